@@ -1,0 +1,29 @@
+//! The words of RoboGate.
+//!
+//! What varies ([`ParameterSpace`]), one fixed assignment of it ([`Scenario`]), a set of points
+//! ([`Design`]) and what draws them ([`Sampler`]); what runs an episode ([`Simulator`], [`Policy`],
+//! [`rollout`]) and what it leaves behind ([`Episode`], [`Outcome`]).
+//!
+//! This crate sees no file, socket, thread or clock. Everything random takes a [`Seed`].
+
+mod design;
+mod episode;
+mod outcome;
+mod pose;
+mod rollout;
+pub mod samplers;
+mod scenario;
+mod seed;
+mod space;
+
+pub use design::{Design, DesignError, Sampler};
+pub use episode::{Contact, Episode, Measures};
+pub use outcome::{FailureMode, Fault, FaultKind, Outcome};
+pub use pose::Pose;
+pub use rollout::{
+    Action, ArmCommand, Ending, GripperCommand, Observation, Phase, Policy, Simulator, Start, Step, TaskSpec, Tick,
+    rollout, rollout_with,
+};
+pub use scenario::{Assignment, Scenario, Value};
+pub use seed::{Seed, Stream};
+pub use space::{Domain, Parameter, ParameterSpace, Scale, SpaceError};

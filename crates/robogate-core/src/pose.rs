@@ -1,0 +1,20 @@
+//! Rigid-body poses, as plain numbers that any engine can take.
+
+use serde::{Deserialize, Serialize};
+
+/// A pose in the robot's base frame: x forward, y left, z up.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    /// Position in metres.
+    pub position: [f64; 3],
+    /// Unit quaternion, scalar first (w, x, y, z).
+    pub orientation: [f64; 4],
+}
+
+impl Pose {
+    /// A pose turned by `yaw` radians about the vertical.
+    pub fn upright(position: [f64; 3], yaw: f64) -> Self {
+        let half = 0.5 * yaw;
+        Self { position, orientation: [half.cos(), 0.0, 0.0, half.sin()] }
+    }
+}

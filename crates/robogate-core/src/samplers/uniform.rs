@@ -1,0 +1,24 @@
+//! Independent uniform draws.
+
+use std::sync::Arc;
+
+use crate::{Design, DesignError, ParameterSpace, Sampler, Stream};
+
+/// Independent draws, uniform in each parameter's own scale: the plain Monte Carlo design, whose
+/// points are exchangeable and whose binomial intervals are exact.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Uniform;
+
+impl Sampler for Uniform {
+    fn name(&self) -> &'static str {
+        "uniform"
+    }
+
+    fn design(&self, space: &Arc<ParameterSpace>, n: usize, mut stream: Stream) -> Result<Design, DesignError> {
+        if n == 0 {
+            return Err(DesignError::Empty);
+        }
+        let unit = (0..n * space.len()).map(|_| stream.uniform()).collect();
+        Ok(Design::from_unit(Arc::clone(space), unit))
+    }
+}

@@ -1,0 +1,376 @@
+//! Ranges and distributions of what varies between episodes.
+
+use std::sync::Arc;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::Value;
+
+/// What varies between episodes, and in which ranges: the operating distribution.
+///
+/// Parameters are independent; each is uniform in its own scale. Written in TOML:
+///
+/// ```
+/// let space = robogate_core::ParameterSpace::from_toml(
+///     r#"
+///     name = "two"
+///     [[parameter]]
+///     name = "friction"
+///     kind = "continuous"
+///     low = 0.05
+///     high = 1.2
+///     scale = "log"
+///     [[parameter]]
+///     name = "shape"
+///     kind = "categorical"
+///     choices = ["box", "sphere"]
+///     "#,
+/// )?;
+/// assert_eq!(space.len(), 2);
+/// # Ok::<(), robogate_core::SpaceError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(try_from = "SpaceFile", into = "SpaceFile")]
+#[schemars(with = "SpaceFile")]
+pub struct ParameterSpace {
+    name: String,
+    parameters: Vec<Parameter>,
+}
+
+impl ParameterSpace {
+    /// A space of these parameters; each must have a range, and no two the same name.
+    pub fn new(name: impl Into<String>, parameters: Vec<Parameter>) -> Result<Self, SpaceError> {
+        if parameters.is_empty() {
+            return Err(SpaceError::NoParameters);
+        }
+        for (i, parameter) in parameters.iter().enumerate() {
+            parameter.check()?;
+            if parameters[..i].iter().any(|earlier| earlier.name == parameter.name) {
+                return Err(SpaceError::Duplicate { parameter: parameter.name.to_string() });
+            }
+        }
+        Ok(Self { name: name.into(), parameters })
+    }
+
+    /// Reads a space from TOML. Errors name the line and key, or the parameter.
+    pub fn from_toml(text: &str) -> Result<Self, SpaceError> {
+        // In two steps, so that an error of meaning keeps its type.
+        let file: SpaceFile = toml::from_str(text).map_err(|e| SpaceError::Syntax(e.to_string()))?;
+        Self::try_from(file)
+    }
+
+    /// The space's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The parameters in order.
+    pub fn parameters(&self) -> &[Parameter] {
+        &self.parameters
+    }
+
+    /// The position of the parameter `name`.
+    pub fn position(&self, name: &str) -> Option<usize> {
+        self.parameters.iter().position(|p| &*p.name == name)
+    }
+
+    /// How many parameters there are: at least one.
+    #[expect(clippy::len_without_is_empty, reason = "a space is never empty")]
+    pub fn len(&self) -> usize {
+        self.parameters.len()
+    }
+}
+
+/// One parameter: a name that carries its unit, and its domain.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parameter {
+    /// The name, with the unit as its ending where there is one (`mass_kg`).
+    pub name: Arc<str>,
+    /// What it may be.
+    pub domain: Domain,
+}
+
+/// What a parameter may be.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Domain {
+    /// A real number in [low, high), uniform in `scale`.
+    Continuous {
+        /// Lower end.
+        low: f64,
+        /// Upper end.
+        high: f64,
+        /// In which scale it is uniform.
+        scale: Scale,
+    },
+    /// A whole number in low..=high, each as likely as the other.
+    Integer {
+        /// Smallest value.
+        low: i64,
+        /// Largest value.
+        high: i64,
+    },
+    /// One of several words, each as likely as the other.
+    Categorical {
+        /// The words.
+        choices: Vec<Arc<str>>,
+    },
+}
+
+impl Domain {
+    /// The coded value at `u` in [0, 1): for a continuous parameter the number with that share of
+    /// the scale below it, else the cell of `u` in equal parts.
+    pub fn from_unit(&self, u: f64) -> f64 {
+        match self {
+            Self::Continuous { low, high, scale: Scale::Linear } => (low + u * (high - low)).clamp(*low, *high),
+            // Paper, section 5.1: exp(log low + u (log high - log low)).
+            Self::Continuous { low, high, scale: Scale::Log } => {
+                (low.ln() + u * (high.ln() - low.ln())).exp().clamp(*low, *high)
+            }
+            Self::Integer { low, .. } => *low as f64 + self.cell(u),
+            Self::Categorical { .. } => self.cell(u),
+        }
+    }
+
+    /// The inverse of [`Self::from_unit`] for a continuous parameter; for a discrete one the middle
+    /// of the value's cell.
+    pub fn to_unit(&self, coded: f64) -> f64 {
+        match self {
+            Self::Continuous { low, high, scale: Scale::Linear } => (coded - low) / (high - low),
+            Self::Continuous { low, high, scale: Scale::Log } => (coded / low).ln() / (high / low).ln(),
+            Self::Integer { low, .. } => (coded - *low as f64 + 0.5) / self.levels().unwrap_or(1) as f64,
+            Self::Categorical { .. } => (coded + 0.5) / self.levels().unwrap_or(1) as f64,
+        }
+    }
+
+    /// How many values a discrete domain has; `None` for a continuous one.
+    pub fn levels(&self) -> Option<usize> {
+        match self {
+            Self::Continuous { .. } => None,
+            Self::Integer { low, high } => Some((high - low) as usize + 1),
+            Self::Categorical { choices } => Some(choices.len()),
+        }
+    }
+
+    /// The value that a code stands for.
+    pub fn decode(&self, coded: f64) -> Value {
+        match self {
+            Self::Continuous { .. } => Value::Number(coded),
+            Self::Integer { .. } => Value::Integer(coded as i64),
+            Self::Categorical { choices } => {
+                Value::Category(Arc::clone(&choices[(coded as usize).min(choices.len() - 1)]))
+            }
+        }
+    }
+
+    /// The code of a value; `None` where the value is not of this domain's kind or choices.
+    /// A number outside [low, high] has a code: data may hold what a space did not foresee.
+    pub fn encode(&self, value: &Value) -> Option<f64> {
+        match (self, value) {
+            (Self::Continuous { .. } | Self::Integer { .. }, Value::Number(x)) => Some(*x),
+            (Self::Continuous { .. } | Self::Integer { .. }, Value::Integer(n)) => Some(*n as f64),
+            (Self::Categorical { choices }, Value::Category(word)) => {
+                choices.iter().position(|c| c == word).map(|i| i as f64)
+            }
+            _ => None,
+        }
+    }
+
+    fn cell(&self, u: f64) -> f64 {
+        let levels = self.levels().unwrap_or(1);
+        ((u * levels as f64) as usize).min(levels - 1) as f64
+    }
+}
+
+/// In which scale a continuous parameter is uniform.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Scale {
+    /// In the number itself.
+    #[default]
+    Linear,
+    /// In its logarithm.
+    Log,
+}
+
+impl Parameter {
+    fn check(&self) -> Result<(), SpaceError> {
+        let parameter = self.name.to_string();
+        if parameter.is_empty() || !parameter.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') {
+            return Err(SpaceError::Name { parameter });
+        }
+        match &self.domain {
+            Domain::Continuous { low, high, .. } if !low.is_finite() || !high.is_finite() => {
+                Err(SpaceError::NotFinite { parameter })
+            }
+            Domain::Continuous { low, high, .. } if low >= high => {
+                Err(SpaceError::EmptyRange { parameter, low: *low, high: *high })
+            }
+            Domain::Continuous { low, scale: Scale::Log, .. } if *low <= 0.0 => {
+                Err(SpaceError::LogOfNonPositive { parameter, low: *low })
+            }
+            Domain::Integer { low, high } if low > high => {
+                Err(SpaceError::EmptyRange { parameter, low: *low as f64, high: *high as f64 })
+            }
+            Domain::Integer { low, high } if high.abs_diff(*low) >= 1 << 32 => {
+                Err(SpaceError::TooManyLevels { parameter })
+            }
+            Domain::Categorical { choices } if choices.is_empty() => Err(SpaceError::NoChoices { parameter }),
+            Domain::Categorical { choices } => {
+                match (1..choices.len()).find(|i| choices[..*i].contains(&choices[*i])) {
+                    Some(i) => Err(SpaceError::DuplicateChoice { parameter, choice: choices[i].to_string() }),
+                    None => Ok(()),
+                }
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Why a parameter space is none.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SpaceError {
+    /// Not TOML, or not of the right form; the text has line, column and key.
+    #[error("{0}")]
+    Syntax(String),
+    /// Nothing varies.
+    #[error("the space has no [[parameter]]")]
+    NoParameters,
+    /// Two parameters of one name.
+    #[error("parameter `{parameter}` is there twice")]
+    Duplicate {
+        /// The name.
+        parameter: String,
+    },
+    /// A name that cannot be a column.
+    #[error("parameter name `{parameter}` is not made of letters, digits and underscores")]
+    Name {
+        /// The name.
+        parameter: String,
+    },
+    /// A range that holds nothing.
+    #[error("parameter `{parameter}`: low {low} is not below high {high}")]
+    EmptyRange {
+        /// The name.
+        parameter: String,
+        /// Its lower end.
+        low: f64,
+        /// Its upper end.
+        high: f64,
+    },
+    /// A range without ends.
+    #[error("parameter `{parameter}`: low and high must be finite numbers")]
+    NotFinite {
+        /// The name.
+        parameter: String,
+    },
+    /// A logarithm that is not there.
+    #[error("parameter `{parameter}`: a log scale needs low above 0 (it is {low})")]
+    LogOfNonPositive {
+        /// The name.
+        parameter: String,
+        /// Its lower end.
+        low: f64,
+    },
+    /// An integer range beyond any use.
+    #[error("parameter `{parameter}`: more than 2^32 integers; make it continuous")]
+    TooManyLevels {
+        /// The name.
+        parameter: String,
+    },
+    /// No choice to choose from.
+    #[error("parameter `{parameter}`: `choices` is empty")]
+    NoChoices {
+        /// The name.
+        parameter: String,
+    },
+    /// The same choice twice.
+    #[error("parameter `{parameter}`: choice `{choice}` is there twice")]
+    DuplicateChoice {
+        /// The name.
+        parameter: String,
+        /// The choice.
+        choice: String,
+    },
+}
+
+/// The TOML form of a space.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(rename = "ParameterSpace")]
+struct SpaceFile {
+    /// The space's name, kept in the provenance of what is drawn from it.
+    name: String,
+    /// The parameters, in the order of the dictionary's columns.
+    parameter: Vec<ParameterFile>,
+}
+
+/// One `[[parameter]]` table.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+enum ParameterFile {
+    /// A real number.
+    Continuous {
+        /// The name, with its unit.
+        name: Arc<str>,
+        /// Lower end.
+        low: f64,
+        /// Upper end.
+        high: f64,
+        /// In which scale the number is uniform.
+        #[serde(default)]
+        scale: Scale,
+    },
+    /// A whole number, both ends included.
+    Integer {
+        /// The name, with its unit.
+        name: Arc<str>,
+        /// Smallest value.
+        low: i64,
+        /// Largest value.
+        high: i64,
+    },
+    /// One of several words.
+    Categorical {
+        /// The name.
+        name: Arc<str>,
+        /// The words.
+        choices: Vec<Arc<str>>,
+    },
+}
+
+impl TryFrom<SpaceFile> for ParameterSpace {
+    type Error = SpaceError;
+
+    fn try_from(file: SpaceFile) -> Result<Self, SpaceError> {
+        let parameters = file
+            .parameter
+            .into_iter()
+            .map(|parameter| match parameter {
+                ParameterFile::Continuous { name, low, high, scale } => {
+                    Parameter { name, domain: Domain::Continuous { low, high, scale } }
+                }
+                ParameterFile::Integer { name, low, high } => Parameter { name, domain: Domain::Integer { low, high } },
+                ParameterFile::Categorical { name, choices } => {
+                    Parameter { name, domain: Domain::Categorical { choices } }
+                }
+            })
+            .collect();
+        Self::new(file.name, parameters)
+    }
+}
+
+impl From<ParameterSpace> for SpaceFile {
+    fn from(space: ParameterSpace) -> Self {
+        let parameter = space
+            .parameters
+            .into_iter()
+            .map(|Parameter { name, domain }| match domain {
+                Domain::Continuous { low, high, scale } => ParameterFile::Continuous { name, low, high, scale },
+                Domain::Integer { low, high } => ParameterFile::Integer { name, low, high },
+                Domain::Categorical { choices } => ParameterFile::Categorical { name, choices },
+            })
+            .collect();
+        Self { name: space.name, parameter }
+    }
+}
