@@ -1,0 +1,275 @@
+//! Intervals for one success probability.
+//!
+//! With k successes in n independent trials, p̂ = k/n and z the two-sided normal point of the level:
+//!
+//! - [`wilson`]: the p with (p̂ - p)² = z² p (1 - p) / n. Coverage is near the level on average over p and may
+//!   fall below it for a given p (most where p is near 0 or 1); the interval never leaves [0, 1] and never has
+//!   zero width at finite n.
+//! - [`clopper_pearson`]: Beta quantiles B(α/2; k, n-k+1) and B(1-α/2; k+1, n-k), 0 at k = 0 and 1 at k = n.
+//!   Coverage is at least the level for every n and p; the interval is wide when n is small.
+//!
+//! No trials give the whole of [0, 1]: no evidence is not zero.
+//!
+//! Limit: both hold for independent draws from the population of interest and for an n fixed in advance. A
+//! Latin hypercube is dependent (usually conservative here), a boundary-focused design is not
+//! representative (see [`crate::weighted`]), and looking repeatedly while sampling voids the level.
+//! Sources: Wilson (1927), JASA 22; Clopper and Pearson (1934), Biometrika 26(4); Brown, Cai and DasGupta
+//! (2001), Statistical Science 16(2), on their coverage.
+
+use crate::special::{beta_quantile, normal_upper_quantile};
+
+/// Why numbers cannot be counts, a level or an interval.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum IntervalError {
+    /// More successes than trials.
+    #[error("{successes} successes exceed {n} trials")]
+    MoreSuccessesThanTrials {
+        /// Successes as given.
+        successes: u64,
+        /// Trials as given.
+        n: u64,
+    },
+    /// A confidence level that is not strictly between 0 and 1.
+    #[error("confidence level {level} is not strictly between 0 and 1; hint: write 95 % as 0.95")]
+    LevelOutsideUnit {
+        /// Level as given.
+        level: f64,
+    },
+}
+
+/// How often something succeeded, out of how many attempts; never more often than attempted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Trials {
+    successes: u64,
+    n: u64,
+}
+
+impl Trials {
+    /// Nothing was tried.
+    pub const NONE: Self = Self { successes: 0, n: 0 };
+
+    /// Accepts `successes` ≤ `n`.
+    ///
+    /// # Errors
+    /// [`IntervalError::MoreSuccessesThanTrials`] otherwise.
+    pub fn new(successes: u64, n: u64) -> Result<Self, IntervalError> {
+        if successes > n {
+            Err(IntervalError::MoreSuccessesThanTrials { successes, n })
+        } else {
+            Ok(Self { successes, n })
+        }
+    }
+
+    /// Counts the `true` among `outcomes`.
+    pub fn count(outcomes: impl IntoIterator<Item = bool>) -> Self {
+        let mut trials = Self::NONE;
+        for success in outcomes {
+            trials.n += 1;
+            trials.successes += u64::from(success);
+        }
+        trials
+    }
+
+    /// Number of successes, k.
+    pub fn successes(self) -> u64 {
+        self.successes
+    }
+
+    /// Number of trials, n.
+    pub fn n(self) -> u64 {
+        self.n
+    }
+
+    /// Number of trials that did not succeed, n - k.
+    pub fn failures(self) -> u64 {
+        self.n - self.successes
+    }
+
+    /// Observed rate k/n; `None` where nothing was tried.
+    pub fn rate(self) -> Option<f64> {
+        (self.n > 0).then(|| self.successes as f64 / self.n as f64)
+    }
+}
+
+/// Two-sided confidence level, strictly between 0 and 1.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct Confidence(f64);
+
+impl Confidence {
+    /// The customary 95 %.
+    pub const P95: Self = Self(0.95);
+
+    /// Accepts 0 < `level` < 1.
+    ///
+    /// # Errors
+    /// [`IntervalError::LevelOutsideUnit`] otherwise, NaN included.
+    pub fn new(level: f64) -> Result<Self, IntervalError> {
+        if level > 0.0 && level < 1.0 { Ok(Self(level)) } else { Err(IntervalError::LevelOutsideUnit { level }) }
+    }
+
+    /// The level itself, 0.95 for 95 %.
+    pub fn level(self) -> f64 {
+        self.0
+    }
+
+    /// Probability left out on each side, (1 - level) / 2.
+    pub fn tail(self) -> f64 {
+        0.5 * (1.0 - self.0)
+    }
+
+    /// Two-sided point of the standard normal distribution: 1.95996 at 95 %.
+    pub fn z(self) -> f64 {
+        normal_upper_quantile(self.tail())
+    }
+
+    /// The level that each of `comparisons` statements needs for all to hold together (Bonferroni).
+    ///
+    /// No comparison counts as one.
+    pub fn shared_by(self, comparisons: usize) -> Self {
+        // The largest double below one keeps the level a level when the share is too small to represent.
+        let level = 1.0 - (1.0 - self.0) / comparisons.max(1) as f64;
+        Self(level.min(1.0 - f64::EPSILON / 2.0))
+    }
+}
+
+/// A closed interval of the real line, `low` ≤ `high`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Interval {
+    /// Lower end.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+}
+
+impl Interval {
+    /// Everything a probability can be.
+    pub const UNIT: Self = Self { low: 0.0, high: 1.0 };
+
+    /// Length, high - low.
+    pub fn width(self) -> f64 {
+        self.high - self.low
+    }
+
+    /// Whether `value` lies inside, ends included.
+    pub fn contains(self, value: f64) -> bool {
+        self.low <= value && value <= self.high
+    }
+}
+
+/// Wilson's score interval for the success probability.
+pub fn wilson(trials: Trials, confidence: Confidence) -> Interval {
+    if trials.n == 0 {
+        return Interval::UNIT;
+    }
+    let z = confidence.z();
+    wilson_real(trials.successes as f64, trials.n as f64, z)
+}
+
+/// Wilson's interval for real-valued counts 0 ≤ k ≤ n, n > 0 (weighted data use an effective n).
+pub(crate) fn wilson_real(k: f64, n: f64, z: f64) -> Interval {
+    Interval { low: wilson_low(k, n, z), high: 1.0 - wilson_low(n - k, n, z) }
+}
+
+/// Smaller root of the score equation, from the product of both: exact at k = 0 and without cancellation near it.
+fn wilson_low(k: f64, n: f64, z: f64) -> f64 {
+    let zz = z * z;
+    let larger = (2.0 * k + zz + z * (zz + 4.0 * k * (n - k) / n).sqrt()) / (2.0 * (n + zz));
+    k * k / (n * (n + zz)) / larger
+}
+
+/// Exact (Clopper-Pearson) interval for the success probability.
+pub fn clopper_pearson(trials: Trials, confidence: Confidence) -> Interval {
+    let tail = confidence.tail();
+    let (k, n) = (trials.successes as f64, trials.n as f64);
+    Interval { low: exact_low(k, n, tail), high: 1.0 - exact_low(n - k, n, tail) }
+}
+
+/// The p at which k or more successes in n have probability `tail`; 0 at k = 0.
+fn exact_low(k: f64, n: f64, tail: f64) -> f64 {
+    if k <= 0.0 { 0.0 } else { beta_quantile(k, n - k + 1.0, tail) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn trials(k: u64, n: u64) -> Trials {
+        Trials::new(k, n).unwrap()
+    }
+
+    /// Probability that the interval made from Binomial(n, p) contains p, by the exact sum.
+    fn coverage(n: u64, p: f64, make: fn(Trials, Confidence) -> Interval) -> f64 {
+        let mut probability = (n as f64 * (1.0 - p).ln()).exp();
+        let mut covered = 0.0;
+        for k in 0..=n {
+            if make(trials(k, n), Confidence::P95).contains(p) {
+                covered += probability;
+            }
+            probability *= (n - k) as f64 / (k + 1) as f64 * p / (1.0 - p);
+        }
+        covered
+    }
+
+    #[test]
+    fn zero_trials_give_the_whole_unit_interval() {
+        assert_eq!(wilson(Trials::NONE, Confidence::P95), Interval::UNIT);
+        assert_eq!(clopper_pearson(Trials::NONE, Confidence::P95), Interval::UNIT);
+        assert_eq!(Trials::NONE.rate(), None);
+    }
+
+    #[test]
+    fn no_success_reaches_zero_and_no_failure_reaches_one() {
+        for make in [wilson, clopper_pearson] {
+            for n in [1, 7, 1_000_000] {
+                let none = make(trials(0, n), Confidence::P95);
+                let all = make(trials(n, n), Confidence::P95);
+                assert_eq!((none.low, all.high), (0.0, 1.0));
+                assert!(none.high > 0.0 && none.high < 1.0 && all.low > 0.0 && all.low < 1.0);
+            }
+        }
+    }
+
+    #[test]
+    fn successes_and_failures_are_mirror_images() {
+        for make in [wilson, clopper_pearson] {
+            let a = make(trials(3, 41), Confidence::P95);
+            let b = make(trials(38, 41), Confidence::P95);
+            assert!((a.low - (1.0 - b.high)).abs() < 1e-15 && (a.high - (1.0 - b.low)).abs() < 1e-15);
+        }
+    }
+
+    #[test]
+    fn clopper_pearson_covers_at_least_its_level_everywhere() {
+        for n in [1, 2, 5, 20, 60] {
+            for i in 1..100 {
+                let p = f64::from(i) / 100.0;
+                assert!(coverage(n, p, clopper_pearson) >= 0.95 - 1e-12, "n {n} p {p}");
+            }
+        }
+    }
+
+    #[test]
+    fn wilson_covers_its_level_on_average_though_not_everywhere() {
+        for n in [5, 20, 60] {
+            let all: Vec<f64> = (1..200).map(|i| coverage(n, f64::from(i) / 200.0, wilson)).collect();
+            let mean = all.iter().sum::<f64>() / all.len() as f64;
+            assert!((0.945..0.965).contains(&mean), "n {n} mean {mean}");
+            assert!(all.iter().all(|&c| c > 0.82), "n {n}");
+        }
+    }
+
+    #[test]
+    fn impossible_counts_and_levels_are_refused() {
+        assert!(Trials::new(2, 1).is_err());
+        for level in [0.0, 1.0, -0.1, 95.0, f64::NAN] {
+            assert!(Confidence::new(level).is_err());
+        }
+    }
+
+    #[test]
+    fn sharing_a_level_never_reaches_certainty() {
+        assert!((Confidence::P95.shared_by(5).level() - 0.99).abs() < 1e-15);
+        assert!(Confidence::P95.shared_by(usize::MAX).z().is_finite());
+        assert_eq!(Confidence::P95.shared_by(0), Confidence::P95);
+    }
+}
