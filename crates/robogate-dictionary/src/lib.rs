@@ -1,1 +1,26 @@
-//! dictionary
+//! The failure dictionary: the record of every episode.
+//!
+//! While a campaign runs, each [`Entry`] goes into a [`Journal`], which survives a `kill -9`. At the
+//! end the entries, in order of their index, become one Parquet file ([`write_parquet`]), which
+//! [`Dictionary`] reads. What is in the file besides the rows is its [`Provenance`]; the two together
+//! hold no clock and no thread count, so that the same settings give the same bytes.
+//!
+//! [`published`] speaks the JSON of the dictionaries released with the paper, [`export`] CSV and JSON
+//! Lines.
+
+mod codec;
+mod entry;
+mod error;
+mod hash;
+mod journal;
+mod parquet;
+mod provenance;
+mod schema;
+
+pub use entry::Entry;
+pub use error::{DictionaryError, Row};
+pub use hash::{DatasetHash, dataset_hash};
+pub use journal::{Journal, Recovery};
+pub use parquet::{Column, Dictionary, DictionaryWriter, Entries, Written, write_parquet};
+pub use provenance::{Engine, Platform, Provenance, Robot, Source, Tool};
+pub use schema::{SCHEMA_VERSION, SchemaVersion};

@@ -1,0 +1,84 @@
+//! The schema and its version.
+
+use std::borrow::Cow;
+use std::fmt;
+use std::str::FromStr;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Deserialize, Serialize};
+
+/// The version that this crate writes, and the newest that it knows.
+pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 1, minor: 0 };
+
+/// A version of the dictionary's schema, written `major.minor`.
+///
+/// A minor version adds columns: older and newer ones of the same major are readable. A major
+/// version changes what a column means, so a newer one is refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct SchemaVersion {
+    /// Changes where a column changes its meaning or goes away.
+    pub major: u32,
+    /// Changes where a column is added.
+    pub minor: u32,
+}
+
+impl SchemaVersion {
+    /// Whether a file of this version can be read here.
+    pub fn is_readable(self) -> bool {
+        self.major == SCHEMA_VERSION.major
+    }
+
+    /// Whether rows may be added to a file of this version here. Not where it is newer by a minor
+    /// version: its added columns would stay empty, and nobody could tell why.
+    pub fn is_writable(self) -> bool {
+        self.is_readable() && self.minor <= SCHEMA_VERSION.minor
+    }
+}
+
+impl fmt::Display for SchemaVersion {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}.{}", self.major, self.minor)
+    }
+}
+
+impl FromStr for SchemaVersion {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("`{text}` is not a schema version (major.minor, as in {SCHEMA_VERSION})");
+        let (major, minor) = text.split_once('.').ok_or_else(wrong)?;
+        match (major.parse(), minor.parse()) {
+            (Ok(major), Ok(minor)) => Ok(Self { major, minor }),
+            _ => Err(wrong()),
+        }
+    }
+}
+
+impl TryFrom<String> for SchemaVersion {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<SchemaVersion> for String {
+    fn from(version: SchemaVersion) -> Self {
+        version.to_string()
+    }
+}
+
+impl JsonSchema for SchemaVersion {
+    fn schema_name() -> Cow<'static, str> {
+        "SchemaVersion".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "type": "string",
+            "pattern": "^[0-9]+\\.[0-9]+$",
+            "description": "Version of the dictionary's schema, major.minor.",
+        })
+    }
+}
