@@ -1,1 +1,314 @@
+//! An entry as bytes.
+//!
+//! One encoding, little-endian and self-delimiting, in two strictnesses. The *exact* form gives back
+//! the same entry to the bit (the journal). The *canonical* form is one for all entries that say the
+//! same (the dataset hash): assignments stand in order of name, a whole number is the same as integer
+//! and as real number, and a measure that is no finite number counts as missing, as it does in Parquet.
 
+use std::sync::Arc;
+
+use robogate_core::{
+    Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Measures, Outcome, Phase, Scenario, Seed, Value,
+};
+
+use crate::Entry;
+
+/// Every class of fault, in the order of their codes.
+pub(crate) const FAULT_KINDS: [FaultKind; 5] =
+    [FaultKind::Diverged, FaultKind::Setup, FaultKind::NotApplied, FaultKind::BadAction, FaultKind::Unavailable];
+
+/// The code of a class of fault: its place in [`FAULT_KINDS`]. A match, so that a class that core
+/// adds cannot be forgotten here.
+fn fault_code(kind: FaultKind) -> u8 {
+    match kind {
+        FaultKind::Diverged => 0,
+        FaultKind::Setup => 1,
+        FaultKind::NotApplied => 2,
+        FaultKind::BadAction => 3,
+        FaultKind::Unavailable => 4,
+    }
+}
+
+/// The largest magnitude up to which every integer is a double.
+pub(crate) const EXACT_INTEGER: i64 = 1 << 53;
+
+/// The integer as a double, where that loses nothing.
+pub(crate) fn integer_as_number(n: i64) -> Option<f64> {
+    (-EXACT_INTEGER..=EXACT_INTEGER).contains(&n).then_some(n as f64)
+}
+
+/// The double as an integer, where that loses nothing (-0.0 would lose its sign).
+pub(crate) fn number_as_integer(x: f64) -> Option<i64> {
+    let whole = x.trunc().to_bits() == x.to_bits() && x.abs() <= EXACT_INTEGER as f64;
+    (whole && (x != 0.0 || x.is_sign_positive())).then_some(x as i64)
+}
+
+/// Appends the exact form of `entry`.
+pub(crate) fn encode(entry: &Entry, out: &mut Vec<u8>) {
+    Encoder { out, canonical: false }.entry(entry);
+}
+
+/// Appends the canonical form of `entry`.
+pub(crate) fn encode_canonical(entry: &Entry, out: &mut Vec<u8>) {
+    Encoder { out, canonical: true }.entry(entry);
+}
+
+struct Encoder<'a> {
+    out: &'a mut Vec<u8>,
+    canonical: bool,
+}
+
+impl Encoder<'_> {
+    fn entry(&mut self, entry: &Entry) {
+        let Entry { stage, design, weight, episode } = entry;
+        let Episode { scenario, applied, outcome, time_s, phase, contact, measures, ticks, trajectory_hash } = episode;
+        self.u64(scenario.index);
+        self.u64(scenario.seed.campaign_number());
+        self.text(stage);
+        self.text(design);
+        self.f64(*weight);
+        self.assignment(&scenario.requested);
+        self.assignment(applied);
+        match outcome {
+            Outcome::Success => self.u8(0),
+            Outcome::Failure(mode) => self.u8(1 + place(&FailureMode::ALL, mode)),
+            Outcome::Invalid(Fault { kind, detail }) => {
+                self.u8(INVALID);
+                self.u8(fault_code(*kind));
+                self.text(detail);
+            }
+        }
+        self.f64(*time_s);
+        self.u8(phase.map_or(0, |phase| 1 + place(&Phase::ALL, &phase)));
+        match contact {
+            None => self.u8(0),
+            Some(Contact { robot_body, other_body, force_n }) => {
+                self.u8(1);
+                self.text(robot_body);
+                self.text(other_body);
+                self.f64(*force_n);
+            }
+        }
+        let Measures { peak_contact_force_n, slip_m, min_clearance_m, target_distance_m } = measures;
+        for measure in [peak_contact_force_n, slip_m, min_clearance_m, target_distance_m] {
+            match measure.filter(|x| !self.canonical || x.is_finite()) {
+                None => self.u8(0),
+                Some(x) => {
+                    self.u8(1);
+                    self.f64(x);
+                }
+            }
+        }
+        self.u32(*ticks);
+        self.u64(*trajectory_hash);
+    }
+
+    fn assignment(&mut self, assignment: &Assignment) {
+        let mut pairs: Vec<(&str, &Value)> = assignment.iter().collect();
+        if self.canonical {
+            pairs.sort_by_key(|(name, _)| *name);
+        }
+        self.u32(pairs.len() as u32);
+        for (name, value) in pairs {
+            self.text(name);
+            match value {
+                Value::Number(x) => {
+                    self.u8(NUMBER);
+                    self.f64(*x);
+                }
+                Value::Integer(n) => match integer_as_number(*n).filter(|_| self.canonical) {
+                    Some(x) => {
+                        self.u8(NUMBER);
+                        self.f64(x);
+                    }
+                    None => {
+                        self.u8(INTEGER);
+                        self.u64(n.cast_unsigned());
+                    }
+                },
+                Value::Category(word) => {
+                    self.u8(CATEGORY);
+                    self.text(word);
+                }
+            }
+        }
+    }
+
+    fn text(&mut self, text: &str) {
+        self.u64(text.len() as u64);
+        self.out.extend_from_slice(text.as_bytes());
+    }
+
+    fn f64(&mut self, x: f64) {
+        let x = if self.canonical && !x.is_finite() { f64::NAN } else { x };
+        self.u64(x.to_bits());
+    }
+
+    fn u64(&mut self, n: u64) {
+        self.out.extend_from_slice(&n.to_le_bytes());
+    }
+
+    fn u32(&mut self, n: u32) {
+        self.out.extend_from_slice(&n.to_le_bytes());
+    }
+
+    fn u8(&mut self, n: u8) {
+        self.out.push(n);
+    }
+}
+
+const INVALID: u8 = 5;
+
+const NUMBER: u8 = b'n';
+const INTEGER: u8 = b'i';
+const CATEGORY: u8 = b'c';
+
+fn place<T: PartialEq>(all: &[T], one: &T) -> u8 {
+    all.iter().position(|other| other == one).map_or(u8::MAX, |i| i as u8)
+}
+
+/// The shared names and words of a data set: without it each row would own some twenty strings.
+#[derive(Debug, Default)]
+pub(crate) struct Interner(Vec<Arc<str>>);
+
+impl Interner {
+    /// Beyond this many, words are no longer few: looking them up would cost more than it saves.
+    const LIMIT: usize = 256;
+
+    pub(crate) fn get(&mut self, text: &str) -> Arc<str> {
+        if let Some(known) = self.0.iter().find(|known| known.as_ref() == text) {
+            return Arc::clone(known);
+        }
+        let new: Arc<str> = text.into();
+        if self.0.len() < Self::LIMIT {
+            self.0.push(Arc::clone(&new));
+        }
+        new
+    }
+}
+
+/// Reads the exact form back. The error says what does not fit.
+pub(crate) fn decode(bytes: &[u8], words: &mut Interner) -> Result<Entry, String> {
+    let mut decoder = Decoder { rest: bytes, words };
+    let entry = decoder.entry()?;
+    match decoder.rest.len() {
+        0 => Ok(entry),
+        n => Err(format!("{n} bytes follow the episode")),
+    }
+}
+
+/// The index of the entry that `bytes` encode, without the rest.
+pub(crate) fn decode_index(bytes: &[u8]) -> Option<u64> {
+    Some(u64::from_le_bytes(*bytes.first_chunk()?))
+}
+
+struct Decoder<'a> {
+    rest: &'a [u8],
+    words: &'a mut Interner,
+}
+
+impl<'a> Decoder<'a> {
+    fn entry(&mut self) -> Result<Entry, String> {
+        let index = self.u64()?;
+        let seed = Seed::campaign(self.u64()?).episode(index);
+        let stage = self.text()?.to_owned();
+        let design = self.text()?.to_owned();
+        let weight = self.f64()?;
+        let scenario = Scenario { index, seed, requested: self.assignment()? };
+        let applied = self.assignment()?;
+        let outcome = match self.u8()? {
+            0 => Outcome::Success,
+            INVALID => {
+                let kind = *pick(&FAULT_KINDS, self.u8()?, "class of fault")?;
+                Outcome::Invalid(Fault::new(kind, self.text()?))
+            }
+            code => Outcome::Failure(*pick(&FailureMode::ALL, code - 1, "outcome")?),
+        };
+        let time_s = self.f64()?;
+        let phase = match self.u8()? {
+            0 => None,
+            code => Some(*pick(&Phase::ALL, code - 1, "phase")?),
+        };
+        let contact = if self.flag()? {
+            let (robot_body, other_body) = (self.text()?.to_owned(), self.text()?.to_owned());
+            Some(Contact { robot_body, other_body, force_n: self.f64()? })
+        } else {
+            None
+        };
+        let measures = Measures {
+            peak_contact_force_n: self.measure()?,
+            slip_m: self.measure()?,
+            min_clearance_m: self.measure()?,
+            target_distance_m: self.measure()?,
+        };
+        let ticks = u32::from_le_bytes(self.array()?);
+        let trajectory_hash = self.u64()?;
+        let episode = Episode { scenario, applied, outcome, time_s, phase, contact, measures, ticks, trajectory_hash };
+        Ok(Entry { stage, design, weight, episode })
+    }
+
+    fn assignment(&mut self) -> Result<Assignment, String> {
+        let pairs = u32::from_le_bytes(self.array()?);
+        (0..pairs)
+            .map(|_| {
+                let name = self.word()?;
+                let value = match self.u8()? {
+                    NUMBER => Value::Number(self.f64()?),
+                    INTEGER => Value::Integer(self.u64()?.cast_signed()),
+                    CATEGORY => Value::Category(self.word()?),
+                    code => return Err(format!("{code} is no kind of value")),
+                };
+                Ok((name, value))
+            })
+            .collect()
+    }
+
+    fn measure(&mut self) -> Result<Option<f64>, String> {
+        if self.flag()? { self.f64().map(Some) } else { Ok(None) }
+    }
+
+    fn flag(&mut self) -> Result<bool, String> {
+        match self.u8()? {
+            0 => Ok(false),
+            1 => Ok(true),
+            code => Err(format!("{code} is neither 0 nor 1")),
+        }
+    }
+
+    fn word(&mut self) -> Result<Arc<str>, String> {
+        let text = self.text()?;
+        Ok(self.words.get(text))
+    }
+
+    fn text(&mut self) -> Result<&'a str, String> {
+        let length = self.u64()?;
+        let (text, rest) = usize::try_from(length)
+            .ok()
+            .and_then(|length| self.rest.split_at_checked(length))
+            .ok_or_else(|| format!("a text of {length} bytes where {} are left", self.rest.len()))?;
+        self.rest = rest;
+        std::str::from_utf8(text).map_err(|e| format!("a text is not UTF-8: {e}"))
+    }
+
+    fn f64(&mut self) -> Result<f64, String> {
+        self.u64().map(f64::from_bits)
+    }
+
+    fn u64(&mut self) -> Result<u64, String> {
+        self.array().map(u64::from_le_bytes)
+    }
+
+    fn u8(&mut self) -> Result<u8, String> {
+        self.array().map(|[byte]| byte)
+    }
+
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], String> {
+        let (head, rest) = self.rest.split_first_chunk().ok_or("it ends early")?;
+        self.rest = rest;
+        Ok(*head)
+    }
+}
+
+fn pick<'a, T>(all: &'a [T], code: u8, what: &str) -> Result<&'a T, String> {
+    all.get(usize::from(code)).ok_or_else(|| format!("{code} is the code of no {what}"))
+}

@@ -1,33 +1,48 @@
 //! The content hash of a dictionary.
 
 use std::borrow::Borrow;
+use std::fmt::Write;
 
 use sha2::{Digest, Sha256};
 
-use crate::{DictionaryError, Entry};
+use crate::{DictionaryError, Entry, codec};
 
 /// SHA-256 over the canonical form of every entry, in order: the identity of a data set, whatever
 /// file it is in.
 ///
-/// The bytes of a Parquet file depend on the writer's version and settings; these do not. Two
-/// campaigns agree on it exactly if they agree on every value of every row.
-#[derive(Debug, Default)]
-pub struct DatasetHash(Sha256);
+/// The bytes of a Parquet file depend on its writer's version and settings; these do not. Two
+/// campaigns agree on it exactly if they agree on every value of every row. Not told apart are what
+/// Parquet does not tell apart either: the order of the parameters, a whole number as integer or as
+/// real number, and a measure that is missing or not finite.
+#[derive(Debug, Clone)]
+pub struct DatasetHash {
+    state: Sha256,
+    row: Vec<u8>,
+}
 
 impl DatasetHash {
     /// Of no entries yet.
     pub fn new() -> Self {
-        Self::default()
+        // The canonical form is part of the hash: a change to it must not look like other data.
+        Self { state: Sha256::new_with_prefix(b"robogate dataset 1\n"), row: Vec::new() }
     }
 
     /// Adds the next entry.
-    pub fn update(&mut self, _entry: &Entry) {
-        self.0.update([0]);
+    pub fn update(&mut self, entry: &Entry) {
+        self.row.clear();
+        codec::encode_canonical(entry, &mut self.row);
+        self.state.update(&self.row);
     }
 
     /// The hash in hexadecimal.
     pub fn finish(self) -> String {
-        String::new()
+        hex(&self.state.finalize())
+    }
+}
+
+impl Default for DatasetHash {
+    fn default() -> Self {
+        Self::new()
     }
 }
 
@@ -40,4 +55,13 @@ pub fn dataset_hash<E: Borrow<Entry>>(
         hash.update(entry?.borrow());
     }
     Ok(hash.finish())
+}
+
+/// Bytes in lower-case hexadecimal.
+pub(crate) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
+        // Writing to a string cannot fail.
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
 }

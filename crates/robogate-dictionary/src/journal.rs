@@ -1,39 +1,240 @@
 //! The crash-safe record that a running campaign appends to.
+//!
+//! A header of 16 bytes, then one frame for each episode: the length of its body, the CRC-32 of the
+//! body, the CRC-32 of these two, and the body. A frame is written with one `write`, so a process
+//! that is killed leaves at most one frame unfinished, and that one is at the end. The checksum of
+//! the frame's head tells an unfinished frame (its head is right, the file ends too early) from a
+//! damaged one.
 
-use std::fs::File;
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use crate::codec::{self, Interner};
 use crate::{DictionaryError, Entry};
+
+const MAGIC: [u8; 8] = *b"RGJOURNL";
+const VERSION: u32 = 1;
+const HEADER: u64 = 16;
+const HEAD: usize = 12;
 
 /// What opening a journal had to repair.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Recovery {
-    /// Bytes of a torn last record that were cut off; 0 where the journal was whole.
+    /// Bytes of an unfinished last record that were cut off; 0 where the journal was whole.
     pub dropped_bytes: u64,
 }
 
-/// The append-only record of a running campaign.
+/// The append-only record of a running campaign: 16 bytes of memory for each episode, whatever the
+/// order in which they come.
+///
+/// One process at a time: the file is locked as long as the journal is open.
 #[derive(Debug)]
 pub struct Journal {
     file: File,
     path: PathBuf,
+    /// (index, offset of the frame), by rising index. Episodes come nearly in order, so that most
+    /// insertions are at the end.
+    places: Vec<(u64, u64)>,
+    /// Where the last whole frame ends.
+    end: u64,
+    /// A failed append that could not be undone.
+    broken: bool,
+    buffer: Vec<u8>,
+    words: Interner,
 }
 
 impl Journal {
     /// Creates the journal `path`, which must not be there yet.
     pub fn create(path: &Path) -> Result<Self, DictionaryError> {
-        let file = File::create_new(path).map_err(DictionaryError::io(path, "create"))?;
-        Ok(Self { file, path: path.to_owned() })
+        let file = OpenOptions::new()
+            .read(true)
+            .append(true)
+            .create_new(true)
+            .open(path)
+            .map_err(DictionaryError::io(path, "create"))?;
+        let mut journal = Self::over(file, path)?;
+        journal.write_header()?;
+        // The name of a new file is in its folder: without this a power failure could take it away.
+        sync_folder(path).map_err(DictionaryError::io(path, "flush the folder of"))?;
+        Ok(journal)
     }
 
     /// Opens the journal `path`; a record that was being written when its writer died is cut off.
+    ///
+    /// A record that is damaged before the end is an error that names its offset: the episodes after
+    /// it would otherwise be lost in silence.
     pub fn open(path: &Path) -> Result<(Self, Recovery), DictionaryError> {
-        let file = File::open(path).map_err(DictionaryError::io(path, "open"))?;
-        Ok((Self { file, path: path.to_owned() }, Recovery::default()))
+        let file = OpenOptions::new().read(true).append(true).open(path).map_err(DictionaryError::io(path, "open"))?;
+        let mut journal = Self::over(file, path)?;
+        let length = journal.file.metadata().map_err(DictionaryError::io(path, "inspect"))?.len();
+        let kept = journal.scan(length)?;
+        if kept < length || kept < HEADER {
+            journal.file.set_len(kept).map_err(DictionaryError::io(path, "repair"))?;
+        }
+        if kept < HEADER {
+            journal.write_header()?;
+        }
+        Ok((journal, Recovery { dropped_bytes: length - kept }))
+    }
+
+    fn over(file: File, path: &Path) -> Result<Self, DictionaryError> {
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Err(DictionaryError::Locked { path: path.to_owned() }),
+            // Some network file systems have no locks; the record itself does not depend on them.
+            Err(TryLockError::Error(e)) if e.kind() == io::ErrorKind::Unsupported => {}
+            Err(TryLockError::Error(e)) => return Err(DictionaryError::io(path, "lock")(e)),
+        }
+        Ok(Self {
+            file,
+            path: path.to_owned(),
+            places: Vec::new(),
+            end: 0,
+            broken: false,
+            buffer: Vec::new(),
+            words: Interner::default(),
+        })
+    }
+
+    fn write_header(&mut self) -> Result<(), DictionaryError> {
+        let header = header();
+        self.file.write_all(&header).map_err(DictionaryError::io(&self.path, "write"))?;
+        self.end = HEADER;
+        Ok(())
+    }
+
+    /// Reads every frame once. Returns where the last whole one ends.
+    fn scan(&mut self, length: u64) -> Result<u64, DictionaryError> {
+        let file = self.file.try_clone().map_err(DictionaryError::io(&self.path, "read"))?;
+        let mut reader = BufReader::with_capacity(1 << 16, file);
+        if !self.scan_header(&mut reader)? {
+            return Ok(0);
+        }
+        self.end = HEADER;
+        while self.end < length {
+            match self.scan_frame(&mut reader, length - self.end)? {
+                Some(size) => self.end += size,
+                None => break,
+            }
+        }
+        Ok(self.end)
+    }
+
+    /// `false` where the file ends inside its header: its writer died while creating it.
+    fn scan_header(&self, reader: &mut impl Read) -> Result<bool, DictionaryError> {
+        let refuse = |reason: String| Err(DictionaryError::NotAJournal { path: self.path.clone(), reason });
+        let mut found = Vec::new();
+        reader.take(HEADER).read_to_end(&mut found).map_err(DictionaryError::io(&self.path, "read"))?;
+        let expected = header();
+        if found == expected {
+            return Ok(true);
+        }
+        if expected.starts_with(&found) {
+            return Ok(false);
+        }
+        match (found.first_chunk(), found.get(8..12).and_then(|v| v.first_chunk())) {
+            (Some(&MAGIC), Some(version)) if u32::from_le_bytes(*version) > VERSION => refuse(format!(
+                "it is of version {}, and this robogate reads {VERSION} at most\nhint: upgrade robogate",
+                u32::from_le_bytes(*version)
+            )),
+            (Some(&MAGIC), _) => refuse("its header is damaged".to_owned()),
+            _ => refuse("it does not begin as one\nhint: check the path".to_owned()),
+        }
+    }
+
+    /// The size of the frame at `self.end`, of which `left` bytes are in the file; `None` where the
+    /// file ends before the frame does.
+    fn scan_frame(&mut self, reader: &mut impl Read, left: u64) -> Result<Option<u64>, DictionaryError> {
+        let Some(rest) = left.checked_sub(HEAD as u64) else {
+            return Ok(None);
+        };
+        let mut bytes = [0; HEAD];
+        reader.read_exact(&mut bytes).map_err(DictionaryError::io(&self.path, "read"))?;
+        let Some((size, crc)) = parse_head(&bytes) else {
+            // After a power failure a file may have grown before its data reached the disk.
+            if bytes.iter().all(|b| *b == 0) && only_zeros(reader).map_err(DictionaryError::io(&self.path, "read"))? {
+                return Ok(None);
+            }
+            return Err(self.damaged(self.end, "its head does not match its checksum"));
+        };
+        if u64::from(size) > rest {
+            return Ok(None);
+        }
+        self.buffer.resize(size as usize, 0);
+        reader.read_exact(&mut self.buffer).map_err(DictionaryError::io(&self.path, "read"))?;
+        if crc32fast::hash(&self.buffer) != crc {
+            if u64::from(size) == rest {
+                // The last one, whole in length only: as good as unfinished, and it will be run again.
+                return Ok(None);
+            }
+            return Err(self.damaged(self.end, "its content does not match its checksum"));
+        }
+        let Some(index) = codec::decode_index(&self.buffer) else {
+            return Err(self.damaged(self.end, "it is too short for an episode"));
+        };
+        if !self.place(index, self.end) {
+            return Err(self.damaged(self.end, &format!("episode {index} is in the journal already")));
+        }
+        Ok(Some(HEAD as u64 + u64::from(size)))
+    }
+
+    fn damaged(&self, offset: u64, reason: &str) -> DictionaryError {
+        let intact = self.places.iter().filter(|(_, place)| *place < offset).count() as u64;
+        DictionaryError::DamagedJournal { path: self.path.clone(), offset, intact, reason: reason.to_owned() }
+    }
+
+    /// Notes where episode `index` is; `false` where it has a place already.
+    fn place(&mut self, index: u64, offset: u64) -> bool {
+        match self.places.last() {
+            Some((last, _)) if *last >= index => match self.places.binary_search_by_key(&index, |(i, _)| *i) {
+                Ok(_) => false,
+                Err(at) => {
+                    self.places.insert(at, (index, offset));
+                    true
+                }
+            },
+            _ => {
+                self.places.push((index, offset));
+                true
+            }
+        }
     }
 
     /// Appends one entry with one `write`: a process that dies loses at most this one.
-    pub fn append(&mut self, _entry: &Entry) -> Result<(), DictionaryError> {
+    ///
+    /// An error (a full disk) leaves the journal as it was before: what is in it stays readable, and
+    /// an append that comes after room was made succeeds.
+    pub fn append(&mut self, entry: &Entry) -> Result<(), DictionaryError> {
+        entry.check()?;
+        let index = entry.index();
+        if self.broken {
+            return Err(DictionaryError::Broken { path: self.path.clone() });
+        }
+        if self.contains(index) {
+            return Err(DictionaryError::Duplicate { path: self.path.clone(), index });
+        }
+        let mut frame = std::mem::take(&mut self.buffer);
+        frame.clear();
+        frame.resize(HEAD, 0);
+        codec::encode(entry, &mut frame);
+        let written = match u32::try_from(frame.len() - HEAD) {
+            Ok(size) => {
+                let head = make_head(size, crc32fast::hash(&frame[HEAD..]));
+                frame[..HEAD].copy_from_slice(&head);
+                self.file.write_all(&frame)
+            }
+            Err(_) => Err(io::Error::new(io::ErrorKind::InvalidInput, "an episode of more than 4 GiB")),
+        };
+        let size = frame.len() as u64;
+        self.buffer = frame;
+        if let Err(error) = written {
+            // A part of the frame may be there: the next one must not follow it.
+            self.broken = self.file.set_len(self.end).is_err();
+            return Err(DictionaryError::io(&self.path, "append to")(error));
+        }
+        self.place(index, self.end);
+        self.end += size;
         Ok(())
     }
 
@@ -42,33 +243,110 @@ impl Journal {
         self.file.sync_data().map_err(DictionaryError::io(&self.path, "flush"))
     }
 
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// How many episodes it holds.
     pub fn len(&self) -> u64 {
-        0
+        self.places.len() as u64
     }
 
     /// Whether it holds none.
     pub fn is_empty(&self) -> bool {
-        self.len() == 0
+        self.places.is_empty()
     }
 
     /// Whether it holds the episode `index`.
-    pub fn contains(&self, _index: u64) -> bool {
-        false
+    pub fn contains(&self, index: u64) -> bool {
+        self.offset(index).is_some()
     }
 
     /// The indices of the episodes it holds, rising.
     pub fn indices(&self) -> impl Iterator<Item = u64> {
-        std::iter::empty()
+        self.places.iter().map(|(index, _)| *index)
     }
 
     /// The entry of the episode `index`, if it is there.
-    pub fn read(&mut self, _index: u64) -> Result<Option<Entry>, DictionaryError> {
-        Ok(None)
+    pub fn read(&mut self, index: u64) -> Result<Option<Entry>, DictionaryError> {
+        self.offset(index).map(|offset| self.read_at(offset)).transpose()
     }
 
-    /// Every entry in rising order of index, one at a time.
+    /// Every entry in rising order of index, one in memory at a time.
     pub fn ordered(&mut self) -> impl Iterator<Item = Result<Entry, DictionaryError>> {
-        std::iter::empty()
+        (0..self.places.len()).map(|i| self.read_at(self.places[i].1))
+    }
+
+    fn offset(&self, index: u64) -> Option<u64> {
+        let at = self.places.binary_search_by_key(&index, |(i, _)| *i).ok()?;
+        Some(self.places[at].1)
+    }
+
+    fn read_at(&mut self, offset: u64) -> Result<Entry, DictionaryError> {
+        let mut bytes = [0; HEAD];
+        self.file.seek(SeekFrom::Start(offset)).map_err(DictionaryError::io(&self.path, "read"))?;
+        self.file.read_exact(&mut bytes).map_err(DictionaryError::io(&self.path, "read"))?;
+        // Checked when it was opened; checked again because a disk may fail in between.
+        let Some((size, crc)) = parse_head(&bytes).filter(|(size, _)| offset + u64::from(*size) <= self.end) else {
+            return Err(self.damaged(offset, "its head does not match its checksum"));
+        };
+        self.buffer.resize(size as usize, 0);
+        self.file.read_exact(&mut self.buffer).map_err(DictionaryError::io(&self.path, "read"))?;
+        if crc32fast::hash(&self.buffer) != crc {
+            return Err(self.damaged(offset, "its content does not match its checksum"));
+        }
+        codec::decode(&self.buffer, &mut self.words).map_err(|reason| self.damaged(offset, &reason))
+    }
+}
+
+fn header() -> [u8; HEADER as usize] {
+    let mut header = [0; HEADER as usize];
+    header[..8].copy_from_slice(&MAGIC);
+    header[8..12].copy_from_slice(&VERSION.to_le_bytes());
+    let crc = crc32fast::hash(&header[..12]);
+    header[12..].copy_from_slice(&crc.to_le_bytes());
+    header
+}
+
+fn make_head(size: u32, crc: u32) -> [u8; HEAD] {
+    let mut head = [0; HEAD];
+    head[..4].copy_from_slice(&size.to_le_bytes());
+    head[4..8].copy_from_slice(&crc.to_le_bytes());
+    let own = crc32fast::hash(&head[..8]);
+    head[8..].copy_from_slice(&own.to_le_bytes());
+    head
+}
+
+/// Size and checksum of the body, where the head is one.
+fn parse_head(head: &[u8; HEAD]) -> Option<(u32, u32)> {
+    let word = |at: usize| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
+    (crc32fast::hash(&head[..8]) == word(8)).then(|| (word(0), word(4)))
+}
+
+fn only_zeros(reader: &mut impl Read) -> io::Result<bool> {
+    let mut chunk = [0; 4096];
+    loop {
+        match reader.read(&mut chunk)? {
+            0 => return Ok(true),
+            n if chunk[..n].iter().any(|byte| *byte != 0) => return Ok(false),
+            _ => {}
+        }
+    }
+}
+
+/// Forces the folder that holds `path` onto the disk, where folders can be opened.
+pub(crate) fn sync_folder(path: &Path) -> io::Result<()> {
+    if cfg!(not(unix)) {
+        return Ok(());
+    }
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    match fs::File::open(folder)?.sync_all() {
+        // Some file systems cannot; the file itself is there all the same.
+        Err(e) if e.kind() == io::ErrorKind::InvalidInput => Ok(()),
+        other => other,
     }
 }

@@ -32,7 +32,7 @@ impl SchemaVersion {
     /// Whether rows may be added to a file of this version here. Not where it is newer by a minor
     /// version: its added columns would stay empty, and nobody could tell why.
     pub fn is_writable(self) -> bool {
-        self.is_readable() && self.minor <= SCHEMA_VERSION.minor
+        self.is_readable() && self <= SCHEMA_VERSION
     }
 }
 
