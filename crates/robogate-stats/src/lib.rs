@@ -4,7 +4,9 @@
 //! reason why they cannot be had. Nothing here reads a file, a clock or another crate of this project,
 //! and randomness is a seed that the caller gives.
 
+pub(crate) mod dense;
 pub mod interval;
+pub mod logistic;
 pub(crate) mod special;
 
 pub use interval::{Confidence, Interval, IntervalError, Trials, clopper_pearson, wilson};

@@ -1,0 +1,295 @@
+//! The rows of a regression, checked once and then walked in blocks.
+
+use super::RegressionError;
+use crate::dense::{dependent_columns, dot};
+
+/// Rows handled together; fits the first-level cache with a few dozen columns.
+pub(super) const BLOCK: usize = 128;
+
+/// Share of a column's variance that the others must leave unexplained for it to count as a column of its own.
+const COLLINEAR: f64 = 1e-9;
+
+/// Columns, outcomes and optional weights of equal length, finite, with at least one row of positive weight.
+#[derive(Debug, Clone, Copy)]
+pub struct Data<'a> {
+    columns: &'a [&'a [f64]],
+    outcomes: &'a [bool],
+    weights: Option<&'a [f64]>,
+}
+
+impl<'a> Data<'a> {
+    /// Checks lengths and values; an intercept is added by the fit, not given here.
+    ///
+    /// `weights` count how many rows of the population each row speaks for; zero leaves a row out.
+    ///
+    /// # Errors
+    /// What is wrong, with the index of the column and row where it was found.
+    pub fn new(
+        columns: &'a [&'a [f64]],
+        outcomes: &'a [bool],
+        weights: Option<&'a [f64]>,
+    ) -> Result<Self, RegressionError> {
+        let rows = outcomes.len();
+        for (column, values) in columns.iter().enumerate() {
+            if values.len() != rows {
+                return Err(RegressionError::ColumnLength { column, expected: rows, found: values.len() });
+            }
+            if let Some(row) = values.iter().position(|v| !v.is_finite()) {
+                return Err(RegressionError::NotFinite { column, row, value: values[row] });
+            }
+        }
+        if let Some(weights) = weights {
+            if weights.len() != rows {
+                return Err(RegressionError::WeightLength { expected: rows, found: weights.len() });
+            }
+            if let Some(row) = weights.iter().position(|w| !(w.is_finite() && *w >= 0.0)) {
+                return Err(RegressionError::BadWeight { row, value: weights[row] });
+            }
+        }
+        Ok(Self { columns, outcomes, weights })
+    }
+
+    /// Number of columns, the intercept not counted.
+    pub fn width(&self) -> usize {
+        self.columns.len()
+    }
+
+    /// Number of rows, those of zero weight included.
+    pub fn rows(&self) -> usize {
+        self.outcomes.len()
+    }
+
+    /// Outcomes as given.
+    pub fn outcomes(&self) -> &'a [bool] {
+        self.outcomes
+    }
+
+    /// Columns as given.
+    pub fn columns(&self) -> &'a [&'a [f64]] {
+        self.columns
+    }
+
+    /// Weights as given.
+    pub fn weights(&self) -> Option<&'a [f64]> {
+        self.weights
+    }
+
+    fn weight(&self, row: usize) -> f64 {
+        self.weights.map_or(1.0, |w| w[row])
+    }
+}
+
+/// Why a column takes no part in a fit.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Dropped {
+    /// It has one value only, so it says nothing beside the intercept.
+    Constant,
+    /// It is a linear function of these columns (and the intercept).
+    CollinearWith(Vec<usize>),
+}
+
+/// Columns that take part, centred and scaled to unit variance, with an intercept in front.
+pub(super) struct Standardized<'a> {
+    data: Data<'a>,
+    /// Index in the caller's columns of each column that takes part.
+    pub(super) kept: Vec<usize>,
+    /// Why each of the others does not.
+    pub(super) dropped: Vec<(usize, Dropped)>,
+    pub(super) means: Vec<f64>,
+    pub(super) deviations: Vec<f64>,
+    /// Rows of positive weight, and among them the successes.
+    pub(super) rows: usize,
+    pub(super) successes: usize,
+    pub(super) weight: f64,
+    pub(super) success_weight: f64,
+}
+
+/// Up to [`BLOCK`] rows: intercept and standardized columns one after the other, `BLOCK` apart, zero-padded.
+pub(super) struct Block {
+    pub(super) first_row: usize,
+    pub(super) rows: usize,
+    pub(super) x: Vec<f64>,
+    /// +1 for a success, -1 for a failure, 0 for padding.
+    pub(super) sign: [f64; BLOCK],
+    /// Weight; 0 for padding.
+    pub(super) weight: [f64; BLOCK],
+}
+
+impl Block {
+    /// Column `j` of the block, the intercept being column 0.
+    pub(super) fn column(&self, j: usize) -> &[f64] {
+        &self.x[j * BLOCK..(j + 1) * BLOCK]
+    }
+
+    /// Linear predictor of every row.
+    pub(super) fn predictor(&self, beta: &[f64], eta: &mut [f64; BLOCK]) {
+        eta.fill(0.0);
+        for (j, b) in beta.iter().enumerate() {
+            for (e, x) in eta.iter_mut().zip(self.column(j)) {
+                *e += b * x;
+            }
+        }
+    }
+}
+
+impl<'a> Standardized<'a> {
+    /// Finds what each column is worth: constant, collinear, or kept.
+    pub(super) fn new(data: Data<'a>) -> Self {
+        let n = data.rows();
+        let mut rows = 0;
+        let mut successes = 0;
+        let mut weight = 0.0;
+        let mut success_weight = 0.0;
+        for row in 0..n {
+            let w = data.weight(row);
+            if w > 0.0 {
+                rows += 1;
+                weight += w;
+                if data.outcomes[row] {
+                    successes += 1;
+                    success_weight += w;
+                }
+            }
+        }
+        let mut this = Self {
+            data,
+            kept: Vec::new(),
+            dropped: Vec::new(),
+            means: Vec::new(),
+            deviations: Vec::new(),
+            rows,
+            successes,
+            weight,
+            success_weight,
+        };
+        if rows == 0 {
+            return this;
+        }
+        for (column, values) in data.columns.iter().enumerate() {
+            match this.moments(values) {
+                Some((mean, deviation)) => {
+                    this.kept.push(column);
+                    this.means.push(mean);
+                    this.deviations.push(deviation);
+                }
+                None => this.dropped.push((column, Dropped::Constant)),
+            }
+        }
+        this.drop_collinear();
+        this
+    }
+
+    /// Weighted mean and standard deviation (divisor: total weight); `None` for a column of one value.
+    fn moments(&self, values: &[f64]) -> Option<(f64, f64)> {
+        // Dividing by the largest magnitude first keeps squares of extreme values finite.
+        let largest = values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+        if largest <= 0.0 {
+            return None;
+        }
+        let mut sum = 0.0;
+        for (row, v) in values.iter().enumerate() {
+            sum += self.data.weight(row) * (v / largest);
+        }
+        let mean = sum / self.weight;
+        let mut square = 0.0;
+        for (row, v) in values.iter().enumerate() {
+            square += self.data.weight(row) * (v / largest - mean).powi(2);
+        }
+        let deviation = (square / self.weight).sqrt();
+        (deviation > 1e-12).then_some((mean * largest, deviation * largest))
+    }
+
+    fn drop_collinear(&mut self) {
+        let q = self.parameters();
+        let mut gram = vec![0.0; q * q];
+        self.for_each_block(|block| {
+            add_weighted_gram(&mut gram, q, block, &block.weight);
+        });
+        mirror(&mut gram, q);
+        let dependent = dependent_columns(&gram, q, COLLINEAR);
+        for (position, explaining) in dependent.iter().rev() {
+            if *position == 0 {
+                continue;
+            }
+            let with = explaining.iter().filter(|&&p| p > 0).map(|&p| self.kept[p - 1]).collect();
+            self.dropped.push((self.kept[position - 1], Dropped::CollinearWith(with)));
+        }
+        for (position, _) in dependent.iter().rev() {
+            if *position > 0 {
+                self.kept.remove(position - 1);
+                self.means.remove(position - 1);
+                self.deviations.remove(position - 1);
+            }
+        }
+        self.dropped.sort_by_key(|(column, _)| *column);
+    }
+
+    /// Number of coefficients, the intercept included.
+    pub(super) fn parameters(&self) -> usize {
+        self.kept.len() + 1
+    }
+
+    /// Calls `visit` with the rows, in order, block by block.
+    pub(super) fn for_each_block(&self, mut visit: impl FnMut(&Block)) {
+        let n = self.data.rows();
+        let q = self.parameters();
+        let mut block =
+            Block { first_row: 0, rows: 0, x: vec![0.0; q * BLOCK], sign: [0.0; BLOCK], weight: [0.0; BLOCK] };
+        let mut first = 0;
+        while first < n {
+            let rows = BLOCK.min(n - first);
+            block.first_row = first;
+            block.rows = rows;
+            block.x[..BLOCK].fill(1.0);
+            for i in 0..BLOCK {
+                if i < rows {
+                    block.sign[i] = if self.data.outcomes[first + i] { 1.0 } else { -1.0 };
+                    block.weight[i] = self.data.weight(first + i);
+                } else {
+                    block.sign[i] = 0.0;
+                    block.weight[i] = 0.0;
+                }
+            }
+            for (j, &column) in self.kept.iter().enumerate() {
+                let (mean, scale) = (self.means[j], 1.0 / self.deviations[j]);
+                let source = &self.data.columns[column][first..first + rows];
+                let target = &mut block.x[(j + 1) * BLOCK..(j + 2) * BLOCK];
+                for (t, s) in target.iter_mut().zip(source) {
+                    *t = (s - mean) * scale;
+                }
+                target[rows..].fill(0.0);
+            }
+            visit(&block);
+            first += rows;
+        }
+    }
+}
+
+/// Adds Xᵀ diag(weight) X of one block to the lower triangle of `gram`.
+pub(super) fn add_weighted_gram(gram: &mut [f64], q: usize, block: &Block, weight: &[f64; BLOCK]) {
+    let mut weighted = [0.0; BLOCK];
+    for i in 0..q {
+        for ((t, x), w) in weighted.iter_mut().zip(block.column(i)).zip(weight) {
+            *t = x * w;
+        }
+        for j in 0..=i {
+            gram[i * q + j] += dot(&weighted, block.column(j));
+        }
+    }
+}
+
+/// Copies the lower triangle to the upper one.
+pub(super) fn mirror(matrix: &mut [f64], q: usize) {
+    for i in 0..q {
+        for j in 0..i {
+            matrix[j * q + i] = matrix[i * q + j];
+        }
+    }
+}
+
+impl Standardized<'_> {
+    /// Number of the caller's columns.
+    pub(super) fn full_width(&self) -> usize {
+        self.data.width()
+    }
+}

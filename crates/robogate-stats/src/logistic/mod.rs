@@ -1,0 +1,531 @@
+//! Logistic regression: how the chance of success depends on the parameters, and how sure that is.
+//!
+//! logit P(success | x) = β₀ + Σ βⱼ xⱼ, fitted by maximum likelihood (Newton with step-halving) on internally
+//! standardized columns and reported raw or standardized. Standard errors come from the inverse information,
+//! or from the sandwich I⁻¹ (Σ w² (y-p)² x xᵀ) I⁻¹ where weights are not counts; z = β/se; the p-value is kept as its
+//! logarithm, so 1e-300 and beyond stay numbers.
+//!
+//! What cannot be estimated is said, not hidden:
+//! - a column of one value, or one that others explain, is [`Term::Dropped`] with the reason;
+//! - data that a linear function separates have no finite maximum likelihood estimate: [`Separation`] names kind,
+//!   columns and rows, and Firth's penalised fit answers instead ([`Estimator::FirthIfSeparated`], the default).
+//!   Firth maximises ln L + ½ ln det I(β), which is finite always and removes the bias of order 1/n; its Wald
+//!   errors are poor under separation, so use [`firth_profile`] for intervals there;
+//! - fewer than ten events per coefficient is a [`Caution`].
+//!
+//! Guarantee: a fit that is returned has settled (last Newton step below 1e-8 of a standardized unit).
+//! Limit: rows are taken as independent; a wrong functional form is not noticed here, see [`crate::calibration`].
+//! Sources: McCullagh and Nelder (1989), chapter 4; Albert and Anderson (1984); Firth (1993), Biometrika 80(1); Heinze
+//! and Schemper (2002), Statistics in Medicine 21; White (1982) for the sandwich; Peduzzi et al. (1996) for ten events.
+
+mod data;
+mod newton;
+mod separation;
+
+use crate::interval::{Confidence, Interval};
+use crate::special::ln_two_sided;
+use data::Standardized;
+pub use data::{Data, Dropped};
+use newton::{Solution, logistic_and_log};
+pub use separation::{Separation, SeparationKind};
+
+/// Why there is no fit.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum RegressionError {
+    /// A column has another length than the outcomes.
+    #[error("column {column} has {found} rows where the outcomes have {expected}")]
+    ColumnLength {
+        /// Index of the column.
+        column: usize,
+        /// Rows of the outcomes.
+        expected: usize,
+        /// Rows of the column.
+        found: usize,
+    },
+    /// The weights have another length than the outcomes.
+    #[error("weights have {found} rows where the outcomes have {expected}")]
+    WeightLength {
+        /// Rows of the outcomes.
+        expected: usize,
+        /// Rows of the weights.
+        found: usize,
+    },
+    /// A value is NaN or infinite.
+    #[error("column {column}, row {row}: {value} is not a finite number; hint: leave the row out")]
+    NotFinite {
+        /// Index of the column.
+        column: usize,
+        /// Index of the row.
+        row: usize,
+        /// Value found.
+        value: f64,
+    },
+    /// A weight is negative, NaN or infinite.
+    #[error("weight of row {row} is {value}, not a finite number at or above zero")]
+    BadWeight {
+        /// Index of the row.
+        row: usize,
+        /// Value found.
+        value: f64,
+    },
+    /// No row has positive weight.
+    #[error("no rows, so nothing can be estimated")]
+    NoRows,
+    /// Every outcome is the same: no coefficient can be estimated, whatever the columns.
+    #[error("all {rows} rows have the same outcome (success: {success}); no coefficient can be estimated")]
+    OneClass {
+        /// Rows of positive weight.
+        rows: usize,
+        /// The outcome that all share.
+        success: bool,
+    },
+    /// Separated data, where maximum likelihood alone was asked for.
+    #[error(
+        "{kind:?} separation by columns {columns:?}: no finite maximum likelihood estimate; hint: use Firth's fit",
+        kind = .0.kind, columns = .0.columns
+    )]
+    Separated(Separation),
+    /// The steps did not settle and no separation explains why.
+    #[error("the fit did not settle in {iterations} steps; hint: columns may be nearly collinear")]
+    NotSettled {
+        /// Steps taken.
+        iterations: usize,
+    },
+    /// A profile was asked for a column that takes no part in the fit.
+    #[error("column {column} takes no part in the fit")]
+    NotInFit {
+        /// Index of the column.
+        column: usize,
+    },
+}
+
+/// Units in which coefficients are reported.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Scale {
+    /// Per unit of the column as given.
+    #[default]
+    Raw,
+    /// Per standard deviation (divisor: total weight) of the column, about its mean.
+    Standardized,
+}
+
+/// Which likelihood is maximised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Estimator {
+    /// Plain maximum likelihood; separation is an error.
+    MaximumLikelihood,
+    /// Firth's penalised likelihood.
+    Firth,
+    /// Maximum likelihood where it exists, Firth's where separation leaves none.
+    #[default]
+    FirthIfSeparated,
+}
+
+/// Where standard errors come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Covariance {
+    /// Inverse information: rows are independent and weights are counts.
+    #[default]
+    Model,
+    /// Sandwich: weights are sampling weights.
+    Sandwich,
+}
+
+/// How to fit and what to report.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Options {
+    /// Units of the coefficients.
+    pub scale: Scale,
+    /// Likelihood.
+    pub estimator: Estimator,
+    /// Standard errors.
+    pub covariance: Covariance,
+}
+
+/// One estimated coefficient.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Coefficient {
+    /// Estimate, in log-odds per unit.
+    pub estimate: f64,
+    /// Standard error.
+    pub se: f64,
+    /// Wald statistic, estimate / se.
+    pub z: f64,
+    /// Natural logarithm of the two-sided p-value.
+    pub ln_p: f64,
+}
+
+impl Coefficient {
+    fn new(estimate: f64, variance: f64) -> Self {
+        let se = variance.max(0.0).sqrt();
+        let z = estimate / se;
+        Self { estimate, se, z, ln_p: ln_two_sided(z) }
+    }
+
+    /// Two-sided p-value; 0 where it is below the smallest number, see `ln_p`.
+    pub fn p(&self) -> f64 {
+        self.ln_p.exp()
+    }
+
+    /// Wald interval, estimate ± z se.
+    pub fn interval(&self, confidence: Confidence) -> Interval {
+        let half = confidence.z() * self.se;
+        Interval { low: self.estimate - half, high: self.estimate + half }
+    }
+}
+
+/// What became of one column.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Term {
+    /// It has a coefficient.
+    Estimated(Coefficient),
+    /// It takes no part.
+    Dropped(Dropped),
+}
+
+impl Term {
+    /// The coefficient, where there is one.
+    pub fn coefficient(&self) -> Option<&Coefficient> {
+        match self {
+            Self::Estimated(coefficient) => Some(coefficient),
+            Self::Dropped(_) => None,
+        }
+    }
+}
+
+/// What a reader should know beside the coefficients.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Caution {
+    /// The data are separated; the figures are Firth's.
+    Separated(Separation),
+    /// The rarer outcome has fewer than ten rows per coefficient.
+    FewEvents {
+        /// Rows of the rarer outcome.
+        events: usize,
+        /// Coefficients, the intercept not counted.
+        coefficients: usize,
+    },
+}
+
+/// A fitted model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fit {
+    /// Intercept β₀, in the reported scale (log-odds at the mean row when standardized).
+    pub intercept: Coefficient,
+    /// One for each column as given.
+    pub terms: Vec<Term>,
+    /// Units of the coefficients.
+    pub scale: Scale,
+    /// Likelihood that was maximised: never [`Estimator::FirthIfSeparated`].
+    pub estimator: Estimator,
+    /// ln L at the estimate, without penalty.
+    pub log_likelihood: f64,
+    /// ½ ln det I on the standardized scale, where Firth's penalty took part.
+    pub penalty: Option<f64>,
+    /// ln L of the intercept alone.
+    pub null_log_likelihood: f64,
+    /// Steps taken.
+    pub iterations: usize,
+    /// Rows of positive weight.
+    pub rows: usize,
+    /// What to know beside the coefficients.
+    pub cautions: Vec<Caution>,
+    /// Raw coefficients, intercept first, 0 for dropped columns.
+    raw: Vec<f64>,
+    /// Covariance in the raw scale, row-major, 0 for dropped columns.
+    raw_covariance: Vec<f64>,
+    /// Covariance in the reported scale.
+    covariance: Vec<f64>,
+}
+
+impl Fit {
+    /// -2 ln L.
+    pub fn deviance(&self) -> f64 {
+        -2.0 * self.log_likelihood
+    }
+
+    /// Covariance of two parameters in the reported scale: 0 is the intercept, c + 1 is column c.
+    ///
+    /// `None` for an index that does not exist or a column that was dropped.
+    pub fn covariance(&self, a: usize, b: usize) -> Option<f64> {
+        let in_fit = |i: usize| i == 0 || self.terms.get(i - 1).is_some_and(|t| t.coefficient().is_some());
+        (in_fit(a) && in_fit(b)).then(|| self.covariance[a * (self.terms.len() + 1) + b])
+    }
+
+    /// Coefficients per raw unit, intercept first, 0 for dropped columns, whatever the reported scale.
+    pub fn raw_coefficients(&self) -> &[f64] {
+        &self.raw
+    }
+
+    /// Their covariance, row-major, 0 for dropped columns.
+    pub fn raw_covariance(&self) -> &[f64] {
+        &self.raw_covariance
+    }
+
+    /// Log-odds of success of one raw row; `None` where its length is not the number of columns.
+    pub fn log_odds(&self, row: &[f64]) -> Option<f64> {
+        (row.len() == self.terms.len())
+            .then(|| self.raw[0] + row.iter().zip(&self.raw[1..]).map(|(x, b)| x * b).sum::<f64>())
+    }
+
+    /// Chance of success of one raw row; `None` where its length is not the number of columns.
+    pub fn probability(&self, row: &[f64]) -> Option<f64> {
+        self.log_odds(row).map(|t| logistic_and_log(t).0)
+    }
+
+    /// Interval for the chance of success of one raw row, from the Wald interval of its log-odds.
+    pub fn probability_interval(&self, row: &[f64], confidence: Confidence) -> Option<Interval> {
+        let t = self.log_odds(row)?;
+        let q = self.raw.len();
+        let x = |i: usize| if i == 0 { 1.0 } else { row[i - 1] };
+        let mut variance = 0.0;
+        for i in 0..q {
+            for j in 0..q {
+                variance += x(i) * x(j) * self.raw_covariance[i * q + j];
+            }
+        }
+        let half = confidence.z() * variance.max(0.0).sqrt();
+        Some(Interval { low: logistic_and_log(t - half).0, high: logistic_and_log(t + half).0 })
+    }
+
+    /// Chances of success for whole columns; `None` where their number or lengths do not fit.
+    pub fn probabilities(&self, columns: &[&[f64]]) -> Option<Vec<f64>> {
+        let rows = columns.first().map_or(0, |c| c.len());
+        if columns.len() != self.terms.len() || columns.iter().any(|c| c.len() != rows) {
+            return None;
+        }
+        let mut eta = vec![self.raw[0]; rows];
+        for (column, b) in columns.iter().zip(&self.raw[1..]) {
+            for (e, x) in eta.iter_mut().zip(*column) {
+                *e += b * x;
+            }
+        }
+        eta.iter_mut().for_each(|e| *e = logistic_and_log(*e).0);
+        Some(eta)
+    }
+}
+
+/// Fits the model.
+///
+/// # Errors
+/// No rows, one class, separation where Firth's fit was not allowed, or steps that do not settle.
+pub fn fit(data: Data<'_>, options: Options) -> Result<Fit, RegressionError> {
+    let x = prepare(data)?;
+    let mut cautions = Vec::new();
+    let solution = match options.estimator {
+        Estimator::Firth => firth(&x)?,
+        Estimator::MaximumLikelihood | Estimator::FirthIfSeparated => match newton::maximum_likelihood(&x) {
+            Ok(solution) => solution,
+            Err(unsettled) => match separation::find(&x, &unsettled.beta) {
+                None => {
+                    return Err(RegressionError::NotSettled { iterations: unsettled.iterations });
+                }
+                Some(found) if options.estimator == Estimator::MaximumLikelihood => {
+                    return Err(RegressionError::Separated(found));
+                }
+                Some(found) => {
+                    cautions.push(Caution::Separated(found));
+                    firth(&x)?
+                }
+            },
+        },
+    };
+    let events = x.successes.min(x.rows - x.successes);
+    if events < 10 * x.kept.len() {
+        cautions.push(Caution::FewEvents { events, coefficients: x.kept.len() });
+    }
+    Ok(report(&x, &solution, options, cautions))
+}
+
+/// Looks for separation without fitting anything else; `None` where the outcomes overlap.
+///
+/// # Errors
+/// No rows or one class.
+pub fn separation(data: Data<'_>) -> Result<Option<Separation>, RegressionError> {
+    let x = prepare(data)?;
+    Ok(match newton::maximum_likelihood(&x) {
+        Ok(_) => None,
+        Err(unsettled) => separation::find(&x, &unsettled.beta),
+    })
+}
+
+/// Profile interval and test of one column under Firth's likelihood.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Profile {
+    /// Estimate per raw unit.
+    pub estimate: f64,
+    /// Interval per raw unit; an end is infinite where the profile stays above the limit as far as it was followed.
+    pub interval: Interval,
+    /// ln of the p-value of the penalised likelihood ratio test that the coefficient is zero.
+    pub ln_p: f64,
+}
+
+/// Profile penalised likelihood of one column: valid under separation, where Wald errors are not.
+///
+/// The interval holds the values b with 2 (l* - l*(b)) ≤ χ²₁, where l*(b) is the penalised likelihood maximised
+/// over the other coefficients (Heinze and Schemper 2002).
+///
+/// # Errors
+/// As [`fit`], or [`RegressionError::NotInFit`].
+pub fn firth_profile(data: Data<'_>, column: usize, confidence: Confidence) -> Result<Profile, RegressionError> {
+    let x = prepare(data)?;
+    let position = x.kept.iter().position(|&c| c == column).ok_or(RegressionError::NotInFit { column })?;
+    let j = position + 1;
+    let best = firth(&x)?;
+    let objective = |s: &Solution| s.log_likelihood + s.penalty.unwrap_or(0.0);
+    let top = objective(&best);
+    let se = best.inverse_information[j * x.parameters() + j].max(0.0).sqrt();
+    let limit = 0.5 * confidence.z().powi(2);
+    let drop_at = |b: f64, from: &[f64]| -> Result<(f64, Vec<f64>), RegressionError> {
+        let s = newton::firth(&x, Some((j, b)), Some(from)).map_err(not_settled)?;
+        Ok((top - objective(&s), s.beta))
+    };
+    let end = |side: f64| -> Result<f64, RegressionError> {
+        let mut inside = best.beta[j];
+        let mut from = best.beta.clone();
+        let mut step = confidence.z() * se;
+        let mut outside = None;
+        for _ in 0..12 {
+            let b = inside + side * step;
+            let (drop, beta) = drop_at(b, &from)?;
+            from = beta;
+            if drop > limit {
+                outside = Some(b);
+                break;
+            }
+            inside = b;
+            step *= 1.5;
+        }
+        let Some(mut outside) = outside else {
+            return Ok(side * f64::INFINITY);
+        };
+        for _ in 0..60 {
+            let middle = 0.5 * (inside + outside);
+            let (drop, beta) = drop_at(middle, &from)?;
+            from = beta;
+            if drop > limit {
+                outside = middle;
+            } else {
+                inside = middle;
+            }
+            if (outside - inside).abs() <= 1e-9 * (1.0 + inside.abs()) {
+                break;
+            }
+        }
+        Ok(0.5 * (inside + outside))
+    };
+    let low = end(-1.0)?;
+    let high = end(1.0)?;
+    let (drop, _) = drop_at(0.0, &best.beta)?;
+    let scale = x.deviations[position];
+    Ok(Profile {
+        estimate: best.beta[j] / scale,
+        interval: Interval { low: low / scale, high: high / scale },
+        ln_p: ln_two_sided((2.0 * drop.max(0.0)).sqrt()),
+    })
+}
+
+fn prepare(data: Data<'_>) -> Result<Standardized<'_>, RegressionError> {
+    let x = Standardized::new(data);
+    if x.rows == 0 {
+        Err(RegressionError::NoRows)
+    } else if x.successes == 0 || x.successes == x.rows {
+        Err(RegressionError::OneClass { rows: x.rows, success: x.successes > 0 })
+    } else {
+        Ok(x)
+    }
+}
+
+fn firth(x: &Standardized<'_>) -> Result<Solution, RegressionError> {
+    newton::firth(x, None, None).map_err(not_settled)
+}
+
+#[expect(clippy::needless_pass_by_value, reason = "passed to map_err")]
+fn not_settled(unsettled: newton::Unsettled) -> RegressionError {
+    RegressionError::NotSettled { iterations: unsettled.iterations }
+}
+
+/// Back from standardized columns to those of the caller.
+fn report(x: &Standardized<'_>, solution: &Solution, options: Options, cautions: Vec<Caution>) -> Fit {
+    let q = x.parameters();
+    let covariance = match options.covariance {
+        Covariance::Model => solution.inverse_information.clone(),
+        Covariance::Sandwich => newton::sandwich(x, solution),
+    };
+    // Raw = T standardized: slopes divide by the deviation, the intercept gives up what the means carried.
+    let mut transform = vec![0.0; q * q];
+    transform[0] = 1.0;
+    for j in 1..q {
+        transform[j] = -x.means[j - 1] / x.deviations[j - 1];
+        transform[j * q + j] = 1.0 / x.deviations[j - 1];
+    }
+    let raw_beta: Vec<f64> = (0..q).map(|i| (0..q).map(|k| transform[i * q + k] * solution.beta[k]).sum()).collect();
+    let mut transposed = vec![0.0; q * q];
+    for i in 0..q {
+        for j in 0..q {
+            transposed[j * q + i] = transform[i * q + j];
+        }
+    }
+    let raw_covariance = newton::product(&transform, &newton::product(&covariance, &transposed, q), q);
+
+    let full = x.full_width() + 1;
+    let place = |i: usize| if i == 0 { 0 } else { x.kept[i - 1] + 1 };
+    let spread = |matrix: &[f64]| {
+        let mut wide = vec![0.0; full * full];
+        for i in 0..q {
+            for j in 0..q {
+                wide[place(i) * full + place(j)] = matrix[i * q + j];
+            }
+        }
+        wide
+    };
+    let mut raw = vec![0.0; full];
+    for i in 0..q {
+        raw[place(i)] = raw_beta[i];
+    }
+    let (shown, shown_covariance) = match options.scale {
+        Scale::Raw => (&raw_beta, &raw_covariance),
+        Scale::Standardized => (&solution.beta, &covariance),
+    };
+    let coefficient = |i: usize| Coefficient::new(shown[i], shown_covariance[i * q + i]);
+    let mut terms: Vec<Term> = vec![Term::Dropped(Dropped::Constant); full - 1];
+    for (column, why) in &x.dropped {
+        terms[*column] = Term::Dropped(why.clone());
+    }
+    for j in 1..q {
+        terms[x.kept[j - 1]] = Term::Estimated(coefficient(j));
+    }
+    let failures = x.weight - x.success_weight;
+    let null_log_likelihood =
+        x.success_weight * (x.success_weight / x.weight).ln() + failures * (failures / x.weight).ln();
+    Fit {
+        intercept: coefficient(0),
+        terms,
+        scale: options.scale,
+        estimator: if solution.penalty.is_some() { Estimator::Firth } else { Estimator::MaximumLikelihood },
+        log_likelihood: solution.log_likelihood,
+        penalty: solution.penalty,
+        null_log_likelihood,
+        iterations: solution.iterations,
+        rows: x.rows,
+        cautions,
+        raw,
+        raw_covariance: spread(&raw_covariance),
+        covariance: spread(shown_covariance),
+    }
+}
+
+/// Elementwise product of two columns: the interaction term of a model.
+pub fn interaction(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(x, y)| x * y).collect()
+}
+
+/// A column about its mean in units of its standard deviation (divisor n), as an interaction of standardized columns
+/// needs it; `None` where it has one value only or none.
+pub fn standardized(column: &[f64]) -> Option<Vec<f64>> {
+    let n = column.len() as f64;
+    let mean = column.iter().sum::<f64>() / n;
+    let deviation = (column.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt();
+    (deviation > 1e-12 * mean.abs() && deviation.is_finite())
+        .then(|| column.iter().map(|v| (v - mean) / deviation).collect())
+}

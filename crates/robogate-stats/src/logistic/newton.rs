@@ -1,0 +1,313 @@
+//! Newton steps for both likelihoods, on standardized columns.
+
+use super::data::{BLOCK, Standardized, add_weighted_gram, mirror};
+use crate::dense::Cholesky;
+
+/// Pivots of the information below this share of their diagonal mean that a direction has (nearly) no curvature left.
+const PIVOT: f64 = 1e-12;
+/// Steps after which a fit that has not settled is suspected of separation.
+const PATIENCE: usize = 30;
+
+/// Log-likelihood, its gradient and the information XᵀWX at one point.
+pub(super) struct Local {
+    pub(super) log_likelihood: f64,
+    pub(super) gradient: Vec<f64>,
+    pub(super) information: Vec<f64>,
+}
+
+/// A settled fit.
+pub(super) struct Solution {
+    pub(super) beta: Vec<f64>,
+    pub(super) log_likelihood: f64,
+    /// ln of the Jeffreys penalty, ½ ln det I, where it took part.
+    pub(super) penalty: Option<f64>,
+    pub(super) inverse_information: Vec<f64>,
+    pub(super) iterations: usize,
+}
+
+/// A fit that did not settle, with where it was.
+pub(super) struct Unsettled {
+    pub(super) beta: Vec<f64>,
+    pub(super) iterations: usize,
+}
+
+/// 1/(1+e^-t) and ln of it.
+pub(super) fn logistic_and_log(t: f64) -> (f64, f64) {
+    let e = (-t.abs()).exp();
+    let log = t.min(0.0) - e.ln_1p();
+    let p = if t >= 0.0 { 1.0 / (1.0 + e) } else { e / (1.0 + e) };
+    (p, log)
+}
+
+pub(super) fn evaluate(x: &Standardized<'_>, beta: &[f64]) -> Local {
+    let q = x.parameters();
+    let mut log_likelihood = 0.0;
+    let mut gradient = vec![0.0; q];
+    let mut information = vec![0.0; q * q];
+    let mut eta = [0.0; BLOCK];
+    let mut residual = [0.0; BLOCK];
+    let mut curvature = [0.0; BLOCK];
+    x.for_each_block(|block| {
+        block.predictor(beta, &mut eta);
+        let mut sum = 0.0;
+        for i in 0..BLOCK {
+            // Probability of the outcome that was seen, and of the other.
+            let margin = block.sign[i] * eta[i];
+            let (p, log) = logistic_and_log(margin);
+            let (other, _) = logistic_and_log(-margin);
+            let w = block.weight[i];
+            sum += w * log;
+            residual[i] = w * block.sign[i] * other;
+            curvature[i] = w * p * other;
+        }
+        log_likelihood += sum;
+        for (j, g) in gradient.iter_mut().enumerate() {
+            *g += crate::dense::dot(&residual, block.column(j));
+        }
+        add_weighted_gram(&mut information, q, block, &curvature);
+    });
+    mirror(&mut information, q);
+    Local { log_likelihood, gradient, information }
+}
+
+/// Start: no column matters and the intercept is the log-odds of the weighted rate.
+fn start(x: &Standardized<'_>) -> Vec<f64> {
+    let mut beta = vec![0.0; x.parameters()];
+    let failures = x.weight - x.success_weight;
+    if x.success_weight > 0.0 && failures > 0.0 {
+        beta[0] = (x.success_weight / failures).ln();
+    }
+    beta
+}
+
+fn settled(step: &[f64], beta: &[f64]) -> bool {
+    let scale = beta.iter().fold(1.0_f64, |m, b| m.max(b.abs()));
+    step.iter().all(|s| s.abs() <= 1e-8 * scale)
+}
+
+/// Maximum likelihood by Newton's method; a step that lowers the likelihood is halved.
+pub(super) fn maximum_likelihood(x: &Standardized<'_>) -> Result<Solution, Unsettled> {
+    let q = x.parameters();
+    let mut beta = start(x);
+    let mut here = evaluate(x, &beta);
+    for iteration in 1..=PATIENCE {
+        let Some(factor) = Cholesky::new(&here.information, q, PIVOT) else {
+            return Err(Unsettled { beta, iterations: iteration });
+        };
+        let mut step = here.gradient.clone();
+        factor.solve(&mut step);
+        let slack = 1e-13 * here.log_likelihood.abs();
+        let mut accepted = None;
+        for _ in 0..40 {
+            let trial: Vec<f64> = beta.iter().zip(&step).map(|(b, s)| b + s).collect();
+            let there = evaluate(x, &trial);
+            if there.log_likelihood >= here.log_likelihood - slack {
+                accepted = Some((trial, there));
+                break;
+            }
+            step.iter_mut().for_each(|s| *s *= 0.5);
+        }
+        let Some((trial, there)) = accepted else {
+            return Err(Unsettled { beta, iterations: iteration });
+        };
+        let done = settled(&step, &trial);
+        beta = trial;
+        here = there;
+        if done {
+            let Some(factor) = Cholesky::new(&here.information, q, PIVOT) else {
+                return Err(Unsettled { beta, iterations: iteration });
+            };
+            return Ok(Solution {
+                beta,
+                log_likelihood: here.log_likelihood,
+                penalty: None,
+                inverse_information: factor.inverse(),
+                iterations: iteration,
+            });
+        }
+    }
+    Err(Unsettled { beta, iterations: PATIENCE })
+}
+
+/// Point of the penalised likelihood, and Firth's modified score there.
+struct Penalised {
+    local: Local,
+    factor: Cholesky,
+    score: Vec<f64>,
+}
+
+impl Penalised {
+    fn objective(&self) -> f64 {
+        self.local.log_likelihood + 0.5 * self.factor.ln_det()
+    }
+
+    fn at(x: &Standardized<'_>, beta: &[f64]) -> Option<Self> {
+        let q = x.parameters();
+        let local = evaluate(x, beta);
+        let factor = Cholesky::new(&local.information, q, 1e-14)?;
+        // Uⱼ = Σ (w (y - p) + h (½ - p)) xⱼ with h the leverage w p (1-p) xᵀ I⁻¹ x.
+        let mut score = local.gradient.clone();
+        let mut eta = [0.0; BLOCK];
+        let mut row = vec![0.0; q];
+        let mut correction = [0.0; BLOCK];
+        x.for_each_block(|block| {
+            block.predictor(beta, &mut eta);
+            correction.fill(0.0);
+            for i in 0..block.rows {
+                if block.weight[i] <= 0.0 {
+                    continue;
+                }
+                let (p, _) = logistic_and_log(eta[i]);
+                let (other, _) = logistic_and_log(-eta[i]);
+                for (j, r) in row.iter_mut().enumerate() {
+                    *r = block.column(j)[i];
+                }
+                factor.forward(&mut row);
+                let leverage = block.weight[i] * p * other * row.iter().map(|r| r * r).sum::<f64>();
+                correction[i] = leverage * 0.5 * (other - p);
+            }
+            for (j, s) in score.iter_mut().enumerate() {
+                *s += crate::dense::dot(&correction, block.column(j));
+            }
+        });
+        Some(Self { local, factor, score })
+    }
+}
+
+/// Inverse of the rows and columns `free` of a matrix.
+fn inverse_of_part(matrix: &[f64], q: usize, free: &[usize]) -> Option<Vec<f64>> {
+    let m = free.len();
+    let mut part = vec![0.0; m * m];
+    for (a, &i) in free.iter().enumerate() {
+        for (b, &j) in free.iter().enumerate() {
+            part[a * m + b] = matrix[i * q + j];
+        }
+    }
+    Some(Cholesky::new(&part, m, 1e-14)?.inverse())
+}
+
+/// Firth's penalised likelihood; `fixed` holds one coefficient at a value (for profiles).
+///
+/// The modified score is the gradient of ln L + ½ ln det I, so the search is BFGS started from the inverse
+/// information. Plain Fisher scoring leaves out the curvature of the penalty and may not settle in small data.
+pub(super) fn firth(
+    x: &Standardized<'_>,
+    fixed: Option<(usize, f64)>,
+    from: Option<&[f64]>,
+) -> Result<Solution, Unsettled> {
+    const LONGEST: f64 = 3.0;
+    const STEPS: usize = 500;
+    let q = x.parameters();
+    let mut beta = from.map_or_else(|| start(x), <[f64]>::to_vec);
+    if let Some((j, value)) = fixed {
+        beta[j] = value;
+    }
+    let free: Vec<usize> = (0..q).filter(|&j| fixed.is_none_or(|(f, _)| f != j)).collect();
+    let m = free.len();
+    let give_up = |beta: Vec<f64>, iterations| Err(Unsettled { beta, iterations });
+    let Some(mut here) = Penalised::at(x, &beta) else {
+        return give_up(beta, 0);
+    };
+    let Some(mut inverse) = inverse_of_part(&here.local.information, q, &free) else {
+        return give_up(beta, 0);
+    };
+    let mut fresh = true;
+    for iteration in 1..=STEPS {
+        let mut step: Vec<f64> =
+            (0..m).map(|a| (0..m).map(|b| inverse[a * m + b] * here.score[free[b]]).sum()).collect();
+        let longest = step.iter().fold(0.0_f64, |l, s| l.max(s.abs()));
+        if longest > LONGEST {
+            step.iter_mut().for_each(|s| *s *= LONGEST / longest);
+        }
+        let slack = 1e-13 * here.objective().abs();
+        let mut accepted = None;
+        for _ in 0..40 {
+            let mut trial = beta.clone();
+            for (&i, s) in free.iter().zip(&step) {
+                trial[i] += s;
+            }
+            if let Some(there) = Penalised::at(x, &trial)
+                && there.objective() >= here.objective() - slack
+            {
+                accepted = Some((trial, there));
+                break;
+            }
+            step.iter_mut().for_each(|s| *s *= 0.5);
+        }
+        let Some((trial, there)) = accepted else {
+            return give_up(beta, iteration);
+        };
+        let done = settled(&step, &trial);
+        // Change of the descent gradient along the step.
+        let change: Vec<f64> = free.iter().map(|&i| here.score[i] - there.score[i]).collect();
+        beta = trial;
+        here = there;
+        if done && fresh {
+            return Ok(Solution {
+                beta,
+                log_likelihood: here.local.log_likelihood,
+                penalty: Some(0.5 * here.factor.ln_det()),
+                inverse_information: here.factor.inverse(),
+                iterations: iteration,
+            });
+        }
+        let along: f64 = step.iter().zip(&change).map(|(s, y)| s * y).sum();
+        if done || along <= 0.0 {
+            // A small step of a stale approximation proves nothing: look again from the information itself.
+            let Some(renewed) = inverse_of_part(&here.local.information, q, &free) else {
+                return give_up(beta, iteration);
+            };
+            inverse = renewed;
+            fresh = true;
+        } else {
+            fresh = false;
+            update(&mut inverse, &step, &change, along);
+        }
+    }
+    give_up(beta, STEPS)
+}
+
+/// BFGS: H ← (1 - ρ s yᵀ) H (1 - ρ y sᵀ) + ρ s sᵀ with ρ = 1 / sᵀy.
+fn update(inverse: &mut [f64], step: &[f64], change: &[f64], along: f64) {
+    let m = step.len();
+    let image: Vec<f64> = (0..m).map(|a| (0..m).map(|b| inverse[a * m + b] * change[b]).sum()).collect();
+    let curvature: f64 = change.iter().zip(&image).map(|(y, hy)| y * hy).sum();
+    for a in 0..m {
+        for b in 0..m {
+            inverse[a * m + b] += (1.0 + curvature / along) * step[a] * step[b] / along
+                - (image[a] * step[b] + step[a] * image[b]) / along;
+        }
+    }
+}
+
+/// I⁻¹ (Σ w² (y-p)² x xᵀ) I⁻¹: the covariance that does not trust the weights to be counts.
+pub(super) fn sandwich(x: &Standardized<'_>, solution: &Solution) -> Vec<f64> {
+    let q = x.parameters();
+    let mut meat = vec![0.0; q * q];
+    let mut eta = [0.0; BLOCK];
+    let mut squared = [0.0; BLOCK];
+    x.for_each_block(|block| {
+        block.predictor(&solution.beta, &mut eta);
+        for i in 0..BLOCK {
+            let (other, _) = logistic_and_log(-block.sign[i] * eta[i]);
+            squared[i] = (block.weight[i] * other).powi(2);
+        }
+        add_weighted_gram(&mut meat, q, block, &squared);
+    });
+    mirror(&mut meat, q);
+    let bread = &solution.inverse_information;
+    product(bread, &product(&meat, bread, q), q)
+}
+
+/// A B for square row-major matrices.
+pub(super) fn product(a: &[f64], b: &[f64], q: usize) -> Vec<f64> {
+    let mut c = vec![0.0; q * q];
+    for i in 0..q {
+        for k in 0..q {
+            for j in 0..q {
+                c[i * q + j] += a[i * q + k] * b[k * q + j];
+            }
+        }
+    }
+    c
+}

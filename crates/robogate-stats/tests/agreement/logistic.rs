@@ -1,0 +1,210 @@
+use crate::{all_close, bools, close, float, floats, formula, reference};
+use robogate_stats::Confidence;
+use robogate_stats::logistic::{
+    Caution, Coefficient, Covariance, Data, Dropped, Estimator, Fit, Options, RegressionError, Scale, SeparationKind,
+    Term, firth_profile, fit, separation,
+};
+use serde_json::Value;
+
+const ML: Options =
+    Options { scale: Scale::Raw, estimator: Estimator::MaximumLikelihood, covariance: Covariance::Model };
+const FIRTH: Options = Options { estimator: Estimator::Firth, ..ML };
+
+fn columns(value: &Value) -> Vec<Vec<f64>> {
+    value.as_array().unwrap().iter().map(floats).collect()
+}
+
+fn borrowed(columns: &[Vec<f64>]) -> Vec<&[f64]> {
+    columns.iter().map(Vec::as_slice).collect()
+}
+
+fn coefficients(fit: &Fit) -> Vec<Coefficient> {
+    let mut all = vec![fit.intercept];
+    all.extend(fit.terms.iter().filter_map(|t| t.coefficient().copied()));
+    all
+}
+
+fn agrees(name: &str, fit: &Fit, expected: &Value, tolerance: f64) {
+    let c = coefficients(fit);
+    let pick = |f: fn(&Coefficient) -> f64| c.iter().map(f).collect::<Vec<_>>();
+    all_close(&format!("{name} estimate"), &pick(|c| c.estimate), &floats(&expected["estimate"]), tolerance);
+    all_close(&format!("{name} se"), &pick(|c| c.se), &floats(&expected["se"]), tolerance);
+    if expected["z"].is_array() {
+        all_close(&format!("{name} z"), &pick(|c| c.z), &floats(&expected["z"]), tolerance);
+        all_close(&format!("{name} ln p"), &pick(|c| c.ln_p), &floats(&expected["ln_p"]), tolerance);
+        close(&format!("{name} ln L"), fit.log_likelihood, float(&expected["log_likelihood"]), 1e-9);
+        let q = c.len();
+        let covariance: Vec<f64> = (0..q * q).map(|i| fit.covariance(i / q, i % q).unwrap()).collect();
+        all_close(&format!("{name} covariance"), &covariance, &floats(&expected["covariance"]), tolerance);
+    }
+}
+
+#[test]
+fn maximum_likelihood_agrees_with_statsmodels_raw_standardized_and_weighted() {
+    let case = &reference()["plain"];
+    let owned = columns(&case["columns"]);
+    let columns = borrowed(&owned);
+    let outcomes = bools(&case["outcomes"]);
+    let weights = floats(&case["weights"]);
+    let plain = Data::new(&columns, &outcomes, None).unwrap();
+    let weighted = Data::new(&columns, &outcomes, Some(&weights)).unwrap();
+    // The third column sits at 1000 ± 3, so the reference itself loses digits on the raw scale.
+    agrees("raw", &fit(plain, ML).unwrap(), &case["raw"], 1e-7);
+    let standardized = Options { scale: Scale::Standardized, ..ML };
+    agrees("standardized", &fit(plain, standardized).unwrap(), &case["standardized"], 1e-9);
+    agrees("weighted", &fit(weighted, ML).unwrap(), &case["weighted"], 1e-7);
+    let sandwich = Options { covariance: Covariance::Sandwich, ..ML };
+    agrees("sandwich", &fit(weighted, sandwich).unwrap(), &case["sandwich"], 1e-7);
+}
+
+#[test]
+fn firth_agrees_with_direct_maximisation_of_the_penalised_likelihood() {
+    let case = &reference()["plain"];
+    let owned = columns(&case["columns"]);
+    let columns = borrowed(&owned);
+    let outcomes = bools(&case["outcomes"]);
+    let weights = floats(&case["weights"]);
+    let options = Options { scale: Scale::Standardized, ..FIRTH };
+    agrees("firth", &fit(Data::new(&columns, &outcomes, None).unwrap(), options).unwrap(), &case["firth"], 1e-6);
+    let two = &columns[..2];
+    agrees(
+        "firth weighted",
+        &fit(Data::new(two, &outcomes, Some(&weights)).unwrap(), FIRTH).unwrap(),
+        &case["firth_weighted"],
+        1e-6,
+    );
+}
+
+#[test]
+fn ten_successes_in_ten_thousand_agree_and_are_flagged() {
+    let case = &reference()["rare"];
+    let owned = [formula(10_000, 7919, 10_007), formula(10_000, 104_729, 99_991)];
+    let columns = borrowed(&owned);
+    let mut outcomes = vec![false; 10_000];
+    for row in case["rows"].as_array().unwrap() {
+        outcomes[row.as_u64().unwrap() as usize] = true;
+    }
+    let data = Data::new(&columns, &outcomes, None).unwrap();
+    let found = fit(data, ML).unwrap();
+    agrees("rare", &found, &case["raw"], 1e-8);
+    assert_eq!(found.cautions, vec![Caution::FewEvents { events: 10, coefficients: 2 }]);
+    agrees("rare firth", &fit(data, FIRTH).unwrap(), &case["firth"], 1e-6);
+}
+
+#[test]
+fn p_values_below_the_smallest_double_stay_numbers() {
+    let case = &reference()["overwhelming"]["raw"];
+    let u = formula(20_000, 7919, 20_011);
+    let v = formula(20_000, 104_729, 99_991);
+    let outcomes: Vec<bool> = u.iter().zip(&v).map(|(u, v)| u + 0.8 * (v - 0.5) > 0.5).collect();
+    let columns = [u.as_slice()];
+    let found = fit(Data::new(&columns, &outcomes, None).unwrap(), ML).unwrap();
+    agrees("overwhelming", &found, case, 1e-8);
+    assert!(coefficients(&found)[1].ln_p < -700.0);
+}
+
+#[test]
+fn complete_separation_is_named_and_answered_by_firth() {
+    let case = &reference()["complete"];
+    let owned = columns(&case["columns"]);
+    let columns = borrowed(&owned);
+    let outcomes = bools(&case["outcomes"]);
+    let data = Data::new(&columns, &outcomes, None).unwrap();
+    let Err(RegressionError::Separated(found)) = fit(data, ML) else { panic!("separation was not found") };
+    assert_eq!((found.kind, found.rows), (SeparationKind::Complete, 8));
+    assert_eq!((found.columns, found.signs), (vec![0], vec![1]));
+    let answer = fit(data, Options::default()).unwrap();
+    assert_eq!(answer.estimator, Estimator::Firth);
+    agrees("complete", &answer, &case["firth"], 1e-6);
+    let profile = firth_profile(data, 0, Confidence::P95).unwrap();
+    let expected = &case["profile"];
+    close("profile estimate", profile.estimate, float(&expected["estimate"]), 1e-6);
+    all_close("profile", &[profile.interval.low, profile.interval.high], &floats(&expected["interval"]), 1e-6);
+    close("profile p", profile.ln_p, float(&expected["ln_p"]), 1e-6);
+}
+
+#[test]
+fn a_placement_at_which_nothing_succeeds_is_named_and_answered_by_firth() {
+    let case = &reference()["quasi"];
+    let owned = columns(&case["columns"]);
+    let columns = borrowed(&owned);
+    let outcomes = bools(&case["outcomes"]);
+    let data = Data::new(&columns, &outcomes, None).unwrap();
+    let found = separation(data).unwrap().unwrap();
+    assert_eq!((found.kind, found.rows), (SeparationKind::Quasi, 40));
+    assert_eq!((found.columns, found.signs), (vec![2], vec![-1]));
+    agrees("quasi", &fit(data, Options::default()).unwrap(), &case["firth"], 1e-6);
+    for (name, column) in [("profile", 2), ("profile_x", 0)] {
+        let profile = firth_profile(data, column, Confidence::P95).unwrap();
+        let expected = &case[name];
+        all_close(name, &[profile.interval.low, profile.interval.high], &floats(&expected["interval"]), 1e-6);
+        close(name, profile.ln_p, float(&expected["ln_p"]), 1e-5);
+    }
+}
+
+#[test]
+fn overlapping_outcomes_are_not_called_separated() {
+    let case = &reference()["plain"];
+    let owned = columns(&case["columns"]);
+    let columns = borrowed(&owned);
+    let outcomes = bools(&case["outcomes"]);
+    assert_eq!(separation(Data::new(&columns, &outcomes, None).unwrap()), Ok(None));
+}
+
+#[test]
+fn constant_and_collinear_columns_are_dropped_by_name_and_change_nothing_else() {
+    let case = &reference()["plain"];
+    let owned = columns(&case["columns"]);
+    let outcomes = bools(&case["outcomes"]);
+    let constant = vec![0.3; outcomes.len()];
+    let sum: Vec<f64> = owned[0].iter().zip(&owned[1]).map(|(a, b)| 2.0 * a - b + 7.0).collect();
+    let columns: Vec<&[f64]> = vec![&constant, &owned[0], &owned[1], &sum, &owned[2]];
+    let found = fit(Data::new(&columns, &outcomes, None).unwrap(), ML).unwrap();
+    assert_eq!(found.terms[0], Term::Dropped(Dropped::Constant));
+    assert_eq!(found.terms[3], Term::Dropped(Dropped::CollinearWith(vec![1, 2])));
+    assert_eq!(found.covariance(1, 1), None);
+    let c = coefficients(&found);
+    let estimates: Vec<f64> = c.iter().map(|c| c.estimate).collect();
+    all_close("estimate", &estimates, &floats(&case["raw"]["estimate"]), 1e-7);
+}
+
+#[test]
+fn impossible_data_are_refused_with_the_place() {
+    let column = [0.0, f64::NAN];
+    let columns = [column.as_slice()];
+    assert!(matches!(
+        Data::new(&columns, &[true, false], None),
+        Err(RegressionError::NotFinite { column: 0, row: 1, .. })
+    ));
+    assert!(matches!(
+        Data::new(&columns, &[true], None),
+        Err(RegressionError::ColumnLength { column: 0, expected: 1, found: 2 })
+    ));
+    let none: [&[f64]; 0] = [];
+    assert_eq!(fit(Data::new(&none, &[], None).unwrap(), ML), Err(RegressionError::NoRows));
+    assert_eq!(
+        fit(Data::new(&none, &[true, true], None).unwrap(), ML),
+        Err(RegressionError::OneClass { rows: 2, success: true })
+    );
+    assert!(matches!(Data::new(&none, &[true], Some(&[-1.0])), Err(RegressionError::BadWeight { row: 0, .. })));
+}
+
+#[test]
+fn a_model_without_columns_is_the_weighted_rate() {
+    let none: [&[f64]; 0] = [];
+    let data = Data::new(&none, &[true, false, false], Some(&[3.0, 1.0, 0.0])).unwrap();
+    let found = fit(data, ML).unwrap();
+    assert!((found.probability(&[]).unwrap() - 0.75).abs() < 1e-12);
+    assert_eq!(found.rows, 2);
+}
+
+#[test]
+fn extreme_magnitudes_neither_panic_nor_settle_on_nonsense() {
+    let big = [1e308, -1e308, 1e308, -1e308, 3.0, 2e307];
+    let tiny = [1e-320, 0.0, 2e-320, 1e-320, 0.0, 3e-320];
+    let outcomes = [true, false, false, true, true, false];
+    let columns: Vec<&[f64]> = vec![&big, &tiny];
+    if let Ok(found) = fit(Data::new(&columns, &outcomes, None).unwrap(), Options::default()) {
+        assert!(coefficients(&found).iter().all(|c| !c.estimate.is_nan()));
+    }
+}
