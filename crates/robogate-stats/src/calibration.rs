@@ -1,0 +1,241 @@
+//! Whether stated probabilities come true.
+//!
+//! - Brier score: mean of (p - y)².
+//! - Log loss: mean of -ln P(outcome seen); infinite where a certain statement was wrong, and then said so.
+//! - Reliability: rows in bins of p; in each, mean p against the observed rate with its Wilson interval.
+//! - Expected calibration error: Σ share of the bin · |observed - mean p|. Biased upwards when bins are thin, and it
+//!   depends on the bins, so their number is part of the figure.
+//!
+//! Weights, where given, make every mean a weighted mean; bin intervals then use Kish's effective counts.
+//! Limit: a good score in sample promises nothing out of sample.
+//! Sources: Brier (1950); Good (1952); Murphy and Winkler (1977); Naeini, Cooper and Hauskrecht (2015).
+
+use crate::interval::{Confidence, Interval, wilson_real};
+
+/// Why probabilities cannot be judged.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum CalibrationError {
+    /// Lengths differ.
+    #[error("{found} values where the outcomes have {expected}")]
+    Length {
+        /// Rows of the outcomes.
+        expected: usize,
+        /// Values found.
+        found: usize,
+    },
+    /// A stated probability is outside [0, 1] or NaN.
+    #[error("row {row}: {value} is not a probability")]
+    NotAProbability {
+        /// Index of the row.
+        row: usize,
+        /// Value found.
+        value: f64,
+    },
+    /// A weight is negative, NaN or infinite.
+    #[error("weight of row {row} is {value}, not a finite number at or above zero")]
+    BadWeight {
+        /// Index of the row.
+        row: usize,
+        /// Value found.
+        value: f64,
+    },
+    /// No row has positive weight.
+    #[error("no rows, so nothing can be judged")]
+    NoRows,
+    /// Reliability needs at least one bin.
+    #[error("zero bins")]
+    NoBins,
+}
+
+/// How the unit interval is cut.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Bins {
+    /// This many of equal width over [0, 1].
+    EqualWidth(usize),
+    /// This many of (nearly) equal row count; equal probabilities stay together.
+    EqualCount(usize),
+}
+
+/// One bin of a reliability diagram.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ReliabilityBin {
+    /// Smallest and largest stated probability that may fall in the bin.
+    pub range: Interval,
+    /// Rows of positive weight in the bin.
+    pub rows: usize,
+    /// Share of the total weight.
+    pub share: f64,
+    /// Mean stated probability.
+    pub stated: f64,
+    /// Observed rate of success.
+    pub observed: f64,
+    /// Wilson interval of the observed rate.
+    pub interval: Interval,
+}
+
+/// Scores of stated probabilities.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Calibration {
+    /// Rows of positive weight.
+    pub rows: usize,
+    /// Mean of (p - y)².
+    pub brier: f64,
+    /// Brier score of always stating the overall rate: what the model must beat.
+    pub brier_of_the_rate: f64,
+    /// Mean of -ln P(outcome seen); `None` where it is infinite, see `certain_and_wrong`.
+    pub log_loss: Option<f64>,
+    /// Rows where 0 or 1 was stated and the other came.
+    pub certain_and_wrong: usize,
+    /// Expected calibration error over `bins`.
+    pub expected_error: f64,
+    /// Largest |observed - stated| over `bins`.
+    pub largest_error: f64,
+    /// Bins that hold rows, in order.
+    pub bins: Vec<ReliabilityBin>,
+}
+
+/// Judges stated probabilities of success.
+///
+/// # Errors
+/// Unequal lengths, something that is no probability or weight, no rows, or zero bins.
+pub fn calibration(
+    probabilities: &[f64],
+    outcomes: &[bool],
+    weights: Option<&[f64]>,
+    bins: Bins,
+    confidence: Confidence,
+) -> Result<Calibration, CalibrationError> {
+    let expected = outcomes.len();
+    for found in [Some(probabilities.len()), weights.map(<[f64]>::len)].into_iter().flatten() {
+        if found != expected {
+            return Err(CalibrationError::Length { expected, found });
+        }
+    }
+    if let Some(row) = probabilities.iter().position(|p| !(0.0..=1.0).contains(p)) {
+        return Err(CalibrationError::NotAProbability { row, value: probabilities[row] });
+    }
+    if let Some((row, value)) =
+        weights.and_then(|w| w.iter().copied().enumerate().find(|(_, w)| !(w.is_finite() && *w >= 0.0)))
+    {
+        return Err(CalibrationError::BadWeight { row, value });
+    }
+    let weight = |row: usize| weights.map_or(1.0, |w| w[row]);
+    let rows: Vec<usize> = (0..expected).filter(|&row| weight(row) > 0.0).collect();
+    if rows.is_empty() {
+        return Err(CalibrationError::NoRows);
+    }
+    let total: f64 = rows.iter().map(|&r| weight(r)).sum();
+
+    let mut brier = 0.0;
+    let mut loss = 0.0;
+    let mut success_weight = 0.0;
+    let mut certain_and_wrong = 0;
+    for &row in &rows {
+        let (p, w) = (probabilities[row], weight(row));
+        let y = f64::from(u8::from(outcomes[row]));
+        brier += w * (p - y).powi(2);
+        success_weight += w * y;
+        let seen = if outcomes[row] { p.ln() } else { (-p).ln_1p() };
+        if seen.is_finite() {
+            loss -= w * seen;
+        } else {
+            certain_and_wrong += 1;
+        }
+    }
+    let rate = success_weight / total;
+    let bins = reliability(probabilities, outcomes, &rows, &weight, total, bins, confidence)?;
+    let gap = |b: &ReliabilityBin| (b.observed - b.stated).abs();
+    Ok(Calibration {
+        rows: rows.len(),
+        brier: brier / total,
+        brier_of_the_rate: rate * (1.0 - rate),
+        log_loss: (certain_and_wrong == 0).then_some(loss / total),
+        certain_and_wrong,
+        expected_error: bins.iter().map(|b| b.share * gap(b)).sum(),
+        largest_error: bins.iter().map(gap).fold(0.0, f64::max),
+        bins,
+    })
+}
+
+fn reliability(
+    probabilities: &[f64],
+    outcomes: &[bool],
+    rows: &[usize],
+    weight: &impl Fn(usize) -> f64,
+    total: f64,
+    bins: Bins,
+    confidence: Confidence,
+) -> Result<Vec<ReliabilityBin>, CalibrationError> {
+    let edges: Vec<f64> = match bins {
+        Bins::EqualWidth(0) | Bins::EqualCount(0) => return Err(CalibrationError::NoBins),
+        Bins::EqualWidth(k) => (0..=k).map(|i| i as f64 / k as f64).collect(),
+        Bins::EqualCount(k) => {
+            let mut sorted: Vec<f64> = rows.iter().map(|&r| probabilities[r]).collect();
+            sorted.sort_unstable_by(f64::total_cmp);
+            let mut edges = vec![0.0];
+            edges.extend((1..k).map(|i| sorted[i * sorted.len() / k]));
+            edges.push(1.0);
+            edges.dedup();
+            edges
+        }
+    };
+    let inner = &edges[1..edges.len() - 1];
+    let count = edges.len() - 1;
+    let mut sums = vec![[0.0_f64; 4]; count];
+    let mut members = vec![0; count];
+    for &row in rows {
+        let (p, w) = (probabilities[row], weight(row));
+        let bin = inner.partition_point(|edge| *edge <= p);
+        members[bin] += 1;
+        sums[bin][0] += w;
+        sums[bin][1] += w * w;
+        sums[bin][2] += w * p;
+        sums[bin][3] += w * f64::from(u8::from(outcomes[row]));
+    }
+    let z = confidence.z();
+    Ok((0..count)
+        .filter(|&b| members[b] > 0)
+        .map(|b| {
+            let [w, ww, wp, wy] = sums[b];
+            let observed = (wy / w).min(1.0);
+            let effective = w * w / ww;
+            ReliabilityBin {
+                range: Interval { low: edges[b], high: edges[b + 1] },
+                rows: members[b],
+                share: w / total,
+                stated: wp / w,
+                observed,
+                interval: wilson_real(observed * effective, effective, z),
+            }
+        })
+        .collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_certain_statement_that_was_wrong_is_counted_and_not_clipped() {
+        let c = calibration(&[1.0, 0.5], &[false, true], None, Bins::EqualWidth(10), Confidence::P95).unwrap();
+        assert_eq!((c.log_loss, c.certain_and_wrong), (None, 1));
+    }
+
+    #[test]
+    fn stating_the_rate_scores_exactly_the_rate() {
+        let outcomes = [true, false, false, true, false];
+        let c = calibration(&[0.4; 5], &outcomes, None, Bins::EqualCount(4), Confidence::P95).unwrap();
+        assert!((c.brier - c.brier_of_the_rate).abs() < 1e-15 && c.expected_error < 1e-15);
+        assert_eq!(c.bins.len(), 1);
+    }
+
+    #[test]
+    fn what_is_no_probability_is_refused() {
+        for p in [-0.1, 1.1, f64::NAN] {
+            let found = calibration(&[p], &[true], None, Bins::EqualWidth(1), Confidence::P95);
+            assert!(matches!(found, Err(CalibrationError::NotAProbability { row: 0, .. })));
+        }
+        let none = calibration(&[], &[], None, Bins::EqualWidth(1), Confidence::P95);
+        assert_eq!(none, Err(CalibrationError::NoRows));
+    }
+}
