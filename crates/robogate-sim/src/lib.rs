@@ -1,1 +1,34 @@
-//! sim
+//! RoboGate's own world: a robot at a table, an object, obstacles, a target; the physics under it and
+//! the scripted controller that drives it.
+//!
+//! A [`Robot`] is a folder (MJCF and `robot.toml`). [`Scene`] says in neutral terms what stands in the
+//! cell; an [`Engine`] gives it physics; [`PickPlace`] makes an engine, a robot and the task a
+//! [`robogate_core::Simulator`]. [`Scripted`] is the policy of the paper's baseline.
+
+mod engine;
+mod kinematics;
+mod mujoco;
+mod object;
+mod parameters;
+mod pick_place;
+mod referee;
+mod robot;
+mod scene;
+mod scripted;
+mod servo;
+mod trajectory;
+
+pub use engine::{Collision, Engine, EngineBuild, JointTargets, Readback, Touches};
+pub use kinematics::{Chain, ChainJoint, Unreachable};
+pub use mujoco::MujocoEngine;
+pub use object::{MassProperties, ObjectModel, Part, Primitive, Shape};
+pub use parameters::{ParameterError, Placement, SceneParameters};
+pub use pick_place::PickPlace;
+pub use robot::{
+    Arm, Gripper, Robot, RobotError, RobotFile, RobotSettings, RobotSource, built_in_robot, built_in_robots,
+};
+pub use scene::{Fixture, Scene, WORKSPACE_CENTRE};
+pub use scripted::Scripted;
+
+/// The paper's Franka parameter space, as TOML.
+pub const FRANKA_SPACE: &str = include_str!("../../../assets/spaces/franka.toml");

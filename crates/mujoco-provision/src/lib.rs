@@ -1,0 +1,133 @@
+//! Fetches the pinned MuJoCo library once and links it. For build scripts only.
+//!
+//! The library comes out of the `mujoco` wheel on the Python package index, checked against a pinned
+//! SHA-256 by pip itself, and lies in a cache folder that debug, release, test and installed binaries
+//! share (they find it there by rpath, so a `cargo clean` breaks none of them).
+
+use std::env;
+use std::ffi::OsStr;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+
+/// The MuJoCo release that the binding was generated for.
+pub const VERSION: &str = "3.17.0";
+
+/// The library's file name, which is also its `SONAME`.
+pub const LIBRARY: &str = "libmujoco.so.3.17.0";
+
+/// Names a library (or its folder) that is there already.
+pub const LIBRARY_VARIABLE: &str = "ROBOGATE_MUJOCO_LIB";
+
+/// Names the folder for what is downloaded; default `$XDG_CACHE_HOME/robogate`, else `~/.cache/robogate`.
+pub const CACHE_VARIABLE: &str = "ROBOGATE_CACHE_DIR";
+
+/// One wheel holds the library whatever Python is there; the two hashes are x86_64's and aarch64's.
+const REQUIREMENT: &str = "mujoco==3.17.0 \
+    --hash=sha256:d66928d86a2d1b601bbaa4dc11db50214d17d5301bb8afd84721313b67ff0874 \
+    --hash=sha256:91a70ed9979c383ff1f5c03f25cc2e1280a8254c1a8e558d5dd7f4184f01efc9\n";
+
+/// Takes the one library out of the wheel (arguments: folder with the wheel, member, target).
+const UNPACK: &str = "import glob, sys, zipfile
+wheel, = glob.glob(sys.argv[1] + '/mujoco-*.whl')
+with zipfile.ZipFile(wheel) as z, open(sys.argv[3], 'wb') as f:
+    f.write(z.read('mujoco/' + sys.argv[2]))
+";
+
+/// The whole build script of a package whose binaries or tests run MuJoCo.
+#[expect(clippy::print_stdout, clippy::print_stderr, reason = "a build script speaks to cargo and to its reader so")]
+pub fn link() -> ExitCode {
+    println!("cargo::rerun-if-env-changed={LIBRARY_VARIABLE}");
+    println!("cargo::rerun-if-env-changed={CACHE_VARIABLE}");
+    println!("cargo::rerun-if-changed=build.rs");
+    match provide() {
+        Ok(folder) => {
+            println!("cargo::rerun-if-changed={}", folder.join(LIBRARY).display());
+            println!("cargo::rustc-link-search=native={}", folder.display());
+            println!("cargo::rustc-link-arg=-Wl,-rpath,{}", folder.display());
+            ExitCode::SUCCESS
+        }
+        Err(why) => {
+            eprintln!("error: MuJoCo {VERSION} could not be set up: {why}");
+            eprintln!(
+                "hint: either give the build python3 with pip and a package index, \
+                 or set {LIBRARY_VARIABLE} to a {LIBRARY} (or its folder) that is there already"
+            );
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// The folder that holds [`LIBRARY`].
+fn provide() -> Result<PathBuf, String> {
+    if let Some(given) = env::var_os(LIBRARY_VARIABLE).filter(|v| !v.is_empty()) {
+        return given_folder(Path::new(&given));
+    }
+    let arch = env::var("CARGO_CFG_TARGET_ARCH").unwrap_or_default();
+    let os = env::var("CARGO_CFG_TARGET_OS").unwrap_or_default();
+    if os != "linux" || !["x86_64", "aarch64"].contains(&arch.as_str()) {
+        return Err(format!("it is provisioned on Linux x86_64 and aarch64 only (this is {os} {arch})"));
+    }
+    let folder = cache()?.join(format!("mujoco-{VERSION}-{arch}"));
+    if !folder.join(LIBRARY).is_file() {
+        download(&folder, &arch)?;
+    }
+    Ok(folder)
+}
+
+fn given_folder(given: &Path) -> Result<PathBuf, String> {
+    let folder = if given.is_dir() { Some(given) } else { given.parent() };
+    match folder.filter(|f| given.is_absolute() && f.join(LIBRARY).is_file()) {
+        Some(folder) => Ok(folder.to_owned()),
+        None => Err(format!("{LIBRARY_VARIABLE}={} is no absolute path to a {LIBRARY}", given.display())),
+    }
+}
+
+fn cache() -> Result<PathBuf, String> {
+    let named = |variable: &str| env::var_os(variable).filter(|v| !v.is_empty()).map(PathBuf::from);
+    named(CACHE_VARIABLE)
+        .or_else(|| named("XDG_CACHE_HOME").map(|p| p.join("robogate")))
+        .or_else(|| named("HOME").map(|p| p.join(".cache/robogate")))
+        .filter(|p| p.is_absolute())
+        .ok_or_else(|| format!("no cache folder: set {CACHE_VARIABLE} or HOME to an absolute path"))
+}
+
+fn download(folder: &Path, arch: &str) -> Result<(), String> {
+    // Two build scripts may do this at once: each works in a folder of its own, and the last step,
+    // a rename, is atomic.
+    let work = folder.with_extension(format!("part-{}", std::process::id()));
+    let io = |what: &Path| {
+        let what = what.display().to_string();
+        move |e: std::io::Error| format!("{what}: {e}")
+    };
+    fs::create_dir_all(&work).map_err(io(&work))?;
+    let requirements = work.join("requirements.txt");
+    fs::write(&requirements, REQUIREMENT).map_err(io(&requirements))?;
+    let mut pip = Command::new("python3");
+    pip.args(["-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps"]);
+    pip.args(["--only-binary=:all:", "--require-hashes", "--python-version", "3.11"]);
+    pip.args(["--implementation", "cp", "--abi", "cp311"]);
+    for glibc in ["2_28", "2_27"] {
+        pip.arg("--platform").arg(format!("manylinux_{glibc}_{arch}"));
+    }
+    pip.arg("--dest").arg(&work).arg("--requirement").arg(&requirements);
+    let result = succeed(pip).and_then(|()| {
+        let mut unpack = Command::new("python3");
+        unpack.args([OsStr::new("-c"), OsStr::new(UNPACK), work.as_os_str(), OsStr::new(LIBRARY)]);
+        unpack.arg(work.join(LIBRARY));
+        succeed(unpack)?;
+        fs::create_dir_all(folder).map_err(io(folder))?;
+        fs::rename(work.join(LIBRARY), folder.join(LIBRARY)).map_err(io(folder))
+    });
+    // What is left is a copy of the wheel: its removal may fail without harm.
+    drop(fs::remove_dir_all(&work));
+    result
+}
+
+fn succeed(mut command: Command) -> Result<(), String> {
+    let output = command.output().map_err(|e| format!("python3 does not start: {e}"))?;
+    if output.status.success() {
+        return Ok(());
+    }
+    Err(format!("`{:?}` failed: {}", command, String::from_utf8_lossy(&output.stderr).trim()))
+}

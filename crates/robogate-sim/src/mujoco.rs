@@ -1,0 +1,553 @@
+//! MuJoCo under the cell.
+//!
+//! Each scene is compiled afresh from the robot's model and the scene's bodies: about a millisecond, and
+//! nothing of one episode can leak into the next. Settings that make grasps right (measured in
+//! `robogate check physics`): implicit integration, elliptic friction cones with `impratio` 10, and
+//! contacts of the object as stiff as the time step allows.
+
+use std::path::PathBuf;
+
+use mujoco_rs::mujoco_c::mjtLimited;
+use mujoco_rs::prelude::*;
+use mujoco_rs::wrappers::mj_editing::MjsBody;
+use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
+use robogate_core::{Fault, FaultKind};
+
+use crate::engine::Collision;
+use crate::robot::RobotSource;
+use crate::{Chain, ChainJoint, Engine, EngineBuild, Gripper, JointTargets, Primitive, Readback, Robot, RobotError};
+use crate::{Scene, Touches};
+
+/// Contact masks: the robot meets the object and fixtures, the object meets fixtures; the robot does not
+/// meet itself (fingers that close on nothing are a miss, not a collision).
+const ROBOT: (i32, i32) = (1, 0);
+const OBJECT: (i32, i32) = (2, 1);
+const FIXTURE: (i32, i32) = (0, 3);
+
+/// Radius of the patch in which a soft pad touches, in metres: torsional friction is that of a disc
+/// under even pressure, 2/3 of friction times radius.
+const PATCH_RADIUS: f64 = 5e-3;
+
+/// Rolling friction of the object, in metres: what stops a ball on the table's mat.
+const ROLLING: f64 = 5e-4;
+
+/// Group in which a model's own actuators are switched off: the cell has its own drives.
+const OFF_GROUP: i32 = 30;
+
+/// Fixtures and object by their names in the compiled model. The prefix keeps them from meeting a
+/// robot's names.
+const PREFIX: &str = "robogate/";
+
+/// MuJoCo with one robot.
+pub struct MujocoEngine {
+    robot: Robot,
+    base: MjSpec,
+    chain: Chain,
+    time_step: f64,
+    loaded: Option<Loaded>,
+}
+
+/// What a geom is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Kind {
+    Robot {
+        body: usize,
+        finger: Option<usize>,
+    },
+    Object,
+    Fixture(usize),
+    /// A shape without contact.
+    Ghost,
+}
+
+/// A compiled scene.
+struct Loaded {
+    data: MjData<Box<MjModel>>,
+    kinds: Vec<Kind>,
+    /// Addresses of the arm's and fingers' joints in qpos and qvel.
+    arm: Vec<(usize, usize)>,
+    fingers: [(usize, usize); 2],
+    object_body: usize,
+    object_qpos: usize,
+    object_qvel: usize,
+    tcp: usize,
+    touches: Touches,
+    scene: Scene,
+}
+
+impl MujocoEngine {
+    /// An engine for this robot, with this time step in seconds.
+    pub fn new(robot: Robot, time_step: f64) -> Result<Self, RobotError> {
+        let mut base = parse(&robot)?;
+        let invalid = |why: String| RobotError::Invalid { path: model_path(&robot), why };
+        for actuator in base.actuator_iter_mut() {
+            actuator.set_group(OFF_GROUP);
+        }
+        let settings = &robot.settings;
+        let Gripper::ParallelJaw { finger_joints, stiffness_n_m, damping_ns_m, force_limit_n, .. } = &settings.gripper;
+        let arm = settings.arm.joints.iter().enumerate().map(|(i, name)| {
+            let arm = &settings.arm;
+            (name, arm.stiffness_nm_rad[i], arm.damping_nms_rad[i], arm.torque_limit_nm[i])
+        });
+        let fingers = finger_joints.iter().map(|name| (name, *stiffness_n_m, *damping_ns_m, *force_limit_n));
+        for (joint, stiffness, damping, limit) in arm.chain(fingers) {
+            if base.joint(joint).is_none() {
+                return Err(invalid(format!("there is no joint `{joint}`, which robot.toml names")));
+            }
+            let mut gain = [0.0; 10];
+            gain[0] = stiffness;
+            let mut bias = [0.0; 10];
+            (bias[1], bias[2]) = (-stiffness, -damping);
+            let actuator = base.add_actuator();
+            actuator.set_name(&format!("{PREFIX}{joint}")).map_err(|e| invalid(e.to_string()))?;
+            actuator.set_trntype(MjtTrn::mjTRN_JOINT);
+            actuator.set_target(joint);
+            actuator.set_gaintype(MjtGain::mjGAIN_FIXED);
+            actuator.set_biastype(MjtBias::mjBIAS_AFFINE);
+            actuator.gainprm_mut()[..10].copy_from_slice(&gain);
+            actuator.biasprm_mut()[..10].copy_from_slice(&bias);
+            actuator.set_ctrllimited(mjtLimited::mjLIMITED_FALSE);
+            actuator.set_forcelimited(mjtLimited::mjLIMITED_TRUE);
+            *actuator.forcerange_mut() = [-limit, limit];
+            actuator.set_group(0);
+        }
+        for geom in base.geom_iter_mut() {
+            if geom.contype() != 0 || geom.conaffinity() != 0 {
+                geom.set_contype(ROBOT.0);
+                geom.set_conaffinity(ROBOT.1);
+            }
+        }
+        compensate_weight(base.world_body_mut());
+        let option = base.option_mut();
+        option.timestep = time_step;
+        option.integrator = MjtIntegrator::mjINT_IMPLICITFAST as i32;
+        option.cone = MjtCone::mjCONE_ELLIPTIC as i32;
+        option.impratio = 10.0;
+        option.solver = MjtSolver::mjSOL_NEWTON as i32;
+        option.iterations = 100;
+        option.ls_iterations = 50;
+        option.disableactuator = 1 << OFF_GROUP;
+        let model = base.clone().compile().map_err(|e| invalid(e.to_string()))?;
+        let chain = chain(&model, &robot).map_err(invalid)?;
+        Ok(Self { robot, base, chain, time_step, loaded: None })
+    }
+
+    /// The scene that [`Engine::load`] put there; every reading of a world needs one.
+    fn loaded(&self) -> &Loaded {
+        self.loaded.as_ref().expect("a scene is loaded before it is read")
+    }
+
+    fn compile(&self, scene: &Scene) -> Result<MjModel, MjEditError> {
+        let mut spec = self.base.clone();
+        spec.option_mut().gravity = [0.0, 0.0, -scene.gravity];
+        let step = self.time_step;
+        let world = spec.world_body_mut();
+        for fixture in &scene.fixtures {
+            let geom = world.add_geom().with_name(&format!("{PREFIX}{}", fixture.name));
+            shape(geom, &fixture.part.primitive, &fixture.part.pose);
+            geom.set_contype(FIXTURE.0);
+            geom.set_conaffinity(FIXTURE.1);
+        }
+        let body = world.add_body().with_name(&format!("{PREFIX}object"));
+        place(&scene.object_pose, body.pos_mut());
+        *body.quat_mut() = wxyz(&scene.object_pose.rotation);
+        let mass = &scene.object.mass;
+        body.set_explicitinertial(true);
+        body.set_mass(mass.mass_kg);
+        place(&Isometry3::from_parts(Translation3::from(mass.centre), UnitQuaternion::identity()), body.ipos_mut());
+        let m: &Matrix3<f64> = &mass.inertia;
+        *body.fullinertia_mut() = [m[(0, 0)], m[(1, 1)], m[(2, 2)], m[(0, 1)], m[(0, 2)], m[(1, 2)]];
+        body.add_free_joint().set_name(&format!("{PREFIX}object"))?;
+        for (i, part) in scene.object.parts.iter().enumerate() {
+            let geom = body.add_geom().with_name(&format!("{PREFIX}object_{i}"));
+            shape(geom, &part.primitive, &part.pose);
+            geom.set_contype(OBJECT.0);
+            geom.set_conaffinity(OBJECT.1);
+            geom.set_mass(0.0);
+            // Six dimensions: sliding, twisting and rolling friction all act.
+            geom.set_condim(6);
+            // The object's friction is that of each of its contacts, whatever it touches.
+            geom.set_priority(1);
+            *geom.friction_mut() = [scene.friction, scene.friction * PATCH_RADIUS * 2.0 / 3.0, ROLLING];
+            geom.solref_mut()[..2].copy_from_slice(&[2.0 * step, 1.0]);
+            geom.solimp_mut()[..3].copy_from_slice(&[0.95, 0.99, 0.001]);
+        }
+        spec.compile()
+    }
+}
+
+fn model_path(robot: &Robot) -> PathBuf {
+    match &robot.source {
+        RobotSource::BuiltIn { .. } => PathBuf::from(&robot.settings.model),
+        RobotSource::Folder(folder) => folder.join(&robot.settings.model),
+    }
+}
+
+fn parse(robot: &Robot) -> Result<MjSpec, RobotError> {
+    let parsed = match &robot.source {
+        RobotSource::BuiltIn { model, .. } => MjSpec::from_xml_string(model),
+        RobotSource::Folder(_) => MjSpec::from_xml(model_path(robot)),
+    };
+    parsed.map_err(|e| RobotError::Invalid { path: model_path(robot), why: e.to_string() })
+}
+
+/// As every arm's controller does; the weight of what the robot carries is not compensated.
+fn compensate_weight(body: &mut MjsBody) {
+    for child in body.body_iter_mut() {
+        child.set_gravcomp(1.0);
+        compensate_weight(child);
+    }
+}
+
+fn wxyz(rotation: &UnitQuaternion<f64>) -> [f64; 4] {
+    [rotation.w, rotation.i, rotation.j, rotation.k]
+}
+
+fn place(pose: &Isometry3<f64>, at: &mut [f64; 3]) {
+    *at = pose.translation.vector.into();
+}
+
+fn shape(geom: &mut mujoco_rs::wrappers::mj_editing::MjsGeom, primitive: &Primitive, pose: &Isometry3<f64>) {
+    let (kind, size) = match *primitive {
+        Primitive::Box { half } => (MjtGeomBase::mjGEOM_BOX, half),
+        Primitive::Cylinder { radius, half_height } => (MjtGeomBase::mjGEOM_CYLINDER, [radius, half_height, 0.0]),
+        Primitive::Sphere { radius } => (MjtGeomBase::mjGEOM_SPHERE, [radius, 0.0, 0.0]),
+    };
+    geom.set_type(kind);
+    *geom.size_mut() = size;
+    place(pose, geom.pos_mut());
+    *geom.quat_mut() = wxyz(&pose.rotation);
+}
+
+fn primitive(model: &MjModel, geom: usize) -> Option<Primitive> {
+    let [a, b, c] = model.geom_size()[geom];
+    match model.geom_type()[geom] {
+        MjtGeomBase::mjGEOM_BOX => Some(Primitive::Box { half: [a, b, c] }),
+        MjtGeomBase::mjGEOM_CYLINDER => Some(Primitive::Cylinder { radius: a, half_height: b }),
+        MjtGeomBase::mjGEOM_SPHERE => Some(Primitive::Sphere { radius: a }),
+        _ => None,
+    }
+}
+
+fn isometry(position: &[f64; 3], quaternion: &[f64; 4]) -> Isometry3<f64> {
+    let [w, x, y, z] = *quaternion;
+    let turn = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+    Isometry3::from_parts(Translation3::from(Vector3::from(*position)), turn)
+}
+
+fn find(model: &MjModel, kind: MjtObjBase, what: &str, name: &str) -> Result<usize, String> {
+    model.name_to_id(kind, name).ok_or_else(|| format!("there is no {what} `{name}`, which robot.toml names"))
+}
+
+/// The serial chain from the base to the tool, out of a compiled model.
+fn chain(model: &MjModel, robot: &Robot) -> Result<Chain, String> {
+    let arm = &robot.settings.arm;
+    let tcp = find(model, MjtObjBase::mjOBJ_SITE, "site", &arm.tcp_site)?;
+    let flange = find(model, MjtObjBase::mjOBJ_SITE, "site", &arm.flange_site)?;
+    let wanted = arm
+        .joints
+        .iter()
+        .map(|name| find(model, MjtObjBase::mjOBJ_JOINT, "joint", name))
+        .collect::<Result<Vec<_>, _>>()?;
+    let parent = |body: usize| model.body_parentid()[body] as usize;
+    let mut bodies = Vec::new();
+    let mut body = model.site_bodyid()[tcp] as usize;
+    while body != 0 {
+        bodies.push(body);
+        body = parent(body);
+    }
+    let mut joints = Vec::new();
+    // The way from the last joint's frame, as far as it has come.
+    let mut way = Isometry3::identity();
+    let mut flange_way = None;
+    let flange_body = model.site_bodyid()[flange] as usize;
+    for &body in bodies.iter().rev() {
+        way *= isometry(&model.body_pos()[body], &model.body_quat()[body]);
+        let first = model.body_jntadr()[body];
+        for joint in (0..model.body_jntnum()[body]).map(|k| (first + k) as usize) {
+            let name = model.id_to_name(MjtObjBase::mjOBJ_JOINT, joint).unwrap_or("(without a name)");
+            let expected = wanted.get(joints.len()).copied();
+            if expected != Some(joint) {
+                return Err(format!(
+                    "joint `{name}` lies between base and `{}` where arm.joints has {}: list every joint of the arm, base to tip",
+                    arm.tcp_site,
+                    arm.joints.get(joints.len()).map_or("no more".to_owned(), |n| format!("`{n}`")),
+                ));
+            }
+            if model.jnt_type()[joint] != MjtJoint::mjJNT_HINGE {
+                return Err(format!("joint `{name}` is no hinge: arms with sliding joints are not supported"));
+            }
+            let range = model.jnt_range()[joint];
+            if !model.jnt_limited()[joint] || range[0] >= range[1] {
+                return Err(format!("joint `{name}` has no limits: give it a range"));
+            }
+            let anchor = Translation3::from(Vector3::from(model.jnt_pos()[joint]));
+            joints.push(ChainJoint {
+                placement: way * anchor,
+                axis: Unit::new_normalize(Vector3::from(model.jnt_axis()[joint])),
+                range,
+            });
+            way = Isometry3::from_parts(anchor.inverse(), UnitQuaternion::identity());
+        }
+        if body == flange_body {
+            flange_way = Some(way);
+        }
+    }
+    if joints.len() < wanted.len() {
+        return Err(format!("joint `{}` does not lie between base and `{}`", arm.joints[joints.len()], arm.tcp_site));
+    }
+    let flange_way = flange_way
+        .ok_or_else(|| format!("site `{}` does not lie between base and `{}`", arm.flange_site, arm.tcp_site))?;
+    let site = |id: usize| isometry(&model.site_pos()[id], &model.site_quat()[id]);
+    Ok(Chain { joints, flange: flange_way * site(flange), tcp: way * site(tcp) })
+}
+
+impl Engine for MujocoEngine {
+    fn build(&self) -> EngineBuild {
+        // The library that this process runs, as the loader mapped it.
+        let maps = std::fs::read_to_string("/proc/self/maps").unwrap_or_default();
+        let library = maps
+            .lines()
+            .filter_map(|line| line.split_ascii_whitespace().nth(5))
+            .find(|path| path.rsplit('/').next().is_some_and(|file| file.starts_with("libmujoco.so")));
+        EngineBuild {
+            name: "mujoco",
+            version: mujoco_rs::mujoco_version().to_owned(),
+            library: library.map(PathBuf::from),
+        }
+    }
+
+    fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    fn chain(&self) -> &Chain {
+        &self.chain
+    }
+
+    fn time_step(&self) -> f64 {
+        self.time_step
+    }
+
+    fn load(&mut self, scene: &Scene, joints: &[f64]) -> Result<(), Fault> {
+        let setup = |why: String| Fault::new(FaultKind::Setup, why);
+        let model = self.compile(scene).map_err(|e| setup(format!("MuJoCo does not compile the scene: {e}")))?;
+        let Gripper::ParallelJaw { finger_joints, finger_bodies, opening_m, .. } = &self.robot.settings.gripper;
+        let id = |kind, what: &str, name: &str| find(&model, kind, what, name).map_err(setup);
+        let address = |name: &str| {
+            id(MjtObjBase::mjOBJ_JOINT, "joint", name)
+                .map(|joint| (model.jnt_qposadr()[joint] as usize, model.jnt_dofadr()[joint] as usize))
+        };
+        let arm = self.robot.settings.arm.joints.iter().map(|name| address(name)).collect::<Result<Vec<_>, _>>()?;
+        let fingers = [address(&finger_joints[0])?, address(&finger_joints[1])?];
+        let finger_bodies = [
+            id(MjtObjBase::mjOBJ_BODY, "body", &finger_bodies[0])?,
+            id(MjtObjBase::mjOBJ_BODY, "body", &finger_bodies[1])?,
+        ];
+        let object_body = id(MjtObjBase::mjOBJ_BODY, "body", &format!("{PREFIX}object"))?;
+        let (object_qpos, object_qvel) = address(&format!("{PREFIX}object"))?;
+        let tcp = id(MjtObjBase::mjOBJ_SITE, "site", &self.robot.settings.arm.tcp_site)?;
+        let mut kinds = Vec::with_capacity(model.geom_bodyid().len());
+        for (geom, body) in model.geom_bodyid().iter().map(|b| *b as usize).enumerate() {
+            let named = model.id_to_name(MjtObjBase::mjOBJ_GEOM, geom).and_then(|name| name.strip_prefix(PREFIX));
+            let fixture = named.and_then(|name| scene.fixtures.iter().position(|fixture| fixture.name == name));
+            let touchable = model.geom_contype()[geom] != 0 || model.geom_conaffinity()[geom] != 0;
+            kinds.push(match fixture {
+                Some(fixture) => Kind::Fixture(fixture),
+                None if body == object_body => Kind::Object,
+                None if touchable => Kind::Robot { body, finger: finger_bodies.iter().position(|f| *f == body) },
+                None => Kind::Ghost,
+            });
+        }
+        let mut data = MjData::new(Box::new(model));
+        for ((address, _), q) in arm.iter().zip(joints) {
+            data.qpos_mut()[*address] = *q;
+        }
+        for (address, _) in fingers {
+            data.qpos_mut()[address] = 0.5 * opening_m;
+        }
+        data.forward();
+        let loaded = Loaded {
+            data,
+            kinds,
+            arm,
+            fingers,
+            object_body,
+            object_qpos,
+            object_qvel,
+            tcp,
+            touches: Touches::default(),
+            scene: scene.clone(),
+        };
+        let loaded = self.loaded.insert(loaded);
+        loaded.read_touches();
+        Ok(())
+    }
+
+    fn read_back(&self) -> Result<Readback, Fault> {
+        let loaded = self.loaded();
+        let model = loaded.data.model();
+        let mut friction = None;
+        let mut parts = Vec::new();
+        let mut obstacles = 0;
+        for (geom, kind) in loaded.kinds.iter().enumerate() {
+            match kind {
+                Kind::Object => {
+                    friction = Some(model.geom_friction()[geom][0]);
+                    parts.extend(primitive(model, geom));
+                }
+                Kind::Fixture(fixture) if *fixture > 0 => obstacles += 1,
+                _ => {}
+            }
+        }
+        let friction = friction.ok_or_else(|| Fault::new(FaultKind::Setup, "the object has no shape"))?;
+        Ok(Readback {
+            friction,
+            mass_kg: model.body_mass()[loaded.object_body],
+            centre_of_mass: Vector3::from(model.body_ipos()[loaded.object_body]),
+            parts,
+            object: self.object(),
+            obstacles,
+        })
+    }
+
+    fn advance(&mut self, targets: &JointTargets) {
+        let arm = &self.robot.settings.arm;
+        let Some(loaded) = self.loaded.as_mut() else { return };
+        let first = loaded.data.ctrl().len() - arm.joints.len() - 2;
+        let ctrl = &mut loaded.data.ctrl_mut()[first..];
+        for (i, ctrl) in ctrl[..arm.joints.len()].iter_mut().enumerate() {
+            // The servo's velocity target, written as an offset of its position target.
+            *ctrl = targets.positions[i] + targets.velocities[i] * arm.damping_nms_rad[i] / arm.stiffness_nm_rad[i];
+        }
+        ctrl[arm.joints.len()..].fill(targets.finger);
+        loaded.data.step();
+        loaded.read_touches();
+    }
+
+    fn health(&self) -> Result<(), Fault> {
+        let loaded = self.loaded();
+        if let Some(kind) = loaded.data.warning().iter().position(|warning| warning.number > 0) {
+            let info = loaded.data.warning()[kind].lastinfo;
+            let what = match kind {
+                0 => "inertia matrix is singular",
+                1 => "contact buffer is full",
+                2 => "constraint buffer is full",
+                4 => "a position is not finite or too large",
+                5 => "a velocity is not finite or too large",
+                6 => "an acceleration is not finite or too large",
+                7 => "a control is not finite or too large",
+                _ => "warning",
+            };
+            return Err(Fault::new(FaultKind::Diverged, format!("MuJoCo: {what} (at {info})")));
+        }
+        if loaded.data.qpos().iter().chain(loaded.data.qvel()).any(|x| !x.is_finite()) {
+            return Err(Fault::new(FaultKind::Diverged, "MuJoCo: the state is not finite"));
+        }
+        Ok(())
+    }
+
+    fn joint_positions(&self) -> Vec<f64> {
+        let loaded = self.loaded();
+        loaded.arm.iter().map(|(q, _)| loaded.data.qpos()[*q]).collect()
+    }
+
+    fn joint_velocities(&self) -> Vec<f64> {
+        let loaded = self.loaded();
+        loaded.arm.iter().map(|(_, v)| loaded.data.qvel()[*v]).collect()
+    }
+
+    fn opening(&self) -> f64 {
+        let loaded = self.loaded();
+        loaded.fingers.iter().map(|(q, _)| loaded.data.qpos()[*q]).sum()
+    }
+
+    fn tcp(&self) -> Isometry3<f64> {
+        let loaded = self.loaded();
+        let at = loaded.data.site_xpos()[loaded.tcp];
+        let turn = Matrix3::from_row_slice(&loaded.data.site_xmat()[loaded.tcp]);
+        let turn = nalgebra::Rotation3::from_matrix_unchecked(turn);
+        Isometry3::from_parts(Translation3::from(Vector3::from(at)), UnitQuaternion::from_rotation_matrix(&turn))
+    }
+
+    fn object(&self) -> Isometry3<f64> {
+        let loaded = self.loaded();
+        let q = &loaded.data.qpos()[loaded.object_qpos..];
+        isometry(&[q[0], q[1], q[2]], &[q[3], q[4], q[5], q[6]])
+    }
+
+    fn object_velocity(&self) -> (Vector3<f64>, Vector3<f64>) {
+        let loaded = self.loaded();
+        let v = &loaded.data.qvel()[loaded.object_qvel..];
+        (Vector3::new(v[0], v[1], v[2]), Vector3::new(v[3], v[4], v[5]))
+    }
+
+    fn touches(&self) -> &Touches {
+        &self.loaded().touches
+    }
+
+    fn clearance_below(&mut self, bound: f64) -> Option<f64> {
+        let loaded = self.loaded.as_mut()?;
+        let mut best = bound;
+        for robot in 0..loaded.kinds.len() {
+            // A part of the base that stands on the table's level has no clearance to lose.
+            let Kind::Robot { body, .. } = loaded.kinds[robot] else { continue };
+            if loaded.data.model().body_weldid()[body] == 0 {
+                continue;
+            }
+            for other in 0..loaded.kinds.len() {
+                let Kind::Fixture(fixture) = loaded.kinds[other] else { continue };
+                let (centre, radius) = (loaded.data.geom_xpos()[robot], loaded.data.model().geom_rbound()[robot]);
+                if loaded.scene.fixtures[fixture].distance_bound(centre, radius) < best {
+                    best = best.min(loaded.data.geom_distance(robot, other, best, None));
+                }
+            }
+        }
+        (best < bound).then_some(best)
+    }
+
+    fn robot_body(&self, body: usize) -> String {
+        let name = self.loaded().data.model().id_to_name(MjtObjBase::mjOBJ_BODY, body);
+        name.map_or_else(|| format!("body {body}"), str::to_owned)
+    }
+
+    fn state_bits(&self, sink: &mut dyn FnMut(u64)) {
+        let data = &self.loaded().data;
+        data.qpos().iter().chain(data.qvel()).for_each(|x| sink(x.to_bits()));
+    }
+}
+
+impl Loaded {
+    /// Sums up the contacts of the last step.
+    fn read_touches(&mut self) {
+        let mut touches = Touches::default();
+        for (i, contact) in self.data.contact().iter().enumerate() {
+            // A contact that is only near has no constraint.
+            if contact.efc_address < 0 || contact.geom1 < 0 || contact.geom2 < 0 {
+                continue;
+            }
+            let kinds = (self.kinds[contact.geom1 as usize], self.kinds[contact.geom2 as usize]);
+            match kinds {
+                (Kind::Robot { finger, .. }, Kind::Object) | (Kind::Object, Kind::Robot { finger, .. }) => {
+                    let force = self.data.contact_force(i)[0];
+                    touches.peak_force = Some(touches.peak_force.unwrap_or(0.0).max(force));
+                    match finger {
+                        Some(finger) => *touches.fingers[finger].get_or_insert(0.0) += force,
+                        None => touches.body_on_object = true,
+                    }
+                }
+                (Kind::Robot { body, .. }, Kind::Fixture(fixture))
+                | (Kind::Fixture(fixture), Kind::Robot { body, .. }) => {
+                    let force = self.data.contact_force(i)[0];
+                    touches.peak_force = Some(touches.peak_force.unwrap_or(0.0).max(force));
+                    if touches.collision.is_none_or(|strongest| force > strongest.force) {
+                        touches.collision = Some(Collision { robot_body: body, fixture, force });
+                    }
+                }
+                (Kind::Object, Kind::Fixture(_)) | (Kind::Fixture(_), Kind::Object) => touches.object_on_fixture = true,
+                _ => {}
+            }
+        }
+        self.touches = touches;
+    }
+}

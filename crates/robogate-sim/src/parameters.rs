@@ -1,0 +1,255 @@
+//! What the parameters of a space mean in this world.
+
+use robogate_core::{Assignment, Domain, ParameterSpace, Pose};
+
+use crate::scene::WORKSPACE_CENTRE;
+use crate::{ObjectModel, Shape};
+
+/// Where the object stands and how it is turned, before any noise.
+///
+/// A placement's name is a place and an angle in degrees, `edge_45`:
+///
+/// | place | where the object's centre stands |
+/// |---|---|
+/// | `center` | at the workspace centre, 0.5 m in front of the base |
+/// | `edge` | 0.12 m farther out, at the far edge of the workspace |
+/// | `left`, `right` | 0.15 m to the robot's left (+y), right (-y) |
+/// | `rotated` | 0.10 m from the centre, in the direction of the angle |
+///
+/// The angle turns the object about the vertical; for `rotated` object and place turn together.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Placement {
+    /// Horizontal position of the object's centre, in metres.
+    pub position: [f64; 2],
+    /// Turn of the object about the vertical, in radians.
+    pub yaw: f64,
+}
+
+impl Placement {
+    /// The 14 placements of the released dictionaries.
+    pub const NAMES: [&'static str; 14] = [
+        "center_0",
+        "center_45",
+        "center_90",
+        "edge_0",
+        "edge_45",
+        "edge_90",
+        "left_0",
+        "left_45",
+        "right_0",
+        "right_45",
+        "rotated_0",
+        "rotated_45",
+        "rotated_90",
+        "rotated_135",
+    ];
+
+    /// The placement of that name. Any whole angle from 0 to 359 is understood.
+    pub fn from_name(name: &str) -> Option<Self> {
+        let (place, angle) = name.rsplit_once('_')?;
+        let angle = angle.parse::<u16>().ok().filter(|a| *a < 360)?;
+        let yaw = f64::from(angle).to_radians();
+        let offset = match place {
+            "center" => [0.0, 0.0],
+            "edge" => [0.12, 0.0],
+            "left" => [0.0, 0.15],
+            "right" => [0.0, -0.15],
+            "rotated" => [0.1 * yaw.cos(), 0.1 * yaw.sin()],
+            _ => return None,
+        };
+        Some(Self { position: [WORKSPACE_CENTRE[0] + offset[0], WORKSPACE_CENTRE[1] + offset[1]], yaw })
+    }
+
+    /// The pose of an object of this height (m) that stands there.
+    pub fn pose(&self, height_m: f64) -> Pose {
+        Pose::upright([self.position[0], self.position[1], 0.5 * height_m], self.yaw)
+    }
+}
+
+/// The parameters of a scenario, decoded. One that a space does not name has its nominal value.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneParameters {
+    /// `friction`: Coulomb coefficient of the object against pads and table alike.
+    pub friction: f64,
+    /// `mass_kg`: the object's mass.
+    pub mass_kg: f64,
+    /// `com_offset`: see [`ObjectModel::new`].
+    pub com_offset: f64,
+    /// `size_m`: edge of the cube that the object fits.
+    pub size_m: f64,
+    /// `ik_noise_rad`: largest encoder bias. Each joint's encoder reads its position off by a constant
+    /// of the episode, drawn uniformly between minus and plus this value.
+    pub ik_noise_rad: f64,
+    /// `obstacles`: how many stand within 0.3 m of the workspace centre.
+    pub obstacles: usize,
+    /// `shape`: the object's shape.
+    pub shape: Shape,
+    /// `placement`: the name of a [`Placement`].
+    pub placement: String,
+}
+
+/// What a parameter may be in this world: the widest range in which it makes physical sense.
+enum Meaning {
+    Number { low: f64, high: f64 },
+    Word(fn(&str) -> bool),
+}
+
+const MEANINGS: [(&str, Meaning); 8] = [
+    ("friction", Meaning::Number { low: 0.0, high: 10.0 }),
+    ("mass_kg", Meaning::Number { low: 1e-3, high: 100.0 }),
+    ("com_offset", Meaning::Number { low: 0.0, high: 0.9 }),
+    ("size_m", Meaning::Number { low: 5e-3, high: 0.2 }),
+    ("ik_noise_rad", Meaning::Number { low: 0.0, high: 1.0 }),
+    ("obstacles", Meaning::Number { low: 0.0, high: 12.0 }),
+    ("shape", Meaning::Word(|word| Shape::from_word(word).is_some())),
+    ("placement", Meaning::Word(|word| Placement::from_name(word).is_some())),
+];
+
+impl Default for SceneParameters {
+    fn default() -> Self {
+        Self {
+            friction: 0.8,
+            mass_kg: 0.3,
+            com_offset: 0.0,
+            size_m: 0.05,
+            ik_noise_rad: 0.0,
+            obstacles: 0,
+            shape: Shape::Box,
+            placement: "center_0".to_owned(),
+        }
+    }
+}
+
+impl SceneParameters {
+    /// Whether every parameter of `space` means something here, over its whole range.
+    pub fn check_space(space: &ParameterSpace) -> Result<(), ParameterError> {
+        for parameter in space.parameters() {
+            let name = &*parameter.name;
+            let wrong_kind = |expected| Err(ParameterError::Kind { parameter: name.to_owned(), expected });
+            match (meaning(name)?, &parameter.domain) {
+                (Meaning::Number { low, high }, Domain::Continuous { low: from, high: to, .. }) => {
+                    if name == "obstacles" {
+                        return wrong_kind("an integer");
+                    }
+                    in_range(name, *from, *low, *high)?;
+                    in_range(name, *to, *low, *high)?;
+                }
+                (Meaning::Number { low, high }, Domain::Integer { low: from, high: to }) => {
+                    in_range(name, *from as f64, *low, *high)?;
+                    in_range(name, *to as f64, *low, *high)?;
+                }
+                (Meaning::Word(known), Domain::Categorical { choices }) => {
+                    if let Some(choice) = choices.iter().find(|choice| !known(choice)) {
+                        return Err(unknown_choice(name, choice));
+                    }
+                }
+                (Meaning::Number { .. }, Domain::Categorical { .. }) => return wrong_kind("a number"),
+                (Meaning::Word(_), _) => return wrong_kind("categorical"),
+            }
+        }
+        Ok(())
+    }
+
+    /// The parameters of an assignment.
+    pub fn from_assignment(assignment: &Assignment) -> Result<Self, ParameterError> {
+        let mut parameters = Self::default();
+        for (name, value) in assignment.iter() {
+            match meaning(name)? {
+                Meaning::Number { low, high } => {
+                    let Some(x) = assignment.number(name) else {
+                        return Err(ParameterError::Kind { parameter: name.to_owned(), expected: "a number" });
+                    };
+                    in_range(name, x, *low, *high)?;
+                    match name {
+                        "friction" => parameters.friction = x,
+                        "mass_kg" => parameters.mass_kg = x,
+                        "com_offset" => parameters.com_offset = x,
+                        "size_m" => parameters.size_m = x,
+                        "ik_noise_rad" => parameters.ik_noise_rad = x,
+                        _ => parameters.obstacles = x as usize,
+                    }
+                }
+                Meaning::Word(_) => {
+                    let word = value.to_string();
+                    if name == "shape" {
+                        parameters.shape = Shape::from_word(&word).ok_or_else(|| unknown_choice(name, &word))?;
+                    } else {
+                        Placement::from_name(&word).ok_or_else(|| unknown_choice(name, &word))?;
+                        parameters.placement = word;
+                    }
+                }
+            }
+        }
+        Ok(parameters)
+    }
+
+    /// The object of these parameters.
+    pub fn object(&self) -> ObjectModel {
+        ObjectModel::new(self.shape, self.size_m, self.mass_kg, self.com_offset)
+    }
+}
+
+fn meaning(name: &str) -> Result<&'static Meaning, ParameterError> {
+    MEANINGS.iter().find(|(known, _)| *known == name).map(|(_, meaning)| meaning).ok_or_else(|| {
+        let known = MEANINGS.iter().map(|(known, _)| *known).collect::<Vec<_>>().join(", ");
+        ParameterError::Unknown { parameter: name.to_owned(), known }
+    })
+}
+
+fn in_range(name: &str, value: f64, low: f64, high: f64) -> Result<(), ParameterError> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    Err(ParameterError::Range { parameter: name.to_owned(), value, low, high })
+}
+
+fn unknown_choice(name: &str, choice: &str) -> ParameterError {
+    let known = match name {
+        "shape" => Shape::ALL.map(Shape::word).join(", "),
+        _ => Placement::NAMES.join(", "),
+    };
+    ParameterError::Choice { parameter: name.to_owned(), choice: choice.to_owned(), known }
+}
+
+/// Why parameters mean nothing in this world.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ParameterError {
+    /// A name that the world does not know.
+    #[error("parameter `{parameter}` means nothing in this world; it knows {known}")]
+    Unknown {
+        /// The name.
+        parameter: String,
+        /// The names it knows.
+        known: String,
+    },
+    /// A parameter of another kind.
+    #[error("parameter `{parameter}` must be {expected}")]
+    Kind {
+        /// The name.
+        parameter: String,
+        /// What it must be.
+        expected: &'static str,
+    },
+    /// A value without physical sense.
+    #[error("parameter `{parameter}` = {value} is outside {low} to {high}")]
+    Range {
+        /// The name.
+        parameter: String,
+        /// The value.
+        value: f64,
+        /// Smallest sensible value.
+        low: f64,
+        /// Largest sensible value.
+        high: f64,
+    },
+    /// A word that the world does not know.
+    #[error("parameter `{parameter}`: there is no `{choice}`; there are {known}")]
+    Choice {
+        /// The name.
+        parameter: String,
+        /// The word.
+        choice: String,
+        /// The words it knows.
+        known: String,
+    },
+}

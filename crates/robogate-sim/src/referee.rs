@@ -1,0 +1,248 @@
+//! The outcome of an episode, from contacts and motion alone.
+//!
+//! The referee sees what any onlooker of the cell could: who touches whom, how fast the object moves,
+//! whether the gripper was told to close. It knows nothing of the policy's phases, so that any policy is
+//! judged alike. The first decisive event ends the episode:
+//!
+//! | event | when |
+//! |---|---|
+//! | collision | a robot body touches a fixture |
+//! | grasp_miss | the gripper, told to close, has come to rest, and not both fingers touch the object |
+//! | grip_loss | the object was held, the gripper not told to open, and for 50 ms no finger touches the object; or it was let go higher than 5 cm above where it then comes to rest |
+//! | success | let go, at rest for 0.2 s within the tolerance of the target, touched by nothing of the robot |
+//!
+//! A timeout is the rollout's: the time limit passed and nothing of this had happened.
+
+use nalgebra::{Isometry3, Vector3};
+use robogate_core::{Contact, Ending, FailureMode, GripperCommand, Measures};
+
+use crate::{Collision, Touches};
+
+/// The gripper is at rest when its opening changed less than this in [`SETTLE_S`], in metres.
+const SETTLED_M: f64 = 2e-4;
+/// How long the gripper must have been at rest, in seconds.
+const SETTLE_S: f64 = 0.1;
+/// How long no finger must touch a held object for it to count as lost, in seconds.
+const LOSS_S: f64 = 0.05;
+/// The object is at rest below this speed, in m/s ...
+const REST_SPEED: f64 = 0.01;
+/// ... and this angular speed, in rad/s ...
+const REST_TURN: f64 = 0.2;
+/// ... for this long, in seconds.
+const REST_S: f64 = 0.2;
+/// Letting go higher than this above the surface is dropping, in metres.
+const DROP_M: f64 = 0.05;
+
+/// What the referee sees of one time step.
+pub(crate) struct Sight<'a> {
+    /// Simulated time after the step, in seconds.
+    pub(crate) time: f64,
+    /// What the gripper was told.
+    pub(crate) gripper: GripperCommand,
+    /// Opening between the pads, in metres.
+    pub(crate) opening: f64,
+    /// Who touched whom.
+    pub(crate) touches: &'a Touches,
+    /// The object's pose.
+    pub(crate) object: Isometry3<f64>,
+    /// The object's velocity and angular velocity.
+    pub(crate) velocity: (Vector3<f64>, Vector3<f64>),
+    /// The tool centre point's pose.
+    pub(crate) tcp: Isometry3<f64>,
+}
+
+/// The hold on the object, as far as it has come.
+#[derive(Debug, Clone, PartialEq)]
+enum Grip {
+    /// Not closed on anything yet.
+    Free,
+    /// Told to close; the opening was last seen to move at this time.
+    Closing { opening: f64, moved_at: f64 },
+    /// Both fingers hold the object. Its pose in the hand when they first did; since when none touches it.
+    Held { in_hand: Isometry3<f64>, untouched_since: Option<f64> },
+    /// Told to open, from this height of the object above its rest on the table.
+    Released { height: f64, calm_since: Option<f64> },
+}
+
+/// Watches an episode.
+#[derive(Debug, Clone)]
+pub(crate) struct Referee {
+    target: [f64; 3],
+    tolerance: f64,
+    grip: Grip,
+    collision: Option<(f64, Collision)>,
+    ending: Option<(Option<FailureMode>, f64)>,
+    measures: Measures,
+    events: Vec<String>,
+    lifted: bool,
+}
+
+impl Referee {
+    /// A referee for an object that shall come to rest within `tolerance` of `target` (m).
+    pub(crate) fn new(target: [f64; 3], tolerance: f64) -> Self {
+        Self {
+            target,
+            tolerance,
+            grip: Grip::Free,
+            collision: None,
+            ending: None,
+            measures: Measures::default(),
+            events: Vec::new(),
+            lifted: false,
+        }
+    }
+
+    /// Whether the decisive event has been seen.
+    pub(crate) fn decided(&self) -> bool {
+        self.ending.is_some()
+    }
+
+    /// What was measured so far.
+    pub(crate) fn measures(&self) -> Measures {
+        self.measures
+    }
+
+    /// Takes what happened since it was last asked.
+    pub(crate) fn take_events(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.events)
+    }
+
+    /// Takes note of a clearance.
+    pub(crate) fn note_clearance(&mut self, clearance: f64) {
+        let smallest = self.measures.min_clearance_m.get_or_insert(f64::INFINITY);
+        *smallest = smallest.min(clearance.max(0.0));
+    }
+
+    /// The decisive event, with names for the bodies of a collision.
+    pub(crate) fn ending(&self, name: impl FnOnce(&Collision) -> (String, String)) -> Option<Ending> {
+        let (failure, time_s) = self.ending?;
+        let contact = self.collision.filter(|_| failure == Some(FailureMode::Collision)).map(|(_, collision)| {
+            let (robot_body, other_body) = name(&collision);
+            Contact { robot_body, other_body, force_n: collision.force }
+        });
+        Some(Ending { failure, time_s, contact })
+    }
+
+    /// Looks at one time step.
+    pub(crate) fn look(&mut self, sight: &Sight<'_>) {
+        self.measure(sight);
+        if self.ending.is_some() {
+            return;
+        }
+        if self.collision.is_some() {
+            self.end(Some(FailureMode::Collision), sight.time);
+            return;
+        }
+        match (sight.gripper, &mut self.grip) {
+            (GripperCommand::Close, Grip::Free) => {
+                self.grip = Grip::Closing { opening: sight.opening, moved_at: sight.time };
+                self.events.push("gripper closes".to_owned());
+            }
+            (GripperCommand::Close, Grip::Closing { opening, moved_at }) => {
+                if (*opening - sight.opening).abs() > SETTLED_M {
+                    (*opening, *moved_at) = (sight.opening, sight.time);
+                } else if sight.time - *moved_at >= SETTLE_S {
+                    self.settle(sight);
+                }
+            }
+            (GripperCommand::Close, Grip::Held { untouched_since, .. }) => {
+                if sight.touches.fingers.iter().any(Option::is_some) {
+                    *untouched_since = None;
+                } else {
+                    let since = *untouched_since.get_or_insert(sight.time);
+                    if sight.time - since >= LOSS_S {
+                        self.events.push("object lost".to_owned());
+                        self.end(Some(FailureMode::GripLoss), since);
+                    }
+                }
+            }
+            (GripperCommand::Close, Grip::Released { .. }) => {
+                self.grip = Grip::Closing { opening: sight.opening, moved_at: sight.time };
+            }
+            (GripperCommand::Open, Grip::Held { .. }) => {
+                let height = sight.object.translation.z - self.target[2];
+                self.events.push(format!("gripper opens, object {:.0} mm above the table", 1e3 * height.max(0.0)));
+                self.grip = Grip::Released { height, calm_since: None };
+            }
+            (GripperCommand::Open, Grip::Closing { .. }) => self.grip = Grip::Free,
+            (GripperCommand::Open, Grip::Released { .. }) => self.watch_released(sight),
+            (GripperCommand::Open, Grip::Free) => {}
+        }
+    }
+
+    /// The gripper has come to rest: on the object, or on nothing.
+    fn settle(&mut self, sight: &Sight<'_>) {
+        if sight.touches.fingers.iter().all(Option::is_some) {
+            let in_hand = sight.tcp.inverse() * sight.object;
+            let [left, right] = sight.touches.fingers.map(Option::unwrap_or_default);
+            self.events.push(format!(
+                "object held, {:.1} mm wide, pads press {left:.1} N and {right:.1} N",
+                1e3 * sight.opening
+            ));
+            self.measures.slip_m = Some(0.0);
+            self.grip = Grip::Held { in_hand, untouched_since: None };
+        } else {
+            let opening = 1e3 * sight.opening;
+            self.events.push(format!("closed to {opening:.1} mm without the object between both fingers"));
+            self.end(Some(FailureMode::GraspMiss), sight.time);
+        }
+    }
+
+    fn watch_released(&mut self, sight: &Sight<'_>) {
+        let Grip::Released { height, calm_since } = &mut self.grip else { return };
+        let touched = sight.touches.body_on_object || sight.touches.fingers.iter().any(Option::is_some);
+        let (linear, angular) = sight.velocity;
+        let calm =
+            !touched && sight.touches.object_on_fixture && linear.norm() < REST_SPEED && angular.norm() < REST_TURN;
+        if !calm {
+            *calm_since = None;
+            return;
+        }
+        let since = *calm_since.get_or_insert(sight.time);
+        if sight.time - since < REST_S {
+            return;
+        }
+        if *height > DROP_M {
+            self.events.push("object had been let go in the air".to_owned());
+            self.end(Some(FailureMode::GripLoss), sight.time);
+        } else if self.distance(&sight.object) <= self.tolerance {
+            let off = 1e3 * self.distance(&sight.object);
+            self.events.push(format!("object at rest, {off:.1} mm from the target"));
+            self.end(None, sight.time);
+        }
+    }
+
+    fn measure(&mut self, sight: &Sight<'_>) {
+        self.measures.target_distance_m = Some(self.distance(&sight.object));
+        if let Some(force) = sight.touches.peak_force {
+            let peak = self.measures.peak_contact_force_n.get_or_insert(0.0);
+            *peak = peak.max(force);
+        }
+        if let (Grip::Held { in_hand, .. }, Some(slip)) = (&self.grip, &mut self.measures.slip_m) {
+            let moved = (sight.tcp.inverse() * sight.object).translation.vector - in_hand.translation.vector;
+            *slip = slip.max(moved.norm());
+            if !self.lifted && !sight.touches.object_on_fixture {
+                self.lifted = true;
+                self.events.push("object off the table".to_owned());
+            }
+        }
+        // The first collision counts; its force is the largest of that contact until the period ends.
+        match (&mut self.collision, sight.touches.collision) {
+            (None, Some(found)) if self.ending.is_none() => {
+                self.collision = Some((sight.time, found));
+            }
+            (Some((_, first)), Some(now)) if (first.robot_body, first.fixture) == (now.robot_body, now.fixture) => {
+                first.force = first.force.max(now.force);
+            }
+            _ => {}
+        }
+    }
+
+    fn distance(&self, object: &Isometry3<f64>) -> f64 {
+        (object.translation.x - self.target[0]).hypot(object.translation.y - self.target[1])
+    }
+
+    fn end(&mut self, failure: Option<FailureMode>, time: f64) {
+        self.ending = Some((failure, time));
+    }
+}

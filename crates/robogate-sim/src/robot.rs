@@ -1,0 +1,271 @@
+//! A robot is a folder: an MJCF model and a `robot.toml` that says what MJCF cannot.
+
+use std::borrow::Cow;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A robot's description as read, not yet held against its model (an engine does that).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Robot {
+    /// The settings of `robot.toml`.
+    pub settings: RobotSettings,
+    /// Where the model lies.
+    pub source: RobotSource,
+}
+
+/// Where a robot's model lies.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum RobotSource {
+    /// In this binary: the text of the MJCF, which refers to no other file.
+    BuiltIn {
+        /// The MJCF text.
+        model: &'static str,
+        /// The text of `robot.toml`.
+        settings: &'static str,
+    },
+    /// In a folder; a model may refer to files beside it.
+    Folder(PathBuf),
+}
+
+/// A file of a robot's folder: its name below the folder, and its bytes.
+pub type RobotFile = (String, Cow<'static, [u8]>);
+
+/// The content of `robot.toml`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RobotSettings {
+    /// The robot's name in commands and data.
+    pub name: String,
+    /// The model's file name, beside `robot.toml`.
+    pub model: String,
+    /// The arm.
+    pub arm: Arm,
+    /// The gripper.
+    pub gripper: Gripper,
+}
+
+/// The arm. Arrays have one entry per joint, base to tip.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Arm {
+    /// The arm's joints by their names in the model.
+    pub joints: Vec<String>,
+    /// Where the arm waits, in radians.
+    pub home_rad: Vec<f64>,
+    /// Largest joint speeds, in rad/s.
+    pub velocity_limit_rad_s: Vec<f64>,
+    /// Largest joint accelerations, in rad/s^2.
+    pub acceleration_limit_rad_s2: Vec<f64>,
+    /// Largest joint torques, in N m.
+    pub torque_limit_nm: Vec<f64>,
+    /// Stiffness of the joint servo, in N m/rad.
+    pub stiffness_nm_rad: Vec<f64>,
+    /// Damping of the joint servo, in N m s/rad.
+    pub damping_nms_rad: Vec<f64>,
+    /// The site at the flange.
+    pub flange_site: String,
+    /// The site at the tool centre point: z out of the tool, fingers along y.
+    pub tcp_site: String,
+    /// Published reach, in metres.
+    pub reach_m: f64,
+    /// Published payload, in kilograms.
+    pub payload_kg: f64,
+}
+
+/// The gripper.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Gripper {
+    /// Two fingers that slide against each other.
+    ParallelJaw {
+        /// The fingers' sliding joints; 0 is closed.
+        finger_joints: [String; 2],
+        /// The bodies that carry the pads.
+        finger_bodies: [String; 2],
+        /// Opening between the pads when open, in metres.
+        opening_m: f64,
+        /// Speed of each finger, in m/s.
+        finger_speed_m_s: f64,
+        /// Normal force of each pad, in newtons.
+        force_n: f64,
+        /// What the hand can hold for long, in newtons.
+        force_limit_n: f64,
+        /// Stiffness of a finger's servo, in N/m; its force is cut at `force_n`.
+        stiffness_n_m: f64,
+        /// Damping of a finger's servo, in N s/m.
+        damping_ns_m: f64,
+        /// From the tool centre point to the fingertips, in metres.
+        tip_m: f64,
+        /// From the tool centre point back to the palm, in metres.
+        palm_m: f64,
+    },
+}
+
+/// Every robot in the binary: name, MJCF, `robot.toml`.
+const BUILT_IN: [(&str, &str, &str); 1] = [(
+    "franka",
+    include_str!("../../../assets/robots/franka/franka.xml"),
+    include_str!("../../../assets/robots/franka/robot.toml"),
+)];
+
+/// The names of the robots that come with RoboGate.
+pub fn built_in_robots() -> impl Iterator<Item = &'static str> {
+    BUILT_IN.iter().map(|(name, ..)| *name)
+}
+
+/// The built-in robot of that name.
+pub fn built_in_robot(name: &str) -> Result<Robot, RobotError> {
+    let Some((_, model, settings)) = BUILT_IN.iter().find(|(n, ..)| *n == name) else {
+        let known = built_in_robots().collect::<Vec<_>>().join(", ");
+        return Err(RobotError::Unknown { name: name.to_owned(), known });
+    };
+    let parsed = RobotSettings::from_toml(settings, Path::new("robot.toml"))?;
+    Ok(Robot { settings: parsed, source: RobotSource::BuiltIn { model, settings } })
+}
+
+impl Robot {
+    /// Reads a robot from its folder.
+    pub fn from_folder(folder: &Path) -> Result<Self, RobotError> {
+        let file = folder.join("robot.toml");
+        let text =
+            fs::read_to_string(&file).map_err(|e| RobotError::Read { path: file.clone(), why: e.to_string() })?;
+        let settings = RobotSettings::from_toml(&text, &file)?;
+        let model = folder.join(&settings.model);
+        if !model.is_file() {
+            return Err(RobotError::Invalid {
+                path: file,
+                why: format!("model = \"{}\": there is no such file beside it", settings.model),
+            });
+        }
+        Ok(Self { settings, source: RobotSource::Folder(folder.to_owned()) })
+    }
+
+    /// The robot's name.
+    pub fn name(&self) -> &str {
+        &self.settings.name
+    }
+
+    /// The bytes that define the robot, file by file with their names, in a fixed order: what its
+    /// hash in the provenance is taken over.
+    pub fn files(&self) -> Result<Vec<RobotFile>, RobotError> {
+        match &self.source {
+            RobotSource::BuiltIn { model, settings } => Ok(vec![
+                (self.settings.model.clone(), Cow::Borrowed(model.as_bytes())),
+                ("robot.toml".to_owned(), Cow::Borrowed(settings.as_bytes())),
+            ]),
+            RobotSource::Folder(folder) => {
+                let mut files = Vec::new();
+                collect_files(folder, "", &mut files)?;
+                files.sort_by(|(a, _), (b, _)| a.cmp(b));
+                Ok(files)
+            }
+        }
+    }
+}
+
+fn collect_files(folder: &Path, prefix: &str, files: &mut Vec<RobotFile>) -> Result<(), RobotError> {
+    let read = |e: std::io::Error, path: &Path| RobotError::Read { path: path.to_owned(), why: e.to_string() };
+    for entry in fs::read_dir(folder).map_err(|e| read(e, folder))? {
+        let path = entry.map_err(|e| read(e, folder))?.path();
+        let name = format!("{prefix}{}", path.file_name().unwrap_or_default().to_string_lossy());
+        if path.is_dir() {
+            collect_files(&path, &format!("{name}/"), files)?;
+        } else {
+            files.push((name, Cow::Owned(fs::read(&path).map_err(|e| read(e, &path))?)));
+        }
+    }
+    Ok(())
+}
+
+impl RobotSettings {
+    /// Parses and checks the text of a `robot.toml`; `path` is for messages.
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, RobotError> {
+        let invalid = |why: String| RobotError::Invalid { path: path.to_owned(), why };
+        let settings: Self = toml::from_str(text).map_err(|e| invalid(e.to_string()))?;
+        let arm = &settings.arm;
+        if arm.joints.is_empty() {
+            return Err(invalid("arm.joints is empty".to_owned()));
+        }
+        for (key, values, positive) in [
+            ("home_rad", &arm.home_rad, false),
+            ("velocity_limit_rad_s", &arm.velocity_limit_rad_s, true),
+            ("acceleration_limit_rad_s2", &arm.acceleration_limit_rad_s2, true),
+            ("torque_limit_nm", &arm.torque_limit_nm, true),
+            ("stiffness_nm_rad", &arm.stiffness_nm_rad, true),
+            ("damping_nms_rad", &arm.damping_nms_rad, true),
+        ] {
+            if values.len() != arm.joints.len() {
+                let (got, want) = (values.len(), arm.joints.len());
+                return Err(invalid(format!("arm.{key} has {got} entries, arm.joints has {want}")));
+            }
+            if let Some(bad) = values.iter().find(|v| !v.is_finite() || (positive && **v <= 0.0)) {
+                return Err(invalid(format!("arm.{key} holds {bad}, which is not a positive number")));
+            }
+        }
+        let Gripper::ParallelJaw {
+            opening_m,
+            finger_speed_m_s,
+            force_n,
+            force_limit_n,
+            stiffness_n_m,
+            damping_ns_m,
+            tip_m,
+            palm_m,
+            ..
+        } = &settings.gripper;
+        for (key, value) in [
+            ("arm.reach_m", arm.reach_m),
+            ("arm.payload_kg", arm.payload_kg),
+            ("gripper.opening_m", *opening_m),
+            ("gripper.finger_speed_m_s", *finger_speed_m_s),
+            ("gripper.force_n", *force_n),
+            ("gripper.force_limit_n", *force_limit_n),
+            ("gripper.stiffness_n_m", *stiffness_n_m),
+            ("gripper.damping_ns_m", *damping_ns_m),
+            ("gripper.tip_m", *tip_m),
+            ("gripper.palm_m", *palm_m),
+        ] {
+            if !value.is_finite() || value <= 0.0 {
+                return Err(invalid(format!("{key} = {value} is not a positive number")));
+            }
+        }
+        if force_n > force_limit_n {
+            return Err(invalid(format!(
+                "gripper.force_n = {force_n} exceeds gripper.force_limit_n = {force_limit_n}"
+            )));
+        }
+        Ok(settings)
+    }
+}
+
+/// Why a robot cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum RobotError {
+    /// No such built-in robot.
+    #[error("there is no robot `{name}`; built in: {known}; a robot of your own is named by its folder")]
+    Unknown {
+        /// What was asked for.
+        name: String,
+        /// What there is.
+        known: String,
+    },
+    /// A file cannot be read.
+    #[error("{}: {why}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's words.
+        why: String,
+    },
+    /// A file says something that cannot be.
+    #[error("{}: {why}", path.display())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        why: String,
+    },
+}

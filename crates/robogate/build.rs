@@ -1,0 +1,5 @@
+//! Links MuJoCo into the command.
+
+fn main() -> std::process::ExitCode {
+    mujoco_provision::link()
+}
