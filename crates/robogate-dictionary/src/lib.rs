@@ -8,7 +8,9 @@
 //! [`published`] speaks the JSON of the dictionaries released with the paper, [`export`] CSV and JSON
 //! Lines.
 
+mod atomic;
 mod codec;
+mod columns;
 mod entry;
 mod error;
 mod hash;

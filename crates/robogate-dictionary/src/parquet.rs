@@ -1,8 +1,45 @@
 //! The Parquet record.
+//!
+//! Row groups of [`ROWS_PER_GROUP`] rows, snappy, no page index, a `created_by` that names this tool:
+//! the same provenance and entries give the same bytes. Beside the schema version and the provenance,
+//! the footer carries the dataset hash and a CRC-32 for each column chunk. A chunk is decoded only
+//! from bytes that match theirs, so that a damaged file is refused where it is damaged instead of
+//! being read as other data.
 
+use std::collections::HashMap;
+use std::fmt;
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use crate::{DictionaryError, Entry, Provenance, SchemaVersion};
+use bytes::{Buf, Bytes};
+use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical};
+use parquet::column::reader::ColumnReaderImpl;
+use parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int64Type};
+use parquet::errors::ParquetError;
+use parquet::file::metadata::{ColumnChunkMetaData, KeyValue, ParquetMetaData, ParquetMetaDataReader};
+use parquet::file::properties::{EnabledStatistics, WriterProperties};
+use parquet::file::reader::{ChunkReader, Length};
+use parquet::file::serialized_reader::SerializedPageReader;
+use parquet::file::writer::SerializedFileWriter;
+use parquet::schema::types::{ColumnPath, Type};
+
+use crate::atomic::AtomicFile;
+use crate::codec::Interner;
+use crate::columns::{Cell, ColumnSpec, Columns, Kind, WrongCell};
+use crate::{DatasetHash, DictionaryError, Entry, Provenance, Row, SCHEMA_VERSION, SchemaVersion};
+
+/// Rows of a row group: what a reader or writer holds in memory, a few megabytes.
+const ROWS_PER_GROUP: usize = 1 << 14;
+
+/// The most rows of a row group that is read: a bound on memory whatever a file claims.
+const MOST_ROWS_PER_GROUP: usize = 1 << 20;
+
+const KEY_VERSION: &str = "robogate.schema_version";
+const KEY_PROVENANCE: &str = "robogate.provenance";
+const KEY_DATASET: &str = "robogate.dataset_hash";
+const KEY_CHECKSUMS: &str = "robogate.checksums";
 
 /// What was written.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -11,28 +48,6 @@ pub struct Written {
     pub rows: u64,
     /// The content hash of the rows ([`crate::dataset_hash`]), which the file carries too.
     pub dataset_hash: String,
-}
-
-/// Writes a dictionary row by row: memory is bounded by one row group, and the file is at `path`
-/// only once it is complete.
-#[derive(Debug)]
-pub struct DictionaryWriter {}
-
-impl DictionaryWriter {
-    /// Begins a dictionary that will be at `path`.
-    pub fn create(_path: &Path, _provenance: &Provenance) -> Result<Self, DictionaryError> {
-        Ok(Self {})
-    }
-
-    /// Adds the next entry; its index must be above the one before.
-    pub fn push(&mut self, _entry: &Entry) -> Result<(), DictionaryError> {
-        Ok(())
-    }
-
-    /// Completes the file and puts it in its place.
-    pub fn finish(self) -> Result<Written, DictionaryError> {
-        Ok(Written { rows: 0, dataset_hash: String::new() })
-    }
 }
 
 /// Writes the dictionary `path` from entries in rising order of index.
@@ -48,17 +63,339 @@ pub fn write_parquet(
     writer.finish()
 }
 
+/// Writes a dictionary row by row: memory is bounded by one row group, and the file is at `path`
+/// only once it is complete. Dropped before [`Self::finish`], it leaves nothing behind.
+pub struct DictionaryWriter {
+    writer: SerializedFileWriter<Sink>,
+    path: PathBuf,
+    columns: Columns,
+    chunks: Vec<Chunk>,
+    seed: u64,
+    rows_in_group: usize,
+    rows: u64,
+    last_index: Option<u64>,
+    hash: DatasetHash,
+    /// CRC-32 of the provenance, then of each column chunk, in hexadecimal.
+    checksums: Vec<String>,
+}
+
+impl fmt::Debug for DictionaryWriter {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("DictionaryWriter").field("path", &self.path).field("rows", &self.rows).finish_non_exhaustive()
+    }
+}
+
+impl DictionaryWriter {
+    /// Begins a dictionary that will be at `path`, in this crate's schema version.
+    pub fn create(path: &Path, provenance: &Provenance) -> Result<Self, DictionaryError> {
+        let columns = Columns::of(&provenance.space)?;
+        let provenance = Provenance { schema_version: SCHEMA_VERSION, ..provenance.clone() };
+        let json = provenance.to_json();
+        let checksums = vec![hex_crc(json.as_bytes())];
+        let sink = Sink { file: Some(AtomicFile::create(path)?), written: 0, recent: Vec::new() };
+        let writer = schema(&columns)
+            .and_then(|schema| SerializedFileWriter::new(sink, Arc::new(schema), Arc::new(properties(&columns, json))))
+            .map_err(|e| write_error(path, e))?;
+        let chunks = columns.specs().iter().map(|spec| Chunk::of(spec.kind)).collect();
+        Ok(Self {
+            writer,
+            path: path.to_owned(),
+            columns,
+            chunks,
+            seed: provenance.seed,
+            rows_in_group: 0,
+            rows: 0,
+            last_index: None,
+            hash: DatasetHash::new(),
+            checksums,
+        })
+    }
+
+    /// Adds the next entry; its index must be above the one before, its seed that of the provenance.
+    pub fn push(&mut self, entry: &Entry) -> Result<(), DictionaryError> {
+        let index = entry.index();
+        if let Some(previous) = self.last_index.filter(|previous| *previous >= index) {
+            return Err(DictionaryError::Order { index, previous });
+        }
+        let found = entry.episode.scenario.seed.campaign_number();
+        if found != self.seed {
+            return Err(DictionaryError::ForeignCampaign { index, found, expected: self.seed });
+        }
+        let mut cells = Vec::with_capacity(self.chunks.len());
+        self.columns.flatten(entry, &mut cells)?;
+        for (chunk, cell) in self.chunks.iter_mut().zip(&cells) {
+            chunk.push(cell);
+        }
+        self.hash.update(entry);
+        self.last_index = Some(index);
+        self.rows += 1;
+        self.rows_in_group += 1;
+        if self.rows_in_group == ROWS_PER_GROUP {
+            self.write_group().map_err(|e| write_error(&self.path, e))?;
+        }
+        Ok(())
+    }
+
+    /// Completes the file and puts it in its place.
+    pub fn finish(mut self) -> Result<Written, DictionaryError> {
+        let dataset_hash = self.hash.clone().finish();
+        self.close(&dataset_hash).map_err(|e| write_error(&self.path, e))?;
+        if let Some(file) = self.writer.inner_mut().file.take() {
+            file.commit()?;
+        }
+        Ok(Written { rows: self.rows, dataset_hash })
+    }
+
+    fn close(&mut self, dataset_hash: &str) -> Result<(), ParquetError> {
+        if self.rows_in_group > 0 {
+            self.write_group()?;
+        }
+        for (key, value) in [(KEY_DATASET, dataset_hash.to_owned()), (KEY_CHECKSUMS, self.checksums.join(" "))] {
+            self.writer.append_key_value_metadata(KeyValue::new(key.to_owned(), value));
+        }
+        self.writer.finish()?;
+        Ok(())
+    }
+
+    fn write_group(&mut self) -> Result<(), ParquetError> {
+        let base = self.writer.inner().written - self.writer.inner().recent.len() as u64;
+        let mut group = self.writer.next_row_group()?;
+        for chunk in &mut self.chunks {
+            let Some(mut column) = group.next_column()? else {
+                return Err(ParquetError::General("the schema has too few columns".to_owned()));
+            };
+            let present = &chunk.present;
+            match &chunk.values {
+                Values::Numbers(x) => column.typed::<DoubleType>().write_batch(x, Some(present), None)?,
+                Values::Longs(n) => column.typed::<Int64Type>().write_batch(n, Some(present), None)?,
+                Values::Texts(text) => column.typed::<ByteArrayType>().write_batch(text, Some(present), None)?,
+            };
+            column.close()?;
+            chunk.clear();
+        }
+        let metadata = group.close()?;
+        self.writer.flush()?;
+        let sink = self.writer.inner_mut();
+        for column in metadata.columns() {
+            let bytes = byte_range(column)
+                .and_then(|(start, length)| {
+                    let start = usize::try_from(start.checked_sub(base)?).ok()?;
+                    sink.recent.get(start..start.checked_add(length)?)
+                })
+                .ok_or_else(|| ParquetError::General("a column chunk is not where its metadata says".to_owned()))?;
+            self.checksums.push(hex_crc(bytes));
+        }
+        sink.recent.clear();
+        self.rows_in_group = 0;
+        Ok(())
+    }
+}
+
+/// What a Parquet writer writes to: the file, and the bytes of the row group at hand for their checksum.
+struct Sink {
+    /// `None` once the file is in its place.
+    file: Option<AtomicFile>,
+    written: u64,
+    recent: Vec<u8>,
+}
+
+impl Write for Sink {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let n = self.file.as_mut().map_or(Ok(0), |file| file.write(bytes))?;
+        self.recent.extend_from_slice(&bytes[..n]);
+        self.written += n as u64;
+        Ok(n)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.as_mut().map_or(Ok(()), Write::flush)
+    }
+}
+
+/// The values of one column in the row group at hand.
+struct Chunk {
+    /// For each row 1 where there is a value, 0 where it is missing: Parquet's definition level.
+    present: Vec<i16>,
+    values: Values,
+}
+
+enum Values {
+    Numbers(Vec<f64>),
+    Longs(Vec<i64>),
+    Texts(Vec<ByteArray>),
+}
+
+impl Chunk {
+    fn of(kind: Kind) -> Self {
+        let values = match kind {
+            Kind::Number => Values::Numbers(Vec::new()),
+            Kind::Integer | Kind::Count => Values::Longs(Vec::new()),
+            Kind::Text => Values::Texts(Vec::new()),
+        };
+        Self { present: Vec::new(), values }
+    }
+
+    fn push(&mut self, cell: &Cell<'_>) {
+        match (&mut self.values, cell) {
+            (Values::Numbers(values), Cell::Number(x)) => values.push(*x),
+            (Values::Longs(values), Cell::Integer(n)) => values.push(*n),
+            // Parquet keeps unsigned numbers as the signed ones of the same bits.
+            (Values::Longs(values), Cell::Count(n)) => values.push(n.cast_signed()),
+            (Values::Texts(values), Cell::Text(text)) => values.push(ByteArray::from(text.as_bytes().to_vec())),
+            _ => return self.present.push(0),
+        }
+        self.present.push(1);
+    }
+
+    fn clear(&mut self) {
+        self.present.clear();
+        match &mut self.values {
+            Values::Numbers(values) => values.clear(),
+            Values::Longs(values) => values.clear(),
+            Values::Texts(values) => values.clear(),
+        }
+    }
+}
+
+fn schema(columns: &Columns) -> Result<Type, ParquetError> {
+    let fields = columns.specs().iter().map(|spec| {
+        let repetition = if spec.required { Repetition::REQUIRED } else { Repetition::OPTIONAL };
+        let logical = match spec.kind {
+            Kind::Number | Kind::Integer => None,
+            Kind::Count => Some(LogicalType::integer(64, false)),
+            Kind::Text => Some(LogicalType::String),
+        };
+        let field = Type::primitive_type_builder(&spec.name, physical(spec.kind))
+            .with_repetition(repetition)
+            .with_logical_type(logical)
+            .build()?;
+        Ok(Arc::new(field))
+    });
+    Type::group_type_builder("dictionary").with_fields(fields.collect::<Result<_, ParquetError>>()?).build()
+}
+
+fn physical(kind: Kind) -> Physical {
+    match kind {
+        Kind::Number => Physical::DOUBLE,
+        Kind::Integer | Kind::Count => Physical::INT64,
+        Kind::Text => Physical::BYTE_ARRAY,
+    }
+}
+
+fn properties(columns: &Columns, provenance: String) -> WriterProperties {
+    let metadata = vec![
+        KeyValue::new(KEY_VERSION.to_owned(), SCHEMA_VERSION.to_string()),
+        KeyValue::new(KEY_PROVENANCE.to_owned(), provenance),
+    ];
+    let builder = WriterProperties::builder()
+        .set_created_by(format!("robogate version {}", env!("CARGO_PKG_VERSION")))
+        .set_compression(Compression::SNAPPY)
+        .set_statistics_enabled(EnabledStatistics::Chunk)
+        .set_offset_index_disabled(true)
+        .set_dictionary_enabled(false)
+        .set_key_value_metadata(Some(metadata));
+    let repeating = columns.specs().iter().filter(|spec| spec.repeats);
+    repeating
+        .fold(builder, |builder, spec| {
+            builder.set_column_dictionary_enabled(ColumnPath::from(spec.name.as_str()), true)
+        })
+        .build()
+}
+
+fn hex_crc(bytes: &[u8]) -> String {
+    format!("{:08x}", crc32fast::hash(bytes))
+}
+
+/// Start and length of a column chunk in its file, where they can be any.
+fn byte_range(column: &ColumnChunkMetaData) -> Option<(u64, usize)> {
+    let start = column.dictionary_page_offset().unwrap_or_else(|| column.data_page_offset());
+    Some((u64::try_from(start).ok()?, usize::try_from(column.compressed_size()).ok()?))
+}
+
+fn write_error(path: &Path, error: ParquetError) -> DictionaryError {
+    let source = match error {
+        ParquetError::External(inner) => match inner.downcast::<io::Error>() {
+            Ok(io) => *io,
+            Err(other) => io::Error::other(other),
+        },
+        other => io::Error::other(other),
+    };
+    DictionaryError::io(path, "write")(source)
+}
+
 /// A dictionary on disk.
+///
+/// Opening it reads its footer; rows are read on demand, one row group in memory at a time.
 #[derive(Debug)]
 pub struct Dictionary {
+    file: File,
     path: PathBuf,
+    metadata: ParquetMetaData,
+    columns: Columns,
+    /// For each column where it is in the file.
+    leaves: Vec<usize>,
+    version: SchemaVersion,
     provenance: Provenance,
+    dataset_hash: String,
+    /// CRC-32 of each column chunk, group by group.
+    checksums: Vec<u32>,
+    rows: u64,
 }
 
 impl Dictionary {
     /// Opens a dictionary: its schema and provenance are read and checked, its rows are not.
     pub fn open(path: &Path) -> Result<Self, DictionaryError> {
-        Err(DictionaryError::not_a_dictionary(path, "not yet"))
+        let mut file = File::open(path).map_err(DictionaryError::io(path, "open"))?;
+        check_ends(&mut file, path)?;
+        let metadata = guarded(|| ParquetMetaDataReader::new().parse_and_finish(&file))
+            .map_err(|reason| damaged(path, "the footer", reason))?;
+        let value = |key: &str| {
+            let pairs = metadata.file_metadata().key_value_metadata()?;
+            pairs.iter().find(|pair| pair.key == key)?.value.as_deref()
+        };
+        let Some(version) = value(KEY_VERSION) else {
+            return Err(DictionaryError::not_a_dictionary(
+                path,
+                format!(
+                    "it is a Parquet file without `{KEY_VERSION}`\nhint: only `robogate run` and `robogate import` write dictionaries"
+                ),
+            ));
+        };
+        let version: SchemaVersion = version.parse().map_err(|reason| damaged(path, "the schema version", reason))?;
+        if version.major > SCHEMA_VERSION.major {
+            return Err(DictionaryError::NewerSchema { path: path.to_owned(), found: version });
+        }
+        if !version.is_readable() {
+            let reason = format!("its schema version {version} is older than any that was released");
+            return Err(DictionaryError::not_a_dictionary(path, reason));
+        }
+        let json = value(KEY_PROVENANCE).unwrap_or_default();
+        let mut checksums = value(KEY_CHECKSUMS).unwrap_or_default().split(' ');
+        if checksums.next() != Some(&hex_crc(json.as_bytes())) {
+            return Err(damaged(path, "the provenance", "it does not match its checksum".to_owned()));
+        }
+        let provenance: Provenance =
+            serde_json::from_str(json).map_err(|e| damaged(path, "the provenance", e.to_string()))?;
+        let columns = Columns::of(&provenance.space)?;
+        let leaves = find_leaves(&metadata, &columns, path)?;
+        let checksums = checksums
+            .map(|crc| u32::from_str_radix(crc, 16))
+            .collect::<Result<Vec<_>, _>>()
+            .map_err(|e| damaged(path, "the list of checksums", e.to_string()))?;
+        let dataset_hash = value(KEY_DATASET).unwrap_or_default().to_owned();
+        let rows = count_rows(&metadata, checksums.len()).map_err(|reason| damaged(path, "the footer", reason))?;
+        Ok(Self {
+            file,
+            path: path.to_owned(),
+            metadata,
+            columns,
+            leaves,
+            version,
+            provenance,
+            dataset_hash,
+            checksums,
+            rows,
+        })
     }
 
     /// The file.
@@ -73,47 +410,274 @@ impl Dictionary {
 
     /// The schema version of the file.
     pub fn schema_version(&self) -> SchemaVersion {
-        self.provenance.schema_version
+        self.version
     }
 
     /// How many rows it has.
     pub fn len(&self) -> u64 {
-        0
+        self.rows
     }
 
     /// Whether it has none.
     pub fn is_empty(&self) -> bool {
-        self.len() == 0
+        self.rows == 0
     }
 
-    /// The content hash that was stored when it was written; [`crate::dataset_hash`] over
-    /// [`Self::entries`] checks it.
+    /// The content hash that was stored when it was written. [`Self::entries`] checks it.
     pub fn dataset_hash(&self) -> &str {
-        ""
+        &self.dataset_hash
+    }
+
+    /// The names of its columns, in order.
+    pub fn column_names(&self) -> impl Iterator<Item = &str> {
+        self.columns.specs().iter().map(|spec| spec.name.as_str())
+    }
+
+    pub(crate) fn columns(&self) -> &Columns {
+        &self.columns
     }
 
     /// Every entry in order, one row group in memory at a time.
-    pub fn entries(&self) -> Result<Entries<'_>, DictionaryError> {
-        Ok(Entries { _dictionary: self })
+    ///
+    /// After the last entry comes an error where they are not the ones that the stored dataset hash
+    /// was taken of.
+    pub fn entries(&self) -> Entries<'_> {
+        Entries {
+            dictionary: self,
+            group: 0,
+            data: Vec::new(),
+            at: 0,
+            rows_in_group: 0,
+            row: 0,
+            last_index: None,
+            words: Interner::default(),
+            hash: DatasetHash::new(),
+            done: false,
+        }
     }
 
-    /// One whole column.
-    pub fn column(&self, _name: &str) -> Result<Column, DictionaryError> {
-        Ok(Column::Numbers(Vec::new()))
+    /// One whole column in memory.
+    pub fn column(&self, name: &str) -> Result<Column, DictionaryError> {
+        let Some(at) = self.columns.specs().iter().position(|spec| spec.name == name) else {
+            let names: Vec<&str> = self.column_names().collect();
+            return Err(DictionaryError::NoSuchColumn {
+                path: self.path.clone(),
+                column: name.to_owned(),
+                columns: names.join(", "),
+            });
+        };
+        let mut column = Column::of(self.columns.specs()[at].kind);
+        let mut places = HashMap::new();
+        for group in 0..self.metadata.num_row_groups() {
+            self.read_chunk(group, at, &mut column, &mut places)?;
+        }
+        Ok(column)
+    }
+
+    /// One whole column as real numbers; whole numbers are converted, words refused.
+    pub fn numbers(&self, name: &str) -> Result<Vec<Option<f64>>, DictionaryError> {
+        match self.column(name)? {
+            Column::Numbers(values) => Ok(values),
+            Column::Integers(values) => Ok(values.into_iter().map(|n| n.map(|n| n as f64)).collect()),
+            Column::Counts(values) => Ok(values.into_iter().map(|n| n.map(|n| n as f64)).collect()),
+            Column::Categories { .. } => Err(DictionaryError::ColumnKind {
+                path: self.path.clone(),
+                column: name.to_owned(),
+                found: "words",
+                wanted: "numbers",
+            }),
+        }
+    }
+
+    fn read_group(&self, group: usize) -> Result<Vec<Column>, DictionaryError> {
+        let specs = self.columns.specs().iter().enumerate();
+        specs
+            .map(|(at, spec)| {
+                let mut column = Column::of(spec.kind);
+                self.read_chunk(group, at, &mut column, &mut HashMap::new())?;
+                Ok(column)
+            })
+            .collect()
+    }
+
+    /// Appends column `at` of one row group to `column`.
+    fn read_chunk(
+        &self,
+        group: usize,
+        at: usize,
+        column: &mut Column,
+        places: &mut HashMap<Box<[u8]>, u32>,
+    ) -> Result<(), DictionaryError> {
+        let spec = &self.columns.specs()[at];
+        let leaf = self.leaves[at];
+        let wrong = |reason: String| {
+            let first: i64 = self.metadata.row_groups()[..group].iter().map(|group| group.num_rows()).sum();
+            let last = first + self.metadata.row_group(group).num_rows() - 1;
+            damaged(&self.path, &format!("column `{}`, rows {first} to {last},", spec.name), reason)
+        };
+        let group_metadata = self.metadata.row_group(group);
+        let rows = group_metadata.num_rows() as usize;
+        let metadata = group_metadata.column(leaf);
+        let (start, length) = byte_range(metadata).ok_or_else(|| wrong("its place is negative".to_owned()))?;
+        let length_of_file = self.file.metadata().map_err(DictionaryError::io(&self.path, "inspect"))?.len();
+        if start.checked_add(length as u64).is_none_or(|end| end > length_of_file) {
+            return Err(wrong(format!("bytes {start} to {start}+{length} are beyond the file's end")));
+        }
+        let mut bytes = vec![0; length];
+        (&self.file)
+            .seek(SeekFrom::Start(start))
+            .and_then(|_| (&self.file).read_exact(&mut bytes))
+            .map_err(DictionaryError::io(&self.path, "read"))?;
+        let expected = self.checksums.get(group * group_metadata.num_columns() + leaf);
+        if expected != Some(&crc32fast::hash(&bytes)) {
+            return Err(wrong(format!("the {length} bytes from byte {start} on do not match their checksum")));
+        }
+        let chunk = ChunkBytes { start, bytes: bytes.into() };
+        let read = guarded(|| {
+            let descriptor = metadata.column_descr_ptr();
+            let optional = descriptor.max_def_level() > 0;
+            let pages = SerializedPageReader::new(Arc::new(chunk), metadata, rows, None)?;
+            let pages = Box::new(pages);
+            match spec.kind {
+                Kind::Number => {
+                    let (present, values) =
+                        records::<DoubleType>(ColumnReaderImpl::new(descriptor, pages), rows, optional)?;
+                    column.extend_numbers(&present, values);
+                }
+                Kind::Integer | Kind::Count => {
+                    let (present, values) =
+                        records::<Int64Type>(ColumnReaderImpl::new(descriptor, pages), rows, optional)?;
+                    column.extend_longs(&present, values);
+                }
+                Kind::Text => {
+                    let (present, values) =
+                        records::<ByteArrayType>(ColumnReaderImpl::new(descriptor, pages), rows, optional)?;
+                    column.extend_texts(&present, &values, places)?;
+                }
+            }
+            Ok(())
+        });
+        read.map_err(wrong)
     }
 }
 
-/// The entries of a dictionary.
-#[derive(Debug)]
-pub struct Entries<'a> {
-    _dictionary: &'a Dictionary,
+/// The two ends of a Parquet file: what tells another format or a truncated file before anything is parsed.
+fn check_ends(file: &mut File, path: &Path) -> Result<(), DictionaryError> {
+    let read = |file: &mut File, from| -> io::Result<[u8; 4]> {
+        let mut magic = [0; 4];
+        file.seek(from)?;
+        file.read_exact(&mut magic)?;
+        Ok(magic)
+    };
+    let length = file.metadata().map_err(DictionaryError::io(path, "inspect"))?.len();
+    if length < 12 {
+        let reason = format!("it has {length} bytes, too few for a Parquet file");
+        return Err(DictionaryError::not_a_dictionary(path, reason));
+    }
+    if read(file, SeekFrom::Start(0)).map_err(DictionaryError::io(path, "read"))? != *b"PAR1" {
+        let reason = "it does not begin as a Parquet file\nhint: `robogate import` reads the published JSON";
+        return Err(DictionaryError::not_a_dictionary(path, reason));
+    }
+    if read(file, SeekFrom::End(-4)).map_err(DictionaryError::io(path, "read"))? != *b"PAR1" {
+        let reason = format!(
+            "it begins as a Parquet file but does not end as one at byte {length}: it is truncated\nhint: restore it from a copy, or write it again from the journal of its campaign"
+        );
+        return Err(DictionaryError::not_a_dictionary(path, reason));
+    }
+    Ok(())
 }
 
-impl Iterator for Entries<'_> {
-    type Item = Result<Entry, DictionaryError>;
+fn find_leaves(metadata: &ParquetMetaData, columns: &Columns, path: &Path) -> Result<Vec<usize>, DictionaryError> {
+    let descriptor = metadata.file_metadata().schema_descr();
+    let find = |spec: &ColumnSpec| {
+        let refuse = |what: &str| {
+            damaged(path, "the schema", format!("column `{}` of the schema {SCHEMA_VERSION} {what}", spec.name))
+        };
+        let leaf = (0..descriptor.num_columns())
+            .find(|i| descriptor.column(*i).path().parts() == [spec.name.as_str()])
+            .ok_or_else(|| refuse("is missing"))?;
+        let column = descriptor.column(leaf);
+        if column.physical_type() != physical(spec.kind) || column.max_rep_level() > 0 || column.max_def_level() > 1 {
+            return Err(refuse("has another type"));
+        }
+        Ok(leaf)
+    };
+    columns.specs().iter().map(find).collect()
+}
 
-    fn next(&mut self) -> Option<Self::Item> {
-        None
+fn count_rows(metadata: &ParquetMetaData, checksums: usize) -> Result<u64, String> {
+    let mut rows = 0;
+    for (i, group) in metadata.row_groups().iter().enumerate() {
+        match usize::try_from(group.num_rows()) {
+            Ok(n) if (1..=MOST_ROWS_PER_GROUP).contains(&n) => rows += n as u64,
+            _ => return Err(format!("row group {i} claims {} rows", group.num_rows())),
+        }
+    }
+    if u64::try_from(metadata.file_metadata().num_rows()) != Ok(rows) {
+        let claimed = metadata.file_metadata().num_rows();
+        return Err(format!("it claims {claimed} rows, its row groups have {rows}"));
+    }
+    let chunks: usize = metadata.row_groups().iter().map(|group| group.num_columns()).sum();
+    if chunks != checksums {
+        return Err(format!("{checksums} checksums for {chunks} column chunks: another program rewrote the file"));
+    }
+    Ok(rows)
+}
+
+fn damaged(path: &Path, place: &str, reason: String) -> DictionaryError {
+    DictionaryError::Damaged { path: path.to_owned(), place: place.to_owned(), reason }
+}
+
+/// Runs a part of the Parquet library on content that may be anything. A panic in there is a refusal
+/// of the file, not the end of the process.
+fn guarded<T>(read: impl FnOnce() -> Result<T, ParquetError>) -> Result<T, String> {
+    match std::panic::catch_unwind(std::panic::AssertUnwindSafe(read)) {
+        Ok(Ok(value)) => Ok(value),
+        Ok(Err(error)) => Err(error.to_string()),
+        Err(_) => Err("the Parquet library gave up on it".to_owned()),
+    }
+}
+
+/// Definition levels (empty where every row has a value) and values of one column chunk.
+fn records<T: DataType>(
+    mut reader: ColumnReaderImpl<T>,
+    rows: usize,
+    optional: bool,
+) -> Result<(Vec<i16>, Vec<T::T>), ParquetError> {
+    let (mut present, mut values) = (Vec::new(), Vec::new());
+    let levels = optional.then_some(&mut present);
+    let (found, _, _) = reader.read_records(rows, levels, None, &mut values)?;
+    if found != rows {
+        return Err(ParquetError::General(format!("it holds {found} of {rows} rows")));
+    }
+    Ok((present, values))
+}
+
+/// A column chunk in memory, at its place in the file.
+struct ChunkBytes {
+    start: u64,
+    bytes: Bytes,
+}
+
+impl Length for ChunkBytes {
+    fn len(&self) -> u64 {
+        self.start + self.bytes.len() as u64
+    }
+}
+
+impl ChunkReader for ChunkBytes {
+    type T = bytes::buf::Reader<Bytes>;
+
+    fn get_read(&self, start: u64) -> Result<Self::T, ParquetError> {
+        let left = self.len().saturating_sub(start);
+        Ok(self.get_bytes(start, usize::try_from(left).unwrap_or(usize::MAX))?.reader())
+    }
+
+    fn get_bytes(&self, start: u64, length: usize) -> Result<Bytes, ParquetError> {
+        let outside = || ParquetError::EOF(format!("a page of {length} bytes from byte {start} on"));
+        let from = start.checked_sub(self.start).and_then(|from| usize::try_from(from).ok()).ok_or_else(outside)?;
+        let to = from.checked_add(length).filter(|to| *to <= self.bytes.len()).ok_or_else(outside)?;
+        Ok(self.bytes.slice(from..to))
     }
 }
 
@@ -133,4 +697,166 @@ pub enum Column {
         /// For each row the position of its word.
         codes: Vec<Option<u32>>,
     },
+}
+
+impl Column {
+    fn of(kind: Kind) -> Self {
+        match kind {
+            Kind::Number => Self::Numbers(Vec::new()),
+            Kind::Integer => Self::Integers(Vec::new()),
+            Kind::Count => Self::Counts(Vec::new()),
+            Kind::Text => Self::Categories { words: Vec::new(), codes: Vec::new() },
+        }
+    }
+
+    /// How many rows it has.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Numbers(values) => values.len(),
+            Self::Integers(values) => values.len(),
+            Self::Counts(values) => values.len(),
+            Self::Categories { codes, .. } => codes.len(),
+        }
+    }
+
+    /// Whether it has none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    fn extend_numbers(&mut self, present: &[i16], values: Vec<f64>) {
+        if let Self::Numbers(column) = self {
+            spread(column, present, values.into_iter());
+        }
+    }
+
+    fn extend_longs(&mut self, present: &[i16], values: Vec<i64>) {
+        match self {
+            Self::Integers(column) => spread(column, present, values.into_iter()),
+            Self::Counts(column) => spread(column, present, values.into_iter().map(i64::cast_unsigned)),
+            Self::Numbers(_) | Self::Categories { .. } => {}
+        }
+    }
+
+    fn extend_texts(
+        &mut self,
+        present: &[i16],
+        values: &[ByteArray],
+        places: &mut HashMap<Box<[u8]>, u32>,
+    ) -> Result<(), ParquetError> {
+        let Self::Categories { words, codes } = self else {
+            return Ok(());
+        };
+        let mut of_values = Vec::with_capacity(values.len());
+        for value in values {
+            let code = match places.get(value.data()) {
+                Some(code) => *code,
+                None => {
+                    let code = u32::try_from(words.len())
+                        .map_err(|_| ParquetError::General("it has more than 2^32 distinct texts".to_owned()))?;
+                    words.push(value.as_utf8()?.to_owned());
+                    places.insert(value.data().into(), code);
+                    code
+                }
+            };
+            of_values.push(code);
+        }
+        spread(codes, present, of_values.into_iter());
+        Ok(())
+    }
+
+    fn cell(&self, row: usize) -> Cell<'_> {
+        let cell = match self {
+            Self::Numbers(values) => values.get(row).copied().flatten().map(Cell::Number),
+            Self::Integers(values) => values.get(row).copied().flatten().map(Cell::Integer),
+            Self::Counts(values) => values.get(row).copied().flatten().map(Cell::Count),
+            Self::Categories { words, codes } => {
+                let word = codes.get(row).copied().flatten().and_then(|code| words.get(code as usize));
+                word.map(|word| Cell::Text(word.as_str().into()))
+            }
+        };
+        cell.unwrap_or(Cell::Null)
+    }
+}
+
+/// Puts the values in the rows that have one; without levels every row has.
+fn spread<T>(column: &mut Vec<Option<T>>, present: &[i16], mut values: impl Iterator<Item = T>) {
+    if present.is_empty() {
+        column.extend(values.map(Some));
+    } else {
+        column.extend(present.iter().map(|level| if *level == 0 { None } else { values.next() }));
+    }
+}
+
+/// The entries of a dictionary, in order.
+#[derive(Debug)]
+pub struct Entries<'a> {
+    dictionary: &'a Dictionary,
+    /// The next row group.
+    group: usize,
+    /// The columns of the row group at hand.
+    data: Vec<Column>,
+    /// The next row in it.
+    at: usize,
+    rows_in_group: usize,
+    /// The next row in the file.
+    row: u64,
+    last_index: Option<u64>,
+    words: Interner,
+    hash: DatasetHash,
+    done: bool,
+}
+
+impl Entries<'_> {
+    fn read(&mut self) -> Result<Option<Entry>, DictionaryError> {
+        if self.at == self.rows_in_group {
+            if self.group == self.dictionary.metadata.num_row_groups() {
+                return self.check_hash().map(|()| None);
+            }
+            self.data = Vec::new();
+            self.data = self.dictionary.read_group(self.group)?;
+            self.rows_in_group = self.dictionary.metadata.row_group(self.group).num_rows() as usize;
+            self.group += 1;
+            self.at = 0;
+        }
+        let cells: Vec<Cell<'_>> = self.data.iter().map(|column| column.cell(self.at)).collect();
+        let entry = self.dictionary.columns.unflatten(&cells, &mut self.words).map_err(|wrong| self.value(wrong))?;
+        let index = entry.index();
+        if let Some(previous) = self.last_index.filter(|previous| *previous >= index) {
+            return Err(DictionaryError::Order { index, previous });
+        }
+        self.last_index = Some(index);
+        self.hash.update(&entry);
+        self.at += 1;
+        self.row += 1;
+        Ok(Some(entry))
+    }
+
+    fn check_hash(&mut self) -> Result<(), DictionaryError> {
+        let found = std::mem::take(&mut self.hash).finish();
+        let dictionary = self.dictionary;
+        if found == dictionary.dataset_hash {
+            return Ok(());
+        }
+        let reason = format!("its rows have the dataset hash {found}, it says {}", dictionary.dataset_hash);
+        Err(damaged(&dictionary.path, "the dataset", reason))
+    }
+
+    fn value(&self, wrong: WrongCell) -> DictionaryError {
+        let WrongCell { column, value, reason } = wrong;
+        DictionaryError::Value { path: self.dictionary.path.clone(), row: Row(self.row), column, value, reason }
+    }
+}
+
+impl Iterator for Entries<'_> {
+    type Item = Result<Entry, DictionaryError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.done {
+            return None;
+        }
+        let next = self.read().transpose();
+        self.done = !matches!(next, Some(Ok(_)));
+        next
+    }
 }

@@ -11,7 +11,6 @@ use crate::{SCHEMA_VERSION, SchemaVersion};
 /// There is no clock in it, no thread count, no path: two runs with the same settings on the same
 /// platform have the same provenance to the byte ([`Self::to_json`]).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct Provenance {
     /// What wrote it.
     pub tool: Tool,
