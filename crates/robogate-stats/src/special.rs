@@ -146,6 +146,18 @@ fn ln_beta_kernel(a: f64, b: f64, x: f64, y: f64) -> f64 {
         - LN_SQRT_2PI
 }
 
+/// ln P(X = k) for X binomial(n, p), 0 < k < n, 0 < p < 1.
+pub(crate) fn ln_binomial_pmf(k: f64, n: f64, p: f64) -> f64 {
+    let j = n - k;
+    stirling_error(n)
+        - stirling_error(k)
+        - stirling_error(j)
+        - deviance_term(k, n * p)
+        - deviance_term(j, n * (1.0 - p))
+        + 0.5 * (n / (k * j)).ln()
+        - LN_SQRT_2PI
+}
+
 /// Continued fraction of the incomplete beta function, evaluated by the modified Lentz method.
 fn beta_fraction(a: f64, b: f64, x: f64) -> f64 {
     let mut c = 1.0;

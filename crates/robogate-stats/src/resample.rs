@@ -1,0 +1,185 @@
+//! Bootstrap on counts, and percentiles.
+//!
+//! Drawing n rows with replacement changes a statistic of binned data only through the cell counts, and those
+//! are multinomial with the observed shares. Drawing the counts directly is the same bootstrap at a cost that does not
+//! depend on n. Each count is a conditional binomial, drawn by inversion from zero or outward from the mode.
+//! Sources: Efron and Tibshirani (1993), chapters 6 and 13; Devroye (1986), X.4, for inversion from the mode.
+
+use crate::interval::Confidence;
+use crate::special::ln_binomial_pmf;
+use rand_chacha::ChaCha8Rng;
+use rand_core::Rng;
+
+/// Uniform on [0, 1) with 53 bits.
+pub(crate) fn uniform(rng: &mut ChaCha8Rng) -> f64 {
+    (rng.next_u64() >> 11) as f64 * (1.0 / (1_u64 << 53) as f64)
+}
+
+/// A binomial count.
+pub(crate) fn binomial(rng: &mut ChaCha8Rng, n: u64, p: f64) -> u64 {
+    if n == 0 || p <= 0.0 {
+        return 0;
+    }
+    if p >= 1.0 {
+        return n;
+    }
+    if p > 0.5 {
+        return n - binomial(rng, n, 1.0 - p);
+    }
+    let size = n as f64;
+    let odds = p / (1.0 - p);
+    let mut u = uniform(rng);
+    if size * p < 30.0 {
+        let mut mass = (size * (-p).ln_1p()).exp();
+        let mut k = 0;
+        while u >= mass && k < n {
+            u -= mass;
+            mass *= (size - k as f64) / (k as f64 + 1.0) * odds;
+            k += 1;
+        }
+        return k;
+    }
+    let mode = ((size + 1.0) * p).floor();
+    let at_mode = ln_binomial_pmf(mode, size, p).exp();
+    let (mut up, mut down) = (mode, mode);
+    let (mut up_mass, mut down_mass) = (at_mode, at_mode);
+    if u < at_mode {
+        return mode as u64;
+    }
+    u -= at_mode;
+    loop {
+        let mut moved = false;
+        if up < size {
+            up_mass *= (size - up) / (up + 1.0) * odds;
+            up += 1.0;
+            moved = up_mass > 0.0;
+            if u < up_mass {
+                return up as u64;
+            }
+            u -= up_mass;
+        }
+        if down > 0.0 {
+            down_mass *= down / ((size - down + 1.0) * odds);
+            down -= 1.0;
+            moved |= down_mass > 0.0;
+            if u < down_mass {
+                return down as u64;
+            }
+            u -= down_mass;
+        }
+        if !moved {
+            // Rounding left a crumb of probability over after every mass underflowed.
+            return mode as u64;
+        }
+    }
+}
+
+/// Fills `drawn` with multinomial counts of the same total as `observed` and its shares.
+pub(crate) fn multinomial(rng: &mut ChaCha8Rng, observed: &[u64], drawn: &mut [u64]) {
+    let mut left_observed: u64 = observed.iter().sum();
+    let mut left = left_observed;
+    for (o, d) in observed.iter().zip(drawn) {
+        if left == 0 || *o == 0 {
+            *d = 0;
+            continue;
+        }
+        *d = binomial(rng, left, *o as f64 / left_observed as f64);
+        left -= *d;
+        left_observed -= o;
+    }
+}
+
+/// Percentile ends of replicates, by linear interpolation between order statistics (numpy's default).
+///
+/// Replicates may be infinite ("beyond the range"); an end next to an infinite one is infinite. Sorts its input.
+/// `None` without replicates or where one is NaN.
+pub fn percentile_ends(replicates: &mut [f64], confidence: Confidence) -> Option<(f64, f64)> {
+    if replicates.is_empty() || replicates.iter().any(|r| r.is_nan()) {
+        return None;
+    }
+    replicates.sort_unstable_by(f64::total_cmp);
+    let tail = confidence.tail();
+    Some((quantile(replicates, tail), quantile(replicates, 1.0 - tail)))
+}
+
+/// Quantile of sorted values; there is at least one.
+fn quantile(sorted: &[f64], q: f64) -> f64 {
+    let h = (sorted.len() - 1) as f64 * q;
+    let i = h.floor() as usize;
+    let (a, b) = (sorted[i], sorted[(i + 1).min(sorted.len() - 1)]);
+    let part = h - h.floor();
+    if part <= 0.0 || a.is_infinite() {
+        a
+    } else if b.is_infinite() {
+        b
+    } else {
+        a + part * (b - a)
+    }
+}
+
+/// Standard deviation of replicates (divisor n - 1): the bootstrap standard error. `None` below two, or where one is
+/// not finite.
+pub fn standard_error(replicates: &[f64]) -> Option<f64> {
+    let n = replicates.len() as f64;
+    if replicates.len() < 2 || replicates.iter().any(|r| !r.is_finite()) {
+        return None;
+    }
+    let mean = replicates.iter().sum::<f64>() / n;
+    Some((replicates.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand_core::SeedableRng;
+
+    #[test]
+    fn binomial_counts_have_the_mean_and_variance_of_the_law_in_every_branch() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        for (n, p) in [(7, 0.3), (10_000, 0.002), (10_000, 0.4), (500, 0.93), (1_000_000, 0.5)] {
+            let draws: Vec<f64> = (0..20_000).map(|_| binomial(&mut rng, n, p) as f64).collect();
+            let mean = draws.iter().sum::<f64>() / 20_000.0;
+            let variance = draws.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / 20_000.0;
+            let (m, v) = (n as f64 * p, n as f64 * p * (1.0 - p));
+            assert!((mean - m).abs() < 5.0 * (v / 20_000.0).sqrt(), "n {n} p {p}: mean {mean}");
+            assert!((variance / v - 1.0).abs() < 0.06, "n {n} p {p}: variance {variance} of {v}");
+        }
+    }
+
+    #[test]
+    fn the_law_around_the_mode_fits_the_exact_probabilities() {
+        // Chi-squared over k = 90..=150 of Binomial(400, 0.3).
+        let mut rng = ChaCha8Rng::seed_from_u64(11);
+        let mut counts = [0.0_f64; 401];
+        for _ in 0..100_000 {
+            counts[binomial(&mut rng, 400, 0.3) as usize] += 1.0;
+        }
+        let mut statistic = 0.0;
+        for k in 90..=150 {
+            let expected = 100_000.0 * ln_binomial_pmf(f64::from(k), 400.0, 0.3).exp();
+            statistic += (counts[k as usize] - expected).powi(2) / expected;
+        }
+        assert!(statistic < 110.0, "chi-squared {statistic} on 61 cells");
+    }
+
+    #[test]
+    fn multinomial_counts_keep_the_total_and_never_fill_an_empty_cell() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let observed = [0, 10, 0, 90, 400, 0];
+        let mut drawn = [0; 6];
+        for _ in 0..100 {
+            multinomial(&mut rng, &observed, &mut drawn);
+            assert_eq!(drawn.iter().sum::<u64>(), 500);
+            assert_eq!((drawn[0], drawn[2], drawn[5]), (0, 0, 0));
+        }
+    }
+
+    #[test]
+    fn an_end_among_infinite_replicates_is_infinite() {
+        let mut r = vec![f64::NEG_INFINITY; 10];
+        r.extend((0..90).map(f64::from));
+        let (low, high) = percentile_ends(&mut r, Confidence::P95).unwrap();
+        assert!(low.is_infinite() && high.is_finite());
+        assert_eq!(standard_error(&r), None);
+    }
+}

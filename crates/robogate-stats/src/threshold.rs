@@ -1,0 +1,490 @@
+//! Where the success rate crosses a level along one parameter.
+//!
+//! The rows are cut into bins; the binned rates are made monotone (isotonic regression, rising or falling,
+//! whichever leaves the smaller weighted squares); the threshold is where the straight line between neighbouring bins'
+//! mean positions crosses the level. Its uncertainty is a bootstrap of rows, done on the cell counts
+//! ([`crate::resample`]): percentile interval and standard error, direction and positions held as observed. A replicate
+//! that does not cross counts as "beyond the range" on its side, so an interval can be open.
+//!
+//! "More than once" is a statement, not noise: bins whose Wilson interval, at a level shared over all bins
+//! (Bonferroni), lies on one side of the level must change sides twice.
+//!
+//! Weights enter as sums per bin; the bootstrap draws counts of up to 16 weight classes per cell. That is the
+//! bootstrap of rows where there are no more distinct weights, otherwise the spread inside a class is left out.
+//!
+//! Limit: marginal over the other parameters as they were drawn, so it belongs to that design; resolution is a bin;
+//! a Latin hypercube makes the interval conservative.
+//! Sources: robogate paper, table of critical thresholds; Barlow et al. (1972) for isotonic regression; Efron and
+//! Tibshirani (1993), chapter 13.
+
+use crate::binning::{BinningError, Edges};
+use crate::interval::{Confidence, Interval, wilson_real};
+use crate::resample::{multinomial, percentile_ends, standard_error};
+use rand_chacha::ChaCha8Rng;
+use rand_core::SeedableRng;
+
+/// Weight classes kept apart in one cell.
+const CLASSES: usize = 16;
+
+/// How thresholds are looked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ThresholdOptions {
+    /// Success rate to be crossed, strictly between 0 and 1.
+    pub level: f64,
+    /// Bootstrap replicates; the paper uses 1,000.
+    pub replicates: usize,
+    /// Level of the interval.
+    pub confidence: Confidence,
+    /// Seed of the bootstrap.
+    pub seed: u64,
+}
+
+impl Default for ThresholdOptions {
+    fn default() -> Self {
+        Self { level: 0.5, replicates: 1_000, confidence: Confidence::P95, seed: 0 }
+    }
+}
+
+/// Whether success grows or shrinks along the parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Direction {
+    /// The rate grows.
+    Rising,
+    /// The rate shrinks.
+    Falling,
+}
+
+/// On which side of the level the rate stays.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StaysAt {
+    /// At or above the level everywhere.
+    Above,
+    /// Below the level everywhere.
+    Below,
+}
+
+/// What was found along the parameter.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Threshold {
+    /// The rate crosses the level once.
+    Crosses {
+        /// Value of the parameter at the crossing.
+        at: f64,
+        /// Whether success grows or shrinks.
+        direction: Direction,
+        /// Lower end of the percentile interval; `None` where it lies beyond the observed range.
+        low: Option<f64>,
+        /// Upper end of the percentile interval; `None` where it lies beyond the observed range.
+        high: Option<f64>,
+        /// Bootstrap standard error; `None` where some replicates do not cross.
+        se: Option<f64>,
+        /// Share of replicates that cross within the range.
+        crossing_share: f64,
+    },
+    /// The rate crosses the level more than once: no single threshold exists.
+    CrossesMoreThanOnce {
+        /// Ranges of the parameter, in order, in each of which it crosses.
+        between: Vec<Interval>,
+    },
+    /// The rate stays on one side.
+    DoesNotCross {
+        /// Side.
+        stays: StaysAt,
+        /// Share of replicates that do cross: how sure this is not.
+        crossing_share: f64,
+    },
+}
+
+/// Rates along the parameter and what they say.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ThresholdResult {
+    /// What was found.
+    pub threshold: Threshold,
+    /// Non-empty bins: mean position, observed rate, monotone rate.
+    pub bins: Vec<ThresholdBin>,
+}
+
+/// One bin along the parameter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ThresholdBin {
+    /// Mean of the parameter over the bin's rows.
+    pub position: f64,
+    /// Observed (weighted) success rate.
+    pub rate: f64,
+    /// Rate after isotonic regression.
+    pub monotone_rate: f64,
+    /// Wilson interval at the level shared over all bins, with Kish's effective count under weights.
+    pub interval: Interval,
+    /// Rows of positive weight.
+    pub rows: usize,
+}
+
+/// Why no threshold can be looked for.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum ThresholdError {
+    /// Lengths or values do not fit.
+    #[error(transparent)]
+    Binning(#[from] BinningError),
+    /// A weight is negative, NaN or infinite.
+    #[error("weight of row {row} is {value}, not a finite number at or above zero")]
+    BadWeight {
+        /// Index of the row.
+        row: usize,
+        /// Value found.
+        value: f64,
+    },
+    /// The level is not strictly between 0 and 1.
+    #[error("level {level} is not strictly between 0 and 1")]
+    BadLevel {
+        /// Value found.
+        level: f64,
+    },
+    /// Fewer than two bins hold rows.
+    #[error("{filled} of the bins hold rows; a crossing needs two")]
+    TooFewBins {
+        /// Bins with rows of positive weight.
+        filled: usize,
+    },
+}
+
+/// Counts of one outcome in one weight class of one bin.
+#[derive(Clone, Copy, Default)]
+struct Cell {
+    count: u64,
+    weight: f64,
+}
+
+/// Looks for the crossing of `options.level` along `values`, cut at `edges`; rows outside the edges take no part.
+///
+/// # Errors
+/// Inputs that do not fit, or fewer than two bins with rows.
+pub fn threshold(
+    values: &[f64],
+    outcomes: &[bool],
+    weights: Option<&[f64]>,
+    edges: &Edges,
+    options: ThresholdOptions,
+) -> Result<ThresholdResult, ThresholdError> {
+    let level = options.level;
+    if !(level > 0.0 && level < 1.0) {
+        return Err(ThresholdError::BadLevel { level });
+    }
+    for found in [Some(values.len()), weights.map(<[f64]>::len)].into_iter().flatten() {
+        if found != outcomes.len() {
+            let expected = outcomes.len();
+            return Err(BinningError::Length { expected, found }.into());
+        }
+    }
+    if let Some((row, value)) =
+        weights.and_then(|w| w.iter().copied().enumerate().find(|(_, w)| !(w.is_finite() && *w >= 0.0)))
+    {
+        return Err(ThresholdError::BadWeight { row, value });
+    }
+    let table = Table::new(values, outcomes, weights, edges);
+    let filled = table.positions.len();
+    if filled < 2 {
+        return Err(ThresholdError::TooFewBins { filled });
+    }
+    let observed: Vec<u64> = table.cells.iter().map(|c| c.count).collect();
+    let (mut rates, mut sizes) = (vec![0.0; filled], vec![0.0; filled]);
+    table.rates(&observed, &mut rates, &mut sizes);
+
+    let rising = isotonic(&rates, &sizes, Direction::Rising);
+    let falling = isotonic(&rates, &sizes, Direction::Falling);
+    let squares =
+        |fit: &[f64]| -> f64 { fit.iter().zip(&rates).zip(&sizes).map(|((f, r), s)| s * (f - r).powi(2)).sum() };
+    let (direction, monotone) =
+        if squares(&rising) <= squares(&falling) { (Direction::Rising, rising) } else { (Direction::Falling, falling) };
+
+    let z = options.confidence.shared_by(filled).z();
+    let bins: Vec<ThresholdBin> = (0..filled)
+        .map(|b| ThresholdBin {
+            position: table.positions[b],
+            rate: rates[b],
+            monotone_rate: monotone[b],
+            interval: wilson_real(rates[b] * table.effective[b], table.effective[b], z),
+            rows: table.rows[b],
+        })
+        .collect();
+    let between = sure_changes(&bins, level);
+    if between.len() > 1 {
+        return Ok(ThresholdResult { threshold: Threshold::CrossesMoreThanOnce { between }, bins });
+    }
+
+    let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+    let mut drawn = vec![0; observed.len()];
+    let mut replicates = Vec::with_capacity(options.replicates);
+    for _ in 0..options.replicates {
+        multinomial(&mut rng, &observed, &mut drawn);
+        table.rates(&drawn, &mut rates, &mut sizes);
+        let fitted = isotonic(&rates, &sizes, direction);
+        replicates.push(crossing(&table.positions, &fitted, &sizes, level, direction));
+    }
+    let crossing_count = replicates.iter().filter(|r| r.is_finite()).count();
+    let crossing_share = crossing_count as f64 / options.replicates.max(1) as f64;
+
+    let observed_sizes = vec![1.0; filled];
+    let at = crossing(&table.positions, &monotone, &observed_sizes, level, direction);
+    let found = if at.is_finite() {
+        let se = standard_error(&replicates);
+        let ends = percentile_ends(&mut replicates, options.confidence);
+        Threshold::Crosses {
+            at,
+            direction,
+            low: ends.map(|e| e.0).filter(|e| e.is_finite()),
+            high: ends.map(|e| e.1).filter(|e| e.is_finite()),
+            se,
+            crossing_share,
+        }
+    } else {
+        let above = (at > 0.0) == (direction == Direction::Falling);
+        Threshold::DoesNotCross { stays: if above { StaysAt::Above } else { StaysAt::Below }, crossing_share }
+    };
+    Ok(ThresholdResult { threshold: found, bins })
+}
+
+/// Ranges between bins that lie surely on different sides of the level.
+fn sure_changes(bins: &[ThresholdBin], level: f64) -> Vec<Interval> {
+    let mut changes = Vec::new();
+    let mut last: Option<(f64, bool)> = None;
+    for bin in bins {
+        let side = if bin.interval.low > level {
+            true
+        } else if bin.interval.high < level {
+            false
+        } else {
+            continue;
+        };
+        if let Some((position, before)) = last
+            && before != side
+        {
+            changes.push(Interval { low: position, high: bin.position });
+        }
+        last = Some((bin.position, side));
+    }
+    changes
+}
+
+/// Binned data: for each non-empty bin, `2 * classes` cells, failures before successes.
+struct Table {
+    classes: usize,
+    cells: Vec<Cell>,
+    positions: Vec<f64>,
+    effective: Vec<f64>,
+    rows: Vec<usize>,
+}
+
+impl Table {
+    fn new(values: &[f64], outcomes: &[bool], weights: Option<&[f64]>, edges: &Edges) -> Self {
+        let cuts = weights.map_or_else(Vec::new, class_cuts);
+        let classes = cuts.len() + 1;
+        let wide = 2 * classes;
+        let mut cells = vec![Cell::default(); edges.bins() * wide];
+        // Per bin: Σ w, Σ w², Σ w x, rows.
+        let mut sums = vec![(0.0, 0.0, 0.0, 0_usize); edges.bins()];
+        for (row, value) in values.iter().enumerate() {
+            let w = weights.map_or(1.0, |w| w[row]);
+            let Some(bin) = edges.bin(*value) else { continue };
+            if w <= 0.0 {
+                continue;
+            }
+            let class = cuts.partition_point(|c| *c < w);
+            let cell = &mut cells[bin * wide + usize::from(outcomes[row]) * classes + class];
+            cell.count += 1;
+            cell.weight += w;
+            let s = &mut sums[bin];
+            s.0 += w;
+            s.1 += w * w;
+            s.2 += w * value;
+            s.3 += 1;
+        }
+        for cell in &mut cells {
+            if cell.count > 0 {
+                cell.weight /= cell.count as f64;
+            }
+        }
+        let full: Vec<usize> = (0..edges.bins()).filter(|&b| sums[b].3 > 0).collect();
+        Self {
+            classes,
+            cells: full.iter().flat_map(|&b| cells[b * wide..(b + 1) * wide].iter().copied()).collect(),
+            positions: full.iter().map(|&b| sums[b].2 / sums[b].0).collect(),
+            effective: full.iter().map(|&b| sums[b].0 * sums[b].0 / sums[b].1).collect(),
+            rows: full.iter().map(|&b| sums[b].3).collect(),
+        }
+    }
+
+    /// Success rate and weight of every bin for the given cell counts; an empty bin has weight 0 and rate 0.
+    fn rates(&self, counts: &[u64], rates: &mut [f64], sizes: &mut [f64]) {
+        let wide = 2 * self.classes;
+        for (b, (rate, size)) in rates.iter_mut().zip(sizes).enumerate() {
+            let mut sums = [0.0; 2];
+            for i in 0..wide {
+                let at = b * wide + i;
+                sums[i / self.classes] += counts[at] as f64 * self.cells[at].weight;
+            }
+            *size = sums[0] + sums[1];
+            *rate = if *size > 0.0 { sums[1] / *size } else { 0.0 };
+        }
+    }
+}
+
+/// Upper ends of all weight classes but the last: the distinct weights, or quantiles where there are many.
+fn class_cuts(weights: &[f64]) -> Vec<f64> {
+    let mut sorted: Vec<f64> = weights.iter().copied().filter(|w| *w > 0.0).collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let mut distinct = sorted.clone();
+    distinct.dedup();
+    if distinct.len() <= CLASSES {
+        distinct.pop();
+        return distinct;
+    }
+    let mut cuts: Vec<f64> = (1..CLASSES).map(|i| sorted[i * sorted.len() / CLASSES]).collect();
+    cuts.dedup();
+    cuts
+}
+
+/// Isotonic regression by pooling adjacent violators; bins of zero size follow their neighbours.
+fn isotonic(rates: &[f64], sizes: &[f64], direction: Direction) -> Vec<f64> {
+    let sign = match direction {
+        Direction::Rising => 1.0,
+        Direction::Falling => -1.0,
+    };
+    // Pools as (mean, size, bins).
+    let mut pools: Vec<(f64, f64, usize)> = Vec::with_capacity(rates.len());
+    for (rate, size) in rates.iter().zip(sizes) {
+        let mut pool = (sign * rate, *size, 1);
+        while let Some(&(mean, weight, bins)) = pools.last() {
+            let violates = mean > pool.0 || pool.1 <= 0.0 || weight <= 0.0;
+            if !violates {
+                break;
+            }
+            pools.pop();
+            let total = weight + pool.1;
+            let mean = if total > 0.0 { (mean * weight + pool.0 * pool.1) / total } else { 0.0 };
+            pool = (mean, total, bins + pool.2);
+        }
+        pools.push(pool);
+    }
+    let mut fitted = Vec::with_capacity(rates.len());
+    for (mean, _, bins) in pools {
+        fitted.extend(std::iter::repeat_n(sign * mean, bins));
+    }
+    fitted
+}
+
+/// Where monotone rates cross the level; minus or plus infinity where they do so before or beyond the range.
+fn crossing(positions: &[f64], fitted: &[f64], sizes: &[f64], level: f64, direction: Direction) -> f64 {
+    if sizes.iter().all(|s| *s <= 0.0) {
+        return f64::INFINITY;
+    }
+    // Seen from the crossing, "before" is below the level when rising and above it when falling.
+    let sign = match direction {
+        Direction::Rising => 1.0,
+        Direction::Falling => -1.0,
+    };
+    let before = |f: f64| sign * (f - level) < 0.0;
+    let after = |f: f64| sign * (f - level) > 0.0;
+    let last_before = fitted.iter().rposition(|f| before(*f));
+    let first_after = fitted.iter().position(|f| after(*f));
+    match (last_before, first_after) {
+        (Some(i), Some(j)) if j == i + 1 => {
+            let part = (level - fitted[i]) / (fitted[j] - fitted[i]);
+            positions[i] + part * (positions[j] - positions[i])
+        }
+        // A plateau exactly at the level: its middle.
+        (Some(i), Some(j)) => 0.5 * (positions[i + 1] + positions[j - 1]),
+        (Some(_), None) => f64::INFINITY,
+        (None, _) => f64::NEG_INFINITY,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 2,000 rows over [0, 1] with success wherever `law` exceeds an even spread of chances.
+    fn rows(law: impl Fn(f64) -> f64) -> (Vec<f64>, Vec<bool>) {
+        let values: Vec<f64> = (0..2_000).map(|i| (f64::from(i) + 0.5) / 2_000.0).collect();
+        let outcomes = values.iter().enumerate().map(|(i, v)| law(*v) > ((i * 787) % 2_000) as f64 / 2_000.0).collect();
+        (values, outcomes)
+    }
+
+    fn look(law: impl Fn(f64) -> f64) -> Threshold {
+        let (values, outcomes) = rows(law);
+        let edges = Edges::equal_width(&values, 20).unwrap();
+        threshold(&values, &outcomes, None, &edges, ThresholdOptions::default()).unwrap().threshold
+    }
+
+    #[test]
+    fn a_rising_rate_crosses_where_it_must() {
+        let Threshold::Crosses { at, direction, low, high, se, crossing_share } = look(|v| v) else {
+            panic!("it crosses")
+        };
+        assert_eq!((direction, crossing_share), (Direction::Rising, 1.0));
+        assert!((at - 0.5).abs() < 0.03 && low.unwrap() < 0.5 && high.unwrap() > 0.5);
+        assert!((0.005..0.05).contains(&se.unwrap()));
+    }
+
+    #[test]
+    fn a_falling_rate_crosses_too() {
+        let Threshold::Crosses { at, direction, .. } = look(|v| 0.9 - v) else { panic!("it crosses") };
+        assert_eq!(direction, Direction::Falling);
+        assert!((at - 0.4).abs() < 0.03);
+    }
+
+    #[test]
+    fn a_rate_on_one_side_does_not_cross() {
+        assert_eq!(look(|v| 0.1 + 0.1 * v), Threshold::DoesNotCross { stays: StaysAt::Below, crossing_share: 0.0 });
+        assert_eq!(look(|v| 0.9 - 0.1 * v), Threshold::DoesNotCross { stays: StaysAt::Above, crossing_share: 0.0 });
+    }
+
+    #[test]
+    fn an_island_of_success_is_crossed_twice_and_has_no_threshold() {
+        let found = look(|v| if (0.3..0.7).contains(&v) { 0.9 } else { 0.1 });
+        let Threshold::CrossesMoreThanOnce { between } = found else { panic!("twice: {found:?}") };
+        assert_eq!(between.len(), 2);
+        assert!(between[0].contains(0.3) && between[1].contains(0.7));
+    }
+
+    #[test]
+    fn a_rate_that_may_not_cross_has_an_open_end() {
+        // Ends at 51 %: many replicates never get there.
+        let Threshold::Crosses { high, low, se, crossing_share, .. } = look(|v| 0.2 + 0.34 * v) else {
+            panic!("it crosses")
+        };
+        assert!(crossing_share < 1.0 && high.is_none() && low.is_some() && se.is_none());
+    }
+
+    #[test]
+    fn the_seed_decides_and_equal_weights_change_nothing() {
+        let (values, outcomes) = rows(|v| v);
+        let edges = Edges::equal_width(&values, 10).unwrap();
+        let run = |weights: Option<&[f64]>, seed| {
+            let options = ThresholdOptions { seed, ..Default::default() };
+            threshold(&values, &outcomes, weights, &edges, options).unwrap().threshold
+        };
+        assert_eq!(run(None, 1), run(None, 1));
+        assert_ne!(run(None, 1), run(None, 2));
+        assert_eq!(run(None, 1), run(Some(&vec![1.0; 2_000]), 1));
+    }
+
+    #[test]
+    fn weights_move_the_rates_they_should() {
+        // Successes count double, so the balance point of rate v moves to 2v / (2v + 1 - v) = ½, v = ⅓.
+        let (values, outcomes) = rows(|v| v);
+        let weights: Vec<f64> = outcomes.iter().map(|o| if *o { 2.0 } else { 1.0 }).collect();
+        let edges = Edges::equal_width(&values, 20).unwrap();
+        let found = threshold(&values, &outcomes, Some(&weights), &edges, ThresholdOptions::default()).unwrap();
+        let Threshold::Crosses { at, .. } = found.threshold else { panic!("it crosses") };
+        assert!((at - 1.0 / 3.0).abs() < 0.03, "{at}");
+    }
+
+    #[test]
+    fn three_rows_and_bad_levels_are_answered_not_guessed() {
+        let edges = Edges::new(vec![0.0, 1.0]).unwrap();
+        let one_bin = threshold(&[0.1, 0.2, 0.3], &[true, false, true], None, &edges, ThresholdOptions::default());
+        assert_eq!(one_bin, Err(ThresholdError::TooFewBins { filled: 1 }));
+        let options = ThresholdOptions { level: 1.0, ..Default::default() };
+        assert!(threshold(&[0.1], &[true], None, &edges, options).is_err());
+    }
+}
