@@ -13,10 +13,12 @@ mod codec;
 mod columns;
 mod entry;
 mod error;
+pub mod export;
 mod hash;
 mod journal;
 mod parquet;
 mod provenance;
+pub mod published;
 mod schema;
 
 pub use entry::Entry;

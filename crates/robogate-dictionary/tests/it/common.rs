@@ -1,0 +1,176 @@
+//! Entries for tests: plausible ones, and ones that go to the edges of what an entry can be.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use robogate_core::{
+    Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Measures, Outcome, ParameterSpace, Phase, Scenario,
+    Seed, Stream, Value,
+};
+use robogate_dictionary::{Engine, Entry, Platform, Provenance, Robot, SCHEMA_VERSION, Tool};
+
+pub(crate) const SEED: u64 = 2026;
+
+pub(crate) fn space() -> ParameterSpace {
+    ParameterSpace::from_toml(
+        r#"
+        name = "test"
+        [[parameter]]
+        name = "friction"
+        kind = "continuous"
+        low = 0.05
+        high = 1.2
+        scale = "log"
+        [[parameter]]
+        name = "mass_kg"
+        kind = "continuous"
+        low = 0.05
+        high = 2.0
+        scale = "log"
+        [[parameter]]
+        name = "obstacles"
+        kind = "integer"
+        low = 0
+        high = 5
+        [[parameter]]
+        name = "shape"
+        kind = "categorical"
+        choices = ["box", "cylinder", "sphere", "irregular"]
+        "#,
+    )
+    .unwrap()
+}
+
+pub(crate) fn provenance() -> Provenance {
+    Provenance {
+        tool: Tool::robogate(),
+        schema_version: SCHEMA_VERSION,
+        engine: Engine {
+            name: "mujoco".to_owned(),
+            version: Some("3.17.0".to_owned()),
+            build_sha256: Some("ab".repeat(32)),
+        },
+        robot: Robot { name: "franka".to_owned(), sha256: Some("cd".repeat(32)) },
+        policy: "scripted".to_owned(),
+        space: space(),
+        plan: serde_json::json!({ "stages": [{ "name": "uniform", "n": 100 }] }),
+        seed: SEED,
+        platform: Some(Platform::here()),
+        source: None,
+    }
+}
+
+/// Entry `index`, in part drawn from its own seed, and with every kind of outcome among a few.
+pub(crate) fn entry(index: u64) -> Entry {
+    let seed = Seed::campaign(SEED).episode(index);
+    let mut stream = seed.stream("test");
+    let requested = draw(&mut stream);
+    let mut applied = requested.clone();
+    let mass = requested.number("mass_kg").unwrap();
+    // Read back in single precision, as an engine might.
+    applied.set("mass_kg", Value::Number(f64::from(mass as f32)));
+    let outcome = match index % 7 {
+        0..=2 => Outcome::Success,
+        n @ 3..=5 => Outcome::Failure(FailureMode::ALL[n as usize - 3]),
+        _ if index.is_multiple_of(2) => Outcome::Failure(FailureMode::Timeout),
+        _ => {
+            applied = Assignment::default();
+            Outcome::Invalid(Fault::new(FaultKind::Setup, "object \"starts\" in contact,\nwith the table"))
+        }
+    };
+    let contact = (outcome == Outcome::Failure(FailureMode::Collision)).then(|| Contact {
+        robot_body: "link5".to_owned(),
+        other_body: "obstacle_2".to_owned(),
+        force_n: stream.between(0.1, 200.0),
+    });
+    Entry {
+        stage: if index < 1000 { "uniform" } else { "boundary" }.to_owned(),
+        design: "latin_hypercube".to_owned(),
+        weight: if index < 1000 { 1.0 } else { stream.between(0.0, 3.0) },
+        episode: Episode {
+            scenario: Scenario { index, seed, requested },
+            applied,
+            outcome,
+            time_s: stream.between(0.0, 15.0),
+            phase: (index % 8 < 6).then(|| Phase::ALL[(index % 8) as usize]),
+            contact,
+            measures: Measures {
+                peak_contact_force_n: (index % 3 > 0).then(|| stream.between(0.0, 100.0)),
+                slip_m: (index % 5 > 0).then(|| stream.between(0.0, 0.01)),
+                min_clearance_m: (index % 2 > 0).then(|| stream.between(-0.01, 0.5)),
+                target_distance_m: Some(stream.between(0.0, 0.5)),
+            },
+            ticks: stream.below(300) as u32,
+            trajectory_hash: stream.bits(),
+        },
+    }
+}
+
+pub(crate) fn draw(stream: &mut Stream) -> Assignment {
+    let space = space();
+    let parameters = space.parameters().iter();
+    parameters
+        .map(|parameter| {
+            let coded = parameter.domain.from_unit(stream.uniform());
+            (Arc::clone(&parameter.name), parameter.domain.decode(coded))
+        })
+        .collect()
+}
+
+/// An entry that no sound campaign leaves, and that the record must keep nevertheless.
+pub(crate) fn strange_entry(index: u64) -> Entry {
+    let mut entry = entry(index);
+    let episode = &mut entry.episode;
+    episode.scenario.requested.set("friction", Value::Number(-0.0));
+    episode.applied = [
+        ("shape", Value::Category("".into())),
+        ("friction", Value::Number(f64::NAN)),
+        ("mass_kg", Value::Number(f64::NEG_INFINITY)),
+        ("obstacles", Value::Number(-0.0)),
+        ("gravity", Value::Number(f64::MIN_POSITIVE / 4.0)),
+        ("colour", Value::Category("\u{1F916} \"'\0,\n".into())),
+        ("count", Value::Integer(i64::MIN)),
+    ]
+    .into_iter()
+    .map(|(name, value)| (name.into(), value))
+    .collect();
+    episode.outcome = Outcome::Invalid(Fault::new(FaultKind::NotApplied, ""));
+    episode.time_s = f64::INFINITY;
+    episode.contact = Some(Contact { robot_body: String::new(), other_body: "é".to_owned(), force_n: f64::NAN });
+    episode.measures.slip_m = Some(f64::NAN);
+    episode.measures.min_clearance_m = Some(-0.0);
+    episode.ticks = u32::MAX;
+    episode.trajectory_hash = u64::MAX;
+    entry
+}
+
+/// Equality to the bit: NaN is itself, and -0.0 is not 0.0.
+pub(crate) fn same(a: &Entry, b: &Entry) -> bool {
+    // Debug writes doubles with their sign, NaN included, and the shortest digits that tell them apart.
+    format!("{a:?}") == format!("{b:?}")
+}
+
+/// A folder of one test, removed when it is over.
+pub(crate) struct Folder(PathBuf);
+
+impl Folder {
+    pub(crate) fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("robogate-dictionary-{}-{name}", std::process::id()));
+        std::fs::create_dir_all(&path).unwrap();
+        Self(path)
+    }
+
+    pub(crate) fn join(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.0
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}

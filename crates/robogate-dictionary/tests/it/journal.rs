@@ -1,0 +1,257 @@
+//! What the journal promises.
+
+use std::fs::{self, OpenOptions};
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Command, Stdio};
+
+use crate::common::{Folder, entry, same, strange_entry};
+use robogate_core::Seed;
+use robogate_dictionary::{DictionaryError, Entry, Journal, Recovery, dataset_hash};
+
+/// A journal with the entries of these indices; where each record ends is returned too.
+fn journal(path: &std::path::Path, indices: impl IntoIterator<Item = u64>) -> Vec<u64> {
+    let mut journal = Journal::create(path).unwrap();
+    let mut ends = vec![fs::metadata(path).unwrap().len()];
+    for index in indices {
+        journal.append(&entry(index)).unwrap();
+        ends.push(fs::metadata(path).unwrap().len());
+    }
+    journal.sync().unwrap();
+    ends
+}
+
+#[test]
+fn what_was_appended_comes_back_to_the_bit_in_order_of_index() {
+    let folder = Folder::new("journal-order");
+    let path = folder.join("j");
+    let mut written = Journal::create(&path).unwrap();
+    let order = [3, 0, 7, 1, u64::MAX, 5];
+    for index in order {
+        let entry = if index % 2 == 0 { entry(index) } else { strange_entry(index) };
+        written.append(&entry).unwrap();
+        assert!(same(&written.read(index).unwrap().unwrap(), &entry));
+    }
+    drop(written);
+    let (mut read, recovery) = Journal::open(&path).unwrap();
+    assert_eq!(recovery, Recovery::default());
+    assert_eq!(read.len(), 6);
+    assert_eq!(read.indices().collect::<Vec<_>>(), [0, 1, 3, 5, 7, u64::MAX]);
+    assert!(read.contains(7) && !read.contains(2));
+    assert_eq!(read.read(2).unwrap(), None);
+    for found in read.ordered() {
+        let found = found.unwrap();
+        let index = found.index();
+        assert!(same(&found, &if index % 2 == 0 { entry(index) } else { strange_entry(index) }));
+    }
+}
+
+#[test]
+fn a_journal_cut_at_every_byte_of_its_last_record_keeps_all_others_and_goes_on() {
+    let folder = Folder::new("journal-cut");
+    let path = folder.join("whole");
+    let ends = journal(&path, 0..4);
+    let whole = fs::read(&path).unwrap();
+    for cut in ends[3]..ends[4] {
+        let path = folder.join("cut");
+        fs::write(&path, &whole[..cut as usize]).unwrap();
+        let (mut journal, recovery) = Journal::open(&path).unwrap();
+        assert_eq!(recovery.dropped_bytes, cut - ends[3]);
+        assert_eq!(journal.indices().collect::<Vec<_>>(), [0, 1, 2]);
+        assert_eq!(fs::metadata(&path).unwrap().len(), ends[3]);
+        journal.append(&entry(3)).unwrap();
+        drop(journal);
+        assert!(fs::read(&path).unwrap() == whole, "cut at {cut}");
+        fs::remove_file(&path).unwrap();
+    }
+}
+
+#[test]
+fn a_journal_cut_anywhere_opens_with_the_records_before_the_cut() {
+    let folder = Folder::new("journal-cut-anywhere");
+    let path = folder.join("whole");
+    let ends = journal(&path, [2, 0, 1]);
+    let whole = fs::read(&path).unwrap();
+    for cut in 0..whole.len() {
+        let path = folder.join("cut");
+        fs::write(&path, &whole[..cut]).unwrap();
+        let (mut journal, _) = Journal::open(&path).unwrap();
+        let kept = ends[1..].iter().filter(|end| **end <= cut as u64).count();
+        assert_eq!(journal.len(), kept as u64, "cut at {cut}");
+        assert_eq!(journal.ordered().filter(Result::is_ok).count(), kept);
+        fs::remove_file(&path).unwrap();
+    }
+}
+
+#[test]
+fn zeros_that_a_power_failure_left_at_the_end_are_cut_off() {
+    let folder = Folder::new("journal-zeros");
+    let path = folder.join("j");
+    let ends = journal(&path, 0..3);
+    OpenOptions::new().append(true).open(&path).unwrap().write_all(&[0; 5000]).unwrap();
+    let (journal, recovery) = Journal::open(&path).unwrap();
+    assert_eq!((journal.len(), recovery.dropped_bytes), (3, 5000));
+    assert_eq!(fs::metadata(&path).unwrap().len(), ends[3]);
+}
+
+#[test]
+fn each_flipped_bit_before_the_last_record_is_an_error_that_names_the_record() {
+    let folder = Folder::new("journal-flip");
+    let path = folder.join("whole");
+    let ends = journal(&path, 0..4);
+    let whole = fs::read(&path).unwrap();
+    let path = folder.join("flipped");
+    for byte in 0..ends[3] {
+        let mut flipped = whole.clone();
+        flipped[byte as usize] ^= 1 << (byte % 8);
+        fs::write(&path, &flipped).unwrap();
+        let error = Journal::open(&path).expect_err("a flipped bit");
+        match error {
+            DictionaryError::NotAJournal { .. } => assert!(byte < ends[0]),
+            DictionaryError::DamagedJournal { offset, intact, .. } => {
+                assert_eq!(offset, ends[intact as usize]);
+                assert!((offset..ends[intact as usize + 1]).contains(&byte), "{byte} in the record at {offset}");
+            }
+            other => panic!("{other}"),
+        }
+        // Nothing was changed by looking.
+        assert!(fs::read(&path).unwrap() == flipped);
+    }
+}
+
+#[test]
+fn the_hint_to_cut_a_damaged_journal_works() {
+    let folder = Folder::new("journal-hint");
+    let path = folder.join("j");
+    let ends = journal(&path, 0..4);
+    let mut bytes = fs::read(&path).unwrap();
+    bytes[ends[2] as usize + 40] ^= 4;
+    fs::write(&path, &bytes).unwrap();
+    let error = Journal::open(&path).unwrap_err();
+    let DictionaryError::DamagedJournal { offset, intact, .. } = error else { panic!("{error}") };
+    assert_eq!((offset, intact), (ends[2], 2));
+    assert!(error.to_string().contains(&format!("byte {offset}")), "{error}");
+    OpenOptions::new().write(true).open(&path).unwrap().set_len(offset).unwrap();
+    assert_eq!(Journal::open(&path).unwrap().0.len(), 2);
+}
+
+#[test]
+fn an_episode_is_recorded_once() {
+    let folder = Folder::new("journal-once");
+    let mut journal = Journal::create(&folder.join("j")).unwrap();
+    journal.append(&entry(1)).unwrap();
+    assert!(matches!(journal.append(&entry(1)), Err(DictionaryError::Duplicate { index: 1, .. })));
+    assert_eq!(journal.len(), 1);
+}
+
+#[test]
+fn a_second_process_or_a_second_journal_is_refused() {
+    let folder = Folder::new("journal-lock");
+    let path = folder.join("j");
+    let journal = Journal::create(&path).unwrap();
+    assert!(matches!(Journal::open(&path), Err(DictionaryError::Locked { .. })));
+    assert!(matches!(Journal::create(&path), Err(DictionaryError::Io { .. })));
+    drop(journal);
+    assert!(Journal::open(&path).is_ok());
+}
+
+#[test]
+fn a_weight_or_seed_that_is_none_is_refused_before_it_is_written() {
+    let folder = Folder::new("journal-refuse");
+    let mut journal = Journal::create(&folder.join("j")).unwrap();
+    for weight in [f64::NAN, f64::INFINITY, -1.0] {
+        let wrong = Entry { weight, ..entry(0) };
+        assert!(matches!(journal.append(&wrong), Err(DictionaryError::Weight { index: 0, .. })));
+    }
+    let mut wrong = entry(0);
+    wrong.episode.scenario.seed = Seed::campaign(1).episode(9);
+    assert!(matches!(journal.append(&wrong), Err(DictionaryError::ForeignSeed { index: 0 })));
+    assert!(journal.is_empty());
+}
+
+#[test]
+fn a_later_version_asks_for_an_upgrade() {
+    let folder = Folder::new("journal-version");
+    let path = folder.join("j");
+    journal(&path, 0..1);
+    let mut bytes = fs::read(&path).unwrap();
+    bytes[8] = 2;
+    fs::write(&path, bytes).unwrap();
+    let error = Journal::open(&path).unwrap_err().to_string();
+    assert!(error.contains("upgrade"), "{error}");
+}
+
+/// The other side of the tests below: appends entries to the journal that the environment names
+/// until it is killed or cannot, and says how many it has.
+#[test]
+#[ignore = "run by other tests"]
+fn writer() {
+    let path = std::env::var_os("ROBOGATE_TEST_JOURNAL").expect("set by the test that runs this");
+    let path = std::path::Path::new(&path);
+    let mut journal = if path.exists() { Journal::open(path).unwrap().0 } else { Journal::create(path).unwrap() };
+    for index in journal.len().. {
+        if let Err(error) = journal.append(&entry(index)) {
+            println!("stopped at {index}: {error}");
+            // The same again: a full disk stays full, and the journal stays whole.
+            assert!(journal.append(&entry(index)).is_err());
+            assert_eq!(journal.ordered().map(Result::unwrap).count() as u64, index);
+            return;
+        }
+        println!("appended {index}");
+    }
+}
+
+#[test]
+fn kill_9_at_any_moment_loses_nothing_that_was_appended() {
+    let folder = Folder::new("journal-kill");
+    let path = folder.join("j");
+    let mut most = 0;
+    for round in 0..20_u64 {
+        let mut child = Command::new(std::env::current_exe().unwrap())
+            .args(["journal::writer", "--exact", "--ignored", "--nocapture"])
+            .env("ROBOGATE_TEST_JOURNAL", &path)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
+        let appended = |line: String| line.rsplit_once("appended ").map(|(_, index)| index.parse::<u64>().unwrap());
+        let first = lines.by_ref().find_map(appended).unwrap();
+        assert_eq!(first, most);
+        let mut last = first;
+        for _ in 0..(round * 37) % 101 {
+            last = lines.by_ref().find_map(appended).unwrap();
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        last = lines.filter_map(appended).last().unwrap_or(last);
+        let (journal, _) = Journal::open(&path).unwrap();
+        most = journal.len();
+        assert!(most > last, "{most} in the journal, {last} was appended");
+    }
+    let (mut journal, _) = Journal::open(&path).unwrap();
+    let undisturbed = dataset_hash((0..most).map(|index| Ok(entry(index)))).unwrap();
+    assert_eq!(dataset_hash(journal.ordered()).unwrap(), undisturbed);
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_disk_that_fills_up_is_an_error_and_the_journal_goes_on_once_there_is_room() {
+    let folder = Folder::new("journal-full");
+    let path = folder.join("j");
+    // A limit on the size of files, in blocks of 512 or 1024 bytes: the write that meets it is cut
+    // short, the next one fails, as on a full disk.
+    let output = Command::new("sh")
+        .args(["-c", "trap '' XFSZ; ulimit -f 20; exec \"$0\" journal::writer --exact --ignored --nocapture"])
+        .arg(std::env::current_exe().unwrap())
+        .env("ROBOGATE_TEST_JOURNAL", &path)
+        .output()
+        .unwrap();
+    let output = String::from_utf8_lossy(&output.stdout);
+    assert!(output.contains("stopped at") && output.contains("1 passed"), "{output}");
+    let (mut journal, recovery) = Journal::open(&path).unwrap();
+    assert_eq!(recovery.dropped_bytes, 0);
+    let n = journal.len();
+    assert!(n > 10);
+    journal.append(&entry(n)).unwrap();
+    let undisturbed = dataset_hash((0..=n).map(|index| Ok(entry(index)))).unwrap();
+    assert_eq!(dataset_hash(journal.ordered()).unwrap(), undisturbed);
+}

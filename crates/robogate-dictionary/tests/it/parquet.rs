@@ -1,0 +1,286 @@
+//! What the Parquet record promises.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use crate::common::{Folder, SEED, entry, provenance, same, strange_entry};
+use robogate_core::{Domain, Parameter, ParameterSpace, Scale, Seed, Value};
+use robogate_dictionary::{
+    Column, Dictionary, DictionaryError, DictionaryWriter, Entry, SchemaVersion, dataset_hash, write_parquet,
+};
+
+fn write(path: &Path, entries: impl Iterator<Item = Entry>) -> String {
+    write_parquet(path, &provenance(), entries.map(Ok)).unwrap().dataset_hash
+}
+
+fn replace(path: &Path, old: &str, new: &str) {
+    assert_eq!(old.len(), new.len());
+    let mut bytes = fs::read(path).unwrap();
+    let mut found = 0;
+    for at in 0..bytes.len() - old.len() {
+        if &bytes[at..at + old.len()] == old.as_bytes() {
+            bytes[at..at + old.len()].copy_from_slice(new.as_bytes());
+            found += 1;
+        }
+    }
+    assert!(found > 0, "{old} is not there");
+    fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn every_entry_comes_back_and_so_does_the_provenance() {
+    let folder = Folder::new("parquet-back");
+    let path = folder.join("d.parquet");
+    // More than one row group.
+    let n = 20_000;
+    let hash = write(&path, (0..n).map(entry));
+    let dictionary = Dictionary::open(&path).unwrap();
+    assert_eq!(dictionary.len(), n);
+    assert_eq!(dictionary.provenance(), &provenance());
+    assert_eq!(dictionary.dataset_hash(), hash);
+    let mut rows = 0;
+    for (expected, found) in (0..n).map(entry).zip(dictionary.entries()) {
+        assert_eq!(expected, found.unwrap());
+        rows += 1;
+    }
+    assert_eq!(rows, n);
+    assert_eq!(dataset_hash(dictionary.entries()).unwrap(), hash);
+    assert_eq!(dataset_hash((0..n).map(|index| Ok(entry(index)))).unwrap(), hash);
+}
+
+#[test]
+fn the_same_entries_give_the_same_bytes() {
+    let folder = Folder::new("parquet-bytes");
+    let (a, b) = (folder.join("a.parquet"), folder.join("b.parquet"));
+    write(&a, (0..5000).map(entry));
+    write(&b, (0..5000).map(entry));
+    assert!(fs::read(&a).unwrap() == fs::read(&b).unwrap());
+    write(&b, (0..5001).map(entry));
+    assert!(fs::read(&a).unwrap() != fs::read(&b).unwrap());
+}
+
+#[test]
+fn what_columns_cannot_hold_is_kept_beside_them_or_missing_and_never_bent() {
+    let folder = Folder::new("parquet-strange");
+    let path = folder.join("d.parquet");
+    write(&path, [strange_entry(4)].into_iter());
+    let dictionary = Dictionary::open(&path).unwrap();
+    let found = dictionary.entries().next().unwrap().unwrap();
+    let mut expected = strange_entry(4);
+    // Order is that of the space; what is not finite and no parameter has one form, missing or NaN.
+    expected.episode.measures.slip_m = None;
+    expected.episode.time_s = f64::NAN;
+    let by_name = |entry: &Entry| {
+        let mut pairs: Vec<_> = entry.episode.applied.iter().map(|(n, v)| (n.to_owned(), format!("{v:?}"))).collect();
+        pairs.sort();
+        pairs
+    };
+    assert_eq!(by_name(&expected), by_name(&found));
+    expected.episode.applied = found.episode.applied.clone();
+    assert!(same(&expected, &found), "{expected:#?}\n{found:#?}");
+    assert_eq!(dataset_hash([Ok(strange_entry(4))]).unwrap(), dictionary.dataset_hash());
+    // A reader of the plain columns meets no NaN.
+    for name in ["applied_friction", "applied_mass_kg", "applied_obstacles", "slip_m", "cycle_time_s"] {
+        assert_eq!(dictionary.numbers(name).unwrap(), [None], "{name}");
+    }
+    assert_eq!(dictionary.numbers("friction").unwrap()[0].unwrap().to_bits(), (-0.0_f64).to_bits());
+}
+
+#[test]
+fn whole_columns_are_read_by_name() {
+    let folder = Folder::new("parquet-columns");
+    let path = folder.join("d.parquet");
+    let n = 17_000;
+    write(&path, (0..n).map(entry));
+    let dictionary = Dictionary::open(&path).unwrap();
+    let friction = dictionary.numbers("friction").unwrap();
+    assert_eq!(friction.len() as u64, n);
+    assert_eq!(friction[16_500], entry(16_500).episode.scenario.requested.number("friction"));
+    assert_eq!(dictionary.numbers("slip_m").unwrap()[16_505], None);
+    assert_eq!(dictionary.numbers("obstacles").unwrap()[3], entry(3).episode.scenario.requested.number("obstacles"));
+    let Column::Counts(index) = dictionary.column("index").unwrap() else { panic!() };
+    assert!(index.into_iter().eq((0..n).map(Some)));
+    let Column::Categories { words, codes } = dictionary.column("outcome").unwrap() else { panic!() };
+    assert_eq!(words[codes[3].unwrap() as usize], "grasp_miss");
+    assert_eq!(words.len(), 6);
+    let Column::Categories { words, codes } = dictionary.column("failure_type").unwrap() else { panic!() };
+    assert_eq!(codes[13], None, "an invalid episode has no failure type");
+    assert!(words.contains(&"none".to_owned()));
+    assert!(matches!(dictionary.numbers("shape"), Err(DictionaryError::ColumnKind { .. })));
+    let error = dictionary.column("mass").unwrap_err().to_string();
+    assert!(error.contains("mass_kg"), "{error}");
+}
+
+#[test]
+fn an_empty_dictionary_is_a_dictionary() {
+    let folder = Folder::new("parquet-empty");
+    let path = folder.join("d.parquet");
+    write(&path, std::iter::empty());
+    let dictionary = Dictionary::open(&path).unwrap();
+    assert!(dictionary.is_empty());
+    assert!(dictionary.entries().next().is_none());
+    assert!(dictionary.column("weight").unwrap().is_empty());
+}
+
+#[test]
+fn a_file_is_there_whole_or_not_at_all() {
+    let folder = Folder::new("parquet-atomic");
+    let path = folder.join("d.parquet");
+    write(&path, (0..10).map(entry));
+    let before = fs::read(&path).unwrap();
+    // An error in the middle of the entries, after a whole row group.
+    let failing = (0..17_000).map(|index| if index == 16_999 { Err(failure()) } else { Ok(entry(index)) });
+    assert!(write_parquet(&path, &provenance(), failing).is_err());
+    let mut abandoned = DictionaryWriter::create(&path, &provenance()).unwrap();
+    abandoned.push(&entry(0)).unwrap();
+    drop(abandoned);
+    assert!(fs::read(&path).unwrap() == before);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left behind");
+}
+
+fn failure() -> DictionaryError {
+    DictionaryError::Order { index: 0, previous: 0 }
+}
+
+#[test]
+fn a_folder_that_is_not_there_or_in_the_way_is_named() {
+    let folder = Folder::new("parquet-folder");
+    for path in [folder.join("no/such/d.parquet"), folder.path().to_owned()] {
+        let error = DictionaryWriter::create(&path, &provenance()).unwrap_err();
+        assert!(error.to_string().contains(folder.path().to_str().unwrap()), "{error}");
+    }
+    assert!(matches!(Dictionary::open(&folder.join("none")), Err(DictionaryError::Io { .. })));
+}
+
+#[test]
+fn entries_that_contradict_the_dictionary_are_refused() {
+    let folder = Folder::new("parquet-refuse");
+    let path = folder.join("d.parquet");
+    let mut writer = DictionaryWriter::create(&path, &provenance()).unwrap();
+    writer.push(&entry(5)).unwrap();
+    for index in [5, 4] {
+        assert!(matches!(writer.push(&entry(index)), Err(DictionaryError::Order { previous: 5, .. })));
+    }
+    let mut foreign = entry(6);
+    foreign.episode.scenario.seed = Seed::campaign(SEED + 1).episode(6);
+    assert!(matches!(writer.push(&foreign), Err(DictionaryError::ForeignCampaign { found: 2027, .. })));
+    for (name, value) in [
+        ("shape", Value::Number(1.0)),
+        ("mass_kg", Value::Category("1.0".into())),
+        ("mass_kg", Value::Number(f64::NAN)),
+        ("obstacles", Value::Number(1.5)),
+        ("colour", Value::Integer(1)),
+    ] {
+        let mut wrong = entry(6);
+        wrong.episode.scenario.requested.set(name, value);
+        let error = writer.push(&wrong).unwrap_err();
+        assert!(
+            matches!(&error, DictionaryError::Parameter { index: 6, parameter, .. } if parameter == name),
+            "{error}"
+        );
+    }
+    let mut missing = entry(6);
+    missing.episode.scenario.requested = missing
+        .episode
+        .scenario
+        .requested
+        .iter()
+        .filter(|(name, _)| *name != "shape")
+        .map(|(name, value)| (name.into(), value.clone()))
+        .collect();
+    assert!(matches!(writer.push(&missing), Err(DictionaryError::Parameter { .. })));
+    assert_eq!(writer.finish().unwrap().rows, 1);
+}
+
+#[test]
+fn a_parameter_with_the_name_of_a_column_is_refused() {
+    let folder = Folder::new("parquet-clash");
+    let domain = || Domain::Continuous { low: 0.0, high: 1.0, scale: Scale::Linear };
+    let of = |names: &[&str]| {
+        let parameters = names.iter().map(|name| Parameter { name: (*name).into(), domain: domain() });
+        ParameterSpace::new("clash", parameters.collect()).unwrap()
+    };
+    for names in [&["outcome"][..], &["seed"], &["applied_mass", "mass"], &["Mass", "mass"], &["Weight"]] {
+        let provenance = robogate_dictionary::Provenance { space: of(names), ..provenance() };
+        let error = DictionaryWriter::create(&folder.join("d"), &provenance).unwrap_err();
+        assert!(
+            matches!(&error, DictionaryError::ColumnClash { parameter } if names.iter().any(|n| parameter.ends_with(n))),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn a_newer_major_version_asks_for_an_upgrade_and_a_newer_minor_is_only_read() {
+    let folder = Folder::new("parquet-version");
+    let path = folder.join("d.parquet");
+    // A name in the provenance as long as the version leaves room for: the key-value pair alone is replaced.
+    write(&path, (0..3).map(entry));
+    let bytes = fs::read(&path).unwrap();
+    let with_version = |version: &str| {
+        let key = b"robogate.schema_version";
+        let at = bytes.windows(key.len()).position(|window| window == key).unwrap() + key.len();
+        let mut changed = bytes.clone();
+        // Thrift's compact protocol: a field header, then the length of the text, then the text.
+        assert_eq!(&changed[at + 2..at + 5], b"1.0");
+        changed[at + 2..at + 5].copy_from_slice(version.as_bytes());
+        fs::write(&path, changed).unwrap();
+        Dictionary::open(&path)
+    };
+    let error = with_version("2.0").unwrap_err();
+    assert!(matches!(error, DictionaryError::NewerSchema { found: SchemaVersion { major: 2, minor: 0 }, .. }));
+    assert!(error.to_string().contains("upgrade robogate"), "{error}");
+    let newer = with_version("1.7").unwrap();
+    assert_eq!(newer.entries().filter(Result::is_ok).count(), 3);
+    assert!(newer.schema_version().is_readable() && !newer.schema_version().is_writable());
+    assert!(with_version("0.9").is_err());
+    assert!(with_version("1-0").is_err());
+}
+
+#[test]
+fn what_another_program_did_to_the_file_is_noticed() {
+    let folder = Folder::new("parquet-edit");
+    let path = folder.join("d.parquet");
+    write(&path, (0..50).map(entry));
+    replace(&path, "franka", "frenka");
+    let error = Dictionary::open(&path).unwrap_err().to_string();
+    assert!(error.contains("provenance"), "{error}");
+}
+
+#[test]
+fn a_foreign_or_truncated_file_is_refused_with_what_it_is() {
+    let folder = Folder::new("parquet-foreign");
+    let path = folder.join("d.parquet");
+    write(&path, (0..50).map(entry));
+    let whole = fs::read(&path).unwrap();
+    let says = |bytes: &[u8], words: &str| {
+        fs::write(&path, bytes).unwrap();
+        let error = Dictionary::open(&path).unwrap_err().to_string();
+        assert!(error.contains(words) && error.contains("d.parquet"), "{error}");
+    };
+    says(&whole[..whole.len() - 1], "truncated");
+    says(&whole[..whole.len() / 2], "truncated");
+    says(&whole[..5], "too few");
+    says(b"", "0 bytes");
+    says(b"{\"metadata\": {}, \"experiments\": []}", "robogate import");
+}
+
+#[test]
+fn pyarrow_pandas_and_duckdb_read_what_was_written() {
+    let Some(python) = std::env::var_os("ROBOGATE_TEST_PYTHON") else {
+        println!("skipped: ROBOGATE_TEST_PYTHON names no Python with pyarrow, pandas and duckdb");
+        return;
+    };
+    let folder = Folder::new("parquet-readers");
+    let path = folder.join("d.parquet");
+    let hash = write(&path, (0..20_000).map(entry));
+    let csv = folder.join("expected.csv");
+    let mut out = fs::File::create(&csv).unwrap();
+    robogate_dictionary::export::csv(&Dictionary::open(&path).unwrap(), &mut out).unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/readers.py");
+    let output = Command::new(python).arg(script).args([&path, &csv]).arg(hash).output().unwrap();
+    let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{out}{err}");
+    println!("{out}");
+}
