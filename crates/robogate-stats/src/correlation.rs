@@ -1,0 +1,258 @@
+//! How strongly two quantities go together.
+//!
+//! - [`pearson`]: linear correlation r; with a success column of 0 and 1 it is the point-biserial one
+//!   ([`point_biserial`]). p from Student's t with n - 2 degrees of freedom, interval by Fisher's transform atanh r ± z/sqrt(n-3).
+//! - [`spearman`]: Pearson of midranks; monotone association, ties kept. Its t approximation is good from ten rows.
+//! - [`cramers_v`]: categories. V = sqrt(χ²/(n (min(r, c) - 1))), |φ| for a 2 × 2 table; with the bias-corrected form.
+//!
+//! Limit: a zero correlation is not independence (an island of success has r near 0), and p-values of thousands of rows
+//! make every trifle significant: read the size, not the p.
+//! Sources: Fisher (1915, 1921); Spearman (1904); Cramer (1946); Bergsma (2013) for the bias correction.
+
+use crate::interval::{Confidence, Interval};
+use crate::special::{ln_chi_squared_sf, ln_student_two_sided};
+
+/// Why there is no correlation.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum CorrelationError {
+    /// Lengths differ.
+    #[error("{found} values against {expected}")]
+    Length {
+        /// Length of the first input.
+        expected: usize,
+        /// Length of the second.
+        found: usize,
+    },
+    /// A value is NaN or infinite.
+    #[error("row {row}: {value} is not a finite number")]
+    NotFinite {
+        /// Index of the row.
+        row: usize,
+        /// Value found.
+        value: f64,
+    },
+    /// Fewer than two rows.
+    #[error("{rows} rows: a correlation needs two at least")]
+    TooFewRows {
+        /// Rows found.
+        rows: usize,
+    },
+    /// One side has a single value, so it cannot go together with anything.
+    #[error("the {side} input has one value only; its correlation is not defined")]
+    Constant {
+        /// "first" or "second".
+        side: &'static str,
+    },
+    /// Chi-squared needs a table of two rows and two columns at least that hold anything.
+    #[error("a table needs two categories that occur on each side")]
+    DegenerateTable,
+}
+
+/// A correlation coefficient.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Correlation {
+    /// Coefficient, within [-1, 1].
+    pub r: f64,
+    /// ln of the two-sided p-value of no correlation; `None` below three rows, or where |r| = 1.
+    pub ln_p: Option<f64>,
+    /// Interval by Fisher's transform; [-1, 1] below four rows.
+    pub interval: Interval,
+    /// Rows.
+    pub n: usize,
+}
+
+/// Pearson's correlation.
+///
+/// # Errors
+/// Unequal lengths, a value that is not finite, fewer than two rows, or a constant side.
+pub fn pearson(x: &[f64], y: &[f64], confidence: Confidence) -> Result<Correlation, CorrelationError> {
+    if x.len() != y.len() {
+        return Err(CorrelationError::Length { expected: x.len(), found: y.len() });
+    }
+    if x.len() < 2 {
+        return Err(CorrelationError::TooFewRows { rows: x.len() });
+    }
+    let a = unit(x, "first")?;
+    let b = unit(y, "second")?;
+    let r: f64 = a.iter().zip(&b).map(|(p, q)| p * q).sum::<f64>().clamp(-1.0, 1.0);
+    let n = x.len();
+    let df = n as f64 - 2.0;
+    let rest = (1.0 - r) * (1.0 + r);
+    let interval = if n < 4 || rest <= 0.0 {
+        Interval { low: -1.0, high: 1.0 }
+    } else {
+        let half = confidence.z() / (df - 1.0).sqrt();
+        Interval { low: (r.atanh() - half).tanh(), high: (r.atanh() + half).tanh() }
+    };
+    Ok(Correlation {
+        r,
+        ln_p: (df > 0.0 && rest > 0.0).then(|| ln_student_two_sided(df, r * (df / rest).sqrt())),
+        interval,
+        n,
+    })
+}
+
+/// Centres a column and scales it to unit length.
+fn unit(values: &[f64], side: &'static str) -> Result<Vec<f64>, CorrelationError> {
+    if let Some(row) = values.iter().position(|v| !v.is_finite()) {
+        return Err(CorrelationError::NotFinite { row, value: values[row] });
+    }
+    let largest = values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+    if largest <= 0.0 {
+        return Err(CorrelationError::Constant { side });
+    }
+    let mean = values.iter().map(|v| v / largest).sum::<f64>() / values.len() as f64;
+    let mut centred: Vec<f64> = values.iter().map(|v| v / largest - mean).collect();
+    let length = centred.iter().map(|v| v * v).sum::<f64>().sqrt();
+    if length <= 1e-13 * (values.len() as f64).sqrt() {
+        return Err(CorrelationError::Constant { side });
+    }
+    centred.iter_mut().for_each(|v| *v /= length);
+    Ok(centred)
+}
+
+/// Point-biserial correlation of a parameter with success (1) and failure (0).
+///
+/// # Errors
+/// As [`pearson`].
+pub fn point_biserial(x: &[f64], outcomes: &[bool], confidence: Confidence) -> Result<Correlation, CorrelationError> {
+    let y: Vec<f64> = outcomes.iter().map(|o| f64::from(u8::from(*o))).collect();
+    pearson(x, &y, confidence)
+}
+
+/// Spearman's rank correlation, ties sharing their mean rank.
+///
+/// # Errors
+/// As [`pearson`].
+pub fn spearman(x: &[f64], y: &[f64], confidence: Confidence) -> Result<Correlation, CorrelationError> {
+    for values in [x, y] {
+        if let Some(row) = values.iter().position(|v| !v.is_finite()) {
+            return Err(CorrelationError::NotFinite { row, value: values[row] });
+        }
+    }
+    pearson(&midranks(x), &midranks(y), confidence)
+}
+
+/// Ranks from 1; equal values share the mean of theirs.
+pub fn midranks(values: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..values.len()).collect();
+    order.sort_unstable_by(|&a, &b| values[a].total_cmp(&values[b]));
+    let mut ranks = vec![0.0; values.len()];
+    let mut at = 0;
+    while at < order.len() {
+        let mut end = at + 1;
+        while end < order.len() && values[order[end]] <= values[order[at]] {
+            end += 1;
+        }
+        let shared = 0.5 * (at + 1 + end) as f64;
+        for &row in &order[at..end] {
+            ranks[row] = shared;
+        }
+        at = end;
+    }
+    ranks
+}
+
+/// Association of two categorical quantities.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Association {
+    /// Cramer's V, within [0, 1]; |φ| for two categories on each side.
+    pub v: f64,
+    /// V less its bias under independence (Bergsma).
+    pub v_corrected: f64,
+    /// φ with its sign, for a 2 × 2 table: positive where the codes go together.
+    pub phi: Option<f64>,
+    /// Pearson's χ², without continuity correction.
+    pub chi_squared: f64,
+    /// Degrees of freedom.
+    pub df: usize,
+    /// ln of the p-value of independence.
+    pub ln_p: f64,
+    /// Smallest expected count: below 5 the p-value is rough.
+    pub smallest_expected: f64,
+    /// Rows.
+    pub n: usize,
+}
+
+/// Cramer's V of two columns of category codes; codes that never occur do not count as categories.
+///
+/// # Errors
+/// Unequal lengths, or fewer than two categories that occur on a side.
+pub fn cramers_v(first: &[usize], second: &[usize]) -> Result<Association, CorrelationError> {
+    if first.len() != second.len() {
+        return Err(CorrelationError::Length { expected: first.len(), found: second.len() });
+    }
+    let names = |codes: &[usize]| {
+        let mut names = codes.to_vec();
+        names.sort_unstable();
+        names.dedup();
+        names
+    };
+    let (rows, columns) = (names(first), names(second));
+    let (r, c) = (rows.len(), columns.len());
+    if r < 2 || c < 2 {
+        return Err(CorrelationError::DegenerateTable);
+    }
+    let mut table = vec![0.0; r * c];
+    for (a, b) in first.iter().zip(second) {
+        table[rows.partition_point(|x| x < a) * c + columns.partition_point(|x| x < b)] += 1.0;
+    }
+    let n = first.len() as f64;
+    let row_sums: Vec<f64> = table.chunks(c).map(|row| row.iter().sum()).collect();
+    let column_sums: Vec<f64> = (0..c).map(|j| (0..r).map(|i| table[i * c + j]).sum()).collect();
+    let mut chi_squared = 0.0;
+    let mut smallest_expected = f64::INFINITY;
+    for i in 0..r {
+        for j in 0..c {
+            let expected = row_sums[i] * column_sums[j] / n;
+            smallest_expected = smallest_expected.min(expected);
+            chi_squared += (table[i * c + j] - expected).powi(2) / expected;
+        }
+    }
+    let df = (r - 1) * (c - 1);
+    let smaller = (r.min(c) - 1) as f64;
+    let phi2 = chi_squared / n;
+    let corrected = |k: usize| k as f64 - (k as f64 - 1.0).powi(2) / (n - 1.0);
+    let room = corrected(r).min(corrected(c)) - 1.0;
+    let v_corrected =
+        if n > 1.0 && room > 0.0 { ((phi2 - df as f64 / (n - 1.0)).max(0.0) / room).sqrt().min(1.0) } else { 0.0 };
+    let phi = (r == 2 && c == 2).then(|| {
+        (table[0] * table[3] - table[1] * table[2])
+            / (row_sums[0] * row_sums[1] * column_sums[0] * column_sums[1]).sqrt()
+    });
+    Ok(Association {
+        v: (phi2 / smaller).sqrt().min(1.0),
+        v_corrected,
+        phi,
+        chi_squared,
+        df,
+        ln_p: ln_chi_squared_sf(df as f64, chi_squared),
+        smallest_expected,
+        n: first.len(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_constant_side_is_refused_not_called_uncorrelated() {
+        let found = point_biserial(&[1.0, 2.0, 3.0], &[true; 3], Confidence::P95);
+        assert_eq!(found, Err(CorrelationError::Constant { side: "second" }));
+        assert_eq!(cramers_v(&[0, 0], &[0, 1]), Err(CorrelationError::DegenerateTable));
+    }
+
+    #[test]
+    fn two_points_always_correlate_and_prove_nothing() {
+        let c = pearson(&[0.0, 1.0], &[5.0, 7.0], Confidence::P95).unwrap();
+        assert_eq!((c.ln_p, c.interval), (None, Interval { low: -1.0, high: 1.0 }));
+    }
+
+    #[test]
+    fn ranks_ignore_monotone_distortion() {
+        let x: Vec<f64> = (1..50).map(f64::from).collect();
+        let y: Vec<f64> = x.iter().map(|v| (v * 0.3).exp()).collect();
+        assert!((spearman(&x, &y, Confidence::P95).unwrap().r - 1.0).abs() < 1e-14);
+    }
+}

@@ -1,0 +1,76 @@
+//! Many questions of one data set.
+//!
+//! - [`holm`]: step-down adjusted p-values. The chance of any false rejection stays at most α under any dependence.
+//! - [`intersection_union`]: "it holds in all of them" is shown at level α when each is shown at level α, so the
+//!   p-value of the joint claim is the largest. No further adjustment within; between several joint claims use Holm.
+//!
+//! Limit: p-values must be valid one by one, and the family is what was asked, not what looked interesting.
+//! Sources: Holm (1979), Scandinavian Journal of Statistics 6; Berger (1982), Technometrics 24.
+
+/// Something that is no p-value.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("p-value {index} is {value}, not within 0 to 1")]
+pub struct NotAPValue {
+    /// Position in the input.
+    pub index: usize,
+    /// Value found.
+    pub value: f64,
+}
+
+fn check(p_values: &[f64]) -> Result<(), NotAPValue> {
+    match p_values.iter().position(|p| !(0.0..=1.0).contains(p)) {
+        Some(index) => Err(NotAPValue { index, value: p_values[index] }),
+        None => Ok(()),
+    }
+}
+
+/// Holm's adjusted p-values, in the order given: reject where the adjusted value is at most α.
+///
+/// # Errors
+/// [`NotAPValue`] for anything outside [0, 1].
+pub fn holm(p_values: &[f64]) -> Result<Vec<f64>, NotAPValue> {
+    check(p_values)?;
+    let m = p_values.len();
+    let mut order: Vec<usize> = (0..m).collect();
+    order.sort_by(|&a, &b| p_values[a].total_cmp(&p_values[b]));
+    let mut adjusted = vec![0.0; m];
+    let mut largest = 0.0_f64;
+    for (rank, &i) in order.iter().enumerate() {
+        largest = largest.max((m - rank) as f64 * p_values[i]).min(1.0);
+        adjusted[i] = largest;
+    }
+    Ok(adjusted)
+}
+
+/// p-value of "every one of these claims holds"; `None` where there is no claim.
+///
+/// # Errors
+/// [`NotAPValue`] for anything outside [0, 1].
+pub fn intersection_union(p_values: &[f64]) -> Result<Option<f64>, NotAPValue> {
+    check(p_values)?;
+    Ok(p_values.iter().copied().reduce(f64::max))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn adjusted_values_never_fall_below_the_given_ones_and_keep_their_order() {
+        let p = [0.04, 0.001, 0.03, 0.03, 0.9];
+        let a = holm(&p).unwrap();
+        for i in 0..5 {
+            assert!(a[i] >= p[i]);
+            for j in 0..5 {
+                assert!(p[i] > p[j] || a[i] <= a[j]);
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_claimed_is_nothing_shown() {
+        assert_eq!(intersection_union(&[]), Ok(None));
+        assert_eq!(intersection_union(&[0.01, 0.2]), Ok(Some(0.2)));
+        assert!(holm(&[f64::NAN]).is_err());
+    }
+}
