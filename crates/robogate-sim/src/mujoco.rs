@@ -76,6 +76,9 @@ struct Loaded {
 }
 
 impl MujocoEngine {
+    /// The default time step in seconds: halving it changes few outcomes (`robogate check physics`).
+    pub const TIME_STEP_S: f64 = 0.0025;
+
     /// An engine for this robot, with this time step in seconds.
     pub fn new(robot: Robot, time_step: f64) -> Result<Self, RobotError> {
         let mut base = parse(&robot)?;
@@ -164,8 +167,8 @@ impl MujocoEngine {
             geom.set_contype(OBJECT.0);
             geom.set_conaffinity(OBJECT.1);
             geom.set_mass(0.0);
-            // Six dimensions: sliding, twisting and rolling friction all act.
-            geom.set_condim(6);
+            // Sliding and twisting friction; a ball has rolling friction too, or it would never rest.
+            geom.set_condim(if matches!(part.primitive, Primitive::Sphere { .. }) { 6 } else { 4 });
             // The object's friction is that of each of its contacts, whatever it touches.
             geom.set_priority(1);
             *geom.friction_mut() = [scene.friction, scene.friction * PATCH_RADIUS * 2.0 / 3.0, ROLLING];

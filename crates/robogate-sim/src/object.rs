@@ -111,6 +111,16 @@ impl Shape {
         }
     }
 
+    /// Where the ballast of a shifted centre of mass sits, as a direction from the middle: on the +x
+    /// face, across the direction in which the fingers close, so that the weight twists the object
+    /// in the grip. A ball rests with its heavy side down: its ballast is at the bottom.
+    fn ballast(self) -> Vector3<f64> {
+        match self {
+            Self::Sphere => -Vector3::z(),
+            Self::Box | Self::Cylinder | Self::L | Self::Irregular => Vector3::x(),
+        }
+    }
+
     fn parts(self, size: f64) -> Vec<Part> {
         let at = |x: f64, y: f64, z: f64, yaw_deg: f64, primitive| Part {
             primitive,
@@ -169,10 +179,9 @@ pub struct ObjectModel {
 impl ObjectModel {
     /// An object of this shape, size (m), mass (kg) and centre-of-mass offset.
     ///
-    /// `com_offset` is the share of the mass that is a point at the middle of the object's +x face, the
-    /// rest being homogeneous. The centre of mass so moves by that share of its way to the face, and the
-    /// inertia is the exact one of the two together (parallel axes). +x is horizontal, across
-    /// the direction in which the fingers close: the weight twists the object in the grip.
+    /// `com_offset` is the share of the mass that is a point at the middle of one of the object's faces
+    /// (+x; a ball's bottom), the rest being homogeneous. The centre of mass so moves by that share of its
+    /// way to the face, and the inertia is the exact one of the two together (parallel axes).
     pub fn new(shape: Shape, size_m: f64, mass_kg: f64, com_offset: f64) -> Self {
         let parts = shape.parts(size_m);
         let volume: f64 = parts.iter().map(|part| part.primitive.volume()).sum();
@@ -185,7 +194,7 @@ impl ObjectModel {
                 (mass, part.pose.translation.vector, own)
             })
             .collect();
-        masses.push((mass_kg * com_offset, Vector3::new(0.5 * size_m, 0.0, 0.0), Matrix3::zeros()));
+        masses.push((mass_kg * com_offset, shape.ballast() * (0.5 * size_m), Matrix3::zeros()));
         let centre = masses.iter().map(|(mass, at, _)| at * *mass).sum::<Vector3<f64>>() / mass_kg;
         let inertia = masses
             .iter()
@@ -197,11 +206,12 @@ impl ObjectModel {
         Self { shape, size_m, parts, mass: MassProperties { mass_kg, centre, inertia } }
     }
 
-    /// The centre-of-mass offset that puts the centre of mass at `x` (m) in the object's frame: the
+    /// The centre-of-mass offset that puts the centre of mass there (m, in the object's frame): the
     /// inverse of what [`Self::new`] does, for reading an engine's state back.
-    pub fn com_offset_of(&self, x: f64) -> f64 {
-        let homogeneous = Self::new(self.shape, self.size_m, 1.0, 0.0).mass.centre.x;
-        (x - homogeneous) / (0.5 * self.size_m - homogeneous)
+    pub fn com_offset_of(&self, centre: &Vector3<f64>) -> f64 {
+        let way = self.shape.ballast();
+        let homogeneous = Self::new(self.shape, self.size_m, 1.0, 0.0).mass.centre.dot(&way);
+        (centre.dot(&way) - homogeneous) / (0.5 * self.size_m - homogeneous)
     }
 }
 
@@ -230,7 +240,7 @@ mod tests {
         assert!((cube.mass.centre - Vector3::new(0.4 * 0.03, 0.0, 0.0)).norm() < 1e-15);
         for shape in Shape::ALL {
             let object = ObjectModel::new(shape, 0.06, 0.5, 0.3);
-            assert!((object.com_offset_of(object.mass.centre.x) - 0.3).abs() < 1e-12);
+            assert!((object.com_offset_of(&object.mass.centre) - 0.3).abs() < 1e-12);
         }
     }
 

@@ -211,7 +211,7 @@ fn applied(requested: &Assignment, asked: &SceneParameters, engine: &Readback) -
         let read = match name {
             "friction" => Value::Number(engine.friction),
             "mass_kg" => Value::Number(engine.mass_kg),
-            "com_offset" => Value::Number(model.com_offset_of(engine.centre_of_mass.x)),
+            "com_offset" => Value::Number(model.com_offset_of(&engine.centre_of_mass)),
             "size_m" => Value::Number(size),
             "obstacles" => Value::Integer(engine.obstacles as i64),
             "placement" => Value::Category(engine_placement(asked, &engine.object).into()),
