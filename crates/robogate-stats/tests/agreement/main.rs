@@ -2,6 +2,7 @@
 //!
 //! The values come from `tests/reference/generate.py`; its `requirements.txt` pins the versions.
 
+mod analysis;
 mod interval;
 mod logistic;
 

@@ -196,6 +196,212 @@ OUT["quasi"] = {
     "profile_x": firth_profile_reference([xa, d1, d2], yq, 0, 0.95),
 }
 
+# ---------------------------------------------------------------- limit state
+
+
+def limit_reference(fit, at, level):
+    """Delta method by numerical gradient; compatible set by scanning and bisecting |eta| - z se."""
+    b = np.array(fit["estimate"])
+    cov = np.array(fit["covariance"]).reshape(4, 4)
+    zz = st.norm.isf((1 - level) / 2)
+    rows = []
+    for y_ in at:
+        star = lambda c: -(c[0] + c[2] * y_) / (c[1] + c[3] * y_)
+        g = so.approx_fprime(b, star, 1e-7)
+        g = np.array([(star(b + h) - star(b - h)) / 2e-5 for h in 1e-5 * np.eye(4)])
+        x_ = star(b)
+
+        def excess(x):
+            v = np.array([1, x, y_, x * y_])
+            return abs(v @ b) - zz * math.sqrt(v @ cov @ v)
+
+        grid = np.linspace(x_ - 40, x_ + 40, 160_001)
+        inside = np.array([excess(v) for v in grid]) <= 0
+        ends = [so.brentq(excess, grid[i], grid[i + 1], xtol=1e-13) for i in np.flatnonzero(np.diff(inside))]
+        rows.append({"y": y_, "x": float(x_), "se": float(math.sqrt(g @ cov @ g)), "ends": lst(ends)})
+    return rows
+
+
+product = x0 * x1
+surface = logit_reference([x0, x1, product], y)
+OUT["limit_state"] = {"points": limit_reference(surface, [0.1, 0.7, 1.3], 0.95)}
+
+# ---------------------------------------------------------------- ROC
+
+
+def delong(scores_a, scores_b, outcomes):
+    """The textbook kernel over all pairs; covariance of two AUCs on the same rows."""
+    k = lambda s: (s[outcomes][:, None] > s[~outcomes]) + 0.5 * (s[outcomes][:, None] == s[~outcomes])
+    ka, kb = k(scores_a), k(scores_b)
+    m, n_ = ka.shape
+    return ka.mean(), np.cov(ka.mean(1), kb.mean(1))[0, 1] / m + np.cov(ka.mean(0), kb.mean(0))[0, 1] / n_
+
+
+s1 = np.round(sp.expit(-1.2 + 3 * x0) + rng.normal(0, 0.15, n), 2)
+s2 = np.round(x0 - 0.2 * x1, 1)
+auc1, v1 = delong(s1, s1, y)
+auc2, v2 = delong(s2, s2, y)
+_, c12 = delong(s1, s2, y)
+assert abs(auc1 - skm.roc_auc_score(y, s1)) < 1e-12 and abs(auc2 - skm.roc_auc_score(y, s2)) < 1e-12
+fpr, tpr, thr = skm.roc_curve(y, s2, drop_intermediate=False)
+z95 = st.norm.isf(0.025)
+OUT["roc"] = {
+    "first": lst(s1),
+    "second": lst(s2),
+    "auc": [float(skm.roc_auc_score(y, s)) for s in (s1, s2)],
+    "se": [math.sqrt(v1), math.sqrt(v2)],
+    "interval": [float(auc1 - z95 * math.sqrt(v1)), float(auc1 + z95 * math.sqrt(v1))],
+    "difference_se": math.sqrt(v1 + v2 - 2 * c12),
+    "difference_ln_p": float(math.log(2) + st.norm.logsf(abs(auc1 - auc2) / math.sqrt(v1 + v2 - 2 * c12))),
+    "fpr": lst(fpr),
+    "tpr": lst(tpr),
+    "thresholds": lst(thr[1:]),
+}
+import sklearn.linear_model as skl
+
+folds = np.arange(n) % 5
+cv = []
+features = np.column_stack([x0, x1])
+for k in range(5):
+    model = skl.LogisticRegression(C=np.inf, tol=1e-12, max_iter=10_000).fit(features[folds != k], y[folds != k])
+    cv.append(float(skm.roc_auc_score(y[folds == k], model.decision_function(features[folds == k]))))
+OUT["cross_validated"] = {"folds": cv}
+
+# ---------------------------------------------------------------- calibration
+stated = sp.expit(-1.2 + 2.5 * x0)
+frac, mean_stated = skc.calibration_curve(y, stated, n_bins=10, strategy="uniform")
+which = np.minimum((stated * 10).astype(int), 9)
+OUT["calibration"] = {
+    "stated": lst(stated),
+    "brier": float(skm.brier_score_loss(y, stated)),
+    "log_loss": float(skm.log_loss(y, stated)),
+    "brier_weighted": float(skm.brier_score_loss(y, stated, sample_weight=w)),
+    "log_loss_weighted": float(skm.log_loss(y, stated, sample_weight=w)),
+    "observed": lst(frac),
+    "mean_stated": lst(mean_stated),
+    "expected_error": float(sum(np.sum(which == b) / n * abs(f - m_) for b, f, m_ in zip(np.unique(which), frac, mean_stated))),
+}
+
+# ---------------------------------------------------------------- comparisons
+OUT["two_rates"] = []
+for k1, n1, k2, n2 in [(31, 50, 12, 47), (0, 10, 3, 12), (10, 10, 9, 10), (56, 70, 48, 80), (10, 10_000, 25, 10_000), (7432, 10_000, 3332, 10_000), (1, 1, 0, 1)]:
+    z_, _ = prop.proportions_ztest([k1, k2], [n1, n2])
+    lo, hi = prop.confint_proportions_2indep(k1, n1, k2, n2, method="newcomb", compare="diff", alpha=0.05)
+    OUT["two_rates"].append({"k1": k1, "n1": n1, "k2": k2, "n2": n2, "z": float(z_), "ln_p": float(math.log(2) + st.norm.logsf(abs(z_))), "newcombe": [float(lo), float(hi)]})
+
+
+def newcombe_paired(a, b, c, d):
+    n_ = a + b + c + d
+    (l1, u1), (l2, u2) = (prop.proportion_confint(k, n_, 0.05, method="wilson") for k in (a + b, a + c))
+    p1, p2 = (a + b) / n_, (a + c) / n_
+    margins = (a + b) * (c + d) * (a + c) * (b + d)
+    phi = 0.0
+    if margins:
+        top = a * d - b * c
+        phi = (max(top - n_ / 2, 0) if top > 0 else top) / math.sqrt(margins)
+    q = lambda s, t: math.sqrt(np.array([s, t]) @ np.array([[1, -phi], [-phi, 1]]) @ np.array([s, t]))
+    return [p1 - p2 - q(p1 - l1, u2 - p2), p1 - p2 + q(u1 - p1, p2 - l2)]
+
+
+OUT["pairs"] = [
+    {"table": list(t), "ln_p": float(math.log(ct.mcnemar([[t[0], t[1]], [t[2], t[3]]], exact=True).pvalue)), "newcombe": newcombe_paired(*t)}
+    for t in [(20, 9, 3, 11), (36, 12, 2, 0), (0, 5, 0, 7), (60, 6, 2, 32), (50, 1, 1, 48), (1, 0, 0, 0), (500, 120, 20, 360)]
+]
+# binom.logcdf underflows to -inf far out, so the log masses are summed.
+OUT["one_rate"] = [
+    {
+        "k": k,
+        "n": n_,
+        "p0": p0,
+        "at_most": float(sp.logsumexp(st.binom.logpmf(np.arange(k + 1), n_, p0))),
+        "at_least": float(sp.logsumexp(st.binom.logpmf(np.arange(k, n_ + 1), n_, p0))),
+    }
+    for k, n_, p0 in [(0, 20, 0.3), (3, 20, 0.3), (20, 20, 0.7), (150, 600, 0.3), (10, 10_000, 0.3), (2600, 10_000, 0.3)]
+]
+ps = [0.04, 0.001, 0.03, 0.03, 0.9, 1e-12, 0.2]
+OUT["holm"] = {"p": ps, "adjusted": lst(mt.multipletests(ps, method="holm")[1])}
+
+# ---------------------------------------------------------------- weights
+ones = np.ones(n)
+keep = w > 0
+wls = sm.WLS(y[keep].astype(float), ones[keep], weights=w[keep]).fit(cov_type="HC1")
+terms = w * y / 500.0
+OUT["weighted"] = {
+    "rate": float(wls.params[0]),
+    "se": float(wls.bse[0]),
+    "effective": float(w.sum() ** 2 / (w**2).sum()),
+    "horvitz_thompson": float(terms.sum()),
+    "horvitz_thompson_se": float(math.sqrt(n) * terms.std(ddof=1)),
+}
+
+# ---------------------------------------------------------------- correlations
+r = st.pearsonr(x0, s1)
+ci = r.confidence_interval(0.95)
+sr = st.spearmanr(s1, s2)
+pb = st.pointbiserialr(y, x0)
+cat_a, cat_b = (np.arange(n) * 7 % 11) % 4, np.where(y, 1, 0) + (x0 > 0.8)
+table = np.array([[np.sum((cat_a == i) & (cat_b == j)) for j in range(3)] for i in range(4)])
+chi = st.chi2_contingency(table, correction=False)
+two = np.array([[np.sum((x0 > 0.5) == bool(i)) and np.sum(((x0 > 0.5) == bool(i)) & (y == bool(j))) for j in range(2)] for i in range(2)])
+OUT["correlation"] = {
+    "pearson": {"r": float(r.statistic), "ln_p": float(math.log(r.pvalue)), "interval": lst(ci)},
+    "point_biserial": {"r": float(pb.statistic), "ln_p": float(math.log(pb.pvalue))},
+    "spearman": {"r": float(sr.statistic), "ln_p": float(math.log(sr.pvalue))},
+    "cramer": {"a": [int(v) for v in cat_a], "b": [int(v) for v in cat_b], "v": float(st.contingency.association(table, "cramer")), "chi_squared": float(chi.statistic), "ln_p": float(st.chi2.logsf(chi.statistic, 6)), "smallest_expected": float(chi.expected_freq.min())},
+    "phi": float(np.corrcoef(x0 > 0.5, y)[0, 1]),
+}
+
+# ---------------------------------------------------------------- failure modes
+counts = [3918, 2735, 2098, 1532, 0]
+OUT["modes"] = {"counts": counts, "goodman": lst(prop.multinomial_proportions_confint(counts, 0.05, method="goodman"))}
+
+# ---------------------------------------------------------------- thresholds
+from sklearn.isotonic import IsotonicRegression
+
+u = formula(4_000, 7919, 4_001)
+v = formula(4_000, 104_729, 99_991)
+yt = 0.15 + 0.6 * u > v
+wt = np.where(np.arange(4_000) % 3 == 0, 2.5, 0.5)
+edges = np.linspace(u.min(), u.max(), 11)
+bins = np.clip(np.searchsorted(edges, u, side="right") - 1, 0, 9)
+
+
+def cross(rows, weights, positions):
+    wt_ = np.bincount(bins[rows], weights[rows], 10)
+    rate = np.bincount(bins[rows], (weights * yt)[rows], 10) / wt_
+    fit = IsotonicRegression().fit(np.arange(10), rate, sample_weight=wt_).predict(np.arange(10))
+    if fit[0] >= 0.5:
+        return -np.inf, fit
+    if fit[-1] < 0.5:
+        return np.inf, fit
+    i = np.flatnonzero(fit > 0.5)[0] - 1
+    return positions[i] + (0.5 - fit[i]) / (fit[i + 1] - fit[i]) * (positions[i + 1] - positions[i]), fit
+
+
+OUT["threshold"] = {}
+for name, weights in [("plain", np.ones(4_000)), ("weighted", wt)]:
+    positions = np.bincount(bins, weights * u) / np.bincount(bins, weights)
+    at, fit = cross(np.arange(4_000), weights, positions)
+    reps = np.array([cross(rng.integers(0, 4_000, 4_000), weights, positions)[0] for _ in range(4_000)])
+    OUT["threshold"][name] = {"at": float(at), "monotone": lst(fit), "se": float(reps.std(ddof=1)), "interval": lst(np.percentile(reps, [2.5, 97.5]))}
+
+values = np.round(rng.normal(size=37), 3)
+OUT["percentile"] = {"values": lst(values), "ends": lst(np.percentile(values, [5, 95])), "sd": float(values.std(ddof=1))}
+
+
+
+def finite(value, where):
+    if isinstance(value, dict):
+        for k, v_ in value.items():
+            finite(v_, f"{where}.{k}")
+    elif isinstance(value, list):
+        for i, v_ in enumerate(value):
+            finite(v_, f"{where}[{i}]")
+    elif isinstance(value, float):
+        assert math.isfinite(value), where
+
+
+finite(OUT, "reference")
 path = pathlib.Path(__file__).parent / "reference.json"
 path.write_text(json.dumps(OUT, separators=(",", ":"), allow_nan=False) + "\n")
 print(path, path.stat().st_size, "bytes")
