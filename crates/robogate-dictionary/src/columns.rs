@@ -138,11 +138,6 @@ impl Columns {
         &self.specs
     }
 
-    /// The space they are over.
-    pub(crate) fn space(&self) -> &ParameterSpace {
-        &self.space
-    }
-
     /// Writes `entry` as one cell for each column.
     ///
     /// What the columns cannot hold without loss is kept elsewhere or missing, never bent: an applied

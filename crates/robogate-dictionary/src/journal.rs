@@ -300,6 +300,14 @@ impl Journal {
     }
 }
 
+impl Drop for Journal {
+    fn drop(&mut self) {
+        // Closing alone would leave it locked for as long as a child that was just forked, and has not
+        // yet executed its program, holds a copy of the handle.
+        let _ = self.file.unlock();
+    }
+}
+
 fn header() -> [u8; HEADER as usize] {
     let mut header = [0; HEADER as usize];
     header[..8].copy_from_slice(&MAGIC);

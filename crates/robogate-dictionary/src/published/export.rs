@@ -1,0 +1,167 @@
+//! To the published JSON.
+
+use std::io::Write;
+
+use robogate_core::{Assignment, Domain, FailureMode, Outcome, ParameterSpace, Scale, Value};
+use serde::Serialize;
+use serde::ser::{SerializeMap, Serializer};
+use serde_json::{Map, Value as Json, json};
+
+use super::{
+    ANALYTIC, COLLISION, CYCLE_TIME, DROP, FAILURE_TYPE, GRASP_MISS, SAMPLE, SUCCESS, TARGET_DISTANCE, name_there,
+};
+use crate::columns::failure_type;
+use crate::export::write_error;
+use crate::{Dictionary, DictionaryError, Entry};
+
+/// Writes the dictionary in the published schema, one row a line. Returns the number of rows.
+///
+/// The schema has no place for an episode that is no evidence: invalid ones are left out, and
+/// `metadata` says how many they were. It says too that `zone` and `fail_prob` are not there, which
+/// come from a formula and not from episodes. Parameters are the requested ones.
+pub fn export(dictionary: &Dictionary, mut out: impl Write) -> Result<u64, DictionaryError> {
+    let mut counts = Counts::default();
+    for entry in dictionary.entries() {
+        counts.add(&entry?.episode.outcome);
+    }
+    let mut text = Vec::new();
+    text.extend_from_slice(b"{\n\"metadata\": ");
+    to_json(&mut text, &metadata(dictionary, &counts))?;
+    text.extend_from_slice(b",\n\"summary\": ");
+    to_json(&mut text, &counts.summary())?;
+    text.extend_from_slice(b",\n\"experiments\": [");
+    let mut rows = 0;
+    for entry in dictionary.entries() {
+        let entry = entry?;
+        if matches!(entry.episode.outcome, Outcome::Invalid(_)) {
+            continue;
+        }
+        text.extend_from_slice(if rows == 0 { b"\n" } else { b",\n" });
+        to_json(&mut text, &PublishedRow(&entry))?;
+        rows += 1;
+        if text.len() > 1 << 16 {
+            out.write_all(&text).map_err(write_error)?;
+            text.clear();
+        }
+    }
+    text.extend_from_slice(b"\n]\n}\n");
+    out.write_all(&text).and_then(|()| out.flush()).map_err(write_error)?;
+    Ok(rows)
+}
+
+fn to_json(text: &mut Vec<u8>, value: &impl Serialize) -> Result<(), DictionaryError> {
+    serde_json::to_writer(text, value).map_err(|e| write_error(e.into()))
+}
+
+/// The outcomes of a dictionary.
+#[derive(Default)]
+struct Counts {
+    successes: u64,
+    failures: [u64; 4],
+    invalid: u64,
+}
+
+impl Counts {
+    fn add(&mut self, outcome: &Outcome) {
+        match outcome {
+            Outcome::Success => self.successes += 1,
+            Outcome::Invalid(_) => self.invalid += 1,
+            Outcome::Failure(mode) => {
+                if let Some(at) = FailureMode::ALL.iter().position(|known| known == mode) {
+                    self.failures[at] += 1;
+                }
+            }
+        }
+    }
+
+    fn total(&self) -> u64 {
+        self.successes + self.failures.iter().sum::<u64>()
+    }
+
+    fn summary(&self) -> Json {
+        let types = FailureMode::ALL.iter().zip(self.failures).filter(|(_, n)| *n > 0);
+        let types: Map<String, Json> = types.map(|(mode, n)| (mode.word().to_owned(), n.into())).collect();
+        let mut summary = json!({
+            "total": self.total(),
+            "success_count": self.successes,
+            "failure_count": self.total() - self.successes,
+            "failure_types": types,
+        });
+        // The rate of nothing is no number.
+        if self.total() > 0 {
+            summary["success_rate"] = (self.successes as f64 / self.total() as f64).into();
+        }
+        summary
+    }
+}
+
+fn metadata(dictionary: &Dictionary, counts: &Counts) -> Json {
+    let provenance = dictionary.provenance();
+    json!({
+        "robot": provenance.robot.name,
+        "simulator": provenance.engine.name,
+        "policy": provenance.policy,
+        "seed": provenance.seed,
+        "total_experiments": counts.total(),
+        "parameter_space": parameter_space(&provenance.space),
+        "exported_by": format!("{} {}", provenance.tool.name, provenance.tool.version),
+        "dataset_hash": dictionary.dataset_hash(),
+        "invalid_episodes_left_out": counts.invalid,
+        "fields_left_out": ANALYTIC,
+        "note": "Parameters are those requested. zone and fail_prob come from an analytic formula in the published \
+                 dictionaries, not from episodes, and are not there. Rows of a boundary-focused stage do not speak of \
+                 the whole space: their importance weights are in the Parquet dictionary.",
+    })
+}
+
+fn parameter_space(space: &ParameterSpace) -> Json {
+    let parameters = space.parameters().iter().map(|parameter| {
+        let domain = match &parameter.domain {
+            Domain::Continuous { low, high, scale } => {
+                let scale = match scale {
+                    Scale::Linear => "linear",
+                    Scale::Log => "log",
+                };
+                json!({ "low": low, "high": high, "scale": scale })
+            }
+            Domain::Integer { low, high } => json!({ "low": low, "high": high }),
+            Domain::Categorical { choices } => json!(choices),
+        };
+        (name_there(&parameter.name).to_owned(), domain)
+    });
+    Json::Object(parameters.collect())
+}
+
+struct PublishedRow<'a>(&'a Entry);
+
+impl Serialize for PublishedRow<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let episode = &self.0.episode;
+        let failed = |mode| episode.outcome == Outcome::Failure(mode);
+        let mut row = serializer.serialize_map(None)?;
+        parameters(&mut row, &episode.scenario.requested)?;
+        row.serialize_entry(SUCCESS, &(episode.outcome == Outcome::Success))?;
+        row.serialize_entry(FAILURE_TYPE, &failure_type(&episode.outcome))?;
+        row.serialize_entry(CYCLE_TIME, &episode.time_s)?;
+        row.serialize_entry(COLLISION, &failed(FailureMode::Collision))?;
+        row.serialize_entry(DROP, &failed(FailureMode::GripLoss))?;
+        row.serialize_entry(GRASP_MISS, &failed(FailureMode::GraspMiss))?;
+        if let Some(distance) = episode.measures.target_distance_m {
+            row.serialize_entry(TARGET_DISTANCE, &distance)?;
+        }
+        row.serialize_entry(SAMPLE, &self.0.index())?;
+        row.end()
+    }
+}
+
+fn parameters<M: SerializeMap>(row: &mut M, requested: &Assignment) -> Result<(), M::Error> {
+    for (name, value) in requested.iter() {
+        let name = name_there(name);
+        match value {
+            Value::Number(x) => row.serialize_entry(name, x)?,
+            Value::Integer(n) => row.serialize_entry(name, n)?,
+            Value::Category(word) => row.serialize_entry(name, word)?,
+        }
+    }
+    Ok(())
+}

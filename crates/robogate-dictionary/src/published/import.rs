@@ -1,0 +1,435 @@
+//! From the published JSON.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::Arc;
+
+use robogate_core::{
+    Assignment, Domain, Episode, FailureMode, Measures, Outcome, Parameter, ParameterSpace, Scale, Scenario, Seed,
+    Value,
+};
+use serde_json::json;
+
+use super::rows::{self, Frame, MOST_FIELDS, RawRow, Scalar};
+use super::{
+    ANALYTIC, COLLISION, CYCLE_TIME, DROP, FAILURE_TYPE, GRASP_MISS, PREFIX, SAMPLE, SUCCESS, TARGET_DISTANCE,
+    name_here,
+};
+use crate::codec::{EXACT_INTEGER, Interner};
+use crate::columns::{Columns, failure_type};
+use crate::{
+    DictionaryError, DictionaryWriter, Engine, Entry, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool, Written,
+};
+
+/// A word field with more distinct words than this is text about the row and no parameter of it.
+const MOST_WORDS: usize = 1000;
+
+/// What an import made.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Imported {
+    /// The provenance that was written: its `source` has what had to be decided or left out.
+    pub provenance: Provenance,
+    /// The rows.
+    pub written: Written,
+}
+
+/// Imports the published file `from` as the dictionary `to`.
+///
+/// The file is read twice: once to derive the parameter space from it (observed ranges and words) and
+/// to check every row, once to write. Nothing is written where a row is wrong. Each row has weight 1:
+/// the distribution it was drawn from is taken to be the one its rates speak of.
+pub fn import(from: &Path, to: &Path) -> Result<Imported, DictionaryError> {
+    let mut survey = Survey::default();
+    let frame = rows::read(from, &mut |row| survey.row(from, row))?;
+    survey.check_frame(from, &frame)?;
+    let plan = survey.plan(from, &frame)?;
+    let mut writer = DictionaryWriter::create(to, &plan.provenance)?;
+    let mut words = Interner::default();
+    let again = rows::read(from, &mut |row| writer.push(&plan.entry(from, row, &mut words)?))?;
+    if again.sha256 != frame.sha256 {
+        let reason = "it changed while it was read\nhint: import it once it is complete".to_owned();
+        return Err(DictionaryError::Published { path: from.to_owned(), reason });
+    }
+    let written = writer.finish()?;
+    Ok(Imported { provenance: plan.provenance, written })
+}
+
+/// What the first reading finds out.
+#[derive(Default)]
+struct Survey {
+    rows: u64,
+    successes: u64,
+    failures: [u64; 4],
+    flagged_later: u64,
+    fields: Vec<Field>,
+    /// The last sample index; `None` once they do not rise, or one is missing.
+    last_sample: Option<i64>,
+    samples_rise: bool,
+}
+
+/// A field that is no outcome: what values it has in which rows.
+struct Field {
+    name: Arc<str>,
+    /// The first row that lacks it.
+    missing: Option<u64>,
+    /// Rows from the first on that have it.
+    seen: u64,
+    kind: FieldKind,
+}
+
+enum FieldKind {
+    /// Only whole numbers so far.
+    Integers { low: i64, high: i64 },
+    /// Real numbers.
+    Numbers { low: f64, high: f64 },
+    /// Words.
+    Words(BTreeSet<String>),
+    /// Something that is no parameter, and why.
+    Other(&'static str),
+}
+
+impl FieldKind {
+    fn of(value: &Scalar) -> Self {
+        match value {
+            Scalar::Integer(n) => Self::Integers { low: *n, high: *n },
+            Scalar::Number(x) => Self::Numbers { low: *x, high: *x },
+            Scalar::Text(text) => Self::Words(BTreeSet::from([text.clone()])),
+            Scalar::Bool(_) => Self::Other("it is true or false"),
+            Scalar::Null | Scalar::Nested => Self::Other("it is an array or object"),
+        }
+    }
+
+    /// Takes one more value in; `false` where it is of another kind than those before.
+    fn take(&mut self, value: &Scalar) -> bool {
+        match (&mut *self, value) {
+            (Self::Other(_), Scalar::Bool(_) | Scalar::Nested) => true,
+            (Self::Integers { low, high }, Scalar::Integer(n)) => {
+                (*low, *high) = ((*low).min(*n), (*high).max(*n));
+                true
+            }
+            (Self::Integers { low, high }, Scalar::Number(x)) => {
+                *self = Self::Numbers { low: x.min(*low as f64), high: x.max(*high as f64) };
+                true
+            }
+            (Self::Numbers { low, high }, Scalar::Number(x)) => {
+                (*low, *high) = (low.min(*x), high.max(*x));
+                true
+            }
+            (Self::Numbers { low, high }, Scalar::Integer(n)) => {
+                (*low, *high) = (low.min(*n as f64), high.max(*n as f64));
+                true
+            }
+            (Self::Words(words), Scalar::Text(text)) => {
+                if !words.contains(text) {
+                    words.insert(text.clone());
+                }
+                if words.len() > MOST_WORDS {
+                    *self = Self::Other("it has more words than a category can have");
+                }
+                true
+            }
+            (Self::Other(_), Scalar::Text(_)) => true,
+            _ => false,
+        }
+    }
+}
+
+impl Survey {
+    fn row(&mut self, path: &Path, row: &RawRow) -> Result<(), DictionaryError> {
+        let outcome = outcome(path, row)?;
+        cycle_time(path, row)?;
+        target_distance(path, row)?;
+        match outcome {
+            Outcome::Success => self.successes += 1,
+            Outcome::Failure(mode) => {
+                let at = FailureMode::ALL.iter().position(|known| *known == mode).unwrap_or(0);
+                self.failures[at] += 1;
+                let flags = [COLLISION, DROP, GRASP_MISS];
+                let raised = flags.iter().filter(|flag| row.get(flag) == Some(&Scalar::Bool(true))).count();
+                let own = usize::from(flag_of(mode).is_some_and(|flag| row.get(flag).is_some()));
+                self.flagged_later += u64::from(raised > own);
+            }
+            Outcome::Invalid(_) => {}
+        }
+        self.sample(row);
+        for (name, value) in &row.fields {
+            if !is_parameter(name) || *value == Scalar::Null {
+                continue;
+            }
+            let full = self.fields.len() == MOST_FIELDS;
+            match self.fields.iter_mut().find(|field| field.name == *name) {
+                Some(field) => {
+                    if field.seen < row.number {
+                        field.missing.get_or_insert(field.seen);
+                    }
+                    field.seen = row.number + 1;
+                    if !field.kind.take(value) {
+                        return Err(row.wrong(path, name, "is of another kind than in the rows before"));
+                    }
+                }
+                None if full => {
+                    let reason = format!("is in one field more than the {MOST_FIELDS} that a file can have");
+                    return Err(row.wrong(path, name, reason));
+                }
+                None => self.fields.push(Field {
+                    name: Arc::clone(name),
+                    missing: (row.number > 0).then_some(0),
+                    seen: row.number + 1,
+                    kind: FieldKind::of(value),
+                }),
+            }
+        }
+        self.rows += 1;
+        Ok(())
+    }
+
+    fn sample(&mut self, row: &RawRow) {
+        let sample = match row.get(SAMPLE) {
+            Some(Scalar::Integer(n)) if *n >= 0 => Some(*n),
+            _ => None,
+        };
+        let rises = sample.is_some_and(|sample| self.last_sample.is_none_or(|last| last < sample));
+        self.samples_rise = rises && (row.number == 0 || self.samples_rise);
+        self.last_sample = sample;
+    }
+
+    /// What the file says about its rows as a whole must be so.
+    fn check_frame(&self, path: &Path, frame: &Frame) -> Result<(), DictionaryError> {
+        let refuse = |reason: String| Err(DictionaryError::Published { path: path.to_owned(), reason });
+        if self.rows == 0 {
+            return refuse("its `experiments` are empty: there is no space to derive from them".to_owned());
+        }
+        let failures = self.rows - self.successes;
+        let whole = [
+            ("metadata.total_experiments", &frame.metadata["total_experiments"], self.rows),
+            ("summary.total", &frame.summary["total"], self.rows),
+            ("summary.success_count", &frame.summary["success_count"], self.successes),
+            ("summary.failure_count", &frame.summary["failure_count"], failures),
+        ];
+        let types = &frame.summary["failure_types"];
+        let by_mode = FailureMode::ALL.iter().zip(self.failures).map(|(mode, n)| (mode.word(), &types[mode.word()], n));
+        for (name, claimed, found) in whole.into_iter().chain(by_mode) {
+            if claimed.as_u64().is_some_and(|claimed| claimed != found) {
+                return refuse(format!("its `{name}` says {claimed}, its rows have {found}"));
+            }
+        }
+        Ok(())
+    }
+
+    /// The space, the provenance, and how rows become entries.
+    fn plan(self, path: &Path, frame: &Frame) -> Result<Plan, DictionaryError> {
+        let mut notes = Vec::new();
+        let (mut fields, mut parameters) = (Vec::new(), Vec::new());
+        let mut left_out: Vec<Arc<str>> = Vec::new();
+        for field in self.fields {
+            let missing = field.missing.or((field.seen < self.rows).then_some(field.seen));
+            let domain = match field.kind {
+                FieldKind::Other(why) => {
+                    notes.push(format!("field `{}` is left out: {why}", field.name));
+                    continue;
+                }
+                _ if ANALYTIC.contains(&&*field.name) => {
+                    left_out.push(field.name);
+                    continue;
+                }
+                _ if !field.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') || field.name.is_empty() => {
+                    notes.push(format!("field `{}` is left out: its name cannot be a column's", field.name));
+                    continue;
+                }
+                FieldKind::Integers { low, high } if high.abs_diff(low) < 1 << 32 => Domain::Integer { low, high },
+                FieldKind::Integers { low, high } => continuous(low as f64, high as f64),
+                FieldKind::Numbers { low, high } => continuous(low, high),
+                FieldKind::Words(words) => Domain::Categorical { choices: words.into_iter().map(Arc::from).collect() },
+            };
+            if let Some(row) = missing {
+                return Err(DictionaryError::Value {
+                    path: path.to_owned(),
+                    row: Row(row),
+                    column: field.name.to_string(),
+                    value: "the missing value".to_owned(),
+                    reason: "is there in other rows\nhint: every row must have every parameter".to_owned(),
+                });
+            }
+            let here = free_name(&field.name);
+            if here != name_here(&field.name) {
+                notes.push(format!("field `{}` is the parameter `{here}`: its name is another column's", field.name));
+            }
+            parameters.push(Parameter { name: here.into(), domain });
+            fields.push(field.name);
+        }
+        for name in left_out {
+            notes.push(format!("field `{name}` is left out: a formula gave it, not an episode"));
+        }
+        let space = ParameterSpace::new("imported", parameters)?;
+        if !self.samples_rise {
+            notes.push(format!("`{SAMPLE}` is missing in a row or does not rise: the index is the row's number"));
+        }
+        if self.flagged_later > 0 {
+            let n = self.flagged_later;
+            notes.push(format!("{n} failures have the flag of another failure too: only `{FAILURE_TYPE}` is kept"));
+        }
+        let seed = frame.metadata["seed"].as_u64();
+        if seed.is_none() {
+            notes.push("the campaign's seed is not known: 0 stands in its place".to_owned());
+        }
+        notes.push(
+            "applied parameters, phases, contacts, ticks and trajectory hashes are not in the source: ticks and hashes \
+             are 0"
+                .to_owned(),
+        );
+        notes.push("ranges are the observed ones, and each row has weight 1".to_owned());
+        let word = |key: &str| frame.metadata[key].as_str();
+        let name = |keys: [&str; 2]| keys.into_iter().find_map(word).unwrap_or("unknown").to_owned();
+        let provenance = Provenance {
+            tool: Tool::robogate(),
+            schema_version: SCHEMA_VERSION,
+            engine: Engine { name: name(["simulator", "mode"]), version: None, build_sha256: None },
+            robot: Robot { name: name(["robot", "robot_name"]), sha256: None },
+            policy: name(["policy", "controller"]),
+            space,
+            plan: json!({ "published_metadata": frame.metadata }),
+            seed: seed.unwrap_or(0),
+            platform: None,
+            source: Some(Source { format: "published_json".to_owned(), sha256: frame.sha256.clone(), notes }),
+        };
+        // Refused here, before anything is written.
+        Columns::of(&provenance.space)?;
+        Ok(Plan { provenance, fields, by_sample: self.samples_rise })
+    }
+}
+
+/// Our name of a published parameter, out of the way of the other columns.
+fn free_name(published: &str) -> String {
+    let here = name_here(published);
+    let parameter = |name: &str| Parameter { name: name.into(), domain: Domain::Integer { low: 0, high: 0 } };
+    let clashes = ParameterSpace::new("one", vec![parameter(here)]).is_ok_and(|space| Columns::of(&space).is_err());
+    if clashes { format!("{PREFIX}{here}") } else { here.to_owned() }
+}
+
+/// A range that holds what was observed; a single value is widened by the least that a double can.
+fn continuous(low: f64, high: f64) -> Domain {
+    let high = if low < high { high } else { low.next_up() };
+    Domain::Continuous { low, high, scale: Scale::Linear }
+}
+
+fn is_parameter(name: &str) -> bool {
+    ![SUCCESS, FAILURE_TYPE, CYCLE_TIME, TARGET_DISTANCE, SAMPLE, COLLISION, DROP, GRASP_MISS].contains(&name)
+}
+
+/// How a row becomes an entry.
+struct Plan {
+    provenance: Provenance,
+    /// The published names of the parameters, in the order of the space.
+    fields: Vec<Arc<str>>,
+    /// Whether the index is the sample's, or the row's number.
+    by_sample: bool,
+}
+
+impl Plan {
+    fn entry(&self, path: &Path, row: &RawRow, words: &mut Interner) -> Result<Entry, DictionaryError> {
+        let index = match row.get(SAMPLE) {
+            Some(Scalar::Integer(n)) if self.by_sample => n.cast_unsigned(),
+            _ => row.number,
+        };
+        let parameters = self.provenance.space.parameters().iter().zip(&self.fields);
+        let requested = parameters
+            .map(|(parameter, field)| {
+                let value = match (row.get(field), &parameter.domain) {
+                    (Some(Scalar::Integer(n)), Domain::Continuous { .. })
+                        if n.unsigned_abs() > EXACT_INTEGER.unsigned_abs() =>
+                    {
+                        return Err(row.wrong(path, field, "has more digits than a real number keeps"));
+                    }
+                    (Some(Scalar::Integer(n)), Domain::Continuous { .. }) => Value::Number(*n as f64),
+                    (Some(Scalar::Integer(n)), _) => Value::Integer(*n),
+                    (Some(Scalar::Number(x)), _) => Value::Number(*x),
+                    (Some(Scalar::Text(text)), _) => Value::Category(words.get(text)),
+                    _ => return Err(row.wrong(path, field, "is no parameter's value")),
+                };
+                Ok((Arc::clone(&parameter.name), value))
+            })
+            .collect::<Result<Assignment, _>>()?;
+        let episode = Episode {
+            scenario: Scenario { index, seed: Seed::campaign(self.provenance.seed).episode(index), requested },
+            applied: Assignment::default(),
+            outcome: outcome(path, row)?,
+            time_s: cycle_time(path, row)?,
+            phase: None,
+            contact: None,
+            measures: Measures { target_distance_m: target_distance(path, row)?, ..Measures::default() },
+            ticks: 0,
+            trajectory_hash: 0,
+        };
+        Ok(Entry { stage: "imported".to_owned(), design: "published".to_owned(), weight: 1.0, episode })
+    }
+}
+
+/// The flag that a failure of this mode raises.
+fn flag_of(mode: FailureMode) -> Option<&'static str> {
+    match mode {
+        FailureMode::GraspMiss => Some(GRASP_MISS),
+        FailureMode::GripLoss => Some(DROP),
+        FailureMode::Collision => Some(COLLISION),
+        FailureMode::Timeout => None,
+    }
+}
+
+/// How the row's episode went, by all that the row says about it.
+fn outcome(path: &Path, row: &RawRow) -> Result<Outcome, DictionaryError> {
+    let Some(Scalar::Bool(success)) = row.get(SUCCESS) else {
+        return Err(row.wrong(path, SUCCESS, "is neither true nor false"));
+    };
+    let Some(Scalar::Text(word)) = row.get(FAILURE_TYPE) else {
+        return Err(row.wrong(path, FAILURE_TYPE, "is no word"));
+    };
+    let known = FailureMode::ALL.into_iter().map(Outcome::Failure).chain([Outcome::Success]);
+    let outcome = known
+        .into_iter()
+        .find(|outcome| failure_type(outcome) == Some(word))
+        .ok_or_else(|| row.wrong(path, FAILURE_TYPE, "is none of none, timeout, grip_loss, collision, grasp_miss"))?;
+    if (outcome == Outcome::Success) != *success {
+        return Err(row.wrong(path, FAILURE_TYPE, format!("contradicts `{SUCCESS}`, which is {success}")));
+    }
+    let own = match &outcome {
+        Outcome::Failure(mode) => flag_of(*mode),
+        Outcome::Success | Outcome::Invalid(_) => None,
+    };
+    for flag in [COLLISION, DROP, GRASP_MISS] {
+        let contradicts = match row.get(flag) {
+            None | Some(Scalar::Null) => false,
+            Some(Scalar::Bool(raised)) => {
+                if *success {
+                    *raised
+                } else {
+                    own == Some(flag) && !raised
+                }
+            }
+            Some(_) => return Err(row.wrong(path, flag, "is neither true nor false")),
+        };
+        if contradicts {
+            return Err(row.wrong(path, flag, format!("contradicts `{FAILURE_TYPE}`, which is `{word}`")));
+        }
+    }
+    Ok(outcome)
+}
+
+/// The row's cycle time, in seconds.
+fn cycle_time(path: &Path, row: &RawRow) -> Result<f64, DictionaryError> {
+    non_negative(path, row, CYCLE_TIME)?
+        .ok_or_else(|| row.wrong(path, CYCLE_TIME, "is no time in seconds\nhint: every row must have it"))
+}
+
+/// The row's distance of the object from its target, in metres.
+fn target_distance(path: &Path, row: &RawRow) -> Result<Option<f64>, DictionaryError> {
+    non_negative(path, row, TARGET_DISTANCE)
+}
+
+fn non_negative(path: &Path, row: &RawRow, field: &str) -> Result<Option<f64>, DictionaryError> {
+    let x = match row.get(field) {
+        None | Some(Scalar::Null) => return Ok(None),
+        Some(Scalar::Integer(n)) => *n as f64,
+        Some(Scalar::Number(x)) => *x,
+        Some(_) => return Err(row.wrong(path, field, "is no number")),
+    };
+    if x < 0.0 { Err(row.wrong(path, field, "is below 0")) } else { Ok(Some(x)) }
+}
