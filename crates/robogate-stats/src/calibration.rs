@@ -11,6 +11,7 @@
 //! Sources: Brier (1950); Good (1952); Murphy and Winkler (1977); Naeini, Cooper and Hauskrecht (2015).
 
 use crate::interval::{Confidence, Interval, wilson_real};
+use crate::weighted::is_weight;
 
 /// Why probabilities cannot be judged.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -31,8 +32,8 @@ pub enum CalibrationError {
         /// Value found.
         value: f64,
     },
-    /// A weight is negative, NaN or infinite.
-    #[error("weight of row {row} is {value}, not a finite number at or above zero")]
+    /// A weight is negative, NaN, or of a magnitude whose square is no number.
+    #[error("weight of row {row} is {value}, neither 0 nor a number from 1e-150 to 1e150")]
     BadWeight {
         /// Index of the row.
         row: usize,
@@ -114,9 +115,7 @@ pub fn calibration(
     if let Some(row) = probabilities.iter().position(|p| !(0.0..=1.0).contains(p)) {
         return Err(CalibrationError::NotAProbability { row, value: probabilities[row] });
     }
-    if let Some((row, value)) =
-        weights.and_then(|w| w.iter().copied().enumerate().find(|(_, w)| !(w.is_finite() && *w >= 0.0)))
-    {
+    if let Some((row, value)) = weights.and_then(|w| w.iter().copied().enumerate().find(|(_, w)| !is_weight(*w))) {
         return Err(CalibrationError::BadWeight { row, value });
     }
     let weight = |row: usize| weights.map_or(1.0, |w| w[row]);

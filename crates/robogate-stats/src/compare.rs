@@ -146,10 +146,10 @@ pub(crate) fn sign_test(b: u64, c: u64) -> f64 {
 
 /// ln P(as few successes or fewer | rate `p0`): small where the true rate is below `p0`. 0 (p = 1) without trials.
 ///
-/// `p0` is cut to [0, 1].
+/// `p0` is cut to [0, 1]; a NaN is compared with nothing and gives 0 (p = 1).
 pub fn at_most(trials: Trials, p0: f64) -> f64 {
     let (k, n) = (trials.successes() as f64, trials.n() as f64);
-    if k >= n {
+    if k >= n || p0.is_nan() {
         return 0.0;
     }
     let p0 = p0.clamp(0.0, 1.0);
@@ -158,10 +158,10 @@ pub fn at_most(trials: Trials, p0: f64) -> f64 {
 
 /// ln P(as many successes or more | rate `p0`): small where the true rate is above `p0`. 0 (p = 1) without trials.
 ///
-/// `p0` is cut to [0, 1].
+/// `p0` is cut to [0, 1]; a NaN is compared with nothing and gives 0 (p = 1).
 pub fn at_least(trials: Trials, p0: f64) -> f64 {
     let (k, n) = (trials.successes() as f64, trials.n() as f64);
-    if k <= 0.0 {
+    if k <= 0.0 || p0.is_nan() {
         return 0.0;
     }
     let p0 = p0.clamp(0.0, 1.0);

@@ -165,8 +165,12 @@ pub fn wilson(trials: Trials, confidence: Confidence) -> Interval {
     wilson_real(trials.successes as f64, trials.n as f64, z)
 }
 
-/// Wilson's interval for real-valued counts 0 ≤ k ≤ n, n > 0 (weighted data use an effective n).
+/// Wilson's interval for real-valued counts 0 ≤ k ≤ n (weighted data use an effective n).
 pub(crate) fn wilson_real(k: f64, n: f64, z: f64) -> Interval {
+    if n.is_nan() || n <= 0.0 {
+        return Interval::UNIT;
+    }
+    let k = k.max(0.0).min(n);
     Interval { low: wilson_low(k, n, z), high: 1.0 - wilson_low(n - k, n, z) }
 }
 

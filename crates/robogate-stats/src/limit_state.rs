@@ -129,14 +129,9 @@ impl LimitState {
         if let Some(term) = found.terms.iter().position(|t| t.coefficient().is_none()) {
             return Err(LimitStateError::MissingTerm { term });
         }
-        let mut beta = [0.0; 4];
-        let mut covariance = [[0.0; 4]; 4];
-        for i in 0..4 {
-            beta[i] = found.raw_coefficients()[i];
-            for j in 0..4 {
-                covariance[i][j] = found.raw_covariance()[i * 4 + j];
-            }
-        }
+        let raw = found.raw_covariance();
+        let beta = std::array::from_fn(|i| found.raw_coefficients()[i]);
+        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| raw[i * 4 + j]));
         let used = |row: &usize| weights.is_none_or(|w| w[*row] > 0.0);
         let range = |column: &[f64]| {
             let mut range = Interval { low: f64::INFINITY, high: f64::NEG_INFINITY };

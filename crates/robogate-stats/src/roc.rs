@@ -398,7 +398,7 @@ mod tests {
     fn cross_validation_scores_each_row_once_without_its_own_outcome() {
         let outcomes: Vec<bool> = (0..40).map(|i| i % 2 == 0).collect();
         let folds = stratified_folds(&outcomes, 4, 1);
-        let mut seen = vec![0; 40];
+        let mut seen = [0; 40];
         let result = cross_validate::<RocError>(&outcomes, &folds, Confidence::P95, |train, test| {
             assert!(test.iter().all(|t| !train.contains(t)) && train.len() + test.len() == 40);
             for &t in test {

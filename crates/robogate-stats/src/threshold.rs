@@ -20,6 +20,7 @@
 use crate::binning::{BinningError, Edges};
 use crate::interval::{Confidence, Interval, wilson_real};
 use crate::resample::{multinomial, percentile_ends, standard_error};
+use crate::weighted::is_weight;
 use rand_chacha::ChaCha8Rng;
 use rand_core::SeedableRng;
 
@@ -125,8 +126,8 @@ pub enum ThresholdError {
     /// Lengths or values do not fit.
     #[error(transparent)]
     Binning(#[from] BinningError),
-    /// A weight is negative, NaN or infinite.
-    #[error("weight of row {row} is {value}, not a finite number at or above zero")]
+    /// A weight is negative, NaN, or of a magnitude whose square is no number.
+    #[error("weight of row {row} is {value}, neither 0 nor a number from 1e-150 to 1e150")]
     BadWeight {
         /// Index of the row.
         row: usize,
@@ -175,9 +176,7 @@ pub fn threshold(
             return Err(BinningError::Length { expected, found }.into());
         }
     }
-    if let Some((row, value)) =
-        weights.and_then(|w| w.iter().copied().enumerate().find(|(_, w)| !(w.is_finite() && *w >= 0.0)))
-    {
+    if let Some((row, value)) = weights.and_then(|w| w.iter().copied().enumerate().find(|(_, w)| !is_weight(*w))) {
         return Err(ThresholdError::BadWeight { row, value });
     }
     let table = Table::new(values, outcomes, weights, edges);

@@ -28,8 +28,8 @@ pub enum WeightError {
         /// Weights found.
         found: usize,
     },
-    /// A weight is negative, NaN or infinite.
-    #[error("weight of row {row} is {value}, not a finite number at or above zero")]
+    /// A weight is negative, NaN, or of a magnitude whose square is no number.
+    #[error("weight of row {row} is {value}, neither 0 nor a number from 1e-150 to 1e150")]
     BadWeight {
         /// Index of the row.
         row: usize,
@@ -62,11 +62,16 @@ pub struct WeightedRate {
     pub total_weight: f64,
 }
 
+/// Zero, or positive with a square and a reciprocal that are ordinary numbers.
+pub(crate) fn is_weight(w: f64) -> bool {
+    w >= 0.0 && (w <= 0.0 || (1e-150..=1e150).contains(&w))
+}
+
 fn check(outcomes: &[bool], weights: &[f64]) -> Result<(), WeightError> {
     if outcomes.len() != weights.len() {
         return Err(WeightError::Length { expected: outcomes.len(), found: weights.len() });
     }
-    match weights.iter().position(|w| !(w.is_finite() && *w >= 0.0)) {
+    match weights.iter().position(|w| !is_weight(*w)) {
         Some(row) => Err(WeightError::BadWeight { row, value: weights[row] }),
         None => Ok(()),
     }
@@ -110,7 +115,11 @@ pub fn hajek(outcomes: &[bool], weights: &[f64], confidence: Confidence) -> Resu
     let n = rows as f64;
     let variance = n / (n - 1.0) * squares / (sum * sum);
     let se = (rows > 1 && variance > 0.0).then(|| variance.sqrt());
-    let count = se.map_or(effective, |se| effective.min(rate * (1.0 - rate) / (se * se)));
+    let spread = rate * (1.0 - rate);
+    let count = match se {
+        Some(se) if spread > 0.0 => effective.min(spread / (se * se)),
+        _ => effective,
+    };
     Ok(WeightedRate {
         rate: Some(rate),
         se,

@@ -2,6 +2,7 @@
 
 use super::RegressionError;
 use crate::dense::{dependent_columns, dot};
+use crate::weighted::is_weight;
 
 /// Rows handled together; fits the first-level cache with a few dozen columns.
 pub(super) const BLOCK: usize = 128;
@@ -42,7 +43,7 @@ impl<'a> Data<'a> {
             if weights.len() != rows {
                 return Err(RegressionError::WeightLength { expected: rows, found: weights.len() });
             }
-            if let Some(row) = weights.iter().position(|w| !(w.is_finite() && *w >= 0.0)) {
+            if let Some(row) = weights.iter().position(|w| !is_weight(*w)) {
                 return Err(RegressionError::BadWeight { row, value: weights[row] });
             }
         }

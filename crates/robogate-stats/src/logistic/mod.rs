@@ -60,8 +60,8 @@ pub enum RegressionError {
         /// Value found.
         value: f64,
     },
-    /// A weight is negative, NaN or infinite.
-    #[error("weight of row {row} is {value}, not a finite number at or above zero")]
+    /// A weight is negative, NaN, or of a magnitude whose square is no number.
+    #[error("weight of row {row} is {value}, neither 0 nor a number from 1e-150 to 1e150")]
     BadWeight {
         /// Index of the row.
         row: usize,
@@ -314,20 +314,16 @@ pub fn fit(data: Data<'_>, options: Options) -> Result<Fit, RegressionError> {
     let mut cautions = Vec::new();
     let solution = match options.estimator {
         Estimator::Firth => firth(&x)?,
-        Estimator::MaximumLikelihood | Estimator::FirthIfSeparated => match newton::maximum_likelihood(&x) {
-            Ok(solution) => solution,
-            Err(unsettled) => match separation::find(&x, &unsettled.beta) {
-                None => {
-                    return Err(RegressionError::NotSettled { iterations: unsettled.iterations });
-                }
-                Some(found) if options.estimator == Estimator::MaximumLikelihood => {
-                    return Err(RegressionError::Separated(found));
-                }
-                Some(found) => {
-                    cautions.push(Caution::Separated(found));
-                    firth(&x)?
-                }
-            },
+        Estimator::MaximumLikelihood | Estimator::FirthIfSeparated => match maximum_likelihood(&x) {
+            Answer::Settled(solution) => solution,
+            Answer::Separated(found) if options.estimator == Estimator::MaximumLikelihood => {
+                return Err(RegressionError::Separated(found));
+            }
+            Answer::Separated(found) => {
+                cautions.push(Caution::Separated(found));
+                firth(&x)?
+            }
+            Answer::Neither { iterations } => return Err(RegressionError::NotSettled { iterations }),
         },
     };
     let events = x.successes.min(x.rows - x.successes);
@@ -340,13 +336,37 @@ pub fn fit(data: Data<'_>, options: Options) -> Result<Fit, RegressionError> {
 /// Looks for separation without fitting anything else; `None` where the outcomes overlap.
 ///
 /// # Errors
-/// No rows or one class.
+/// No rows, one class, or steps that do not settle although nothing is separated.
 pub fn separation(data: Data<'_>) -> Result<Option<Separation>, RegressionError> {
     let x = prepare(data)?;
-    Ok(match newton::maximum_likelihood(&x) {
-        Ok(_) => None,
-        Err(unsettled) => separation::find(&x, &unsettled.beta),
-    })
+    match maximum_likelihood(&x) {
+        Answer::Settled(_) => Ok(None),
+        Answer::Separated(found) => Ok(Some(found)),
+        Answer::Neither { iterations } => Err(RegressionError::NotSettled { iterations }),
+    }
+}
+
+/// How maximum likelihood ended.
+enum Answer {
+    Settled(Solution),
+    Separated(Separation),
+    Neither { iterations: usize },
+}
+
+fn maximum_likelihood(x: &Standardized<'_>) -> Answer {
+    let mut found = None;
+    let result = newton::maximum_likelihood(x, |beta| {
+        found = separation::find(x, beta);
+        found.is_some()
+    });
+    match (result, found) {
+        (Ok(solution), _) => Answer::Settled(solution),
+        (Err(_), Some(found)) => Answer::Separated(found),
+        (Err(unsettled), None) => match separation::find(x, &unsettled.beta) {
+            Some(found) => Answer::Separated(found),
+            None => Answer::Neither { iterations: unsettled.iterations },
+        },
+    }
 }
 
 /// Profile interval and test of one column under Firth's likelihood.
@@ -440,7 +460,6 @@ fn firth(x: &Standardized<'_>) -> Result<Solution, RegressionError> {
     newton::firth(x, None, None).map_err(not_settled)
 }
 
-#[expect(clippy::needless_pass_by_value, reason = "passed to map_err")]
 fn not_settled(unsettled: newton::Unsettled) -> RegressionError {
     RegressionError::NotSettled { iterations: unsettled.iterations }
 }

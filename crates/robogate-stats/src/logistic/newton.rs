@@ -5,8 +5,10 @@ use crate::dense::Cholesky;
 
 /// Pivots of the information below this share of their diagonal mean that a direction has (nearly) no curvature left.
 const PIVOT: f64 = 1e-12;
-/// Steps after which a fit that has not settled is suspected of separation.
-const PATIENCE: usize = 30;
+/// Steps after which a fit that has not settled is given up.
+const PATIENCE: usize = 50;
+/// Steps after which a fit that still strides is suspected of separation.
+const SUSPICION: usize = 10;
 
 /// Log-likelihood, its gradient and the information XᵀWX at one point.
 pub(super) struct Local {
@@ -86,7 +88,13 @@ fn settled(step: &[f64], beta: &[f64]) -> bool {
 }
 
 /// Maximum likelihood by Newton's method; a step that lowers the likelihood is halved.
-pub(super) fn maximum_likelihood(x: &Standardized<'_>) -> Result<Solution, Unsettled> {
+///
+/// Towards a finite estimate the steps shrink quadratically; under separation they stay near one unit of log-odds
+/// for ever. A fit that still strides after a few steps is shown to `separated`, which may end it.
+pub(super) fn maximum_likelihood(
+    x: &Standardized<'_>,
+    mut separated: impl FnMut(&[f64]) -> bool,
+) -> Result<Solution, Unsettled> {
     let q = x.parameters();
     let mut beta = start(x);
     let mut here = evaluate(x, &beta);
@@ -111,8 +119,12 @@ pub(super) fn maximum_likelihood(x: &Standardized<'_>) -> Result<Solution, Unset
             return Err(Unsettled { beta, iterations: iteration });
         };
         let done = settled(&step, &trial);
+        let strides = step.iter().any(|s| s.abs() > 0.01);
         beta = trial;
         here = there;
+        if iteration == SUSPICION && strides && separated(&beta) {
+            return Err(Unsettled { beta, iterations: iteration });
+        }
         if done {
             let Some(factor) = Cholesky::new(&here.information, q, PIVOT) else {
                 return Err(Unsettled { beta, iterations: iteration });
@@ -147,27 +159,33 @@ impl Penalised {
         let factor = Cholesky::new(&local.information, q, 1e-14)?;
         // Uⱼ = Σ (w (y - p) + h (½ - p)) xⱼ with h the leverage w p (1-p) xᵀ I⁻¹ x.
         let mut score = local.gradient.clone();
+        let inverse = factor.inverse();
         let mut eta = [0.0; BLOCK];
-        let mut row = vec![0.0; q];
-        let mut correction = [0.0; BLOCK];
+        let mut distance = [0.0; BLOCK];
+        let mut image = [0.0; BLOCK];
         x.for_each_block(|block| {
             block.predictor(beta, &mut eta);
-            correction.fill(0.0);
-            for i in 0..block.rows {
-                if block.weight[i] <= 0.0 {
-                    continue;
+            // xᵀ I⁻¹ x of every row of the block, column by column so that it vectorises.
+            distance.fill(0.0);
+            for a in 0..q {
+                image.fill(0.0);
+                for b in 0..=a {
+                    let entry = if a == b { 1.0 } else { 2.0 } * inverse[a * q + b];
+                    for (t, v) in image.iter_mut().zip(block.column(b)) {
+                        *t += entry * v;
+                    }
                 }
+                for ((d, t), v) in distance.iter_mut().zip(&image).zip(block.column(a)) {
+                    *d += t * v;
+                }
+            }
+            for i in 0..BLOCK {
                 let (p, _) = logistic_and_log(eta[i]);
                 let (other, _) = logistic_and_log(-eta[i]);
-                for (j, r) in row.iter_mut().enumerate() {
-                    *r = block.column(j)[i];
-                }
-                factor.forward(&mut row);
-                let leverage = block.weight[i] * p * other * row.iter().map(|r| r * r).sum::<f64>();
-                correction[i] = leverage * 0.5 * (other - p);
+                distance[i] *= block.weight[i] * p * other * 0.5 * (other - p);
             }
             for (j, s) in score.iter_mut().enumerate() {
-                *s += crate::dense::dot(&correction, block.column(j));
+                *s += crate::dense::dot(&distance, block.column(j));
             }
         });
         Some(Self { local, factor, score })

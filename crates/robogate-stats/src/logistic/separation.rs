@@ -44,11 +44,10 @@ pub(super) fn find(x: &Standardized<'_>, beta: &[f64]) -> Option<Separation> {
     let batch = 4 * q;
     let mut total = vec![0.0; q];
     x.for_each_block(|block| {
-        for j in 0..q {
-            let column = block.column(j);
-            for i in 0..block.rows {
+        for (j, t) in total.iter_mut().enumerate() {
+            for (i, v) in block.column(j).iter().enumerate() {
                 if block.weight[i] > 0.0 {
-                    total[j] += block.sign[i] * column[i];
+                    *t += block.sign[i] * v;
                 }
             }
         }

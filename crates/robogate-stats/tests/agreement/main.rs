@@ -2,6 +2,8 @@
 //!
 //! The values come from `tests/reference/generate.py`; its `requirements.txt` pins the versions.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests; a panic here is a failed test")]
+
 mod analysis;
 mod interval;
 mod logistic;
