@@ -59,24 +59,41 @@ pub(super) fn find(x: &Standardized<'_>, beta: &[f64]) -> Option<Separation> {
     total.iter_mut().for_each(|v| *v /= largest);
 
     let start = scan(x, beta, f64::INFINITY, batch);
-    let mut constraints = start.worst;
+    let (direction, found) = seek(x, &total, start.worst.clone())?;
+    if found.positive == 0 {
+        return None;
+    }
+    let complete = start.smallest > 0.0 || found.positive == x.rows || {
+        // The same programme for the widest margin: one more variable t, a·d ≥ t, and t alone is maximised.
+        let mut margin = vec![0.0; q];
+        margin.push(1.0);
+        let with_t = start.worst.into_iter().map(|row| row.into_iter().chain([-1.0]).collect()).collect();
+        seek(x, &margin, with_t).is_some_and(|(d, _)| d[q] > MARGIN)
+    };
+    let involved: Vec<usize> = (1..q).filter(|&j| direction[j].abs() > 1e-7).collect();
+    Some(Separation {
+        kind: if complete { SeparationKind::Complete } else { SeparationKind::Quasi },
+        columns: involved.iter().map(|&j| x.kept[j - 1]).collect(),
+        rows: if complete { x.rows } else { found.positive },
+        signs: involved.iter().map(|&j| if direction[j] > 0.0 { 1 } else { -1 }).collect(),
+    })
+}
+
+/// Solves the programme for all rows, from the constraints given: rows that the solution violates are added until
+/// none is left. An objective with one more entry than there are parameters has the margin t as its last variable.
+fn seek(x: &Standardized<'_>, objective: &[f64], mut constraints: Vec<Vec<f64>>) -> Option<(Vec<f64>, Scan)> {
+    let q = x.parameters();
     for _ in 0..ROUNDS {
-        let direction = maximise(&total, &constraints);
-        let found = scan(x, &direction, -MARGIN, batch);
+        let direction = maximise(objective, &constraints);
+        let t = direction.get(q).copied();
+        let found = scan(x, &direction[..q], t.unwrap_or(0.0) - MARGIN, 4 * q);
         if found.worst.is_empty() {
-            let complete = start.smallest > 0.0 || found.positive == x.rows;
-            if found.positive == 0 {
-                return None;
-            }
-            let involved: Vec<usize> = (1..q).filter(|&j| direction[j].abs() > 1e-7).collect();
-            return Some(Separation {
-                kind: if complete { SeparationKind::Complete } else { SeparationKind::Quasi },
-                columns: involved.iter().map(|&j| x.kept[j - 1]).collect(),
-                rows: if complete { x.rows } else { found.positive },
-                signs: involved.iter().map(|&j| if direction[j] > 0.0 { 1 } else { -1 }).collect(),
-            });
+            return Some((direction, found));
         }
-        constraints.extend(found.worst);
+        constraints.extend(found.worst.into_iter().map(|mut row| {
+            row.extend(t.map(|_| -1.0));
+            row
+        }));
     }
     None
 }

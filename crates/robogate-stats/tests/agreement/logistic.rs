@@ -1,4 +1,4 @@
-use crate::{all_close, bools, close, float, floats, formula, reference};
+use crate::{all_close, bools, close, count, float, floats, formula, list, reference};
 use robogate_stats::Confidence;
 use robogate_stats::logistic::{
     Caution, Coefficient, Covariance, Data, Dropped, Estimator, Fit, Options, RegressionError, Scale, SeparationKind,
@@ -140,6 +140,26 @@ fn a_placement_at_which_nothing_succeeds_is_named_and_answered_by_firth() {
         all_close(name, &[profile.interval.low, profile.interval.high], &floats(&expected["interval"]), 1e-6);
         close(name, profile.ln_p, float(&expected["ln_p"]), 1e-5);
     }
+}
+
+#[test]
+fn separation_and_its_kind_agree_with_linear_programming_in_scipy() {
+    let mut kinds = std::collections::BTreeMap::new();
+    for case in list(&reference()["separation"]) {
+        let owned = columns(&case["columns"]);
+        let columns = borrowed(&owned);
+        let outcomes: Vec<bool> = list(&case["outcomes"]).iter().map(|o| count(o) > 0).collect();
+        let data = Data::new(&columns, &outcomes, None).unwrap();
+        let kind = match separation(data).unwrap() {
+            None => "none",
+            Some(found) if found.kind == SeparationKind::Quasi => "quasi",
+            Some(_) => "complete",
+        };
+        assert_eq!(kind, case["kind"].as_str().unwrap(), "{case}");
+        assert!(fit(data, Options::default()).is_ok(), "{case}");
+        *kinds.entry(kind).or_insert(0) += 1;
+    }
+    assert!(kinds.len() == 3 && kinds.values().all(|n| *n >= 10), "{kinds:?}");
 }
 
 #[test]
