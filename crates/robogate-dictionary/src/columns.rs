@@ -13,7 +13,7 @@ use crate::{DictionaryError, Entry};
 
 /// What a column holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Kind {
+pub enum Kind {
     /// A real number, never NaN or infinite.
     Number,
     /// A signed whole number.
@@ -22,6 +22,28 @@ pub(crate) enum Kind {
     Count,
     /// A word or text.
     Text,
+}
+
+/// A column that every dictionary has, whatever its space.
+#[derive(Debug, Clone, Copy)]
+pub struct FixedColumn {
+    /// Its name.
+    pub name: &'static str,
+    /// What it holds.
+    pub kind: Kind,
+    /// Whether every row has a value; else a missing one is null, never 0 or NaN.
+    pub required: bool,
+    /// Whether few distinct values are to be expected.
+    repeats: bool,
+    /// What it means.
+    pub meaning: &'static str,
+}
+
+/// The fixed columns in order. Between `seed` and `applied_other` stand, for each parameter of the space,
+/// a column of its name (the value asked for), and after these one of its name behind `applied_` (the
+/// value read back from the simulator, null where it never got so far).
+pub fn fixed_columns() -> impl Iterator<Item = &'static FixedColumn> {
+    LEADING.iter().chain(&TRAILING)
 }
 
 /// One column.
@@ -64,35 +86,149 @@ pub(crate) struct WrongCell {
 }
 
 /// The columns before the parameters.
-const LEADING: [(&str, Kind); 5] = [
-    ("index", Kind::Count),
-    ("stage", Kind::Text),
-    ("design", Kind::Text),
-    ("weight", Kind::Number),
-    ("seed", Kind::Count),
+static LEADING: [FixedColumn; 5] = [
+    FixedColumn {
+        name: "index",
+        kind: Kind::Count,
+        required: true,
+        repeats: false,
+        meaning: "the episode's index in its campaign; rows stand in its rising order",
+    },
+    FixedColumn {
+        name: "stage",
+        kind: Kind::Text,
+        required: true,
+        repeats: true,
+        meaning: "the stage of the campaign that ran it",
+    },
+    FixedColumn { name: "design", kind: Kind::Text, required: true, repeats: true, meaning: "what drew its point" },
+    FixedColumn {
+        name: "weight",
+        kind: Kind::Number,
+        required: true,
+        repeats: false,
+        meaning: "importance weight p(x)/q(x): operating density over the density it was drawn from",
+    },
+    FixedColumn {
+        name: "seed",
+        kind: Kind::Count,
+        required: true,
+        repeats: true,
+        meaning: "the campaign's seed; with the index, the seed of all that was left to chance",
+    },
 ];
 
 /// What stands before the name of a parameter where its applied value is meant.
 const APPLIED: &str = "applied_";
 
-/// The columns after the parameters: name, kind, required, repeats.
-const TRAILING: [(&str, Kind, bool, bool); 16] = [
-    ("applied_other", Kind::Text, false, false),
-    ("outcome", Kind::Text, true, true),
-    ("failure_type", Kind::Text, false, true),
-    ("fault_kind", Kind::Text, false, true),
-    ("fault_detail", Kind::Text, false, false),
-    ("cycle_time_s", Kind::Number, false, false),
-    ("phase", Kind::Text, false, true),
-    ("contact_robot_body", Kind::Text, false, true),
-    ("contact_other_body", Kind::Text, false, true),
-    ("contact_force_n", Kind::Number, false, false),
-    ("peak_contact_force_n", Kind::Number, false, false),
-    ("slip_m", Kind::Number, false, false),
-    ("min_clearance_m", Kind::Number, false, false),
-    ("target_distance_m", Kind::Number, false, false),
-    ("ticks", Kind::Count, true, false),
-    ("trajectory_hash", Kind::Text, true, false),
+/// The columns after the parameters.
+static TRAILING: [FixedColumn; 16] = [
+    FixedColumn {
+        name: "applied_other",
+        kind: Kind::Text,
+        required: false,
+        repeats: false,
+        meaning: "applied values that fit no column: JSON [[name, number|integer|category, value], ...]",
+    },
+    FixedColumn {
+        name: "outcome",
+        kind: Kind::Text,
+        required: true,
+        repeats: true,
+        meaning: "success, grasp_miss, grip_loss, collision, timeout, or invalid (no evidence)",
+    },
+    FixedColumn {
+        name: "failure_type",
+        kind: Kind::Text,
+        required: false,
+        repeats: true,
+        meaning: "the published word: the failure, or none; null where invalid",
+    },
+    FixedColumn {
+        name: "fault_kind",
+        kind: Kind::Text,
+        required: false,
+        repeats: true,
+        meaning: "the class of fault of an invalid episode",
+    },
+    FixedColumn {
+        name: "fault_detail",
+        kind: Kind::Text,
+        required: false,
+        repeats: false,
+        meaning: "what happened in an invalid episode",
+    },
+    FixedColumn {
+        name: "cycle_time_s",
+        kind: Kind::Number,
+        required: false,
+        repeats: false,
+        meaning: "time of the decisive event, in simulated seconds from the start",
+    },
+    FixedColumn {
+        name: "phase",
+        kind: Kind::Text,
+        required: false,
+        repeats: true,
+        meaning: "what the policy said it was doing then",
+    },
+    FixedColumn {
+        name: "contact_robot_body",
+        kind: Kind::Text,
+        required: false,
+        repeats: true,
+        meaning: "the robot's body in the deciding contact",
+    },
+    FixedColumn {
+        name: "contact_other_body",
+        kind: Kind::Text,
+        required: false,
+        repeats: true,
+        meaning: "what it touched",
+    },
+    FixedColumn {
+        name: "contact_force_n",
+        kind: Kind::Number,
+        required: false,
+        repeats: false,
+        meaning: "largest normal force in the control period of first touch, in newtons",
+    },
+    FixedColumn {
+        name: "peak_contact_force_n",
+        kind: Kind::Number,
+        required: false,
+        repeats: false,
+        meaning: "largest normal force between the robot and anything, in newtons",
+    },
+    FixedColumn {
+        name: "slip_m",
+        kind: Kind::Number,
+        required: false,
+        repeats: false,
+        meaning: "largest displacement of the object in the hand since it was held, in metres",
+    },
+    FixedColumn {
+        name: "min_clearance_m",
+        kind: Kind::Number,
+        required: false,
+        repeats: false,
+        meaning: "smallest distance between the robot and anything but the object, in metres",
+    },
+    FixedColumn {
+        name: "target_distance_m",
+        kind: Kind::Number,
+        required: false,
+        repeats: false,
+        meaning: "horizontal distance of the object from its target, in metres",
+    },
+    FixedColumn { name: "ticks", kind: Kind::Count, required: true, repeats: false, meaning: "control ticks run" },
+    FixedColumn {
+        name: "trajectory_hash",
+        kind: Kind::Text,
+        required: true,
+        repeats: false,
+        meaning: "hash over the state at every tick, 16 hexadecimal digits: equal hashes, equal runs",
+    },
 ];
 
 /// The columns of a dictionary over one space.
@@ -105,8 +241,8 @@ pub(crate) struct Columns {
 impl Columns {
     /// The columns over `space`; a parameter must not take the name of another column.
     pub(crate) fn of(space: &ParameterSpace) -> Result<Self, DictionaryError> {
-        let spec = |name: String, kind, required, repeats| ColumnSpec { name, kind, required, repeats };
-        let leading = LEADING.iter().map(|(name, kind)| spec((*name).to_owned(), *kind, true, *kind == Kind::Text));
+        let spec = |name, kind, required, repeats| ColumnSpec { name, kind, required, repeats };
+        let fixed = |column: &FixedColumn| spec(column.name.to_owned(), column.kind, column.required, column.repeats);
         let of_parameters = |prefix: &'static str, required| {
             space.parameters().iter().map(move |parameter| {
                 let kind = match parameter.domain {
@@ -117,10 +253,13 @@ impl Columns {
                 spec(format!("{prefix}{}", parameter.name), kind, required, kind != Kind::Number)
             })
         };
-        let trailing =
-            TRAILING.iter().map(|(name, kind, required, repeats)| spec((*name).to_owned(), *kind, *required, *repeats));
-        let specs: Vec<ColumnSpec> =
-            leading.chain(of_parameters("", true)).chain(of_parameters(APPLIED, false)).chain(trailing).collect();
+        let specs: Vec<ColumnSpec> = LEADING
+            .iter()
+            .map(fixed)
+            .chain(of_parameters("", true))
+            .chain(of_parameters(APPLIED, false))
+            .chain(TRAILING.iter().map(fixed))
+            .collect();
         // Readers on case-insensitive engines (DuckDB) would not tell `Mass` from `mass`.
         let mut names: Vec<(String, usize)> =
             specs.iter().enumerate().map(|(i, spec)| (spec.name.to_ascii_lowercase(), i)).collect();

@@ -2,11 +2,12 @@
 //!
 //! While a campaign runs, each [`Entry`] goes into a [`Journal`], which survives a `kill -9`. At the
 //! end the entries, in order of their index, become one Parquet file ([`write_parquet`]), which
-//! [`Dictionary`] reads. What is in the file besides the rows is its [`Provenance`]; the two together
-//! hold no clock and no thread count, so that the same settings give the same bytes.
+//! [`Dictionary`] reads. Beside the rows the file has its [`Provenance`]; the two together hold no
+//! clock and no thread count, so that the same settings give the same bytes. [`dataset_hash`] is the
+//! identity of the rows, whatever file they are in.
 //!
 //! [`published`] speaks the JSON of the dictionaries released with the paper, [`export`] CSV and JSON
-//! Lines.
+//! Lines. [`fixed_columns`] says what each column means.
 
 mod atomic;
 mod codec;
@@ -17,10 +18,11 @@ pub mod export;
 mod hash;
 mod journal;
 mod parquet;
-mod provenance;
+pub mod provenance;
 pub mod published;
 mod schema;
 
+pub use columns::{FixedColumn, Kind, fixed_columns};
 pub use entry::Entry;
 pub use error::{DictionaryError, Row};
 pub use hash::{DatasetHash, dataset_hash};

@@ -95,9 +95,9 @@ pub(crate) fn entry(index: u64) -> Entry {
             phase: (index % 8 < 6).then(|| Phase::ALL[(index % 8) as usize]),
             contact,
             measures: Measures {
-                peak_contact_force_n: (index % 3 > 0).then(|| stream.between(0.0, 100.0)),
-                slip_m: (index % 5 > 0).then(|| stream.between(0.0, 0.01)),
-                min_clearance_m: (index % 2 > 0).then(|| stream.between(-0.01, 0.5)),
+                peak_contact_force_n: (!index.is_multiple_of(3)).then(|| stream.between(0.0, 100.0)),
+                slip_m: (!index.is_multiple_of(5)).then(|| stream.between(0.0, 0.01)),
+                min_clearance_m: (!index.is_multiple_of(2)).then(|| stream.between(-0.01, 0.5)),
                 target_distance_m: Some(stream.between(0.0, 0.5)),
             },
             ticks: stream.below(300) as u32,

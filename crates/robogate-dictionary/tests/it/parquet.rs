@@ -284,3 +284,60 @@ fn pyarrow_pandas_and_duckdb_read_what_was_written() {
     assert!(output.status.success(), "{out}{err}");
     println!("{out}");
 }
+
+/// The other side of the test below: writes a dictionary larger than it may be.
+#[test]
+#[ignore = "run by another test"]
+fn writer() {
+    let path = std::env::var_os("ROBOGATE_TEST_DICTIONARY").expect("set by the test that runs this");
+    let error = write_parquet(Path::new(&path), &provenance(), (0..40_000).map(|i| Ok(entry(i)))).unwrap_err();
+    assert!(matches!(error, DictionaryError::Io { action: "write", .. }), "{error:?}");
+    println!("stopped: {error}");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_disk_that_fills_up_is_an_error_and_the_file_before_stays() {
+    let folder = Folder::new("parquet-full");
+    let path = folder.join("d.parquet");
+    write(&path, (0..10).map(entry));
+    let before = fs::read(&path).unwrap();
+    // As in the journal's test: a limit on the size of files acts as a full disk does.
+    let output = Command::new("sh")
+        .args(["-c", "trap '' XFSZ; ulimit -f 1000; exec \"$0\" parquet::writer --exact --ignored --nocapture"])
+        .arg(std::env::current_exe().unwrap())
+        .env("ROBOGATE_TEST_DICTIONARY", &path)
+        .output()
+        .unwrap();
+    let output = String::from_utf8_lossy(&output.stdout);
+    assert!(output.contains("stopped: cannot write") && output.contains("1 passed"), "{output}");
+    assert!(fs::read(&path).unwrap() == before);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left behind");
+}
+
+#[test]
+fn the_fixed_columns_are_in_every_file_in_their_order() {
+    let folder = Folder::new("parquet-fixed");
+    let path = folder.join("d.parquet");
+    write(&path, std::iter::empty());
+    let dictionary = Dictionary::open(&path).unwrap();
+    let parameters: Vec<String> = provenance()
+        .space
+        .parameters()
+        .iter()
+        .flat_map(|p| [p.name.to_string(), format!("applied_{}", p.name)])
+        .collect();
+    let fixed = dictionary.column_names().filter(|name| !parameters.iter().any(|p| p == name));
+    assert!(fixed.eq(robogate_dictionary::fixed_columns().map(|column| column.name)));
+}
+
+#[test]
+fn provenance_has_a_schema_and_the_same_bytes_each_time() {
+    let schema = serde_json::to_value(schemars::schema_for!(robogate_dictionary::Provenance)).unwrap();
+    for field in ["tool", "schema_version", "engine", "robot", "policy", "space", "plan", "seed"] {
+        assert!(schema["required"].as_array().unwrap().contains(&field.into()), "{field}: {schema}");
+    }
+    let json = provenance().to_json();
+    assert_eq!(json, provenance().to_json());
+    assert_eq!(serde_json::from_str::<robogate_dictionary::Provenance>(&json).unwrap(), provenance());
+}
