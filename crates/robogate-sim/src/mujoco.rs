@@ -77,7 +77,7 @@ struct Loaded {
 
 impl MujocoEngine {
     /// The default time step in seconds: halving it changes few outcomes (`robogate check physics`).
-    pub const TIME_STEP_S: f64 = 0.0025;
+    pub const TIME_STEP_S: f64 = 0.002;
 
     /// An engine for this robot, with this time step in seconds.
     pub fn new(robot: Robot, time_step: f64) -> Result<Self, RobotError> {

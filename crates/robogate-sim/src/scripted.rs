@@ -4,6 +4,9 @@
 //! dimensions, the target, the robot. A phase ends when its path has been commanded and the measured pose
 //! of the tool is within 5 mm and 0.05 rad of its end (and the gripper at rest, where it moves). The
 //! controller does not know what the encoders read too much, nor where the object really is.
+//!
+//! A tool that is pushed more than 10 mm off its path stops where it is and waits, as a robot with a
+//! contact guard does: it does not lean on what stands in its way.
 
 use std::f64::consts::PI;
 
@@ -17,13 +20,15 @@ use crate::{Chain, Gripper, Robot, Shape, Unreachable};
 const POSITION_TOLERANCE_M: f64 = 0.005;
 /// ... and this angle, in radians (paper, section 4.1).
 const ANGLE_TOLERANCE_RAD: f64 = 0.05;
+/// Pushed off its path by more than this, the tool stops, in metres.
+const GUARD_M: f64 = 0.01;
 /// Height of the tool above the table on its ways across, in metres: what it carries passes over the
 /// highest obstacle.
 const TRANSIT_HEIGHT_M: f64 = 0.25;
 /// Room left between fingertips and table when grasping, in metres.
 const TIP_ROOM_M: f64 = 0.004;
 /// Room left between palm and object when grasping, in metres.
-const PALM_ROOM_M: f64 = 0.007;
+const PALM_ROOM_M: f64 = 0.002;
 /// The object is let go this far above the table, in metres.
 const RELEASE_ROOM_M: f64 = 0.003;
 /// The gripper is at rest when its opening changed less than this in a control period, in metres.
@@ -45,6 +50,10 @@ pub struct Scripted {
     current: usize,
     tick: usize,
     last_opening: Option<f64>,
+    /// The last two commands, older first.
+    commanded: Option<[Vec<f64>; 2]>,
+    /// Where the guard stopped the arm.
+    stopped: Option<Vec<f64>>,
     /// For how many control periods the gripper has been at rest.
     rest: usize,
 }
@@ -63,7 +72,17 @@ struct Stage {
 impl Scripted {
     /// The controller for a robot with these kinematics.
     pub fn new(robot: Robot, chain: Chain) -> Self {
-        Self { robot, chain, plan: Vec::new(), current: 0, tick: 0, last_opening: None, rest: 0 }
+        Self {
+            robot,
+            chain,
+            plan: Vec::new(),
+            current: 0,
+            tick: 0,
+            last_opening: None,
+            commanded: None,
+            stopped: None,
+            rest: 0,
+        }
     }
 
     /// Height of the tool centre point above the table at the grasp: the object's middle, but never so low
@@ -156,6 +175,15 @@ impl Scripted {
         Ok(())
     }
 
+    /// Whether the tool is off the path that its last commands put it on. The servo trails the commands by
+    /// half a control period: it should be half way between the last two.
+    fn pushed_off(&self, measured: &[f64]) -> bool {
+        let Some([before, last]) = &self.commanded else { return false };
+        let middle: Vec<f64> = before.iter().zip(last).map(|(a, b)| 0.5 * (a + b)).collect();
+        let off = self.chain.tcp_at(&middle).translation.vector - self.chain.tcp_at(measured).translation.vector;
+        off.norm() > GUARD_M
+    }
+
     /// The tool's direction at the target: turned with the arm's base, which keeps the wrist as it is.
     fn carry_yaw(&self, joints: &[f64], yaw: f64, target: &[f64; 3]) -> f64 {
         let from = self.chain.tcp_at(joints).translation.vector;
@@ -178,6 +206,7 @@ impl Policy for Scripted {
             self.plan.push(Stage { phase: Phase::ApproachAbove, path, gripper: GripperCommand::Open, settles: false });
         }
         (self.current, self.tick, self.last_opening, self.rest) = (0, 0, None, 0);
+        (self.commanded, self.stopped) = (None, None);
         Ok(())
     }
 
@@ -189,8 +218,11 @@ impl Policy for Scripted {
         };
         self.rest = if moved < GRIPPER_SETTLED_M { self.rest + 1 } else { 0 };
         self.last_opening = opening;
+        if self.pushed_off(&observation.joint_positions) {
+            self.stopped.get_or_insert_with(|| observation.joint_positions.clone());
+        }
         let stage = &self.plan[self.current];
-        if self.tick >= stage.path.len() && self.current + 1 < self.plan.len() {
+        if self.stopped.is_none() && self.tick >= stage.path.len() && self.current + 1 < self.plan.len() {
             let end = &stage.path[stage.path.len() - 1];
             let goal = self.chain.tcp_at(end);
             let off = goal.inverse() * self.chain.tcp_at(&observation.joint_positions);
@@ -201,8 +233,10 @@ impl Policy for Scripted {
             }
         }
         let stage = &self.plan[self.current];
-        let joints = &stage.path[self.tick.min(stage.path.len() - 1)];
+        let joints = self.stopped.as_ref().unwrap_or(&stage.path[self.tick.min(stage.path.len() - 1)]).clone();
         self.tick += 1;
-        Ok(Action { arm: ArmCommand::JointPositions(joints.clone()), gripper: stage.gripper, phase: Some(stage.phase) })
+        let last = self.commanded.take().map_or_else(|| observation.joint_positions.clone(), |[_, last]| last);
+        self.commanded = Some([last, joints.clone()]);
+        Ok(Action { arm: ArmCommand::JointPositions(joints), gripper: stage.gripper, phase: Some(stage.phase) })
     }
 }
