@@ -1,1 +1,32 @@
-//! campaign
+//! Many episodes.
+//!
+//! A [`Plan`] says how many and where; [`start`] runs them in a folder and [`resume`] goes on where
+//! a run was stopped or killed. The first stage covers the operating space. From its results
+//! [`boundary`] finds where success turns into failure, and the second stage looks closer there:
+//! the only loop in the flow from space to dictionary.
+//!
+//! Episode `i` depends on the plan's seed and on `i`, and every file of a finished run depends on the
+//! plan and its provenance: neither on the number of threads, nor on the order in which
+//! episodes finish, nor on where a run was interrupted.
+//!
+//! Simulators and policies come from a [`Workshop`]: this crate knows none by name. What happens is
+//! told in one stream of [`Event`]s.
+
+mod boundary;
+mod events;
+mod execute;
+pub mod folder;
+mod plan;
+mod run;
+mod stage;
+mod summary;
+mod tally;
+
+pub use boundary::{BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBoundary, Region, Restricted};
+pub use events::{Event, Warning};
+pub use execute::{Crew, ExecuteError, Station, Workshop, execute};
+pub use plan::{BoundaryStage, Emphasis, Plan, PlanError, Preset, Range, UniformStage};
+pub use run::{Completion, RunError, Settings, recorded, resume, settings, start};
+pub use stage::{Points, Stage};
+pub use summary::{Estimate, FaultCount, ModeCount, Population, StageSummary, Summary};
+pub use tally::{AlongParameter, Bin, Bins, OutcomeCounts};

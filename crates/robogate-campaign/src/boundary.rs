@@ -1,0 +1,285 @@
+//! Where success turns into failure, and where the second stage therefore looks.
+//!
+//! For each continuous parameter the range is cut into bins of equal width; bins whose success rate in the
+//! first stage lies in the band are boundary; the span from the first to the last of them is drawn
+//! from; the intersection over all parameters is the *volume* of the second stage. A share of its points is drawn
+//! in the part of the volume where the emphasis conditions hold (paper, section 5.2 and appendix F).
+//!
+//! Limits. A bin averages over all other parameters, so that a boundary that runs askew, or is sharp but
+//! hidden by a second cause of failure, is seen blurred, and the volume can leave parts of it
+//! out. The rate of a bin is an estimate: its interval stands beside it and does not decide. A bin without
+//! evidence is never in the band. What lies outside the volume gets no point, so no weight makes the second
+//! stage speak of it.
+
+use robogate_core::{Domain, Parameter, ParameterSpace};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{AlongParameter, Bin, Bins, BoundaryStage, Emphasis, PlanError, Range};
+
+/// What the first stage says about the boundary, and what the second one does with it. Together with the
+/// parameter space it is all that the second stage's points depend on besides plan and seed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct BoundaryReport {
+    /// The version of this form.
+    pub version: u32,
+    /// Success rates, ends included, between which a bin is boundary.
+    pub band: [f64; 2],
+    /// The continuous parameters.
+    pub parameters: Vec<ParameterBoundary>,
+    /// The whole-number parameters that are held to a part of their range.
+    pub restricted: Vec<Restricted>,
+    /// What is drawn from.
+    pub volume: Region,
+    /// The part of the volume that gets a share of its own, where one was asked for.
+    pub emphasis: Option<EmphasisFound>,
+}
+
+/// The boundary along one continuous parameter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ParameterBoundary {
+    /// The bins and what was counted in them.
+    #[serde(flatten)]
+    pub along: AlongParameter,
+    /// Which bins lie in the band, counted from 0.
+    pub in_band: Vec<usize>,
+    /// From the lower end of the first bin in the band to the upper end of the last, if there is any.
+    pub span: Option<[f64; 2]>,
+    /// The range that is drawn from, in the parameter's unit.
+    pub drawn: [f64; 2],
+    /// Why this range.
+    pub drawn_from: DrawnFrom,
+}
+
+/// Why a range is drawn from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum DrawnFrom {
+    /// It is the span of the bins in the band.
+    Bins,
+    /// No bin is in the band: the plan's fallback, clipped to the operating space.
+    Fallback,
+    /// No bin is in the band and the plan has no fallback: the whole range.
+    WholeRange,
+}
+
+/// A whole-number parameter held to a part of its range.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Restricted {
+    /// The parameter's name.
+    pub parameter: String,
+    /// Smallest value.
+    pub low: i64,
+    /// Largest value.
+    pub high: i64,
+}
+
+/// A part of the operating space and how many points are drawn in it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Region {
+    /// Points drawn in it.
+    pub episodes: u64,
+    /// How much of the operating distribution lies in it, from 0 to 1.
+    pub share_of_operating_space: f64,
+}
+
+/// What became of the emphasis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct EmphasisFound {
+    /// What the plan asks for.
+    pub asked: Emphasis,
+    /// Whether no part of the volume meets the conditions; then all points are drawn in the volume.
+    pub skipped: bool,
+    /// What is drawn from: no points and no share where it was skipped. These points come first in the stage.
+    pub region: Region,
+}
+
+impl BoundaryReport {
+    /// The version of this form that is written here.
+    pub const VERSION: u32 = 1;
+
+    /// Finds the boundary in what the first stage counted.
+    pub fn find(stage: &BoundaryStage, space: &ParameterSpace, bins: &Bins) -> Result<Self, PlanError> {
+        let parameters: Vec<ParameterBoundary> =
+            bins.along().into_iter().map(|along| boundary_along(stage, space, along)).collect();
+        let restricted = stage
+            .restrict
+            .iter()
+            .filter_map(|range| match range.within(domain(space, &range.parameter)?)? {
+                Domain::Integer { low, high } => Some(Restricted { parameter: range.parameter.clone(), low, high }),
+                _ => None,
+            })
+            .collect();
+        let nothing = Region { episodes: 0, share_of_operating_space: 0.0 };
+        let mut report = Self {
+            version: Self::VERSION,
+            band: stage.band,
+            parameters,
+            restricted,
+            volume: nothing,
+            emphasis: stage.emphasis.clone().map(|asked| EmphasisFound { asked, skipped: false, region: nothing }),
+        };
+        let focus = report.focus(space)?;
+        let mut left = stage.episodes;
+        if let Some(found) = &mut report.emphasis {
+            match &focus.emphasis {
+                Some(emphasis) => {
+                    // A share of at most 1 of a count far below 2^53.
+                    let episodes = (found.asked.share * stage.episodes as f64).round() as u64;
+                    let share_of_operating_space = share(space, emphasis);
+                    found.region = Region { episodes, share_of_operating_space };
+                    left -= episodes.min(left);
+                }
+                None => found.skipped = true,
+            }
+        }
+        report.volume = Region { episodes: left, share_of_operating_space: share(space, &focus.volume) };
+        Ok(report)
+    }
+
+    /// Whether no bin of any parameter holds a valid episode.
+    pub fn is_without_evidence(&self) -> bool {
+        self.parameters.iter().flat_map(|parameter| &parameter.along.bins).all(|bin| bin.valid == 0)
+    }
+
+    /// The spaces that the second stage draws from. `space` is the operating space.
+    pub fn focus(&self, space: &ParameterSpace) -> Result<Focus, PlanError> {
+        let narrow = |parameter: &Parameter| match &parameter.domain {
+            Domain::Continuous { scale, .. } => {
+                let found = self.parameters.iter().find(|p| *p.along.parameter == *parameter.name);
+                found.map(|p| Domain::Continuous { low: p.drawn[0], high: p.drawn[1], scale: *scale })
+            }
+            Domain::Integer { .. } => {
+                let held = self.restricted.iter().find(|r| *r.parameter == *parameter.name);
+                held.map(|r| Domain::Integer { low: r.low, high: r.high })
+            }
+            Domain::Categorical { .. } => None,
+        };
+        let domains = space.parameters().iter().map(|p| narrow(p).unwrap_or_else(|| p.domain.clone()));
+        let volume = with_domains(space, "boundary", domains.collect())?;
+        let emphasis = match &self.emphasis {
+            Some(found) => {
+                let narrow = |parameter: &Parameter| {
+                    let condition = found.asked.conditions.iter().find(|c| *c.parameter == *parameter.name);
+                    condition.map_or_else(|| Some(parameter.domain.clone()), |c| c.within(&parameter.domain))
+                };
+                let domains: Option<Vec<Domain>> = volume.parameters().iter().map(narrow).collect();
+                domains.map(|domains| with_domains(space, "emphasis", domains)).transpose()?
+            }
+            None => None,
+        };
+        Ok(Focus { volume, emphasis })
+    }
+}
+
+/// The spaces that the second stage draws from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Focus {
+    /// The intersection of the spans.
+    pub volume: ParameterSpace,
+    /// The part of it that meets the emphasis conditions; `None` where none was asked for or none is there.
+    pub emphasis: Option<ParameterSpace>,
+}
+
+fn boundary_along(stage: &BoundaryStage, space: &ParameterSpace, along: AlongParameter) -> ParameterBoundary {
+    let [low, high] = stage.band;
+    // No rate where there is no evidence, hence not in the band.
+    let is_boundary = |bin: &Bin| bin.success_rate.is_some_and(|rate| low <= rate && rate <= high);
+    let in_band: Vec<usize> = (0..along.bins.len()).filter(|i| is_boundary(&along.bins[*i])).collect();
+    let span = match (in_band.first(), in_band.last()) {
+        (Some(first), Some(last)) => Some([along.bins[*first].low, along.bins[*last].high]),
+        _ => None,
+    };
+    let fallback = || {
+        let range: &Range = stage.fallback.iter().find(|range| range.parameter == along.parameter)?;
+        match range.within(domain(space, &range.parameter)?)? {
+            Domain::Continuous { low, high, .. } => Some([low, high]),
+            _ => None,
+        }
+    };
+    let (drawn, drawn_from) = match span {
+        Some(span) => (span, DrawnFrom::Bins),
+        None => match fallback() {
+            Some(range) => (range, DrawnFrom::Fallback),
+            None => {
+                let ends = [along.bins.first().map_or(0.0, |b| b.low), along.bins.last().map_or(0.0, |b| b.high)];
+                (ends, DrawnFrom::WholeRange)
+            }
+        },
+    };
+    ParameterBoundary { along, in_band, span, drawn, drawn_from }
+}
+
+fn domain<'a>(space: &'a ParameterSpace, parameter: &str) -> Option<&'a Domain> {
+    space.position(parameter).map(|at| &space.parameters()[at].domain)
+}
+
+/// The space with other domains.
+fn with_domains(space: &ParameterSpace, name: &str, domains: Vec<Domain>) -> Result<ParameterSpace, PlanError> {
+    let named = |(parameter, domain): (&Parameter, Domain)| Parameter { name: parameter.name.clone(), domain };
+    let parameters = space.parameters().iter().zip(domains).map(named).collect();
+    Ok(ParameterSpace::new(format!("{}/{name}", space.name()), parameters)?)
+}
+
+/// How much of the operating distribution lies in `part`: the product over the parameters, which are
+/// independent, of the share of each one's own scale.
+fn share(space: &ParameterSpace, part: &ParameterSpace) -> f64 {
+    let along = |(whole, part): (&Parameter, &Parameter)| match (&whole.domain, &part.domain) {
+        (whole @ Domain::Continuous { .. }, Domain::Continuous { low, high, .. }) => {
+            whole.to_unit(*high) - whole.to_unit(*low)
+        }
+        (whole, part) => part.levels().unwrap_or(1) as f64 / whole.levels().unwrap_or(1) as f64,
+    };
+    space.parameters().iter().zip(part.parameters()).map(along).product()
+}
+
+/// The weights p(x)/q(x) of the second stage's points.
+///
+/// p is the operating density, q = s q_E + (1 - s) q_V the density of the stage: uniform, in each
+/// parameter's own scale, on the emphasis E and on the volume V, with the share s of its points in E. With the shares
+/// of the operating distribution that lie in them, p/q = 1 / (s [x in E] / P(E) + (1 - s) / P(V)).
+/// The mean weight is P(V); the weighted mean of a quantity over the stage, divided by it, estimates that quantity's
+/// mean over the operating distribution *within V*. Source: the balance heuristic, Veach and Guibas (1995), with
+/// numbers of draws fixed in advance.
+#[derive(Debug, Clone)]
+pub(crate) struct Weights {
+    /// Weight in the emphasis and where it is; `None` where there is none.
+    emphasis: Option<(ParameterSpace, f64)>,
+    /// Weight in the rest of the volume.
+    rest: f64,
+}
+
+impl Weights {
+    pub(crate) fn new(report: &BoundaryReport, focus: Focus) -> Self {
+        let found = report.emphasis.as_ref().map(|found| found.region);
+        let emphasised = found.map_or(0, |region| region.episodes);
+        let total = (emphasised + report.volume.episodes) as f64;
+        let in_rest = report.volume.episodes as f64 / total / report.volume.share_of_operating_space;
+        let emphasis = match (focus.emphasis, found) {
+            (Some(space), Some(region)) if region.episodes > 0 => {
+                let in_emphasis = region.episodes as f64 / total / region.share_of_operating_space;
+                Some((space, 1.0 / (in_emphasis + in_rest)))
+            }
+            _ => None,
+        };
+        Self { emphasis, rest: 1.0 / in_rest }
+    }
+
+    /// The weight of a point of the stage, given as coded numbers.
+    pub(crate) fn of(&self, coded: &[f64]) -> f64 {
+        match &self.emphasis {
+            Some((space, weight)) if contains(space, coded) => *weight,
+            _ => self.rest,
+        }
+    }
+}
+
+/// Both ends count: a point that was drawn here may be rounded to either, and any other is there with
+/// probability 0.
+fn contains(space: &ParameterSpace, coded: &[f64]) -> bool {
+    space.parameters().iter().zip(coded).all(|(parameter, x)| match parameter.domain {
+        Domain::Continuous { low, high, .. } => low <= *x && *x <= high,
+        Domain::Integer { low, high } => low as f64 <= *x && *x <= high as f64,
+        Domain::Categorical { .. } => true,
+    })
+}

@@ -1,0 +1,112 @@
+//! The folder of a run.
+
+use std::fs::{self, File, TryLockError};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use crate::RunError;
+
+/// Everything that the run depends on; written first.
+pub const PLAN: &str = "plan.json";
+/// The episodes of an unfinished run.
+pub const JOURNAL: &str = "journal.rgj";
+/// What the first stage found.
+pub const BOUNDARY: &str = "boundary.json";
+/// The record of a finished run.
+pub const DICTIONARY: &str = "dictionary.parquet";
+/// What came of a finished run; written last.
+pub const SUMMARY: &str = "summary.json";
+
+/// A folder that this process alone works in, as long as this lives.
+#[derive(Debug)]
+pub(crate) struct Folder {
+    dir: PathBuf,
+    /// The lock: given back by the operating system, however the process ends.
+    _lock: Option<File>,
+}
+
+impl Folder {
+    /// Locks the folder `dir`, which is there already.
+    pub(crate) fn lock(dir: &Path) -> Result<Self, RunError> {
+        let dir = dir.to_owned();
+        // The folder itself is locked: a lock file would have to stay behind, or be removed while another
+        // process waits for it. Where folders cannot be opened or locked (Windows, some network
+        // file systems), the journal's own lock holds for as long as there is a journal.
+        let lock = match File::open(&dir) {
+            Ok(opened) => match opened.try_lock() {
+                Ok(()) => Some(opened),
+                Err(TryLockError::WouldBlock) => return Err(RunError::Locked { dir }),
+                Err(TryLockError::Error(_)) => None,
+            },
+            Err(_) => None,
+        };
+        Ok(Self { dir, _lock: lock })
+    }
+
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.dir.join(name)
+    }
+
+    pub(crate) fn has(&self, name: &str) -> bool {
+        self.path(name).exists()
+    }
+
+    /// What stands in the folder, partial files of our own left out.
+    pub(crate) fn names(&self) -> Result<Vec<String>, RunError> {
+        let listed = fs::read_dir(&self.dir).and_then(|entries| {
+            entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect::<io::Result<Vec<_>>>()
+        });
+        let mut names = listed.map_err(RunError::io(&self.dir, "list"))?;
+        names.retain(|name| *name != partial(PLAN));
+        names.sort();
+        Ok(names)
+    }
+
+    /// Writes a JSON document that is there whole or not at all, even after a power failure.
+    pub(crate) fn write(&self, name: &str, document: &impl Serialize) -> Result<(), RunError> {
+        let path = self.path(name);
+        let part = self.path(&partial(name));
+        let write = || {
+            let mut text = serde_json::to_vec_pretty(document)?;
+            text.push(b'\n');
+            let mut file = File::create(&part)?;
+            file.write_all(&text)?;
+            file.sync_all()?;
+            fs::rename(&part, &path)?;
+            self.sync()
+        };
+        write().map_err(|error: io::Error| {
+            // What is left of it would be written over by the next attempt.
+            let _ = fs::remove_file(&part);
+            RunError::io(&path, "write")(error)
+        })
+    }
+
+    pub(crate) fn remove(&self, name: &str) -> Result<(), RunError> {
+        let path = self.path(name);
+        fs::remove_file(&path).and_then(|()| self.sync()).map_err(RunError::io(&path, "remove"))
+    }
+
+    /// Forces the folder's list of names onto the disk.
+    fn sync(&self) -> io::Result<()> {
+        match File::open(&self.dir).and_then(|dir| dir.sync_all()) {
+            Err(error) if cfg!(unix) && error.kind() != io::ErrorKind::InvalidInput => Err(error),
+            // Not all systems can; the names are there all the same.
+            _ => Ok(()),
+        }
+    }
+}
+
+fn partial(name: &str) -> String {
+    format!(".{name}.part")
+}
+
+/// Reads a JSON document of ours.
+pub(crate) fn read<T: DeserializeOwned>(dir: &Path, name: &str) -> Result<T, RunError> {
+    let path = dir.join(name);
+    let text = fs::read(&path).map_err(RunError::io(&path, "read"))?;
+    serde_json::from_slice(&text).map_err(|source| RunError::Unreadable { path, source })
+}

@@ -1,0 +1,534 @@
+//! A campaign in its folder: begun, interrupted, resumed, finished.
+//!
+//! ```text
+//! DIR/plan.json            everything the run depends on; written first, never changed
+//! DIR/journal.rgj          the episodes so far, as long as the run is unfinished
+//! DIR/boundary.json        what the first stage found
+//! DIR/dictionary.parquet   the record, in order of index
+//! DIR/summary.json         what came of it; written last, then the journal goes
+//! ```
+//!
+//! Whatever is killed at whatever moment leaves one of three states: no `plan.json` (nothing has
+//! happened), a journal (resume), or a summary without a journal (finished). A file is replaced as a
+//! whole or not at all; of the journal at most its unfinished last record is lost.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use robogate_core::{DesignError, Episode, Fault, Outcome, ParameterSpace};
+use robogate_dictionary::{Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Provenance};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::folder::{self, BOUNDARY, DICTIONARY, Folder, JOURNAL, PLAN, SUMMARY};
+use crate::summary::Summing;
+use crate::{
+    Bins, BoundaryReport, Crew, Event, ExecuteError, OutcomeCounts, Plan, PlanError, Points, Stage, Summary, Warning,
+    execute,
+};
+
+/// What stands in `plan.json`: everything that a run's results depend on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Settings {
+    /// The version of this form.
+    pub version: u32,
+    /// What shall be done.
+    pub plan: Plan,
+    /// With what: tool, engine, robot, policy, space, platform. It goes into the dictionary.
+    pub provenance: Provenance,
+}
+
+impl Settings {
+    /// The version of this form that is written here, and the newest that is read.
+    pub const VERSION: u32 = 1;
+}
+
+/// How a run came to its end.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Completion {
+    /// Every episode was run and every file is there.
+    Finished {
+        /// What came of it.
+        summary: Box<Summary>,
+        /// What the first stage found, where there was a second.
+        boundary: Option<Box<BoundaryReport>>,
+    },
+    /// It was stopped before; [`resume`] goes on.
+    Interrupted {
+        /// Episodes that are recorded.
+        done: u64,
+        /// Episodes of the whole campaign.
+        episodes: u64,
+    },
+}
+
+/// Begins a campaign in the folder `dir`, which must be empty or not there yet, and runs it.
+///
+/// Of `provenance`, `plan` and `seed` are filled in here.
+pub fn start(
+    dir: &Path,
+    plan: &Plan,
+    provenance: Provenance,
+    crew: &Crew<'_>,
+    events: &mut dyn FnMut(&Event),
+) -> Result<Completion, RunError> {
+    plan.check(&provenance.space)?;
+    std::fs::create_dir_all(dir).map_err(RunError::io(dir, "create"))?;
+    let folder = Folder::lock(dir)?;
+    let names = folder.names()?;
+    if names.iter().any(|name| name == PLAN) {
+        return Err(RunError::AlreadyARun { dir: dir.to_owned(), finished: is_finished(&folder) });
+    }
+    if let Some(name) = names.first() {
+        return Err(RunError::NotEmpty { dir: dir.to_owned(), name: name.clone() });
+    }
+    let written = serde_json::to_value(plan).map_err(|source| RunError::Unreadable { path: dir.join(PLAN), source })?;
+    let provenance = Provenance { plan: written, seed: plan.seed, ..provenance };
+    let settings = Settings { version: Settings::VERSION, plan: plan.clone(), provenance };
+    folder.write(PLAN, &settings)?;
+    Run::new(folder, settings, crew, events)?.run()
+}
+
+/// Goes on with the campaign in `dir` and ends with the same bytes in every file as if it had never been
+/// interrupted. Of one that is finished nothing changes.
+///
+/// `provenance` is what would be used now: where tool, engine, robot, policy, space or platform are not those
+/// that the run was begun with, the rest of it would not be the same campaign, and this is an error.
+pub fn resume(
+    dir: &Path,
+    provenance: &Provenance,
+    crew: &Crew<'_>,
+    events: &mut dyn FnMut(&Event),
+) -> Result<Completion, RunError> {
+    let settings = settings(dir)?;
+    let folder = Folder::lock(dir)?;
+    if is_finished(&folder) {
+        let summary: Summary = folder::read(dir, SUMMARY)?;
+        known_version(dir, SUMMARY, summary.version, Summary::VERSION)?;
+        let boundary = if folder.has(BOUNDARY) { Some(folder::read(dir, BOUNDARY)?) } else { None };
+        events(&Event::Finished { already: true, summary: Box::new(summary.clone()) });
+        return Ok(Completion::Finished { summary: Box::new(summary), boundary });
+    }
+    same_origin(&settings.provenance, provenance)?;
+    settings.plan.check(&settings.provenance.space)?;
+    Run::new(folder, settings, crew, events)?.run()
+}
+
+/// What the run in `dir` was begun with: what must be known to make a workshop for [`resume`] or a replay.
+pub fn settings(dir: &Path) -> Result<Settings, RunError> {
+    if !dir.join(PLAN).is_file() {
+        return Err(RunError::NotARun { dir: dir.to_owned() });
+    }
+    /// The version alone: a later form may differ in everything else.
+    #[derive(Deserialize)]
+    struct Version {
+        version: u32,
+    }
+    let Version { version } = folder::read(dir, PLAN)?;
+    known_version(dir, PLAN, version, Settings::VERSION)?;
+    folder::read(dir, PLAN)
+}
+
+/// Episode `index` of the run in `dir`, finished or not: its scenario and how it went, for a replay.
+pub fn recorded(dir: &Path, index: u64) -> Result<Entry, RunError> {
+    let settings = settings(dir)?;
+    let folder = Folder::lock(dir)?;
+    let missing = || RunError::NoSuchEpisode { dir: dir.to_owned(), index, episodes: settings.plan.episodes() };
+    if index >= settings.plan.episodes() {
+        return Err(missing());
+    }
+    if folder.has(JOURNAL) {
+        let (mut journal, _) = Journal::open(&folder.path(JOURNAL))?;
+        return journal.read(index)?.ok_or_else(missing);
+    }
+    if !folder.has(DICTIONARY) {
+        return Err(missing());
+    }
+    for entry in Dictionary::open(&folder.path(DICTIONARY))?.entries() {
+        let entry = entry?;
+        if entry.index() == index {
+            return Ok(entry);
+        }
+    }
+    Err(missing())
+}
+
+/// The journal goes last, so its absence beside a summary means that all else is there.
+fn is_finished(folder: &Folder) -> bool {
+    folder.has(SUMMARY) && folder.has(DICTIONARY) && !folder.has(JOURNAL)
+}
+
+fn known_version(dir: &Path, name: &str, found: u32, known: u32) -> Result<(), RunError> {
+    if found > known {
+        return Err(RunError::NewerVersion { path: dir.join(name), found, known });
+    }
+    Ok(())
+}
+
+/// Refuses to go on with something else than what the run was begun with.
+fn same_origin(recorded: &Provenance, present: &Provenance) -> Result<(), RunError> {
+    let text = |value: &Option<String>| value.clone().unwrap_or_else(|| "unknown".to_owned());
+    let of = |p: &Provenance| {
+        let platform = p.platform.as_ref().map(|platform| format!("{} {}", platform.os, platform.arch));
+        [
+            ("tool", p.tool.name.clone()),
+            ("tool version", p.tool.version.clone()),
+            ("dictionary schema", p.schema_version.to_string()),
+            ("engine", p.engine.name.clone()),
+            ("engine version", text(&p.engine.version)),
+            ("engine build", text(&p.engine.build_sha256)),
+            ("robot", p.robot.name.clone()),
+            ("robot files", text(&p.robot.sha256)),
+            ("policy", p.policy.clone()),
+            ("platform", text(&platform)),
+        ]
+    };
+    for ((what, recorded), (_, present)) in of(recorded).into_iter().zip(of(present)) {
+        if recorded != present {
+            return Err(RunError::Mismatch { what, recorded, present });
+        }
+    }
+    if recorded.space != present.space {
+        let name = |space: &ParameterSpace| format!("`{}`", space.name());
+        let (recorded, present) = (name(&recorded.space), name(&present.space));
+        return Err(RunError::Mismatch { what: "parameter space", recorded, present });
+    }
+    Ok(())
+}
+
+/// How many episodes from the start may all be invalid before a person is told.
+const INVALID_FROM_START: u64 = 50;
+
+struct Run<'a> {
+    folder: Folder,
+    settings: Settings,
+    space: Arc<ParameterSpace>,
+    journal: Journal,
+    /// What the first stage's episodes say along each continuous parameter.
+    bins: Bins,
+    crew: &'a Crew<'a>,
+    events: &'a mut dyn FnMut(&Event),
+    /// How many episodes this process ran, and why the first is invalid, as long as none was valid.
+    invalid_so_far: Option<(u64, String)>,
+}
+
+/// Whether a stage came to its end.
+#[derive(PartialEq, Eq)]
+enum Progress {
+    Complete,
+    Stopped,
+}
+
+impl<'a> Run<'a> {
+    fn new(
+        folder: Folder,
+        settings: Settings,
+        crew: &'a Crew<'a>,
+        events: &'a mut dyn FnMut(&Event),
+    ) -> Result<Self, RunError> {
+        let path = folder.path(JOURNAL);
+        let (journal, cut) = if path.exists() {
+            let (journal, recovery) = Journal::open(&path)?;
+            (journal, recovery.dropped_bytes)
+        } else {
+            (Journal::create(&path)?, 0)
+        };
+        let episodes = settings.plan.episodes();
+        if let Some(index) = journal.indices().find(|index| *index >= episodes) {
+            return Err(RunError::ForeignEpisode { path, index });
+        }
+        let space = Arc::new(settings.provenance.space.clone());
+        let bins = Bins::new(&space, settings.plan.boundary.bins)?;
+        events(&Event::Started { episodes, already_done: journal.len(), threads: crew.threads.get() });
+        if cut > 0 {
+            events(&Event::warning(Warning::RecordCut { bytes: cut }));
+        }
+        Ok(Self { folder, settings, space, journal, bins, crew, events, invalid_so_far: Some((0, String::new())) })
+    }
+
+    fn run(mut self) -> Result<Completion, RunError> {
+        let completion = self.stages();
+        if !matches!(completion, Ok(Completion::Finished { .. })) {
+            let synced = self.journal.sync();
+            // After an error that error is what matters: without this flush too the record survives all but
+            // a power failure.
+            let completion = completion?;
+            synced?;
+            if let Completion::Interrupted { done, episodes } = completion {
+                (self.events)(&Event::Interrupted { done, episodes });
+            }
+            return Ok(completion);
+        }
+        let Self { folder, journal, events, .. } = self;
+        // Not every system removes a file that is open.
+        drop(journal);
+        folder.remove(JOURNAL)?;
+        if let Ok(Completion::Finished { summary, .. }) = &completion {
+            events(&Event::Finished { already: false, summary: summary.clone() });
+        }
+        completion
+    }
+
+    fn stages(&mut self) -> Result<Completion, RunError> {
+        let points = Points::uniform(&self.settings.plan, &self.space)?;
+        if self.stage(&points)? == Progress::Stopped {
+            return Ok(self.interrupted());
+        }
+        drop(points);
+        let mut boundary = None;
+        if self.settings.plan.boundary.episodes > 0 {
+            let report = self.find_boundary()?;
+            let points = Points::boundary(&self.settings.plan, &self.space, &report)?;
+            if self.stage(&points)? == Progress::Stopped {
+                return Ok(self.interrupted());
+            }
+            boundary = Some(Box::new(report));
+        }
+        Ok(Completion::Finished { summary: Box::new(self.finish()?), boundary })
+    }
+
+    fn interrupted(&self) -> Completion {
+        Completion::Interrupted { done: self.journal.len(), episodes: self.settings.plan.episodes() }
+    }
+
+    /// Runs what the journal does not hold yet of one stage.
+    fn stage(&mut self, points: &Points) -> Result<Progress, RunError> {
+        let stage = points.stage();
+        let (mut outcomes, pending) = self.already_done(points)?;
+        (self.events)(&Event::StageStarted { stage, episodes: points.len(), already_done: outcomes });
+        let scenario = |i: usize| points.scenario(*pending.get(i)?);
+        let crew = self.crew;
+        execute(crew, &scenario, &mut |episode| self.record(points, episode, &mut outcomes))?;
+        if outcomes.total() < points.len() {
+            return Ok(Progress::Stopped);
+        }
+        self.journal.sync()?;
+        if outcomes.valid() == 0 {
+            self.say_all_invalid();
+        }
+        (self.events)(&Event::StageFinished { stage, outcomes });
+        Ok(Progress::Complete)
+    }
+
+    /// What the journal holds of a stage: how it went, and which indices are missing.
+    fn already_done(&mut self, points: &Points) -> Result<(OutcomeCounts, Vec<u64>), RunError> {
+        let mut outcomes = OutcomeCounts::default();
+        let mut pending = Vec::new();
+        for index in points.indices() {
+            let Some(entry) = self.journal.read(index)? else {
+                pending.push(index);
+                continue;
+            };
+            // The same settings give the same points; anything else is another campaign's journal, or
+            // a platform on which they are others.
+            if Some(&entry.episode.scenario) != points.scenario(index).as_ref() {
+                return Err(RunError::ForeignEpisode { path: self.folder.path(JOURNAL), index });
+            }
+            self.count(points.stage(), &entry.episode, &mut outcomes);
+        }
+        Ok((outcomes, pending))
+    }
+
+    fn count(&mut self, stage: Stage, episode: &Episode, outcomes: &mut OutcomeCounts) {
+        outcomes.add(&episode.outcome);
+        if stage == Stage::Uniform {
+            self.bins.add(&episode.scenario.requested, &episode.outcome);
+        }
+    }
+
+    fn record(&mut self, points: &Points, episode: Episode, outcomes: &mut OutcomeCounts) -> Result<(), RunError> {
+        let index = episode.scenario.index;
+        let weight =
+            points.weight(index).ok_or_else(|| RunError::ForeignEpisode { path: self.folder.path(JOURNAL), index })?;
+        let (stage, design) = (points.stage(), points.sampler().to_owned());
+        let entry = Entry { stage: stage.word().to_owned(), design, weight, episode };
+        self.journal.append(&entry)?;
+        self.count(stage, &entry.episode, outcomes);
+        (self.events)(&Event::episode(stage, &entry.episode));
+        match (&entry.episode.outcome, &mut self.invalid_so_far) {
+            (Outcome::Invalid(fault), Some((episodes, first))) => {
+                if *episodes == 0 {
+                    *first = fault.to_string();
+                }
+                *episodes += 1;
+                if *episodes == INVALID_FROM_START {
+                    self.say_all_invalid();
+                }
+            }
+            _ => self.invalid_so_far = None,
+        }
+        Ok(())
+    }
+
+    /// Says once that nothing was valid so far.
+    fn say_all_invalid(&mut self) {
+        if let Some((episodes @ 1.., first)) = self.invalid_so_far.take() {
+            (self.events)(&Event::warning(Warning::AllInvalid { episodes, first }));
+        }
+    }
+
+    fn find_boundary(&mut self) -> Result<BoundaryReport, RunError> {
+        let report = BoundaryReport::find(&self.settings.plan.boundary, &self.space, &self.bins)?;
+        self.folder.write(BOUNDARY, &report)?;
+        (self.events)(&Event::BoundaryFound { boundary: report.clone() });
+        if report.is_without_evidence() {
+            (self.events)(&Event::warning(Warning::NoEvidence));
+        }
+        if report.emphasis.as_ref().is_some_and(|emphasis| emphasis.skipped) {
+            (self.events)(&Event::warning(Warning::EmphasisSkipped));
+        }
+        Ok(report)
+    }
+
+    /// Writes the record and what came of it.
+    fn finish(&mut self) -> Result<Summary, RunError> {
+        let plan = &self.settings.plan;
+        let mut writer = DictionaryWriter::create(&self.folder.path(DICTIONARY), &self.settings.provenance)?;
+        let mut summing = Summing::new(plan, &self.space)?;
+        for entry in self.journal.ordered() {
+            let entry = entry?;
+            let first = entry.index() < plan.uniform.episodes;
+            summing.add(if first { Stage::Uniform } else { Stage::Boundary }, &entry);
+            writer.push(&entry)?;
+        }
+        let summary = summing.finish(plan, writer.finish()?.dataset_hash);
+        self.folder.write(SUMMARY, &summary)?;
+        Ok(summary)
+    }
+}
+
+/// Why a campaign could not be run to its end. What was recorded before is intact.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The operating system refused.
+    #[error("cannot {action} {}: {source}{}", path.display(), io_hint(source))]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What was tried.
+        action: &'static str,
+        /// What it answered.
+        source: io::Error,
+    },
+    /// Something else is in the folder.
+    #[error("{} is not empty (it holds `{name}`) and is no run of robogate\nhint: choose a folder that is empty or not there yet", dir.display())]
+    NotEmpty {
+        /// The folder.
+        dir: PathBuf,
+        /// Something in it.
+        name: String,
+    },
+    /// A run is in the folder.
+    #[error("{} holds {} already\nhint: {}", dir.display(), if *finished { "a finished run" } else { "an unfinished run" },
+        if *finished { "choose another folder".to_owned() } else { format!("go on with it by `robogate resume {}`, or choose another folder", dir.display()) })]
+    AlreadyARun {
+        /// The folder.
+        dir: PathBuf,
+        /// Whether it is finished.
+        finished: bool,
+    },
+    /// No run is in the folder.
+    #[error("{} holds no run (there is no {PLAN} in it)\nhint: check the path; `robogate run --out DIR` begins one", dir.display())]
+    NotARun {
+        /// The folder.
+        dir: PathBuf,
+    },
+    /// Another process works there.
+    #[error("{} is in use by another process\nhint: a campaign is run or resumed by one process at a time", dir.display())]
+    Locked {
+        /// The folder.
+        dir: PathBuf,
+    },
+    /// A file of the run is not what was written.
+    #[error("{}: {source}\nhint: this file is written by robogate and must not be changed; restore it from a copy", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and where.
+        source: serde_json::Error,
+    },
+    /// A file of the run was written by a later version of the tool.
+    #[error("{} has version {found}, and this robogate reads {known} at most\nhint: upgrade robogate; nothing was changed", path.display())]
+    NewerVersion {
+        /// The file.
+        path: PathBuf,
+        /// Its version.
+        found: u32,
+        /// The newest that is known.
+        known: u32,
+    },
+    /// What would be used now is not what the run was begun with.
+    #[error(
+        "the run was begun with another {what}: {recorded}, now {present}\nhint: its episodes could not be compared; resume it with what it was begun with, or begin a new run"
+    )]
+    Mismatch {
+        /// What differs.
+        what: &'static str,
+        /// As it was.
+        recorded: String,
+        /// As it is.
+        present: String,
+    },
+    /// The journal holds an episode that the plan does not ask for.
+    #[error("{}: episode {index} is not the one that the plan asks for\nhint: the journal belongs to another run, or was begun on another platform", path.display())]
+    ForeignEpisode {
+        /// The journal.
+        path: PathBuf,
+        /// The episode's index.
+        index: u64,
+    },
+    /// No such episode is recorded.
+    #[error("{} has no record of episode {index}; the campaign has {episodes}, counted from 0, and an unfinished one may lack any", dir.display())]
+    NoSuchEpisode {
+        /// The run's folder.
+        dir: PathBuf,
+        /// The index asked for.
+        index: u64,
+        /// Episodes of the whole campaign.
+        episodes: u64,
+    },
+    /// Simulator and policy could not be set up.
+    #[error("cannot set up simulator and policy: {0}")]
+    Station(Fault),
+    /// The operating system gives no thread.
+    #[error("cannot start a thread: {0}\nhint: try fewer threads")]
+    Thread(io::Error),
+    /// The plan is none, or does not fit the space.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    /// The sampler cannot draw the points.
+    #[error(transparent)]
+    Design(#[from] DesignError),
+    /// The record cannot be written or read.
+    #[error(transparent)]
+    Dictionary(#[from] DictionaryError),
+}
+
+impl RunError {
+    pub(crate) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
+        move |source| Self::Io { path: path.to_owned(), action, source }
+    }
+}
+
+impl From<ExecuteError<Self>> for RunError {
+    fn from(error: ExecuteError<Self>) -> Self {
+        match error {
+            ExecuteError::Station(fault) => Self::Station(fault),
+            ExecuteError::Thread(source) => Self::Thread(source),
+            ExecuteError::Receiver(error) => error,
+        }
+    }
+}
+
+fn io_hint(source: &io::Error) -> &'static str {
+    match source.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "\nhint: make room on that disk, then resume; what was recorded before is intact"
+        }
+        io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
+            "\nhint: choose a folder that you may write to"
+        }
+        _ => "",
+    }
+}

@@ -1,0 +1,211 @@
+//! What came of a campaign, in figures that each say what they speak of.
+
+use std::collections::BTreeMap;
+
+use robogate_core::{FailureMode, FaultKind, Outcome, ParameterSpace};
+use robogate_dictionary::Entry;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{AlongParameter, Bins, OutcomeCounts, Plan, PlanError, Stage};
+
+/// What came of a campaign.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Summary {
+    /// The version of this form.
+    pub version: u32,
+    /// The campaign's seed.
+    pub seed: u64,
+    /// What drew the points.
+    pub sampler: String,
+    /// The content hash of the dictionary's rows: equal hashes, equal data.
+    pub dataset_hash: String,
+    /// Episodes of all stages.
+    pub episodes: u64,
+    /// The success rate of the policy over the operating space.
+    pub estimate: Estimate,
+    /// The stages that were run.
+    pub stages: Vec<StageSummary>,
+}
+
+impl Summary {
+    /// The version of this form that is written here, and the newest that is read.
+    pub const VERSION: u32 = 1;
+}
+
+/// A success rate and how far it can be trusted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Estimate {
+    /// What it speaks of.
+    pub population: Population,
+    /// The stages whose episodes it is made from.
+    pub stages: Vec<Stage>,
+    /// The same in words.
+    pub note: String,
+    /// The rate; absent where no episode is valid.
+    pub success_rate: Option<f64>,
+    /// Wilson's 95 % interval; [0, 1] where no episode is valid.
+    pub interval_95: [f64; 2],
+}
+
+/// What a figure speaks of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Population {
+    /// The operating space, every parameter uniform in its own scale.
+    OperatingSpace,
+    /// The points of the boundary stage, crowded where success turns into failure: no rate over them is
+    /// one of the operating space.
+    FocusedDesign,
+}
+
+impl Population {
+    /// The population in words.
+    pub fn describe(self) -> &'static str {
+        match self {
+            Self::OperatingSpace => "the operating space, every parameter uniform in its own scale",
+            Self::FocusedDesign => "the focused design around the failure boundary, not the operating space",
+        }
+    }
+}
+
+/// How one stage went.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct StageSummary {
+    /// The stage.
+    pub stage: Stage,
+    /// What its rates speak of.
+    pub population: Population,
+    /// The same in words.
+    pub note: String,
+    /// Its episodes.
+    pub episodes: u64,
+    /// How many of them are evidence.
+    pub valid: u64,
+    /// How many are not, because something under the policy broke.
+    pub invalid: u64,
+    /// How many of the valid ones succeeded.
+    pub successes: u64,
+    /// Their share; absent where no episode is valid.
+    pub success_rate: Option<f64>,
+    /// Wilson's 95 % interval of it; [0, 1] where no episode is valid.
+    pub interval_95: [f64; 2],
+    /// Every failure mode, also those that did not happen.
+    pub failure_modes: Vec<ModeCount>,
+    /// Why episodes are invalid.
+    pub faults: Vec<FaultCount>,
+    /// Success along each continuous parameter; of the uniform stage only.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub along: Vec<AlongParameter>,
+}
+
+/// How often the policy failed in one way.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ModeCount {
+    /// The failure mode (`grasp_miss`, `grip_loss`, `collision`, `timeout`).
+    pub mode: String,
+    /// How often.
+    pub episodes: u64,
+    /// Its share of the failures; absent where nothing failed.
+    pub share_of_failures: Option<f64>,
+}
+
+/// How often one class of fault struck.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct FaultCount {
+    /// The class of fault (`diverged`, `setup`, `not_applied`, `bad_action`, `unavailable`).
+    pub fault: String,
+    /// How often.
+    pub episodes: u64,
+}
+
+/// Counts a campaign's entries, one at a time, in memory that does not grow with their number.
+#[derive(Debug)]
+pub(crate) struct Summing {
+    uniform: OutcomeCounts,
+    boundary: OutcomeCounts,
+    faults: BTreeMap<(Stage, FaultKind), u64>,
+    bins: Bins,
+}
+
+impl Summing {
+    pub(crate) fn new(plan: &Plan, space: &ParameterSpace) -> Result<Self, PlanError> {
+        Ok(Self {
+            uniform: OutcomeCounts::default(),
+            boundary: OutcomeCounts::default(),
+            faults: BTreeMap::new(),
+            bins: Bins::new(space, plan.boundary.bins)?,
+        })
+    }
+
+    pub(crate) fn add(&mut self, stage: Stage, entry: &Entry) {
+        let outcome = &entry.episode.outcome;
+        match stage {
+            Stage::Uniform => {
+                self.uniform.add(outcome);
+                self.bins.add(&entry.episode.scenario.requested, outcome);
+            }
+            Stage::Boundary => self.boundary.add(outcome),
+        }
+        if let Outcome::Invalid(fault) = outcome {
+            *self.faults.entry((stage, fault.kind)).or_default() += 1;
+        }
+    }
+
+    pub(crate) fn finish(self, plan: &Plan, dataset_hash: String) -> Summary {
+        let mut stages = vec![self.stage(Stage::Uniform, &self.uniform)];
+        if plan.boundary.episodes > 0 {
+            stages.push(self.stage(Stage::Boundary, &self.boundary));
+        }
+        Summary {
+            version: Summary::VERSION,
+            seed: plan.seed,
+            sampler: plan.sampler.clone(),
+            dataset_hash,
+            episodes: self.uniform.total() + self.boundary.total(),
+            estimate: Estimate {
+                population: Population::OperatingSpace,
+                stages: vec![Stage::Uniform],
+                note: format!("speaks of {}; from the uniform stage alone", Population::OperatingSpace.describe()),
+                success_rate: self.uniform.success_rate(),
+                interval_95: self.uniform.interval_95(),
+            },
+            stages,
+        }
+    }
+
+    fn stage(&self, stage: Stage, counts: &OutcomeCounts) -> StageSummary {
+        let population = match stage {
+            Stage::Uniform => Population::OperatingSpace,
+            Stage::Boundary => Population::FocusedDesign,
+        };
+        let failures = counts.valid() - counts.success;
+        let mode = |mode| {
+            let episodes = counts.failures(mode);
+            let share_of_failures = (failures > 0).then(|| episodes as f64 / failures as f64);
+            ModeCount { mode: mode.word().to_owned(), episodes, share_of_failures }
+        };
+        StageSummary {
+            stage,
+            population,
+            note: format!("speaks of {}", population.describe()),
+            episodes: counts.total(),
+            valid: counts.valid(),
+            invalid: counts.invalid,
+            successes: counts.success,
+            success_rate: counts.success_rate(),
+            interval_95: counts.interval_95(),
+            failure_modes: FailureMode::ALL.into_iter().map(mode).collect(),
+            faults: self
+                .faults
+                .iter()
+                .filter(|((of, _), _)| *of == stage)
+                .map(|((_, fault), episodes)| FaultCount { fault: fault.to_string(), episodes: *episodes })
+                .collect(),
+            along: match stage {
+                Stage::Uniform => self.bins.along(),
+                Stage::Boundary => Vec::new(),
+            },
+        }
+    }
+}

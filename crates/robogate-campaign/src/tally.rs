@@ -1,0 +1,190 @@
+//! Counts of how episodes went, in all and along each continuous parameter.
+//!
+//! A tally keeps counts alone: its size does not depend on the number of episodes, and the order in which they are
+//! added does not matter. Intervals are Wilson's at 95 %; they take episodes for
+//! independent draws, which is conservative for a Latin hypercube where the outcome varies
+//! smoothly. Invalid episodes are counted, and count in no rate.
+
+use std::sync::Arc;
+
+use robogate_core::{Assignment, Domain, FailureMode, Outcome, ParameterSpace, Scale};
+use robogate_stats::binning::Edges;
+use robogate_stats::{Confidence, Trials, wilson};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::PlanError;
+
+/// How many episodes went which way.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct OutcomeCounts {
+    /// The task was done.
+    pub success: u64,
+    /// The gripper closed without the object.
+    pub grasp_miss: u64,
+    /// The object was lost between grasp and release.
+    pub grip_loss: u64,
+    /// The robot touched something that is not the object.
+    pub collision: u64,
+    /// The time limit passed.
+    pub timeout: u64,
+    /// No evidence: something under the policy broke.
+    pub invalid: u64,
+}
+
+impl OutcomeCounts {
+    /// Counts one more.
+    pub fn add(&mut self, outcome: &Outcome) {
+        *match outcome {
+            Outcome::Success => &mut self.success,
+            Outcome::Failure(FailureMode::GraspMiss) => &mut self.grasp_miss,
+            Outcome::Failure(FailureMode::GripLoss) => &mut self.grip_loss,
+            Outcome::Failure(FailureMode::Collision) => &mut self.collision,
+            Outcome::Failure(FailureMode::Timeout) => &mut self.timeout,
+            Outcome::Invalid(_) => &mut self.invalid,
+        } += 1;
+    }
+
+    /// How many failed in this way.
+    pub fn failures(&self, mode: FailureMode) -> u64 {
+        match mode {
+            FailureMode::GraspMiss => self.grasp_miss,
+            FailureMode::GripLoss => self.grip_loss,
+            FailureMode::Collision => self.collision,
+            FailureMode::Timeout => self.timeout,
+        }
+    }
+
+    /// How many are evidence: all but the invalid ones.
+    pub fn valid(&self) -> u64 {
+        self.success + FailureMode::ALL.iter().map(|mode| self.failures(*mode)).sum::<u64>()
+    }
+
+    /// How many there are.
+    pub fn total(&self) -> u64 {
+        self.valid() + self.invalid
+    }
+
+    /// Successes among the valid ones; `None` where there is none.
+    pub fn success_rate(&self) -> Option<f64> {
+        rate(self.success, self.valid())
+    }
+
+    /// Wilson's 95 % interval of the success rate; [0, 1] where nothing is valid.
+    pub fn interval_95(&self) -> [f64; 2] {
+        interval_95(self.success, self.valid())
+    }
+}
+
+fn rate(successes: u64, valid: u64) -> Option<f64> {
+    (valid > 0).then(|| successes as f64 / valid as f64)
+}
+
+fn interval_95(successes: u64, valid: u64) -> [f64; 2] {
+    // Never more successes than valid episodes, by construction; no evidence would be the honest answer.
+    let trials = Trials::new(successes, valid).unwrap_or(Trials::NONE);
+    let interval = wilson(trials, Confidence::P95);
+    [interval.low, interval.high]
+}
+
+/// Successes in bins of equal width along each continuous parameter.
+#[derive(Debug, Clone)]
+pub struct Bins(Vec<Along>);
+
+#[derive(Debug, Clone)]
+struct Along {
+    parameter: Arc<str>,
+    scale: Scale,
+    edges: Edges,
+    /// For each bin how many are valid and how many of these succeeded.
+    counts: Vec<(u64, u64)>,
+}
+
+impl Bins {
+    /// `bins` empty ones over the range of each continuous parameter, in its own unit: on a
+    /// log-scaled parameter they are of equal width in the number, as in the paper, not in its logarithm.
+    pub fn new(space: &ParameterSpace, bins: usize) -> Result<Self, PlanError> {
+        let along = space.parameters().iter().filter_map(|parameter| match parameter.domain {
+            Domain::Continuous { low, high, scale } => Some((parameter, low, high, scale)),
+            _ => None,
+        });
+        along
+            .map(|(parameter, low, high, scale)| {
+                let edge = |i| if i == bins { high } else { low + (high - low) * (i as f64 / bins as f64) };
+                let edges = Edges::new((0..=bins).map(edge).collect())
+                    .map_err(|_| PlanError::TooNarrow { parameter: parameter.name.to_string(), bins })?;
+                Ok(Along { parameter: Arc::clone(&parameter.name), scale, edges, counts: vec![(0, 0); bins] })
+            })
+            .collect::<Result<_, _>>()
+            .map(Self)
+    }
+
+    /// Counts one more episode, in one bin of each parameter; an invalid one in none.
+    pub fn add(&mut self, requested: &Assignment, outcome: &Outcome) {
+        let success = match outcome {
+            Outcome::Success => true,
+            Outcome::Failure(_) => false,
+            Outcome::Invalid(_) => return,
+        };
+        for along in &mut self.0 {
+            let bin = requested.number(&along.parameter).and_then(|value| along.edges.bin(value));
+            if let Some((valid, successes)) = bin.and_then(|bin| along.counts.get_mut(bin)) {
+                *valid += 1;
+                *successes += u64::from(success);
+            }
+        }
+    }
+
+    /// What was counted, with rates and intervals, in the order of the space.
+    pub fn along(&self) -> Vec<AlongParameter> {
+        self.0
+            .iter()
+            .map(|along| AlongParameter {
+                parameter: along.parameter.to_string(),
+                scale: along.scale,
+                bins: along
+                    .edges
+                    .as_slice()
+                    .windows(2)
+                    .zip(&along.counts)
+                    .map(|(ends, &(valid, successes))| Bin {
+                        low: ends[0],
+                        high: ends[1],
+                        valid,
+                        successes,
+                        success_rate: rate(successes, valid),
+                        interval_95: interval_95(successes, valid),
+                    })
+                    .collect(),
+            })
+            .collect()
+    }
+}
+
+/// Success along one continuous parameter, whatever the others were.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct AlongParameter {
+    /// The parameter's name.
+    pub parameter: String,
+    /// The scale in which it was drawn; its bins are linear all the same.
+    pub scale: Scale,
+    /// Its bins, rising.
+    pub bins: Vec<Bin>,
+}
+
+/// One bin: from `low` up to but without `high`, which the last bin holds too.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Bin {
+    /// Its lower end, in the parameter's unit.
+    pub low: f64,
+    /// Its upper end.
+    pub high: f64,
+    /// Valid episodes in it.
+    pub valid: u64,
+    /// How many of these succeeded.
+    pub successes: u64,
+    /// Their share; absent where no episode is valid.
+    pub success_rate: Option<f64>,
+    /// Wilson's 95 % interval of it.
+    pub interval_95: [f64; 2],
+}
