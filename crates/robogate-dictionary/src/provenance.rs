@@ -22,6 +22,9 @@ pub struct Provenance {
     pub robot: Robot,
     /// The policy that drove it.
     pub policy: String,
+    /// The settings of the world (time step, grip force) in the simulator's own form.
+    #[serde(default, skip_serializing_if = "serde_json::Value::is_null")]
+    pub world: serde_json::Value,
     /// The parameter space: its parameters are columns of the rows, in this order.
     pub space: ParameterSpace,
     /// The settings of the campaign (stages, budgets, designs, limits) in the campaign's own form.

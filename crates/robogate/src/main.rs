@@ -1,1 +1,58 @@
-fn main() {}
+//! The command: one file per verb.
+
+mod commands;
+mod exit;
+mod progress;
+mod summary;
+mod terminal;
+mod world;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// The gate between a trained manipulation policy and a real robot cell.
+///
+/// Exit codes: 0 pass or done, 1 fail, 2 usage or configuration, 3 inconclusive, 4 invalid evidence or nothing
+/// evaluated, 5 infrastructure or incomplete, 130 interrupted (resumable).
+#[derive(Debug, Parser)]
+#[command(version, max_term_width = 100)]
+struct Arguments {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Debug, Subcommand)]
+enum Verb {
+    /// Find where the policy fails: a campaign over the operating space, then near the failure boundary
+    Run(commands::run::Run),
+    /// Go on with an interrupted campaign
+    Resume(commands::resume::Resume),
+    /// Run one episode of a campaign again, bit for bit, and tell its story
+    Replay(commands::replay::Replay),
+    /// Write a failure dictionary as CSV, JSON Lines or the published JSON
+    Export(commands::export::Export),
+    /// Read a published JSON dictionary into Parquet
+    Import(commands::import::Import),
+    /// Check claims by experiment
+    Check(commands::check::Check),
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let result = match arguments.verb {
+        Verb::Run(run) => run.execute(),
+        Verb::Resume(resume) => resume.execute(),
+        Verb::Replay(replay) => replay.execute(),
+        Verb::Export(export) => export.execute(),
+        Verb::Import(import) => import.execute(),
+        Verb::Check(check) => check.execute(),
+    };
+    match result {
+        Ok(code) => ExitCode::from(code),
+        Err(exit) => {
+            terminal::error(&exit);
+            ExitCode::from(exit.code)
+        }
+    }
+}

@@ -286,6 +286,7 @@ impl Survey {
             engine: Engine { name: name(["simulator", "mode"]), version: None, build_sha256: None },
             robot: Robot { name: name(["robot", "robot_name"]), sha256: None },
             policy: name(["policy", "controller"]),
+            world: serde_json::Value::Null,
             space,
             plan: json!({ "published_metadata": frame.metadata }),
             seed: seed.unwrap_or(0),

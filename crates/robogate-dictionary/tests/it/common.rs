@@ -52,6 +52,7 @@ pub(crate) fn provenance() -> Provenance {
         },
         robot: Robot { name: "franka".to_owned(), sha256: Some("cd".repeat(32)) },
         policy: "scripted".to_owned(),
+        world: serde_json::Value::Null,
         space: space(),
         plan: serde_json::json!({ "stages": [{ "name": "uniform", "n": 100 }] }),
         seed: SEED,

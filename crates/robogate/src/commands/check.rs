@@ -1,0 +1,77 @@
+//! `robogate check`: claims held to experiment.
+
+use std::sync::Arc;
+
+use clap::{Args, Subcommand};
+use robogate_core::ParameterSpace;
+use robogate_sim::FRANKA_SPACE;
+use robogate_sim::claims::{self, Finding};
+use serde_json::json;
+
+use crate::exit::{DONE, Exit, FAIL, OrExit};
+use crate::terminal::{bold, line, note};
+use crate::world::{Cell, WorldArguments};
+
+/// Check claims by experiment.
+#[derive(Debug, Args)]
+pub(crate) struct Check {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// The physics: friction, opening, easy region, time step, repeatability, joint limits
+    Physics(Physics),
+}
+
+/// The physics claims at full length: about two minutes.
+#[derive(Debug, Args)]
+struct Physics {
+    #[command(flatten)]
+    world: WorldArguments,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+impl Check {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let What::Physics(physics) = &self.what;
+        physics.execute()
+    }
+}
+
+impl Physics {
+    fn execute(&self) -> Result<u8, Exit> {
+        let cell = Cell::new(self.world.world()).or_usage()?;
+        let space = Arc::new(ParameterSpace::from_toml(FRANKA_SPACE).or_broken()?);
+        let experiments: [(&str, &dyn Fn() -> Result<Finding, String>); 6] = [
+            ("coulomb", &|| claims::coulomb(&cell)),
+            ("opening", &|| claims::opening(&cell, 140)),
+            ("easy_region", &|| claims::easy_region(&cell, 700)),
+            ("time_step", &|| claims::time_step(&cell, &space, 500)),
+            ("repeatable", &|| claims::repeatable(&cell, &space, 200)),
+            ("joint_limits", &|| claims::joint_limits(&cell, 70)),
+        ];
+        let mut found = Vec::new();
+        for (name, experiment) in experiments {
+            note(format_args!("running {name} ..."));
+            let finding = experiment().map_err(anyhow::Error::msg).or_broken()?;
+            if !self.json {
+                let verdict = if finding.holds { "holds" } else { "FAILS" };
+                line(format_args!("{} {}", bold(verdict), finding.claim));
+                finding.figures.iter().for_each(|figure| line(format_args!("      {figure}")));
+            }
+            found.push((name, finding));
+        }
+        if self.json {
+            let claims: Vec<_> = found
+                .iter()
+                .map(|(name, f)| json!({"name": name, "claim": f.claim, "holds": f.holds, "figures": f.figures}))
+                .collect();
+            line(json!({"version": 1, "claims": claims}));
+        }
+        Ok(if found.iter().all(|(_, finding)| finding.holds) { DONE } else { FAIL })
+    }
+}

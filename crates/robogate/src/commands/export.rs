@@ -1,0 +1,75 @@
+//! `robogate export`: a dictionary in another form.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use robogate_dictionary::Dictionary;
+use robogate_dictionary::export::{Format, write_file};
+
+use crate::exit::{DONE, Exit, OrExit};
+use crate::terminal::{grouped, note};
+
+/// Write a failure dictionary as CSV, JSON Lines or the published JSON.
+#[derive(Debug, Args)]
+pub(crate) struct Export {
+    /// A run's folder or a dictionary (Parquet)
+    dictionary: PathBuf,
+    /// The file to write; its ending says the format where --format does not
+    out: PathBuf,
+    /// The format
+    #[arg(long)]
+    format: Option<To>,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum To {
+    /// RFC 4180 (.csv)
+    Csv,
+    /// One object per row (.jsonl, .ndjson)
+    Jsonl,
+    /// The schema of the dictionaries released with the paper (.json)
+    Published,
+}
+
+impl Export {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let to = match self.format.or_else(|| by_ending(&self.out)) {
+            Some(to) => to,
+            None => {
+                let why = anyhow::anyhow!(
+                    "{}: no format goes by this ending\nhint: name it .csv, .jsonl or .json, or give --format",
+                    self.out.display()
+                );
+                return Err(why).or_usage();
+            }
+        };
+        let dictionary = open(&self.dictionary)?;
+        let format = match to {
+            To::Csv => Format::Csv,
+            To::Jsonl => Format::JsonLines,
+            To::Published => Format::Published,
+        };
+        let rows = write_file(&dictionary, format, &self.out).or_broken()?;
+        note(format_args!("{}: {} rows", self.out.display(), grouped(rows)));
+        Ok(DONE)
+    }
+}
+
+fn by_ending(path: &Path) -> Option<To> {
+    match path.extension()?.to_str()? {
+        "csv" => Some(To::Csv),
+        "jsonl" | "ndjson" => Some(To::Jsonl),
+        "json" => Some(To::Published),
+        _ => None,
+    }
+}
+
+/// The dictionary of a run's folder, or of a file.
+fn open(path: &Path) -> Result<Dictionary, Exit> {
+    let file = if path.is_dir() { path.join(robogate_campaign::folder::DICTIONARY) } else { path.to_owned() };
+    if path.is_dir() && !file.exists() && robogate_campaign::settings(path).is_ok() {
+        let why = anyhow::anyhow!("{} is not finished\nhint: robogate resume {0}", path.display());
+        return Err(why).or_usage();
+    }
+    Dictionary::open(&file).or_usage()
+}

@@ -1,0 +1,8 @@
+//! The verbs.
+
+pub(crate) mod check;
+pub(crate) mod export;
+pub(crate) mod import;
+pub(crate) mod replay;
+pub(crate) mod resume;
+pub(crate) mod run;

@@ -1,0 +1,28 @@
+//! `robogate resume`: go on where a campaign was interrupted.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::commands::run::{How, provenance};
+use crate::exit::{Exit, OrExit};
+use crate::world::Cell;
+
+/// Go on with an interrupted campaign.
+#[derive(Debug, Args)]
+pub(crate) struct Resume {
+    /// The run's folder
+    dir: PathBuf,
+    #[command(flatten)]
+    how: How,
+}
+
+impl Resume {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let settings = robogate_campaign::settings(&self.dir).or_usage()?;
+        let cell = Cell::recorded(&settings.provenance).or_usage()?;
+        let provenance = provenance(&cell, settings.provenance.space)?;
+        self.how
+            .conduct(&self.dir, &cell, |crew, events| robogate_campaign::resume(&self.dir, &provenance, crew, events))
+    }
+}

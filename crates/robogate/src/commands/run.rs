@@ -1,0 +1,199 @@
+//! `robogate run`: a campaign from the first episode to the summary.
+
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::Context;
+use clap::Args;
+use robogate_campaign::{Completion, Crew, Event, Plan, Preset, RunError};
+use robogate_core::ParameterSpace;
+use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool};
+use robogate_sim::{FRANKA_SPACE, SceneParameters};
+
+use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
+use crate::progress::Progress;
+use crate::summary;
+use crate::terminal::{bold, grouped, note};
+use crate::world::{Cell, WorldArguments};
+
+/// Find where the policy fails: a campaign over the operating space, then near the failure boundary.
+#[derive(Debug, Args)]
+pub(crate) struct Run {
+    /// Which budgets: quick (2,000 + 1,000 episodes) or paper (10,000 + 10,000)
+    #[arg(long, value_name = "PRESET", default_value = "quick", value_parser = ["quick", "paper"])]
+    preset: String,
+    /// A plan of your own in place of a preset (TOML; the presets are its reference)
+    #[arg(long, value_name = "FILE", conflicts_with = "preset")]
+    plan: Option<PathBuf>,
+    /// A parameter space of your own (TOML)
+    #[arg(long, value_name = "FILE")]
+    space: Option<PathBuf>,
+    /// This many episodes in all, two thirds of them uniform
+    #[arg(short, long, value_name = "N")]
+    n: Option<u64>,
+    /// The campaign's seed
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    #[command(flatten)]
+    world: WorldArguments,
+    #[command(flatten)]
+    how: How,
+    /// The run's folder; default: a new one under runs/
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+/// How a campaign is run and shown.
+#[derive(Debug, Args)]
+pub(crate) struct How {
+    /// Threads that run episodes; default: one for each core
+    #[arg(long, value_name = "T")]
+    threads: Option<NonZeroUsize>,
+    /// Print the summary as one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+impl Run {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let (plan, space) = self.plan_and_space()?;
+        let world = self.world.world();
+        let robot = Path::new(&world.robot).file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        let cell = Cell::new(world).or_usage()?;
+        let provenance = provenance(&cell, space)?;
+        let dir = match &self.out {
+            Some(dir) => dir.clone(),
+            None => {
+                let plan_name = self.plan.as_deref().and_then(Path::file_stem).map(|s| s.to_string_lossy());
+                free_folder(&format!("{robot}-{}-{}", plan_name.as_deref().unwrap_or(&self.preset), plan.seed))
+            }
+        };
+        note(format_args!(
+            "{} {} in {} {}, scripted controller, seed {}",
+            bold("RoboGate"),
+            provenance.robot.name,
+            provenance.engine.name,
+            provenance.engine.version.as_deref().unwrap_or_default(),
+            plan.seed
+        ));
+        note(format_args!(
+            "{} episodes over the operating space, then {} near the failure boundary, into {}",
+            grouped(plan.uniform.episodes),
+            grouped(plan.boundary.episodes),
+            dir.display()
+        ));
+        self.how.conduct(&dir, &cell, |crew, events| robogate_campaign::start(&dir, &plan, provenance, crew, events))
+    }
+
+    fn plan_and_space(&self) -> Result<(Plan, ParameterSpace), Exit> {
+        let space = match &self.space {
+            Some(file) => std::fs::read_to_string(file)
+                .with_context(|| format!("cannot read {}", file.display()))
+                .and_then(|text| ParameterSpace::from_toml(&text).with_context(|| file.display().to_string()))
+                .or_usage()?,
+            None => ParameterSpace::from_toml(FRANKA_SPACE).or_broken()?,
+        };
+        SceneParameters::check_space(&space).or_usage()?;
+        let mut plan = match &self.plan {
+            Some(file) => Plan::load(file).or_usage()?,
+            None => {
+                let preset = Preset::by_name(&self.preset).unwrap_or_default();
+                let (plan, left_out) = preset.plan().or_broken()?.fitted_to(&space);
+                left_out.iter().for_each(note);
+                plan
+            }
+        };
+        if let Some(n) = self.n {
+            plan = plan.with_total(n);
+        }
+        if let Some(seed) = self.seed {
+            plan.seed = seed;
+        }
+        plan.check(&space).or_usage()?;
+        Ok((plan, space))
+    }
+}
+
+impl How {
+    /// Runs a campaign by `work`, shows its progress and its summary.
+    pub(crate) fn conduct(
+        &self,
+        dir: &Path,
+        cell: &Cell,
+        work: impl FnOnce(&Crew<'_>, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
+    ) -> Result<u8, Exit> {
+        let threads = self.threads.or_else(|| std::thread::available_parallelism().ok()).unwrap_or(NonZeroUsize::MIN);
+        let stop = Arc::new(AtomicBool::new(false));
+        let asked = Arc::clone(&stop);
+        ctrlc::set_handler(move || {
+            if !asked.swap(true, Ordering::Relaxed) {
+                note("\nstopping after the episodes in flight ...");
+            }
+        })
+        .or_broken()?;
+        let crew = Crew { workshop: cell, threads, stop: &stop };
+        let mut progress = Progress::new();
+        let completion = work(&crew, &mut |event| progress.hear(event)).map_err(exit)?;
+        match completion {
+            Completion::Finished { summary, boundary } => {
+                if self.json {
+                    summary::json(dir, &summary, boundary.as_deref()).or_broken()?;
+                } else {
+                    summary::print(dir, &summary, boundary.as_deref());
+                }
+                let evidence = summary.stages.iter().any(|stage| stage.valid > 0);
+                Ok(if evidence { DONE } else { INVALID })
+            }
+            Completion::Interrupted { done, episodes } => {
+                note(format_args!("{} of {} episodes are recorded.", grouped(done), grouped(episodes)));
+                note(format_args!("next: robogate resume {}", dir.display()));
+                Ok(INTERRUPTED)
+            }
+        }
+    }
+}
+
+/// A campaign's error with its exit code: what the user must change is usage, the rest infrastructure.
+fn exit(error: RunError) -> Exit {
+    let code = match error {
+        RunError::NotEmpty { .. }
+        | RunError::AlreadyARun { .. }
+        | RunError::NotARun { .. }
+        | RunError::NewerVersion { .. }
+        | RunError::Mismatch { .. }
+        | RunError::NoSuchEpisode { .. }
+        | RunError::Plan(_) => USAGE,
+        _ => INFRASTRUCTURE,
+    };
+    Exit { code, error: error.into() }
+}
+
+/// With what a campaign is run: all that its results depend on, beside the plan.
+pub(crate) fn provenance(cell: &Cell, space: ParameterSpace) -> Result<Provenance, Exit> {
+    let (engine, robot) = cell.provenance().or_broken()?;
+    Ok(Provenance {
+        tool: Tool::robogate(),
+        schema_version: SCHEMA_VERSION,
+        engine,
+        robot,
+        policy: "scripted".to_owned(),
+        world: serde_json::to_value(cell.world()).or_broken()?,
+        space,
+        plan: serde_json::Value::Null,
+        seed: 0,
+        platform: Some(Platform::here()),
+        source: None,
+    })
+}
+
+/// A folder under `runs/` that is not there yet.
+fn free_folder(name: &str) -> PathBuf {
+    let runs = Path::new("runs");
+    let plain = runs.join(name);
+    if !plain.exists() {
+        return plain;
+    }
+    (2_u32..).map(|i| runs.join(format!("{name}-{i}"))).find(|dir| !dir.exists()).unwrap_or(plain)
+}

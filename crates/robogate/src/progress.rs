@@ -1,0 +1,91 @@
+//! The stream of events as a progress bar, or as JSON lines on stderr.
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use robogate_campaign::{Event, OutcomeCounts, Stage};
+use robogate_core::{FailureMode, Outcome};
+
+use crate::terminal;
+
+/// Listens to a campaign and shows how far it is.
+pub(crate) struct Progress {
+    bar: ProgressBar,
+    counts: OutcomeCounts,
+}
+
+impl Progress {
+    /// A listener that shows nothing yet.
+    pub(crate) fn new() -> Self {
+        Self { bar: ProgressBar::hidden(), counts: OutcomeCounts::default() }
+    }
+
+    /// Takes an event.
+    pub(crate) fn hear(&mut self, event: &Event) {
+        match event {
+            Event::Started { already_done, episodes, .. } if *already_done > 0 => {
+                let (done, all) = (terminal::grouped(*already_done), terminal::grouped(*episodes));
+                terminal::note(format_args!("{done} of {all} episodes are recorded already"));
+            }
+            Event::StageStarted { stage, episodes, already_done } => {
+                self.counts = *already_done;
+                self.bar = ProgressBar::with_draw_target(Some(*episodes), ProgressDrawTarget::stderr());
+                self.bar.set_style(style());
+                self.bar.set_prefix(match stage {
+                    Stage::Uniform => "uniform ",
+                    Stage::Boundary => "boundary",
+                });
+                self.bar.set_position(already_done.total());
+                self.bar.reset_eta();
+                self.say();
+            }
+            Event::Episode { outcome, .. } => {
+                self.counts.add(&outcome_of(outcome));
+                self.bar.inc(1);
+                // Drawing is limited by the bar; making its text is not worth more than every few episodes.
+                if self.counts.total().is_multiple_of(8) {
+                    self.say();
+                }
+            }
+            Event::StageFinished { .. } | Event::Interrupted { .. } => {
+                self.say();
+                self.bar.abandon();
+            }
+            Event::Warning { message, .. } => self.bar.suspend(|| terminal::note(format_args!("warning: {message}"))),
+            Event::Started { .. } | Event::BoundaryFound { .. } | Event::Finished { .. } => {}
+        }
+    }
+
+    fn say(&self) {
+        let mut text = match self.counts.success_rate() {
+            Some(rate) => format!("success {}", terminal::percent(rate)),
+            None => "no valid episode yet".to_owned(),
+        };
+        for mode in FailureMode::ALL {
+            text += &format!(" · {} {}", mode.word(), self.counts.failures(mode));
+        }
+        if self.counts.invalid > 0 {
+            text += &format!(" · INVALID {}", self.counts.invalid);
+        }
+        self.bar.set_message(text);
+    }
+}
+
+/// The outcome of a word, as far as counting goes.
+fn outcome_of(word: &str) -> Outcome {
+    if word == "success" {
+        return Outcome::Success;
+    }
+    match FailureMode::ALL.into_iter().find(|mode| mode.word() == word) {
+        Some(mode) => Outcome::Failure(mode),
+        None => Outcome::Invalid(robogate_core::Fault::new(robogate_core::FaultKind::Unavailable, "")),
+    }
+}
+
+fn style() -> ProgressStyle {
+    ProgressStyle::with_template("{prefix} {bar:24} {human_pos}/{human_len} {per_sec:>8} left {eta:<4} {wide_msg}")
+        .unwrap_or_else(|_| ProgressStyle::default_bar())
+        .progress_chars("█▉▊▋▌▍▎▏ ")
+        .with_key("per_sec", |state: &indicatif::ProgressState, out: &mut dyn std::fmt::Write| {
+            // A bar that cannot be drawn is no reason to stop.
+            let _ = write!(out, "{:.1}/s", state.per_sec());
+        })
+}

@@ -1,0 +1,159 @@
+//! The summary that ends a campaign.
+
+use std::path::Path;
+
+use robogate_campaign::folder::DICTIONARY;
+use robogate_campaign::{AlongParameter, BoundaryReport, DrawnFrom, Population, Stage, StageSummary, Summary};
+use serde_json::json;
+
+use crate::terminal::{bar, bold, dim, grouped, line, percent};
+
+/// A bin with fewer valid episodes than this is shown dimmed: its rate says little.
+const FEW: u64 = 20;
+
+/// Prints the summary as one JSON document.
+pub(crate) fn json(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>) -> serde_json::Result<()> {
+    let document = json!({ "version": 1, "dir": dir, "summary": summary, "boundary": boundary });
+    line(serde_json::to_string_pretty(&document)?);
+    Ok(())
+}
+
+/// Prints the summary for people.
+pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>) {
+    line("");
+    for stage in &summary.stages {
+        rate(stage, &summary.sampler);
+    }
+    for stage in &summary.stages {
+        failures(stage);
+    }
+    if let Some(uniform) = summary.stages.iter().find(|stage| stage.stage == Stage::Uniform) {
+        for parameter in ["friction", "mass_kg"] {
+            if let Some(along) = uniform.along.iter().find(|along| along.parameter == parameter) {
+                success_along(along);
+            }
+        }
+    }
+    if let Some(report) = boundary {
+        found(report);
+    }
+    files(dir, summary);
+}
+
+fn rate(stage: &StageSummary, sampler: &str) {
+    let [low, high] = stage.interval_95;
+    let of = match stage.population {
+        Population::OperatingSpace => "over the operating space",
+        Population::FocusedDesign => "in the focused design (not the operating space)",
+    };
+    match stage.success_rate {
+        Some(rate) => line(format_args!(
+            "{}  {of}: {} of {}, 95 % interval {} to {}",
+            bold(format_args!("success {:>6}", percent(rate))),
+            grouped(stage.successes),
+            grouped(stage.valid),
+            percent(low),
+            percent(high)
+        )),
+        None => line(format_args!("success      -  {of}: no valid episode, nothing can be said")),
+    }
+    if stage.population == Population::OperatingSpace {
+        let conservative = if sampler == "uniform" { "" } else { ", conservative for this design" };
+        line(dim(format_args!("                 every parameter uniform in its own scale; Wilson{conservative}")));
+    }
+    if stage.invalid > 0 {
+        let kinds: Vec<String> = stage.faults.iter().map(|f| format!("{} {}", f.episodes, f.fault)).collect();
+        line(format_args!(
+            "                 {} invalid episodes are no evidence: {}",
+            grouped(stage.invalid),
+            kinds.join(", ")
+        ));
+    }
+}
+
+fn failures(stage: &StageSummary) {
+    line("");
+    line(bold(format_args!(
+        "Failures, {} stage",
+        match stage.stage {
+            Stage::Uniform => "uniform",
+            Stage::Boundary => "boundary",
+        }
+    )));
+    let mut modes = stage.failure_modes.clone();
+    modes.sort_by_key(|mode| std::cmp::Reverse(mode.episodes));
+    for mode in modes {
+        let share = mode.share_of_failures.unwrap_or(0.0);
+        line(format_args!(
+            "  {:<12} {:>7} {:>8}  {}",
+            mode.mode,
+            grouped(mode.episodes),
+            percent(share),
+            bar(share, 24)
+        ));
+    }
+}
+
+fn success_along(along: &AlongParameter) {
+    line("");
+    line(bold(format_args!("Success along {}, uniform stage", along.parameter)));
+    for bin in &along.bins {
+        let range = format!("{:>6.3} to {:>6.3}", bin.low, bin.high);
+        match bin.success_rate {
+            Some(rate) => {
+                let text = format!("{:>8}  {}  {:>6}", percent(rate), bar(rate, 24), grouped(bin.valid));
+                if bin.valid < FEW {
+                    line(dim(format_args!("  {range} {text} episodes: too few to say")));
+                } else {
+                    line(format_args!("  {range} {text} episodes"));
+                }
+            }
+            None => line(dim(format_args!("  {range} {:>8}  no valid episode", "-"))),
+        }
+    }
+}
+
+fn found(report: &BoundaryReport) {
+    let [low, high] = report.band;
+    line("");
+    line(bold(format_args!(
+        "Where success turns into failure (bins at {:.0} to {:.0} % success)",
+        100.0 * low,
+        100.0 * high
+    )));
+    for parameter in &report.parameters {
+        let [from, to] = parameter.drawn;
+        let how = match parameter.drawn_from {
+            DrawnFrom::Bins => format!("{} of {} bins", parameter.in_band.len(), parameter.along.bins.len()),
+            DrawnFrom::Fallback => "no bin in the band: fallback range".to_owned(),
+            DrawnFrom::WholeRange => "no bin in the band: whole range".to_owned(),
+        };
+        line(format_args!("  {:<14} {from:>7.4} to {to:>7.4}  {how}", parameter.along.parameter));
+    }
+    for restricted in &report.restricted {
+        line(format_args!(
+            "  {:<14} {:>7} to {:>7}  restricted by the plan",
+            restricted.parameter, restricted.low, restricted.high
+        ));
+    }
+    line(format_args!(
+        "  together {} of the operating space; {} episodes drawn evenly there{}",
+        percent(report.volume.share_of_operating_space),
+        grouped(report.volume.episodes),
+        match &report.emphasis {
+            Some(emphasis) if emphasis.skipped => ", the emphasis region does not meet it".to_owned(),
+            Some(emphasis) => format!(", {} in the emphasis region", grouped(emphasis.region.episodes)),
+            None => String::new(),
+        }
+    ));
+}
+
+fn files(dir: &Path, summary: &Summary) {
+    let dictionary = dir.join(DICTIONARY);
+    line("");
+    line(format_args!("{} {}", bold("Failure dictionary"), dictionary.display()));
+    line(format_args!("  {} episodes, dataset {}", grouped(summary.episodes), &summary.dataset_hash));
+    line(bold("Next"));
+    line(format_args!("  robogate replay {} 0        the story of one episode", dir.display()));
+    line(format_args!("  robogate export {} out.csv  the rows for a spreadsheet", dir.display()));
+}

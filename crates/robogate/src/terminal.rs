@@ -1,0 +1,96 @@
+//! What people see: stdout carries data and summaries, stderr errors and progress.
+
+use std::fmt::{self, Display};
+use std::io::{self, IsTerminal, Write};
+
+use crate::exit::Exit;
+
+/// Whether stdout takes colour: a terminal that did not ask for none (`NO_COLOR`).
+fn colour(stream: &impl IsTerminal) -> bool {
+    stream.is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|v| v.is_empty())
+}
+
+/// Text in a terminal style, plain where colour is not wanted. Meaning never hangs on it.
+pub(crate) struct Styled<T>(&'static str, T);
+
+impl<T: Display> Display for Styled<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if colour(&io::stdout()) { write!(f, "\x1b[{}m{}\x1b[0m", self.0, self.1) } else { self.1.fmt(f) }
+    }
+}
+
+/// A heading.
+pub(crate) fn bold<T: Display>(text: T) -> Styled<T> {
+    Styled("1", text)
+}
+
+/// What is beside the point.
+pub(crate) fn dim<T: Display>(text: T) -> Styled<T> {
+    Styled("2", text)
+}
+
+/// Writes a line of data or summary to stdout. A reader that went away (a closed pipe) ends nothing.
+pub(crate) fn line(text: impl Display) {
+    // There is nobody left to tell.
+    let _ = writeln!(io::stdout(), "{text}");
+}
+
+/// Writes a line for people to stderr.
+pub(crate) fn note(text: impl Display) {
+    let _ = writeln!(io::stderr(), "{text}");
+}
+
+/// Writes an error.
+pub(crate) fn error(exit: &Exit) {
+    let label = if colour(&io::stderr()) { "\x1b[1;31merror\x1b[0m" } else { "error" };
+    note(format_args!("{label}: {exit}"));
+}
+
+/// A bar of `width` cells for a share from 0 to 1, in eighths of a cell.
+pub(crate) fn bar(share: f64, width: usize) -> String {
+    const EIGHTHS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
+    let eighths = (share.clamp(0.0, 1.0) * (8 * width) as f64).round() as usize;
+    let text = format!("{}{}", "█".repeat(eighths / 8), EIGHTHS[eighths % 8]);
+    let used = eighths.div_ceil(8);
+    format!("{text}{}", " ".repeat(width - used))
+}
+
+/// A number with thin groups of thousands: 12,345.
+pub(crate) fn grouped(n: u64) -> String {
+    let digits = n.to_string();
+    let mut text = String::with_capacity(digits.len() + digits.len() / 3);
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// A share as a percentage with one decimal.
+pub(crate) fn percent(share: f64) -> String {
+    format!("{:.1} %", 100.0 * share)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bar_is_as_wide_as_it_is_asked_to_be() {
+        for share in [0.0, 0.01, 0.5, 0.99, 1.0, 2.0] {
+            assert_eq!(bar(share, 20).chars().count(), 20);
+        }
+        assert_eq!(bar(0.5, 4), "██  ");
+        assert_eq!(bar(0.0, 2), "  ");
+    }
+
+    #[test]
+    fn thousands_are_grouped() {
+        assert_eq!(grouped(0), "0");
+        assert_eq!(grouped(999), "999");
+        assert_eq!(grouped(20_000), "20,000");
+        assert_eq!(grouped(1_234_567), "1,234,567");
+    }
+}
