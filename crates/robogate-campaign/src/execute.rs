@@ -86,8 +86,8 @@ pub fn execute<E>(
     let halt = AtomicBool::new(false);
     let threads = crew.threads.get();
     let worker = Worker { crew, scenario, next: &next, halt: &halt };
-    // Room for a burst while the receiver waits for the disk; more would only put off what a kill loses.
-    let (sender, receiver) = sync_channel(2 * threads);
+    // Nobody waits while the receiver records another's episode; more room would only add to what a kill loses.
+    let (sender, receiver) = sync_channel(threads);
     thread::scope(|scope| {
         let mut problem = None;
         for i in 0..threads {

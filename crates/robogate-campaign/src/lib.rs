@@ -9,6 +9,12 @@
 //! plan and its provenance: neither on the number of threads, nor on the order in which
 //! episodes finish, nor on where a run was interrupted.
 //!
+//! ```
+//! let plan = robogate_campaign::Preset::Quick.plan()?.with_total(300);
+//! assert_eq!((plan.uniform.episodes, plan.boundary.episodes), (200, 100));
+//! # Ok::<(), robogate_campaign::PlanError>(())
+//! ```
+//!
 //! Simulators and policies come from a [`Workshop`]: this crate knows none by name. What happens is
 //! told in one stream of [`Event`]s.
 

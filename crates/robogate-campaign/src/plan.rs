@@ -215,7 +215,9 @@ impl Plan {
         let mut fits = |key: &str, kind: Kind, range: &Range| match check_range(space, key, kind, range) {
             Ok(()) => true,
             Err(error) => {
-                left_out.push(format!("left out: {error}"));
+                // Without the hint, which is for somebody who wrote the range.
+                let error = error.to_string();
+                left_out.push(format!("left out: {}", error.lines().next().unwrap_or_default()));
                 false
             }
         };
@@ -279,17 +281,11 @@ impl Plan {
 
     /// The sampler that the plan names.
     pub fn sampler(&self) -> Result<Box<dyn Sampler>, PlanError> {
-        by_name(&self.sampler).ok_or_else(|| PlanError::UnknownSampler {
+        samplers::by_name(&self.sampler).ok_or_else(|| PlanError::UnknownSampler {
             name: self.sampler.clone(),
-            hint: hint(&self.sampler, SAMPLERS.iter().copied()),
+            hint: hint(&self.sampler, samplers::NAMES.into_iter()),
         })
     }
-}
-
-const SAMPLERS: [&str; 3] = ["latin_hypercube", "sobol", "uniform"];
-
-fn by_name(name: &str) -> Option<Box<dyn Sampler>> {
-    SAMPLERS.contains(&name).then(|| Box::new(samplers::Uniform) as Box<dyn Sampler>)
 }
 
 /// Which parameters a list of ranges may speak of.

@@ -93,7 +93,7 @@ pub fn start(
 /// Goes on with the campaign in `dir` and ends with the same bytes in every file as if it had never been
 /// interrupted. Of one that is finished nothing changes.
 ///
-/// `provenance` is what would be used now: where tool, engine, robot, policy, space or platform are not those
+/// `provenance` is what would be used now: where tool, engine, robot, policy, world, space or platform are not those
 /// that the run was begun with, the rest of it would not be the same campaign, and this is an error.
 pub fn resume(
     dir: &Path,
@@ -127,7 +127,15 @@ pub fn settings(dir: &Path) -> Result<Settings, RunError> {
     }
     let Version { version } = folder::read(dir, PLAN)?;
     known_version(dir, PLAN, version, Settings::VERSION)?;
-    folder::read(dir, PLAN)
+    let settings: Settings = folder::read(dir, PLAN)?;
+    // The plan stands in the provenance too, which goes into the dictionary: the two must say the same.
+    let plan = serde_json::from_value::<Plan>(settings.provenance.plan.clone());
+    if !plan.is_ok_and(|plan| plan == settings.plan) || settings.provenance.seed != settings.plan.seed {
+        let source =
+            serde::de::Error::custom("`plan` and `provenance.plan` or `provenance.seed` contradict each other");
+        return Err(RunError::Unreadable { path: dir.join(PLAN), source });
+    }
+    Ok(settings)
 }
 
 /// Episode `index` of the run in `dir`, finished or not: its scenario and how it went, for a replay.
@@ -181,6 +189,7 @@ fn same_origin(recorded: &Provenance, present: &Provenance) -> Result<(), RunErr
             ("robot", p.robot.name.clone()),
             ("robot files", text(&p.robot.sha256)),
             ("policy", p.policy.clone()),
+            ("world", p.world.to_string()),
             ("platform", text(&platform)),
         ]
     };

@@ -1,0 +1,305 @@
+//! Where the second stage looks, and what its points weigh.
+
+use std::sync::Arc;
+
+use robogate_campaign::{Bins, BoundaryReport, DrawnFrom, Plan, Points};
+use robogate_core::{Assignment, Domain, FailureMode, Fault, FaultKind, Outcome, ParameterSpace, Value};
+
+use crate::world;
+
+/// A linear parameter from 0 to 10, a log-scaled one from 1 to 101, a whole number.
+fn space() -> ParameterSpace {
+    ParameterSpace::from_toml(
+        r#"
+        name = "hand"
+        [[parameter]]
+        name = "x"
+        kind = "continuous"
+        low = 0
+        high = 10
+        [[parameter]]
+        name = "y"
+        kind = "continuous"
+        low = 1
+        high = 101
+        scale = "log"
+        [[parameter]]
+        name = "k"
+        kind = "integer"
+        low = 0
+        high = 5
+        "#,
+    )
+    .unwrap()
+}
+
+fn plan(boundary: &str) -> Plan {
+    Plan::from_toml(&format!("sampler = \"uniform\"\n[uniform]\nepisodes = 100\n[boundary]\nepisodes = 50\n{boundary}"))
+        .unwrap()
+}
+
+fn at(x: f64, y: f64) -> Assignment {
+    [("x".into(), Value::Number(x)), ("y".into(), Value::Number(y)), ("k".into(), Value::Integer(0))]
+        .into_iter()
+        .collect()
+}
+
+fn failure() -> Outcome {
+    Outcome::Failure(FailureMode::Timeout)
+}
+
+fn invalid() -> Outcome {
+    Outcome::Invalid(Fault::new(FaultKind::Diverged, "test"))
+}
+
+/// Ten valid episodes in each of the ten bins of `x`, with as many successes as `successes` says.
+fn counted(successes: [usize; 10]) -> Bins {
+    let mut bins = Bins::new(&space(), 10).unwrap();
+    for (bin, successes) in successes.into_iter().enumerate() {
+        for i in 0..10 {
+            let outcome = if i < successes { Outcome::Success } else { failure() };
+            bins.add(&at(bin as f64 + 0.05 + 0.1 * i as f64, 1.0), &outcome);
+        }
+        // Must count nowhere.
+        bins.add(&at(bin as f64, 1.0), &invalid());
+    }
+    bins
+}
+
+fn find(plan: &Plan, bins: &Bins) -> BoundaryReport {
+    plan.check(&space()).unwrap();
+    BoundaryReport::find(&plan.boundary, &space(), bins).unwrap()
+}
+
+#[test]
+fn the_span_goes_from_the_first_to_the_last_bin_in_the_band() {
+    // Rates 0.0, 0.1, ..., 0.9: those from 0.3 to 0.7 are the bins 3 to 7, which is 3.0 to 8.0.
+    let report = find(&plan(""), &counted([0, 1, 2, 3, 4, 5, 6, 7, 8, 9]));
+    let x = &report.parameters[0];
+    assert_eq!(x.in_band, [3, 4, 5, 6, 7]);
+    assert_eq!((x.span, x.drawn, x.drawn_from), (Some([3.0, 8.0]), [3.0, 8.0], DrawnFrom::Bins));
+    assert_eq!((x.along.bins[4].valid, x.along.bins[4].successes, x.along.bins[4].success_rate), (10, 4, Some(0.4)));
+    // Wilson at 95 % for 4 of 10, from R: prop.test(4, 10, correct = FALSE).
+    let [low, high] = x.along.bins[4].interval_95;
+    assert!((low - 0.168_180_3).abs() < 1e-6 && (high - 0.687_326_2).abs() < 1e-6, "{low} {high}");
+    // Only the first bin of y has evidence: 45 of 100.
+    let y = &report.parameters[1];
+    assert_eq!((y.in_band.as_slice(), y.span), ([0].as_slice(), Some([1.0, 11.0])));
+    assert!(y.along.bins[1..].iter().all(|bin| bin.success_rate.is_none() && bin.interval_95 == [0.0, 1.0]));
+    // x: 5 of 10; y: ln 11 / ln 101; k: all.
+    let expected = 0.5 * 11_f64.ln() / 101_f64.ln();
+    assert!((report.volume.share_of_operating_space - expected).abs() < 1e-15);
+}
+
+#[test]
+fn bins_between_two_in_the_band_are_drawn_from_too() {
+    let report = find(&plan(""), &counted([0, 10, 5, 10, 0, 0, 10, 3, 0, 0]));
+    assert_eq!(
+        (report.parameters[0].in_band.as_slice(), report.parameters[0].span),
+        ([2, 7].as_slice(), Some([2.0, 8.0]))
+    );
+}
+
+#[test]
+fn bins_are_linear_on_a_log_scale_and_the_narrowed_space_stays_logarithmic() {
+    let report = find(&plan(""), &counted([5; 10]));
+    assert_eq!((report.parameters[1].along.bins[0].low, report.parameters[1].along.bins[0].high), (1.0, 11.0));
+    let focus = report.focus(&space()).unwrap();
+    let Domain::Continuous { low: 1.0, high: 11.0, scale: robogate_core::Scale::Log } =
+        focus.volume.parameters()[1].domain
+    else {
+        panic!("{:?}", focus.volume)
+    };
+}
+
+#[test]
+fn the_fallback_is_used_where_no_bin_is_in_the_band_and_clipped_to_the_space() {
+    let text = "[[boundary.fallback]]\nparameter = \"x\"\nlow = -3\nhigh = 4";
+    for successes in [[0; 10], [10; 10]] {
+        let report = find(&plan(text), &counted(successes));
+        let x = &report.parameters[0];
+        assert_eq!((x.in_band.len(), x.span, x.drawn, x.drawn_from), (0, None, [0.0, 4.0], DrawnFrom::Fallback));
+    }
+    // Not used where there is a bin.
+    let report = find(&plan(text), &counted([0, 0, 0, 0, 0, 0, 0, 0, 0, 5]));
+    assert_eq!((report.parameters[0].drawn, report.parameters[0].drawn_from), ([9.0, 10.0], DrawnFrom::Bins));
+}
+
+#[test]
+fn without_bins_and_without_a_fallback_the_whole_range_is_drawn_from() {
+    let report = find(&plan(""), &counted([0; 10]));
+    assert_eq!((report.parameters[0].drawn, report.parameters[0].drawn_from), ([0.0, 10.0], DrawnFrom::WholeRange));
+}
+
+#[test]
+fn a_bin_without_evidence_is_never_in_the_band() {
+    let mut bins = Bins::new(&space(), 10).unwrap();
+    for x in 0..10 {
+        bins.add(&at(f64::from(x) + 0.5, 2.0), &invalid());
+    }
+    // Even a band that takes every rate.
+    let report = find(&plan("band = [0.0, 1.0]"), &bins);
+    assert!(report.parameters.iter().all(|p| p.in_band.is_empty() && p.drawn_from == DrawnFrom::WholeRange));
+    assert!(report.is_without_evidence());
+}
+
+#[test]
+fn the_ends_of_the_range_belong_to_the_first_and_the_last_bin() {
+    let mut bins = Bins::new(&space(), 10).unwrap();
+    bins.add(&at(0.0, 1.0), &Outcome::Success);
+    bins.add(&at(10.0, 101.0), &Outcome::Success);
+    bins.add(&at(3.0, 11.0), &Outcome::Success);
+    let valid: Vec<u64> = bins.along()[0].bins.iter().map(|bin| bin.valid).collect();
+    assert_eq!(valid, [1, 0, 0, 1, 0, 0, 0, 0, 0, 1]);
+}
+
+#[test]
+fn an_emphasis_that_is_not_there_is_skipped_and_said() {
+    let text = "[boundary.emphasis]\nshare = 0.3\nwhere = [{ parameter = \"x\", high = 2 }]";
+    let plan = plan(text);
+    let report = find(&plan, &counted([0, 0, 0, 5, 5, 0, 0, 0, 0, 0]));
+    let emphasis = report.emphasis.as_ref().unwrap();
+    assert!(emphasis.skipped);
+    assert_eq!((emphasis.region.episodes, report.volume.episodes), (0, 50));
+    let points = Points::boundary(&plan, &Arc::new(space()), &report).unwrap();
+    assert_eq!(points.indices(), 100..150);
+    // The density is that of the volume alone.
+    let weight = points.weight(100).unwrap();
+    assert!((weight - report.volume.share_of_operating_space).abs() < 1e-15);
+}
+
+#[test]
+fn a_condition_that_leaves_one_point_of_a_range_leaves_nothing() {
+    // x < 3 within 3 <= x < 5.
+    let text = "[boundary.emphasis]\nshare = 0.3\nwhere = [{ parameter = \"x\", high = 3 }]";
+    assert!(find(&plan(text), &counted([0, 0, 0, 5, 5, 0, 0, 0, 0, 0])).emphasis.unwrap().skipped);
+}
+
+/// A report over the synthetic space whose volume is known, and the plan it came from.
+fn synthetic(episodes: u64, share: f64) -> (Plan, Arc<ParameterSpace>, BoundaryReport) {
+    let space = Arc::new(world::space());
+    let mut plan = world::plan(100, episodes);
+    plan.boundary.emphasis.as_mut().unwrap().share = share;
+    let mut bins = Bins::new(&space, 10).unwrap();
+    // Success in three of four with friction in the bins 0 to 3 and mass in the bins 1 to 9. So along friction the
+    // rate is 27 of 40 in the bins 0 to 3, along mass 12 of 40 in the bins 1 to 9, and along size 108 of 400 in
+    // the only bin that has any: its fallback.
+    for friction in 0..10 {
+        for mass in 0..10 {
+            for turn in 0..4 {
+                let requested: Assignment = [
+                    ("friction".into(), Value::Number(0.05 + 0.115 * (f64::from(friction) + 0.5))),
+                    ("mass_kg".into(), Value::Number(0.05 + 0.195 * (f64::from(mass) + 0.5))),
+                    ("size_m".into(), Value::Number(0.02 + 0.001 * f64::from(turn))),
+                ]
+                .into_iter()
+                .collect();
+                let good = friction < 4 && mass > 0 && turn != 3;
+                bins.add(&requested, &if good { Outcome::Success } else { failure() });
+            }
+        }
+    }
+    let report = BoundaryReport::find(&plan.boundary, &space, &bins).unwrap();
+    (plan, space, report)
+}
+
+#[test]
+fn the_emphasis_gets_exactly_its_share_and_every_point_is_where_it_must_be() {
+    for (episodes, share, expected) in
+        [(1000, 0.3, 300), (10_000, 0.3, 3000), (7, 0.3, 2), (5, 0.3, 2), (1, 0.3, 0), (9, 1.0, 9), (9, 0.0, 0)]
+    {
+        let (plan, space, report) = synthetic(episodes, share);
+        let region = report.emphasis.as_ref().unwrap().region;
+        assert_eq!(
+            (region.episodes, region.episodes + report.volume.episodes),
+            (expected, episodes),
+            "{episodes} {share}"
+        );
+        let points = Points::boundary(&plan, &space, &report).unwrap();
+        assert_eq!((points.len(), points.indices()), (episodes, 100..100 + episodes));
+        for index in points.indices() {
+            let scenario = points.scenario(index).unwrap();
+            let of = |name: &str| scenario.requested.number(name).unwrap();
+            if index < 100 + expected {
+                assert!(of("friction") < 0.3 && of("mass_kg") >= 0.5, "{scenario:?}");
+            }
+            for parameter in &report.parameters {
+                let value = of(&parameter.along.parameter);
+                assert!(parameter.drawn[0] <= value && value <= parameter.drawn[1], "{scenario:?}");
+            }
+            assert!((1.0..=5.0).contains(&of("obstacles")), "{scenario:?}");
+        }
+    }
+}
+
+#[test]
+fn the_mean_weight_is_the_share_of_the_operating_space_in_the_volume() {
+    let (plan, space, report) = synthetic(40_000, 0.3);
+    let points = Points::boundary(&plan, &space, &report).unwrap();
+    let weights: Vec<f64> = points.indices().map(|index| points.weight(index).unwrap()).collect();
+    let n = weights.len() as f64;
+    let mean = weights.iter().sum::<f64>() / n;
+    let variance = weights.iter().map(|w| (w - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    // By hand, from the report's ranges: logarithms for friction and mass, 5 of 6 numbers of obstacles.
+    let range = |i: usize| report.parameters[i].drawn;
+    let log = |[a, b]: [f64; 2], [low, high]: [f64; 2]| (b / a).ln() / (high / low).ln();
+    let [size_low, size_high] = range(2);
+    let volume = log(range(0), [0.05, 1.2]) * log(range(1), [0.05, 2.0]) * (size_high - size_low) / 0.10 * 5.0 / 6.0;
+    assert!((report.volume.share_of_operating_space / volume - 1.0).abs() < 1e-12);
+    assert!((mean - volume).abs() < 4.0 * (variance / n).sqrt(), "{mean} {volume} {variance}");
+    // Two weights: in the emphasis and outside it.
+    let mut distinct = weights.clone();
+    distinct.sort_by(f64::total_cmp);
+    distinct.dedup();
+    assert_eq!(distinct.len(), 2);
+}
+
+#[test]
+fn the_weighted_mean_is_that_of_the_operating_distribution_within_the_volume() {
+    let (plan, space, report) = synthetic(40_000, 0.3);
+    let points = Points::boundary(&plan, &space, &report).unwrap();
+    // f = log friction * log mass + obstacles: known mean over the volume, where all are independent and uniform.
+    let middle = |i: usize| 0.5 * (report.parameters[i].drawn[0].ln() + report.parameters[i].drawn[1].ln());
+    let expected = middle(0) * middle(1) + 3.0;
+    let (mut total, mut weighted, mut plain) = (0.0, 0.0, 0.0);
+    let mut squares = 0.0;
+    for index in points.indices() {
+        let requested = points.requested(index).unwrap();
+        let of = |name: &str| requested.number(name).unwrap();
+        let f = of("friction").ln() * of("mass_kg").ln() + of("obstacles");
+        let weight = points.weight(index).unwrap();
+        total += weight;
+        weighted += weight * f;
+        squares += (weight * (f - expected)).powi(2);
+        plain += f;
+    }
+    let error = squares.sqrt() / total;
+    let estimate = weighted / total;
+    assert!((estimate - expected).abs() < 4.0 * error, "{estimate} {expected} {error}");
+    // And the weights matter: without them the emphasis pulls the mean away.
+    let plain = plain / points.len() as f64;
+    assert!((plain - expected).abs() > 10.0 * error, "{plain} {expected} {error}");
+}
+
+#[test]
+fn the_first_stage_weighs_one_and_does_not_change_with_the_second() {
+    let space = Arc::new(world::space());
+    let points = Points::uniform(&world::plan(50, 100), &space).unwrap();
+    let other = Points::uniform(&world::plan(50, 7), &space).unwrap();
+    for index in points.indices() {
+        assert_eq!(points.weight(index), Some(1.0));
+        assert_eq!(points.scenario(index), other.scenario(index));
+    }
+    assert_eq!((points.scenario(50), points.weight(50)), (None, None));
+}
+
+#[test]
+fn the_report_in_its_file_is_enough_to_draw_the_second_stage_again() {
+    let (plan, space, report) = synthetic(200, 0.3);
+    let copy: BoundaryReport = serde_json::from_str(&serde_json::to_string_pretty(&report).unwrap()).unwrap();
+    assert_eq!(copy, report);
+    let [points, again] = [&report, &copy].map(|report| Points::boundary(&plan, &space, report).unwrap());
+    for index in points.indices() {
+        assert_eq!((points.scenario(index), points.weight(index)), (again.scenario(index), again.weight(index)));
+    }
+}

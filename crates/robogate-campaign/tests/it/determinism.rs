@@ -1,0 +1,295 @@
+//! The same plan gives the same bytes, whatever the threads, the order and the interruptions.
+
+use std::fs::{self, OpenOptions};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::Duration;
+
+use robogate_campaign::{Completion, Event, RunError, Stage, recorded, resume as resume_run, start as start_run};
+use robogate_core::{Seed, rollout};
+use robogate_dictionary::Dictionary;
+
+use crate::world::{self, Synthetic, files, plan, provenance, resume, start, stop_after, summary, with_crew};
+
+#[test]
+fn one_and_two_threads_give_the_same_bytes_in_every_file() {
+    let base = tempfile::tempdir().unwrap();
+    let runs = [1, 2, 5].map(|threads| {
+        let dir = base.path().join(threads.to_string());
+        let done = start(&dir, &plan(400, 200), &Synthetic::default(), threads).unwrap();
+        (summary(&done).dataset_hash.clone(), files(&dir))
+    });
+    assert_eq!(runs[0], runs[1]);
+    assert_eq!(runs[0], runs[2]);
+    let names: Vec<&str> = runs[0].1.keys().map(String::as_str).collect();
+    assert_eq!(names, ["boundary.json", "dictionary.parquet", "plan.json", "summary.json"]);
+}
+
+#[test]
+fn every_sampler_runs_both_stages_and_resumes_to_the_same_bytes() {
+    for sampler in robogate_core::samplers::NAMES {
+        let base = tempfile::tempdir().unwrap();
+        let mut plan = plan(80, 40);
+        plan.sampler = sampler.to_owned();
+        let [whole, pieces] = ["whole", "pieces"].map(|name| base.path().join(name));
+        let done = start(&whole, &plan, &Synthetic::default(), 2).unwrap();
+        assert_eq!(summary(&done).sampler, sampler);
+        let mut stop = stop_after(90);
+        with_crew(&Synthetic::default(), 2, &mut stop, |crew, events| {
+            start_run(&pieces, &plan, provenance(), crew, events)
+        })
+        .unwrap();
+        resume(&pieces, &Synthetic::default(), 1).unwrap();
+        assert_eq!(files(&pieces), files(&whole), "{sampler}");
+        assert_eq!(recorded(&whole, 100).unwrap().design, sampler);
+    }
+}
+
+#[test]
+fn another_seed_gives_other_data() {
+    let base = tempfile::tempdir().unwrap();
+    let run = |name: &str, seed: u64| {
+        let mut plan = plan(30, 10);
+        plan.seed = seed;
+        let done = start(&base.path().join(name), &plan, &Synthetic::default(), 1).unwrap();
+        summary(&done).dataset_hash.clone()
+    };
+    assert_ne!(run("a", 1), run("b", 2));
+}
+
+#[test]
+fn twenty_interruptions_and_torn_journals_end_with_the_same_bytes() {
+    let base = tempfile::tempdir().unwrap();
+    let plan = plan(240, 120);
+    let undisturbed = base.path().join("undisturbed");
+    start(&undisturbed, &plan, &Synthetic::default(), 2).unwrap();
+    let expected = files(&undisturbed);
+    let mut chance = Seed::campaign(99).stream("interruptions");
+    for attempt in 0..20 {
+        let dir = base.path().join(format!("{attempt}"));
+        let workshop = Synthetic::default();
+        let mut stop = stop_after(1 + chance.below(330) as u64);
+        let threads = 1 + chance.below(3);
+        let first =
+            with_crew(&workshop, threads, &mut stop, |crew, events| start_run(&dir, &plan, provenance(), crew, events));
+        let Completion::Interrupted { done, episodes: 360 } = first.unwrap() else { panic!() };
+        tear(&dir, &mut chance);
+        // A second interruption, now and then before the first episode.
+        let mut stop = stop_after(chance.below(40) as u64);
+        let second = with_crew(&workshop, 1 + chance.below(3), &mut stop, |crew, events| {
+            resume_run(&dir, &provenance(), crew, events)
+        });
+        assert!(done < 360 && matches!(second, Ok(Completion::Interrupted { .. }) | Ok(Completion::Finished { .. })));
+        if let Ok(Completion::Interrupted { .. }) = second {
+            tear(&dir, &mut chance);
+            resume(&dir, &workshop, 2).unwrap();
+        }
+        assert!(files(&dir) == expected, "attempt {attempt}");
+    }
+}
+
+/// Cuts the journal's end off at any byte, as a kill or a power failure may.
+fn tear(dir: &Path, chance: &mut robogate_core::Stream) {
+    let file = OpenOptions::new().write(true).open(dir.join("journal.rgj")).unwrap();
+    let length = file.metadata().unwrap().len();
+    // Mostly within the last records, now and then far back.
+    let cut = if chance.below(4) == 0 { chance.below(length as usize) } else { chance.below(600.min(length as usize)) };
+    file.set_len(length - cut as u64).unwrap();
+}
+
+#[test]
+fn a_run_killed_between_its_last_episode_and_its_last_file_is_finished_without_a_station() {
+    let base = tempfile::tempdir().unwrap();
+    let dir = base.path().join("run");
+    let kept = base.path().join("journal");
+    let mut keep = |event: &Event, _: &_| {
+        if let Event::StageFinished { stage: Stage::Boundary, .. } = event {
+            fs::copy(dir.join("journal.rgj"), &kept).unwrap();
+        }
+    };
+    let plan = plan(60, 30);
+    with_crew(&Synthetic::default(), 1, &mut keep, |crew, events| start_run(&dir, &plan, provenance(), crew, events))
+        .unwrap();
+    let finished = files(&dir);
+    for lost in [&["summary.json"][..], &[], &["summary.json", "dictionary.parquet"], &["boundary.json"]] {
+        fs::copy(&kept, dir.join("journal.rgj")).unwrap();
+        for name in lost {
+            fs::remove_file(dir.join(name)).unwrap();
+            fs::write(dir.join(format!(".{name}.part")), "half").unwrap();
+        }
+        resume(&dir, &Synthetic { most_stations: 0, ..Synthetic::default() }, 1).unwrap();
+        assert_eq!(files(&dir), finished, "{lost:?}");
+    }
+}
+
+#[test]
+fn resuming_a_finished_run_changes_nothing_and_needs_no_station() {
+    let base = tempfile::tempdir().unwrap();
+    let first = start(base.path(), &plan(40, 20), &Synthetic::default(), 2).unwrap();
+    let before = files(base.path());
+    let mut events = Vec::new();
+    let workshop = Synthetic { most_stations: 0, ..Synthetic::default() };
+    let again = with_crew(&workshop, 1, &mut |event, _| events.push(event.clone()), |crew, events| {
+        resume_run(base.path(), &provenance(), crew, events)
+    });
+    assert_eq!(again.unwrap(), first);
+    assert_eq!(files(base.path()), before);
+    assert!(matches!(events[..], [Event::Finished { already: true, .. }]), "{events:?}");
+}
+
+#[test]
+fn an_episode_of_the_record_replays_to_the_bit() {
+    let base = tempfile::tempdir().unwrap();
+    start(base.path(), &plan(50, 30), &Synthetic::default(), 2).unwrap();
+    for index in [0, 49, 50, 79] {
+        let entry = recorded(base.path(), index).unwrap();
+        let mut station = robogate_campaign::Workshop::station(&Synthetic::default()).unwrap();
+        let again = rollout(&mut *station.simulator, &mut *station.policy, &entry.episode.scenario);
+        assert_eq!(again, entry.episode);
+    }
+    assert!(matches!(recorded(base.path(), 80), Err(RunError::NoSuchEpisode { index: 80, episodes: 80, .. })));
+}
+
+#[test]
+fn the_record_holds_every_episode_once_in_order_with_its_stage_design_and_weight() {
+    let base = tempfile::tempdir().unwrap();
+    start(base.path(), &plan(100, 50), &Synthetic::default(), 3).unwrap();
+    let dictionary = Dictionary::open(&base.path().join("dictionary.parquet")).unwrap();
+    assert_eq!(
+        (dictionary.provenance().seed, dictionary.provenance().plan["uniform"]["episodes"].as_u64()),
+        (7, Some(100))
+    );
+    for (i, entry) in dictionary.entries().enumerate() {
+        let entry = entry.unwrap();
+        assert_eq!(entry.index(), i as u64);
+        assert_eq!(entry.design, "uniform");
+        assert_eq!(entry.stage, if i < 100 { "uniform" } else { "boundary" });
+        let weight_is_one = entry.weight.to_bits() == 1.0_f64.to_bits();
+        assert!(weight_is_one == (i < 100) && entry.weight > 0.0);
+    }
+}
+
+const CHILD: &str = "ROBOGATE_CAMPAIGN_TEST_CHILD";
+
+/// The other process of the tests below: not a test by itself.
+#[test]
+#[ignore = "the child process of other tests"]
+fn child() {
+    let Ok(dir) = std::env::var(CHILD) else { return };
+    let workshop = Synthetic { tick: Duration::from_micros(300), ..Synthetic::default() };
+    let dir = Path::new(&dir);
+    let done = if dir.join("plan.json").exists() {
+        resume(dir, &workshop, 2)
+    } else {
+        start(dir, &plan(300, 150), &workshop, 2)
+    };
+    if let Err(error) = done {
+        println!("child: {error}");
+        panic!("{error}");
+    }
+}
+
+pub(crate) fn child_command(dir: &Path) -> Command {
+    let mut command = Command::new(std::env::current_exe().unwrap());
+    command.args(["--exact", "determinism::child", "--ignored", "--nocapture"]).env(CHILD, dir);
+    command.stdout(Stdio::piped()).stderr(Stdio::null());
+    command
+}
+
+/// A child that has recorded at least so many bytes.
+fn running_child(dir: &Path, bytes: u64) -> Child {
+    let mut child = child_command(dir).spawn().unwrap();
+    for _ in 0..20_000 {
+        let length = fs::metadata(dir.join("journal.rgj")).map_or(0, |m| m.len());
+        if length >= bytes || child.try_wait().unwrap().is_some() {
+            break;
+        }
+        thread::sleep(Duration::from_micros(500));
+    }
+    child
+}
+
+#[test]
+fn a_killed_process_is_resumed_to_the_same_bytes() {
+    let base = tempfile::tempdir().unwrap();
+    let undisturbed = base.path().join("undisturbed");
+    start(&undisturbed, &plan(300, 150), &Synthetic::default(), 2).unwrap();
+    let dir = base.path().join("killed");
+    let mut kills = 0;
+    for bytes in [1, 3_000, 20_000, 60_000, 90_000, 120_000] {
+        let mut child = running_child(&dir, bytes);
+        // Not a signal to be handled: SIGKILL.
+        child.kill().unwrap();
+        child.wait().unwrap();
+        kills += u32::from(dir.join("journal.rgj").exists());
+    }
+    assert!(kills >= 3, "the child was too quick: {kills} kills hit");
+    resume(&dir, &Synthetic::default(), 2).unwrap();
+    assert_eq!(files(&dir), files(&undisturbed));
+}
+
+#[test]
+fn a_second_process_is_refused_and_does_no_harm() {
+    let base = tempfile::tempdir().unwrap();
+    let dir = base.path().join("run");
+    let mut child = running_child(&dir, 1);
+    let attempts = [
+        resume(&dir, &Synthetic::default(), 1),
+        start(&dir, &plan(300, 150), &Synthetic::default(), 1),
+        recorded(&dir, 0).map(|_| unreachable!()),
+    ];
+    for attempt in attempts {
+        let error = attempt.unwrap_err();
+        assert!(matches!(error, RunError::Locked { .. }), "{error}");
+        assert!(error.to_string().contains("in use by another process"));
+    }
+    assert!(child.wait().unwrap().success());
+    let undisturbed = base.path().join("undisturbed");
+    start(&undisturbed, &plan(300, 150), &Synthetic::default(), 1).unwrap();
+    assert_eq!(files(&dir), files(&undisturbed));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_disk_that_takes_no_more_is_an_error_and_loses_nothing() {
+    let base = tempfile::tempdir().unwrap();
+    let dir = base.path().join("run");
+    // A limit on the size of files stands for a full disk: writes beyond 24 KiB fail.
+    let child = child_command(&dir);
+    let mut limited = Command::new("bash");
+    limited
+        .args(["-c", "trap '' XFSZ; ulimit -f 24; exec \"$@\"", "-"])
+        .arg(child.get_program())
+        .args(child.get_args());
+    limited.env(CHILD, &dir).stderr(Stdio::null());
+    let output = limited.output().unwrap();
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(!output.status.success() && text.contains("cannot append to") && text.contains("journal.rgj"), "{text}");
+    let kept = fs::metadata(dir.join("journal.rgj")).unwrap().len();
+    assert!(kept > 16_000, "{kept} bytes of the journal are left");
+    resume(&dir, &Synthetic::default(), 2).unwrap();
+    let undisturbed = base.path().join("undisturbed");
+    start(&undisturbed, &plan(300, 150), &Synthetic::default(), 1).unwrap();
+    assert_eq!(files(&dir), files(&undisturbed));
+}
+
+#[test]
+fn the_order_of_results_is_not_the_order_of_indices() {
+    // Otherwise the tests above would prove little.
+    let base = tempfile::tempdir().unwrap();
+    let mut indices = Vec::new();
+    let workshop = Synthetic { tick: Duration::from_micros(100), ..Synthetic::default() };
+    let mut watch = |event: &Event, _: &_| {
+        if let Event::Episode { index, .. } = event {
+            indices.push(*index);
+        }
+    };
+    with_crew(&workshop, 3, &mut watch, |crew, events| {
+        start_run(base.path(), &world::plan(200, 0), provenance(), crew, events)
+    })
+    .unwrap();
+    assert!(!indices.is_sorted());
+    indices.sort_unstable();
+    assert!(indices.iter().copied().eq(0..200));
+}

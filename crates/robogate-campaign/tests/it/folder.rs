@@ -1,0 +1,155 @@
+//! Folders that are not what they should be.
+
+use std::fs;
+
+use robogate_campaign::{RunError, settings};
+use robogate_dictionary::{DictionaryError, Provenance};
+
+use crate::world::{Synthetic, files, plan, provenance, resume, start, stop_after, with_crew};
+
+fn interrupted(dir: &std::path::Path) {
+    let mut stop = stop_after(10);
+    with_crew(&Synthetic::default(), 1, &mut stop, |crew, events| {
+        robogate_campaign::start(dir, &plan(20, 10), provenance(), crew, events)
+    })
+    .unwrap();
+}
+
+#[test]
+fn a_folder_with_something_else_in_it_is_refused_and_left_alone() {
+    let base = tempfile::tempdir().unwrap();
+    fs::write(base.path().join("thesis.tex"), "mine").unwrap();
+    let error = start(base.path(), &plan(5, 0), &Synthetic::default(), 1).unwrap_err();
+    assert!(matches!(&error, RunError::NotEmpty { name, .. } if name == "thesis.tex"), "{error}");
+    assert_eq!(files(base.path()).len(), 1);
+}
+
+#[test]
+fn a_folder_with_a_run_is_not_begun_again_and_the_error_says_how_to_go_on() {
+    let base = tempfile::tempdir().unwrap();
+    interrupted(base.path());
+    let before = files(base.path());
+    let error = start(base.path(), &plan(20, 10), &Synthetic::default(), 1).unwrap_err();
+    assert!(matches!(error, RunError::AlreadyARun { finished: false, .. }));
+    assert!(error.to_string().contains("robogate resume"), "{error}");
+    assert_eq!(files(base.path()), before);
+    resume(base.path(), &Synthetic::default(), 1).unwrap();
+    let error = start(base.path(), &plan(20, 10), &Synthetic::default(), 1).unwrap_err();
+    assert!(matches!(error, RunError::AlreadyARun { finished: true, .. }));
+    assert!(error.to_string().contains("choose another folder"), "{error}");
+}
+
+#[test]
+fn what_a_kill_left_of_the_first_file_does_not_stand_in_the_way() {
+    let base = tempfile::tempdir().unwrap();
+    fs::write(base.path().join(".plan.json.part"), "{\"ver").unwrap();
+    start(base.path(), &plan(5, 0), &Synthetic::default(), 1).unwrap();
+    assert_eq!(files(base.path()).len(), 3);
+}
+
+#[test]
+fn a_folder_without_a_run_cannot_be_resumed() {
+    let base = tempfile::tempdir().unwrap();
+    for dir in [base.path().to_owned(), base.path().join("nowhere")] {
+        let error = resume(&dir, &Synthetic::default(), 1).unwrap_err();
+        assert!(matches!(error, RunError::NotARun { .. }) && error.to_string().contains("hint: "), "{error}");
+    }
+}
+
+#[test]
+fn a_folder_that_cannot_be_made_is_a_located_error() {
+    let base = tempfile::tempdir().unwrap();
+    let file = base.path().join("file");
+    fs::write(&file, "").unwrap();
+    for dir in [file.join("run"), file.clone()] {
+        let error = start(&dir, &plan(5, 0), &Synthetic::default(), 1).unwrap_err();
+        assert!(matches!(error, RunError::Io { .. }) && error.to_string().contains("file"), "{error}");
+    }
+}
+
+type Change = fn(&mut Provenance);
+
+#[test]
+fn something_else_than_at_the_beginning_is_refused_by_name() {
+    let base = tempfile::tempdir().unwrap();
+    interrupted(base.path());
+    let before = files(base.path());
+    let changes: [(&str, Change); 8] = [
+        ("tool version", |p| p.tool.version = "9.9.9".to_owned()),
+        ("engine version", |p| p.engine.version = None),
+        ("engine build", |p| p.engine.build_sha256 = Some("00".to_owned())),
+        ("robot", |p| p.robot.name = "ur5e".to_owned()),
+        ("robot files", |p| p.robot.sha256 = Some("00".to_owned())),
+        ("policy", |p| p.policy = "acts".to_owned()),
+        ("world", |p| p.world["time_step_s"] = 0.001.into()),
+        ("platform", |p| p.platform = None),
+    ];
+    for (name, change) in changes {
+        let mut present = provenance();
+        change(&mut present);
+        let resumed = with_crew(&Synthetic::default(), 1, &mut |_, _| {}, |crew, events| {
+            robogate_campaign::resume(base.path(), &present, crew, events)
+        });
+        let error = resumed.unwrap_err();
+        assert!(matches!(error, RunError::Mismatch { what, .. } if what == name), "{error}");
+    }
+    assert_eq!(files(base.path()), before);
+}
+
+#[test]
+fn the_settings_of_a_run_can_be_read_back_whole() {
+    let base = tempfile::tempdir().unwrap();
+    interrupted(base.path());
+    let settings = settings(base.path()).unwrap();
+    assert_eq!(settings.plan, plan(20, 10));
+    assert_eq!((settings.provenance.seed, &settings.provenance.robot), (7, &provenance().robot));
+    assert_eq!(settings.provenance.plan, serde_json::to_value(plan(20, 10)).unwrap());
+}
+
+#[test]
+fn a_file_of_a_later_version_is_refused_and_not_touched() {
+    let base = tempfile::tempdir().unwrap();
+    interrupted(base.path());
+    let path = base.path().join("plan.json");
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replacen("\"version\": 1", "\"version\": 2", 1)).unwrap();
+    let before = files(base.path());
+    let error = resume(base.path(), &Synthetic::default(), 1).unwrap_err();
+    assert!(matches!(error, RunError::NewerVersion { found: 2, known: 1, .. }), "{error}");
+    fs::write(&path, text.replacen("\"seed\": 7", "\"seed\": 8", 1)).unwrap();
+    let error = resume(base.path(), &Synthetic::default(), 1).unwrap_err();
+    assert!(error.to_string().contains("contradict"), "{error}");
+    fs::write(&path, &text[..text.len() / 2]).unwrap();
+    let error = resume(base.path(), &Synthetic::default(), 1).unwrap_err();
+    assert!(matches!(error, RunError::Unreadable { .. }) && error.to_string().contains("line"), "{error}");
+    assert_eq!(files(base.path())["journal.rgj"], before["journal.rgj"]);
+}
+
+#[test]
+fn the_journal_of_another_run_is_refused() {
+    let base = tempfile::tempdir().unwrap();
+    let (ours, theirs) = (base.path().join("ours"), base.path().join("theirs"));
+    interrupted(&ours);
+    let mut other = plan(20, 10);
+    other.seed = 8;
+    let mut stop = stop_after(5);
+    with_crew(&Synthetic::default(), 1, &mut stop, |crew, events| {
+        robogate_campaign::start(&theirs, &other, provenance(), crew, events)
+    })
+    .unwrap();
+    fs::copy(theirs.join("journal.rgj"), ours.join("journal.rgj")).unwrap();
+    let error = resume(&ours, &Synthetic::default(), 1).unwrap_err();
+    assert!(matches!(error, RunError::ForeignEpisode { index: 0, .. }), "{error}");
+}
+
+#[test]
+fn a_damaged_journal_is_an_error_that_says_what_to_do() {
+    let base = tempfile::tempdir().unwrap();
+    interrupted(base.path());
+    let path = base.path().join("journal.rgj");
+    let mut bytes = fs::read(&path).unwrap();
+    bytes[100] ^= 1;
+    fs::write(&path, bytes).unwrap();
+    let error = resume(base.path(), &Synthetic::default(), 1).unwrap_err();
+    assert!(matches!(error, RunError::Dictionary(DictionaryError::DamagedJournal { .. })), "{error}");
+}

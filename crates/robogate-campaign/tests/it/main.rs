@@ -1,0 +1,10 @@
+//! What a campaign promises, held against a small synthetic world.
+#![expect(clippy::unwrap_used, reason = "helpers of tests are tests, which may")]
+
+mod boundary;
+mod determinism;
+mod faults;
+mod folder;
+mod overhead;
+mod plan;
+mod world;
