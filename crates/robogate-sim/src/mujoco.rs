@@ -140,7 +140,8 @@ impl MujocoEngine {
         self.loaded.as_ref().expect("a scene is loaded before it is read")
     }
 
-    fn compile(&self, scene: &Scene) -> Result<MjModel, MjEditError> {
+    /// The scene as a MuJoCo model, for whoever wants to look at it or step it alone.
+    pub fn compile(&self, scene: &Scene) -> Result<MjModel, MjEditError> {
         let mut spec = self.base.clone();
         spec.option_mut().gravity = [0.0, 0.0, -scene.gravity];
         let step = self.time_step;

@@ -42,8 +42,6 @@ impl fmt::Display for Exit {
 pub(crate) trait OrExit<T> {
     /// Wrong usage or configuration.
     fn or_usage(self) -> Result<T, Exit>;
-    /// Invalid evidence.
-    fn or_invalid(self) -> Result<T, Exit>;
     /// Infrastructure.
     fn or_broken(self) -> Result<T, Exit>;
 }
@@ -51,10 +49,6 @@ pub(crate) trait OrExit<T> {
 impl<T, E: Into<anyhow::Error>> OrExit<T> for Result<T, E> {
     fn or_usage(self) -> Result<T, Exit> {
         self.map_err(|e| Exit { code: USAGE, error: e.into() })
-    }
-
-    fn or_invalid(self) -> Result<T, Exit> {
-        self.map_err(|e| Exit { code: INVALID, error: e.into() })
     }
 
     fn or_broken(self) -> Result<T, Exit> {

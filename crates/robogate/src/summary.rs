@@ -138,7 +138,7 @@ fn found(report: &BoundaryReport) {
     }
     line(format_args!(
         "  together {} of the operating space; {} episodes drawn evenly there{}",
-        percent(report.volume.share_of_operating_space),
+        small_percent(report.volume.share_of_operating_space),
         grouped(report.volume.episodes),
         match &report.emphasis {
             Some(emphasis) if emphasis.skipped => ", the emphasis region does not meet it".to_owned(),
@@ -146,6 +146,16 @@ fn found(report: &BoundaryReport) {
             None => String::new(),
         }
     ));
+}
+
+/// A share that may be tiny: two significant digits.
+fn small_percent(share: f64) -> String {
+    if share >= 0.1 { percent(share) } else { format!("{:.1$} %", 100.0 * share, 1 + digits_before(100.0 * share)) }
+}
+
+/// Zeros between the decimal point and the first digit of a number below 10.
+fn digits_before(x: f64) -> usize {
+    if x > 0.0 { (-x.log10()).ceil().clamp(0.0, 12.0) as usize } else { 0 }
 }
 
 fn files(dir: &Path, summary: &Summary) {

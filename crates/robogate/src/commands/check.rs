@@ -35,6 +35,9 @@ struct Physics {
     json: bool,
 }
 
+/// A claim's experiment.
+type Experiment<'a> = &'a dyn Fn() -> Result<Finding, String>;
+
 impl Check {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let What::Physics(physics) = &self.what;
@@ -46,7 +49,7 @@ impl Physics {
     fn execute(&self) -> Result<u8, Exit> {
         let cell = Cell::new(self.world.world()).or_usage()?;
         let space = Arc::new(ParameterSpace::from_toml(FRANKA_SPACE).or_broken()?);
-        let experiments: [(&str, &dyn Fn() -> Result<Finding, String>); 6] = [
+        let experiments: [(&str, Experiment<'_>); 6] = [
             ("coulomb", &|| claims::coulomb(&cell)),
             ("opening", &|| claims::opening(&cell, 140)),
             ("easy_region", &|| claims::easy_region(&cell, 700)),

@@ -1,0 +1,200 @@
+//! The command as its user meets it: real physics, real files, exit codes.
+#![expect(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test fails by panicking; its figures are worth reading"
+)]
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
+
+use robogate_core::Seed;
+use tempfile::TempDir;
+
+fn robogate(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_robogate")).args(arguments).output().unwrap()
+}
+
+fn text(output: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+fn assert_done(output: &Output) {
+    assert_eq!(output.status.code(), Some(0), "{}", text(output));
+}
+
+/// Asserts exit code 2 and that the message has every one of `parts`.
+fn assert_usage(arguments: &[&str], parts: &[&str]) {
+    let output = robogate(arguments);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", text(&output));
+    for part in parts {
+        assert!(text(&output).contains(part), "{arguments:?} does not say {part:?}: {}", text(&output));
+    }
+}
+
+fn path(dir: &TempDir, name: &str) -> String {
+    dir.path().join(name).to_str().unwrap().to_owned()
+}
+
+fn files(dir: &str) -> BTreeMap<String, Vec<u8>> {
+    fs::read_dir(dir)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .map(|path| (path.file_name().unwrap().to_str().unwrap().to_owned(), fs::read(&path).unwrap()))
+        .collect()
+}
+
+fn run(dir: &str, threads: &str) {
+    assert_done(&robogate(&["run", "-n", "45", "--threads", threads, "--out", dir]));
+}
+
+fn spawn(arguments: &[&str]) -> std::process::Child {
+    Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args(arguments)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap()
+}
+
+#[test]
+fn a_run_killed_again_and_again_ends_with_the_same_bytes_for_any_number_of_threads() {
+    let dir = TempDir::new().unwrap();
+    let (one, two, killed) = (path(&dir, "one"), path(&dir, "two"), path(&dir, "killed"));
+    run(&one, "1");
+    run(&two, "2");
+    assert!(files(&one) == files(&two), "1 and 2 threads differ");
+    let mut delays = Seed::campaign(5).stream("kills");
+    let begin = ["run", "-n", "45", "--threads", "2", "--out", &killed];
+    let mut child = spawn(&begin);
+    let mut kills = 0;
+    loop {
+        std::thread::sleep(Duration::from_secs_f64(delays.between(0.05, 0.6)));
+        if let Some(status) = child.try_wait().unwrap() {
+            assert!(status.success());
+            break;
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        kills += 1;
+        let begun = Path::new(&killed).join("plan.json").exists();
+        child = if begun { spawn(&["resume", "--threads", "1", &killed]) } else { spawn(&begin) };
+    }
+    println!("killed {kills} times");
+    assert!(kills > 0);
+    assert!(files(&one) == files(&killed), "a killed and resumed run differs");
+}
+
+#[test]
+fn ctrl_c_stops_with_130_and_resume_goes_on() {
+    let dir = TempDir::new().unwrap();
+    let out = path(&dir, "run");
+    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args(["run", "-n", "300", "--out", &out])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // The header says that the campaign is under way.
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    lines.next().unwrap().unwrap();
+    std::thread::sleep(Duration::from_secs(1));
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let said: Vec<String> = lines.map(Result::unwrap).collect();
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{said:?}");
+    assert!(said.iter().any(|line| line.contains("robogate resume")), "{said:?}");
+    // The run can be looked into as it stands.
+    assert_done(&robogate(&["replay", &out, "0"]));
+}
+
+#[test]
+fn a_replay_has_the_recorded_bits_and_a_story() {
+    let dir = TempDir::new().unwrap();
+    let out = path(&dir, "run");
+    let output = robogate(&["run", "-n", "12", "--json", "--out", &out]);
+    assert_done(&output);
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(summary["summary"]["episodes"], 12);
+    for index in 0..12 {
+        let output = robogate(&["replay", &out, &index.to_string(), "--json"]);
+        assert_done(&output);
+        let story: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(story["same_as_recorded"], true);
+        assert_eq!(story["story"][0]["phase"], "APPROACH_ABOVE");
+    }
+    assert_usage(&["replay", &out, "12"], &["episode 12", "12"]);
+    for name in ["rows.csv", "rows.jsonl", "rows.json"] {
+        let file = path(&dir, name);
+        assert_done(&robogate(&["export", &out, &file]));
+        assert!(fs::metadata(&file).unwrap().len() > 1000);
+    }
+    // What was exported in the published schema can be imported again.
+    assert_done(&robogate(&["import", &path(&dir, "rows.json"), &path(&dir, "again.parquet")]));
+}
+
+#[test]
+fn what_is_wrong_is_said_with_exit_code_2_and_nothing_is_started() {
+    let dir = TempDir::new().unwrap();
+    let out = path(&dir, "run");
+    let run = |key: &str, value: &str, parts: &[&str]| assert_usage(&["run", "--out", &out, key, value], parts);
+    let file = |name: &str, content: &str| {
+        let path = path(&dir, name);
+        fs::write(&path, content).unwrap();
+        path
+    };
+    run("-n", "0", &["at least one episode"]);
+    run("--robot", "r2d2", &["no robot `r2d2`", "franka"]);
+    run("--engine", "ode", &["no engine `ode`", "mujoco"]);
+    run("--grip-force", "500", &["500", "70"]);
+    run("--time-step", "0.003", &["0.003", "whole number of steps"]);
+    run("--preset", "big", &["big", "quick", "paper"]);
+
+    let space = |name: &str, low: f64, rest: &str| {
+        let parameter =
+            format!("[[parameter]]\nname = \"{name}\"\nkind = \"continuous\"\nlow = {low}\nhigh = 0.6\n{rest}");
+        format!("name = \"mine\"\n{parameter}")
+    };
+    run("--space", &file("space.toml", &space("friction", 1.2, "")), &["space.toml", "`friction`", "1.2", "0.6"]);
+    run("--space", &file("key.toml", &space("friction", 0.1, "scal = \"log\"")), &["key.toml", "scal", "line"]);
+    run("--space", &file("name.toml", &space("frictoin", 0.1, "")), &["`frictoin`", "friction"]);
+    run("--space", &file("range.toml", &space("mass_kg", -2.0, "")), &["`mass_kg`", "-2"]);
+    let plan = file("plan.toml", "[uniform]\nepisodes = 10\n[boundary]\nepisodes = 5\nband = [0.7, 0.3]\n");
+    run("--plan", &plan, &["plan.toml", "0.7", "0.3"]);
+
+    fs::create_dir(dir.path().join("robot")).unwrap();
+    let toml = include_str!("../../../assets/robots/franka/robot.toml");
+    let robot = path(&dir, "robot");
+    run("--robot", &robot, &["robot.toml"]);
+    file("robot/robot.toml", toml);
+    run("--robot", &robot, &["franka.xml", "no such file"]);
+    file("robot/franka.xml", "<mujoco><worldbody><body></worldbody></mujoco>");
+    run("--robot", &robot, &["franka.xml"]);
+    file("robot/franka.xml", "<mujoco><worldbody><body name='a'/></worldbody></mujoco>");
+    run("--robot", &robot, &["franka.xml", "joint1"]);
+    file("robot/robot.toml", &toml.replace("reach_m = 0.855", "reach_m = -1"));
+    run("--robot", &robot, &["reach_m", "-1"]);
+
+    assert_usage(&["resume", &out], &["no plan.json"]);
+    assert_usage(&["export", &plan, &path(&dir, "x.csv")], &["plan.toml"]);
+    assert_usage(&["import", &plan, &path(&dir, "x.parquet")], &["plan.toml"]);
+    assert!(!Path::new(&out).exists(), "something was started");
+    assert!(!dir.path().join("x.csv").exists() && !dir.path().join("x.parquet").exists());
+}
+
+#[test]
+fn a_finished_run_is_not_overwritten_and_a_damaged_one_is_named() {
+    let dir = TempDir::new().unwrap();
+    let out = path(&dir, "run");
+    run(&out, "2");
+    let before = files(&out);
+    assert_usage(&["run", "-n", "45", "--out", &out], &["finished run"]);
+    assert!(files(&out) == before);
+    let dictionary = Path::new(&out).join("dictionary.parquet");
+    let bytes = fs::read(&dictionary).unwrap();
+    fs::write(&dictionary, &bytes[..bytes.len() / 2]).unwrap();
+    assert_usage(&["export", &out, &path(&dir, "x.csv")], &["dictionary.parquet"]);
+}

@@ -1,0 +1,69 @@
+//! What is generated: the JSON Schemas and the command reference. This test fails where a file is stale;
+//! `ROBOGATE_GENERATE=1 cargo test -p robogate --test generated` writes them.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use schemars::schema_for;
+
+fn check(file: &str, content: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(file);
+    if std::env::var_os("ROBOGATE_GENERATE").is_some() {
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(&path, content).unwrap();
+    }
+    let there = fs::read_to_string(&path).unwrap_or_default();
+    assert!(
+        there == content,
+        "{file} is stale: run ROBOGATE_GENERATE=1 cargo test -p robogate --test generated and commit it"
+    );
+}
+
+#[test]
+fn the_schemas_are_those_of_the_code() {
+    for (name, schema) in [
+        ("parameter-space", schema_for!(robogate_core::ParameterSpace)),
+        ("plan", schema_for!(robogate_campaign::Plan)),
+        ("robot", schema_for!(robogate_sim::RobotSettings)),
+        ("run-settings", schema_for!(robogate_campaign::Settings)),
+        ("summary", schema_for!(robogate_campaign::Summary)),
+        ("boundary", schema_for!(robogate_campaign::BoundaryReport)),
+        ("event", schema_for!(robogate_campaign::Event)),
+    ] {
+        let text = serde_json::to_string_pretty(&schema).unwrap() + "\n";
+        check(&format!("schemas/{name}.schema.json"), &text);
+    }
+}
+
+#[test]
+fn the_command_reference_is_what_help_says() {
+    let help = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_robogate"))
+            .args(arguments)
+            .arg("--help")
+            .env("COLUMNS", "100")
+            .output()
+            .unwrap();
+        assert!(output.status.success());
+        String::from_utf8(output.stdout)
+            .unwrap()
+            .lines()
+            .map(|line| format!("{}\n", line.trim_end()))
+            .collect::<String>()
+    };
+    let overview = help(&[]);
+    let mut page = format!("# The command\n\nGenerated from `robogate --help`.\n\n```\n{overview}```\n");
+    let verbs = overview
+        .lines()
+        .skip_while(|line| !line.starts_with("Commands:"))
+        .skip(1)
+        .take_while(|line| !line.is_empty())
+        .filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next().filter(|_| !line.starts_with("   ")))
+        .filter(|verb| *verb != "help");
+    for verb in verbs {
+        page += &format!("\n## robogate {verb}\n\n```\n{}```\n", help(&[verb]));
+    }
+    check("docs/command.md", &page);
+}
