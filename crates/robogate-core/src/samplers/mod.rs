@@ -1,5 +1,33 @@
 //! The samplers: Latin hypercube, scrambled Sobol, plain uniform.
 
+mod balance;
+mod latin_hypercube;
+mod maximin;
+mod sobol;
+mod sobol_directions;
 mod uniform;
 
+pub use latin_hypercube::LatinHypercube;
+pub use sobol::Sobol;
 pub use uniform::Uniform;
+
+use crate::Sampler;
+
+/// The names by which settings call a sampler.
+pub const NAMES: [&str; 3] = ["latin_hypercube", "sobol", "uniform"];
+
+/// The sampler of this name, as it is by default; `None` where there is none.
+///
+/// ```
+/// use robogate_core::samplers;
+/// assert!(samplers::NAMES.iter().all(|name| samplers::by_name(name).is_some_and(|s| s.name() == *name)));
+/// assert!(samplers::by_name("grid").is_none());
+/// ```
+pub fn by_name(name: &str) -> Option<Box<dyn Sampler>> {
+    match name {
+        "latin_hypercube" => Some(Box::new(LatinHypercube::default())),
+        "sobol" => Some(Box::new(Sobol)),
+        "uniform" => Some(Box::new(Uniform)),
+        _ => None,
+    }
+}

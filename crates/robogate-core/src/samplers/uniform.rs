@@ -6,6 +6,9 @@ use crate::{Design, DesignError, ParameterSpace, Sampler, Stream};
 
 /// Independent draws, uniform in each parameter's own scale: the plain Monte Carlo design, whose
 /// points are exchangeable and whose binomial intervals are exact.
+///
+/// Integers and categories are drawn like the rest and so are not balanced: balance would make
+/// the points dependent. Any subset of the points is again such a design. Any number of points and parameters.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Uniform;
 

@@ -1,0 +1,306 @@
+//! What every sampler promises, and what each one promises alone.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on panics")]
+
+use std::sync::Arc;
+
+use robogate_core::samplers::{LatinHypercube, NAMES, Sobol, Uniform, by_name};
+use robogate_core::{Design, DesignError, Domain, ParameterSpace, Sampler, Seed, Stream};
+
+const FRANKA: &str = include_str!("../../../assets/spaces/franka.toml");
+
+fn franka() -> Arc<ParameterSpace> {
+    Arc::new(ParameterSpace::from_toml(FRANKA).unwrap())
+}
+
+/// `d` numbers in [0, 1).
+fn cube(d: usize) -> Arc<ParameterSpace> {
+    let parameter = |i| format!("[[parameter]]\nname = \"x{i}\"\nkind = \"continuous\"\nlow = 0\nhigh = 1\n");
+    let text = format!("name = \"cube\"\n{}", (0..d).map(parameter).collect::<String>());
+    Arc::new(ParameterSpace::from_toml(&text).unwrap())
+}
+
+/// One parameter on a log scale over eight decades.
+fn decades() -> Arc<ParameterSpace> {
+    let text =
+        "name = \"d\"\n[[parameter]]\nname = \"x\"\nkind = \"continuous\"\nlow = 1e-6\nhigh = 100\nscale = \"log\"";
+    Arc::new(ParameterSpace::from_toml(text).unwrap())
+}
+
+fn stream(seed: u64) -> Stream {
+    Seed::campaign(seed).stream("design")
+}
+
+fn column(design: &Design, j: usize) -> Vec<f64> {
+    (0..design.len()).map(|i| design.coded(i).unwrap()[j]).collect()
+}
+
+fn continuous(space: &ParameterSpace) -> Vec<usize> {
+    (0..space.len()).filter(|j| space.parameters()[*j].domain.levels().is_none()).collect()
+}
+
+/// The continuous parameters of each point, in unit coordinates.
+fn cloud(design: &Design) -> Vec<Vec<f64>> {
+    let parameters = design.space().parameters();
+    let columns = continuous(design.space());
+    let unit = |i| columns.iter().map(|j| parameters[*j].domain.to_unit(design.coded(i).unwrap()[*j])).collect();
+    (0..design.len()).map(unit).collect()
+}
+
+fn smallest_distance(cloud: &[Vec<f64>]) -> f64 {
+    let squared = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
+    let pairs = cloud.iter().enumerate().flat_map(|(i, a)| cloud[..i].iter().map(move |b| squared(a, b)));
+    pairs.fold(f64::INFINITY, f64::min).sqrt()
+}
+
+fn largest_correlation(cloud: &[Vec<f64>]) -> f64 {
+    let (n, d) = (cloud.len() as f64, cloud[0].len());
+    let centred = |j: usize| {
+        let mean = cloud.iter().map(|x| x[j]).sum::<f64>() / n;
+        cloud.iter().map(|x| x[j] - mean).collect::<Vec<_>>()
+    };
+    let columns: Vec<_> = (0..d).map(centred).collect();
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let correlation = |i: usize, j: usize| {
+        dot(&columns[i], &columns[j]) / (dot(&columns[i], &columns[i]) * dot(&columns[j], &columns[j])).sqrt()
+    };
+    (0..d).flat_map(|i| (0..i).map(move |j| (i, j))).map(|(i, j)| correlation(i, j).abs()).fold(0.0, f64::max)
+}
+
+#[test]
+fn each_name_gives_the_sampler_of_that_name_and_no_other_name_gives_one() {
+    for name in NAMES {
+        assert_eq!(by_name(name).unwrap().name(), name);
+    }
+    assert!(by_name("Sobol").is_none());
+    assert!(by_name("").is_none());
+}
+
+#[test]
+fn a_design_of_no_points_is_refused() {
+    for name in NAMES {
+        assert_eq!(by_name(name).unwrap().design(&franka(), 0, stream(1)), Err(DesignError::Empty), "{name}");
+    }
+}
+
+#[test]
+fn a_design_beyond_a_sampler_s_limit_is_refused_with_the_limit() {
+    let many = (1 << 31) + 1;
+    let error = Sobol.design(&franka(), many, stream(1)).unwrap_err();
+    assert_eq!(error, DesignError::Limit { sampler: "sobol", what: "points", limit: 1 << 31, asked: many });
+    let error = Sobol.design(&cube(65), 8, stream(1)).unwrap_err();
+    assert_eq!(error, DesignError::Limit { sampler: "sobol", what: "parameters", limit: 64, asked: 65 });
+    assert_eq!(error.to_string(), "sobol is defined up to 64 parameters (asked for 65)");
+    assert!(Sobol.design(&cube(64), 8, stream(1)).is_ok());
+    let error = LatinHypercube::default().design(&franka(), many, stream(1)).unwrap_err();
+    assert_eq!(error, DesignError::Limit { sampler: "latin_hypercube", what: "points", limit: 1 << 26, asked: many });
+}
+
+#[test]
+fn the_same_stream_gives_the_same_design_and_another_one_another() {
+    for name in NAMES {
+        for n in [1, 2, 3, 7, 100] {
+            let draw = |seed| by_name(name).unwrap().design(&franka(), n, stream(seed)).unwrap();
+            assert_eq!(draw(1), draw(1), "{name} {n}");
+            assert_ne!(draw(1), draw(2), "{name} {n}");
+        }
+    }
+}
+
+#[test]
+fn each_value_lies_in_its_domain() {
+    for name in NAMES {
+        for n in [1, 2, 3, 7, 100, 10_000] {
+            let design = by_name(name).unwrap().design(&franka(), n, stream(n as u64)).unwrap();
+            assert_eq!(design.len(), n);
+            for (j, parameter) in franka().parameters().iter().enumerate() {
+                for x in column(&design, j) {
+                    let inside = match &parameter.domain {
+                        Domain::Continuous { low, high, .. } => (*low..=*high).contains(&x),
+                        Domain::Integer { low, high } => x.fract() == 0.0 && (*low..=*high).contains(&(x as i64)),
+                        Domain::Categorical { choices } => x.fract() == 0.0 && (x as usize) < choices.len(),
+                    };
+                    assert!(inside, "{name} {n}: {} = {x}", parameter.name);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn each_level_occurs_equally_often_up_to_one() {
+    for sampler in [&LatinHypercube::default() as &dyn Sampler, &Sobol] {
+        for n in [1, 2, 3, 7, 8, 100, 128, 1_000, 10_000] {
+            let design = sampler.design(&franka(), n, stream(n as u64)).unwrap();
+            for (j, parameter) in franka().parameters().iter().enumerate() {
+                let Some(levels) = parameter.domain.levels() else { continue };
+                let mut counts = vec![0; levels];
+                for x in column(&design, j) {
+                    let first = if let Domain::Integer { low, .. } = parameter.domain { low as f64 } else { 0.0 };
+                    counts[(x - first) as usize] += 1;
+                }
+                let fair = n / levels..=n.div_ceil(levels);
+                assert!(counts.iter().all(|c| fair.contains(c)), "{} {n}: {counts:?}", sampler.name());
+            }
+        }
+    }
+}
+
+#[test]
+fn the_level_of_a_single_point_is_uniform_over_streams() {
+    // Six levels of 1,000 +- 29 each; five of those.
+    for sampler in [&LatinHypercube::default() as &dyn Sampler, &Sobol] {
+        let obstacles = franka().position("obstacles").unwrap();
+        let mut counts = [0_i32; 6];
+        for seed in 0..6_000 {
+            let design = sampler.design(&franka(), 1, stream(seed)).unwrap();
+            counts[design.coded(0).unwrap()[obstacles] as usize] += 1;
+        }
+        assert!(counts.iter().all(|c| (c - 1_000).abs() < 145), "{} {counts:?}", sampler.name());
+    }
+}
+
+#[test]
+fn discrete_columns_of_a_hypercube_are_independent_of_the_rest() {
+    // Mean friction within each shape, 2,000 points of a column with deviation 1/sqrt(12) each: five standard errors.
+    let design = LatinHypercube::default().design(&franka(), 10_000, stream(4)).unwrap();
+    let shape = column(&design, franka().position("shape").unwrap());
+    for j in 0..5 {
+        for level in 0..5 {
+            let of_level: Vec<f64> =
+                cloud(&design).iter().zip(&shape).filter(|(_, s)| **s as usize == level).map(|(x, _)| x[j]).collect();
+            let mean = of_level.iter().sum::<f64>() / of_level.len() as f64;
+            assert!((mean - 0.5).abs() < 5.0 / (12.0 * 2_000.0_f64).sqrt(), "column {j} level {level}: {mean}");
+        }
+    }
+}
+
+#[test]
+fn each_stratum_holds_exactly_one_point() {
+    for space in [franka(), cube(1), cube(2), decades()] {
+        for n in [1, 2, 3, 7, 100, 10_000] {
+            let design = LatinHypercube::default().design(&space, n, stream(n as u64)).unwrap();
+            for j in continuous(&space) {
+                let domain = &space.parameters()[j].domain;
+                let mut values = column(&design, j);
+                // Back to the unit interval: points keep away from the edges by more than this rounds.
+                let mut strata: Vec<_> = values.iter().map(|x| (domain.to_unit(*x) * n as f64) as usize).collect();
+                strata.sort_unstable();
+                assert!(strata.into_iter().eq(0..n), "{} n {n} column {j}", space.name());
+                // And with no inverse at all: the k-th smallest value lies in the image of the k-th stratum.
+                values.sort_by(f64::total_cmp);
+                for (k, x) in values.into_iter().enumerate() {
+                    let edge = |k: usize| domain.from_unit(k as f64 / n as f64);
+                    assert!(edge(k) <= x && x <= edge(k + 1), "{} n {n} column {j} stratum {k}", space.name());
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn moving_points_apart_multiplies_the_smallest_distance() {
+    // (n, d, gain): the gain that is asked for grows with n, for so does what chance leaves undone.
+    for (n, d, gain) in [(10, 2, 1.2), (20, 5, 1.2), (100, 2, 2.0), (100, 5, 1.7), (1_000, 5, 2.5), (1_000, 10, 1.4)] {
+        for seed in 0..5 {
+            let drawn = LatinHypercube { budget: 0 }.design(&cube(d), n, stream(seed)).unwrap();
+            let moved = LatinHypercube::default().design(&cube(d), n, stream(seed)).unwrap();
+            let (before, after) = (smallest_distance(&cloud(&drawn)), smallest_distance(&cloud(&moved)));
+            assert!(after > gain * before, "n {n} d {d} seed {seed}: {before} -> {after}");
+        }
+    }
+}
+
+#[test]
+fn ten_thousand_points_of_the_franka_space_are_moved_apart_too() {
+    let drawn = LatinHypercube { budget: 0 }.design(&franka(), 10_000, stream(2026)).unwrap();
+    let moved = LatinHypercube::default().design(&franka(), 10_000, stream(2026)).unwrap();
+    let (before, after) = (smallest_distance(&cloud(&drawn)), smallest_distance(&cloud(&moved)));
+    assert!(after > 0.12 && after > 4.0 * before, "{before} -> {after}");
+}
+
+#[test]
+fn no_budget_ever_lowers_the_smallest_distance() {
+    for (n, d) in [(2, 2), (3, 5), (7, 3), (50, 4)] {
+        for seed in 0..20 {
+            let mut last = 0.0;
+            for budget in [0, 100, 10_000, 1_000_000] {
+                let design = LatinHypercube { budget }.design(&cube(d), n, stream(seed)).unwrap();
+                let distance = smallest_distance(&cloud(&design));
+                assert!(distance >= last, "n {n} d {d} seed {seed} budget {budget}: {last} -> {distance}");
+                last = distance;
+            }
+        }
+    }
+}
+
+#[test]
+fn columns_of_a_hypercube_are_hardly_correlated() {
+    for (n, d) in [(100, 2), (100, 5), (1_000, 5), (1_000, 10), (10_000, 5)] {
+        let design = LatinHypercube::default().design(&cube(d), n, stream(6)).unwrap();
+        let largest = largest_correlation(&cloud(&design));
+        // A twentieth at a hundred points; chance would leave a standard deviation of 1/sqrt(n) for each pair.
+        assert!(largest < 2.0 / (n as f64).sqrt(), "n {n} d {d}: {largest}");
+    }
+}
+
+#[test]
+fn a_sobol_design_of_a_power_of_two_has_one_point_in_each_stratum() {
+    let design = Sobol.design(&franka(), 1_024, stream(8)).unwrap();
+    for (j, _) in continuous(&franka()).into_iter().enumerate() {
+        let mut strata: Vec<_> = cloud(&design).iter().map(|x| (x[j] * 1_024.0) as usize).collect();
+        strata.sort_unstable();
+        assert!(strata.into_iter().eq(0..1_024), "column {j}");
+    }
+}
+
+#[test]
+fn uniform_points_are_independent_draws_and_not_balanced() {
+    // A subset of a uniform design is the smaller design: draws neither know n nor each other.
+    let many = Uniform.design(&franka(), 100, stream(1)).unwrap();
+    let few = Uniform.design(&franka(), 10, stream(1)).unwrap();
+    assert!((0..10).all(|i| many.coded(i) == few.coded(i)));
+}
+
+#[test]
+#[ignore = "prints figures: cargo test --release -p robogate-core --test samplers figures -- --ignored --nocapture"]
+fn figures() {
+    for name in NAMES {
+        let start = std::time::Instant::now();
+        let design = by_name(name).unwrap().design(&franka(), 10_000, stream(1)).unwrap();
+        println!(
+            "{name}: 10,000 points of franka in {:?}, smallest distance {:.4}",
+            start.elapsed(),
+            smallest_distance(&cloud(&design))
+        );
+    }
+    for (n, d) in [
+        (7, 3),
+        (10, 2),
+        (20, 5),
+        (100, 2),
+        (100, 5),
+        (1_000, 5),
+        (1_000, 10),
+        (10_000, 2),
+        (10_000, 5),
+        (10_000, 8),
+        (10_000, 20),
+    ] {
+        for seed in 0..3 {
+            let drawn = LatinHypercube { budget: 0 }.design(&cube(d), n, stream(seed)).unwrap();
+            let start = std::time::Instant::now();
+            let moved = LatinHypercube::default().design(&cube(d), n, stream(seed)).unwrap();
+            let elapsed = start.elapsed();
+            println!(
+                "n {n} d {d}: smallest distance {:.4} -> {:.4}, largest correlation {:.5} -> {:.5}, {elapsed:?}",
+                smallest_distance(&cloud(&drawn)),
+                smallest_distance(&cloud(&moved)),
+                largest_correlation(&cloud(&drawn)),
+                largest_correlation(&cloud(&moved)),
+            );
+        }
+    }
+    let start = std::time::Instant::now();
+    LatinHypercube::default().design(&franka(), 1_000_000, stream(1)).unwrap();
+    println!("latin_hypercube: 1,000,000 points in {:?}", start.elapsed());
+}
