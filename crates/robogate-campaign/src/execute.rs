@@ -72,8 +72,9 @@ enum Message {
     NoStation(Fault),
 }
 
-/// Runs `scenario(0)`, `scenario(1)`, ... up to the first `None`, and hands each episode to `receive`, on the calling thread, in the order in which they
-/// finish. Returns early, without an error, once the crew is told to stop.
+/// Runs `scenario(0)`, `scenario(1)`, ... up to the first `None`, and hands each episode to `receive`, on the
+/// calling thread, in the order in which they finish. Returns early, without an error, once the crew
+/// is told to stop.
 ///
 /// A panic in a simulator or a policy costs the episode, which becomes [`Outcome::Invalid`], and
 /// the station, which is made anew.

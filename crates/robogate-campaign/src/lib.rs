@@ -18,7 +18,7 @@
 //! Simulators and policies come from a [`Workshop`]: this crate knows none by name. What happens is
 //! told in one stream of [`Event`]s.
 
-mod boundary;
+pub mod boundary;
 mod events;
 mod execute;
 pub mod folder;

@@ -429,8 +429,7 @@ pub enum RunError {
         name: String,
     },
     /// A run is in the folder.
-    #[error("{} holds {} already\nhint: {}", dir.display(), if *finished { "a finished run" } else { "an unfinished run" },
-        if *finished { "choose another folder".to_owned() } else { format!("go on with it by `robogate resume {}`, or choose another folder", dir.display()) })]
+    #[error("{}", already_a_run(dir, *finished))]
     AlreadyARun {
         /// The folder.
         dir: PathBuf,
@@ -527,6 +526,17 @@ impl From<ExecuteError<Self>> for RunError {
             ExecuteError::Thread(source) => Self::Thread(source),
             ExecuteError::Receiver(error) => error,
         }
+    }
+}
+
+fn already_a_run(dir: &Path, finished: bool) -> String {
+    let dir = dir.display();
+    if finished {
+        format!("{dir} holds a finished run already\nhint: choose another folder")
+    } else {
+        format!(
+            "{dir} holds an unfinished run\nhint: go on with it by `robogate resume {dir}`, or choose another folder"
+        )
     }
 }
 

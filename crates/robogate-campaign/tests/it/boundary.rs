@@ -294,6 +294,28 @@ fn the_first_stage_weighs_one_and_does_not_change_with_the_second() {
 }
 
 #[test]
+fn the_three_designs_draw_from_separate_streams() {
+    let (plan, space, report) = synthetic(1000, 0.3);
+    let focus = report.focus(&space).unwrap();
+    let uniform = Points::uniform(&plan, &space).unwrap();
+    let boundary = Points::boundary(&plan, &space, &report).unwrap();
+    // The first point of each, as shares of its own space: the same stream would give the same shares.
+    let share = |points: &Points, index, space: &ParameterSpace| {
+        let parameter = &space.parameters()[0];
+        let requested = points.requested(index).unwrap();
+        parameter.domain.to_unit(parameter.domain.encode(requested.get("friction").unwrap()).unwrap())
+    };
+    let shares = [
+        share(&uniform, 0, &space),
+        share(&boundary, 100, &focus.emphasis.unwrap()),
+        share(&boundary, 400, &focus.volume),
+    ];
+    for (a, b) in [(0, 1), (0, 2), (1, 2)] {
+        assert!((shares[a] - shares[b]).abs() > 1e-9, "{shares:?}");
+    }
+}
+
+#[test]
 fn the_report_in_its_file_is_enough_to_draw_the_second_stage_again() {
     let (plan, space, report) = synthetic(200, 0.3);
     let copy: BoundaryReport = serde_json::from_str(&serde_json::to_string_pretty(&report).unwrap()).unwrap();
