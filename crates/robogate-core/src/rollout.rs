@@ -206,7 +206,12 @@ fn drive(
     check_applied(&episode.scenario.requested, &episode.applied)?;
     policy.reset(&task, episode.scenario.seed)?;
     // Counted, not summed: sums of a period drift, and the limit would depend on rounding.
-    let limit = (task.time_limit_s / task.control_period_s).round() as u32;
+    let limit = (task.time_limit_s / task.control_period_s).round();
+    if !(1.0..=f64::from(u32::MAX)).contains(&limit) {
+        let detail = format!("{} s in periods of {} s is no number of ticks", task.time_limit_s, task.control_period_s);
+        return Err(Fault::new(FaultKind::Setup, detail));
+    }
+    let limit = limit as u32;
     while episode.ticks < limit {
         let action = policy.act(&observation)?;
         let step = simulator.step(&action)?;

@@ -56,7 +56,8 @@ impl ParameterSpace {
     /// Reads a space from TOML. Errors name the line and key, or the parameter.
     pub fn from_toml(text: &str) -> Result<Self, SpaceError> {
         // In two steps, so that an error of meaning keeps its type.
-        let file: SpaceFile = toml::from_str(text).map_err(|e| SpaceError::Syntax(e.to_string()))?;
+        let file: SpaceFile = toml::from_str(text)
+            .map_err(|e| SpaceError::Syntax(in_parameter(text).unwrap_or_else(|| e.to_string())))?;
         Self::try_from(file)
     }
 
@@ -292,6 +293,23 @@ pub enum SpaceError {
         /// The choice.
         choice: String,
     },
+}
+
+/// What is wrong with the first `[[parameter]]` that is none, and the line where it begins: an enum told
+/// apart by `kind` is read from a copy that has forgotten where each table stood.
+fn in_parameter(text: &str) -> Option<String> {
+    #[derive(Deserialize)]
+    struct Tables {
+        parameter: Vec<toml::Spanned<toml::Value>>,
+    }
+    let tables: Tables = toml::from_str(text).ok()?;
+    tables.parameter.into_iter().find_map(|table| {
+        let line = text.get(..table.span().start)?.matches('\n').count() + 1;
+        let value = table.into_inner();
+        let name = value.get("name").map_or_else(|| "without a name".to_owned(), toml::Value::to_string);
+        let error = ParameterFile::deserialize(value).err()?;
+        Some(format!("line {line}: [[parameter]] {name}: {}", error.message()))
+    })
 }
 
 /// The TOML form of a space.

@@ -1,0 +1,216 @@
+//! What a parameter space accepts, what it refuses and how it says so.
+
+use robogate_core::{Domain, Parameter, ParameterSpace, Scale, SpaceError, Value};
+
+const FRANKA: &str = include_str!("../../../assets/spaces/franka.toml");
+
+fn space(parameters: &str) -> Result<ParameterSpace, SpaceError> {
+    ParameterSpace::from_toml(&format!("name = \"test\"\n{parameters}"))
+}
+
+fn number(name: &str, low: &str, high: &str, rest: &str) -> String {
+    format!("[[parameter]]\nname = \"{name}\"\nkind = \"continuous\"\nlow = {low}\nhigh = {high}\n{rest}\n")
+}
+
+fn words(name: &str, choices: &str) -> String {
+    format!("[[parameter]]\nname = \"{name}\"\nkind = \"categorical\"\nchoices = {choices}\n")
+}
+
+fn whole(name: &str, low: i64, high: i64) -> String {
+    format!("[[parameter]]\nname = \"{name}\"\nkind = \"integer\"\nlow = {low}\nhigh = {high}\n")
+}
+
+#[test]
+fn the_franka_space_keeps_its_order_and_kinds() {
+    let franka = ParameterSpace::from_toml(FRANKA).unwrap();
+    let names: Vec<&str> = franka.parameters().iter().map(|p| &*p.name).collect();
+    let expected = ["friction", "mass_kg", "com_offset", "size_m", "ik_noise_rad", "obstacles", "shape", "placement"];
+    assert_eq!(names, expected);
+    assert_eq!(franka.name(), "franka");
+    assert_eq!(franka.position("size_m"), Some(3));
+    assert_eq!(franka.position("size"), None);
+    let levels: Vec<_> = franka.parameters().iter().map(|p| p.domain.levels()).collect();
+    assert_eq!(levels, [None, None, None, None, None, Some(6), Some(5), Some(14)]);
+}
+
+#[test]
+fn an_upside_down_or_empty_range_is_refused_with_its_ends() {
+    let empty = |low, high| SpaceError::EmptyRange { parameter: "x".into(), low, high };
+    assert_eq!(space(&number("x", "1.2", "0.1", "")).unwrap_err(), empty(1.2, 0.1));
+    assert_eq!(space(&number("x", "0.5", "0.5", "")).unwrap_err(), empty(0.5, 0.5));
+    assert_eq!(space(&whole("x", 3, 2)).unwrap_err(), empty(3.0, 2.0));
+    assert_eq!(empty(1.2, 0.1).to_string(), "parameter `x`: low 1.2 is not below high 0.1");
+    assert!(space(&whole("x", 3, 3)).is_ok(), "one whole number is a range");
+}
+
+#[test]
+fn an_endless_range_is_refused() {
+    for (low, high) in [("nan", "1.0"), ("0.0", "nan"), ("-inf", "1.0"), ("0.0", "inf")] {
+        let error = space(&number("x", low, high, "")).unwrap_err();
+        assert_eq!(error, SpaceError::NotFinite { parameter: "x".into() }, "{low} {high}");
+    }
+}
+
+#[test]
+fn a_log_scale_that_reaches_zero_is_refused() {
+    for low in [0.0, -1.0] {
+        let error = space(&number("x", &format!("{low:?}"), "1.0", "scale = \"log\"")).unwrap_err();
+        assert_eq!(error, SpaceError::LogOfNonPositive { parameter: "x".into(), low });
+    }
+    assert!(space(&number("x", "0.0", "1.0", "scale = \"linear\"")).is_ok());
+}
+
+#[test]
+fn an_unknown_key_is_refused_with_its_name_and_the_line_of_its_table() {
+    // The second [[parameter]] stands on line 8.
+    let second = number("y", "0.0", "1.0", "unit = \"m\"");
+    let error = space(&format!("{}\n{second}", whole("x", 0, 1))).unwrap_err();
+    let SpaceError::Syntax(text) = &error else { panic!("{error:?}") };
+    assert!(text.contains("unknown field `unit`"), "{text}");
+    assert!(text.contains("line 8"), "{text}");
+    let error = ParameterSpace::from_toml("nam = \"test\"").unwrap_err();
+    assert!(error.to_string().contains("line 1") && error.to_string().contains("`nam`"), "{error}");
+}
+
+#[test]
+fn a_kind_or_scale_that_is_none_is_refused_with_what_there_is() {
+    let error = space("[[parameter]]\nname = \"x\"\nkind = \"real\"\nlow = 0\nhigh = 1").unwrap_err().to_string();
+    assert!(error.contains("`real`") && error.contains("`continuous`"), "{error}");
+    let error = space(&number("x", "0.1", "1.0", "scale = \"ln\"")).unwrap_err().to_string();
+    assert!(error.contains("`ln`") && error.contains("`log`"), "{error}");
+}
+
+#[test]
+fn text_that_is_not_toml_is_refused_with_its_line() {
+    let error = ParameterSpace::from_toml("name = \"test\"\nparameter = [").unwrap_err().to_string();
+    assert!(error.contains("line 2"), "{error}");
+}
+
+#[test]
+fn a_space_of_nothing_is_refused() {
+    assert_eq!(space("parameter = []").unwrap_err(), SpaceError::NoParameters);
+    assert_eq!(ParameterSpace::new("none", Vec::new()).unwrap_err(), SpaceError::NoParameters);
+    assert_eq!(space(&words("x", "[]")).unwrap_err(), SpaceError::NoChoices { parameter: "x".into() });
+}
+
+#[test]
+fn the_same_name_twice_is_refused() {
+    let error = space(&format!("{}{}", number("x", "0.0", "1.0", ""), whole("x", 0, 1))).unwrap_err();
+    assert_eq!(error, SpaceError::Duplicate { parameter: "x".into() });
+    let error = space(&words("shape", "[\"box\", \"sphere\", \"box\"]")).unwrap_err();
+    assert_eq!(error, SpaceError::DuplicateChoice { parameter: "shape".into(), choice: "box".into() });
+}
+
+#[test]
+fn a_name_that_cannot_be_a_column_is_refused() {
+    for name in ["", "mass kg", "mass-kg", "µ", "a.b"] {
+        assert_eq!(space(&number(name, "0.0", "1.0", "")).unwrap_err(), SpaceError::Name { parameter: name.into() });
+    }
+}
+
+#[test]
+fn an_integer_range_beyond_any_use_is_refused() {
+    for (low, high) in [(0, 1 << 32), (i64::MIN, i64::MAX)] {
+        assert_eq!(space(&whole("x", low, high)).unwrap_err(), SpaceError::TooManyLevels { parameter: "x".into() });
+    }
+    let most = space(&whole("x", -1, (1 << 32) - 2)).unwrap();
+    assert_eq!(most.parameters()[0].domain.levels(), Some(1 << 32));
+}
+
+#[test]
+fn a_scale_is_linear_where_none_is_given() {
+    let linear = space(&number("x", "0.0", "1.0", "")).unwrap();
+    assert_eq!(linear.parameters()[0].domain, Domain::Continuous { low: 0.0, high: 1.0, scale: Scale::Linear });
+}
+
+#[test]
+fn the_way_to_the_unit_interval_and_back_is_the_identity() {
+    let franka = ParameterSpace::from_toml(FRANKA).unwrap();
+    for Parameter { name, domain } in franka.parameters() {
+        for i in 0..1_000 {
+            let u = (f64::from(i) + 0.5) / 1_000.0;
+            let coded = domain.from_unit(u);
+            match domain.levels() {
+                None => assert!((domain.to_unit(coded) - u).abs() < 1e-14, "{name} {u}"),
+                // A level comes back as the middle of its cell.
+                Some(levels) => {
+                    let back = domain.to_unit(coded);
+                    assert!((back - u).abs() <= 0.5 / levels as f64 + 1e-12, "{name} {u}");
+                    assert_eq!(domain.from_unit(back), coded, "{name} {u}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_ends_of_the_unit_interval_stay_inside_the_range() {
+    let almost_one = 1.0 - f64::EPSILON / 2.0;
+    for Parameter { name, domain } in ParameterSpace::from_toml(FRANKA).unwrap().parameters() {
+        let (first, last) = match domain {
+            Domain::Continuous { low, high, .. } => (*low, *high),
+            Domain::Integer { low, high } => (*low as f64, *high as f64),
+            Domain::Categorical { choices } => (0.0, choices.len() as f64 - 1.0),
+        };
+        assert!((domain.from_unit(0.0) - first).abs() < 1e-15 && domain.from_unit(0.0) >= first, "{name}");
+        assert!(domain.from_unit(almost_one) <= last, "{name}");
+        assert!((domain.from_unit(almost_one) - last).abs() < 1e-12, "{name}");
+    }
+}
+
+#[test]
+fn half_of_a_log_scale_is_the_geometric_mean() {
+    let log = Domain::Continuous { low: 0.01, high: 1.0, scale: Scale::Log };
+    assert!((log.from_unit(0.5) - 0.1).abs() < 1e-16);
+    assert!((log.to_unit(0.1) - 0.5).abs() < 1e-15);
+}
+
+#[test]
+fn each_level_of_a_discrete_domain_has_an_equal_cell() {
+    let five = Domain::Integer { low: -2, high: 2 };
+    let counts = (0..1_000).fold([0; 5], |mut counts, i| {
+        counts[(five.from_unit((f64::from(i) + 0.5) / 1_000.0) + 2.0) as usize] += 1;
+        counts
+    });
+    assert_eq!(counts, [200; 5]);
+}
+
+#[test]
+fn each_value_has_a_code_and_each_code_its_value() {
+    let shape = Domain::Categorical { choices: vec!["box".into(), "sphere".into()] };
+    assert_eq!(shape.encode(&Value::Category("sphere".into())), Some(1.0));
+    assert_eq!(shape.decode(1.0), Value::Category("sphere".into()));
+    assert_eq!(shape.encode(&Value::Category("cone".into())), None, "a word that is no choice");
+    assert_eq!(shape.encode(&Value::Number(1.0)), None, "a number is no word");
+    let count = Domain::Integer { low: 0, high: 5 };
+    assert_eq!(count.decode(3.0), Value::Integer(3));
+    assert_eq!(count.encode(&Value::Integer(9)), Some(9.0), "data may hold what a space did not foresee");
+    assert_eq!(count.encode(&Value::Category("3".into())), None);
+    let size = Domain::Continuous { low: 0.0, high: 1.0, scale: Scale::Linear };
+    assert_eq!(size.decode(0.25), Value::Number(0.25));
+    assert_eq!(size.encode(&Value::Integer(1)), Some(1.0), "a whole number is a number");
+}
+
+#[test]
+fn a_space_written_as_toml_reads_back_the_same() {
+    let all = format!(
+        "{}{}{}{}",
+        number("friction", "0.05", "1.2", "scale = \"log\""),
+        number("size_m", "-1e-300", "0.1", ""),
+        whole("obstacles", -3, 5),
+        words("shape", "[\"box\", \"L shape\", \"\\\"quoted\\\"\"]"),
+    );
+    for written in [space(&all).unwrap(), ParameterSpace::from_toml(FRANKA).unwrap()] {
+        let text = toml::to_string(&written).unwrap();
+        assert_eq!(ParameterSpace::from_toml(&text).unwrap(), written, "{text}");
+        let json = serde_json::to_string(&written).unwrap();
+        assert_eq!(serde_json::from_str::<ParameterSpace>(&json).unwrap(), written, "{json}");
+    }
+}
+
+#[test]
+fn a_space_inside_a_larger_file_is_checked_too() {
+    // The way through serde, which has no type for the error but its text.
+    let error = toml::from_str::<ParameterSpace>(&format!("name = \"test\"\n{}", number("x", "2.0", "1.0", "")));
+    assert!(error.unwrap_err().to_string().contains("low 2 is not below high 1"));
+}
