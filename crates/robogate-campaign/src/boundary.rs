@@ -88,9 +88,10 @@ pub struct Region {
 pub struct EmphasisFound {
     /// What the plan asks for.
     pub asked: Emphasis,
-    /// Whether no part of the volume meets the conditions; then all points are drawn in the volume.
-    pub skipped: bool,
-    /// What is drawn from: no points and no share where it was skipped. These points come first in the stage.
+    /// The parameters along which no part of the volume meets the condition. There the emphasis is where the
+    /// operating space meets it: outside the volume.
+    pub beyond: Vec<String>,
+    /// What is drawn from. These points come first in the stage.
     pub region: Region,
 }
 
@@ -117,21 +118,16 @@ impl BoundaryReport {
             parameters,
             restricted,
             volume: nothing,
-            emphasis: stage.emphasis.clone().map(|asked| EmphasisFound { asked, skipped: false, region: nothing }),
+            emphasis: stage.emphasis.clone().map(|asked| EmphasisFound { asked, beyond: Vec::new(), region: nothing }),
         };
         let focus = report.focus(space)?;
         let mut left = stage.episodes;
-        if let Some(found) = &mut report.emphasis {
-            match &focus.emphasis {
-                Some(emphasis) => {
-                    // A share of at most 1 of a count far below 2^53.
-                    let episodes = (found.asked.share * stage.episodes as f64).round() as u64;
-                    let share_of_operating_space = share(space, emphasis);
-                    found.region = Region { episodes, share_of_operating_space };
-                    left -= episodes.min(left);
-                }
-                None => found.skipped = true,
-            }
+        if let (Some(found), Some(emphasis)) = (&mut report.emphasis, &focus.emphasis) {
+            // A share of at most 1 of a count far below 2^53.
+            let episodes = (found.asked.share * stage.episodes as f64).round() as u64;
+            found.region = Region { episodes, share_of_operating_space: share(space, emphasis) };
+            found.beyond = beyond(&found.asked, &focus.volume);
+            left -= episodes.min(left);
         }
         report.volume = Region { episodes: left, share_of_operating_space: share(space, &focus.volume) };
         Ok(report)
@@ -159,12 +155,15 @@ impl BoundaryReport {
         let volume = with_domains(space, "boundary", domains.collect())?;
         let emphasis = match &self.emphasis {
             Some(found) => {
-                let narrow = |parameter: &Parameter| {
-                    let condition = found.asked.conditions.iter().find(|c| *c.parameter == *parameter.name);
-                    condition.map_or_else(|| Some(parameter.domain.clone()), |c| c.within(&parameter.domain))
+                // Where the volume does not meet a condition, the operating space does: the plan was checked so.
+                let narrow = |(narrowed, whole): (&Parameter, &Parameter)| {
+                    let condition = found.asked.conditions.iter().find(|c| *c.parameter == *narrowed.name);
+                    condition
+                        .and_then(|c| c.within(&narrowed.domain).or_else(|| c.within(&whole.domain)))
+                        .unwrap_or_else(|| narrowed.domain.clone())
                 };
-                let domains: Option<Vec<Domain>> = volume.parameters().iter().map(narrow).collect();
-                domains.map(|domains| with_domains(space, "emphasis", domains)).transpose()?
+                let domains = volume.parameters().iter().zip(space.parameters()).map(narrow).collect();
+                Some(with_domains(space, "emphasis", domains)?)
             }
             None => None,
         };
@@ -177,8 +176,15 @@ impl BoundaryReport {
 pub struct Focus {
     /// The intersection of the spans.
     pub volume: ParameterSpace,
-    /// The part of it that meets the emphasis conditions; `None` where none was asked for or none is there.
+    /// The part of it that meets the emphasis conditions, beyond it along parameters whose span does not;
+    /// `None` where none was asked for.
     pub emphasis: Option<ParameterSpace>,
+}
+
+/// The parameters along which no part of the volume meets the emphasis.
+fn beyond(emphasis: &Emphasis, volume: &ParameterSpace) -> Vec<String> {
+    let misses = |c: &&Range| domain(volume, &c.parameter).is_some_and(|domain| c.within(domain).is_none());
+    emphasis.conditions.iter().filter(misses).map(|c| c.parameter.clone()).collect()
 }
 
 fn boundary_along(stage: &BoundaryStage, space: &ParameterSpace, along: AlongParameter) -> ParameterBoundary {
@@ -237,40 +243,33 @@ fn share(space: &ParameterSpace, part: &ParameterSpace) -> f64 {
 ///
 /// p is the operating density, q = s q_E + (1 - s) q_V the density of the stage: uniform, in each
 /// parameter's own scale, on the emphasis E and on the volume V, with the share s of its points in E. With the shares
-/// of the operating distribution that lie in them, p/q = 1 / (s [x in E] / P(E) + (1 - s) / P(V)).
-/// The mean weight is P(V); the weighted mean of a quantity over the stage, divided by it, estimates that quantity's
-/// mean over the operating distribution *within V*. Source: the balance heuristic, Veach and Guibas (1995), with
-/// numbers of draws fixed in advance.
+/// of the operating distribution that lie in them,
+/// p/q = 1 / (s [x in E] / P(E) + (1 - s) [x in V] / P(V)).
+/// The mean weight is the share of the operating distribution in V and E together; the weighted mean of a quantity
+/// over the stage, divided by it, estimates that quantity's mean over the operating distribution *within* them.
+/// Source: the balance heuristic, Veach and Guibas (1995), with numbers of draws fixed in advance.
 #[derive(Debug, Clone)]
 pub(crate) struct Weights {
-    /// Weight in the emphasis and where it is; `None` where there is none.
-    emphasis: Option<(ParameterSpace, f64)>,
-    /// Weight in the rest of the volume.
-    rest: f64,
+    /// The parts that points are drawn in, and what each adds to q/p where a point lies in it.
+    parts: Vec<(ParameterSpace, f64)>,
 }
 
 impl Weights {
     pub(crate) fn new(report: &BoundaryReport, focus: Focus) -> Self {
         let found = report.emphasis.as_ref().map(|found| found.region);
-        let emphasised = found.map_or(0, |region| region.episodes);
-        let total = (emphasised + report.volume.episodes) as f64;
-        let in_rest = report.volume.episodes as f64 / total / report.volume.share_of_operating_space;
-        let emphasis = match (focus.emphasis, found) {
-            (Some(space), Some(region)) if region.episodes > 0 => {
-                let in_emphasis = region.episodes as f64 / total / region.share_of_operating_space;
-                Some((space, 1.0 / (in_emphasis + in_rest)))
-            }
-            _ => None,
-        };
-        Self { emphasis, rest: 1.0 / in_rest }
+        let total = (found.map_or(0, |region| region.episodes) + report.volume.episodes) as f64;
+        let regions = [(focus.emphasis, found), (Some(focus.volume), Some(report.volume))];
+        let parts = regions
+            .into_iter()
+            .filter_map(|(space, region)| space.zip(region.filter(|region| region.episodes > 0)))
+            .map(|(space, region)| (space, region.episodes as f64 / total / region.share_of_operating_space))
+            .collect();
+        Self { parts }
     }
 
     /// The weight of a point of the stage, given as coded numbers.
     pub(crate) fn of(&self, coded: &[f64]) -> f64 {
-        match &self.emphasis {
-            Some((space, weight)) if contains(space, coded) => *weight,
-            _ => self.rest,
-        }
+        1.0 / self.parts.iter().filter(|(space, _)| contains(space, coded)).map(|(_, density)| density).sum::<f64>()
     }
 }
 

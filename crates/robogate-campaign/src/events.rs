@@ -119,9 +119,6 @@ pub enum Warning {
         "no episode of the uniform stage is valid, so the boundary stage has nothing to go by and draws from its fallback ranges"
     )]
     NoEvidence,
-    /// No part of the second stage's volume meets the emphasis conditions.
-    #[error("no part of the boundary stage's volume meets the emphasis conditions: all its points are drawn evenly")]
-    EmphasisSkipped,
     /// The process that ran before died while it recorded an episode.
     #[error(
         "the last record was unfinished ({bytes} bytes) and was cut off: its episode is run again, nothing else is lost"

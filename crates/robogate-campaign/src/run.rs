@@ -384,9 +384,6 @@ impl<'a> Run<'a> {
         if report.is_without_evidence() {
             (self.events)(&Event::warning(Warning::NoEvidence));
         }
-        if report.emphasis.as_ref().is_some_and(|emphasis| emphasis.skipped) {
-            (self.events)(&Event::warning(Warning::EmphasisSkipped));
-        }
         Ok(report)
     }
 

@@ -141,8 +141,14 @@ fn found(report: &BoundaryReport) {
         small_percent(report.volume.share_of_operating_space),
         grouped(report.volume.episodes),
         match &report.emphasis {
-            Some(emphasis) if emphasis.skipped => ", the emphasis region does not meet it".to_owned(),
-            Some(emphasis) => format!(", {} in the emphasis region", grouped(emphasis.region.episodes)),
+            Some(emphasis) => format!(
+                ", {} in the emphasis region{}",
+                grouped(emphasis.region.episodes),
+                match emphasis.beyond.as_slice() {
+                    [] => String::new(),
+                    beyond => format!(", which lies outside it along {}", beyond.join(" and ")),
+                }
+            ),
             None => String::new(),
         }
     ));

@@ -154,25 +154,32 @@ fn the_ends_of_the_range_belong_to_the_first_and_the_last_bin() {
 }
 
 #[test]
-fn an_emphasis_that_is_not_there_is_skipped_and_said() {
+fn an_emphasis_that_the_volume_does_not_meet_is_drawn_beyond_it_and_said() {
     let text = "[boundary.emphasis]\nshare = 0.3\nwhere = [{ parameter = \"x\", high = 2 }]";
     let plan = plan(text);
     let report = find(&plan, &counted([0, 0, 0, 5, 5, 0, 0, 0, 0, 0]));
     let emphasis = report.emphasis.as_ref().unwrap();
-    assert!(emphasis.skipped);
-    assert_eq!((emphasis.region.episodes, report.volume.episodes), (0, 50));
+    assert_eq!(emphasis.beyond, ["x"]);
+    assert_eq!((emphasis.region.episodes, report.volume.episodes), (15, 35));
     let points = Points::boundary(&plan, &Arc::new(space()), &report).unwrap();
     assert_eq!(points.indices(), 100..150);
-    // The density is that of the volume alone.
-    let weight = points.weight(100).unwrap();
-    assert!((weight - report.volume.share_of_operating_space).abs() < 1e-15);
+    for index in points.indices() {
+        let x = points.requested(index).unwrap().number("x").unwrap();
+        let (region, share, range) =
+            if index < 115 { (emphasis.region, 0.3, 0.0..2.0) } else { (report.volume, 0.7, 3.0..5.0) };
+        assert!(range.contains(&x), "{index}: {x}");
+        // E and V are apart: each point has the density of its own part alone.
+        let weight = points.weight(index).unwrap();
+        assert!((weight - region.share_of_operating_space / share).abs() < 1e-12, "{index}: {weight}");
+    }
 }
 
 #[test]
-fn a_condition_that_leaves_one_point_of_a_range_leaves_nothing() {
+fn a_condition_that_leaves_one_point_of_a_span_is_not_met_by_it() {
     // x < 3 within 3 <= x < 5.
     let text = "[boundary.emphasis]\nshare = 0.3\nwhere = [{ parameter = \"x\", high = 3 }]";
-    assert!(find(&plan(text), &counted([0, 0, 0, 5, 5, 0, 0, 0, 0, 0])).emphasis.unwrap().skipped);
+    let report = find(&plan(text), &counted([0, 0, 0, 5, 5, 0, 0, 0, 0, 0]));
+    assert_eq!(report.emphasis.unwrap().beyond, ["x"]);
 }
 
 /// A report over the synthetic space whose volume is known, and the plan it came from.
