@@ -18,7 +18,7 @@ pub struct Contact {
 /// Running measurements of an episode. `None` means that there was nothing to measure.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Measures {
-    /// Largest normal force between the robot and anything, in newtons.
+    /// Largest normal force between a body of the robot and anything, in newtons.
     pub peak_contact_force_n: Option<f64>,
     /// Largest displacement of the object relative to the hand since it was held, in metres.
     pub slip_m: Option<f64>,

@@ -72,6 +72,8 @@ struct Loaded {
     object_qvel: usize,
     tcp: usize,
     touches: Touches,
+    /// Force of each touching pair in the last step: robot body, and fixture or object.
+    forces: Vec<((usize, Option<usize>), f64)>,
     scene: Scene,
 }
 
@@ -381,6 +383,7 @@ impl Engine for MujocoEngine {
             object_qvel,
             tcp,
             touches: Touches::default(),
+            forces: Vec::new(),
             scene: scene.clone(),
         };
         let loaded = self.loaded.insert(loaded);
@@ -522,36 +525,52 @@ impl Engine for MujocoEngine {
 }
 
 impl Loaded {
-    /// Sums up the contacts of the last step.
+    /// Sums up the contacts of the last step: two bodies may touch at several points, and it is their
+    /// force together that counts.
     fn read_touches(&mut self) {
-        let mut touches = Touches::default();
+        let touches = &mut self.touches;
+        *touches = Touches::default();
+        self.forces.clear();
         for (i, contact) in self.data.contact().iter().enumerate() {
             // A contact that is only near has no constraint.
             if contact.efc_address < 0 || contact.geom1 < 0 || contact.geom2 < 0 {
                 continue;
             }
-            let kinds = (self.kinds[contact.geom1 as usize], self.kinds[contact.geom2 as usize]);
-            match kinds {
-                (Kind::Robot { finger, .. }, Kind::Object) | (Kind::Object, Kind::Robot { finger, .. }) => {
+            let (body, other) = match (self.kinds[contact.geom1 as usize], self.kinds[contact.geom2 as usize]) {
+                (Kind::Robot { body, finger }, Kind::Object) | (Kind::Object, Kind::Robot { body, finger }) => {
                     let force = self.data.contact_force(i)[0];
-                    touches.peak_force = Some(touches.peak_force.unwrap_or(0.0).max(force));
                     match finger {
                         Some(finger) => *touches.fingers[finger].get_or_insert(0.0) += force,
                         None => touches.body_on_object = true,
                     }
+                    add(&mut self.forces, (body, None), force);
+                    continue;
                 }
                 (Kind::Robot { body, .. }, Kind::Fixture(fixture))
-                | (Kind::Fixture(fixture), Kind::Robot { body, .. }) => {
-                    let force = self.data.contact_force(i)[0];
-                    touches.peak_force = Some(touches.peak_force.unwrap_or(0.0).max(force));
-                    if touches.collision.is_none_or(|strongest| force > strongest.force) {
-                        touches.collision = Some(Collision { robot_body: body, fixture, force });
-                    }
+                | (Kind::Fixture(fixture), Kind::Robot { body, .. }) => (body, fixture),
+                (Kind::Object, Kind::Fixture(_)) | (Kind::Fixture(_), Kind::Object) => {
+                    touches.object_on_fixture = true;
+                    continue;
                 }
-                (Kind::Object, Kind::Fixture(_)) | (Kind::Fixture(_), Kind::Object) => touches.object_on_fixture = true,
-                _ => {}
+                _ => continue,
+            };
+            add(&mut self.forces, (body, Some(other)), self.data.contact_force(i)[0]);
+        }
+        for ((robot_body, other), force) in self.forces.iter().copied() {
+            touches.peak_force = Some(touches.peak_force.unwrap_or(0.0).max(force));
+            if let Some(fixture) = other
+                && touches.collision.is_none_or(|strongest| force > strongest.force)
+            {
+                touches.collision = Some(Collision { robot_body, fixture, force });
             }
         }
-        self.touches = touches;
+    }
+}
+
+/// Adds to the force between a robot body and a fixture (`None`: the object).
+fn add(forces: &mut Vec<((usize, Option<usize>), f64)>, pair: (usize, Option<usize>), force: f64) {
+    match forces.iter_mut().find(|(known, _)| *known == pair) {
+        Some((_, sum)) => *sum += force,
+        None => forces.push((pair, force)),
     }
 }
