@@ -30,6 +30,10 @@ enum Verb {
     Resume(commands::resume::Resume),
     /// Run one episode of a campaign again, bit for bit, and tell its story
     Replay(commands::replay::Replay),
+    /// Say where the policy fails, how the parameters act, and how sure that is
+    Analyze(commands::analyze::Analyze),
+    /// Write a run or a dictionary as one page: HTML, Markdown or JSON
+    Report(commands::report::Report),
     /// Write a failure dictionary as CSV, JSON Lines or the published JSON
     Export(commands::export::Export),
     /// Read a published JSON dictionary into Parquet
@@ -44,6 +48,8 @@ fn main() -> ExitCode {
         Verb::Run(run) => run.execute(),
         Verb::Resume(resume) => resume.execute(),
         Verb::Replay(replay) => replay.execute(),
+        Verb::Analyze(analyze) => analyze.execute(),
+        Verb::Report(report) => report.execute(),
         Verb::Export(export) => export.execute(),
         Verb::Import(import) => import.execute(),
         Verb::Check(check) => check.execute(),

@@ -1,8 +1,10 @@
 //! The verbs.
 
+pub(crate) mod analyze;
 pub(crate) mod check;
 pub(crate) mod export;
 pub(crate) mod import;
 pub(crate) mod replay;
+pub(crate) mod report;
 pub(crate) mod resume;
 pub(crate) mod run;

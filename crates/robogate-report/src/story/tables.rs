@@ -1,0 +1,428 @@
+//! Figures as tables.
+
+use super::Kind::{Code, Number, Short, Text, Zone as ZoneWord};
+use super::Table;
+use crate::page::said;
+use crate::words::{
+    count, fixed, mode, name, number, p_value, percent, percent_or_dash, percents, range, significant, with_unit,
+};
+use crate::{
+    Along, CalibrationFigures, CriticalThreshold, DangerZones, FailureModes, Finding, Frontier, HowDrawn, ModeChanges,
+    PairMap, Population, Regression, ReplayGroup, RiskModel, RocFigures, Success,
+};
+
+/// Most rows of one table on the page, whatever the data.
+const MOST: usize = 60;
+
+pub(crate) fn stages(success: &Success) -> Table {
+    let rows = success.stages.iter().map(|stage| {
+        let weights = match stage.weights {
+            Some([low, high]) if (high - low).abs() <= 0.0 => number(low),
+            Some(both) => range(both),
+            None => "-".to_owned(),
+        };
+        vec![
+            stage.stage.clone(),
+            stage.designs.join(", ").replace('_', " "),
+            count(stage.episodes),
+            count(stage.invalid),
+            percent_or_dash(stage.rate.rate),
+            percents(stage.rate.wilson_95),
+            percents(stage.rate.clopper_pearson_95),
+            weights,
+            count(stage.effective_sample_size.round() as u64),
+            stage.population.brief().to_owned(),
+        ]
+    });
+    let columns = [
+        ("stage", Text),
+        ("drawn by", Short),
+        ("episodes", Number),
+        ("invalid", Number),
+        ("success", Number),
+        ("Wilson 95 %", Number),
+        ("exact 95 %", Number),
+        ("weights", Number),
+        ("effective n", Number),
+        ("speaks of", Text),
+    ];
+    Table::new("Stages", &columns, rows.collect()).at_most(MOST)
+}
+
+pub(crate) fn by_weights(success: &Success) -> Option<Table> {
+    let mut rows: Vec<Vec<String>> = Vec::new();
+    if let Some(found) = success.reweighted.as_ref().and_then(Finding::estimated) {
+        rows.push(vec![
+            "all rows".to_owned(),
+            percent(found.estimate.rate),
+            percents(found.estimate.interval_95),
+            count(found.rows),
+            count(found.estimate.effective_sample_size.round() as u64),
+            Population::Reweighted.brief().to_owned(),
+        ]);
+    }
+    for stage in &success.stages {
+        if let Some(found) = stage.by_weights {
+            rows.push(vec![
+                format!("{} stage", stage.stage),
+                percent(found.rate),
+                percents(found.interval_95),
+                count(stage.rate.n),
+                count(found.effective_sample_size.round() as u64),
+                Population::FocusedRegion.brief().to_owned(),
+            ]);
+        }
+    }
+    let columns = [
+        ("rows", Text),
+        ("success", Number),
+        ("95 %", Number),
+        ("n", Number),
+        ("effective n", Number),
+        ("speaks of", Text),
+    ];
+    (!rows.is_empty()).then(|| Table::new("By weights (Hajek)", &columns, rows))
+}
+
+pub(crate) fn cells(along: &Along) -> Table {
+    let rows = along.cells.iter().map(|cell| {
+        vec![
+            cell.label.clone(),
+            count(cell.rate.n),
+            count(cell.rate.successes),
+            percent_or_dash(cell.rate.rate),
+            percents(cell.rate.wilson_95),
+            percents(cell.rate.clopper_pearson_95),
+            cell.zone.word().to_owned(),
+        ]
+    });
+    let head = match along.unit.as_str() {
+        "" => along.label.clone(),
+        unit => format!("{} ({unit})", along.label),
+    };
+    let columns = [
+        (head.as_str(), Short),
+        ("n", Number),
+        ("succeeded", Number),
+        ("success", Number),
+        ("Wilson 95 %", Number),
+        ("exact 95 %", Number),
+        ("zone", ZoneWord),
+    ];
+    Table::new(format!("Success along {}", along.label), &columns, rows.collect()).at_most(MOST)
+}
+
+pub(crate) fn map(map: &PairMap) -> Table {
+    let nx = map.x.cells().max(1);
+    let rows = map.cells.iter().enumerate().map(|(i, cell)| {
+        vec![
+            said(&map.y, i / nx),
+            said(&map.x, i % nx),
+            count(cell.rate.n),
+            percent_or_dash(cell.rate.rate),
+            percents(cell.rate.wilson_95),
+            cell.zone.word().to_owned(),
+        ]
+    });
+    let (y, x) = (name(&map.y.parameter), name(&map.x.parameter));
+    let columns = [
+        (y.as_str(), Short),
+        (x.as_str(), Short),
+        ("n", Number),
+        ("success", Number),
+        ("Wilson 95 %", Number),
+        ("zone", ZoneWord),
+    ];
+    Table::new(format!("Cells of {y} \u{d7} {x}"), &columns, rows.collect()).at_most(100)
+}
+
+pub(crate) fn curve(frontier: &Frontier) -> Table {
+    let rows = frontier.curve.iter().step_by(4).map(|point| {
+        vec![
+            number(point.y),
+            number(point.x),
+            number(point.se),
+            range(point.band_95),
+            point.exact_95.map_or_else(|| "not bounded".to_owned(), range),
+            if point.observed { "yes" } else { "extrapolated" }.to_owned(),
+        ]
+    });
+    let (y, x) = (name(&frontier.y), format!("{}*", name(&frontier.x)));
+    let columns = [
+        (y.as_str(), Number),
+        (x.as_str(), Number),
+        ("se", Number),
+        ("95 % band", Number),
+        ("exact 95 %", Number),
+        ("observed", Text),
+    ];
+    Table::new("Points of the frontier", &columns, rows.collect())
+}
+
+pub(crate) fn regression(title: &str, regression: &Regression) -> Table {
+    let rows = regression.terms.iter().map(|term| match &term.found {
+        Finding::Estimated(e) => vec![
+            term.term.clone(),
+            significant(e.coefficient, 4),
+            number(e.se),
+            fixed(e.z, 2),
+            p_value(e.ln_p),
+            range(e.interval_95),
+        ],
+        Finding::CannotBeEstimated { because } => {
+            let mut row = vec![format!("{} (left out: {because})", term.term)];
+            row.extend(vec!["-".to_owned(); 5]);
+            row
+        }
+    });
+    let columns =
+        [("term", Text), ("coefficient", Number), ("se", Number), ("z", Number), ("p", Number), ("95 %", Number)];
+    let mut table = Table::new(title, &columns, rows.collect()).at_most(MOST);
+    let how = match regression.estimator.as_str() {
+        "firth" => "Firth's penalised likelihood",
+        _ => "Maximum likelihood",
+    };
+    let scale = if regression.standardized { "per standard deviation" } else { "per unit" };
+    table.remark = Some(format!(
+        "{how}, {} rows, log-odds of {} {scale}; deviance {} against {} of the intercept alone.",
+        count(regression.rows),
+        regression.outcome,
+        fixed(regression.deviance, 1),
+        fixed(regression.null_deviance, 1)
+    ));
+    table
+}
+
+pub(crate) fn thresholds(along: &[Along]) -> Table {
+    let rows = along.iter().filter(|a| !matches!(a.kind, crate::AlongKind::Categorical)).map(|a| {
+        let unit = |x: f64| with_unit(&number(x), &a.parameter);
+        let (at, ci, se, what) = match &a.threshold {
+            Finding::Estimated(CriticalThreshold::Crosses { at, rising, low, high, se, crossing_share }) => {
+                let end = |x: &Option<f64>| x.map_or_else(|| "beyond".to_owned(), number);
+                (
+                    unit(*at),
+                    format!("{} to {}", end(low), end(high)),
+                    se.map_or_else(|| "-".to_owned(), number),
+                    format!(
+                        "success {} through it; {} of replicates cross",
+                        if *rising { "rises" } else { "falls" },
+                        percent(*crossing_share)
+                    ),
+                )
+            }
+            Finding::Estimated(CriticalThreshold::CrossesMoreThanOnce { between }) => {
+                let between: Vec<String> = between.iter().map(|b| range(*b)).collect();
+                (
+                    "-".to_owned(),
+                    "-".to_owned(),
+                    "-".to_owned(),
+                    format!("crosses more than once: {}", between.join("; ")),
+                )
+            }
+            Finding::Estimated(CriticalThreshold::DoesNotCross { stays_above, crossing_share }) => (
+                "-".to_owned(),
+                "-".to_owned(),
+                "-".to_owned(),
+                format!(
+                    "does not cross: stays {} 50 %; {} of replicates cross",
+                    if *stays_above { "above" } else { "below" },
+                    percent(*crossing_share)
+                ),
+            ),
+            Finding::CannotBeEstimated { because } => {
+                ("-".to_owned(), "-".to_owned(), "-".to_owned(), format!("cannot be estimated because {because}"))
+            }
+        };
+        let r = a.correlation.estimated();
+        let (r, spearman, p) = match r {
+            Some(crate::Correlation::Number { point_biserial, ln_p, spearman, .. }) => (
+                fixed(*point_biserial, 3),
+                spearman.map_or_else(|| "-".to_owned(), |s| fixed(s, 3)),
+                ln_p.map_or_else(|| "-".to_owned(), p_value),
+            ),
+            _ => ("-".to_owned(), "-".to_owned(), "-".to_owned()),
+        };
+        vec![a.label.clone(), at, ci, se, r, spearman, p, what]
+    });
+    let columns = [
+        ("parameter", Text),
+        ("50 % at", Number),
+        ("95 %", Number),
+        ("se", Number),
+        ("correlation", Number),
+        ("rank", Number),
+        ("p", Number),
+        ("what was found", Text),
+    ];
+    Table::new("Critical thresholds and correlations with success", &columns, rows.collect()).at_most(MOST)
+}
+
+pub(crate) fn categories(along: &[Along]) -> Option<Table> {
+    let rows: Vec<Vec<String>> = along
+        .iter()
+        .filter(|a| matches!(a.kind, crate::AlongKind::Categorical))
+        .map(|a| match &a.correlation {
+            Finding::Estimated(crate::Correlation::Category { cramers_v, ln_p, smallest_expected }) => {
+                let rough = if *smallest_expected < 5.0 { " (rough: a level is rare)" } else { "" };
+                vec![a.label.clone(), fixed(*cramers_v, 3), format!("{}{rough}", p_value(*ln_p))]
+            }
+            Finding::Estimated(_) => vec![a.label.clone(), "-".to_owned(), "-".to_owned()],
+            Finding::CannotBeEstimated { because } => {
+                vec![a.label.clone(), "-".to_owned(), format!("cannot be estimated because {because}")]
+            }
+        })
+        .collect();
+    let columns = [("category", Text), ("Cramer's V", Number), ("p of independence", Number)];
+    (!rows.is_empty()).then(|| Table::new("Categories and success", &columns, rows))
+}
+
+pub(crate) fn failure_modes(modes: &FailureModes) -> Table {
+    let rows = modes
+        .modes
+        .iter()
+        .map(|m| vec![mode(&m.mode), count(m.failures), percent_or_dash(m.share), percents(m.interval_95)]);
+    let columns = [("mode", Text), ("failures", Number), ("share", Number), ("95 %, jointly", Number)];
+    Table::new("Failures by mode", &columns, rows.collect())
+}
+
+pub(crate) fn mode_changes(label: &str, changes: &ModeChanges, modes: &FailureModes) -> Table {
+    let rows = changes.bins.iter().map(|bin| {
+        let mut row = vec![range(bin.range), count(bin.counts.iter().sum())];
+        row.extend(bin.counts.iter().map(|n| count(*n)));
+        row.push(bin.dominant.as_deref().map_or_else(|| "-".to_owned(), mode));
+        row.push(percent_or_dash(bin.share));
+        row.push(if bin.sure { "sure" } else { "not sure" }.to_owned());
+        row
+    });
+    let heads: Vec<String> = modes.modes.iter().map(|m| mode(&m.mode)).collect();
+    let mut columns = vec![(label, Short), ("failures", Number)];
+    columns.extend(heads.iter().map(|h| (h.as_str(), Number)));
+    columns.extend([("dominant", Text), ("share", Number), ("ahead of the second", Short)]);
+    Table::new(format!("Failure modes along {label}"), &columns, rows.collect())
+}
+
+pub(crate) fn danger(zones: &DangerZones) -> Table {
+    let rows = zones.zones.iter().map(|zone| {
+        vec![
+            name(&zone.parameter),
+            with_unit(&zone.cell, &zone.parameter),
+            percent_or_dash(zone.rate.rate),
+            percents(zone.rate.wilson_95),
+            count(zone.rate.n),
+            p_value(zone.ln_p),
+            if zone.holm_p > 0.0 { p_value(zone.holm_p.ln()) } else { "0".to_owned() },
+            if zone.sure { "sure" } else { "not sure" }.to_owned(),
+        ]
+    });
+    let columns = [
+        ("parameter", Text),
+        ("bin or level", Short),
+        ("success", Number),
+        ("Wilson 95 %", Number),
+        ("n", Number),
+        ("p, below 40 %", Number),
+        ("p by Holm", Number),
+        ("verdict", Short),
+    ];
+    Table::new("Bins and levels observed below 40 % success", &columns, rows.collect()).at_most(MOST)
+}
+
+pub(crate) fn roc(figures: &RocFigures) -> Table {
+    let unseen = figures.auc_cross_validated.map_or_else(|| "-".to_owned(), |a| fixed(a, 4));
+    let both = |[low, high]: [f64; 2]| format!("{} to {}", fixed(low, 4), fixed(high, 4));
+    let rows = vec![
+        vec!["cross-validated, 5 folds".to_owned(), unseen, both(figures.auc_cross_validated_95)],
+        vec!["in sample".to_owned(), fixed(figures.auc_in_sample, 4), both(figures.auc_in_sample_95)],
+    ];
+    let columns = [("rows judged", Text), ("AUC", Number), ("95 % (DeLong)", Number)];
+    Table::new("Area under the ROC curve", &columns, rows)
+}
+
+pub(crate) fn calibration(risk: &RiskModel) -> Table {
+    let row = |label: &str, found: &Finding<CalibrationFigures>| match found {
+        Finding::Estimated(f) => vec![
+            label.to_owned(),
+            fixed(f.brier, 4),
+            fixed(f.brier_of_the_rate, 4),
+            f.log_loss.map_or_else(|| "infinite".to_owned(), |l| fixed(l, 4)),
+            fixed(f.expected_calibration_error, 4),
+        ],
+        Finding::CannotBeEstimated { because } => {
+            let dash = || "-".to_owned();
+            vec![format!("{label}: cannot be estimated because {because}"), dash(), dash(), dash(), dash()]
+        }
+    };
+    let rows =
+        vec![row("cross-validated", &risk.calibration_cross_validated), row("in sample", &risk.calibration_in_sample)];
+    let columns = [
+        ("rows judged", Text),
+        ("Brier", Number),
+        ("of the bare rate", Number),
+        ("log loss", Number),
+        ("ECE, 10 bins", Number),
+    ];
+    Table::new("Calibration", &columns, rows)
+}
+
+pub(crate) fn reliability(figures: &CalibrationFigures) -> Table {
+    let rows = figures
+        .bins
+        .iter()
+        .map(|bin| vec![count(bin.rows), percent(bin.stated), percent(bin.observed), percents(bin.interval_95)]);
+    let columns = [("n", Number), ("stated", Number), ("observed", Number), ("Wilson 95 %", Number)];
+    Table::new("Stated and observed failure rates", &columns, rows.collect())
+}
+
+pub(crate) fn penalties(risk: &RiskModel) -> Option<Table> {
+    let rows: Vec<Vec<String>> = risk
+        .penalties
+        .iter()
+        .flat_map(|p| p.levels.iter().map(|l| vec![name(&p.parameter), l.level.clone(), fixed(l.penalty, 4)]))
+        .collect();
+    let columns = [("parameter", Text), ("level", Text), ("penalty", Number)];
+    (!rows.is_empty()).then(|| Table::new("Penalties of the levels", &columns, rows).at_most(MOST))
+}
+
+pub(crate) fn ranges(drawn: &HowDrawn) -> Table {
+    let rows = drawn.ranges.iter().map(|r| {
+        let focused = match (&r.focused, r.focused_from.as_deref()) {
+            (Some(range), Some("bins")) => range.clone(),
+            (Some(range), Some(why)) => format!("{range} ({})", why.replace('_', " ")),
+            _ => "-".to_owned(),
+        };
+        vec![with_unit_head(&r.parameter), r.operating.clone(), r.scale.clone(), focused]
+    });
+    let columns = [("parameter", Text), ("operating space", Text), ("even in", Text), ("focused stage", Text)];
+    Table::new("Ranges", &columns, rows.collect()).at_most(MOST)
+}
+
+fn with_unit_head(parameter: &str) -> String {
+    crate::words::name_with_unit(parameter)
+}
+
+pub(crate) fn replays(group: &ReplayGroup, command: Option<&str>) -> Table {
+    let rows = group.episodes.iter().map(|episode| {
+        let parameters: Vec<String> = episode
+            .parameters
+            .iter()
+            .take(12)
+            .map(|(parameter, value)| format!("{} {}", name(parameter), with_unit(value, parameter)))
+            .collect();
+        vec![
+            match command {
+                Some(folder) => format!("robogate replay {folder} {}", episode.index),
+                None => episode.index.to_string(),
+            },
+            episode.outcome.replace('_', " "),
+            if episode.figure.is_empty() { "-".to_owned() } else { episode.figure.clone() },
+            parameters.join(", "),
+        ]
+    });
+    let columns = [
+        if command.is_some() { ("command", Code) } else { ("index", Number) },
+        ("outcome", Short),
+        ("why here", Short),
+        ("parameters", Text),
+    ];
+    Table::new(group.title.clone(), &columns, rows.collect())
+}

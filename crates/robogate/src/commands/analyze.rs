@@ -1,0 +1,422 @@
+//! `robogate analyze`: what a dictionary says, in the terminal or as one document.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use robogate_report::{
+    Along, Analysis, CriticalThreshold, Envelope, Finding, PairMap, Population, Regression, ReportError, RiskModel,
+    Source, Zone,
+};
+
+use crate::commands::report::evidence;
+use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
+use crate::terminal::{bar, bold, dim, grouped, line, percent};
+
+/// Say where the policy fails, how the parameters act, and how sure that is.
+#[derive(Debug, Args)]
+pub(crate) struct Analyze {
+    /// A run's folder, a dictionary (Parquet) or a published JSON dictionary
+    dictionary: PathBuf,
+    /// Print everything as one versioned JSON document
+    #[arg(long)]
+    json: bool,
+    /// Two more parameters to look at together; a frontier is solved for the first
+    #[arg(long, num_args = 2, value_names = ["A", "B"])]
+    pair: Vec<String>,
+}
+
+impl Analyze {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let source = Source::open(&self.dictionary).or_usage()?;
+        let analysis = analyse(&source, &self.dictionary, &pairs(&self.pair))?;
+        if self.json {
+            line(analysis.to_json());
+        } else {
+            print(&analysis);
+        }
+        Ok(evidence(&analysis))
+    }
+}
+
+/// The pairs that `--pair A B` names.
+pub(crate) fn pairs(names: &[String]) -> Vec<(String, String)> {
+    names.chunks_exact(2).map(|pair| (pair[0].clone(), pair[1].clone())).collect()
+}
+
+/// The analysis, its errors with their exit codes.
+pub(crate) fn analyse(source: &Source, path: &Path, pairs: &[(String, String)]) -> Result<Analysis, Exit> {
+    Analysis::of(source, path, pairs).map_err(|error| {
+        let code = if matches!(error, ReportError::Io { .. }) { INFRASTRUCTURE } else { USAGE };
+        Exit { code, error: error.into() }
+    })
+}
+
+fn print(analysis: &Analysis) {
+    answer(analysis);
+    stages(analysis);
+    for envelope in &analysis.envelopes {
+        pair(envelope);
+    }
+    for along in &analysis.along {
+        parameter(along);
+    }
+    thresholds(analysis);
+    modes(analysis);
+    danger(analysis);
+    if let Finding::Estimated(model) = &analysis.interactions {
+        regression("Model with interactions", model);
+    }
+    risk(&analysis.risk);
+    replay(analysis);
+    line("");
+    line(bold("What these figures do not say"));
+    analysis.limits.iter().for_each(|limit| wrapped(limit));
+}
+
+fn heading(title: impl std::fmt::Display) {
+    line("");
+    line(bold(title));
+}
+
+/// Text in lines of at most 100 columns.
+fn wrapped(text: &str) {
+    let mut so_far = String::from("  ");
+    for word in text.split_whitespace() {
+        if so_far.chars().count() + word.chars().count() > 98 && !so_far.trim().is_empty() {
+            line(so_far.trim_end());
+            so_far = String::from("  ");
+        }
+        so_far.push_str(word);
+        so_far.push(' ');
+    }
+    line(so_far.trim_end());
+}
+
+fn interval([low, high]: [f64; 2]) -> String {
+    format!("{:>5.1} to {:>5.1} %", 100.0 * low, 100.0 * high)
+}
+
+fn rate_of(rate: Option<f64>) -> String {
+    rate.map_or_else(|| "-".to_owned(), percent)
+}
+
+fn answer(analysis: &Analysis) {
+    let subject = &analysis.subject;
+    line(format_args!(
+        "{} {}, {} policy, {}: {} episodes",
+        bold("RoboGate"),
+        subject.robot,
+        subject.policy,
+        subject.engine,
+        grouped(subject.episodes)
+    ));
+    line("");
+    line(bold(&analysis.headline.answer));
+    let headline = &analysis.headline;
+    for (title, lines) in [
+        ("Where it fails", &headline.where_it_fails),
+        ("What to do", &headline.what_to_do),
+        ("How sure", &headline.how_sure),
+    ] {
+        heading(title);
+        lines.iter().for_each(|text| wrapped(text));
+    }
+    line("");
+    line(dim(format_args!("Unless it says otherwise, a figure speaks of {}.", analysis.population.describe())));
+}
+
+fn stages(analysis: &Analysis) {
+    heading("Stages");
+    for stage in &analysis.success.stages {
+        line(format_args!(
+            "  {:<10} {:>8} of {:>9}  {:>8}  Wilson {}  exact {}",
+            stage.stage,
+            grouped(stage.rate.successes),
+            grouped(stage.rate.n),
+            rate_of(stage.rate.rate),
+            interval(stage.rate.wilson_95),
+            interval(stage.rate.clopper_pearson_95)
+        ));
+        if stage.population == Population::FocusedDesign {
+            line(dim(format_args!("             {}", stage.population.brief())));
+            if let Some(found) = stage.by_weights {
+                line(format_args!(
+                    "             by weights {} ({}), effective sample size {:.0}: {}",
+                    percent(found.rate),
+                    interval(found.interval_95),
+                    found.effective_sample_size,
+                    Population::FocusedRegion.brief()
+                ));
+            }
+        }
+        if stage.invalid > 0 {
+            line(format_args!("             {} invalid episodes are in no rate", grouped(stage.invalid)));
+        }
+    }
+    match &analysis.success.reweighted {
+        Some(Finding::Estimated(found)) => line(format_args!(
+            "  all rows, reweighted {} ({}), effective sample size {:.0} of {}",
+            percent(found.estimate.rate),
+            interval(found.estimate.interval_95),
+            found.estimate.effective_sample_size,
+            grouped(found.rows)
+        )),
+        Some(Finding::CannotBeEstimated { because }) => {
+            wrapped(&format!("The rate from all rows cannot be estimated because {because}."));
+        }
+        None => {}
+    }
+}
+
+fn pair(envelope: &Envelope) {
+    match &envelope.map {
+        Finding::Estimated(map) => {
+            heading(format_args!("Success in percent, {} upwards, {} across", map.y.parameter, map.x.parameter));
+            cells(map);
+        }
+        Finding::CannotBeEstimated { because } => wrapped(&format!("No map: {because}.")),
+    }
+    match &envelope.frontier {
+        Finding::Estimated(frontier) => {
+            line(format_args!("  frontier {}", frontier.closed_form));
+            let valid = match frontier.valid_for {
+                Some([low, high]) => format!("valid for {} {low:.4} to {high:.4}", frontier.y),
+                None => "outside what was observed everywhere".to_owned(),
+            };
+            let pole = frontier.pole.map_or_else(String::new, |pole| format!("; pole at {} {pole:.4}", frontier.y));
+            line(dim(format_args!("           {valid}{pole}")));
+            if frontier.contradicted {
+                wrapped(&format!(
+                    "Do not rely on this frontier: where the model states 40 to 60 % success, {} was observed ({}).",
+                    rate_of(frontier.near.rate),
+                    interval(frontier.near.wilson_95)
+                ));
+            }
+            frontier.regression.cautions.iter().for_each(|caution| wrapped(caution));
+        }
+        Finding::CannotBeEstimated { because } => {
+            wrapped(&format!("The frontier cannot be estimated because {because}."));
+        }
+    }
+}
+
+fn cells(map: &PairMap) {
+    let nx = map.x.cells();
+    let label = |axis: &robogate_report::Axis, at: usize| match (axis.levels.get(at), axis.edges.get(at)) {
+        (Some(level), _) => level.chars().take(11).collect(),
+        (None, Some(edge)) => format!("{edge:.3}"),
+        _ => String::new(),
+    };
+    for row in (0..map.y.cells()).rev() {
+        let mut text = format!("  {:>11} ", label(&map.y, row));
+        for cell in &map.cells[row * nx..(row + 1) * nx] {
+            let mark = match cell.zone {
+                Zone::Safe => '+',
+                Zone::Boundary => '=',
+                Zone::Danger => '!',
+                Zone::TooThin => ' ',
+            };
+            text.push_str(&match cell.rate.rate {
+                Some(rate) => format!("{:>6.0}{mark}", 100.0 * rate),
+                None => format!("{:>6} ", "-"),
+            });
+        }
+        line(text);
+    }
+    let across: String =
+        (0..nx).map(|i| format!("{:>7}", label(&map.x, i).chars().take(6).collect::<String>())).collect();
+    line(dim(format_args!("  {:>11} {across}", "from")));
+    line(dim("  ! surely danger (30 % or less), = surely between, + surely safe (70 % or more), else too thin to say"));
+}
+
+fn parameter(along: &Along) {
+    let correlation = match along.correlation.estimated() {
+        Some(robogate_report::Correlation::Number { point_biserial, .. }) => {
+            format!("correlation {point_biserial:+.3}")
+        }
+        Some(robogate_report::Correlation::Category { cramers_v, .. }) => format!("Cramer's V {cramers_v:.3}"),
+        None => format!("no correlation: {}", along.correlation.because().unwrap_or_default()),
+    };
+    heading(format_args!("Success along {} ({correlation})", along.parameter));
+    for cell in along.cells.iter().take(40) {
+        let label = match cell.range {
+            Some([low, high]) => format!("{low:>7.3} to {high:>7.3}"),
+            None => format!("{:>18}", cell.label.chars().take(18).collect::<String>()),
+        };
+        let Some(rate) = cell.rate.rate else {
+            line(dim(format_args!("  {label}       -  no valid episode")));
+            continue;
+        };
+        let text = format!(
+            "  {label} {:>8}  {}  {} {:>9}  {}",
+            percent(rate),
+            bar(rate, 20),
+            interval(cell.rate.wilson_95),
+            grouped(cell.rate.n),
+            cell.zone.word()
+        );
+        if cell.zone == Zone::TooThin { line(dim(text)) } else { line(text) }
+    }
+    if along.cells.len() > 40 {
+        line(dim(format_args!("  and {} more levels (--json)", along.cells.len() - 40)));
+    }
+}
+
+fn thresholds(analysis: &Analysis) {
+    heading("Where success crosses 50 % (1,000 bootstrap replicates)");
+    for along in &analysis.along {
+        let name = &along.parameter;
+        match &along.threshold {
+            Finding::Estimated(CriticalThreshold::Crosses { at, rising, low, high, se, .. }) => {
+                let end = |x: &Option<f64>| x.map_or_else(|| "beyond".to_owned(), |x| format!("{x:.4}"));
+                line(format_args!(
+                    "  {name:<16} {at:>9.4}  95 % {} to {}, se {}, {}",
+                    end(low),
+                    end(high),
+                    se.map_or_else(|| "-".to_owned(), |se| format!("{se:.4}")),
+                    if *rising { "rising" } else { "falling" }
+                ));
+            }
+            Finding::Estimated(CriticalThreshold::CrossesMoreThanOnce { between }) => {
+                line(format_args!("  {name:<16} crosses more than once ({} ranges)", between.len()));
+            }
+            Finding::Estimated(CriticalThreshold::DoesNotCross { stays_above, crossing_share }) => line(format_args!(
+                "  {name:<16} does not cross: stays {} 50 % ({} of replicates cross)",
+                if *stays_above { "above" } else { "below" },
+                percent(*crossing_share)
+            )),
+            Finding::CannotBeEstimated { because } => line(dim(format_args!("  {name:<16} {because}"))),
+        }
+    }
+}
+
+fn modes(analysis: &Analysis) {
+    heading(format_args!("Failures ({})", grouped(analysis.failure_modes.failures)));
+    for mode in &analysis.failure_modes.modes {
+        let share = mode.share.unwrap_or(0.0);
+        line(format_args!(
+            "  {:<12} {:>9} {:>8}  {}  {}",
+            mode.mode,
+            grouped(mode.failures),
+            rate_of(mode.share),
+            bar(share, 20),
+            interval(mode.interval_95)
+        ));
+    }
+    for along in &analysis.along {
+        let Some(found) = along.transitions.estimated() else { continue };
+        for change in &found.changes {
+            let [low, high] = change.between;
+            line(format_args!(
+                "  along {}, {} gives way to {} at {low:.4} to {high:.4}",
+                along.parameter, change.from, change.to
+            ));
+        }
+    }
+}
+
+fn danger(analysis: &Analysis) {
+    let zones = &analysis.danger_zones;
+    heading(format_args!(
+        "Danger zones: below {:.0} % success (Holm over {} bins and levels)",
+        100.0 * zones.limit,
+        grouped(zones.looked_at)
+    ));
+    for zone in zones.zones.iter().take(24) {
+        let cell = match zone.range {
+            Some([low, high]) => format!("{low:.3} to {high:.3}"),
+            None => zone.cell.clone(),
+        };
+        let text = format!(
+            "  {:<16} {cell:<18} {:>7} {:>9}  p by Holm {:.1e}  {}",
+            zone.parameter,
+            rate_of(zone.rate.rate),
+            grouped(zone.rate.n),
+            zone.holm_p,
+            if zone.sure { "sure" } else { "not sure" }
+        );
+        if zone.sure { line(text) } else { line(dim(text)) }
+    }
+    match zones.zones.len() {
+        0 => line("  none observed"),
+        n if n > 24 => line(dim(format_args!("  and {} more (--json)", n - 24))),
+        _ => {}
+    }
+}
+
+/// A p-value from its logarithm, as a power of ten where it is small.
+fn p_value(ln_p: f64) -> String {
+    let p = ln_p.exp();
+    if p >= 0.001 { format!("{p:.3}") } else { format!("10^{:.1}", ln_p / std::f64::consts::LN_10) }
+}
+
+fn regression(title: &str, model: &Regression) {
+    heading(format_args!(
+        "{title}: log-odds of {} per standard deviation, {} rows",
+        model.outcome,
+        grouped(model.rows)
+    ));
+    for term in &model.terms {
+        match &term.found {
+            Finding::Estimated(e) => line(format_args!(
+                "  {:<24} {:>9.4}  se {:>7.4}  z {:>8.2}  p {:>9}",
+                term.term,
+                e.coefficient,
+                e.se,
+                e.z,
+                p_value(e.ln_p)
+            )),
+            Finding::CannotBeEstimated { because } => {
+                line(dim(format_args!("  {:<24} left out: {because}", term.term)))
+            }
+        }
+    }
+    model.cautions.iter().for_each(|caution| wrapped(caution));
+}
+
+fn risk(risk: &Finding<RiskModel>) {
+    let risk = match risk {
+        Finding::Estimated(risk) => risk,
+        Finding::CannotBeEstimated { because } => {
+            heading("Risk model");
+            wrapped(&format!("It cannot be estimated because {because}."));
+            return;
+        }
+    };
+    regression("Risk model", &risk.regression);
+    match &risk.roc {
+        Finding::Estimated(roc) => {
+            let ends = |[low, high]: [f64; 2]| format!("{low:.3} to {high:.3}");
+            if let Some(auc) = roc.auc_cross_validated {
+                line(format_args!("  AUC cross-validated {auc:.3} ({})", ends(roc.auc_cross_validated_95)));
+            }
+            line(format_args!("  AUC in sample       {:.3} ({})", roc.auc_in_sample, ends(roc.auc_in_sample_95)));
+        }
+        Finding::CannotBeEstimated { because } => wrapped(&format!("No AUC: {because}.")),
+    }
+    for (which, found) in
+        [("cross-validated", &risk.calibration_cross_validated), ("in sample", &risk.calibration_in_sample)]
+    {
+        if let Finding::Estimated(f) = found {
+            line(format_args!(
+                "  {which:<16} Brier {:.4} (bare rate {:.4}), log loss {}, ECE {:.4}",
+                f.brier,
+                f.brier_of_the_rate,
+                f.log_loss.map_or_else(|| "infinite".to_owned(), |l| format!("{l:.4}")),
+                f.expected_calibration_error
+            ));
+        }
+    }
+}
+
+fn replay(analysis: &Analysis) {
+    for group in &analysis.replay {
+        heading(&group.title);
+        for episode in &group.episodes {
+            line(format_args!("  {:>8}  {:<22} {}", episode.index, episode.outcome, episode.figure));
+        }
+    }
+    if analysis.subject.replayable && !analysis.replay.is_empty() {
+        line(dim(format_args!("  robogate replay {} INDEX tells the story of one", analysis.subject.path)));
+    }
+}

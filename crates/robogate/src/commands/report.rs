@@ -1,0 +1,68 @@
+//! `robogate report`: a dictionary as a page that people want to open.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use robogate_report::{Analysis, Source, html, markdown};
+
+use crate::commands::analyze::{analyse, pairs};
+use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::terminal::{line, note};
+
+/// Write a run or a dictionary as one page: where the policy fails, how sure that is, what to do.
+#[derive(Debug, Args)]
+pub(crate) struct Report {
+    /// A run's folder, a dictionary (Parquet) or a published JSON dictionary
+    dictionary: PathBuf,
+    /// The form
+    #[arg(long, value_name = "FORMAT", default_value = "html")]
+    format: Form,
+    /// The file to write; default: report.html (or .md, .json) in the run's folder, beside no folder in this one; - for stdout
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Two more parameters to map against each other; the first is drawn upwards
+    #[arg(long, num_args = 2, value_names = ["A", "B"])]
+    pair: Vec<String>,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Form {
+    /// One self-contained file
+    Html,
+    /// The same content as Markdown
+    Md,
+    /// The same figures as one versioned document
+    Json,
+}
+
+impl Report {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let source = Source::open(&self.dictionary).or_usage()?;
+        let analysis = analyse(&source, &self.dictionary, &pairs(&self.pair))?;
+        let (text, ending) = match self.format {
+            Form::Html => (html(&analysis), "html"),
+            Form::Md => (markdown(&analysis), "md"),
+            Form::Json => (analysis.to_json(), "json"),
+        };
+        match &self.out {
+            Some(out) if out.as_os_str() == "-" => line(text.trim_end()),
+            out => {
+                let default = || source.folder().unwrap_or(Path::new("")).join(format!("report.{ending}"));
+                write(&out.clone().unwrap_or_else(default), &text)?;
+            }
+        }
+        Ok(evidence(&analysis))
+    }
+}
+
+fn write(out: &Path, text: &str) -> Result<(), Exit> {
+    std::fs::write(out, text).with_context(|| format!("cannot write {}", out.display())).or_broken()?;
+    note(format_args!("{}: {} KB", out.display(), text.len().div_ceil(1024)));
+    Ok(())
+}
+
+/// Done, or invalid where there is no valid episode.
+pub(crate) fn evidence(analysis: &Analysis) -> u8 {
+    if analysis.success.rate.n > 0 { DONE } else { INVALID }
+}
