@@ -36,9 +36,9 @@ const GRIPPER_SETTLED_M: f64 = 1e-4;
 /// ... for this many control periods: it needs a moment to start, and a moment to build up its force.
 const SETTLE_TICKS: usize = 4;
 /// Free ways.
-const FREE: ToolLimit = ToolLimit { speed: 0.6, acceleration: 2.5 };
+const FREE: ToolLimit = ToolLimit { speed: 0.5, acceleration: 2.0 };
 /// Ways with the object in hand: gentle, so that its weight and not the motion decides whether it slips.
-const CARRY: ToolLimit = ToolLimit { speed: 0.4, acceleration: 1.0 };
+const CARRY: ToolLimit = ToolLimit { speed: 0.6, acceleration: 1.2 };
 
 /// The scripted controller.
 #[derive(Debug, Clone)]

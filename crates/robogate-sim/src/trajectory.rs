@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Translation3};
 use crate::{Arm, Chain, Unreachable};
 
 /// Share of a joint's speed and acceleration limits that a plan uses.
-const LIMIT_SHARE: f64 = 0.6;
+const LIMIT_SHARE: f64 = 0.7;
 
 /// Peak speed and acceleration of the minimum-jerk profile over unit way and time (Flash and Hogan
 /// 1985: s = 10 u^3 - 15 u^4 + 6 u^5).

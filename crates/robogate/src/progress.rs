@@ -59,8 +59,8 @@ impl Progress {
             Some(rate) => format!("success {}", terminal::percent(rate)),
             None => "no valid episode yet".to_owned(),
         };
-        for mode in FailureMode::ALL {
-            text += &format!(" · {} {}", mode.word(), self.counts.failures(mode));
+        for (mode, word) in FailureMode::ALL.into_iter().zip(["miss", "loss", "collision", "timeout"]) {
+            text += &format!(" · {word} {}", self.counts.failures(mode));
         }
         if self.counts.invalid > 0 {
             text += &format!(" · INVALID {}", self.counts.invalid);
@@ -81,7 +81,7 @@ fn outcome_of(word: &str) -> Outcome {
 }
 
 fn style() -> ProgressStyle {
-    ProgressStyle::with_template("{prefix} {bar:24} {human_pos}/{human_len} {per_sec:>8} left {eta:<4} {wide_msg}")
+    ProgressStyle::with_template("{prefix} {bar:20} {human_pos}/{human_len} {per_sec:>8} left {eta:<4} {wide_msg}")
         .unwrap_or_else(|_| ProgressStyle::default_bar())
         .progress_chars("█▉▊▋▌▍▎▏ ")
         .with_key("per_sec", |state: &indicatif::ProgressState, out: &mut dyn std::fmt::Write| {
