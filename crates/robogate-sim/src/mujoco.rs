@@ -3,7 +3,7 @@
 //! Each scene is compiled afresh from the robot's model and the scene's bodies: about a millisecond, and
 //! nothing of one episode can leak into the next. Settings that make grasps right (measured in
 //! `robogate check physics`): implicit integration, elliptic friction cones with `impratio` 10, and
-//! contacts of the object as stiff as the time step allows.
+//! contacts of the object as stiff as the default time step allows.
 
 use std::path::PathBuf;
 
@@ -30,6 +30,10 @@ const PATCH_RADIUS: f64 = 5e-3;
 
 /// Rolling friction of the object, in metres: what stops a ball on the table's mat.
 const ROLLING: f64 = 5e-4;
+
+/// Time constant in which a contact of the object gives way, in seconds: as stiff as the default time step
+/// allows (MuJoCo asks for two steps), and the same for shorter ones, so that they converge to one physics.
+const CONTACT_TIME_S: f64 = 2.0 * MujocoEngine::TIME_STEP_S;
 
 /// Group in which a model's own actuators are switched off: the cell has its own drives.
 const OFF_GROUP: i32 = 30;
@@ -146,7 +150,6 @@ impl MujocoEngine {
     pub fn compile(&self, scene: &Scene) -> Result<MjModel, MjEditError> {
         let mut spec = self.base.clone();
         spec.option_mut().gravity = [0.0, 0.0, -scene.gravity];
-        let step = self.time_step;
         let world = spec.world_body_mut();
         for fixture in &scene.fixtures {
             let geom = world.add_geom().with_name(&format!("{PREFIX}{}", fixture.name));
@@ -175,7 +178,7 @@ impl MujocoEngine {
             // The object's friction is that of each of its contacts, whatever it touches.
             geom.set_priority(1);
             *geom.friction_mut() = [scene.friction, scene.friction * PATCH_RADIUS * 2.0 / 3.0, ROLLING];
-            geom.solref_mut()[..2].copy_from_slice(&[2.0 * step, 1.0]);
+            geom.solref_mut()[..2].copy_from_slice(&[CONTACT_TIME_S, 1.0]);
             geom.solimp_mut()[..3].copy_from_slice(&[0.95, 0.99, 0.001]);
         }
         spec.compile()

@@ -189,6 +189,12 @@ impl RobotSettings {
         if arm.joints.is_empty() {
             return Err(invalid("arm.joints is empty".to_owned()));
         }
+        let Gripper::ParallelJaw { finger_joints, finger_bodies, .. } = &settings.gripper;
+        let names =
+            arm.joints.iter().chain([&arm.flange_site, &arm.tcp_site]).chain(finger_joints).chain(finger_bodies);
+        if let Some(name) = names.into_iter().find(|name| name.is_empty() || name.contains('\0')) {
+            return Err(invalid(format!("{name:?} can be no name in a model")));
+        }
         for (key, values, positive) in [
             ("home_rad", &arm.home_rad, false),
             ("velocity_limit_rad_s", &arm.velocity_limit_rad_s, true),

@@ -49,6 +49,8 @@ impl Progress {
                 self.say();
                 self.bar.abandon();
             }
+            // The bar leaves the cursor at its own end.
+            Event::Finished { already: false, .. } if !self.bar.is_hidden() => terminal::note(""),
             Event::Warning { message, .. } => self.bar.suspend(|| terminal::note(format_args!("warning: {message}"))),
             Event::Started { .. } | Event::BoundaryFound { .. } | Event::Finished { .. } => {}
         }
