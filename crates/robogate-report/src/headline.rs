@@ -164,10 +164,11 @@ fn what_to_do(analysis: &Analysis) -> Vec<String> {
     thresholds.sort_by(|a, b| b.3.total_cmp(&a.3));
     for (along, at, rising, _) in thresholds.iter().take(2) {
         lines.push(format!(
-            "Keep {} {} {}: beyond it, failure is likelier than success (averaged over the other parameters).",
+            "Keep {} {} {}: {} it, failure is likelier than success (averaged over the other parameters).",
             along.label,
             if *rising { "above" } else { "below" },
-            with_unit(&number(*at), &along.parameter)
+            with_unit(&number(*at), &along.parameter),
+            if *rising { "below" } else { "above" }
         ));
     }
     if thresholds.is_empty() {
@@ -207,13 +208,12 @@ fn what_to_do(analysis: &Analysis) -> Vec<String> {
             }
         });
     }
-    if let Some(group) = analysis.replay.iter().find(|g| g.title.starts_with("Failed where")) {
-        if let (Some(first), true) = (group.episodes.first(), analysis.subject.replayable) {
-            lines.push(format!(
-                "Watch the failures that nothing explains, beginning with episode {}; they are listed below.",
-                first.index
-            ));
-        }
+    let unexplained = analysis.replay.iter().find(|g| g.title.starts_with("Failed where"));
+    if let (Some(first), true) = (unexplained.and_then(|g| g.episodes.first()), analysis.subject.replayable) {
+        lines.push(format!(
+            "Watch the failures that nothing explains, beginning with episode {}; they are listed below.",
+            first.index
+        ));
     }
     lines
 }
@@ -258,13 +258,12 @@ fn how_sure(analysis: &Analysis) -> Vec<String> {
             count(found.rows)
         ));
     }
-    if let Some(roc) = analysis.risk.estimated().and_then(|r| r.roc.estimated()) {
-        if let Some(auc) = roc.auc_cross_validated {
-            lines.push(format!(
+    let roc = analysis.risk.estimated().and_then(|r| r.roc.estimated());
+    if let Some(auc) = roc.and_then(|roc| roc.auc_cross_validated) {
+        lines.push(format!(
                 "Knowing the parameters, a risk model ranks a failure above a success {} of the time (cross-validated AUC).",
                 percent(auc)
             ));
-        }
     }
     lines
 }

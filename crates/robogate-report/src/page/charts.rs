@@ -94,7 +94,7 @@ fn levels(along: &Along) -> String {
     let height = if cells.len() <= 7 { 26.0 } else { 19.0 };
     let bottom = 10.0 + height * cells.len() as f64;
     let mut svg = Svg::new(340.0, bottom + 40.0);
-    let x = Scale::linear([0.0, 1.0], [108.0, 330.0]);
+    let x = Scale::linear([0.0, 1.0], [108.0, 318.0]);
     for tick in [0.0, 0.5, 1.0] {
         svg.line("gl", [x.at(tick), 8.0, x.at(tick), bottom]);
         svg.text("s d", Anchor::Middle, [x.at(tick), bottom + 15.0], &format!("{:.0} %", 100.0 * tick));
@@ -113,7 +113,7 @@ fn levels(along: &Along) -> String {
         svg.line("whisker", [x.at(l), y, x.at(h), y]);
         svg.dot("dot", [x.at(rate), y], 3.6, &told(cell));
     }
-    svg.text("a", Anchor::Middle, [219.0, bottom + 33.0], &name_with_unit(&along.parameter));
+    svg.text("a", Anchor::Middle, [213.0, bottom + 33.0], &name_with_unit(&along.parameter));
     svg.finish(&format!("Success along {}", name_with_unit(&along.parameter)))
 }
 
@@ -160,15 +160,18 @@ pub(crate) fn modes(modes: &FailureModes) -> String {
 /// How the modes change along a parameter.
 pub(crate) fn mode_changes(parameter: &str, changes: &ModeChanges, modes: &FailureModes) -> String {
     let n = changes.bins.len().max(1);
-    let mut svg = Svg::new(520.0, 232.0);
-    let (left, right, top, bottom) = (42.0, 510.0, 34.0, 184.0);
+    let mut svg = Svg::new(420.0, 232.0);
+    let (left, right, top, bottom) = (42.0, 412.0, 34.0, 184.0);
     let w = (right - left) / n as f64;
     let y = Scale::linear([0.0, 1.0], [bottom, top]);
-    let mut at = left;
+    let ends = (changes.bins.first().map_or(0.0, |b| b.range[0]), changes.bins.last().map_or(1.0, |b| b.range[1]));
+    // What is next to nothing on this axis is nothing.
+    let tick = |x: f64| if x.abs() < 0.005 * (ends.1 - ends.0) { "0".to_owned() } else { significant(x, 2) };
+    let mut at = 0.0;
     for (i, of) in modes.modes.iter().enumerate() {
         svg.rect(&format!("m{i}"), [at, 8.0, 11.0, 11.0]);
         svg.text("s", Anchor::Start, [at + 16.0, 18.0], &mode(&of.mode));
-        at += 34.0 + 7.0 * of.mode.len() as f64;
+        at += 28.0 + 6.6 * of.mode.len() as f64;
     }
     for tick in [0.0, 0.5, 1.0] {
         svg.line("gl", [left, y.at(tick), right, y.at(tick)]);
@@ -189,10 +192,10 @@ pub(crate) fn mode_changes(parameter: &str, changes: &ModeChanges, modes: &Failu
         let every = (44.0 / w).ceil().max(1.0) as usize;
         if i % every == 0 && i + every <= n {
             let anchor = if i == 0 { Anchor::Start } else { Anchor::Middle };
-            svg.text("s d", anchor, [x, bottom + 15.0], &significant(bin.range[0], 2));
+            svg.text("s d", anchor, [x, bottom + 15.0], &tick(bin.range[0]));
         }
         if i + 1 == n {
-            svg.text("s d", Anchor::End, [right, bottom + 15.0], &significant(bin.range[1], 2));
+            svg.text("s d", Anchor::End, [right, bottom + 15.0], &tick(bin.range[1]));
         }
         if bin.sure {
             svg.dot("sure", [x + 0.5 * w, bottom + 26.0], 2.6, "the dominant mode is sure");
@@ -215,7 +218,7 @@ pub(crate) fn danger(zones: &DangerZones, most: usize) -> String {
     }
     for (i, zone) in shown.iter().enumerate() {
         let y = 20.0 + 24.0 * i as f64;
-        let label = cut(&format!("{} {}", crate::words::name(&zone.parameter), zone.cell), 29);
+        let label = cut(&format!("{} {}", crate::words::name(&zone.parameter), zone.cell), 27);
         svg.text(if zone.sure { "s" } else { "s d" }, Anchor::End, [182.0, y + 4.0], &label);
         let [l, h] = zone.rate.wilson_95;
         svg.line("whisker", [x.at(l), y, x.at(h), y]);

@@ -50,7 +50,7 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> S
         let step = step(rate);
         svg.rect_told(&format!("r{step}"), place, &told);
         if !thin {
-            svg.rect("known", [place[0] + 1.6, place[1] + 1.6, place[2] - 3.2, place[3] - 3.2]);
+            known(&mut svg, [place[0] + place[2], place[1]]);
         }
         let ink = format!("t{step}{}", if thin { " light" } else { "" });
         if w >= 26.0 && h >= 30.0 {
@@ -149,9 +149,9 @@ fn ticks(svg: &mut Svg, map: &PairMap, w: f64, h: f64, bottom: f64) {
             all.map(|(i, level)| (i as f64 + 0.5, cut(level, (room / 5.5).max(3.0) as usize))).collect()
         }
     };
-    for (at, text) in axis(&map.x, w) {
+    for (i, (at, text)) in axis(&map.x, w).into_iter().enumerate() {
         let x = LEFT + w * at;
-        svg.text("s", Anchor::Middle, [x, bottom + 15.0], &text);
+        svg.text(if i % 2 == 1 { "s odd" } else { "s" }, Anchor::Middle, [x, bottom + 15.0], &text);
     }
     for (at, text) in axis(&map.y, h * 1.6) {
         svg.text("s", Anchor::End, [LEFT - 7.0, bottom - h * at + 4.0], &cut(&text, 8));
@@ -160,15 +160,21 @@ fn ticks(svg: &mut Svg, map: &PairMap, w: f64, h: f64, bottom: f64) {
     svg.text_up("a", [11.0, 0.5 * (TOP + bottom)], &name_with_unit(&map.y.parameter));
 }
 
+/// The mark of a sure zone, in a cell's upper right corner.
+fn known(svg: &mut Svg, [x, y]: [f64; 2]) {
+    svg.polygon("known", &[[x - 8.0, y], [x, y], [x, y + 8.0]]);
+}
+
 fn legend(svg: &mut Svg, y: f64, curve: bool) {
     let w = 15.0;
     svg.text("s", Anchor::Start, [LEFT, y + 10.0], "0 %");
-    let from = LEFT + 28.0;
+    let from = LEFT + 34.0;
     for step in 0..STEPS {
         svg.rect(&format!("r{step}"), [from + w * step as f64, y, w, 12.0]);
     }
     svg.text("s", Anchor::Start, [from + w * STEPS as f64 + 7.0, y + 10.0], "100 % success");
-    svg.rect("known", [LEFT + 1.0, y + 22.0, 20.0, 11.0]);
+    svg.rect("r5", [LEFT, y + 21.0, 22.0, 12.0]);
+    known(svg, [LEFT + 22.0, y + 21.0]);
     svg.text("s", Anchor::Start, [LEFT + 29.0, y + 31.0], "the cell's zone (safe, boundary, danger) is sure");
     if curve {
         svg.rect("band", [LEFT, y + 42.0, 22.0, 12.0]);

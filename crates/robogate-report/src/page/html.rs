@@ -133,8 +133,9 @@ fn list(out: &mut String, class: &str, lines: &[String]) {
 fn figure(out: &mut String, figure: &Figure, class: &str) {
     let _ = write!(
         out,
-        "<figure class=\"{class}\">\n<h3>{}</h3>\n<div class=\"pane\"><div class=\"draw\">{}</div>",
+        "<figure class=\"{class}\">\n<h3>{}</h3>\n<div class=\"pane\"><div class=\"draw{}\">{}</div>",
         escape(&figure.title),
+        if figure.is_map { " map" } else { "" },
         figure.svg
     );
     out.push_str("<figcaption>");

@@ -2,11 +2,13 @@
 
 use std::fmt::Write;
 
-/// Text with everything that HTML or XML would read as markup escaped.
+/// Text with everything that HTML or XML would read as markup escaped; a percent sign stays with its number.
 pub(crate) fn escape(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
-    for letter in text.chars() {
+    let mut letters = text.chars().peekable();
+    while let Some(letter) = letters.next() {
         match letter {
+            ' ' if letters.peek() == Some(&'%') => safe.push('\u{a0}'),
             '&' => safe.push_str("&amp;"),
             '<' => safe.push_str("&lt;"),
             '>' => safe.push_str("&gt;"),

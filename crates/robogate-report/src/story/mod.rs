@@ -62,6 +62,8 @@ pub(crate) enum Block {
 pub(crate) struct Figure {
     pub(crate) title: String,
     pub(crate) svg: String,
+    /// Whether it is a map of cells, whose letters grow on a phone.
+    pub(crate) is_map: bool,
     pub(crate) caption: String,
     /// What to read from it, beside it where there is room.
     pub(crate) reading: Vec<String>,
@@ -101,6 +103,20 @@ impl Table {
     pub(crate) fn new(title: impl Into<String>, columns: &[(&str, Kind)], rows: Vec<Vec<String>>) -> Self {
         let columns = columns.iter().map(|(head, kind)| Column { head: (*head).to_owned(), kind: *kind }).collect();
         Self { title: title.into(), columns, rows, remark: None }
+    }
+
+    /// Without columns that hold nothing but dashes.
+    pub(crate) fn without_empty(mut self) -> Self {
+        let empty =
+            |at: usize| !self.rows.is_empty() && self.rows.iter().all(|row| row.get(at).is_some_and(|c| c == "-"));
+        let keep: Vec<bool> = (0..self.columns.len()).map(|at| !empty(at)).collect();
+        let mut at = keep.iter();
+        self.columns.retain(|_| at.next().is_none_or(|k| *k));
+        for row in &mut self.rows {
+            let mut at = keep.iter();
+            row.retain(|_| at.next().is_none_or(|k| *k));
+        }
+        self
     }
 
     /// At most so many rows; a line under the table says what is left out.

@@ -98,6 +98,7 @@ fn one_envelope(blocks: &mut Vec<Block>, envelope: &Envelope, at: usize) {
             blocks.push(Block::Figure(Figure {
                 title: format!("{} \u{d7} {}", sentence(&y), x),
                 svg: heatmap(map, frontier, &format!("clip{at}")),
+                is_map: true,
                 caption: "Observed success in percent, and below it the number of episodes. Cells are even in each \
                           parameter's own scale."
                     .to_owned(),
@@ -184,6 +185,7 @@ fn thresholds(analysis: &Analysis) -> Section {
     let figures = ranked.into_iter().take(MOST_FIGURES).map(|along| Figure {
         title: sentence(&along.label),
         svg: charts::along(along),
+        is_map: false,
         caption: caption(along),
         reading: Vec::new(),
         table: tables::cells(along),
@@ -240,6 +242,7 @@ fn failures(analysis: &Analysis) -> Section {
         blocks.push(Block::Figure(Figure {
             title: format!("{} by mode", counted(modes.failures, "failure")),
             svg: charts::modes(modes),
+            is_map: false,
             caption: "Shares of all failures, with intervals that hold for all modes together.".to_owned(),
             reading: vec![reading],
             table: tables::failure_modes(modes),
@@ -269,6 +272,7 @@ fn failures(analysis: &Analysis) -> Section {
                 Some(Figure {
                     title: format!("Modes along {}", a.label),
                     svg: charts::mode_changes(&a.parameter, changes, modes),
+                    is_map: false,
                     caption:
                         "Shares of the failures in bins of about equal numbers of failures. A point below a bin: its \
                               dominant mode is surely ahead."
@@ -299,6 +303,21 @@ fn changes_along(along: &Along) -> Vec<String> {
 fn danger(analysis: &Analysis) -> Section {
     let zones = &analysis.danger_zones;
     let sure = zones.zones.iter().filter(|z| z.sure).count();
+    let mut reading = vec![format!(
+        "{} of {} bins and levels are surely below 40 % success, the limit of the paper's danger zones (exact one-sided \
+         tests, adjusted by Holm over all of them).",
+        sure,
+        count(zones.looked_at)
+    )];
+    if zones.zones.len() > sure {
+        reading.push(format!("{} more were observed below it without being sure.", zones.zones.len() - sure));
+    }
+    if analysis.success.rate.rate.is_some_and(|rate| rate < zones.limit) {
+        reading.push(
+            "The overall rate is itself below the limit, so that most bins are too: what stands out is far below the others."
+                .to_owned(),
+        );
+    }
     let blocks = if zones.zones.is_empty() {
         vec![Block::Text(format!(
             "Of {} bins and levels none was observed below 40 % success.",
@@ -308,24 +327,10 @@ fn danger(analysis: &Analysis) -> Section {
         vec![Block::Figure(Figure {
             title: "Surest first".to_owned(),
             svg: charts::danger(zones, 14),
+            is_map: false,
             caption: "Observed success with Wilson intervals; the line is at 40 %. Filled: a sure danger zone."
                 .to_owned(),
-            reading: vec![
-                format!(
-                    "{} of {} bins and levels are surely below 40 % success, the limit of the paper's danger zones (exact \
-                     one-sided tests, adjusted by Holm over all of them).",
-                    sure,
-                    count(zones.looked_at)
-                ),
-                format!("{} more were observed below it without being sure.", zones.zones.len() - sure),
-                if analysis.success.rate.rate.is_some_and(|rate| rate < zones.limit) {
-                    "The overall rate is itself below the limit, so that most bins are too: what stands out is far below \
-                     the others."
-                        .to_owned()
-                } else {
-                    "The overall rate is above the limit.".to_owned()
-                },
-            ],
+            reading,
             table: tables::danger(zones),
         })]
     };
@@ -352,6 +357,7 @@ fn risk(analysis: &Analysis) -> Section {
             blocks.push(Block::Figure(Figure {
                 title: "What raises the chance of failure".to_owned(),
                 svg: charts::coefficients(&risk.regression),
+                is_map: false,
                 caption: "Change of the log-odds of failure per standard deviation, with 95 % intervals.".to_owned(),
                 reading,
                 table: tables::regression("Coefficients of the risk model", &risk.regression),
@@ -362,6 +368,7 @@ fn risk(analysis: &Analysis) -> Section {
                 Finding::Estimated(roc) => figures.push(Figure {
                     title: "Telling failures apart".to_owned(),
                     svg: charts::roc(roc),
+                    is_map: false,
                     caption: "ROC; unseen: five folds, each scored by a model of the other four.".to_owned(),
                     reading: Vec::new(),
                     table: tables::roc(roc),
@@ -377,6 +384,7 @@ fn risk(analysis: &Analysis) -> Section {
                 figures.push(Figure {
                     title: "Do its probabilities come true?".to_owned(),
                     svg: charts::reliability(found),
+                    is_map: false,
                     caption: format!(
                         "Stated against observed failure rates, ten bins, {which}. On the line it is right."
                     ),
@@ -414,6 +422,7 @@ fn interactions(analysis: &Analysis) -> Section {
             let mut blocks = vec![Block::Figure(Figure {
                 title: "What raises the chance of success".to_owned(),
                 svg: charts::coefficients(regression),
+                is_map: false,
                 caption: "Change of the log-odds of success per standard deviation, with 95 % intervals.".to_owned(),
                 reading: vec![
                     "Six main effects and three products of standardised columns; with the intercept they are the paper's \

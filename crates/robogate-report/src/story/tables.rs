@@ -219,16 +219,17 @@ pub(crate) fn thresholds(along: &[Along]) -> Table {
                     format!("crosses more than once: {}", between.join("; ")),
                 )
             }
-            Finding::Estimated(CriticalThreshold::DoesNotCross { stays_above, crossing_share }) => (
-                "-".to_owned(),
-                "-".to_owned(),
-                "-".to_owned(),
-                format!(
-                    "does not cross: stays {} 50 %; {} of replicates cross",
-                    if *stays_above { "above" } else { "below" },
-                    percent(*crossing_share)
-                ),
-            ),
+            Finding::Estimated(CriticalThreshold::DoesNotCross { stays_above, crossing_share }) => {
+                ("-".to_owned(), "-".to_owned(), "-".to_owned(), {
+                    let side = if *stays_above { "above" } else { "below" };
+                    if *crossing_share > 0.05 {
+                        let share = percent(*crossing_share);
+                        format!("stays {side} 50 % as observed, yet {share} of replicates cross: unsure")
+                    } else {
+                        format!("does not cross: stays {side} 50 %")
+                    }
+                })
+            }
             Finding::CannotBeEstimated { because } => {
                 ("-".to_owned(), "-".to_owned(), "-".to_owned(), format!("cannot be estimated because {because}"))
             }
@@ -242,19 +243,21 @@ pub(crate) fn thresholds(along: &[Along]) -> Table {
             ),
             _ => ("-".to_owned(), "-".to_owned(), "-".to_owned()),
         };
-        vec![a.label.clone(), at, ci, se, r, spearman, p, what]
+        vec![a.label.clone(), what, at, ci, se, r, spearman, p]
     });
     let columns = [
-        ("parameter", Text),
+        ("parameter", Short),
+        ("what was found", Text),
         ("50 % at", Number),
         ("95 %", Number),
         ("se", Number),
         ("correlation", Number),
         ("rank", Number),
         ("p", Number),
-        ("what was found", Text),
     ];
-    Table::new("Critical thresholds and correlations with success", &columns, rows.collect()).at_most(MOST)
+    Table::new("Critical thresholds and correlations with success", &columns, rows.collect())
+        .at_most(MOST)
+        .without_empty()
 }
 
 pub(crate) fn categories(along: &[Along]) -> Option<Table> {

@@ -1,0 +1,144 @@
+//! Too little data: never a panic, never a number that means nothing, always a reason.
+
+use robogate_core::{FailureMode, Fault, FaultKind, Outcome};
+use robogate_dictionary::Entry;
+use robogate_report::{Analysis, Source, html, markdown};
+
+use crate::synthetic::{analysed, entry, hold, law, outcome, point, space};
+
+/// Everything that can be written of it; panics are what is looked for.
+fn told(entries: Vec<Entry>) -> (Analysis, String, String) {
+    let analysis = analysed(&space(&["box", "sphere"]), entries);
+    let (page, text) = (html(&analysis), markdown(&analysis));
+    let json = analysis.to_json();
+    let again: Analysis = serde_json::from_str(&json).unwrap();
+    assert_eq!(again, analysis);
+    let (shown, _) = page.split_once("<script>").unwrap();
+    assert!(!text.contains("NaN") && !shown.contains("NaN") && !text.contains("inf "));
+    (analysis, page, text)
+}
+
+fn fixed(n: u64, outcome_of: impl Fn(u64) -> Outcome) -> Vec<Entry> {
+    let space = space(&["box", "sphere"]);
+    (0..n).map(|i| entry(i, point(&space, i), outcome_of(i))).collect()
+}
+
+#[test]
+fn an_empty_dictionary_says_nothing_about_the_policy() {
+    let (analysis, _, text) = told(Vec::new());
+    assert_eq!(analysis.success.rate.rate, None);
+    assert!((analysis.success.rate.wilson_95[1] - 1.0).abs() < 1e-12);
+    assert!(text.contains("nothing can be said about this policy"));
+    assert!(analysis.risk.because().unwrap().contains("no valid episode"));
+}
+
+#[test]
+fn only_invalid_episodes_are_no_zero() {
+    let (analysis, _, text) = told(fixed(30, |_| Outcome::Invalid(Fault::new(FaultKind::Unavailable, "gone"))));
+    assert_eq!(analysis.success.rate.rate, None);
+    assert_eq!(analysis.success.bounds.invalid, 30);
+    assert_eq!(analysis.success.bounds.worst_case, Some(0.0));
+    assert_eq!(analysis.success.bounds.best_case, Some(1.0));
+    assert!(text.contains("30 unavailable"));
+}
+
+#[test]
+fn one_row_and_three_rows_are_too_few_and_say_so() {
+    for n in [1, 3] {
+        let (analysis, ..) =
+            told(fixed(n, |i| if i == 0 { Outcome::Success } else { Outcome::Failure(FailureMode::Timeout) }));
+        assert_eq!(analysis.success.rate.n, n);
+        assert!(analysis.along[0].threshold.because().unwrap().contains("too few"));
+        let risk = analysis.risk.estimated();
+        // Three rows are separated by anything; what is said then is Firth's and says so.
+        assert!(risk.is_none_or(|risk| !risk.regression.cautions.is_empty()));
+        assert!(risk.is_none_or(|risk| risk.calibration_cross_validated.because().is_some()));
+    }
+}
+
+#[test]
+fn one_class_only_has_no_model_and_no_threshold() {
+    let (all, _, text) = told(fixed(200, |_| Outcome::Success));
+    assert!(all.risk.because().unwrap().contains("same outcome"));
+    assert!(all.envelopes[0].frontier.because().unwrap().contains("same outcome"));
+    assert!(all.along[0].correlation.because().unwrap().contains("every episode succeeded"));
+    assert!(text.contains("No failure was seen; that bounds the failure rate"));
+    assert!(all.success.rate.wilson_95[0] < 1.0);
+    let (none, ..) = told(fixed(200, |_| Outcome::Failure(FailureMode::GraspMiss)));
+    assert!(none.along[0].correlation.because().unwrap().contains("every episode failed"));
+    assert_eq!(none.failure_modes.dominant.estimated().unwrap(), "grasp_miss");
+}
+
+#[test]
+fn a_constant_parameter_is_named() {
+    let space = space(&["box", "sphere"]);
+    let entries = (0..400).map(|i| {
+        let mut requested = point(&space, i);
+        hold(&mut requested, &space, "mass_kg", 0.5);
+        let went = outcome(i, &requested);
+        entry(i, requested, went)
+    });
+    let (analysis, _, text) = told(entries.collect());
+    assert!(analysis.along[1].correlation.because().unwrap().contains("mass has the same value"));
+    assert!(analysis.envelopes[0].frontier.because().is_some());
+    let risk = analysis.risk.estimated().unwrap();
+    let mass = risk.regression.terms.iter().find(|t| t.term == "mass").unwrap();
+    assert!(mass.found.because().unwrap().contains("same value in every row"));
+    assert!(text.contains("left out: it has the same value in every row"));
+}
+
+#[test]
+fn separation_is_named_in_words() {
+    let space = space(&["box", "sphere"]);
+    let entries = (0..300).map(|i| {
+        let requested = point(&space, i);
+        let heavy = requested.number("mass_kg").unwrap() > 1.0;
+        let went = if heavy { Outcome::Failure(FailureMode::GripLoss) } else { Outcome::Success };
+        entry(i, requested, went)
+    });
+    let (analysis, _, text) = told(entries.collect());
+    let risk = analysis.risk.estimated().unwrap();
+    assert_eq!(risk.regression.estimator, "firth");
+    assert!(risk.regression.cautions[0].contains("Complete separation"), "{:?}", risk.regression.cautions);
+    assert!(text.contains("Firth"));
+}
+
+#[test]
+fn a_model_that_needs_a_missing_column_says_which() {
+    let analysis = analysed(&space(&["box"]), law(&space(&["box"]), 300));
+    let because = analysis.interactions.because().unwrap();
+    assert!(because.contains("COM offset") && because.contains("IK noise"), "{because}");
+}
+
+#[test]
+fn what_is_no_dictionary_is_refused_with_a_hint() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &str| {
+        let path = dir.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    };
+    for path in [
+        file("empty", ""),
+        file("words.txt", "hello"),
+        file("half.parquet", "PAR1 and no more"),
+        file("half.json", "{\"experiments\": ["),
+        dir.path().join("not-there"),
+        dir.path().to_owned(),
+    ] {
+        let error = Source::open(&path).unwrap_err().to_string();
+        assert!(!error.is_empty(), "{path:?}");
+    }
+}
+
+#[test]
+fn a_pair_that_is_not_there_is_refused_with_the_names_there_are() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("d.parquet");
+    crate::synthetic::write(&path, &space(&["box"]), law(&space(&["box"]), 50));
+    let source = Source::open(&path).unwrap();
+    let pair = |a: &str, b: &str| Analysis::of(&source, &path, &[(a.to_owned(), b.to_owned())]);
+    assert!(pair("friction", "colour").unwrap_err().to_string().contains("mass_kg"));
+    assert!(pair("friction", "friction").is_err());
+    assert!(pair("shape", "obstacles").unwrap().envelopes[0].frontier.because().unwrap().contains("category"));
+}

@@ -1,0 +1,9 @@
+//! Claims about analyses and reports, from the outside.
+
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests are tests too")]
+
+mod anchors;
+mod degenerate;
+mod pages;
+mod populations;
+mod synthetic;
