@@ -250,12 +250,12 @@ fn cells(base: &Sample, parameter: &ParameterColumn) -> (Vec<Cell>, u64) {
     };
     match &parameter.kind {
         ParameterKind::Continuous { low, high, .. } => even_edges(*low, *high, BINS).map_or((Vec::new(), 0), binned),
-        ParameterKind::Integer { low, high } if high - low >= MOST_LEVELS => {
-            even_edges(*low as f64 - 0.5, *high as f64 + 0.5, BINS).map_or((Vec::new(), 0), binned)
-        }
         ParameterKind::Integer { low, high } => {
-            let edges = Edges::new((*low..=high + 1).map(|level| level as f64 - 0.5).collect());
-            let (mut cells, outside): (Vec<Cell>, u64) = edges.map_or((Vec::new(), 0), binned);
+            let Some(edges) = level_edges(*low, *high) else {
+                let edges = even_edges(*low as f64 - 0.5, *high as f64 + 0.5, BINS);
+                return edges.map_or((Vec::new(), 0), binned);
+            };
+            let (mut cells, outside): (Vec<Cell>, u64) = binned(edges);
             for (cell, level) in cells.iter_mut().zip(*low..) {
                 cell.label = level.to_string();
                 cell.range = None;
@@ -274,6 +274,15 @@ fn cells(base: &Sample, parameter: &ParameterColumn) -> (Vec<Cell>, u64) {
             (cells.map(cell).collect(), 0)
         }
     }
+}
+
+/// One bin for each whole number; `None` where there are too many, or so large ones that halves are lost.
+fn level_edges(low: i64, high: i64) -> Option<Edges> {
+    let exact = low.unsigned_abs().max(high.unsigned_abs()) < 1 << 50;
+    if !exact || high - low >= MOST_LEVELS {
+        return None;
+    }
+    Edges::new((low..=high + 1).map(|level| level as f64 - 0.5).collect()).ok()
 }
 
 /// Bins of equal width over a range.
@@ -341,12 +350,11 @@ fn critical(base: &Sample, parameter: &ParameterColumn) -> Finding<CriticalThres
     }
     // At least fifty rows to a bin, and never more bins than say something.
     let bins = (base.len() / 50).clamp(4, 20);
-    let edges = match &parameter.kind {
-        ParameterKind::Integer { low, high } if high - low < MOST_LEVELS => {
-            Edges::new((*low..=high + 1).map(|level| level as f64 - 0.5).collect())
-        }
-        _ => Edges::equal_count(&parameter.values, bins),
+    let by_level = match &parameter.kind {
+        ParameterKind::Integer { low, high } => level_edges(*low, *high),
+        _ => None,
     };
+    let edges = by_level.map_or_else(|| Edges::equal_count(&parameter.values, bins), Ok);
     let Ok(edges) = edges else {
         return Finding::not(why_no_contrast(base, parameter));
     };
@@ -381,12 +389,11 @@ fn mode_changes(rows: &Rows, base: &Sample, parameter: &ParameterColumn) -> Find
         return Finding::not(format!("{} failed", words::counted(failed.len() as u64, "episode")));
     }
     let values: Vec<f64> = failed.iter().map(|i| parameter.values[*i]).collect();
-    let edges = match &parameter.kind {
-        ParameterKind::Integer { low, high } if high - low < MOST_LEVELS => {
-            Edges::new((*low..=high + 1).map(|level| level as f64 - 0.5).collect())
-        }
-        _ => Edges::equal_count(&values, (failed.len() / 30).clamp(2, BINS)),
+    let by_level = match &parameter.kind {
+        ParameterKind::Integer { low, high } => level_edges(*low, *high),
+        _ => None,
     };
+    let edges = by_level.map_or_else(|| Edges::equal_count(&values, (failed.len() / 30).clamp(2, BINS)), Ok);
     let found =
         edges.and_then(|edges| modes::transitions(&values, &modes_of, FailureMode::ALL.len(), &edges, Confidence::P95));
     match found {

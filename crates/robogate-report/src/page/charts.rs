@@ -142,7 +142,7 @@ fn rate_axis(svg: &mut Svg, y: Scale, left: f64, right: f64) {
 /// Shares of the failure modes.
 pub(crate) fn modes(modes: &FailureModes) -> String {
     let mut svg = Svg::new(520.0, 4.0 + 34.0 * modes.modes.len() as f64);
-    let x = Scale::linear([0.0, 1.0], [92.0, 410.0]);
+    let x = Scale::linear([0.0, 1.0], [92.0, 376.0]);
     for (i, share) in modes.modes.iter().enumerate() {
         let y = 6.0 + 34.0 * i as f64;
         svg.text("b", Anchor::End, [84.0, y + 17.0], &mode(&share.mode));
@@ -151,7 +151,7 @@ pub(crate) fn modes(modes: &FailureModes) -> String {
         svg.rect(&format!("m{i}"), [x.at(0.0), y + 4.0, x.at(part) - x.at(0.0), 17.0]);
         let [l, h] = share.interval_95;
         svg.line("whisker", [x.at(l), y + 12.5, x.at(h), y + 12.5]);
-        svg.text("b", Anchor::Start, [418.0, y + 17.0], &percent(part));
+        svg.text("b", Anchor::Start, [384.0, y + 17.0], &percent(part));
         svg.text("s d", Anchor::End, [516.0, y + 17.0], &count(share.failures));
     }
     svg.finish("Failures by mode, with intervals that hold together")

@@ -78,7 +78,7 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> S
         });
     }
     ticks(&mut svg, map, w, h, bottom);
-    legend(&mut svg, bottom + 56.0, curve);
+    legend(&mut svg, bottom + 56.0, drawn_frontier(map, frontier));
     svg.finish(&format!(
         "Success rate by {} and {}: {} cells",
         name_with_unit(&map.y.parameter),
@@ -133,7 +133,7 @@ fn draw_frontier(svg: &mut Svg, frontier: &Frontier, across: Scale, up: Scale) {
         let curve: Vec<[f64; 2]> = piece.iter().map(|(p, _)| [across.at(p.y), up.at(p.x)]).collect();
         svg.polygon("band", &upper.chain(lower).collect::<Vec<_>>());
         svg.polyline("halo", &curve);
-        svg.polyline("curve", &curve);
+        svg.polyline(if frontier.contradicted { "curve wrong" } else { "curve" }, &curve);
     }
 }
 
@@ -165,7 +165,7 @@ fn known(svg: &mut Svg, [x, y]: [f64; 2]) {
     svg.polygon("known", &[[x - 8.0, y], [x, y], [x, y + 8.0]]);
 }
 
-fn legend(svg: &mut Svg, y: f64, curve: bool) {
+fn legend(svg: &mut Svg, y: f64, frontier: Option<&Frontier>) {
     let w = 15.0;
     svg.text("s", Anchor::Start, [LEFT, y + 10.0], "0 %");
     let from = LEFT + 34.0;
@@ -176,9 +176,14 @@ fn legend(svg: &mut Svg, y: f64, curve: bool) {
     svg.rect("r5", [LEFT, y + 21.0, 22.0, 12.0]);
     known(svg, [LEFT + 22.0, y + 21.0]);
     svg.text("s", Anchor::Start, [LEFT + 29.0, y + 31.0], "the cell's zone (safe, boundary, danger) is sure");
-    if curve {
+    if let Some(frontier) = frontier {
+        let (class, text) = if frontier.contradicted {
+            ("curve wrong", "50 % frontier of the model; what was observed contradicts it")
+        } else {
+            ("curve", "50 % frontier of the model, exact 95 % band")
+        };
         svg.rect("band", [LEFT, y + 42.0, 22.0, 12.0]);
-        svg.line("curve", [LEFT, y + 48.0, LEFT + 22.0, y + 48.0]);
-        svg.text("s", Anchor::Start, [LEFT + 29.0, y + 52.0], "50 % frontier of the model, exact 95 % band");
+        svg.line(class, [LEFT, y + 48.0, LEFT + 22.0, y + 48.0]);
+        svg.text("s", Anchor::Start, [LEFT + 29.0, y + 52.0], text);
     }
 }

@@ -215,9 +215,11 @@ fn caption(along: &Along) -> String {
         Finding::Estimated(CriticalThreshold::CrossesMoreThanOnce { .. }) => {
             "Success crosses 50 % more than once: no single threshold exists.".to_owned()
         }
-        Finding::Estimated(CriticalThreshold::DoesNotCross { stays_above, .. }) => {
-            format!("Success stays {} 50 %.", if *stays_above { "above" } else { "below" })
-        }
+        Finding::Estimated(CriticalThreshold::DoesNotCross { stays_above, crossing_share }) => format!(
+            "Success stays {} 50 %{}.",
+            if *stays_above { "above" } else { "below" },
+            if *crossing_share > 0.05 { " as observed, though not surely" } else { "" }
+        ),
         Finding::CannotBeEstimated { because } => match along.kind {
             crate::AlongKind::Categorical => match along.correlation.estimated() {
                 Some(found) => format!("Cramer's V {}.", fixed(found.strength(), 3)),

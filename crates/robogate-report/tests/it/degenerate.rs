@@ -142,3 +142,31 @@ fn a_pair_that_is_not_there_is_refused_with_the_names_there_are() {
     assert!(pair("friction", "friction").is_err());
     assert!(pair("shape", "obstacles").unwrap().envelopes[0].frontier.because().unwrap().contains("category"));
 }
+
+#[test]
+fn whole_numbers_at_the_end_of_what_there_is_do_no_harm() {
+    let text = format!(
+        "name = \"far\"\n[[parameter]]\nname = \"n\"\nkind = \"integer\"\nlow = {}\nhigh = {}\n\
+         [[parameter]]\nname = \"m\"\nkind = \"integer\"\nlow = {}\nhigh = {}\n\
+         [[parameter]]\nname = \"x\"\nkind = \"continuous\"\nlow = -1e300\nhigh = 1e300\n",
+        i64::MAX - 3,
+        i64::MAX,
+        i64::MIN,
+        i64::MIN + 2
+    );
+    let space = robogate_core::ParameterSpace::from_toml(&text).unwrap();
+    let set = |i: u64| {
+        let mut requested = robogate_core::Assignment::default();
+        requested.set("n", robogate_core::Value::Integer(i64::MAX - (i % 4) as i64));
+        requested.set("m", robogate_core::Value::Integer(i64::MIN + (i % 3) as i64));
+        requested.set("x", robogate_core::Value::Number(if i % 2 == 0 { 1e300 } else { -1e299 }));
+        requested
+    };
+    let entries = (0..100).map(|i| {
+        let went = if i % 5 < 2 { Outcome::Success } else { Outcome::Failure(FailureMode::Timeout) };
+        entry(i, set(i), went)
+    });
+    let analysis = analysed(&space, entries.collect());
+    assert!(html(&analysis).contains("</html>"));
+    assert_eq!(analysis.success.rate.successes, 40);
+}

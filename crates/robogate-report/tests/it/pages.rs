@@ -112,14 +112,23 @@ fn markup_in_the_data_stays_text() {
 fn the_markdown_of_a_small_dictionary_is_the_committed_one() {
     let space = space(&["box", "sphere"]);
     let text = markdown(&analysed(&space, law(&space, 240)));
-    let golden = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/small.md");
+    is_the_committed("tests/golden/small.md", &text);
+}
+
+#[test]
+fn the_schema_is_the_committed_one() {
+    is_the_committed("tests/golden/analysis.schema.json", &(Analysis::schema() + "\n"));
+}
+
+fn is_the_committed(file: &str, text: &str) {
+    let golden = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(file);
     if std::env::var_os("ROBOGATE_UPDATE_GOLDEN").is_some() {
-        std::fs::write(&golden, &text).unwrap();
+        std::fs::write(&golden, text).unwrap();
     }
     let committed = std::fs::read_to_string(&golden).unwrap();
     // Line by line, so that a difference is seen where it is.
     for (i, (found, expected)) in text.lines().zip(committed.lines()).enumerate() {
-        assert_eq!(found, expected, "line {}; ROBOGATE_UPDATE_GOLDEN=1 writes it anew", i + 1);
+        assert_eq!(found, expected, "{file}, line {}; ROBOGATE_UPDATE_GOLDEN=1 writes it anew", i + 1);
     }
     assert_eq!(text.lines().count(), committed.lines().count());
 }

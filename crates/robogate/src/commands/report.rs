@@ -18,7 +18,7 @@ pub(crate) struct Report {
     /// The form
     #[arg(long, value_name = "FORMAT", default_value = "html")]
     format: Form,
-    /// The file to write; default: report.html (or .md, .json) in the run's folder, beside no folder in this one; - for stdout
+    /// The file to write, - for stdout; default: report.html, .md or .json in the run's folder, of a file here
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Two more parameters to map against each other; the first is drawn upwards
