@@ -96,9 +96,11 @@ impl Analysis {
             pairs::check(&base, first, second)?;
         }
         let along: Vec<Along> = base.parameters.iter().map(|parameter| along(&rows, &base, parameter)).collect();
-        let mut wanted: Vec<(String, String)> = named.to_vec();
-        if let Some(usual) = default_pair(&base, &along).filter(|usual| !wanted.contains(usual)) {
-            wanted.push(usual);
+        let mut wanted: Vec<(String, String)> = default_pair(&base, &along).into_iter().collect();
+        for pair in named {
+            if !wanted.contains(pair) {
+                wanted.push(pair.clone());
+            }
         }
         let envelopes = wanted.iter().filter_map(|(up, across)| envelope(&base, up, across)).collect();
         let (risk, scored) = match risk(&base) {

@@ -24,7 +24,8 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> S
     let h = (400.0 / ny as f64).clamp(22.0, 56.0);
     let bottom = TOP + h * ny as f64;
     let curve = drawn_frontier(map, frontier).is_some();
-    let mut svg = Svg::new(WIDTH, bottom + if curve { 112.0 } else { 92.0 });
+    let drop = drop(&map.x, w);
+    let mut svg = Svg::new(WIDTH, bottom + drop + if curve { 112.0 } else { 92.0 });
     for (i, cell) in map.cells.iter().enumerate() {
         let (row, column) = (i / nx, i % nx);
         let place = [LEFT + w * column as f64 + 0.75, bottom - h * (row + 1) as f64 + 0.75, w - 1.5, h - 1.5];
@@ -77,8 +78,8 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> S
             draw_frontier(svg, frontier, across, up)
         });
     }
-    ticks(&mut svg, map, w, h, bottom);
-    legend(&mut svg, bottom + 56.0, drawn_frontier(map, frontier));
+    ticks(&mut svg, map, [w, h], bottom, drop);
+    legend(&mut svg, bottom + drop + 56.0, drawn_frontier(map, frontier));
     svg.finish(&format!(
         "Success rate by {} and {}: {} cells",
         name_with_unit(&map.y.parameter),
@@ -137,7 +138,16 @@ fn draw_frontier(svg: &mut Svg, frontier: &Frontier, across: Scale, up: Scale) {
     }
 }
 
-fn ticks(svg: &mut Svg, map: &PairMap, w: f64, h: f64, bottom: f64) {
+/// Most letters of a level along the lower side.
+const LETTERS: usize = 16;
+
+/// How much room the words along the lower side need when they stand upright, which they do where they are too long.
+fn drop(axis: &Axis, room: f64) -> f64 {
+    let longest = axis.levels.iter().map(|level| level.chars().count().min(LETTERS)).max().unwrap_or(0) as f64;
+    if 7.0 * longest > room { 7.0 * longest - 4.0 } else { 0.0 }
+}
+
+fn ticks(svg: &mut Svg, map: &PairMap, [w, h]: [f64; 2], bottom: f64, drop: f64) {
     let axis = |axis: &Axis, room: f64| -> Vec<(f64, String)> {
         if axis.levels.is_empty() {
             let every = (34.0 / room).ceil().max(1.0) as usize;
@@ -149,14 +159,26 @@ fn ticks(svg: &mut Svg, map: &PairMap, w: f64, h: f64, bottom: f64) {
             all.map(|(i, level)| (i as f64 + 0.5, cut(level, (room / 5.5).max(3.0) as usize))).collect()
         }
     };
-    for (i, (at, text)) in axis(&map.x, w).into_iter().enumerate() {
+    if drop > 0.0 {
+        for (i, level) in map.x.levels.iter().enumerate() {
+            let x = LEFT + w * (i as f64 + 0.5) + 4.0;
+            svg.text_up_to("s", [x, bottom + 6.0], &cut(level, LETTERS));
+        }
+    }
+    let across = if drop > 0.0 { Vec::new() } else { axis(&map.x, w) };
+    for (i, (at, text)) in across.into_iter().enumerate() {
         let x = LEFT + w * at;
         svg.text(if i % 2 == 1 { "s odd" } else { "s" }, Anchor::Middle, [x, bottom + 15.0], &text);
     }
     for (at, text) in axis(&map.y, h * 1.6) {
         svg.text("s", Anchor::End, [LEFT - 7.0, bottom - h * at + 4.0], &cut(&text, 8));
     }
-    svg.text("a", Anchor::Middle, [0.5 * (LEFT + WIDTH - RIGHT), bottom + 33.0], &name_with_unit(&map.x.parameter));
+    svg.text(
+        "a",
+        Anchor::Middle,
+        [0.5 * (LEFT + WIDTH - RIGHT), bottom + drop + 33.0],
+        &name_with_unit(&map.x.parameter),
+    );
     svg.text_up("a", [11.0, 0.5 * (TOP + bottom)], &name_with_unit(&map.y.parameter));
 }
 

@@ -114,7 +114,17 @@ impl Svg {
             write!(self.body, "<text class=\"{class}\" x=\"{}\" y=\"{}\"{anchor}>{}</text>", c(x), c(y), escape(text));
     }
 
-    /// A text that reads upwards.
+    /// A text that reads upwards and ends at its point.
+    pub(crate) fn text_up_to(&mut self, class: &str, [x, y]: [f64; 2], text: &str) {
+        let (x, y) = (c(x), c(y));
+        let _ = write!(
+            self.body,
+            "<text class=\"{class}\" text-anchor=\"end\" transform=\"translate({x} {y}) rotate(-90)\">{}</text>",
+            escape(text)
+        );
+    }
+
+    /// A text that reads upwards, its middle at its point.
     pub(crate) fn text_up(&mut self, class: &str, [x, y]: [f64; 2], text: &str) {
         let (x, y) = (c(x), c(y));
         let _ = write!(
