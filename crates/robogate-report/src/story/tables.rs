@@ -403,6 +403,16 @@ fn with_unit_head(parameter: &str) -> String {
     crate::words::name_with_unit(parameter)
 }
 
+/// A path as a shell takes it for one word.
+fn quoted(path: &str) -> String {
+    let plain = |c: char| c.is_alphanumeric() || matches!(c, '/' | '\\' | ':' | '.' | '_' | '-');
+    if !path.is_empty() && path.chars().all(plain) {
+        path.to_owned()
+    } else {
+        format!("'{}'", path.replace('\'', "'\\''"))
+    }
+}
+
 pub(crate) fn replays(group: &ReplayGroup, command: Option<&str>) -> Table {
     let rows = group.episodes.iter().map(|episode| {
         let parameters: Vec<String> = episode
@@ -413,7 +423,7 @@ pub(crate) fn replays(group: &ReplayGroup, command: Option<&str>) -> Table {
             .collect();
         vec![
             match command {
-                Some(folder) => format!("robogate replay {folder} {}", episode.index),
+                Some(folder) => format!("robogate replay {} {}", quoted(folder), episode.index),
                 None => episode.index.to_string(),
             },
             episode.outcome.replace('_', " "),
