@@ -28,6 +28,13 @@ impl AtomicFile {
         if path.is_dir() {
             return Err(DictionaryError::io(path, "create")(io::ErrorKind::IsADirectory.into()));
         }
+        // A device or a pipe would be replaced by a file of its name.
+        if fs::metadata(path).is_ok_and(|there| !there.is_file()) {
+            return Err(DictionaryError::io(path, "create")(io::Error::new(
+                io::ErrorKind::InvalidInput,
+                "there is something that is no file",
+            )));
+        }
         let mut partial = std::ffi::OsString::from(".");
         partial.push(name);
         partial.push(".part");

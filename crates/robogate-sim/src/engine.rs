@@ -58,7 +58,7 @@ pub trait Engine {
     /// The name of a robot body, by the number that [`Touches`] gives.
     fn robot_body(&self, body: usize) -> String;
 
-    /// The bits of the full dynamic state.
+    /// The bits of every position and velocity.
     fn state_bits(&self, sink: &mut dyn FnMut(u64));
 }
 

@@ -89,6 +89,13 @@ impl MujocoEngine {
     pub fn new(robot: Robot, time_step: f64) -> Result<Self, RobotError> {
         let mut base = parse(&robot)?;
         let invalid = |why: String| RobotError::Invalid { path: model_path(&robot), why };
+        // The cell's physics is the cell's: a robot's file says nothing about it.
+        *base.option_mut() = MjSpec::new().option().clone();
+        base.set_memory(MjSpec::new().memory());
+        let compiler = base.compiler_mut();
+        compiler.set_boundmass(0.0);
+        compiler.set_boundinertia(0.0);
+        compiler.set_balanceinertia(false);
         for actuator in base.actuator_iter_mut() {
             actuator.set_group(OFF_GROUP);
         }
@@ -100,9 +107,16 @@ impl MujocoEngine {
         });
         let fingers = finger_joints.iter().map(|name| (name, *stiffness_n_m, *damping_ns_m, *force_limit_n));
         for (joint, stiffness, damping, limit) in arm.chain(fingers) {
-            if base.joint(joint).is_none() {
+            let Some(driven) = base.joint_mut(joint) else {
                 return Err(invalid(format!("there is no joint `{joint}`, which robot.toml names")));
-            }
+            };
+            // The weight of the arm itself is part of what its drives have to bear.
+            driven.set_actgravcomp(true);
+            *driven.actfrcrange_mut() = [-limit, limit];
+            driven.set_actfrclimited(mjtLimited::mjLIMITED_TRUE);
+            // An end stop does not give way to the drive.
+            driven.solref_limit_mut()[..2].copy_from_slice(&[CONTACT_TIME_S, 1.0]);
+            driven.solimp_limit_mut()[..3].copy_from_slice(&[0.99, 0.999, 1e-4]);
             let mut gain = [0.0; 10];
             gain[0] = stiffness;
             let mut bias = [0.0; 10];
@@ -124,6 +138,10 @@ impl MujocoEngine {
             if geom.contype() != 0 || geom.conaffinity() != 0 {
                 geom.set_contype(ROBOT.0);
                 geom.set_conaffinity(ROBOT.1);
+                // The object's friction is what counts, whatever a hand's model says.
+                geom.set_priority(0);
+                geom.set_margin(0.0);
+                geom.set_gap(0.0);
             }
         }
         compensate_weight(base.world_body_mut());
@@ -138,6 +156,7 @@ impl MujocoEngine {
         option.disableactuator = 1 << OFF_GROUP;
         let model = base.clone().compile().map_err(|e| invalid(e.to_string()))?;
         let chain = chain(&model, &robot).map_err(invalid)?;
+        check(&model, &robot, &chain).map_err(invalid)?;
         Ok(Self { robot, base, chain, time_step, loaded: None })
     }
 
@@ -223,6 +242,10 @@ fn shape(geom: &mut mujoco_rs::wrappers::mj_editing::MjsGeom, primitive: &Primit
         Primitive::Sphere { radius } => (MjtGeomBase::mjGEOM_SPHERE, [radius, 0.0, 0.0]),
     };
     geom.set_type(kind);
+    // The defaults of a robot's file do not reach the cell's own shapes.
+    geom.set_margin(0.0);
+    geom.set_gap(0.0);
+    geom.set_condim(3);
     *geom.size_mut() = size;
     place(pose, geom.pos_mut());
     *geom.quat_mut() = wxyz(&pose.rotation);
@@ -311,13 +334,55 @@ fn chain(model: &MjModel, robot: &Robot) -> Result<Chain, String> {
     Ok(Chain { joints, flange: flange_way * site(flange), tcp: way * site(tcp) })
 }
 
+/// What a compiled robot must be besides a chain.
+fn check(model: &MjModel, robot: &Robot, chain: &Chain) -> Result<(), String> {
+    let settings = &robot.settings;
+    for ((joint, home), name) in chain.joints.iter().zip(&settings.arm.home_rad).zip(&settings.arm.joints) {
+        if !(joint.range[0]..=joint.range[1]).contains(home) {
+            let [low, high] = joint.range;
+            return Err(format!("joint `{name}`: arm.home_rad has {home}, outside its range {low} to {high}"));
+        }
+    }
+    let Gripper::ParallelJaw { finger_joints, finger_bodies, opening_m, .. } = &settings.gripper;
+    let mut width = 0.0;
+    for name in finger_joints {
+        let joint = find(model, MjtObjBase::mjOBJ_JOINT, "joint", name)?;
+        if model.jnt_type()[joint] != MjtJoint::mjJNT_SLIDE || !model.jnt_limited()[joint] {
+            return Err(format!("finger joint `{name}` must be a slide with a range"));
+        }
+        width += model.jnt_range()[joint][1];
+    }
+    if *opening_m > width + 1e-9 {
+        return Err(format!("gripper.opening_m = {opening_m}, but the finger joints open {width} m at most"));
+    }
+    let fingers = [&finger_bodies[0], &finger_bodies[1]].map(|name| find(model, MjtObjBase::mjOBJ_BODY, "body", name));
+    let [left, right] = [fingers[0].clone()?, fingers[1].clone()?];
+    if left == right || finger_joints[0] == finger_joints[1] {
+        return Err("gripper: the two fingers are one and the same".to_owned());
+    }
+    // A robot's folder holds the robot alone: whatever else it brings would stand in the cell unseen.
+    let tcp = find(model, MjtObjBase::mjOBJ_SITE, "site", &settings.arm.tcp_site)?;
+    let mut root = model.site_bodyid()[tcp];
+    while model.body_parentid()[root as usize] != 0 {
+        root = model.body_parentid()[root as usize];
+    }
+    for (geom, body) in model.geom_bodyid().iter().enumerate() {
+        let touchable = model.geom_contype()[geom] != 0;
+        if touchable && model.body_rootid()[*body as usize] != root {
+            let name = model.id_to_name(MjtObjBase::mjOBJ_GEOM, geom).unwrap_or("without a name");
+            return Err(format!("the shape `{name}` does not belong to the robot: a robot's model holds no scene"));
+        }
+    }
+    Ok(())
+}
+
 impl Engine for MujocoEngine {
     fn build(&self) -> EngineBuild {
         // The library that this process runs, as the loader mapped it.
         let maps = std::fs::read_to_string("/proc/self/maps").unwrap_or_default();
         let library = maps
             .lines()
-            .filter_map(|line| line.split_ascii_whitespace().nth(5))
+            .filter_map(|line| line.splitn(6, ' ').nth(5).map(str::trim_start))
             .find(|path| path.rsplit('/').next().is_some_and(|file| file.starts_with("libmujoco.so")));
         EngineBuild {
             name: "mujoco",
@@ -443,10 +508,10 @@ impl Engine for MujocoEngine {
                 0 => "inertia matrix is singular",
                 1 => "contact buffer is full",
                 2 => "constraint buffer is full",
-                4 => "a position is not finite or too large",
-                5 => "a velocity is not finite or too large",
-                6 => "an acceleration is not finite or too large",
-                7 => "a control is not finite or too large",
+                3 => "a position is not finite or too large",
+                4 => "a velocity is not finite or too large",
+                5 => "an acceleration is not finite or too large",
+                6 => "a control is not finite or too large",
                 _ => "warning",
             };
             return Err(Fault::new(FaultKind::Diverged, format!("MuJoCo: {what} (at {info})")));

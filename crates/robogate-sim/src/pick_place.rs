@@ -9,7 +9,7 @@ use robogate_core::{
 use crate::referee::{Referee, Sight};
 use crate::scene::isometry;
 use crate::servo::Servo;
-use crate::{Engine, Gripper, JointTargets, ObjectModel, Placement, Readback, Robot, Scene, SceneParameters};
+use crate::{Engine, Gripper, JointTargets, ObjectModel, Placement, Readback, Scene, SceneParameters};
 
 /// Time between two actions, in seconds (paper, section 4.1).
 const CONTROL_PERIOD_S: f64 = 0.05;
@@ -105,7 +105,7 @@ impl<E: Engine> Simulator for PickPlace<E> {
         let Gripper::ParallelJaw { opening_m, .. } = &self.engine.robot().settings.gripper;
         let running = Running {
             servo: Servo::at_rest(&home, CONTROL_PERIOD_S),
-            referee: Referee::new(scene.target, TOLERANCE_M),
+            referee: Referee::new(scene.target, TOLERANCE_M, self.grip_force_n),
             bias,
             ticks: 0,
             targets: JointTargets {
@@ -208,11 +208,16 @@ fn applied(requested: &Assignment, asked: &SceneParameters, engine: &Readback) -
     let model = ObjectModel::new(asked.shape, size, engine.mass_kg, 0.0);
     let mut applied = Assignment::default();
     for (name, value) in requested.iter() {
+        // A whole number that was asked for as one comes back as one.
+        let number = |x: f64| match value {
+            Value::Integer(_) if (x - x.round()).abs() < 1e-6 => Value::Integer(x.round() as i64),
+            _ => Value::Number(x),
+        };
         let read = match name {
-            "friction" => Value::Number(engine.friction),
-            "mass_kg" => Value::Number(engine.mass_kg),
-            "com_offset" => Value::Number(model.com_offset_of(&engine.centre_of_mass)),
-            "size_m" => Value::Number(size),
+            "friction" => number(engine.friction),
+            "mass_kg" => number(engine.mass_kg),
+            "com_offset" => number(model.com_offset_of(&engine.centre_of_mass)),
+            "size_m" => number(size),
             "obstacles" => Value::Integer(engine.obstacles as i64),
             "placement" => Value::Category(engine_placement(asked, &engine.object).into()),
             "shape" => Value::Category(engine_shape(asked, engine).into()),
@@ -250,12 +255,4 @@ fn engine_placement(asked: &SceneParameters, object: &Isometry3<f64>) -> String 
         off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-6
     });
     if there { asked.placement.clone() } else { format!("{:.6?}", object.translation.vector.as_slice()) }
-}
-
-/// The robot of a simulator, for whoever plans its motion.
-impl<E: Engine> PickPlace<E> {
-    /// The robot.
-    pub fn robot(&self) -> &Robot {
-        self.engine.robot()
-    }
 }

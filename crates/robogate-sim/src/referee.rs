@@ -1,14 +1,14 @@
 //! The outcome of an episode, from contacts and motion alone.
 //!
-//! The referee sees what any onlooker of the cell could: who touches whom, how fast the object moves,
+//! The referee sees what any onlooker of the cell could: who touches whom with what force, how fast the object moves,
 //! whether the gripper was told to close. It knows nothing of the policy's phases, so that any policy is
 //! judged alike. The first decisive event ends the episode:
 //!
 //! | event | when |
 //! |---|---|
 //! | collision | a robot body touches a fixture |
-//! | grasp_miss | the gripper, told to close, has come to rest, and not both fingers touch the object |
-//! | grip_loss | the object was held, the gripper not told to open, and for 50 ms no finger touches the object; or it was let go higher than 5 cm above where it then comes to rest |
+//! | grasp_miss | the gripper, told to close, has come to rest, and not both fingers press on the object with at least a fifth of the grip force |
+//! | grip_loss | the object was held, the gripper not told to open, and for 50 ms no finger touches the object; or it was let go with its middle more than 5 cm above where it should rest, and has come to rest |
 //! | success | let go, at rest for 0.2 s within the tolerance of the target, touched by nothing of the robot |
 //!
 //! A timeout is the rollout's: the time limit passed and nothing of this had happened.
@@ -22,6 +22,8 @@ use crate::{Collision, Touches};
 const SETTLED_M: f64 = 2e-4;
 /// How long the gripper must have been at rest, in seconds.
 const SETTLE_S: f64 = 0.1;
+/// Each finger holds the object with at least this share of the grip force; less is a touch.
+const HOLD_SHARE: f64 = 0.2;
 /// How long no finger must touch a held object for it to count as lost, in seconds.
 const LOSS_S: f64 = 0.05;
 /// The object is at rest below this speed, in m/s ...
@@ -69,6 +71,7 @@ enum Grip {
 pub(crate) struct Referee {
     target: [f64; 3],
     tolerance: f64,
+    grip_force: f64,
     grip: Grip,
     collision: Option<(f64, Collision)>,
     ending: Option<(Option<FailureMode>, f64)>,
@@ -78,11 +81,13 @@ pub(crate) struct Referee {
 }
 
 impl Referee {
-    /// A referee for an object that shall come to rest within `tolerance` of `target` (m).
-    pub(crate) fn new(target: [f64; 3], tolerance: f64) -> Self {
+    /// A referee for an object that shall come to rest within `tolerance` of `target` (m), held with
+    /// `grip_force` (N).
+    pub(crate) fn new(target: [f64; 3], tolerance: f64, grip_force: f64) -> Self {
         Self {
             target,
             tolerance,
+            grip_force,
             grip: Grip::Free,
             collision: None,
             ending: None,
@@ -152,7 +157,7 @@ impl Referee {
                     let since = *untouched_since.get_or_insert(sight.time);
                     if sight.time - since >= LOSS_S {
                         self.events.push("object lost".to_owned());
-                        self.end(Some(FailureMode::GripLoss), since);
+                        self.end(Some(FailureMode::GripLoss), sight.time);
                     }
                 }
             }
@@ -172,7 +177,8 @@ impl Referee {
 
     /// The gripper has come to rest: on the object, or on nothing.
     fn settle(&mut self, sight: &Sight<'_>) {
-        if sight.touches.fingers.iter().all(Option::is_some) {
+        let enough = |force: &Option<f64>| force.is_some_and(|force| force >= HOLD_SHARE * self.grip_force);
+        if sight.touches.fingers.iter().all(enough) {
             let in_hand = sight.tcp.inverse() * sight.object;
             let [left, right] = sight.touches.fingers.map(Option::unwrap_or_default);
             self.events.push(format!(
@@ -218,7 +224,11 @@ impl Referee {
             let peak = self.measures.peak_contact_force_n.get_or_insert(0.0);
             *peak = peak.max(force);
         }
-        if let (Grip::Held { in_hand, .. }, Some(slip)) = (&self.grip, &mut self.measures.slip_m) {
+        let touched = sight.touches.fingers.iter().any(Option::is_some);
+        if let (Grip::Held { in_hand, .. }, Some(slip)) = (&self.grip, &mut self.measures.slip_m)
+            && touched
+            && self.ending.is_none()
+        {
             let moved = (sight.tcp.inverse() * sight.object).translation.vector - in_hand.translation.vector;
             *slip = slip.max(moved.norm());
             if !self.lifted && !sight.touches.object_on_fixture {
@@ -230,6 +240,7 @@ impl Referee {
         match (&mut self.collision, sight.touches.collision) {
             (None, Some(found)) if self.ending.is_none() => {
                 self.collision = Some((sight.time, found));
+                self.measures.min_clearance_m = Some(0.0);
             }
             (Some((_, first)), Some(now)) if (first.robot_body, first.fixture) == (now.robot_body, now.fixture) => {
                 first.force = first.force.max(now.force);

@@ -93,7 +93,7 @@ pub enum Gripper {
         force_n: f64,
         /// What the hand can hold for long, in newtons.
         force_limit_n: f64,
-        /// Stiffness of a finger's servo, in N/m; its force is cut at `force_n`.
+        /// Stiffness of a finger's servo, in N/m.
         stiffness_n_m: f64,
         /// Damping of a finger's servo, in N s/m.
         damping_ns_m: f64,
@@ -185,6 +185,12 @@ impl RobotSettings {
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, RobotError> {
         let invalid = |why: String| RobotError::Invalid { path: path.to_owned(), why };
         let settings: Self = toml::from_str(text).map_err(|e| invalid(e.to_string()))?;
+        if Path::new(&settings.model).components().count() != 1 || settings.model.starts_with('.') {
+            return Err(invalid(format!(
+                "model = {:?} must be the name of a file in the robot's folder",
+                settings.model
+            )));
+        }
         let arm = &settings.arm;
         if arm.joints.is_empty() {
             return Err(invalid("arm.joints is empty".to_owned()));
@@ -207,8 +213,10 @@ impl RobotSettings {
                 let (got, want) = (values.len(), arm.joints.len());
                 return Err(invalid(format!("arm.{key} has {got} entries, arm.joints has {want}")));
             }
-            if let Some(bad) = values.iter().find(|v| !v.is_finite() || (positive && **v <= 0.0)) {
-                return Err(invalid(format!("arm.{key} holds {bad}, which is not a positive number")));
+            // Below a thousandth there is no arm: such a value is a slip of units.
+            if let Some(bad) = values.iter().find(|v| !v.is_finite() || (positive && **v < 1e-3)) {
+                let wanted = if positive { "a number of at least 0.001" } else { "a finite number" };
+                return Err(invalid(format!("arm.{key} holds {bad}, which is not {wanted}")));
             }
         }
         let Gripper::ParallelJaw {

@@ -12,6 +12,9 @@ const LIMIT_SHARE: f64 = 0.7;
 const PEAK_SPEED: f64 = 1.875;
 const PEAK_ACCELERATION: f64 = 5.773_502_691_896_258;
 
+/// A straight way that would take longer is none, in seconds.
+const SLOWEST_S: f64 = 60.0;
+
 fn min_jerk(u: f64) -> f64 {
     u * u * u * (10.0 + u * (-15.0 + u * 6.0))
 }
@@ -81,6 +84,11 @@ pub(crate) fn straight_path(
             return Ok(path);
         }
         seconds *= slower.max(1.05);
+        if seconds > SLOWEST_S {
+            // A joint that jumps between postures is no faster for any time given to it.
+            let at = to.translation.vector.into();
+            return Err(Unreachable { position: at, position_error_m: 0.0, angle_error_rad: 0.0 });
+        }
     }
 }
 

@@ -1,4 +1,4 @@
-//! The stream of events as a progress bar, or as JSON lines on stderr.
+//! The stream of events as a progress bar.
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use robogate_campaign::{Event, OutcomeCounts, Stage};
@@ -83,11 +83,13 @@ fn outcome_of(word: &str) -> Outcome {
 }
 
 fn style() -> ProgressStyle {
-    ProgressStyle::with_template("{prefix} {bar:20} {human_pos}/{human_len} {per_sec:>8} left {eta:<4} {wide_msg}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar())
-        .progress_chars("█▉▊▋▌▍▎▏ ")
-        .with_key("per_sec", |state: &indicatif::ProgressState, out: &mut dyn std::fmt::Write| {
-            // A bar that cannot be drawn is no reason to stop.
-            let _ = write!(out, "{:.1}/s", state.per_sec());
-        })
+    ProgressStyle::with_template(
+        "{prefix} {bar:32} {human_pos}/{human_len} {per_sec:>8}, {eta} left\n         {wide_msg}",
+    )
+    .unwrap_or_else(|_| ProgressStyle::default_bar())
+    .progress_chars("█▉▊▋▌▍▎▏ ")
+    .with_key("per_sec", |state: &indicatif::ProgressState, out: &mut dyn std::fmt::Write| {
+        // A bar that cannot be drawn is no reason to stop.
+        let _ = write!(out, "{:.1}/s", state.per_sec());
+    })
 }

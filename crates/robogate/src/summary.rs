@@ -6,6 +6,7 @@ use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{AlongParameter, BoundaryReport, DrawnFrom, Population, Stage, StageSummary, Summary};
 use serde_json::json;
 
+use crate::commands::report::PAGE;
 use crate::terminal::{bar, bold, dim, grouped, line, percent};
 
 /// A bin with fewer valid episodes than this is shown dimmed: its rate says little.
@@ -169,6 +170,7 @@ fn files(dir: &Path, summary: &Summary) {
     line("");
     line(format_args!("{} {}", bold("Failure dictionary"), dictionary.display()));
     line(format_args!("  {} episodes, dataset {}", grouped(summary.episodes), &summary.dataset_hash));
+    line(format_args!("{} {}", bold("Report"), dir.join(PAGE).display()));
     line(bold("Next"));
     line(format_args!("  robogate replay {} 0        the story of one episode", dir.display()));
     line(format_args!("  robogate export {} out.csv  the rows for a spreadsheet", dir.display()));

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_campaign::{Station, Workshop};
-use robogate_core::{Fault, FaultKind, Policy, Simulator};
+use robogate_core::{Assignment, Fault, FaultKind, Policy, Scenario, Seed, Simulator};
 use robogate_dictionary::provenance;
 use robogate_sim::claims::{Bench, Workbench};
 use robogate_sim::{Engine, Gripper, MujocoEngine, PickPlace, Robot, Scripted, built_in_robot};
@@ -48,12 +48,19 @@ impl WorldArguments {
     /// The world that they name.
     pub(crate) fn world(&self) -> World {
         World {
-            robot: self.robot.clone(),
+            robot: absolute(&self.robot),
             engine: self.engine.clone(),
             time_step_s: self.time_step.unwrap_or(MujocoEngine::TIME_STEP_S),
             grip_force_n: self.grip_force,
         }
     }
+}
+
+/// A robot's folder by its full path, so that a run can be resumed from anywhere; a name as it is.
+fn absolute(robot: &str) -> String {
+    let path = Path::new(robot);
+    let full = if path.is_dir() { path.canonicalize().ok() } else { None };
+    full.map_or_else(|| robot.to_owned(), |path| path.to_string_lossy().into_owned())
 }
 
 /// A cell that can be set up again and again, one for each thread.
@@ -68,13 +75,14 @@ impl Cell {
         if world.engine != "mujoco" {
             bail!("there is no engine `{}`; there is mujoco", world.engine);
         }
-        let robot = if Path::new(&world.robot).is_dir() {
-            Robot::from_folder(Path::new(&world.robot))
-        } else {
-            built_in_robot(&world.robot)
+        let robot = match Path::new(&world.robot) {
+            folder if folder.is_dir() => Robot::from_folder(folder),
+            _ => built_in_robot(&world.robot),
         }?;
         let cell = Self { world, robot };
-        cell.simulator(cell.world.time_step_s, cell.world.grip_force_n)?;
+        let mut simulator = cell.simulator(cell.world.time_step_s, cell.world.grip_force_n)?;
+        let nominal = Scenario { index: 0, seed: Seed::campaign(0).episode(0), requested: Assignment::default() };
+        simulator.reset(&nominal).context("the robot cannot be set up in the cell")?;
         Ok(cell)
     }
 
@@ -151,6 +159,11 @@ impl Workbench for Cell {
     fn opening_m(&self) -> f64 {
         let Gripper::ParallelJaw { opening_m, .. } = &self.robot.settings.gripper;
         *opening_m
+    }
+
+    fn force_limit_n(&self) -> f64 {
+        let Gripper::ParallelJaw { force_limit_n, .. } = &self.robot.settings.gripper;
+        *force_limit_n
     }
 
     fn joint_limits(&self) -> (Vec<f64>, Vec<f64>) {

@@ -27,6 +27,11 @@ impl Workbench for FrankaInMujoco {
         *opening_m
     }
 
+    fn force_limit_n(&self) -> f64 {
+        let Gripper::ParallelJaw { force_limit_n, .. } = &self.0.settings.gripper;
+        *force_limit_n
+    }
+
     fn joint_limits(&self) -> (Vec<f64>, Vec<f64>) {
         let arm = &self.0.settings.arm;
         (arm.velocity_limit_rad_s.clone(), arm.acceleration_limit_rad_s2.clone())

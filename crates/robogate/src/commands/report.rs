@@ -26,6 +26,9 @@ pub(crate) struct Report {
     pair: Vec<String>,
 }
 
+/// The page's name in a run's folder.
+pub(crate) const PAGE: &str = "report.html";
+
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Form {
     /// One self-contained file
@@ -54,6 +57,17 @@ impl Report {
         }
         Ok(evidence(&analysis))
     }
+}
+
+/// Writes the page of a finished run into its folder, if it is not there yet.
+pub(crate) fn page(dir: &Path) -> Result<(), Exit> {
+    let out = dir.join(PAGE);
+    if out.exists() {
+        return Ok(());
+    }
+    let source = Source::open(dir).or_broken()?;
+    let analysis = analyse(&source, dir, &[])?;
+    std::fs::write(&out, html(&analysis)).with_context(|| format!("cannot write {}", out.display())).or_broken()
 }
 
 fn write(out: &Path, text: &str) -> Result<(), Exit> {

@@ -15,7 +15,7 @@ use robogate_sim::{FRANKA_SPACE, SceneParameters};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
 use crate::progress::Progress;
 use crate::summary;
-use crate::terminal::{bold, grouped, note};
+use crate::terminal::{grouped, note};
 use crate::world::{Cell, WorldArguments};
 
 /// Find where the policy fails: a campaign over the operating space, then near the failure boundary.
@@ -71,8 +71,8 @@ impl Run {
             }
         };
         note(format_args!(
-            "{} {} in {} {}, scripted controller, seed {}",
-            bold("RoboGate"),
+            "RoboGate {}: {} in {} {}, scripted controller, seed {}",
+            env!("CARGO_PKG_VERSION"),
             provenance.robot.name,
             provenance.engine.name,
             provenance.engine.version.as_deref().unwrap_or_default(),
@@ -138,6 +138,7 @@ impl How {
         let completion = work(&crew, &mut |event| progress.hear(event)).map_err(exit)?;
         match completion {
             Completion::Finished { summary, boundary } => {
+                write_report(dir);
                 if self.json {
                     summary::json(dir, &summary, boundary.as_deref()).or_broken()?;
                 } else {
@@ -152,6 +153,13 @@ impl How {
                 Ok(INTERRUPTED)
             }
         }
+    }
+}
+
+/// Ends a campaign with its page. The dictionary is complete without it: what goes wrong is said, no more.
+fn write_report(dir: &Path) {
+    if let Err(exit) = super::report::page(dir) {
+        note(format_args!("warning: no report: {exit}"));
     }
 }
 
