@@ -6,10 +6,12 @@
 //! contacts of the object as stiff as the default time step allows.
 
 use std::path::PathBuf;
+use std::sync::Once;
 
 use mujoco_rs::mujoco_c::mjtLimited;
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::MjsBody;
+use mujoco_rs::wrappers::mj_logging::{log_config, set_log_config};
 use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
 use robogate_core::{Fault, FaultKind};
 
@@ -87,6 +89,7 @@ impl MujocoEngine {
 
     /// An engine for this robot, with this time step in seconds.
     pub fn new(robot: Robot, time_step: f64) -> Result<Self, RobotError> {
+        silence_log_file();
         let mut base = parse(&robot)?;
         let invalid = |why: String| RobotError::Invalid { path: model_path(&robot), why };
         // The cell's physics is the cell's: a robot's file says nothing about it.
@@ -202,6 +205,19 @@ impl MujocoEngine {
         }
         spec.compile()
     }
+}
+
+/// MuJoCo would write its warnings, with the time, into a file in the current folder.
+fn silence_log_file() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        // SAFETY: all use of MuJoCo here begins with `MujocoEngine::new`, which waits for this call: nobody
+        // uses MuJoCo meanwhile.
+        #[expect(unsafe_code, reason = "the binding has no safe way to set it")]
+        unsafe {
+            set_log_config(log_config().with_logto_file(false));
+        }
+    });
 }
 
 fn model_path(robot: &Robot) -> PathBuf {

@@ -44,6 +44,9 @@ impl Progress {
                 if self.counts.total().is_multiple_of(8) {
                     self.say();
                 }
+                if self.bar.is_hidden() {
+                    self.log();
+                }
             }
             Event::StageFinished { .. } | Event::Interrupted { .. } => {
                 self.say();
@@ -56,7 +59,21 @@ impl Progress {
         }
     }
 
+    /// Where there is no terminal (CI, a log file): a line for each tenth of a stage.
+    fn log(&self) {
+        let (done, all) = (self.bar.position(), self.bar.length().unwrap_or(0));
+        if done * 10 / all.max(1) > (done - 1) * 10 / all.max(1) {
+            let (prefix, done, all) = (self.bar.prefix(), terminal::grouped(done), terminal::grouped(all));
+            terminal::note(format_args!("{prefix} {done}/{all}  {}", self.describe()));
+        }
+    }
+
     fn say(&self) {
+        self.bar.set_message(self.describe());
+    }
+
+    /// How it went so far, in one line.
+    fn describe(&self) -> String {
         let mut text = match self.counts.success_rate() {
             Some(rate) => format!("success {}", terminal::percent(rate)),
             None => "no valid episode yet".to_owned(),
@@ -67,7 +84,7 @@ impl Progress {
         if self.counts.invalid > 0 {
             text += &format!(" · INVALID {}", self.counts.invalid);
         }
-        self.bar.set_message(text);
+        text
     }
 }
 
