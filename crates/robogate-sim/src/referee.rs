@@ -161,8 +161,14 @@ impl Referee {
                     }
                 }
             }
+            // Closing on nothing after the object was let go (on the way home, say) undoes nothing; taking hold
+            // of it again does.
             (GripperCommand::Close, Grip::Released { .. }) => {
-                self.grip = Grip::Closing { opening: sight.opening, moved_at: sight.time };
+                if sight.touches.fingers.iter().any(Option::is_some) {
+                    self.grip = Grip::Closing { opening: sight.opening, moved_at: sight.time };
+                } else {
+                    self.watch_released(sight);
+                }
             }
             (GripperCommand::Open, Grip::Held { .. }) => {
                 let height = sight.object.translation.z - self.target[2];

@@ -46,8 +46,8 @@ fn files(dir: &str) -> BTreeMap<String, Vec<u8>> {
         .collect()
 }
 
-fn run(dir: &str, threads: &str) {
-    assert_done(&robogate(&["run", "-n", "45", "--threads", threads, "--out", dir]));
+fn run(dir: &str, episodes: &str, threads: &str) {
+    assert_done(&robogate(&["run", "-n", episodes, "--threads", threads, "--out", dir]));
 }
 
 fn spawn(arguments: &[&str]) -> std::process::Child {
@@ -63,17 +63,16 @@ fn spawn(arguments: &[&str]) -> std::process::Child {
 fn a_run_killed_again_and_again_ends_with_the_same_bytes_for_any_number_of_threads() {
     let dir = TempDir::new().unwrap();
     let (one, two, killed) = (path(&dir, "one"), path(&dir, "two"), path(&dir, "killed"));
-    run(&one, "1");
-    run(&two, "2");
+    run(&one, "120", "1");
+    run(&two, "120", "2");
     assert!(files(&one) == files(&two), "1 and 2 threads differ");
     let mut delays = Seed::campaign(5).stream("kills");
-    let begin = ["run", "-n", "45", "--threads", "2", "--out", &killed];
+    let begin = ["run", "-n", "120", "--threads", "2", "--out", &killed];
     let mut child = spawn(&begin);
     let mut kills = 0;
-    loop {
-        std::thread::sleep(Duration::from_secs_f64(delays.between(0.05, 0.6)));
-        if let Some(status) = child.try_wait().unwrap() {
-            assert!(status.success());
+    while kills < 20 {
+        std::thread::sleep(Duration::from_secs_f64(delays.between(0.05, 0.35)));
+        if child.try_wait().unwrap().is_some() {
             break;
         }
         child.kill().unwrap();
@@ -82,8 +81,10 @@ fn a_run_killed_again_and_again_ends_with_the_same_bytes_for_any_number_of_threa
         let begun = Path::new(&killed).join("plan.json").exists();
         child = if begun { spawn(&["resume", "--threads", "1", &killed]) } else { spawn(&begin) };
     }
+    assert!(child.wait().unwrap().success());
     println!("killed {kills} times");
-    assert!(kills > 0);
+    // A fast machine may be done before the twentieth.
+    assert!(kills >= 5, "killed {kills} times only");
     assert!(files(&one) == files(&killed), "a killed and resumed run differs");
 }
 
@@ -187,7 +188,7 @@ fn what_is_wrong_is_said_with_exit_code_2_and_nothing_is_started() {
 fn a_finished_run_is_not_overwritten_and_a_damaged_one_is_named() {
     let dir = TempDir::new().unwrap();
     let out = path(&dir, "run");
-    run(&out, "2");
+    run(&out, "45", "2");
     let before = files(&out);
     assert_usage(&["run", "-n", "45", "--out", &out], &["finished run"]);
     assert!(files(&out) == before);
