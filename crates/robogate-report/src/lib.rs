@@ -45,3 +45,4 @@ pub use rate::{Finding, Population, Rate};
 pub use replay::{ReplayGroup, WorthReplaying};
 pub use source::Source;
 pub use success::{FaultCount, InvalidBounds, Reweighted, StageSuccess, Success, WeightedRate};
+pub use words::count;

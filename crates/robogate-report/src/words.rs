@@ -60,8 +60,8 @@ pub(crate) fn range([low, high]: [f64; 2]) -> String {
     format!("{} to {}", number(low), number(high))
 }
 
-/// A count with groups of thousands.
-pub(crate) fn count(n: u64) -> String {
+/// A count with groups of thousands: 12,345.
+pub fn count(n: u64) -> String {
     let digits = n.to_string();
     let mut text = String::with_capacity(digits.len() + digits.len() / 3);
     for (i, digit) in digits.chars().enumerate() {
@@ -196,5 +196,12 @@ mod tests {
         assert_eq!(label("ik_noise_rad"), ("IK noise".to_owned(), "rad"));
         assert_eq!(label("friction"), ("friction".to_owned(), ""));
         assert_eq!(label("m"), ("m".to_owned(), ""));
+    }
+
+    #[test]
+    fn thousands_are_grouped() {
+        for (n, text) in [(0, "0"), (999, "999"), (20_000, "20,000"), (1_234_567, "1,234,567")] {
+            assert_eq!(count(n), text);
+        }
     }
 }

@@ -3,6 +3,8 @@
 use std::fmt::{self, Display};
 use std::io::{self, IsTerminal, Write};
 
+pub(crate) use robogate_report::count as grouped;
+
 use crate::exit::Exit;
 
 /// Whether stdout takes colour: a terminal that did not ask for none (`NO_COLOR`).
@@ -55,19 +57,6 @@ pub(crate) fn bar(share: f64, width: usize) -> String {
     format!("{text}{}", " ".repeat(width - used))
 }
 
-/// A number with thin groups of thousands: 12,345.
-pub(crate) fn grouped(n: u64) -> String {
-    let digits = n.to_string();
-    let mut text = String::with_capacity(digits.len() + digits.len() / 3);
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
-}
-
 /// A share as a percentage with one decimal.
 pub(crate) fn percent(share: f64) -> String {
     format!("{:.1} %", 100.0 * share)
@@ -84,13 +73,5 @@ mod tests {
         }
         assert_eq!(bar(0.5, 4), "██  ");
         assert_eq!(bar(0.0, 2), "  ");
-    }
-
-    #[test]
-    fn thousands_are_grouped() {
-        assert_eq!(grouped(0), "0");
-        assert_eq!(grouped(999), "999");
-        assert_eq!(grouped(20_000), "20,000");
-        assert_eq!(grouped(1_234_567), "1,234,567");
     }
 }
