@@ -12,11 +12,12 @@ use mujoco_rs::mujoco_c::mjtLimited;
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::MjsBody;
 use mujoco_rs::wrappers::mj_logging::{log_config, set_log_config};
-use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Translation3, Unit, UnitQuaternion, Vector3};
 use robogate_core::{Fault, FaultKind};
 
 use crate::engine::Collision;
 use crate::robot::RobotSource;
+use crate::scene::isometry;
 use crate::{Chain, ChainJoint, Engine, EngineBuild, Gripper, JointTargets, Primitive, Readback, Robot, RobotError};
 use crate::{Scene, Touches};
 
@@ -275,12 +276,6 @@ fn primitive(model: &MjModel, geom: usize) -> Option<Primitive> {
         MjtGeomBase::mjGEOM_SPHERE => Some(Primitive::Sphere { radius: a }),
         _ => None,
     }
-}
-
-fn isometry(position: &[f64; 3], quaternion: &[f64; 4]) -> Isometry3<f64> {
-    let [w, x, y, z] = *quaternion;
-    let turn = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-    Isometry3::from_parts(Translation3::from(Vector3::from(*position)), turn)
 }
 
 fn find(model: &MjModel, kind: MjtObjBase, what: &str, name: &str) -> Result<usize, String> {

@@ -32,6 +32,8 @@ pub struct PickPlace<E> {
 struct Running {
     servo: Servo,
     referee: Referee,
+    /// The fixtures' names, in the order of the scene.
+    fixtures: Vec<String>,
     /// What each joint's encoder reads too much, in radians.
     bias: Vec<f64>,
     ticks: u64,
@@ -101,11 +103,12 @@ impl<E: Engine> Simulator for PickPlace<E> {
         if touches.collision.is_some() || touches.body_on_object || touches.fingers.iter().any(Option::is_some) {
             return Err(setup("the robot starts in contact".to_owned()));
         }
-        let applied = applied(&scenario.requested, &parameters, &self.engine.read_back()?)?;
+        let applied = applied(&scenario.requested, &parameters, &self.engine.read_back()?);
         let Gripper::ParallelJaw { opening_m, .. } = &self.engine.robot().settings.gripper;
         let running = Running {
             servo: Servo::at_rest(&home, CONTROL_PERIOD_S),
             referee: Referee::new(scene.target, TOLERANCE_M, self.grip_force_n),
+            fixtures: scene.fixtures.iter().map(|fixture| fixture.name.clone()).collect(),
             bias,
             ticks: 0,
             targets: JointTargets {
@@ -183,7 +186,7 @@ impl<E: Engine> Simulator for PickPlace<E> {
             events: running.referee.take_events(),
             measures: running.referee.measures(),
             ending: running.referee.ending(|collision| {
-                let fixture = running.fixture_name(collision.fixture);
+                let fixture = running.fixtures[collision.fixture].clone();
                 (self.engine.robot_body(collision.robot_body), fixture)
             }),
             state_hash: self.state_hash(),
@@ -195,15 +198,8 @@ impl<E: Engine> Simulator for PickPlace<E> {
     }
 }
 
-impl Running {
-    /// The table is the scene's first fixture, obstacles are numbered from 1.
-    fn fixture_name(&self, fixture: usize) -> String {
-        if fixture == 0 { "table".to_owned() } else { format!("obstacle_{fixture}") }
-    }
-}
-
 /// The requested parameters as the engine holds them.
-fn applied(requested: &Assignment, asked: &SceneParameters, engine: &Readback) -> Result<Assignment, Fault> {
+fn applied(requested: &Assignment, asked: &SceneParameters, engine: &Readback) -> Assignment {
     let size = engine_size(asked, engine);
     let model = ObjectModel::new(asked.shape, size, engine.mass_kg, 0.0);
     let mut applied = Assignment::default();
@@ -226,7 +222,7 @@ fn applied(requested: &Assignment, asked: &SceneParameters, engine: &Readback) -
         };
         applied.set(name, read);
     }
-    Ok(applied)
+    applied
 }
 
 /// The size at which the shape asked for has the engine's first part.
@@ -249,9 +245,9 @@ fn engine_shape(asked: &SceneParameters, engine: &Readback) -> &'static str {
 
 /// The placement at which the object stands.
 fn engine_placement(asked: &SceneParameters, object: &Isometry3<f64>) -> String {
-    let wanted = Placement::from_name(&asked.placement).map(|placement| isometry(&placement.pose(asked.size_m)));
+    let wanted = Placement::from_name(&asked.placement).map(|placement| placement.pose(asked.size_m));
     let there = wanted.is_some_and(|pose| {
-        let off = pose.inverse() * object;
+        let off = isometry(&pose.position, &pose.orientation).inverse() * object;
         off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-6
     });
     if there { asked.placement.clone() } else { format!("{:.6?}", object.translation.vector.as_slice()) }

@@ -1,7 +1,7 @@
 //! What stands in the cell, in terms that any engine understands.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{Pose, Stream};
+use robogate_core::Stream;
 
 use crate::{ObjectModel, Part, Placement, Primitive, SceneParameters};
 
@@ -73,7 +73,7 @@ impl Scene {
         }
         let pose = placement.pose(object.size_m);
         Ok(Self {
-            object_pose: isometry(&pose),
+            object_pose: isometry(&pose.position, &pose.orientation),
             friction: parameters.friction,
             fixtures,
             target: [TARGET[0], TARGET[1], half],
@@ -119,11 +119,11 @@ fn obstacle(stream: &mut Stream, taken: &[([f64; 2], f64)]) -> Option<(Part, ([f
     })
 }
 
-/// A pose as nalgebra has it.
-pub(crate) fn isometry(pose: &Pose) -> Isometry3<f64> {
-    let [w, x, y, z] = pose.orientation;
+/// A position (m) and a unit quaternion (w, x, y, z) as nalgebra has them.
+pub(crate) fn isometry(position: &[f64; 3], orientation: &[f64; 4]) -> Isometry3<f64> {
+    let [w, x, y, z] = *orientation;
     let turn = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
-    Isometry3::from_parts(Translation3::from(Vector3::from(pose.position)), turn)
+    Isometry3::from_parts(Translation3::from(Vector3::from(*position)), turn)
 }
 
 #[cfg(test)]
