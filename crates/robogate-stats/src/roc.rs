@@ -7,7 +7,8 @@
 //! Where that variance is zero (perfect order) it is no evidence of certainty; the interval then comes from
 //! min(m, n) disjoint pairs, which are independent trials of the event behind the AUC (Clopper-Pearson).
 //!
-//! Limit: an AUC speaks of the population its rows were drawn from. AUCs of two designs, or in sample against
+//! Limits: at an area of 0.76 the 95 % interval covers 95.1 % with 100 and 300 rows in the classes, 94.0 % with 40 and 40, 92.4 %
+//! with 15 and 200 (`tests/coverage.rs`). An AUC speaks of the population its rows were drawn from. AUCs of two designs, or in sample against
 //! out of sample, are not comparable; [`compare`] is for two scores on the same rows.
 //! Sources: DeLong, DeLong and Clarke-Pearson (1988), Biometrics 44; Sun and Xu (2014), IEEE Signal
 //! Processing Letters 21(11); LeDell, Petersen and van der Laan (2015) for the pooled variance over folds.
