@@ -4,12 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
 
 /// For each crate of the workspace, what it may use of the others. `None`: everything.
-const MAY_USE: [(&str, Option<&[&str]>); 8] = [
+const MAY_USE: [(&str, Option<&[&str]>); 9] = [
     ("robogate-core", Some(&[])),
     ("robogate-sim", Some(&["robogate-core", "mujoco-provision"])),
     ("robogate-dictionary", Some(&["robogate-core"])),
     ("robogate-stats", Some(&[])),
     ("robogate-campaign", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
+    ("robogate-gate", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     ("robogate-report", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     ("mujoco-provision", Some(&[])),
     ("robogate", None),

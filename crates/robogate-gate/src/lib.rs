@@ -1,0 +1,31 @@
+//! The decision: may this policy run in this cell?
+//!
+//! [`Requirements`] say what is demanded, [`Trial`]s what happened; an [`Evaluation`] holds every figure with how sure
+//! it is, and ends in a [`Verdict`]. It is a pure function of the two (and of the [`Baseline`] that relative demands
+//! refer to): no file, clock or chance stands above it.
+//!
+//! | from | to |
+//! |---|---|
+//! | a TOML file | [`Requirements`] |
+//! | rows of a dictionary | [`Trial`] |
+//! | both | [`Evaluation`], with [`ConfidenceScore`] and [`Verdict`] |
+
+mod baseline;
+mod error;
+mod evaluation;
+mod metric;
+mod requirement;
+mod requirements;
+mod score;
+mod trial;
+mod verdict;
+
+pub use baseline::{Baseline, Population};
+pub use error::GateError;
+pub use evaluation::{Counts, Evaluation, Extremes, Finding, GroupResult, Sampling, Status};
+pub use metric::Metric;
+pub use requirement::{Bound, Each, Requirement, Sense};
+pub use requirements::{Budget, Family, Mode, Requirements};
+pub use score::{ConfidenceScore, ScoreTerm, ScoredTerm, Scoring};
+pub use trial::{Ending, Label, Trial};
+pub use verdict::Verdict;

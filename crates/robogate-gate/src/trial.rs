@@ -1,0 +1,52 @@
+//! What the gate needs of a row.
+
+use robogate_core::{Assignment, FailureMode, Fault, Outcome};
+
+/// The place of an episode in a suite.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Label {
+    /// The scenario's id in its suite; every round runs each id once.
+    pub case: String,
+    /// The scenario's category (`nominal`, `edge_cases`, ...).
+    pub category: String,
+    /// The scenario's group within it (`heavy_objects`, ...).
+    pub group: String,
+}
+
+/// How an episode ended, as far as the gate asks.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Ending {
+    /// The task was done.
+    Success,
+    /// The policy failed; `None` where it is not known in which way (others' results often keep only success).
+    Failure(Option<FailureMode>),
+    /// Nothing can be said about the policy.
+    Invalid(Fault),
+}
+
+impl From<Outcome> for Ending {
+    fn from(outcome: Outcome) -> Self {
+        match outcome {
+            Outcome::Success => Self::Success,
+            Outcome::Failure(mode) => Self::Failure(Some(mode)),
+            Outcome::Invalid(fault) => Self::Invalid(fault),
+        }
+    }
+}
+
+/// One episode, as the gate sees it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trial {
+    /// Its index in its campaign.
+    pub index: u64,
+    /// Its campaign's seed: two trials with the same seed, index and parameters met the same world.
+    pub seed: u64,
+    /// Its place in a suite; `None` where it was drawn from a parameter space.
+    pub label: Option<Label>,
+    /// The parameters asked for.
+    pub requested: Assignment,
+    /// How it ended.
+    pub ending: Ending,
+    /// How long it took, in simulated seconds; `None` where that was not recorded.
+    pub time_s: Option<f64>,
+}
