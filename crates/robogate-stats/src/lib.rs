@@ -15,9 +15,14 @@
 //! | does the risk score tell failures apart, and is it true? | [`roc`], [`calibration`] |
 //! | which way does it fail, and where does that change? | [`modes`] |
 //! | are two of them different? | [`compare`], [`multiplicity`] |
+//! | is it good enough, looked at as often as one likes? | [`anytime`], [`bounded_mean`] |
+//! | what will such a gate do? | [`operating`] |
+//! | may B replace A? | [`non_inferiority`] |
 //! | what holds for the operating space, when the rows were drawn elsewhere? | [`weighted`] |
 
+pub mod anytime;
 pub mod binning;
+pub mod bounded_mean;
 pub mod calibration;
 pub mod compare;
 pub mod correlation;
@@ -27,6 +32,8 @@ pub mod limit_state;
 pub mod logistic;
 pub mod modes;
 pub mod multiplicity;
+pub mod non_inferiority;
+pub mod operating;
 pub mod resample;
 pub mod roc;
 pub(crate) mod special;

@@ -146,9 +146,15 @@ fn ln_beta_kernel(a: f64, b: f64, x: f64, y: f64) -> f64 {
         - LN_SQRT_2PI
 }
 
-/// ln P(X = k) for X binomial(n, p), 0 < k < n, 0 < p < 1.
+/// ln P(X = k) for X binomial(n, p), 0 <= k <= n, 0 < p < 1.
 pub(crate) fn ln_binomial_pmf(k: f64, n: f64, p: f64) -> f64 {
     let j = n - k;
+    if k <= 0.0 {
+        return n * (-p).ln_1p();
+    }
+    if j <= 0.0 {
+        return n * p.ln();
+    }
     stirling_error(n)
         - stirling_error(k)
         - stirling_error(j)

@@ -5,6 +5,7 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests; a panic here is a failed test")]
 
 mod analysis;
+mod gate;
 mod interval;
 mod logistic;
 

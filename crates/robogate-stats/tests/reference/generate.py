@@ -407,6 +407,103 @@ while len(OUT["separation"]) < 90:
     OUT["separation"].append({"columns": [[float(c) for c in col] for col in xs_], "outcomes": [int(o) for o in ys_], "kind": kind})
 
 
+# ---------------------------------------------------------------- anytime-valid test of a rate, by quadrature
+import scipy.integrate as si
+
+
+def ln_evidence(k, n, p0):
+    """ln of the mean likelihood ratio over q uniform on (p0, 1), by adaptive quadrature from its definition."""
+    ln_ratio = lambda q: k * math.log(q / p0) + ((n - k) * math.log((1 - q) / (1 - p0)) if n > k else 0.0)
+    top = max(ln_ratio(q) for q in np.linspace(p0, 1, 2001)[1:-1])
+    points = [q for q in [max(p0, k / n - 0.05), k / n, min(1, k / n + 0.05)] if p0 < q < 1]
+    value, _ = si.quad(lambda q: math.exp(ln_ratio(q) - top), p0, 1, points=points or None, epsabs=0, epsrel=1e-12, limit=400)
+    return top + math.log(value / (1 - p0))
+
+
+OUT["anytime"] = []
+for k, n, p0 in [(68, 68, 0.92), (64, 68, 0.92), (60, 68, 0.92), (1, 1, 0.5), (0, 5, 0.3), (680, 680, 0.98), (1300, 1360, 0.92), (40, 68, 0.1), (9_950, 10_000, 0.99)]:
+    case = {"k": k, "n": n, "p0": p0, "above": ln_evidence(k, n, p0)}
+    if 0 < k:
+        low = so.brentq(lambda p: ln_evidence(k, n, p) - math.log(20), 1e-9, k / n - 1e-9) if ln_evidence(k, n, 1e-9) > math.log(20) else 0.0
+        case["low"] = low
+    OUT["anytime"].append(case)
+
+# ---------------------------------------------------------------- mean of a bounded quantity, by betting
+def ln_capital(values, looks, ceiling, m):
+    x = np.asarray(values) / ceiling
+    m = m / ceiling
+    paths = [np.cumsum(np.log1p(0.99 * 0.5**j * (m - x) / (1 - m))) for j in range(12)]
+    return max(0.0, *[float(sp.logsumexp([path[look - 1] for path in paths]) - math.log(12)) for look in looks])
+
+
+times = [float(v) for v in np.round(3 + 4 * formula(136, 37, 101), 6)]
+OUT["bounded_mean"] = {"values": times, "looks": [68, 136], "ceiling": 15.0, "cases": []}
+for m in [4.0, 5.2, 5.5, 7.0, 12.0]:
+    mirrored = [15.0 - v for v in times]
+    OUT["bounded_mean"]["cases"].append({"m": m, "below": ln_capital(times, [68, 136], 15.0, m), "above": ln_capital(mirrored, [68, 136], 15.0, 15.0 - m)})
+
+# ---------------------------------------------------------------- what a gate in rounds does, by a second walk
+def walk(p0, alpha, beta, per_round, rounds, p):
+    """All paths by their counts, with the closed form of the evidence from scipy's binomial."""
+    def above(k, n, p0):
+        return st.binom.logcdf(k, n + 1, p0) - math.log((n + 1) * (1 - p0)) - st.binom.logpmf(k, n, p0)
+    alive, met, violated, trials = {0: 1.0}, 0.0, 0.0, 0.0
+    for r in range(1, rounds + 1):
+        trials += per_round * sum(alive.values())
+        n, nxt = r * per_round, {}
+        for k, mass in alive.items():
+            for j, q in enumerate(st.binom.pmf(np.arange(per_round + 1), per_round, p)):
+                nxt[k + j] = nxt.get(k + j, 0.0) + mass * float(q)
+        alive = {}
+        for k, mass in nxt.items():
+            if above(k, n, p0) >= -math.log(alpha):
+                met += mass
+            elif above(n - k, n, 1 - p0) >= -math.log(beta):
+                violated += mass
+            else:
+                alive[k] = mass
+    return {"met": met, "violated": violated, "open": sum(alive.values()), "trials": trials}
+
+
+OUT["operating"] = [
+    {"p0": p0, "alpha": 0.05, "beta": 0.01, "per_round": s, "rounds": r, "p": p, **walk(p0, 0.05, 0.01, s, r, p)}
+    for p0, s, r, p in [(0.92, 68, 6, 0.92), (0.92, 68, 6, 0.97), (0.92, 68, 6, 0.85), (0.98, 68, 5, 0.995), (0.5, 10, 8, 0.7)]
+]
+
+# ---------------------------------------------------------------- non-inferiority of paired rates
+def tango_z(b, c, n, d):
+    """Score statistic with the constrained likelihood maximised numerically (b: first only, c: second only)."""
+    def negative(q):
+        return -sum(k * math.log(v) for k, v in [(b, q), (c, q - d), (n - b - c, 1 - 2 * q + d)] if k > 0)
+    low, high = d, (1 + d) / 2
+    q = so.minimize_scalar(negative, bounds=(low + 1e-13, high - 1e-13), method="bounded", options={"xatol": 1e-13, "maxiter": 2000}).x
+    variance = n * (2 * q - d * (1 + d))
+    return (c - b + n * d) / math.sqrt(variance)
+
+
+def exact_p(b, c, n, d):
+    """Largest tail probability over the nuisance chance, every table enumerated."""
+    seen = tango_z(b, c, n, d)
+    extreme = [(i, j) for i in range(n + 1) for j in range(n - i + 1) if tango_z(i, j, n, d) >= seen - 1e-6]
+    i, j = np.array(extreme).T
+    ln_ways = sp.gammaln(n + 1) - sp.gammaln(i + 1) - sp.gammaln(j + 1) - sp.gammaln(n - i - j + 1)
+    def tail(q):
+        return float(np.exp(ln_ways + sp.xlogy(i, q) + sp.xlogy(j, q - d) + sp.xlogy(n - i - j, np.maximum(1 - 2 * q + d, 0))).sum())
+    grid = np.linspace(d, (1 + d) / 2, 2001)
+    best = grid[int(np.argmax([tail(q) for q in grid]))]
+    step = grid[1] - grid[0]
+    found = so.minimize_scalar(lambda q: -tail(q), bounds=(max(d, best - step), min((1 + d) / 2, best + step)), method="bounded", options={"xatol": 1e-12})
+    return max(tail(best), -found.fun)
+
+
+OUT["non_inferiority"] = []
+for b, c, n, d in [(1, 3, 30, 0.1), (0, 2, 25, 0.2), (4, 2, 40, 0.15), (6, 9, 40, 0.05), (10, 2, 30, 0.1), (3, 3, 68, 0.05)]:
+    case = {"both": n - b - c, "first_only": b, "second_only": c, "margin": d, "tango_p": float(st.norm.sf(tango_z(b, c, n, d)))}
+    if n <= 40:
+        case["exact_p"] = exact_p(b, c, n, d)
+    OUT["non_inferiority"].append(case)
+
+
 def finite(value, where):
     if isinstance(value, dict):
         for k, v_ in value.items():

@@ -1,0 +1,169 @@
+//! A success rate against a fixed one, looked at as often as one likes.
+//!
+//! Against "the rate is at most p₀" stands each larger rate q alike. After k successes in n trials the evidence is the mean
+//! likelihood ratio
+//!
+//! ```text
+//! E(p₀) = 1/(1-p₀) ∫ (q/p₀)^k ((1-q)/(1-p₀))^(n-k) dq,  q from p₀ to 1
+//!       = F(k; n+1, p₀) / ((n+1) (1-p₀) f(k; n, p₀))
+//! ```
+//!
+//! with the binomial distribution function F and mass f. Whatever the true rate up to p₀, E is a non-negative
+//! supermartingale that begins at 1: the chance that it ever reaches 1/α is at most α (Ville). So one may stop whenever it
+//! has, and min(1, 1/max E) is a p-value at every moment.
+//!
+//! **Rounds of unlike scenarios.** Where every round runs the same scenarios, the rate in question is their mean, and a
+//! scenario has a rate of its own. For each q the ratio of one trial is 1 + λ(x - p₀) with λ = (q-p₀)/(p₀(1-p₀)), and over
+//! a round the means 1 + λ(pᵢ - p₀) multiply to at most 1 where the pᵢ average at most p₀ (the geometric mean is never
+//! above the arithmetic). So all of this holds for the mean, **if one looks at the end of whole rounds**.
+//!
+//! E falls in p₀ wherever it is at least e, so the p₀ that are not rejected form an interval ([`Bounds`]) for every
+//! level above 1 - 1/e.
+//!
+//! Limit: trials are independent given their scenario; p₀ strictly between 0 and 1.
+//! Sources: Robbins (1970), Annals of Mathematical Statistics 41; Howard, Ramdas, McAuliffe and Sekhon (2021), Annals of
+//! Statistics 49 (beta-binomial mixture); Ville (1939).
+
+use crate::interval::{Interval, Trials};
+use crate::special::{ln_beta_cdf, ln_binomial_pmf};
+
+/// ln of the evidence against "the rate is at most `p0`".
+///
+/// 0 without trials; at `p0` = 0 any success is infinite evidence, and against `p0` = 1 there is none.
+pub fn ln_evidence_above(trials: Trials, p0: f64) -> f64 {
+    let (k, n) = (trials.successes() as f64, trials.n() as f64);
+    if p0.is_nan() || p0 >= 1.0 || n <= 0.0 {
+        return 0.0;
+    }
+    if p0 <= 0.0 {
+        return if k > 0.0 { f64::INFINITY } else { -(n + 1.0).ln() };
+    }
+    let q0 = 1.0 - p0;
+    ln_beta_cdf(n - k + 1.0, k + 1.0, q0, p0) - (n + 1.0).ln() - q0.ln() - ln_binomial_pmf(k, n, p0)
+}
+
+/// ln of the evidence against "the rate is at least `p0`".
+pub fn ln_evidence_below(trials: Trials, p0: f64) -> f64 {
+    ln_evidence_above(mirrored(trials), 1.0 - p0)
+}
+
+fn mirrored(trials: Trials) -> Trials {
+    Trials::new(trials.failures(), trials.n()).unwrap_or(Trials::NONE)
+}
+
+/// The rates that looks at growing numbers of trials have not rejected.
+///
+/// The true rate is in it at all times at once with probability 1 - 2 tail.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bounds {
+    tail: f64,
+    interval: Interval,
+}
+
+impl Bounds {
+    /// Before the first trial; each side may be wrong with probability `tail`, cut to [1e-300, 1/e].
+    pub fn new(tail: f64) -> Self {
+        Self { tail: tail.clamp(1e-300, (-1.0_f64).exp()), interval: Interval::UNIT }
+    }
+
+    /// Looks at all the trials so far.
+    pub fn look(&mut self, trials: Trials) {
+        let low = lower_end(trials, self.tail);
+        let high = 1.0 - lower_end(mirrored(trials), self.tail);
+        self.interval = Interval { low: low.max(self.interval.low), high: high.min(self.interval.high) };
+    }
+
+    /// What is left; `low` above `high` has probability 2 tail at most, and says that a premise does not hold.
+    pub fn interval(&self) -> Interval {
+        self.interval
+    }
+}
+
+/// The largest p₀ with evidence of at least 1/tail against "at most p₀"; 0 where there is none.
+fn lower_end(trials: Trials, tail: f64) -> f64 {
+    let Some(rate) = trials.rate() else { return 0.0 };
+    if trials.successes() == 0 {
+        return 0.0;
+    }
+    let wanted = -tail.ln();
+    let (mut low, mut high) = (0.0_f64, rate);
+    for _ in 0..200 {
+        let middle = 0.5 * (low + high);
+        if middle <= low || middle >= high {
+            break;
+        }
+        if ln_evidence_above(trials, middle) >= wanted { low = middle } else { high = middle }
+    }
+    low
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn t(k: u64, n: u64) -> Trials {
+        Trials::new(k, n).unwrap()
+    }
+
+    #[test]
+    fn nothing_tried_is_no_evidence() {
+        assert_eq!((ln_evidence_above(Trials::NONE, 0.5), ln_evidence_below(Trials::NONE, 0.5)), (0.0, 0.0));
+        let mut bounds = Bounds::new(0.05);
+        bounds.look(Trials::NONE);
+        assert_eq!(bounds.interval(), Interval::UNIT);
+    }
+
+    #[test]
+    fn the_expected_evidence_is_one_at_the_limit_and_less_below_it() {
+        for n in [1, 7, 68, 300] {
+            for p0 in [0.02, 0.5, 0.92] {
+                let expected = |p: f64| -> f64 {
+                    (0..=n)
+                        .map(|k| (ln_binomial_pmf(k as f64, n as f64, p) + ln_evidence_above(t(k, n), p0)).exp())
+                        .sum()
+                };
+                assert!((expected(p0) - 1.0).abs() < 1e-9, "n {n} p0 {p0}: {}", expected(p0));
+                assert!(expected(0.9 * p0) < 1.0);
+            }
+        }
+    }
+
+    #[test]
+    fn a_round_of_unlike_scenarios_with_that_mean_expects_no_more() {
+        // Half of the scenarios always succeed, the other half never: the mean rate is one half, the count fixed.
+        let even = ln_evidence_above(t(34, 68), 0.5);
+        assert!(even < 0.0, "{even}");
+    }
+
+    #[test]
+    fn evidence_falls_in_the_limit_wherever_it_is_at_least_e() {
+        for n in 1..=60_u64 {
+            for k in 0..=n {
+                let mut last = f64::INFINITY;
+                for i in 1..400 {
+                    let e = ln_evidence_above(t(k, n), f64::from(i) / 400.0);
+                    assert!(e < 1.0 || e <= last + 1e-12, "k {k} n {n} at {i}: {e} after {last}");
+                    last = e;
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_ends_are_where_the_evidence_is_that_of_the_level() {
+        let mut bounds = Bounds::new(0.05);
+        bounds.look(t(60, 68));
+        let Interval { low, high } = bounds.interval();
+        assert!((ln_evidence_above(t(60, 68), low) - 20.0_f64.ln()).abs() < 1e-9);
+        assert!((ln_evidence_below(t(60, 68), high) - 20.0_f64.ln()).abs() < 1e-9);
+    }
+
+    #[test]
+    fn looking_again_never_widens() {
+        let mut bounds = Bounds::new(0.05);
+        bounds.look(t(68, 68));
+        let first = bounds.interval();
+        bounds.look(t(120, 136));
+        assert!(bounds.interval().low >= first.low && bounds.interval().high <= first.high);
+    }
+}
