@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use robogate_core::{DesignError, Episode, Fault, Outcome, ParameterSpace};
-use robogate_dictionary::{Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Provenance};
+use robogate_dictionary::{Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Label, Provenance};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -351,7 +351,7 @@ impl<'a> Run<'a> {
         let weight =
             points.weight(index).ok_or_else(|| RunError::ForeignEpisode { path: self.folder.path(JOURNAL), index })?;
         let (stage, design) = (points.stage(), points.sampler().to_owned());
-        let entry = Entry { stage: stage.word().to_owned(), design, weight, episode };
+        let entry = Entry { stage: stage.word().to_owned(), design, weight, label: Label::default(), episode };
         self.journal.append(&entry)?;
         self.count(stage, &entry.episode, outcomes);
         (self.events)(&Event::episode(stage, &entry.episode));

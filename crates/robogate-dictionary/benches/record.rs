@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use robogate_core::{Contact, Episode, FailureMode, Measures, Outcome, ParameterSpace, Phase, Scenario, Seed};
 use robogate_dictionary::{
-    Dictionary, Engine, Entry, Journal, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, dataset_hash, export,
+    Dictionary, Engine, Entry, Journal, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, dataset_hash, export,
     published, write_parquet,
 };
 
@@ -103,6 +103,7 @@ fn entry(space: &ParameterSpace, index: u64) -> Entry {
         stage: "uniform".to_owned(),
         design: "latin_hypercube".to_owned(),
         weight: 1.0,
+        label: Label::default(),
         episode: Episode {
             applied: requested.clone(),
             scenario: Scenario { index, seed, requested },

@@ -11,7 +11,7 @@ use robogate_core::{
     Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Measures, Outcome, Phase, Scenario, Seed, Value,
 };
 
-use crate::Entry;
+use crate::{Entry, Label};
 
 /// Every class of fault, in the order of their codes.
 pub(crate) const FAULT_KINDS: [FaultKind; 5] =
@@ -60,7 +60,7 @@ struct Encoder<'a> {
 
 impl Encoder<'_> {
     fn entry(&mut self, entry: &Entry) {
-        let Entry { stage, design, weight, episode } = entry;
+        let Entry { stage, design, weight, label, episode } = entry;
         let Episode { scenario, applied, outcome, time_s, phase, contact, measures, ticks, trajectory_hash } = episode;
         self.u64(scenario.index);
         self.u64(scenario.seed.campaign_number());
@@ -80,13 +80,21 @@ impl Encoder<'_> {
         }
         self.f64(*time_s);
         self.u8(phase.map_or(0, |phase| 1 + place(&Phase::ALL, &phase)));
-        match contact {
-            None => self.u8(0),
-            Some(Contact { robot_body, other_body, force_n }) => {
-                self.u8(1);
-                self.text(robot_body);
-                self.text(other_body);
-                self.f64(*force_n);
+        // One byte says what is there: without a label it is the byte that it was before there were labels, so
+        // that records and hashes of unlabelled episodes stay what they were.
+        self.u8(u8::from(contact.is_some()) * CONTACT + u8::from(!label.is_empty()) * LABEL);
+        if let Some(Contact { robot_body, other_body, force_n }) = contact {
+            self.text(robot_body);
+            self.text(other_body);
+            self.f64(*force_n);
+        }
+        if !label.is_empty() {
+            let Label { case, category, group } = label;
+            for word in [case, category, group] {
+                self.u8(u8::from(word.is_some()));
+                if let Some(word) = word {
+                    self.text(word);
+                }
             }
         }
         let Measures { peak_contact_force_n, slip_m, min_clearance_m, target_distance_m } = measures;
@@ -159,6 +167,9 @@ impl Encoder<'_> {
 
 const INVALID: u8 = 5;
 
+const CONTACT: u8 = 1;
+const LABEL: u8 = 2;
+
 const NUMBER: u8 = b'n';
 const INTEGER: u8 = b'i';
 const CATEGORY: u8 = b'c';
@@ -229,11 +240,20 @@ impl<'a> Decoder<'a> {
             0 => None,
             code => Some(*pick(&Phase::ALL, code - 1, "phase")?),
         };
-        let contact = if self.flag()? {
+        let there = match self.u8()? {
+            there if there & !(CONTACT | LABEL) == 0 => there,
+            code => return Err(format!("{code} says of neither a contact nor a label whether it is there")),
+        };
+        let contact = if there & CONTACT != 0 {
             let (robot_body, other_body) = (self.text()?.to_owned(), self.text()?.to_owned());
             Some(Contact { robot_body, other_body, force_n: self.f64()? })
         } else {
             None
+        };
+        let label = if there & LABEL != 0 {
+            Label { case: self.optional_text()?, category: self.optional_text()?, group: self.optional_text()? }
+        } else {
+            Label::default()
         };
         let measures = Measures {
             peak_contact_force_n: self.measure()?,
@@ -244,7 +264,7 @@ impl<'a> Decoder<'a> {
         let ticks = u32::from_le_bytes(self.array()?);
         let trajectory_hash = self.u64()?;
         let episode = Episode { scenario, applied, outcome, time_s, phase, contact, measures, ticks, trajectory_hash };
-        Ok(Entry { stage, design, weight, episode })
+        Ok(Entry { stage, design, weight, label, episode })
     }
 
     fn assignment(&mut self) -> Result<Assignment, String> {
@@ -265,6 +285,10 @@ impl<'a> Decoder<'a> {
 
     fn measure(&mut self) -> Result<Option<f64>, String> {
         if self.flag()? { self.f64().map(Some) } else { Ok(None) }
+    }
+
+    fn optional_text(&mut self) -> Result<Option<String>, String> {
+        if self.flag()? { self.text().map(|text| Some(text.to_owned())) } else { Ok(None) }
     }
 
     fn flag(&mut self) -> Result<bool, String> {

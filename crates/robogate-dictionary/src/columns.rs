@@ -9,7 +9,8 @@ use robogate_core::{
 };
 
 use crate::codec::{FAULT_KINDS, Interner, integer_as_number, number_as_integer};
-use crate::{DictionaryError, Entry};
+use crate::schema::LABELLED;
+use crate::{DictionaryError, Entry, Label, SchemaVersion};
 
 /// What a column holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -39,12 +40,37 @@ pub struct FixedColumn {
     pub meaning: &'static str,
 }
 
-/// The fixed columns in order. Between `seed` and `applied_other` stand, for each parameter of the space,
+/// The fixed columns in order; the last three are there since version 1.1. Between `seed` and `applied_other` stand, for each parameter of the space,
 /// a column of its name (the value asked for), and after these one of its name behind `applied_` (the
 /// value read back from the simulator, null where it never got so far).
 pub fn fixed_columns() -> impl Iterator<Item = &'static FixedColumn> {
-    LEADING.iter().chain(&TRAILING)
+    LEADING.iter().chain(&TRAILING).chain(&LABEL)
 }
+
+/// The columns of a suite's scenarios, last of all.
+static LABEL: [FixedColumn; 3] = [
+    FixedColumn {
+        name: "case",
+        kind: Kind::Text,
+        required: false,
+        repeats: true,
+        meaning: "the id of the scenario in its suite; null where the point was drawn from a space",
+    },
+    FixedColumn {
+        name: "category",
+        kind: Kind::Text,
+        required: false,
+        repeats: true,
+        meaning: "the scenario's category in its suite",
+    },
+    FixedColumn {
+        name: "group",
+        kind: Kind::Text,
+        required: false,
+        repeats: true,
+        meaning: "the scenario's group within its category",
+    },
+];
 
 /// One column.
 #[derive(Debug, Clone)]
@@ -236,11 +262,14 @@ static TRAILING: [FixedColumn; 16] = [
 pub(crate) struct Columns {
     space: ParameterSpace,
     specs: Vec<ColumnSpec>,
+    /// Whether the last three are those of a suite's scenarios.
+    labelled: bool,
 }
 
 impl Columns {
-    /// The columns over `space`; a parameter must not take the name of another column.
-    pub(crate) fn of(space: &ParameterSpace) -> Result<Self, DictionaryError> {
+    /// The columns over `space` in this version of the schema; a parameter must not take the name of another
+    /// column.
+    pub(crate) fn of(space: &ParameterSpace, version: SchemaVersion) -> Result<Self, DictionaryError> {
         let spec = |name, kind, required, repeats| ColumnSpec { name, kind, required, repeats };
         let fixed = |column: &FixedColumn| spec(column.name.to_owned(), column.kind, column.required, column.repeats);
         let of_parameters = |prefix: &'static str, required| {
@@ -253,12 +282,14 @@ impl Columns {
                 spec(format!("{prefix}{}", parameter.name), kind, required, kind != Kind::Number)
             })
         };
+        let labelled = version >= LABELLED;
         let specs: Vec<ColumnSpec> = LEADING
             .iter()
             .map(fixed)
             .chain(of_parameters("", true))
             .chain(of_parameters(APPLIED, false))
             .chain(TRAILING.iter().map(fixed))
+            .chain(LABEL.iter().filter(|_| labelled).map(fixed))
             .collect();
         // Readers on case-insensitive engines (DuckDB) would not tell `Mass` from `mass`.
         let mut names: Vec<(String, usize)> =
@@ -269,7 +300,7 @@ impl Columns {
             let at = if parameters.contains(&pair[0].1) { pair[0].1 } else { pair[1].1 };
             return Err(DictionaryError::ColumnClash { parameter: specs[at].name.clone() });
         }
-        Ok(Self { space: space.clone(), specs })
+        Ok(Self { space: space.clone(), specs, labelled })
     }
 
     /// The columns in order.
@@ -283,7 +314,7 @@ impl Columns {
     /// value of another kind or name stands in `applied_other`, a measure that is not finite is null.
     pub(crate) fn flatten<'a>(&self, entry: &'a Entry, cells: &mut Vec<Cell<'a>>) -> Result<(), DictionaryError> {
         entry.check()?;
-        let Entry { stage, design, weight, episode } = entry;
+        let Entry { stage, design, weight, label, episode } = entry;
         let Episode { scenario, applied, outcome, time_s, phase, contact, measures, ticks, trajectory_hash } = episode;
         cells.clear();
         cells.extend([
@@ -315,6 +346,10 @@ impl Columns {
         cells.extend([peak_contact_force_n, slip_m, min_clearance_m, target_distance_m].map(number));
         cells.push(Cell::Count(u64::from(*ticks)));
         cells.push(Cell::Text(format!("{trajectory_hash:016x}").into()));
+        if self.labelled {
+            let Label { case, category, group } = label;
+            cells.extend([case, category, group].map(|word| word.as_deref().map_or(Cell::Null, text)));
+        }
         Ok(())
     }
 
@@ -429,9 +464,15 @@ impl Columns {
             .ok()
             .filter(|_| hash.len() == 16 && !hash.starts_with('+'))
             .ok_or_else(|| row.wrong("is no hash of 16 hexadecimal digits"))?;
+        let label = if self.labelled {
+            let mut word = || row.optional_text().map(str::to_owned);
+            Label { case: word(), category: word(), group: word() }
+        } else {
+            Label::default()
+        };
         let scenario = Scenario { index, seed, requested };
         let episode = Episode { scenario, applied, outcome, time_s, phase, contact, measures, ticks, trajectory_hash };
-        Ok(Entry { stage, design, weight, episode })
+        Ok(Entry { stage, design, weight, label, episode })
     }
 }
 

@@ -16,8 +16,29 @@ pub struct Entry {
     /// Importance weight p(x)/q(x) of the operating density over the density it was drawn from:
     /// what makes a boundary-focused row speak of the operating distribution. Finite, not negative.
     pub weight: f64,
+    /// Which scenario of a suite it is; empty where the point was drawn from a space.
+    pub label: Label,
     /// What was asked for and what happened.
     pub episode: Episode,
+}
+
+/// Which scenario of a suite an episode is of. Each word is absent where nobody gave one.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
+pub struct Label {
+    /// The scenario's id in its suite.
+    pub case: Option<String>,
+    /// Its category (`nominal`, `edge_cases`, ...).
+    pub category: Option<String>,
+    /// Its group within the category (`small_objects`, ...).
+    pub group: Option<String>,
+}
+
+impl Label {
+    /// Whether there is no word in it.
+    pub fn is_empty(&self) -> bool {
+        let Self { case, category, group } = self;
+        [case, category, group].into_iter().all(Option::is_none)
+    }
 }
 
 impl Entry {

@@ -23,7 +23,7 @@ pub mod published;
 mod schema;
 
 pub use columns::{FixedColumn, Kind, fixed_columns};
-pub use entry::Entry;
+pub use entry::{Entry, Label};
 pub use error::{DictionaryError, Row};
 pub use hash::{DatasetHash, dataset_hash};
 pub use journal::{Journal, Recovery};

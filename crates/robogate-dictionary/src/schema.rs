@@ -8,7 +8,10 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
 /// The version that this crate writes, and the newest that it knows.
-pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 1, minor: 0 };
+pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 1, minor: 1 };
+
+/// The version that added the columns of a suite's scenarios (`case`, `category`, `group`).
+pub(crate) const LABELLED: SchemaVersion = SchemaVersion { major: 1, minor: 1 };
 
 /// A version of the dictionary's schema, written `major.minor`.
 ///

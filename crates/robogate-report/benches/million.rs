@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use robogate_core::{Assignment, Episode, FailureMode, Measures, Outcome, ParameterSpace, Scenario, Seed};
-use robogate_dictionary::{DictionaryWriter, Engine, Entry, Provenance, Robot, SCHEMA_VERSION, Tool};
+use robogate_dictionary::{DictionaryWriter, Engine, Entry, Label, Provenance, Robot, SCHEMA_VERSION, Tool};
 use robogate_report::{Analysis, Source, html};
 
 const SPACE: &str = include_str!("../../../assets/spaces/franka.toml");
@@ -98,6 +98,7 @@ fn write(path: &Path, rows: u64) {
                 stage: "uniform".to_owned(),
                 design: "uniform".to_owned(),
                 weight: 1.0,
+                label: Label::default(),
                 episode: Episode {
                     scenario: Scenario { index: i, seed: Seed::campaign(1).episode(i), requested: requested.clone() },
                     applied: requested,

@@ -18,7 +18,8 @@ use super::{
 use crate::codec::{EXACT_INTEGER, Interner};
 use crate::columns::{Columns, failure_type};
 use crate::{
-    DictionaryError, DictionaryWriter, Engine, Entry, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool, Written,
+    DictionaryError, DictionaryWriter, Engine, Entry, Label, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool,
+    Written,
 };
 
 /// A word field with more distinct words than this is text about the row and no parameter of it.
@@ -294,7 +295,7 @@ impl Survey {
             source: Some(Source { format: "published_json".to_owned(), sha256: frame.sha256.clone(), notes }),
         };
         // Refused here, before anything is written.
-        Columns::of(&provenance.space)?;
+        Columns::of(&provenance.space, SCHEMA_VERSION)?;
         Ok(Plan { provenance, fields, by_sample: self.samples_rise })
     }
 }
@@ -303,7 +304,8 @@ impl Survey {
 fn free_name(published: &str) -> String {
     let here = name_here(published);
     let parameter = |name: &str| Parameter { name: name.into(), domain: Domain::Integer { low: 0, high: 0 } };
-    let clashes = ParameterSpace::new("one", vec![parameter(here)]).is_ok_and(|space| Columns::of(&space).is_err());
+    let clashes = ParameterSpace::new("one", vec![parameter(here)])
+        .is_ok_and(|space| Columns::of(&space, SCHEMA_VERSION).is_err());
     if clashes { format!("{PREFIX}{here}") } else { here.to_owned() }
 }
 
@@ -361,7 +363,13 @@ impl Plan {
             ticks: 0,
             trajectory_hash: 0,
         };
-        Ok(Entry { stage: "imported".to_owned(), design: "published".to_owned(), weight: 1.0, episode })
+        Ok(Entry {
+            stage: "imported".to_owned(),
+            design: "published".to_owned(),
+            weight: 1.0,
+            label: Label::default(),
+            episode,
+        })
     }
 }
 

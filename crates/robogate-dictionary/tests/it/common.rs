@@ -7,7 +7,7 @@ use robogate_core::{
     Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Measures, Outcome, ParameterSpace, Phase, Scenario,
     Seed, Stream, Value,
 };
-use robogate_dictionary::{Engine, Entry, Platform, Provenance, Robot, SCHEMA_VERSION, Tool};
+use robogate_dictionary::{Engine, Entry, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool};
 
 pub(crate) const SEED: u64 = 2026;
 
@@ -88,6 +88,15 @@ pub(crate) fn entry(index: u64) -> Entry {
         stage: if index < 1000 { "uniform" } else { "boundary" }.to_owned(),
         design: "latin_hypercube".to_owned(),
         weight: if index < 1000 { 1.0 } else { stream.between(0.0, 3.0) },
+        label: match index % 4 {
+            0 => Label {
+                case: Some(format!("heavy-{}", index % 3)),
+                category: Some("edge_cases".to_owned()),
+                group: Some("heavy_objects".to_owned()),
+            },
+            1 => Label { group: Some(String::new()), ..Label::default() },
+            _ => Label::default(),
+        },
         episode: Episode {
             scenario: Scenario { index, seed, requested },
             applied,

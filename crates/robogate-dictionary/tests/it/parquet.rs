@@ -223,7 +223,7 @@ fn a_newer_major_version_asks_for_an_upgrade_and_a_newer_minor_is_only_read() {
         let at = bytes.windows(key.len()).position(|window| window == key).unwrap() + key.len();
         let mut changed = bytes.clone();
         // Thrift's compact protocol: a field header, then the length of the text, then the text.
-        assert_eq!(&changed[at + 2..at + 5], b"1.0");
+        assert_eq!(&changed[at + 2..at + 5], b"1.1");
         changed[at + 2..at + 5].copy_from_slice(version.as_bytes());
         fs::write(&path, changed).unwrap();
         Dictionary::open(&path)
@@ -313,6 +313,24 @@ fn a_disk_that_fills_up_is_an_error_and_the_file_before_stays() {
     assert!(output.contains("stopped: cannot write") && output.contains("1 passed"), "{output}");
     assert!(fs::read(&path).unwrap() == before);
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left behind");
+}
+
+/// A campaign of twelve episodes that was recorded before there were labels.
+#[test]
+fn a_file_of_version_1_0_is_read_with_its_hash_and_without_labels() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/schema-1.0.parquet");
+    let old = Dictionary::open(&path).unwrap();
+    assert_eq!(old.schema_version(), SchemaVersion { major: 1, minor: 0 });
+    assert!(old.column_names().all(|name| !["case", "category", "group"].contains(&name)));
+    // The last entry would be an error if the hash were another.
+    let entries: Vec<Entry> = old.entries().collect::<Result<_, _>>().unwrap();
+    assert_eq!(entries.len(), 12);
+    assert!(entries.iter().all(|entry| entry.label.is_empty()));
+    let folder = Folder::new("parquet-old");
+    let again = folder.join("again.parquet");
+    write_parquet(&again, old.provenance(), entries.into_iter().map(Ok)).unwrap();
+    let new = Dictionary::open(&again).unwrap();
+    assert_eq!((new.dataset_hash(), new.column_names().last()), (old.dataset_hash(), Some("group")));
 }
 
 #[test]

@@ -7,7 +7,7 @@ use robogate_core::{
     Assignment, Domain, Episode, FailureMode, Fault, FaultKind, Measures, Outcome, ParameterSpace, Scenario, Seed,
 };
 use robogate_dictionary::{
-    DictionaryError, Engine, Entry, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, write_parquet,
+    DictionaryError, Engine, Entry, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, write_parquet,
 };
 
 pub(crate) const SEED: u64 = 7;
@@ -85,6 +85,7 @@ pub(crate) fn entry(i: u64, requested: Assignment, outcome: Outcome) -> Entry {
         stage: "uniform".to_owned(),
         design: "uniform".to_owned(),
         weight: 1.0,
+        label: Label::default(),
         episode: Episode {
             scenario: Scenario { index: i, seed: Seed::campaign(SEED).episode(i), requested },
             applied: Assignment::default(),
