@@ -1,6 +1,18 @@
 //! Forward and inverse kinematics of a serial arm.
 
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+
 use nalgebra::{Isometry3, Matrix6, Matrix6xX, Unit, UnitQuaternion, Vector3, Vector6};
+use robogate_core::Seed;
+
+/// From so many scattered postures [`Chain::reach`] looks for one that is nearer to the rest.
+const STARTS: usize = 16;
+
+/// Among postures, how much a turn of the first and last joint counts beside one of the others.
+const OUTER_WEIGHT: f64 = 0.1;
+
+/// A descent from one of them is given up after so many steps without getting a tenth nearer.
+const PATIENCE: usize = 12;
 
 /// One joint of a chain: a hinge about its own axis.
 #[derive(Debug, Clone, PartialEq)]
@@ -71,22 +83,105 @@ impl Chain {
         (tcp, jacobian)
     }
 
+    /// Joint positions that put the tool centre point at `goal` in the posture nearest to `rest`, to 1e-6 m
+    /// and rad, within the joints' ranges and without needless turns.
+    ///
+    /// An arm of six joints reaches a pose in up to sixteen postures: elbow up or down, shoulder left or right,
+    /// wrist turned over; and a joint that turns more than once in more ways still. Which one is meant
+    /// nobody needs to say by name: it is that of `rest`, the posture in which the arm waits. The descent
+    /// from `rest` mostly stays in it. Where it does not arrive, or ends with a joint more than a quarter turn
+    /// away, descents from other postures look for a nearer one: from `rest` turned to face the goal, and from
+    /// [`STARTS`] postures that are always the same. The first joint, which faces the goal, and the last, which
+    /// turns the tool, count little: they make no other posture. A redundant arm takes what its first
+    /// descent finds: it is pulled to `rest` on its way.
+    pub fn reach(&self, goal: &Isometry3<f64>, rest: &[f64]) -> Result<Vec<f64>, Unreachable> {
+        let first = self.inverse(goal, rest, rest).map(|q| self.unwound(q, rest));
+        let redundant = self.joints.len() > 6;
+        if let Ok(q) = &first
+            && (redundant || inner(q).iter().zip(inner(rest)).all(|(q, rest)| (q - rest).abs() < FRAC_PI_2))
+        {
+            return first;
+        }
+        let mut stream = Seed::campaign(0).stream("inverse-kinematics");
+        let scattered = (0..STARTS).map(|_| {
+            let near = |(joint, rest): (&ChainJoint, &f64)| {
+                let [low, high] = joint.range;
+                stream.between(low.max(rest - PI).min(high), high.min(rest + PI).max(low))
+            };
+            self.joints.iter().zip(rest).map(near).collect()
+        });
+        let others = std::iter::once(self.facing(goal, rest))
+            .chain(scattered)
+            .filter_map(|start: Vec<f64>| self.descend(goal, &start, rest, PATIENCE).ok())
+            .map(|q| self.unwound(q, rest));
+        let squares = |q: &[f64], rest: &[f64]| q.iter().zip(rest).map(|(q, rest)| (q - rest).powi(2)).sum::<f64>();
+        let turned = |q: &[f64]| squares(inner(q), inner(rest)) + OUTER_WEIGHT * squares(q, rest);
+        // Of equals the one found first, so that the same question always has the same answer.
+        let nearest = first.iter().cloned().chain(others).min_by(|a, b| turned(a).total_cmp(&turned(b)));
+        nearest.map_or(first, Ok)
+    }
+
+    /// The posture `rest`, turned about the first joint until the tool centre point lies in the goal's direction.
+    fn facing(&self, goal: &Isometry3<f64>, rest: &[f64]) -> Vec<f64> {
+        let mut q = rest.to_vec();
+        let Some(joint) = self.joints.first() else { return q };
+        let across = |point: Isometry3<f64>| {
+            let local = joint.placement.inverse_transform_point(&point.translation.vector.into()).coords;
+            local - joint.axis.into_inner() * local.dot(&joint.axis)
+        };
+        let (from, to) = (across(self.tcp_at(rest)), across(*goal));
+        let turn = from.cross(&to).dot(&joint.axis).atan2(from.dot(&to));
+        q[0] = (q[0] + turn).clamp(joint.range[0], joint.range[1]);
+        q
+    }
+
+    /// The same posture with every joint as few turns from `rest` as its range allows.
+    fn unwound(&self, mut q: Vec<f64>, rest: &[f64]) -> Vec<f64> {
+        for ((q, rest), joint) in q.iter_mut().zip(rest).zip(&self.joints) {
+            let [low, high] = joint.range;
+            let turns = ((rest - *q) / TAU).round();
+            // No more turns than keep the joint in its range.
+            let turns = turns.clamp(((low - *q) / TAU).ceil().min(0.0), ((high - *q) / TAU).floor().max(0.0));
+            if turns.abs() > 0.5 {
+                *q += turns * TAU;
+            }
+        }
+        q
+    }
+
     /// Joint positions that put the tool centre point at `goal`, found from `start`, to 1e-6 m and
     /// rad; among the many of a redundant arm one near `rest`.
     ///
     /// Damped least squares (Wampler 1986) with the rest posture pulled in the null space (Liegeois
     /// 1977); steps are cut at the joint limits.
     pub fn inverse(&self, goal: &Isometry3<f64>, start: &[f64], rest: &[f64]) -> Result<Vec<f64>, Unreachable> {
+        self.descend(goal, start, rest, usize::MAX)
+    }
+
+    /// [`Chain::inverse`], given up after `patience` steps that did not bring the tool a tenth nearer.
+    fn descend(
+        &self,
+        goal: &Isometry3<f64>,
+        start: &[f64],
+        rest: &[f64],
+        patience: usize,
+    ) -> Result<Vec<f64>, Unreachable> {
         const TOLERANCE: f64 = 1e-6;
         const ITERATIONS: usize = 200;
         let mut q = start.to_vec();
         let mut error = Vector6::zeros();
-        for _ in 0..ITERATIONS {
+        let (mut best, mut best_at) = (f64::INFINITY, 0);
+        for iteration in 0..ITERATIONS {
             let (tcp, jacobian) = self.jacobian(&q);
             error.fixed_rows_mut::<3>(0).copy_from(&(goal.translation.vector - tcp.translation.vector));
             error.fixed_rows_mut::<3>(3).copy_from(&(goal.rotation * tcp.rotation.inverse()).scaled_axis());
             if error.fixed_rows::<3>(0).norm() < TOLERANCE && error.fixed_rows::<3>(3).norm() < TOLERANCE {
                 return Ok(q);
+            }
+            if error.norm() < 0.9 * best {
+                (best, best_at) = (error.norm(), iteration);
+            } else if iteration - best_at > patience {
+                break;
             }
             // Damping shrinks with the error: far off it keeps steps sane at singular poses, close by
             // it would only slow convergence.
@@ -108,4 +203,9 @@ impl Chain {
             angle_error_rad: error.fixed_rows::<3>(3).norm(),
         })
     }
+}
+
+/// All joints but the first and the last.
+fn inner(joints: &[f64]) -> &[f64] {
+    joints.get(1..joints.len() - 1).unwrap_or_default()
 }

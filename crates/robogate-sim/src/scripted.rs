@@ -112,7 +112,7 @@ impl Scripted {
         for k in 0..turns {
             let yaw = yaw + k as f64 * symmetry;
             let goal = Self::above(&task.object_pose.position, TRANSIT_HEIGHT_M, yaw);
-            match self.chain.inverse(&goal, home, home) {
+            match self.chain.reach(&goal, home) {
                 Ok(q) => {
                     let bend = q.iter().zip(home).map(|(q, home)| (q - home).abs()).fold(0.0, f64::max);
                     if best.as_ref().is_none_or(|(least, ..)| bend < *least) {

@@ -6,6 +6,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use mujoco_rs::prelude::*;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Seed;
+use robogate_sim::{Chain, ChainJoint};
 
 /// One arm's tables: "DH parameters for calculations of kinematics and dynamics".
 struct Table {
@@ -73,6 +74,9 @@ const TABLES: [Table; 3] = [
 
 const LINKS: [&str; 6] = ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"];
 const ELBOW: usize = 2;
+/// From flange to lip.
+const TOOL_M: f64 = 0.12;
+const HOME: [f64; 6] = [0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0];
 
 /// One row of the standard (Denavit and Hartenberg's) table, written out from the definition:
 /// T = Rz(theta) Tz(d) Tx(a) Rx(alpha).
@@ -83,13 +87,35 @@ fn standard(theta: f64, d: f64, a: f64, alpha: f64) -> Isometry3<f64> {
     turn(&Vector3::z_axis(), theta) * Isometry3::translation(a, 0.0, d) * turn(&Vector3::x_axis(), alpha)
 }
 
-/// The flange where the table puts it, the base turned by half a turn as the ROS description has it.
-fn flange_by_table(table: &Table, q: &[f64]) -> Isometry3<f64> {
+/// The rows (d, a, alpha) of joints 1 to 6.
+fn rows(table: &Table) -> [(f64, f64, f64); 6] {
     let [d1, d4, d5, d6] = table.d;
-    let d = [d1, 0.0, 0.0, d4, d5, d6];
-    let a = [0.0, table.a[0], table.a[1], 0.0, 0.0, 0.0];
-    let alpha = [FRAC_PI_2, 0.0, 0.0, FRAC_PI_2, -FRAC_PI_2, 0.0];
-    (0..6).fold(standard(PI, 0.0, 0.0, 0.0), |frame, i| frame * standard(q[i], d[i], a[i], alpha[i]))
+    let [a2, a3] = table.a;
+    [(d1, 0.0, FRAC_PI_2), (0.0, a2, 0.0), (0.0, a3, 0.0), (d4, 0.0, FRAC_PI_2), (d5, 0.0, -FRAC_PI_2), (d6, 0.0, 0.0)]
+}
+
+/// The frames of links 1 to 6 where the table puts them, the base turned by half a turn as the ROS description
+/// has it; the last is the flange.
+fn frames_by_table(table: &Table, q: &[f64]) -> Vec<Isometry3<f64>> {
+    let mut frame = standard(PI, 0.0, 0.0, 0.0);
+    let link = |((d, a, alpha), theta): ((f64, f64, f64), &f64)| {
+        frame *= standard(*theta, d, a, alpha);
+        frame
+    };
+    rows(table).into_iter().zip(q).map(link).collect()
+}
+
+/// The arm as a chain, from the table alone.
+fn chain(table: &Table) -> Chain {
+    let mut placement = standard(PI, 0.0, 0.0, 0.0);
+    let joints = rows(table).into_iter().enumerate().map(|(i, (d, a, alpha))| {
+        let limit = if i == ELBOW { PI } else { 2.0 * PI };
+        let joint = ChainJoint { placement, axis: Vector3::z_axis(), range: [-limit, limit] };
+        placement = standard(0.0, d, a, alpha);
+        joint
+    });
+    let joints = joints.collect();
+    Chain { joints, flange: placement, tcp: placement * Isometry3::translation(0.0, 0.0, TOOL_M) }
 }
 
 fn site(data: &MjData<Box<MjModel>>, name: &str) -> Isometry3<f64> {
@@ -117,9 +143,9 @@ fn the_models_stand_where_the_denavit_hartenberg_table_puts_them() {
                 .collect();
             data.qpos_mut().copy_from_slice(&q);
             data.forward();
-            let flange = flange_by_table(table, &q);
+            let flange = frames_by_table(table, &q)[5];
             assert_same(table.name, &site(&data, "flange"), &flange);
-            assert_same(table.name, &site(&data, "tcp"), &(flange * Isometry3::translation(0.0, 0.0, 0.12)));
+            assert_same(table.name, &site(&data, "tcp"), &(flange * Isometry3::translation(0.0, 0.0, TOOL_M)));
         }
     }
 }
@@ -161,12 +187,149 @@ fn at_home_the_tool_points_down_in_front_and_nothing_touches() {
         let floor = "<worldbody><geom name=\"table\" type=\"box\" size=\"0.4 0.7 0.02\" pos=\"0.55 0 -0.02\"/>";
         let model = MjModel::from_xml_string(&table.model.replace("<worldbody>", floor)).unwrap();
         let mut data = MjData::new(Box::new(model));
-        data.qpos_mut().copy_from_slice(&[0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0]);
+        data.qpos_mut().copy_from_slice(&HOME);
         data.forward();
         assert!(data.contact().is_empty(), "{}: {} contacts", table.name, data.contact().len());
         let tcp = site(&data, "tcp");
         assert!((tcp * Vector3::z() + Vector3::z()).norm() < 1e-9, "{}", table.name);
         let at = tcp.translation;
         assert!(at.x > 0.25 && at.y.abs() < 0.2 && at.z > 0.15, "{}: {at}", table.name);
+    }
+}
+
+/// How far the arm is stretched, as a share of upper arm and forearm, with the tool down at this point: the arm's
+/// plane passes the base's axis at the distance d4, and the wrist's centre stands d5 nearer to the base than the tool
+/// and d6 above the flange.
+fn stretch(table: &Table, at: &Vector3<f64>) -> f64 {
+    let [d1, d4, d5, d6] = table.d;
+    let along = (at.x * at.x + at.y * at.y - d4 * d4).sqrt() - d5;
+    along.hypot(at.z + TOOL_M + d6 - d1) / (table.a[0].abs() + table.a[1].abs())
+}
+
+/// The tool above this point, pointing down, turned by `yaw` from where it is at home.
+fn down(chain: &Chain, at: &Vector3<f64>, yaw: f64) -> Isometry3<f64> {
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+    Isometry3::from_parts(Translation3::from(*at), turn * chain.tcp_at(&HOME).rotation)
+}
+
+/// The grid of tool positions: 5 cm apart across the table and over it.
+fn grid() -> impl Iterator<Item = (i32, i32, i32)> {
+    (5..18).flat_map(|x| (-8..10).flat_map(move |y| (0..6).map(move |z| (x, y, z))))
+}
+
+fn point((x, y, z): (i32, i32, i32)) -> Vector3<f64> {
+    Vector3::new(0.05 * f64::from(x), 0.05 * f64::from(y), 0.02 + 0.05 * f64::from(z))
+}
+
+#[test]
+fn over_the_workspace_the_arm_reaches_just_what_its_links_allow_elbow_up_and_unwound() {
+    for table in &TABLES {
+        let chain = chain(table);
+        for cell in grid() {
+            let at = point(cell);
+            for yaw in [-2.0, 0.0, 3.0] {
+                let goal = down(&chain, &at, yaw);
+                let found = chain.reach(&goal, &HOME);
+                let stretch = stretch(table, &at);
+                if stretch > 1.001 {
+                    assert!(found.is_err(), "{} reaches {at} at {stretch}", table.name);
+                } else if stretch < 0.999 {
+                    let q = found.unwrap();
+                    assert_same(table.name, &chain.tcp_at(&q), &goal);
+                    for (i, (q, joint)) in q.iter().zip(&chain.joints).enumerate() {
+                        assert!((joint.range[0]..=joint.range[1]).contains(q));
+                        assert!((q - HOME[i]).abs() < PI + 1e-6, "{} turns joint {i} to {q} at {at}", table.name);
+                    }
+                    let frames = frames_by_table(table, &q);
+                    let [shoulder, elbow, wrist] = [0, 1, 2].map(|i| frames[i].translation.z);
+                    // Its height above the middle of the line from shoulder to wrist.
+                    assert!(elbow > 0.5 * (shoulder + wrist), "{}: elbow down at {at}: {q:?}", table.name);
+                    assert!((q[4] - HOME[4]).abs() < 1e-4, "{}: the wrist is turned over at {at}: {q:?}", table.name);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn neighbouring_poses_have_neighbouring_postures() {
+    for table in &TABLES {
+        let chain = chain(table);
+        let posture = |cell| {
+            let at = point(cell);
+            (stretch(table, &at) < 0.98).then(|| chain.reach(&down(&chain, &at, 0.0), &HOME).unwrap())
+        };
+        let mut widest: f64 = 0.0;
+        for (x, y, z) in grid() {
+            let Some(q) = posture((x, y, z)) else { continue };
+            for other in [(x + 1, y, z), (x, y + 1, z), (x, y, z + 1)] {
+                let Some(near) = posture(other) else { continue };
+                widest = q.iter().zip(near).map(|(a, b)| (a - b).abs()).fold(widest, f64::max);
+            }
+        }
+        // The next posture over is more than a quarter turn away.
+        assert!(widest < 0.8, "{}: a joint jumps by {widest} rad over 5 cm", table.name);
+    }
+}
+
+#[test]
+fn what_is_out_of_reach_is_soon_said_to_be() {
+    for table in &TABLES {
+        let chain = chain(table);
+        let begun = std::time::Instant::now();
+        for step in 0..50 {
+            let at = Vector3::new(1.35 + 0.05 * f64::from(step), 0.1, 0.3);
+            let unreachable = chain.reach(&down(&chain, &at, 0.0), &HOME).unwrap_err();
+            assert!(unreachable.position_error_m > 0.02 || unreachable.angle_error_rad > 0.02, "{unreachable}");
+        }
+        let each = begun.elapsed() / 50;
+        // Far above what it takes, far below what would hold an episode up.
+        assert!(each.as_millis() < 20, "{}: {each:?} for each", table.name);
+    }
+}
+
+/// Unimation's Puma 560, an arm with a spherical wrist: none of the three above. Parameters as in Corke, "Robotics,
+/// Vision and Control".
+fn puma() -> (Chain, [f64; 6]) {
+    let rows = [
+        (0.0, 0.0, FRAC_PI_2),
+        (0.0, 0.4318, 0.0),
+        (0.15005, 0.0203, -FRAC_PI_2),
+        (0.4318, 0.0, FRAC_PI_2),
+        (0.0, 0.0, -FRAC_PI_2),
+        (0.0, 0.0, 0.0),
+    ];
+    let mut placement = Isometry3::translation(0.0, 0.0, 0.672);
+    let joints = rows.into_iter().map(|(d, a, alpha)| {
+        let joint = ChainJoint { placement, axis: Vector3::z_axis(), range: [-4.6, 4.6] };
+        placement = standard(0.0, d, a, alpha);
+        joint
+    });
+    let joints = joints.collect();
+    (
+        Chain { joints, flange: placement, tcp: placement * Isometry3::translation(0.0, 0.0, 0.2) },
+        [0.0, 0.8, -2.4, 0.0, 1.2, 0.0],
+    )
+}
+
+#[test]
+fn the_posture_found_is_near_home_or_hardly_ever_farther_than_one_that_is_known() {
+    let arms = TABLES.iter().map(|table| (table.name, chain(table), HOME)).chain([("puma", puma().0, puma().1)]);
+    for (name, chain, home) in arms {
+        let n = 400;
+        let mut farther = 0;
+        for index in 0..n {
+            let mut stream = Seed::campaign(14).episode(index).stream("joints");
+            let known: Vec<f64> = home.iter().map(|home| home + stream.between(-1.5, 1.5)).collect();
+            let goal = chain.tcp_at(&known);
+            let q = chain.reach(&goal, &home).unwrap();
+            assert_same(name, &chain.tcp_at(&q), &goal);
+            let turns = |q: &[f64]| (1..5).map(|i| (q[i] - home[i]).abs()).collect::<Vec<_>>();
+            let sum = |q: &[f64]| turns(q).iter().map(|turn| turn * turn).sum::<f64>();
+            let near = turns(&q).iter().all(|turn| *turn < FRAC_PI_2);
+            // The first and the last joint weigh a tenth.
+            farther += u64::from(!near && sum(&q) > sum(&known) + 0.1 * 2.0 * PI * PI);
+        }
+        assert!(100 * farther <= 3 * n, "{name}: {farther} of {n} farther");
     }
 }
