@@ -15,6 +15,9 @@
 //! # Ok::<(), robogate_campaign::PlanError>(())
 //! ```
 //!
+//! In place of both stages a plan may name a suite ([`Plan::of_suite`]): every scenario once in each round, and
+//! [`start_in_rounds`] asks after each whether that is enough.
+//!
 //! Simulators and policies come from a [`Workshop`]: this crate knows none by name. What happens is
 //! told in one stream of [`Event`]s.
 
@@ -25,14 +28,18 @@ pub mod folder;
 mod plan;
 mod run;
 mod stage;
+mod suite;
 mod summary;
 mod tally;
 
 pub use boundary::{BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBoundary, Region, Restricted};
 pub use events::{Event, Warning};
 pub use execute::{Crew, ExecuteError, Station, Workshop, execute};
-pub use plan::{BoundaryStage, Emphasis, Plan, PlanError, Preset, Range, UniformStage};
-pub use run::{Completion, RunError, Settings, recorded, resume, settings, start};
+pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, Range, UniformStage};
+pub use run::{Completion, RunError, Settings, recorded, resume, resume_in_rounds, settings, start, start_in_rounds};
 pub use stage::{Points, Stage};
+pub use suite::{
+    BUILT_IN_SUITES, GroupSummary, INDUSTRIAL_68, Round, SuiteStage, SuiteSummary, built_in_suite, suite_sha256,
+};
 pub use summary::{Estimate, FaultCount, ModeCount, Population, StageSummary, Summary};
 pub use tally::{AlongParameter, Bin, Bins, OutcomeCounts};

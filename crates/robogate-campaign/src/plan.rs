@@ -9,11 +9,11 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use robogate_core::{Domain, ParameterSpace, Sampler, samplers};
+use robogate_core::{Domain, ParameterSpace, Sampler, Suite, samplers};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::Bins;
+use crate::{Bins, SuiteStage, suite_sha256};
 
 /// What a campaign shall do: seed, sampler, and the two stages.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -31,6 +31,9 @@ pub struct Plan {
     /// The second stage, where success turns into failure.
     #[serde(default)]
     pub boundary: BoundaryStage,
+    /// In place of these two: the scenarios of a suite, in rounds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub suite: Option<SuiteStage>,
 }
 
 /// The first stage: every parameter uniform in its own scale.
@@ -107,8 +110,11 @@ pub struct Range {
     pub high: Option<f64>,
 }
 
+/// The seed of a campaign where nobody chose another.
+pub const DEFAULT_SEED: u64 = 2026;
+
 fn default_seed() -> u64 {
-    2026
+    DEFAULT_SEED
 }
 
 fn default_sampler() -> String {
@@ -200,9 +206,21 @@ impl Plan {
         self
     }
 
-    /// How many episodes both stages have.
+    /// The plan that runs a suite in at most `rounds` rounds.
+    pub fn of_suite(suite: Suite, rounds: u64, seed: u64) -> Self {
+        Self {
+            seed,
+            // What a scenario leaves open is drawn uniformly and by itself.
+            sampler: "uniform".to_owned(),
+            uniform: UniformStage { episodes: 0 },
+            boundary: BoundaryStage::default(),
+            suite: Some(SuiteStage::new(suite, rounds)),
+        }
+    }
+
+    /// How many episodes all stages have.
     pub fn episodes(&self) -> u64 {
-        self.uniform.episodes + self.boundary.episodes
+        self.uniform.episodes + self.boundary.episodes + self.suite.as_ref().map_or(0, SuiteStage::episodes)
     }
 
     /// The plan without the ranges that mean nothing in `space`, and a sentence about each that was left out.
@@ -235,6 +253,9 @@ impl Plan {
     /// Refuses a plan that is wrong in itself or does not fit `space`.
     pub fn check(&self, space: &ParameterSpace) -> Result<(), PlanError> {
         self.check_alone()?;
+        if let Some(stage) = &self.suite {
+            return if stage.suite.space() == space { Ok(()) } else { Err(PlanError::SuiteSpace) };
+        }
         let stage = &self.boundary;
         check_ranges(space, "boundary.fallback", Kind::Continuous, &stage.fallback)?;
         check_ranges(space, "boundary.restrict", Kind::Integer, &stage.restrict)?;
@@ -248,15 +269,25 @@ impl Plan {
     fn check_alone(&self) -> Result<(), PlanError> {
         self.sampler()?;
         let (uniform, stage) = (&self.uniform, &self.boundary);
+        if let Some(suite) = &self.suite {
+            if uniform.episodes > 0 || stage.episodes > 0 {
+                return Err(PlanError::SuiteAndStages);
+            }
+            if suite.sha256 != suite_sha256(&suite.suite) {
+                return Err(PlanError::SuiteHash { found: suite.sha256.clone() });
+            }
+            if suite.rounds == 0 {
+                return Err(PlanError::NoRounds);
+            }
+            return check_most("suite.rounds", suite.episodes());
+        }
         match (uniform.episodes, stage.episodes) {
             (0, 0) => return Err(PlanError::NoEpisodes),
             (0, boundary) => return Err(PlanError::BoundaryAlone { boundary }),
             _ => {}
         }
         for (key, episodes) in [("uniform.episodes", uniform.episodes), ("boundary.episodes", stage.episodes)] {
-            if episodes > MOST_EPISODES {
-                return Err(PlanError::TooMany { key, found: episodes, most: MOST_EPISODES });
-            }
+            check_most(key, episodes)?;
         }
         if !(2..=MOST_BINS).contains(&stage.bins) {
             return Err(PlanError::Bins { found: stage.bins, most: MOST_BINS });
@@ -286,6 +317,13 @@ impl Plan {
             hint: hint(&self.sampler, samplers::NAMES.into_iter()),
         })
     }
+}
+
+fn check_most(key: &'static str, episodes: u64) -> Result<(), PlanError> {
+    if episodes > MOST_EPISODES {
+        return Err(PlanError::TooMany { key, found: episodes, most: MOST_EPISODES });
+    }
+    Ok(())
 }
 
 /// Which parameters a list of ranges may speak of.
@@ -449,6 +487,23 @@ pub enum PlanError {
     /// Nothing to do.
     #[error("`uniform.episodes` and `boundary.episodes` are both 0\nhint: a campaign needs at least one episode")]
     NoEpisodes,
+    /// A suite beside what it replaces.
+    #[error(
+        "`suite` stands beside `uniform.episodes` or `boundary.episodes`\nhint: a plan runs a suite or stages, not both"
+    )]
+    SuiteAndStages,
+    /// A suite that is never run.
+    #[error("a suite needs at least one round\nhint: in a plan it is `suite.rounds`, at the command `--rounds`")]
+    NoRounds,
+    /// A suite that is not the one of its hash.
+    #[error("`suite.suite` is not the suite whose SHA-256 `suite.sha256` states ({found})")]
+    SuiteHash {
+        /// The hash that is stated.
+        found: String,
+    },
+    /// A suite over another space.
+    #[error("the parameter space is not that of the suite\nhint: a suite brings its own; leave the space out")]
+    SuiteSpace,
     /// A second stage without a first.
     #[error(
         "`uniform.episodes` is 0 and `boundary.episodes` is {boundary}\nhint: the boundary is found from the uniform stage; give it some of the episodes"

@@ -13,19 +13,20 @@
 //! whole or not at all; of the journal at most its unfinished last record is lost.
 
 use std::io;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use robogate_core::{DesignError, Episode, Fault, Outcome, ParameterSpace};
-use robogate_dictionary::{Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Label, Provenance};
+use robogate_dictionary::{Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Provenance};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::folder::{self, BOUNDARY, DICTIONARY, Folder, JOURNAL, PLAN, SUMMARY};
 use crate::summary::Summing;
 use crate::{
-    Bins, BoundaryReport, Crew, Event, ExecuteError, OutcomeCounts, Plan, PlanError, Points, Stage, Summary, Warning,
-    execute,
+    Bins, BoundaryReport, Crew, Event, ExecuteError, OutcomeCounts, Plan, PlanError, Points, Round, Stage, SuiteStage,
+    Summary, Warning, execute,
 };
 
 /// What stands in `plan.json`: everything that a run's results depend on.
@@ -73,6 +74,24 @@ pub fn start(
     crew: &Crew<'_>,
     events: &mut dyn FnMut(&Event),
 ) -> Result<Completion, RunError> {
+    start_in_rounds(dir, plan, provenance, crew, events, &mut |_| ControlFlow::Continue(()))
+}
+
+/// [`start`] of a plan that runs a suite, with somebody who is shown each round and may say that it was the last.
+///
+/// `after_round` gets the rounds in order, each once it is recorded as a whole. The campaign is finished
+/// after the round on which it breaks, or after the plan's last; its files are then those of a plan with just as many
+/// rounds, but for the plan itself. Where a plan has no suite it is never called.
+///
+/// What it answers must depend on the entries alone, so that a run that was interrupted ends like one that was not.
+pub fn start_in_rounds(
+    dir: &Path,
+    plan: &Plan,
+    provenance: Provenance,
+    crew: &Crew<'_>,
+    events: &mut dyn FnMut(&Event),
+    after_round: &mut AfterRound<'_>,
+) -> Result<Completion, RunError> {
     plan.check(&provenance.space)?;
     std::fs::create_dir_all(dir).map_err(RunError::io(dir, "create"))?;
     let folder = Folder::lock(dir)?;
@@ -87,7 +106,7 @@ pub fn start(
     let provenance = Provenance { plan: written, seed: plan.seed, ..provenance };
     let settings = Settings { version: Settings::VERSION, plan: plan.clone(), provenance };
     folder.write(PLAN, &settings)?;
-    Run::new(folder, settings, crew, events)?.run()
+    Run::new(folder, settings, crew, events, after_round)?.run()
 }
 
 /// Goes on with the campaign in `dir` and ends with the same bytes in every file as if it had never been
@@ -101,6 +120,18 @@ pub fn resume(
     crew: &Crew<'_>,
     events: &mut dyn FnMut(&Event),
 ) -> Result<Completion, RunError> {
+    resume_in_rounds(dir, provenance, crew, events, &mut |_| ControlFlow::Continue(()))
+}
+
+/// [`resume`] of what [`start_in_rounds`] began: `after_round` is shown every round again, from the first on. It is
+/// not called where the campaign is finished.
+pub fn resume_in_rounds(
+    dir: &Path,
+    provenance: &Provenance,
+    crew: &Crew<'_>,
+    events: &mut dyn FnMut(&Event),
+    after_round: &mut AfterRound<'_>,
+) -> Result<Completion, RunError> {
     let settings = settings(dir)?;
     let folder = Folder::lock(dir)?;
     if is_finished(&folder) {
@@ -112,7 +143,7 @@ pub fn resume(
     }
     same_origin(&settings.provenance, provenance)?;
     settings.plan.check(&settings.provenance.space)?;
-    Run::new(folder, settings, crew, events)?.run()
+    Run::new(folder, settings, crew, events, after_round)?.run()
 }
 
 /// What the run in `dir` was begun with: what must be known to make a workshop for [`resume`] or a replay.
@@ -209,6 +240,9 @@ fn same_origin(recorded: &Provenance, present: &Provenance) -> Result<(), RunErr
 /// How many episodes from the start may all be invalid before a person is told.
 const INVALID_FROM_START: u64 = 50;
 
+/// Is shown a round and says whether another shall follow.
+type AfterRound<'a> = dyn FnMut(&Round<'_>) -> ControlFlow<()> + 'a;
+
 struct Run<'a> {
     folder: Folder,
     settings: Settings,
@@ -218,6 +252,7 @@ struct Run<'a> {
     bins: Bins,
     crew: &'a Crew<'a>,
     events: &'a mut dyn FnMut(&Event),
+    after_round: &'a mut AfterRound<'a>,
     /// How many episodes this process ran, and why the first is invalid, as long as none was valid.
     invalid_so_far: Option<(u64, String)>,
 }
@@ -235,6 +270,7 @@ impl<'a> Run<'a> {
         settings: Settings,
         crew: &'a Crew<'a>,
         events: &'a mut dyn FnMut(&Event),
+        after_round: &'a mut AfterRound<'a>,
     ) -> Result<Self, RunError> {
         let path = folder.path(JOURNAL);
         let (journal, cut) = if path.exists() {
@@ -248,12 +284,13 @@ impl<'a> Run<'a> {
             return Err(RunError::ForeignEpisode { path, index });
         }
         let space = Arc::new(settings.provenance.space.clone());
-        let bins = Bins::new(&space, settings.plan.boundary.bins)?;
+        let bins = Bins::of(&settings.plan, &space)?;
         events(&Event::Started { episodes, already_done: journal.len(), threads: crew.threads.get() });
         if cut > 0 {
             events(&Event::warning(Warning::RecordCut { bytes: cut }));
         }
-        Ok(Self { folder, settings, space, journal, bins, crew, events, invalid_so_far: Some((0, String::new())) })
+        let invalid_so_far = Some((0, String::new()));
+        Ok(Self { folder, settings, space, journal, bins, crew, events, after_round, invalid_so_far })
     }
 
     fn run(mut self) -> Result<Completion, RunError> {
@@ -280,6 +317,15 @@ impl<'a> Run<'a> {
     }
 
     fn stages(&mut self) -> Result<Completion, RunError> {
+        if let Some(stage) = self.settings.plan.suite.clone() {
+            return Ok(match self.suite(&stage)? {
+                Some(rounds) => {
+                    let summary = Box::new(self.finish(rounds)?);
+                    Completion::Finished { summary, boundary: None }
+                }
+                None => self.interrupted(),
+            });
+        }
         let points = Points::uniform(&self.settings.plan, &self.space)?;
         if self.stage(&points)? == Progress::Stopped {
             return Ok(self.interrupted());
@@ -294,7 +340,7 @@ impl<'a> Run<'a> {
             }
             boundary = Some(Box::new(report));
         }
-        Ok(Completion::Finished { summary: Box::new(self.finish()?), boundary })
+        Ok(Completion::Finished { summary: Box::new(self.finish(0)?), boundary })
     }
 
     fn interrupted(&self) -> Completion {
@@ -306,18 +352,60 @@ impl<'a> Run<'a> {
         let stage = points.stage();
         let (mut outcomes, pending) = self.already_done(points)?;
         (self.events)(&Event::StageStarted { stage, episodes: points.len(), already_done: outcomes });
-        let scenario = |i: usize| points.scenario(*pending.get(i)?);
-        let crew = self.crew;
-        execute(crew, &scenario, &mut |episode| self.record(points, episode, &mut outcomes))?;
-        if outcomes.total() < points.len() {
+        if self.run_pending(points, &pending, &mut outcomes)? == Progress::Stopped {
             return Ok(Progress::Stopped);
         }
+        self.stage_finished(stage, outcomes)?;
+        Ok(Progress::Complete)
+    }
+
+    /// Runs a suite round by round, as far as the journal does not hold it yet. Answers how many rounds it was
+    /// in the end, or `None` where it was stopped.
+    fn suite(&mut self, suite: &SuiteStage) -> Result<Option<u64>, RunError> {
+        let points = Points::suite(suite, self.settings.plan.seed);
+        let stage = points.stage();
+        let (mut outcomes, pending) = self.already_done(&points)?;
+        (self.events)(&Event::StageStarted { stage, episodes: points.len(), already_done: outcomes });
+        let mut rounds = 0;
+        for number in 0..suite.rounds {
+            let indices = suite.indices(number);
+            let [first, end] = [indices.start, indices.end].map(|at| pending.partition_point(|index| *index < at));
+            if self.run_pending(&points, &pending[first..end], &mut outcomes)? == Progress::Stopped {
+                return Ok(None);
+            }
+            rounds = number + 1;
+            let missing = |index| RunError::ForeignEpisode { path: self.folder.path(JOURNAL), index };
+            let entries = indices
+                .map(|index| self.journal.read(index)?.ok_or_else(|| missing(index)))
+                .collect::<Result<Vec<Entry>, RunError>>()?;
+            if (self.after_round)(&Round { number, entries: &entries }).is_break() {
+                break;
+            }
+        }
+        self.stage_finished(stage, outcomes)?;
+        Ok(Some(rounds))
+    }
+
+    fn run_pending(
+        &mut self,
+        points: &Points,
+        pending: &[u64],
+        outcomes: &mut OutcomeCounts,
+    ) -> Result<Progress, RunError> {
+        let due = outcomes.total() + pending.len() as u64;
+        let scenario = |i: usize| points.scenario(*pending.get(i)?);
+        let crew = self.crew;
+        execute(crew, &scenario, &mut |episode| self.record(points, episode, outcomes))?;
+        Ok(if outcomes.total() < due { Progress::Stopped } else { Progress::Complete })
+    }
+
+    fn stage_finished(&mut self, stage: Stage, outcomes: OutcomeCounts) -> Result<(), RunError> {
         self.journal.sync()?;
         if outcomes.valid() == 0 {
             self.say_all_invalid();
         }
         (self.events)(&Event::StageFinished { stage, outcomes });
-        Ok(Progress::Complete)
+        Ok(())
     }
 
     /// What the journal holds of a stage: how it went, and which indices are missing.
@@ -351,7 +439,7 @@ impl<'a> Run<'a> {
         let weight =
             points.weight(index).ok_or_else(|| RunError::ForeignEpisode { path: self.folder.path(JOURNAL), index })?;
         let (stage, design) = (points.stage(), points.sampler().to_owned());
-        let entry = Entry { stage: stage.word().to_owned(), design, weight, label: Label::default(), episode };
+        let entry = Entry { stage: stage.word().to_owned(), design, weight, label: points.label(index), episode };
         self.journal.append(&entry)?;
         self.count(stage, &entry.episode, outcomes);
         (self.events)(&Event::episode(stage, &entry.episode));
@@ -387,18 +475,24 @@ impl<'a> Run<'a> {
         Ok(report)
     }
 
-    /// Writes the record and what came of it.
-    fn finish(&mut self) -> Result<Summary, RunError> {
+    /// Writes the record and what came of it; of a suite, its first `rounds` rounds.
+    fn finish(&mut self, rounds: u64) -> Result<Summary, RunError> {
         let plan = &self.settings.plan;
         let mut writer = DictionaryWriter::create(&self.folder.path(DICTIONARY), &self.settings.provenance)?;
         let mut summing = Summing::new(plan, &self.space)?;
         for entry in self.journal.ordered() {
             let entry = entry?;
-            let first = entry.index() < plan.uniform.episodes;
-            summing.add(if first { Stage::Uniform } else { Stage::Boundary }, &entry);
+            let stage = match &plan.suite {
+                // An earlier process, told otherwise, may have gone further.
+                Some(suite) if entry.index() >= rounds * suite.scenarios() => break,
+                Some(_) => Stage::Suite,
+                None if entry.index() < plan.uniform.episodes => Stage::Uniform,
+                None => Stage::Boundary,
+            };
+            summing.add(stage, &entry);
             writer.push(&entry)?;
         }
-        let summary = summing.finish(plan, writer.finish()?.dataset_hash);
+        let summary = summing.finish(plan, rounds, writer.finish()?.dataset_hash);
         self.folder.write(SUMMARY, &summary)?;
         Ok(summary)
     }

@@ -4,11 +4,12 @@ use std::fmt;
 use std::sync::Arc;
 
 use robogate_core::{Assignment, Design, ParameterSpace, Sampler, Scenario, Seed};
+use robogate_dictionary::Label;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::boundary::Weights;
-use crate::{BoundaryReport, Plan, RunError};
+use crate::{BoundaryReport, Plan, RunError, SuiteStage};
 
 /// A stage of a campaign.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
@@ -18,6 +19,8 @@ pub enum Stage {
     Uniform,
     /// The second: where the first found the boundary.
     Boundary,
+    /// In place of both: the scenarios of a suite.
+    Suite,
 }
 
 impl Stage {
@@ -26,6 +29,7 @@ impl Stage {
         match self {
             Self::Uniform => "uniform",
             Self::Boundary => "boundary",
+            Self::Suite => "suite",
         }
     }
 }
@@ -38,7 +42,7 @@ impl fmt::Display for Stage {
 
 /// The points of one stage, their indices in the campaign and their weights.
 ///
-/// Every design is drawn from a stream of its own, so that neither its points nor those of another
+/// Those of a suite are its scenarios, round after round. Every design is drawn from a stream of its own, so that neither its points nor those of another
 /// change with how many the other has.
 #[derive(Debug)]
 pub struct Points {
@@ -46,9 +50,20 @@ pub struct Points {
     seed: Seed,
     sampler: &'static str,
     first_index: u64,
-    /// One after the other: of the second stage the emphasis, then the volume.
-    designs: Vec<Design>,
-    weights: Option<Weights>,
+    source: Source,
+}
+
+/// Where points come from.
+#[derive(Debug)]
+enum Source {
+    /// Drawn from a space.
+    Drawn {
+        /// One after the other: of the second stage the emphasis, then the volume.
+        designs: Vec<Design>,
+        weights: Option<Weights>,
+    },
+    /// Chosen one by one.
+    Chosen(Box<SuiteStage>),
 }
 
 impl Points {
@@ -57,7 +72,8 @@ impl Points {
         let sampler = plan.sampler()?;
         let seed = Seed::campaign(plan.seed);
         let designs = vec![draw(&*sampler, space, plan.uniform.episodes, seed, "design-uniform")?];
-        Ok(Self { stage: Stage::Uniform, seed, sampler: sampler.name(), first_index: 0, designs, weights: None })
+        let source = Source::Drawn { designs, weights: None };
+        Ok(Self { stage: Stage::Uniform, seed, sampler: sampler.name(), first_index: 0, source })
     }
 
     /// The points of the second stage, given what the first one found. `space` is the operating space.
@@ -79,9 +95,14 @@ impl Points {
             seed,
             sampler: sampler.name(),
             first_index: plan.uniform.episodes,
-            designs,
-            weights: Some(Weights::new(report, focus)),
+            source: Source::Drawn { designs, weights: Some(Weights::new(report, focus)) },
         })
+    }
+
+    /// The scenarios of a suite, in all its rounds.
+    pub fn suite(stage: &SuiteStage, seed: u64) -> Self {
+        let source = Source::Chosen(Box::new(stage.clone()));
+        Self { stage: Stage::Suite, seed: Seed::campaign(seed), sampler: "suite", first_index: 0, source }
     }
 
     /// The stage.
@@ -96,7 +117,10 @@ impl Points {
 
     /// How many there are.
     pub fn len(&self) -> u64 {
-        self.designs.iter().map(|design| design.len() as u64).sum()
+        match &self.source {
+            Source::Drawn { designs, .. } => designs.iter().map(|design| design.len() as u64).sum(),
+            Source::Chosen(stage) => stage.episodes(),
+        }
     }
 
     /// Whether there is none.
@@ -111,26 +135,44 @@ impl Points {
 
     /// What episode `index` of the campaign shall be, if it is of this stage.
     pub fn scenario(&self, index: u64) -> Option<Scenario> {
-        let (design, i) = self.locate(index)?;
-        Some(Scenario { index, seed: self.seed.episode(index), requested: design.assignment(i)? })
+        match &self.source {
+            Source::Drawn { designs, .. } => {
+                let (design, i) = self.locate(designs, index)?;
+                Some(Scenario { index, seed: self.seed.episode(index), requested: design.assignment(i)? })
+            }
+            Source::Chosen(stage) => self.indices().contains(&index).then(|| stage.suite.scenario(self.seed, index)),
+        }
     }
 
     /// What is asked for in episode `index` of the campaign, if it is of this stage.
     pub fn requested(&self, index: u64) -> Option<Assignment> {
-        let (design, i) = self.locate(index)?;
-        design.assignment(i)
+        self.scenario(index).map(|scenario| scenario.requested)
     }
 
-    /// The weight p(x)/q(x) of episode `index`: 1 in the first stage, whose density is the operating one.
+    /// Which scenario of a suite episode `index` is of; empty where points are drawn from a space.
+    pub fn label(&self, index: u64) -> Label {
+        match &self.source {
+            Source::Drawn { .. } => Label::default(),
+            Source::Chosen(stage) => stage.label(index),
+        }
+    }
+
+    /// The weight p(x)/q(x) of episode `index`: 1 in the first stage, whose density is the operating one, and
+    /// in a suite, which speaks of no density.
     pub fn weight(&self, index: u64) -> Option<f64> {
-        let (design, i) = self.locate(index)?;
-        let coded = design.coded(i)?;
-        Some(self.weights.as_ref().map_or(1.0, |weights| weights.of(coded)))
+        match &self.source {
+            Source::Drawn { designs, weights } => {
+                let (design, i) = self.locate(designs, index)?;
+                let coded = design.coded(i)?;
+                Some(weights.as_ref().map_or(1.0, |weights| weights.of(coded)))
+            }
+            Source::Chosen(_) => self.indices().contains(&index).then_some(1.0),
+        }
     }
 
-    fn locate(&self, index: u64) -> Option<(&Design, usize)> {
+    fn locate<'a>(&self, designs: &'a [Design], index: u64) -> Option<(&'a Design, usize)> {
         let mut i = usize::try_from(index.checked_sub(self.first_index)?).ok()?;
-        for design in &self.designs {
+        for design in designs {
             if i < design.len() {
                 return Some((design, i));
             }

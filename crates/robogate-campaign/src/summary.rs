@@ -7,7 +7,8 @@ use robogate_dictionary::Entry;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{AlongParameter, Bins, OutcomeCounts, Plan, PlanError, Stage};
+use crate::suite::Groups;
+use crate::{AlongParameter, Bins, OutcomeCounts, Plan, PlanError, Stage, SuiteSummary};
 
 /// What came of a campaign.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -22,10 +23,13 @@ pub struct Summary {
     pub dataset_hash: String,
     /// Episodes of all stages.
     pub episodes: u64,
-    /// The success rate of the policy over the operating space.
+    /// The success rate of the policy over the operating space, or over the suite where one was run.
     pub estimate: Estimate,
     /// The stages that were run.
     pub stages: Vec<StageSummary>,
+    /// How the groups of the suite went, where one was run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub suite: Option<SuiteSummary>,
 }
 
 impl Summary {
@@ -57,6 +61,9 @@ pub enum Population {
     /// The points of the boundary stage, crowded where success turns into failure: no rate over them is
     /// one of the operating space.
     FocusedDesign,
+    /// The scenarios of a suite, each as often as any other: they were chosen, and no rate over them is one of
+    /// an operating space.
+    Suite,
 }
 
 impl Population {
@@ -64,6 +71,7 @@ impl Population {
     pub fn describe(self) -> &'static str {
         match self {
             Self::OperatingSpace => "the operating space, every parameter uniform in its own scale",
+            Self::Suite => "the scenarios of the suite, each as often as any other, not an operating space",
             Self::FocusedDesign => "the focused design around the failure boundary, not the operating space",
         }
     }
@@ -124,6 +132,8 @@ pub struct FaultCount {
 pub(crate) struct Summing {
     uniform: OutcomeCounts,
     boundary: OutcomeCounts,
+    suite: OutcomeCounts,
+    groups: Option<Groups>,
     faults: BTreeMap<(Stage, FaultKind), u64>,
     bins: Bins,
 }
@@ -133,8 +143,10 @@ impl Summing {
         Ok(Self {
             uniform: OutcomeCounts::default(),
             boundary: OutcomeCounts::default(),
+            suite: OutcomeCounts::default(),
+            groups: plan.suite.as_ref().map(|stage| Groups::new(&stage.suite)),
             faults: BTreeMap::new(),
-            bins: Bins::new(space, plan.boundary.bins)?,
+            bins: Bins::of(plan, space)?,
         })
     }
 
@@ -146,38 +158,59 @@ impl Summing {
                 self.bins.add(&entry.episode.scenario.requested, outcome);
             }
             Stage::Boundary => self.boundary.add(outcome),
+            Stage::Suite => {
+                self.suite.add(outcome);
+                if let Some(groups) = &mut self.groups {
+                    groups.add(entry);
+                }
+            }
         }
         if let Outcome::Invalid(fault) = outcome {
             *self.faults.entry((stage, fault.kind)).or_default() += 1;
         }
     }
 
-    pub(crate) fn finish(self, plan: &Plan, dataset_hash: String) -> Summary {
-        let mut stages = vec![self.stage(Stage::Uniform, &self.uniform)];
+    /// `rounds` of a suite were run.
+    pub(crate) fn finish(mut self, plan: &Plan, rounds: u64, dataset_hash: String) -> Summary {
+        let first = if plan.suite.is_some() { Stage::Suite } else { Stage::Uniform };
+        let mut stages = vec![self.stage(first)];
         if plan.boundary.episodes > 0 {
-            stages.push(self.stage(Stage::Boundary, &self.boundary));
+            stages.push(self.stage(Stage::Boundary));
         }
+        let suite = plan.suite.as_ref().zip(self.groups.take()).map(|(stage, groups)| groups.finish(stage, rounds));
+        let (counts, population) = (self.counts(first), stages[0].population);
         Summary {
             version: Summary::VERSION,
             seed: plan.seed,
             sampler: plan.sampler.clone(),
             dataset_hash,
-            episodes: self.uniform.total() + self.boundary.total(),
+            episodes: self.uniform.total() + self.boundary.total() + self.suite.total(),
             estimate: Estimate {
-                population: Population::OperatingSpace,
-                stages: vec![Stage::Uniform],
-                note: format!("speaks of {}; from the uniform stage alone", Population::OperatingSpace.describe()),
-                success_rate: self.uniform.success_rate(),
-                interval_95: self.uniform.interval_95(),
+                population,
+                stages: vec![first],
+                note: format!("speaks of {}; from the {first} stage alone", population.describe()),
+                success_rate: counts.success_rate(),
+                interval_95: counts.interval_95(),
             },
             stages,
+            suite,
         }
     }
 
-    fn stage(&self, stage: Stage, counts: &OutcomeCounts) -> StageSummary {
+    fn counts(&self, stage: Stage) -> &OutcomeCounts {
+        match stage {
+            Stage::Uniform => &self.uniform,
+            Stage::Boundary => &self.boundary,
+            Stage::Suite => &self.suite,
+        }
+    }
+
+    fn stage(&self, stage: Stage) -> StageSummary {
+        let counts = self.counts(stage);
         let population = match stage {
             Stage::Uniform => Population::OperatingSpace,
             Stage::Boundary => Population::FocusedDesign,
+            Stage::Suite => Population::Suite,
         };
         let failures = counts.valid() - counts.success;
         let mode = |mode| {
@@ -204,7 +237,7 @@ impl Summing {
                 .collect(),
             along: match stage {
                 Stage::Uniform => self.bins.along(),
-                Stage::Boundary => Vec::new(),
+                Stage::Boundary | Stage::Suite => Vec::new(),
             },
         }
     }

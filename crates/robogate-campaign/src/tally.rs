@@ -13,7 +13,7 @@ use robogate_stats::{Confidence, Trials, wilson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::PlanError;
+use crate::{Plan, PlanError};
 
 /// How many episodes went which way.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -117,6 +117,11 @@ impl Bins {
             })
             .collect::<Result<_, _>>()
             .map(Self)
+    }
+
+    /// The bins of a plan's uniform stage; none where it runs a suite, whose points were chosen.
+    pub(crate) fn of(plan: &Plan, space: &ParameterSpace) -> Result<Self, PlanError> {
+        if plan.suite.is_some() { Ok(Self(Vec::new())) } else { Self::new(space, plan.boundary.bins) }
     }
 
     /// Counts one more episode, in one bin of each parameter; an invalid one in none.

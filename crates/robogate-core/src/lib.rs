@@ -1,6 +1,6 @@
 //! The words of RoboGate.
 //!
-//! What varies ([`ParameterSpace`]), one fixed assignment of it ([`Scenario`]), a set of points
+//! What varies ([`ParameterSpace`]) or was chosen one by one ([`Suite`]), one fixed assignment of it ([`Scenario`]), a set of points
 //! ([`Design`]) and what draws them ([`Sampler`]); what runs an episode ([`Simulator`], [`Policy`],
 //! [`rollout`]) and what it leaves behind ([`Episode`], [`Outcome`]).
 //!
@@ -15,6 +15,7 @@ pub mod samplers;
 mod scenario;
 mod seed;
 mod space;
+mod suite;
 
 pub use design::{Design, DesignError, Sampler};
 pub use episode::{Contact, Episode, Measures};
@@ -27,3 +28,4 @@ pub use rollout::{
 pub use scenario::{Assignment, Scenario, Value};
 pub use seed::{Seed, Stream};
 pub use space::{Domain, Parameter, ParameterSpace, Scale, SpaceError};
+pub use suite::{Case, Spread, Suite, SuiteError, SuiteProblem};

@@ -17,6 +17,7 @@ mod robot;
 mod scene;
 mod scripted;
 mod servo;
+mod suite;
 mod trajectory;
 
 pub use engine::{Collision, Engine, EngineBuild, JointTargets, Readback, Touches};
@@ -30,6 +31,7 @@ pub use robot::{
 };
 pub use scene::{Fixture, Scene, WORKSPACE_CENTRE};
 pub use scripted::Scripted;
+pub use suite::{SuiteMisfit, check_suite};
 
 /// The paper's Franka parameter space, as TOML.
 pub const FRANKA_SPACE: &str = include_str!("../../../assets/spaces/franka.toml");

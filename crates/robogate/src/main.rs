@@ -38,6 +38,8 @@ enum Verb {
     Export(commands::export::Export),
     /// Read a published JSON dictionary into Parquet
     Import(commands::import::Import),
+    /// List, show and check suites: the scenarios on which a policy is judged
+    Suites(commands::suites::Suites),
     /// Check claims by experiment
     Check(commands::check::Check),
 }
@@ -52,6 +54,7 @@ fn main() -> ExitCode {
         Verb::Report(report) => report.execute(),
         Verb::Export(export) => export.execute(),
         Verb::Import(import) => import.execute(),
+        Verb::Suites(suites) => suites.execute(),
         Verb::Check(check) => check.execute(),
     };
     match result {

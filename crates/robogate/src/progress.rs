@@ -32,6 +32,7 @@ impl Progress {
                 self.bar.set_prefix(match stage {
                     Stage::Uniform => "uniform ",
                     Stage::Boundary => "boundary",
+                    Stage::Suite => "suite   ",
                 });
                 self.bar.set_position(already_done.total());
                 self.bar.reset_eta();

@@ -3,7 +3,9 @@
 use std::path::Path;
 
 use robogate_campaign::folder::DICTIONARY;
-use robogate_campaign::{AlongParameter, BoundaryReport, DrawnFrom, Population, Stage, StageSummary, Summary};
+use robogate_campaign::{
+    AlongParameter, BoundaryReport, DrawnFrom, OutcomeCounts, Population, Stage, StageSummary, SuiteSummary, Summary,
+};
 use serde_json::json;
 
 use crate::commands::report::PAGE;
@@ -35,6 +37,9 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
             }
         }
     }
+    if let Some(suite) = &summary.suite {
+        groups(suite);
+    }
     if let Some(report) = boundary {
         found(report);
     }
@@ -45,6 +50,7 @@ fn rate(stage: &StageSummary, sampler: &str) {
     let [low, high] = stage.interval_95;
     let of = match stage.population {
         Population::OperatingSpace => "over the operating space",
+        Population::Suite => "over the suite (not an operating space)",
         Population::FocusedDesign => "in the focused design (not the operating space)",
     };
     match stage.success_rate {
@@ -79,6 +85,7 @@ fn failures(stage: &StageSummary) {
         match stage.stage {
             Stage::Uniform => "uniform",
             Stage::Boundary => "boundary",
+            Stage::Suite => "suite",
         }
     )));
     let mut modes = stage.failure_modes.clone();
@@ -91,6 +98,23 @@ fn failures(stage: &StageSummary) {
             grouped(mode.episodes),
             percent(share),
             bar(share, 24)
+        ));
+    }
+}
+
+fn groups(suite: &SuiteSummary) {
+    line("");
+    let rounds = if suite.rounds == 1 { "1 round".to_owned() } else { format!("{} rounds", grouped(suite.rounds)) };
+    line(bold(format_args!("{} {}, {rounds}", suite.name, suite.version)));
+    for group in &suite.groups {
+        let name = format!("{} / {}", group.category, group.group);
+        let OutcomeCounts { success, invalid, .. } = group.outcomes;
+        let rate = group.success_rate.map_or_else(|| "-".to_owned(), percent);
+        let invalid = if invalid > 0 { format!(", {} invalid", grouped(invalid)) } else { String::new() };
+        line(format_args!(
+            "  {name:<40} {rate:>8}  {:>6} of {}{invalid}",
+            grouped(success),
+            grouped(group.outcomes.valid())
         ));
     }
 }

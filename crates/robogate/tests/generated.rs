@@ -25,6 +25,7 @@ fn check(file: &str, content: &str) {
 fn the_schemas_are_those_of_the_code() {
     for (name, schema) in [
         ("parameter-space", schema_for!(robogate_core::ParameterSpace)),
+        ("suite", schema_for!(robogate_core::Suite)),
         ("plan", schema_for!(robogate_campaign::Plan)),
         ("robot", schema_for!(robogate_sim::RobotSettings)),
         ("run-settings", schema_for!(robogate_campaign::Settings)),

@@ -7,4 +7,5 @@ mod faults;
 mod folder;
 mod overhead;
 mod plan;
+mod suite;
 mod world;

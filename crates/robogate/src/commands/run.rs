@@ -7,11 +7,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 use clap::Args;
-use robogate_campaign::{Completion, Crew, Event, Plan, Preset, RunError};
+use robogate_campaign::{Completion, Crew, DEFAULT_SEED, Event, Plan, Preset, RunError};
 use robogate_core::ParameterSpace;
 use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool};
 use robogate_sim::{FRANKA_SPACE, SceneParameters};
 
+use crate::commands::suites;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
 use crate::progress::Progress;
 use crate::summary;
@@ -30,6 +31,12 @@ pub(crate) struct Run {
     /// A parameter space of your own (TOML)
     #[arg(long, value_name = "FILE")]
     space: Option<PathBuf>,
+    /// A suite in place of both stages: a built-in one, or the file of your own (TOML)
+    #[arg(long, value_name = "SUITE", conflicts_with_all = ["preset", "plan", "space", "n"])]
+    suite: Option<String>,
+    /// How often each scenario of the suite is run, each time with fresh seeds
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "suite")]
+    rounds: u64,
     /// This many episodes in all, two thirds of them uniform
     #[arg(short, long, value_name = "N")]
     n: Option<u64>,
@@ -66,7 +73,10 @@ impl Run {
         let dir = match &self.out {
             Some(dir) => dir.clone(),
             None => {
-                let plan_name = self.plan.as_deref().and_then(Path::file_stem).map(|s| s.to_string_lossy());
+                let plan_name = match &plan.suite {
+                    Some(stage) => Some(stage.suite.name().into()),
+                    None => self.plan.as_deref().and_then(Path::file_stem).map(|s| s.to_string_lossy()),
+                };
                 free_folder(&format!("{robot}-{}-{}", plan_name.as_deref().unwrap_or(&self.preset), plan.seed))
             }
         };
@@ -78,16 +88,33 @@ impl Run {
             provenance.engine.version.as_deref().unwrap_or_default(),
             plan.seed
         ));
-        note(format_args!(
-            "{} episodes over the operating space, then {} near the failure boundary, into {}",
-            grouped(plan.uniform.episodes),
-            grouped(plan.boundary.episodes),
-            dir.display()
-        ));
+        match &plan.suite {
+            Some(stage) => note(format_args!(
+                "{} {}: {} scenarios, {} episodes, into {}",
+                stage.suite.name(),
+                stage.suite.version(),
+                stage.suite.cases().len(),
+                grouped(plan.episodes()),
+                dir.display()
+            )),
+            None => note(format_args!(
+                "{} episodes over the operating space, then {} near the failure boundary, into {}",
+                grouped(plan.uniform.episodes),
+                grouped(plan.boundary.episodes),
+                dir.display()
+            )),
+        }
         self.how.conduct(&dir, &cell, |crew, events| robogate_campaign::start(&dir, &plan, provenance, crew, events))
     }
 
     fn plan_and_space(&self) -> Result<(Plan, ParameterSpace), Exit> {
+        if let Some(name) = &self.suite {
+            let suite = suites::find(name)?;
+            let space = suite.space().clone();
+            let plan = Plan::of_suite(suite, self.rounds, self.seed.unwrap_or(DEFAULT_SEED));
+            plan.check(&space).or_usage()?;
+            return Ok((plan, space));
+        }
         let space = match &self.space {
             Some(file) => std::fs::read_to_string(file)
                 .with_context(|| format!("cannot read {}", file.display()))

@@ -1,0 +1,167 @@
+//! A suite as a campaign: its scenarios in rounds, each round with fresh seeds.
+
+use std::ops::Range;
+
+use robogate_core::{Suite, SuiteError};
+use robogate_dictionary::{Entry, Label};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::OutcomeCounts;
+
+/// The 68 scenarios of the paper's industrial suite, as TOML.
+pub const INDUSTRIAL_68: &str = include_str!("../../../assets/suites/industrial-68.toml");
+
+/// The suites that come with RoboGate, by name, and their commented TOML.
+pub const BUILT_IN_SUITES: [(&str, &str); 1] = [("industrial-68", INDUSTRIAL_68)];
+
+/// The built-in suite of that name, if there is one.
+pub fn built_in_suite(name: &str) -> Option<Result<Suite, SuiteError>> {
+    BUILT_IN_SUITES.iter().find(|(known, _)| *known == name).map(|(_, text)| Suite::from_toml(text))
+}
+
+/// What takes the place of both stages where a suite is run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SuiteStage {
+    /// How often each scenario is run at most; whoever runs it may stop after any round.
+    pub rounds: u64,
+    /// The suite's [`suite_sha256`].
+    pub sha256: String,
+    /// The suite.
+    pub suite: Suite,
+}
+
+impl SuiteStage {
+    /// The suite in at most so many rounds.
+    pub fn new(suite: Suite, rounds: u64) -> Self {
+        Self { rounds, sha256: suite_sha256(&suite), suite }
+    }
+
+    /// How many episodes all rounds have.
+    pub fn episodes(&self) -> u64 {
+        self.rounds.saturating_mul(self.scenarios())
+    }
+
+    /// How many episodes one round has.
+    pub fn scenarios(&self) -> u64 {
+        self.suite.cases().len() as u64
+    }
+
+    /// The episodes of one round.
+    pub(crate) fn indices(&self, round: u64) -> Range<u64> {
+        round * self.scenarios()..(round + 1) * self.scenarios()
+    }
+
+    /// What the dictionary says about episode `index`.
+    pub(crate) fn label(&self, index: u64) -> Label {
+        let case = self.suite.case(index);
+        Label { case: Some(case.id.clone()), category: Some(case.category.clone()), group: Some(case.group.clone()) }
+    }
+}
+
+/// The identity of a suite: SHA-256 (hex) of its JSON without white space, in which neither the comments nor
+/// the layout of its file are left.
+pub fn suite_sha256(suite: &Suite) -> String {
+    // A tree of strings, finite numbers and maps with string keys cannot fail to serialise.
+    let json = serde_json::to_vec(suite).unwrap_or_default();
+    Sha256::digest(json).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// A round that is complete and recorded.
+#[derive(Debug)]
+pub struct Round<'a> {
+    /// Its number, from 0.
+    pub number: u64,
+    /// Its episodes, one for each scenario, in the suite's order.
+    pub entries: &'a [Entry],
+}
+
+/// How the scenarios of a suite went.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SuiteSummary {
+    /// The suite's name.
+    pub name: String,
+    /// Its version.
+    pub version: String,
+    /// Its [`suite_sha256`].
+    pub sha256: String,
+    /// How many rounds were run.
+    pub rounds: u64,
+    /// Its groups, in its order.
+    pub groups: Vec<GroupSummary>,
+}
+
+/// How the scenarios of one group went.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct GroupSummary {
+    /// The category.
+    pub category: String,
+    /// The group.
+    pub group: String,
+    /// How many scenarios it has.
+    pub scenarios: u64,
+    /// How its episodes went.
+    pub outcomes: OutcomeCounts,
+    /// The share of successes among the valid ones; absent where none is valid.
+    pub success_rate: Option<f64>,
+    /// Wilson's 95 % interval of it; [0, 1] where none is valid.
+    pub interval_95: [f64; 2],
+}
+
+/// Counts the episodes of a suite, group by group.
+#[derive(Debug)]
+pub(crate) struct Groups(Vec<Group>);
+
+#[derive(Debug)]
+struct Group {
+    category: String,
+    group: String,
+    scenarios: u64,
+    outcomes: OutcomeCounts,
+}
+
+impl Groups {
+    pub(crate) fn new(suite: &Suite) -> Self {
+        let mut groups: Vec<Group> = Vec::new();
+        for case in suite.cases() {
+            match groups.iter_mut().find(|g| (&g.category, &g.group) == (&case.category, &case.group)) {
+                Some(group) => group.scenarios += 1,
+                None => groups.push(Group {
+                    category: case.category.clone(),
+                    group: case.group.clone(),
+                    scenarios: 1,
+                    outcomes: OutcomeCounts::default(),
+                }),
+            }
+        }
+        Self(groups)
+    }
+
+    pub(crate) fn add(&mut self, entry: &Entry) {
+        let Label { category, group, .. } = &entry.label;
+        let of = |g: &&mut Group| Some(&g.category) == category.as_ref() && Some(&g.group) == group.as_ref();
+        if let Some(group) = self.0.iter_mut().find(of) {
+            group.outcomes.add(&entry.episode.outcome);
+        }
+    }
+
+    pub(crate) fn finish(self, stage: &SuiteStage, rounds: u64) -> SuiteSummary {
+        let summary = |Group { category, group, scenarios, outcomes }| GroupSummary {
+            category,
+            group,
+            scenarios,
+            outcomes,
+            success_rate: outcomes.success_rate(),
+            interval_95: outcomes.interval_95(),
+        };
+        SuiteSummary {
+            name: stage.suite.name().to_owned(),
+            version: stage.suite.version().to_owned(),
+            sha256: stage.sha256.clone(),
+            rounds,
+            groups: self.0.into_iter().map(summary).collect(),
+        }
+    }
+}

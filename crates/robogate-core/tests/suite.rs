@@ -1,0 +1,171 @@
+//! What a suite promises, and that each mistake in one is named.
+
+use robogate_core::{Domain, Seed, Suite, SuiteError, SuiteProblem, Value};
+
+const TWO: &str = r#"
+    schema = 1
+    name = "two"
+    version = "1.0.0"
+    description = "Two groups."
+    defaults = { friction = 0.8, mass_kg = 1, obstacles = 0, shape = "box", jitter_m = 0.003 }
+    [[group]]
+    name = "light"
+    category = "nominal"
+    scenarios = [
+        { id = "light-1", mass_kg = 0.5 },
+        { id = "light-2", mass_kg = { low = 0.1, high = 0.2 }, shape = ["sphere", "box"] },
+    ]
+    [[group]]
+    name = "crowd"
+    category = "adversarial"
+    defaults = { obstacles = { low = 2, high = 4 } }
+    scenarios = [{ id = "crowd-1" }, { id = "crowd-2", obstacles = 5 }]
+"#;
+
+fn two() -> Suite {
+    Suite::from_toml(TWO).unwrap()
+}
+
+fn problems(text: &str) -> Vec<SuiteProblem> {
+    match Suite::from_toml(text) {
+        Err(SuiteError::Problems(problems)) => problems,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_scenario_has_what_it_says_then_what_its_group_says_then_what_the_suite_says() {
+    let suite = two();
+    let ids: Vec<&str> = suite.cases().iter().map(|case| case.id.as_str()).collect();
+    assert_eq!(ids, ["light-1", "light-2", "crowd-1", "crowd-2"]);
+    let of = |index: u64, name: &str| suite.scenario(Seed::campaign(1), index).requested.get(name).cloned().unwrap();
+    assert_eq!(of(0, "mass_kg"), Value::Number(0.5));
+    assert_eq!((of(2, "mass_kg"), of(2, "friction")), (Value::Number(1.0), Value::Number(0.8)));
+    assert_eq!((of(0, "obstacles"), of(3, "obstacles")), (Value::Integer(0), Value::Integer(5)));
+    assert_eq!((suite.case(2).group.as_str(), suite.case(2).category.as_str()), ("crowd", "adversarial"));
+}
+
+#[test]
+fn ranges_are_drawn_in_each_round_within_their_ends_and_the_rest_stays() {
+    let suite = two();
+    let seed = Seed::campaign(2026);
+    let mut seen = (Vec::new(), Vec::new(), Vec::new());
+    for round in 0..200 {
+        let scenario = suite.scenario(seed, 4 * round + 1);
+        assert_eq!((scenario.index, scenario.seed), (4 * round + 1, seed.episode(4 * round + 1)));
+        assert_eq!(scenario.requested.number("friction"), Some(0.8));
+        let mass = scenario.requested.number("mass_kg").unwrap();
+        assert!((0.1..0.2).contains(&mass));
+        seen.0.push(mass.to_bits());
+        seen.1.push(scenario.requested.category("shape").unwrap().to_owned());
+        let Some(Value::Integer(n)) = suite.scenario(seed, 4 * round + 2).requested.get("obstacles").cloned() else {
+            panic!("obstacles are whole")
+        };
+        seen.2.push(n);
+    }
+    seen.0.sort_unstable();
+    seen.0.dedup();
+    assert_eq!(seen.0.len(), 200, "no mass twice");
+    assert!(["sphere", "box"].iter().all(|word| seen.1.iter().any(|seen| seen == word)));
+    assert!([2, 3, 4].iter().all(|n| seen.2.contains(n)) && seen.2.iter().all(|n| (2..=4).contains(n)));
+}
+
+#[test]
+fn an_episode_is_a_function_of_the_campaigns_seed_and_its_index() {
+    let suite = two();
+    let one = suite.scenario(Seed::campaign(7), 9);
+    assert_eq!(one, suite.scenario(Seed::campaign(7).episode(3), 9));
+    assert_ne!(one.requested, suite.scenario(Seed::campaign(8), 9).requested);
+}
+
+#[test]
+fn giving_one_parameter_a_range_does_not_shift_the_numbers_of_another() {
+    let wider = Suite::from_toml(&TWO.replace("friction = 0.8", "friction = { low = 0.7, high = 0.9 }")).unwrap();
+    for index in 0..40 {
+        let mass = |suite: &Suite| suite.scenario(Seed::campaign(3), index).requested.number("mass_kg");
+        assert_eq!(mass(&wider), mass(&two()));
+    }
+}
+
+#[test]
+fn the_space_holds_every_scenario() {
+    let suite = two();
+    let of = |name: &str| suite.space().parameters()[suite.space().position(name).unwrap()].domain.clone();
+    assert!(matches!(of("mass_kg"), Domain::Continuous { low, high, .. } if (low, high) == (0.1, 1.0)));
+    assert!(matches!(of("obstacles"), Domain::Integer { low: 0, high: 5 }));
+    assert!(matches!(of("shape"), Domain::Categorical { choices } if choices.len() == 2));
+    // A constant gets a narrow range, since a space knows no constants.
+    assert!(matches!(of("friction"), Domain::Continuous { low, high, .. } if low == 0.8 && high > 0.8 && high < 0.802));
+    for index in 0..40 {
+        let scenario = suite.scenario(Seed::campaign(3), index);
+        assert_eq!(scenario.requested.len(), suite.space().len());
+        for parameter in suite.space().parameters() {
+            let code = parameter.domain.encode(scenario.requested.get(&parameter.name).unwrap()).unwrap();
+            match &parameter.domain {
+                Domain::Continuous { low, high, .. } => assert!((*low..=*high).contains(&code)),
+                Domain::Integer { low, high } => assert!((*low as f64..=*high as f64).contains(&code)),
+                Domain::Categorical { choices } => assert!(code < choices.len() as f64),
+            }
+        }
+    }
+}
+
+#[test]
+fn json_gives_the_same_suite_back() {
+    let json = serde_json::to_string(&two()).unwrap();
+    assert_eq!(serde_json::from_str::<Suite>(&json).unwrap(), two());
+}
+
+#[test]
+fn a_duplicate_id_is_named() {
+    let error = Suite::from_toml(&TWO.replace("crowd-1", "light-2")).unwrap_err();
+    assert_eq!(error.to_string(), "scenario id `light-2` is there twice");
+}
+
+#[test]
+fn all_problems_are_told_at_once() {
+    let text = TWO
+        .replace("schema = 1", "schema = 9")
+        .replace("name = \"crowd\"", "name = \"a crowd\"")
+        .replace("crowd-1", "light-1")
+        .replace("{ low = 0.1, high = 0.2 }", "{ low = 0.3, high = 0.2 }")
+        .replace("obstacles = 5", "obstacles = \"many\", glare = 1.0");
+    let found = problems(&text);
+    let told = SuiteError::Problems(found.clone()).to_string();
+    for expected in [
+        "schema = 9",
+        "the name of a group in category `adversarial` is \"a crowd\"",
+        "scenario id `light-1` is there twice",
+        "scenario `light-2`: parameter `mass_kg`: low 0.3 is not below high 0.2",
+        "`obstacles` is a number in scenario `light-1` and a word in `crowd-2`",
+        "scenario `light-2` has no `glare`",
+    ] {
+        assert!(told.contains(expected), "{expected} is not in\n{told}");
+    }
+    assert_eq!(told.lines().count(), found.len());
+}
+
+#[test]
+fn a_suite_or_group_without_scenarios_is_refused() {
+    let none = "schema = 1\nname = \"n\"\nversion = \"1\"\ndescription = \"\"\ngroup = []";
+    assert_eq!(problems(none), [SuiteProblem::Empty]);
+    let empty = format!("{TWO}\n[[group]]\nname = \"void\"\ncategory = \"nominal\"\nscenarios = []");
+    assert_eq!(problems(&empty), [SuiteProblem::EmptyGroup { group: "void".to_owned() }]);
+}
+
+#[test]
+fn a_syntax_error_names_the_line_and_what_was_expected() {
+    for (what, wrong, expected) in [
+        ("mass_kg = 0.5", "mass_kg = true", "{ low, high }"),
+        ("{ low = 0.1, high = 0.2 }", "{ low = 0.1, hihg = 0.2 }", "hihg"),
+        ("{ id = \"light-1\", mass_kg = 0.5 }", "{ mass_kg = 0.5 }", "`id`"),
+        ("category = \"nominal\"", "categroy = \"nominal\"", "categroy"),
+        ("mass_kg = 0.5", "mass_kg = nan", "finite"),
+    ] {
+        let error = Suite::from_toml(&TWO.replace(what, wrong)).unwrap_err();
+        assert!(error.to_string().contains(expected), "{error}");
+        if let SuiteError::Syntax(text) = &error {
+            assert!(text.contains("line "), "{text}");
+        }
+    }
+}

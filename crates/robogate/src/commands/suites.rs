@@ -1,0 +1,200 @@
+//! `robogate suites`: the scenarios on which a policy is judged.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+use clap::{Args, Subcommand};
+use robogate_campaign::{BUILT_IN_SUITES, built_in_suite, suite_sha256};
+use robogate_core::{Case, Domain, Spread, Suite, SuiteError};
+use serde_json::{Value, json};
+
+use crate::exit::{DONE, Exit, OrExit, USAGE};
+use crate::terminal::{bold, dim, line, note};
+
+/// List, show and check suites.
+#[derive(Debug, Args)]
+pub(crate) struct Suites {
+    #[command(subcommand)]
+    what: Option<What>,
+    /// Print one JSON document
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// List the suites that come with RoboGate (as without a subcommand)
+    List,
+    /// Show every scenario of a suite
+    Show {
+        /// A built-in suite, or the file of your own
+        suite: String,
+    },
+    /// Say everything that is wrong with a suite of your own; exit code 2 if anything is
+    Check {
+        /// The file (TOML)
+        file: PathBuf,
+    },
+}
+
+impl Suites {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        match &self.what {
+            None | Some(What::List) => self.list(),
+            Some(What::Show { suite }) => self.show(&find(suite)?),
+            Some(What::Check { file }) => self.check(file),
+        }
+    }
+
+    fn list(&self) -> Result<u8, Exit> {
+        let suites = BUILT_IN_SUITES
+            .iter()
+            .map(|(_, text)| Suite::from_toml(text))
+            .collect::<Result<Vec<_>, SuiteError>>()
+            .or_broken()?;
+        if self.json {
+            line(json!({ "version": 1, "suites": suites.iter().map(head).collect::<Vec<_>>() }));
+            return Ok(DONE);
+        }
+        for suite in &suites {
+            line(format_args!("{} {}", bold(suite.name()), suite.version()));
+            line(format_args!("  {}", suite.description()));
+        }
+        note("show one: robogate suites show NAME; run it: robogate run --suite NAME");
+        Ok(DONE)
+    }
+
+    fn show(&self, suite: &Suite) -> Result<u8, Exit> {
+        if self.json {
+            let mut document = head(suite);
+            document["scenarios"] = suite.cases().iter().map(scenario).collect();
+            line(json!({ "version": 1, "suite": document }));
+            return Ok(DONE);
+        }
+        line(format_args!("{} {}", bold(suite.name()), suite.version()));
+        line(format_args!("  {}", suite.description()));
+        line(format_args!("  {} scenarios, SHA-256 {}", suite.cases().len(), suite_sha256(suite)));
+        let common = common(suite);
+        line("");
+        line(bold("Where a scenario says nothing else"));
+        for ((name, _), spread) in suite.cases()[0].parameters.iter().zip(&common) {
+            line(format_args!("  {name:<26} {}", words(spread)));
+        }
+        let mut last = None;
+        for case in suite.cases() {
+            let group = (case.category.as_str(), case.group.as_str());
+            if last != Some(group) {
+                line("");
+                line(bold(format_args!("{} / {}", group.0, group.1)));
+                if let Some(description) = suite.group_description(group.0, group.1) {
+                    line(format_args!("  {description}"));
+                }
+                last = Some(group);
+            }
+            let own = case.parameters.iter().zip(&common).filter(|((_, spread), common)| spread != *common);
+            let own: Vec<String> = own.map(|((name, spread), _)| format!("{name} {}", words(spread))).collect();
+            line(format_args!("  {:<24} {}", case.id, dim(own.join(", "))));
+        }
+        Ok(DONE)
+    }
+
+    fn check(&self, file: &Path) -> Result<u8, Exit> {
+        let text = read(file).or_usage()?;
+        let (suite, problems): (Option<Suite>, Vec<String>) = match Suite::from_toml(&text) {
+            Ok(suite) => {
+                let problems = robogate_sim::check_suite(&suite).iter().map(ToString::to_string).collect();
+                (Some(suite), problems)
+            }
+            Err(SuiteError::Syntax(text)) => (None, vec![text]),
+            Err(SuiteError::Problems(problems)) => (None, problems.iter().map(ToString::to_string).collect()),
+        };
+        let ok = problems.is_empty();
+        if self.json {
+            line(
+                json!({ "version": 1, "file": file, "ok": ok, "suite": suite.as_ref().map(head), "problems": problems }),
+            );
+        } else {
+            problems.iter().for_each(|problem| line(format_args!("{}: {problem}", file.display())));
+            match &suite {
+                Some(suite) if ok => line(format_args!(
+                    "{}: {} {} is a suite of {} scenarios, SHA-256 {}",
+                    file.display(),
+                    suite.name(),
+                    suite.version(),
+                    suite.cases().len(),
+                    suite_sha256(suite)
+                )),
+                _ => note(format_args!("{} problem{}", problems.len(), if problems.len() == 1 { "" } else { "s" })),
+            }
+        }
+        Ok(if ok { DONE } else { USAGE })
+    }
+}
+
+/// The built-in suite of that name, or the one in that file; what it asks for means something in the cell.
+pub(crate) fn find(name: &str) -> Result<Suite, Exit> {
+    if let Some(suite) = built_in_suite(name) {
+        return suite.or_broken();
+    }
+    let file = Path::new(name);
+    if !file.exists() {
+        let known: Vec<&str> = BUILT_IN_SUITES.iter().map(|(name, _)| *name).collect();
+        let known = known.join(", ");
+        let why = anyhow!("there is no suite `{name}`; built in: {known}; a suite of your own is named by its file");
+        return Err(why).or_usage();
+    }
+    let suite = Suite::from_toml(&read(file).or_usage()?).with_context(|| file.display().to_string()).or_usage()?;
+    let problems: Vec<String> = robogate_sim::check_suite(&suite).iter().map(ToString::to_string).collect();
+    if problems.is_empty() {
+        return Ok(suite);
+    }
+    Err(anyhow!("{}\n{}", file.display(), problems.join("\n"))).or_usage()
+}
+
+fn read(file: &Path) -> anyhow::Result<String> {
+    std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))
+}
+
+fn head(suite: &Suite) -> Value {
+    json!({
+        "name": suite.name(),
+        "version": suite.version(),
+        "description": suite.description(),
+        "scenario_count": suite.cases().len(),
+        "sha256": suite_sha256(suite),
+    })
+}
+
+fn scenario(case: &Case) -> Value {
+    let parameters: serde_json::Map<_, _> =
+        case.parameters.iter().map(|(name, spread)| (name.to_string(), as_json(spread))).collect();
+    json!({ "id": case.id, "category": case.category, "group": case.group, "parameters": parameters })
+}
+
+fn as_json(spread: &Spread) -> Value {
+    match spread {
+        Spread::Fixed(value) => json!(value),
+        Spread::Drawn(Domain::Continuous { low, high, .. }) => json!({ "low": low, "high": high }),
+        Spread::Drawn(Domain::Integer { low, high }) => json!({ "low": low, "high": high }),
+        Spread::Drawn(Domain::Categorical { choices }) => json!(choices),
+    }
+}
+
+fn words(spread: &Spread) -> String {
+    match spread {
+        Spread::Fixed(value) => value.to_string(),
+        Spread::Drawn(Domain::Continuous { low, high, .. }) => format!("{low} to {high}"),
+        Spread::Drawn(Domain::Integer { low, high }) => format!("{low} to {high}"),
+        Spread::Drawn(Domain::Categorical { choices }) => choices.join("|"),
+    }
+}
+
+/// For each parameter what most scenarios have.
+fn common(suite: &Suite) -> Vec<Spread> {
+    let most = |i: usize| {
+        let all = || suite.cases().iter().filter_map(|case| Some(&case.parameters.get(i)?.1));
+        // Of equally frequent ones the last: any will do, and it is always the same.
+        all().max_by_key(|spread| all().filter(|other| other == spread).count()).cloned()
+    };
+    (0..suite.space().len()).filter_map(most).collect()
+}
