@@ -1,9 +1,171 @@
 //! Why the gate cannot answer.
 
+use std::path::PathBuf;
+
+use robogate_dictionary::DictionaryError;
+
 /// Why the gate cannot answer.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[derive(Debug, thiserror::Error)]
 pub enum GateError {
-    /// A file of requirements that is none; the text has line, column and key.
+    /// A file that is none of its form; the text has line, column and key.
     #[error("{0}")]
     Syntax(String),
+    /// A file that cannot be read.
+    #[error("cannot read {}: {source}\nhint: check the path", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system answered.
+        source: std::io::Error,
+    },
+    /// Something is wrong in a file.
+    #[error("{}: {error}", path.display())]
+    InFile {
+        /// The file.
+        path: PathBuf,
+        /// What it is.
+        error: Box<GateError>,
+    },
+    /// Nothing is demanded.
+    #[error("there is no [[requirement]]\nhint: a gate that demands nothing would pass everything")]
+    NoRequirements,
+    /// A confidence that is none, or none that says anything.
+    #[error("`confidence` is {confidence}; it must be at least 0.75 and below 1\nhint: write 95 % as 0.95")]
+    Confidence {
+        /// As given.
+        confidence: f64,
+    },
+    /// Nothing may be run.
+    #[error("`budget.rounds` is {rounds}; it must be from 1 to {most}")]
+    Budget {
+        /// As given.
+        rounds: u32,
+        /// The limit.
+        most: u32,
+    },
+    /// A demand without a limit, or with contradictory ones.
+    #[error("requirement `{id}`: {reason}")]
+    Requirement {
+        /// Which.
+        id: String,
+        /// What is wrong, with a hint.
+        reason: String,
+    },
+    /// The same demand twice.
+    #[error("requirement `{id}` stands there twice\nhint: keep the stricter one")]
+    Twice {
+        /// Which.
+        id: String,
+    },
+    /// A demand that no number of episodes can show.
+    #[error("requirement `{id}` ({demand}) can't be met at any number of episodes: {reason}")]
+    Unmeetable {
+        /// Which.
+        id: String,
+        /// The demand in words.
+        demand: String,
+        /// Why, with a hint.
+        reason: String,
+    },
+    /// A demand that a perfect policy cannot meet within the budget.
+    #[error(
+        "requirement `{id}` can't be met within the budget: even without a single failure it takes {fewest} episodes, and the budget allows {budget}\nhint: raise `budget.rounds`, or demand less"
+    )]
+    BudgetTooSmall {
+        /// Which.
+        id: String,
+        /// Episodes that a perfect policy needs.
+        fewest: u64,
+        /// Episodes that the budget allows.
+        budget: u64,
+    },
+    /// A relative demand without a baseline.
+    #[error(
+        "{what} refers to a baseline, and there is none\nhint: make one with `robogate baseline RUN -o FILE` and pass it with --baseline"
+    )]
+    NoBaseline {
+        /// Which requirement or term.
+        what: String,
+    },
+    /// A baseline without the figure that is asked for.
+    #[error("{what} refers to the baseline's {metric}, which the baseline does not have")]
+    NotInBaseline {
+        /// Which requirement or term.
+        what: String,
+        /// The figure.
+        metric: &'static str,
+    },
+    /// A baseline of something else.
+    #[error(
+        "the baseline is of {baseline}, the episodes are of {run}\nhint: make a baseline on the same scenarios: `robogate baseline RUN -o FILE`"
+    )]
+    ForeignBaseline {
+        /// What the baseline speaks of.
+        baseline: String,
+        /// What the episodes speak of.
+        run: String,
+    },
+    /// A baseline in a later form.
+    #[error("the baseline has format {found}, and this robogate reads {known} at most\nhint: upgrade robogate")]
+    NewerBaseline {
+        /// Its version.
+        found: u32,
+        /// What is known.
+        known: u32,
+    },
+    /// A baseline made from nothing.
+    #[error("there is no valid episode to make a baseline from")]
+    EmptyBaseline,
+    /// A scope that no episode has.
+    #[error("requirement `{id}`: no episode is of {scope}\nhint: there are {known}")]
+    NoSuchScope {
+        /// Which.
+        id: String,
+        /// The scope.
+        scope: String,
+        /// The scopes there are.
+        known: String,
+    },
+    /// Episodes of a suite among others.
+    #[error("episode {index} carries no scenario id, and others do\nhint: judge a suite's episodes by themselves")]
+    MixedLabels {
+        /// The first without.
+        index: u64,
+    },
+    /// An episode longer than what was said to bound it.
+    #[error(
+        "requirement `{id}`: episode {index} lasted {time_s} s, more than the ceiling of {ceiling_s} s\nhint: set `ceiling_s` to the time limit of the episodes"
+    )]
+    AboveCeiling {
+        /// Which.
+        id: String,
+        /// The episode's index.
+        index: u64,
+        /// How long it lasted, in seconds.
+        time_s: f64,
+        /// The ceiling, in seconds.
+        ceiling_s: f64,
+    },
+    /// Weights that are none.
+    #[error("`score`: {reason}")]
+    Score {
+        /// What is wrong.
+        reason: String,
+    },
+    /// Two runs that did not meet the same worlds.
+    #[error(
+        "episode {index} is not the same in both runs: {what}\nhint: run the other policy on the same suite with the same seed"
+    )]
+    NotPaired {
+        /// The episode's index.
+        index: u64,
+        /// What differs.
+        what: String,
+    },
+    /// A margin that is none.
+    #[error(transparent)]
+    Margin(#[from] robogate_stats::non_inferiority::NotAMargin),
+    /// The record cannot be read.
+    #[error(transparent)]
+    Dictionary(#[from] DictionaryError),
 }

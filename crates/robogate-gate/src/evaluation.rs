@@ -1,15 +1,32 @@
-//! What the evidence says about each demand.
+//! What the evidence says about each demand, and what follows.
+//!
+//! **Pass** claims that every demand is met. It is given only where each is shown at error α, so the claim as a whole is
+//! wrong with probability α at most, without any adjustment: an intersection-union test (Berger 1982). **Fail** claims that
+//! some demand is violated. That is a union of tests, so its error α is shared among them by Holm's procedure. Neither error
+//! is a matter of which question was asked first: both are held at once.
+//!
+//! Where each "met" shall be quotable by itself, [`Family::Holm`] adjusts these too.
 
+use robogate_stats::multiplicity::holm;
+use robogate_stats::{Confidence, Trials, clopper_pearson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Baseline, Bound, ConfidenceScore, Population, Requirement, Requirements, Verdict};
+use crate::comparison::{Against, Comparison};
+use crate::demand_test::{How, test};
+use crate::figure::{Extremes, figure};
+use crate::rounds::Rounds;
+use crate::scope::{Scope, expand};
+use crate::{
+    Baseline, Bound, ConfidenceScore, Family, GateError, Label, Mode, Population, Record, Requirement, Requirements,
+    Trial, Verdict,
+};
 
 /// How the number of episodes came about: it decides which test is valid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Sampling {
-    /// It was fixed before the first episode: exact binomial tests.
+    /// It was fixed before the first episode: exact tests, once.
     Fixed,
     /// Somebody looked and decided whether to go on: anytime-valid tests, at the end of each round.
     Sequential,
@@ -29,6 +46,18 @@ pub enum Status {
     NoEvidence,
 }
 
+impl Status {
+    /// The status in data and reports.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Met => "met",
+            Self::Violated => "violated",
+            Self::Undecided => "undecided",
+            Self::NoEvidence => "no evidence",
+        }
+    }
+}
+
 /// How many episodes there are.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Counts {
@@ -42,15 +71,8 @@ pub struct Counts {
     pub rounds: Option<u64>,
     /// Episodes after the last whole round, which are not judged.
     pub left_over: u64,
-}
-
-/// A figure over the valid episodes, and what it could have been.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct Extremes {
-    /// The figure; absent without a valid episode.
-    pub observed: Option<f64>,
-    /// The least and most it could be, whatever the invalid episodes could have been.
-    pub possible: [f64; 2],
+    /// Episodes drawn where success turns into failure, which are not judged.
+    pub focused: u64,
 }
 
 /// One demand and what the evidence says about it.
@@ -62,24 +84,24 @@ pub struct Finding {
     pub requirement: Requirement,
     /// The demand with its limit as a number.
     pub bound: Bound,
-    /// Valid episodes in its scope.
+    /// Episodes in its scope that say something about the metric.
     pub valid: u64,
-    /// Invalid episodes in its scope.
+    /// Episodes in its scope that say nothing about it: invalid ones, and failures in a way that was not recorded.
     pub invalid: u64,
     /// The figure.
     pub figure: Extremes,
-    /// Interval for the true figure at the requirements' confidence, for the worst and best that invalid episodes could
-    /// have been; absent in point mode.
+    /// The true figure lies above the lower and below the upper end, each at the requirements' confidence, whatever the
+    /// invalid episodes could have been; absent in point mode.
     pub interval: Option<[f64; 2]>,
-    /// p-value against "the demand is not met", for the worst that invalid episodes could have been.
+    /// p-value against "it is not met", for the worst that invalid episodes could have been; absent in point mode.
     pub p_met: Option<f64>,
-    /// p-value against "the demand is met", for the best that they could have been.
+    /// p-value against "it is met", for the best that they could have been; absent in point mode.
     pub p_violated: Option<f64>,
     /// What follows.
     pub status: Status,
-    /// Further episodes after which it would be decided if they went as those so far; absent where it is decided, or
-    /// where no number would do.
-    pub more_episodes: Option<u64>,
+    /// Episodes of the whole run at which it would be decided if all went as so far; absent where it is decided, or where
+    /// no sensible number would do.
+    pub decided_at_episodes: Option<u64>,
 }
 
 /// Success by scenario group, for reading; it decides nothing by itself.
@@ -95,10 +117,19 @@ pub struct GroupResult {
     pub invalid: u64,
     /// Successes.
     pub successes: u64,
-    /// Exact (Clopper-Pearson) 95 % interval for the success rate.
+    /// Exact (Clopper-Pearson) 95 % interval for the success rate, as if the number of episodes had been fixed.
     pub interval_95: [f64; 2],
-    /// Failures by their word, the commonest first.
-    pub failures: Vec<(String, u64)>,
+    /// How the others ended, the commonest first.
+    pub endings: Vec<EndingCount>,
+}
+
+/// How often episodes ended in one way.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct EndingCount {
+    /// A failure mode, `failure` where it is not known, or `invalid`.
+    pub ending: String,
+    /// Episodes.
+    pub episodes: u64,
 }
 
 /// Everything that the gate found: one versioned document.
@@ -110,8 +141,16 @@ pub struct Evaluation {
     pub verdict: Verdict,
     /// Why, in a sentence.
     pub because: String,
+    /// The robot.
+    pub robot: String,
+    /// The policy.
+    pub policy: String,
+    /// Identity of the rows (SHA-256, hex).
+    pub dataset_sha256: String,
     /// What the figures speak of.
     pub population: Population,
+    /// What a figure is, in a sentence.
+    pub estimand: String,
     /// How the number of episodes came about.
     pub sampling: Sampling,
     /// How many there are.
@@ -122,8 +161,303 @@ pub struct Evaluation {
     pub baseline: Option<Baseline>,
     /// What the evidence says about each demand.
     pub findings: Vec<Finding>,
+    /// Whether it may replace another policy, where that was asked.
+    pub comparison: Option<Comparison>,
     /// Success by scenario group.
     pub groups: Vec<GroupResult>,
     /// The confidence score; absent where the requirements have none.
     pub score: Option<ConfidenceScore>,
+    /// Episodes in all at which the gate would answer if all went as so far; absent where it has answered, or where no
+    /// sensible number would do.
+    pub decided_at_episodes: Option<u64>,
+}
+
+/// What is asked of a record.
+#[derive(Debug, Clone, Copy)]
+pub struct Question<'a> {
+    /// What is demanded.
+    pub requirements: &'a Requirements,
+    /// What relative demands refer to.
+    pub baseline: Option<&'a Baseline>,
+    /// The policy that may be replaced.
+    pub against: Option<Against<'a>>,
+    /// How the number of episodes came about.
+    pub sampling: Sampling,
+}
+
+impl Evaluation {
+    /// The version of the form.
+    pub const FORMAT: u32 = 1;
+
+    /// As a file holds it: the same evaluation gives the same bytes.
+    pub fn to_json(&self) -> String {
+        // Every number in it is finite: nothing here can fail to serialise.
+        serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
+    }
+}
+
+impl Question<'_> {
+    /// The answer: the same record gives the same evaluation, to the bit.
+    ///
+    /// # Errors
+    /// Where the question cannot be asked of this record: a baseline of another suite, a scope that no episode has, a
+    /// demand that can't be met at any number of episodes.
+    pub fn evaluate(&self, record: &Record) -> Result<Evaluation, GateError> {
+        let requirements = self.requirements;
+        requirements.check()?;
+        if let Some(baseline) = self.baseline {
+            baseline.check(&record.population)?;
+        }
+        let rounds = Rounds::of(&record.trials, &record.population)?;
+        let valid = rounds.trials().filter(|trial| trial.ending.is_valid()).count() as u64;
+        let episodes = rounds.trials().count() as u64;
+        let counts = Counts {
+            episodes,
+            valid,
+            invalid: episodes - valid,
+            rounds: rounds.suite.then_some(rounds.rounds.len() as u64),
+            left_over: rounds.left_over,
+            focused: record.focused,
+        };
+        let comparison = self.against.as_ref().map(|against| against.compare(record, self)).transpose()?;
+        let mut findings = Vec::new();
+        for requirement in &requirements.requirement {
+            for one in expand(requirement, rounds.trials()) {
+                findings.push(one);
+            }
+        }
+        let alpha = requirements.alpha();
+        // A comparison is one demand more.
+        let family = findings.len() + usize::from(comparison.is_some());
+        let how = How { sampling: self.sampling, alpha, beta: alpha / family.max(1) as f64, suite: rounds.suite };
+        let mut findings = findings
+            .into_iter()
+            .map(|requirement| self.finding(requirement, &rounds, counts, how))
+            .collect::<Result<Vec<Finding>, GateError>>()?;
+        let mut comparison = comparison;
+        self.decide(&mut findings, comparison.as_mut(), alpha);
+        let (verdict, because) = conclude(counts, &findings, comparison.as_ref());
+        let decided_at_episodes = when(verdict, &findings);
+        Ok(Evaluation {
+            format: Evaluation::FORMAT,
+            verdict,
+            because,
+            robot: record.robot.clone(),
+            policy: record.policy.clone(),
+            dataset_sha256: record.dataset_sha256.clone(),
+            population: record.population.clone(),
+            estimand: record.population.estimand(),
+            sampling: self.sampling,
+            counts,
+            requirements: requirements.clone(),
+            baseline: self.baseline.cloned(),
+            findings,
+            comparison,
+            groups: groups(rounds.trials()),
+            score: ConfidenceScore::of(&requirements.score, self.baseline, rounds.rounds.iter().flatten().copied()),
+            decided_at_episodes,
+        })
+    }
+
+    fn finding(
+        &self,
+        requirement: Requirement,
+        rounds: &Rounds<'_>,
+        counts: Counts,
+        how: How,
+    ) -> Result<Finding, GateError> {
+        let mode = self.requirements.mode;
+        let id = requirement.id();
+        let bound = requirement.bound(mode, self.baseline)?;
+        let scope = Scope::of(&requirement);
+        let scoped: Vec<Vec<&Trial>> = rounds
+            .rounds
+            .iter()
+            .map(|round| round.iter().copied().filter(|trial| scope.holds(trial)).collect())
+            .collect();
+        let all = scoped.iter().flatten().copied();
+        if counts.episodes > 0 && all.clone().next().is_none() {
+            return Err(GateError::NoSuchScope { id, scope: scope.to_string(), known: known(rounds.trials()) });
+        }
+        let (valid, invalid, figure) = figure(requirement.metric, all, requirement.ceiling_s);
+        let mut finding = Finding {
+            id,
+            requirement,
+            bound,
+            valid,
+            invalid,
+            figure,
+            interval: None,
+            p_met: None,
+            p_violated: None,
+            status: if valid == 0 { Status::NoEvidence } else { Status::Undecided },
+            decided_at_episodes: None,
+        };
+        if valid == 0 {
+            return Ok(finding);
+        }
+        match mode {
+            Mode::Point => {
+                let at = |x: Option<f64>| x.is_some_and(|x| bound.holds(x));
+                let ends = [at(Some(figure.least)), at(figure.most)];
+                finding.status = match ends {
+                    [true, true] => Status::Met,
+                    [false, false] => Status::Violated,
+                    _ => Status::Undecided,
+                };
+            }
+            Mode::Confidence => {
+                let tested = test(&finding.requirement, bound, &scoped, how)?;
+                finding.interval = Some(tested.interval);
+                finding.p_met = Some(tested.p_met);
+                finding.p_violated = Some(tested.p_violated);
+                let per_round = counts.episodes as f64 / rounds.rounds.len().max(1) as f64;
+                finding.decided_at_episodes =
+                    tested.decided_at_rounds.map(|rounds| (rounds as f64 * per_round).round() as u64);
+            }
+        }
+        Ok(finding)
+    }
+
+    /// From p-values to answers, over the whole family.
+    fn decide(&self, findings: &mut [Finding], comparison: Option<&mut Comparison>, alpha: f64) {
+        let other = comparison.as_ref().map(|c| (c.p_met, c.p_violated));
+        let point = self.requirements.mode == Mode::Point;
+        let met: Vec<f64> = findings.iter().map(|f| f.p_met.unwrap_or(1.0)).chain(other.map(|o| o.0)).collect();
+        let violated: Vec<f64> =
+            findings.iter().map(|f| f.p_violated.unwrap_or(1.0)).chain(other.map(|o| o.1)).collect();
+        // These are p-values by construction; were one not, nothing would be rejected.
+        let adjusted = |p: &[f64]| holm(p).unwrap_or_else(|_| vec![1.0; p.len()]);
+        let met = if self.requirements.family == Family::Holm { adjusted(&met) } else { met };
+        let violated = adjusted(&violated);
+        let status = |i: usize| {
+            let below = |p: &[f64]| p.get(i).is_some_and(|p| *p <= alpha);
+            // Where both are rejected a premise does not hold; the careful answer is taken.
+            if below(&violated) {
+                Status::Violated
+            } else if below(&met) {
+                Status::Met
+            } else {
+                Status::Undecided
+            }
+        };
+        let last = findings.len();
+        for (i, finding) in findings.iter_mut().enumerate() {
+            if !point && finding.status != Status::NoEvidence {
+                finding.status = status(i);
+            }
+            if finding.status != Status::Undecided {
+                finding.decided_at_episodes = None;
+            }
+        }
+        if let Some(comparison) = comparison
+            && comparison.status != Status::NoEvidence
+        {
+            comparison.status = status(last);
+        }
+    }
+}
+
+fn conclude(counts: Counts, findings: &[Finding], comparison: Option<&Comparison>) -> (Verdict, String) {
+    if counts.episodes == 0 {
+        let because = if counts.left_over > 0 {
+            format!("{} episodes are no whole round of the suite", counts.left_over)
+        } else {
+            "nothing was evaluated".to_owned()
+        };
+        return (Verdict::Invalid, because);
+    }
+    if counts.valid == 0 {
+        return (Verdict::Invalid, format!("all {} episodes are invalid", counts.invalid));
+    }
+    let all: Vec<(&str, Status)> = findings
+        .iter()
+        .map(|f| (f.id.as_str(), f.status))
+        .chain(comparison.map(|c| ("not worse than the other policy", c.status)))
+        .collect();
+    let of =
+        |status: Status| -> Vec<&str> { all.iter().filter(|(_, found)| *found == status).map(|(id, _)| *id).collect() };
+    let (violated, open, none) = (of(Status::Violated), of(Status::Undecided), of(Status::NoEvidence));
+    if !violated.is_empty() {
+        (Verdict::Fail, format!("violated: {}", violated.join(", ")))
+    } else if !none.is_empty() {
+        (Verdict::Inconclusive, format!("no evidence about {}", none.join(", ")))
+    } else if open.is_empty() && !all.is_empty() {
+        (Verdict::Pass, format!("all {} requirements are met", all.len()))
+    } else {
+        (Verdict::Inconclusive, format!("undecided: {}", open.join(", ")))
+    }
+}
+
+/// When the gate would answer: at the first violation in sight, or once the last demand is met.
+fn when(verdict: Verdict, findings: &[Finding]) -> Option<u64> {
+    if verdict != Verdict::Inconclusive {
+        return None;
+    }
+    let towards_fail =
+        |f: &&Finding| f.status == Status::Undecided && f.figure.observed.is_some_and(|x| !f.bound.holds(x));
+    let failing = findings.iter().filter(towards_fail).filter_map(|f| f.decided_at_episodes).min();
+    let open: Vec<&Finding> = findings.iter().filter(|f| f.status != Status::Met).collect();
+    failing.or_else(|| {
+        let all: Option<Vec<u64>> = open.iter().map(|f| f.decided_at_episodes).collect();
+        all?.into_iter().max()
+    })
+}
+
+/// The categories and groups there are.
+pub(crate) fn known<'a>(trials: impl Iterator<Item = &'a Trial>) -> String {
+    let mut words: Vec<String> = Vec::new();
+    for label in trials.filter_map(|trial| trial.label.as_ref()) {
+        let word = format!("{}/{}", label.category, label.group);
+        if !words.contains(&word) {
+            words.push(word);
+        }
+    }
+    if words.is_empty() {
+        "no categories or groups: these are not episodes of a suite".to_owned()
+    } else {
+        words.join(", ")
+    }
+}
+
+fn groups<'a>(trials: impl Iterator<Item = &'a Trial>) -> Vec<GroupResult> {
+    let mut found: Vec<(&Label, Vec<&Trial>)> = Vec::new();
+    for trial in trials {
+        let Some(label) = &trial.label else { continue };
+        let same = |(known, _): &&mut (&Label, Vec<&Trial>)| {
+            (&known.category, &known.group) == (&label.category, &label.group)
+        };
+        match found.iter_mut().find(same) {
+            Some((_, trials)) => trials.push(trial),
+            None => found.push((label, vec![trial])),
+        }
+    }
+    found.into_iter().map(|(label, trials)| group(label, &trials)).collect()
+}
+
+fn group(label: &Label, trials: &[&Trial]) -> GroupResult {
+    let mut endings: Vec<EndingCount> = Vec::new();
+    let (mut successes, mut valid) = (0, 0);
+    for trial in trials {
+        valid += u64::from(trial.ending.is_valid());
+        let word = trial.ending.word();
+        if word == "success" {
+            successes += 1;
+        } else if let Some(known) = endings.iter_mut().find(|known| known.ending == word) {
+            known.episodes += 1;
+        } else {
+            endings.push(EndingCount { ending: word.to_owned(), episodes: 1 });
+        }
+    }
+    endings.sort_by(|a, b| b.episodes.cmp(&a.episodes).then_with(|| a.ending.cmp(&b.ending)));
+    let interval = clopper_pearson(Trials::new(successes, valid).unwrap_or(Trials::NONE), Confidence::P95);
+    GroupResult {
+        category: label.category.clone(),
+        group: label.group.clone(),
+        valid,
+        invalid: trials.len() as u64 - valid,
+        successes,
+        interval_95: [interval.low, interval.high],
+        endings,
+    }
 }

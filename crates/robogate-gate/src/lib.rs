@@ -11,19 +11,30 @@
 //! | both | [`Evaluation`], with [`ConfidenceScore`] and [`Verdict`] |
 
 mod baseline;
+mod comparison;
+mod demand_test;
 mod error;
 mod evaluation;
+mod figure;
 mod metric;
+mod plan;
+mod record;
 mod requirement;
 mod requirements;
+mod rounds;
+mod scope;
 mod score;
 mod trial;
 mod verdict;
 
-pub use baseline::{Baseline, Population};
+pub use baseline::{Baseline, BaselineFigure};
+pub use comparison::{Against, Comparison};
 pub use error::GateError;
-pub use evaluation::{Counts, Evaluation, Extremes, Finding, GroupResult, Sampling, Status};
+pub use evaluation::{Counts, EndingCount, Evaluation, Finding, GroupResult, Question, Sampling, Status};
+pub use figure::Extremes;
 pub use metric::Metric;
+pub use plan::{DemandPlan, GatePlan, Operating};
+pub use record::{Population, Record};
 pub use requirement::{Bound, Each, Requirement, Sense};
 pub use requirements::{Budget, Family, Mode, Requirements};
 pub use score::{ConfidenceScore, ScoreTerm, ScoredTerm, Scoring};

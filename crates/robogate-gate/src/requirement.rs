@@ -5,7 +5,7 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::Metric;
+use crate::{Baseline, GateError, Metric, Mode};
 
 /// One demand on one metric.
 ///
@@ -34,7 +34,7 @@ pub struct Requirement {
     /// The demand stands for each category or group by itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub each: Option<Each>,
-    /// For `cycle_time_s` at a stated confidence: no episode can last longer than this, in seconds (the cell's time limit).
+    /// For `cycle_time_s`: no episode can last longer than this, in seconds (the cell's time limit).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ceiling_s: Option<f64>,
 }
@@ -59,6 +59,15 @@ pub enum Sense {
     AtMost,
 }
 
+impl fmt::Display for Sense {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::AtLeast => "at least",
+            Self::AtMost => "at most",
+        })
+    }
+}
+
 /// A demand with its limit as a number.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Bound {
@@ -78,11 +87,122 @@ impl Bound {
     }
 }
 
-impl fmt::Display for Sense {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::AtLeast => "at least",
-            Self::AtMost => "at most",
-        })
+impl Requirement {
+    /// Its name in reports: the metric and its scope.
+    pub fn id(&self) -> String {
+        match (&self.category, &self.group) {
+            (Some(category), Some(group)) => format!("{}[{category}/{group}]", self.metric),
+            (Some(scope), None) | (None, Some(scope)) => format!("{}[{scope}]", self.metric),
+            (None, None) => match self.each {
+                Some(Each::Category) => format!("{}[each category]", self.metric),
+                Some(Each::Group) => format!("{}[each group]", self.metric),
+                None => self.metric.word().to_owned(),
+            },
+        }
+    }
+
+    /// Refuses what is wrong whatever the evidence.
+    pub(crate) fn check(&self, mode: Mode) -> Result<(), GateError> {
+        let wrong = |reason: &str| Err(GateError::Requirement { id: self.id(), reason: reason.to_owned() });
+        let at_most = self.at_most.is_some() || self.at_most_times_baseline.is_some();
+        if self.at_least.is_some() == at_most {
+            return wrong("it needs either `at_least` or a limit above (`at_most`, `at_most_times_baseline`)");
+        }
+        if [self.at_least, self.at_most, self.at_most_times_baseline, self.ceiling_s]
+            .iter()
+            .flatten()
+            .any(|limit| !limit.is_finite() || *limit < 0.0)
+        {
+            return wrong("its limits must be finite numbers, 0 or more");
+        }
+        if self.each.is_some() && (self.category.is_some() || self.group.is_some()) {
+            return wrong("`each` stands in place of `category` and `group`");
+        }
+        if self.ceiling_s.is_some() != (self.metric == Metric::CycleTimeS) {
+            return wrong("`ceiling_s` belongs to `cycle_time_s`, which needs it: the time limit of an episode");
+        }
+        if self.metric == Metric::CollisionCount && mode == Mode::Confidence {
+            return Err(GateError::Unmeetable {
+                id: self.id(),
+                demand: self.demand(),
+                reason: "a count grows with the number of episodes, and that none will ever happen is shown by no number\nhint: demand `collision_rate` with `at_most = 0.01`".to_owned(),
+            });
+        }
+        Ok(())
+    }
+
+    fn demand(&self) -> String {
+        let mut parts = Vec::new();
+        parts.extend(self.at_least.map(|x| format!("at least {x}")));
+        parts.extend(self.at_most_times_baseline.map(|x| format!("at most {x} times the baseline")));
+        parts.extend(self.at_most.map(|x| format!("at most {x}")));
+        parts.join(" or ")
+    }
+
+    /// The demand with its limit as a number.
+    ///
+    /// # Errors
+    /// Where it refers to a baseline that is not there, or where no number of episodes could show it.
+    pub fn bound(&self, mode: Mode, baseline: Option<&Baseline>) -> Result<Bound, GateError> {
+        let bound = match (self.at_least, self.at_most_times_baseline) {
+            (Some(limit), _) => Bound { sense: Sense::AtLeast, limit },
+            (None, Some(times)) => {
+                let what = || format!("requirement `{}`", self.id());
+                let baseline = baseline.ok_or_else(|| GateError::NoBaseline { what: what() })?;
+                let figure = baseline
+                    .figure(self.metric)
+                    .ok_or_else(|| GateError::NotInBaseline { what: what(), metric: self.metric.word() })?;
+                Bound { sense: Sense::AtMost, limit: (times * figure).max(self.at_most.unwrap_or(0.0)) }
+            }
+            (None, None) => Bound { sense: Sense::AtMost, limit: self.at_most.unwrap_or(0.0) },
+        };
+        self.meetable(mode, bound).map(|()| bound)
+    }
+
+    fn meetable(&self, mode: Mode, bound: Bound) -> Result<(), GateError> {
+        let refuse = |reason: &str| {
+            let number = format!("{} {}", bound.sense, bound.limit);
+            let demand = self.demand();
+            let demand = if number == demand { demand } else { format!("{demand}: {number}") };
+            Err(GateError::Unmeetable { id: self.id(), demand, reason: reason.to_owned() })
+        };
+        let Bound { sense, limit } = bound;
+        if self.metric.is_rate() {
+            if sense == Sense::AtLeast && limit > 1.0 {
+                return refuse("a rate is never above 1\nhint: write 92 % as 0.92");
+            }
+            if mode == Mode::Confidence {
+                if (sense == Sense::AtLeast && limit >= 1.0) || (sense == Sense::AtMost && limit <= 0.0) {
+                    return refuse(
+                        "that something never happens is shown by no number of episodes without it\nhint: leave room, as 0.99 or 0.01; beside `at_most_times_baseline`, `at_most` gives a floor",
+                    );
+                }
+                if (sense == Sense::AtLeast && limit <= 0.0) || (sense == Sense::AtMost && limit >= 1.0) {
+                    return Err(GateError::Requirement {
+                        id: self.id(),
+                        reason: format!(
+                            "`{sense} {limit}` demands nothing of a rate\nhint: leave it out, or demand more"
+                        ),
+                    });
+                }
+            }
+        }
+        if self.metric == Metric::CycleTimeS {
+            let ceiling = self.ceiling_s.unwrap_or(f64::INFINITY);
+            match sense {
+                Sense::AtMost if limit <= 0.0 => return refuse("an episode takes time"),
+                Sense::AtLeast if limit >= ceiling => return refuse("`ceiling_s` is not above it"),
+                Sense::AtMost if limit >= ceiling => {
+                    return Err(GateError::Requirement {
+                        id: self.id(),
+                        reason: format!(
+                            "`at most {limit}` demands nothing where no episode lasts longer than `ceiling_s`, {ceiling}"
+                        ),
+                    });
+                }
+                Sense::AtLeast | Sense::AtMost => {}
+            }
+        }
+        Ok(())
     }
 }

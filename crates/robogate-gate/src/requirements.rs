@@ -1,9 +1,15 @@
 //! What is demanded, as a file.
 
+use std::collections::BTreeSet;
+use std::path::Path;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{GateError, Requirement, ScoreTerm};
+use crate::{GateError, Requirement, ScoreTerm, score};
+
+/// The most rounds that a budget may have: what is more is a slip of the finger.
+const MOST_ROUNDS: u32 = 10_000;
 
 /// What is demanded of a policy, and how sure the gate must be.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -23,6 +29,7 @@ pub struct Requirements {
     #[serde(default)]
     pub budget: Budget,
     /// The demands.
+    #[serde(default)]
     pub requirement: Vec<Requirement>,
     /// The terms of the confidence score; none, no score.
     #[serde(default)]
@@ -70,12 +77,77 @@ fn default_confidence() -> f64 {
     0.95
 }
 
+/// The sets that come with RoboGate: name and TOML.
+const BUILT_IN: [(&str, &str); 2] = [
+    ("default", include_str!("../../../assets/gates/default.toml")),
+    ("paper", include_str!("../../../assets/gates/paper.toml")),
+];
+
 impl Requirements {
+    /// The names of the sets that come with RoboGate.
+    pub const NAMES: [&'static str; 2] = [BUILT_IN[0].0, BUILT_IN[1].0];
+
+    /// A set that comes with RoboGate, or a TOML file.
+    ///
+    /// # Errors
+    /// What is wrong with the file, and where.
+    pub fn open(name_or_path: &str) -> Result<Self, GateError> {
+        if let Some((_, text)) = BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
+            return Self::from_toml(text);
+        }
+        let path = Path::new(name_or_path);
+        let text =
+            std::fs::read_to_string(path).map_err(|source| GateError::Unreadable { path: path.to_owned(), source })?;
+        Self::from_toml(&text).map_err(|error| GateError::InFile { path: path.to_owned(), error: Box::new(error) })
+    }
+
     /// Reads TOML.
     ///
     /// # Errors
-    /// What is wrong and where: an unknown key, a demand without a limit.
+    /// What is wrong and where: an unknown key, a demand without a limit, one that can't be met at any number of
+    /// episodes.
     pub fn from_toml(text: &str) -> Result<Self, GateError> {
-        toml::from_str(text).map_err(|error| GateError::Syntax(error.to_string()))
+        let requirements: Self = toml::from_str(text).map_err(|error| GateError::Syntax(error.to_string()))?;
+        requirements.check()?;
+        Ok(requirements)
+    }
+
+    /// Refuses what is wrong whatever the evidence.
+    ///
+    /// # Errors
+    /// As [`Self::from_toml`].
+    pub fn check(&self) -> Result<(), GateError> {
+        if self.requirement.is_empty() {
+            return Err(GateError::NoRequirements);
+        }
+        // Below this, binomial tests of unlike scenarios lose their ground (see `Question`).
+        if !(0.75..1.0).contains(&self.confidence) {
+            return Err(GateError::Confidence { confidence: self.confidence });
+        }
+        if !(1..=MOST_ROUNDS).contains(&self.budget.rounds) {
+            return Err(GateError::Budget { rounds: self.budget.rounds, most: MOST_ROUNDS });
+        }
+        let mut seen = BTreeSet::new();
+        for requirement in &self.requirement {
+            requirement.check(self.mode)?;
+            if requirement.at_most_times_baseline.is_none() {
+                requirement.bound(self.mode, None)?;
+            }
+            if !seen.insert((requirement.id(), requirement.at_least.is_some())) {
+                return Err(GateError::Twice { id: requirement.id() });
+            }
+        }
+        score::check(&self.score)
+    }
+
+    /// The probability with which a pass, and with which a fail, may be wrong.
+    pub fn alpha(&self) -> f64 {
+        // 1 - 0.95 is not 0.05 in floating point; twelve decimals are more than anybody writes.
+        ((1.0 - self.confidence) * 1e12).round() / 1e12
+    }
+
+    /// Whether a demand or a term refers to a baseline.
+    pub fn needs_baseline(&self) -> bool {
+        self.requirement.iter().any(|r| r.at_most_times_baseline.is_some())
     }
 }

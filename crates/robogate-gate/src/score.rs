@@ -1,9 +1,17 @@
 //! The confidence score, 0 to 100 (the paper's section 3.4 and appendix E).
+//!
+//! C = 100 Σ wᵢ sᵢ with weights and terms as data ([`ScoreTerm`]). It is a summary of observed figures and carries no
+//! error of its own: the verdict does not look at it. Two things that the paper leaves open are settled here: the cycle-time
+//! term 1 - |Δt/t_base| is cut off at 0, because it would fall below beyond twice the baseline; the baseline term 1 + ΔSR
+//! is cut off at 1, because a policy better than its baseline would score above 100.
 
+use robogate_stats::Interval;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::Metric;
+use crate::figure::{Extremes, figure};
+use crate::scope::Scope;
+use crate::{Baseline, GateError, Metric, Trial};
 
 /// One term of the score, as data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -39,12 +47,46 @@ pub enum Scoring {
     BaselineDelta,
 }
 
+impl Scoring {
+    /// Whether it refers to a baseline.
+    pub fn needs_baseline(self) -> bool {
+        matches!(self, Self::BaselineDeviation | Self::BaselineDelta)
+    }
+
+    /// The figure `x` as a number from 0 to 1, with the baseline's figure `b`; `None` without a baseline that it needs.
+    pub fn of(self, x: f64, b: Option<f64>) -> Option<f64> {
+        let scored = match self {
+            Self::Linear { full_at } => (x / full_at).min(1.0),
+            Self::BaselineDeviation => {
+                let b = b.filter(|b| *b > 0.0)?;
+                (1.0 - (x - b).abs() / b).max(0.0)
+            }
+            Self::Zero => f64::from(u8::from(x <= 0.0)),
+            Self::BaselineDelta => (1.0 + x - b?).clamp(0.0, 1.0),
+        };
+        Some(scored)
+    }
+
+    /// The least and most that it can be for a figure between `least` and `most`.
+    fn range(self, extremes: &Extremes, b: Option<f64>) -> Option<Interval> {
+        let low = self.of(extremes.least, b)?;
+        let high = match extremes.most {
+            Some(most) => self.of(most, b)?,
+            // Only a duration has no end, and without end it scores nothing.
+            None => 0.0,
+        };
+        let inside = b.is_some_and(|b| extremes.least <= b && extremes.most.is_none_or(|most| b <= most));
+        let peak = if self == Self::BaselineDeviation && inside { 1.0 } else { low.max(high) };
+        Some(Interval { low: low.min(high), high: peak })
+    }
+}
+
 /// One term with its figures.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ScoredTerm {
     /// The term.
     pub term: ScoreTerm,
-    /// The metric's figure; absent where there is none.
+    /// The metric's figure over the valid episodes; absent where there is none.
     pub value: Option<f64>,
     /// The baseline's, where the term asks for it.
     pub baseline: Option<f64>,
@@ -63,4 +105,60 @@ pub struct ConfidenceScore {
     pub bounds: [f64; 2],
     /// Its terms.
     pub terms: Vec<ScoredTerm>,
+}
+
+pub(crate) fn check(terms: &[ScoreTerm]) -> Result<(), GateError> {
+    let wrong = |reason: String| Err(GateError::Score { reason });
+    if terms.is_empty() {
+        return Ok(());
+    }
+    for term in terms {
+        if !(0.0..=1.0).contains(&term.weight) {
+            return wrong(format!("`{}` has weight {}; weights are from 0 to 1", term.name, term.weight));
+        }
+        if let Scoring::Linear { full_at } = term.scoring
+            && !(full_at.is_finite() && full_at > 0.0)
+        {
+            return wrong(format!("`{}` is full at {full_at}; it must be above 0", term.name));
+        }
+    }
+    let sum: f64 = terms.iter().map(|term| term.weight).sum();
+    if (sum - 1.0).abs() > 1e-9 {
+        return wrong(format!("the weights sum to {sum}, not to 1"));
+    }
+    Ok(())
+}
+
+impl ConfidenceScore {
+    /// The score of `trials`; `None` where there are no terms.
+    pub fn of<'a>(
+        terms: &[ScoreTerm],
+        baseline: Option<&Baseline>,
+        trials: impl Iterator<Item = &'a Trial> + Clone,
+    ) -> Option<Self> {
+        if terms.is_empty() {
+            return None;
+        }
+        let mut bounds = [0.0; 2];
+        let scored = terms.iter().map(|term| {
+            let scope = Scope { category: term.category.as_deref(), group: None };
+            let (_, _, extremes) = figure(term.metric, trials.clone().filter(|trial| scope.holds(trial)), None);
+            let b = if term.scoring.needs_baseline() { baseline.and_then(|b| b.figure(term.metric)) } else { None };
+            let full = 100.0 * term.weight;
+            let range = term.scoring.range(&extremes, b).unwrap_or(Interval::UNIT);
+            bounds[0] += full * range.low;
+            bounds[1] += full * range.high;
+            let scored = extremes.observed.and_then(|x| term.scoring.of(x, b));
+            ScoredTerm {
+                term: term.clone(),
+                value: extremes.observed,
+                baseline: b,
+                scored,
+                points: scored.map(|s| full * s),
+            }
+        });
+        let terms: Vec<ScoredTerm> = scored.collect();
+        let points = terms.iter().map(|term| term.points).sum();
+        Some(Self { points, bounds, terms })
+    }
 }

@@ -1,6 +1,7 @@
 //! What the gate needs of a row.
 
 use robogate_core::{Assignment, FailureMode, Fault, Outcome};
+use robogate_dictionary::Entry;
 
 /// The place of an episode in a suite.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -24,12 +25,29 @@ pub enum Ending {
     Invalid(Fault),
 }
 
-impl From<Outcome> for Ending {
-    fn from(outcome: Outcome) -> Self {
+impl Ending {
+    /// `success`, the failure mode, `failure` or `invalid`.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::Success => "success",
+            Self::Failure(Some(mode)) => mode.word(),
+            Self::Failure(None) => "failure",
+            Self::Invalid(_) => "invalid",
+        }
+    }
+
+    /// Whether it says anything about the policy.
+    pub fn is_valid(&self) -> bool {
+        !matches!(self, Self::Invalid(_))
+    }
+}
+
+impl From<&Outcome> for Ending {
+    fn from(outcome: &Outcome) -> Self {
         match outcome {
             Outcome::Success => Self::Success,
-            Outcome::Failure(mode) => Self::Failure(Some(mode)),
-            Outcome::Invalid(fault) => Self::Invalid(fault),
+            Outcome::Failure(mode) => Self::Failure(Some(*mode)),
+            Outcome::Invalid(fault) => Self::Invalid(fault.clone()),
         }
     }
 }
@@ -49,4 +67,18 @@ pub struct Trial {
     pub ending: Ending,
     /// How long it took, in simulated seconds; `None` where that was not recorded.
     pub time_s: Option<f64>,
+}
+
+impl From<&Entry> for Trial {
+    fn from(entry: &Entry) -> Self {
+        let episode = &entry.episode;
+        Self {
+            index: entry.index(),
+            seed: episode.scenario.seed.campaign_number(),
+            label: None,
+            requested: episode.scenario.requested.clone(),
+            ending: Ending::from(&episode.outcome),
+            time_s: Some(episode.time_s).filter(|t| t.is_finite() && *t >= 0.0),
+        }
+    }
 }

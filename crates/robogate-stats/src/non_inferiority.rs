@@ -17,7 +17,7 @@
 //! Sources: Tango (1998), Statistics in Medicine 17, 891-908; Hsueh, Liu and Chen (2001), Biometrics 57, 478-483 (exact,
 //! unconditional, and why the boundary of the hypothesis is enough).
 
-use crate::compare::{Pairs, at_least};
+use crate::compare::{Pairs, at_least, at_most};
 use crate::interval::Trials;
 use crate::special::{ln_binomial_pmf, ln_normal_sf};
 
@@ -29,7 +29,11 @@ pub struct NotAMargin {
     pub margin: f64,
 }
 
-fn check(margin: f64) -> Result<f64, NotAMargin> {
+/// The margin, if it is one.
+///
+/// # Errors
+/// [`NotAMargin`] unless 0 < `margin` < 1.
+pub fn check(margin: f64) -> Result<f64, NotAMargin> {
     if margin > 0.0 && margin < 1.0 { Ok(margin) } else { Err(NotAMargin { margin }) }
 }
 
@@ -71,16 +75,38 @@ pub fn tango(pairs: Pairs, margin: f64) -> Result<f64, NotAMargin> {
 /// # Errors
 /// [`NotAMargin`] unless 0 < `margin` < 1.
 pub fn exact(pairs: Pairs, margin: f64) -> Result<f64, NotAMargin> {
+    largest_tail(pairs, margin, Side::Better)
+}
+
+/// ln of the exact p-value against the contrary, "the second is worse than the first by `margin` at most": small where it is
+/// shown to be worse by more. 0 (p = 1) without pairs.
+///
+/// # Errors
+/// [`NotAMargin`] unless 0 < `margin` < 1.
+pub fn exact_worse(pairs: Pairs, margin: f64) -> Result<f64, NotAMargin> {
+    largest_tail(pairs, margin, Side::Worse)
+}
+
+/// Which tables are at least as extreme as the one that was seen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Side {
+    /// Those with as large a statistic.
+    Better,
+    /// Those with as small a statistic.
+    Worse,
+}
+
+fn largest_tail(pairs: Pairs, margin: f64, side: Side) -> Result<f64, NotAMargin> {
     let margin = check(margin)?;
     let n = pairs.n();
     if n == 0 {
         return Ok(0.0);
     }
     let seen = statistic(pairs.first_only, pairs.second_only, n, margin);
-    let least = thresholds(n, margin, seen);
+    let least = thresholds(n, margin, seen, side);
     // "A only" has chance q, "B only" q - margin: both and their sum are chances.
     let (low, high) = (margin, 0.5 * (1.0 + margin));
-    let at = |q: f64| tail(&least, n, q, margin);
+    let at = |q: f64| tail(&least, n, q, margin, side);
     let grid = 400;
     let step = (high - low) / f64::from(grid);
     let (mut best, mut most) = (low, 0.0);
@@ -104,10 +130,12 @@ pub fn exact(pairs: Pairs, margin: f64) -> Result<f64, NotAMargin> {
     Ok(most.min(1.0).ln())
 }
 
-/// For each number of "first only", the fewest "second only" that are at least as extreme as `seen`.
-fn thresholds(n: u64, margin: f64, seen: f64) -> Vec<u64> {
+/// For each number of "first only", the fewest "second only" whose statistic is as large as `seen`, or above it where the
+/// tail is the lower one.
+fn thresholds(n: u64, margin: f64, seen: f64, side: Side) -> Vec<u64> {
     // Rounding must not put the table that was seen outside its own tail.
-    let wanted = seen - 1e-10 * (1.0 + seen.abs());
+    let slack = 1e-10 * (1.0 + seen.abs());
+    let wanted = if side == Side::Better { seen - slack } else { seen + slack };
     (0..=n)
         .map(|b| {
             let (mut below, mut reached) = (0, n - b + 1);
@@ -122,19 +150,21 @@ fn thresholds(n: u64, margin: f64, seen: f64) -> Vec<u64> {
 }
 
 /// Probability of a table at least as extreme, "first only" having chance `q`.
-fn tail(least: &[u64], n: u64, q: f64, margin: f64) -> f64 {
+fn tail(least: &[u64], n: u64, q: f64, margin: f64, side: Side) -> f64 {
     let other = (q - margin).max(0.0);
     let mut sum = 0.0;
     for (b, &c) in (0..=n).zip(least) {
         let mass = if q >= 1.0 { f64::from(u8::from(b == n)) } else { ln_binomial_pmf(b as f64, n as f64, q).exp() };
-        if mass < 1e-18 || c > n - b {
+        if mass < 1e-18 {
             continue;
         }
-        let rest = if c == 0 {
-            1.0
-        } else {
-            let share = if q >= 1.0 { 0.0 } else { (other / (1.0 - q)).min(1.0) };
-            at_least(Trials::new(c, n - b).unwrap_or(Trials::NONE), share).exp()
+        let share = if q >= 1.0 { 0.0 } else { (other / (1.0 - q)).min(1.0) };
+        let trials = |k: u64| Trials::new(k, n - b).unwrap_or(Trials::NONE);
+        let rest = match side {
+            Side::Better if c > n - b => 0.0,
+            Side::Better => at_least(trials(c), share).exp(),
+            Side::Worse if c == 0 => 0.0,
+            Side::Worse => at_most(trials(c - 1), share).exp(),
         };
         sum += mass * rest;
     }
@@ -166,6 +196,16 @@ mod tests {
         // If "A only" has chance 0.05, no such pair in n has probability 0.95^n.
         let p = |n: u64| exact(pairs(n, 0, 0, 0), 0.05).unwrap().exp();
         assert!((p(59) - 0.95_f64.powi(59)).abs() < 1e-9 && p(59) <= 0.05 && p(58) > 0.05, "{}", p(59));
+    }
+
+    #[test]
+    fn one_table_is_never_evidence_for_both() {
+        for (b, c) in [(0, 0), (3, 1), (20, 0), (0, 20), (12, 10)] {
+            let pairs = pairs(60 - b - c, b, c, 0);
+            let (better, worse) = (exact(pairs, 0.05).unwrap().exp(), exact_worse(pairs, 0.05).unwrap().exp());
+            assert!(better + worse >= 1.0, "{b} {c}: {better} {worse}");
+        }
+        assert!(exact_worse(pairs(40, 20, 0, 0), 0.05).unwrap().exp() < 1e-3);
     }
 
     #[test]

@@ -1,0 +1,176 @@
+//! May B replace A?
+//!
+//! Both ran the same scenarios with the same seeds, so each episode of one has its twin in the other. B may replace A if
+//! its success rate is shown to be less than a margin below A's: non-inferiority. With a fixed number of pairs the test is
+//! the exact unconditional one ([`robogate_stats::non_inferiority`]); with looks it is the bet on the mean difference
+//! ([`robogate_stats::bounded_mean`]), at the end of each round. McNemar's exact test stands beside it: whether they
+//! differ at all.
+//!
+//! A pair in which either episode is invalid counts for A where "not worse" is to be shown, and for B where the contrary is.
+
+use std::collections::BTreeMap;
+
+use robogate_stats::bounded_mean::BoundedMean;
+use robogate_stats::compare::{Pairs, mcnemar_exact, newcombe_paired};
+use robogate_stats::{Confidence, non_inferiority};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::rounds::Rounds;
+use crate::{Ending, GateError, Question, Record, Sampling, Status, Trial};
+
+/// The policy that may be replaced.
+#[derive(Debug, Clone, Copy)]
+pub struct Against<'a> {
+    /// Its episodes.
+    pub record: &'a Record,
+    /// How far below its success rate the other's may lie: 0.05 for five percentage points.
+    pub margin: f64,
+}
+
+/// Whether one policy may replace another.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Comparison {
+    /// The policy that may be replaced, A.
+    pub policy: String,
+    /// Identity of its rows (SHA-256, hex).
+    pub dataset_sha256: String,
+    /// The margin.
+    pub margin: f64,
+    /// Pairs in which both succeeded.
+    pub both: u64,
+    /// Pairs in which A alone succeeded.
+    pub only_other: u64,
+    /// Pairs in which B alone succeeded.
+    pub only_this: u64,
+    /// Pairs in which neither succeeded.
+    pub neither: u64,
+    /// Pairs in which either episode is invalid.
+    pub invalid: u64,
+    /// Success rate of B less that of A over the valid pairs; absent without one.
+    pub difference: Option<f64>,
+    /// Newcombe's 95 % interval for it, over the valid pairs, as if their number had been fixed.
+    pub interval_95: [f64; 2],
+    /// McNemar's exact two-sided p-value against equal rates, over the valid pairs.
+    pub p_different: f64,
+    /// p-value against "B is worse than A by the margin or more", for the worst that invalid pairs could have been.
+    pub p_met: f64,
+    /// p-value against "B is worse than A by no more than the margin", for the best that they could have been.
+    pub p_violated: f64,
+    /// What follows.
+    pub status: Status,
+}
+
+/// Whether a pair's episodes succeeded; `None` where one is invalid.
+type Twin = Option<(bool, bool)>;
+
+impl Against<'_> {
+    pub(crate) fn compare(&self, record: &Record, question: &Question<'_>) -> Result<Comparison, GateError> {
+        let population = &record.population;
+        if !self.record.population.is_that_of(population) {
+            let baseline = self.record.population.to_string();
+            return Err(GateError::ForeignBaseline { baseline, run: population.to_string() });
+        }
+        let others: BTreeMap<u64, &Trial> = self.record.trials.iter().map(|trial| (trial.index, trial)).collect();
+        let rounds = Rounds::of(&record.trials, population)?;
+        let mut twins: Vec<Twin> = Vec::new();
+        let mut looks = Vec::new();
+        for round in &rounds.rounds {
+            let found: Vec<(&Trial, &Trial)> =
+                round.iter().filter_map(|trial| Some((*others.get(&trial.index)?, *trial))).collect();
+            // The other run may have fewer rounds; of a round that it has in part nothing is taken.
+            if found.len() < round.len() {
+                break;
+            }
+            for (a, b) in found {
+                same_world(a, b)?;
+                twins.push(twin(a, b));
+            }
+            looks.push(twins.len());
+        }
+        self.conclude(&twins, &looks, question.sampling)
+    }
+
+    fn conclude(&self, twins: &[Twin], looks: &[usize], sampling: Sampling) -> Result<Comparison, GateError> {
+        let valid = count(twins, None);
+        let (p_met, p_violated) = match sampling {
+            Sampling::Fixed => {
+                let worst = count(twins, Some((true, false)));
+                let best = count(twins, Some((false, true)));
+                (
+                    non_inferiority::exact(worst, self.margin)?.exp(),
+                    non_inferiority::exact_worse(best, self.margin)?.exp(),
+                )
+            }
+            Sampling::Sequential => {
+                // The difference of a pair, -1 to 1, moved to 0 to 2; the hypothesis is the mean 1 - margin.
+                non_inferiority::check(self.margin)?;
+                let moved = |unknown: f64| -> Vec<f64> {
+                    let difference = |(a, b): (bool, bool)| 1.0 + f64::from(u8::from(b)) - f64::from(u8::from(a));
+                    twins.iter().map(|twin| twin.map_or(unknown, difference)).collect()
+                };
+                let (worst, best) = (moved(0.0), moved(2.0));
+                let account = |values: &[f64], above: bool| {
+                    // Every value is 0, 1 or 2.
+                    BoundedMean::new(values, looks, 2.0).map_or(0.0, |mean| {
+                        let limit = 1.0 - self.margin;
+                        if above { mean.ln_evidence_above(limit) } else { mean.ln_evidence_below(limit) }
+                    })
+                };
+                ((-account(&worst, true)).exp(), (-account(&best, false)).exp())
+            }
+        };
+        let difference = newcombe_paired(valid, Confidence::P95);
+        let none = valid.n() == 0;
+        Ok(Comparison {
+            policy: self.record.policy.clone(),
+            dataset_sha256: self.record.dataset_sha256.clone(),
+            margin: self.margin,
+            both: valid.both,
+            only_other: valid.first_only,
+            only_this: valid.second_only,
+            neither: valid.neither,
+            invalid: twins.iter().filter(|twin| twin.is_none()).count() as u64,
+            // The library subtracts the second from the first; here B stands first.
+            difference: difference.estimate.map(|d| -d),
+            interval_95: [-difference.interval.high, -difference.interval.low],
+            p_different: mcnemar_exact(valid).exp(),
+            p_met,
+            p_violated,
+            status: if none { Status::NoEvidence } else { Status::Undecided },
+        })
+    }
+}
+
+fn twin(a: &Trial, b: &Trial) -> Twin {
+    let both = a.ending.is_valid() && b.ending.is_valid();
+    both.then_some((a.ending == Ending::Success, b.ending == Ending::Success))
+}
+
+/// Counts pairs; those with an invalid episode as `unknown`, or not at all.
+fn count(twins: &[Twin], unknown: Twin) -> Pairs {
+    let mut pairs = Pairs::default();
+    for twin in twins {
+        match twin.or(unknown) {
+            Some((true, true)) => pairs.both += 1,
+            Some((true, false)) => pairs.first_only += 1,
+            Some((false, true)) => pairs.second_only += 1,
+            Some((false, false)) => pairs.neither += 1,
+            None => {}
+        }
+    }
+    pairs
+}
+
+fn same_world(a: &Trial, b: &Trial) -> Result<(), GateError> {
+    let what = if a.seed != b.seed {
+        format!("the seeds are {} and {}", a.seed, b.seed)
+    } else if a.label != b.label {
+        "the scenarios are not the same".to_owned()
+    } else if a.requested != b.requested {
+        "the parameters are not the same".to_owned()
+    } else {
+        return Ok(());
+    };
+    Err(GateError::NotPaired { index: b.index, what })
+}

@@ -1,0 +1,164 @@
+//! The episodes that are judged, and what they speak of.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use robogate_dictionary::Dictionary;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::{GateError, Trial};
+
+/// What a set of episodes speaks of.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Population {
+    /// The scenarios of a suite, each as often as the others: every rate is the mean over them.
+    Suite {
+        /// Its name.
+        name: String,
+        /// SHA-256 (hex) over its scenarios: ids, categories, groups and parameters.
+        sha256: String,
+        /// How many scenarios.
+        cases: u64,
+    },
+    /// The distribution that the rows were drawn from.
+    Drawn {
+        /// The parameter space's name.
+        space: String,
+        /// SHA-256 (hex) over the space.
+        sha256: String,
+    },
+}
+
+impl Population {
+    /// Whether both are the same scenarios or the same space, whatever they are called.
+    pub fn is_that_of(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Suite { sha256: a, .. }, Self::Suite { sha256: b, .. })
+            | (Self::Drawn { sha256: a, .. }, Self::Drawn { sha256: b, .. }) => a == b,
+            _ => false,
+        }
+    }
+
+    /// What a figure is, as a sentence: the estimand.
+    pub fn estimand(&self) -> String {
+        match self {
+            Self::Suite { name, cases, .. } => format!(
+                "Each figure is the mean over the {cases} scenarios of {name}, each counted alike, over fresh seeds: \
+                 it speaks of that mix and of no other."
+            ),
+            Self::Drawn { space, .. } => format!(
+                "Each figure is that of episodes drawn from {space}, as its rows were drawn: it speaks of that \
+                 distribution and of no other."
+            ),
+        }
+    }
+}
+
+impl fmt::Display for Population {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (what, name, sha256) = match self {
+            Self::Suite { name, sha256, .. } => ("suite", name, sha256),
+            Self::Drawn { space, sha256 } => ("space", space, sha256),
+        };
+        let short = sha256.get(..12).unwrap_or(sha256);
+        write!(f, "{what} {name} ({short})")
+    }
+}
+
+/// The episodes that are judged, and where they come from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Record {
+    /// What they speak of.
+    pub population: Population,
+    /// The robot.
+    pub robot: String,
+    /// The policy.
+    pub policy: String,
+    /// The dictionary's data set hash (SHA-256, hex).
+    pub dataset_sha256: String,
+    /// The episodes, in order of their index.
+    pub trials: Vec<Trial>,
+    /// Rows that were left out because they were drawn where success turns into failure: no operating rate.
+    pub focused: u64,
+}
+
+impl Record {
+    /// The rows of a dictionary that speak of its suite or its space.
+    ///
+    /// # Errors
+    /// A row that cannot be read.
+    pub fn of(dictionary: &Dictionary) -> Result<Self, GateError> {
+        let mut rows = Vec::new();
+        let mut uneven = BTreeMap::new();
+        for entry in dictionary.entries() {
+            let entry = entry?;
+            let named = ["uniform", "imported", "suite"].contains(&entry.stage.as_str());
+            let focused = entry.stage == "boundary" || (!named && (entry.weight - 1.0).abs() > 0.0);
+            *uneven.entry(entry.stage.clone()).or_insert(false) |= focused;
+            rows.push((entry.stage.clone(), Trial::from(&entry)));
+        }
+        let all = rows.len();
+        let trials: Vec<Trial> = rows
+            .into_iter()
+            .filter_map(|(stage, trial)| (!uneven.get(&stage).copied().unwrap_or(false)).then_some(trial))
+            .collect();
+        let provenance = dictionary.provenance();
+        let cases = first_of_each(&trials);
+        let population = if cases.is_empty() {
+            let space = &provenance.space;
+            let text = serde_json::to_string(space).unwrap_or_default();
+            Population::Drawn { space: space.name().to_owned(), sha256: hex(&Sha256::digest(text)) }
+        } else {
+            let name = provenance.space.name().to_owned();
+            Population::Suite { name, sha256: suite_hash(&cases), cases: cases.len() as u64 }
+        };
+        Ok(Self {
+            population,
+            robot: provenance.robot.name.clone(),
+            policy: provenance.policy.clone(),
+            dataset_sha256: dictionary.dataset_hash().to_owned(),
+            focused: (all - trials.len()) as u64,
+            trials,
+        })
+    }
+}
+
+/// The first trial of each scenario, by id.
+fn first_of_each(trials: &[Trial]) -> BTreeMap<&str, &Trial> {
+    let mut cases = BTreeMap::new();
+    for trial in trials {
+        if let Some(label) = &trial.label {
+            cases.entry(label.case.as_str()).or_insert(trial);
+        }
+    }
+    cases
+}
+
+/// SHA-256 over ids, categories, groups and requested parameters, in order of the ids.
+fn suite_hash(cases: &BTreeMap<&str, &Trial>) -> String {
+    let mut hash = Sha256::new_with_prefix(b"robogate suite 1\n");
+    let mut add = |text: &str| {
+        // Lengths before contents: no two suites have the same stream.
+        hash.update((text.len() as u64).to_le_bytes());
+        hash.update(text.as_bytes());
+    };
+    for trial in cases.values() {
+        if let Some(label) = &trial.label {
+            [&label.case, &label.category, &label.group].into_iter().for_each(|word| add(word));
+        }
+        let requested: BTreeMap<&str, String> = trial.requested.iter().map(|(k, v)| (k, v.to_string())).collect();
+        add(&requested.len().to_string());
+        for (name, value) in requested {
+            add(name);
+            add(&value);
+        }
+    }
+    hex(&hash.finalize())
+}
+
+pub(crate) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}

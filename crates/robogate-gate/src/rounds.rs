@@ -1,0 +1,53 @@
+//! Whole rounds of a suite: the moments at which anybody may look.
+
+use std::collections::BTreeMap;
+
+use crate::{GateError, Population, Trial};
+
+/// Without a suite there are no rounds; so many looks at most are taken then, evenly spaced.
+const LOOKS: usize = 500;
+
+/// The trials that are judged, round by round.
+#[derive(Debug)]
+pub(crate) struct Rounds<'a> {
+    pub(crate) rounds: Vec<Vec<&'a Trial>>,
+    /// Trials after the last whole round.
+    pub(crate) left_over: u64,
+    /// Whether the rounds are those of a suite.
+    pub(crate) suite: bool,
+}
+
+impl<'a> Rounds<'a> {
+    /// Parts `trials` into rounds: the first run of each scenario, the second of each, and so on.
+    pub(crate) fn of(trials: &'a [Trial], population: &Population) -> Result<Self, GateError> {
+        let unlabelled = trials.iter().find(|trial| trial.label.is_none());
+        let Population::Suite { cases, .. } = population else {
+            let size = trials.len().div_ceil(LOOKS).max(1);
+            let rounds = trials.chunks(size).map(|chunk| chunk.iter().collect()).collect();
+            return Ok(Self { rounds, left_over: 0, suite: false });
+        };
+        if let Some(trial) = unlabelled {
+            return Err(GateError::MixedLabels { index: trial.index });
+        }
+        let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut rounds: Vec<Vec<&Trial>> = Vec::new();
+        for trial in trials {
+            let Some(label) = &trial.label else { continue };
+            let times = seen.entry(&label.case).or_insert(0);
+            if rounds.len() == *times {
+                rounds.push(Vec::new());
+            }
+            if let Some(round) = rounds.get_mut(*times) {
+                round.push(trial);
+            }
+            *times += 1;
+        }
+        let whole = rounds.iter().take_while(|round| round.len() as u64 == *cases).count();
+        let left_over = rounds.drain(whole..).map(|round| round.len() as u64).sum();
+        Ok(Self { rounds, left_over, suite: true })
+    }
+
+    pub(crate) fn trials(&self) -> impl Iterator<Item = &'a Trial> {
+        self.rounds.iter().flatten().copied()
+    }
+}
