@@ -7,6 +7,7 @@
 //!
 //! Where each "met" shall be quotable by itself, [`Family::Holm`] adjusts these too.
 
+use robogate_dictionary::Label;
 use robogate_stats::multiplicity::holm;
 use robogate_stats::{Confidence, Trials, clopper_pearson};
 use schemars::JsonSchema;
@@ -18,8 +19,8 @@ use crate::figure::{Extremes, figure};
 use crate::rounds::Rounds;
 use crate::scope::{Scope, expand};
 use crate::{
-    Baseline, Bound, ConfidenceScore, Family, GateError, Label, Mode, Population, Record, Requirement, Requirements,
-    Trial, Verdict,
+    Baseline, Bound, ConfidenceScore, Family, GateError, Mode, Population, Record, Requirement, Requirements, Trial,
+    Verdict,
 };
 
 /// How the number of episodes came about: it decides which test is valid.
@@ -107,9 +108,9 @@ pub struct Finding {
 /// Success by scenario group, for reading; it decides nothing by itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GroupResult {
-    /// The category.
+    /// The category; empty where the episodes have none.
     pub category: String,
-    /// The group.
+    /// The group; empty where the episodes have none.
     pub group: String,
     /// Valid episodes.
     pub valid: u64,
@@ -407,9 +408,10 @@ fn when(verdict: Verdict, findings: &[Finding]) -> Option<u64> {
 /// The categories and groups there are.
 pub(crate) fn known<'a>(trials: impl Iterator<Item = &'a Trial>) -> String {
     let mut words: Vec<String> = Vec::new();
-    for label in trials.filter_map(|trial| trial.label.as_ref()) {
-        let word = format!("{}/{}", label.category, label.group);
-        if !words.contains(&word) {
+    for Label { category, group, .. } in trials.map(|trial| &trial.label) {
+        let parts: Vec<&str> = [category, group].into_iter().flatten().map(String::as_str).collect();
+        let word = parts.join("/");
+        if !word.is_empty() && !words.contains(&word) {
             words.push(word);
         }
     }
@@ -423,7 +425,10 @@ pub(crate) fn known<'a>(trials: impl Iterator<Item = &'a Trial>) -> String {
 fn groups<'a>(trials: impl Iterator<Item = &'a Trial>) -> Vec<GroupResult> {
     let mut found: Vec<(&Label, Vec<&Trial>)> = Vec::new();
     for trial in trials {
-        let Some(label) = &trial.label else { continue };
+        let label = &trial.label;
+        if label.category.is_none() && label.group.is_none() {
+            continue;
+        }
         let same = |(known, _): &&mut (&Label, Vec<&Trial>)| {
             (&known.category, &known.group) == (&label.category, &label.group)
         };
@@ -452,8 +457,8 @@ fn group(label: &Label, trials: &[&Trial]) -> GroupResult {
     endings.sort_by(|a, b| b.episodes.cmp(&a.episodes).then_with(|| a.ending.cmp(&b.ending)));
     let interval = clopper_pearson(Trials::new(successes, valid).unwrap_or(Trials::NONE), Confidence::P95);
     GroupResult {
-        category: label.category.clone(),
-        group: label.group.clone(),
+        category: label.category.clone().unwrap_or_default(),
+        group: label.group.clone().unwrap_or_default(),
         valid,
         invalid: trials.len() as u64 - valid,
         successes,

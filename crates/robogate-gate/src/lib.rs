@@ -38,5 +38,5 @@ pub use record::{Population, Record};
 pub use requirement::{Bound, Each, Requirement, Sense};
 pub use requirements::{Budget, Family, Mode, Requirements};
 pub use score::{ConfidenceScore, ScoreTerm, ScoredTerm, Scoring};
-pub use trial::{Ending, Label, Trial};
+pub use trial::{Ending, Trial};
 pub use verdict::Verdict;

@@ -5,6 +5,7 @@
 //! the binomial law alone. Each demand is looked at by itself: a gate with several passes no more often than its least
 //! likely one.
 
+use robogate_dictionary::Label;
 use robogate_stats::Trials;
 use robogate_stats::bounded_mean::BoundedMean;
 use robogate_stats::compare::at_least;
@@ -13,9 +14,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::scope::{Scope, expand};
-use crate::{
-    Baseline, Bound, Ending, GateError, Label, Metric, Mode, Requirement, Requirements, Sampling, Sense, Trial,
-};
+use crate::{Baseline, Bound, Ending, GateError, Metric, Mode, Requirement, Requirements, Sampling, Sense, Trial};
 
 /// True rates that are planned for, as multiples of the bad rate that the limit allows.
 const MULTIPLES: [f64; 11] = [0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 5.0];
@@ -129,7 +128,7 @@ fn blank(label: Label) -> Trial {
     Trial {
         index: 0,
         seed: 0,
-        label: Some(label),
+        label,
         requested: robogate_core::Assignment::default(),
         ending: Ending::Failure(None),
         time_s: None,

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use robogate_dictionary::Dictionary;
+use robogate_dictionary::{Dictionary, Label};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -130,8 +130,8 @@ impl Record {
 fn first_of_each(trials: &[Trial]) -> BTreeMap<&str, &Trial> {
     let mut cases = BTreeMap::new();
     for trial in trials {
-        if let Some(label) = &trial.label {
-            cases.entry(label.case.as_str()).or_insert(trial);
+        if let Some(case) = &trial.label.case {
+            cases.entry(case.as_str()).or_insert(trial);
         }
     }
     cases
@@ -146,8 +146,9 @@ fn suite_hash(cases: &BTreeMap<&str, &Trial>) -> String {
         hash.update(text.as_bytes());
     };
     for trial in cases.values() {
-        if let Some(label) = &trial.label {
-            [&label.case, &label.category, &label.group].into_iter().for_each(|word| add(word));
+        let Label { case, category, group } = &trial.label;
+        for word in [case, category, group] {
+            add(word.as_deref().unwrap_or_default());
         }
         let requested: BTreeMap<&str, String> = trial.requested.iter().map(|(k, v)| (k, v.to_string())).collect();
         add(&requested.len().to_string());

@@ -20,20 +20,16 @@ pub(crate) struct Rounds<'a> {
 impl<'a> Rounds<'a> {
     /// Parts `trials` into rounds: the first run of each scenario, the second of each, and so on.
     pub(crate) fn of(trials: &'a [Trial], population: &Population) -> Result<Self, GateError> {
-        let unlabelled = trials.iter().find(|trial| trial.label.is_none());
         let Population::Suite { cases, .. } = population else {
             let size = trials.len().div_ceil(LOOKS).max(1);
             let rounds = trials.chunks(size).map(|chunk| chunk.iter().collect()).collect();
             return Ok(Self { rounds, left_over: 0, suite: false });
         };
-        if let Some(trial) = unlabelled {
-            return Err(GateError::MixedLabels { index: trial.index });
-        }
         let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
         let mut rounds: Vec<Vec<&Trial>> = Vec::new();
         for trial in trials {
-            let Some(label) = &trial.label else { continue };
-            let times = seen.entry(&label.case).or_insert(0);
+            let Some(case) = &trial.label.case else { return Err(GateError::MixedLabels { index: trial.index }) };
+            let times = seen.entry(case).or_insert(0);
             if rounds.len() == *times {
                 rounds.push(Vec::new());
             }

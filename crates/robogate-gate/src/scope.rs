@@ -2,7 +2,9 @@
 
 use std::fmt;
 
-use crate::{Each, Label, Requirement, Trial};
+use robogate_dictionary::Label;
+
+use crate::{Each, Requirement, Trial};
 
 /// A category, a group, both, or everything.
 #[derive(Debug, Clone, Copy, Default)]
@@ -17,10 +19,9 @@ impl<'a> Scope<'a> {
     }
 
     pub(crate) fn holds(self, trial: &Trial) -> bool {
-        let fits = |wanted: Option<&str>, word: fn(&Label) -> &str| {
-            wanted.is_none_or(|wanted| trial.label.as_ref().is_some_and(|label| word(label) == wanted))
-        };
-        fits(self.category, |label| &label.category) && fits(self.group, |label| &label.group)
+        let Label { category, group, .. } = &trial.label;
+        let fits = |wanted: Option<&str>, word: &Option<String>| wanted.is_none_or(|w| word.as_deref() == Some(w));
+        fits(self.category, category) && fits(self.group, group)
     }
 }
 
@@ -39,12 +40,12 @@ impl fmt::Display for Scope<'_> {
 pub(crate) fn expand<'a>(requirement: &Requirement, trials: impl Iterator<Item = &'a Trial>) -> Vec<Requirement> {
     let Some(each) = requirement.each else { return vec![requirement.clone()] };
     let mut found: Vec<(Option<&str>, Option<&str>)> = Vec::new();
-    for label in trials.filter_map(|trial| trial.label.as_ref()) {
+    for Label { category, group, .. } in trials.map(|trial| &trial.label) {
         let key = match each {
-            Each::Category => (Some(label.category.as_str()), None),
-            Each::Group => (Some(label.category.as_str()), Some(label.group.as_str())),
+            Each::Category => (category.as_deref(), None),
+            Each::Group => (category.as_deref(), group.as_deref()),
         };
-        if !found.contains(&key) {
+        if key != (None, None) && !found.contains(&key) {
             found.push(key);
         }
     }

@@ -1,18 +1,7 @@
 //! What the gate needs of a row.
 
 use robogate_core::{Assignment, FailureMode, Fault, Outcome};
-use robogate_dictionary::Entry;
-
-/// The place of an episode in a suite.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Label {
-    /// The scenario's id in its suite; every round runs each id once.
-    pub case: String,
-    /// The scenario's category (`nominal`, `edge_cases`, ...).
-    pub category: String,
-    /// The scenario's group within it (`heavy_objects`, ...).
-    pub group: String,
-}
+use robogate_dictionary::{Entry, Label};
 
 /// How an episode ended, as far as the gate asks.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -59,8 +48,8 @@ pub struct Trial {
     pub index: u64,
     /// Its campaign's seed: two trials with the same seed, index and parameters met the same world.
     pub seed: u64,
-    /// Its place in a suite; `None` where it was drawn from a parameter space.
-    pub label: Option<Label>,
+    /// Its place in a suite; empty where it was drawn from a parameter space.
+    pub label: Label,
     /// The parameters asked for.
     pub requested: Assignment,
     /// How it ended.
@@ -75,7 +64,7 @@ impl From<&Entry> for Trial {
         Self {
             index: entry.index(),
             seed: episode.scenario.seed.campaign_number(),
-            label: None,
+            label: entry.label.clone(),
             requested: episode.scenario.requested.clone(),
             ending: Ending::from(&episode.outcome),
             time_s: Some(episode.time_s).filter(|t| t.is_finite() && *t >= 0.0),

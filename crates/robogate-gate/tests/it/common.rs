@@ -1,0 +1,77 @@
+use robogate_core::{Assignment, FailureMode, Fault, FaultKind};
+use robogate_dictionary::Label;
+use robogate_gate::{
+    Baseline, BaselineFigure, Ending, Evaluation, Metric, Population, Question, Record, Requirements, Sampling, Trial,
+};
+
+pub(crate) fn invalid() -> Ending {
+    Ending::Invalid(Fault::new(FaultKind::Diverged, "test"))
+}
+
+pub(crate) fn failed(mode: FailureMode) -> Ending {
+    Ending::Failure(Some(mode))
+}
+
+pub(crate) fn trial(index: u64, ending: Ending) -> Trial {
+    Trial { index, seed: 1, label: Label::default(), requested: Assignment::default(), ending, time_s: Some(4.1) }
+}
+
+/// Episodes drawn from a space.
+pub(crate) fn drawn(endings: impl IntoIterator<Item = Ending>) -> Record {
+    let trials = endings.into_iter().zip(0..).map(|(ending, index)| trial(index, ending)).collect();
+    let population = Population::Drawn { space: "test".to_owned(), sha256: "d".repeat(64) };
+    record(population, trials)
+}
+
+/// Rounds of a suite of `cases` scenarios: even ones nominal, odd ones edge cases, two groups in each.
+pub(crate) fn suite(cases: u64, endings: impl IntoIterator<Item = Ending>) -> Record {
+    let trials = endings
+        .into_iter()
+        .zip(0..)
+        .map(|(ending, index)| Trial { label: label(index % cases), ..trial(index, ending) })
+        .collect();
+    let population = Population::Suite { name: "test-suite".to_owned(), sha256: "5".repeat(64), cases };
+    record(population, trials)
+}
+
+pub(crate) fn label(case: u64) -> Label {
+    Label {
+        case: Some(format!("case-{case:02}")),
+        category: Some(if case.is_multiple_of(2) { "nominal" } else { "edge_cases" }.to_owned()),
+        group: Some(format!("group-{}", case % 4)),
+    }
+}
+
+fn record(population: Population, trials: Vec<Trial>) -> Record {
+    Record {
+        population,
+        robot: "franka".to_owned(),
+        policy: "scripted".to_owned(),
+        dataset_sha256: "a".repeat(64),
+        trials,
+        focused: 0,
+    }
+}
+
+/// A baseline of the same population as `record`.
+pub(crate) fn baseline(record: &Record, success: f64, cycle_s: f64, miss: f64) -> Baseline {
+    let mut baseline = Baseline::of(&Record { trials: vec![trial(0, Ending::Success)], ..drawn([]) }).unwrap();
+    baseline.population = record.population.clone();
+    baseline.figures = [(Metric::SuccessRate, success), (Metric::CycleTimeS, cycle_s), (Metric::GraspMissRate, miss)]
+        .into_iter()
+        .map(|(metric, value)| BaselineFigure { metric, value })
+        .collect();
+    baseline
+}
+
+pub(crate) fn times(n: usize, ending: &Ending) -> impl Iterator<Item = Ending> + use<> {
+    std::iter::repeat_n(ending.clone(), n)
+}
+
+pub(crate) fn requirements(toml: &str) -> Requirements {
+    Requirements::from_toml(toml).unwrap()
+}
+
+pub(crate) fn judge(requirements: &Requirements, record: &Record, sampling: Sampling) -> Evaluation {
+    Question { requirements, baseline: None, against: None, sampling }.evaluate(record).unwrap()
+}

@@ -1,0 +1,187 @@
+use robogate_core::FailureMode;
+use robogate_gate::{Baseline, Ending, Question, Requirements, Sampling, Status, Verdict};
+
+use crate::common::{baseline, drawn, failed, invalid, judge, requirements, suite, times};
+
+const SUCCESS: &str =
+    "name = \"s\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.6\n";
+
+/// Every way in which `n` episodes can end, of four kinds.
+fn all_endings(n: u32) -> impl Iterator<Item = Vec<Ending>> {
+    let kinds =
+        [Ending::Success, failed(FailureMode::Collision), failed(FailureMode::GraspMiss), Ending::Failure(None)];
+    (0..4_usize.pow(n)).map(move |code| (0..n).map(|i| kinds[code / 4_usize.pow(i) % 4].clone()).collect())
+}
+
+#[test]
+fn an_invalid_episode_never_turns_a_fail_into_a_pass_or_the_other_way_round() {
+    let gates = [
+        "name = \"p\"\nmode = \"point\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.6\n[[requirement]]\nmetric = \"collision_count\"\nat_most = 0\n[[requirement]]\nmetric = \"cycle_time_s\"\nat_most = 4.5\nceiling_s = 15.0\n",
+        // So little confidence that four episodes can decide.
+        "name = \"c\"\nmode = \"confidence\"\nconfidence = 0.75\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.5\n[[requirement]]\nmetric = \"collision_rate\"\nat_most = 0.5\n",
+    ];
+    let mut decided = [0; 2];
+    for gate in gates.map(requirements) {
+        for sampling in [Sampling::Fixed, Sampling::Sequential] {
+            for endings in all_endings(4) {
+                let verdict = judge(&gate, &drawn(endings.clone()), sampling).verdict;
+                decided[0] += u32::from(verdict == Verdict::Pass);
+                decided[1] += u32::from(verdict == Verdict::Fail);
+                for broken in 0..4 {
+                    let mut with = endings.clone();
+                    with[broken] = invalid();
+                    let now = judge(&gate, &drawn(with), sampling).verdict;
+                    let opposite =
+                        matches!((verdict, now), (Verdict::Fail, Verdict::Pass) | (Verdict::Pass, Verdict::Fail));
+                    assert!(!opposite, "{endings:?} {broken} {sampling:?}: {verdict} became {now}");
+                }
+            }
+        }
+    }
+    assert!(decided.iter().all(|n| *n > 10), "the gates never answered: {decided:?}");
+}
+
+#[test]
+fn a_failure_in_an_unknown_way_may_have_been_a_collision() {
+    let gate =
+        requirements("name = \"c\"\nmode = \"point\"\n[[requirement]]\nmetric = \"collision_count\"\nat_most = 0\n");
+    let record = drawn([Ending::Success, Ending::Failure(None)]);
+    let found = judge(&gate, &record, Sampling::Fixed);
+    assert_eq!((found.verdict, found.findings[0].invalid), (Verdict::Inconclusive, 1));
+}
+
+#[test]
+fn only_whole_rounds_of_a_suite_are_judged() {
+    let record = suite(8, times(21, &Ending::Success));
+    let found = judge(&requirements(SUCCESS), &record, Sampling::Sequential);
+    assert_eq!((found.counts.rounds, found.counts.episodes, found.counts.left_over), (Some(2), 16, 5));
+    let started = suite(8, times(5, &Ending::Success));
+    let found = judge(&requirements(SUCCESS), &started, Sampling::Sequential);
+    assert_eq!(
+        (found.verdict, found.because.as_str()),
+        (Verdict::Invalid, "5 episodes are no whole round of the suite")
+    );
+}
+
+#[test]
+fn a_demand_for_each_group_is_one_demand_for_each() {
+    let gate = requirements(
+        "name = \"g\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.6\neach = \"group\"\n",
+    );
+    // Group 3 always fails.
+    let endings = (0..80).map(|i| if i % 4 == 3 { failed(FailureMode::Timeout) } else { Ending::Success });
+    let found = judge(&gate, &suite(8, endings), Sampling::Fixed);
+    let of: Vec<(&str, Status)> = found.findings.iter().map(|f| (f.id.as_str(), f.status)).collect();
+    assert_eq!(
+        of,
+        [
+            ("success_rate[nominal/group-0]", Status::Met),
+            ("success_rate[edge_cases/group-1]", Status::Met),
+            ("success_rate[nominal/group-2]", Status::Met),
+            ("success_rate[edge_cases/group-3]", Status::Violated),
+        ]
+    );
+    assert_eq!(found.verdict, Verdict::Fail);
+    assert_eq!(found.groups.len(), 4);
+    assert_eq!(found.groups[3].endings[0].ending, "timeout");
+}
+
+#[test]
+fn a_pass_needs_no_adjustment_and_a_fail_shares_its_error() {
+    let two = |family: &str| {
+        requirements(&format!(
+            "name = \"f\"\nmode = \"confidence\"\nfamily = \"{family}\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.92\n[[requirement]]\nmetric = \"timeout_rate\"\nat_most = 0.08\n"
+        ))
+    };
+    // 67 of 68: p = 0.024 for both. Alone at 0.05 it is shown; shared by two, both are too, one after the other.
+    let record = drawn(times(67, &Ending::Success).chain([failed(FailureMode::Timeout)]));
+    assert_eq!(judge(&two("intersection_union"), &record, Sampling::Fixed).verdict, Verdict::Pass);
+    assert_eq!(judge(&two("holm"), &record, Sampling::Fixed).verdict, Verdict::Pass);
+    // One p-value of 0.024 beside one of 0.083: the smaller is shown alone, but not in a family of two.
+    let record =
+        drawn(times(66, &Ending::Success).chain([failed(FailureMode::Timeout), failed(FailureMode::GraspMiss)]));
+    let status = |family| judge(&two(family), &record, Sampling::Fixed).findings[1].status;
+    assert_eq!((status("intersection_union"), status("holm")), (Status::Met, Status::Met));
+    // P(X <= 57 | 68, 0.92) = 0.03: violated alone, undecided beside a second demand.
+    let record = drawn(times(58, &Ending::Success).chain(times(10, &failed(FailureMode::GraspMiss))));
+    let alone = requirements(
+        "name = \"a\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.92\n",
+    );
+    let p = judge(&alone, &record, Sampling::Fixed).findings[0].p_violated.unwrap();
+    let both = judge(&two("intersection_union"), &record, Sampling::Fixed);
+    assert_eq!(both.findings[0].status == Status::Violated, p <= 0.025, "p {p}");
+}
+
+#[test]
+fn the_same_record_gives_the_same_bytes_and_they_can_be_read_again() {
+    let record = suite(68, times(136, &Ending::Success));
+    let requirements = Requirements::open("default").unwrap();
+    let baseline = baseline(&record, 1.0, 4.1, 0.0);
+    let question = Question {
+        requirements: &requirements,
+        baseline: Some(&baseline),
+        against: None,
+        sampling: Sampling::Sequential,
+    };
+    let (a, b) = (question.evaluate(&record).unwrap(), question.evaluate(&record).unwrap());
+    assert_eq!(a.to_json(), b.to_json());
+    let read: robogate_gate::Evaluation = serde_json::from_str(&a.to_json()).unwrap();
+    assert_eq!(read, a);
+}
+
+#[test]
+fn a_perfect_policy_passes_the_default_gate_after_seven_rounds_and_says_so_beforehand() {
+    let requirements = Requirements::open("default").unwrap();
+    let perfect = |rounds: usize| suite(68, times(68 * rounds, &Ending::Success));
+    let baseline = baseline(&perfect(1), 1.0, 4.1, 0.0);
+    let judge = |rounds| {
+        let question = Question {
+            requirements: &requirements,
+            baseline: Some(&baseline),
+            against: None,
+            sampling: Sampling::Sequential,
+        };
+        question.evaluate(&perfect(rounds)).unwrap()
+    };
+    let first = judge(1);
+    assert_eq!(first.verdict, Verdict::Inconclusive);
+    let at = first.decided_at_episodes.unwrap();
+    assert_eq!(at % 68, 0);
+    let rounds = (at / 68) as usize;
+    assert_eq!(judge(rounds - 1).verdict, Verdict::Inconclusive);
+    assert_eq!(judge(rounds).verdict, Verdict::Pass);
+    assert_eq!(rounds, 7);
+}
+
+#[test]
+fn slower_episodes_than_the_baseline_allows_violate_and_unknown_ones_are_taken_as_they_hurt() {
+    let gate = requirements(
+        "name = \"t\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"cycle_time_s\"\nat_most_times_baseline = 1.1\nceiling_s = 15.0\n",
+    );
+    let judge = |time: f64, unknown: usize, n: usize| {
+        let mut record = drawn(times(n, &Ending::Success).chain(times(unknown, &invalid())));
+        for trial in &mut record.trials {
+            trial.time_s = Some(time);
+        }
+        let baseline = baseline(&record, 1.0, 4.0, 0.0);
+        let question =
+            Question { requirements: &gate, baseline: Some(&baseline), against: None, sampling: Sampling::Fixed };
+        question.evaluate(&record).unwrap().findings.remove(0)
+    };
+    assert_eq!(judge(3.5, 0, 200).status, Status::Met);
+    assert_eq!(judge(5.5, 0, 200).status, Status::Violated);
+    assert_eq!(judge(4.4, 0, 200).status, Status::Undecided);
+    // Twenty unknown durations could have been 15 s each: the mean could have been 4.5 s.
+    let unsure = judge(3.5, 20, 180);
+    assert_eq!(unsure.status, Status::Undecided);
+    assert!((unsure.figure.most.unwrap() - 4.65).abs() < 1e-9 && (unsure.figure.least - 3.15).abs() < 1e-9);
+    let [low, high] = judge(3.5, 0, 200).interval.unwrap();
+    assert!(low < 3.5 && 3.5 < high && high < 4.4);
+}
+
+#[test]
+fn a_baseline_is_the_same_after_a_round_trip() {
+    let made = Baseline::of(&suite(4, times(8, &Ending::Success))).unwrap();
+    assert_eq!(Baseline::from_json(&made.to_json()).unwrap(), made);
+    assert_eq!(made.figures.len(), 7);
+}

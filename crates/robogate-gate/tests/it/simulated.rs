@@ -1,0 +1,99 @@
+//! Ten thousand gates at the limit.
+
+use robogate_core::{FailureMode, Seed, Stream};
+use robogate_gate::{Ending, Sampling, Verdict};
+use robogate_stats::Trials;
+use robogate_stats::operating::{Answer, RateTest, Schedule, characteristic};
+
+use crate::common::{failed, judge, requirements, suite};
+
+const CASES: u64 = 68;
+const ROUNDS: u64 = 20;
+const GATE: RateTest = RateTest { at_least: 0.92, alpha: 0.05, beta: 0.05 };
+
+/// Success or not in each scenario of a round.
+fn round(stream: &mut Stream, rates: &[f64]) -> u64 {
+    rates.iter().map(|rate| u64::from(stream.uniform() < *rate)).sum()
+}
+
+/// Runs a gate round by round until it answers: the answer and the rounds it took.
+fn gate(stream: &mut Stream, rates: &[f64]) -> (Answer, u64) {
+    let mut successes = 0;
+    for done in 1..=ROUNDS {
+        successes += round(stream, rates);
+        let answer = GATE.look(Trials::new(successes, done * CASES).unwrap());
+        if answer != Answer::Open {
+            return (answer, done);
+        }
+    }
+    (Answer::Open, ROUNDS)
+}
+
+/// Half of the scenarios are hard and half easy; their mean is `mean`.
+fn unlike(mean: f64) -> Vec<f64> {
+    (0..CASES).map(|i| if i % 2 == 0 { 1.0 } else { 2.0 * mean - 1.0 }).collect()
+}
+
+#[test]
+fn of_ten_thousand_gates_at_the_limit_at_most_one_in_twenty_passes_and_at_most_one_in_twenty_fails() {
+    for (name, rates) in [("alike", vec![0.92; CASES as usize]), ("unlike", unlike(0.92))] {
+        let mut stream = Seed::campaign(20_261_121).stream(name);
+        let (mut passed, mut failed) = (0, 0);
+        for _ in 0..10_000 {
+            match gate(&mut stream, &rates).0 {
+                Answer::Met => passed += 1,
+                Answer::Violated => failed += 1,
+                Answer::Open => {}
+            }
+        }
+        // 0.05 of 10,000 is 500; the counts of the true levels lie below it even with three standard errors.
+        assert!(passed + 66 <= 500 && failed + 66 <= 500, "{name}: {passed} passed, {failed} failed");
+        assert!(passed > 50 && failed > 5, "{name}: the test has no teeth: {passed} {failed}");
+    }
+}
+
+#[test]
+fn the_simulated_gate_is_the_one_that_judges_records() {
+    let gate_of_one = requirements(
+        "name = \"s\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.92\n",
+    );
+    let mut stream = Seed::campaign(7).stream("agreement");
+    for rate in [0.85, 0.92, 0.97] {
+        for _ in 0..20 {
+            let mut endings = Vec::new();
+            let mut successes = 0;
+            let mut answer = Answer::Open;
+            for done in 1..=4 {
+                for _ in 0..CASES {
+                    let good = stream.uniform() < rate;
+                    successes += u64::from(good);
+                    endings.push(if good { Ending::Success } else { failed(FailureMode::Timeout) });
+                }
+                let now = GATE.look(Trials::new(successes, done * CASES).unwrap());
+                answer = if answer == Answer::Open { now } else { answer };
+            }
+            let verdict = judge(&gate_of_one, &suite(CASES, endings), Sampling::Sequential).verdict;
+            let expected = match answer {
+                Answer::Met => Verdict::Pass,
+                Answer::Violated => Verdict::Fail,
+                Answer::Open => Verdict::Inconclusive,
+            };
+            assert_eq!(verdict, expected);
+        }
+    }
+}
+
+#[test]
+fn stopping_when_the_answer_is_certain_saves_most_of_a_fixed_budget() {
+    let schedule = Schedule::Rounds { per_round: CASES, rounds: ROUNDS };
+    let budget = (CASES * ROUNDS) as f64;
+    for (rate, at_most) in [(1.0, 0.06), (0.98, 0.12), (0.96, 0.30), (0.85, 0.25), (0.70, 0.06)] {
+        let exact = characteristic(GATE, schedule, rate);
+        assert!(exact.trials <= at_most * budget, "{rate}: {} episodes of {budget}", exact.trials);
+        let mut stream = Seed::campaign(11).stream("saved");
+        let rates = vec![rate; CASES as usize];
+        let taken: u64 = (0..1_000).map(|_| gate(&mut stream, &rates).1 * CASES).sum();
+        let mean = taken as f64 / 1_000.0;
+        assert!((mean / exact.trials - 1.0).abs() < 0.1, "{rate}: {mean} simulated, {} exact", exact.trials);
+    }
+}
