@@ -24,6 +24,8 @@ pub struct TaskSpec {
     pub target_pose: Pose,
     /// Success means at rest within this horizontal distance of the target, in metres.
     pub tolerance_m: f64,
+    /// How fast the tool may come down to the object, in m/s; `None` leaves it to the policy.
+    pub approach_speed_m_s: Option<f64>,
 }
 
 /// What the policy sees. Joint positions are measured ones: an encoder bias is in them.
@@ -35,7 +37,8 @@ pub struct Observation {
     pub joint_positions: Vec<f64>,
     /// Measured joint velocities, per second.
     pub joint_velocities: Vec<f64>,
-    /// Opening between the fingers, in metres; `None` for a gripper without fingers.
+    /// Opening between the fingers, in metres; `None` for a gripper without fingers (a suction
+    /// cup tells nothing: whether it holds shows when the arm lifts).
     pub gripper_opening_m: Option<f64>,
 }
 

@@ -65,6 +65,7 @@ impl Simulator for Line {
             object_pose: nowhere,
             target_pose: nowhere,
             tolerance_m: 0.05,
+            approach_speed_m_s: None,
         };
         Ok(Start { task, observation: self.observation(), applied })
     }

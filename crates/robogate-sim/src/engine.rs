@@ -37,8 +37,21 @@ pub trait Engine {
     /// True joint velocities of the arm, in rad/s.
     fn joint_velocities(&self) -> Vec<f64>;
 
-    /// Opening between the pads, in metres.
-    fn opening(&self) -> f64;
+    /// Opening between the pads, in metres; `None` for a gripper without fingers.
+    fn opening(&self) -> Option<f64>;
+
+    /// Joins the object to the gripper's cup, rigidly and as the two stand now. Loading parts them.
+    ///
+    /// When this happens and when it ends is no matter of the engine ([`crate::Suction`]). Does nothing where the
+    /// gripper has no cup.
+    fn join(&mut self);
+
+    /// Parts the object from the cup.
+    fn part(&mut self);
+
+    /// What the cup did to the object in the last step, the joint's force and that of contact together;
+    /// `None` while they are parted.
+    fn cup_load(&self) -> Option<Wrench>;
 
     /// Pose of the tool centre point.
     fn tcp(&self) -> Isometry3<f64>;
@@ -80,8 +93,17 @@ pub struct JointTargets {
     pub positions: Vec<f64>,
     /// Arm joint velocities, in rad/s.
     pub velocities: Vec<f64>,
-    /// Distance of each finger from the closed position, in metres.
+    /// Distance of each finger from the closed position, in metres; without meaning for a gripper without fingers.
     pub finger: f64,
+}
+
+/// A force and a torque, about the tool centre point and along its axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Wrench {
+    /// Force in newtons.
+    pub force: Vector3<f64>,
+    /// Torque in newton metres.
+    pub torque: Vector3<f64>,
 }
 
 /// Parameters as an engine holds them.
@@ -89,6 +111,10 @@ pub struct JointTargets {
 pub struct Readback {
     /// Friction coefficient of the object's shapes.
     pub friction: f64,
+    /// Friction coefficient between the object and the table.
+    pub table_friction: f64,
+    /// Gravity, in m/s^2, downwards.
+    pub gravity: f64,
     /// Mass of the object in kilograms.
     pub mass_kg: f64,
     /// Centre of mass in the object's frame, in metres.

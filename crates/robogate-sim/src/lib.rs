@@ -17,21 +17,23 @@ mod robot;
 mod scene;
 mod scripted;
 mod servo;
+mod spaces;
+pub mod suction;
 mod suite;
 mod trajectory;
 
-pub use engine::{Collision, Engine, EngineBuild, JointTargets, Readback, Touches};
+pub use engine::{Collision, Engine, EngineBuild, JointTargets, Readback, Touches, Wrench};
 pub use kinematics::{Chain, ChainJoint, Unreachable};
 pub use mujoco::MujocoEngine;
 pub use object::{MassProperties, ObjectModel, Part, Primitive, Shape};
 pub use parameters::{ParameterError, Placement, SceneParameters};
 pub use pick_place::PickPlace;
 pub use robot::{
-    Arm, Gripper, Robot, RobotError, RobotFile, RobotSettings, RobotSource, built_in_robot, built_in_robots,
+    Arm, Gripper, ParallelJaw, Robot, RobotError, RobotFile, RobotSettings, RobotSource, SuctionCup, built_in_robot,
+    built_in_robots,
 };
 pub use scene::{Fixture, Scene, WORKSPACE_CENTRE};
 pub use scripted::Scripted;
+pub use spaces::{FRANKA_SPACE, built_in_space, built_in_spaces, default_space};
+pub use suction::SuctionLaw;
 pub use suite::{SuiteMisfit, check_suite};
-
-/// The paper's Franka parameter space, as TOML.
-pub const FRANKA_SPACE: &str = include_str!("../../../assets/spaces/franka.toml");

@@ -12,14 +12,14 @@ use mujoco_rs::mujoco_c::mjtLimited;
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::MjsBody;
 use mujoco_rs::wrappers::mj_logging::{log_config, set_log_config};
-use nalgebra::{Isometry3, Matrix3, Translation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use robogate_core::{Fault, FaultKind};
 
 use crate::engine::Collision;
 use crate::robot::RobotSource;
 use crate::scene::isometry;
 use crate::{Chain, ChainJoint, Engine, EngineBuild, Gripper, JointTargets, Primitive, Readback, Robot, RobotError};
-use crate::{Scene, Touches};
+use crate::{ParallelJaw, Scene, Touches, Wrench};
 
 /// Contact masks: the robot meets the object and fixtures, the object meets fixtures; the robot does not
 /// meet itself (fingers that close on nothing are a miss, not a collision).
@@ -73,7 +73,10 @@ struct Loaded {
     kinds: Vec<Kind>,
     /// Addresses of the arm's and fingers' joints in qpos and qvel.
     arm: Vec<(usize, usize)>,
-    fingers: [(usize, usize); 2],
+    /// Without fingers there is nothing here.
+    fingers: Vec<(usize, usize)>,
+    /// The joint between cup and object, and the cup's body.
+    weld: Option<Weld>,
     object_body: usize,
     object_qpos: usize,
     object_qvel: usize,
@@ -81,7 +84,16 @@ struct Loaded {
     touches: Touches,
     /// Force of each touching pair in the last step: robot body, and fixture or object.
     forces: Vec<((usize, Option<usize>), f64)>,
+    /// What table and obstacles did to the object in the last step, about its centre of mass.
+    support: Wrench,
     scene: Scene,
+}
+
+/// The joint between cup and object: there from the start, and switched on and off.
+#[derive(Debug, Clone, Copy)]
+struct Weld {
+    equality: usize,
+    cup_body: usize,
 }
 
 impl MujocoEngine {
@@ -104,12 +116,13 @@ impl MujocoEngine {
             actuator.set_group(OFF_GROUP);
         }
         let settings = &robot.settings;
-        let Gripper::ParallelJaw { finger_joints, stiffness_n_m, damping_ns_m, force_limit_n, .. } = &settings.gripper;
         let arm = settings.arm.joints.iter().enumerate().map(|(i, name)| {
             let arm = &settings.arm;
             (name, arm.stiffness_nm_rad[i], arm.damping_nms_rad[i], arm.torque_limit_nm[i])
         });
-        let fingers = finger_joints.iter().map(|name| (name, *stiffness_n_m, *damping_ns_m, *force_limit_n));
+        let fingers = settings.gripper.jaw().into_iter().flat_map(|jaw| {
+            jaw.finger_joints.iter().map(|name| (name, jaw.stiffness_n_m, jaw.damping_ns_m, jaw.force_limit_n))
+        });
         for (joint, stiffness, damping, limit) in arm.chain(fingers) {
             let Some(driven) = base.joint_mut(joint) else {
                 return Err(invalid(format!("there is no joint `{joint}`, which robot.toml names")));
@@ -174,11 +187,17 @@ impl MujocoEngine {
         let mut spec = self.base.clone();
         spec.option_mut().gravity = [0.0, 0.0, -scene.gravity];
         let world = spec.world_body_mut();
-        for fixture in &scene.fixtures {
+        for (i, fixture) in scene.fixtures.iter().enumerate() {
             let geom = world.add_geom().with_name(&format!("{PREFIX}{}", fixture.name));
             shape(geom, &fixture.part.primitive, &fixture.part.pose);
             geom.set_contype(FIXTURE.0);
             geom.set_conaffinity(FIXTURE.1);
+            // Where the table has a friction of its own, it and not the object says how the two meet.
+            if let (0, Some(friction)) = (i, scene.table_friction) {
+                geom.set_priority(2);
+                let balls = scene.object.parts.iter().map(|part| &part.primitive);
+                object_contact(geom, friction, balls.clone().any(|part| matches!(part, Primitive::Sphere { .. })));
+            }
         }
         let body = world.add_body().with_name(&format!("{PREFIX}object"));
         place(&scene.object_pose, body.pos_mut());
@@ -196,13 +215,21 @@ impl MujocoEngine {
             geom.set_contype(OBJECT.0);
             geom.set_conaffinity(OBJECT.1);
             geom.set_mass(0.0);
-            // Sliding and twisting friction; a ball has rolling friction too, or it would never rest.
-            geom.set_condim(if matches!(part.primitive, Primitive::Sphere { .. }) { 6 } else { 4 });
             // The object's friction is that of each of its contacts, whatever it touches.
             geom.set_priority(1);
-            *geom.friction_mut() = [scene.friction, scene.friction * PATCH_RADIUS * 2.0 / 3.0, ROLLING];
-            geom.solref_mut()[..2].copy_from_slice(&[CONTACT_TIME_S, 1.0]);
-            geom.solimp_mut()[..3].copy_from_slice(&[0.95, 0.99, 0.001]);
+            object_contact(geom, scene.friction, matches!(part.primitive, Primitive::Sphere { .. }));
+        }
+        if let Some(cup) = self.robot.settings.gripper.cup() {
+            let weld = spec.add_equality().with_name(&format!("{PREFIX}cup"));
+            weld.set_type(MjtEq::mjEQ_WELD);
+            weld.set_objtype(MjtObjBase::mjOBJ_BODY);
+            weld.set_name1(&cup.cup_body);
+            weld.set_name2(&format!("{PREFIX}object"));
+            weld.set_active(false);
+            // Given in full, or the model's compiler would take the start's poses for those to hold.
+            weld.data_mut()[..11].copy_from_slice(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+            weld.solref_mut()[..2].copy_from_slice(&[CONTACT_TIME_S, 1.0]);
+            weld.solimp_mut()[..3].copy_from_slice(&[0.95, 0.99, 0.001]);
         }
         spec.compile()
     }
@@ -266,6 +293,15 @@ fn shape(geom: &mut mujoco_rs::wrappers::mj_editing::MjsGeom, primitive: &Primit
     *geom.size_mut() = size;
     place(pose, geom.pos_mut());
     *geom.quat_mut() = wxyz(&pose.rotation);
+}
+
+/// How the object meets what it touches.
+fn object_contact(geom: &mut mujoco_rs::wrappers::mj_editing::MjsGeom, friction: f64, rolls: bool) {
+    // Sliding and twisting friction; a ball has rolling friction too, or it would never rest.
+    geom.set_condim(if rolls { 6 } else { 4 });
+    *geom.friction_mut() = [friction, friction * PATCH_RADIUS * 2.0 / 3.0, ROLLING];
+    geom.solref_mut()[..2].copy_from_slice(&[CONTACT_TIME_S, 1.0]);
+    geom.solimp_mut()[..3].copy_from_slice(&[0.95, 0.99, 0.001]);
 }
 
 fn primitive(model: &MjModel, geom: usize) -> Option<Primitive> {
@@ -354,7 +390,36 @@ fn check(model: &MjModel, robot: &Robot, chain: &Chain) -> Result<(), String> {
             return Err(format!("joint `{name}`: arm.home_rad has {home}, outside its range {low} to {high}"));
         }
     }
-    let Gripper::ParallelJaw { finger_joints, finger_bodies, opening_m, .. } = &settings.gripper;
+    match &settings.gripper {
+        Gripper::ParallelJaw(jaw) => check_jaw(model, jaw)?,
+        Gripper::Suction(cup) => {
+            let body = find(model, MjtObjBase::mjOBJ_BODY, "body", &cup.cup_body)?;
+            let tcp = find(model, MjtObjBase::mjOBJ_SITE, "site", &settings.arm.tcp_site)?;
+            if model.body_weldid()[body] != model.body_weldid()[model.site_bodyid()[tcp] as usize] {
+                let (cup, tcp) = (&cup.cup_body, &settings.arm.tcp_site);
+                return Err(format!("gripper.cup_body = \"{cup}\" moves against the site `{tcp}`, where its lip is"));
+            }
+        }
+    }
+    // A robot's folder holds the robot alone: whatever else it brings would stand in the cell unseen.
+    let tcp = find(model, MjtObjBase::mjOBJ_SITE, "site", &settings.arm.tcp_site)?;
+    let mut root = model.site_bodyid()[tcp];
+    while model.body_parentid()[root as usize] != 0 {
+        root = model.body_parentid()[root as usize];
+    }
+    for (geom, body) in model.geom_bodyid().iter().enumerate() {
+        let touchable = model.geom_contype()[geom] != 0;
+        if touchable && model.body_rootid()[*body as usize] != root {
+            let name = model.id_to_name(MjtObjBase::mjOBJ_GEOM, geom).unwrap_or("without a name");
+            return Err(format!("the shape `{name}` does not belong to the robot: a robot's model holds no scene"));
+        }
+    }
+    Ok(())
+}
+
+/// What a compiled parallel jaw must be.
+fn check_jaw(model: &MjModel, jaw: &ParallelJaw) -> Result<(), String> {
+    let ParallelJaw { finger_joints, finger_bodies, opening_m, .. } = jaw;
     let mut width = 0.0;
     for name in finger_joints {
         let joint = find(model, MjtObjBase::mjOBJ_JOINT, "joint", name)?;
@@ -370,19 +435,6 @@ fn check(model: &MjModel, robot: &Robot, chain: &Chain) -> Result<(), String> {
     let [left, right] = [fingers[0].clone()?, fingers[1].clone()?];
     if left == right || finger_joints[0] == finger_joints[1] {
         return Err("gripper: the two fingers are one and the same".to_owned());
-    }
-    // A robot's folder holds the robot alone: whatever else it brings would stand in the cell unseen.
-    let tcp = find(model, MjtObjBase::mjOBJ_SITE, "site", &settings.arm.tcp_site)?;
-    let mut root = model.site_bodyid()[tcp];
-    while model.body_parentid()[root as usize] != 0 {
-        root = model.body_parentid()[root as usize];
-    }
-    for (geom, body) in model.geom_bodyid().iter().enumerate() {
-        let touchable = model.geom_contype()[geom] != 0;
-        if touchable && model.body_rootid()[*body as usize] != root {
-            let name = model.id_to_name(MjtObjBase::mjOBJ_GEOM, geom).unwrap_or("without a name");
-            return Err(format!("the shape `{name}` does not belong to the robot: a robot's model holds no scene"));
-        }
     }
     Ok(())
 }
@@ -417,18 +469,28 @@ impl Engine for MujocoEngine {
     fn load(&mut self, scene: &Scene, joints: &[f64]) -> Result<(), Fault> {
         let setup = |why: String| Fault::new(FaultKind::Setup, why);
         let model = self.compile(scene).map_err(|e| setup(format!("MuJoCo does not compile the scene: {e}")))?;
-        let Gripper::ParallelJaw { finger_joints, finger_bodies, opening_m, .. } = &self.robot.settings.gripper;
+        let gripper = &self.robot.settings.gripper;
         let id = |kind, what: &str, name: &str| find(&model, kind, what, name).map_err(setup);
         let address = |name: &str| {
             id(MjtObjBase::mjOBJ_JOINT, "joint", name)
                 .map(|joint| (model.jnt_qposadr()[joint] as usize, model.jnt_dofadr()[joint] as usize))
         };
         let arm = self.robot.settings.arm.joints.iter().map(|name| address(name)).collect::<Result<Vec<_>, _>>()?;
-        let fingers = [address(&finger_joints[0])?, address(&finger_joints[1])?];
-        let finger_bodies = [
-            id(MjtObjBase::mjOBJ_BODY, "body", &finger_bodies[0])?,
-            id(MjtObjBase::mjOBJ_BODY, "body", &finger_bodies[1])?,
-        ];
+        let mut fingers = Vec::new();
+        let mut finger_bodies = Vec::new();
+        if let Some(jaw) = gripper.jaw() {
+            for (joint, body) in jaw.finger_joints.iter().zip(&jaw.finger_bodies) {
+                fingers.push(address(joint)?);
+                finger_bodies.push(id(MjtObjBase::mjOBJ_BODY, "body", body)?);
+            }
+        }
+        let weld = match gripper.cup() {
+            Some(cup) => Some(Weld {
+                equality: id(MjtObjBase::mjOBJ_EQUALITY, "joint", &format!("{PREFIX}cup"))?,
+                cup_body: id(MjtObjBase::mjOBJ_BODY, "body", &cup.cup_body)?,
+            }),
+            None => None,
+        };
         let object_body = id(MjtObjBase::mjOBJ_BODY, "body", &format!("{PREFIX}object"))?;
         let (object_qpos, object_qvel) = address(&format!("{PREFIX}object"))?;
         let tcp = id(MjtObjBase::mjOBJ_SITE, "site", &self.robot.settings.arm.tcp_site)?;
@@ -448,8 +510,8 @@ impl Engine for MujocoEngine {
         for ((address, _), q) in arm.iter().zip(joints) {
             data.qpos_mut()[*address] = *q;
         }
-        for (address, _) in fingers {
-            data.qpos_mut()[address] = 0.5 * opening_m;
+        for ((address, _), jaw) in fingers.iter().zip(gripper.jaw().into_iter().cycle()) {
+            data.qpos_mut()[*address] = 0.5 * jaw.opening_m;
         }
         data.forward();
         let loaded = Loaded {
@@ -457,12 +519,14 @@ impl Engine for MujocoEngine {
             kinds,
             arm,
             fingers,
+            weld,
             object_body,
             object_qpos,
             object_qvel,
             tcp,
             touches: Touches::default(),
             forces: Vec::new(),
+            support: Wrench { force: Vector3::zeros(), torque: Vector3::zeros() },
             scene: scene.clone(),
         };
         let loaded = self.loaded.insert(loaded);
@@ -474,6 +538,7 @@ impl Engine for MujocoEngine {
         let loaded = self.loaded();
         let model = loaded.data.model();
         let mut friction = None;
+        let mut table_friction = None;
         let mut parts = Vec::new();
         let mut obstacles = 0;
         for (geom, kind) in loaded.kinds.iter().enumerate() {
@@ -482,6 +547,9 @@ impl Engine for MujocoEngine {
                     friction = Some(model.geom_friction()[geom][0]);
                     parts.extend(primitive(model, geom));
                 }
+                Kind::Fixture(0) if model.geom_priority()[geom] > 1 => {
+                    table_friction = Some(model.geom_friction()[geom][0]);
+                }
                 Kind::Fixture(fixture) if *fixture > 0 => obstacles += 1,
                 _ => {}
             }
@@ -489,6 +557,8 @@ impl Engine for MujocoEngine {
         let friction = friction.ok_or_else(|| Fault::new(FaultKind::Setup, "the object has no shape"))?;
         Ok(Readback {
             friction,
+            table_friction: table_friction.unwrap_or(friction),
+            gravity: -loaded.data.model_opt().gravity[2],
             mass_kg: model.body_mass()[loaded.object_body],
             centre_of_mass: Vector3::from(model.body_ipos()[loaded.object_body]),
             parts,
@@ -500,7 +570,7 @@ impl Engine for MujocoEngine {
     fn advance(&mut self, targets: &JointTargets) {
         let arm = &self.robot.settings.arm;
         let Some(loaded) = self.loaded.as_mut() else { return };
-        let first = loaded.data.ctrl().len() - arm.joints.len() - 2;
+        let first = loaded.data.ctrl().len() - arm.joints.len() - loaded.fingers.len();
         let ctrl = &mut loaded.data.ctrl_mut()[first..];
         for (i, ctrl) in ctrl[..arm.joints.len()].iter_mut().enumerate() {
             // The servo's velocity target, written as an offset of its position target.
@@ -543,9 +613,44 @@ impl Engine for MujocoEngine {
         loaded.arm.iter().map(|(_, v)| loaded.data.qvel()[*v]).collect()
     }
 
-    fn opening(&self) -> f64 {
+    fn opening(&self) -> Option<f64> {
         let loaded = self.loaded();
-        loaded.fingers.iter().map(|(q, _)| loaded.data.qpos()[*q]).sum()
+        let opening = loaded.fingers.iter().map(|(q, _)| loaded.data.qpos()[*q]).sum();
+        (!loaded.fingers.is_empty()).then_some(opening)
+    }
+
+    fn join(&mut self) {
+        let (tcp, object) = (self.tcp(), self.object());
+        let Some((loaded, weld)) = self.loaded.as_mut().and_then(|loaded| loaded.weld.map(|weld| (loaded, weld)))
+        else {
+            return;
+        };
+        let cup = isometry(&loaded.data.xpos()[weld.cup_body], &loaded.data.xquat()[weld.cup_body]);
+        let turn = cup.rotation.inverse() * object.rotation;
+        // The same point, the middle of the lip, in the object's and in the cup's frame; the object's turn in the cup.
+        let lip = Point3::from(tcp.translation.vector);
+        let (in_object, in_cup) = (object.inverse_transform_point(&lip), cup.inverse_transform_point(&lip));
+        // SAFETY: only numbers of an equality of this very model change; no size and no address depends on them.
+        #[expect(unsafe_code, reason = "the binding has no safe way to set it")]
+        let numbers = unsafe { &mut loaded.data.model_mut().eq_data_mut()[weld.equality] };
+        numbers[..3].copy_from_slice(in_object.coords.as_slice());
+        numbers[3..6].copy_from_slice(in_cup.coords.as_slice());
+        numbers[6..10].copy_from_slice(&wxyz(&turn));
+        loaded.data.eq_active_mut()[weld.equality] = true;
+    }
+
+    fn part(&mut self) {
+        if let Some(loaded) = self.loaded.as_mut()
+            && let Some(weld) = loaded.weld
+        {
+            loaded.data.eq_active_mut()[weld.equality] = false;
+        }
+    }
+
+    fn cup_load(&self) -> Option<Wrench> {
+        let loaded = self.loaded();
+        let joined = loaded.weld.is_some_and(|weld| loaded.data.eq_active()[weld.equality]);
+        joined.then(|| loaded.load_about(&self.tcp(), &self.object()))
     }
 
     fn tcp(&self) -> Isometry3<f64> {
@@ -610,6 +715,8 @@ impl Loaded {
         let touches = &mut self.touches;
         *touches = Touches::default();
         self.forces.clear();
+        self.support = Wrench { force: Vector3::zeros(), torque: Vector3::zeros() };
+        let joined = self.weld.is_some_and(|weld| self.data.eq_active()[weld.equality]);
         for (i, contact) in self.data.contact().iter().enumerate() {
             // A contact that is only near has no constraint.
             if contact.efc_address < 0 || contact.geom1 < 0 || contact.geom2 < 0 {
@@ -627,8 +734,18 @@ impl Loaded {
                 }
                 (Kind::Robot { body, .. }, Kind::Fixture(fixture))
                 | (Kind::Fixture(fixture), Kind::Robot { body, .. }) => (body, fixture),
-                (Kind::Object, Kind::Fixture(_)) | (Kind::Fixture(_), Kind::Object) => {
+                (first @ Kind::Object, Kind::Fixture(_)) | (first @ Kind::Fixture(_), Kind::Object) => {
                     touches.object_on_fixture = true;
+                    if joined {
+                        // The force is that on the second shape, along axes that are the rows of the frame.
+                        let sign = if first == Kind::Object { -1.0 } else { 1.0 };
+                        let axes = Matrix3::from_column_slice(&contact.frame) * sign;
+                        let [n, t1, t2, twist, r1, r2] = self.data.contact_force(i);
+                        let force = axes * Vector3::new(n, t1, t2);
+                        let arm = Vector3::from(contact.pos) - Vector3::from(self.data.xipos()[self.object_body]);
+                        self.support.force += force;
+                        self.support.torque += axes * Vector3::new(twist, r1, r2) + arm.cross(&force);
+                    }
                     continue;
                 }
                 _ => continue,
@@ -643,6 +760,28 @@ impl Loaded {
                 touches.collision = Some(Collision { robot_body, fixture, force });
             }
         }
+    }
+}
+
+impl Loaded {
+    /// What moved the object in the last step beside its weight and what it stood on, about the tool centre point:
+    /// Newton's and Euler's laws, read the other way round. (The joint's own force alone would not do: where the cup
+    /// also presses on the object, the two bear against each other.)
+    fn load_about(&self, tcp: &Isometry3<f64>, object: &Isometry3<f64>) -> Wrench {
+        let mass = &self.scene.object.mass;
+        let turn = object.rotation;
+        // MuJoCo has a free body's velocity in the world's axes and its turning in the body's own.
+        let (acceleration, speed) = (&self.data.qacc()[self.object_qvel..], &self.data.qvel()[self.object_qvel..]);
+        let linear = Vector3::new(acceleration[0], acceleration[1], acceleration[2]);
+        let angular = Vector3::new(acceleration[3], acceleration[4], acceleration[5]);
+        let spin = Vector3::new(speed[3], speed[4], speed[5]);
+        let of_centre = linear + turn * (angular.cross(&mass.centre) + spin.cross(&spin.cross(&mass.centre)));
+        let weight = Vector3::new(0.0, 0.0, -self.scene.gravity);
+        let force = (of_centre - weight) * mass.mass_kg - self.support.force;
+        let turning = turn * (mass.inertia * angular + spin.cross(&(mass.inertia * spin)));
+        let centre = (object * Point3::from(mass.centre)).coords;
+        let torque = turning - self.support.torque + (centre - tcp.translation.vector).cross(&force);
+        Wrench { force: tcp.inverse_transform_vector(&force), torque: tcp.inverse_transform_vector(&torque) }
     }
 }
 

@@ -111,6 +111,14 @@ impl Shape {
         }
     }
 
+    /// The middle of the highest face of an object of this size (m), from the object's middle, in metres: where a cup
+    /// from above finds it.
+    pub fn top(self, size: f64) -> [f64; 2] {
+        let height = |part: &Part| part.pose.translation.z + part.primitive.half_extent()[2];
+        let highest = self.parts(size).into_iter().max_by(|a, b| height(a).total_cmp(&height(b)));
+        highest.map_or([0.0; 2], |part| [part.pose.translation.x, part.pose.translation.y])
+    }
+
     /// Where the ballast of a shifted centre of mass sits, as a direction from the middle: on the +x
     /// face, across the direction in which the fingers close, so that the weight twists the object
     /// in the grip. A ball rests with its heavy side down: its ballast is at the bottom.

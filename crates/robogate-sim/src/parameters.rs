@@ -3,7 +3,7 @@
 use robogate_core::{Assignment, Domain, ParameterSpace, Pose};
 
 use crate::scene::WORKSPACE_CENTRE;
-use crate::{ObjectModel, Shape};
+use crate::{Gripper, ObjectModel, Shape};
 
 /// Where the object stands and how it is turned, before any noise.
 ///
@@ -60,6 +60,13 @@ impl Placement {
         Some(Self { position: [WORKSPACE_CENTRE[0] + offset[0], WORKSPACE_CENTRE[1] + offset[1]], yaw })
     }
 
+    /// The same placement, its object moved on the table by `offset` (m).
+    #[must_use]
+    pub fn moved(mut self, offset: [f64; 2]) -> Self {
+        self.position = [self.position[0] + offset[0], self.position[1] + offset[1]];
+        self
+    }
+
     /// The pose of an object of this height (m) that stands there.
     pub fn pose(&self, height_m: f64) -> Pose {
         Pose::upright([self.position[0], self.position[1], 0.5 * height_m], self.yaw)
@@ -86,6 +93,17 @@ pub struct SceneParameters {
     pub shape: Shape,
     /// `placement`: the name of a [`Placement`].
     pub placement: String,
+    /// `grip_threshold_m`: within this distance of the object a suction cup takes hold.
+    pub grip_threshold_m: f64,
+    /// `approach_speed_m_s`: how fast the tool comes down to the object; `None` is the policy's own.
+    pub approach_speed_m_s: Option<f64>,
+    /// `table_friction`: Coulomb coefficient of the object against the table; `None` is `friction`.
+    pub table_friction: Option<f64>,
+    /// `position_jitter_m`: the object stands off its placement by an offset of the episode, drawn uniformly
+    /// from the disc of this radius. The policy is told the placement.
+    pub position_jitter_m: f64,
+    /// `gravity_scale`: gravity as a multiple of the Earth's.
+    pub gravity_scale: f64,
 }
 
 /// What a parameter may be in this world: the widest range in which it makes physical sense.
@@ -94,7 +112,7 @@ enum Meaning {
     Word(fn(&str) -> bool),
 }
 
-const MEANINGS: [(&str, Meaning); 8] = [
+const MEANINGS: [(&str, Meaning); 13] = [
     ("friction", Meaning::Number { low: 0.0, high: 10.0 }),
     ("mass_kg", Meaning::Number { low: 1e-3, high: 100.0 }),
     ("com_offset", Meaning::Number { low: 0.0, high: 0.9 }),
@@ -103,7 +121,15 @@ const MEANINGS: [(&str, Meaning); 8] = [
     ("obstacles", Meaning::Number { low: 0.0, high: 12.0 }),
     ("shape", Meaning::Word(|word| Shape::from_word(word).is_some())),
     ("placement", Meaning::Word(|word| Placement::from_name(word).is_some())),
+    (GRIP_THRESHOLD, Meaning::Number { low: 0.0, high: 0.1 }),
+    ("approach_speed_m_s", Meaning::Number { low: 1e-3, high: 2.0 }),
+    ("table_friction", Meaning::Number { low: 0.0, high: 10.0 }),
+    ("position_jitter_m", Meaning::Number { low: 0.0, high: 0.05 }),
+    ("gravity_scale", Meaning::Number { low: 0.01, high: 10.0 }),
 ];
+
+/// Of suction cups alone.
+const GRIP_THRESHOLD: &str = "grip_threshold_m";
 
 impl Default for SceneParameters {
     fn default() -> Self {
@@ -116,17 +142,22 @@ impl Default for SceneParameters {
             obstacles: 0,
             shape: Shape::Box,
             placement: "center_0".to_owned(),
+            grip_threshold_m: 0.01,
+            approach_speed_m_s: None,
+            table_friction: None,
+            position_jitter_m: 0.0,
+            gravity_scale: 1.0,
         }
     }
 }
 
 impl SceneParameters {
-    /// Whether every parameter of `space` means something here, over its whole range.
-    pub fn check_space(space: &ParameterSpace) -> Result<(), ParameterError> {
+    /// Whether every parameter of `space` means something here over its whole range, and to this gripper where one is given.
+    pub fn check_space(space: &ParameterSpace, gripper: Option<&Gripper>) -> Result<(), ParameterError> {
         for parameter in space.parameters() {
             let name = &*parameter.name;
             let wrong_kind = |expected| Err(ParameterError::Kind { parameter: name.to_owned(), expected });
-            match (meaning(name)?, &parameter.domain) {
+            match (meaning_for(name, gripper)?, &parameter.domain) {
                 (Meaning::Number { low, high }, Domain::Continuous { low: from, high: to, .. }) => {
                     if name == "obstacles" {
                         return wrong_kind("an integer");
@@ -150,11 +181,11 @@ impl SceneParameters {
         Ok(())
     }
 
-    /// The parameters of an assignment.
-    pub fn from_assignment(assignment: &Assignment) -> Result<Self, ParameterError> {
+    /// The parameters of an assignment, for a robot with this gripper where one is given.
+    pub fn from_assignment(assignment: &Assignment, gripper: Option<&Gripper>) -> Result<Self, ParameterError> {
         let mut parameters = Self::default();
         for (name, value) in assignment.iter() {
-            match meaning(name)? {
+            match meaning_for(name, gripper)? {
                 Meaning::Number { low, high } => {
                     let Some(x) = assignment.number(name) else {
                         return Err(ParameterError::Kind { parameter: name.to_owned(), expected: "a number" });
@@ -166,6 +197,11 @@ impl SceneParameters {
                         "com_offset" => parameters.com_offset = x,
                         "size_m" => parameters.size_m = x,
                         "ik_noise_rad" => parameters.ik_noise_rad = x,
+                        GRIP_THRESHOLD => parameters.grip_threshold_m = x,
+                        "approach_speed_m_s" => parameters.approach_speed_m_s = Some(x),
+                        "table_friction" => parameters.table_friction = Some(x),
+                        "position_jitter_m" => parameters.position_jitter_m = x,
+                        "gravity_scale" => parameters.gravity_scale = x,
                         _ => parameters.obstacles = x as usize,
                     }
                 }
@@ -196,6 +232,13 @@ fn meaning(name: &str) -> Result<&'static Meaning, ParameterError> {
     })
 }
 
+fn meaning_for(name: &str, gripper: Option<&Gripper>) -> Result<&'static Meaning, ParameterError> {
+    if let Some(gripper) = gripper.filter(|gripper| name == GRIP_THRESHOLD && gripper.cup().is_none()) {
+        return Err(ParameterError::Gripper { parameter: name.to_owned(), gripper: gripper.words() });
+    }
+    meaning(name)
+}
+
 fn in_range(name: &str, value: f64, low: f64, high: f64) -> Result<(), ParameterError> {
     if (low..=high).contains(&value) {
         return Ok(());
@@ -221,6 +264,14 @@ pub enum ParameterError {
         parameter: String,
         /// The names it knows.
         known: String,
+    },
+    /// A parameter that this robot's gripper does not have.
+    #[error("parameter `{parameter}` means nothing to this robot: its gripper is {gripper}")]
+    Gripper {
+        /// The name.
+        parameter: String,
+        /// The gripper's kind.
+        gripper: &'static str,
     },
     /// A parameter of another kind.
     #[error("parameter `{parameter}` must be {expected}")]

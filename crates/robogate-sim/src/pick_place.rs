@@ -6,10 +6,13 @@ use robogate_core::{
     TaskSpec, Value,
 };
 
-use crate::referee::{Referee, Sight};
-use crate::scene::isometry;
+use crate::referee::{Hand, Referee, Sight};
+use crate::scene::{GRAVITY, isometry};
 use crate::servo::Servo;
-use crate::{Engine, Gripper, JointTargets, ObjectModel, Placement, Readback, Scene, SceneParameters};
+use crate::suction::{self, Change, Suction};
+use crate::{
+    Engine, Gripper, JointTargets, ObjectModel, Part, Placement, Readback, Scene, SceneParameters, SuctionLaw,
+};
 
 /// Time between two actions, in seconds (paper, section 4.1).
 const CONTROL_PERIOD_S: f64 = 0.05;
@@ -24,6 +27,7 @@ const CLEARANCE_LIMIT_M: f64 = 0.25;
 pub struct PickPlace<E> {
     engine: E,
     grip_force_n: f64,
+    suction_law: SuctionLaw,
     steps_per_period: usize,
     episode: Option<Running>,
 }
@@ -32,6 +36,10 @@ pub struct PickPlace<E> {
 struct Running {
     servo: Servo,
     referee: Referee,
+    /// The cup at work, of a gripper that has one.
+    suction: Option<Suction>,
+    /// The object's parts, which the cup looks at.
+    parts: Vec<Part>,
     /// The fixtures' names, in the order of the scene.
     fixtures: Vec<String>,
     /// What each joint's encoder reads too much, in radians.
@@ -41,7 +49,8 @@ struct Running {
 }
 
 impl<E: Engine> PickPlace<E> {
-    /// The task on this engine; `grip_force_n` replaces the robot's own setting.
+    /// The task on this engine; `grip_force_n` replaces the robot's own setting. A suction cup holds by vacuum
+    /// ([`Self::with_suction`]).
     ///
     /// Fails where the control period is no whole number of the engine's time steps, or the grip force
     /// is none that the gripper can hold.
@@ -51,14 +60,36 @@ impl<E: Engine> PickPlace<E> {
             let step = engine.time_step();
             return Err(format!("the control period of {CONTROL_PERIOD_S} s is no whole number of steps of {step} s"));
         }
-        let Gripper::ParallelJaw { force_n, force_limit_n, .. } = &engine.robot().settings.gripper;
-        let grip_force_n = grip_force_n.unwrap_or(*force_n);
-        if !(grip_force_n > 0.0 && grip_force_n <= *force_limit_n) {
-            return Err(format!(
-                "a grip force of {grip_force_n} N is outside 0 to {force_limit_n} N, the gripper's limit"
-            ));
-        }
-        Ok(Self { engine, grip_force_n, steps_per_period: steps.round() as usize, episode: None })
+        let grip_force_n = match &engine.robot().settings.gripper {
+            Gripper::ParallelJaw(jaw) => {
+                let force = grip_force_n.unwrap_or(jaw.force_n);
+                if !(force > 0.0 && force <= jaw.force_limit_n) {
+                    return Err(format!(
+                        "a grip force of {force} N is outside 0 to {} N, the gripper's limit",
+                        jaw.force_limit_n
+                    ));
+                }
+                force
+            }
+            Gripper::Suction(cup) => match grip_force_n {
+                Some(force) => {
+                    return Err(format!(
+                        "a grip force of {force} N is for fingers: this gripper is {}",
+                        engine.robot().settings.gripper.words()
+                    ));
+                }
+                None => cup.force_n(),
+            },
+        };
+        let steps_per_period = steps.round() as usize;
+        Ok(Self { engine, grip_force_n, suction_law: SuctionLaw::Vacuum, steps_per_period, episode: None })
+    }
+
+    /// The same task, a suction cup holding by this law.
+    #[must_use]
+    pub fn with_suction(mut self, law: SuctionLaw) -> Self {
+        self.suction_law = law;
+        self
     }
 
     /// The engine, for looking at the world.
@@ -72,7 +103,7 @@ impl<E: Engine> PickPlace<E> {
             time_s: running.ticks as f64 * CONTROL_PERIOD_S,
             joint_positions: measured,
             joint_velocities: self.engine.joint_velocities(),
-            gripper_opening_m: Some(self.engine.opening()),
+            gripper_opening_m: self.engine.opening(),
         }
     }
 
@@ -88,11 +119,22 @@ impl<E: Engine> Simulator for PickPlace<E> {
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
         let setup = |why: String| Fault::new(FaultKind::Setup, why);
         self.episode = None;
-        let parameters = SceneParameters::from_assignment(&scenario.requested).map_err(|e| setup(e.to_string()))?;
+        let gripper = &self.engine.robot().settings.gripper;
+        let parameters =
+            SceneParameters::from_assignment(&scenario.requested, Some(gripper)).map_err(|e| setup(e.to_string()))?;
         let placement = Placement::from_name(&parameters.placement)
             .ok_or_else(|| setup(format!("there is no placement `{}`", parameters.placement)))?;
+        let mut jitter = scenario.seed.stream("position-jitter");
+        let off = parameters.position_jitter_m * jitter.uniform().sqrt();
+        let (sin, cos) = jitter.between(0.0, std::f64::consts::TAU).sin_cos();
+        // Where the object really stands; the policy is told the placement.
+        let standing = placement.moved([off * cos, off * sin]);
         let mut obstacles = scenario.seed.stream("obstacles");
-        let scene = Scene::new(&parameters, &placement, &mut obstacles).map_err(setup)?;
+        let scene = Scene::new(&parameters, &standing, &mut obstacles).map_err(setup)?;
+        let suction = gripper
+            .cup()
+            .map(|cup| Suction::new(self.suction_law, cup.clone(), parameters.grip_threshold_m, parameters.friction));
+        let finger = gripper.jaw().map_or(0.0, |jaw| 0.5 * jaw.opening_m);
         let mut encoders = scenario.seed.stream("encoder-bias");
         let noise = parameters.ik_noise_rad;
         let arm = &self.engine.robot().settings.arm;
@@ -103,19 +145,16 @@ impl<E: Engine> Simulator for PickPlace<E> {
         if touches.collision.is_some() || touches.body_on_object || touches.fingers.iter().any(Option::is_some) {
             return Err(setup("the robot starts in contact".to_owned()));
         }
-        let applied = applied(&scenario.requested, &parameters, &self.engine.read_back()?);
-        let Gripper::ParallelJaw { opening_m, .. } = &self.engine.robot().settings.gripper;
+        let applied = applied(&scenario.requested, &parameters, &standing, &self.engine.read_back()?);
         let running = Running {
             servo: Servo::at_rest(&home, CONTROL_PERIOD_S),
             referee: Referee::new(scene.target, TOLERANCE_M, self.grip_force_n),
+            suction,
+            parts: scene.object.parts.clone(),
             fixtures: scene.fixtures.iter().map(|fixture| fixture.name.clone()).collect(),
             bias,
             ticks: 0,
-            targets: JointTargets {
-                positions: home.clone(),
-                velocities: vec![0.0; home.len()],
-                finger: 0.5 * opening_m,
-            },
+            targets: JointTargets { positions: home.clone(), velocities: vec![0.0; home.len()], finger },
         };
         let size = parameters.size_m;
         let task = TaskSpec {
@@ -127,6 +166,7 @@ impl<E: Engine> Simulator for PickPlace<E> {
             object_pose: placement.pose(size),
             target_pose: robogate_core::Pose::upright(scene.target, 0.0),
             tolerance_m: TOLERANCE_M,
+            approach_speed_m_s: parameters.approach_speed_m_s,
         };
         let observation = self.observation(&running);
         self.episode = Some(running);
@@ -146,29 +186,40 @@ impl<E: Engine> Simulator for PickPlace<E> {
         // The servo closes its loop on the encoders: what they read too much, the arm lacks.
         let command: Vec<f64> = wanted.iter().zip(&running.bias).map(|(q, bias)| q - bias).collect();
         running.servo.command(&command, arm, self.engine.chain());
-        let Gripper::ParallelJaw { opening_m, finger_speed_m_s, stiffness_n_m, .. } =
-            &self.engine.robot().settings.gripper;
-        // Closing drives past the closed position: what stops the fingers is the object or each other.
-        let finger_goal = match action.gripper {
-            GripperCommand::Open => 0.5 * opening_m,
-            GripperCommand::Close => -0.5 * opening_m,
-        };
-        // The fingers press with the grip force: their target runs ahead of them by no more than the way on
-        // which the servo's spring builds it up.
-        let lead = self.grip_force_n / stiffness_n_m;
-        let finger_step = finger_speed_m_s * self.engine.time_step();
+        let jaw = self.engine.robot().settings.gripper.jaw().map(|jaw| {
+            // Closing drives past the closed position: what stops the fingers is the object or each other.
+            let goal = match action.gripper {
+                GripperCommand::Open => 0.5 * jaw.opening_m,
+                GripperCommand::Close => -0.5 * jaw.opening_m,
+            };
+            // The fingers press with the grip force: their target runs ahead of them by no more than the way on
+            // which the servo's spring builds it up.
+            (goal, self.grip_force_n / jaw.stiffness_n_m, jaw.finger_speed_m_s * self.engine.time_step())
+        });
         for k in 1..=self.steps_per_period {
             let share = k as f64 / self.steps_per_period as f64;
             let targets = &mut running.targets;
             running.servo.targets(share, &mut targets.positions, &mut targets.velocities);
-            let finger = 0.5 * self.engine.opening();
-            let next = targets.finger + (finger_goal - targets.finger).clamp(-finger_step, finger_step);
-            targets.finger = next.clamp(finger - lead, finger + lead);
+            if let (Some((goal, lead, step)), Some(opening)) = (jaw, self.engine.opening()) {
+                let finger = 0.5 * opening;
+                let next = targets.finger + (goal - targets.finger).clamp(-step, step);
+                targets.finger = next.clamp(finger - lead, finger + lead);
+            }
             self.engine.advance(targets);
+            if let Some(suction) = &mut running.suction {
+                let (engine, parts) = (&self.engine, &running.parts);
+                let view = |cup: &_| suction::look(cup, &engine.tcp(), parts, &engine.object());
+                match suction.step(action.gripper, view, engine.cup_load()) {
+                    Some(Change::Join) => self.engine.join(),
+                    Some(Change::Part) => self.engine.part(),
+                    None => {}
+                }
+            }
+            let holding = running.suction.as_ref().is_some_and(Suction::holding);
             running.referee.look(&Sight {
                 time: (running.ticks as f64 + share) * CONTROL_PERIOD_S,
                 gripper: action.gripper,
-                opening: self.engine.opening(),
+                hand: self.engine.opening().map_or(Hand::Cup(holding), Hand::Fingers),
                 touches: self.engine.touches(),
                 object: self.engine.object(),
                 velocity: self.engine.object_velocity(),
@@ -199,9 +250,10 @@ impl<E: Engine> Simulator for PickPlace<E> {
 }
 
 /// The requested parameters as the engine holds them.
-fn applied(requested: &Assignment, asked: &SceneParameters, engine: &Readback) -> Assignment {
+fn applied(requested: &Assignment, asked: &SceneParameters, standing: &Placement, engine: &Readback) -> Assignment {
     let size = engine_size(asked, engine);
     let model = ObjectModel::new(asked.shape, size, engine.mass_kg, 0.0);
+    let there = stands(standing, asked.size_m, &engine.object);
     let mut applied = Assignment::default();
     for (name, value) in requested.iter() {
         // A whole number that was asked for as one comes back as one.
@@ -215,9 +267,13 @@ fn applied(requested: &Assignment, asked: &SceneParameters, engine: &Readback) -
             "com_offset" => number(model.com_offset_of(&engine.centre_of_mass)),
             "size_m" => number(size),
             "obstacles" => Value::Integer(engine.obstacles as i64),
-            "placement" => Value::Category(engine_placement(asked, &engine.object).into()),
+            "table_friction" => number(engine.table_friction),
+            "gravity_scale" => number(engine.gravity / GRAVITY),
+            "position_jitter_m" => number(if there { asked.position_jitter_m } else { f64::NAN }),
+            "placement" if there => value.clone(),
+            "placement" => Value::Category(format!("{:.6?}", engine.object.translation.vector.as_slice()).into()),
             "shape" => Value::Category(engine_shape(asked, engine).into()),
-            // What acts through the servo is applied by the simulator itself.
+            // What acts through the servo, the cup or the policy is applied by the simulator itself.
             _ => value.clone(),
         };
         applied.set(name, read);
@@ -243,12 +299,9 @@ fn engine_shape(asked: &SceneParameters, engine: &Readback) -> &'static str {
     if same { asked.shape.word() } else { "another" }
 }
 
-/// The placement at which the object stands.
-fn engine_placement(asked: &SceneParameters, object: &Isometry3<f64>) -> String {
-    let wanted = Placement::from_name(&asked.placement).map(|placement| placement.pose(asked.size_m));
-    let there = wanted.is_some_and(|pose| {
-        let off = isometry(&pose.position, &pose.orientation).inverse() * object;
-        off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-6
-    });
-    if there { asked.placement.clone() } else { format!("{:.6?}", object.translation.vector.as_slice()) }
+/// Whether the object stands where it shall.
+fn stands(standing: &Placement, size: f64, object: &Isometry3<f64>) -> bool {
+    let pose = standing.pose(size);
+    let off = isometry(&pose.position, &pose.orientation).inverse() * object;
+    off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-6
 }

@@ -7,8 +7,9 @@
 //! | event | when |
 //! |---|---|
 //! | collision | a robot body touches a fixture |
-//! | grasp_miss | the gripper, told to close, has come to rest, and not both fingers press on the object with at least a fifth of the grip force |
-//! | grip_loss | the object was held, the gripper not told to open, and for 50 ms no finger touches the object; or it was let go with its middle more than 5 cm above where it should rest, and has come to rest |
+//! | grasp_miss | fingers: told to close, they have come to rest, and not both press on the object with at least a fifth of the grip force |
+//! | grasp_miss | suction: told to grip, the tool has been at rest for 0.1 s and nothing hangs at the cup |
+//! | grip_loss | the object was held, the gripper not told to open, and for 50 ms no finger touches the object, or the cup has lost it; or it was let go with its middle more than 5 cm above where it should rest, and has come to rest |
 //! | success | let go, at rest for 0.2 s within the tolerance of the target, touched by nothing of the robot |
 //!
 //! A timeout is the rollout's: the time limit passed and nothing of this had happened.
@@ -20,6 +21,9 @@ use crate::{Collision, Touches};
 
 /// The gripper is at rest when its opening changed less than this in [`SETTLE_S`], in metres.
 const SETTLED_M: f64 = 2e-4;
+/// A tool with a cup is at rest when it moved less than this in [`SETTLE_S`], in metres: a cup may be told to grip
+/// on its way.
+const TOOL_SETTLED_M: f64 = 2e-3;
 /// How long the gripper must have been at rest, in seconds.
 const SETTLE_S: f64 = 0.1;
 /// Each finger holds the object with at least this share of the grip force; less is a touch.
@@ -41,8 +45,8 @@ pub(crate) struct Sight<'a> {
     pub(crate) time: f64,
     /// What the gripper was told.
     pub(crate) gripper: GripperCommand,
-    /// Opening between the pads, in metres.
-    pub(crate) opening: f64,
+    /// What shows of the gripper's hold.
+    pub(crate) hand: Hand,
     /// Who touched whom.
     pub(crate) touches: &'a Touches,
     /// The object's pose.
@@ -53,14 +57,41 @@ pub(crate) struct Sight<'a> {
     pub(crate) tcp: Isometry3<f64>,
 }
 
+/// What shows of a gripper's hold beside contacts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Hand {
+    /// Fingers: the opening between the pads, in metres.
+    Fingers(f64),
+    /// A cup: whether the object hangs at it.
+    Cup(bool),
+}
+
+impl Sight<'_> {
+    /// Whether what holds has the object: a finger that touches it, or the cup.
+    fn in_touch(&self) -> bool {
+        match self.hand {
+            Hand::Fingers(_) => self.touches.fingers.iter().any(Option::is_some),
+            Hand::Cup(holding) => holding,
+        }
+    }
+
+    /// What must come to rest for a grasp to be done, and how little it may still move, in metres.
+    fn stir(&self) -> (Vector3<f64>, f64) {
+        match self.hand {
+            Hand::Fingers(opening) => (Vector3::new(opening, 0.0, 0.0), SETTLED_M),
+            Hand::Cup(_) => (self.tcp.translation.vector, TOOL_SETTLED_M),
+        }
+    }
+}
+
 /// The hold on the object, as far as it has come.
 #[derive(Debug, Clone, PartialEq)]
 enum Grip {
     /// Not closed on anything yet.
     Free,
-    /// Told to close; the opening was last seen to move at this time.
-    Closing { opening: f64, moved_at: f64 },
-    /// Both fingers hold the object. Its pose in the hand when they first did; since when none touches it.
+    /// Told to close; what has to come to rest was last seen to move at this time.
+    Closing { at: Vector3<f64>, moved_at: f64 },
+    /// The object is held. Its pose in the hand when it first was; since when nothing has it.
     Held { in_hand: Isometry3<f64>, untouched_since: Option<f64> },
     /// Told to open, from this height of the object above its rest on the table.
     Released { height: f64, calm_since: Option<f64> },
@@ -140,18 +171,22 @@ impl Referee {
         }
         match (sight.gripper, &mut self.grip) {
             (GripperCommand::Close, Grip::Free) => {
-                self.grip = Grip::Closing { opening: sight.opening, moved_at: sight.time };
-                self.events.push("gripper closes".to_owned());
+                self.grip = Grip::Closing { at: sight.stir().0, moved_at: sight.time };
+                let what = if let Hand::Cup(_) = sight.hand { "suction on" } else { "gripper closes" };
+                self.events.push(what.to_owned());
             }
-            (GripperCommand::Close, Grip::Closing { opening, moved_at }) => {
-                if (*opening - sight.opening).abs() > SETTLED_M {
-                    (*opening, *moved_at) = (sight.opening, sight.time);
+            (GripperCommand::Close, Grip::Closing { at, moved_at }) => {
+                let (now, still) = sight.stir();
+                if sight.hand == Hand::Cup(true) {
+                    self.settle(sight);
+                } else if (*at - now).norm() > still {
+                    (*at, *moved_at) = (now, sight.time);
                 } else if sight.time - *moved_at >= SETTLE_S {
                     self.settle(sight);
                 }
             }
             (GripperCommand::Close, Grip::Held { untouched_since, .. }) => {
-                if sight.touches.fingers.iter().any(Option::is_some) {
+                if sight.in_touch() {
                     *untouched_since = None;
                 } else {
                     let since = *untouched_since.get_or_insert(sight.time);
@@ -164,15 +199,16 @@ impl Referee {
             // Closing on nothing after the object was let go (on the way home, say) undoes nothing; taking hold
             // of it again does.
             (GripperCommand::Close, Grip::Released { .. }) => {
-                if sight.touches.fingers.iter().any(Option::is_some) {
-                    self.grip = Grip::Closing { opening: sight.opening, moved_at: sight.time };
+                if sight.in_touch() {
+                    self.grip = Grip::Closing { at: sight.stir().0, moved_at: sight.time };
                 } else {
                     self.watch_released(sight);
                 }
             }
             (GripperCommand::Open, Grip::Held { .. }) => {
                 let height = sight.object.translation.z - self.target[2];
-                self.events.push(format!("gripper opens, object {:.0} mm above the table", 1e3 * height.max(0.0)));
+                let what = if let Hand::Cup(_) = sight.hand { "suction off" } else { "gripper opens" };
+                self.events.push(format!("{what}, object {:.0} mm above the table", 1e3 * height.max(0.0)));
                 self.grip = Grip::Released { height, calm_since: None };
             }
             (GripperCommand::Open, Grip::Closing { .. }) => self.grip = Grip::Free,
@@ -183,26 +219,35 @@ impl Referee {
 
     /// The gripper has come to rest: on the object, or on nothing.
     fn settle(&mut self, sight: &Sight<'_>) {
-        let enough = |force: &Option<f64>| force.is_some_and(|force| force >= HOLD_SHARE * self.grip_force);
-        if sight.touches.fingers.iter().all(enough) {
+        let (held, what) = match sight.hand {
+            Hand::Fingers(opening) => {
+                let enough = |force: &Option<f64>| force.is_some_and(|force| force >= HOLD_SHARE * self.grip_force);
+                let held = sight.touches.fingers.iter().all(enough);
+                let [left, right] = sight.touches.fingers.map(Option::unwrap_or_default);
+                let width = 1e3 * opening;
+                let what = if held {
+                    format!("object held, {width:.1} mm wide, pads press {left:.1} N and {right:.1} N")
+                } else {
+                    format!("closed to {width:.1} mm without the object between both fingers")
+                };
+                (held, what)
+            }
+            Hand::Cup(true) => (true, "object hangs at the cup".to_owned()),
+            Hand::Cup(false) => (false, "suction on and nothing at the cup".to_owned()),
+        };
+        self.events.push(what);
+        if held {
             let in_hand = sight.tcp.inverse() * sight.object;
-            let [left, right] = sight.touches.fingers.map(Option::unwrap_or_default);
-            self.events.push(format!(
-                "object held, {:.1} mm wide, pads press {left:.1} N and {right:.1} N",
-                1e3 * sight.opening
-            ));
             self.measures.slip_m = Some(0.0);
             self.grip = Grip::Held { in_hand, untouched_since: None };
         } else {
-            let opening = 1e3 * sight.opening;
-            self.events.push(format!("closed to {opening:.1} mm without the object between both fingers"));
             self.end(Some(FailureMode::GraspMiss), sight.time);
         }
     }
 
     fn watch_released(&mut self, sight: &Sight<'_>) {
         let Grip::Released { height, calm_since } = &mut self.grip else { return };
-        let touched = sight.touches.body_on_object || sight.touches.fingers.iter().any(Option::is_some);
+        let touched = sight.touches.body_on_object || sight.in_touch();
         let (linear, angular) = sight.velocity;
         let calm =
             !touched && sight.touches.object_on_fixture && linear.norm() < REST_SPEED && angular.norm() < REST_TURN;
@@ -230,7 +275,7 @@ impl Referee {
             let peak = self.measures.peak_contact_force_n.get_or_insert(0.0);
             *peak = peak.max(force);
         }
-        let touched = sight.touches.fingers.iter().any(Option::is_some);
+        let touched = sight.in_touch();
         if let (Grip::Held { in_hand, .. }, Some(slip)) = (&self.grip, &mut self.measures.slip_m)
             && touched
             && self.ending.is_none()

@@ -77,32 +77,118 @@ pub struct Arm {
 
 /// The gripper.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+#[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Gripper {
     /// Two fingers that slide against each other.
-    ParallelJaw {
-        /// The fingers' sliding joints; 0 is closed.
-        finger_joints: [String; 2],
-        /// The bodies that carry the pads.
-        finger_bodies: [String; 2],
-        /// Opening between the pads when open, in metres.
-        opening_m: f64,
-        /// Speed of each finger, in m/s.
-        finger_speed_m_s: f64,
-        /// Normal force of each pad, in newtons.
-        force_n: f64,
-        /// What the hand can hold for long, in newtons.
-        force_limit_n: f64,
-        /// Stiffness of a finger's servo, in N/m.
-        stiffness_n_m: f64,
-        /// Damping of a finger's servo, in N s/m.
-        damping_ns_m: f64,
-        /// From the tool centre point to the fingertips, in metres.
-        tip_m: f64,
-        /// From the tool centre point back to the palm, in metres.
-        palm_m: f64,
-    },
+    ParallelJaw(ParallelJaw),
+    /// A suction cup.
+    Suction(SuctionCup),
 }
+
+/// Two fingers that slide against each other.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ParallelJaw {
+    /// The fingers' sliding joints; 0 is closed.
+    pub finger_joints: [String; 2],
+    /// The bodies that carry the pads.
+    pub finger_bodies: [String; 2],
+    /// Opening between the pads when open, in metres.
+    pub opening_m: f64,
+    /// Speed of each finger, in m/s.
+    pub finger_speed_m_s: f64,
+    /// Normal force of each pad, in newtons.
+    pub force_n: f64,
+    /// What the hand can hold for long, in newtons.
+    pub force_limit_n: f64,
+    /// Stiffness of a finger's servo, in N/m.
+    pub stiffness_n_m: f64,
+    /// Damping of a finger's servo, in N s/m.
+    pub damping_ns_m: f64,
+    /// From the tool centre point to the fingertips, in metres.
+    pub tip_m: f64,
+    /// From the tool centre point back to the palm, in metres.
+    pub palm_m: f64,
+}
+
+/// A suction cup: its lip is a circle about the tool centre point, across the tool's z axis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SuctionCup {
+    /// The body that carries the cup.
+    pub cup_body: String,
+    /// Diameter of the lip, in metres.
+    pub cup_diameter_m: f64,
+    /// How far the pump brings the pressure in the cup below that around it, in pascals.
+    pub vacuum_pa: f64,
+}
+
+impl Gripper {
+    /// The fingers, of a gripper that has some.
+    pub fn jaw(&self) -> Option<&ParallelJaw> {
+        match self {
+            Self::ParallelJaw(jaw) => Some(jaw),
+            Self::Suction(_) => None,
+        }
+    }
+
+    /// The cup, of a gripper that has one.
+    pub fn cup(&self) -> Option<&SuctionCup> {
+        match self {
+            Self::ParallelJaw(_) => None,
+            Self::Suction(cup) => Some(cup),
+        }
+    }
+
+    /// Its kind, in words.
+    pub fn words(&self) -> &'static str {
+        match self {
+            Self::ParallelJaw(_) => "a parallel jaw",
+            Self::Suction(_) => "a suction cup",
+        }
+    }
+
+    /// The names by which it refers to the model.
+    fn names(&self) -> Vec<&String> {
+        match self {
+            Self::ParallelJaw(jaw) => jaw.finger_joints.iter().chain(&jaw.finger_bodies).collect(),
+            Self::Suction(cup) => vec![&cup.cup_body],
+        }
+    }
+
+    /// Its quantities, which are positive, by their keys.
+    fn quantities(&self) -> Vec<(&'static str, f64)> {
+        match self {
+            Self::ParallelJaw(jaw) => vec![
+                ("gripper.opening_m", jaw.opening_m),
+                ("gripper.finger_speed_m_s", jaw.finger_speed_m_s),
+                ("gripper.force_n", jaw.force_n),
+                ("gripper.force_limit_n", jaw.force_limit_n),
+                ("gripper.stiffness_n_m", jaw.stiffness_n_m),
+                ("gripper.damping_ns_m", jaw.damping_ns_m),
+                ("gripper.tip_m", jaw.tip_m),
+                ("gripper.palm_m", jaw.palm_m),
+            ],
+            Self::Suction(cup) => {
+                vec![("gripper.cup_diameter_m", cup.cup_diameter_m), ("gripper.vacuum_pa", cup.vacuum_pa)]
+            }
+        }
+    }
+
+    /// What is wrong with quantities that are positive each.
+    fn contradiction(&self) -> Option<String> {
+        match self {
+            Self::ParallelJaw(ParallelJaw { force_n, force_limit_n, .. }) => (force_n > force_limit_n)
+                .then(|| format!("gripper.force_n = {force_n} exceeds gripper.force_limit_n = {force_limit_n}")),
+            Self::Suction(SuctionCup { vacuum_pa, .. }) => (*vacuum_pa > ATMOSPHERE_PA).then(|| {
+                format!("gripper.vacuum_pa = {vacuum_pa}: no pump goes further than {ATMOSPHERE_PA} Pa below the air")
+            }),
+        }
+    }
+}
+
+/// Standard atmosphere, in pascals.
+const ATMOSPHERE_PA: f64 = 101_325.0;
 
 /// Every robot in the binary: name, MJCF, `robot.toml`.
 const BUILT_IN: [(&str, &str, &str); 1] = [(
@@ -195,9 +281,8 @@ impl RobotSettings {
         if arm.joints.is_empty() {
             return Err(invalid("arm.joints is empty".to_owned()));
         }
-        let Gripper::ParallelJaw { finger_joints, finger_bodies, .. } = &settings.gripper;
-        let names =
-            arm.joints.iter().chain([&arm.flange_site, &arm.tcp_site]).chain(finger_joints).chain(finger_bodies);
+        let sites = [&arm.flange_site, &arm.tcp_site];
+        let names = arm.joints.iter().chain(sites).chain(settings.gripper.names());
         if let Some(name) = names.into_iter().find(|name| name.is_empty() || name.contains('\0')) {
             return Err(invalid(format!("{name:?} can be no name in a model")));
         }
@@ -219,37 +304,14 @@ impl RobotSettings {
                 return Err(invalid(format!("arm.{key} holds {bad}, which is not {wanted}")));
             }
         }
-        let Gripper::ParallelJaw {
-            opening_m,
-            finger_speed_m_s,
-            force_n,
-            force_limit_n,
-            stiffness_n_m,
-            damping_ns_m,
-            tip_m,
-            palm_m,
-            ..
-        } = &settings.gripper;
-        for (key, value) in [
-            ("arm.reach_m", arm.reach_m),
-            ("arm.payload_kg", arm.payload_kg),
-            ("gripper.opening_m", *opening_m),
-            ("gripper.finger_speed_m_s", *finger_speed_m_s),
-            ("gripper.force_n", *force_n),
-            ("gripper.force_limit_n", *force_limit_n),
-            ("gripper.stiffness_n_m", *stiffness_n_m),
-            ("gripper.damping_ns_m", *damping_ns_m),
-            ("gripper.tip_m", *tip_m),
-            ("gripper.palm_m", *palm_m),
-        ] {
+        let arm = [("arm.reach_m", arm.reach_m), ("arm.payload_kg", arm.payload_kg)];
+        for (key, value) in arm.into_iter().chain(settings.gripper.quantities()) {
             if !value.is_finite() || value <= 0.0 {
                 return Err(invalid(format!("{key} = {value} is not a positive number")));
             }
         }
-        if force_n > force_limit_n {
-            return Err(invalid(format!(
-                "gripper.force_n = {force_n} exceeds gripper.force_limit_n = {force_limit_n}"
-            )));
+        if let Some(why) = settings.gripper.contradiction() {
+            return Err(invalid(why));
         }
         Ok(settings)
     }

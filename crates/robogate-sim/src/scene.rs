@@ -11,6 +11,9 @@ pub const WORKSPACE_CENTRE: [f64; 2] = [0.5, 0.0];
 /// Where the object shall go, in metres: beyond the circle in which obstacles stand.
 pub(crate) const TARGET: [f64; 2] = [0.4, 0.4];
 
+/// Gravity on Earth, in m/s^2.
+pub(crate) const GRAVITY: f64 = 9.81;
+
 /// Obstacles stand within this distance of the workspace centre, in metres (paper, section 4.2).
 const OBSTACLE_RADIUS: f64 = 0.3;
 
@@ -44,6 +47,8 @@ pub struct Scene {
     pub object_pose: Isometry3<f64>,
     /// Coulomb friction of the object against everything.
     pub friction: f64,
+    /// Coulomb friction of the object against the table, where it differs.
+    pub table_friction: Option<f64>,
     /// Table and obstacles; the table is first.
     pub fixtures: Vec<Fixture>,
     /// Where the object's centre shall come to rest, in metres.
@@ -75,9 +80,10 @@ impl Scene {
         Ok(Self {
             object_pose: isometry(&pose.position, &pose.orientation),
             friction: parameters.friction,
+            table_friction: parameters.table_friction,
             fixtures,
             target: [TARGET[0], TARGET[1], half],
-            gravity: 9.81,
+            gravity: GRAVITY * parameters.gravity_scale,
             object,
         })
     }

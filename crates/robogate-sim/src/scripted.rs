@@ -29,6 +29,8 @@ const TRANSIT_HEIGHT_M: f64 = 0.25;
 const TIP_ROOM_M: f64 = 0.004;
 /// Room left between palm and object when grasping, in metres.
 const PALM_ROOM_M: f64 = 0.002;
+/// Room left between a cup and the top of the object, in metres: well within what cups take hold across.
+const CUP_ROOM_M: f64 = 0.002;
 /// The object is let go this far above the table, in metres.
 const RELEASE_ROOM_M: f64 = 0.003;
 /// The gripper is at rest when its opening changed less than this in a control period, in metres.
@@ -85,11 +87,27 @@ impl Scripted {
         }
     }
 
-    /// Height of the tool centre point above the table at the grasp: the object's middle, but never so low
-    /// that the fingertips touch the table, nor so deep that the palm touches the object.
+    /// Height of the tool centre point above the table at the grasp. Fingers: the object's middle, but never so low
+    /// that the fingertips touch the table, nor so deep that the palm touches the object. A cup: just above the
+    /// object.
     fn grasp_height(&self, extent: &[f64; 3]) -> f64 {
-        let Gripper::ParallelJaw { tip_m, palm_m, .. } = &self.robot.settings.gripper;
-        (0.5 * extent[2]).max(extent[2] - (palm_m - PALM_ROOM_M)).max(tip_m + TIP_ROOM_M)
+        match &self.robot.settings.gripper {
+            Gripper::ParallelJaw(jaw) => {
+                (0.5 * extent[2]).max(extent[2] - (jaw.palm_m - PALM_ROOM_M)).max(jaw.tip_m + TIP_ROOM_M)
+            }
+            Gripper::Suction(_) => extent[2] + CUP_ROOM_M,
+        }
+    }
+
+    /// From the object's middle to where the gripper takes it, horizontally and in the object's frame, in metres.
+    fn grasp_offset(&self, task: &TaskSpec) -> Vector3<f64> {
+        match (&self.robot.settings.gripper, Shape::from_word(&task.shape)) {
+            (Gripper::Suction(_), Some(shape)) => {
+                let [x, y] = shape.top(task.object_extent_m[0]);
+                Vector3::new(x, y, 0.0)
+            }
+            _ => Vector3::zeros(),
+        }
     }
 
     /// The tool above `at`, pointing down, fingers closing along the direction `yaw` + 90 degrees.
@@ -99,19 +117,30 @@ impl Scripted {
         Isometry3::from_parts(Translation3::new(at[0], at[1], height), turn * down)
     }
 
-    /// The grasp direction, among those in which the object looks the same, that bends the wrist
-    /// least, and the joint positions above the object with it.
-    fn choose_grasp(&self, task: &TaskSpec) -> Result<(f64, Vec<f64>), Unreachable> {
+    /// The tool's directions to choose from at the object, which is turned by `yaw`. Fingers: those in which the object
+    /// looks the same. A cup looks the same in every one: it is turned with the arm's base, which spares the wrist.
+    fn directions(&self, task: &TaskSpec, at: &[f64; 3], yaw: f64) -> Vec<f64> {
         let home = &self.robot.settings.arm.home_rad;
-        let [w, x, y, z] = task.object_pose.orientation;
-        let yaw = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z)).euler_angles().2;
-        let symmetry = Shape::from_word(&task.shape).map_or(PI, Shape::grasp_symmetry);
-        let turns = (2.0 * PI / symmetry).round() as usize;
+        match &self.robot.settings.gripper {
+            Gripper::ParallelJaw(_) => {
+                let symmetry = Shape::from_word(&task.shape).map_or(PI, Shape::grasp_symmetry);
+                let turns = (2.0 * PI / symmetry).round() as usize;
+                (0..turns).map(|k| yaw + k as f64 * symmetry).collect()
+            }
+            Gripper::Suction(_) => {
+                let x = self.chain.tcp_at(home).rotation * Vector3::x();
+                vec![self.carry_yaw(home, x.y.atan2(x.x), at)]
+            }
+        }
+    }
+
+    /// The grasp direction that bends the wrist least, and the joint positions above the object with it.
+    fn choose_grasp(&self, task: &TaskSpec, at: &[f64; 3], yaw: f64) -> Result<(f64, Vec<f64>), Unreachable> {
+        let home = &self.robot.settings.arm.home_rad;
         let mut best: Option<(f64, f64, Vec<f64>)> = None;
         let mut failure = None;
-        for k in 0..turns {
-            let yaw = yaw + k as f64 * symmetry;
-            let goal = Self::above(&task.object_pose.position, TRANSIT_HEIGHT_M, yaw);
+        for yaw in self.directions(task, at, yaw) {
+            let goal = Self::above(at, TRANSIT_HEIGHT_M, yaw);
             match self.chain.reach(&goal, home) {
                 Ok(q) => {
                     let bend = q.iter().zip(home).map(|(q, home)| (q - home).abs()).fold(0.0, f64::max);
@@ -144,12 +173,18 @@ impl Scripted {
         let straight = |from: &[f64], to, limit| straight_path(&self.chain, from, &to, home, arm, limit, period);
         let stage = |phase, path, gripper, settles| Stage { phase, path, gripper, settles };
 
-        let (yaw, above) = self.choose_grasp(task)?;
+        let [w, x, y, z] = task.object_pose.orientation;
+        let object_yaw = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z)).euler_angles().2;
+        let turned = |yaw| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * self.grasp_offset(task);
+        let from_middle =
+            |middle: &[f64; 3], offset: Vector3<f64>| [middle[0] + offset.x, middle[1] + offset.y, middle[2]];
+        let object = &from_middle(&task.object_pose.position, turned(object_yaw));
+        let (yaw, above) = self.choose_grasp(task, object, object_yaw)?;
         plan.push(stage(Phase::ApproachAbove, joint_path(home, &above, arm, period), Open, false));
 
         let height = self.grasp_height(&task.object_extent_m);
-        let object = &task.object_pose.position;
-        let path = straight(&above, Self::above(object, height, yaw), FREE)?;
+        let speed = task.approach_speed_m_s.unwrap_or(FREE.speed);
+        let path = straight(&above, Self::above(object, height, yaw), ToolLimit { speed, ..FREE })?;
         let down = end_of(&path, &above);
         plan.push(stage(Phase::Descend, path, Open, false));
         plan.push(stage(Phase::Grasp, vec![down.clone()], Close, true));
@@ -159,8 +194,10 @@ impl Scripted {
         plan.push(stage(Phase::Lift, path, Close, false));
 
         // Across with the grasp's own direction turned the least way to one that suits the target.
-        let target = &task.target_pose.position;
-        let yaw = self.carry_yaw(&up, yaw, target);
+        let goal = &task.target_pose.position;
+        let placed = self.carry_yaw(&up, yaw, goal);
+        let target = &from_middle(goal, turned(object_yaw + placed - yaw));
+        let yaw = placed;
         let mut path = straight(&up, Self::above(target, TRANSIT_HEIGHT_M, yaw), CARRY)?;
         let across = end_of(&path, &up);
         let place = height + RELEASE_ROOM_M;

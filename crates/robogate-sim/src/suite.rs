@@ -5,7 +5,7 @@ use std::fmt;
 
 use robogate_core::{Assignment, Parameter, ParameterSpace, Spread, Suite};
 
-use crate::{ParameterError, SceneParameters};
+use crate::{Gripper, ParameterError, SceneParameters};
 
 /// What one or more scenarios of a suite ask for and this world cannot be.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,21 +27,21 @@ impl fmt::Display for SuiteMisfit {
 }
 
 /// Everything that this world cannot be, each mistake once with all scenarios that make it; nothing where every
-/// parameter of every scenario means something here over its whole range.
-pub fn check_suite(suite: &Suite) -> Vec<SuiteMisfit> {
+/// parameter of every scenario means something here over its whole range, and to this gripper where one is given.
+pub fn check_suite(suite: &Suite, gripper: Option<&Gripper>) -> Vec<SuiteMisfit> {
     let mut found: BTreeMap<String, SuiteMisfit> = BTreeMap::new();
     for case in suite.cases() {
         for (name, spread) in &case.parameters {
             let checked = match spread {
                 Spread::Fixed(value) => {
                     let one: Assignment = [(name.clone(), value.clone())].into_iter().collect();
-                    SceneParameters::from_assignment(&one).map(drop)
+                    SceneParameters::from_assignment(&one, gripper).map(drop)
                 }
                 Spread::Drawn(domain) => {
                     let parameter = Parameter { name: name.clone(), domain: domain.clone() };
                     // A drawn parameter of a suite is one of a space: the suite was checked for that.
                     match ParameterSpace::new(suite.name(), vec![parameter]) {
-                        Ok(space) => SceneParameters::check_space(&space),
+                        Ok(space) => SceneParameters::check_space(&space, gripper),
                         Err(_) => Ok(()),
                     }
                 }

@@ -10,9 +10,9 @@ mod common;
 
 use std::sync::Arc;
 
-use common::franka;
+use common::{franka, with_cup};
 use robogate_core::ParameterSpace;
-use robogate_sim::FRANKA_SPACE;
+use robogate_sim::built_in_space;
 use robogate_sim::claims::{self, Finding};
 
 fn confirm(finding: Result<Finding, String>) {
@@ -21,8 +21,8 @@ fn confirm(finding: Result<Finding, String>) {
     assert!(finding.holds, "{finding:#?}");
 }
 
-fn space() -> Arc<ParameterSpace> {
-    Arc::new(ParameterSpace::from_toml(FRANKA_SPACE).unwrap())
+fn space(name: &str) -> Arc<ParameterSpace> {
+    Arc::new(ParameterSpace::from_toml(built_in_space(name).unwrap()).unwrap())
 }
 
 #[test]
@@ -42,15 +42,51 @@ fn the_easy_region_is_easy() {
 
 #[test]
 fn halving_the_time_step_changes_few_outcomes() {
-    confirm(claims::time_step(&franka(), &space(), 500));
+    confirm(claims::time_step(&franka(), &space("franka"), 500));
 }
 
 #[test]
 fn an_episode_has_the_same_bits_in_any_order() {
-    confirm(claims::repeatable(&franka(), &space(), 40));
+    confirm(claims::repeatable(&franka(), &space("franka"), 40));
 }
 
 #[test]
 fn joint_limits_are_kept() {
     confirm(claims::joint_limits(&franka(), 28));
+}
+
+#[test]
+fn a_vacuum_cup_lifts_what_its_pressure_and_area_allow() {
+    confirm(claims::vacuum_limit(&with_cup()));
+}
+
+#[test]
+fn doubling_the_cups_area_doubles_the_mass_it_holds() {
+    confirm(claims::cup_area(&with_cup()));
+}
+
+#[test]
+fn doubling_gravity_halves_the_mass_a_cup_holds_but_for_the_lifts_own_acceleration() {
+    confirm(claims::gravity(&with_cup()));
+}
+
+#[test]
+fn a_surface_gripper_never_reports_grip_loss() {
+    confirm(claims::surface_keeps(&with_cup(), &space("ur"), 80));
+}
+
+#[test]
+fn an_object_off_its_placement_is_picked_less_often() {
+    confirm(claims::position_jitter(&franka(), 28));
+    confirm(claims::position_jitter(&with_cup(), 28));
+}
+
+#[test]
+fn the_easy_region_is_easy_for_a_cup() {
+    confirm(claims::easy_region(&with_cup(), 56));
+}
+
+#[test]
+fn a_cups_episode_has_the_same_bits_in_any_order() {
+    confirm(claims::repeatable(&with_cup(), &space("ur-wide"), 30));
 }

@@ -15,7 +15,7 @@ use robogate_campaign::{Crew, Station, Workshop, execute};
 use robogate_core::{Design, Fault, ParameterSpace, Sampler, Scenario, Seed, rollout, samplers};
 use robogate_sim::{
     Chain, Engine, EngineBuild, FRANKA_SPACE, JointTargets, MujocoEngine, PickPlace, Readback, Robot, Scene, Scripted,
-    Touches, built_in_robot,
+    Touches, Wrench, built_in_robot,
 };
 
 fn main() {
@@ -162,8 +162,20 @@ impl Engine for Recorder {
         self.inner.joint_velocities()
     }
 
-    fn opening(&self) -> f64 {
+    fn opening(&self) -> Option<f64> {
         self.inner.opening()
+    }
+
+    fn join(&mut self) {
+        self.inner.join();
+    }
+
+    fn part(&mut self) {
+        self.inner.part();
+    }
+
+    fn cup_load(&self) -> Option<Wrench> {
+        self.inner.cup_load()
     }
 
     fn tcp(&self) -> Isometry3<f64> {

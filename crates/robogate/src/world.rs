@@ -5,10 +5,13 @@ use std::path::Path;
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_campaign::{Station, Workshop};
-use robogate_core::{Assignment, Fault, FaultKind, Policy, Scenario, Seed, Simulator};
+use robogate_core::{Assignment, Fault, FaultKind, ParameterSpace, Policy, Scenario, Seed, Simulator, Suite};
 use robogate_dictionary::provenance;
-use robogate_sim::claims::{Bench, Workbench};
-use robogate_sim::{Engine, Gripper, MujocoEngine, PickPlace, Robot, Scripted, built_in_robot};
+use robogate_sim::claims::{Bench, Setup, Workbench};
+use robogate_sim::{
+    Engine, Gripper, MujocoEngine, PickPlace, Robot, SceneParameters, Scripted, SuctionLaw, built_in_robot,
+    built_in_space, built_in_spaces, check_suite, default_space,
+};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -25,6 +28,9 @@ pub(crate) struct World {
     /// Normal force of each pad in newtons; the robot's own setting where it is left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) grip_force_n: Option<f64>,
+    /// What holds an object at a suction cup; nothing for a gripper without one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) suction: Option<SuctionLaw>,
 }
 
 /// The world, on the command line.
@@ -42,6 +48,10 @@ pub(crate) struct WorldArguments {
     /// Normal force of each gripper pad in newtons; default: the robot's own
     #[arg(long, value_name = "NEWTONS")]
     grip_force: Option<f64>,
+    /// What holds an object at a suction cup: surface (a joint that never breaks, the paper's) or vacuum (pressure and
+    /// friction, up to their limits); default: surface for the paper preset, vacuum otherwise
+    #[arg(long, value_name = "LAW")]
+    suction: Option<SuctionLaw>,
 }
 
 impl WorldArguments {
@@ -52,6 +62,7 @@ impl WorldArguments {
             engine: self.engine.clone(),
             time_step_s: self.time_step.unwrap_or(MujocoEngine::TIME_STEP_S),
             grip_force_n: self.grip_force,
+            suction: self.suction,
         }
     }
 }
@@ -71,7 +82,9 @@ pub(crate) struct Cell {
 
 impl Cell {
     /// Reads the robot and tries the cell out once, so that what is wrong is said before anything starts.
-    pub(crate) fn new(world: World) -> anyhow::Result<Self> {
+    ///
+    /// A suction cup holds by `suction` where the world does not say.
+    pub(crate) fn new(mut world: World, suction: SuctionLaw) -> anyhow::Result<Self> {
         if world.engine != "mujoco" {
             bail!("there is no engine `{}`; there is mujoco", world.engine);
         }
@@ -79,8 +92,19 @@ impl Cell {
             folder if folder.is_dir() => Robot::from_folder(folder),
             _ => built_in_robot(&world.robot),
         }?;
+        match (robot.settings.gripper.cup(), world.suction) {
+            (Some(_), law) => world.suction = Some(law.unwrap_or(suction)),
+            (None, Some(law)) => {
+                let (name, gripper) = (robot.name(), robot.settings.gripper.words());
+                bail!("--suction {law} is for a suction cup: the gripper of {name} is {gripper}");
+            }
+            (None, None) => {}
+        }
+        if let (Some(_), Some(force)) = (robot.settings.gripper.cup(), world.grip_force_n) {
+            bail!("--grip-force {force} is for fingers: the gripper of {} is a suction cup", robot.name());
+        }
         let cell = Self { world, robot };
-        let mut simulator = cell.simulator(cell.world.time_step_s, cell.world.grip_force_n)?;
+        let mut simulator = cell.simulator(&cell.setup())?;
         let nominal = Scenario { index: 0, seed: Seed::campaign(0).episode(0), requested: Assignment::default() };
         simulator.reset(&nominal).context("the robot cannot be set up in the cell")?;
         Ok(cell)
@@ -90,7 +114,34 @@ impl Cell {
     pub(crate) fn recorded(provenance: &robogate_dictionary::Provenance) -> anyhow::Result<Self> {
         let world = serde_json::from_value(provenance.world.clone())
             .context("the run's plan.json says nothing useful under provenance.world")?;
-        Self::new(world)
+        // Runs of robots with a cup all say by which law it holds.
+        Self::new(world, SuctionLaw::Vacuum)
+    }
+
+    /// A parameter space by its name, or the file that it is in; without either the robot's own.
+    pub(crate) fn space(&self, wanted: Option<&str>) -> anyhow::Result<ParameterSpace> {
+        let gripper = &self.robot.settings.gripper;
+        let wanted = wanted.unwrap_or_else(|| default_space(gripper));
+        let space = match built_in_space(wanted) {
+            Some(text) => ParameterSpace::from_toml(text).with_context(|| wanted.to_owned()),
+            None if !Path::new(wanted).exists() && !wanted.contains(['/', '.']) => {
+                let known = built_in_spaces().collect::<Vec<_>>().join(", ");
+                bail!("there is no parameter space `{wanted}`; built in: {known}; one of your own is named by its file")
+            }
+            None => std::fs::read_to_string(wanted)
+                .with_context(|| format!("cannot read {wanted}"))
+                .and_then(|text| ParameterSpace::from_toml(&text).with_context(|| wanted.to_owned())),
+        }?;
+        SceneParameters::check_space(&space, Some(gripper)).with_context(|| format!("space {}", space.name()))?;
+        Ok(space)
+    }
+
+    /// Whether the gripper has every parameter that a suite asks for.
+    pub(crate) fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
+        match check_suite(suite, Some(&self.robot.settings.gripper)).first() {
+            Some(misfit) => bail!("suite {}: {misfit}", suite.name()),
+            None => Ok(()),
+        }
     }
 
     /// The world that it is in.
@@ -98,20 +149,21 @@ impl Cell {
         &self.world
     }
 
-    fn simulator(&self, time_step: f64, grip_force: Option<f64>) -> anyhow::Result<PickPlace<MujocoEngine>> {
-        let engine = MujocoEngine::new(self.robot.clone(), time_step)?;
-        PickPlace::new(engine, grip_force).map_err(|why| anyhow!(why))
+    fn simulator(&self, setup: &Setup) -> anyhow::Result<PickPlace<MujocoEngine>> {
+        let engine = MujocoEngine::new(setup.robot.clone(), setup.time_step_s)?;
+        let simulator = PickPlace::new(engine, None).map_err(|why| anyhow!(why))?;
+        Ok(simulator.with_suction(setup.suction))
     }
 
-    fn make(&self, time_step: f64, grip_force: Option<f64>) -> anyhow::Result<(Box<dyn Simulator>, Box<dyn Policy>)> {
-        let simulator = self.simulator(time_step, grip_force)?;
-        let policy = Scripted::new(self.robot.clone(), simulator.engine().chain().clone());
+    fn make(&self, setup: &Setup) -> anyhow::Result<(Box<dyn Simulator>, Box<dyn Policy>)> {
+        let simulator = self.simulator(setup)?;
+        let policy = Scripted::new(setup.robot.clone(), simulator.engine().chain().clone());
         Ok((Box::new(simulator), Box::new(policy)))
     }
 
     /// The engine's and robot's part of the provenance.
     pub(crate) fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
-        let build = self.simulator(self.world.time_step_s, self.world.grip_force_n)?.engine().build();
+        let build = self.simulator(&self.setup())?.engine().build();
         let build_sha256 = match &build.library {
             Some(path) => {
                 let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
@@ -139,35 +191,22 @@ fn hex(bytes: &[u8]) -> String {
 
 impl Workshop for Cell {
     fn station(&self) -> Result<Station, Fault> {
-        let (simulator, policy) = self
-            .make(self.world.time_step_s, self.world.grip_force_n)
-            .map_err(|e| Fault::new(FaultKind::Unavailable, format!("{e:#}")))?;
+        let (simulator, policy) =
+            self.make(&self.setup()).map_err(|e| Fault::new(FaultKind::Unavailable, format!("{e:#}")))?;
         Ok(Station { simulator, policy })
     }
 }
 
 impl Workbench for Cell {
-    fn bench(&self, time_step_s: Option<f64>, grip_force_n: Option<f64>) -> Result<Bench, String> {
-        let step = time_step_s.unwrap_or(self.world.time_step_s);
-        self.make(step, grip_force_n.or(self.world.grip_force_n)).map_err(|e| format!("{e:#}"))
+    fn setup(&self) -> Setup {
+        let mut robot = self.robot.clone();
+        if let (Gripper::ParallelJaw(jaw), Some(force)) = (&mut robot.settings.gripper, self.world.grip_force_n) {
+            jaw.force_n = force;
+        }
+        Setup { robot, time_step_s: self.world.time_step_s, suction: self.world.suction.unwrap_or(SuctionLaw::Vacuum) }
     }
 
-    fn time_step_s(&self) -> f64 {
-        self.world.time_step_s
-    }
-
-    fn opening_m(&self) -> f64 {
-        let Gripper::ParallelJaw { opening_m, .. } = &self.robot.settings.gripper;
-        *opening_m
-    }
-
-    fn force_limit_n(&self) -> f64 {
-        let Gripper::ParallelJaw { force_limit_n, .. } = &self.robot.settings.gripper;
-        *force_limit_n
-    }
-
-    fn joint_limits(&self) -> (Vec<f64>, Vec<f64>) {
-        let arm = &self.robot.settings.arm;
-        (arm.velocity_limit_rad_s.clone(), arm.acceleration_limit_rad_s2.clone())
+    fn bench(&self, setup: &Setup) -> Result<Bench, String> {
+        self.make(setup).map_err(|e| format!("{e:#}"))
     }
 }

@@ -177,6 +177,7 @@ impl Simulator for World {
             object_pose: pose,
             target_pose: pose,
             tolerance_m: 0.03,
+            approach_speed_m_s: None,
         };
         Ok(Start { task, observation: self.observation(), applied: scenario.requested.clone() })
     }

@@ -1,39 +1,31 @@
-//! The workbench of the tests: the Franka in MuJoCo.
+//! The workbench of the tests: a robot in MuJoCo.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![allow(dead_code, reason = "each test binary uses its part")]
 
-use robogate_sim::claims::{Bench, Workbench};
-use robogate_sim::{Engine, Gripper, MujocoEngine, PickPlace, Robot, Scripted, built_in_robot};
+use std::path::Path;
 
-pub(crate) struct FrankaInMujoco(Robot);
+use robogate_sim::claims::{Bench, Setup, Workbench};
+use robogate_sim::{Engine, MujocoEngine, PickPlace, Robot, Scripted, SuctionLaw, built_in_robot};
 
-pub(crate) fn franka() -> FrankaInMujoco {
-    FrankaInMujoco(built_in_robot("franka").unwrap())
+pub(crate) struct InMujoco(pub(crate) Robot);
+
+pub(crate) fn franka() -> InMujoco {
+    InMujoco(built_in_robot("franka").unwrap())
 }
 
-impl Workbench for FrankaInMujoco {
-    fn bench(&self, time_step_s: Option<f64>, grip_force_n: Option<f64>) -> Result<Bench, String> {
-        let engine =
-            MujocoEngine::new(self.0.clone(), time_step_s.unwrap_or(self.time_step_s())).map_err(|e| e.to_string())?;
-        let policy = Scripted::new(self.0.clone(), engine.chain().clone());
-        Ok((Box::new(PickPlace::new(engine, grip_force_n)?), Box::new(policy)))
+/// The Franka's arm with a cup of 40 mm in place of its hand.
+pub(crate) fn with_cup() -> InMujoco {
+    InMujoco(Robot::from_folder(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/robots/cup")).unwrap())
+}
+
+impl Workbench for InMujoco {
+    fn setup(&self) -> Setup {
+        Setup { robot: self.0.clone(), time_step_s: MujocoEngine::TIME_STEP_S, suction: SuctionLaw::Vacuum }
     }
 
-    fn time_step_s(&self) -> f64 {
-        MujocoEngine::TIME_STEP_S
-    }
-
-    fn opening_m(&self) -> f64 {
-        let Gripper::ParallelJaw { opening_m, .. } = &self.0.settings.gripper;
-        *opening_m
-    }
-
-    fn force_limit_n(&self) -> f64 {
-        let Gripper::ParallelJaw { force_limit_n, .. } = &self.0.settings.gripper;
-        *force_limit_n
-    }
-
-    fn joint_limits(&self) -> (Vec<f64>, Vec<f64>) {
-        let arm = &self.0.settings.arm;
-        (arm.velocity_limit_rad_s.clone(), arm.acceleration_limit_rad_s2.clone())
+    fn bench(&self, setup: &Setup) -> Result<Bench, String> {
+        let engine = MujocoEngine::new(setup.robot.clone(), setup.time_step_s).map_err(|e| e.to_string())?;
+        let policy = Scripted::new(setup.robot.clone(), engine.chain().clone());
+        Ok((Box::new(PickPlace::new(engine, None)?.with_suction(setup.suction)), Box::new(policy)))
     }
 }

@@ -3,9 +3,8 @@
 use std::sync::Arc;
 
 use clap::{Args, Subcommand};
-use robogate_core::ParameterSpace;
-use robogate_sim::FRANKA_SPACE;
-use robogate_sim::claims::{self, Finding};
+use robogate_sim::SuctionLaw;
+use robogate_sim::claims::{self, Finding, Workbench};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
@@ -21,11 +20,11 @@ pub(crate) struct Check {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// The physics: friction, opening, easy region, time step, repeatability, joint limits
+    /// The physics: what the gripper holds, easy region, time step, repeatability, joint limits
     Physics(Physics),
 }
 
-/// The physics claims at full length: three minutes.
+/// The physics claims at full length: three minutes. Which there are depends on the robot's gripper.
 #[derive(Debug, Args)]
 struct Physics {
     /// Only these claims
@@ -38,11 +37,23 @@ struct Physics {
     json: bool,
 }
 
-/// The claims by name, in the order in which they are checked.
-const CLAIMS: [&str; 6] = ["coulomb", "opening", "easy_region", "time_step", "repeatable", "joint_limits"];
+/// The claims by name.
+const CLAIMS: [&str; 11] = [
+    "coulomb",
+    "opening",
+    "vacuum_limit",
+    "cup_area",
+    "gravity",
+    "surface_keeps",
+    "position_jitter",
+    "easy_region",
+    "time_step",
+    "repeatable",
+    "joint_limits",
+];
 
-/// A claim's experiment.
-type Experiment<'a> = &'a dyn Fn() -> Result<Finding, String>;
+/// A claim's name and experiment.
+type Experiment<'a> = (&'static str, &'a dyn Fn() -> Result<Finding, String>);
 
 impl Check {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
@@ -53,18 +64,31 @@ impl Check {
 
 impl Physics {
     fn execute(&self) -> Result<u8, Exit> {
-        let cell = Cell::new(self.world.world()).or_usage()?;
-        let space = Arc::new(ParameterSpace::from_toml(FRANKA_SPACE).or_broken()?);
-        let experiments: [Experiment<'_>; CLAIMS.len()] = [
-            &|| claims::coulomb(&cell),
-            &|| claims::opening(&cell, 140),
-            &|| claims::easy_region(&cell, 700),
-            &|| claims::time_step(&cell, &space, 500),
-            &|| claims::repeatable(&cell, &space, 200),
-            &|| claims::joint_limits(&cell, 70),
+        let cell = Cell::new(self.world.world(), SuctionLaw::Vacuum).or_usage()?;
+        let space = Arc::new(cell.space(None).or_usage()?);
+        let fingers: &[Experiment<'_>] =
+            &[("coulomb", &|| claims::coulomb(&cell)), ("opening", &|| claims::opening(&cell, 140))];
+        let suction: &[Experiment<'_>] = &[
+            ("vacuum_limit", &|| claims::vacuum_limit(&cell)),
+            ("cup_area", &|| claims::cup_area(&cell)),
+            ("gravity", &|| claims::gravity(&cell)),
+            ("surface_keeps", &|| claims::surface_keeps(&cell, &space, 300)),
         ];
+        let any: &[Experiment<'_>] = &[
+            ("position_jitter", &|| claims::position_jitter(&cell, 140)),
+            ("easy_region", &|| claims::easy_region(&cell, 700)),
+            ("time_step", &|| claims::time_step(&cell, &space, 500)),
+            ("repeatable", &|| claims::repeatable(&cell, &space, 200)),
+            ("joint_limits", &|| claims::joint_limits(&cell, 70)),
+        ];
+        let gripper = &cell.setup().robot.settings.gripper;
+        let own = if gripper.cup().is_some() { suction } else { fingers };
+        let experiments = || own.iter().chain(any);
+        if let Some(claim) = self.claims.iter().find(|claim| experiments().all(|(name, _)| name != claim)) {
+            return Err(anyhow::anyhow!("the claim {claim} says nothing about {}", gripper.words())).or_usage();
+        }
         let mut found = Vec::new();
-        for (name, experiment) in CLAIMS.into_iter().zip(experiments) {
+        for (name, experiment) in experiments() {
             if !self.claims.is_empty() && !self.claims.iter().any(|claim| claim == name) {
                 continue;
             }

@@ -5,12 +5,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::Context;
 use clap::Args;
 use robogate_campaign::{Completion, Crew, DEFAULT_SEED, Event, Plan, Preset, RunError};
 use robogate_core::ParameterSpace;
 use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool};
-use robogate_sim::{FRANKA_SPACE, SceneParameters};
+use robogate_sim::SuctionLaw;
 
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
@@ -28,9 +27,9 @@ pub(crate) struct Run {
     /// A plan of your own in place of a preset (TOML; the presets are its reference)
     #[arg(long, value_name = "FILE", conflicts_with = "preset")]
     plan: Option<PathBuf>,
-    /// A parameter space of your own (TOML)
-    #[arg(long, value_name = "FILE")]
-    space: Option<PathBuf>,
+    /// The parameter space: franka, ur, ur-wide, or a file of your own (TOML); default: the robot's own, by its gripper
+    #[arg(long, value_name = "NAME|FILE")]
+    space: Option<String>,
     /// A suite in place of both stages: a built-in one, or the file of your own (TOML)
     #[arg(long, value_name = "SUITE", conflicts_with_all = ["preset", "plan", "space", "n"])]
     suite: Option<String>,
@@ -65,10 +64,13 @@ pub(crate) struct How {
 
 impl Run {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let (plan, space) = self.plan_and_space()?;
         let world = self.world.world();
         let robot = Path::new(&world.robot).file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        let cell = Cell::new(world).or_usage()?;
+        // The paper's surface gripper is the paper's: elsewhere a cup holds what it can hold.
+        let papers =
+            self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
+        let cell = Cell::new(world, if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum }).or_usage()?;
+        let (plan, space) = self.plan_and_space(&cell)?;
         let provenance = provenance(&cell, space)?;
         let dir = match &self.out {
             Some(dir) => dir.clone(),
@@ -107,22 +109,17 @@ impl Run {
         self.how.conduct(&dir, &cell, |crew, events| robogate_campaign::start(&dir, &plan, provenance, crew, events))
     }
 
-    fn plan_and_space(&self) -> Result<(Plan, ParameterSpace), Exit> {
+    /// What to run, and over which parameters.
+    fn plan_and_space(&self, cell: &Cell) -> Result<(Plan, ParameterSpace), Exit> {
         if let Some(name) = &self.suite {
             let suite = suites::find(name)?;
+            cell.check_suite(&suite).or_usage()?;
             let space = suite.space().clone();
             let plan = Plan::of_suite(suite, self.rounds, self.seed.unwrap_or(DEFAULT_SEED));
             plan.check(&space).or_usage()?;
             return Ok((plan, space));
         }
-        let space = match &self.space {
-            Some(file) => std::fs::read_to_string(file)
-                .with_context(|| format!("cannot read {}", file.display()))
-                .and_then(|text| ParameterSpace::from_toml(&text).with_context(|| file.display().to_string()))
-                .or_usage()?,
-            None => ParameterSpace::from_toml(FRANKA_SPACE).or_broken()?,
-        };
-        SceneParameters::check_space(&space).or_usage()?;
+        let space = cell.space(self.space.as_deref()).or_usage()?;
         let mut plan = match &self.plan {
             Some(file) => Plan::load(file).or_usage()?,
             None => {
