@@ -106,6 +106,11 @@ pub struct Wrench {
     pub torque: Vector3<f64>,
 }
 
+impl Wrench {
+    /// No force and no torque.
+    pub const ZERO: Self = Self { force: Vector3::new(0.0, 0.0, 0.0), torque: Vector3::new(0.0, 0.0, 0.0) };
+}
+
 /// Parameters as an engine holds them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Readback {

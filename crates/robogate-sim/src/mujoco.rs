@@ -526,7 +526,7 @@ impl Engine for MujocoEngine {
             tcp,
             touches: Touches::default(),
             forces: Vec::new(),
-            support: Wrench { force: Vector3::zeros(), torque: Vector3::zeros() },
+            support: Wrench::ZERO,
             scene: scene.clone(),
         };
         let loaded = self.loaded.insert(loaded);
@@ -715,7 +715,7 @@ impl Loaded {
         let touches = &mut self.touches;
         *touches = Touches::default();
         self.forces.clear();
-        self.support = Wrench { force: Vector3::zeros(), torque: Vector3::zeros() };
+        self.support = Wrench::ZERO;
         let joined = self.weld.is_some_and(|weld| self.data.eq_active()[weld.equality]);
         for (i, contact) in self.data.contact().iter().enumerate() {
             // A contact that is only near has no constraint.

@@ -131,9 +131,15 @@ impl<E: Engine> Simulator for PickPlace<E> {
         let standing = placement.moved([off * cos, off * sin]);
         let mut obstacles = scenario.seed.stream("obstacles");
         let scene = Scene::new(&parameters, &standing, &mut obstacles).map_err(setup)?;
-        let suction = gripper
-            .cup()
-            .map(|cup| Suction::new(self.suction_law, cup.clone(), parameters.grip_threshold_m, parameters.friction));
+        let suction = gripper.cup().map(|cup| {
+            Suction::new(
+                self.suction_law,
+                cup.clone(),
+                parameters.grip_threshold_m,
+                parameters.friction,
+                self.engine.time_step(),
+            )
+        });
         let finger = gripper.jaw().map_or(0.0, |jaw| 0.5 * jaw.opening_m);
         let mut encoders = scenario.seed.stream("encoder-bias");
         let noise = parameters.ik_noise_rad;

@@ -8,7 +8,7 @@
 //! |---|---|
 //! | collision | a robot body touches a fixture |
 //! | grasp_miss | fingers: told to close, they have come to rest, and not both press on the object with at least a fifth of the grip force |
-//! | grasp_miss | suction: told to grip, the tool has been at rest for 0.1 s and nothing hangs at the cup |
+//! | grasp_miss | suction: told to grip, the tool has been at rest for 0.2 s and nothing hangs at the cup |
 //! | grip_loss | the object was held, the gripper not told to open, and for 50 ms no finger touches the object, or the cup has lost it; or it was let go with its middle more than 5 cm above where it should rest, and has come to rest |
 //! | success | let go, at rest for 0.2 s within the tolerance of the target, touched by nothing of the robot |
 //!
@@ -21,9 +21,10 @@ use crate::{Collision, Touches};
 
 /// The gripper is at rest when its opening changed less than this in [`SETTLE_S`], in metres.
 const SETTLED_M: f64 = 2e-4;
-/// A tool with a cup is at rest when it moved less than this in [`SETTLE_S`], in metres: a cup may be told to grip
-/// on its way.
+/// A tool with a cup is at rest when it moved less than this, in metres: a cup may be told to grip on its way ...
 const TOOL_SETTLED_M: f64 = 2e-3;
+/// ... in this time, in seconds: longer than a vacuum takes to build up.
+const TOOL_SETTLE_S: f64 = 0.2;
 /// How long the gripper must have been at rest, in seconds.
 const SETTLE_S: f64 = 0.1;
 /// Each finger holds the object with at least this share of the grip force; less is a touch.
@@ -75,11 +76,11 @@ impl Sight<'_> {
         }
     }
 
-    /// What must come to rest for a grasp to be done, and how little it may still move, in metres.
-    fn stir(&self) -> (Vector3<f64>, f64) {
+    /// What must come to rest for a grasp to be done, how little it may still move (m) and for how long (s).
+    fn stir(&self) -> (Vector3<f64>, f64, f64) {
         match self.hand {
-            Hand::Fingers(opening) => (Vector3::new(opening, 0.0, 0.0), SETTLED_M),
-            Hand::Cup(_) => (self.tcp.translation.vector, TOOL_SETTLED_M),
+            Hand::Fingers(opening) => (Vector3::new(opening, 0.0, 0.0), SETTLED_M, SETTLE_S),
+            Hand::Cup(_) => (self.tcp.translation.vector, TOOL_SETTLED_M, TOOL_SETTLE_S),
         }
     }
 }
@@ -176,12 +177,12 @@ impl Referee {
                 self.events.push(what.to_owned());
             }
             (GripperCommand::Close, Grip::Closing { at, moved_at }) => {
-                let (now, still) = sight.stir();
+                let (now, still, long) = sight.stir();
                 if sight.hand == Hand::Cup(true) {
                     self.settle(sight);
                 } else if (*at - now).norm() > still {
                     (*at, *moved_at) = (now, sight.time);
-                } else if sight.time - *moved_at >= SETTLE_S {
+                } else if sight.time - *moved_at >= long {
                     self.settle(sight);
                 }
             }

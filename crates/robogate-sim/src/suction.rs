@@ -21,7 +21,9 @@
 //! - M <= N R / 2: under an evenly pressed ring with a torque across it, the pressure on one side vanishes there.
 //!
 //! Once overloaded the cup leaks and has lost the object; it takes hold again only after it was told to let go.
-//! A vacuum is there at once: the 50 to 200 ms in which a real one builds up are the policy's to wait.
+//!
+//! The vacuum is there after [`BUILD_UP_S`] of sealing without a break. The joint is rigid and the lip is rubber: it
+//! feels the joint's load with a lag of [`LIP_LAG_S`], so that jolts of a few milliseconds do not peel it off.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt;
@@ -38,6 +40,12 @@ pub const RIM_POINTS: usize = 16;
 
 /// How far the lip follows a surface that is no plane across it, as a share of its diameter.
 pub const LIP_SHARE: f64 = 0.1;
+
+/// How long a sealed cup takes to reach its vacuum, in seconds: ejectors at the tool need 50 to 200 ms.
+pub const BUILD_UP_S: f64 = 0.1;
+
+/// Time constant with which a lip feels its load, in seconds.
+pub const LIP_LAG_S: f64 = 0.02;
 
 /// Where a cup begins to look, behind its lip, in metres: a lip pressed into the surface still sees it.
 const BEHIND_M: f64 = 0.02;
@@ -184,14 +192,17 @@ pub(crate) struct Suction {
     cup: SuctionCup,
     threshold: f64,
     friction: f64,
+    time_step: f64,
     state: State,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum State {
     Idle,
-    /// Holding with this suction force, in newtons.
-    Holding(f64),
+    /// Sealed for so long, in seconds.
+    Sealed(f64),
+    /// Holding with this suction force, in newtons, and feeling this load.
+    Holding(f64, Wrench),
     /// Overloaded; the air is in.
     Leaked,
 }
@@ -204,14 +215,14 @@ pub(crate) enum Change {
 }
 
 impl Suction {
-    /// A cup that takes hold within `threshold` (m), on an object with this friction.
-    pub(crate) fn new(law: SuctionLaw, cup: SuctionCup, threshold: f64, friction: f64) -> Self {
-        Self { law, cup, threshold, friction, state: State::Idle }
+    /// A cup that takes hold within `threshold` (m), on an object with this friction, looked at every `time_step` (s).
+    pub(crate) fn new(law: SuctionLaw, cup: SuctionCup, threshold: f64, friction: f64, time_step: f64) -> Self {
+        Self { law, cup, threshold, friction, time_step, state: State::Idle }
     }
 
     /// Whether the object hangs at the cup.
     pub(crate) fn holding(&self) -> bool {
-        matches!(self.state, State::Holding(_))
+        matches!(self.state, State::Holding(..))
     }
 
     /// Looks at one time step: what the cup was told, what it sees and what it bears.
@@ -222,7 +233,7 @@ impl Suction {
         load: Option<Wrench>,
     ) -> Option<Change> {
         match (told, self.state) {
-            (GripperCommand::Open, State::Holding(_)) => {
+            (GripperCommand::Open, State::Holding(..)) => {
                 self.state = State::Idle;
                 Some(Change::Part)
             }
@@ -230,22 +241,33 @@ impl Suction {
                 self.state = State::Idle;
                 None
             }
-            (GripperCommand::Close, State::Idle) => {
-                let view = view(&self.cup).filter(|view| view.gap_m <= self.threshold)?;
-                let share = match self.law {
-                    SuctionLaw::Surface => 1.0,
-                    SuctionLaw::Vacuum => view.seal?,
+            (GripperCommand::Close, State::Idle | State::Sealed(_)) => {
+                let view = view(&self.cup).filter(|view| view.gap_m <= self.threshold);
+                self.state = match (self.law, view, self.state) {
+                    (_, None, _) | (SuctionLaw::Vacuum, Some(View { seal: None, .. }), _) => State::Idle,
+                    (SuctionLaw::Surface, Some(_), _) => State::Holding(f64::INFINITY, Wrench::ZERO),
+                    (SuctionLaw::Vacuum, Some(View { seal: Some(share), .. }), State::Sealed(time))
+                        if time + self.time_step >= BUILD_UP_S =>
+                    {
+                        State::Holding(share * self.cup.force_n(), Wrench::ZERO)
+                    }
+                    (SuctionLaw::Vacuum, _, State::Sealed(time)) => State::Sealed(time + self.time_step),
+                    (SuctionLaw::Vacuum, ..) => State::Sealed(0.0),
                 };
-                self.state = State::Holding(share * self.cup.force_n());
-                Some(Change::Join)
+                self.holding().then_some(Change::Join)
             }
-            (GripperCommand::Close, State::Holding(suction)) => {
-                let overloaded = self.law == SuctionLaw::Vacuum
-                    && load.is_some_and(|load| !holds(suction, 0.5 * self.cup.cup_diameter_m, self.friction, &load));
-                overloaded.then(|| {
-                    self.state = State::Leaked;
-                    Change::Part
-                })
+            (GripperCommand::Close, State::Holding(suction, mut felt)) => {
+                if let (SuctionLaw::Vacuum, Some(load)) = (self.law, load) {
+                    let share = 1.0 - (-self.time_step / LIP_LAG_S).exp();
+                    felt.force += (load.force - felt.force) * share;
+                    felt.torque += (load.torque - felt.torque) * share;
+                    if !holds(suction, 0.5 * self.cup.cup_diameter_m, self.friction, &felt) {
+                        self.state = State::Leaked;
+                        return Some(Change::Part);
+                    }
+                }
+                self.state = State::Holding(suction, felt);
+                None
             }
             (GripperCommand::Close, State::Leaked) => None,
         }
@@ -320,17 +342,34 @@ mod tests {
     fn a_leaked_cup_takes_hold_again_only_after_it_was_told_to_let_go() {
         use GripperCommand::{Close, Open};
         let near = |_: &SuctionCup| Some(View { gap_m: 0.001, seal: Some(1.0) });
-        let heavy = Wrench { force: Vector3::new(0.0, 0.0, -80.0), torque: Vector3::zeros() };
-        let mut suction = Suction::new(SuctionLaw::Vacuum, cup(), 0.01, 0.8);
+        let heavy = Wrench { force: Vector3::new(0.0, 0.0, -800.0), torque: Vector3::zeros() };
+        let mut suction = Suction::new(SuctionLaw::Vacuum, cup(), 0.01, 0.8, 0.6 * BUILD_UP_S);
         assert_eq!(suction.step(Open, near, None), None);
-        assert_eq!(suction.step(Close, near, None), Some(Change::Join));
-        assert_eq!(suction.step(Close, near, Some(heavy)), Some(Change::Part));
+        for _ in 0..2 {
+            let changes: Vec<_> = (0..3).map(|_| suction.step(Close, near, None)).collect();
+            assert_eq!(changes, [None, None, Some(Change::Join)]);
+            assert_eq!(suction.step(Close, near, Some(heavy)), Some(Change::Part));
+            assert_eq!(suction.step(Close, near, None), None);
+            assert_eq!(suction.step(Open, near, None), None);
+        }
+        // A seal that breaks begins anew.
         assert_eq!(suction.step(Close, near, None), None);
-        assert_eq!(suction.step(Open, near, None), None);
+        assert_eq!(suction.step(Close, |_| None, None), None);
+        assert_eq!(suction.step(Close, near, None), None);
+        assert_eq!(suction.step(Close, near, None), None);
         assert_eq!(suction.step(Close, near, None), Some(Change::Join));
-        let mut surface = Suction::new(SuctionLaw::Surface, cup(), 0.01, 0.8);
+    }
+
+    #[test]
+    fn a_surface_gripper_holds_at_once_and_for_good() {
+        use GripperCommand::{Close, Open};
+        let heavy = Wrench { force: Vector3::new(0.0, 0.0, -8000.0), torque: Vector3::zeros() };
+        let mut surface = Suction::new(SuctionLaw::Surface, cup(), 0.01, 0.8, 0.002);
+        let far = |_: &SuctionCup| Some(View { gap_m: 0.011, seal: Some(1.0) });
+        let near = |_: &SuctionCup| Some(View { gap_m: 0.01, seal: None });
+        assert_eq!(surface.step(Close, far, None), None);
         assert_eq!(surface.step(Close, near, None), Some(Change::Join));
-        assert_eq!(surface.step(Close, near, Some(heavy)), None);
+        assert_eq!(surface.step(Close, far, Some(heavy)), None);
         assert_eq!(surface.step(Open, near, None), Some(Change::Part));
     }
 }
