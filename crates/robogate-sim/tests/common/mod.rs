@@ -5,17 +5,18 @@
 use std::path::Path;
 
 use robogate_sim::claims::{Bench, Setup, Workbench};
-use robogate_sim::{Engine, MujocoEngine, PickPlace, Robot, Scripted, SuctionLaw, built_in_robot};
+use robogate_sim::{Engine, MujocoEngine, PickPlace, Robot, Scripted, SuctionLaw};
 
 pub(crate) struct InMujoco(pub(crate) Robot);
 
 pub(crate) fn franka() -> InMujoco {
-    InMujoco(built_in_robot("franka").unwrap())
+    robot("franka")
 }
 
-/// The Franka's arm with a cup of 40 mm in place of its hand.
-pub(crate) fn with_cup() -> InMujoco {
-    InMujoco(Robot::from_folder(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/robots/cup")).unwrap())
+/// A robot of the repository, by the name of its folder.
+pub(crate) fn robot(name: &str) -> InMujoco {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/robots").join(name);
+    InMujoco(Robot::from_folder(&folder).unwrap())
 }
 
 impl Workbench for InMujoco {
