@@ -178,11 +178,8 @@ pub fn holds(suction: f64, radius: f64, friction: f64, load: &Wrench) -> bool {
     if pressing <= 0.0 {
         return false;
     }
-    let across = load.force.xy().norm() / (friction * pressing);
-    let twist = load.torque.z / (friction * radius * pressing);
-    // Without friction nothing across is borne; nothing across asks for none.
-    let slides = friction <= 0.0 && (load.force.xy().norm() > 0.0 || load.torque.z != 0.0);
-    !slides && !(across * across + twist * twist > 1.0) && load.torque.xy().norm() <= radius * pressing
+    let across = load.force.xy().norm().hypot(load.torque.z / radius);
+    across <= friction * pressing && load.torque.xy().norm() <= radius * pressing
 }
 
 /// A cup at work.
