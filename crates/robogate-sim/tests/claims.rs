@@ -113,8 +113,8 @@ fn a_ur3e_cannot_reach_what_lies_beyond_its_reach() {
 #[test]
 fn a_parameter_that_the_gripper_does_not_have_is_refused_by_name() {
     let gripper = |workbench: common::InMujoco| workbench.setup().robot.settings.gripper;
-    SceneParameters::check_space(&space("ur-wide"), &gripper(robot("ur5e"))).unwrap();
-    let error = SceneParameters::check_space(&space("ur"), &gripper(franka())).unwrap_err().to_string();
+    SceneParameters::check_space(&space("ur-wide"), Some(&gripper(robot("ur5e")))).unwrap();
+    let error = SceneParameters::check_space(&space("ur"), Some(&gripper(franka()))).unwrap_err().to_string();
     assert!(error.contains("grip_threshold_m") && error.contains("parallel jaw"), "{error}");
 }
 
