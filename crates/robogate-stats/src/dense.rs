@@ -1,6 +1,7 @@
 //! Small dense symmetric matrices, row-major in a `Vec<f64>`: enough algebra for regressions of a few dozen columns.
 
 /// Lower Cholesky factor L of a symmetric positive definite matrix, A = L Lᵀ.
+#[derive(Debug, Clone)]
 pub(crate) struct Cholesky {
     size: usize,
     lower: Vec<f64>,

@@ -10,11 +10,12 @@
 //! | per bin, category, pair of parameters? | [`binning`] |
 //! | is this cell safe? | [`zone`] |
 //! | how does it depend on the parameters? | [`logistic`], [`correlation`] |
+//! | the same, where no line will do? | [`ridge`] on [`fourier`] features |
 //! | where is the frontier of two parameters? | [`limit_state`] |
 //! | where does one parameter become critical? | [`threshold`], by [`resample`] |
 //! | does the risk score tell failures apart, and is it true? | [`roc`], [`calibration`] |
 //! | which way does it fail, and where does that change? | [`modes`] |
-//! | are two of them different? | [`compare`], [`multiplicity`] |
+//! | are two of them different? | [`compare`], [`multiplicity`], [`crossed`] |
 //! | is it good enough, looked at as often as one likes? | [`anytime`], [`bounded_mean`] |
 //! | what will such a gate do? | [`operating`] |
 //! | may B replace A? | [`non_inferiority`] |
@@ -26,7 +27,9 @@ pub mod bounded_mean;
 pub mod calibration;
 pub mod compare;
 pub mod correlation;
+pub mod crossed;
 pub(crate) mod dense;
+pub mod fourier;
 pub mod interval;
 pub mod limit_state;
 pub mod logistic;
@@ -35,6 +38,7 @@ pub mod multiplicity;
 pub mod non_inferiority;
 pub mod operating;
 pub mod resample;
+pub mod ridge;
 pub mod roc;
 pub(crate) mod special;
 pub mod threshold;

@@ -175,6 +175,26 @@ pub fn auc(scores: &[f64], outcomes: &[bool], confidence: Confidence) -> Result<
     Ok(Auc { auc: p.auc, se: variance.map(f64::sqrt), interval, method, successes, failures })
 }
 
+/// What each row adds to the AUC: numbers whose mean is the AUC and whose spread is DeLong's.
+///
+/// A success has AUC + (N/m)(v - AUC), a failure AUC + (N/n)(u - AUC), with m successes and n failures among N rows and v, u
+/// the share of the other class that the row beats. Their variance over N is DeLong's variance, but for N/(N-1) in
+/// place of m/(m-1) and n/(n-1). So AUCs can be averaged and subtracted row by row, as other scores are.
+///
+/// # Errors
+/// As [`auc`].
+pub fn contributions(scores: &[f64], outcomes: &[bool]) -> Result<Vec<f64>, RocError> {
+    let p = placements(scores, outcomes)?;
+    let n = outcomes.len() as f64;
+    let (successes, failures) = (p.of_successes.len() as f64, p.of_failures.len() as f64);
+    let (mut of_successes, mut of_failures) = (p.of_successes.iter(), p.of_failures.iter());
+    let one = |success: &bool| {
+        let (beaten, own) = if *success { (of_successes.next(), successes) } else { (of_failures.next(), failures) };
+        p.auc + n / own * (beaten.copied().unwrap_or(p.auc) - p.auc)
+    };
+    Ok(outcomes.iter().map(one).collect())
+}
+
 /// Two scores judged on the same rows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AucComparison {
@@ -374,6 +394,19 @@ mod tests {
         let a = auc(&[0.3; 6], &[true, false, true, false, true, false], Confidence::P95).unwrap();
         assert_eq!(a.auc, 0.5);
         assert_eq!(a.method, AucMethod::Unknown);
+    }
+
+    #[test]
+    fn contributions_average_to_the_auc_and_vary_as_delong_says() {
+        let outcomes: Vec<bool> = (0..400).map(|i| i * 7 % 10 < 4).collect();
+        let scores: Vec<f64> =
+            (0..400).map(|i| f64::from(i * 37 % 101) + if i * 7 % 10 < 4 { 30.0 } else { 0.0 }).collect();
+        let found = auc(&scores, &outcomes, Confidence::P95).unwrap();
+        let each = contributions(&scores, &outcomes).unwrap();
+        let mean = each.iter().sum::<f64>() / 400.0;
+        let se = (each.iter().map(|c| (c - mean).powi(2)).sum::<f64>() / 399.0 / 400.0).sqrt();
+        assert!((mean - found.auc).abs() < 1e-12);
+        assert!((se / found.se.unwrap() - 1.0).abs() < 0.01, "{se} {found:?}");
     }
 
     #[test]

@@ -285,6 +285,13 @@ pub(crate) fn ln_student_two_sided(df: f64, t: f64) -> f64 {
     ln_beta_cdf(0.5 * df, 0.5, df / total, t * t / total)
 }
 
+/// The point t with P(|T| <= t) = the level, for Student's t with `df` > 0 degrees of freedom, whole or not.
+pub(crate) fn student_quantile(df: f64, level: f64) -> f64 {
+    // t^2/(df + t^2) is a beta variable; this end of it keeps its digits where df is large.
+    let y = beta_quantile(0.5, 0.5 * df, level);
+    (df * y / (1.0 - y)).sqrt()
+}
+
 /// ln of the two-sided normal tail P(|Z| > |z|).
 pub(crate) fn ln_two_sided(z: f64) -> f64 {
     (ln_normal_sf(z.abs()) + LN_2).min(0.0)

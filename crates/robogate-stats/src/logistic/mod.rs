@@ -26,7 +26,8 @@ use crate::interval::{Confidence, Interval};
 use crate::special::ln_two_sided;
 use data::Standardized;
 pub use data::{Data, Dropped};
-use newton::{Solution, logistic_and_log};
+use newton::Solution;
+pub(crate) use newton::logistic_and_log;
 pub use separation::{Separation, SeparationKind};
 
 /// Why there is no fit.

@@ -34,7 +34,7 @@ pub(super) struct Unsettled {
 }
 
 /// 1/(1+e^-t) and ln of it.
-pub(super) fn logistic_and_log(t: f64) -> (f64, f64) {
+pub(crate) fn logistic_and_log(t: f64) -> (f64, f64) {
     let e = (-t.abs()).exp();
     let log = t.min(0.0) - e.ln_1p();
     let p = if t >= 0.0 { 1.0 / (1.0 + e) } else { e / (1.0 + e) };

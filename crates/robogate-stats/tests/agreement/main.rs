@@ -1,6 +1,6 @@
 //! Every estimator against SciPy, statsmodels, scikit-learn or a second implementation in Python.
 //!
-//! The values come from `tests/reference/generate.py`; its `requirements.txt` pins the versions.
+//! The values come from `tests/reference/generate.py` and `ridge.py`; their `requirements.txt` pins the versions.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests; a panic here is a failed test")]
 
@@ -8,6 +8,7 @@ mod analysis;
 mod gate;
 mod interval;
 mod logistic;
+mod ridge;
 
 use serde_json::Value;
 
