@@ -11,11 +11,11 @@
 //! evidence is never in the band. What lies outside the volume gets no point, so no weight makes the second
 //! stage speak of it.
 
-use robogate_core::{Domain, Parameter, ParameterSpace};
+use robogate_core::{Assignment, Domain, Parameter, ParameterSpace};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{AlongParameter, Bin, Bins, BoundaryStage, Emphasis, PlanError, Range};
+use crate::{AlongParameter, Bin, Bins, BoundaryStage, Emphasis, Plan, PlanError, Range};
 
 /// What the first stage says about the boundary, and what the second one does with it. Together with the
 /// parameter space it is all that the second stage's points depend on besides plan and seed.
@@ -269,7 +269,45 @@ impl Weights {
 
     /// The weight of a point of the stage, given as coded numbers.
     pub(crate) fn of(&self, coded: &[f64]) -> f64 {
-        1.0 / self.parts.iter().filter(|(space, _)| contains(space, coded)).map(|(_, density)| density).sum::<f64>()
+        1.0 / self.density(coded)
+    }
+
+    /// q/p at a point of the space: 0 outside what is drawn from.
+    fn density(&self, coded: &[f64]) -> f64 {
+        self.parts.iter().filter(|(space, _)| contains(space, coded)).map(|(_, density)| density).sum()
+    }
+}
+
+/// The weights under which both stages together speak of the operating space.
+///
+/// Pooled, the n1 points of the first stage and the n2 of the second have the density (n1 p + n2 q)/(n1 + n2), so a
+/// point of either has the weight (n1 + n2)/(n1 + n2 q/p): the balance heuristic again, over both stages. The weights
+/// stored with the rows take each stage alone; used on both at once they would count the volume twice.
+#[derive(Debug, Clone)]
+pub struct PooledWeights {
+    space: ParameterSpace,
+    uniform: f64,
+    boundary: f64,
+    focused: Weights,
+}
+
+impl PooledWeights {
+    /// The weights of a campaign's points. `space` is its operating space, `report` what its first stage found.
+    pub fn new(plan: &Plan, space: &ParameterSpace, report: &BoundaryReport) -> Result<Self, PlanError> {
+        Ok(Self {
+            space: space.clone(),
+            uniform: plan.uniform.episodes as f64,
+            boundary: plan.boundary.episodes as f64,
+            focused: Weights::new(report, report.focus(space)?),
+        })
+    }
+
+    /// The weight of a point of either stage; `None` where it is no point of the space.
+    pub fn of(&self, requested: &Assignment) -> Option<f64> {
+        let code = |p: &Parameter| p.domain.encode(requested.get(&p.name)?);
+        let coded: Vec<f64> = self.space.parameters().iter().map(code).collect::<Option<_>>()?;
+        let density = self.focused.density(&coded);
+        Some((self.uniform + self.boundary) / (self.uniform + self.boundary * density))
     }
 }
 

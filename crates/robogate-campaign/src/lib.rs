@@ -32,7 +32,9 @@ mod suite;
 mod summary;
 mod tally;
 
-pub use boundary::{BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBoundary, Region, Restricted};
+pub use boundary::{
+    BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBoundary, PooledWeights, Region, Restricted,
+};
 pub use events::{Event, Warning};
 pub use execute::{Crew, ExecuteError, Station, Workshop, execute};
 pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, Range, UniformStage};

@@ -34,6 +34,12 @@ pub enum ReportError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// Dictionaries that do not make one experiment.
+    #[error("these dictionaries make no study: {reason}")]
+    NoStudy {
+        /// What does not fit.
+        reason: String,
+    },
     /// A pair of parameters that cannot be mapped.
     #[error("`{name}` cannot be one of a pair: {reason}\nhint: the parameters are {known}")]
     Pair {

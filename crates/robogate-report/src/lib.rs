@@ -10,6 +10,7 @@
 //! | a path | [`Source`] |
 //! | a source | [`Analysis`], `serde` and JSON Schema |
 //! | an analysis | [`html`], [`markdown`], or [`Analysis::to_json`] |
+//! | dictionaries of several designs and a test set | [`study::Study`] |
 
 mod along;
 mod analysis;
@@ -26,6 +27,7 @@ mod replay;
 mod rows;
 mod source;
 mod story;
+pub mod study;
 mod success;
 mod words;
 

@@ -95,7 +95,16 @@ impl Rows {
 
     /// The valid rows whose stage is focused, or is not.
     pub(crate) fn sample(&self, focused: bool) -> Sample {
-        let keep = |row: &usize| self.outcome[*row] != Seen::Invalid && self.is_focused(*row) == focused;
+        self.valid_where(|row| self.is_focused(row) == focused)
+    }
+
+    /// All valid rows.
+    pub(crate) fn valid(&self) -> Sample {
+        self.valid_where(|_| true)
+    }
+
+    fn valid_where(&self, keep: impl Fn(usize) -> bool) -> Sample {
+        let keep = |row: &usize| self.outcome[*row] != Seen::Invalid && keep(*row);
         let rows: Vec<u32> = (0..self.len()).filter(keep).map(|row| row as u32).collect();
         Sample {
             success: rows.iter().map(|row| self.outcome[*row as usize] == Seen::Success).collect(),
@@ -147,6 +156,14 @@ impl ParameterColumn {
 
     pub(crate) fn is_numeric(&self) -> bool {
         !matches!(self.kind, ParameterKind::Categorical { .. })
+    }
+
+    /// Whether the values can be read as those of `other`: both numbers, or categories of the same words.
+    pub(crate) fn is_like(&self, other: &Self) -> bool {
+        match (&self.kind, &other.kind) {
+            (ParameterKind::Categorical { words }, ParameterKind::Categorical { words: others }) => words == others,
+            _ => self.is_numeric() && other.is_numeric(),
+        }
     }
 
     /// The values as category codes.

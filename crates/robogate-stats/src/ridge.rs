@@ -63,14 +63,14 @@ pub fn by_evidence(data: Data<'_>, prior_variances: &[f64]) -> Result<Option<Rid
 }
 
 impl RidgeFit {
-    /// Chances of success for whole columns; `None` where their number or lengths do not fit.
-    pub fn probabilities(&self, columns: &[&[f64]]) -> Option<Vec<f64>> {
+    /// Moderated log-odds of success for whole columns; `None` where their number or lengths do not fit.
+    pub fn log_odds(&self, columns: &[&[f64]]) -> Option<Vec<f64>> {
         let rows = columns.first().map_or(0, |c| c.len());
         if columns.len() + 1 != self.coefficients.len() || columns.iter().any(|c| c.len() != rows) {
             return None;
         }
         let mut x = vec![0.0; self.coefficients.len()];
-        let chance = |row: usize| {
+        let log_odds = |row: usize| {
             x[0] = 1.0;
             for (x, column) in x[1..].iter_mut().zip(columns) {
                 *x = column[row];
@@ -78,9 +78,9 @@ impl RidgeFit {
             let eta = dot(&x, &self.coefficients);
             self.curvature.forward(&mut x);
             let variance = dot(&x, &x);
-            logistic_and_log(eta / (1.0 + std::f64::consts::PI * variance / 8.0).sqrt()).0
+            eta / (1.0 + std::f64::consts::PI * variance / 8.0).sqrt()
         };
-        Some((0..rows).map(chance).collect())
+        Some((0..rows).map(log_odds).collect())
     }
 }
 
@@ -241,7 +241,7 @@ mod tests {
         let columns: [&[f64]; 1] = [&x];
         let found = fit(Data::new(&columns, &y, None).unwrap(), 4.0).unwrap();
         let plain = logistic_and_log(found.coefficients[0] + 50.0 * found.coefficients[1]).0;
-        let moderated = found.probabilities(&[&[50.0]]).unwrap()[0];
+        let moderated = logistic_and_log(found.log_odds(&[&[50.0]]).unwrap()[0]).0;
         assert!(plain > 1.0 - 1e-9 && moderated < 0.999 && moderated > 0.5, "{plain} {moderated}");
     }
 }

@@ -13,8 +13,8 @@ use crate::Finding;
 use crate::rows::Sample;
 use crate::words::{listed, name};
 
-const MAIN: [&str; 6] = ["friction", "mass_kg", "com_offset", "size_m", "ik_noise_rad", "obstacles"];
-const PRODUCTS: [(usize, usize); 3] = [(0, 1), (0, 3), (1, 5)];
+pub(crate) const MAIN: [&str; 6] = ["friction", "mass_kg", "com_offset", "size_m", "ik_noise_rad", "obstacles"];
+pub(crate) const PRODUCTS: [(usize, usize); 3] = [(0, 1), (0, 3), (1, 5)];
 
 pub(crate) fn interactions(base: &Sample) -> Finding<Regression> {
     let missing: Vec<String> =

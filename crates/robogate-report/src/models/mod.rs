@@ -14,7 +14,7 @@ pub use frontier::{Frontier, FrontierPoint};
 pub use risk::{CalibrationFigures, Penalty, PenaltyLevel, ReliabilityBin, RiskModel, RocCurve, RocFigures};
 
 pub(crate) use frontier::frontier;
-pub(crate) use interactions::interactions;
+pub(crate) use interactions::{MAIN, PRODUCTS, interactions};
 pub(crate) use risk::{Scored, risk};
 
 /// A logistic regression.
