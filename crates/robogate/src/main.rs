@@ -38,6 +38,8 @@ enum Verb {
     Export(commands::export::Export),
     /// Read a published JSON dictionary into Parquet
     Import(commands::import::Import),
+    /// Ask by experiment whether boundary focusing is worth it
+    Study(commands::study::Study),
     /// List, show and check suites: the scenarios on which a policy is judged
     Suites(commands::suites::Suites),
     /// Check claims by experiment
@@ -54,6 +56,7 @@ fn main() -> ExitCode {
         Verb::Report(report) => report.execute(),
         Verb::Export(export) => export.execute(),
         Verb::Import(import) => import.execute(),
+        Verb::Study(study) => study.execute(),
         Verb::Suites(suites) => suites.execute(),
         Verb::Check(check) => check.execute(),
     };

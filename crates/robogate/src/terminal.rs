@@ -37,6 +37,20 @@ pub(crate) fn line(text: impl Display) {
     let _ = writeln!(io::stdout(), "{text}");
 }
 
+/// Writes text in lines of at most 100 columns.
+pub(crate) fn wrapped(text: &str) {
+    let mut so_far = String::from("  ");
+    for word in text.split_whitespace() {
+        if so_far.chars().count() + word.chars().count() > 98 && !so_far.trim().is_empty() {
+            line(so_far.trim_end());
+            so_far = String::from("  ");
+        }
+        so_far.push_str(word);
+        so_far.push(' ');
+    }
+    line(so_far.trim_end());
+}
+
 /// Writes a line for people to stderr.
 pub(crate) fn note(text: impl Display) {
     let _ = writeln!(io::stderr(), "{text}");

@@ -10,7 +10,7 @@ use robogate_report::{
 
 use crate::commands::report::evidence;
 use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
-use crate::terminal::{bar, bold, dim, grouped, line, percent};
+use crate::terminal::{bar, bold, dim, grouped, line, percent, wrapped};
 
 /// Say where the policy fails, how the parameters act, and how sure that is.
 #[derive(Debug, Args)]
@@ -76,20 +76,6 @@ fn print(analysis: &Analysis) {
 fn heading(title: impl std::fmt::Display) {
     line("");
     line(bold(title));
-}
-
-/// Text in lines of at most 100 columns.
-fn wrapped(text: &str) {
-    let mut so_far = String::from("  ");
-    for word in text.split_whitespace() {
-        if so_far.chars().count() + word.chars().count() > 98 && !so_far.trim().is_empty() {
-            line(so_far.trim_end());
-            so_far = String::from("  ");
-        }
-        so_far.push_str(word);
-        so_far.push(' ');
-    }
-    line(so_far.trim_end());
 }
 
 fn interval([low, high]: [f64; 2]) -> String {

@@ -8,4 +8,5 @@ pub(crate) mod replay;
 pub(crate) mod report;
 pub(crate) mod resume;
 pub(crate) mod run;
+pub(crate) mod study;
 pub(crate) mod suites;

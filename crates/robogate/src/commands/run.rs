@@ -57,9 +57,9 @@ pub(crate) struct How {
     /// Threads that run episodes; default: one for each core
     #[arg(long, value_name = "T")]
     threads: Option<NonZeroUsize>,
-    /// Print the summary as one JSON document
+    /// Print the result as one JSON document
     #[arg(long)]
-    json: bool,
+    pub(crate) json: bool,
 }
 
 impl Run {
@@ -141,13 +141,8 @@ impl Run {
 }
 
 impl How {
-    /// Runs a campaign by `work`, shows its progress and its summary.
-    pub(crate) fn conduct(
-        &self,
-        dir: &Path,
-        cell: &Cell,
-        work: impl FnOnce(&Crew<'_>, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
-    ) -> Result<u8, Exit> {
+    /// Gives `work` a crew that Ctrl-C asks to stop.
+    pub(crate) fn with_crew<T>(&self, cell: &Cell, work: impl FnOnce(&Crew<'_>) -> Result<T, Exit>) -> Result<T, Exit> {
         let threads = self.threads.or_else(|| std::thread::available_parallelism().ok()).unwrap_or(NonZeroUsize::MIN);
         let stop = Arc::new(AtomicBool::new(false));
         let asked = Arc::clone(&stop);
@@ -157,9 +152,20 @@ impl How {
             }
         })
         .or_broken()?;
-        let crew = Crew { workshop: cell, threads, stop: &stop };
-        let mut progress = Progress::new();
-        let completion = work(&crew, &mut |event| progress.hear(event)).map_err(exit)?;
+        work(&Crew { workshop: cell, threads, stop: &stop })
+    }
+
+    /// Runs a campaign by `work`, shows its progress and its summary.
+    pub(crate) fn conduct(
+        &self,
+        dir: &Path,
+        cell: &Cell,
+        work: impl FnOnce(&Crew<'_>, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
+    ) -> Result<u8, Exit> {
+        let completion = self.with_crew(cell, |crew| {
+            let mut progress = Progress::new();
+            work(crew, &mut |event| progress.hear(event)).map_err(exit)
+        })?;
         match completion {
             Completion::Finished { summary, boundary } => {
                 write_report(dir);
@@ -188,7 +194,7 @@ fn write_report(dir: &Path) {
 }
 
 /// A campaign's error with its exit code: what the user must change is usage, the rest infrastructure.
-fn exit(error: RunError) -> Exit {
+pub(crate) fn exit(error: RunError) -> Exit {
     let code = match error {
         RunError::NotEmpty { .. }
         | RunError::AlreadyARun { .. }
