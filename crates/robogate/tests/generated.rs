@@ -32,6 +32,7 @@ fn the_schemas_are_those_of_the_code() {
         ("summary", schema_for!(robogate_campaign::Summary)),
         ("boundary", schema_for!(robogate_campaign::BoundaryReport)),
         ("event", schema_for!(robogate_campaign::Event)),
+        ("study", schema_for!(robogate_report::study::Study)),
     ] {
         let text = serde_json::to_string_pretty(&schema).unwrap() + "\n";
         check(&format!("schemas/{name}.schema.json"), &text);

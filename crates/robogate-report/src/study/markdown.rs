@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::{Arm, ArmFigures, Figures, LearnerFigures, MeanFigure, Measure, Score, Study, Verdict};
-use crate::words::{count, fixed, listed, name, percent, percents};
+use crate::words::{count, fixed, listed, name, percent, percents, range, with_unit};
 
 /// The page.
 pub(super) fn page(study: &Study) -> String {
@@ -61,18 +61,32 @@ fn data(out: &mut String, study: &Study) {
         );
     }
     let test = &study.test;
+    let of_rate = match test.rate.rate {
+        Some(rate) => format!("{} ({})", percent(rate), percents(test.rate.wilson_95)),
+        None => "-".to_owned(),
+    };
     let _ = writeln!(
         out,
         "| test set | {} | 0 | {} | never |\n\n\
          Stating the commoner outcome everywhere has a boundary error of {}; stating the overall success rate ({}) has a log \
          loss of {} and a Brier score of {}. A model must beat these.\n",
         count(test.episodes),
-        test.rate.rate.map_or_else(|| "-".to_owned(), percent),
+        of_rate,
         percent(test.error_of_the_commoner),
-        percents(test.rate.wilson_95),
+        test.rate.rate.map_or_else(|| "-".to_owned(), percent),
         fixed(test.log_loss_of_the_rate, 3),
         fixed(test.brier_of_the_rate, 3),
     );
+}
+
+/// Where the pure-boundary design draws from.
+fn region(study: &Study) -> String {
+    let ranges: Vec<String> = study
+        .region
+        .iter()
+        .map(|of| with_unit(&format!("{} {}", name(&of.parameter), range([of.low, of.high])), &of.parameter))
+        .collect();
+    listed(&ranges)
 }
 
 fn judged(out: &mut String, learner: &LearnerFigures) {
@@ -226,8 +240,9 @@ fn method(out: &mut String, study: &Study) {
              finds the boundary in it and draws the other half there, emphasis included. *Pure boundary* spends everything \
              evenly in the region that the paper names from prior knowledge (the plan's fallback ranges and its held \
              parameters), as the paper defines this design: it needs no pilot, so no episode goes uncounted. A region found \
-             by a pilot of half the budget would be the two-stage design again.\n\
-             - **Weights**: *weighted* rows carry (n1 + n2) / (n1 + n2 q/p) for stages of n1 and n2 episodes, operating density p \
+             by a pilot of half the budget would be the two-stage design again. ";
+    let _ = writeln!(out, "Here: {}.", region(study));
+    *out += "- **Weights**: *weighted* rows carry (n1 + n2) / (n1 + n2 q/p) for stages of n1 and n2 episodes, operating density p \
              and boundary density q, so that both stages together speak of the operating space.\n\
              - **Intervals**: differences are taken episode by episode within a repeat. The variance of their mean adds that of \
              repeats and that of test episodes; the interval is Student's with Satterthwaite's degrees of freedom. They are \

@@ -10,6 +10,7 @@
 mod learners;
 mod markdown;
 
+use robogate_core::Domain;
 use robogate_dictionary::Dictionary;
 use robogate_stats::crossed::crossed_mean;
 use robogate_stats::roc::{auc, contributions};
@@ -20,7 +21,7 @@ use serde::{Deserialize, Serialize};
 pub use learners::Learner;
 
 use crate::rows::{Rows, Sample};
-use crate::words::ends;
+use crate::words::{ends, listed};
 use crate::{Finding, Rate, ReportError};
 use learners::Scores;
 
@@ -116,6 +117,8 @@ pub struct Study {
     pub test: TestSet,
     /// The designs' data.
     pub designs: Vec<DesignFacts>,
+    /// Where the pure-boundary design is narrower than the operating space.
+    pub region: Vec<RegionRange>,
     /// What each learner made of them.
     pub learners: Vec<LearnerFigures>,
     /// The answer in words.
@@ -150,6 +153,17 @@ pub struct TestSet {
     pub log_loss_of_the_rate: f64,
     /// The Brier score of always stating the overall rate.
     pub brier_of_the_rate: f64,
+}
+
+/// A range of the pure-boundary design, in the parameter's unit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RegionRange {
+    /// The parameter.
+    pub parameter: String,
+    /// Its lower end.
+    pub low: f64,
+    /// Its upper end.
+    pub high: f64,
 }
 
 /// The data of one design, over all repeats.
@@ -290,6 +304,7 @@ impl Study {
             repeats: repeats.len() as u64,
             test: test_set(test, &judge),
             designs: designs(repeats, &trained),
+            region: repeats.first().map_or_else(Vec::new, |repeat| region(repeat.pure_boundary, test)),
             learners,
             answer: Vec::new(),
         };
@@ -326,26 +341,22 @@ impl Study {
                 answer.push(format!("The {} design could not be compared with the uniform one.", arm.name()));
                 continue;
             }
-            let (better, worse) = (with(Verdict::Better), with(Verdict::Worse));
-            let of = verdicts.len();
-            let text = match (better, worse) {
-                (0, 0) => {
-                    format!("no better and no worse than the uniform one could be shown with any of {of} learners")
-                }
-                (b, 0) if b == of => {
-                    format!("placed the boundary better than the uniform one with all of {of} learners")
-                }
-                (0, w) if w == of => {
-                    format!("placed the boundary worse than the uniform one with all of {of} learners")
-                }
-                (b, w) => format!(
-                    "placed the boundary better than the uniform one with {b}, worse with {w} of {of} learners; for the \
-                     others no difference was shown"
+            let (better, worse, of) = (with(Verdict::Better), with(Verdict::Worse), verdicts.len());
+            let arm = arm.name();
+            let said: Vec<String> = [(better, "better"), (worse, "worse")]
+                .iter()
+                .filter(|(learners, _)| *learners > 0)
+                .map(|(learners, word)| format!("{word} than the uniform one with {learners} of {of} learners"))
+                .collect();
+            answer.push(match (said.is_empty(), of - better - worse) {
+                (true, _) => format!(
+                    "At equal budget, none of {of} learners shows a difference between the {arm} and the uniform design."
                 ),
-            };
-            answer.push(match (better, worse) {
-                (0, 0) => format!("At equal budget, the {} design: {text}.", arm.name()),
-                _ => format!("At equal budget, the {} design {text}.", arm.name()),
+                (false, 0) => format!("At equal budget, the {arm} design places the boundary {}.", listed(&said)),
+                (false, _) => format!(
+                    "At equal budget, the {arm} design places the boundary {}; the others show no difference.",
+                    listed(&said)
+                ),
             });
         }
         let error =
@@ -423,6 +434,22 @@ fn subject(test: &Dictionary) -> StudySubject {
         space: provenance.space.name().to_owned(),
         parameters: provenance.space.parameters().iter().map(|p| p.name.to_string()).collect(),
     }
+}
+
+/// The numbers whose range is not that of the test set.
+fn region(pure: &Dictionary, test: &Dictionary) -> Vec<RegionRange> {
+    let (own, whole) = (&pure.provenance().space, &test.provenance().space);
+    let narrowed = own.parameters().iter().zip(whole.parameters()).filter(|(own, whole)| own != whole);
+    narrowed
+        .filter_map(|(own, _)| {
+            let (low, high) = match own.domain {
+                Domain::Continuous { low, high, .. } => (low, high),
+                Domain::Integer { low, high } => (low as f64, high as f64),
+                Domain::Categorical { .. } => return None,
+            };
+            Some(RegionRange { parameter: own.name.to_string(), low, high })
+        })
+        .collect()
 }
 
 fn test_set(test: &Dictionary, judge: &Sample) -> TestSet {

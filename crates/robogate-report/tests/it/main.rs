@@ -6,4 +6,5 @@ mod anchors;
 mod degenerate;
 mod pages;
 mod populations;
+mod study;
 mod synthetic;
