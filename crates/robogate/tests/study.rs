@@ -15,7 +15,7 @@ fn robogate(arguments: &[&str]) -> Output {
 }
 
 fn study(out: &str, more: &[&str]) -> Output {
-    robogate(&[&SMALL, &[out], more].concat())
+    robogate(&[&SMALL[..], &[out], more].concat())
 }
 
 fn path(dir: &TempDir, name: &str) -> String {
