@@ -140,6 +140,7 @@ impl Study {
             sampler: sampler.to_owned(),
             uniform: UniformStage { episodes },
             boundary: BoundaryStage::default(),
+            suite: None,
         };
         let repeat = |r: u64| {
             let campaign = |word: &str, name: &str, plan: &dyn Fn(u64) -> Plan, space: &ParameterSpace| Campaign {
