@@ -257,6 +257,12 @@ impl Plan {
             return if stage.suite.space() == space { Ok(()) } else { Err(PlanError::SuiteSpace) };
         }
         let stage = &self.boundary;
+        if stage.episodes > 0
+            && let Some(correlation) = space.correlations().first()
+        {
+            let [first, second] = correlation.parameters.each_ref().map(ToString::to_string);
+            return Err(PlanError::CorrelatedBoundary { first, second });
+        }
         check_ranges(space, "boundary.fallback", Kind::Continuous, &stage.fallback)?;
         check_ranges(space, "boundary.restrict", Kind::Integer, &stage.restrict)?;
         Bins::new(space, stage.bins)?;
@@ -640,6 +646,18 @@ pub enum PlanError {
         key: String,
         /// The parameter.
         parameter: String,
+    },
+    /// A boundary stage in a space whose parameters are correlated.
+    #[error(
+        "the boundary stage takes parameters for independent, and the space correlates `{first}` with `{second}`: its points \
+         and weights would be wrong\nhint: give a plan without a [boundary] table (--plan FILE); the uniform stage knows \
+         correlations"
+    )]
+    CorrelatedBoundary {
+        /// One parameter.
+        first: String,
+        /// The other.
+        second: String,
     },
     /// A narrowed space is none.
     #[error(transparent)]

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::{Assignment, ParameterSpace, Stream};
+use crate::{Assignment, ParameterSpace, SpaceError, Stream};
 
 /// A set of points of a space, in one flat table: a million points of eight parameters are 64 MB.
 #[derive(Debug, Clone, PartialEq)]
@@ -71,11 +71,14 @@ pub trait Sampler {
 }
 
 /// Why a design could not be drawn.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum DesignError {
     /// A design of no points is no design.
     #[error("a design needs at least one point (asked for 0)")]
     Empty,
+    /// Correlations that no distribution has.
+    #[error(transparent)]
+    Space(#[from] SpaceError),
     /// The sampler's tables end before.
     #[error("{sampler} is defined up to {limit} {what} (asked for {asked})")]
     Limit {

@@ -6,8 +6,11 @@
 //!
 //! This crate sees no file, socket, thread or clock. Everything random takes a [`Seed`].
 
+mod cholesky;
+mod copula;
 mod design;
 mod episode;
+mod normal;
 mod outcome;
 mod pose;
 mod rollout;
@@ -27,5 +30,5 @@ pub use rollout::{
 };
 pub use scenario::{Assignment, Scenario, Value};
 pub use seed::{Seed, Stream};
-pub use space::{Domain, Parameter, ParameterSpace, Scale, SpaceError};
+pub use space::{Correlation, Domain, Parameter, ParameterSpace, Scale, SpaceError};
 pub use suite::{Case, Spread, Suite, SuiteError, SuiteProblem};

@@ -6,10 +6,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::Value;
+use crate::copula::Copula;
 
 /// What varies between episodes, and in which ranges: the operating distribution.
 ///
-/// Parameters are independent; each is uniform in its own scale. Written in TOML:
+/// Each parameter is uniform in its own scale, and independent of the others unless a [`Correlation`] says
+/// otherwise. Written in TOML:
 ///
 /// ```
 /// let space = robogate_core::ParameterSpace::from_toml(
@@ -36,6 +38,7 @@ use crate::Value;
 pub struct ParameterSpace {
     name: String,
     parameters: Vec<Parameter>,
+    correlations: Vec<Correlation>,
 }
 
 impl ParameterSpace {
@@ -50,7 +53,16 @@ impl ParameterSpace {
                 return Err(SpaceError::Duplicate { parameter: parameter.name.to_string() });
             }
         }
-        Ok(Self { name: name.into(), parameters })
+        Ok(Self { name: name.into(), parameters, correlations: Vec::new() })
+    }
+
+    /// The same space with these correlations in place of its own. Each must be between two continuous parameters of
+    /// the space, and all together must be those of some distribution.
+    pub fn with_correlations(mut self, correlations: Vec<Correlation>) -> Result<Self, SpaceError> {
+        correlations.iter().enumerate().try_for_each(|(i, c)| c.check(&self, &correlations[..i]))?;
+        self.correlations = correlations;
+        Copula::of(&self)?;
+        Ok(self)
     }
 
     /// Reads a space from TOML. Errors name the line and key, or the parameter.
@@ -69,6 +81,11 @@ impl ParameterSpace {
     /// The parameters in order.
     pub fn parameters(&self) -> &[Parameter] {
         &self.parameters
+    }
+
+    /// How parameters hang together; empty where they are independent.
+    pub fn correlations(&self) -> &[Correlation] {
+        &self.correlations
     }
 
     /// The position of the parameter `name`.
@@ -228,6 +245,48 @@ impl Parameter {
     }
 }
 
+/// How two continuous parameters hang together: by a Gaussian copula, which leaves both uniform in their scales.
+///
+/// Their joint distribution is that of Φ(x) and Φ(y) with x, y normal of correlation 2 sin(π rank / 6), which gives them
+/// this rank correlation (Kruskal 1958, JASA 53). A rank correlation does not care for scales: that of the
+/// logarithms is that of the numbers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Correlation {
+    /// The two parameters.
+    pub parameters: [Arc<str>; 2],
+    /// Spearman's rank correlation between them, above -1 and below 1.
+    pub rank: f64,
+}
+
+impl Correlation {
+    fn check(&self, space: &ParameterSpace, earlier: &[Self]) -> Result<(), SpaceError> {
+        let [first, second] = &self.parameters;
+        let pair = || format!("`{first}` and `{second}`");
+        for name in &self.parameters {
+            let Some(at) = space.position(name) else {
+                let known: Vec<&str> = space.parameters.iter().map(|p| &*p.name).collect();
+                return Err(SpaceError::UnknownInCorrelation { parameter: name.to_string(), known: known.join(", ") });
+            };
+            if !matches!(space.parameters[at].domain, Domain::Continuous { .. }) {
+                return Err(SpaceError::CorrelationOfDiscrete { parameter: name.to_string() });
+            }
+        }
+        if first == second {
+            return Err(SpaceError::CorrelationWithItself { parameter: first.to_string() });
+        }
+        // Written so that NaN is refused as well.
+        if !(-1.0 < self.rank && self.rank < 1.0) {
+            return Err(SpaceError::CorrelationOutside { pair: pair(), rank: self.rank });
+        }
+        let same = |other: &Self| other.parameters.contains(first) && other.parameters.contains(second);
+        match earlier.iter().any(same) {
+            true => Err(SpaceError::CorrelationTwice { pair: pair() }),
+            false => Ok(()),
+        }
+    }
+}
+
 /// Why a parameter space is none.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SpaceError {
@@ -272,6 +331,50 @@ pub enum SpaceError {
         parameter: String,
         /// Its lower end.
         low: f64,
+    },
+    /// A correlation of what is not there.
+    #[error("[[correlation]]: there is no parameter `{parameter}`\nhint: there are {known}")]
+    UnknownInCorrelation {
+        /// The name.
+        parameter: String,
+        /// The names there are.
+        known: String,
+    },
+    /// A correlation of whole numbers or words.
+    #[error("[[correlation]]: `{parameter}` is not continuous, and ranks of whole numbers and words are ties")]
+    CorrelationOfDiscrete {
+        /// The name.
+        parameter: String,
+    },
+    /// A correlation of a parameter with itself.
+    #[error("[[correlation]]: `{parameter}` stands there twice; a correlation is between two parameters")]
+    CorrelationWithItself {
+        /// The name.
+        parameter: String,
+    },
+    /// A correlation that is none.
+    #[error(
+        "[[correlation]] of {pair}: rank {rank} is not above -1 and below 1\nhint: what follows exactly from another parameter is no parameter of its own"
+    )]
+    CorrelationOutside {
+        /// The parameters.
+        pair: String,
+        /// What was asked for.
+        rank: f64,
+    },
+    /// Two correlations of one pair.
+    #[error("[[correlation]] of {pair} is there twice")]
+    CorrelationTwice {
+        /// The parameters.
+        pair: String,
+    },
+    /// Correlations that no distribution has together.
+    #[error(
+        "the correlations of {parameters} contradict each other (the matrix is not positive definite)\nhint: two parameters that both follow a third must follow each other"
+    )]
+    CorrelationsContradict {
+        /// The parameters up to the first that cannot be joined to those before it.
+        parameters: String,
     },
     /// An integer range beyond any use.
     #[error("parameter `{parameter}`: more than 2^32 integers; make it continuous")]
@@ -321,6 +424,9 @@ struct SpaceFile {
     name: String,
     /// The parameters, in the order of the dictionary's columns.
     parameter: Vec<ParameterFile>,
+    /// How parameters hang together; left out, they are independent.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    correlation: Vec<Correlation>,
 }
 
 /// One `[[parameter]]` table.
@@ -374,7 +480,7 @@ impl TryFrom<SpaceFile> for ParameterSpace {
                 }
             })
             .collect();
-        Self::new(file.name, parameters)
+        Self::new(file.name, parameters)?.with_correlations(file.correlation)
     }
 }
 
@@ -389,6 +495,6 @@ impl From<ParameterSpace> for SpaceFile {
                 Domain::Categorical { choices } => ParameterFile::Categorical { name, choices },
             })
             .collect();
-        Self { name: space.name, parameter }
+        Self { name: space.name, parameter, correlation: space.correlations }
     }
 }

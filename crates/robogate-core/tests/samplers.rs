@@ -304,3 +304,98 @@ fn figures() {
     LatinHypercube::default().design(&franka(), 1_000_000, stream(1)).unwrap();
     println!("latin_hypercube: 1,000,000 points in {:?}", start.elapsed());
 }
+
+/// The hash of a thousand points of the Franka's space, as they were drawn before spaces could have correlations.
+const BITS: [(&str, u64); 3] =
+    [("latin_hypercube", 0x869c_6235_57b2_ca33), ("sobol", 0x5688_d737_45c7_6b02), ("uniform", 0xf023_0cca_b5e2_a83a)];
+
+#[test]
+#[cfg_attr(not(all(target_os = "linux", target_arch = "x86_64")), ignore = "ln and exp differ between platforms")]
+fn a_space_without_correlations_keeps_its_bits() {
+    for (name, bits) in BITS {
+        let design = by_name(name).unwrap().design(&franka(), 1000, stream(2026)).unwrap();
+        let bytes = (0..1000).flat_map(|i| design.coded(i).unwrap().to_vec()).flat_map(|x| x.to_bits().to_le_bytes());
+        let hash = bytes
+            .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3));
+        assert_eq!(hash, bits, "{name}");
+    }
+}
+
+/// The Franka's space, heavy objects large, rough ones light.
+fn correlated() -> Arc<ParameterSpace> {
+    let more = "[[correlation]]\nparameters = [\"mass_kg\", \"size_m\"]\nrank = 0.8\n\
+                [[correlation]]\nparameters = [\"friction\", \"mass_kg\"]\nrank = -0.4\n";
+    Arc::new(ParameterSpace::from_toml(&format!("{FRANKA}{more}")).unwrap())
+}
+
+fn ranked(x: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..x.len()).collect();
+    order.sort_by(|a, b| x[*a].total_cmp(&x[*b]));
+    let mut ranks = vec![0.0; x.len()];
+    for (rank, i) in order.into_iter().enumerate() {
+        ranks[i] = rank as f64;
+    }
+    ranks
+}
+
+/// Spearman's rank correlation of two columns without ties.
+fn spearman(design: &Design, a: &str, b: &str) -> f64 {
+    let [a, b] = [a, b].map(|name| ranked(&column(design, design.space().position(name).unwrap())));
+    let n = a.len() as f64;
+    1.0 - 6.0 * a.iter().zip(&b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>() / (n * (n * n - 1.0))
+}
+
+#[test]
+fn every_sampler_gives_the_rank_correlations_asked_for_and_no_others() {
+    for (name, n) in NAMES.into_iter().flat_map(|name| [(name, 200), (name, 4000)]) {
+        let design = by_name(name).unwrap().design(&correlated(), n, stream(1)).unwrap();
+        // Five standard errors of independent draws; a reordered hypercube is held to far less.
+        let off = if name == "latin_hypercube" { 1.0 / n as f64 } else { 5.0 / (n as f64).sqrt() };
+        let asked = [
+            ("mass_kg", "size_m", 0.8),
+            ("friction", "mass_kg", -0.4),
+            ("friction", "size_m", 0.0),
+            ("mass_kg", "com_offset", 0.0),
+            ("com_offset", "ik_noise_rad", 0.0),
+        ];
+        for (a, b, rank) in asked {
+            let found = spearman(&design, a, b);
+            assert!((found - rank).abs() < off, "{name}: {a} {b} {found}, not {rank}");
+        }
+    }
+}
+
+#[test]
+fn a_correlated_hypercube_has_one_point_in_each_stratum_and_levels_in_equal_shares() {
+    for n in [1, 2, 5, 6, 100, 2001] {
+        let design = LatinHypercube::default().design(&correlated(), n, stream(3)).unwrap();
+        for j in continuous(design.space()) {
+            let domain = &design.space().parameters()[j].domain;
+            let mut strata: Vec<usize> =
+                column(&design, j).iter().map(|x| ((domain.to_unit(*x) * n as f64) as usize).min(n - 1)).collect();
+            strata.sort_unstable();
+            assert!(strata.into_iter().eq(0..n), "n {n} column {j}");
+        }
+        let shape = column(&design, design.space().position("shape").unwrap());
+        for level in 0..5 {
+            let count = shape.iter().filter(|s| **s as usize == level).count();
+            assert!((n / 5..=n.div_ceil(5)).contains(&count), "n {n} level {level}: {count}");
+        }
+    }
+}
+
+#[test]
+fn correlated_columns_stay_evenly_spread_and_the_draw_repeats() {
+    for name in NAMES {
+        let sampler = by_name(name).unwrap();
+        let design = sampler.design(&correlated(), 4096, stream(5)).unwrap();
+        assert_eq!(design, sampler.design(&correlated(), 4096, stream(5)).unwrap(), "{name}");
+        for j in continuous(design.space()) {
+            let domain = &design.space().parameters()[j].domain;
+            let mut cells = [0_u32; 16];
+            column(&design, j).iter().for_each(|x| cells[((domain.to_unit(*x) * 16.0) as usize).min(15)] += 1);
+            // 16 cells of 256 +- 15.5 for independent draws; five of those.
+            assert!(cells.iter().all(|c| c.abs_diff(256) < 78), "{name} {j}: {cells:?}");
+        }
+    }
+}

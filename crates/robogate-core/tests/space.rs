@@ -214,3 +214,42 @@ fn a_space_inside_a_larger_file_is_checked_too() {
     let error = toml::from_str::<ParameterSpace>(&format!("name = \"test\"\n{}", number("x", "2.0", "1.0", "")));
     assert!(error.unwrap_err().to_string().contains("low 2 is not below high 1"));
 }
+
+/// Three numbers and a word, with what `[[correlation]]` tables say.
+fn correlated(tables: &[(&str, &str, f64)]) -> Result<ParameterSpace, SpaceError> {
+    let three: String = ["a", "b", "c"].iter().map(|name| number(name, "0.0", "1.0", "")).collect();
+    let tables: String = tables
+        .iter()
+        .map(|(a, b, rank)| format!("[[correlation]]\nparameters = [{a:?}, {b:?}]\nrank = {rank:?}\n"))
+        .collect();
+    space(&format!("{three}{}{}{tables}", words("shape", "[\"box\", \"sphere\"]"), whole("count", 0, 5)))
+}
+
+#[test]
+fn a_correlation_that_means_nothing_is_named() {
+    for (tables, parts) in [
+        (&[("a", "mass", 0.5)][..], &["`mass`", "a, b, c, shape, count"][..]),
+        (&[("a", "shape", 0.5)], &["`shape`", "not continuous"]),
+        (&[("count", "a", 0.5)], &["`count`", "not continuous"]),
+        (&[("a", "a", 0.5)], &["`a`", "twice"]),
+        (&[("a", "b", 1.0)], &["`a` and `b`", "rank 1"]),
+        (&[("a", "b", -1.5)], &["`a` and `b`", "rank -1.5"]),
+        (&[("a", "b", 0.5), ("b", "a", 0.4)], &["`b` and `a`", "twice"]),
+        (&[("a", "b", 0.9), ("b", "c", 0.9), ("a", "c", -0.9)], &["`a`, `b`, `c`", "contradict"]),
+    ] {
+        let text = correlated(tables).unwrap_err().to_string();
+        assert!(parts.iter().all(|part| text.contains(part)), "{tables:?}: {text}");
+    }
+}
+
+#[test]
+fn a_correlated_space_reads_back_the_same_and_one_without_does_not_speak_of_it() {
+    let written = correlated(&[("a", "b", 0.5), ("b", "c", -0.25)]).unwrap();
+    assert_eq!(written.correlations().len(), 2);
+    let text = toml::to_string(&written).unwrap();
+    assert_eq!(ParameterSpace::from_toml(&text).unwrap(), written, "{text}");
+    let json = serde_json::to_string(&written).unwrap();
+    assert_eq!(serde_json::from_str::<ParameterSpace>(&json).unwrap(), written);
+    let plain = serde_json::to_string(&correlated(&[]).unwrap()).unwrap();
+    assert!(!plain.contains("correlation"), "{plain}");
+}

@@ -138,7 +138,7 @@ impl Analysis {
             provenance,
         };
         analysis.headline = headline(&analysis);
-        analysis.limits = limits(&analysis);
+        analysis.limits = limits(&analysis, !dictionary.provenance().space.correlations().is_empty());
         Ok(analysis)
     }
 

@@ -3,7 +3,8 @@
 use crate::words::{count, counted, percent};
 use crate::{Analysis, Population};
 
-pub(crate) fn limits(analysis: &Analysis) -> Vec<String> {
+/// `correlated`: whether the space lets parameters move together.
+pub(crate) fn limits(analysis: &Analysis, correlated: bool) -> Vec<String> {
     let mut limits = Vec::new();
     let success = &analysis.success;
     limits.push(match analysis.population {
@@ -74,10 +75,13 @@ pub(crate) fn limits(analysis: &Analysis) -> Vec<String> {
          nothing is called a danger zone, that is no proof of safety.",
         count(analysis.danger_zones.looked_at)
     ));
-    limits.push(
-        "Correlations, coefficients and thresholds say what goes together with failure in this simulator. Parameters were \
-         drawn independently, so here that is cause; on a line where they move together it need not be."
-            .to_owned(),
-    );
+    let drawn = if correlated {
+        "Some parameters were drawn together, as the space says, so a rate along one of them holds what the other does too"
+    } else {
+        "Parameters were drawn independently, so here that is cause; on a line where they move together it need not be"
+    };
+    limits.push(format!(
+        "Correlations, coefficients and thresholds say what goes together with failure in this simulator. {drawn}."
+    ));
     limits
 }

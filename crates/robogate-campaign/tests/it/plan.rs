@@ -172,3 +172,12 @@ fn the_forms_have_a_json_schema() {
         assert!(words.iter().all(|word| text.contains(word)), "{text}");
     }
 }
+
+#[test]
+fn a_correlated_space_is_for_the_uniform_stage_alone() {
+    let correlation = robogate_core::Correlation { parameters: ["friction".into(), "mass_kg".into()], rank: 0.5 };
+    let space = world::space().with_correlations(vec![correlation]).unwrap();
+    let error = world::plan(10, 5).check(&space).unwrap_err().to_string();
+    assert!(["`friction`", "`mass_kg`", "without a [boundary]"].iter().all(|part| error.contains(part)), "{error}");
+    world::plan(10, 0).check(&space).unwrap();
+}

@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use super::{balance::Shares, maximin::spread};
+use super::{balance::Shares, iman_conover::correlate, maximin::spread};
+use crate::cholesky::cholesky;
+use crate::copula::Copula;
 use crate::{Design, DesignError, ParameterSpace, Sampler, Stream};
 
 /// Most points of one design: up to here a point's distance from the edge of its stratum exceeds every
@@ -26,6 +28,10 @@ const PARTS: u64 = 1 << 24;
 /// Johnson, Moore and Ylvisaker 1990, J. Stat. Plan. Inference 26(2); Morris and Mitchell 1995,
 /// ibid. 43(3)). Distance is Euclidean in the unit cube, over continuous parameters only. Both steps keep
 /// every stratum. The improvement is local: the best design there is, is not promised.
+///
+/// Where parameters are correlated, the columns are reordered by the method of Iman and Conover with normal scores, so that
+/// their rank correlations come near to those asked for; every stratum still holds exactly one point. Points are then not
+/// moved apart.
 ///
 /// Points are dependent, and a binomial interval taken from them is not exact. For a hypercube as drawn
 /// the mean has at most n/(n-1) times the variance of independent draws (Owen 1997, SIAM J. Numer.
@@ -83,6 +89,10 @@ impl LatinHypercube {
         }
         let mut strata: Vec<_> = continuous.iter().map(|_| permutation(n, &mut stream)).collect();
         decorrelate(&mut strata);
+        let copula = Copula::of(space)?;
+        if let Some(copula) = &copula {
+            correlate(&mut strata, &copula.target(&continuous));
+        }
         let mut cloud = vec![0.0; n * continuous.len()];
         for (i, u) in cloud.iter_mut().enumerate() {
             let (row, column) = (i / continuous.len(), i % continuous.len());
@@ -90,7 +100,10 @@ impl LatinHypercube {
             let jitter = (part as f64 + 0.5) / PARTS as f64;
             *u = (f64::from(strata[column][row]) + jitter) / n as f64;
         }
-        spread(&mut cloud, continuous.len(), self.budget, &mut stream);
+        // Points that are moved apart lose what correlation they have.
+        if copula.is_none() {
+            spread(&mut cloud, continuous.len(), self.budget, &mut stream);
+        }
         if !continuous.is_empty() {
             for (row, point) in unit.chunks_exact_mut(d).zip(cloud.chunks_exact(continuous.len())) {
                 for (column, u) in continuous.iter().zip(point) {
@@ -124,7 +137,7 @@ fn decorrelate(columns: &mut Vec<Vec<u32>>) {
     let Some(n) = columns.first().map(Vec::len).filter(|n| *n > 1) else { return };
     let mut correlations = correlations(columns);
     for _ in 0..ROUNDS {
-        let Some(factor) = cholesky(&correlations, d) else { return };
+        let Ok(factor) = cholesky(&correlations, d) else { return };
         let mean = (n as f64 - 1.0) / 2.0;
         // Solved column by column, in place: y_j = (x_j - sum over k < j of L_jk y_k) / L_jj.
         let mut solved: Vec<Vec<f64>> = Vec::with_capacity(d);
@@ -161,25 +174,6 @@ fn correlations(columns: &[Vec<u32>]) -> Vec<f64> {
 
 fn largest_off_diagonal(matrix: &[f64], d: usize) -> f64 {
     (0..d).flat_map(|i| (0..i).map(move |j| matrix[i * d + j].abs())).fold(0.0, f64::max)
-}
-
-/// The lower triangular L with C = L L'; `None` where C is not safely positive definite.
-fn cholesky(c: &[f64], d: usize) -> Option<Vec<f64>> {
-    let mut l = vec![0.0; d * d];
-    for i in 0..d {
-        for j in 0..=i {
-            let rest = c[i * d + j] - (0..j).map(|k| l[i * d + k] * l[j * d + k]).sum::<f64>();
-            if i == j {
-                if rest <= 1e-6 {
-                    return None;
-                }
-                l[i * d + i] = rest.sqrt();
-            } else {
-                l[i * d + j] = rest / l[j * d + j];
-            }
-        }
-    }
-    Some(l)
 }
 
 /// The rank of each number, from 0; equal ones in the order in which they stand.

@@ -1,6 +1,7 @@
 //! The samplers: Latin hypercube, scrambled Sobol, plain uniform.
 
 mod balance;
+mod iman_conover;
 mod latin_hypercube;
 mod maximin;
 mod sobol;

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::{balance::Shares, latin_hypercube::ranks, sobol_directions::DIRECTIONS};
+use crate::copula::Copula;
 use crate::{Design, DesignError, ParameterSpace, Sampler, Stream};
 
 /// Most points of one design.
@@ -30,6 +31,10 @@ const MOST_PARAMETERS: usize = DIRECTIONS.len() + 1;
 /// itself would give; else a few points move to the neighbouring level. At n other than a power of two the
 /// continuous parameters are still evenly spread, but not one to a stratum.
 ///
+/// Correlated parameters come from their Gaussian copula, by the conditional (Rosenblatt) transformation of the points:
+/// means stay unbiased and each parameter uniform, but of correlated parameters only the first still has one point to a
+/// stratum.
+///
 /// Points are dependent: a binomial interval taken from them is not exact. Up to 2^31 points and
 /// 64 parameters.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -44,6 +49,9 @@ impl Sampler for Sobol {
         let d = space.len();
         self.check(n, d)?;
         let mut unit = scrambled(n, d, &mut stream);
+        if let Some(copula) = Copula::of(space)? {
+            unit.chunks_exact_mut(d).for_each(|point| copula.join(point));
+        }
         for (column, parameter) in space.parameters().iter().enumerate() {
             if let Some(shares) = Shares::of(&parameter.domain, n, &mut stream) {
                 let numbers: Vec<f64> = unit.iter().skip(column).step_by(d).copied().collect();
