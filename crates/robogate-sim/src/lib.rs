@@ -7,6 +7,7 @@
 
 pub mod claims;
 mod engine;
+mod inspect;
 mod kinematics;
 mod mujoco;
 mod object;
@@ -14,6 +15,7 @@ mod parameters;
 mod pick_place;
 mod referee;
 mod robot;
+mod robot_model;
 mod scene;
 mod scripted;
 mod servo;
@@ -23,14 +25,15 @@ mod suite;
 mod trajectory;
 
 pub use engine::{Collision, Engine, EngineBuild, JointTargets, Readback, Touches, Wrench};
+pub use inspect::{Inspection, Measured, inspect};
 pub use kinematics::{Chain, ChainJoint, Unreachable};
 pub use mujoco::MujocoEngine;
 pub use object::{MassProperties, ObjectModel, Part, Primitive, Shape};
 pub use parameters::{ParameterError, Placement, SceneParameters};
 pub use pick_place::PickPlace;
 pub use robot::{
-    Arm, Gripper, ParallelJaw, Robot, RobotError, RobotFile, RobotSettings, RobotSource, SuctionCup, built_in_robot,
-    built_in_robots,
+    Arm, Gripper, ParallelJaw, Problem, Robot, RobotError, RobotFile, RobotSettings, RobotSource, Site, SuctionCup,
+    built_in_robot, built_in_robots,
 };
 pub use scene::{Fixture, Scene, WORKSPACE_CENTRE};
 pub use scripted::Scripted;

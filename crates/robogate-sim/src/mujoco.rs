@@ -8,22 +8,19 @@
 use std::path::PathBuf;
 use std::sync::Once;
 
-use mujoco_rs::mujoco_c::mjtLimited;
 use mujoco_rs::prelude::*;
-use mujoco_rs::wrappers::mj_editing::MjsBody;
 use mujoco_rs::wrappers::mj_logging::{log_config, set_log_config};
-use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Fault, FaultKind};
 
 use crate::engine::Collision;
-use crate::robot::RobotSource;
 use crate::scene::isometry;
-use crate::{Chain, ChainJoint, Engine, EngineBuild, Gripper, JointTargets, Primitive, Readback, Robot, RobotError};
-use crate::{ParallelJaw, Scene, Touches, Wrench};
+use crate::{Chain, Engine, EngineBuild, JointTargets, Primitive, Problem, Readback, Robot, RobotError, robot_model};
+use crate::{Scene, Touches, Wrench};
 
 /// Contact masks: the robot meets the object and fixtures, the object meets fixtures; the robot does not
 /// meet itself (fingers that close on nothing are a miss, not a collision).
-const ROBOT: (i32, i32) = (1, 0);
+pub(crate) const ROBOT: (i32, i32) = (1, 0);
 const OBJECT: (i32, i32) = (2, 1);
 const FIXTURE: (i32, i32) = (0, 3);
 
@@ -36,14 +33,11 @@ const ROLLING: f64 = 5e-4;
 
 /// Time constant in which a contact of the object gives way, in seconds: as stiff as the default time step
 /// allows (MuJoCo asks for two steps), and the same for shorter ones, so that they converge to one physics.
-const CONTACT_TIME_S: f64 = 2.0 * MujocoEngine::TIME_STEP_S;
-
-/// Group in which a model's own actuators are switched off: the cell has its own drives.
-const OFF_GROUP: i32 = 30;
+pub(crate) const CONTACT_TIME_S: f64 = 2.0 * MujocoEngine::TIME_STEP_S;
 
 /// Fixtures and object by their names in the compiled model. The prefix keeps them from meeting a
 /// robot's names.
-const PREFIX: &str = "robogate/";
+pub(crate) const PREFIX: &str = "robogate/";
 
 /// MuJoCo with one robot.
 pub struct MujocoEngine {
@@ -103,78 +97,61 @@ impl MujocoEngine {
     /// An engine for this robot, with this time step in seconds.
     pub fn new(robot: Robot, time_step: f64) -> Result<Self, RobotError> {
         silence_log_file();
-        let mut base = parse(&robot)?;
-        let invalid = |why: String| RobotError::Invalid { path: model_path(&robot), why };
-        // The cell's physics is the cell's: a robot's file says nothing about it.
-        *base.option_mut() = MjSpec::new().option().clone();
-        base.set_memory(MjSpec::new().memory());
-        let compiler = base.compiler_mut();
-        compiler.set_boundmass(0.0);
-        compiler.set_boundinertia(0.0);
-        compiler.set_balanceinertia(false);
-        for actuator in base.actuator_iter_mut() {
-            actuator.set_group(OFF_GROUP);
-        }
-        let settings = &robot.settings;
-        let arm = settings.arm.joints.iter().enumerate().map(|(i, name)| {
-            let arm = &settings.arm;
-            (name, arm.stiffness_nm_rad[i], arm.damping_nms_rad[i], arm.torque_limit_nm[i])
-        });
-        let fingers = settings.gripper.jaw().into_iter().flat_map(|jaw| {
-            jaw.finger_joints.iter().map(|name| (name, jaw.stiffness_n_m, jaw.damping_ns_m, jaw.force_limit_n))
-        });
-        for (joint, stiffness, damping, limit) in arm.chain(fingers) {
-            let Some(driven) = base.joint_mut(joint) else {
-                return Err(invalid(format!("there is no joint `{joint}`, which robot.toml names")));
-            };
-            // The weight of the arm itself is part of what its drives have to bear.
-            driven.set_actgravcomp(true);
-            *driven.actfrcrange_mut() = [-limit, limit];
-            driven.set_actfrclimited(mjtLimited::mjLIMITED_TRUE);
-            // An end stop does not give way to the drive.
-            driven.solref_limit_mut()[..2].copy_from_slice(&[CONTACT_TIME_S, 1.0]);
-            driven.solimp_limit_mut()[..3].copy_from_slice(&[0.99, 0.999, 1e-4]);
-            let mut gain = [0.0; 10];
-            gain[0] = stiffness;
-            let mut bias = [0.0; 10];
-            (bias[1], bias[2]) = (-stiffness, -damping);
-            let actuator = base.add_actuator();
-            actuator.set_name(&format!("{PREFIX}{joint}")).map_err(|e| invalid(e.to_string()))?;
-            actuator.set_trntype(MjtTrn::mjTRN_JOINT);
-            actuator.set_target(joint);
-            actuator.set_gaintype(MjtGain::mjGAIN_FIXED);
-            actuator.set_biastype(MjtBias::mjBIAS_AFFINE);
-            actuator.gainprm_mut()[..10].copy_from_slice(&gain);
-            actuator.biasprm_mut()[..10].copy_from_slice(&bias);
-            actuator.set_ctrllimited(mjtLimited::mjLIMITED_FALSE);
-            actuator.set_forcelimited(mjtLimited::mjLIMITED_TRUE);
-            *actuator.forcerange_mut() = [-limit, limit];
-            actuator.set_group(0);
-        }
-        for geom in base.geom_iter_mut() {
-            if geom.contype() != 0 || geom.conaffinity() != 0 {
-                geom.set_contype(ROBOT.0);
-                geom.set_conaffinity(ROBOT.1);
-                // The object's friction is what counts, whatever a hand's model says.
-                geom.set_priority(0);
-                geom.set_margin(0.0);
-                geom.set_gap(0.0);
+        let (base, chain) = robot_model::build(&robot, time_step)
+            .map_err(|problems| RobotError::Invalid { path: robot_model::path(&robot), problems })?;
+        Ok(Self { robot, base, chain, time_step, loaded: None })
+    }
+
+    /// All that is wrong with a robot's model; its settings may be wrong too.
+    pub(crate) fn problems(robot: &Robot) -> Vec<Problem> {
+        silence_log_file();
+        robot_model::build(robot, Self::TIME_STEP_S).err().unwrap_or_default()
+    }
+
+    /// Mass of each moving body of the loaded robot that has one, in the model's order, in kilograms.
+    pub(crate) fn masses(&self) -> Vec<(String, f64)> {
+        let Some(loaded) = &self.loaded else { return Vec::new() };
+        let model = loaded.data.model();
+        (1..model.body_mass().len())
+            .filter(|body| *body != loaded.object_body && model.body_weldid()[*body] != 0)
+            .map(|body| (self.robot_body(body), model.body_mass()[body]))
+            .filter(|(_, mass)| *mass > 0.0)
+            .collect()
+    }
+
+    /// Pairs of the loaded robot's bodies that stand deeper in each other than `deep` (m), and how deep. Neighbours
+    /// in the chain, the fingers and what the model excludes from contact do not count.
+    pub(crate) fn self_contacts(&mut self, deep: f64) -> Vec<(String, String, f64)> {
+        let Some(loaded) = self.loaded.as_mut() else { return Vec::new() };
+        let model = loaded.data.model();
+        let weld = |body: usize| model.body_weldid()[body] as usize;
+        let above = |body: usize| weld(model.body_parentid()[weld(body)] as usize);
+        let excluded: Vec<(usize, usize)> =
+            model.exclude_signature().iter().map(|s| ((*s >> 16) as usize, (*s & 0xffff) as usize)).collect();
+        let mut pairs = Vec::new();
+        for (i, a) in loaded.kinds.iter().enumerate() {
+            for (j, b) in loaded.kinds.iter().enumerate().skip(i + 1) {
+                let (Kind::Robot { body: a, finger: f }, Kind::Robot { body: b, finger: g }) = (*a, *b) else {
+                    continue;
+                };
+                let neighbours = weld(a) == weld(b) || weld(a) == above(b) || weld(b) == above(a);
+                let fingers = f.is_some() && g.is_some();
+                if !neighbours && !fingers && !excluded.contains(&(a, b)) && !excluded.contains(&(b, a)) {
+                    pairs.push((i, j, a, b));
+                }
             }
         }
-        compensate_weight(base.world_body_mut());
-        let option = base.option_mut();
-        option.timestep = time_step;
-        option.integrator = MjtIntegrator::mjINT_IMPLICITFAST as i32;
-        option.cone = MjtCone::mjCONE_ELLIPTIC as i32;
-        option.impratio = 10.0;
-        option.solver = MjtSolver::mjSOL_NEWTON as i32;
-        option.iterations = 100;
-        option.ls_iterations = 50;
-        option.disableactuator = 1 << OFF_GROUP;
-        let model = base.clone().compile().map_err(|e| invalid(e.to_string()))?;
-        let chain = chain(&model, &robot).map_err(invalid)?;
-        check(&model, &robot, &chain).map_err(invalid)?;
-        Ok(Self { robot, base, chain, time_step, loaded: None })
+        let mut deepest: Vec<(usize, usize, f64)> = Vec::new();
+        for (i, j, a, b) in pairs {
+            let depth = -loaded.data.geom_distance(i, j, deep, None);
+            if depth > deep {
+                match deepest.iter_mut().find(|(x, y, _)| (*x, *y) == (a, b)) {
+                    Some((.., most)) => *most = most.max(depth),
+                    None => deepest.push((a, b, depth)),
+                }
+            }
+        }
+        deepest.into_iter().map(|(a, b, depth)| (self.robot_body(a), self.robot_body(b), depth)).collect()
     }
 
     /// The scene that [`Engine::load`] put there; every reading of a world needs one.
@@ -248,30 +225,7 @@ fn silence_log_file() {
     });
 }
 
-fn model_path(robot: &Robot) -> PathBuf {
-    match &robot.source {
-        RobotSource::BuiltIn { .. } => PathBuf::from(&robot.settings.model),
-        RobotSource::Folder(folder) => folder.join(&robot.settings.model),
-    }
-}
-
-fn parse(robot: &Robot) -> Result<MjSpec, RobotError> {
-    let parsed = match &robot.source {
-        RobotSource::BuiltIn { model, .. } => MjSpec::from_xml_string(model),
-        RobotSource::Folder(_) => MjSpec::from_xml(model_path(robot)),
-    };
-    parsed.map_err(|e| RobotError::Invalid { path: model_path(robot), why: e.to_string() })
-}
-
-/// As every arm's controller does; the weight of what the robot carries is not compensated.
-fn compensate_weight(body: &mut MjsBody) {
-    for child in body.body_iter_mut() {
-        child.set_gravcomp(1.0);
-        compensate_weight(child);
-    }
-}
-
-fn wxyz(rotation: &UnitQuaternion<f64>) -> [f64; 4] {
+pub(crate) fn wxyz(rotation: &UnitQuaternion<f64>) -> [f64; 4] {
     [rotation.w, rotation.i, rotation.j, rotation.k]
 }
 
@@ -316,127 +270,6 @@ fn primitive(model: &MjModel, geom: usize) -> Option<Primitive> {
 
 fn find(model: &MjModel, kind: MjtObjBase, what: &str, name: &str) -> Result<usize, String> {
     model.name_to_id(kind, name).ok_or_else(|| format!("there is no {what} `{name}`, which robot.toml names"))
-}
-
-/// The serial chain from the base to the tool, out of a compiled model.
-fn chain(model: &MjModel, robot: &Robot) -> Result<Chain, String> {
-    let arm = &robot.settings.arm;
-    let tcp = find(model, MjtObjBase::mjOBJ_SITE, "site", &arm.tcp_site)?;
-    let flange = find(model, MjtObjBase::mjOBJ_SITE, "site", &arm.flange_site)?;
-    let wanted = arm
-        .joints
-        .iter()
-        .map(|name| find(model, MjtObjBase::mjOBJ_JOINT, "joint", name))
-        .collect::<Result<Vec<_>, _>>()?;
-    let parent = |body: usize| model.body_parentid()[body] as usize;
-    let mut bodies = Vec::new();
-    let mut body = model.site_bodyid()[tcp] as usize;
-    while body != 0 {
-        bodies.push(body);
-        body = parent(body);
-    }
-    let mut joints = Vec::new();
-    // The way from the last joint's frame, as far as it has come.
-    let mut way = Isometry3::identity();
-    let mut flange_way = None;
-    let flange_body = model.site_bodyid()[flange] as usize;
-    for &body in bodies.iter().rev() {
-        way *= isometry(&model.body_pos()[body], &model.body_quat()[body]);
-        let first = model.body_jntadr()[body];
-        for joint in (0..model.body_jntnum()[body]).map(|k| (first + k) as usize) {
-            let name = model.id_to_name(MjtObjBase::mjOBJ_JOINT, joint).unwrap_or("(without a name)");
-            let expected = wanted.get(joints.len()).copied();
-            if expected != Some(joint) {
-                return Err(format!(
-                    "joint `{name}` lies between base and `{}` where arm.joints has {}: list every joint of the arm, base to tip",
-                    arm.tcp_site,
-                    arm.joints.get(joints.len()).map_or("no more".to_owned(), |n| format!("`{n}`")),
-                ));
-            }
-            if model.jnt_type()[joint] != MjtJoint::mjJNT_HINGE {
-                return Err(format!("joint `{name}` is no hinge: arms with sliding joints are not supported"));
-            }
-            let range = model.jnt_range()[joint];
-            if !model.jnt_limited()[joint] || range[0] >= range[1] {
-                return Err(format!("joint `{name}` has no limits: give it a range"));
-            }
-            let anchor = Translation3::from(Vector3::from(model.jnt_pos()[joint]));
-            joints.push(ChainJoint {
-                placement: way * anchor,
-                axis: Unit::new_normalize(Vector3::from(model.jnt_axis()[joint])),
-                range,
-            });
-            way = Isometry3::from_parts(anchor.inverse(), UnitQuaternion::identity());
-        }
-        if body == flange_body {
-            flange_way = Some(way);
-        }
-    }
-    if joints.len() < wanted.len() {
-        return Err(format!("joint `{}` does not lie between base and `{}`", arm.joints[joints.len()], arm.tcp_site));
-    }
-    let flange_way = flange_way
-        .ok_or_else(|| format!("site `{}` does not lie between base and `{}`", arm.flange_site, arm.tcp_site))?;
-    let site = |id: usize| isometry(&model.site_pos()[id], &model.site_quat()[id]);
-    Ok(Chain { joints, flange: flange_way * site(flange), tcp: way * site(tcp) })
-}
-
-/// What a compiled robot must be besides a chain.
-fn check(model: &MjModel, robot: &Robot, chain: &Chain) -> Result<(), String> {
-    let settings = &robot.settings;
-    for ((joint, home), name) in chain.joints.iter().zip(&settings.arm.home_rad).zip(&settings.arm.joints) {
-        if !(joint.range[0]..=joint.range[1]).contains(home) {
-            let [low, high] = joint.range;
-            return Err(format!("joint `{name}`: arm.home_rad has {home}, outside its range {low} to {high}"));
-        }
-    }
-    match &settings.gripper {
-        Gripper::ParallelJaw(jaw) => check_jaw(model, jaw)?,
-        Gripper::Suction(cup) => {
-            let body = find(model, MjtObjBase::mjOBJ_BODY, "body", &cup.cup_body)?;
-            let tcp = find(model, MjtObjBase::mjOBJ_SITE, "site", &settings.arm.tcp_site)?;
-            if model.body_weldid()[body] != model.body_weldid()[model.site_bodyid()[tcp] as usize] {
-                let (cup, tcp) = (&cup.cup_body, &settings.arm.tcp_site);
-                return Err(format!("gripper.cup_body = \"{cup}\" moves against the site `{tcp}`, where its lip is"));
-            }
-        }
-    }
-    // A robot's folder holds the robot alone: whatever else it brings would stand in the cell unseen.
-    let tcp = find(model, MjtObjBase::mjOBJ_SITE, "site", &settings.arm.tcp_site)?;
-    let mut root = model.site_bodyid()[tcp];
-    while model.body_parentid()[root as usize] != 0 {
-        root = model.body_parentid()[root as usize];
-    }
-    for (geom, body) in model.geom_bodyid().iter().enumerate() {
-        let touchable = model.geom_contype()[geom] != 0;
-        if touchable && model.body_rootid()[*body as usize] != root {
-            let name = model.id_to_name(MjtObjBase::mjOBJ_GEOM, geom).unwrap_or("without a name");
-            return Err(format!("the shape `{name}` does not belong to the robot: a robot's model holds no scene"));
-        }
-    }
-    Ok(())
-}
-
-/// What a compiled parallel jaw must be.
-fn check_jaw(model: &MjModel, jaw: &ParallelJaw) -> Result<(), String> {
-    let ParallelJaw { finger_joints, finger_bodies, opening_m, .. } = jaw;
-    let mut width = 0.0;
-    for name in finger_joints {
-        let joint = find(model, MjtObjBase::mjOBJ_JOINT, "joint", name)?;
-        if model.jnt_type()[joint] != MjtJoint::mjJNT_SLIDE || !model.jnt_limited()[joint] {
-            return Err(format!("finger joint `{name}` must be a slide with a range"));
-        }
-        width += model.jnt_range()[joint][1];
-    }
-    if *opening_m > width + 1e-9 {
-        return Err(format!("gripper.opening_m = {opening_m}, but the finger joints open {width} m at most"));
-    }
-    let fingers = [&finger_bodies[0], &finger_bodies[1]].map(|name| find(model, MjtObjBase::mjOBJ_BODY, "body", name));
-    let [left, right] = [fingers[0].clone()?, fingers[1].clone()?];
-    if left == right || finger_joints[0] == finger_joints[1] {
-        return Err("gripper: the two fingers are one and the same".to_owned());
-    }
-    Ok(())
 }
 
 impl Engine for MujocoEngine {

@@ -1,8 +1,8 @@
 //! A robot is a folder: an MJCF model and a `robot.toml` that says what MJCF cannot.
 
 use std::borrow::Cow;
-use std::fs;
 use std::path::{Path, PathBuf};
+use std::{fmt, fs};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -45,6 +45,25 @@ pub struct RobotSettings {
     pub arm: Arm,
     /// The gripper.
     pub gripper: Gripper,
+    /// Sites that the model lacks: a URDF has none, and few models have one at the tool centre point.
+    #[serde(rename = "site", default, skip_serializing_if = "Vec::is_empty")]
+    pub sites: Vec<Site>,
+}
+
+/// A frame on a body, to be named as `flange_site` or `tcp_site`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Site {
+    /// Its name, one that the model does not have.
+    pub name: String,
+    /// The body on which it is: an MJCF's `body`, a URDF's `link`.
+    pub body: String,
+    /// Its position in the body's frame, in metres.
+    #[serde(default)]
+    pub position_m: [f64; 3],
+    /// Its turn in the body's frame: roll, pitch and yaw about the fixed x, y and z, as URDF has it, in radians.
+    #[serde(default)]
+    pub rpy_rad: [f64; 3],
 }
 
 /// The arm. Arrays have one entry per joint, base to tip.
@@ -191,11 +210,28 @@ impl Gripper {
 const ATMOSPHERE_PA: f64 = 101_325.0;
 
 /// Every robot in the binary: name, MJCF, `robot.toml`.
-const BUILT_IN: [(&str, &str, &str); 1] = [(
-    "franka",
-    include_str!("../../../assets/robots/franka/franka.xml"),
-    include_str!("../../../assets/robots/franka/robot.toml"),
-)];
+const BUILT_IN: [(&str, &str, &str); 4] = [
+    (
+        "franka",
+        include_str!("../../../assets/robots/franka/franka.xml"),
+        include_str!("../../../assets/robots/franka/robot.toml"),
+    ),
+    (
+        "ur3e",
+        include_str!("../../../assets/robots/ur3e/ur3e.xml"),
+        include_str!("../../../assets/robots/ur3e/robot.toml"),
+    ),
+    (
+        "ur5e",
+        include_str!("../../../assets/robots/ur5e/ur5e.xml"),
+        include_str!("../../../assets/robots/ur5e/robot.toml"),
+    ),
+    (
+        "ur10e",
+        include_str!("../../../assets/robots/ur10e/ur10e.xml"),
+        include_str!("../../../assets/robots/ur10e/robot.toml"),
+    ),
+];
 
 /// The names of the robots that come with RoboGate.
 pub fn built_in_robots() -> impl Iterator<Item = &'static str> {
@@ -215,18 +251,28 @@ pub fn built_in_robot(name: &str) -> Result<Robot, RobotError> {
 impl Robot {
     /// Reads a robot from its folder.
     pub fn from_folder(folder: &Path) -> Result<Self, RobotError> {
+        let (robot, problems) = Self::read(folder)?;
+        if problems.is_empty() {
+            Ok(robot)
+        } else {
+            Err(RobotError::Invalid { path: folder.join("robot.toml"), problems })
+        }
+    }
+
+    /// Reads a robot that may have something wrong in its settings, and what that is.
+    pub(crate) fn read(folder: &Path) -> Result<(Self, Vec<Problem>), RobotError> {
         let file = folder.join("robot.toml");
         let text =
             fs::read_to_string(&file).map_err(|e| RobotError::Read { path: file.clone(), why: e.to_string() })?;
-        let settings = RobotSettings::from_toml(&text, &file)?;
-        let model = folder.join(&settings.model);
-        if !model.is_file() {
-            return Err(RobotError::Invalid {
-                path: file,
-                why: format!("model = \"{}\": there is no such file beside it", settings.model),
-            });
+        let settings = RobotSettings::parse(&text, &file)?;
+        let mut problems = settings.problems();
+        if problems.is_empty() && !folder.join(&settings.model).is_file() {
+            problems.push(Problem::new(
+                format!("model = \"{}\": there is no such file beside robot.toml", settings.model),
+                "put the MJCF or URDF into the robot's folder and name it here",
+            ));
         }
-        Ok(Self { settings, source: RobotSource::Folder(folder.to_owned()) })
+        Ok((Self { settings, source: RobotSource::Folder(folder.to_owned()) }, problems))
     }
 
     /// The robot's name.
@@ -269,22 +315,41 @@ fn collect_files(folder: &Path, prefix: &str, files: &mut Vec<RobotFile>) -> Res
 impl RobotSettings {
     /// Parses and checks the text of a `robot.toml`; `path` is for messages.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, RobotError> {
-        let invalid = |why: String| RobotError::Invalid { path: path.to_owned(), why };
-        let settings: Self = toml::from_str(text).map_err(|e| invalid(e.to_string()))?;
-        if Path::new(&settings.model).components().count() != 1 || settings.model.starts_with('.') {
-            return Err(invalid(format!(
-                "model = {:?} must be the name of a file in the robot's folder",
-                settings.model
-            )));
+        let settings = Self::parse(text, path)?;
+        let problems = settings.problems();
+        if problems.is_empty() { Ok(settings) } else { Err(RobotError::Invalid { path: path.to_owned(), problems }) }
+    }
+
+    fn parse(text: &str, path: &Path) -> Result<Self, RobotError> {
+        toml::from_str(text).map_err(|e| RobotError::Invalid {
+            path: path.to_owned(),
+            problems: vec![Problem::new(
+                e.to_string().trim_end(),
+                "docs/robots.md and schemas/robot.schema.json say which keys there are",
+            )],
+        })
+    }
+
+    /// All that is wrong with the settings alone.
+    fn problems(&self) -> Vec<Problem> {
+        let mut problems = Vec::new();
+        let mut problem = |what: String, hint: &str| problems.push(Problem::new(what, hint));
+        if Path::new(&self.model).components().count() != 1 || self.model.starts_with('.') {
+            problem(
+                format!("model = {:?} is not the name of a file in the robot's folder", self.model),
+                "put the model beside robot.toml and give its name alone",
+            );
         }
-        let arm = &settings.arm;
+        let arm = &self.arm;
         if arm.joints.is_empty() {
-            return Err(invalid("arm.joints is empty".to_owned()));
+            problem("arm.joints is empty".to_owned(), "name every joint of the arm, base to tip");
         }
         let sites = [&arm.flange_site, &arm.tcp_site];
-        let names = arm.joints.iter().chain(sites).chain(settings.gripper.names());
-        if let Some(name) = names.into_iter().find(|name| name.is_empty() || name.contains('\0')) {
-            return Err(invalid(format!("{name:?} can be no name in a model")));
+        let added = self.sites.iter().flat_map(|site| [&site.name, &site.body]);
+        for name in arm.joints.iter().chain(sites).chain(added).chain(self.gripper.names()) {
+            if name.is_empty() || name.contains('\0') {
+                problem(format!("{name:?} can be no name in a model"), "give the name that the model has");
+            }
         }
         for (key, values, positive) in [
             ("home_rad", &arm.home_rad, false),
@@ -296,24 +361,57 @@ impl RobotSettings {
         ] {
             if values.len() != arm.joints.len() {
                 let (got, want) = (values.len(), arm.joints.len());
-                return Err(invalid(format!("arm.{key} has {got} entries, arm.joints has {want}")));
+                problem(
+                    format!("arm.{key} has {got} entries, arm.joints has {want}"),
+                    "give one for each joint, in the order of arm.joints",
+                );
             }
             // Below a thousandth there is no arm: such a value is a slip of units.
             if let Some(bad) = values.iter().find(|v| !v.is_finite() || (positive && **v < 1e-3)) {
                 let wanted = if positive { "a number of at least 0.001" } else { "a finite number" };
-                return Err(invalid(format!("arm.{key} holds {bad}, which is not {wanted}")));
+                problem(
+                    format!("arm.{key} holds {bad}, which is not {wanted}"),
+                    "the key's last words are its unit: rad, s, N m",
+                );
+            }
+        }
+        for site in &self.sites {
+            if site.position_m.iter().chain(&site.rpy_rad).any(|x| !x.is_finite()) {
+                problem(format!("site `{}` stands at no finite pose", site.name), "give metres and radians");
             }
         }
         let arm = [("arm.reach_m", arm.reach_m), ("arm.payload_kg", arm.payload_kg)];
-        for (key, value) in arm.into_iter().chain(settings.gripper.quantities()) {
+        for (key, value) in arm.into_iter().chain(self.gripper.quantities()) {
             if !value.is_finite() || value <= 0.0 {
-                return Err(invalid(format!("{key} = {value} is not a positive number")));
+                problem(format!("{key} = {value} is not a positive number"), "the key's last letters are its unit");
             }
         }
-        if let Some(why) = settings.gripper.contradiction() {
-            return Err(invalid(why));
+        if let Some(why) = self.gripper.contradiction() {
+            problem(why, "see the gripper's data sheet");
         }
-        Ok(settings)
+        problems
+    }
+}
+
+/// Something that is wrong with a robot, and what to do about it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Problem {
+    /// What is wrong, and where.
+    pub what: String,
+    /// What to do about it.
+    pub hint: String,
+}
+
+impl Problem {
+    /// A problem with its remedy.
+    pub(crate) fn new(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { what: what.into(), hint: hint.into() }
+    }
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}\n  hint: {}", self.what, self.hint)
     }
 }
 
@@ -337,11 +435,11 @@ pub enum RobotError {
         why: String,
     },
     /// A file says something that cannot be.
-    #[error("{}: {why}", path.display())]
+    #[error("{}: {}", path.display(), problems.iter().map(Problem::to_string).collect::<Vec<_>>().join("\n"))]
     Invalid {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
-        why: String,
+        /// What is wrong, all of it.
+        problems: Vec<Problem>,
     },
 }

@@ -42,6 +42,8 @@ enum Verb {
     Study(commands::study::Study),
     /// List, show and check suites: the scenarios on which a policy is judged
     Suites(commands::suites::Suites),
+    /// List the robots, or say what is wrong with one
+    Robots(commands::robots::Robots),
     /// Check claims by experiment
     Check(commands::check::Check),
 }
@@ -58,6 +60,7 @@ fn main() -> ExitCode {
         Verb::Import(import) => import.execute(),
         Verb::Study(study) => study.execute(),
         Verb::Suites(suites) => suites.execute(),
+        Verb::Robots(robots) => robots.execute(),
         Verb::Check(check) => check.execute(),
     };
     match result {

@@ -7,6 +7,7 @@ pub(crate) mod import;
 pub(crate) mod replay;
 pub(crate) mod report;
 pub(crate) mod resume;
+pub(crate) mod robots;
 pub(crate) mod run;
 pub(crate) mod study;
 pub(crate) mod suites;

@@ -1,0 +1,421 @@
+//! From a robot's folder to a MuJoCo model with the cell's drives on it. All that is wrong is named at once.
+
+use std::path::PathBuf;
+
+use mujoco_rs::mujoco_c::mjtLimited;
+use mujoco_rs::prelude::*;
+use mujoco_rs::wrappers::mj_editing::MjsBody;
+use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
+
+use crate::mujoco::{CONTACT_TIME_S, PREFIX, ROBOT, wxyz};
+use crate::robot::RobotSource;
+use crate::scene::isometry;
+use crate::{Chain, ChainJoint, Gripper, ParallelJaw, Problem, Robot, RobotSettings, Site};
+
+/// Group in which a model's own actuators are switched off: the cell has its own drives.
+const OFF_GROUP: i32 = 30;
+
+/// The model's file.
+pub(crate) fn path(robot: &Robot) -> PathBuf {
+    match &robot.source {
+        RobotSource::BuiltIn { .. } => PathBuf::from(&robot.settings.model),
+        RobotSource::Folder(folder) => folder.join(&robot.settings.model),
+    }
+}
+
+/// The robot alone, ready for a scene about it, and its kinematics.
+pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain), Vec<Problem>> {
+    let parsed = match &robot.source {
+        RobotSource::BuiltIn { model, .. } => MjSpec::from_xml_string(model),
+        RobotSource::Folder(_) => MjSpec::from_xml(path(robot)),
+    };
+    let mut spec =
+        parsed.map_err(|e| vec![Problem::new(e.to_string(), "MuJoCo reads MJCF and URDF: mend the file")])?;
+    let settings = &robot.settings;
+    let mut problems = Vec::new();
+    prepare(&mut spec, time_step);
+    for site in &settings.sites {
+        add_site(&mut spec, site, &mut problems);
+    }
+    check_names(&spec, settings, &mut problems);
+    let named = problems.is_empty();
+    add_drives(&mut spec, settings, &mut problems);
+    let compiled = spec.clone().compile().or_else(|error| {
+        let missing = leave_out_missing_meshes(&mut spec, robot);
+        if missing.is_empty() {
+            return Err(Problem::new(error.to_string(), "this is MuJoCo's own finding: mend the model"));
+        }
+        problems.extend(missing);
+        // What else is wrong shows without them.
+        spec.clone().compile().map_err(|error| Problem::new(error.to_string(), "mend the model"))
+    });
+    let model = match compiled {
+        Ok(model) => model,
+        Err(problem) => {
+            // Where meshes are missing, what follows from that is no problem of its own.
+            if problems.is_empty() {
+                problems.push(problem);
+            }
+            return Err(problems);
+        }
+    };
+    check_joints(&model, settings, &mut problems);
+    check_gripper(&model, settings, &mut problems);
+    check_alone(&model, settings, &mut problems);
+    // Without a name there is no way along the arm.
+    let chain = if named { chain(&model, settings, &mut problems) } else { None };
+    match chain {
+        Some(chain) if problems.is_empty() => Ok((spec, chain)),
+        _ => Err(problems),
+    }
+}
+
+/// Leaves of the file the robot alone: the cell's physics is the cell's, and so are the drives.
+fn prepare(spec: &mut MjSpec, time_step: f64) {
+    *spec.option_mut() = MjSpec::new().option().clone();
+    spec.set_memory(MjSpec::new().memory());
+    let compiler = spec.compiler_mut();
+    compiler.set_boundmass(0.0);
+    compiler.set_boundinertia(0.0);
+    compiler.set_balanceinertia(false);
+    // A URDF's links are kept as bodies, also where they are fixed to each other: robot.toml names them.
+    compiler.set_fusestatic(false);
+    for actuator in spec.actuator_iter_mut() {
+        actuator.set_group(OFF_GROUP);
+    }
+    // A keyframe is a state of the robot without a scene.
+    while let Some(key) = spec.key_iter_mut().next() {
+        // SAFETY: the handle comes fresh from the spec, is used once, and no other is held.
+        #[expect(unsafe_code, reason = "the binding has no safe way to delete")]
+        if unsafe { key.delete() }.is_err() {
+            break;
+        }
+    }
+    for geom in spec.geom_iter_mut() {
+        if geom.contype() != 0 || geom.conaffinity() != 0 {
+            geom.set_contype(ROBOT.0);
+            geom.set_conaffinity(ROBOT.1);
+            // The object's friction is what counts, whatever a hand's model says.
+            geom.set_priority(0);
+            geom.set_margin(0.0);
+            geom.set_gap(0.0);
+        }
+    }
+    compensate_weight(spec.world_body_mut());
+    let option = spec.option_mut();
+    option.timestep = time_step;
+    option.integrator = MjtIntegrator::mjINT_IMPLICITFAST as i32;
+    option.cone = MjtCone::mjCONE_ELLIPTIC as i32;
+    option.impratio = 10.0;
+    option.solver = MjtSolver::mjSOL_NEWTON as i32;
+    option.iterations = 100;
+    option.ls_iterations = 50;
+    option.disableactuator = 1 << OFF_GROUP;
+}
+
+/// As every arm's controller does; the weight of what the robot carries is not compensated.
+fn compensate_weight(body: &mut MjsBody) {
+    for child in body.body_iter_mut() {
+        child.set_gravcomp(1.0);
+        compensate_weight(child);
+    }
+}
+
+fn add_site(spec: &mut MjSpec, site: &Site, problems: &mut Vec<Problem>) {
+    if spec.site(&site.name).is_some() {
+        problems.push(Problem::new(
+            format!("[[site]] `{}`: the model has a site of that name", site.name),
+            "use the model's, or choose another name",
+        ));
+        return;
+    }
+    let Some(body) = spec.body_mut(&site.body) else {
+        let there = listed(spec.body_iter().map(|body| body.name()));
+        problems.push(Problem::new(
+            format!("[[site]] `{}`: there is no body `{}`", site.name, site.body),
+            format!("the model has {there}"),
+        ));
+        return;
+    };
+    let [roll, pitch, yaw] = site.rpy_rad;
+    let added = body.add_site().with_name(&site.name);
+    *added.pos_mut() = site.position_m;
+    *added.quat_mut() = wxyz(&UnitQuaternion::from_euler_angles(roll, pitch, yaw));
+}
+
+/// Names for a hint.
+fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    let names: Vec<String> =
+        names.filter(|name| !name.is_empty() && *name != "world").map(|n| format!("`{n}`")).collect();
+    if names.is_empty() { "none with a name".to_owned() } else { names.join(", ") }
+}
+
+/// Whether the model has what robot.toml names.
+fn check_names(spec: &MjSpec, settings: &RobotSettings, problems: &mut Vec<Problem>) {
+    let arm = &settings.arm;
+    let mut missing = |what: &str, name: &str, hint: String| {
+        let what = format!("there is no {what} `{name}`, which robot.toml names");
+        problems.push(Problem::new(what, hint));
+    };
+    let (fingers, bodies): (&[String], &[String]) = match &settings.gripper {
+        Gripper::ParallelJaw(jaw) => (&jaw.finger_joints, &jaw.finger_bodies),
+        Gripper::Suction(cup) => (&[], std::slice::from_ref(&cup.cup_body)),
+    };
+    for name in arm.joints.iter().chain(fingers).filter(|name| spec.joint(name).is_none()) {
+        missing("joint", name, format!("the model has {}", listed(spec.joint_iter().map(|joint| joint.name()))));
+    }
+    for name in [&arm.flange_site, &arm.tcp_site].into_iter().filter(|name| spec.site(name).is_none()) {
+        let there = listed(spec.site_iter().map(|site| site.name()));
+        missing(
+            "site",
+            name,
+            format!("the model has {there}; add one in robot.toml: [[site]] with name, body, position_m and rpy_rad"),
+        );
+    }
+    for name in bodies.iter().filter(|name| spec.body(name).is_none()) {
+        missing("body", name, format!("the model has {}", listed(spec.body_iter().map(|body| body.name()))));
+    }
+}
+
+/// Gives every joint that robot.toml names its servo.
+fn add_drives(spec: &mut MjSpec, settings: &RobotSettings, problems: &mut Vec<Problem>) {
+    let arm = &settings.arm;
+    // Where an array is too short the settings are refused, not what is made of them here.
+    let entry = |values: &[f64], i: usize| values.get(i).copied().unwrap_or(1.0);
+    let joints = arm.joints.iter().enumerate().map(|(i, name)| {
+        let [stiffness, damping, limit] =
+            [&arm.stiffness_nm_rad, &arm.damping_nms_rad, &arm.torque_limit_nm].map(|values| entry(values, i));
+        (name, stiffness, damping, limit)
+    });
+    let fingers = settings.gripper.jaw().into_iter().flat_map(|jaw| {
+        jaw.finger_joints.iter().map(|name| (name, jaw.stiffness_n_m, jaw.damping_ns_m, jaw.force_limit_n))
+    });
+    for (joint, stiffness, damping, limit) in joints.chain(fingers) {
+        let Some(driven) = spec.joint_mut(joint) else { continue };
+        // The weight of the arm itself is part of what its drives have to bear.
+        driven.set_actgravcomp(true);
+        *driven.actfrcrange_mut() = [-limit, limit];
+        driven.set_actfrclimited(mjtLimited::mjLIMITED_TRUE);
+        // An end stop does not give way to the drive.
+        driven.solref_limit_mut()[..2].copy_from_slice(&[CONTACT_TIME_S, 1.0]);
+        driven.solimp_limit_mut()[..3].copy_from_slice(&[0.99, 0.999, 1e-4]);
+        let mut gain = [0.0; 10];
+        gain[0] = stiffness;
+        let mut bias = [0.0; 10];
+        (bias[1], bias[2]) = (-stiffness, -damping);
+        let actuator = spec.add_actuator();
+        if actuator.set_name(&format!("{PREFIX}{joint}")).is_err() {
+            problems
+                .push(Problem::new(format!("joint `{joint}` is named twice in robot.toml"), "name each joint once"));
+            // SAFETY: the handle was made above, is used for the last time, and no other is held.
+            #[expect(unsafe_code, reason = "the binding has no safe way to delete")]
+            let _ = unsafe { actuator.delete() };
+            continue;
+        }
+        actuator.set_trntype(MjtTrn::mjTRN_JOINT);
+        actuator.set_target(joint);
+        actuator.set_gaintype(MjtGain::mjGAIN_FIXED);
+        actuator.set_biastype(MjtBias::mjBIAS_AFFINE);
+        actuator.gainprm_mut()[..10].copy_from_slice(&gain);
+        actuator.biasprm_mut()[..10].copy_from_slice(&bias);
+        actuator.set_ctrllimited(mjtLimited::mjLIMITED_FALSE);
+        actuator.set_forcelimited(mjtLimited::mjLIMITED_TRUE);
+        *actuator.forcerange_mut() = [-limit, limit];
+        actuator.set_group(0);
+    }
+}
+
+/// Names the meshes whose files are not there, and puts small balls in their place.
+fn leave_out_missing_meshes(spec: &mut MjSpec, robot: &Robot) -> Vec<Problem> {
+    let RobotSource::Folder(folder) = &robot.source else { return Vec::new() };
+    let folder = folder.join(spec.compiler().meshdir());
+    let missing: Vec<(String, PathBuf)> = spec
+        .mesh_iter()
+        .filter(|mesh| !mesh.file().is_empty())
+        .map(|mesh| (mesh.name().to_owned(), folder.join(mesh.file())))
+        .filter(|(_, file)| !file.is_file())
+        .collect();
+    let is_missing = |name: &str| missing.iter().any(|(mesh, _)| mesh == name);
+    for geom in spec.geom_iter_mut().filter(|geom| is_missing(geom.meshname())) {
+        geom.set_meshname("");
+        geom.set_type(MjtGeomBase::mjGEOM_SPHERE);
+        *geom.size_mut() = [0.01, 0.0, 0.0];
+    }
+    for (name, _) in &missing {
+        if let Some(mesh) = spec.mesh_mut(name) {
+            // SAFETY: the handle comes fresh from the spec, is used once, and no geom refers to the mesh.
+            #[expect(unsafe_code, reason = "the binding has no safe way to delete")]
+            let _ = unsafe { mesh.delete() };
+        }
+    }
+    let problem = |(name, file): (String, PathBuf)| {
+        Problem::new(
+            format!("mesh `{name}`: there is no file {}", file.display()),
+            "copy it there, or correct the mesh's file or the compiler's meshdir in the model",
+        )
+    };
+    missing.into_iter().map(problem).collect()
+}
+
+fn joint_id(model: &MjModel, name: &str) -> Option<usize> {
+    model.name_to_id(MjtObjBase::mjOBJ_JOINT, name)
+}
+
+/// What each joint of the arm must be.
+fn check_joints(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Problem>) {
+    let arm = &settings.arm;
+    for (i, name) in arm.joints.iter().enumerate() {
+        let Some(joint) = joint_id(model, name) else { continue };
+        if model.jnt_type()[joint] != MjtJoint::mjJNT_HINGE {
+            problems.push(Problem::new(
+                format!("joint `{name}` is no hinge: arms with sliding joints are not supported"),
+                "fix the joint where it stands, or name only the arm's turning joints",
+            ));
+            continue;
+        }
+        let [low, high] = model.jnt_range()[joint];
+        if !model.jnt_limited()[joint] || low >= high {
+            problems.push(Problem::new(
+                format!("joint `{name}` has no limits"),
+                "give it a range in the model (MJCF: range=\"low high\"; URDF: a revolute joint with <limit>)",
+            ));
+            continue;
+        }
+        if let Some(home) = arm.home_rad.get(i).filter(|home| !(low..=high).contains(*home)) {
+            problems.push(Problem::new(
+                format!("joint `{name}`: arm.home_rad has {home}, outside its range {low} to {high}"),
+                "home_rad is in radians and in the order of arm.joints",
+            ));
+        }
+    }
+}
+
+fn check_gripper(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Problem>) {
+    let body = |name: &str| model.name_to_id(MjtObjBase::mjOBJ_BODY, name);
+    let tcp = model.name_to_id(MjtObjBase::mjOBJ_SITE, &settings.arm.tcp_site);
+    match &settings.gripper {
+        Gripper::ParallelJaw(jaw) => check_jaw(model, jaw, problems),
+        Gripper::Suction(cup) => {
+            if let (Some(body), Some(tcp)) = (body(&cup.cup_body), tcp)
+                && model.body_weldid()[body] != model.body_weldid()[model.site_bodyid()[tcp] as usize]
+            {
+                let (cup, tcp) = (&cup.cup_body, &settings.arm.tcp_site);
+                problems.push(Problem::new(
+                    format!("gripper.cup_body = \"{cup}\" moves against the site `{tcp}`, where its lip is"),
+                    "put the site on the cup's own body",
+                ));
+            }
+        }
+    }
+}
+
+/// What a compiled parallel jaw must be.
+fn check_jaw(model: &MjModel, jaw: &ParallelJaw, problems: &mut Vec<Problem>) {
+    let ParallelJaw { finger_joints, finger_bodies, opening_m, .. } = jaw;
+    if finger_bodies[0] == finger_bodies[1] || finger_joints[0] == finger_joints[1] {
+        problems
+            .push(Problem::new("gripper: the two fingers are one and the same", "name both joints and both bodies"));
+        return;
+    }
+    let mut width = 0.0;
+    for name in finger_joints {
+        let Some(joint) = joint_id(model, name) else { return };
+        let [low, high] = model.jnt_range()[joint];
+        if model.jnt_type()[joint] != MjtJoint::mjJNT_SLIDE || !model.jnt_limited()[joint] {
+            problems.push(Problem::new(
+                format!("finger joint `{name}` must be a slide with a range"),
+                "a parallel jaw's fingers slide; give each a range from 0, closed, to half the opening",
+            ));
+            return;
+        }
+        if low > 0.0 || high <= 0.0 {
+            problems.push(Problem::new(
+                format!("finger joint `{name}` ranges from {low} to {high}, and 0 must be closed"),
+                "move the joint's zero to where the pads meet, its positive direction to open",
+            ));
+            return;
+        }
+        width += high;
+    }
+    if *opening_m > width + 1e-9 {
+        problems.push(Problem::new(
+            format!("gripper.opening_m = {opening_m}, but the finger joints open {width} m at most"),
+            "opening_m is the way between the pads when both joints are at the end of their range",
+        ));
+    }
+}
+
+/// A robot's folder holds the robot alone: whatever else it brings would stand in the cell unseen.
+fn check_alone(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Problem>) {
+    let Some(tcp) = model.name_to_id(MjtObjBase::mjOBJ_SITE, &settings.arm.tcp_site) else { return };
+    let root = model.body_rootid()[model.site_bodyid()[tcp] as usize];
+    for (geom, body) in model.geom_bodyid().iter().enumerate() {
+        if model.geom_contype()[geom] != 0 && model.body_rootid()[*body as usize] != root {
+            let name = model.id_to_name(MjtObjBase::mjOBJ_GEOM, geom).unwrap_or("without a name");
+            problems.push(Problem::new(
+                format!("the shape `{name}` does not belong to the robot: a robot's model holds no scene"),
+                "take floor, table and objects out of the model, and hang the robot's base in the world as one body",
+            ));
+        }
+    }
+}
+
+/// The serial chain from the base to the tool, out of a compiled model.
+fn chain(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Problem>) -> Option<Chain> {
+    let arm = &settings.arm;
+    let site = |name: &str| model.name_to_id(MjtObjBase::mjOBJ_SITE, name);
+    let (tcp, flange) = (site(&arm.tcp_site)?, site(&arm.flange_site)?);
+    let mut bodies = Vec::new();
+    let mut body = model.site_bodyid()[tcp] as usize;
+    while body != 0 {
+        bodies.push(body);
+        body = model.body_parentid()[body] as usize;
+    }
+    let mut joints: Vec<ChainJoint> = Vec::new();
+    // The way from the last joint's frame, as far as it has come.
+    let mut way = Isometry3::identity();
+    let mut flange_way = None;
+    for &body in bodies.iter().rev() {
+        way *= isometry(&model.body_pos()[body], &model.body_quat()[body]);
+        let first = model.body_jntadr()[body];
+        for joint in (0..model.body_jntnum()[body]).map(|k| (first + k) as usize) {
+            let name = model.id_to_name(MjtObjBase::mjOBJ_JOINT, joint).unwrap_or("(without a name)");
+            let expected = arm.joints.get(joints.len());
+            if expected.and_then(|expected| joint_id(model, expected)) != Some(joint) {
+                let expected = expected.map_or("no more".to_owned(), |name| format!("`{name}`"));
+                problems.push(Problem::new(
+                    format!("joint `{name}` lies between base and `{}` where arm.joints has {expected}", arm.tcp_site),
+                    "list every joint of the arm, base to tip; one that shall not move belongs out of the model",
+                ));
+                return None;
+            }
+            let anchor = Translation3::from(Vector3::from(model.jnt_pos()[joint]));
+            joints.push(ChainJoint {
+                placement: way * anchor,
+                axis: Unit::new_normalize(Vector3::from(model.jnt_axis()[joint])),
+                range: model.jnt_range()[joint],
+            });
+            way = Isometry3::from_parts(anchor.inverse(), UnitQuaternion::identity());
+            flange_way = None;
+        }
+        if body == model.site_bodyid()[flange] as usize {
+            flange_way = Some(way);
+        }
+    }
+    if let Some(left) = arm.joints.get(joints.len()) {
+        problems.push(Problem::new(
+            format!("joint `{left}` does not lie between base and `{}`", arm.tcp_site),
+            "arm.joints are those of the arm alone, base to tip; the fingers' stand under [gripper]",
+        ));
+        return None;
+    }
+    let Some(flange_way) = flange_way else {
+        problems.push(Problem::new(
+            format!("site `{}` does not lie between the last joint and `{}`", arm.flange_site, arm.tcp_site),
+            "the flange is where the tool is screwed on: put its site on the last link or on what is fixed to it",
+        ));
+        return None;
+    };
+    let pose = |id: usize| isometry(&model.site_pos()[id], &model.site_quat()[id]);
+    Some(Chain { joints, flange: flange_way * pose(flange), tcp: way * pose(tcp) })
+}
