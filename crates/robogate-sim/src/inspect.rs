@@ -87,7 +87,9 @@ pub fn inspect(robot: &str) -> Inspection {
             }
         }
     } else {
-        problems.extend(MujocoEngine::problems(&robot));
+        if folder.join(&robot.settings.model).is_file() {
+            problems.extend(MujocoEngine::problems(&robot));
+        }
         None
     };
     Inspection { problems, settings, measured }
