@@ -120,7 +120,7 @@ fn urdf() -> String {
     for (i, (name, (d, a, alpha))) in names.iter().zip(UR5E).enumerate() {
         let (x, z, roll, yaw) = origin;
         let parent = if i == 0 { "base_link".to_owned() } else { format!("link{i}") };
-        let limit = if i == 2 { 3.141592653589793 } else { 6.283185307179586 };
+        let limit = if i == 2 { std::f64::consts::PI } else { std::f64::consts::TAU };
         let _ = write!(
             text,
             "{}<joint name=\"{name}\" type=\"revolute\"><parent link=\"{parent}\"/><child link=\"link{}\"/>\
