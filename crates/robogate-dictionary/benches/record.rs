@@ -80,7 +80,7 @@ fn provenance(space: &ParameterSpace) -> Provenance {
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
         engine: Engine { name: "none".to_owned(), version: None, build_sha256: None },
-        robot: Robot { name: "none".to_owned(), sha256: None },
+        robot: Robot { name: "none".to_owned(), sha256: None, dimensions: None },
         policy: "none".to_owned(),
         world: serde_json::Value::Null,
         space: space.clone(),

@@ -28,5 +28,5 @@ pub use error::{DictionaryError, Row};
 pub use hash::{DatasetHash, dataset_hash};
 pub use journal::{Journal, Recovery};
 pub use parquet::{Column, Dictionary, DictionaryWriter, Entries, Written, write_parquet};
-pub use provenance::{Engine, Platform, Provenance, Robot, Source, Tool};
+pub use provenance::{Dimensions, Engine, Platform, Provenance, Robot, Source, Tool};
 pub use schema::{SCHEMA_VERSION, SchemaVersion};

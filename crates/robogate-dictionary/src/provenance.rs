@@ -77,13 +77,27 @@ pub struct Engine {
 }
 
 /// The robot.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Robot {
     /// Its name (`franka`).
     pub name: String,
     /// SHA-256 (hex) over the files of its folder, where there was one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sha256: Option<String>,
+    /// What it can reach and carry, where that is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dimensions: Option<Dimensions>,
+}
+
+/// What a robot can reach and carry, and where its work lies.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Dimensions {
+    /// Published reach in metres.
+    pub reach_m: f64,
+    /// Published payload in kilograms.
+    pub payload_kg: f64,
+    /// Horizontal distance from the robot's base to the centre of the workspace, in metres.
+    pub workspace_m: f64,
 }
 
 /// The platform: what decides which bits a libm or a compiler yields, and nothing of one machine.

@@ -68,7 +68,7 @@ fn write(path: &Path, rows: u64) {
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
         engine: Engine { name: "none".to_owned(), version: None, build_sha256: None },
-        robot: Robot { name: "franka".to_owned(), sha256: None },
+        robot: Robot { name: "franka".to_owned(), sha256: None, dimensions: None },
         policy: "made up".to_owned(),
         world: serde_json::Value::Null,
         space: space.clone(),

@@ -71,6 +71,25 @@ pub struct Subject {
     pub dataset_hash: String,
 }
 
+impl Subject {
+    pub(crate) fn of(source: &Source, path: &Path) -> Self {
+        let dictionary = source.dictionary();
+        let provenance = dictionary.provenance();
+        Self {
+            path: path.display().to_string(),
+            replayable: source.folder().is_some() && provenance.source.is_none(),
+            robot: provenance.robot.name.clone(),
+            policy: provenance.policy.clone(),
+            engine: match &provenance.engine.version {
+                Some(version) => format!("{} {version}", provenance.engine.name),
+                None => provenance.engine.name.clone(),
+            },
+            episodes: dictionary.len(),
+            dataset_hash: dictionary.dataset_hash().to_owned(),
+        }
+    }
+}
+
 /// Success over two parameters at once.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Envelope {
@@ -108,21 +127,9 @@ impl Analysis {
             Finding::CannotBeEstimated { because } => (Finding::CannotBeEstimated { because }, None),
         };
         let provenance = dictionary.provenance().clone();
-        let engine = match &provenance.engine.version {
-            Some(version) => format!("{} {version}", provenance.engine.name),
-            None => provenance.engine.name.clone(),
-        };
         let mut analysis = Self {
             version: Self::VERSION,
-            subject: Subject {
-                path: path.display().to_string(),
-                replayable: source.folder().is_some() && provenance.source.is_none(),
-                robot: provenance.robot.name.clone(),
-                policy: provenance.policy.clone(),
-                engine,
-                episodes: rows.len() as u64,
-                dataset_hash: dictionary.dataset_hash().to_owned(),
-            },
+            subject: Subject::of(source, path),
             headline: Headline::default(),
             population,
             success: Success::of(&rows, &base, focused.as_ref(), population),
@@ -155,7 +162,7 @@ impl Analysis {
 }
 
 /// The rows that figures are made from, the focused ones beside them, and what the first speak of.
-fn populations(rows: &Rows) -> (Sample, Option<Sample>, Population) {
+pub(crate) fn populations(rows: &Rows) -> (Sample, Option<Sample>, Population) {
     let operating = rows.sample(false);
     let focused = rows.sample(true);
     if operating.len() == 0 && focused.len() > 0 {

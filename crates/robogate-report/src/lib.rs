@@ -14,6 +14,7 @@
 
 mod along;
 mod analysis;
+mod comparison;
 mod drawn;
 mod error;
 mod failures;
@@ -33,6 +34,12 @@ mod words;
 
 pub use along::{Along, AlongKind, Cell, Correlation, CriticalThreshold, ModeBin, ModeChange, ModeChanges, Zone};
 pub use analysis::{Analysis, Envelope, Subject};
+pub use comparison::{
+    ComparedDictionary, Comparison, ComparisonError, ComparisonHeadline, ComparisonOptions, CrossTable,
+    DisagreementCell, DisagreementMap, Flip, MassEffect, MassSensitivity, NotShared, PairedComparison, PairedInvalid,
+    RateDifference, ReachRow, SharedCell, SharedCurve, SharedParameters, Slope, UniversalZone, UniversalZones,
+    ZoneSide,
+};
 pub use drawn::{DrawnRange, HowDrawn};
 pub use error::ReportError;
 pub use failures::{DANGER_LIMIT, DangerZone, DangerZones, FailureModes, ModeShare};
@@ -41,7 +48,7 @@ pub use models::{
     CalibrationFigures, Coefficient, Estimate, Frontier, FrontierPoint, Penalty, PenaltyLevel, Regression,
     ReliabilityBin, RiskModel, RocCurve, RocFigures,
 };
-pub use page::{html, markdown};
+pub use page::{comparison_html, comparison_markdown, html, markdown};
 pub use pairs::{Axis, PairCell, PairMap, ZoneCounts};
 pub use rate::{Finding, Population, Rate};
 pub use replay::{ReplayGroup, WorthReplaying};

@@ -172,6 +172,14 @@ impl ParameterColumn {
         self.values.iter().map(|v| *v as usize).collect()
     }
 
+    /// A value with all its digits.
+    pub(crate) fn exactly(&self, value: f64) -> String {
+        match self.kind {
+            ParameterKind::Continuous { .. } => value.to_string(),
+            ParameterKind::Integer { .. } | ParameterKind::Categorical { .. } => self.show(value),
+        }
+    }
+
     /// A value as people read it.
     pub(crate) fn show(&self, value: f64) -> String {
         match &self.kind {

@@ -60,6 +60,17 @@ pub(crate) fn range([low, high]: [f64; 2]) -> String {
     format!("{} to {}", number(low), number(high))
 }
 
+/// A difference of shares in percentage points, with its sign.
+pub(crate) fn points(share: f64) -> String {
+    let text = fixed(100.0 * share, 1);
+    if share > 0.0 && text != "0.0" { format!("+{text}") } else { text }
+}
+
+/// An interval of differences in percentage points.
+pub(crate) fn points_range([low, high]: [f64; 2]) -> String {
+    format!("{} to {}", points(low), points(high))
+}
+
 /// A count with groups of thousands: 12,345.
 pub fn count(n: u64) -> String {
     let digits = n.to_string();
@@ -166,6 +177,16 @@ pub(crate) fn listed(words: &[String]) -> String {
 /// A number of things: `1 row`, `2 rows`.
 pub(crate) fn counted(n: u64, thing: &str) -> String {
     if n == 1 { format!("1 {thing}") } else { format!("{} {thing}s", count(n)) }
+}
+
+/// A path as a shell takes it for one word.
+pub(crate) fn quoted(path: &str) -> String {
+    let plain = |c: char| c.is_alphanumeric() || matches!(c, '/' | '\\' | ':' | '.' | '_' | '-');
+    if !path.is_empty() && path.chars().all(plain) {
+        path.to_owned()
+    } else {
+        format!("'{}'", path.replace('\'', "'\\''"))
+    }
 }
 
 #[cfg(test)]

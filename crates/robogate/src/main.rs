@@ -32,6 +32,8 @@ enum Verb {
     Replay(commands::replay::Replay),
     /// Say where the policy fails, how the parameters act, and how sure that is
     Analyze(commands::analyze::Analyze),
+    /// Say how robots, policies or simulators differ, and where all of them fail
+    Compare(commands::compare::Compare),
     /// Write a run or a dictionary as one page: HTML, Markdown or JSON
     Report(commands::report::Report),
     /// Write a failure dictionary as CSV, JSON Lines or the published JSON
@@ -55,6 +57,7 @@ fn main() -> ExitCode {
         Verb::Resume(resume) => resume.execute(),
         Verb::Replay(replay) => replay.execute(),
         Verb::Analyze(analyze) => analyze.execute(),
+        Verb::Compare(compare) => compare.execute(),
         Verb::Report(report) => report.execute(),
         Verb::Export(export) => export.execute(),
         Verb::Import(import) => import.execute(),

@@ -9,7 +9,7 @@ use robogate_core::{Assignment, Fault, FaultKind, ParameterSpace, Policy, Scenar
 use robogate_dictionary::provenance;
 use robogate_sim::claims::{Bench, Setup, Workbench};
 use robogate_sim::{
-    Engine, Gripper, MujocoEngine, PickPlace, Robot, SceneParameters, Scripted, SuctionLaw, built_in_robot,
+    Engine, Gripper, MujocoEngine, PickPlace, Robot, SceneParameters, Scripted, SuctionLaw, WORKSPACE_CENTRE, built_in_robot,
     built_in_space, built_in_spaces, check_suite, default_space,
 };
 use serde::{Deserialize, Serialize};
@@ -180,7 +180,17 @@ impl Cell {
             hash.update((bytes.len() as u64).to_le_bytes());
             hash.update(&bytes);
         }
-        let robot = provenance::Robot { name: self.robot.name().to_owned(), sha256: Some(hex(&hash.finalize())) };
+        let arm = &self.robot.settings.arm;
+        let [x, y] = WORKSPACE_CENTRE;
+        let robot = provenance::Robot {
+            name: self.robot.name().to_owned(),
+            sha256: Some(hex(&hash.finalize())),
+            dimensions: Some(provenance::Dimensions {
+                reach_m: arm.reach_m,
+                payload_kg: arm.payload_kg,
+                workspace_m: x.hypot(y),
+            }),
+        };
         Ok((engine, robot))
     }
 }

@@ -79,7 +79,7 @@ pub(crate) fn provenance() -> Provenance {
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
         engine: Engine { name: "synthetic".to_owned(), version: Some("1".to_owned()), build_sha256: None },
-        robot: Robot { name: "none".to_owned(), sha256: Some("ab".repeat(32)) },
+        robot: Robot { name: "none".to_owned(), sha256: Some("ab".repeat(32)), dimensions: None },
         policy: "waits".to_owned(),
         world: serde_json::json!({ "time_step_s": 0.002 }),
         space: space(),

@@ -285,7 +285,7 @@ impl Survey {
             tool: Tool::robogate(),
             schema_version: SCHEMA_VERSION,
             engine: Engine { name: name(["simulator", "mode"]), version: None, build_sha256: None },
-            robot: Robot { name: name(["robot", "robot_name"]), sha256: None },
+            robot: Robot { name: name(["robot", "robot_name"]), sha256: None, dimensions: None },
             policy: name(["policy", "controller"]),
             world: serde_json::Value::Null,
             space,

@@ -50,7 +50,7 @@ pub(crate) fn provenance() -> Provenance {
             version: Some("3.17.0".to_owned()),
             build_sha256: Some("ab".repeat(32)),
         },
-        robot: Robot { name: "franka".to_owned(), sha256: Some("cd".repeat(32)) },
+        robot: Robot { name: "franka".to_owned(), sha256: Some("cd".repeat(32)), dimensions: None },
         policy: "scripted".to_owned(),
         world: serde_json::Value::Null,
         space: space(),

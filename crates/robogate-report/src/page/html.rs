@@ -2,9 +2,9 @@
 
 use std::fmt::Write;
 
-use crate::Analysis;
 use crate::page::svg::escape;
-use crate::story::{Block, Figure, Kind, Story, Table, tell};
+use crate::story::{Block, Figure, Kind, Story, Table, tell, tell_comparison};
+use crate::{Analysis, Comparison};
 
 const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");
@@ -14,7 +14,15 @@ const SCRIPT: &str = include_str!("script.js");
 /// It asks nothing of the network, works with scripts off, prints, and knows light and dark. Whatever comes from
 /// data is escaped.
 pub fn html(analysis: &Analysis) -> String {
-    let story = tell(analysis);
+    page(&tell(analysis))
+}
+
+/// A comparison as one self-contained page, in the same way.
+pub fn comparison_html(comparison: &Comparison) -> String {
+    page(&tell_comparison(comparison))
+}
+
+fn page(story: &Story) -> String {
     let mut out = String::with_capacity(256 * 1024);
     let title = escape(&story.title);
     // Writing to a string cannot fail; so throughout this file.
@@ -26,7 +34,7 @@ pub fn html(analysis: &Analysis) -> String {
          <link rel=\"icon\" href=\"data:,\">\n\
          <title>{title} \u{b7} RoboGate</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n"
     );
-    hero(&mut out, &story);
+    hero(&mut out, story);
     out.push_str("<main>\n");
     for section in &story.sections {
         let _ = write!(out, "<section id=\"{}\">\n<header><h2>{}</h2>", section.id, escape(&section.title));
@@ -52,9 +60,10 @@ pub fn html(analysis: &Analysis) -> String {
 fn hero(out: &mut String, story: &Story) {
     let _ = write!(
         out,
-        "<header class=\"top\">\n<p class=\"brand\"><b>RoboGate</b> failure report</p>\n<h1>{}</h1>\n<p class=\"sub\">{}</p>\n\
+        "<header class=\"top\">\n<p class=\"brand\"><b>RoboGate</b> {}</p>\n<h1>{}</h1>\n<p class=\"sub\">{}</p>\n\
          <div class=\"hero\">\n<div class=\"rate\"><p class=\"big\">{}</p><p class=\"what\">{}</p>{}<p class=\"ci-text\">{}</p></div>\n\
          <div class=\"say\"><p class=\"answer\">{}</p></div>\n</div>\n<div class=\"three\">\n",
+        story.kind,
         escape(&story.title),
         escape(&story.subtitle),
         big(&story.rate),
@@ -77,10 +86,10 @@ fn hero(out: &mut String, story: &Story) {
     out.push_str("</ul></nav>\n</header>\n");
 }
 
-/// The large figure, its percent sign small.
+/// The large figure, its unit small.
 fn big(rate: &str) -> String {
-    match rate.strip_suffix(" %") {
-        Some(number) => format!("{}<small>%</small>", escape(number)),
+    match rate.split_once(' ') {
+        Some((number, unit)) => format!("{}<small>{}</small>", escape(number), escape(unit)),
         None => escape(rate),
     }
 }

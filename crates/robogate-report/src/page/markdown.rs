@@ -2,12 +2,20 @@
 
 use std::fmt::Write;
 
-use crate::Analysis;
-use crate::story::{Block, Figure, Kind, Table, tell};
+use crate::story::{Block, Figure, Kind, Story, Table, tell, tell_comparison};
+use crate::{Analysis, Comparison};
 
 /// The analysis as Markdown (GitHub's flavour, for its tables).
 pub fn markdown(analysis: &Analysis) -> String {
-    let story = tell(analysis);
+    page(&tell(analysis))
+}
+
+/// A comparison as Markdown, in the same way.
+pub fn comparison_markdown(comparison: &Comparison) -> String {
+    page(&tell_comparison(comparison))
+}
+
+fn page(story: &Story) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail; so throughout this file.
     let _ = write!(out, "# {}\n\n{}\n\n", escape(&story.title), escape(&story.subtitle));

@@ -2,12 +2,16 @@
 
 mod sections;
 mod tables;
+mod versus;
 
 pub(crate) use sections::tell;
+pub(crate) use versus::tell as tell_comparison;
 
 /// The whole page.
 pub(crate) struct Story {
-    /// The robot and policy.
+    /// What kind of page it is, beside the brand.
+    pub(crate) kind: &'static str,
+    /// What it is about.
     pub(crate) title: String,
     /// One line under it.
     pub(crate) subtitle: String,
@@ -19,7 +23,7 @@ pub(crate) struct Story {
     /// The rate on its scale.
     pub(crate) scale: String,
     pub(crate) answer: String,
-    /// Three columns: where it fails, what to do, how sure.
+    /// Three columns of sentences under the answer.
     pub(crate) columns: Vec<(&'static str, Vec<String>)>,
     pub(crate) sections: Vec<Section>,
 }

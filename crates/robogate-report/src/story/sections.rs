@@ -28,6 +28,7 @@ pub(crate) fn tell(analysis: &Analysis) -> Story {
     };
     let headline = &analysis.headline;
     Story {
+        kind: "failure report",
         title: format!("{robot}, {policy}"),
         subtitle: format!(
             "{} in {} \u{b7} dataset {}",

@@ -4,7 +4,8 @@ use super::Kind::{Code, Number, Short, Text, Zone as ZoneWord};
 use super::Table;
 use crate::page::said;
 use crate::words::{
-    count, fixed, mode, name, number, p_value, percent, percent_or_dash, percents, range, significant, with_unit,
+    count, fixed, mode, name, number, p_value, percent, percent_or_dash, percents, quoted, range, significant,
+    with_unit,
 };
 use crate::{
     Along, CalibrationFigures, CriticalThreshold, DangerZones, FailureModes, Finding, Frontier, HowDrawn, ModeChanges,
@@ -401,16 +402,6 @@ pub(crate) fn ranges(drawn: &HowDrawn) -> Table {
 
 fn with_unit_head(parameter: &str) -> String {
     crate::words::name_with_unit(parameter)
-}
-
-/// A path as a shell takes it for one word.
-fn quoted(path: &str) -> String {
-    let plain = |c: char| c.is_alphanumeric() || matches!(c, '/' | '\\' | ':' | '.' | '_' | '-');
-    if !path.is_empty() && path.chars().all(plain) {
-        path.to_owned()
-    } else {
-        format!("'{}'", path.replace('\'', "'\\''"))
-    }
 }
 
 pub(crate) fn replays(group: &ReplayGroup, command: Option<&str>) -> Table {

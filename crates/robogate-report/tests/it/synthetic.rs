@@ -49,7 +49,7 @@ pub(crate) fn provenance(space: ParameterSpace) -> Provenance {
         tool: Tool { name: "robogate".to_owned(), version: "0.0.0".to_owned() },
         schema_version: SCHEMA_VERSION,
         engine: Engine { name: "none".to_owned(), version: None, build_sha256: None },
-        robot: Robot { name: "testbot".to_owned(), sha256: None },
+        robot: Robot { name: "testbot".to_owned(), sha256: None, dimensions: None },
         policy: "scripted".to_owned(),
         world: serde_json::Value::Null,
         space,

@@ -73,16 +73,16 @@ fn print(analysis: &Analysis) {
     analysis.limits.iter().for_each(|limit| wrapped(limit));
 }
 
-fn heading(title: impl std::fmt::Display) {
+pub(crate) fn heading(title: impl std::fmt::Display) {
     line("");
     line(bold(title));
 }
 
-fn interval([low, high]: [f64; 2]) -> String {
+pub(crate) fn interval([low, high]: [f64; 2]) -> String {
     format!("{:>5.1} to {:>5.1} %", 100.0 * low, 100.0 * high)
 }
 
-fn rate_of(rate: Option<f64>) -> String {
+pub(crate) fn rate_of(rate: Option<f64>) -> String {
     rate.map_or_else(|| "-".to_owned(), percent)
 }
 
@@ -331,7 +331,7 @@ fn danger(analysis: &Analysis) {
 }
 
 /// A p-value from its logarithm, as a power of ten where it is small.
-fn p_value(ln_p: f64) -> String {
+pub(crate) fn p_value(ln_p: f64) -> String {
     let p = ln_p.exp();
     if p >= 0.001 { format!("{p:.3}") } else { format!("10^{:.1}", ln_p / std::f64::consts::LN_10) }
 }

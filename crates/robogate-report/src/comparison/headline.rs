@@ -1,0 +1,252 @@
+//! The answer in plain words, and what it does not say.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::comparison::entrant::Entrant;
+use crate::comparison::{Comparison, PairedComparison, paired};
+use crate::rate::{Finding, Population};
+use crate::words::{count, counted, listed, name, percent, percents, points, points_range};
+
+/// The answer in plain words.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct ComparisonHeadline {
+    /// One or two sentences.
+    pub answer: String,
+    /// What tells them apart.
+    pub what_differs: Vec<String>,
+    /// What they have in common.
+    pub what_is_common: Vec<String>,
+    /// What stands behind it.
+    pub how_sure: Vec<String>,
+}
+
+pub(crate) fn headline(of: &Comparison) -> ComparisonHeadline {
+    ComparisonHeadline {
+        answer: answer(of),
+        what_differs: what_differs(of),
+        what_is_common: what_is_common(of),
+        how_sure: how_sure(of),
+    }
+}
+
+fn answer(of: &Comparison) -> String {
+    if !of.has_evidence() {
+        return "Nothing can be said: fewer than two of the dictionaries hold evidence that may be compared."
+            .to_owned();
+    }
+    if let Some(widest) = widest(&of.paired) {
+        let Some(gap) = widest.gap else { return "No scenario has evidence from both.".to_owned() };
+        let flips = widest.first_only + widest.second_only;
+        let sure = if widest.holm_p <= 0.05 { "surely differ" } else { "cannot be told apart" };
+        return format!(
+            "On the same {} {} succeeds in {} and {} in {}: they {sure} ({} points, {}). {} end differently.",
+            counted(widest.valid_pairs, "scenario"),
+            widest.first,
+            widest.first_rate.rate.map_or_else(|| "-".to_owned(), percent),
+            widest.second,
+            widest.second_rate.rate.map_or_else(|| "-".to_owned(), percent),
+            points(gap),
+            points_range(widest.gap_95),
+            count(flips)
+        );
+    }
+    let mut ranked: Vec<(f64, &str)> = of
+        .dictionaries
+        .iter()
+        .filter(|dictionary| dictionary.left_out.is_none())
+        .filter_map(|dictionary| Some((dictionary.success.rate.rate?, dictionary.name.as_str())))
+        .collect();
+    ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let order: Vec<String> = ranked.iter().map(|(rate, name)| format!("{name} {}", percent(*rate))).collect();
+    let sure = of.differences.iter().filter(|difference| difference.holm_p <= 0.05).count();
+    let pairs = of.differences.len();
+    let told = match (sure, pairs) {
+        (0, 1) => "The two cannot be told apart".to_owned(),
+        (1, 1) => "The two surely differ".to_owned(),
+        (0, _) => "No two of them can be told apart".to_owned(),
+        (sure, pairs) if sure == pairs => "Every two of them surely differ".to_owned(),
+        (sure, pairs) => format!("{sure} of {pairs} pairs surely differ"),
+    };
+    format!("Success: {}. {told}.", order.join(", "))
+}
+
+fn widest(paired: &[PairedComparison]) -> Option<&PairedComparison> {
+    paired.iter().max_by(|a, b| {
+        let size = |of: &PairedComparison| of.gap.map_or(-1.0, f64::abs);
+        size(a).total_cmp(&size(b)).then(std::cmp::Ordering::Greater)
+    })
+}
+
+fn what_differs(of: &Comparison) -> Vec<String> {
+    let mut lines: Vec<String> = of
+        .differences
+        .iter()
+        .take(6)
+        .map(|d| {
+            let sure = if d.holm_p <= 0.05 { "" } else { ", not sure" };
+            format!(
+                "{} against {}: {} points ({}){sure}.",
+                d.first,
+                d.second,
+                points(d.difference),
+                points_range(d.interval_95)
+            )
+        })
+        .collect();
+    for pair in of.paired.iter().take(4) {
+        lines.push(format!(
+            "{} scenarios only {} solves, {} only {}.",
+            count(pair.first_only),
+            pair.first,
+            count(pair.second_only),
+            pair.second
+        ));
+    }
+    let modes: Vec<String> = of
+        .dictionaries
+        .iter()
+        .filter_map(|d| Some(format!("{} by {}", d.name, crate::words::mode(d.failure_modes.dominant.estimated()?))))
+        .collect();
+    if !modes.is_empty() {
+        lines.push(format!("Fails mostly: {}.", listed(&modes)));
+    }
+    lines
+}
+
+fn what_is_common(of: &Comparison) -> Vec<String> {
+    if of.compared.len() < 2 {
+        return vec!["There are no two of them to look at.".to_owned()];
+    }
+    let mut lines = Vec::new();
+    let zones = &of.universal_zones;
+    let sure: Vec<_> = zones.zones.iter().filter(|zone| zone.sure).collect();
+    let limit = format!("{:.0} %", 100.0 * zones.limit);
+    match sure.as_slice() {
+        [] if zones.looked_at == 0 => {
+            lines.push("Where all of them fail cannot be said: no cell holds enough episodes of each.".to_owned());
+        }
+        [] => lines.push(format!(
+            "In none of {} is it sure that all of them are below {limit}.",
+            counted(zones.looked_at, "cell")
+        )),
+        [first, ..] => lines.push(format!(
+            "All of them are surely below {limit} in {} of {} looked at, first of all at {}.",
+            counted(sure.len() as u64, "cell"),
+            count(zones.looked_at),
+            first.describe()
+        )),
+    }
+    if let Finding::Estimated(mass) = &of.mass {
+        let slopes: Vec<Option<&crate::Slope>> = mass.of.iter().map(|effect| effect.slope.estimated()).collect();
+        let hurts =
+            |slope: &Option<&crate::Slope>| slope.is_some_and(|s| s.interval_95[1].is_some_and(|high| high < 0.0));
+        if slopes.iter().all(hurts) {
+            lines.push("Mass surely hurts every one of them.".to_owned());
+        } else {
+            let hurt = mass.of.iter().zip(&slopes).filter(|(_, slope)| hurts(slope)).map(|(e, _)| e.name.clone());
+            let hurt: Vec<String> = hurt.collect();
+            if !hurt.is_empty() {
+                lines.push(format!("Mass surely hurts {}; of the others that is not sure.", listed(&hurt)));
+            }
+        }
+    }
+    let shared = of.parameters.shared.len() as u64;
+    lines.push(match shared {
+        0 => "They share no parameter, so that only rates and failure modes can be compared.".to_owned(),
+        _ => {
+            let names: Vec<String> = of.parameters.shared.iter().map(|p| name(p)).collect();
+            format!("{} shared: {}.", counted(shared, "parameter"), listed(&names))
+        }
+    });
+    lines
+}
+
+fn how_sure(of: &Comparison) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for dictionary in &of.dictionaries {
+        let rate = &dictionary.success.rate;
+        match &dictionary.left_out {
+            Some(because) => lines.push(format!("{} is not compared: {because}.", dictionary.name)),
+            None => lines.push(format!(
+                "{}: {} ({}) in {}.",
+                dictionary.name,
+                rate.rate.map_or_else(|| "-".to_owned(), percent),
+                percents(rate.wilson_95),
+                counted(rate.n, "valid episode")
+            )),
+        }
+    }
+    for pair in &of.paired {
+        if let Some(bounds) = pair.invalid.gap_bounds {
+            lines.push(format!(
+                "{} without evidence from both could move the gap between {} and {} to anything from {} points.",
+                counted(pair.invalid.either, "scenario"),
+                pair.first,
+                pair.second,
+                points_range(bounds)
+            ));
+        }
+    }
+    lines
+}
+
+/// What the figures do not say.
+pub(crate) fn limits(of: &Comparison, compared: &[&Entrant<'_>], paired: bool) -> Vec<String> {
+    let mut lines = Vec::new();
+    for dictionary in &of.dictionaries {
+        if let Some(because) = &dictionary.left_out {
+            lines.push(format!("{} is shown and not compared: {because}.", dictionary.name));
+        }
+        let bounds = &dictionary.success.bounds;
+        if let (1.., Some(worst), Some(best)) = (bounds.invalid, bounds.worst_case, bounds.best_case) {
+            lines.push(format!(
+                "{} of {} are invalid and in no rate; whatever they had been, its rate would lie between {} and {}.",
+                counted(bounds.invalid, "episode"),
+                dictionary.name,
+                percent(worst),
+                percent(best)
+            ));
+        }
+    }
+    if compared.iter().any(|entrant| entrant.population == Population::AsImported) {
+        lines.push(
+            "Imported rows are taken as a draw from their operating space; how they were drawn is not known here."
+                .to_owned(),
+        );
+    }
+    let unlike: Vec<String> = of
+        .along
+        .iter()
+        .filter(|curve| curve.remark.is_some())
+        .map(|curve| name(&curve.parameter))
+        .chain(of.parameters.not_shared.iter().map(|parameter| name(&parameter.parameter)))
+        .collect();
+    if !unlike.is_empty() {
+        lines.push(format!(
+            "Their operating spaces differ in {}: a difference of success rates is also one of spaces.",
+            listed(&unlike)
+        ));
+    }
+    if !paired
+        && let [first, second] = compared
+        && paired::same_design(first, second)
+    {
+        lines.push("Both ran the same scenarios: --paired compares them one by one and sees more.".to_owned());
+    }
+    lines.push(
+        "A curve shows one parameter while the others vary as each dictionary drew them; it is no effect of that \
+         parameter alone where spaces differ."
+            .to_owned(),
+    );
+    lines.push(
+        "Universal zones are cells of a grid: they say nothing within a cell, nor of the robots that were not compared."
+            .to_owned(),
+    );
+    if of.reach.iter().any(|row| row.ratio.is_some()) {
+        lines.push(
+            "Reach goes with whatever else sets these robots apart; a few of them show no law of reach.".to_owned(),
+        );
+    }
+    lines
+}
