@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests are tests too")]
 
 mod anchors;
+mod comparison;
 mod degenerate;
 mod pages;
 mod populations;

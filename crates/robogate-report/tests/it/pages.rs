@@ -5,7 +5,7 @@ use robogate_report::{Analysis, html, markdown};
 use crate::synthetic::{analysed, law, space};
 
 /// Names of elements that are open, checked for balance; `Err` names the trouble.
-fn balanced(page: &str) -> Result<(), String> {
+pub(crate) fn balanced(page: &str) -> Result<(), String> {
     const VOID: [&str; 4] = ["meta", "link", "input", "br"];
     let mut open: Vec<&str> = Vec::new();
     let mut rest = page;
@@ -120,7 +120,7 @@ fn the_schema_is_the_committed_one() {
     is_the_committed("tests/golden/analysis.schema.json", &(Analysis::schema() + "\n"));
 }
 
-fn is_the_committed(file: &str, text: &str) {
+pub(crate) fn is_the_committed(file: &str, text: &str) {
     let golden = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(file);
     if std::env::var_os("ROBOGATE_UPDATE_GOLDEN").is_some() {
         std::fs::write(&golden, text).unwrap();
