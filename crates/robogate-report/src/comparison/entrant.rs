@@ -83,14 +83,11 @@ pub(crate) fn names(sources: &[(Source, PathBuf)], given: &[String]) -> Result<V
         }
         return Ok(given.to_vec());
     }
-    let by: [&dyn Fn(&(Source, PathBuf)) -> String; 4] = [
-        &|(source, _)| source.dictionary().provenance().robot.name.clone(),
-        &|(source, _)| source.dictionary().provenance().engine.name.clone(),
-        &|(source, _)| source.dictionary().provenance().policy.clone(),
-        &|(_, path)| stem(path),
-    ];
-    for attribute in by {
-        let names: Vec<String> = sources.iter().map(attribute).collect();
+    let all = |attribute: fn(&Provenance) -> &String| -> Vec<String> {
+        sources.iter().map(|(source, _)| attribute(source.dictionary().provenance()).clone()).collect()
+    };
+    let stems: Vec<String> = sources.iter().map(|(_, path)| stem(path)).collect();
+    for names in [all(|p| &p.robot.name), all(|p| &p.engine.name), all(|p| &p.policy), stems] {
         let known = names.iter().all(|name| !name.is_empty() && name != "unknown");
         if known && repeated(&names).is_none() {
             return Ok(names);

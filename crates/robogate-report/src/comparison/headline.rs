@@ -1,5 +1,6 @@
 //! The answer in plain words, and what it does not say.
 
+use robogate_stats::multiplicity::holm;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -40,7 +41,7 @@ fn answer(of: &Comparison) -> String {
         let flips = widest.first_only + widest.second_only;
         let sure = if widest.holm_p <= 0.05 { "surely differ" } else { "cannot be told apart" };
         return format!(
-            "On the same {} {} succeeds in {} and {} in {}: they {sure} ({} points, {}). {} end differently.",
+            "On the same {} {} succeeds in {} and {} in {}: they {sure} ({} points, {}). {} flip.",
             counted(widest.valid_pairs, "scenario"),
             widest.first,
             widest.first_rate.rate.map_or_else(|| "-".to_owned(), percent),
@@ -144,8 +145,15 @@ fn what_is_common(of: &Comparison) -> Vec<String> {
         if slopes.iter().all(hurts) {
             lines.push("Mass surely hurts every one of them.".to_owned());
         } else {
-            let hurt = mass.of.iter().zip(&slopes).filter(|(_, slope)| hurts(slope)).map(|(e, _)| e.name.clone());
-            let hurt: Vec<String> = hurt.collect();
+            let p: Vec<f64> = slopes.iter().flatten().map(|slope| slope.ln_p.exp()).collect();
+            let mut adjusted = holm(&p).unwrap_or_else(|_| vec![1.0; p.len()]).into_iter();
+            let mut hurt: Vec<String> = Vec::new();
+            for (effect, slope) in mass.of.iter().zip(&slopes) {
+                let Some(slope) = slope else { continue };
+                if adjusted.next().is_some_and(|p| p <= 0.05) && slope.per_log_mass < 0.0 {
+                    hurt.push(effect.name.clone());
+                }
+            }
             if !hurt.is_empty() {
                 lines.push(format!("Mass surely hurts {}; of the others that is not sure.", listed(&hurt)));
             }
@@ -228,11 +236,15 @@ pub(crate) fn limits(of: &Comparison, compared: &[&Entrant<'_>], paired: bool) -
             listed(&unlike)
         ));
     }
-    if !paired
-        && let [first, second] = compared
-        && paired::same_design(first, second)
-    {
-        lines.push("Both ran the same scenarios: --paired compares them one by one and sees more.".to_owned());
+    if !paired {
+        for (i, first) in compared.iter().enumerate() {
+            for second in compared.iter().skip(i + 1).filter(|second| paired::same_design(first, second)) {
+                lines.push(format!(
+                    "{} and {} ran the same scenarios: --paired compares these two one by one and sees more.",
+                    first.name, second.name
+                ));
+            }
+        }
     }
     lines.push(
         "A curve shows one parameter while the others vary as each dictionary drew them; it is no effect of that \

@@ -160,12 +160,20 @@ pub(crate) fn modes(dictionaries: &[&ComparedDictionary]) -> String {
     svg.finish("Failure modes of each dictionary")
 }
 
+/// Most letters of a level under a curve.
+const MOST_LETTERS: usize = 14;
+
 /// Success along one parameter, every dictionary in the same bins.
 pub(crate) fn curve(curve: &SharedCurve, names: &[String]) -> String {
     let (left, right) = (42.0, 412.0);
     let top = legend_height(names, [left, right]) + 6.0;
     let bottom = top + 150.0;
-    let mut svg = Svg::new(420.0, bottom + 40.0);
+    // Words that are too long for their place stand upright.
+    let levels = curve.cells.iter().filter(|cell| cell.range.is_none());
+    let longest = levels.map(|cell| cell.label.chars().count().min(MOST_LETTERS)).max().unwrap_or(0) as f64;
+    let upright = 6.4 * longest > (right - left) / curve.cells.len().max(1) as f64;
+    let drop = if upright { 6.6 * longest - 8.0 } else { 0.0 };
+    let mut svg = Svg::new(420.0, bottom + drop + 40.0);
     legend(&mut svg, names, [left, right], 0.0);
     let y = Scale::linear([0.0, 1.0], [bottom, top]);
     for tick in [0.0, 0.5, 1.0] {
@@ -227,15 +235,17 @@ pub(crate) fn curve(curve: &SharedCurve, names: &[String]) -> String {
                 }
             }
             None => {
-                let every = (14.0 / room).ceil().max(1.0) as usize;
-                if i % every == 0 {
-                    let text = cut(&cell.label, (room * every as f64 / 6.2).max(3.0) as usize);
-                    svg.text("s d", Anchor::Middle, [left + room * (i as f64 + 0.5), bottom + 16.0], &text);
+                let x = left + room * (i as f64 + 0.5);
+                let every = (12.0 / room).ceil().max(1.0) as usize;
+                if drop > 0.0 && i % every == 0 {
+                    svg.text_up_to("s d", [x + 4.0, bottom + 7.0], &cut(&cell.label, MOST_LETTERS));
+                } else if drop <= 0.0 {
+                    svg.text("s d", Anchor::Middle, [x, bottom + 16.0], &cell.label);
                 }
             }
         }
     }
-    svg.text("a", Anchor::Middle, [0.5 * (left + right), bottom + 35.0], &name_with_unit(&curve.parameter));
+    svg.text("a", Anchor::Middle, [0.5 * (left + right), bottom + drop + 35.0], &name_with_unit(&curve.parameter));
     svg.finish(&format!("Success along {}", name_with_unit(&curve.parameter)))
 }
 
@@ -257,7 +267,7 @@ pub(crate) fn universal(zones: &UniversalZones, names: &[String], most: usize) -
     for (i, zone) in shown.iter().enumerate() {
         let middle = top + step * (i as f64 + 0.5);
         let said = zone.describe();
-        svg.text(if zone.sure { "s" } else { "s d" }, Anchor::End, [left - 10.0, middle + 4.0], &cut(&said, 36));
+        svg.text(if zone.sure { "s" } else { "s d" }, Anchor::End, [left - 10.0, middle + 4.0], &cut(&said, 33));
         for (series, (rate, name)) in zone.rates.iter().zip(names).enumerate() {
             let y = middle + 8.0 * (series as f64 - 0.5 * (names.len() as f64 - 1.0));
             let [low, high] = rate.wilson_95.map(|end| x.at(end));

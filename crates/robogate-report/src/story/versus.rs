@@ -29,7 +29,10 @@ pub(crate) fn tell(of: &Comparison) -> Story {
     sections.extend([failures(of), along(of), universal(of), mass(of), reach(of), sources(of), limits(of)]);
     Story {
         kind: "comparison",
-        title: listed(&names).replace(" and ", " against "),
+        title: match names.as_slice() {
+            [first, second] => format!("{first} against {second}"),
+            names => listed(names),
+        },
         subtitle: format!(
             "{} dictionaries, {} episodes \u{b7} compared {}",
             of.dictionaries.len(),

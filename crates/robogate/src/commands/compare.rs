@@ -9,9 +9,9 @@ use robogate_report::{
     comparison_html, comparison_markdown,
 };
 
-use crate::commands::analyze::{heading, interval, p_value, rate_of, wrapped};
+use crate::commands::analyze::{heading, interval, p_value, rate_of};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
-use crate::terminal::{bar, bold, dim, grouped, line, note, percent};
+use crate::terminal::{bar, bold, dim, grouped, line, note, percent, wrapped};
 
 /// Say how dictionaries differ: robots, policies or simulators, and where all of them fail.
 #[derive(Debug, Args)]
@@ -127,11 +127,13 @@ fn fit(text: &str, width: usize) -> String {
 }
 
 fn points(share: f64) -> String {
-    format!("{:+.1}", 100.0 * share)
+    // What rounds to nothing has no sign.
+    let text = format!("{:+.1}", 100.0 * share);
+    if matches!(text.as_str(), "+0.0" | "-0.0") { "0.0".to_owned() } else { text }
 }
 
 fn points_interval([low, high]: [f64; 2]) -> String {
-    format!("{:>+6.1} to {:>+6.1}", 100.0 * low, 100.0 * high)
+    format!("{:>6} to {:>6}", points(low), points(high))
 }
 
 fn print(of: &Comparison) {
@@ -166,7 +168,7 @@ fn rates(of: &Comparison) {
     for d in &of.dictionaries {
         let rate = &d.success.rate;
         line(format_args!(
-            "  {} {:>7} {} {} {:>9}  {}",
+            "  {} {:>7} {} {} {:>8}  {}",
             fit(&d.name, 22),
             rate_of(rate.rate),
             bar(rate.rate.unwrap_or(0.0), 20),
@@ -179,7 +181,7 @@ fn rates(of: &Comparison) {
         }
         if let Some(found) = d.success.reweighted.as_ref().and_then(Finding::estimated) {
             line(dim(format_args!(
-                "  {:<22} {:>7} {:>20} {} {:>9}  all rows, by weight",
+                "  {:<22} {:>7} {:>20} {} {:>8}  all rows, by weight",
                 "",
                 percent(found.estimate.rate),
                 "",
@@ -203,7 +205,7 @@ fn differences(of: &Comparison) {
     for d in &of.differences {
         let text = format!(
             "  {} {:>7}  {}  z {:>7}  p by Holm {:>8}  {}",
-            fit(&format!("{} - {}", d.first, d.second), 34),
+            fit(&format!("{} - {}", d.first, d.second), 30),
             points(d.difference),
             points_interval(d.interval_95),
             d.z.map_or_else(|| "-".to_owned(), |z| format!("{z:.2}")),
@@ -462,7 +464,7 @@ fn reach(of: &Comparison) {
     let metres = |m: Option<f64>| m.map_or_else(|| "unknown".to_owned(), |m| format!("{m:.3} m"));
     for row in &of.reach {
         line(format_args!(
-            "  {} reach {:>8}  workspace at {:>8}  ratio {:>7}  success {:>7} {}{}",
+            "  {} reach {:>7}, work at {:>7}, ratio {:>7}  {:>7} {}{}",
             fit(&row.name, 16),
             metres(row.reach_m),
             metres(row.workspace_m),

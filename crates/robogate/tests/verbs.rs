@@ -1,0 +1,194 @@
+//! `analyze`, `report` and `compare` as their user meets them: exit codes, what goes to stdout and what to stderr.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+fn robogate(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_robogate")).args(arguments).output().unwrap()
+}
+
+fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+fn path(dir: &TempDir, name: &str) -> String {
+    dir.path().join(name).to_str().unwrap().to_owned()
+}
+
+/// A published dictionary: success where friction is above `from`, and mass matters a little.
+fn published(dir: &TempDir, robot: &str, rows: u32, from: f64) -> String {
+    let experiments: Vec<Value> = (0..rows)
+        .map(|i| {
+            let unit = |step: u32| f64::from((i * step) % 97) / 97.0;
+            let (friction, mass) = (0.05 + 1.15 * unit(31), 0.05 + 1.95 * unit(17));
+            let success = friction + 0.1 * unit(53) > from + 0.2 * mass;
+            json!({
+                "sample_idx": i,
+                "friction": friction,
+                "mass": mass,
+                "placement": ["center_0", "edge_0"][(i % 2) as usize],
+                "success": success,
+                "failure_type": if success { "none" } else { "grasp_miss" },
+                "cycle_time": 4.0
+            })
+        })
+        .collect();
+    let text = json!({ "metadata": { "robot": robot }, "summary": {}, "experiments": experiments }).to_string();
+    let file = path(dir, &format!("{robot}.json"));
+    fs::write(&file, text).unwrap();
+    file
+}
+
+fn assert_asks_for_nothing(page: &str) {
+    let text = fs::read_to_string(page).unwrap();
+    assert!(text.starts_with("<!doctype html>") && text.trim_end().ends_with("</html>"));
+    for forbidden in ["http://", "https://", "src=", "@import", "url(http", "//cdn"] {
+        assert!(!text.contains(forbidden), "{page} has {forbidden}");
+    }
+}
+
+/// Asserts exit code 2, nothing on stdout, and every one of `parts` on stderr.
+fn assert_usage(arguments: &[&str], parts: &[&str]) {
+    let output = robogate(arguments);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", stderr(&output));
+    assert_eq!(stdout(&output), "", "{arguments:?}");
+    for part in parts {
+        assert!(stderr(&output).contains(part), "{arguments:?} does not say {part:?}: {}", stderr(&output));
+    }
+}
+
+fn assert_fits(output: &Output) {
+    let text = stdout(output);
+    for line in text.lines() {
+        assert!(line.chars().count() <= 100, "{} columns: {line}", line.chars().count());
+    }
+}
+
+#[test]
+fn analyze_speaks_on_stdout_and_its_json_parses() {
+    let dir = TempDir::new().unwrap();
+    let file = published(&dir, "arm", 200, 0.5);
+    let told = robogate(&["analyze", &file]);
+    assert_eq!(told.status.code(), Some(0), "{}", stderr(&told));
+    assert_eq!(stderr(&told), "");
+    assert!(stdout(&told).contains("Where it fails"));
+    assert_fits(&told);
+    let output = robogate(&["analyze", &file, "--json"]);
+    assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));
+    let document: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(document["version"], 1);
+    assert_eq!(document["success"]["rate"]["n"], 200);
+    assert_usage(&["analyze", &path(&dir, "nowhere")], &["nowhere"]);
+    assert_usage(&["analyze", &file, "--pair", "friction", "fricton"], &["fricton", "mass_kg"]);
+}
+
+#[test]
+fn report_writes_one_file_and_says_so_on_stderr() {
+    let dir = TempDir::new().unwrap();
+    let file = published(&dir, "arm", 200, 0.5);
+    let page = path(&dir, "page.html");
+    let output = robogate(&["report", &file, "--out", &page]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert_eq!(stdout(&output), "");
+    assert!(stderr(&output).contains("page.html"));
+    assert_asks_for_nothing(&page);
+    let markdown = robogate(&["report", &file, "--format", "md", "--out", "-"]);
+    assert_eq!((markdown.status.code(), stderr(&markdown).as_str()), (Some(0), ""));
+    assert!(stdout(&markdown).starts_with("# "));
+    let document = robogate(&["report", &file, "--format", "json", "--out", "-"]);
+    let analysis = robogate(&["analyze", &file, "--json"]);
+    assert_eq!(document.stdout, analysis.stdout);
+    assert_usage(&["report", &file, "--format", "pdf"], &["pdf", "html"]);
+    let nowhere = robogate(&["report", &file, "--out", &path(&dir, "no/such/folder.html")]);
+    assert_eq!(nowhere.status.code(), Some(5), "{}", stderr(&nowhere));
+}
+
+#[test]
+fn compare_tells_two_robots_apart_in_every_form() {
+    let dir = TempDir::new().unwrap();
+    let (one, two) = (published(&dir, "one", 300, 0.4), published(&dir, "two", 240, 0.8));
+    let (page, text) = (path(&dir, "page.html"), path(&dir, "page.md"));
+    let told = robogate(&[
+        "compare",
+        &one,
+        &two,
+        "--html",
+        &page,
+        "--md",
+        &text,
+        "--reach",
+        "one=0.85",
+        "--reach",
+        "two=0.5",
+        "--workspace",
+        "0.5",
+    ]);
+    assert_eq!(told.status.code(), Some(0), "{}", stderr(&told));
+    for part in ["Success rates", "one - two", "Where all of them are below 40 %", "What mass does", "ratio   1.000"] {
+        assert!(stdout(&told).contains(part), "{part}: {}", stdout(&told));
+    }
+    assert_fits(&told);
+    assert!(stderr(&told).contains("page.html") && stderr(&told).contains("page.md"));
+    assert_asks_for_nothing(&page);
+    assert!(fs::read_to_string(&text).unwrap().starts_with("# one against two"));
+    let output = robogate(&["compare", &one, &two, "--json"]);
+    assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));
+    let document: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(document["version"], 1);
+    assert_eq!(document["compared"], json!(["one", "two"]));
+    assert_eq!(document["differences"][0]["holm_p"].as_f64().unwrap() < 0.05, true);
+    assert_eq!(document["reach"][0]["reach_m"], Value::Null);
+}
+
+#[test]
+fn compare_refuses_what_is_no_comparison() {
+    let dir = TempDir::new().unwrap();
+    let (one, two) = (published(&dir, "one", 60, 0.4), published(&dir, "two", 50, 0.8));
+    assert_usage(&["compare", &one], &["at least two", "analyze"]);
+    assert_usage(&["compare", &one, &one], &["named twice"]);
+    let copy = path(&dir, "copy.json");
+    fs::copy(&one, &copy).unwrap();
+    assert_usage(&["compare", &one, &copy], &["same rows"]);
+    assert_usage(&["compare", &one, &two, "--paired"], &["did not run the same scenarios", "60", "50"]);
+    assert_usage(&["compare", &one, &two, "--reach", "three=1"], &["`three`", "one, two"]);
+    assert_usage(&["compare", &one, &two, "--reach", "one"], &["NAME=METRES"]);
+    assert_usage(&["compare", &one, &two, "--danger", "40"], &["40", "below 1"]);
+    assert_usage(&["compare", &one, &two, "--names", "a"], &["1 names for 2"]);
+    assert_usage(&["compare", &one, &two, "--pair", "friction", "colour"], &["`colour`", "friction"]);
+    assert_usage(&["compare", &one, &two, "--html", &two], &["would overwrite"]);
+    assert_usage(&["compare", &one, &path(&dir, "nowhere.json")], &["nowhere.json"]);
+}
+
+#[test]
+fn two_runs_of_the_same_design_are_paired_and_their_flips_can_be_replayed() {
+    let dir = TempDir::new().unwrap();
+    let (strong, weak) = (path(&dir, "strong"), path(&dir, "weak"));
+    for (out, force) in [(&strong, "30"), (&weak, "2")] {
+        let output = robogate(&["run", "-n", "45", "--grip-force", force, "--threads", "1", "--out", out]);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    }
+    let output = robogate(&["compare", &strong, &weak, "--paired", "--json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let document: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let pair = &document["paired"][0];
+    assert_eq!(pair["scenarios"], 30);
+    assert_eq!(document["reach"][0]["reach_m"], 0.855);
+    assert!(pair["first_only"].as_u64().unwrap() > 0, "a gripper of 2 N loses nothing that one of 30 N holds");
+    let command = pair["flips"][0]["replay"][0].as_str().unwrap();
+    let words: Vec<&str> = command.split(' ').collect();
+    assert_eq!(&words[..2], ["robogate", "replay"]);
+    assert!(Path::new(words[2]).is_dir());
+    assert_eq!(robogate(&words[1..]).status.code(), Some(0));
+    let other = path(&dir, "other");
+    robogate(&["run", "-n", "45", "--seed", "9", "--threads", "1", "--out", &other]);
+    assert_usage(&["compare", &strong, &other, "--paired"], &["row 0", "seed"]);
+}
