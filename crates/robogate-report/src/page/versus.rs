@@ -259,15 +259,19 @@ pub(crate) fn universal(zones: &UniversalZones, names: &[String], most: usize) -
     let mut svg = Svg::new(520.0, bottom + 26.0);
     legend(&mut svg, names, [0.0, right], 0.0);
     let x = Scale::linear([0.0, 1.0], [left, right]);
-    for tick in [0.0, 0.2, 0.6, 0.8, 1.0] {
+    for tick in [0.0, 0.2, 0.4, 0.6, 0.8, 1.0] {
+        if (tick - zones.limit).abs() < 0.09 {
+            continue;
+        }
         svg.line("gl", [x.at(tick), top - 4.0, x.at(tick), bottom]);
         svg.text("s d", Anchor::Middle, [x.at(tick), bottom + 16.0], &format!("{:.0} %", 100.0 * tick));
     }
     svg.line("tline", [x.at(zones.limit), top - 4.0, x.at(zones.limit), bottom]);
+    svg.text("s", Anchor::Middle, [x.at(zones.limit), bottom + 16.0], &format!("{:.0} %", 100.0 * zones.limit));
     for (i, zone) in shown.iter().enumerate() {
         let middle = top + step * (i as f64 + 0.5);
         let said = zone.describe();
-        svg.text(if zone.sure { "s" } else { "s d" }, Anchor::End, [left - 10.0, middle + 4.0], &cut(&said, 33));
+        svg.text(if zone.sure { "s" } else { "s d" }, Anchor::End, [left - 10.0, middle + 4.0], &cut(&said, 27));
         for (series, (rate, name)) in zone.rates.iter().zip(names).enumerate() {
             let y = middle + 8.0 * (series as f64 - 0.5 * (names.len() as f64 - 1.0));
             let [low, high] = rate.wilson_95.map(|end| x.at(end));

@@ -6,8 +6,8 @@ use crate::comparison::{Comparison, PairedComparison};
 use crate::page::versus::{self, Row};
 use crate::rate::Finding;
 use crate::words::{
-    count, fixed, listed, mode, name, name_with_unit, number, p_value, percent, percent_or_dash, percents, points,
-    points_range, sentence,
+    count, counted, fixed, listed, mode, name, name_with_unit, number, p_value, percent, percent_or_dash, percents,
+    points, points_range, sentence,
 };
 
 /// Zones that are drawn; the table has more.
@@ -265,7 +265,7 @@ fn paired(pair: &PairedComparison, at: usize) -> Section {
             blocks.push(Block::Text(format!("No map can be drawn because {because}.")));
         }
     }
-    let mut columns = vec![("", Text)];
+    let mut columns = vec![("", Short)];
     let words: Vec<String> = pair.outcomes.outcomes.iter().map(|word| mode(word)).collect();
     columns.extend(words.iter().map(|word| (word.as_str(), Number)));
     let rows = words
@@ -396,17 +396,22 @@ fn along(of: &Comparison) -> Section {
 fn universal(of: &Comparison) -> Section {
     let zones = &of.universal_zones;
     let limit = format!("{:.0} %", 100.0 * zones.limit);
+    let thin = match zones.too_thin {
+        0 => String::new(),
+        n => format!(
+            " {} with fewer than {} episodes of some dictionary: too thin to say.",
+            counted(n, "cell"),
+            zones.smallest_n
+        ),
+    };
     let mut blocks = vec![Block::Text(format!(
         "Cells in which every dictionary is below {limit} success: bins and levels of each shared parameter{}. A cell is \
-         sure where each of them is shown to be below (intersection-union of exact tests), Holm over the {} looked at. {} \
-         hold fewer than {} episodes of some dictionary and are too thin to say.",
+         sure where each of them is shown to be below (intersection-union of exact tests), Holm over the {} looked at.{thin}",
         zones
             .pair
             .as_ref()
             .map_or_else(String::new, |[up, across]| { format!(", and cells of {} with {}", name(up), name(across)) }),
-        count(zones.looked_at),
-        count(zones.too_thin),
-        zones.smallest_n
+        count(zones.looked_at)
     ))];
     if zones.looked_at == 0 {
         blocks.push(Block::Text("Nothing can be said: no cell holds enough episodes of each.".to_owned()));
