@@ -68,7 +68,7 @@ impl SharedAxis {
                 _ => low + u * (high - low),
             }
         };
-        let edges = Edges::new((0..=bins).map(at).collect()).map_err(|_| "the ranges do not overlap".to_owned())?;
+        let edges = Edges::new((0..=bins).map(at).collect()).map_err(|_| "they have no range in common".to_owned())?;
         let axis = Axis { parameter: parameter.to_owned(), edges: edges.as_slice().to_vec(), levels: Vec::new(), log };
         Ok(Self { axis, remark, cut: Cut::Edges(edges) })
     }

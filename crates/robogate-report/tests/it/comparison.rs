@@ -214,8 +214,8 @@ fn pairs_are_counted_one_by_one_and_invalid_ones_bound_the_gap() {
     assert_eq!((pair.scenarios, pair.valid_pairs), (104, 100));
     assert_eq!((pair.both, pair.first_only, pair.second_only, pair.neither), (40, 20, 5, 35));
     assert!((pair.gap.unwrap() - 0.15).abs() < 1e-12);
-    // scipy.stats.binomtest(5, 25, 0.5).pvalue
-    assert!((pair.ln_p.exp() - 0.004077255725860596).abs() < 1e-12, "{}", pair.ln_p.exp());
+    // Twice the chance of at most 5 heads in 25 tosses: 2 (1 + 25 + 300 + 2,300 + 12,650 + 53,130) / 2^25.
+    assert!((pair.ln_p.exp() - 136_812.0 / 33_554_432.0).abs() < 1e-12, "{}", pair.ln_p.exp());
     assert_eq!((pair.invalid.first, pair.invalid.second, pair.invalid.either), (4, 0, 4));
     // The four could each have been a failure (15 - 4) or a success (15 + 0) against the second's success.
     let [low, high] = pair.invalid.gap_bounds.unwrap();
