@@ -9,8 +9,8 @@ use robogate_core::{Assignment, Fault, FaultKind, ParameterSpace, Policy, Scenar
 use robogate_dictionary::provenance;
 use robogate_sim::claims::{Bench, Setup, Workbench};
 use robogate_sim::{
-    Engine, Gripper, MujocoEngine, PickPlace, Robot, SceneParameters, Scripted, SuctionLaw, WORKSPACE_CENTRE, built_in_robot,
-    built_in_space, built_in_spaces, check_suite, default_space,
+    Engine, Gripper, MujocoEngine, PickPlace, Robot, SceneParameters, Scripted, SuctionLaw, WORKSPACE_CENTRE,
+    built_in_robot, built_in_space, built_in_spaces, check_suite, default_space,
 };
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};

@@ -35,7 +35,7 @@ fn published(dir: &TempDir, robot: &str, rows: u32, from: f64) -> String {
                 "sample_idx": i,
                 "friction": friction,
                 "mass": mass,
-                "placement": ["center_0", "edge_0"][(i % 2) as usize],
+                "placement": if i % 2 == 0 { "center_0" } else { "edge_0" },
                 "success": success,
                 "failure_type": if success { "none" } else { "grasp_miss" },
                 "cycle_time": 4.0

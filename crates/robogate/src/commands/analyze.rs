@@ -108,7 +108,7 @@ fn answer(analysis: &Analysis) {
         lines.iter().for_each(|text| wrapped(text));
     }
     line("");
-    line(dim(format_args!("Unless it says otherwise, a figure speaks of {}.", analysis.population.describe())));
+    wrapped(&format!("Unless it says otherwise, a figure speaks of {}.", analysis.population.describe()));
 }
 
 fn stages(analysis: &Analysis) {
