@@ -212,7 +212,7 @@ fn cells(map: &PairMap) {
     let across: String =
         (0..nx).map(|i| format!("{:>7}", label(&map.x, i).chars().take(6).collect::<String>())).collect();
     line(dim(format_args!("  {:>11} {across}", "from")));
-    line(dim("  ! surely danger (30 % or less), = surely between, + surely safe (70 % or more), else too thin to say"));
+    line(dim("  ! surely danger (up to 30 %), = surely between, + surely safe (from 70 %), else too thin to say"));
 }
 
 fn parameter(along: &Along) {
