@@ -145,7 +145,7 @@ fn compare_tells_two_robots_apart_in_every_form() {
     let document: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(document["version"], 1);
     assert_eq!(document["compared"], json!(["one", "two"]));
-    assert_eq!(document["differences"][0]["holm_p"].as_f64().unwrap() < 0.05, true);
+    assert!(document["differences"][0]["holm_p"].as_f64().unwrap() < 0.05);
     assert_eq!(document["reach"][0]["reach_m"], Value::Null);
 }
 

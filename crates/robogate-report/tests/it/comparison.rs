@@ -61,7 +61,7 @@ fn one_dictionary_or_the_same_one_twice_is_no_comparison() {
 fn a_difference_is_the_one_of_the_counts_and_holm_never_shrinks_it() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
-    let worse = |i: u64, by_law| if i % 4 == 0 { Outcome::Failure(FailureMode::Collision) } else { by_law };
+    let worse = |i: u64, by_law| if i.is_multiple_of(4) { Outcome::Failure(FailureMode::Collision) } else { by_law };
     let all = [
         saved(&dir, "a", &space, law(&space, 600)),
         saved(&dir, "b", &space, changed(&space, 600, worse)),
@@ -279,7 +279,7 @@ fn focused_rows_alone_are_shown_and_not_compared() {
 fn the_page_is_one_file_without_requests_and_the_same_each_time() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
-    let worse = |i: u64, by_law| if i % 4 == 0 { Outcome::Failure(FailureMode::Collision) } else { by_law };
+    let worse = |i: u64, by_law| if i.is_multiple_of(4) { Outcome::Failure(FailureMode::Collision) } else { by_law };
     let all = [
         saved(&dir, "<b>a", &space, changed(&space, 900, |_, by_law| by_law)),
         saved(&dir, "b", &space, changed(&space, 900, worse)),
