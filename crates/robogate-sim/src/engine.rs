@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::Fault;
 
-use crate::{Chain, Robot, Scene};
+use crate::{Chain, Motion, Primitive, Robot, Scene};
 
 /// A rigid-body engine that holds one robot and, after [`Engine::load`], one scene.
 pub trait Engine {
@@ -58,6 +58,9 @@ pub trait Engine {
 
     /// Pose of the object (the centre of its bounding box).
     fn object(&self) -> Isometry3<f64>;
+
+    /// Pose of a fixture, by its position in the scene; of one that moves, where it is now.
+    fn fixture(&self, fixture: usize) -> Isometry3<f64>;
 
     /// Velocity of the object's frame (m/s) and its angular velocity (rad/s).
     fn object_velocity(&self) -> (Vector3<f64>, Vector3<f64>);
@@ -125,11 +128,24 @@ pub struct Readback {
     /// Centre of mass in the object's frame, in metres.
     pub centre_of_mass: Vector3<f64>,
     /// The object's parts.
-    pub parts: Vec<crate::Primitive>,
+    pub parts: Vec<Primitive>,
     /// The object's pose.
     pub object: Isometry3<f64>,
-    /// How many fixtures beside the table stand there.
-    pub obstacles: usize,
+    /// The fixtures, in any order.
+    pub fixtures: Vec<FixtureRead>,
+}
+
+/// A fixture as an engine holds it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FixtureRead {
+    /// Its position in the scene.
+    pub fixture: usize,
+    /// Its shape; `None` where it is none of the scene's.
+    pub primitive: Option<Primitive>,
+    /// Where it stands.
+    pub pose: Isometry3<f64>,
+    /// How it will move.
+    pub motion: Option<Motion>,
 }
 
 /// Who touched whom in one time step. Forces are normal forces in newtons.

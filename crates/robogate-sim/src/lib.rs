@@ -6,11 +6,13 @@
 //! [`robogate_core::Simulator`]. [`Scripted`] is the policy of the paper's baseline.
 
 pub mod claims;
+mod disturbance;
 mod engine;
 mod inspect;
 mod kinematics;
 mod mujoco;
 mod object;
+mod occluder;
 mod parameters;
 mod pick_place;
 mod referee;
@@ -23,8 +25,10 @@ mod spaces;
 pub mod suction;
 mod suite;
 mod trajectory;
+mod visual;
 
-pub use engine::{Collision, Engine, EngineBuild, JointTargets, Readback, Touches, Wrench};
+pub use disturbance::{Disturbance, Motion};
+pub use engine::{Collision, Engine, EngineBuild, FixtureRead, JointTargets, Readback, Touches, Wrench};
 pub use inspect::{Inspection, Measured, inspect};
 pub use kinematics::{Chain, ChainJoint, Unreachable};
 pub use mujoco::MujocoEngine;
@@ -35,8 +39,9 @@ pub use robot::{
     Arm, Gripper, ParallelJaw, Problem, Robot, RobotError, RobotFile, RobotSettings, RobotSource, Site, SuctionCup,
     built_in_robot, built_in_robots,
 };
-pub use scene::{Fixture, Scene, WORKSPACE_CENTRE};
+pub use scene::{Fixture, FixtureKind, Scene, WORKSPACE_CENTRE};
 pub use scripted::Scripted;
 pub use spaces::{FRANKA_SPACE, built_in_space, built_in_spaces, default_space};
 pub use suction::SuctionLaw;
 pub use suite::{SuiteMisfit, check_suite};
+pub use visual::{Color, FRONT_CAMERA, TableMaterial, Visual};

@@ -16,7 +16,7 @@ use robogate_core::{Fault, FaultKind};
 use crate::engine::Collision;
 use crate::scene::isometry;
 use crate::{Chain, Engine, EngineBuild, JointTargets, Primitive, Problem, Readback, Robot, RobotError, robot_model};
-use crate::{Scene, Touches, Wrench};
+use crate::{FixtureRead, Motion, Part, Scene, Touches, Wrench};
 
 /// Contact masks: the robot meets the object and fixtures, the object meets fixtures; the robot does not
 /// meet itself (fingers that close on nothing are a miss, not a collision).
@@ -34,6 +34,9 @@ const ROLLING: f64 = 5e-4;
 /// Time constant in which a contact of the object gives way, in seconds: as stiff as the default time step
 /// allows (MuJoCo asks for two steps), and the same for shorter ones, so that they converge to one physics.
 pub(crate) const CONTACT_TIME_S: f64 = 2.0 * MujocoEngine::TIME_STEP_S;
+
+/// Mass of a fixture that moves, in kilograms.
+const DRIVEN_MASS: f64 = 1e3;
 
 /// Fixtures and object by their names in the compiled model. The prefix keeps them from meeting a
 /// robot's names.
@@ -81,6 +84,21 @@ struct Loaded {
     /// What table and obstacles did to the object in the last step, about its centre of mass.
     support: Wrench,
     scene: Scene,
+    /// The fixtures that move.
+    movers: Vec<Mover>,
+    /// Steps taken since the scene was loaded.
+    steps: u64,
+}
+
+/// A fixture that moves.
+#[derive(Debug, Clone, Copy)]
+struct Mover {
+    /// Its position in the scene.
+    fixture: usize,
+    /// The addresses of its joint.
+    qpos: usize,
+    qvel: usize,
+    motion: Motion,
 }
 
 /// The joint between cup and object: there from the start, and switched on and off.
@@ -165,8 +183,26 @@ impl MujocoEngine {
         spec.option_mut().gravity = [0.0, 0.0, -scene.gravity];
         let world = spec.world_body_mut();
         for (i, fixture) in scene.fixtures.iter().enumerate() {
-            let geom = world.add_geom().with_name(&format!("{PREFIX}{}", fixture.name));
-            shape(geom, &fixture.part.primitive, &fixture.part.pose);
+            let name = format!("{PREFIX}{}", fixture.name);
+            let Part { primitive, pose } = &fixture.part;
+            let geom = if let Some(motion) = &fixture.motion {
+                // Its joint is put where the motion has it at every step. It has a joint at all so that a contact
+                // sees its speed, and a mass beside which whatever it pushes is nothing.
+                let body = world.add_body().with_name(&name);
+                place(pose, body.pos_mut());
+                *body.quat_mut() = wxyz(&pose.rotation);
+                let joint = body.add_joint().with_name(&name);
+                joint.set_type(MjtJoint::mjJNT_SLIDE);
+                *joint.axis_mut() = (pose.rotation.inverse() * motion.velocity.normalize()).into();
+                let geom = body.add_geom().with_name(&name);
+                shape(geom, primitive, &Isometry3::identity());
+                geom.set_mass(DRIVEN_MASS);
+                geom
+            } else {
+                let geom = world.add_geom().with_name(&name);
+                shape(geom, primitive, pose);
+                geom
+            };
             geom.set_contype(FIXTURE.0);
             geom.set_conaffinity(FIXTURE.1);
             // Where the table has a friction of its own, it and not the object says how the two meet.
@@ -339,6 +375,13 @@ impl Engine for MujocoEngine {
                 None => Kind::Ghost,
             });
         }
+        let mut movers = Vec::new();
+        for (i, fixture) in scene.fixtures.iter().enumerate() {
+            if let Some(motion) = fixture.motion {
+                let (qpos, qvel) = address(&format!("{PREFIX}{}", fixture.name))?;
+                movers.push(Mover { fixture: i, qpos, qvel, motion });
+            }
+        }
         let mut data = MjData::new(Box::new(model));
         for ((address, _), q) in arm.iter().zip(joints) {
             data.qpos_mut()[*address] = *q;
@@ -361,8 +404,11 @@ impl Engine for MujocoEngine {
             forces: Vec::new(),
             support: Wrench::ZERO,
             scene: scene.clone(),
+            movers,
+            steps: 0,
         };
         let loaded = self.loaded.insert(loaded);
+        loaded.move_fixtures(self.time_step);
         loaded.read_touches();
         Ok(())
     }
@@ -373,7 +419,7 @@ impl Engine for MujocoEngine {
         let mut friction = None;
         let mut table_friction = None;
         let mut parts = Vec::new();
-        let mut obstacles = 0;
+        let mut fixtures = Vec::new();
         for (geom, kind) in loaded.kinds.iter().enumerate() {
             match kind {
                 Kind::Object => {
@@ -383,8 +429,12 @@ impl Engine for MujocoEngine {
                 Kind::Fixture(0) if model.geom_priority()[geom] > 1 => {
                     table_friction = Some(model.geom_friction()[geom][0]);
                 }
-                Kind::Fixture(fixture) if *fixture > 0 => obstacles += 1,
                 _ => {}
+            }
+            if let Kind::Fixture(fixture) = kind {
+                let motion = loaded.movers.iter().find(|mover| mover.fixture == *fixture).map(|mover| mover.motion);
+                let pose = loaded.geom_pose(geom);
+                fixtures.push(FixtureRead { fixture: *fixture, primitive: primitive(model, geom), pose, motion });
             }
         }
         let friction = friction.ok_or_else(|| Fault::new(FaultKind::Setup, "the object has no shape"))?;
@@ -396,7 +446,7 @@ impl Engine for MujocoEngine {
             centre_of_mass: Vector3::from(model.body_ipos()[loaded.object_body]),
             parts,
             object: self.object(),
-            obstacles,
+            fixtures,
         })
     }
 
@@ -411,6 +461,8 @@ impl Engine for MujocoEngine {
         }
         ctrl[arm.joints.len()..].fill(targets.finger);
         loaded.data.step();
+        loaded.steps += 1;
+        loaded.move_fixtures(self.time_step);
         loaded.read_touches();
     }
 
@@ -500,6 +552,16 @@ impl Engine for MujocoEngine {
         isometry(&[q[0], q[1], q[2]], &[q[3], q[4], q[5], q[6]])
     }
 
+    fn fixture(&self, fixture: usize) -> Isometry3<f64> {
+        let loaded = self.loaded();
+        let mut pose = loaded.scene.fixtures[fixture].part.pose;
+        if let Some(mover) = loaded.movers.iter().find(|mover| mover.fixture == fixture) {
+            let way = mover.motion.velocity.normalize() * loaded.data.qpos()[mover.qpos];
+            pose.translation.vector += way;
+        }
+        pose
+    }
+
     fn object_velocity(&self) -> (Vector3<f64>, Vector3<f64>) {
         let loaded = self.loaded();
         let v = &loaded.data.qvel()[loaded.object_qvel..];
@@ -522,7 +584,12 @@ impl Engine for MujocoEngine {
             for other in 0..loaded.kinds.len() {
                 let Kind::Fixture(fixture) = loaded.kinds[other] else { continue };
                 let (centre, radius) = (loaded.data.geom_xpos()[robot], loaded.data.model().geom_rbound()[robot]);
-                if loaded.scene.fixtures[fixture].distance_bound(centre, radius) < best {
+                let scene = &loaded.scene.fixtures[fixture];
+                let near = match scene.motion {
+                    Some(_) => scene.distance_bound_at(&loaded.geom_pose(other), centre, radius),
+                    None => scene.distance_bound(centre, radius),
+                };
+                if near < best {
                     best = best.min(loaded.data.geom_distance(robot, other, best, None));
                 }
             }
@@ -542,6 +609,23 @@ impl Engine for MujocoEngine {
 }
 
 impl Loaded {
+    /// Puts every moving fixture where it is after the steps taken.
+    fn move_fixtures(&mut self, time_step: f64) {
+        let time = self.steps as f64 * time_step;
+        for Mover { qpos, qvel, motion, .. } in &self.movers {
+            self.data.qpos_mut()[*qpos] = motion.offset(time).norm();
+            self.data.qvel_mut()[*qvel] = motion.velocity_at(time).norm();
+        }
+    }
+
+    /// Where MuJoCo has a geom.
+    fn geom_pose(&self, geom: usize) -> Isometry3<f64> {
+        let turn = Matrix3::from_row_slice(&self.data.geom_xmat()[geom]);
+        let turn = nalgebra::Rotation3::from_matrix_unchecked(turn);
+        let at = Translation3::from(Vector3::from(self.data.geom_xpos()[geom]));
+        Isometry3::from_parts(at, UnitQuaternion::from_rotation_matrix(&turn))
+    }
+
     /// Sums up the contacts of the last step: two bodies may touch at several points, and it is their
     /// force together that counts.
     fn read_touches(&mut self) {

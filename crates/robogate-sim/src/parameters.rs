@@ -1,9 +1,11 @@
 //! What the parameters of a space mean in this world.
 
+use std::f64::consts::PI;
+
 use robogate_core::{Assignment, Domain, ParameterSpace, Pose};
 
-use crate::scene::WORKSPACE_CENTRE;
-use crate::{Gripper, ObjectModel, Shape};
+use crate::scene::{OBSTACLE_GAP, WORKSPACE_CENTRE};
+use crate::{Color, Disturbance, Gripper, ObjectModel, Shape, TableMaterial, Visual};
 
 /// Where the object stands and how it is turned, before any noise.
 ///
@@ -104,6 +106,16 @@ pub struct SceneParameters {
     pub position_jitter_m: f64,
     /// `gravity_scale`: gravity as a multiple of the Earth's.
     pub gravity_scale: f64,
+    /// `offset_x_m`, `offset_y_m`: how far from its placement the object stands. The policy is told.
+    pub offset_m: [f64; 2],
+    /// `obstacle_gap_m`: free space between an obstacle and the object or the target's place.
+    pub obstacle_gap_m: f64,
+    /// `occluders`: how many panels stand between the object and the front camera.
+    pub occluders: usize,
+    /// `disturbance_...`: a body that crosses the workspace.
+    pub disturbance: Disturbance,
+    /// How it all looks.
+    pub visual: Visual,
 }
 
 /// What a parameter may be in this world: the widest range in which it makes physical sense.
@@ -112,7 +124,7 @@ enum Meaning {
     Word(fn(&str) -> bool),
 }
 
-const MEANINGS: [(&str, Meaning); 13] = [
+const MEANINGS: [(&str, Meaning); 30] = [
     ("friction", Meaning::Number { low: 0.0, high: 10.0 }),
     ("mass_kg", Meaning::Number { low: 1e-3, high: 100.0 }),
     ("com_offset", Meaning::Number { low: 0.0, high: 0.9 }),
@@ -126,7 +138,27 @@ const MEANINGS: [(&str, Meaning); 13] = [
     ("table_friction", Meaning::Number { low: 0.0, high: 10.0 }),
     ("position_jitter_m", Meaning::Number { low: 0.0, high: 0.05 }),
     ("gravity_scale", Meaning::Number { low: 0.01, high: 10.0 }),
+    ("offset_x_m", Meaning::Number { low: -0.6, high: 0.6 }),
+    ("offset_y_m", Meaning::Number { low: -0.6, high: 0.6 }),
+    ("obstacle_gap_m", Meaning::Number { low: 0.0, high: 0.2 }),
+    ("occluders", Meaning::Number { low: 0.0, high: 3.0 }),
+    ("disturbance_speed_m_s", Meaning::Number { low: 0.0, high: 1.0 }),
+    ("disturbance_start_s", Meaning::Number { low: 0.0, high: 60.0 }),
+    ("disturbance_x_m", Meaning::Number { low: -0.5, high: 1.5 }),
+    ("disturbance_y_m", Meaning::Number { low: -1.5, high: 1.5 }),
+    ("disturbance_heading_rad", Meaning::Number { low: -PI, high: PI }),
+    ("disturbance_travel_m", Meaning::Number { low: 1e-3, high: 3.0 }),
+    ("lighting_lux", Meaning::Number { low: 1.0, high: 1e5 }),
+    ("camera_roll_rad", Meaning::Number { low: -0.5, high: 0.5 }),
+    ("camera_pitch_rad", Meaning::Number { low: -0.5, high: 0.5 }),
+    ("object_transparency", Meaning::Number { low: 0.0, high: 0.95 }),
+    ("table_material", Meaning::Word(|word| TableMaterial::from_word(word).is_some())),
+    ("background_color", Meaning::Word(|word| Color::from_word(word).is_some())),
+    ("object_color", Meaning::Word(|word| Color::from_word(word).is_some())),
 ];
+
+/// Those that count something.
+const WHOLE: [&str; 2] = ["obstacles", "occluders"];
 
 /// Of suction cups alone.
 const GRIP_THRESHOLD: &str = "grip_threshold_m";
@@ -147,6 +179,11 @@ impl Default for SceneParameters {
             table_friction: None,
             position_jitter_m: 0.0,
             gravity_scale: 1.0,
+            offset_m: [0.0; 2],
+            obstacle_gap_m: OBSTACLE_GAP,
+            occluders: 0,
+            disturbance: Disturbance::default(),
+            visual: Visual::default(),
         }
     }
 }
@@ -159,7 +196,7 @@ impl SceneParameters {
             let wrong_kind = |expected| Err(ParameterError::Kind { parameter: name.to_owned(), expected });
             match (meaning_for(name, gripper)?, &parameter.domain) {
                 (Meaning::Number { low, high }, Domain::Continuous { low: from, high: to, .. }) => {
-                    if name == "obstacles" {
+                    if WHOLE.contains(&name) {
                         return wrong_kind("an integer");
                     }
                     in_range(name, *from, *low, *high)?;
@@ -202,16 +239,38 @@ impl SceneParameters {
                         "table_friction" => parameters.table_friction = Some(x),
                         "position_jitter_m" => parameters.position_jitter_m = x,
                         "gravity_scale" => parameters.gravity_scale = x,
-                        _ => parameters.obstacles = x as usize,
+                        "offset_x_m" => parameters.offset_m[0] = x,
+                        "offset_y_m" => parameters.offset_m[1] = x,
+                        "obstacle_gap_m" => parameters.obstacle_gap_m = x,
+                        "lighting_lux" => parameters.visual.lighting_lux = x,
+                        "camera_roll_rad" => parameters.visual.camera_roll_rad = x,
+                        "camera_pitch_rad" => parameters.visual.camera_pitch_rad = x,
+                        "object_transparency" => parameters.visual.object_transparency = x,
+                        _ if WHOLE.contains(&name) && x.fract() != 0.0 => {
+                            return Err(ParameterError::Kind { parameter: name.to_owned(), expected: "an integer" });
+                        }
+                        "occluders" => parameters.occluders = x as usize,
+                        _ => match parameters.disturbance.value_mut(name) {
+                            Some(value) => *value = x,
+                            None => parameters.obstacles = x as usize,
+                        },
                     }
                 }
                 Meaning::Word(_) => {
                     let word = value.to_string();
-                    if name == "shape" {
-                        parameters.shape = Shape::from_word(&word).ok_or_else(|| unknown_choice(name, &word))?;
-                    } else {
-                        Placement::from_name(&word).ok_or_else(|| unknown_choice(name, &word))?;
-                        parameters.placement = word;
+                    let unknown = || unknown_choice(name, &word);
+                    let visual = &mut parameters.visual;
+                    match name {
+                        "shape" => parameters.shape = Shape::from_word(&word).ok_or_else(unknown)?,
+                        "table_material" => {
+                            visual.table_material = TableMaterial::from_word(&word).ok_or_else(unknown)?
+                        }
+                        "background_color" => visual.background_color = Color::from_word(&word).ok_or_else(unknown)?,
+                        "object_color" => visual.object_color = Color::from_word(&word).ok_or_else(unknown)?,
+                        _ => {
+                            Placement::from_name(&word).ok_or_else(unknown)?;
+                            parameters.placement = word;
+                        }
                     }
                 }
             }
@@ -249,6 +308,8 @@ fn in_range(name: &str, value: f64, low: f64, high: f64) -> Result<(), Parameter
 fn unknown_choice(name: &str, choice: &str) -> ParameterError {
     let known = match name {
         "shape" => Shape::ALL.map(Shape::word).join(", "),
+        "table_material" => TableMaterial::ALL.map(TableMaterial::word).join(", "),
+        "background_color" | "object_color" => "colours written #rrggbb, in lower case".to_owned(),
         _ => Placement::NAMES.join(", "),
     };
     ParameterError::Choice { parameter: name.to_owned(), choice: choice.to_owned(), known }

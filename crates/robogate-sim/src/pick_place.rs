@@ -11,7 +11,8 @@ use crate::scene::{GRAVITY, isometry};
 use crate::servo::Servo;
 use crate::suction::{self, Change, Suction};
 use crate::{
-    Engine, Gripper, JointTargets, ObjectModel, Part, Placement, Readback, Scene, SceneParameters, SuctionLaw,
+    Engine, FixtureKind, FixtureRead, Gripper, JointTargets, ObjectModel, Part, Placement, Primitive, Readback, Scene,
+    SceneParameters, SuctionLaw,
 };
 
 /// Time between two actions, in seconds (paper, section 4.1).
@@ -124,6 +125,7 @@ impl<E: Engine> Simulator for PickPlace<E> {
             SceneParameters::from_assignment(&scenario.requested, Some(gripper)).map_err(|e| setup(e.to_string()))?;
         let placement = Placement::from_name(&parameters.placement)
             .ok_or_else(|| setup(format!("there is no placement `{}`", parameters.placement)))?;
+        let placement = placement.moved(parameters.offset_m);
         let mut jitter = scenario.seed.stream("position-jitter");
         let off = parameters.position_jitter_m * jitter.uniform().sqrt();
         let (sin, cos) = jitter.between(0.0, std::f64::consts::TAU).sin_cos();
@@ -151,7 +153,7 @@ impl<E: Engine> Simulator for PickPlace<E> {
         if touches.collision.is_some() || touches.body_on_object || touches.fingers.iter().any(Option::is_some) {
             return Err(setup("the robot starts in contact".to_owned()));
         }
-        let applied = applied(&scenario.requested, &parameters, &standing, &self.engine.read_back()?);
+        let applied = applied(&scenario.requested, &parameters, &standing, &scene, &self.engine.read_back()?);
         let running = Running {
             servo: Servo::at_rest(&home, CONTROL_PERIOD_S),
             referee: Referee::new(scene.target, TOLERANCE_M, self.grip_force_n),
@@ -255,11 +257,21 @@ impl<E: Engine> Simulator for PickPlace<E> {
     }
 }
 
-/// The requested parameters as the engine holds them.
-fn applied(requested: &Assignment, asked: &SceneParameters, standing: &Placement, engine: &Readback) -> Assignment {
+/// The requested parameters as the engine holds them, and as the scene does where no engine is concerned.
+fn applied(
+    requested: &Assignment,
+    asked: &SceneParameters,
+    standing: &Placement,
+    scene: &Scene,
+    engine: &Readback,
+) -> Assignment {
     let size = engine_size(asked, engine);
     let model = ObjectModel::new(asked.shape, size, engine.mass_kg, 0.0);
     let there = stands(standing, asked.size_m, &engine.object);
+    let count = |kind| engine.fixtures.iter().filter(|read| is_there(read, scene, kind)).count() as i64;
+    let mover = engine.fixtures.iter().find(|read| is_there(read, scene, FixtureKind::Disturbance));
+    let disturbance = asked.disturbance.read(mover.and_then(|read| Some((&read.pose, read.motion.as_ref()?))));
+    let offset = |axis: usize| asked.offset_m[axis] + engine.object.translation.vector[axis] - standing.position[axis];
     let mut applied = Assignment::default();
     for (name, value) in requested.iter() {
         // A whole number that was asked for as one comes back as one.
@@ -272,13 +284,21 @@ fn applied(requested: &Assignment, asked: &SceneParameters, standing: &Placement
             "mass_kg" => number(engine.mass_kg),
             "com_offset" => number(model.com_offset_of(&engine.centre_of_mass)),
             "size_m" => number(size),
-            "obstacles" => Value::Integer(engine.obstacles as i64),
+            "obstacles" => number(count(FixtureKind::Obstacle) as f64),
+            "occluders" => number(count(FixtureKind::Occluder) as f64),
+            "offset_x_m" => number(offset(0)),
+            "offset_y_m" => number(offset(1)),
             "table_friction" => number(engine.table_friction),
             "gravity_scale" => number(engine.gravity / GRAVITY),
             "position_jitter_m" => number(if there { asked.position_jitter_m } else { f64::NAN }),
             "placement" if there => value.clone(),
             "placement" => Value::Category(format!("{:.6?}", engine.object.translation.vector.as_slice()).into()),
             "shape" => Value::Category(engine_shape(asked, engine).into()),
+            _ if disturbance.value(name).is_some() => number(disturbance.value(name).unwrap_or(f64::NAN)),
+            _ if scene.visual.value(name).is_some() => match scene.visual.value(name) {
+                Some(Value::Number(x)) => number(x),
+                word => word.unwrap_or(Value::Number(f64::NAN)),
+            },
             // What acts through the servo, the cup or the policy is applied by the simulator itself.
             _ => value.clone(),
         };
@@ -287,10 +307,26 @@ fn applied(requested: &Assignment, asked: &SceneParameters, standing: &Placement
     applied
 }
 
+/// Whether a fixture of this kind stands where the scene has it, as it has it.
+fn is_there(read: &FixtureRead, scene: &Scene, kind: FixtureKind) -> bool {
+    scene.fixtures.get(read.fixture).is_some_and(|fixture| {
+        let off = fixture.part.pose.inverse() * read.pose;
+        fixture.kind == kind
+            && read.primitive.is_some_and(|primitive| same_primitive(&fixture.part.primitive, &primitive))
+            && off.translation.vector.norm() < 1e-6
+            && off.rotation.angle() < 1e-6
+    })
+}
+
+fn same_primitive(a: &Primitive, b: &Primitive) -> bool {
+    std::mem::discriminant(a) == std::mem::discriminant(b)
+        && a.half_extent().iter().zip(b.half_extent()).all(|(a, b)| (a - b).abs() < 1e-9)
+}
+
 /// The size at which the shape asked for has the engine's first part.
 fn engine_size(asked: &SceneParameters, engine: &Readback) -> f64 {
     let unit = ObjectModel::new(asked.shape, 1.0, 1.0, 0.0);
-    let extent = |part: &crate::Primitive| part.half_extent()[0];
+    let extent = |part: &Primitive| part.half_extent()[0];
     engine.parts.first().map_or(f64::NAN, extent) / extent(&unit.parts[0].primitive)
 }
 
@@ -298,10 +334,7 @@ fn engine_size(asked: &SceneParameters, engine: &Readback) -> f64 {
 fn engine_shape(asked: &SceneParameters, engine: &Readback) -> &'static str {
     let parts = ObjectModel::new(asked.shape, asked.size_m, 1.0, 0.0).parts;
     let same = parts.len() == engine.parts.len()
-        && parts.iter().zip(&engine.parts).all(|(part, read)| {
-            std::mem::discriminant(&part.primitive) == std::mem::discriminant(read)
-                && part.primitive.half_extent().iter().zip(read.half_extent()).all(|(a, b)| (a - b).abs() < 1e-9)
-        });
+        && parts.iter().zip(&engine.parts).all(|(part, read)| same_primitive(&part.primitive, read));
     if same { asked.shape.word() } else { "another" }
 }
 

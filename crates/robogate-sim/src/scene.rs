@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Stream;
 
-use crate::{ObjectModel, Part, Placement, Primitive, SceneParameters};
+use crate::{Motion, ObjectModel, Part, Placement, Primitive, SceneParameters, Visual, occluder};
 
 /// The middle of the workspace on the table, in metres in front of the base.
 pub const WORKSPACE_CENTRE: [f64; 2] = [0.5, 0.0];
@@ -14,25 +14,51 @@ pub(crate) const TARGET: [f64; 2] = [0.4, 0.4];
 /// Gravity on Earth, in m/s^2.
 pub(crate) const GRAVITY: f64 = 9.81;
 
+/// The table's middle and half its extent, in metres.
+const TABLE_CENTRE: [f64; 2] = [0.55, 0.0];
+const TABLE_HALF: [f64; 2] = [0.4, 0.7];
+
 /// Obstacles stand within this distance of the workspace centre, in metres (paper, section 4.2).
 const OBSTACLE_RADIUS: f64 = 0.3;
 
 /// Free space between an obstacle and the object, the target's place, or another obstacle, in metres.
-const OBSTACLE_GAP: f64 = 0.01;
+pub(crate) const OBSTACLE_GAP: f64 = 0.01;
 
-/// A body that does not move: the table or an obstacle.
+/// A body that nothing moves from its place or its way: for the robot, touching it is a collision.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fixture {
     /// Its name in contact reports.
     pub name: String,
-    /// Its shape and pose in the base frame.
+    /// What it is there for.
+    pub kind: FixtureKind,
+    /// Its shape, and its pose in the base frame at the start.
     pub part: Part,
+    /// How it moves, if it does. An engine drives it along, and it pushes the object.
+    pub motion: Option<Motion>,
+}
+
+/// What a fixture is there for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FixtureKind {
+    /// What everything stands on.
+    Table,
+    /// Something to keep clear of.
+    Obstacle,
+    /// A panel in the front camera's view.
+    Occluder,
+    /// A body that crosses the workspace.
+    Disturbance,
 }
 
 impl Fixture {
     /// A lower bound of the distance from a ball to the fixture, in metres (negative inside).
     pub(crate) fn distance_bound(&self, centre: [f64; 3], radius: f64) -> f64 {
-        let local = self.part.pose.inverse_transform_point(&Point3::from(centre));
+        self.distance_bound_at(&self.part.pose, centre, radius)
+    }
+
+    /// The same where the fixture stands at `pose`.
+    pub(crate) fn distance_bound_at(&self, pose: &Isometry3<f64>, centre: [f64; 3], radius: f64) -> f64 {
+        let local = pose.inverse_transform_point(&Point3::from(centre));
         let beyond = local.coords.abs() - Vector3::from(self.part.primitive.half_extent());
         beyond.sup(&Vector3::zeros()).norm() - radius
     }
@@ -49,33 +75,46 @@ pub struct Scene {
     pub friction: f64,
     /// Coulomb friction of the object against the table, where it differs.
     pub table_friction: Option<f64>,
-    /// Table and obstacles; the table is first.
+    /// The table, then whatever else stands or moves there.
     pub fixtures: Vec<Fixture>,
     /// Where the object's centre shall come to rest, in metres.
     pub target: [f64; 3],
     /// Gravity, in m/s^2.
     pub gravity: f64,
+    /// How it all looks.
+    pub visual: Visual,
 }
 
 impl Scene {
     /// The scene of these parameters; `stream` places the obstacles.
     ///
-    /// Fails where the obstacles find no room.
+    /// Fails where the object does not stand on the table or the obstacles find no room.
     pub fn new(parameters: &SceneParameters, placement: &Placement, stream: &mut Stream) -> Result<Self, String> {
         let object = parameters.object();
         let half = 0.5 * object.size_m;
         let mut fixtures = vec![table()];
+        let [x, y] = placement.position;
+        if (x - TABLE_CENTRE[0]).abs() > TABLE_HALF[0] || (y - TABLE_CENTRE[1]).abs() > TABLE_HALF[1] {
+            return Err(format!("the object would stand beside the table, at ({x:.3}, {y:.3}) m"));
+        }
+        let panels = occluder::panels(parameters.occluders, placement.position);
+        // Obstacles keep more room than they must from the object and the target's place, where that is asked for.
+        let room = parameters.obstacle_gap_m - OBSTACLE_GAP;
         // The object may stand turned: its footprint is within the circle about its square.
         let mut taken = vec![
-            (placement.position, half * std::f64::consts::SQRT_2),
-            (TARGET, half * std::f64::consts::SQRT_2 + 0.03),
+            (placement.position, half * std::f64::consts::SQRT_2 + room),
+            (TARGET, half * std::f64::consts::SQRT_2 + 0.03 + room),
         ];
+        taken.extend(occluder::footprints(&panels));
         for i in 1..=parameters.obstacles {
             let (part, place) = obstacle(stream, &taken)
                 .ok_or_else(|| format!("no room for obstacle {i} of {}", parameters.obstacles))?;
             taken.push(place);
-            fixtures.push(Fixture { name: format!("obstacle_{i}"), part });
+            let (name, kind) = (format!("obstacle_{i}"), FixtureKind::Obstacle);
+            fixtures.push(Fixture { name, kind, part, motion: None });
         }
+        fixtures.extend(panels);
+        fixtures.extend(parameters.disturbance.fixture());
         let pose = placement.pose(object.size_m);
         Ok(Self {
             object_pose: isometry(&pose.position, &pose.orientation),
@@ -84,6 +123,7 @@ impl Scene {
             fixtures,
             target: [TARGET[0], TARGET[1], half],
             gravity: GRAVITY * parameters.gravity_scale,
+            visual: parameters.visual,
             object,
         })
     }
@@ -91,9 +131,10 @@ impl Scene {
 
 /// The table: its top is the plane z = 0, in front of the base.
 fn table() -> Fixture {
-    let primitive = Primitive::Box { half: [0.4, 0.7, 0.02] };
-    let pose = Isometry3::translation(0.55, 0.0, -0.02);
-    Fixture { name: "table".to_owned(), part: Part { primitive, pose } }
+    let primitive = Primitive::Box { half: [TABLE_HALF[0], TABLE_HALF[1], 0.02] };
+    let pose = Isometry3::translation(TABLE_CENTRE[0], TABLE_CENTRE[1], -0.02);
+    let part = Part { primitive, pose };
+    Fixture { name: "table".to_owned(), kind: FixtureKind::Table, part, motion: None }
 }
 
 /// A box or cylinder, 3 to 6 cm wide and 4 to 14 cm high, uniformly in the circle about the workspace
