@@ -168,8 +168,14 @@ pub(crate) fn populations(rows: &Rows) -> (Sample, Option<Sample>, Population) {
     if operating.len() == 0 && focused.len() > 0 {
         return (focused, None, Population::FocusedDesign);
     }
-    let imported = rows.stages.iter().any(|stage| !stage.focused && stage.name == "imported");
-    let population = if imported { Population::AsImported } else { Population::OperatingSpace };
+    let any = |name: &str| rows.stages.iter().any(|stage| !stage.focused && stage.name == name);
+    let population = if any("imported") {
+        Population::AsImported
+    } else if any("suite") {
+        Population::Suite
+    } else {
+        Population::OperatingSpace
+    };
     (operating, (focused.len() > 0).then_some(focused), population)
 }
 

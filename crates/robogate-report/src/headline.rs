@@ -37,6 +37,7 @@ fn answer(analysis: &Analysis) -> String {
     let of = match analysis.population {
         Population::OperatingSpace => "over the operating space",
         Population::AsImported => "over the imported episodes",
+        Population::Suite => "over the scenarios of the suite (this is no operating rate)",
         _ => "in a focused design (this is no operating rate)",
     };
     let chance = if rate.n < 30 {
@@ -197,7 +198,9 @@ fn what_to_do(analysis: &Analysis) -> Vec<String> {
             }
         }
     }
-    if let Some(map) = analysis.envelopes.first().and_then(|e| e.map.estimated()) {
+    // Where the scenarios were chosen, a cell of the map is a handful of questions and no place to operate in.
+    let map = analysis.envelopes.first().and_then(|e| e.map.estimated());
+    if let Some(map) = map.filter(|_| analysis.population != Population::Suite) {
         let best = map.cells.iter().filter(|c| c.zone == Zone::Safe).count();
         let (up, across) = (name(&map.y.parameter), name(&map.x.parameter));
         lines.push(match best {

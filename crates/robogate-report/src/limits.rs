@@ -11,6 +11,10 @@ pub(crate) fn limits(analysis: &Analysis, correlated: bool) -> Vec<String> {
         Population::AsImported => "How the imported rows were drawn is not known here. The ranges are the observed ones, \
              every row counts once, and each rate speaks of whatever distribution the rows came from."
             .to_owned(),
+        Population::Suite => "The scenarios of a suite were chosen, each as often as any other. No rate here is one of an operating \
+             space, and what a bin, a map or a model shows along one parameter is also the doing of all the others in which \
+             the scenarios differ."
+            .to_owned(),
         Population::FocusedDesign => "Every row comes from a focused design, crowded where success turns into failure. \
              No rate here is one of the operating space."
             .to_owned(),

@@ -14,6 +14,8 @@ pub enum Population {
     OperatingSpace,
     /// Whatever distribution the imported rows were drawn from; it is taken to be the operating one.
     AsImported,
+    /// The scenarios of a suite, which were chosen and not drawn.
+    Suite,
     /// A focused design as it was drawn: not the operating space.
     FocusedDesign,
     /// The part of the operating space that the focused design was drawn in, by stored weights.
@@ -30,6 +32,7 @@ impl Population {
             Self::AsImported => {
                 "the distribution that the imported rows were drawn from; how they were drawn is not known here"
             }
+            Self::Suite => "the scenarios of the suite, which were chosen: no operating rate",
             Self::FocusedDesign => {
                 "the focused design alone, crowded where success turns into failure: no operating rate"
             }
@@ -45,6 +48,7 @@ impl Population {
         match self {
             Self::OperatingSpace => "operating space",
             Self::AsImported => "as imported",
+            Self::Suite => "scenarios of the suite, not the operating space",
             Self::FocusedDesign => "focused design alone, not the operating space",
             Self::FocusedRegion => "operating space inside the focused region, reweighted",
             Self::Reweighted => "operating space, all rows reweighted",

@@ -139,6 +139,8 @@ fn stage(rows: &Rows, at: usize) -> StageSuccess {
             Population::FocusedDesign
         } else if of.name == "imported" {
             Population::AsImported
+        } else if of.name == "suite" {
+            Population::Suite
         } else {
             Population::OperatingSpace
         },

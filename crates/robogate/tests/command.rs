@@ -197,3 +197,51 @@ fn a_finished_run_is_not_overwritten_and_a_damaged_one_is_named() {
     fs::write(&dictionary, &bytes[..bytes.len() / 2]).unwrap();
     assert_usage(&["export", &out, &path(&dir, "x.csv")], &["dictionary.parquet"]);
 }
+
+#[test]
+fn a_suite_is_run_with_the_same_rows_for_one_and_two_threads_and_each_says_which_scenario_it_is() {
+    let dir = TempDir::new().unwrap();
+    let suite = path(&dir, "two.toml");
+    let text = r#"
+        schema = 1
+        name = "two"
+        version = "1.0.0"
+        description = "Two scenarios."
+        defaults = { mass_kg = { low = 0.2, high = 0.4 }, position_jitter_m = 0.003, lighting_lux = 500.0 }
+        [[group]]
+        name = "plain"
+        category = "nominal"
+        scenarios = [{ id = "plain-1" }, { id = "plain-2", mass_kg = 0.5 }]
+    "#;
+    fs::write(&suite, text).unwrap();
+    assert_done(&robogate(&["suites", "check", &suite]));
+    let runs = ["1", "2"].map(|threads| {
+        let out = path(&dir, threads);
+        assert_done(&robogate(&["run", "--suite", &suite, "--rounds", "3", "--threads", threads, "--out", &out]));
+        files(&out)
+    });
+    assert_eq!(runs[0], runs[1]);
+    let (out, rows) = (path(&dir, "1"), path(&dir, "rows.csv"));
+    assert_done(&robogate(&["export", &out, &rows]));
+    let rows = fs::read_to_string(rows).unwrap();
+    assert_eq!(rows.lines().skip(1).filter(|row| row.ends_with("plain-2,nominal,plain")).count(), 3);
+    assert_done(&robogate(&["replay", &out, "5"]));
+}
+
+#[test]
+fn a_wrong_suite_is_told_in_full_with_exit_code_2() {
+    let dir = TempDir::new().unwrap();
+    let suite = path(&dir, "wrong.toml");
+    let write = |scenarios: &str| {
+        let head = "schema = 1\nname = \"w\"\nversion = \"1\"\ndescription = \"\"\n[[group]]\nname = \"g\"";
+        fs::write(&suite, format!("{head}\ncategory = \"nominal\"\nscenarios = [{scenarios}]")).unwrap();
+    };
+    write("{ id = \"a\", friction = 20.0, glare = 1.0 }, { id = \"b\", friction = 0.1, glare = 1.0 }");
+    assert_usage(&["suites", "check", &suite], &["`friction` = 20 is outside", "`glare` means nothing", "2 problems"]);
+    assert_usage(&["run", "--suite", &suite], &["`friction` = 20 is outside", "`glare` means nothing"]);
+    write("{ id = \"a\" }, { id = \"a\" }");
+    assert_usage(&["suites", "check", &suite], &["scenario id `a` is there twice"]);
+    assert_usage(&["run", "--suite", "industrial-67"], &["there is no suite `industrial-67`", "industrial-68"]);
+    assert_usage(&["run", "--suite", "industrial-68", "-n", "10"], &["cannot be used with"]);
+    assert_usage(&["run", "--rounds", "10"], &["--suite"]);
+}

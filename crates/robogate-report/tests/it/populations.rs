@@ -89,3 +89,18 @@ fn the_frontier_of_the_law_is_found() {
         assert!((point.x - truth).abs() < 0.06, "{} for {truth} at mass {}", point.x, point.y);
     }
 }
+
+#[test]
+fn the_scenarios_of_a_suite_never_pass_for_the_operating_space() {
+    let space = space(&["box"]);
+    let of_a_suite = |mut entry: robogate_dictionary::Entry| {
+        "suite".clone_into(&mut entry.stage);
+        entry
+    };
+    let analysis = analysed(&space, law(&space, 500).into_iter().map(of_a_suite).collect());
+    assert_eq!(analysis.population, Population::Suite);
+    assert_eq!(analysis.success.stages[0].population, Population::Suite);
+    assert!(analysis.headline.answer.contains("no operating rate"));
+    assert!(analysis.limits[0].contains("No rate here is one of an operating space"));
+    assert!(analysis.headline.what_to_do.iter().all(|line| !line.contains("operate there")));
+}
