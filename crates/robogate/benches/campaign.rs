@@ -182,6 +182,10 @@ impl Engine for Recorder {
         self.inner.tcp()
     }
 
+    fn fixture(&self, fixture: usize) -> Isometry3<f64> {
+        self.inner.fixture(fixture)
+    }
+
     fn object(&self) -> Isometry3<f64> {
         self.inner.object()
     }
