@@ -199,6 +199,22 @@ pub enum DictionaryError {
         /// What contradicts what.
         reason: String,
     },
+    /// Results of another tool that cannot be imported.
+    #[error("{} cannot be imported: {reason}", path.display())]
+    Results {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and where, with a hint.
+        reason: String,
+    },
+    /// A mapping of columns that is none.
+    #[error("{origin}: {reason}")]
+    Mapping {
+        /// The mapping file, or the option.
+        origin: String,
+        /// What is wrong and where, with a hint.
+        reason: String,
+    },
     /// The parameter space is none.
     #[error(transparent)]
     Space(#[from] SpaceError),
@@ -207,6 +223,26 @@ pub enum DictionaryError {
 impl DictionaryError {
     pub(crate) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Io { path: path.to_owned(), action, source }
+    }
+
+    pub(crate) fn json(path: &Path, source: serde_json::Error) -> Self {
+        match source.io_error_kind() {
+            // A refusal by our own meter keeps its words.
+            Some(io::ErrorKind::InvalidData) => {
+                Self::Results { path: path.to_owned(), reason: io::Error::from(source).to_string() }
+            }
+            Some(kind) => Self::io(path, "read")(kind.into()),
+            // What Python's json module writes for a missing number, and no other JSON reader takes.
+            None if source.to_string().starts_with("expected value") => Self::Results {
+                path: path.to_owned(),
+                reason: format!("{source}\nhint: JSON has no NaN or Infinity; write null where they stand"),
+            },
+            None => Self::Json { path: path.to_owned(), source },
+        }
+    }
+
+    pub(crate) fn results(path: &Path, reason: impl Into<String>) -> Self {
+        Self::Results { path: path.to_owned(), reason: reason.into() }
     }
 
     pub(crate) fn not_a_dictionary(path: &Path, reason: impl Into<String>) -> Self {

@@ -6,8 +6,9 @@
 //! clock and no thread count, so that the same settings give the same bytes. [`dataset_hash`] is the
 //! identity of the rows, whatever file they are in.
 //!
-//! [`published`] speaks the JSON of the dictionaries released with the paper, [`export`] CSV and JSON
-//! Lines. [`fixed_columns`] says what each column means.
+//! [`published`] speaks the JSON of the dictionaries released with the paper, [`results`] reads the
+//! per-episode results of other tools, [`export`] writes CSV and JSON Lines. [`fixed_columns`] says what
+//! each column means.
 
 mod atomic;
 mod codec;
@@ -15,11 +16,14 @@ mod columns;
 mod entry;
 mod error;
 pub mod export;
+mod fields;
 mod hash;
 mod journal;
 mod parquet;
 pub mod provenance;
 pub mod published;
+mod raw;
+pub mod results;
 mod schema;
 
 pub use columns::{FixedColumn, Kind, fixed_columns};

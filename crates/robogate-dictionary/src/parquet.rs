@@ -630,7 +630,7 @@ fn damaged(path: &Path, place: &str, reason: String) -> DictionaryError {
 
 /// Runs a part of the Parquet library on content that may be anything. A panic in there is a refusal
 /// of the file, not the end of the process.
-fn guarded<T>(read: impl FnOnce() -> Result<T, ParquetError>) -> Result<T, String> {
+pub(crate) fn guarded<T>(read: impl FnOnce() -> Result<T, ParquetError>) -> Result<T, String> {
     match std::panic::catch_unwind(std::panic::AssertUnwindSafe(read)) {
         Ok(Ok(value)) => Ok(value),
         Ok(Err(error)) => Err(error.to_string()),

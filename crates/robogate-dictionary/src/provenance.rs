@@ -125,6 +125,10 @@ pub struct Source {
     pub sha256: String,
     /// What the import had to decide or leave out, in sentences.
     pub notes: Vec<String>,
+    /// What the source does not record, so that no rate of it may be claimed: the words of failure modes
+    /// (`collision`: a failure there may have been one) and `cycle_time_s`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub not_recorded: Vec<String>,
 }
 
 /// The schema version that a new dictionary is written in.

@@ -38,7 +38,7 @@ enum Verb {
     Report(commands::report::Report),
     /// Write a failure dictionary as CSV, JSON Lines or the published JSON
     Export(commands::export::Export),
-    /// Read a published JSON dictionary into Parquet
+    /// Read what another tool measured into Parquet
     Import(commands::import::Import),
     /// Ask by experiment whether boundary focusing is worth it
     Study(commands::study::Study),

@@ -1,29 +1,26 @@
 //! From the published JSON.
 
-use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
 use robogate_core::{
-    Assignment, Domain, Episode, FailureMode, Measures, Outcome, Parameter, ParameterSpace, Scale, Scenario, Seed,
-    Value,
+    Assignment, Domain, Episode, FailureMode, Measures, Outcome, Parameter, ParameterSpace, Scenario, Seed, Value,
 };
 use serde_json::json;
 
-use super::rows::{self, Frame, MOST_FIELDS, RawRow, Scalar};
+use super::rows::{self, Frame};
 use super::{
     ANALYTIC, COLLISION, CYCLE_TIME, DROP, FAILURE_TYPE, GRASP_MISS, PREFIX, SAMPLE, SUCCESS, TARGET_DISTANCE,
     name_here,
 };
 use crate::codec::{EXACT_INTEGER, Interner};
 use crate::columns::{Columns, failure_type};
+use crate::fields::Fields;
+use crate::raw::{RawRow, Scalar};
 use crate::{
     DictionaryError, DictionaryWriter, Engine, Entry, Label, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool,
     Written,
 };
-
-/// A word field with more distinct words than this is text about the row and no parameter of it.
-const MOST_WORDS: usize = 1000;
 
 /// What an import made.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,77 +59,10 @@ struct Survey {
     successes: u64,
     failures: [u64; 4],
     flagged_later: u64,
-    fields: Vec<Field>,
+    fields: Fields,
     /// The last sample index; `None` once they do not rise, or one is missing.
     last_sample: Option<i64>,
     samples_rise: bool,
-}
-
-/// A field that is no outcome: what values it has in which rows.
-struct Field {
-    name: Arc<str>,
-    /// The first row that lacks it.
-    missing: Option<u64>,
-    /// Rows from the first on that have it.
-    seen: u64,
-    kind: FieldKind,
-}
-
-enum FieldKind {
-    /// Only whole numbers so far.
-    Integers { low: i64, high: i64 },
-    /// Real numbers.
-    Numbers { low: f64, high: f64 },
-    /// Words.
-    Words(BTreeSet<String>),
-    /// Something that is no parameter, and why.
-    Other(&'static str),
-}
-
-impl FieldKind {
-    fn of(value: &Scalar) -> Self {
-        match value {
-            Scalar::Integer(n) => Self::Integers { low: *n, high: *n },
-            Scalar::Number(x) => Self::Numbers { low: *x, high: *x },
-            Scalar::Text(text) => Self::Words(BTreeSet::from([text.clone()])),
-            Scalar::Bool(_) => Self::Other("it is true or false"),
-            Scalar::Null | Scalar::Nested => Self::Other("it is an array or object"),
-        }
-    }
-
-    /// Takes one more value in; `false` where it is of another kind than those before.
-    fn take(&mut self, value: &Scalar) -> bool {
-        match (&mut *self, value) {
-            (Self::Other(_), Scalar::Bool(_) | Scalar::Nested) => true,
-            (Self::Integers { low, high }, Scalar::Integer(n)) => {
-                (*low, *high) = ((*low).min(*n), (*high).max(*n));
-                true
-            }
-            (Self::Integers { low, high }, Scalar::Number(x)) => {
-                *self = Self::Numbers { low: x.min(*low as f64), high: x.max(*high as f64) };
-                true
-            }
-            (Self::Numbers { low, high }, Scalar::Number(x)) => {
-                (*low, *high) = (low.min(*x), high.max(*x));
-                true
-            }
-            (Self::Numbers { low, high }, Scalar::Integer(n)) => {
-                (*low, *high) = (low.min(*n as f64), high.max(*n as f64));
-                true
-            }
-            (Self::Words(words), Scalar::Text(text)) => {
-                if !words.contains(text) {
-                    words.insert(text.clone());
-                }
-                if words.len() > MOST_WORDS {
-                    *self = Self::Other("it has more words than a category can have");
-                }
-                true
-            }
-            (Self::Other(_), Scalar::Text(_)) => true,
-            _ => false,
-        }
-    }
 }
 
 impl Survey {
@@ -157,28 +87,7 @@ impl Survey {
             if !is_parameter(name) || *value == Scalar::Null {
                 continue;
             }
-            let full = self.fields.len() == MOST_FIELDS;
-            match self.fields.iter_mut().find(|field| field.name == *name) {
-                Some(field) => {
-                    if field.seen < row.number {
-                        field.missing.get_or_insert(field.seen);
-                    }
-                    field.seen = row.number + 1;
-                    if !field.kind.take(value) {
-                        return Err(row.wrong(path, name, "is of another kind than in the rows before"));
-                    }
-                }
-                None if full => {
-                    let reason = format!("is in one field more than the {MOST_FIELDS} that a file can have");
-                    return Err(row.wrong(path, name, reason));
-                }
-                None => self.fields.push(Field {
-                    name: Arc::clone(name),
-                    missing: (row.number > 0).then_some(0),
-                    seen: row.number + 1,
-                    kind: FieldKind::of(value),
-                }),
-            }
+            self.fields.take(path, row, name, value)?;
         }
         self.rows += 1;
         Ok(())
@@ -222,25 +131,18 @@ impl Survey {
         let mut notes = Vec::new();
         let (mut fields, mut parameters) = (Vec::new(), Vec::new());
         let mut left_out: Vec<Arc<str>> = Vec::new();
-        for field in self.fields {
-            let missing = field.missing.or((field.seen < self.rows).then_some(field.seen));
-            let domain = match field.kind {
-                FieldKind::Other(why) => {
+        for field in self.fields.into_iter() {
+            let missing = field.missing_of(self.rows);
+            if ANALYTIC.contains(&&*field.name) {
+                left_out.push(field.name);
+                continue;
+            }
+            let domain = match field.domain() {
+                Ok(domain) => domain,
+                Err(why) => {
                     notes.push(format!("field `{}` is left out: {why}", field.name));
                     continue;
                 }
-                _ if ANALYTIC.contains(&&*field.name) => {
-                    left_out.push(field.name);
-                    continue;
-                }
-                _ if !field.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') || field.name.is_empty() => {
-                    notes.push(format!("field `{}` is left out: its name cannot be a column's", field.name));
-                    continue;
-                }
-                FieldKind::Integers { low, high } if high.abs_diff(low) < 1 << 32 => Domain::Integer { low, high },
-                FieldKind::Integers { low, high } => continuous(low as f64, high as f64),
-                FieldKind::Numbers { low, high } => continuous(low, high),
-                FieldKind::Words(words) => Domain::Categorical { choices: words.into_iter().map(Arc::from).collect() },
             };
             if let Some(row) = missing {
                 return Err(DictionaryError::Value {
@@ -292,7 +194,12 @@ impl Survey {
             plan: json!({ "published_metadata": frame.metadata }),
             seed: seed.unwrap_or(0),
             platform: None,
-            source: Some(Source { format: "published_json".to_owned(), sha256: frame.sha256.clone(), notes }),
+            source: Some(Source {
+                format: "published_json".to_owned(),
+                sha256: frame.sha256.clone(),
+                notes,
+                not_recorded: Vec::new(),
+            }),
         };
         // Refused here, before anything is written.
         Columns::of(&provenance.space, SCHEMA_VERSION)?;
@@ -307,12 +214,6 @@ fn free_name(published: &str) -> String {
     let clashes = ParameterSpace::new("one", vec![parameter(here)])
         .is_ok_and(|space| Columns::of(&space, SCHEMA_VERSION).is_err());
     if clashes { format!("{PREFIX}{here}") } else { here.to_owned() }
-}
-
-/// A range that holds what was observed; a single value is widened by the least that a double can.
-fn continuous(low: f64, high: f64) -> Domain {
-    let high = if low < high { high } else { low.next_up() };
-    Domain::Continuous { low, high, scale: Scale::Linear }
 }
 
 fn is_parameter(name: &str) -> bool {

@@ -3,7 +3,9 @@
 
 mod common;
 mod export;
+mod fuzz;
 mod hostile;
 mod journal;
 mod parquet;
 mod published;
+mod results;

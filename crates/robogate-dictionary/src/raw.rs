@@ -1,0 +1,202 @@
+//! Rows of other tools, before anything is known of what their fields mean.
+
+use std::cell::Cell;
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
+use std::rc::Rc;
+use std::sync::Arc;
+
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use sha2::{Digest, Sha256};
+
+use crate::codec::Interner;
+use crate::hash::hex;
+use crate::{DictionaryError, Row};
+
+/// More fields than this are no row of parameters; each would become two columns.
+pub(crate) const MOST_FIELDS: usize = 1000;
+
+/// One value of a row.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Scalar {
+    Null,
+    Bool(bool),
+    Integer(i64),
+    Number(f64),
+    Text(String),
+    /// An array or object.
+    Nested,
+}
+
+impl Scalar {
+    /// As an error message shows it.
+    pub(crate) fn show(&self) -> String {
+        match self {
+            Self::Null => "the missing value".to_owned(),
+            Self::Bool(value) => value.to_string(),
+            Self::Integer(n) => n.to_string(),
+            Self::Number(x) => x.to_string(),
+            Self::Text(text) => format!("`{text}`"),
+            Self::Nested => "the array or object".to_owned(),
+        }
+    }
+}
+
+/// The fields of one row, in the order of the file.
+#[derive(Debug, Default)]
+pub(crate) struct RawRow {
+    pub(crate) number: u64,
+    pub(crate) fields: Vec<(Arc<str>, Scalar)>,
+}
+
+impl RawRow {
+    pub(crate) fn get(&self, name: &str) -> Option<&Scalar> {
+        self.fields.iter().find(|(field, _)| &**field == name).map(|(_, value)| value)
+    }
+
+    /// An error about a field of this row.
+    pub(crate) fn wrong(&self, path: &Path, field: &str, reason: impl Into<String>) -> DictionaryError {
+        DictionaryError::Value {
+            path: path.to_owned(),
+            row: Row(self.number),
+            column: field.to_owned(),
+            value: self.get(field).unwrap_or(&Scalar::Null).show(),
+            reason: reason.into(),
+        }
+    }
+}
+
+/// The most bytes of JSON between two rows: what may have to be held at once, whatever the file's size.
+pub(crate) const MOST_JSON: u64 = 16 << 20;
+
+/// A file that is hashed as it is read, and that ends in an error where a reader takes in more than
+/// `most` bytes without coming to a row: a bound on memory for formats whose pieces have none.
+#[derive(Debug)]
+pub(crate) struct Metered {
+    inner: File,
+    hash: Sha256,
+    meter: Meter,
+    most: u64,
+}
+
+/// Counts what was read since the last row.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Meter(Rc<Cell<u64>>);
+
+impl Meter {
+    /// A row was read: what came before it is no longer held.
+    pub(crate) fn reset(&self) {
+        self.0.set(0);
+    }
+}
+
+impl Metered {
+    pub(crate) fn open(path: &Path, most: u64) -> Result<Self, DictionaryError> {
+        let inner = File::open(path).map_err(DictionaryError::io(path, "open"))?;
+        Ok(Self { inner, hash: Sha256::new(), meter: Meter::default(), most })
+    }
+
+    pub(crate) fn meter(&self) -> Meter {
+        self.meter.clone()
+    }
+
+    /// The hash of what was read; of the file where that was all.
+    pub(crate) fn sha256(self) -> String {
+        hex(&self.hash.finalize())
+    }
+}
+
+impl Read for Metered {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let n = self.inner.read(buffer)?;
+        self.hash.update(&buffer[..n]);
+        let since = self.meter.0.get().saturating_add(n as u64);
+        self.meter.0.set(since);
+        if since > self.most {
+            let reason = format!(
+                "{} MiB without a row\nhint: larger pieces are refused to bound memory; one row must be far smaller",
+                self.most >> 20
+            );
+            return Err(io::Error::new(io::ErrorKind::InvalidData, reason));
+        }
+        Ok(n)
+    }
+}
+
+/// A field's name: one of a few, shared between rows.
+pub(crate) struct Name<'a>(pub(crate) &'a mut Interner);
+
+impl<'de> DeserializeSeed<'de> for Name<'_> {
+    type Value = Arc<str>;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Arc<str>, D::Error> {
+        deserializer.deserialize_str(self)
+    }
+}
+
+impl Visitor<'_> for Name<'_> {
+    type Value = Arc<str>;
+
+    fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("a field's name")
+    }
+
+    fn visit_str<E: Error>(self, name: &str) -> Result<Arc<str>, E> {
+        Ok(self.0.get(name))
+    }
+}
+
+/// Any value; what is in an array or object is skipped.
+pub(crate) struct AnyScalar;
+
+impl<'de> DeserializeSeed<'de> for AnyScalar {
+    type Value = Scalar;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Scalar, D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for AnyScalar {
+    type Value = Scalar;
+
+    fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("a value")
+    }
+
+    fn visit_unit<E: Error>(self) -> Result<Scalar, E> {
+        Ok(Scalar::Null)
+    }
+
+    fn visit_bool<E: Error>(self, value: bool) -> Result<Scalar, E> {
+        Ok(Scalar::Bool(value))
+    }
+
+    fn visit_i64<E: Error>(self, n: i64) -> Result<Scalar, E> {
+        Ok(Scalar::Integer(n))
+    }
+
+    fn visit_u64<E: Error>(self, n: u64) -> Result<Scalar, E> {
+        // Beyond 2^63 it is some identifier or a huge measure; as a number it keeps its size.
+        Ok(i64::try_from(n).map_or(Scalar::Number(n as f64), Scalar::Integer))
+    }
+
+    fn visit_f64<E: Error>(self, x: f64) -> Result<Scalar, E> {
+        Ok(Scalar::Number(x))
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<Scalar, E> {
+        Ok(Scalar::Text(text.to_owned()))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Scalar, A::Error> {
+        while seq.next_element::<IgnoredAny>()?.is_some() {}
+        Ok(Scalar::Nested)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Scalar, A::Error> {
+        while map.next_entry::<IgnoredAny, IgnoredAny>()?.is_some() {}
+        Ok(Scalar::Nested)
+    }
+}

@@ -1,0 +1,201 @@
+//! A JSON object as a flat row: what is nested in objects has a name with dots (`metrics.success`).
+
+use std::fmt;
+use std::io::{BufReader, Read};
+use std::path::Path;
+use std::sync::Arc;
+
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
+
+use super::Sink;
+use crate::DictionaryError;
+use crate::codec::Interner;
+use crate::raw::{MOST_FIELDS, MOST_JSON, Meter, Metered, RawRow, Scalar};
+
+/// Adds the fields of one object to a row; the row is not emptied first.
+pub(super) struct FlatRow<'a> {
+    pub(super) row: &'a mut RawRow,
+    pub(super) names: &'a mut Interner,
+    /// What stands before each name, with its dot.
+    pub(super) prefix: &'a str,
+}
+
+impl<'de> DeserializeSeed<'de> for FlatRow<'_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_map(self)
+    }
+}
+
+impl<'de> Visitor<'de> for FlatRow<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "row {} as an object of fields", self.row.number)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+        while let Some(key) = map.next_key::<String>()? {
+            let name = if self.prefix.is_empty() { key } else { format!("{}{key}", self.prefix) };
+            map.next_value_seed(OneField { row: &mut *self.row, names: &mut *self.names, name: &name })?;
+        }
+        Ok(())
+    }
+}
+
+struct OneField<'a> {
+    row: &'a mut RawRow,
+    names: &'a mut Interner,
+    name: &'a str,
+}
+
+impl OneField<'_> {
+    fn push<E: Error>(self, value: Scalar) -> Result<(), E> {
+        if self.row.get(self.name).is_some() {
+            return Err(E::custom(format!("row {} has `{}` twice", self.row.number, self.name)));
+        }
+        if self.row.fields.len() == MOST_FIELDS {
+            return Err(E::custom(format!("row {} has more than {MOST_FIELDS} fields", self.row.number)));
+        }
+        let name: Arc<str> = self.names.get(self.name);
+        self.row.fields.push((name, value));
+        Ok(())
+    }
+}
+
+impl<'de> DeserializeSeed<'de> for OneField<'_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for OneField<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a value")
+    }
+
+    fn visit_unit<E: Error>(self) -> Result<(), E> {
+        self.push(Scalar::Null)
+    }
+
+    fn visit_bool<E: Error>(self, value: bool) -> Result<(), E> {
+        self.push(Scalar::Bool(value))
+    }
+
+    fn visit_i64<E: Error>(self, n: i64) -> Result<(), E> {
+        self.push(Scalar::Integer(n))
+    }
+
+    fn visit_u64<E: Error>(self, n: u64) -> Result<(), E> {
+        self.push(i64::try_from(n).map_or(Scalar::Number(n as f64), Scalar::Integer))
+    }
+
+    fn visit_f64<E: Error>(self, x: f64) -> Result<(), E> {
+        self.push(Scalar::Number(x))
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<(), E> {
+        self.push(Scalar::Text(text.to_owned()))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
+        while seq.next_element::<IgnoredAny>()?.is_some() {}
+        self.push(Scalar::Nested)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<(), A::Error> {
+        // Names grow with depth; beyond this they are no columns.
+        const LONGEST: usize = 200;
+        if self.name.len() > LONGEST {
+            return Err(A::Error::custom(format!("row {} is nested too deeply", self.row.number)));
+        }
+        let prefix = format!("{}.", self.name);
+        FlatRow { row: self.row, names: self.names, prefix: &prefix }.visit_map(map)
+    }
+}
+
+/// Rows on their way out of a JSON document. Serde's errors are text; a typed one waits here.
+pub(super) struct Rows<'a> {
+    sink: Sink<'a>,
+    meter: Meter,
+    error: Option<DictionaryError>,
+    pub(super) row: RawRow,
+    pub(super) names: Interner,
+}
+
+impl<'a> Rows<'a> {
+    /// Reads the JSON document `path`: `visit` sees it and hands on its rows. Returns its hash.
+    pub(super) fn read(
+        path: &Path,
+        sink: Sink<'a>,
+        visit: impl FnOnce(&mut Self, &mut Json<'_>) -> Result<(), serde_json::Error>,
+    ) -> Result<String, DictionaryError> {
+        let mut metered = Metered::open(path, MOST_JSON)?;
+        let mut rows =
+            Self { sink, meter: metered.meter(), error: None, row: RawRow::default(), names: Interner::default() };
+        let reader: Box<dyn Read + '_> = Box::new(BufReader::with_capacity(1 << 16, &mut metered));
+        let mut json = serde_json::Deserializer::from_reader(reader);
+        let parsed = visit(&mut rows, &mut json).and_then(|()| json.end());
+        drop(json);
+        match rows.error {
+            Some(error) => Err(error),
+            None => parsed.map_err(|source| DictionaryError::json(path, source)).map(|()| metered.sha256()),
+        }
+    }
+
+    /// A field of the row at hand.
+    pub(super) fn push(&mut self, name: &str, value: Scalar) {
+        let name = self.names.get(name);
+        self.row.fields.push((name, value));
+    }
+
+    /// Hands the row at hand on and begins the next.
+    pub(super) fn finish_row<E: Error>(&mut self) -> Result<(), E> {
+        self.meter.reset();
+        if let Err(error) = (self.sink)(&self.row) {
+            self.error = Some(error);
+            return Err(E::custom("a row was refused"));
+        }
+        self.row.number += 1;
+        self.row.fields.clear();
+        Ok(())
+    }
+}
+
+/// The reader of a JSON document.
+pub(super) type Json<'a> = serde_json::Deserializer<serde_json::de::IoRead<Box<dyn Read + 'a>>>;
+
+/// The scalars of an object as metadata, with names behind a prefix; what is nested in arrays is left out.
+pub(super) struct Scalars<'a>(pub(super) &'a mut serde_json::Map<String, serde_json::Value>);
+
+impl<'de> DeserializeSeed<'de> for Scalars<'_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        let mut row = RawRow::default();
+        FlatRow { row: &mut row, names: &mut Interner::default(), prefix: "" }.deserialize(deserializer)?;
+        for (name, value) in row.fields {
+            if let Some(value) = metadata(value) {
+                self.0.insert(name.to_string(), value);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A scalar as metadata keeps it; a long text is no metadata.
+pub(super) fn metadata(value: Scalar) -> Option<serde_json::Value> {
+    const LONGEST: usize = 1000;
+    Some(match value {
+        Scalar::Bool(value) => value.into(),
+        Scalar::Integer(n) => n.into(),
+        Scalar::Number(x) => x.into(),
+        Scalar::Text(text) if text.len() <= LONGEST => text.into(),
+        Scalar::Text(_) | Scalar::Null | Scalar::Nested => return None,
+    })
+}

@@ -1,0 +1,136 @@
+//! Which layout a file has.
+
+use std::fmt;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+
+use serde::de::{Deserializer, Error, IgnoredAny, MapAccess, Visitor};
+
+use super::Mapping;
+use crate::DictionaryError;
+
+/// A layout of per-episode results.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// The JSON of the dictionaries released with the paper ([`crate::published`]).
+    Published,
+    /// LeRobot's `eval_info.json`: `per_episode`, or `per_task` since evaluations have several tasks.
+    LeRobot,
+    /// The aggregate JSON of vla-eval: `tasks` with `episodes`.
+    VlaEval,
+    /// Comma, semicolon or tab separated values with a header.
+    Csv,
+    /// One JSON object on each line.
+    JsonLines,
+    /// A flat Parquet file, uncompressed or snappy.
+    Parquet,
+}
+
+impl Format {
+    /// Every format.
+    pub const ALL: [Self; 6] =
+        [Self::Published, Self::LeRobot, Self::VlaEval, Self::Csv, Self::JsonLines, Self::Parquet];
+
+    /// Its name in options and provenance.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Published => "published_json",
+            Self::LeRobot => "lerobot",
+            Self::VlaEval => "vla_eval",
+            Self::Csv => "csv",
+            Self::JsonLines => "json_lines",
+            Self::Parquet => "parquet",
+        }
+    }
+
+    /// Where its fields are, before the user says otherwise.
+    pub(super) fn mapping(self) -> Mapping {
+        match self {
+            Self::LeRobot => super::lerobot::mapping(),
+            Self::VlaEval => super::vla_eval::mapping(),
+            Self::Published | Self::Csv | Self::JsonLines | Self::Parquet => Mapping::default(),
+        }
+    }
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.word())
+    }
+}
+
+/// The most bytes that are looked at before a JSON object must have shown what it is.
+const FIRST_LOOK: u64 = 16 << 20;
+
+/// Recognises a file by what is in it; its name plays no part.
+pub(super) fn recognise(path: &Path) -> Result<Format, DictionaryError> {
+    let file = File::open(path).map_err(DictionaryError::io(path, "open"))?;
+    let mut reader = BufReader::with_capacity(1 << 16, file.take(FIRST_LOOK));
+    let start = reader.fill_buf().map_err(DictionaryError::io(path, "read"))?;
+    let unknown = |what: &str| {
+        DictionaryError::results(
+            path,
+            format!(
+                "{what}\nhint: LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON, CSV, JSON Lines and Parquet are read; where it is one of them, say --format"
+            ),
+        )
+    };
+    if start.starts_with(b"PAR1") {
+        return Ok(Format::Parquet);
+    }
+    let text = start.strip_prefix(b"\xef\xbb\xbf").unwrap_or(start);
+    match text.iter().find(|byte| !byte.is_ascii_whitespace()) {
+        None => return Err(unknown("it is empty")),
+        Some(b'{') => {}
+        Some(b'[') => return Err(unknown("it is a JSON array\nhint: write one object on each line (JSON Lines)")),
+        Some(_) => {
+            let line = text.split(|byte| *byte == b'\n').next().unwrap_or_default();
+            let plain = std::str::from_utf8(line).is_ok_and(|line| !line.contains('\0'));
+            return if plain { Ok(Format::Csv) } else { Err(unknown("it is none of the known formats")) };
+        }
+    }
+    let mut look = Look(None);
+    let mut json = serde_json::Deserializer::from_reader(&mut reader);
+    let _ = json.deserialize_map(&mut look);
+    match look.0 {
+        Some(Seen::Format(format)) => Ok(format),
+        Some(Seen::Whole) => Ok(Format::JsonLines),
+        None => Err(unknown("it begins as JSON and is neither a known layout nor one whole object on each line")),
+    }
+}
+
+/// What the keys of the first object say.
+enum Seen {
+    Format(Format),
+    /// It ended, and none of them is a layout's.
+    Whole,
+}
+
+struct Look(Option<Seen>);
+
+impl<'de> Visitor<'de> for &mut Look {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an object")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+        while let Some(key) = map.next_key::<String>()? {
+            let format = match key.as_str() {
+                "experiments" => Some(Format::Published),
+                "per_episode" | "per_task" => Some(Format::LeRobot),
+                "tasks" => Some(Format::VlaEval),
+                _ => None,
+            };
+            if let Some(format) = format {
+                self.0 = Some(Seen::Format(format));
+                return Err(A::Error::custom("seen enough"));
+            }
+            map.next_value::<IgnoredAny>()?;
+        }
+        self.0 = Some(Seen::Whole);
+        Ok(())
+    }
+}

@@ -1,0 +1,252 @@
+//! LeRobot's `eval_info.json`, as `lerobot-eval` writes it.
+//!
+//! Two layouts: `per_episode`, an array of objects with `success` and `seed` (one environment), and
+//! `per_task`, an array of `task_group`, `task_id` and `metrics`, whose `successes` has one entry for each
+//! episode (since evaluations have several tasks). An episode that crashed is in neither: an error ends
+//! the evaluation, and no file is written. Only a missing `success` is invalid here.
+
+use std::fmt;
+use std::path::Path;
+
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
+
+use super::flat::{FlatRow, Rows, Scalars};
+use super::{Frame, Mapping, Sink};
+use crate::DictionaryError;
+use crate::raw::{AnyScalar, Scalar};
+
+/// Rewards and costs are outcomes: nothing of an episode but its seed is a parameter.
+pub(super) fn mapping() -> Mapping {
+    Mapping { parameters: Some(std::collections::BTreeMap::new()), ..Mapping::default() }
+}
+
+pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
+    let mut frame = Frame::default();
+    let (mut counted, mut found) = (Counts::default(), false);
+    let mut counting = |row: &crate::raw::RawRow| {
+        counted.episodes += 1;
+        counted.successes += u64::from(row.get("success") == Some(&Scalar::Bool(true)));
+        counted.silent += u64::from(matches!(row.get("success"), None | Some(Scalar::Null)));
+        sink(row)
+    };
+    frame.sha256 = Rows::read(path, &mut counting, |rows, json| {
+        json.deserialize_map(Whole { rows, metadata: &mut frame.metadata, found: &mut found })
+    })?;
+    if !found {
+        let reason = "it has neither `per_episode` nor `per_task`: its averages alone are no episodes";
+        return Err(DictionaryError::results(path, reason));
+    }
+    counted.check(path, &frame)?;
+    frame.notes.push("rewards, safety costs and videos are left out".to_owned());
+    Ok(frame)
+}
+
+/// What the rows add up to.
+#[derive(Default)]
+struct Counts {
+    episodes: u64,
+    successes: u64,
+    silent: u64,
+}
+
+impl Counts {
+    /// The file's own averages must be those of its rows.
+    fn check(&self, path: &Path, frame: &Frame) -> Result<(), DictionaryError> {
+        let said = |key: &str| frame.metadata.get(key).and_then(serde_json::Value::as_f64);
+        if let Some(n) = said("n_episodes")
+            && (n - self.episodes as f64).abs() > 0.5
+        {
+            let reason = format!("its `overall.n_episodes` says {n}, its rows are {}", self.episodes);
+            return Err(DictionaryError::results(path, reason));
+        }
+        let percent = 100.0 * self.successes as f64 / self.episodes.max(1) as f64;
+        if let Some(claimed) = said("pc_success")
+            && self.silent == 0
+            && (claimed - percent).abs() > 1e-3
+        {
+            let reason = format!(
+                "its `pc_success` says {claimed}, its rows have {} successes in {} episodes ({percent:.4} %)",
+                self.successes, self.episodes
+            );
+            return Err(DictionaryError::results(path, reason));
+        }
+        Ok(())
+    }
+}
+
+struct Whole<'a, 'b> {
+    rows: &'a mut Rows<'b>,
+    metadata: &'a mut serde_json::Map<String, serde_json::Value>,
+    found: &'a mut bool,
+}
+
+impl<'de> Visitor<'de> for Whole<'_, '_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an object with `per_episode` or `per_task`")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+        while let Some(key) = map.next_key::<String>()? {
+            match key.as_str() {
+                "per_episode" | "per_task" if *self.found => {
+                    return Err(A::Error::custom("episodes stand in it twice (`per_episode`, `per_task`)"));
+                }
+                "per_episode" => {
+                    *self.found = true;
+                    map.next_value_seed(Episodes(&mut *self.rows))?;
+                }
+                "per_task" => {
+                    *self.found = true;
+                    map.next_value_seed(Tasks(&mut *self.rows))?;
+                }
+                "aggregated" | "overall" => map.next_value_seed(Scalars(&mut *self.metadata))?,
+                _ => {
+                    map.next_value::<IgnoredAny>()?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// `per_episode`.
+struct Episodes<'a, 'b>(&'a mut Rows<'b>);
+
+impl<'de> DeserializeSeed<'de> for Episodes<'_, '_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Episodes<'_, '_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an array of episodes")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
+        loop {
+            let Rows { row, names, .. } = &mut *self.0;
+            if seq.next_element_seed(FlatRow { row, names, prefix: "" })?.is_none() {
+                return Ok(());
+            }
+            self.0.finish_row()?;
+        }
+    }
+}
+
+/// `per_task`.
+struct Tasks<'a, 'b>(&'a mut Rows<'b>);
+
+impl<'de> DeserializeSeed<'de> for Tasks<'_, '_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Tasks<'_, '_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an array of tasks")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
+        while seq.next_element_seed(OneTask(&mut *self.0))?.is_some() {}
+        Ok(())
+    }
+}
+
+struct OneTask<'a, 'b>(&'a mut Rows<'b>);
+
+impl<'de> DeserializeSeed<'de> for OneTask<'_, '_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_map(self)
+    }
+}
+
+impl<'de> Visitor<'de> for OneTask<'_, '_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a task with `task_group`, `task_id` and `metrics`")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+        let (mut group, mut id, mut successes) = (Scalar::Null, Scalar::Null, None);
+        while let Some(key) = map.next_key::<String>()? {
+            match key.as_str() {
+                "task_group" => group = map.next_value_seed(AnyScalar)?,
+                "task_id" => id = map.next_value_seed(AnyScalar)?,
+                "metrics" => successes = map.next_value_seed(Metrics)?,
+                _ => {
+                    map.next_value::<IgnoredAny>()?;
+                }
+            }
+        }
+        let Some(successes) = successes else {
+            return Err(A::Error::custom("a task of `per_task` has no `metrics.successes`"));
+        };
+        let word = |value: &Scalar| match value {
+            Scalar::Text(text) => Some(text.clone()),
+            Scalar::Integer(n) => Some(n.to_string()),
+            Scalar::Null | Scalar::Bool(_) | Scalar::Number(_) | Scalar::Nested => None,
+        };
+        let (group, id) = (word(&group), word(&id));
+        for (episode, success) in successes.into_iter().enumerate() {
+            let rows = &mut *self.0;
+            rows.push("success", success.map_or(Scalar::Null, Scalar::Bool));
+            rows.push("episode_ix", Scalar::Integer(episode as i64));
+            if let Some(group) = &group {
+                rows.push("category", Scalar::Text(group.clone()));
+            }
+            if let Some(id) = &id {
+                let case = group.as_ref().map_or_else(|| id.clone(), |group| format!("{group}/{id}"));
+                rows.push("case", Scalar::Text(case));
+            }
+            rows.finish_row()?;
+        }
+        Ok(())
+    }
+}
+
+/// The successes of one task.
+struct Metrics;
+
+impl<'de> DeserializeSeed<'de> for Metrics {
+    type Value = Option<Vec<Option<bool>>>;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
+        deserializer.deserialize_map(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Metrics {
+    type Value = Option<Vec<Option<bool>>>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("metrics with `successes`")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+        let mut successes = None;
+        while let Some(key) = map.next_key::<String>()? {
+            if key == "successes" {
+                // A byte each, and the meter of the file bounds their number.
+                successes = Some(map.next_value()?);
+            } else {
+                map.next_value::<IgnoredAny>()?;
+            }
+        }
+        Ok(successes)
+    }
+}

@@ -1,0 +1,142 @@
+//! A flat Parquet file of another tool.
+
+use std::io;
+use std::path::Path;
+use std::sync::Arc;
+
+use ::parquet::basic::Type as Physical;
+use ::parquet::column::reader::ColumnReader;
+use ::parquet::errors::ParquetError;
+use ::parquet::file::reader::{FileReader, SerializedFileReader};
+
+use super::{Frame, Sink};
+use crate::DictionaryError;
+use crate::parquet::guarded;
+use crate::raw::{MOST_FIELDS, Metered, RawRow, Scalar};
+
+/// Rows that are decoded at a time: what is held of each column beside a page.
+const BATCH: usize = 4096;
+
+/// The most bytes that a file may say one of its columns takes in one row group when it is unpacked.
+const MOST_COLUMN: i64 = 1 << 30;
+
+pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
+    let refuse = |reason: String| {
+        DictionaryError::results(
+            path,
+            format!(
+                "{reason}\nhint: flat columns are read, uncompressed or snappy; write it again with compression=\"snappy\""
+            ),
+        )
+    };
+    let mut hashed = Metered::open(path, u64::MAX)?;
+    io::copy(&mut hashed, &mut io::sink()).map_err(DictionaryError::io(path, "read"))?;
+    let file = std::fs::File::open(path).map_err(DictionaryError::io(path, "open"))?;
+    let length = file.metadata().map_err(DictionaryError::io(path, "inspect"))?.len();
+    let reader = guarded(|| SerializedFileReader::new(file)).map_err(refuse)?;
+    let metadata = reader.metadata();
+    let schema = metadata.file_metadata().schema_descr();
+    if schema.num_columns() > MOST_FIELDS {
+        return Err(refuse(format!("it has {} columns, more than {MOST_FIELDS}", schema.num_columns())));
+    }
+    let mut frame = Frame { sha256: hashed.sha256(), ..Frame::default() };
+    let mut columns: Vec<(usize, Arc<str>)> = Vec::new();
+    for (i, column) in schema.columns().iter().enumerate() {
+        let name = column.path().string();
+        let plain = column.max_rep_level() == 0 && column.max_def_level() <= 1 && column.path().parts().len() == 1;
+        if plain && !matches!(column.physical_type(), Physical::INT96 | Physical::FIXED_LEN_BYTE_ARRAY) {
+            columns.push((i, name.into()));
+        } else {
+            frame.notes.push(format!("column `{name}` is left out: it is no flat number, truth or text"));
+        }
+    }
+    let mut row = RawRow::default();
+    for (at, group) in metadata.row_groups().iter().enumerate() {
+        let rows = usize::try_from(group.num_rows())
+            .map_err(|_| refuse(format!("row group {at} has {} rows", group.num_rows())))?;
+        for (leaf, name) in &columns {
+            let Some(column) = group.columns().get(*leaf) else {
+                return Err(refuse(format!("row group {at} has no column `{name}`")));
+            };
+            let packed = u64::try_from(column.compressed_size()).ok().filter(|size| *size <= length);
+            if packed.is_none() || !(0..=MOST_COLUMN).contains(&column.uncompressed_size()) {
+                let (packed, whole) = (column.compressed_size(), column.uncompressed_size());
+                return Err(refuse(format!(
+                    "column `{name}` of row group {at} claims {packed} bytes packed, {whole} unpacked"
+                )));
+            }
+        }
+        let mut readers = guarded(|| {
+            let group = reader.get_row_group(at)?;
+            columns.iter().map(|(leaf, _)| group.get_column_reader(*leaf)).collect::<Result<Vec<_>, _>>()
+        })
+        .map_err(refuse)?;
+        let mut left = rows;
+        while left > 0 {
+            let n = left.min(BATCH);
+            let batch = guarded(|| readers.iter_mut().map(|reader| values(reader, n)).collect::<Result<Vec<_>, _>>())
+                .map_err(refuse)?;
+            let mut batch: Vec<_> = batch.into_iter().map(Vec::into_iter).collect();
+            for _ in 0..n {
+                row.fields.clear();
+                for ((_, name), values) in columns.iter().zip(&mut batch) {
+                    row.fields.push((Arc::clone(name), values.next().unwrap_or(Scalar::Null)));
+                }
+                sink(&row)?;
+                row.number += 1;
+            }
+            left -= n;
+        }
+    }
+    Ok(frame)
+}
+
+/// The next `n` values of a column.
+fn values(reader: &mut ColumnReader, n: usize) -> Result<Vec<Scalar>, ParquetError> {
+    macro_rules! read {
+        ($reader:expr, $scalar:expr) => {{
+            let (mut present, mut values) = (Vec::new(), Vec::new());
+            let (found, _, _) = $reader.read_records(n, Some(&mut present), None, &mut values)?;
+            if found != n {
+                return Err(ParquetError::General(format!("a column ends {} rows early", n - found)));
+            }
+            let mut values = values.into_iter().map($scalar);
+            if present.is_empty() {
+                values.collect()
+            } else {
+                present
+                    .into_iter()
+                    .map(
+                        |level: i16| {
+                            if level == 0 { Ok(Scalar::Null) } else { values.next().unwrap_or(Ok(Scalar::Null)) }
+                        },
+                    )
+                    .collect()
+            }
+        }};
+    }
+    match reader {
+        ColumnReader::BoolColumnReader(reader) => read!(reader, |truth| Ok(Scalar::Bool(truth))),
+        ColumnReader::Int32ColumnReader(reader) => read!(reader, |n| Ok(Scalar::Integer(n.into()))),
+        ColumnReader::Int64ColumnReader(reader) => read!(reader, |n| Ok(Scalar::Integer(n))),
+        ColumnReader::FloatColumnReader(reader) => read!(reader, |x| Ok(number(x.into()))),
+        ColumnReader::DoubleColumnReader(reader) => read!(reader, |x| Ok(number(x))),
+        ColumnReader::ByteArrayColumnReader(reader) => {
+            read!(reader, |text: ::parquet::data_type::ByteArray| Ok(Scalar::Text(text.as_utf8()?.to_owned())))
+        }
+        ColumnReader::Int96ColumnReader(_) | ColumnReader::FixedLenByteArrayColumnReader(_) => {
+            Err(ParquetError::General("a column of a type that is not read".to_owned()))
+        }
+    }
+}
+
+/// NaN is how data frames write a missing value; infinity is no parameter's.
+fn number(x: f64) -> Scalar {
+    if x.is_nan() {
+        Scalar::Null
+    } else if x.is_finite() {
+        Scalar::Number(x)
+    } else {
+        Scalar::Text(x.to_string())
+    }
+}

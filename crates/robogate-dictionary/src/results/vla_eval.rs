@@ -1,0 +1,230 @@
+//! The aggregate JSON of vla-eval: `tasks`, each with its name and `episodes`.
+//!
+//! An episode has `metrics` (with `success`), `steps`, and where something under the policy broke a
+//! `failure_reason` (server_unreachable, connection_closed, timeout, env_start, env_step, model_act,
+//! exception) with a `failure_detail`. Such an episode is invalid here. Its `elapsed_sec` is wall-clock
+//! time and no cycle time.
+
+use std::fmt;
+use std::path::Path;
+
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
+
+use super::flat::{FlatRow, Rows, Scalars, metadata};
+use super::{Frame, Mapping, Sink};
+use crate::DictionaryError;
+use crate::raw::{AnyScalar, Scalar};
+
+/// Steps, times and identifiers are outcomes: nothing of an episode is a parameter.
+pub(super) fn mapping() -> Mapping {
+    Mapping { parameters: Some(std::collections::BTreeMap::new()), ..Mapping::default() }
+}
+
+pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
+    let mut frame = Frame::default();
+    let mut found = false;
+    frame.sha256 = Rows::read(path, sink, |rows, json| {
+        json.deserialize_map(Whole { rows, metadata: &mut frame.metadata, found: &mut found })
+    })?;
+    if !found {
+        let reason = "it has no `tasks`: the aggregate JSON of vla-eval has one entry for each task";
+        return Err(DictionaryError::results(path, reason));
+    }
+    let says =
+        |key: &str| frame.metadata.get(key).is_some_and(|value| value != false && value != 0 && !value.is_null());
+    if says("partial") || says("queue_unfinished") {
+        frame.notes.push("the evaluation was not complete: some of its episodes were never run".to_owned());
+    }
+    frame.notes.push("`elapsed_sec` is wall-clock time, and not taken for the cycle time".to_owned());
+    Ok(frame)
+}
+
+struct Whole<'a, 'b> {
+    rows: &'a mut Rows<'b>,
+    metadata: &'a mut serde_json::Map<String, serde_json::Value>,
+    found: &'a mut bool,
+}
+
+impl<'de> Visitor<'de> for Whole<'_, '_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an object with `tasks`")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+        // Keys that we do not know are a few; more are no aggregate, and each would be held.
+        const MOST_KEYS: usize = 1000;
+        while let Some(key) = map.next_key::<String>()? {
+            match key.as_str() {
+                "tasks" if *self.found => return Err(A::Error::custom("`tasks` is there twice")),
+                "tasks" => {
+                    *self.found = true;
+                    map.next_value_seed(Tasks(&mut *self.rows))?;
+                }
+                "server_info" => {
+                    map.next_value_seed(OptionalScalars(&mut *self.metadata))?;
+                }
+                _ => {
+                    if let Some(value) = metadata(map.next_value_seed(AnyScalar)?)
+                        && self.metadata.len() < MOST_KEYS
+                    {
+                        self.metadata.insert(key, value);
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// An object's scalars, or null.
+struct OptionalScalars<'a>(&'a mut serde_json::Map<String, serde_json::Value>);
+
+impl<'de> DeserializeSeed<'de> for OptionalScalars<'_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_option(self)
+    }
+}
+
+impl<'de> Visitor<'de> for OptionalScalars<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an object, or null")
+    }
+
+    fn visit_unit<E: Error>(self) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_none<E: Error>(self) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_some<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        Scalars(self.0).deserialize(deserializer)
+    }
+}
+
+struct Tasks<'a, 'b>(&'a mut Rows<'b>);
+
+impl<'de> DeserializeSeed<'de> for Tasks<'_, '_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Tasks<'_, '_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an array of tasks")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
+        while seq.next_element_seed(OneTask(&mut *self.0))?.is_some() {}
+        Ok(())
+    }
+}
+
+struct OneTask<'a, 'b>(&'a mut Rows<'b>);
+
+impl<'de> DeserializeSeed<'de> for OneTask<'_, '_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_map(self)
+    }
+}
+
+impl<'de> Visitor<'de> for OneTask<'_, '_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a task with `task` and `episodes`")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+        let mut task: Option<String> = None;
+        let mut found = false;
+        while let Some(key) = map.next_key::<String>()? {
+            match key.as_str() {
+                "task" => task = Some(map.next_value()?),
+                "episodes" => {
+                    found = true;
+                    // Rows are handed on as they come, so that the name must come before them.
+                    let Some(task) = &task else {
+                        return Err(A::Error::custom("a task has its `episodes` before its name `task`"));
+                    };
+                    map.next_value_seed(Episodes { rows: &mut *self.0, task })?;
+                }
+                _ => {
+                    map.next_value::<IgnoredAny>()?;
+                }
+            }
+        }
+        if found { Ok(()) } else { Err(A::Error::custom("a task has no `episodes`")) }
+    }
+}
+
+struct Episodes<'a, 'b> {
+    rows: &'a mut Rows<'b>,
+    task: &'a str,
+}
+
+impl<'de> DeserializeSeed<'de> for Episodes<'_, '_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Episodes<'_, '_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an array of episodes")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
+        loop {
+            let Rows { row, names, .. } = &mut *self.rows;
+            if seq.next_element_seed(FlatRow { row, names, prefix: "" })?.is_none() {
+                return Ok(());
+            }
+            complete(self.rows, self.task);
+            self.rows.finish_row()?;
+        }
+    }
+}
+
+/// Gives the row the fields that every format has, where the episode does not have them itself.
+fn complete(rows: &mut Rows<'_>, task: &str) {
+    let text = |name: &str| match rows.row.get(name) {
+        Some(Scalar::Text(text)) if !text.is_empty() => Some(text.clone()),
+        _ => None,
+    };
+    let error = text("failure_reason").map(|reason| match text("failure_detail") {
+        Some(detail) => format!("{reason}: {detail}"),
+        None => reason,
+    });
+    let given = [
+        ("success", rows.row.get("metrics.success").cloned()),
+        ("error", error.map(Scalar::Text)),
+        ("case", Some(Scalar::Text(task.to_owned()))),
+        ("category", text("suite").map(Scalar::Text)),
+    ];
+    for (name, value) in given {
+        if let Some(value) = value
+            && rows.row.get(name).is_none()
+        {
+            rows.push(name, value);
+        }
+    }
+}

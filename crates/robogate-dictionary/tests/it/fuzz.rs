@@ -1,0 +1,259 @@
+//! Mutation fuzzing of everything that reads a file: the importers, the Parquet reader, the journal.
+//!
+//! A damaged file must be refused or read, in bounded time and without a panic. An ordinary test run tries
+//! each reader a few hundred times. Longer:
+//!
+//! ```text
+//! ROBOGATE_FUZZ_SECONDS=600 cargo test --release -p robogate-dictionary --test it fuzz -- --nocapture
+//! ```
+//!
+//! `ROBOGATE_FUZZ_SEED` begins elsewhere. A find is printed with its round, which alone gives the file
+//! again, and the file is kept beside the others of the run.
+
+use std::fs;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use robogate_core::{Seed, Stream};
+use robogate_dictionary::published::export;
+use robogate_dictionary::results::{Format, Mapping, import};
+use robogate_dictionary::{Dictionary, Journal, write_parquet};
+
+use crate::common::{Folder, entry, provenance};
+
+/// What reads a file; `true` where it was read, `false` where it was refused.
+struct Target {
+    name: &'static str,
+    /// Sound files.
+    corpus: Vec<Vec<u8>>,
+    /// Words that mean something to the reader.
+    words: &'static [&'static str],
+    read: fn(&Path) -> bool,
+}
+
+/// Everything that a file claims must be readable once it was accepted.
+fn read_dictionary(path: &Path) -> bool {
+    let Ok(dictionary) = Dictionary::open(path) else {
+        return false;
+    };
+    let names: Vec<String> = dictionary.column_names().map(ToOwned::to_owned).collect();
+    let columns = names.iter().filter(|name| dictionary.column(name).is_ok()).count();
+    dictionary.entries().all(|entry| entry.is_ok()) && columns == names.len()
+}
+
+fn read_journal(path: &Path) -> bool {
+    Journal::open(path).is_ok_and(|(mut journal, _)| journal.ordered().all(|entry| entry.is_ok()))
+}
+
+/// What is imported must be a dictionary that opens, or the import lied.
+fn import_as(path: &Path, format: Option<Format>) -> bool {
+    let to = path.with_extension("imported");
+    match import(path, &to, format, &Mapping::default()) {
+        Err(_) => false,
+        Ok(imported) => {
+            assert!(read_dictionary(&to), "an imported dictionary cannot be read");
+            assert!(imported.written.rows > 0, "nothing was imported and nothing refused");
+            true
+        }
+    }
+}
+
+fn targets(folder: &Folder) -> Vec<Target> {
+    let parquet = folder.join("whole.parquet");
+    write_parquet(&parquet, &provenance(), (0..40).map(|i| Ok(entry(i)))).unwrap();
+    let path = folder.join("whole.journal");
+    let mut journal = Journal::create(&path).unwrap();
+    (0..10).for_each(|i| journal.append(&entry(i)).unwrap());
+    drop(journal);
+    let mut published = Vec::new();
+    let valid = folder.join("valid.parquet");
+    // Faults have no place in the published form.
+    write_parquet(&valid, &provenance(), (0..6).map(|i| Ok(entry(i)))).unwrap();
+    export(&Dictionary::open(&valid).unwrap(), &mut published).unwrap();
+    let fixture =
+        |name: &str| fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/results").join(name)).unwrap();
+    const JSON: &[&str] = &[
+        "{",
+        "}",
+        "[",
+        "]",
+        "null",
+        "true",
+        "false",
+        "NaN",
+        "1e999",
+        "-0.0",
+        "18446744073709551616",
+        "\"\"",
+        "\\u0000",
+        "\\ud800",
+        "per_episode",
+        "per_task",
+        "tasks",
+        "episodes",
+        "experiments",
+        "successes",
+        "success",
+        "metrics",
+        "failure_reason",
+        "metadata",
+        "[[[[[[[[",
+        "{\"a\":{\"a\":{\"a\":",
+    ];
+    const TABLE: &[&str] = &[
+        "\"", "\"\"", ",", ";", "\t", "\r", "\n", "nan", "inf", "1e400", "-1", "success", "error", "\u{feff}", "\u{0}",
+    ];
+    let target = |name, corpus, words, read| Target { name, corpus, words, read };
+    vec![
+        target("parquet", vec![fs::read(&parquet).unwrap()], &["PAR1", "robogate.provenance"][..], read_dictionary),
+        target("journal", vec![fs::read(&path).unwrap()], &[][..], read_journal),
+        target("published", vec![published], JSON, |path| import_as(path, Some(Format::Published))),
+        target("lerobot", vec![fixture("lerobot_one_environment.json"), fixture("lerobot_tasks.json")], JSON, |path| {
+            import_as(path, Some(Format::LeRobot))
+        }),
+        target("vla_eval", vec![fixture("vla_eval.json")], JSON, |path| import_as(path, Some(Format::VlaEval))),
+        target(
+            "csv",
+            vec![
+                b"success,failure_mode,cycle_time_s,collision,mass,shape\n1,,2.5,0,0.5,box\n0,collision,1,1,1.5,ball\n"
+                    .to_vec(),
+                b"success;x;y\ntrue;1;\"a;b\"\nfalse;2;\"c\"\"d\"\n;3;e\n".to_vec(),
+            ],
+            TABLE,
+            |path| import_as(path, Some(Format::Csv)),
+        ),
+        target("json_lines", vec![fixture("table.jsonl")], JSON, |path| import_as(path, Some(Format::JsonLines))),
+        target("foreign_parquet", vec![fixture("table.parquet")], &["PAR1"][..], |path| {
+            import_as(path, Some(Format::Parquet))
+        }),
+        target(
+            "recognised",
+            vec![
+                fixture("lerobot_tasks.json"),
+                fixture("vla_eval.json"),
+                fixture("table.jsonl"),
+                fixture("table.csv"),
+                fixture("table.parquet"),
+            ],
+            JSON,
+            |path| import_as(path, None),
+        ),
+        target(
+            "mapping",
+            vec![fixture("table.toml")],
+            &["[", "]", "=", "\"", "'''", "[parameters]", "ignore"][..],
+            |path| {
+                String::from_utf8(fs::read(path).unwrap()).is_ok_and(|text| Mapping::from_toml(&text, "fuzz").is_ok())
+            },
+        ),
+    ]
+}
+
+/// One to four damages on a sound file.
+fn mutate(target: &Target, stream: &mut Stream) -> Vec<u8> {
+    let mut bytes = target.corpus[stream.below(target.corpus.len())].clone();
+    for _ in 0..=stream.below(4) {
+        if bytes.is_empty() {
+            break;
+        }
+        let at = stream.below(bytes.len());
+        // Half of the time near the end, where Parquet keeps what it claims.
+        let at = if stream.below(2) == 0 { at } else { bytes.len() - 1 - at / 4 };
+        match stream.below(9) {
+            0 => bytes[at] ^= 1 << stream.below(8),
+            1 => bytes[at] = [0, 1, 0x7f, 0x80, 0xff, b'0', b'"'][stream.below(7)],
+            2 => bytes.truncate(at),
+            3 => {
+                let end = (at + stream.below(32)).min(bytes.len());
+                bytes.drain(at..end);
+            }
+            4 => {
+                let random: Vec<u8> = (0..stream.below(16)).map(|_| stream.bits() as u8).collect();
+                bytes.splice(at..at, random);
+            }
+            5 if !target.words.is_empty() => {
+                let word = target.words[stream.below(target.words.len())].as_bytes();
+                let end = if stream.below(2) == 0 { at } else { (at + word.len()).min(bytes.len()) };
+                bytes.splice(at..end, word.iter().copied());
+            }
+            6 => {
+                // A piece of it again, once or many times.
+                let piece = bytes[at..(at + 1 + stream.below(64)).min(bytes.len())].to_vec();
+                let again = piece.repeat(1 << stream.below(10));
+                let to = stream.below(bytes.len());
+                bytes.splice(to..to, again);
+            }
+            7 => {
+                let other = &target.corpus[stream.below(target.corpus.len())];
+                let from = stream.below(other.len());
+                let piece = &other[from..(from + stream.below(200)).min(other.len())];
+                bytes.splice(at..at, piece.iter().copied());
+            }
+            _ => {
+                let n = stream.below(9);
+                for byte in bytes.iter_mut().skip(at).take(n) {
+                    *byte = stream.bits() as u8;
+                }
+            }
+        }
+    }
+    bytes
+}
+
+fn number(name: &str) -> Option<u64> {
+    let text = std::env::var(name).ok()?;
+    Some(text.parse().unwrap_or_else(|_| panic!("{name} is `{text}`, no whole number")))
+}
+
+#[test]
+fn fuzzed_files_are_refused_or_read_and_nothing_panics_or_hangs() {
+    let budget = number("ROBOGATE_FUZZ_SECONDS").map(Duration::from_secs);
+    let first = number("ROBOGATE_FUZZ_SEED").unwrap_or(0);
+    let folder = Folder::new("fuzz");
+    let targets = targets(&folder);
+    for target in &targets {
+        for (i, whole) in target.corpus.iter().enumerate() {
+            let path = folder.join("sound");
+            fs::write(&path, whole).unwrap();
+            let needs_mapping = whole.starts_with(b"trial;ok");
+            assert!((target.read)(&path) != needs_mapping, "{} file {i} is sound", target.name);
+        }
+    }
+    let start = Instant::now();
+    let mut counts = vec![(0_u64, 0_u64); targets.len()];
+    let mut slowest = (Duration::ZERO, "", 0);
+    let mut finds = Vec::new();
+    let mut round = first;
+    let path = folder.join("fuzzed");
+    while budget.map_or(round < first + 300, |budget| start.elapsed() < budget) {
+        for (target, (read, refused)) in targets.iter().zip(&mut counts) {
+            let bytes = mutate(target, &mut Seed::campaign(round).stream(target.name));
+            fs::write(&path, &bytes).unwrap();
+            let began = Instant::now();
+            match catch_unwind(AssertUnwindSafe(|| (target.read)(&path))) {
+                Ok(true) => *read += 1,
+                Ok(false) => *refused += 1,
+                Err(_) => {
+                    let kept = std::env::temp_dir().join(format!("robogate-fuzz-{}-{round}", target.name));
+                    fs::write(&kept, &bytes).unwrap();
+                    finds.push(format!("{} in round {round}: {}", target.name, kept.display()));
+                }
+            }
+            if began.elapsed() > slowest.0 {
+                slowest = (began.elapsed(), target.name, round);
+            }
+        }
+        round += 1;
+    }
+    for (target, (read, refused)) in targets.iter().zip(&counts) {
+        println!("{}: {} files, {refused} refused, {read} read", target.name, read + refused);
+    }
+    println!("rounds {first} to {round} in {:.0?}; slowest {slowest:?}", start.elapsed());
+    assert!(finds.is_empty(), "{finds:#?}");
+    assert!(slowest.0 < Duration::from_secs(20), "{slowest:?}");
+    // A fuzz whose files are all refused at the door tests nothing behind it.
+    for (target, (read, refused)) in targets.iter().zip(&counts) {
+        assert!(*refused > 0 && (*read > 0 || target.name.contains("parquet")), "{}", target.name);
+    }
+}

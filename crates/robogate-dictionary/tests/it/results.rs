@@ -1,0 +1,225 @@
+//! Results of other tools, in the layouts in which those tools write them.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use robogate_core::{FailureMode, Fault, FaultKind, Outcome, Value};
+use robogate_dictionary::results::{Format, Mapping, import};
+use robogate_dictionary::{Dictionary, Entry, Provenance, Source};
+
+use crate::common::Folder;
+
+fn fixture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/results").join(name)
+}
+
+fn imported(from: &Path, format: Option<Format>, mapping: &Mapping) -> (Provenance, Vec<Entry>) {
+    let folder = Folder::new(&format!("results-{:?}", std::thread::current().id()));
+    let to = folder.join("d.parquet");
+    let imported = import(from, &to, format, mapping).unwrap();
+    let dictionary = Dictionary::open(&to).unwrap();
+    assert_eq!(imported.provenance, *dictionary.provenance());
+    (imported.provenance, dictionary.entries().collect::<Result<_, _>>().unwrap())
+}
+
+fn refused(name: &str, content: impl AsRef<[u8]>, mapping: &Mapping) -> String {
+    let folder = Folder::new(&format!("results-refused-{name}"));
+    let (from, to) = (folder.join(name), folder.join("d.parquet"));
+    fs::write(&from, content).unwrap();
+    let error = import(&from, &to, None, mapping).unwrap_err().to_string();
+    assert!(!to.exists(), "nothing is written where {error}");
+    error
+}
+
+fn words(entries: &[Entry]) -> Vec<&str> {
+    entries.iter().map(|entry| entry.episode.outcome.word()).collect()
+}
+
+fn source(provenance: &Provenance) -> &Source {
+    provenance.source.as_ref().unwrap()
+}
+
+#[test]
+fn lerobot_of_one_environment_keeps_success_and_seed_and_says_what_it_does_not_record() {
+    let (provenance, entries) = imported(&fixture("lerobot_one_environment.json"), None, &Mapping::default());
+    assert_eq!(words(&entries), ["success", "timeout", "success", "success"]);
+    let seeds: Vec<_> = entries.iter().map(|e| e.episode.scenario.requested.get("source_seed").cloned()).collect();
+    assert_eq!(seeds, [1000, 1001, 1002, 1003].map(|n| Some(Value::Integer(n))));
+    assert!(entries.iter().all(|entry| entry.episode.time_s.is_nan()));
+    assert_eq!(source(&provenance).format, "lerobot");
+    assert_eq!(source(&provenance).not_recorded, ["grasp_miss", "grip_loss", "collision", "cycle_time_s"]);
+    assert_eq!(provenance.robot.sha256, None);
+    assert_eq!(provenance.plan["source_metadata"]["pc_success"], 75.0);
+}
+
+#[test]
+fn lerobot_of_several_tasks_has_a_row_for_each_success() {
+    let (provenance, entries) = imported(&fixture("lerobot_tasks.json"), None, &Mapping::default());
+    assert_eq!(words(&entries), ["success", "timeout", "success", "success", "success"]);
+    assert_eq!(provenance.plan["source_metadata"]["n_episodes"], 5);
+}
+
+#[test]
+fn averages_that_are_not_those_of_the_rows_are_an_error() {
+    let text = fs::read_to_string(fixture("lerobot_one_environment.json")).unwrap();
+    let error = refused("edited.json", text.replace("75.0", "100.0"), &Mapping::default());
+    assert!(error.contains("`pc_success` says 100") && error.contains("3 successes in 4 episodes"), "{error}");
+    let text = fs::read_to_string(fixture("lerobot_tasks.json")).unwrap();
+    let error = refused("cut.json", text.replace("[true, true]", "[true]"), &Mapping::default());
+    assert!(error.contains("`overall.n_episodes` says 5, its rows are 4"), "{error}");
+}
+
+#[test]
+fn a_crashed_episode_of_vla_eval_is_invalid_and_no_failure() {
+    let (provenance, entries) = imported(&fixture("vla_eval.json"), None, &Mapping::default());
+    assert_eq!(words(&entries), ["success", "timeout", "invalid", "success", "invalid"]);
+    let fault = |at: usize| match &entries[at].episode.outcome {
+        Outcome::Invalid(fault) => fault.clone(),
+        other => panic!("{other:?}"),
+    };
+    let away = Fault::new(FaultKind::Unavailable, "connection_closed: the model server went away");
+    assert_eq!(fault(2), away);
+    assert_eq!(fault(4), Fault::new(FaultKind::Setup, "env_start"));
+    assert_eq!((provenance.policy.as_str(), provenance.engine.name.as_str()), ("OpenVLA", "Drawer_demo"));
+    assert_eq!(provenance.seed, 7);
+    assert!(source(&provenance).not_recorded.contains(&"collision".to_owned()));
+}
+
+#[test]
+fn a_table_is_read_by_its_mapping() {
+    let text = fs::read_to_string(fixture("table.toml")).unwrap();
+    let mapping = Mapping::from_toml(&text, "table.toml").unwrap();
+    let (provenance, entries) = imported(&fixture("table.csv"), None, &mapping);
+    // The last one says success beside a collision.
+    assert_eq!(words(&entries), ["success", "grip_loss", "collision", "invalid", "collision"]);
+    assert!(source(&provenance).notes.iter().any(|n| n.starts_with("1 episodes say success beside a collision")));
+    assert_eq!(entries[2].episode.time_s, 3.125);
+    assert_eq!(entries[1].episode.scenario.requested.number("mass_kg"), Some(1.1));
+    assert_eq!(entries[1].episode.scenario.requested.category("surface"), Some("rubber"));
+    assert_eq!((provenance.policy.as_str(), provenance.robot.name.as_str()), ("act-v3", "UR5e"));
+    assert!(source(&provenance).not_recorded.is_empty(), "{:?}", source(&provenance).not_recorded);
+}
+
+#[test]
+fn pairs_say_the_same_as_a_mapping_file() {
+    let mut pairs = Mapping::default();
+    pairs.add("success=ok,failure_mode=how,cycle_time_s=duration", "--map").unwrap();
+    pairs.add("collision=bump,error=broke,parameter.mass_kg=mass,parameter.surface=surface", "--map").unwrap();
+    let text = fs::read_to_string(fixture("table.toml")).unwrap();
+    let file = Mapping::from_toml(&text, "table.toml").unwrap();
+    let mut same = file.clone();
+    (same.failure_modes, same.about) = Default::default();
+    assert_eq!(pairs, same);
+    let error = pairs.add("colision=bump", "--map").unwrap_err().to_string();
+    assert!(error.contains("`colision` is nothing that a column can be") && error.contains("collision"), "{error}");
+}
+
+#[test]
+fn json_lines_are_read_by_their_names_and_objects_become_names_with_dots() {
+    let mapping =
+        Mapping { parameters: Some([("lux".to_owned(), "scene.lux".to_owned())].into()), ..Mapping::default() };
+    let (provenance, entries) = imported(&fixture("table.jsonl"), None, &mapping);
+    assert_eq!(words(&entries), ["success", "timeout", "grip_loss", "invalid"]);
+    assert_eq!(entries[3].episode.outcome, Outcome::Invalid(Fault::new(FaultKind::Diverged, "diverged: NaN in qpos")));
+    assert_eq!(entries[2].episode.scenario.requested.number("lux"), Some(350.5));
+    assert_eq!(entries[2].episode.scenario.requested.number("source_seed"), Some(13.0));
+    // All three flags are given, and all times: whatever is asked of these rows is in them.
+    assert!(source(&provenance).not_recorded.is_empty());
+}
+
+#[test]
+fn a_parquet_file_of_pyarrow_is_read_with_its_missing_values() {
+    let (provenance, entries) = imported(&fixture("table.parquet"), None, &Mapping::default());
+    assert_eq!(words(&entries), ["success", "grip_loss", "invalid", "success", "timeout"]);
+    assert_eq!(entries[1].episode.time_s, 4.25);
+    let requested = &entries[3].episode.scenario.requested;
+    assert_eq!(requested.number("mass_kg"), Some(0.75));
+    assert_eq!(requested.get("obstacles"), Some(&Value::Integer(3)));
+    assert_eq!(requested.category("shape"), Some("box"));
+    assert!(source(&provenance).notes.iter().any(|note| note.contains("`trace.list.element` is left out")));
+}
+
+#[test]
+fn what_a_row_says_wrong_is_named_with_file_row_and_field() {
+    let none = Mapping::default();
+    for (name, content, wanted) in [
+        ("a.csv", "success,mass\n1,2\n2,3\n", &["a.csv", "row 1, column `success`: 2 is neither true nor false"][..]),
+        (
+            "b.csv",
+            "success,failure_mode\n0,fell\n",
+            &["row 0, column `failure_mode`: `fell` is none of", "[failure_modes]"],
+        ),
+        ("c.csv", "success,failure_mode\n1,collision\n", &["contradicts `success`"]),
+        (
+            "d.csv",
+            "success,failure_mode,collision\n0,collision,0\n",
+            &["column `collision`", "contradicts `failure_mode`"],
+        ),
+        ("e.csv", "success,cycle_time_s\n1,-2\n", &["-2 is below 0 seconds"]),
+        ("f.csv", "success,cycle_time_s\n1,soon\n", &["`soon` is no time in seconds"]),
+        ("g.csv", "result,mass\n1,2\n", &["no row says in `success`", "--map success=COLUMN"]),
+        ("h.csv", "success,success\n1,2\n", &["the column `success` twice"]),
+        ("i.csv", "success,mass\n1,2\n1\n", &["line 3", "1 fields under a header of 2"]),
+        ("j.csv", "success,mass\n", &["no episodes", "nothing was evaluated"]),
+        ("k.jsonl", "{\"success\": true}\n{\"success\": tru}\n", &["line 2", "one JSON object"]),
+        ("l.jsonl", "{\"success\": true, \"success\": false}\n{}\n", &["line 1", "`success` twice"]),
+        ("m.json", "[{\"success\": true}]", &["JSON array", "JSON Lines"]),
+        ("n.json", "{\"per_episode\": 3}", &["n.json", "an array of episodes"]),
+        ("o.json", "{\"per_episode\": [], \"per_task\": []}", &["twice"]),
+        ("p.json", "{\"tasks\": [{\"episodes\": [{}], \"task\": \"t\"}]}", &["before its name"]),
+        (
+            "q.json",
+            "{\"tasks\": [{\"task\": \"t\", \"episodes\": [{\"metrics\": {\"success\": 0.5}}]}]}",
+            &["row 0", "0.5 is neither"],
+        ),
+        ("r.json", "{\"per_episode\": [{\"success\": NaN}]}", &["line 1 column 30", "JSON has no NaN"]),
+        ("s", "", &["it is empty"]),
+        ("t", "\u{1}\0\u{2}", &["none of the known formats", "--format"]),
+    ] {
+        let error = refused(name, content, &none);
+        assert!(wanted.iter().all(|part| error.contains(part)), "{name}: {error}");
+    }
+}
+
+#[test]
+fn a_mapping_that_names_what_is_not_there_is_an_error() {
+    let table = "ok,mass\n1,2\n";
+    let mapping = |text: &str| Mapping::from_toml(text, "m.toml").unwrap();
+    let error = refused("a.csv", table, &mapping("success = 'okay'"));
+    assert!(error.contains("no row has the column `okay`"), "{error}");
+    let error = refused("b.csv", table, &mapping("success = 'ok'\n[parameters]\nmass_kg = 'weight'"));
+    assert!(error.contains("`weight`") && error.contains("`mass_kg`"), "{error}");
+    let error = Mapping::from_toml("sucess = 'ok'", "m.toml").unwrap_err().to_string();
+    assert!(error.contains("m.toml") && error.contains("sucess"), "{error}");
+    let error = Mapping::from_toml("[failure_modes]\nfell = 'drop'", "m.toml").unwrap_err().to_string();
+    assert!(error.contains("`drop`") && error.contains("grip_loss"), "{error}");
+}
+
+#[test]
+fn the_real_aggregate_of_vla_eval_is_read() {
+    let Some(shared) = std::env::var_os("ROBOGATE_SHARED_DATA") else {
+        println!("skipped: ROBOGATE_SHARED_DATA is not set");
+        return;
+    };
+    let captured = "reference/protocols/captures/vla_eval/results/Tiny_demo_aggregate.json";
+    let Some(path) = Path::new(&shared).parent().map(|shared| shared.join(captured)).filter(|path| path.exists())
+    else {
+        println!("skipped: the captured aggregate is not there");
+        return;
+    };
+    let (provenance, entries) = imported(&path, None, &Mapping::default());
+    assert_eq!(words(&entries), ["success", "timeout", "success", "timeout"]);
+    assert_eq!((provenance.seed, provenance.policy.as_str()), (7, "S"));
+}
+
+#[test]
+fn the_kind_of_a_failure_is_taken_from_its_flags_where_no_word_says_it() {
+    let folder = Folder::new("results-flags");
+    let path = folder.join("t.csv");
+    fs::write(&path, "success,collision,drop,grasp_miss,x\n0,1,1,0,1\n0,0,1,0,2\n0,0,0,1,3\n0,0,0,0,4\n1,0,0,1,5\n")
+        .unwrap();
+    let (_, entries) = imported(&path, None, &Mapping::default());
+    let wanted = [FailureMode::Collision, FailureMode::GripLoss, FailureMode::GraspMiss, FailureMode::Timeout];
+    let wanted = wanted.map(Outcome::Failure).into_iter().chain([Outcome::Success]);
+    assert!(entries.iter().map(|entry| entry.episode.outcome.clone()).eq(wanted));
+}
