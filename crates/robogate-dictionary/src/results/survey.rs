@@ -14,7 +14,7 @@ use crate::codec::{EXACT_INTEGER, Interner};
 use crate::columns::Columns;
 use crate::fields::Fields;
 use crate::raw::{RawRow, Scalar};
-use crate::{DictionaryError, Engine, Entry, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool};
+use crate::{DictionaryError, Engine, Entry, Label, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool};
 
 /// The parameter that an environment's seed becomes.
 const SOURCE_SEED: &str = "source_seed";
@@ -174,7 +174,7 @@ impl<'a> Survey<'a> {
             }),
         };
         // Refused here, before anything is written.
-        Columns::of(&provenance.space)?;
+        Columns::of(&provenance.space, SCHEMA_VERSION)?;
         Ok(Plan { path, mapping, provenance, columns, format })
     }
 
@@ -246,7 +246,7 @@ impl<'a> Survey<'a> {
 /// Whether a parameter of this name would take the name of another column.
 fn taken(name: &str, domain: &Domain) -> bool {
     let parameter = Parameter { name: name.into(), domain: domain.clone() };
-    ParameterSpace::new("one", vec![parameter]).is_ok_and(|space| Columns::of(&space).is_err())
+    ParameterSpace::new("one", vec![parameter]).is_ok_and(|space| Columns::of(&space, SCHEMA_VERSION).is_err())
 }
 
 /// How a row becomes an entry.
@@ -293,7 +293,23 @@ impl Plan<'_> {
             ticks: 0,
             trajectory_hash: 0,
         };
-        Ok(Entry { stage: "imported".to_owned(), design: self.format.word().to_owned(), weight: 1.0, episode })
+        let label = Label {
+            case: self.word(row, Role::Case)?,
+            category: self.word(row, Role::Category)?,
+            group: self.word(row, Role::Group)?,
+        };
+        Ok(Entry { stage: "imported".to_owned(), design: self.format.word().to_owned(), weight: 1.0, label, episode })
+    }
+
+    /// A word of the label, where the row has one; a number is the word that it is written as.
+    fn word(&self, row: &RawRow, role: Role) -> Result<Option<String>, DictionaryError> {
+        let column = self.mapping.column(role);
+        match row.get(column) {
+            None | Some(Scalar::Null) => Ok(None),
+            Some(Scalar::Text(word)) => Ok(Some(word.clone())),
+            Some(Scalar::Integer(n)) => Ok(Some(n.to_string())),
+            Some(_) => Err(row.wrong(self.path, column, format!("is no word, as a {} must be", role.word()))),
+        }
     }
 
     fn value(

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use robogate_core::{FailureMode, Fault, FaultKind, Outcome, Value};
 use robogate_dictionary::results::{Format, Mapping, import};
-use robogate_dictionary::{Dictionary, Entry, Provenance, Source};
+use robogate_dictionary::{Dictionary, Entry, Label, Provenance, Source};
 
 use crate::common::Folder;
 
@@ -57,6 +57,13 @@ fn lerobot_of_several_tasks_has_a_row_for_each_success() {
     let (provenance, entries) = imported(&fixture("lerobot_tasks.json"), None, &Mapping::default());
     assert_eq!(words(&entries), ["success", "timeout", "success", "success", "success"]);
     assert_eq!(provenance.plan["source_metadata"]["n_episodes"], 5);
+    let label = |case: &str, category: &str| Label {
+        case: Some(case.to_owned()),
+        category: Some(category.to_owned()),
+        group: None,
+    };
+    assert_eq!(entries[2].label, label("libero_spatial/0", "libero_spatial"));
+    assert_eq!(entries[3].label, label("libero_object/3", "libero_object"));
 }
 
 #[test]
@@ -77,6 +84,8 @@ fn a_crashed_episode_of_vla_eval_is_invalid_and_no_failure() {
         Outcome::Invalid(fault) => fault.clone(),
         other => panic!("{other:?}"),
     };
+    assert_eq!(entries[4].label.case.as_deref(), Some("close the drawer"));
+    assert_eq!(entries[4].label.category.as_deref(), Some("drawers"));
     let away = Fault::new(FaultKind::Unavailable, "connection_closed: the model server went away");
     assert_eq!(fault(2), away);
     assert_eq!(fault(4), Fault::new(FaultKind::Setup, "env_start"));
@@ -173,6 +182,7 @@ fn what_a_row_says_wrong_is_named_with_file_row_and_field() {
             &["row 0", "0.5 is neither"],
         ),
         ("r.json", "{\"per_episode\": [{\"success\": NaN}]}", &["line 1 column 30", "JSON has no NaN"]),
+        ("s.csv", "success,case\n1,2.5\n", &["2.5 is no word, as a case must be"]),
         ("s", "", &["it is empty"]),
         ("t", "\u{1}\0\u{2}", &["none of the known formats", "--format"]),
     ] {
