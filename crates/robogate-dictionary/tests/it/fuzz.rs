@@ -240,9 +240,14 @@ fn fuzzed_files_are_refused_or_read_and_nothing_panics_or_hangs() {
                     finds.push(format!("{} in round {round}: {}", target.name, kept.display()));
                 }
             }
-            if began.elapsed() > slowest.0 {
-                slowest = (began.elapsed(), target.name, round);
+            let mut took = began.elapsed();
+            if took > Duration::from_secs(5) {
+                // The file, or a machine that did something else meanwhile: the second time tells.
+                let began = Instant::now();
+                let _ = catch_unwind(AssertUnwindSafe(|| (target.read)(&path)));
+                took = took.min(began.elapsed());
             }
+            slowest = slowest.max((took, target.name, round));
         }
         round += 1;
     }
@@ -253,7 +258,8 @@ fn fuzzed_files_are_refused_or_read_and_nothing_panics_or_hangs() {
     assert!(finds.is_empty(), "{finds:#?}");
     assert!(slowest.0 < Duration::from_secs(20), "{slowest:?}");
     // A fuzz whose files are all refused at the door tests nothing behind it.
+    let enough = round - first >= 300;
     for (target, (read, refused)) in targets.iter().zip(&counts) {
-        assert!(*refused > 0 && (*read > 0 || target.name.contains("parquet")), "{}", target.name);
+        assert!(!enough || (*refused > 0 && *read > 0), "{}", target.name);
     }
 }
