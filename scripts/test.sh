@@ -1,21 +1,22 @@
 #!/usr/bin/env bash
 # Sets up and runs all tests: cargo test, with a Python beside it in which the dictionary is read by
-# pyarrow, pandas and DuckDB. Where that Python cannot be set up, its test is skipped and says so.
+# pyarrow, pandas and DuckDB, and evidence by securesystemslib. Where that Python cannot be set up, its
+# tests are skipped and say so.
 # Arguments go to cargo test.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-requirements=crates/robogate-dictionary/tests/requirements.txt
+requirements=(crates/robogate-dictionary/tests/requirements.txt crates/robogate-gate/tests/evidence-requirements.txt)
 venv=${CARGO_TARGET_DIR:-target}/readers-venv
 if [ -z "${ROBOGATE_TEST_PYTHON:-}" ]; then
     # The marker is written last: an interrupted set-up is done again.
-    if ! cmp -s "$requirements" "$venv/installed.txt"; then
+    if ! cat "${requirements[@]}" | cmp -s - "$venv/installed.txt"; then
         rm -rf "$venv"
         if python3 -m venv "$venv" &&
-            "$venv/bin/pip" install --quiet --disable-pip-version-check -r "$requirements"; then
-            cp "$requirements" "$venv/installed.txt"
+            "$venv/bin/pip" install --quiet --disable-pip-version-check "${requirements[@]/#/--requirement=}"; then
+            cat "${requirements[@]}" > "$venv/installed.txt"
         else
-            echo "note: no Python with pyarrow, pandas and duckdb; the test that needs them is skipped" >&2
+            echo "note: no Python with pyarrow, pandas, duckdb and securesystemslib; the tests that need them are skipped" >&2
         fi
     fi
     if [ -f "$venv/installed.txt" ]; then

@@ -2,7 +2,7 @@
 //!
 //! [`Requirements`] say what is demanded, [`Trial`]s what happened; an [`Evaluation`] holds every figure with how sure
 //! it is, and ends in a [`Verdict`]. It is a pure function of the two (and of the [`Baseline`] that relative demands
-//! refer to): no file, clock or chance stands above it.
+//! refer to): no file, clock or chance stands above it. [`evidence`] keeps all of it in a folder that others can check.
 //!
 //! | from | to |
 //! |---|---|
@@ -15,6 +15,7 @@ mod comparison;
 mod demand_test;
 mod error;
 mod evaluation;
+pub mod evidence;
 mod figure;
 mod metric;
 mod plan;

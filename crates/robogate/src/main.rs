@@ -46,6 +46,12 @@ enum Verb {
     Suites(commands::suites::Suites),
     /// List the robots, or say what is wrong with one
     Robots(commands::robots::Robots),
+    /// Judge a run and put all that the verdict depends on into a folder that someone else can check
+    Evidence(commands::evidence::Evidence),
+    /// Check a folder of evidence: every file, the signatures, and the verdict anew from the rows
+    Verify(commands::verify::Verify),
+    /// Make and name the keys that sign evidence
+    Keys(commands::keys::Keys),
     /// Check claims by experiment
     Check(commands::check::Check),
 }
@@ -64,6 +70,9 @@ fn main() -> ExitCode {
         Verb::Study(study) => study.execute(),
         Verb::Suites(suites) => suites.execute(),
         Verb::Robots(robots) => robots.execute(),
+        Verb::Evidence(evidence) => evidence.execute(),
+        Verb::Verify(verify) => verify.execute(),
+        Verb::Keys(keys) => keys.execute(),
         Verb::Check(check) => check.execute(),
     };
     match result {

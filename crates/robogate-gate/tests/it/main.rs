@@ -6,6 +6,7 @@ mod common;
 mod comparison;
 mod errors;
 mod evaluation;
+mod evidence;
 mod planning;
 mod score;
 mod simulated;

@@ -1,0 +1,85 @@
+//! What follows from the files of a folder: computed alike when evidence is written and when it is checked.
+
+use std::fs;
+use std::io::{self, Read};
+use std::path::Path;
+
+use robogate_dictionary::{Dictionary, Tool};
+use sha2::{Digest, Sha256};
+
+use super::{AGAINST, BASELINE, DICTIONARY, EvidenceError, FileRecord, Manifest, REQUIREMENTS};
+use crate::record::hex;
+use crate::{Against, Baseline, Evaluation, Question, Record, Requirements, Sampling};
+
+/// Computes the evaluation from the rows and demands in the folder.
+pub(super) fn evaluate(folder: &Path, sampling: Sampling, margin: Option<f64>) -> Result<Evaluation, EvidenceError> {
+    let path = folder.join(REQUIREMENTS);
+    let text = fs::read_to_string(&path).map_err(EvidenceError::io(&path, "read"))?;
+    let requirements = Requirements::from_toml(&text)?;
+    let path = folder.join(BASELINE);
+    let baseline = if path.exists() {
+        let text = fs::read_to_string(&path).map_err(EvidenceError::io(&path, "read"))?;
+        Some(Baseline::from_json(&text)?)
+    } else {
+        None
+    };
+    let record = Record::of(&Dictionary::open(&folder.join(DICTIONARY))?)?;
+    let other = match margin {
+        Some(margin) => Some((Record::of(&Dictionary::open(&folder.join(AGAINST))?)?, margin)),
+        None => None,
+    };
+    let against = other.as_ref().map(|(record, margin)| Against { record, margin: *margin });
+    let question = Question { requirements: &requirements, baseline: baseline.as_ref(), against, sampling };
+    Ok(question.evaluate(&record)?)
+}
+
+/// The manifest of these files and this evaluation.
+pub(super) fn manifest(
+    folder: &Path,
+    tool: Tool,
+    evaluation: &Evaluation,
+    margin: Option<f64>,
+    signer: Option<String>,
+    files: Vec<FileRecord>,
+) -> Result<Manifest, EvidenceError> {
+    let dictionary = Dictionary::open(&folder.join(DICTIONARY))?;
+    let provenance = dictionary.provenance();
+    Ok(Manifest {
+        format: Manifest::FORMAT,
+        tool,
+        verdict: evaluation.verdict,
+        because: evaluation.because.clone(),
+        counts: evaluation.counts,
+        population: evaluation.population.clone(),
+        sampling: evaluation.sampling,
+        margin,
+        dataset_sha256: dictionary.dataset_hash().to_owned(),
+        seed: provenance.seed,
+        policy: provenance.policy.clone(),
+        robot: provenance.robot.clone(),
+        engine: provenance.engine.clone(),
+        platform: provenance.platform.clone(),
+        source: provenance.source.clone(),
+        measured_by: provenance.tool.clone(),
+        signer,
+        files,
+    })
+}
+
+/// Length and SHA-256 of a file, in bounded memory.
+pub(super) fn digest(path: &Path) -> io::Result<(u64, String)> {
+    let mut file = fs::File::open(path)?;
+    let (mut hash, mut bytes, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 16]);
+    loop {
+        let n = file.read(&mut buffer)?;
+        if n == 0 {
+            return Ok((bytes, hex(&hash.finalize())));
+        }
+        bytes += n as u64;
+        hash.update(buffer.get(..n).unwrap_or_default());
+    }
+}
+
+pub(super) fn sha256(bytes: &[u8]) -> String {
+    hex(&Sha256::digest(bytes))
+}

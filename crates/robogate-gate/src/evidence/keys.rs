@@ -1,0 +1,169 @@
+//! The user's key: ed25519, as PEM files that OpenSSL reads too.
+
+use std::fmt;
+use std::fs::{File, OpenOptions};
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+use ed25519_dalek::pkcs8::spki::der::pem::LineEnding;
+use ed25519_dalek::pkcs8::{DecodePrivateKey, DecodePublicKey, EncodePrivateKey, EncodePublicKey, KeypairBytes};
+use ed25519_dalek::{Signature, Signer, SigningKey, VerifyingKey};
+use sha2::{Digest, Sha256};
+
+use super::EvidenceError;
+use crate::record::hex;
+
+/// A key file is a few hundred bytes; more is something else.
+const LONGEST: u64 = 1 << 14;
+
+/// A private key. It is wiped from memory when it is dropped, and is shown nowhere.
+pub struct PrivateKey(SigningKey);
+
+impl fmt::Debug for PrivateKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "PrivateKey of {}", self.public().id())
+    }
+}
+
+impl PrivateKey {
+    /// A new key from the operating system's random numbers.
+    pub fn generate() -> Result<Self, EvidenceError> {
+        let mut seed = [0; 32];
+        getrandom::fill(&mut seed).map_err(|e| EvidenceError::Random(e.to_string()))?;
+        Ok(Self::from_seed(seed))
+    }
+
+    /// The key of this seed (RFC 8032).
+    pub fn from_seed(seed: [u8; 32]) -> Self {
+        Self(SigningKey::from_bytes(&seed))
+    }
+
+    /// Reads PKCS#8 PEM (RFC 8410). A file that others may read is refused.
+    pub fn read(path: &Path) -> Result<Self, EvidenceError> {
+        let file = File::open(path).map_err(EvidenceError::io(path, "open the private key"))?;
+        let metadata = file.metadata().map_err(EvidenceError::io(path, "inspect"))?;
+        let wrong = |reason: String| EvidenceError::NotAKey { path: path.to_owned(), what: "private key", reason };
+        if !metadata.is_file() {
+            return Err(wrong("it is no plain file".to_owned()));
+        }
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            let mode = metadata.permissions().mode() & 0o777;
+            if mode & 0o077 != 0 {
+                return Err(EvidenceError::KeyMode { path: path.to_owned(), mode });
+            }
+        }
+        let text = text_of(file, path)?;
+        if text.contains("PUBLIC KEY") {
+            return Err(wrong(
+                "it is a public key\nhint: sign with the file that `robogate keys new` made beside it".to_owned(),
+            ));
+        }
+        // The error of the library could hold what it read; a hint is all that is needed.
+        let key = SigningKey::from_pkcs8_pem(&text).map_err(|_| {
+            wrong("it is not PKCS#8 PEM of an ed25519 key\nhint: make one with `robogate keys new FILE`".to_owned())
+        })?;
+        Ok(Self(key))
+    }
+
+    /// Writes the key to `path`, readable for its owner alone, and its public half to `path` with `.pub`
+    /// behind it, whose path is returned. Nothing that is there is overwritten.
+    pub fn write_new(&self, path: &Path) -> Result<PathBuf, EvidenceError> {
+        let mut public = path.as_os_str().to_owned();
+        public.push(".pub");
+        let public = PathBuf::from(public);
+        let exists = |path: &Path| EvidenceError::Exists {
+            path: path.to_owned(),
+            hint: "a key is never overwritten; choose another name",
+        };
+        if public.exists() {
+            return Err(exists(&public));
+        }
+        // Version 1, without the public half: OpenSSL refuses the other.
+        let bytes = KeypairBytes { secret_key: self.0.to_bytes(), public_key: None };
+        let pem = bytes.to_pkcs8_pem(LineEnding::LF).map_err(|e| EvidenceError::NotAKey {
+            path: path.to_owned(),
+            what: "private key",
+            reason: e.to_string(),
+        })?;
+        let mut options = OpenOptions::new();
+        options.write(true).create_new(true);
+        #[cfg(unix)]
+        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+        let create = |error: std::io::Error| match error.kind() {
+            std::io::ErrorKind::AlreadyExists => exists(path),
+            _ => EvidenceError::io(path, "create")(error),
+        };
+        let mut file = options.open(path).map_err(create)?;
+        file.write_all(pem.as_bytes()).and_then(|()| file.sync_all()).map_err(EvidenceError::io(path, "write"))?;
+        std::fs::write(&public, self.public().to_pem()).map_err(EvidenceError::io(&public, "write"))?;
+        Ok(public)
+    }
+
+    /// Its public half.
+    pub fn public(&self) -> PublicKey {
+        PublicKey(self.0.verifying_key())
+    }
+
+    /// The signature of `message`: the same message always has the same.
+    pub fn sign(&self, message: &[u8]) -> [u8; 64] {
+        self.0.sign(message).to_bytes()
+    }
+}
+
+/// A public key.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PublicKey(VerifyingKey);
+
+impl PublicKey {
+    /// Reads SubjectPublicKeyInfo PEM (RFC 8410).
+    pub fn read(path: &Path) -> Result<Self, EvidenceError> {
+        let file = File::open(path).map_err(EvidenceError::io(path, "open the public key"))?;
+        let text = text_of(file, path)?;
+        Self::from_pem(&text).map_err(|reason| EvidenceError::NotAKey {
+            path: path.to_owned(),
+            what: "public key",
+            reason,
+        })
+    }
+
+    /// Parses SubjectPublicKeyInfo PEM. The error says what is wrong, with a hint.
+    pub fn from_pem(text: &str) -> Result<Self, String> {
+        if text.contains("PRIVATE KEY") {
+            return Err("it is a private key\nhint: give the file with .pub at its end, and keep this one to yourself"
+                .to_owned());
+        }
+        VerifyingKey::from_public_key_pem(text)
+            .map(Self)
+            .map_err(|e| format!("{e}\nhint: it is the PEM file that `robogate keys new` wrote with .pub at its end"))
+    }
+
+    /// The key of these 32 bytes; `None` where they are no point of the curve.
+    pub fn from_bytes(bytes: &[u8; 32]) -> Option<Self> {
+        VerifyingKey::from_bytes(bytes).ok().map(Self)
+    }
+
+    /// As SubjectPublicKeyInfo PEM.
+    pub fn to_pem(&self) -> String {
+        // Thirty-two bytes in a fixed frame cannot fail to encode.
+        self.0.to_public_key_pem(LineEnding::LF).unwrap_or_default()
+    }
+
+    /// What the key is called: SHA-256 (hex) of its DER form, as `openssl pkey -pubin -outform DER | sha256sum` says.
+    pub fn id(&self) -> String {
+        let der = self.0.to_public_key_der().map(|der| der.as_bytes().to_vec()).unwrap_or_default();
+        hex(&Sha256::digest(der))
+    }
+
+    /// Whether `signature` is one of `message` by this key (strict: no second encoding of one signature passes).
+    pub fn verifies(&self, message: &[u8], signature: &[u8]) -> bool {
+        Signature::from_slice(signature).is_ok_and(|signature| self.0.verify_strict(message, &signature).is_ok())
+    }
+}
+
+fn text_of(file: File, path: &Path) -> Result<String, EvidenceError> {
+    let mut text = String::new();
+    file.take(LONGEST).read_to_string(&mut text).map_err(EvidenceError::io(path, "read the key"))?;
+    Ok(text)
+}

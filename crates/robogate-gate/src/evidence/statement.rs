@@ -1,0 +1,89 @@
+//! The two in-toto statements.
+
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use super::{EVALUATION, MANIFEST, Manifest, Role};
+use crate::{Evaluation, Status, Verdict};
+
+/// The statement's type (in-toto attestation framework, version 1).
+pub const STATEMENT_TYPE: &str = "https://in-toto.io/Statement/v1";
+/// The predicate that other tools read.
+pub const TEST_RESULT_PREDICATE: &str = "https://in-toto.io/attestation/test-result/v0.1";
+/// Our own: the whole manifest.
+pub const EVIDENCE_PREDICATE: &str = "urn:robogate:evidence:v1";
+/// What an envelope around a statement says that its payload is.
+pub const PAYLOAD_TYPE: &str = "application/vnd.in-toto+json";
+
+/// A statement: its fields in the order of the specification.
+#[derive(Debug, Serialize)]
+struct Statement<'a> {
+    #[serde(rename = "_type")]
+    type_uri: &'static str,
+    subject: Vec<Value>,
+    #[serde(rename = "predicateType")]
+    predicate_type: &'static str,
+    predicate: &'a Value,
+}
+
+/// The bytes of the test-result statement.
+///
+/// The predicate knows PASSED, WARNED and FAILED. Only a pass is PASSED: what is not decided was not shown,
+/// and a reader that asks whether anything failed must not be told no.
+pub(super) fn test_result(manifest: &Manifest, manifest_sha256: &str, evaluation: &Evaluation) -> String {
+    let ids = |met: bool| -> Vec<&str> {
+        let findings = evaluation.findings.iter();
+        findings.filter(|finding| (finding.status == Status::Met) == met).map(|finding| finding.id.as_str()).collect()
+    };
+    let configuration: Vec<Value> = manifest
+        .files
+        .iter()
+        .filter(|file| {
+            matches!(file.role, Role::Requirements | Role::Baseline | Role::Plan | Role::Suite | Role::Robot)
+        })
+        .map(|file| descriptor(&file.path, &file.sha256))
+        .collect();
+    let predicate = json!({
+        "result": if manifest.verdict == Verdict::Pass { "PASSED" } else { "FAILED" },
+        "configuration": configuration,
+        "passedTests": ids(true),
+        "warnedTests": [],
+        "failedTests": ids(false),
+    });
+    statement(manifest, manifest_sha256, TEST_RESULT_PREDICATE, &predicate)
+}
+
+/// The bytes of our own statement.
+pub(super) fn evidence(manifest: &Manifest, manifest_sha256: &str) -> String {
+    // Every number in it is finite: nothing here can fail to serialise.
+    let predicate = serde_json::to_value(manifest).unwrap_or_default();
+    statement(manifest, manifest_sha256, EVIDENCE_PREDICATE, &predicate)
+}
+
+fn statement(manifest: &Manifest, manifest_sha256: &str, predicate_type: &'static str, predicate: &Value) -> String {
+    // The policy's own files where they are known; else what stands for it: its episodes and what follows.
+    let subject = std::iter::once(descriptor(MANIFEST, manifest_sha256))
+        .chain(
+            manifest
+                .files
+                .iter()
+                .filter(|file| matches!(file.role, Role::Policy | Role::Dictionary) || file.path == EVALUATION)
+                .map(|file| descriptor(&file.path, &file.sha256)),
+        )
+        .collect();
+    let statement = Statement { type_uri: STATEMENT_TYPE, subject, predicate_type, predicate };
+    serde_json::to_string(&statement).unwrap_or_default()
+}
+
+/// The SHA-256 that a statement gives the manifest, where it is a statement about one.
+pub(super) fn manifest_sha256(statement: &str) -> Option<String> {
+    let statement: Value = serde_json::from_str(statement).ok()?;
+    let subject = statement.get("subject")?.as_array()?;
+    let manifest = subject.iter().find(|subject| subject.get("name").is_some_and(|name| name == MANIFEST))?;
+    Some(manifest.get("digest")?.get("sha256")?.as_str()?.to_owned())
+}
+
+/// A ResourceDescriptor with a name and a digest.
+fn descriptor(name: &str, sha256: &str) -> Value {
+    json!({ "name": name, "digest": { "sha256": sha256 } })
+}

@@ -1,0 +1,130 @@
+//! Making the folder.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use robogate_dictionary::Tool;
+
+use super::manifest::is_plain;
+use super::{
+    AGAINST, ATTESTATION, BARE_ENDING, BASELINE, DICTIONARY, EVALUATION, Envelope, EvidenceError, FileRecord, MANIFEST,
+    Manifest, PAYLOAD_TYPE, PrivateKey, REQUIREMENTS, Role, SIGNED_ENDING, SIGNER, TEST_RESULT, facts, statement,
+};
+use crate::Sampling;
+
+/// What goes into the folder.
+#[derive(Debug, Clone)]
+pub struct Ingredients {
+    /// The rows.
+    pub dictionary: PathBuf,
+    /// The demands (TOML).
+    pub requirements: PathBuf,
+    /// What relative demands refer to (JSON).
+    pub baseline: Option<PathBuf>,
+    /// The rows of the policy that may be replaced, and the margin.
+    pub against: Option<(PathBuf, f64)>,
+    /// How the number of episodes came about.
+    pub sampling: Sampling,
+    /// Further files: what each is, its path in the folder, and where it is now.
+    pub others: Vec<(Role, String, PathBuf)>,
+}
+
+/// Makes the folder of evidence `to`, which must not be there yet; it is there whole or not at all.
+pub fn write(to: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> Result<Manifest, EvidenceError> {
+    if to.exists() {
+        return Err(EvidenceError::Exists {
+            path: to.to_owned(),
+            hint: "evidence is never overwritten; choose another folder",
+        });
+    }
+    let name = to.file_name().ok_or_else(|| EvidenceError::Name(to.display().to_string()))?;
+    let mut partial = std::ffi::OsString::from(".");
+    partial.push(name);
+    partial.push(".part");
+    let partial = to.with_file_name(partial);
+    // What a killed process left.
+    if partial.exists() {
+        fs::remove_dir_all(&partial).map_err(EvidenceError::io(&partial, "clear"))?;
+    }
+    fs::create_dir_all(&partial).map_err(EvidenceError::io(&partial, "create"))?;
+    let written = fill(&partial, ingredients, key)
+        .and_then(|manifest| fs::rename(&partial, to).map_err(EvidenceError::io(to, "create")).map(|()| manifest));
+    if written.is_err() {
+        // The error is on its way already; a leftover is cleared by the next try.
+        let _ = fs::remove_dir_all(&partial);
+    }
+    written
+}
+
+fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> Result<Manifest, EvidenceError> {
+    let mut files: BTreeMap<String, Role> = BTreeMap::new();
+    let mut add = |role: Role, name: &str, from: &Path| -> Result<(), EvidenceError> {
+        let reserved = [MANIFEST, EVALUATION, SIGNER].contains(&name)
+            || [TEST_RESULT, ATTESTATION].iter().any(|statement| {
+                [SIGNED_ENDING, BARE_ENDING].iter().any(|ending| name == format!("{statement}{ending}"))
+            });
+        if !is_plain(name) {
+            return Err(EvidenceError::Name(name.to_owned()));
+        }
+        if reserved || files.insert(name.to_owned(), role).is_some() {
+            return Err(EvidenceError::Twice(name.to_owned()));
+        }
+        let place = folder.join(name);
+        if let Some(parent) = place.parent() {
+            fs::create_dir_all(parent).map_err(EvidenceError::io(parent, "create"))?;
+        }
+        fs::copy(from, &place).map_err(EvidenceError::io(from, "copy"))?;
+        Ok(())
+    };
+    add(Role::Dictionary, DICTIONARY, &ingredients.dictionary)?;
+    add(Role::Requirements, REQUIREMENTS, &ingredients.requirements)?;
+    if let Some(baseline) = &ingredients.baseline {
+        add(Role::Baseline, BASELINE, baseline)?;
+    }
+    if let Some((against, _)) = &ingredients.against {
+        add(Role::Against, AGAINST, against)?;
+    }
+    for (role, name, from) in &ingredients.others {
+        add(*role, name, from)?;
+    }
+    let margin = ingredients.against.as_ref().map(|(_, margin)| *margin);
+    // From the copies: what is judged is what is kept.
+    let evaluation = facts::evaluate(folder, ingredients.sampling, margin)?;
+    let put = |name: &str, content: &str| {
+        let path = folder.join(name);
+        fs::write(&path, content).map_err(EvidenceError::io(&path, "write"))
+    };
+    put(EVALUATION, &evaluation.to_json())?;
+    files.insert(EVALUATION.to_owned(), Role::Evaluation);
+    if let Some(key) = key {
+        put(SIGNER, &key.public().to_pem())?;
+        files.insert(SIGNER.to_owned(), Role::PublicKey);
+    }
+    let records = files
+        .into_iter()
+        .map(|(path, role)| {
+            let place = folder.join(&path);
+            let (bytes, sha256) = facts::digest(&place).map_err(EvidenceError::io(&place, "read"))?;
+            Ok(FileRecord { path, role, bytes, sha256 })
+        })
+        .collect::<Result<Vec<_>, EvidenceError>>()?;
+    let signer = key.map(|key| key.public().id());
+    let manifest = facts::manifest(folder, Tool::robogate(), &evaluation, margin, signer, records)?;
+    let json = manifest.to_json();
+    let sha256 = facts::sha256(json.as_bytes());
+    put(MANIFEST, &json)?;
+    for (name, body) in [
+        (TEST_RESULT, statement::test_result(&manifest, &sha256, &evaluation)),
+        (ATTESTATION, statement::evidence(&manifest, &sha256)),
+    ] {
+        match key {
+            Some(key) => {
+                let envelope = Envelope::sign(PAYLOAD_TYPE, body.as_bytes(), key);
+                put(&format!("{name}{SIGNED_ENDING}"), &envelope.to_json())?;
+            }
+            None => put(&format!("{name}{BARE_ENDING}"), &(body + "\n"))?,
+        }
+    }
+    Ok(manifest)
+}

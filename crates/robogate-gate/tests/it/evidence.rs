@@ -1,0 +1,395 @@
+//! Evidence holds as long as nobody touches it, and says which file was touched.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Arc;
+
+use robogate_core::{
+    Assignment, Episode, FailureMode, Fault, FaultKind, Measures, Outcome, ParameterSpace, Scenario, Seed, Value,
+};
+use robogate_dictionary::{Engine, Entry, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, write_parquet};
+use robogate_gate::evidence::{
+    Envelope, EvidenceError, Ingredients, PrivateKey, Problem, PublicKey, Role, Signed, pre_authentication_encoding,
+    verify, write,
+};
+use robogate_gate::{Sampling, Verdict};
+
+const SEED: [u8; 32] = [7; 32];
+
+fn key() -> PrivateKey {
+    PrivateKey::from_seed(SEED)
+}
+
+fn rows(path: &Path, n: u64, failures: u64) {
+    let space = ParameterSpace::from_toml(
+        "name = 'test'\n[[parameter]]\nname = 'mass_kg'\nkind = 'continuous'\nlow = 0.1\nhigh = 2.0\n",
+    )
+    .unwrap();
+    let provenance = Provenance {
+        tool: Tool::robogate(),
+        schema_version: SCHEMA_VERSION,
+        engine: Engine { name: "mujoco".into(), version: Some("3.17.0".into()), build_sha256: Some("ab".repeat(32)) },
+        robot: Robot { name: "franka".into(), sha256: Some("cd".repeat(32)) },
+        policy: "scripted".into(),
+        world: serde_json::Value::Null,
+        space,
+        plan: serde_json::json!({ "n": n }),
+        seed: 5,
+        platform: Some(Platform::here()),
+        source: None,
+    };
+    let entry = |index: u64| {
+        let requested: Assignment =
+            [(Arc::from("mass_kg"), Value::Number(0.1 + index as f64 / n as f64))].into_iter().collect();
+        let outcome = match index {
+            i if i < failures => Outcome::Failure(FailureMode::GripLoss),
+            i if i == n - 1 => Outcome::Invalid(Fault::new(FaultKind::Setup, "it starts in contact")),
+            _ => Outcome::Success,
+        };
+        Entry {
+            stage: "uniform".into(),
+            design: "latin_hypercube".into(),
+            weight: 1.0,
+            label: Label::default(),
+            episode: Episode {
+                scenario: Scenario { index, seed: Seed::campaign(5).episode(index), requested },
+                applied: Assignment::default(),
+                outcome,
+                time_s: 6.0,
+                phase: None,
+                contact: None,
+                measures: Measures::default(),
+                ticks: 120,
+                trajectory_hash: index,
+            },
+        }
+    };
+    write_parquet(path, &provenance, (0..n).map(|i| Ok(entry(i)))).unwrap();
+}
+
+/// A folder with a run in it, and what evidence is made from.
+struct Run {
+    folder: tempfile::TempDir,
+    ingredients: Ingredients,
+}
+
+fn run(failures: u64) -> Run {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    rows(&at("d.parquet"), 80, failures);
+    fs::write(
+        at("r.toml"),
+        "name = 'test'\nmode = 'confidence'\nconfidence = 0.95\n\n[[requirement]]\nmetric = 'success_rate'\nat_least = 0.9\n",
+    )
+    .unwrap();
+    fs::write(at("plan.json"), "{\"seed\": 5}\n").unwrap();
+    fs::write(at("robot.toml"), "name = 'franka'\n").unwrap();
+    let ingredients = Ingredients {
+        dictionary: at("d.parquet"),
+        requirements: at("r.toml"),
+        baseline: None,
+        against: None,
+        sampling: Sampling::Fixed,
+        others: vec![
+            (Role::Plan, "plan.json".into(), at("plan.json")),
+            (Role::Robot, "robot/robot.toml".into(), at("robot.toml")),
+        ],
+    };
+    Run { folder, ingredients }
+}
+
+impl Run {
+    fn evidence(&self, name: &str, key: Option<&PrivateKey>) -> PathBuf {
+        let to = self.folder.path().join(name);
+        write(&to, &self.ingredients, key).unwrap();
+        to
+    }
+}
+
+fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    fn walk(root: &Path, here: &Path, found: &mut BTreeMap<String, Vec<u8>>) {
+        for entry in fs::read_dir(here).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                walk(root, &path, found);
+            } else {
+                let name = path.strip_prefix(root).unwrap().to_str().unwrap().to_owned();
+                found.insert(name, fs::read(&path).unwrap());
+            }
+        }
+    }
+    let mut found = BTreeMap::new();
+    walk(folder, folder, &mut found);
+    found
+}
+
+fn names(problems: &[Problem]) -> Vec<&str> {
+    problems.iter().map(|problem| problem.file.as_str()).collect()
+}
+
+/// The problems' text, where one is about `file`.
+fn about(result: Result<robogate_gate::evidence::Verified, Vec<Problem>>, file: &str) -> String {
+    let problems = result.unwrap_err();
+    assert!(names(&problems).contains(&file), "{file}: {problems:?}");
+    problems.iter().map(|problem| format!("{problem}\n")).collect()
+}
+
+#[test]
+fn untouched_evidence_holds_and_says_who_vouches_for_it() {
+    let run = run(0);
+    let bare = verify(&run.evidence("bare", None), None).unwrap();
+    assert_eq!((bare.verdict, bare.signed), (Verdict::Pass, Signed::Unsigned));
+    assert_eq!((bare.counts.episodes, bare.counts.invalid), (80, 1));
+    let signed = run.evidence("signed", Some(&key()));
+    let keyid = key().public().id();
+    assert_eq!(verify(&signed, None).unwrap().signed, Signed::ByUnknown { keyid: keyid.clone() });
+    assert_eq!(verify(&signed, Some(&key().public())).unwrap().signed, Signed::ByTrusted { keyid });
+}
+
+#[test]
+fn a_failed_gate_is_good_evidence_of_a_failure() {
+    let run = run(40);
+    let folder = run.evidence("e", Some(&key()));
+    assert_eq!(verify(&folder, None).unwrap().verdict, Verdict::Fail);
+    let envelope: Envelope = serde_json::from_slice(&fs::read(folder.join("test-result.dsse.json")).unwrap()).unwrap();
+    let statement: serde_json::Value = serde_json::from_slice(&envelope.body().unwrap()).unwrap();
+    assert_eq!(statement["predicate"]["result"], "FAILED");
+    assert_eq!(statement["predicate"]["passedTests"], serde_json::json!([]));
+    assert_eq!(statement["predicate"]["failedTests"].as_array().unwrap().len(), 1);
+}
+
+/// The bytes to flip: all of a small file, a sample of a larger one that begins elsewhere in each file.
+fn places(length: usize) -> Box<dyn Iterator<Item = usize>> {
+    const SMALL: usize = 400;
+    if length <= SMALL { Box::new(0..length) } else { Box::new((length % 7..length).step_by(length / SMALL + 1)) }
+}
+
+#[test]
+fn every_flipped_byte_is_found_and_its_file_is_named() {
+    for key in [None, Some(key())] {
+        let run = run(3);
+        let folder = run.evidence("e", key.as_ref());
+        let mut flips = 0;
+        for (name, bytes) in files(&folder) {
+            let path = folder.join(&name);
+            for at in places(bytes.len()) {
+                let mut changed = bytes.clone();
+                changed[at] ^= 1 << (at % 8);
+                fs::write(&path, &changed).unwrap();
+                let problems = verify(&folder, None).expect_err(&format!("byte {at} of {name}"));
+                assert!(names(&problems).contains(&name.as_str()), "byte {at} of {name}: {problems:?}");
+                flips += 1;
+            }
+            fs::write(&path, &bytes).unwrap();
+        }
+        assert!(verify(&folder, None).is_ok());
+        println!("{flips} flipped bytes named");
+    }
+}
+
+#[test]
+fn a_missing_an_added_and_a_replaced_file_are_named() {
+    let run = run(0);
+    let folder = run.evidence("e", Some(&key()));
+    for name in files(&folder).into_keys() {
+        let (there, away) = (folder.join(&name), run.folder.path().join("away"));
+        fs::rename(&there, &away).unwrap();
+        assert!(about(verify(&folder, None), &name).contains("missing"), "{name}");
+        fs::rename(&away, &there).unwrap();
+    }
+    for name in ["more.parquet", "robot/extra", ".hidden", "evidence.intoto.json", "baseline.json"] {
+        fs::write(folder.join(name), "{}").unwrap();
+        assert!(about(verify(&folder, None), name).contains("no part of the evidence"));
+        fs::remove_file(folder.join(name)).unwrap();
+    }
+    #[cfg(unix)]
+    {
+        let (there, away) = (folder.join("plan.json"), run.folder.path().join("away"));
+        fs::rename(&there, &away).unwrap();
+        std::os::unix::fs::symlink(&away, &there).unwrap();
+        assert!(about(verify(&folder, None), "plan.json").contains("no plain file"));
+        fs::remove_file(&there).unwrap();
+        fs::rename(&away, &there).unwrap();
+    }
+    assert!(verify(&folder, None).is_ok());
+}
+
+#[test]
+fn who_makes_it_all_anew_needs_the_key() {
+    let run = run(30);
+    let honest = run.evidence("honest", Some(&key()));
+    assert_eq!(verify(&honest, Some(&key().public())).unwrap().verdict, Verdict::Fail);
+    // The demand is lowered after the fact, and everything signed again by another.
+    let lowered = fs::read_to_string(&run.ingredients.requirements).unwrap().replace("0.9\n", "0.3\n");
+    fs::write(&run.ingredients.requirements, lowered).unwrap();
+    let other = PrivateKey::from_seed([8; 32]);
+    let forged = run.evidence("forged", Some(&other));
+    assert_eq!(verify(&forged, None).unwrap().signed, Signed::ByUnknown { keyid: other.public().id() });
+    let said = about(verify(&forged, Some(&key().public())), "signer.pub.pem");
+    assert!(said.contains(&other.public().id()) && said.contains(&key().public().id()), "{said}");
+    let bare = run.evidence("bare", None);
+    assert!(about(verify(&bare, Some(&key().public())), "manifest.json").contains("nobody signed it"));
+    // Only the envelopes are of the other key.
+    for name in ["evidence.dsse.json", "test-result.dsse.json"] {
+        let kept = fs::read(honest.join(name)).unwrap();
+        fs::copy(forged.join(name), honest.join(name)).unwrap();
+        assert!(about(verify(&honest, None), name).contains("no valid signature"));
+        fs::write(honest.join(name), kept).unwrap();
+    }
+}
+
+#[test]
+fn a_verdict_that_does_not_follow_from_the_rows_is_found_without_any_key() {
+    let run = run(40);
+    let folder = run.evidence("e", None);
+    let manifest = fs::read_to_string(folder.join("manifest.json")).unwrap();
+    fs::write(folder.join("manifest.json"), manifest.replace("\"verdict\": \"fail\"", "\"verdict\": \"pass\""))
+        .unwrap();
+    let said = about(verify(&folder, None), "manifest.json");
+    assert!(said.contains("it says pass, and the rows say fail"), "{said}");
+}
+
+#[test]
+fn an_expired_or_a_later_form_is_named() {
+    let run = run(0);
+    let folder = run.evidence("e", None);
+    let manifest = fs::read_to_string(folder.join("manifest.json")).unwrap();
+    for (format, wanted) in [("0", "has expired"), ("2", "upgrade robogate"), ("\"x\"", "no `format`")] {
+        let changed = manifest.replacen("\"format\": 1", &format!("\"format\": {format}"), 1);
+        fs::write(folder.join("manifest.json"), changed).unwrap();
+        assert!(about(verify(&folder, None), "manifest.json").contains(wanted));
+    }
+    let out = manifest.replacen("\"path\": \"plan.json\"", "\"path\": \"../plan.json\"", 1);
+    fs::write(folder.join("manifest.json"), out).unwrap();
+    assert!(about(verify(&folder, None), "manifest.json").contains("no place in the folder"));
+    assert!(about(verify(run.folder.path(), None), "manifest.json").contains("missing"));
+}
+
+#[test]
+fn the_same_run_and_key_give_the_same_bytes_and_the_key_is_in_none_of_them() {
+    let run = run(2);
+    let (a, b) = (files(&run.evidence("a", Some(&key()))), files(&run.evidence("b", Some(&key()))));
+    assert_eq!(a, b);
+    let pem_path = run.folder.path().join("k");
+    key().write_new(&pem_path).unwrap();
+    let pem = fs::read_to_string(&pem_path).unwrap();
+    let line = pem.lines().nth(1).unwrap().to_owned();
+    let hex: String = SEED.iter().map(|byte| format!("{byte:02x}")).collect();
+    for (name, bytes) in &a {
+        let text = String::from_utf8_lossy(bytes);
+        assert!(!text.contains(&line) && !text.contains(&hex), "{name}");
+        assert!(!bytes.windows(SEED.len()).any(|window| window == SEED), "{name}");
+    }
+    assert!(!format!("{:?}", key()).contains(&hex));
+    assert!(matches!(write(&run.folder.path().join("a"), &run.ingredients, None), Err(EvidenceError::Exists { .. })));
+}
+
+#[test]
+fn a_file_that_would_leave_the_folder_or_stand_there_twice_is_refused() {
+    let mut run = run(0);
+    let plan = run.folder.path().join("plan.json");
+    for (name, wanted) in [
+        ("../plan.json", "no name"),
+        ("/etc/plan.json", "no name"),
+        ("a//b", "no name"),
+        (".plan", "no name"),
+        ("plan.json", "two files"),
+        ("manifest.json", "two files"),
+        ("test-result.dsse.json", "two files"),
+    ] {
+        run.ingredients.others.push((Role::Attachment, name.to_owned(), plan.clone()));
+        let to = run.folder.path().join("e");
+        let error = write(&to, &run.ingredients, None).unwrap_err().to_string();
+        assert!(error.contains(wanted), "{name}: {error}");
+        assert!(!to.exists() && !run.folder.path().join(".e.part").exists());
+        run.ingredients.others.pop();
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn a_key_is_written_for_its_owner_alone_and_read_from_no_other() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("k.pem");
+    let public = key().write_new(&path).unwrap();
+    assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+    assert_eq!(PrivateKey::read(&path).unwrap().public(), PublicKey::read(&public).unwrap());
+    assert!(matches!(key().write_new(&path), Err(EvidenceError::Exists { .. })));
+    for mode in [0o644, 0o640, 0o604, 0o660] {
+        fs::set_permissions(&path, fs::Permissions::from_mode(mode)).unwrap();
+        let error = PrivateKey::read(&path).unwrap_err().to_string();
+        assert!(error.contains("chmod 600") && error.contains(&format!("{mode:03o}")), "{error}");
+    }
+    let error = PublicKey::read(&path).unwrap_err().to_string();
+    assert!(error.contains("it is a private key"), "{error}");
+    fs::set_permissions(&public, fs::Permissions::from_mode(0o600)).unwrap();
+    let error = PrivateKey::read(&public).unwrap_err().to_string();
+    assert!(error.contains("it is a public key"), "{error}");
+    fs::write(folder.path().join("x"), "nothing").unwrap();
+    fs::set_permissions(folder.path().join("x"), fs::Permissions::from_mode(0o600)).unwrap();
+    let error = PrivateKey::read(&folder.path().join("x")).unwrap_err().to_string();
+    assert!(error.contains("robogate keys new"), "{error}");
+    assert_ne!(PrivateKey::generate().unwrap().public(), PrivateKey::generate().unwrap().public());
+}
+
+#[test]
+fn the_published_vectors_of_dsse_hold() {
+    // The example of the protocol's text.
+    assert_eq!(
+        pre_authentication_encoding("http://example.com/HelloWorld", b"hello world"),
+        b"DSSEv1 29 http://example.com/HelloWorld 11 hello world"
+    );
+    // LEN counts bytes: two letters take three of them.
+    assert_eq!(pre_authentication_encoding("\u{e4}x", b""), "DSSEv1 3 \u{e4}x 0 ".as_bytes());
+    // The ed25519 vectors of the DSSE repository (testvectors/vectors.json), whose key is that of RFC 8032, test 1.
+    let seed = "9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60";
+    let bytes: Vec<u8> = (0..32).map(|i| u8::from_str_radix(&seed[2 * i..2 * i + 2], 16).unwrap()).collect();
+    let key = PrivateKey::from_seed(bytes.try_into().unwrap());
+    let statement = br#"{"_type":"https://in-toto.io/Statement/v1"}"#;
+    let kind = "application/vnd.in-toto+json";
+    let envelope = Envelope::sign(kind, statement, &key);
+    assert_eq!(envelope.payload, "eyJfdHlwZSI6Imh0dHBzOi8vaW4tdG90by5pby9TdGF0ZW1lbnQvdjEifQ==");
+    let signature = "2WAfaHm5jluo0w+0rk8uVkluELJYWjSmU9x7EUzx+AyteDGJ4/nqyJXfmAUVFIAoQafWm7AxBZNw5M9ixNHiCA==";
+    assert_eq!(envelope.signatures[0].sig, signature);
+    assert!(envelope.is_signed_by(&key.public()));
+    let from = |payload: &str, kind: &str, sig: &str| -> Envelope {
+        serde_json::from_value(serde_json::json!({
+            "payload": payload, "payloadType": kind, "signatures": [{ "sig": sig, "keyid": "A" }]
+        }))
+        .unwrap()
+    };
+    let url_safe = from(
+        "-_-_Pj8=",
+        kind,
+        "P-_KHICeR7tI6S_YyejJTRtrXhcQyQ2LYPaL8h90KjC9qN8HU_svOQ6TuDOT1HIrsGW886DbWNWcCmX5twLrAw==",
+    );
+    assert!(url_safe.is_signed_by(&key.public()));
+    assert!(!from(&envelope.payload, "application/vnd.example.other+json", signature).is_signed_by(&key.public()));
+    let umlaut = "xmSk/ug66ysT7ayhkCIjhAq42zgZXSsEWuzUaNL7w2eGAdF/NU6/fRXPtmfN+5DNSAs5/i2lUnHjbbjPsu0tAw==";
+    assert!(from(&envelope.payload, "application/vnd.ex\u{e4}mple+json", umlaut).is_signed_by(&key.public()));
+    let empty = "gSggCAaTLTYyRH6FIDBem6meyIynsYy8RTHVzwx9tnTb7Bg/1jMWnuVgI/gffqmbsC2VX5/jHfkkDqsj7CDbDg==";
+    assert!(from("", kind, empty).is_signed_by(&key.public()));
+    assert!(!from("", kind, signature).is_signed_by(&key.public()));
+}
+
+#[test]
+fn securesystemslib_and_cryptography_accept_keys_and_envelopes() {
+    let Some(python) = std::env::var_os("ROBOGATE_TEST_PYTHON") else {
+        println!("skipped: ROBOGATE_TEST_PYTHON names no Python with securesystemslib and cryptography");
+        return;
+    };
+    let run = run(1);
+    let private = run.folder.path().join("k.pem");
+    let key = PrivateKey::generate().unwrap();
+    let public = key.write_new(&private).unwrap();
+    let folder = run.evidence("e", Some(&key));
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/evidence.py");
+    let output = Command::new(python).arg(script).args([&private, &public, &folder]).output().unwrap();
+    let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{out}{err}");
+    assert!(out.starts_with("skipped") || out.contains(&key.public().id()), "{out}");
+    println!("{out}");
+}
