@@ -233,3 +233,18 @@ fn the_kind_of_a_failure_is_taken_from_its_flags_where_no_word_says_it() {
     let wanted = wanted.map(Outcome::Failure).into_iter().chain([Outcome::Success]);
     assert!(entries.iter().map(|entry| entry.episode.outcome.clone()).eq(wanted));
 }
+
+#[test]
+fn what_has_no_end_is_refused_before_it_fills_memory() {
+    let none = Mapping::default();
+    let long = |mib: usize| "a".repeat(mib << 20);
+    let error = refused("quote.csv", format!("success,x\n1,\"{}", long(2)), &none);
+    assert!(error.contains("1 MiB without a row") && error.contains("a quote that is opened"), "{error}");
+    let error = refused("line.jsonl", format!("{{\"success\": true, \"x\": \"{}\"}}\n", long(2)), &none);
+    assert!(error.contains("line 1 has more than"), "{error}");
+    let error =
+        refused("text.json", format!("{{\"per_episode\": [{{\"success\": true, \"x\": \"{}\"}}]}}", long(17)), &none);
+    assert!(error.contains("16 MiB without a row"), "{error}");
+    let error = refused("published.json", format!("{{\"experiments\": [{{\"x\": \"{}\"}}]}}", long(17)), &none);
+    assert!(error.contains("16 MiB without a row"), "{error}");
+}

@@ -232,7 +232,7 @@ fn check_facts(folder: &Path, manifest: &Manifest, problems: &mut Vec<Problem>) 
     }
     // What has no hash must not take part.
     let unnamed = |name: &&str| folder.join(name).exists() && manifest.files.iter().all(|file| file.path != **name);
-    if uses.iter().any(|name| unnamed(name)) {
+    if uses.iter().any(unnamed) {
         return None;
     }
     let evaluation = match facts::evaluate(folder, manifest.sampling, manifest.margin) {
