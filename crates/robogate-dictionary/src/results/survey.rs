@@ -159,7 +159,7 @@ impl<'a> Survey<'a> {
             tool: Tool::robogate(),
             schema_version: SCHEMA_VERSION,
             engine: Engine { name: word(&mapping.about.simulator, &["benchmark"]), version: None, build_sha256: None },
-            robot: Robot { name: word(&mapping.about.robot, &[]), sha256: None },
+            robot: Robot { name: word(&mapping.about.robot, &[]), sha256: None, dimensions: None },
             policy: word(&mapping.about.policy, &["model_server"]),
             world: serde_json::Value::Null,
             space: ParameterSpace::new("imported", parameters)?,

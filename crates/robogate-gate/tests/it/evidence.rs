@@ -31,7 +31,7 @@ fn rows(path: &Path, n: u64, failures: u64) {
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
         engine: Engine { name: "mujoco".into(), version: Some("3.17.0".into()), build_sha256: Some("ab".repeat(32)) },
-        robot: Robot { name: "franka".into(), sha256: Some("cd".repeat(32)) },
+        robot: Robot { name: "franka".into(), sha256: Some("cd".repeat(32)), dimensions: None },
         policy: "scripted".into(),
         world: serde_json::Value::Null,
         space,
