@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
 
 /// For each crate of the workspace, what it may use of the others. `None`: everything.
-const MAY_USE: [(&str, Option<&[&str]>); 9] = [
+const MAY_USE: [(&str, Option<&[&str]>); 10] = [
     ("robogate-core", Some(&[])),
     ("robogate-sim", Some(&["robogate-core", "mujoco-provision"])),
     ("robogate-dictionary", Some(&["robogate-core"])),
@@ -12,6 +12,7 @@ const MAY_USE: [(&str, Option<&[&str]>); 9] = [
     ("robogate-campaign", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     ("robogate-gate", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     ("robogate-report", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
+    ("robogate-monitor", Some(&["robogate-core", "robogate-stats"])),
     ("mujoco-provision", Some(&[])),
     ("robogate", None),
 ];

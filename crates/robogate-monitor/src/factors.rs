@@ -1,0 +1,199 @@
+//! The factors of each metric's detector, and what each assumes.
+//!
+//! All take the baseline as the bound on the safe side that its evidence allows, never as a point. Each keeps its promise
+//! for every truth inside the bound; the chance that the bound itself is wrong is the one that the settings name.
+
+use crate::detector::Factors;
+
+/// By how much the odds of an event grow, and the weight of each alternative.
+///
+/// From 1.4 (a failure rate of 5 % becomes 6.9 %) to 30 (a drop in a thousand becomes three in a hundred).
+const ODDS: [(f64, f64); 8] =
+    [(1.4, 0.18), (1.8, 0.18), (2.3, 0.18), (3.0, 0.18), (4.0, 0.13), (6.0, 0.08), (12.0, 0.04), (30.0, 0.03)];
+
+/// Shares of the largest bet that keeps a factor from becoming negative.
+const BETS: [f64; 6] = [0.08, 0.16, 0.3, 0.45, 0.65, 0.9];
+
+/// Factors for an event (a failure, a drop, a collision) whose probability is at most `bound` before the change. Symbols: 0 it did
+/// not happen, 1 it did.
+///
+/// The factor is the likelihood ratio of q > bound against the bound. It grows with the event, so its expectation is at most 1 for
+/// every probability up to the bound. Assumed: given the past, the event has at most this probability.
+/// `None` where the bound leaves no room (0 or below, 1 or above, not a number).
+pub fn event(bound: f64) -> Option<Factors> {
+    Factors::new(&odds(bound)?.map(|(weight, no, yes)| (weight, vec![no, yes])))
+}
+
+/// Factors for shares of kinds (failure modes): each is at most its `bounds` before the change. Symbols: the kind's number.
+///
+/// For each kind the alternatives of [`event`]: if the mix changes, some share grows. Kinds whose bound leaves no room have no
+/// alternatives; `None` where no kind has one.
+pub fn shares(bounds: &[f64]) -> Option<Factors> {
+    let one = |(kind, bound): (usize, &f64)| {
+        let table = |(weight, no, yes): (f64, f64, f64)| {
+            let mut factors = vec![no; bounds.len()];
+            if let Some(factor) = factors.get_mut(kind) {
+                *factor = yes;
+            }
+            (weight, factors)
+        };
+        odds(*bound).into_iter().flatten().map(table).collect::<Vec<_>>()
+    };
+    Factors::new(&bounds.iter().enumerate().flat_map(one).collect::<Vec<_>>())
+}
+
+/// (weight, factor without the event, factor with it) for each alternative.
+fn odds(bound: f64) -> Option<[(f64, f64, f64); 8]> {
+    (bound > 0.0 && bound < 1.0).then(|| {
+        ODDS.map(|(times, weight)| {
+            // q has odds `times` those of the bound.
+            let q = times * bound / (1.0 - bound + times * bound);
+            (weight, (1.0 - q) / (1.0 - bound), q / bound)
+        })
+    })
+}
+
+/// Factors for a score between 0 and 1 whose mean is at most `bound` before the change: 1 + λ (score - bound), a bet.
+///
+/// `scores` holds the score of each symbol. Nothing is assumed of the distribution but the mean, given the past.
+fn bets(scores: &[f64], bound: f64) -> Vec<(f64, Vec<f64>)> {
+    if bound.is_nan() || bound <= 0.0 || bound >= 0.98 {
+        return Vec::new();
+    }
+    let bet = |share: f64| (1.0, scores.iter().map(|score| 1.0 + share / bound * (score - bound)).collect());
+    BETS.map(bet).to_vec()
+}
+
+/// A distribution of cycle times, as counts in bins, and how far the truth may be from it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Binned {
+    /// Inner edges, increasing: bin 0 lies below the first, the last bin from the last edge on.
+    pub edges: Vec<f64>,
+    /// Share of the baseline in each bin.
+    pub shares: Vec<f64>,
+    /// How many cycles the baseline holds.
+    pub n: usize,
+}
+
+impl Binned {
+    /// Bins of about equal count. `None` where there are fewer than 20 values or all are equal.
+    ///
+    /// Values are finite.
+    pub fn of(values: &[f64], bins: usize) -> Option<Self> {
+        if values.len() < 20 {
+            return None;
+        }
+        let mut sorted = values.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let mut edges: Vec<f64> = (1..bins).filter_map(|i| sorted.get(i * sorted.len() / bins).copied()).collect();
+        edges.dedup();
+        edges.retain(|edge| Some(edge) != sorted.first());
+        if edges.is_empty() {
+            return None;
+        }
+        let mut counts = vec![0.0; edges.len() + 1];
+        for value in &sorted {
+            if let Some(count) = counts.get_mut(edges.partition_point(|edge| edge <= value)) {
+                *count += 1.0;
+            }
+        }
+        let n = sorted.len();
+        Some(Self { edges, shares: counts.iter().map(|c: &f64| c / n as f64).collect(), n })
+    }
+
+    /// The bin of a value.
+    pub fn bin(&self, value: f64) -> u8 {
+        // At most a few dozen bins.
+        u8::try_from(self.edges.partition_point(|edge| *edge <= value)).unwrap_or(u8::MAX)
+    }
+
+    /// The middle rank of each bin, in 0..1.
+    fn ranks(&self) -> Vec<f64> {
+        let mut below = 0.0;
+        let rank = |share: &f64| {
+            let rank: f64 = below + 0.5 * share;
+            below += share;
+            rank
+        };
+        self.shares.iter().map(rank).collect()
+    }
+
+    fn mean(&self, scores: &[f64]) -> f64 {
+        self.shares.iter().zip(scores).map(|(share, score)| share * score).sum()
+    }
+
+    /// Factors for a shift of the location, slower or faster. Symbols: the bin. The first half of the alternatives are slower.
+    ///
+    /// The score is the rank in the baseline, and its mean is bounded by the baseline's own plus ε = √(ln(2/α) / 2n): the
+    /// Dvoretzky-Kiefer-Wolfowitz inequality bounds every half-line at once, hence every monotone score. No shape is assumed.
+    pub fn location(&self, alpha: f64) -> Option<Factors> {
+        let margin = ((2.0 / alpha).ln() / (2.0 * self.n as f64)).sqrt();
+        let up = self.ranks();
+        let down: Vec<f64> = up.iter().map(|rank| 1.0 - rank).collect();
+        let mut all = bets(&up, self.mean(&up) + margin);
+        all.extend(bets(&down, self.mean(&down) + margin));
+        Factors::new(&all)
+    }
+
+    /// Factors for a wider spread. Symbols: the bin.
+    ///
+    /// The score is the distance of the rank from the middle, |2u - 1|. Its upper sets are two half-lines, so that the margin is
+    /// twice that of Dvoretzky, Kiefer and Wolfowitz. It also grows when the location moves far. `None` where the baseline is too small to bound it below 1.
+    pub fn spread(&self, alpha: f64) -> Option<Factors> {
+        let margin = 2.0 * ((2.0 / alpha).ln() / (2.0 * self.n as f64)).sqrt();
+        let scores: Vec<f64> = self.ranks().iter().map(|rank| (2.0 * rank - 1.0).abs()).collect();
+        Factors::new(&bets(&scores, self.mean(&scores) + margin))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_alternative_expects_to_gain_where_nothing_changed() {
+        for bound in [0.001, 0.05, 0.3, 0.9] {
+            let factors = event(bound).unwrap();
+            for truth in [0.0, 0.2 * bound, bound] {
+                assert!(factors.largest_expectation(&[1.0 - truth, truth]) <= 1.0 + 1e-12, "{bound} {truth}");
+            }
+            assert!(factors.largest_expectation(&[1.0 - 1.1 * bound, 1.1 * bound]) > 1.0);
+        }
+        let factors = shares(&[0.5, 0.4, 0.3, 0.1, 0.05]).unwrap();
+        assert!(factors.largest_expectation(&[0.5, 0.2, 0.2, 0.05, 0.05]) <= 1.0 + 1e-12);
+        assert!(factors.largest_expectation(&[0.5, 0.1, 0.1, 0.1, 0.2]) > 1.0);
+    }
+
+    #[test]
+    fn a_bound_that_leaves_no_room_gives_no_detector() {
+        for bound in [0.0, 1.0, -0.1, 2.0, f64::NAN] {
+            assert_eq!(event(bound), None);
+        }
+        assert_eq!(shares(&[1.0, 1.0]), None);
+        assert!(shares(&[1.0, 0.5]).is_some());
+    }
+
+    #[test]
+    fn cycle_times_of_the_baseline_are_no_evidence_and_slower_ones_are() {
+        let times: Vec<f64> = (0..1000).map(|i| 4.0 + f64::from(i % 97) / 97.0).collect();
+        let binned = Binned::of(&times, 20).unwrap();
+        assert!((binned.shares.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+        let location = binned.location(0.01).unwrap();
+        let spread = binned.spread(0.01).unwrap();
+        assert!(location.largest_expectation(&binned.shares) <= 1.0);
+        assert!(spread.largest_expectation(&binned.shares) <= 1.0);
+        let mut slow = vec![0.0; binned.shares.len()];
+        slow[binned.bin(10.0) as usize] = 1.0;
+        assert!(location.largest_expectation(&slow) > 1.5);
+        let mut wide = vec![0.0; binned.shares.len()];
+        (wide[0], wide[binned.shares.len() - 1]) = (0.5, 0.5);
+        assert!(spread.largest_expectation(&wide) > 1.3);
+        assert!(location.largest_expectation(&wide) <= 1.0, "a wider spread is no shift");
+    }
+
+    #[test]
+    fn cycle_times_that_never_vary_or_are_few_have_no_bins() {
+        assert_eq!(Binned::of(&[4.0; 100], 20), None);
+        assert_eq!(Binned::of(&[1.0, 2.0, 3.0], 20), None);
+    }
+}

@@ -1,0 +1,100 @@
+//! The last cycles of a recipe, as symbols: what is needed to say since when.
+
+use serde::{Deserialize, Serialize};
+
+use crate::alarm::Metric;
+use crate::cycle::Cycle;
+
+/// A symbol that was not reported.
+pub(crate) const ABSENT: u8 = u8::MAX;
+
+/// One cycle as the detectors see it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Symbols {
+    /// Sender's time, in seconds.
+    pub(crate) time_s: f64,
+    /// Cycle time of a successful cycle, in seconds; below 0 where there is none.
+    pub(crate) cycle_time_s: f32,
+    /// Failed, drop, collision, bin of the cycle time, failure mode.
+    pub(crate) codes: [u8; 5],
+}
+
+impl Symbols {
+    /// A cycle's symbols. `bin` puts a cycle time into its bin, where the bins are known.
+    pub(crate) fn of(cycle: &Cycle, bin: impl Fn(f64) -> u8) -> Self {
+        let flag = |flag: Option<bool>| flag.map_or(ABSENT, u8::from);
+        let cycle_time = cycle.cycle_time_s.filter(|_| cycle.success);
+        Self {
+            time_s: cycle.time_s,
+            cycle_time_s: cycle_time.map_or(-1.0, |t| t as f32),
+            codes: [
+                u8::from(!cycle.success),
+                flag(cycle.drop),
+                flag(cycle.collision),
+                cycle_time.map_or(ABSENT, bin),
+                cycle.mode().unwrap_or(ABSENT),
+            ],
+        }
+    }
+
+    /// The symbol that a metric's detector reads; `None` where it was not reported.
+    pub(crate) fn code(&self, metric: Metric) -> Option<u8> {
+        let [failed, drop, collision, bin, mode] = self.codes;
+        let code = match metric {
+            Metric::Success => failed,
+            Metric::Drop => drop,
+            Metric::Collision => collision,
+            Metric::CycleTime | Metric::CycleTimeSpread => bin,
+            Metric::FailureModes => mode,
+        };
+        (code != ABSENT).then_some(code)
+    }
+}
+
+/// The last cycles, in a ring that never grows.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct History {
+    capacity: usize,
+    next: usize,
+    ring: Vec<Symbols>,
+}
+
+impl History {
+    /// Room for this many cycles, taken at once.
+    pub(crate) fn new(capacity: usize) -> Self {
+        Self { capacity: capacity.max(1), next: 0, ring: Vec::with_capacity(capacity.max(1)) }
+    }
+
+    /// Adds a cycle; the oldest gives way.
+    pub(crate) fn push(&mut self, symbols: Symbols) {
+        if self.ring.len() < self.capacity {
+            self.ring.push(symbols);
+        } else if let Some(oldest) = self.ring.get_mut(self.next) {
+            *oldest = symbols;
+        }
+        self.next = (self.next + 1) % self.capacity;
+    }
+
+    /// The cycles, newest first.
+    pub(crate) fn newest_first(&self) -> impl Iterator<Item = &Symbols> {
+        let (newer, older) = self.ring.split_at(self.next.min(self.ring.len()));
+        newer.iter().rev().chain(older.iter().rev())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ring_keeps_the_newest_in_order() {
+        let mut history = History::new(3);
+        let at = |time_s| Symbols { time_s, cycle_time_s: -1.0, codes: [0; 5] };
+        for i in 0..8 {
+            history.push(at(f64::from(i)));
+            let times: Vec<f64> = history.newest_first().map(|s| s.time_s).collect();
+            let expected: Vec<f64> = (0..=i).rev().take(3).map(f64::from).collect();
+            assert_eq!(times, expected);
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! What a recipe's first cycles teach, where its baseline says nothing.
+
+use serde::{Deserialize, Serialize};
+
+use crate::alarm::Metric;
+use crate::baseline::{Baseline, Count};
+use crate::cycle::MODES;
+use crate::history::Symbols;
+use crate::settings::Settings;
+
+/// Counts on their way to a baseline.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(crate) struct Learning {
+    successes: Tally,
+    drops: Tally,
+    collisions: Tally,
+    modes: [u64; MODES.len()],
+    cycle_times_s: Vec<f64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+struct Tally {
+    count: u64,
+    of: u64,
+}
+
+impl Tally {
+    fn add(&mut self, happened: bool, enough: u64) -> Option<Count> {
+        self.count += u64::from(happened);
+        self.of += 1;
+        (self.of >= enough).then_some(Count { count: self.count, of: self.of })
+    }
+}
+
+impl Learning {
+    /// Takes in one cycle. Calls `learnt` for each metric whose part of the baseline is now complete.
+    pub(crate) fn update(
+        &mut self,
+        symbols: &Symbols,
+        baseline: &mut Baseline,
+        settings: &Settings,
+        mut learnt: impl FnMut(Metric),
+    ) {
+        let enough = u64::from(settings.learn_cycles);
+        let [failed, drop, collision, _, mode] = symbols.codes;
+        for (slot, tally, happened, metric) in [
+            (&mut baseline.success, &mut self.successes, Some(failed == 0), Metric::Success),
+            (&mut baseline.drop, &mut self.drops, reported(drop), Metric::Drop),
+            (&mut baseline.collision, &mut self.collisions, reported(collision), Metric::Collision),
+        ] {
+            if let (None, Some(happened)) = (*slot, happened) {
+                *slot = tally.add(happened, enough);
+                if slot.is_some() {
+                    learnt(metric);
+                }
+            }
+        }
+        if baseline.failure_modes.is_none()
+            && let Some(count) = self.modes.get_mut(usize::from(mode))
+        {
+            *count += 1;
+            if self.modes.iter().sum::<u64>() >= u64::from(settings.learn_failures) {
+                baseline.failure_modes = Some(self.modes);
+                learnt(Metric::FailureModes);
+            }
+        }
+        if baseline.cycle_times_s.is_none() && symbols.cycle_time_s >= 0.0 {
+            self.cycle_times_s.reserve(if self.cycle_times_s.is_empty() { settings.learn_cycles as usize } else { 0 });
+            self.cycle_times_s.push(f64::from(symbols.cycle_time_s));
+            if self.cycle_times_s.len() as u64 >= enough {
+                baseline.cycle_times_s = Some(std::mem::take(&mut self.cycle_times_s));
+                learnt(Metric::CycleTime);
+                learnt(Metric::CycleTimeSpread);
+            }
+        }
+    }
+}
+
+fn reported(code: u8) -> Option<bool> {
+    (code <= 1).then_some(code == 1)
+}

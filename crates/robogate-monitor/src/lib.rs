@@ -1,0 +1,64 @@
+//! After deployment: whether a robot still does what the gate saw, with alarms whose false-alarm rate is promised.
+//!
+//! Cycles go in one by one; an [`Alarm`] comes out where something changed. Beside the paper's moving window ([`paper`]) each
+//! metric of each recipe has a mixture Shiryaev-Roberts e-detector ([`detector`]), whose mean number of cycles until a false
+//! alarm is at least what was asked for, over all metrics and recipes together.
+//!
+//! The library has no clock, file, socket or thread and allocates nothing per cycle, so that it runs on the robot itself:
+//!
+//! ```
+//! use robogate_monitor::{Baseline, Count, Cycle, Monitor, Settings};
+//!
+//! let normal = Baseline { success: Some(Count { count: 9_500, of: 10_000 }), ..Baseline::default() };
+//! let mut monitor = Monitor::new(Settings { baseline: normal, ..Settings::default() })?;
+//! let mut cycle = Cycle {
+//!     id: String::new(),
+//!     robot: "cell-1".to_owned(),
+//!     recipe: "bracket".to_owned(),
+//!     time_s: 0.0,
+//!     success: true,
+//!     failure_mode: None,
+//!     drop: None,
+//!     collision: None,
+//!     cycle_time_s: None,
+//!     parameters: Default::default(),
+//! };
+//! for i in 0..1_000 {
+//!     cycle.time_s += 4.0;
+//!     cycle.success = i < 500 || i % 4 != 0; // one in four fails from cycle 501 on
+//!     monitor.observe(&cycle, &mut |alarm| println!("{}: {}", alarm.level.word(), alarm.what))?;
+//! }
+//! assert!(monitor.recipe("bracket").is_some_and(|recipe| recipe.level().is_some()));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! | question | module |
+//! |---|---|
+//! | what does a robot report? | [`Cycle`] |
+//! | what is normal? | [`Baseline`] |
+//! | did something change, and since when? | [`detector`], with the [`factors`] of each metric |
+//! | what does the paper's rule say? | [`paper`] |
+//! | does one robot stand out? | [`fleet`] |
+//! | how often would it cry wolf, how late would it see? | [`simulate`] |
+
+mod alarm;
+mod baseline;
+mod cycle;
+pub mod detector;
+pub mod factors;
+pub mod fleet;
+mod history;
+mod learning;
+mod monitor;
+pub mod paper;
+mod recipe;
+mod settings;
+pub mod simulate;
+mod words;
+
+pub use alarm::{Alarm, Happening, Level, Metric, Rule, Since};
+pub use baseline::{Baseline, BaselineError, Count};
+pub use cycle::{Cycle, CycleError, LONGEST_NAME, MODES, MOST_PARAMETERS, ParameterValue};
+pub use monitor::{Monitor, TooManyRecipes};
+pub use recipe::{DetectorView, Recipe, RecipeState, RobotTally, Standing};
+pub use settings::{Settings, SettingsError, Shares};

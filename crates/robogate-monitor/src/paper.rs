@@ -1,0 +1,119 @@
+//! The rule of the paper, section 9.5: the success rate of the last 100 cycles of a recipe, a WARNING at a decline of 5 %
+//! and a CRITICAL at 10 %.
+//!
+//! The paper does not say whether the decline is absolute (0.95 to 0.90) or relative (0.95 to 0.9025), nor what it is measured
+//! from. Here it is measured from the baseline's observed rate, [`Decline`] names which, and a decline of exactly the
+//! threshold counts. The limits are turned into whole numbers of failures once, so that no rounding decides an alarm.
+//!
+//! Limit: at a true rate of 0.95 the absolute rule warns about every 1,150 cycles. It promises nothing; the detectors beside
+//! it do. Before the window is full it says nothing.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::alarm::Level;
+
+/// How a decline is counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Decline {
+    /// In points: 0.95 - 0.90 is a decline of 0.05.
+    #[default]
+    Absolute,
+    /// In shares of the baseline: 1 - 0.9025 / 0.95 is a decline of 0.05.
+    Relative,
+}
+
+/// The settings of the rule.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct PaperRule {
+    /// Cycles of the moving window.
+    pub window: u32,
+    /// Decline at which it warns.
+    pub warning: f64,
+    /// Decline at which it is critical.
+    pub critical: f64,
+    /// How the decline is counted.
+    pub decline: Decline,
+}
+
+impl Default for PaperRule {
+    fn default() -> Self {
+        Self { window: 100, warning: 0.05, critical: 0.10, decline: Decline::Absolute }
+    }
+}
+
+impl PaperRule {
+    /// The fewest failures in a full window that reach `decline` from `baseline`; more than the window where none do.
+    pub fn failures_at(&self, baseline: f64, decline: f64) -> u32 {
+        let lost = match self.decline {
+            Decline::Absolute => decline,
+            Decline::Relative => decline * baseline,
+        };
+        // failures / window ≥ 1 - baseline + lost; the slack is far below one failure and far above rounding.
+        let failures = f64::from(self.window) * (1.0 - baseline + lost) - 1e-6;
+        failures.ceil().clamp(0.0, f64::from(self.window) + 1.0) as u32
+    }
+}
+
+/// The moving window of one recipe.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PaperWindow {
+    failed: Vec<bool>,
+    next: usize,
+    full: bool,
+    failures: u32,
+    warning_at: u32,
+    critical_at: u32,
+}
+
+impl PaperWindow {
+    /// An empty window; `baseline` is the success rate that a decline is measured from.
+    pub fn new(rule: &PaperRule, baseline: f64) -> Self {
+        Self {
+            failed: vec![false; rule.window.max(1) as usize],
+            next: 0,
+            full: false,
+            failures: 0,
+            warning_at: rule.failures_at(baseline, rule.warning),
+            critical_at: rule.failures_at(baseline, rule.critical),
+        }
+    }
+
+    /// Takes in one cycle and says where the rule stands.
+    pub fn update(&mut self, success: bool) -> Option<Level> {
+        if let Some(oldest) = self.failed.get_mut(self.next) {
+            self.failures -= u32::from(self.full && *oldest);
+            *oldest = !success;
+            self.failures += u32::from(!success);
+        }
+        self.next += 1;
+        if self.next == self.failed.len() {
+            self.next = 0;
+            self.full = true;
+        }
+        self.level()
+    }
+
+    /// Where the rule stands; `None` below a warning or before the window is full.
+    pub fn level(&self) -> Option<Level> {
+        match self.failures {
+            _ if !self.full => None,
+            f if f >= self.critical_at => Some(Level::Critical),
+            f if f >= self.warning_at => Some(Level::Warning),
+            _ => None,
+        }
+    }
+
+    /// (successes, cycles) in the window.
+    pub fn counts(&self) -> (u64, u64) {
+        let n = if self.full { self.failed.len() } else { self.next } as u64;
+        (n - u64::from(self.failures), n)
+    }
+
+    /// Failures in a full window at which it warns, and at which it is critical.
+    pub fn limits(&self) -> (u32, u32) {
+        (self.warning_at, self.critical_at)
+    }
+}

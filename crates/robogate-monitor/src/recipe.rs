@@ -1,0 +1,295 @@
+//! One recipe: the paper's window, a detector for each metric, and what they have said.
+
+use std::collections::BTreeMap;
+
+use robogate_stats::Trials;
+use serde::{Deserialize, Serialize};
+
+use crate::alarm::{Alarm, Happening, Level, Metric, Rule};
+use crate::baseline::Baseline;
+use crate::cycle::Cycle;
+use crate::detector::{Evidence, Factors};
+use crate::factors::Binned;
+use crate::history::{History, Symbols};
+use crate::learning::Learning;
+use crate::paper::PaperWindow;
+use crate::settings::Settings;
+use crate::words;
+
+/// One recipe, as it stands.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recipe {
+    pub(crate) factors: [Option<Factors>; Metric::ALL.len()],
+    pub(crate) binned: Option<Binned>,
+    pub(crate) state: RecipeState,
+}
+
+/// All that a recipe must remember: the same state and the same cycles give the same alarms, bit for bit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RecipeState {
+    pub(crate) baseline: Baseline,
+    pub(crate) learning: Learning,
+    pub(crate) evidence: [Option<[Evidence; 2]>; Metric::ALL.len()],
+    /// The cycle after which each detector began.
+    pub(crate) began: [u64; Metric::ALL.len()],
+    pub(crate) standing: [[Option<Standing>; 2]; Metric::ALL.len()],
+    pub(crate) paper: Option<PaperWindow>,
+    pub(crate) paper_said: Option<Level>,
+    pub(crate) cycles: u64,
+    pub(crate) successes: u64,
+    pub(crate) raised: u64,
+    pub(crate) history: History,
+    pub(crate) robots: BTreeMap<String, RobotTally>,
+}
+
+/// An alarm that stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Standing {
+    /// The recipe's cycle at which it was raised.
+    pub raised: u64,
+    /// The last cycle at which the evidence reached its limit again.
+    pub last: u64,
+    /// How often it did, the first time included.
+    pub times: u64,
+}
+
+/// What one robot did in one recipe.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct RobotTally {
+    /// Successful cycles.
+    pub successes: u64,
+    /// All cycles.
+    pub cycles: u64,
+}
+
+/// Where one detector stands.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DetectorView {
+    /// What it watches.
+    pub metric: Metric,
+    /// Evidence and limit for a warning and a critical alarm; why there are none otherwise.
+    pub levels: Result<[(f64, f64); 2], &'static str>,
+    /// What stands, for each level.
+    pub standing: [Option<Standing>; 2],
+}
+
+impl Recipe {
+    /// A recipe that nothing was heard of.
+    pub fn new(baseline: Baseline, settings: &Settings) -> Self {
+        let state = RecipeState {
+            baseline,
+            learning: Learning::default(),
+            evidence: Default::default(),
+            began: Default::default(),
+            standing: Default::default(),
+            paper: None,
+            paper_said: None,
+            cycles: 0,
+            successes: 0,
+            raised: 0,
+            history: History::new(settings.history_cycles as usize),
+            robots: BTreeMap::new(),
+        };
+        Self::restore(state, settings)
+    }
+
+    /// A recipe from what it remembered. Evidence that does not fit the settings starts again from nothing.
+    pub fn restore(state: RecipeState, settings: &Settings) -> Self {
+        let mut recipe = Self { factors: Default::default(), binned: None, state };
+        for metric in Metric::ALL {
+            recipe.begin(metric, settings);
+        }
+        if recipe.state.paper.is_none() {
+            recipe.state.paper =
+                recipe.state.baseline.success_rate().map(|rate| PaperWindow::new(&settings.paper, rate));
+        }
+        recipe
+    }
+
+    /// All that it must remember.
+    pub fn state(&self) -> &RecipeState {
+        &self.state
+    }
+
+    /// Builds a metric's detector, where the baseline allows one.
+    fn begin(&mut self, metric: Metric, settings: &Settings) {
+        let i = metric as usize;
+        if metric == Metric::CycleTime {
+            self.binned = self.state.baseline.binned();
+        }
+        let factors = self.state.baseline.factors(metric, settings.alpha()).ok();
+        let kept = self.state.evidence[i].take().zip(factors.as_ref());
+        self.state.evidence[i] = match kept {
+            Some((evidence, factors)) if evidence.iter().all(|e| e.fits(factors)) => Some(evidence),
+            _ => factors.as_ref().map(|factors| {
+                self.state.began[i] = self.state.cycles;
+                [Evidence::none(factors), Evidence::none(factors)]
+            }),
+        };
+        self.factors[i] = factors;
+    }
+
+    /// Takes in one cycle; what happens to alarms is handed to `said`.
+    ///
+    /// Allocates nothing but at an alarm, for a robot never heard before, and where learning ends.
+    pub fn observe(&mut self, cycle: &Cycle, settings: &Settings, said: &mut dyn FnMut(Alarm)) {
+        let binned = self.binned.as_ref();
+        let symbols = Symbols::of(cycle, |t| binned.map_or(crate::history::ABSENT, |b| b.bin(t)));
+        self.state.cycles += 1;
+        self.state.successes += u64::from(cycle.success);
+        self.count_robot(cycle, settings);
+        self.state.history.push(symbols);
+        self.hear_paper(cycle, settings, said);
+        for metric in Metric::ALL {
+            if let Some(code) = symbols.code(metric) {
+                self.hear(metric, code, cycle, settings, said);
+            }
+        }
+        self.learn(&symbols, settings);
+    }
+
+    fn count_robot(&mut self, cycle: &Cycle, settings: &Settings) {
+        let robots = &mut self.state.robots;
+        if !robots.contains_key(cycle.robot.as_str()) && robots.len() < settings.most_robots as usize {
+            robots.insert(cycle.robot.clone(), RobotTally::default());
+        }
+        if let Some(tally) = robots.get_mut(cycle.robot.as_str()) {
+            tally.cycles += 1;
+            tally.successes += u64::from(cycle.success);
+        }
+    }
+
+    fn hear_paper(&mut self, cycle: &Cycle, settings: &Settings, said: &mut dyn FnMut(Alarm)) {
+        let Some(window) = &mut self.state.paper else { return };
+        let level = window.update(cycle.success);
+        let before = std::mem::replace(&mut self.state.paper_said, level);
+        let (happening, of) = match (before, level) {
+            (before, Some(now)) if before < Some(now) => (Happening::Raised, now),
+            (Some(was), now) if now < Some(was) => (Happening::Cleared, was),
+            _ => return,
+        };
+        self.state.raised += u64::from(happening == Happening::Raised);
+        said(words::paper(self, cycle, settings, happening, of));
+    }
+
+    fn hear(&mut self, metric: Metric, code: u8, cycle: &Cycle, settings: &Settings, said: &mut dyn FnMut(Alarm)) {
+        let i = metric as usize;
+        for level in Level::ALL {
+            let (Some(factors), Some(evidence)) = (&self.factors[i], &mut self.state.evidence[i]) else { return };
+            let evidence = &mut evidence[level as usize];
+            let now = self.state.cycles;
+            let standing = &mut self.state.standing[i][level as usize];
+            if evidence.update(factors, code) >= settings.limit(metric, level) {
+                evidence.restart();
+                match standing {
+                    Some(standing) => {
+                        standing.last = now;
+                        standing.times += 1;
+                    }
+                    None => {
+                        *standing = Some(Standing { raised: now, last: now, times: 1 });
+                        self.state.raised += 1;
+                        said(words::raised(self, metric, level, cycle, settings));
+                    }
+                }
+            } else if let Some(stood) = *standing
+                && now - stood.last >= settings.clear_after_cycles
+            {
+                *standing = None;
+                said(words::cleared(self, metric, level, cycle, settings, stood));
+            }
+        }
+    }
+
+    fn learn(&mut self, symbols: &Symbols, settings: &Settings) {
+        let mut learnt = [false; Metric::ALL.len()];
+        let state = &mut self.state;
+        state.learning.update(symbols, &mut state.baseline, settings, |metric| learnt[metric as usize] = true);
+        for metric in Metric::ALL.into_iter().filter(|metric| learnt[*metric as usize]) {
+            self.begin(metric, settings);
+            if metric == Metric::Success {
+                let rate = self.state.baseline.success_rate();
+                self.state.paper = rate.map(|rate| PaperWindow::new(&settings.paper, rate));
+            }
+        }
+    }
+
+    /// Forgets the evidence and the standing alarms, after the cause was mended. The baseline stays.
+    pub fn restart(&mut self) {
+        self.state.evidence.iter_mut().flatten().flatten().for_each(Evidence::restart);
+        self.state.standing = Default::default();
+        self.state.began = [self.state.cycles; Metric::ALL.len()];
+    }
+
+    /// What is normal for it, learnt parts included.
+    pub fn baseline(&self) -> &Baseline {
+        &self.state.baseline
+    }
+
+    /// All successes and cycles.
+    pub fn trials(&self) -> Trials {
+        Trials::new(self.state.successes, self.state.cycles).unwrap_or(Trials::NONE)
+    }
+
+    /// Successes and cycles in the paper's window; nothing while its baseline is being learnt.
+    pub fn window(&self) -> Trials {
+        let (successes, n) = self.state.paper.as_ref().map_or((0, 0), PaperWindow::counts);
+        Trials::new(successes, n).unwrap_or(Trials::NONE)
+    }
+
+    /// Where the paper's rule stands.
+    pub fn paper_level(&self) -> Option<Level> {
+        self.state.paper_said
+    }
+
+    /// Alarms raised so far.
+    pub fn raised(&self) -> u64 {
+        self.state.raised
+    }
+
+    /// What each robot did in it, by name.
+    pub fn robots(&self) -> impl Iterator<Item = (&str, RobotTally)> {
+        self.state.robots.iter().map(|(name, tally)| (name.as_str(), *tally))
+    }
+
+    /// Where each detector stands.
+    pub fn detectors(&self, settings: &Settings) -> [DetectorView; Metric::ALL.len()] {
+        Metric::ALL.map(|metric| {
+            let i = metric as usize;
+            let levels = match (&self.factors[i], &self.state.evidence[i]) {
+                (Some(factors), Some(evidence)) => {
+                    Ok(Level::ALL.map(|level| (evidence[level as usize].value(factors), settings.limit(metric, level))))
+                }
+                _ => Err(self.state.baseline.factors(metric, settings.alpha()).err().unwrap_or("it has not begun")),
+            };
+            DetectorView { metric, levels, standing: self.state.standing[i] }
+        })
+    }
+
+    /// The gravest level that stands, of any rule.
+    pub fn level(&self) -> Option<Level> {
+        let stands = |level: Level| self.state.standing.iter().any(|both| both[level as usize].is_some());
+        let detectors = Level::ALL.into_iter().rev().find(|level| stands(*level));
+        detectors.max(self.state.paper_said)
+    }
+}
+
+/// The id of a happening.
+pub(crate) fn happening_id(
+    recipe: &Recipe,
+    cycle: &Cycle,
+    rule: Rule,
+    metric: Metric,
+    level: Level,
+    h: Happening,
+) -> String {
+    let rule = match rule {
+        Rule::Paper => "paper",
+        Rule::Detector => "detector",
+    };
+    let happening = match h {
+        Happening::Raised => "raised",
+        Happening::Cleared => "cleared",
+    };
+    format!("{}/{}/{rule}/{}/{}/{happening}", cycle.recipe, recipe.state.cycles, metric.word(), level.word())
+}

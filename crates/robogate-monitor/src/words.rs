@@ -1,0 +1,263 @@
+//! An alarm in words: what changed, since when, how sure, and what to look at.
+
+use robogate_stats::{Confidence, Trials, wilson};
+
+use crate::alarm::{Alarm, Happening, Level, Metric, Rule, Since};
+use crate::cycle::{Cycle, MODES};
+use crate::detector::{ChangePoint, change_point};
+use crate::fleet::outliers;
+use crate::history::Symbols;
+use crate::recipe::{Recipe, Standing, happening_id};
+use crate::settings::Settings;
+
+/// A share as a percentage with one decimal.
+fn percent(share: f64) -> String {
+    format!("{:.1} %", 100.0 * share)
+}
+
+/// A whole number with its thousands apart.
+fn grouped(number: f64) -> String {
+    let digits = format!("{number:.0}");
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i) % 3 == 0 {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+fn rate(trials: Trials) -> String {
+    let interval = wilson(trials, Confidence::P95);
+    let observed = trials.rate().map_or_else(|| "-".to_owned(), percent);
+    format!("{observed} ({} to {})", percent(interval.low), percent(interval.high))
+}
+
+#[expect(clippy::too_many_arguments, reason = "every field of an alarm that differs, named once")]
+fn alarm(
+    recipe: &Recipe,
+    cycle: &Cycle,
+    happening: Happening,
+    level: Level,
+    rule: Rule,
+    metric: Metric,
+    what: String,
+    how_sure: String,
+    since: Option<Since>,
+    look_at: Vec<String>,
+) -> Alarm {
+    Alarm {
+        id: happening_id(recipe, cycle, rule, metric, level, happening),
+        happening,
+        level,
+        rule,
+        recipe: cycle.recipe.clone(),
+        metric,
+        cycle: recipe.state().cycles,
+        cycle_id: cycle.id.clone(),
+        robot: cycle.robot.clone(),
+        time_s: cycle.time_s,
+        what,
+        how_sure,
+        since,
+        look_at,
+    }
+}
+
+/// The paper's rule was raised or cleared.
+pub(crate) fn paper(recipe: &Recipe, cycle: &Cycle, settings: &Settings, happening: Happening, level: Level) -> Alarm {
+    let window = recipe.window();
+    let baseline = recipe.baseline().success_rate().map_or_else(|| "-".to_owned(), percent);
+    let what =
+        format!("{} of the last {} cycles succeeded; the baseline is {baseline}.", window.successes(), window.n());
+    let how_sure = "The moving window of the paper promises nothing about false alarms.".to_owned();
+    let look_at =
+        if happening == Happening::Raised { look_at(recipe, Metric::Success, settings, None) } else { vec![] };
+    alarm(recipe, cycle, happening, level, Rule::Paper, Metric::Success, what, how_sure, None, look_at)
+}
+
+/// A detector's evidence reached its limit.
+pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycle, settings: &Settings) -> Alarm {
+    let state = recipe.state();
+    let began = state.began[metric as usize];
+    // Only what the detector has heard: the cycles that taught the baseline are not held against it.
+    let heard = usize::try_from(state.cycles - began).unwrap_or(usize::MAX);
+    let kept: Vec<(u64, &Symbols, u8)> = state
+        .history
+        .newest_first()
+        .take(heard)
+        .enumerate()
+        .filter_map(|(back, symbols)| Some((state.cycles - back as u64, symbols, symbols.code(metric)?)))
+        .collect();
+    let found = recipe.factors[metric as usize]
+        .as_ref()
+        .and_then(|factors| change_point(factors, kept.iter().map(|(_, _, code)| *code)));
+    let since = found.and_then(|found| since(&found, &kept));
+    let after = kept.get(..found.map_or(kept.len(), |f| f.likeliest + 1)).unwrap_or(&kept);
+    let what = what(recipe, metric, after);
+    let promise = grouped(settings.promise(level));
+    let how_sure = format!(
+        "The evidence reached {}; without a change, the first {} of any kind comes after {promise} cycles or more in the mean.",
+        grouped(settings.limit(metric, level)),
+        match level {
+            Level::Warning => "warning",
+            Level::Critical => "critical alarm",
+        }
+    );
+    let mode = matches!(metric, Metric::Success | Metric::FailureModes).then(|| grown_mode(recipe, after)).flatten();
+    let look_at = look_at(recipe, metric, settings, mode);
+    alarm(recipe, cycle, Happening::Raised, level, Rule::Detector, metric, what, how_sure, since, look_at)
+}
+
+/// A detector was quiet for long enough.
+pub(crate) fn cleared(
+    recipe: &Recipe,
+    metric: Metric,
+    level: Level,
+    cycle: &Cycle,
+    settings: &Settings,
+    stood: Standing,
+) -> Alarm {
+    let what = format!(
+        "No further evidence for {} cycles; the alarm of cycle {} is over (evidence reached its limit {} times).",
+        grouped(settings.clear_after_cycles as f64),
+        stood.raised,
+        stood.times
+    );
+    let how_sure = "Quiet is no proof that the cause is gone.".to_owned();
+    alarm(recipe, cycle, Happening::Cleared, level, Rule::Detector, metric, what, how_sure, None, vec![])
+}
+
+fn since(found: &ChangePoint, kept: &[(u64, &Symbols, u8)]) -> Option<Since> {
+    let at = |back: usize| kept.get(back).map(|(cycle, symbols, _)| (*cycle, symbols.time_s));
+    let (likeliest, earliest, latest) = (at(found.likeliest)?, at(found.earliest)?, at(found.latest)?);
+    Some(Since {
+        cycle: likeliest.0,
+        time_s: likeliest.1,
+        cycles_95: [earliest.0, latest.0],
+        times_95_s: [earliest.1, latest.1],
+        or_before: found.or_before,
+    })
+}
+
+fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)]) -> String {
+    let baseline = recipe.baseline();
+    let before = |count: Option<crate::Count>, failures: bool| {
+        let trials = count.and_then(crate::Count::trials).unwrap_or(Trials::NONE);
+        let events = if failures { trials.failures() } else { trials.successes() };
+        rate(Trials::new(events, trials.n()).unwrap_or(Trials::NONE))
+    };
+    let events = || rate(Trials::count(after.iter().map(|(_, _, code)| *code == 1)));
+    let n = after.len();
+    match metric {
+        Metric::Success => {
+            format!(
+                "Cycles fail at {} over the last {n}; the baseline is {}.",
+                events(),
+                before(baseline.success, true)
+            )
+        }
+        Metric::Drop => {
+            format!(
+                "Objects drop in {} of the last {n} cycles; the baseline is {}.",
+                events(),
+                before(baseline.drop, false)
+            )
+        }
+        Metric::Collision => {
+            let before = before(baseline.collision, false);
+            format!("The robot collides in {} of the last {n} cycles; the baseline is {before}.", events())
+        }
+        Metric::CycleTime | Metric::CycleTimeSpread => {
+            let mut now: Vec<f64> = after.iter().map(|(_, symbols, _)| f64::from(symbols.cycle_time_s)).collect();
+            let mut then = baseline.cycle_times_s.clone().unwrap_or_default();
+            let [low, middle, high] = quartiles(&mut now);
+            let [low_before, middle_before, high_before] = quartiles(&mut then);
+            if metric == Metric::CycleTime {
+                let change = if middle >= middle_before { "slower" } else { "faster" };
+                format!(
+                    "Successful cycles became {change}: median {middle:.3} s over the last {n}; the baseline is {middle_before:.3} s."
+                )
+            } else {
+                format!(
+                    "Cycle times spread wider: the middle half spans {:.3} s over the last {n}; in the baseline {:.3} s.",
+                    high - low,
+                    high_before - low_before
+                )
+            }
+        }
+        Metric::FailureModes => match grown_mode(recipe, after) {
+            Some(mode) => {
+                let now = Trials::count(after.iter().map(|(_, symbols, _)| symbols.code(metric) == Some(mode)));
+                let counts = baseline.failure_modes.unwrap_or_default();
+                let then = Trials::new(counts.get(usize::from(mode)).copied().unwrap_or(0), counts.iter().sum());
+                format!(
+                    "{} is {} of the last {n} failures; the baseline is {}.",
+                    MODES.get(usize::from(mode)).unwrap_or(&"another mode"),
+                    rate(now),
+                    rate(then.unwrap_or(Trials::NONE))
+                )
+            }
+            None => "The mix of failure modes changed.".to_owned(),
+        },
+    }
+}
+
+/// The quartiles by order statistics; zeros where there is nothing.
+fn quartiles(values: &mut [f64]) -> [f64; 3] {
+    values.sort_by(f64::total_cmp);
+    [1, 2, 3].map(|q| values.get((q * values.len() / 4).min(values.len().saturating_sub(1))).copied().unwrap_or(0.0))
+}
+
+/// The failure mode whose share grew most; `None` where no failure is among the cycles or no mix is known.
+fn grown_mode(recipe: &Recipe, after: &[(u64, &Symbols, u8)]) -> Option<u8> {
+    let counts = recipe.baseline().failure_modes?;
+    let (n, total) = (counts.iter().sum::<u64>().max(1) as f64, counts.len() as u8);
+    let modes: Vec<u8> = after.iter().filter_map(|(_, symbols, _)| symbols.code(Metric::FailureModes)).collect();
+    let growth = |mode: &u8| {
+        let now = modes.iter().filter(|m| *m == mode).count() as f64 / modes.len().max(1) as f64;
+        now - counts.get(usize::from(*mode)).copied().unwrap_or(0) as f64 / n
+    };
+    (0..total).max_by(|a, b| growth(a).total_cmp(&growth(b))).filter(|_| !modes.is_empty())
+}
+
+/// What to look at first: the robot that stands out, then what usually lies behind such a change.
+fn look_at(recipe: &Recipe, metric: Metric, settings: &Settings, mode: Option<u8>) -> Vec<String> {
+    let mut all = Vec::new();
+    if matches!(metric, Metric::Success | Metric::FailureModes) {
+        let tallies: Vec<(&str, Trials)> =
+            recipe.robots().filter_map(|(name, t)| Some((name, Trials::new(t.successes, t.cycles).ok()?))).collect();
+        let found = outliers(&tallies, 1.0 - settings.baseline_confidence);
+        all.extend(found.iter().filter(|o| o.worse).map(|outlier| {
+            format!(
+                "robot {}: {} of {} cycles succeeded, fewer than its peers",
+                outlier.robot,
+                outlier.trials.successes(),
+                outlier.trials.n()
+            )
+        }));
+    }
+    if let Some(mode) = mode {
+        all.push(
+            match mode {
+                0 => "grasp misses grew: calibration of camera and arm, pose estimates, wear of the fingertips",
+                1 => "grip losses grew: gripping force, worn pads, heavier or smoother parts",
+                2 => "collisions grew: fixtures, obstacles, a changed part or an outdated map of the cell",
+                3 => "timeouts grew: controller limits, speed override, a policy that hesitates",
+                _ => "failures of another kind grew: the robot's own log",
+            }
+            .to_owned(),
+        );
+    }
+    let usual = match metric {
+        Metric::Success => "what changed in the cell since then: parts, gripper, lighting, software",
+        Metric::Drop => "gripping force, worn pads, heavier or smoother parts",
+        Metric::Collision => "fixtures, obstacles and the calibration of the arm",
+        Metric::CycleTime => "speed override, retries of the grasp, joint friction, network or camera delays",
+        Metric::CycleTimeSpread => "retries of the grasp, intermittent delays, mixed parts under one recipe",
+        Metric::FailureModes => "what changed in the cell since then, even while the success rate holds",
+    };
+    all.push(usual.to_owned());
+    all
+}

@@ -1,0 +1,117 @@
+//! Each kind of change is found, named and dated; nothing else is.
+
+use robogate_core::Seed;
+use robogate_monitor::{Alarm, Happening, Level, Metric, Monitor, Rule, Settings};
+
+use crate::common::{Cell, cycle};
+
+/// The detectors' alarms of 1,000 normal cycles followed by `n` changed ones.
+fn alarms(after: Cell, n: usize, settings: Settings) -> Vec<Alarm> {
+    let mut monitor = Monitor::new(settings).unwrap();
+    let mut stream = Seed::campaign(5).stream("changes");
+    let mut cycle = cycle();
+    let mut said = Vec::new();
+    for i in 0..1_000 + n {
+        let cell = if i < 1_000 { Cell::NORMAL } else { after };
+        cell.draw(&mut stream, &mut cycle);
+        cycle.id = format!("c{i}");
+        monitor.observe(&cycle, &mut |alarm| said.push(alarm)).unwrap();
+    }
+    said.retain(|alarm| alarm.rule == Rule::Detector);
+    said
+}
+
+fn known() -> Settings {
+    Settings { baseline: Cell::NORMAL.baseline(20_000), ..Settings::default() }
+}
+
+#[test]
+fn each_change_raises_a_critical_alarm_of_its_own_metric_and_dates_it() {
+    let normal = Cell::NORMAL;
+    for (metric, after, what) in [
+        (Metric::Success, Cell { success: 0.8, ..normal }, "Cycles fail at"),
+        (Metric::Drop, Cell { drop: 0.15, ..normal }, "Objects drop in"),
+        (Metric::Collision, Cell { collision: 0.12, ..normal }, "The robot collides in"),
+        (Metric::CycleTime, Cell { cycle_time: (4.4, 0.4), ..normal }, "became slower: median 4."),
+        (Metric::CycleTime, Cell { cycle_time: (3.7, 0.4), ..normal }, "became faster: median 3."),
+        (Metric::CycleTimeSpread, Cell { cycle_time: (4.0, 0.9), ..normal }, "spread wider"),
+    ] {
+        let found = alarms(after, 400, known());
+        let critical = found.iter().find(|a| a.level == Level::Critical).unwrap();
+        assert_eq!((critical.metric, critical.happening), (metric, Happening::Raised), "{found:#?}");
+        assert!(critical.what.contains(what), "{}", critical.what);
+        let since = critical.since.unwrap();
+        assert!(since.cycles_95[0] <= 1_001 && 1_001 <= since.cycles_95[1], "{metric:?} {since:?}");
+        assert!(since.times_95_s[0] <= since.time_s && since.time_s <= since.times_95_s[1]);
+        assert!(!critical.look_at.is_empty() && critical.how_sure.contains("50,000 cycles"));
+        // A warning of another metric may come by chance, once in 2,000 cycles in the mean; a critical alarm hardly.
+        // Distances from the baseline's middle also grow when the middle moves.
+        let beside = |a: &Alarm| {
+            a.level == Level::Warning || (metric == Metric::CycleTime && a.metric == Metric::CycleTimeSpread)
+        };
+        assert!(found.iter().all(|a| a.metric == metric || beside(a)), "{found:#?}");
+    }
+}
+
+#[test]
+fn a_changed_mix_of_failures_is_found_while_the_success_rate_holds() {
+    let after = Cell { modes: [0.05, 0.05, 0.05, 0.8, 0.05], ..Cell::NORMAL };
+    let found = alarms(after, 1_500, known());
+    let critical = found.iter().find(|a| a.level == Level::Critical).unwrap();
+    assert_eq!(critical.metric, Metric::FailureModes);
+    assert!(critical.what.starts_with("timeout is"), "{}", critical.what);
+    assert!(critical.look_at.iter().any(|text| text.starts_with("timeouts grew")));
+}
+
+#[test]
+fn a_recipe_without_a_baseline_learns_one_and_then_sees_changes() {
+    let after = Cell { success: 0.6, ..Cell::NORMAL };
+    let found = alarms(after, 300, Settings::default());
+    assert!(found.iter().any(|a| a.level == Level::Critical && a.metric == Metric::Success));
+    assert!(found.iter().all(|a| a.cycle > 1_000));
+}
+
+#[test]
+fn an_alarm_stands_once_and_is_cleared_after_quiet() {
+    let mut settings = known();
+    settings.clear_after_cycles = 300;
+    let mut monitor = Monitor::new(settings).unwrap();
+    let mut stream = Seed::campaign(6).stream("clears");
+    let mut cycle = cycle();
+    let mut said = Vec::new();
+    for i in 0..3_000 {
+        let cell = Cell { success: if (500..900).contains(&i) { 0.7 } else { 0.96 }, ..Cell::NORMAL };
+        cell.draw(&mut stream, &mut cycle);
+        let mut keep = |alarm: Alarm| {
+            if alarm.rule == Rule::Detector && alarm.metric == Metric::Success && alarm.level == Level::Critical {
+                said.push(alarm.happening);
+            }
+        };
+        monitor.observe(&cycle, &mut keep).unwrap();
+    }
+    assert_eq!(said, [Happening::Raised, Happening::Cleared]);
+    assert_eq!(monitor.recipe("bracket").unwrap().level(), None);
+}
+
+#[test]
+fn a_state_that_is_written_and_read_goes_on_bit_for_bit() {
+    let mut whole = Monitor::new(Settings::default()).unwrap();
+    let mut parts = whole.clone();
+    let mut stream = Seed::campaign(7).stream("state");
+    let mut cycle = cycle();
+    let (mut first, mut second) = (Vec::new(), Vec::new());
+    for i in 0..1_600 {
+        let cell = Cell { success: if i < 1_200 { 0.95 } else { 0.7 }, ..Cell::NORMAL };
+        cell.draw(&mut stream, &mut cycle);
+        whole.observe(&cycle, &mut |alarm| first.push(alarm)).unwrap();
+        parts.observe(&cycle, &mut |alarm| second.push(alarm)).unwrap();
+        if i % 97 == 0 {
+            let text = serde_json::to_string(parts.recipe("bracket").unwrap().state()).unwrap();
+            parts = Monitor::new(Settings::default()).unwrap();
+            parts.restore("bracket", serde_json::from_str(&text).unwrap());
+        }
+    }
+    assert!(!first.is_empty());
+    assert_eq!(first, second);
+    assert_eq!(whole, parts);
+}

@@ -1,0 +1,71 @@
+//! Cycles and baselines for the claims.
+
+use robogate_core::Stream;
+use robogate_monitor::{Baseline, Count, Cycle, MODES};
+
+/// What a cell does.
+#[derive(Clone, Copy)]
+pub(crate) struct Cell {
+    pub(crate) success: f64,
+    pub(crate) drop: f64,
+    pub(crate) collision: f64,
+    /// Shares of the failure modes.
+    pub(crate) modes: [f64; 5],
+    /// Middle and half width of the cycle time.
+    pub(crate) cycle_time: (f64, f64),
+}
+
+impl Cell {
+    pub(crate) const NORMAL: Self = Self {
+        success: 0.95,
+        drop: 0.01,
+        collision: 0.005,
+        modes: [0.4, 0.3, 0.15, 0.1, 0.05],
+        cycle_time: (4.0, 0.4),
+    };
+
+    /// Draws a cycle into `cycle`, whose names stay.
+    pub(crate) fn draw(&self, stream: &mut Stream, cycle: &mut Cycle) {
+        cycle.time_s += self.cycle_time.0;
+        cycle.success = stream.uniform() < self.success;
+        cycle.drop = Some(stream.uniform() < self.drop);
+        cycle.collision = Some(stream.uniform() < self.collision);
+        let (middle, half) = self.cycle_time;
+        cycle.cycle_time_s = Some(stream.between(middle - half, middle + half));
+        let mut u = stream.uniform();
+        let mode = self.modes.iter().position(|share| {
+            u -= share;
+            u < 0.0
+        });
+        cycle.failure_mode = (!cycle.success).then(|| MODES[mode.unwrap_or(4)].to_owned());
+    }
+
+    /// The baseline that `n` cycles of exactly these rates would leave.
+    pub(crate) fn baseline(&self, n: u64) -> Baseline {
+        let count = |rate: f64| Some(Count { count: (rate * n as f64).round() as u64, of: n });
+        let (middle, half) = self.cycle_time;
+        let time = |i: u64| middle - half + 2.0 * half * (i as f64 + 0.5) / n as f64;
+        Baseline {
+            success: count(self.success),
+            drop: count(self.drop),
+            collision: count(self.collision),
+            failure_modes: Some(self.modes.map(|share| (share * (1.0 - self.success) * n as f64).round() as u64)),
+            cycle_times_s: Some((0..n).map(time).collect()),
+        }
+    }
+}
+
+pub(crate) fn cycle() -> Cycle {
+    Cycle {
+        id: "c".to_owned(),
+        robot: "cell-1".to_owned(),
+        recipe: "bracket".to_owned(),
+        time_s: 1_760_000_000.0,
+        success: true,
+        failure_mode: None,
+        drop: None,
+        collision: None,
+        cycle_time_s: None,
+        parameters: Default::default(),
+    }
+}

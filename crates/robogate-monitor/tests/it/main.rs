@@ -1,0 +1,7 @@
+//! The claims about the monitor.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod changes;
+mod common;
+mod paper_rule;
+mod promise;

@@ -1,0 +1,117 @@
+//! The promises: run lengths to a false alarm, and delays beside the paper's rule.
+
+use robogate_core::Seed;
+use robogate_monitor::detector::Evidence;
+use robogate_monitor::factors::event;
+use robogate_monitor::simulate::{Mean, Question, simulate};
+use robogate_monitor::{Baseline, Count, Happening, Level, Monitor, Rule, Settings};
+
+use crate::common::{Cell, cycle};
+
+const STREAMS: u64 = 10_000;
+
+#[test]
+fn the_mean_run_length_is_at_least_the_promise_over_ten_thousand_streams() {
+    // The hardest truth: exactly the bound.
+    for (bound, limit) in [(0.05, 300.0), (0.01, 300.0), (0.3, 100.0)] {
+        let factors = event(bound).unwrap();
+        let mut evidence = Evidence::none(&factors);
+        let lengths: Vec<f64> = (0..STREAMS)
+            .map(|i| {
+                let mut stream = Seed::campaign(8).episode(i).stream("run length");
+                evidence.restart();
+                let mut length = 1.0;
+                while evidence.update(&factors, u8::from(stream.uniform() < bound)) < limit {
+                    length += 1.0;
+                }
+                length
+            })
+            .collect();
+        let found = Mean::of(&lengths, 0);
+        assert!(found.mean >= limit - 3.0 * found.se, "bound {bound}: {found:?} against {limit}");
+        // Nor is the promise kept by never alarming.
+        assert!(found.mean < 6.0 * limit, "bound {bound}: {found:?} against {limit}");
+    }
+}
+
+#[test]
+fn all_metrics_of_all_recipes_together_keep_the_promise() {
+    let baseline = Cell::NORMAL.baseline(100_000);
+    let settings =
+        Settings { warning_cycles: 200.0, critical_cycles: 200.0, history_cycles: 16, baseline, ..Settings::default() };
+    let empty = Monitor::new(settings).unwrap();
+    let names = ["bracket", "housing", "shaft"];
+    let lengths: Vec<f64> = (0..1_000)
+        .map(|i| {
+            let mut stream = Seed::campaign(9).episode(i).stream("family");
+            let mut monitor = empty.clone();
+            let mut cycle = cycle();
+            let (mut alarmed, mut length) = (false, 0.0);
+            while !alarmed {
+                Cell::NORMAL.draw(&mut stream, &mut cycle);
+                names[stream.below(names.len())].clone_into(&mut cycle.recipe);
+                monitor.observe(&cycle, &mut |alarm| alarmed |= alarm.rule == Rule::Detector).unwrap();
+                length += 1.0;
+            }
+            length
+        })
+        .collect();
+    let found = Mean::of(&lengths, 0);
+    assert!(found.mean >= 200.0 - 3.0 * found.se, "{found:?}");
+}
+
+/// Drops to 0.92, 0.90 and 0.85 from 0.95, at the mean run length of the paper's critical rule (about 98,000 cycles): the
+/// detector's limit is set so that its promise alone, which is less than its mean run length, is below that.
+#[test]
+fn a_drop_is_seen_no_later_than_by_the_papers_critical_rule() {
+    let question =
+        Question { rate: 0.95, drops: vec![0.92, 0.90, 0.85], cycles_per_day: 21_600.0, streams: 400, seed: 4 };
+    // So much evidence that the bound is the rate itself, as the paper's rule takes it to be.
+    let baseline =
+        Baseline { success: Some(Count { count: 9_500_000_000, of: 10_000_000_000 }), ..Baseline::default() };
+    let mut settings = Settings { critical_cycles: 64_000.0, ..Settings::default() };
+    settings.shares.success = 1.0;
+    settings.shares.drop = 0.0;
+    (settings.shares.collision, settings.shares.cycle_time) = (0.0, 0.0);
+    (settings.shares.cycle_time_spread, settings.shares.failure_modes) = (0.0, 0.0);
+    let figures = simulate(&question, &settings, &baseline).unwrap();
+    let of = |rule: &str| figures.iter().find(|f| f.rule == rule && f.level == Level::Critical).unwrap();
+    let (paper, detector) = (of("paper"), of("detector"));
+    let (a, b) = (paper.cycles_to_false_alarm, detector.cycles_to_false_alarm);
+    assert!(b.mean + 2.0 * (a.se + b.se) >= a.mean, "equal false alarms: paper {a:?}, detector {b:?}");
+    for (theirs, ours) in paper.delays.iter().zip(&detector.delays) {
+        let slack = 2.0 * (theirs.cycles.se.powi(2) + ours.cycles.se.powi(2)).sqrt();
+        assert!(ours.cycles.mean <= theirs.cycles.mean + slack, "to {}: {theirs:?} {ours:?}", ours.to);
+    }
+    assert!(detector.delays[1].cycles.mean < 0.75 * paper.delays[1].cycles.mean, "far sooner at 0.90");
+}
+
+#[test]
+fn the_stated_interval_of_the_change_point_holds_the_change_nine_times_in_ten() {
+    let settings = Settings { baseline: Cell::NORMAL.baseline(100_000), ..Settings::default() };
+    let (mut inside, mut all) = (0, 0);
+    for i in 0..150 {
+        let mut monitor = Monitor::new(settings.clone()).unwrap();
+        let mut stream = Seed::campaign(12).episode(i).stream("change");
+        let mut cycle = cycle();
+        let mut found = None;
+        for n in 1..=1_500 {
+            let cell = Cell { success: if n > 700 { 0.80 } else { 0.95 }, ..Cell::NORMAL };
+            cell.draw(&mut stream, &mut cycle);
+            monitor
+                .observe(&cycle, &mut |alarm| {
+                    let ours = alarm.rule == Rule::Detector && alarm.happening == Happening::Raised;
+                    if ours && alarm.level == Level::Critical && n > 700 && found.is_none() {
+                        found = alarm.since;
+                    }
+                })
+                .unwrap();
+        }
+        if let Some(since) = found {
+            all += 1;
+            inside += u32::from(since.cycles_95[0] <= 701 && 701 <= since.cycles_95[1]);
+        }
+    }
+    assert!(all > 140, "{all} of 150 changes found");
+    assert!(f64::from(inside) >= 0.9 * f64::from(all), "{inside} of {all} intervals hold the change");
+}

@@ -1,0 +1,69 @@
+//! A cycle costs no allocation: what lets the detectors run on the robot itself.
+#![expect(unsafe_code, reason = "an allocator that counts must be one")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use robogate_core::Seed;
+use robogate_monitor::{Baseline, Count, Cycle, Monitor, Settings};
+
+struct Counting;
+
+thread_local! {
+    static CALLS: Cell<u64> = const { Cell::new(0) };
+}
+
+// SAFETY: every call goes to the system's allocator unchanged; the counter is a plain thread-local number.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        CALLS.with(|calls| calls.set(calls.get() + 1));
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+#[test]
+fn a_cycle_without_an_alarm_allocates_nothing() {
+    let baseline = Baseline {
+        success: Some(Count { count: 900, of: 1_000 }),
+        drop: Some(Count { count: 30, of: 1_000 }),
+        collision: Some(Count { count: 30, of: 1_000 }),
+        failure_modes: Some([40, 30, 20, 10, 0]),
+        cycle_times_s: Some((0..1_000).map(|i| 3.5 + 0.001 * f64::from(i)).collect()),
+    };
+    let mut monitor = Monitor::new(Settings { baseline, ..Settings::default() }).unwrap();
+    let mut stream = Seed::campaign(1).stream("allocation");
+    let mut cycle = Cycle {
+        id: "a".to_owned(),
+        robot: "r".to_owned(),
+        recipe: "x".to_owned(),
+        time_s: 0.0,
+        success: true,
+        failure_mode: Some("timeout".to_owned()),
+        drop: Some(false),
+        collision: Some(false),
+        cycle_time_s: Some(4.0),
+        parameters: Default::default(),
+    };
+    let mut alarms = 0;
+    let mut before = 0;
+    for i in 0..20_000 {
+        if i == 1 {
+            // The first cycle made the recipe.
+            before = CALLS.with(Cell::get);
+        }
+        cycle.time_s += 4.0;
+        cycle.success = stream.uniform() < 0.95;
+        cycle.cycle_time_s = Some(stream.between(3.5, 4.5));
+        monitor.observe(&cycle, &mut |_| alarms += 1).unwrap();
+    }
+    assert_eq!((CALLS.with(Cell::get) - before, alarms), (0, 0));
+}
