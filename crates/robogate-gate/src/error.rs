@@ -162,6 +162,21 @@ pub enum GateError {
         /// What differs.
         what: String,
     },
+    /// A leaderboard without entries.
+    #[error("there is nothing to rank")]
+    NothingToRank,
+    /// Records of different scenarios in one leaderboard.
+    #[error(
+        "{name} is of {population}, the first is of {first}\nhint: only policies that ran the same scenarios can be ranked"
+    )]
+    NotComparable {
+        /// The record's name.
+        name: String,
+        /// What it speaks of.
+        population: String,
+        /// What the first one speaks of.
+        first: String,
+    },
     /// A margin that is none.
     #[error(transparent)]
     Margin(#[from] robogate_stats::non_inferiority::NotAMargin),

@@ -19,8 +19,8 @@ use crate::figure::{Extremes, figure};
 use crate::rounds::Rounds;
 use crate::scope::{Scope, expand};
 use crate::{
-    Baseline, Bound, ConfidenceScore, Family, GateError, Mode, Population, Record, Requirement, Requirements, Trial,
-    Verdict,
+    Baseline, Bound, ConfidenceScore, Ending, Family, GateError, Mode, Population, Record, Requirement, Requirements,
+    Trial, Verdict,
 };
 
 /// How the number of episodes came about: it decides which test is valid.
@@ -441,20 +441,8 @@ fn groups<'a>(trials: impl Iterator<Item = &'a Trial>) -> Vec<GroupResult> {
 }
 
 fn group(label: &Label, trials: &[&Trial]) -> GroupResult {
-    let mut endings: Vec<EndingCount> = Vec::new();
-    let (mut successes, mut valid) = (0, 0);
-    for trial in trials {
-        valid += u64::from(trial.ending.is_valid());
-        let word = trial.ending.word();
-        if word == "success" {
-            successes += 1;
-        } else if let Some(known) = endings.iter_mut().find(|known| known.ending == word) {
-            known.episodes += 1;
-        } else {
-            endings.push(EndingCount { ending: word.to_owned(), episodes: 1 });
-        }
-    }
-    endings.sort_by(|a, b| b.episodes.cmp(&a.episodes).then_with(|| a.ending.cmp(&b.ending)));
+    let valid = trials.iter().filter(|trial| trial.ending.is_valid()).count() as u64;
+    let successes = trials.iter().filter(|trial| trial.ending == Ending::Success).count() as u64;
     let interval = clopper_pearson(Trials::new(successes, valid).unwrap_or(Trials::NONE), Confidence::P95);
     GroupResult {
         category: label.category.clone().unwrap_or_default(),
@@ -463,6 +451,19 @@ fn group(label: &Label, trials: &[&Trial]) -> GroupResult {
         invalid: trials.len() as u64 - valid,
         successes,
         interval_95: [interval.low, interval.high],
-        endings,
+        endings: endings(trials),
     }
+}
+
+/// How trials ended that did not succeed, the commonest first.
+pub(crate) fn endings(trials: &[&Trial]) -> Vec<EndingCount> {
+    let mut endings: Vec<EndingCount> = Vec::new();
+    for word in trials.iter().filter(|trial| trial.ending != Ending::Success).map(|trial| trial.ending.word()) {
+        match endings.iter_mut().find(|known| known.ending == word) {
+            Some(known) => known.episodes += 1,
+            None => endings.push(EndingCount { ending: word.to_owned(), episodes: 1 }),
+        }
+    }
+    endings.sort_by(|a, b| b.episodes.cmp(&a.episodes).then_with(|| a.ending.cmp(&b.ending)));
+    endings
 }

@@ -7,8 +7,10 @@
 //! | from | to |
 //! |---|---|
 //! | a TOML file | [`Requirements`] |
-//! | rows of a dictionary | [`Trial`] |
-//! | both | [`Evaluation`], with [`ConfidenceScore`] and [`Verdict`] |
+//! | rows of a dictionary | [`Record`] of [`Trial`]s |
+//! | scenarios and requirements, beforehand | [`GatePlan`] |
+//! | several records | [`Leaderboard`] |
+//! | a record and requirements ([`Question`]) | [`Evaluation`], with [`ConfidenceScore`] and [`Verdict`] |
 
 mod baseline;
 mod comparison;
@@ -17,6 +19,7 @@ mod error;
 mod evaluation;
 pub mod evidence;
 mod figure;
+mod leaderboard;
 mod metric;
 mod plan;
 mod record;
@@ -33,6 +36,7 @@ pub use comparison::{Against, Comparison};
 pub use error::GateError;
 pub use evaluation::{Counts, EndingCount, Evaluation, Finding, GroupResult, Question, Sampling, Status};
 pub use figure::Extremes;
+pub use leaderboard::{Leaderboard, Standing};
 pub use metric::Metric;
 pub use plan::{DemandPlan, GatePlan, Operating};
 pub use record::{Population, Record};

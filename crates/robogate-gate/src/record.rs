@@ -1,9 +1,10 @@
 //! The episodes that are judged, and what they speak of.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-use robogate_dictionary::{Dictionary, Label};
+use robogate_core::Suite;
+use robogate_dictionary::{Dictionary, Label, Provenance};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -106,14 +107,13 @@ impl Record {
             .filter_map(|(stage, trial)| (!uneven.get(&stage).copied().unwrap_or(false)).then_some(trial))
             .collect();
         let provenance = dictionary.provenance();
-        let cases = first_of_each(&trials);
-        let population = if cases.is_empty() {
-            let space = &provenance.space;
-            let text = serde_json::to_string(space).unwrap_or_default();
-            Population::Drawn { space: space.name().to_owned(), sha256: hex(&Sha256::digest(text)) }
-        } else {
-            let name = provenance.space.name().to_owned();
-            Population::Suite { name, sha256: suite_hash(&cases), cases: cases.len() as u64 }
+        let population = match SuitePlan::of(&provenance.plan) {
+            Some(SuitePlan { sha256, suite }) => Population::Suite {
+                name: format!("{} {}", suite.name(), suite.version()),
+                sha256,
+                cases: suite.cases().len() as u64,
+            },
+            None => drawn(provenance, &trials),
         };
         Ok(Self {
             population,
@@ -126,38 +126,32 @@ impl Record {
     }
 }
 
-/// The first trial of each scenario, by id.
-fn first_of_each(trials: &[Trial]) -> BTreeMap<&str, &Trial> {
-    let mut cases = BTreeMap::new();
-    for trial in trials {
-        if let Some(case) = &trial.label.case {
-            cases.entry(case.as_str()).or_insert(trial);
-        }
-    }
-    cases
+/// What a run's plan says about the suite that it runs.
+#[derive(Deserialize)]
+struct SuitePlan {
+    sha256: String,
+    suite: Suite,
 }
 
-/// SHA-256 over ids, categories, groups and requested parameters, in order of the ids.
-fn suite_hash(cases: &BTreeMap<&str, &Trial>) -> String {
-    let mut hash = Sha256::new_with_prefix(b"robogate suite 1\n");
-    let mut add = |text: &str| {
-        // Lengths before contents: no two suites have the same stream.
-        hash.update((text.len() as u64).to_le_bytes());
-        hash.update(text.as_bytes());
-    };
-    for trial in cases.values() {
-        let Label { case, category, group } = &trial.label;
-        for word in [case, category, group] {
-            add(word.as_deref().unwrap_or_default());
-        }
-        let requested: BTreeMap<&str, String> = trial.requested.iter().map(|(k, v)| (k, v.to_string())).collect();
-        add(&requested.len().to_string());
-        for (name, value) in requested {
-            add(name);
-            add(&value);
-        }
+impl SuitePlan {
+    fn of(plan: &serde_json::Value) -> Option<Self> {
+        serde_json::from_value(plan.get("suite")?.clone()).ok()
     }
-    hex(&hash.finalize())
+}
+
+/// The population of rows that are no suite's: their space, or the scenarios that their source names.
+fn drawn(provenance: &Provenance, trials: &[Trial]) -> Population {
+    let space = provenance.space.name().to_owned();
+    let labels: BTreeSet<[&str; 3]> = trials
+        .iter()
+        .filter(|trial| !trial.label.is_empty())
+        .map(|Trial { label: Label { case, category, group }, .. }| {
+            [case, category, group].map(|word| word.as_deref().unwrap_or_default())
+        })
+        .collect();
+    let text =
+        if labels.is_empty() { serde_json::to_string(&provenance.space) } else { serde_json::to_string(&labels) };
+    Population::Drawn { space, sha256: hex(&Sha256::digest(text.unwrap_or_default())) }
 }
 
 pub(crate) fn hex(bytes: &[u8]) -> String {

@@ -1,4 +1,4 @@
-//! What people look at: the analysis of a failure dictionary, as a page, as Markdown and as JSON.
+//! What people look at: the analysis of a failure dictionary and the gate's answer, as pages, Markdown, JSON and JUnit.
 //!
 //! [`Source::open`] takes a run's folder, a Parquet dictionary or a published JSON one; [`Analysis::of`] makes one versioned
 //! document of it, in which every figure says what population it speaks of and what cannot be estimated
@@ -11,6 +11,8 @@
 //! | a source | [`Analysis`], `serde` and JSON Schema |
 //! | an analysis | [`html`], [`markdown`], or [`Analysis::to_json`] |
 //! | dictionaries of several designs and a test set | [`study::Study`] |
+//! | the gate's evaluation | [`junit`], [`evaluation_markdown`] |
+//! | a leaderboard | [`leaderboard_html`], [`leaderboard_markdown`] |
 
 mod along;
 mod analysis;
@@ -18,6 +20,7 @@ mod comparison;
 mod drawn;
 mod error;
 mod failures;
+mod gate;
 mod headline;
 mod limits;
 mod models;
@@ -43,6 +46,9 @@ pub use comparison::{
 pub use drawn::{DrawnRange, HowDrawn};
 pub use error::ReportError;
 pub use failures::{DANGER_LIMIT, DangerZone, DangerZones, FailureModes, ModeShare};
+pub use gate::{
+    DemandRow, evaluation_markdown, how_judged, junit, leaderboard_html, leaderboard_markdown, sign, what_next,
+};
 pub use headline::Headline;
 pub use models::{
     CalibrationFigures, Coefficient, Estimate, Frontier, FrontierPoint, Penalty, PenaltyLevel, Regression,

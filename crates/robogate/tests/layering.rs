@@ -11,7 +11,7 @@ const MAY_USE: [(&str, Option<&[&str]>); 10] = [
     ("robogate-stats", Some(&[])),
     ("robogate-campaign", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     ("robogate-gate", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
-    ("robogate-report", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
+    ("robogate-report", Some(&["robogate-core", "robogate-dictionary", "robogate-stats", "robogate-gate"])),
     ("robogate-monitor", Some(&["robogate-core", "robogate-stats"])),
     ("mujoco-provision", Some(&[])),
     ("robogate", None),

@@ -6,7 +6,7 @@ use crate::page::svg::escape;
 use crate::story::{Block, Figure, Kind, Story, Table, tell, tell_comparison};
 use crate::{Analysis, Comparison};
 
-const STYLE: &str = include_str!("style.css");
+pub(crate) const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");
 
 /// The analysis as one self-contained page: the same bytes for the same analysis.

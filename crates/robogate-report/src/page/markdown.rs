@@ -109,7 +109,7 @@ fn table(out: &mut String, table: &Table, titled: bool) {
 }
 
 /// Text that Markdown would read as markup, escaped.
-fn escape(text: &str) -> String {
+pub(crate) fn escape(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for letter in text.chars() {
         match letter {

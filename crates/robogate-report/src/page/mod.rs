@@ -8,5 +8,8 @@ mod svg;
 pub(crate) mod versus;
 
 pub(crate) use heatmap::{drawable, heatmap, said};
+pub(crate) use html::STYLE;
 pub use html::{comparison_html, html};
+pub(crate) use markdown::escape as escape_markdown;
 pub use markdown::{comparison_markdown, markdown};
+pub(crate) use svg::escape;

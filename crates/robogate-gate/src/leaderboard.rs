@@ -1,0 +1,229 @@
+//! Policies in a row, by the paper's confidence score, and how far that order can be trusted.
+//!
+//! The score of each is over its own episodes. How much of the order hangs on the scenarios that happen to be in the suite
+//! is told by a bootstrap: scenarios are drawn anew, with replacement, within each category (so that the mix stays), the
+//! same ones for every policy; each drawn scenario brings all its episodes. The intervals are percentiles over 2,000
+//! draws, and the rank of a policy has an interval by the same draws.
+//!
+//! Limit: resampling knows only what happened. Where every episode went alike it sees no spread at all, and then there is no
+//! interval: the exact one of the success rate stands beside it. Source: Efron and Tibshirani (1993), chapters 6 and 13.
+
+use std::collections::BTreeMap;
+
+use robogate_core::Seed;
+use robogate_stats::resample::percentile_ends;
+use robogate_stats::{Confidence, Trials, clopper_pearson};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::evaluation::EndingCount;
+use crate::rounds::Rounds;
+use crate::{Baseline, ConfidenceScore, Ending, GateError, Population, Record, ScoreTerm, Trial};
+
+/// How often scenarios are drawn anew.
+const DRAWS: usize = 2_000;
+/// A campaign's number of its own, so that the draws are those of no episode.
+const SEED: u64 = 0x1EAD_E2B0;
+
+/// One policy of a leaderboard.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Standing {
+    /// Its rank: one more than the number of policies with a higher score; absent without a score.
+    pub rank: Option<u64>,
+    /// Ranks between which it lay in 95 % of the draws; absent without a score.
+    pub ranks_95: Option<[u64; 2]>,
+    /// What it is called here.
+    pub name: String,
+    /// The robot.
+    pub robot: String,
+    /// The policy, as its run calls it.
+    pub policy: String,
+    /// Identity of its rows (SHA-256, hex).
+    pub dataset_sha256: String,
+    /// The score and its terms.
+    pub score: ConfidenceScore,
+    /// 95 % of the draws lie in it; absent where the draws know no spread.
+    pub score_95: Option<[f64; 2]>,
+    /// Valid episodes.
+    pub valid: u64,
+    /// Invalid episodes.
+    pub invalid: u64,
+    /// Successes.
+    pub successes: u64,
+    /// Exact (Clopper-Pearson) 95 % interval of the success rate.
+    pub success_95: [f64; 2],
+    /// How the others ended, the commonest first.
+    pub endings: Vec<EndingCount>,
+}
+
+/// Policies in a row: one versioned document.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Leaderboard {
+    /// Version of this form.
+    pub format: u32,
+    /// What the figures speak of.
+    pub population: Population,
+    /// What relative terms refer to.
+    pub baseline: Option<Baseline>,
+    /// How often scenarios were drawn anew.
+    pub draws: u64,
+    /// The policies, the best first; those without a score last.
+    pub standings: Vec<Standing>,
+}
+
+/// One policy's scenarios by category.
+type Strata<'a> = BTreeMap<&'a str, BTreeMap<String, Vec<&'a Trial>>>;
+
+impl Leaderboard {
+    /// The version of the form.
+    pub const FORMAT: u32 = 1;
+
+    /// Ranks named records by `terms`.
+    ///
+    /// # Errors
+    /// Where there is nothing to rank, or the records do not speak of the same population.
+    pub fn of(
+        entries: &[(String, Record)],
+        terms: &[ScoreTerm],
+        baseline: Option<&Baseline>,
+    ) -> Result<Self, GateError> {
+        let Some((_, first)) = entries.first() else { return Err(GateError::NothingToRank) };
+        if let Some(baseline) = baseline {
+            baseline.check(&first.population)?;
+        } else if let Some(term) = terms.iter().find(|term| term.scoring.needs_baseline()) {
+            return Err(GateError::NoBaseline { what: format!("the score's term `{}`", term.name) });
+        }
+        let mut judged = Vec::new();
+        for (name, record) in entries {
+            if !record.population.is_that_of(&first.population) {
+                return Err(GateError::NotComparable {
+                    name: name.clone(),
+                    population: record.population.to_string(),
+                    first: first.population.to_string(),
+                });
+            }
+            let rounds = Rounds::of(&record.trials, &record.population)?;
+            judged.push(rounds.trials().collect::<Vec<&Trial>>());
+        }
+        let strata: Vec<Strata<'_>> = judged.iter().map(|trials| strata(trials)).collect();
+        let draws = draw(&strata, terms, baseline);
+        let mut standings = Vec::new();
+        for (i, (name, record)) in entries.iter().enumerate() {
+            let trials = judged.get(i).map_or(&[][..], Vec::as_slice);
+            let scores: Option<Vec<f64>> = draws.iter().map(|d| d.get(i).copied().flatten()).collect();
+            let Some(score) = ConfidenceScore::of(terms, baseline, trials.iter().copied()) else {
+                return Err(GateError::Score { reason: "there is no term to rank by".to_owned() });
+            };
+            standings.push(standing(name, record, trials, score, scores));
+        }
+        ranks(&mut standings, &draws);
+        standings.sort_by(|a, b| {
+            let points = |s: &Standing| s.score.points.unwrap_or(f64::NEG_INFINITY);
+            points(b).total_cmp(&points(a)).then_with(|| a.name.cmp(&b.name))
+        });
+        Ok(Self {
+            format: Self::FORMAT,
+            population: first.population.clone(),
+            baseline: baseline.cloned(),
+            draws: DRAWS as u64,
+            standings,
+        })
+    }
+
+    /// As a file holds it: the same leaderboard gives the same bytes.
+    pub fn to_json(&self) -> String {
+        // Every number in it is finite: nothing here can fail to serialise.
+        serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
+    }
+}
+
+fn strata<'a>(trials: &[&'a Trial]) -> Strata<'a> {
+    let mut strata: Strata<'a> = BTreeMap::new();
+    for trial in trials {
+        let category = trial.label.category.as_deref().unwrap_or_default();
+        // Without a suite each episode is its own scenario.
+        let case = trial.label.case.clone().unwrap_or_else(|| format!("{:020}", trial.index));
+        strata.entry(category).or_default().entry(case).or_default().push(*trial);
+    }
+    strata
+}
+
+/// For each draw of scenarios, the score of each policy.
+fn draw(strata: &[Strata<'_>], terms: &[ScoreTerm], baseline: Option<&Baseline>) -> Vec<Vec<Option<f64>>> {
+    let mut stream = Seed::campaign(SEED).stream("leaderboard");
+    // The scenarios are those that any policy ran; one that a policy did not run brings it nothing.
+    let mut cases: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for (category, known) in strata.iter().flatten() {
+        let list = cases.entry(category).or_default();
+        list.extend(known.keys().map(String::as_str));
+        list.sort_unstable();
+        list.dedup();
+    }
+    (0..DRAWS)
+        .map(|_| {
+            let drawn: Vec<(&str, &str)> = cases
+                .iter()
+                .flat_map(|(category, list)| {
+                    let picks: Vec<usize> = list.iter().map(|_| stream.below(list.len())).collect();
+                    picks.into_iter().filter_map(|i| Some((*category, *list.get(i)?))).collect::<Vec<_>>()
+                })
+                .collect();
+            strata
+                .iter()
+                .map(|strata| {
+                    let trials: Vec<&Trial> = drawn
+                        .iter()
+                        .filter_map(|(category, case)| strata.get(category)?.get(*case))
+                        .flatten()
+                        .copied()
+                        .collect();
+                    ConfidenceScore::of(terms, baseline, trials.iter().copied()).and_then(|score| score.points)
+                })
+                .collect()
+        })
+        .collect()
+}
+
+fn standing(
+    name: &str,
+    record: &Record,
+    trials: &[&Trial],
+    score: ConfidenceScore,
+    scores: Option<Vec<f64>>,
+) -> Standing {
+    let valid = trials.iter().filter(|trial| trial.ending.is_valid()).count() as u64;
+    let successes = trials.iter().filter(|trial| trial.ending == Ending::Success).count() as u64;
+    let interval = clopper_pearson(Trials::new(successes, valid).unwrap_or(Trials::NONE), Confidence::P95);
+    let ends = scores.and_then(|mut scores| percentile_ends(&mut scores, Confidence::P95));
+    Standing {
+        rank: None,
+        ranks_95: None,
+        name: name.to_owned(),
+        robot: record.robot.clone(),
+        policy: record.policy.clone(),
+        dataset_sha256: record.dataset_sha256.clone(),
+        score,
+        score_95: ends.filter(|(low, high)| high - low > 1e-9).map(|(low, high)| [low, high]),
+        valid,
+        invalid: trials.len() as u64 - valid,
+        successes,
+        success_95: [interval.low, interval.high],
+        endings: crate::evaluation::endings(trials),
+    }
+}
+
+/// Gives each policy its rank, and the ranks that it had in the draws.
+fn ranks(standings: &mut [Standing], draws: &[Vec<Option<f64>>]) {
+    let above = |scores: &[Option<f64>], i: usize| {
+        let own = scores.get(i).copied().flatten()?;
+        Some(1 + scores.iter().flatten().filter(|other| **other > own + 1e-9).count() as u64)
+    };
+    let points: Vec<Option<f64>> = standings.iter().map(|s| s.score.points).collect();
+    for (i, standing) in standings.iter_mut().enumerate() {
+        standing.rank = above(&points, i);
+        let mut drawn: Vec<u64> = draws.iter().filter_map(|scores| above(scores, i)).collect();
+        drawn.sort_unstable();
+        let at = |q: f64| drawn.get((q * drawn.len() as f64) as usize).copied();
+        standing.ranks_95 = at(0.025).zip(at(0.975)).map(|(low, high)| [low, high]);
+    }
+}

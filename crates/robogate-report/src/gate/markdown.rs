@@ -1,0 +1,118 @@
+//! The gate's answer as Markdown, for a pull request or a job summary.
+
+use std::fmt::Write;
+
+use robogate_gate::{ConfidenceScore, Evaluation, Mode, Verdict};
+
+use super::{DemandRow, how_judged, sign, value, what_next};
+use crate::page::escape_markdown;
+use crate::words::{count, fixed, percent, percents, sentence};
+
+/// The evaluation as Markdown.
+pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
+    let mut out = String::new();
+    let mark = match evaluation.verdict {
+        Verdict::Pass => "\u{2705}",
+        Verdict::Fail => "\u{274c}",
+        Verdict::Inconclusive => "\u{2754}",
+        Verdict::Invalid => "\u{26a0}\u{fe0f}",
+    };
+    let word = evaluation.verdict.word().to_uppercase();
+    // Writing to a string cannot fail; so throughout this file.
+    let _ = writeln!(
+        out,
+        "## {mark} RoboGate: {word}\n\n**{}** on {}, {}: {}.\n",
+        escape_markdown(&evaluation.policy),
+        escape_markdown(&evaluation.robot),
+        escape_markdown(&evaluation.population.to_string()),
+        escape_markdown(&evaluation.because)
+    );
+    if evaluation.requirements.mode == Mode::Confidence {
+        out.push_str("| | demand | observed | true figure is in | |\n|---|---|---:|---:|---|\n");
+    } else {
+        out.push_str("| | demand | observed | |\n|---|---|---:|---|\n");
+    }
+    for row in DemandRow::all(evaluation) {
+        let _ = write!(
+            out,
+            "| {} | {} | {} |",
+            sign(row.status),
+            escape_markdown(&row.demand),
+            escape_markdown(&row.observed)
+        );
+        if evaluation.requirements.mode == Mode::Confidence {
+            let _ = write!(out, " {} |", escape_markdown(&row.interval));
+        }
+        let _ = writeln!(out, " {} |", escape_markdown(&row.note));
+    }
+    let next = what_next(evaluation);
+    if !next.is_empty() {
+        let _ = writeln!(out, "\n{next}");
+    }
+    let counts = evaluation.counts;
+    let rounds = counts.rounds.map_or_else(String::new, |rounds| format!(" in {} rounds", count(rounds)));
+    let _ = writeln!(
+        out,
+        "\n{} episodes{rounds}, {} of them invalid. {} {}",
+        count(counts.episodes),
+        count(counts.invalid),
+        how_judged(evaluation),
+        escape_markdown(&evaluation.estimand)
+    );
+    if let Some(score) = &evaluation.score {
+        self::score(&mut out, score);
+    }
+    if !evaluation.groups.is_empty() {
+        out.push_str("\n<details><summary>Success by scenario group</summary>\n\n");
+        out.push_str(
+            "| category | group | success | rate | 95 % interval | otherwise |\n|---|---|---:|---:|---:|---|\n",
+        );
+        for group in &evaluation.groups {
+            let rate =
+                if group.valid > 0 { percent(group.successes as f64 / group.valid as f64) } else { "-".to_owned() };
+            let endings: Vec<String> = group.endings.iter().map(|e| format!("{} {}", e.ending, e.episodes)).collect();
+            let _ = writeln!(
+                out,
+                "| {} | {} | {} of {} | {rate} | {} | {} |",
+                escape_markdown(&group.category),
+                escape_markdown(&group.group),
+                count(group.successes),
+                count(group.valid),
+                percents(group.interval_95),
+                escape_markdown(&endings.join(", "))
+            );
+        }
+        out.push_str("\n</details>\n");
+    }
+    out
+}
+
+fn score(out: &mut String, score: &ConfidenceScore) {
+    let points = score.points.map_or_else(|| "-".to_owned(), |points| fixed(points, 1));
+    let _ = writeln!(out, "\n<details><summary>Confidence score {points} of 100</summary>\n");
+    out.push_str("| term | figure | baseline | term | weight | points |\n|---|---:|---:|---:|---:|---:|\n");
+    let dash = || "-".to_owned();
+    for term in &score.terms {
+        let metric = term.term.metric;
+        let _ = writeln!(
+            out,
+            "| {} | {} | {} | {} | {} | {} |",
+            escape_markdown(&term.term.name),
+            term.value.map_or_else(dash, |x| value(metric, x)),
+            term.baseline.map_or_else(String::new, |x| value(metric, x)),
+            term.scored.map_or_else(dash, |x| fixed(x, 3)),
+            fixed(term.term.weight, 2),
+            term.points.map_or_else(dash, |x| fixed(x, 1))
+        );
+    }
+    let [least, most] = score.bounds;
+    if score.points.is_none_or(|points| most - least > 1e-9 || (points - least).abs() > 1e-9) {
+        let text = format!(
+            "whatever the invalid episodes could have been, or what is missing: {} to {}.",
+            fixed(least, 1),
+            fixed(most, 1)
+        );
+        let _ = writeln!(out, "\n{}", sentence(&text));
+    }
+    out.push_str("\nA summary of observed figures, without an error of its own; the verdict does not depend on it.\n\n</details>\n");
+}
