@@ -61,6 +61,26 @@ pub struct Comparison {
     pub status: Status,
 }
 
+/// Refuses a comparison that could never be made, before anything runs: of other scenarios or another seed, or with a
+/// margin that is none.
+///
+/// # Errors
+/// Which of these it is.
+pub fn check_pairing(other: &Record, this: &Record, seed: u64, margin: f64) -> Result<(), GateError> {
+    non_inferiority::check(margin)?;
+    if !other.population.is_that_of(&this.population) {
+        let baseline = other.population.to_string();
+        return Err(GateError::ForeignBaseline { baseline, run: this.population.to_string() });
+    }
+    match other.trials.first() {
+        Some(first) if first.seed != seed => {
+            let what = format!("the seeds are {} and {seed}", first.seed);
+            Err(GateError::NotPaired { index: first.index, what })
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Whether a pair's episodes succeeded; `None` where one is invalid.
 type Twin = Option<(bool, bool)>;
 

@@ -12,6 +12,7 @@
 //! | several records | [`Leaderboard`] |
 //! | a record and requirements ([`Question`]) | [`Evaluation`], with [`ConfidenceScore`] and [`Verdict`] |
 
+mod asked;
 mod baseline;
 mod comparison;
 mod demand_test;
@@ -31,8 +32,9 @@ mod score;
 mod trial;
 mod verdict;
 
+pub use asked::{Asked, AskedAgainst};
 pub use baseline::{Baseline, BaselineFigure};
-pub use comparison::{Against, Comparison};
+pub use comparison::{Against, Comparison, check_pairing};
 pub use error::GateError;
 pub use evaluation::{Counts, EndingCount, Evaluation, Finding, GroupResult, Question, Sampling, Status};
 pub use figure::Extremes;

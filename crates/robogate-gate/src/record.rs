@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use robogate_core::Suite;
-use robogate_dictionary::{Dictionary, Label, Provenance};
+use robogate_dictionary::{Dictionary, Entry, Label, Provenance};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -92,9 +92,31 @@ impl Record {
     /// # Errors
     /// A row that cannot be read.
     pub fn of(dictionary: &Dictionary) -> Result<Self, GateError> {
+        let hash = dictionary.dataset_hash();
+        Self::collect(dictionary.provenance(), hash, dictionary.entries().map(|entry| entry.map_err(GateError::from)))
+    }
+
+    /// The record of a campaign that has no row yet; `provenance` holds its plan.
+    pub fn begun(provenance: &Provenance) -> Self {
+        let population = population(provenance, &[]);
+        Self {
+            population,
+            robot: provenance.robot.name.clone(),
+            policy: provenance.policy.clone(),
+            dataset_sha256: String::new(),
+            trials: Vec::new(),
+            focused: 0,
+        }
+    }
+
+    fn collect(
+        provenance: &Provenance,
+        dataset_sha256: &str,
+        entries: impl Iterator<Item = Result<Entry, GateError>>,
+    ) -> Result<Self, GateError> {
         let mut rows = Vec::new();
         let mut uneven = BTreeMap::new();
-        for entry in dictionary.entries() {
+        for entry in entries {
             let entry = entry?;
             let named = ["uniform", "imported", "suite"].contains(&entry.stage.as_str());
             let focused = entry.stage == "boundary" || (!named && (entry.weight - 1.0).abs() > 0.0);
@@ -106,20 +128,11 @@ impl Record {
             .into_iter()
             .filter_map(|(stage, trial)| (!uneven.get(&stage).copied().unwrap_or(false)).then_some(trial))
             .collect();
-        let provenance = dictionary.provenance();
-        let population = match SuitePlan::of(&provenance.plan) {
-            Some(SuitePlan { sha256, suite }) => Population::Suite {
-                name: format!("{} {}", suite.name(), suite.version()),
-                sha256,
-                cases: suite.cases().len() as u64,
-            },
-            None => drawn(provenance, &trials),
-        };
         Ok(Self {
-            population,
+            population: population(provenance, &trials),
             robot: provenance.robot.name.clone(),
             policy: provenance.policy.clone(),
-            dataset_sha256: dictionary.dataset_hash().to_owned(),
+            dataset_sha256: dataset_sha256.to_owned(),
             focused: (all - trials.len()) as u64,
             trials,
         })
@@ -136,6 +149,17 @@ struct SuitePlan {
 impl SuitePlan {
     fn of(plan: &serde_json::Value) -> Option<Self> {
         serde_json::from_value(plan.get("suite")?.clone()).ok()
+    }
+}
+
+fn population(provenance: &Provenance, trials: &[Trial]) -> Population {
+    match SuitePlan::of(&provenance.plan) {
+        Some(SuitePlan { sha256, suite }) => Population::Suite {
+            name: format!("{} {}", suite.name(), suite.version()),
+            sha256,
+            cases: suite.cases().len() as u64,
+        },
+        None => drawn(provenance, trials),
     }
 }
 

@@ -1,5 +1,6 @@
 //! The command: one file per verb.
 
+mod answer;
 mod commands;
 mod exit;
 mod progress;
@@ -36,6 +37,12 @@ enum Verb {
     Compare(commands::compare::Compare),
     /// Write a run or a dictionary as one page: HTML, Markdown or JSON
     Report(commands::report::Report),
+    /// Answer: may this policy run? Run a suite until that is certain, or judge what was run
+    Gate(commands::gate::Gate),
+    /// Keep a run's figures, for others to be held against
+    Baseline(commands::baseline::BaselineOf),
+    /// Rank policies that ran the same scenarios
+    Leaderboard(commands::leaderboard::Rank),
     /// Write a failure dictionary as CSV, JSON Lines or the published JSON
     Export(commands::export::Export),
     /// Read what another tool measured into Parquet
@@ -65,6 +72,9 @@ fn main() -> ExitCode {
         Verb::Analyze(analyze) => analyze.execute(),
         Verb::Compare(compare) => compare.execute(),
         Verb::Report(report) => report.execute(),
+        Verb::Gate(gate) => gate.execute(),
+        Verb::Baseline(baseline) => baseline.execute(),
+        Verb::Leaderboard(leaderboard) => leaderboard.execute(),
         Verb::Export(export) => export.execute(),
         Verb::Import(import) => import.execute(),
         Verb::Study(study) => study.execute(),

@@ -21,6 +21,11 @@ impl<T: Display> Display for Styled<T> {
     }
 }
 
+/// Text in this style (the parameters of an SGR sequence).
+pub(crate) fn styled<T: Display>(style: &'static str, text: T) -> Styled<T> {
+    Styled(style, text)
+}
+
 /// A heading.
 pub(crate) fn bold<T: Display>(text: T) -> Styled<T> {
     Styled("1", text)

@@ -33,6 +33,12 @@ fn the_schemas_are_those_of_the_code() {
         ("boundary", schema_for!(robogate_campaign::BoundaryReport)),
         ("event", schema_for!(robogate_campaign::Event)),
         ("study", schema_for!(robogate_report::study::Study)),
+        ("requirements", schema_for!(robogate_gate::Requirements)),
+        ("baseline", schema_for!(robogate_gate::Baseline)),
+        ("gate-question", schema_for!(robogate_gate::Asked)),
+        ("gate-plan", schema_for!(robogate_gate::GatePlan)),
+        ("evaluation", schema_for!(robogate_gate::Evaluation)),
+        ("leaderboard", schema_for!(robogate_gate::Leaderboard)),
     ] {
         let text = serde_json::to_string_pretty(&schema).unwrap() + "\n";
         check(&format!("schemas/{name}.schema.json"), &text);

@@ -1,12 +1,15 @@
 //! The verbs.
 
 pub(crate) mod analyze;
+pub(crate) mod baseline;
 pub(crate) mod check;
 pub(crate) mod compare;
 pub(crate) mod evidence;
 pub(crate) mod export;
+pub(crate) mod gate;
 pub(crate) mod import;
 pub(crate) mod keys;
+pub(crate) mod leaderboard;
 pub(crate) mod replay;
 pub(crate) mod report;
 pub(crate) mod resume;

@@ -155,6 +155,18 @@ impl How {
         work(&Crew { workshop: cell, threads, stop: &stop })
     }
 
+    /// Runs a campaign by `work` and shows its progress.
+    pub(crate) fn carry(
+        &self,
+        cell: &Cell,
+        work: impl FnOnce(&Crew<'_>, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
+    ) -> Result<Completion, Exit> {
+        self.with_crew(cell, |crew| {
+            let mut progress = Progress::new();
+            work(crew, &mut |event| progress.hear(event)).map_err(exit)
+        })
+    }
+
     /// Runs a campaign by `work`, shows its progress and its summary.
     pub(crate) fn conduct(
         &self,
@@ -162,10 +174,7 @@ impl How {
         cell: &Cell,
         work: impl FnOnce(&Crew<'_>, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
     ) -> Result<u8, Exit> {
-        let completion = self.with_crew(cell, |crew| {
-            let mut progress = Progress::new();
-            work(crew, &mut |event| progress.hear(event)).map_err(exit)
-        })?;
+        let completion = self.carry(cell, work)?;
         match completion {
             Completion::Finished { summary, boundary } => {
                 write_report(dir);
@@ -177,17 +186,20 @@ impl How {
                 let evidence = summary.stages.iter().any(|stage| stage.valid > 0);
                 Ok(if evidence { DONE } else { INVALID })
             }
-            Completion::Interrupted { done, episodes } => {
-                note(format_args!("{} of {} episodes are recorded.", grouped(done), grouped(episodes)));
-                note(format_args!("next: robogate resume {}", dir.display()));
-                Ok(INTERRUPTED)
-            }
+            Completion::Interrupted { done, episodes } => Ok(interrupted(dir, done, episodes)),
         }
     }
 }
 
+/// Says how far an interrupted campaign came and how it goes on.
+pub(crate) fn interrupted(dir: &Path, done: u64, episodes: u64) -> u8 {
+    note(format_args!("{} of {} episodes are recorded.", grouped(done), grouped(episodes)));
+    note(format_args!("next: robogate resume {}", dir.display()));
+    INTERRUPTED
+}
+
 /// Ends a campaign with its page. The dictionary is complete without it: what goes wrong is said, no more.
-fn write_report(dir: &Path) {
+pub(crate) fn write_report(dir: &Path) {
     if let Err(exit) = super::report::page(dir) {
         note(format_args!("warning: no report: {exit}"));
     }
@@ -227,7 +239,7 @@ pub(crate) fn provenance(cell: &Cell, space: ParameterSpace) -> Result<Provenanc
 }
 
 /// A folder under `runs/` that is not there yet.
-fn free_folder(name: &str) -> PathBuf {
+pub(crate) fn free_folder(name: &str) -> PathBuf {
     let runs = Path::new("runs");
     let plain = runs.join(name);
     if !plain.exists() {

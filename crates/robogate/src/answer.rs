@@ -1,0 +1,222 @@
+//! The gate's answer and its plan in the terminal.
+
+use robogate_gate::{Evaluation, GatePlan, Metric, Mode, Sampling, Sense, Status, Verdict};
+use robogate_report::{DemandRow, how_judged, sign, what_next};
+
+use crate::terminal::{Styled, bold, dim, grouped, line, percent, styled};
+
+/// Prints the answer.
+pub(crate) fn print(evaluation: &Evaluation) {
+    line("");
+    line(format_args!("  {}  {}", banner(evaluation.verdict), evaluation.because));
+    line(dim(format_args!("  {} on {}, {}", evaluation.policy, evaluation.robot, evaluation.population)));
+    line("");
+    let rows = DemandRow::all(evaluation);
+    let wide = |cell: fn(&DemandRow) -> &str, head: &str| {
+        rows.iter().map(|row| cell(row).chars().count()).max().unwrap_or(0).max(head.chars().count())
+    };
+    let heads = ["demand", "observed", "true figure is in"];
+    let widths = [wide(|r| &r.demand, heads[0]), wide(|r| &r.observed, heads[1]), wide(|r| &r.interval, heads[2])];
+    let point = evaluation.requirements.mode == Mode::Point;
+    let [a, b, c] = widths;
+    let third = if point { "" } else { heads[2] };
+    line(dim(format_args!("     {:<a$}  {:>b$}  {:>c$}", heads[0], heads[1], third)));
+    for row in &rows {
+        let text = format!("{:<a$}  {:>b$}  {:>c$}", row.demand, row.observed, row.interval);
+        line(format_args!(
+            "  {}  {text}  {}",
+            colour(row.status, sign(row.status)),
+            colour(row.status, row.status.word())
+        ));
+        if !row.note.is_empty() {
+            line(dim(format_args!("     {}", row.note)));
+        }
+    }
+    line("");
+    counts(evaluation);
+    let next = what_next(evaluation);
+    if !next.is_empty() {
+        line(bold(format_args!("  {next}")));
+    }
+    wrapped(&how_judged(evaluation));
+    wrapped(&evaluation.estimand);
+    groups(evaluation);
+    score(evaluation);
+}
+
+fn counts(evaluation: &Evaluation) {
+    let counts = evaluation.counts;
+    let rounds = match counts.rounds {
+        Some(1) => " in one round".to_owned(),
+        Some(rounds) => format!(" in {} rounds", grouped(rounds)),
+        None => String::new(),
+    };
+    let invalid = match counts.invalid {
+        0 => "none invalid".to_owned(),
+        n => format!("{} invalid: the answer holds for the worst they could have been", grouped(n)),
+    };
+    line(format_args!("  {} episodes{rounds}, {invalid}", grouped(counts.episodes)));
+    if counts.focused > 0 {
+        line(format_args!(
+            "  {} episodes drawn near the failure boundary are left out: they are no operating rate",
+            grouped(counts.focused)
+        ));
+    }
+}
+
+/// Groups in which anything but success happened.
+fn groups(evaluation: &Evaluation) {
+    let troubled: Vec<_> = evaluation.groups.iter().filter(|g| !g.endings.is_empty()).collect();
+    if evaluation.groups.is_empty() {
+        return;
+    }
+    line("");
+    if troubled.is_empty() {
+        line(format_args!("  All {} scenario groups succeeded throughout.", evaluation.groups.len()));
+        return;
+    }
+    line(bold("  Scenario groups with anything but success"));
+    let wide = troubled.iter().map(|g| g.category.len() + g.group.len() + 1).max().unwrap_or(0);
+    for group in &troubled {
+        let name = format!("{}/{}", group.category, group.group);
+        let endings: Vec<String> =
+            group.endings.iter().map(|e| format!("{} {}", e.ending.replace('_', " "), e.episodes)).collect();
+        line(format_args!("     {name:<wide$}  {:>4} of {:<4}  {}", group.successes, group.valid, endings.join(", ")));
+    }
+}
+
+fn score(evaluation: &Evaluation) {
+    let Some(score) = &evaluation.score else { return };
+    line("");
+    let Some(points) = score.points else {
+        let missing: Vec<&str> =
+            score.terms.iter().filter(|t| t.points.is_none()).map(|t| t.term.name.as_str()).collect();
+        line(format_args!("  No confidence score: there is no figure for {}", missing.join(", ")));
+        return;
+    };
+    let [least, most] = score.bounds;
+    let bounds =
+        if most - least > 0.05 { format!(", {least:.1} to {most:.1} whatever is missing") } else { String::new() };
+    line(bold(format_args!("  Confidence score {points:.1} of 100{bounds}")));
+    for term in &score.terms {
+        let figure = term.value.map_or_else(String::new, |x| value(term.term.metric, x));
+        let against = term.baseline.map_or_else(String::new, |x| format!("baseline {}", value(term.term.metric, x)));
+        line(format_args!(
+            "     {:<16} {figure:>9}  {against:<18} {:>5.1} of {:.0}",
+            term.term.name,
+            term.points.unwrap_or(0.0),
+            100.0 * term.term.weight
+        ));
+    }
+}
+
+/// Prints what the gate will do.
+pub(crate) fn print_plan(plan: &GatePlan) {
+    let how = match plan.sampling {
+        Sampling::Fixed => format!("{} rounds of {} episodes, judged once", plan.rounds, plan.per_round),
+        Sampling::Sequential => {
+            format!(
+                "up to {} rounds of {} episodes, ended as soon as the answer is certain",
+                plan.rounds, plan.per_round
+            )
+        }
+    };
+    line(bold(format_args!("Gate `{}`: {how}", plan.requirements.name)));
+    if plan.requirements.mode == Mode::Confidence {
+        line(dim(format_args!(
+            "Each demand by itself at {} confidence; every scenario with the same chance. A gate passes no more often than its least likely demand.",
+            percent(plan.requirements.confidence)
+        )));
+    } else {
+        line(dim("Point comparisons, each by itself; every scenario with the same chance."));
+    }
+    for demand in &plan.demands {
+        let limit = value(demand.requirement.metric, demand.bound.limit);
+        line("");
+        let scope = demand.id.find('[').map_or("", |at| &demand.id[at..]);
+        line(bold(format_args!("{}{scope} {} {limit}", demand.requirement.metric.title(), demand.bound.sense)));
+        if let Some(fewest) = demand.fewest_rounds {
+            let round = if fewest == 1 { "round" } else { "rounds" };
+            let without = if demand.requirement.metric == Metric::CycleTimeS {
+                "with every episode as long as the baseline's mean"
+            } else {
+                "without a single bad episode"
+            };
+            line(format_args!(
+                "  met at the earliest after {fewest} {round} ({} episodes), {without}",
+                grouped(fewest * plan.per_round)
+            ));
+        }
+        if demand.at.is_empty() {
+            line(dim("  no table: nobody knows the law of durations beforehand"));
+            continue;
+        }
+        line(dim("    true rate     pass     fail     open   episodes"));
+        for at in &demand.at {
+            let better = match demand.bound.sense {
+                Sense::AtLeast => at.rate > demand.bound.limit,
+                Sense::AtMost => at.rate < demand.bound.limit,
+            };
+            let mark = if (at.rate - demand.bound.limit).abs() < 1e-12 {
+                "limit"
+            } else if better {
+                ""
+            } else {
+                "worse"
+            };
+            line(format_args!(
+                "    {:>9} {:>8} {:>8} {:>8} {:>10}  {}",
+                value(Metric::SuccessRate, at.rate),
+                percent(at.met),
+                percent(at.violated),
+                percent(at.open),
+                grouped(at.episodes.round() as u64),
+                dim(mark)
+            ));
+        }
+    }
+}
+
+fn value(metric: Metric, x: f64) -> String {
+    match metric {
+        Metric::CycleTimeS => format!("{x:.2} s"),
+        Metric::CollisionCount => format!("{x:.0}"),
+        _ => format!("{:.2} %", 100.0 * x),
+    }
+}
+
+fn banner(verdict: Verdict) -> Styled<String> {
+    let style = match verdict {
+        Verdict::Pass => "1;97;42",
+        Verdict::Fail => "1;97;41",
+        Verdict::Inconclusive => "1;30;43",
+        Verdict::Invalid => "1;97;45",
+    };
+    styled(style, format!(" {} ", verdict.word().to_uppercase()))
+}
+
+fn colour(status: Status, text: &str) -> Styled<&str> {
+    let style = match status {
+        Status::Met => "32",
+        Status::Violated => "31",
+        Status::Undecided => "33",
+        Status::NoEvidence => "35",
+    };
+    styled(style, text)
+}
+
+/// A sentence in lines of at most 100 columns, beside the point.
+fn wrapped(text: &str) {
+    let mut row = String::new();
+    for word in text.split(' ') {
+        if !row.is_empty() && row.chars().count() + word.chars().count() > 96 {
+            line(dim(format_args!("  {row}")));
+            row.clear();
+        }
+        if !row.is_empty() {
+            row.push(' ');
+        }
+        row.push_str(word);
+    }
+    line(dim(format_args!("  {row}")));
+}

@@ -1,0 +1,385 @@
+//! `robogate gate`: may this policy run?
+
+use std::fs;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+use clap::Args;
+use robogate_campaign::{Completion, DEFAULT_SEED, Event, Plan, Round, Settings};
+use robogate_dictionary::{Label, Provenance};
+use robogate_gate::{
+    Against, Asked, AskedAgainst, Baseline, Evaluation, GateError, GatePlan, Mode, Question, Record, Requirements,
+    Sampling, Trial, Verdict,
+};
+use robogate_report::{Source, evaluation_markdown, junit};
+use robogate_sim::SuctionLaw;
+
+use crate::answer;
+use crate::commands::run::{How, free_folder, interrupted, provenance, write_report};
+use crate::commands::suites;
+use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::terminal::{grouped, line, note};
+use crate::world::{Cell, WorldArguments};
+
+/// Answer: may this policy run? Run a suite until that is certain, or judge what was run.
+///
+/// Exit codes: 0 pass, 1 fail, 3 inconclusive, 4 nothing was evaluated.
+#[derive(Debug, Args)]
+pub(crate) struct Gate {
+    /// Judge this run's folder or dictionary; nothing is run
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["suite", "rounds", "fixed", "seed", "plan"])]
+    run: Option<PathBuf>,
+    /// The suite to run: industrial-68, or the file of your own
+    #[arg(long, value_name = "NAME|FILE", default_value = "industrial-68")]
+    suite: String,
+    /// What is demanded: default, paper, or a file of your own (TOML)
+    #[arg(long, value_name = "NAME|FILE")]
+    requirements: Option<String>,
+    /// What relative demands refer to: a baseline's file, or a run; of a run it is asked as well whether this policy
+    /// may replace that one
+    #[arg(long, value_name = "FILE|RUN")]
+    baseline: Option<PathBuf>,
+    /// How far below the other run's success rate this policy's may lie
+    #[arg(long, value_name = "SHARE", default_value_t = 0.05)]
+    margin: f64,
+    /// At most this many rounds of the suite; default: the requirements' budget
+    #[arg(long, value_name = "N")]
+    rounds: Option<u32>,
+    /// Run all the rounds and judge once, in place of stopping when the answer is certain
+    #[arg(long)]
+    fixed: bool,
+    /// Print what the gate will do at which true rates, and run nothing
+    #[arg(long)]
+    plan: bool,
+    /// The seed of the rounds
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    #[command(flatten)]
+    world: WorldArguments,
+    #[command(flatten)]
+    how: How,
+    /// The folder: of the run, a new one under runs/ by default; with --run, where the answer's files go, nowhere by default
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+/// The answer's files in a run's folder.
+const ANSWER: [&str; 3] = ["gate.json", "gate.md", "gate.junit.xml"];
+
+/// The baselines that come with RoboGate.
+const BASELINES: [&str; 1] = [include_str!("../../../../assets/baselines/franka-industrial-68.json")];
+
+/// The baseline that comes with RoboGate for these scenarios and this robot.
+pub(crate) fn built_in_baseline(record: &Record) -> Option<Baseline> {
+    BASELINES
+        .iter()
+        .filter_map(|text| Baseline::from_json(text).ok())
+        .find(|baseline| baseline.population.is_that_of(&record.population) && baseline.robot == record.robot)
+}
+
+impl Gate {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        match &self.run {
+            Some(run) => self.judge(run),
+            None => self.run_suite(),
+        }
+    }
+
+    /// Judges what was run.
+    fn judge(&self, run: &Path) -> Result<u8, Exit> {
+        let source = Source::open(run).or_usage()?;
+        let record = Record::of(source.dictionary()).map_err(refused)?;
+        let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
+        // Whoever looked while the rounds came in has to pay for the looks, whatever is asked afterwards.
+        let sampling = asked.as_ref().map_or(Sampling::Fixed, |asked| asked.sampling);
+        let requirements = match (&self.requirements, asked) {
+            (None, Some(asked)) => asked.requirements,
+            (name, _) => Requirements::open(name.as_deref().unwrap_or("default")).map_err(refused)?,
+        };
+        let other = self.other(&record)?;
+        let question = Question {
+            requirements: &requirements,
+            baseline: other.baseline.as_ref(),
+            against: other.against(self.margin),
+            sampling,
+        };
+        let evaluation = question.evaluate(&record).map_err(refused)?;
+        if let Some(out) = &self.out {
+            fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display())).or_broken()?;
+            write_answer(out, &evaluation)?;
+        }
+        show(self.out.as_deref(), &evaluation, self.how.json)
+    }
+
+    /// Runs a suite until the answer is certain.
+    fn run_suite(&self) -> Result<u8, Exit> {
+        let requirements = Requirements::open(self.requirements.as_deref().unwrap_or("default")).map_err(refused)?;
+        let world = self.world.world();
+        let robot = Path::new(&world.robot).file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        let cell = Cell::new(world, SuctionLaw::Vacuum).or_usage()?;
+        let suite = suites::find(&self.suite)?;
+        cell.check_suite(&suite).or_usage()?;
+        let rounds = self.rounds.unwrap_or(requirements.budget.rounds);
+        let fixed = self.fixed || requirements.mode == Mode::Point;
+        let sampling = if fixed { Sampling::Fixed } else { Sampling::Sequential };
+        let labels: Vec<Label> = suite
+            .cases()
+            .iter()
+            .map(|case| Label {
+                case: Some(case.id.clone()),
+                category: Some(case.category.clone()),
+                group: Some(case.group.clone()),
+            })
+            .collect();
+        // Against another run its seed is taken: only the same worlds make pairs.
+        let seed = match (self.seed, self.other_seed()?) {
+            (Some(seed), _) | (None, Some(seed)) => seed,
+            (None, None) => DEFAULT_SEED,
+        };
+        let plan = Plan::of_suite(suite, u64::from(rounds), seed);
+        let provenance = provenance(
+            &cell,
+            plan.suite.as_ref().map_or_else(
+                || Err(anyhow!("the plan has no suite")).or_broken(),
+                |stage| Ok(stage.suite.space().clone()),
+            )?,
+        )?;
+        plan.check(&provenance.space).or_usage()?;
+        let planned = Provenance { plan: serde_json::to_value(&plan).or_broken()?, ..provenance.clone() };
+        let mut record = Record::begun(&planned);
+        let other = self.other(&record)?;
+        // What cannot be answered is said before anything runs.
+        let gate_plan = GatePlan::of(&requirements, other.baseline.as_ref(), &labels, sampling, u64::from(rounds))
+            .map_err(refused)?;
+        if self.plan {
+            if self.how.json {
+                let document = serde_json::to_string_pretty(&gate_plan).or_broken()?;
+                line(document);
+            } else {
+                answer::print_plan(&gate_plan);
+            }
+            return Ok(DONE);
+        }
+        let against = other.record.as_ref().map(|(path, record)| AskedAgainst {
+            path: path.canonicalize().unwrap_or_else(|_| path.clone()).to_string_lossy().into_owned(),
+            dataset_sha256: record.dataset_sha256.clone(),
+            margin: self.margin,
+        });
+        if let Some((_, a)) = &other.record {
+            robogate_gate::check_pairing(a, &record, plan.seed, self.margin).map_err(refused)?;
+        }
+        let asked = Asked { format: Asked::FORMAT, requirements, baseline: other.baseline, against, sampling };
+        let dir = match &self.out {
+            Some(dir) => dir.clone(),
+            None => free_folder(&format!("gate-{robot}-{}", plan.seed)),
+        };
+        note(format_args!(
+            "RoboGate {}: {} in {} {}, {} controller, seed {}",
+            env!("CARGO_PKG_VERSION"),
+            provenance.robot.name,
+            provenance.engine.name,
+            provenance.engine.version.as_deref().unwrap_or_default(),
+            provenance.policy,
+            plan.seed
+        ));
+        note(format_args!(
+            "{}: {} scenarios, {} {} rounds, requirements `{}`, into {}",
+            record.population,
+            labels.len(),
+            if fixed { "exactly" } else { "at most" },
+            rounds,
+            asked.requirements.name,
+            dir.display()
+        ));
+        let other = other.record.map(|(_, record)| record);
+        let mut trouble = None;
+        let completion = {
+            let mut look = Look { asked: &asked, other: other.as_ref(), record: &mut record, trouble: &mut trouble };
+            self.how.carry(&cell, |crew, events| {
+                let mut events = |event: &Event| {
+                    // The folder is there and holds the plan; no episode has run yet.
+                    if let Event::Started { .. } = event {
+                        look_file(&dir, &asked);
+                    }
+                    events(event);
+                };
+                robogate_campaign::start_in_rounds(&dir, &plan, provenance, crew, &mut events, &mut |round| {
+                    look.after(round)
+                })
+            })
+        };
+        finish(&dir, &asked, other.as_ref(), trouble, completion?, self.how.json)
+    }
+
+    /// Whether the baseline is a run: then its episodes are there to be compared with.
+    fn against_run(&self) -> Option<&Path> {
+        let path = self.baseline.as_deref()?;
+        (path.is_dir() || path.extension().is_some_and(|ending| ending == "parquet")).then_some(path)
+    }
+
+    fn other_seed(&self) -> Result<Option<u64>, Exit> {
+        let Some(path) = self.against_run() else { return Ok(None) };
+        Ok(Some(Source::open(path).or_usage()?.dictionary().provenance().seed))
+    }
+
+    /// What the policy is held against.
+    fn other(&self, record: &Record) -> Result<Other, Exit> {
+        let Some(path) = &self.baseline else {
+            return Ok(Other { baseline: built_in_baseline(record), record: None });
+        };
+        if self.against_run().is_none() {
+            let baseline = Baseline::open(path).map_err(refused)?;
+            return Ok(Other { baseline: Some(baseline), record: None });
+        }
+        let source = Source::open(path).or_usage()?;
+        let a = Record::of(source.dictionary()).map_err(refused)?;
+        let baseline = Baseline::of(&a).map_err(refused)?;
+        Ok(Other { baseline: Some(baseline), record: Some((path.clone(), a)) })
+    }
+}
+
+/// Goes on with an interrupted gate.
+pub(crate) fn go_on(dir: &Path, asked: Asked, cell: &Cell, settings: Settings, how: &How) -> Result<u8, Exit> {
+    let other = match &asked.against {
+        Some(against) => {
+            let source = Source::open(Path::new(&against.path)).or_usage()?;
+            let record = Record::of(source.dictionary()).map_err(refused)?;
+            if record.dataset_sha256 != against.dataset_sha256 {
+                return Err(anyhow!("{} is no longer the run that this gate compares with", against.path)).or_usage();
+            }
+            Some(record)
+        }
+        None => None,
+    };
+    let mut record = Record::begun(&settings.provenance);
+    let provenance = provenance(cell, settings.provenance.space)?;
+    let mut trouble = None;
+    let completion = {
+        let mut look = Look { asked: &asked, other: other.as_ref(), record: &mut record, trouble: &mut trouble };
+        how.carry(cell, |crew, events| {
+            robogate_campaign::resume_in_rounds(dir, &provenance, crew, events, &mut |round| look.after(round))
+        })
+    };
+    finish(dir, &asked, other.as_ref(), trouble, completion?, how.json)
+}
+
+/// A baseline's figures, and the run that they came from where pairs can be made with it.
+struct Other {
+    baseline: Option<Baseline>,
+    record: Option<(PathBuf, Record)>,
+}
+
+impl Other {
+    fn against(&self, margin: f64) -> Option<Against<'_>> {
+        self.record.as_ref().map(|(_, record)| Against { record, margin })
+    }
+}
+
+/// The question, asked again after each round.
+struct Look<'a> {
+    asked: &'a Asked,
+    other: Option<&'a Record>,
+    record: &'a mut Record,
+    trouble: &'a mut Option<GateError>,
+}
+
+impl Look<'_> {
+    fn after(&mut self, round: &Round<'_>) -> ControlFlow<()> {
+        self.record.trials.extend(round.entries.iter().map(Trial::from));
+        if self.asked.sampling == Sampling::Fixed {
+            return ControlFlow::Continue(());
+        }
+        match question(self.asked, self.other).evaluate(self.record) {
+            Ok(evaluation) if matches!(evaluation.verdict, Verdict::Pass | Verdict::Fail) => ControlFlow::Break(()),
+            Ok(_) => ControlFlow::Continue(()),
+            Err(error) => {
+                *self.trouble = Some(error);
+                ControlFlow::Break(())
+            }
+        }
+    }
+}
+
+fn question<'a>(asked: &'a Asked, other: Option<&'a Record>) -> Question<'a> {
+    Question {
+        requirements: &asked.requirements,
+        baseline: asked.baseline.as_ref(),
+        against: other.zip(asked.against.as_ref()).map(|(record, a)| Against { record, margin: a.margin }),
+        sampling: asked.sampling,
+    }
+}
+
+/// Writes the question beside the plan. Without it a later `resume` would run all rounds; the answer is the same.
+fn look_file(dir: &Path, asked: &Asked) {
+    if let Err(error) = fs::write(dir.join(Asked::FILE), asked.to_json()) {
+        note(format_args!("warning: cannot write {}: {error}", dir.join(Asked::FILE).display()));
+    }
+}
+
+fn finish(
+    dir: &Path,
+    asked: &Asked,
+    other: Option<&Record>,
+    trouble: Option<GateError>,
+    completion: Completion,
+    json: bool,
+) -> Result<u8, Exit> {
+    if let Completion::Interrupted { done, episodes } = completion {
+        return Ok(interrupted(dir, done, episodes));
+    }
+    if let Some(error) = trouble {
+        return Err(refused(error));
+    }
+    write_report(dir);
+    // The answer is that to the rows as they are on disk, not to what was seen on the way.
+    let source = Source::open(dir).or_broken()?;
+    let record = Record::of(source.dictionary()).map_err(refused)?;
+    let evaluation = question(asked, other).evaluate(&record).map_err(refused)?;
+    write_answer(dir, &evaluation)?;
+    show(Some(dir), &evaluation, json)
+}
+
+fn write_answer(dir: &Path, evaluation: &Evaluation) -> Result<(), Exit> {
+    let texts = [evaluation.to_json(), evaluation_markdown(evaluation), junit(evaluation)];
+    for (name, text) in ANSWER.iter().zip(texts) {
+        let path = dir.join(name);
+        fs::write(&path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
+    }
+    Ok(())
+}
+
+fn show(dir: Option<&Path>, evaluation: &Evaluation, json: bool) -> Result<u8, Exit> {
+    if json {
+        line(evaluation.to_json().trim_end());
+    } else {
+        answer::print(evaluation);
+        if let Some(dir) = dir {
+            let files: Vec<String> = ANSWER.iter().map(|name| dir.join(name).display().to_string()).collect();
+            note(format_args!("files: {}", files.join(", ")));
+        }
+        if evaluation.verdict == Verdict::Fail || evaluation.counts.invalid > 0 {
+            note(format_args!(
+                "look closer: robogate report {}",
+                dir.map_or_else(|| "RUN".to_owned(), |d| d.display().to_string())
+            ));
+        }
+        if evaluation.counts.left_over > 0 {
+            note(format_args!(
+                "{} episodes after the last whole round are not judged",
+                grouped(evaluation.counts.left_over)
+            ));
+        }
+    }
+    Ok(evaluation.verdict.exit_code())
+}
+
+/// The gate's error with its exit code: what the user must change is usage, no evidence is no evidence.
+fn refused(error: GateError) -> Exit {
+    let code = match &error {
+        GateError::EmptyBaseline | GateError::MixedLabels { .. } => INVALID,
+        GateError::Dictionary(_) => INFRASTRUCTURE,
+        _ => USAGE,
+    };
+    Exit { code, error: error.into() }
+}

@@ -1,0 +1,138 @@
+//! `robogate leaderboard`: policies in a row.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use robogate_gate::{Baseline, Leaderboard, Record, Requirements};
+use robogate_report::{Source, leaderboard_html, leaderboard_markdown};
+
+use crate::commands::gate::built_in_baseline;
+use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::terminal::{bar, bold, dim, line, note, percent};
+
+/// Rank policies that ran the same scenarios, by the paper's confidence score.
+#[derive(Debug, Args)]
+pub(crate) struct Rank {
+    /// Runs' folders or dictionaries; NAME=PATH gives one a name of its own
+    #[arg(required = true, value_name = "RUN")]
+    runs: Vec<String>,
+    /// Whose score: a built-in set of requirements or a file (TOML)
+    #[arg(long, value_name = "NAME|FILE", default_value = "paper")]
+    requirements: String,
+    /// The baseline that the score refers to; default: the one that comes with the suite and the robot
+    #[arg(long, value_name = "FILE")]
+    baseline: Option<PathBuf>,
+    /// A page in place of the terminal's table
+    #[arg(long, value_name = "FORMAT")]
+    format: Option<Form>,
+    /// The file for it; default: stdout
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Print one JSON document
+    #[arg(long, conflicts_with = "format")]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Form {
+    /// One self-contained file
+    Html,
+    /// A table for a page or a pull request
+    Md,
+    /// One versioned document
+    Json,
+}
+
+impl Rank {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let requirements = Requirements::open(&self.requirements).or_usage()?;
+        let mut entries = Vec::new();
+        for run in &self.runs {
+            let (name, path) = named(run);
+            let source = Source::open(&path).or_usage()?;
+            entries.push((name, Record::of(source.dictionary()).or_broken()?));
+        }
+        let baseline = match (&self.baseline, entries.first()) {
+            (Some(file), _) => Some(Baseline::open(file).or_usage()?),
+            (None, Some((_, first))) => built_in_baseline(first),
+            (None, None) => None,
+        };
+        let board = Leaderboard::of(&entries, &requirements.score, baseline.as_ref()).or_usage()?;
+        let form = if self.json { Some(Form::Json) } else { self.format };
+        let text = match form {
+            Some(Form::Html) => Some(leaderboard_html(&board)),
+            Some(Form::Md) => Some(leaderboard_markdown(&board)),
+            Some(Form::Json) => Some(board.to_json()),
+            None => None,
+        };
+        match (text, &self.out) {
+            (Some(text), Some(out)) => {
+                std::fs::write(out, text).with_context(|| format!("cannot write {}", out.display())).or_broken()?;
+                note(format_args!("{}: {} policies", out.display(), board.standings.len()));
+            }
+            (Some(text), None) => line(text.trim_end()),
+            (None, Some(_)) => {
+                return Err(anyhow::anyhow!("--out needs --format: html, md or json")).or_usage();
+            }
+            (None, None) => print(&board),
+        }
+        Ok(if board.standings.iter().any(|s| s.valid > 0) { DONE } else { INVALID })
+    }
+}
+
+/// NAME=PATH, or a path by its last part.
+fn named(run: &str) -> (String, PathBuf) {
+    if let Some((name, path)) = run.split_once('=')
+        && !Path::new(run).exists()
+    {
+        return (name.to_owned(), PathBuf::from(path));
+    }
+    let path = PathBuf::from(run);
+    let name = path.file_stem().map_or_else(|| run.to_owned(), |name| name.to_string_lossy().into_owned());
+    (name, path)
+}
+
+fn print(board: &Leaderboard) {
+    line(bold(format_args!("Leaderboard, {}", board.population)));
+    line("");
+    let wide = board.standings.iter().map(|s| s.name.chars().count()).max().unwrap_or(6).max(6);
+    line(dim(format_args!(
+        "  rank (95 %)   {:<wide$}  score  {:<24}  95 % of draws   success (exact 95 % interval)",
+        "policy", ""
+    )));
+    for s in &board.standings {
+        let rank = match (s.rank, s.ranks_95) {
+            (Some(rank), Some([low, high])) if low < high => format!("{rank} ({low} to {high})"),
+            (Some(rank), _) => rank.to_string(),
+            (None, _) => "-".to_owned(),
+        };
+        let score = s.score.points.map_or_else(|| "-".to_owned(), |p| format!("{p:.1}"));
+        let drawn = s.score_95.map_or_else(|| "no spread".to_owned(), |[l, h]| format!("{l:.1} to {h:.1}"));
+        let success = if s.valid > 0 {
+            let [low, high] = s.success_95;
+            format!(
+                "{} of {}, {} ({:.1} to {:.1} %)",
+                s.successes,
+                s.valid,
+                percent(s.successes as f64 / s.valid as f64),
+                100.0 * low,
+                100.0 * high
+            )
+        } else {
+            "no valid episode".to_owned()
+        };
+        let bar = bar(s.score.points.unwrap_or(0.0) / 100.0, 24);
+        line(format_args!("  {rank:<12}  {:<wide$}  {score:>5}  {bar}  {drawn:<14}  {success}", s.name));
+        if !s.endings.is_empty() {
+            let endings: Vec<String> =
+                s.endings.iter().map(|e| format!("{} {}", e.ending.replace('_', " "), e.episodes)).collect();
+            line(dim(format_args!("                {:<wide$}  {}", "", endings.join(", "))));
+        }
+    }
+    line("");
+    line(dim(
+        "  The score summarises observed figures (the paper's appendix E). Draws: scenarios anew, within each category, the same",
+    ));
+    line(dim("  for every policy. \"no spread\": resampling cannot tell; it does not mean that there is no doubt."));
+}

@@ -1,0 +1,157 @@
+//! The gate as its user and a CI meet it: real physics, real files, exit codes.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+fn robogate(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_robogate")).args(arguments).output().unwrap()
+}
+
+fn text(output: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+#[track_caller]
+fn assert_code(arguments: &[&str], code: i32, parts: &[&str]) -> String {
+    let output = robogate(arguments);
+    let said = text(&output);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+    for part in parts {
+        assert!(said.contains(part), "{arguments:?} does not say {part:?}: {said}");
+    }
+    said
+}
+
+const SUITE: &str = r#"
+schema = 1
+name = "two"
+version = "1.0.0"
+description = "A part that the controller places, and one that no gripper holds."
+defaults = { shape = "box", size_m = 0.05, mass_kg = 0.2, friction = 0.8, com_offset = 0.0, placement = "center_0", ik_noise_rad = 0.0, obstacles = 0 }
+[[group]]
+name = "easy"
+category = "nominal"
+scenarios = [{ id = "easy-1" }, { id = "easy-2", mass_kg = 0.3 }]
+[[group]]
+name = "hopeless"
+category = "edge_cases"
+scenarios = [{ id = "hopeless-1", mass_kg = 2.0, friction = 0.05 }]
+"#;
+
+fn gate(success: &str) -> String {
+    format!(
+        "name = \"test\"\nmode = \"confidence\"\nconfidence = 0.75\n[budget]\nrounds = 12\n[[requirement]]\nmetric = \"success_rate\"\n{success}\n"
+    )
+}
+
+struct Folder {
+    dir: TempDir,
+}
+
+impl Folder {
+    fn new() -> Self {
+        Self { dir: TempDir::new().unwrap() }
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.dir.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    fn write(&self, name: &str, text: &str) -> String {
+        fs::write(self.path(name), text).unwrap();
+        self.path(name)
+    }
+
+    fn json(&self, name: &str) -> Value {
+        serde_json::from_str(&fs::read_to_string(self.path(name)).unwrap()).unwrap()
+    }
+}
+
+/// Counts elements of one name, in a text that an XML parser accepts.
+fn elements(xml: &str, name: &str) -> usize {
+    let document = roxmltree::Document::parse(xml).unwrap();
+    document.descendants().filter(|node| node.has_tag_name(name)).count()
+}
+
+#[test]
+fn the_default_gate_needs_nothing_but_its_name() {
+    // Were this to say that there is no baseline: make assets/baselines/franka-industrial-68.json anew, by
+    // `robogate run --suite industrial-68 --rounds 3 --out DIR` and `robogate baseline DIR -o FILE`.
+    assert_code(
+        &["gate", "--plan"],
+        0,
+        &["success rate at least 92.00 %", "limit", "met at the earliest after 7 rounds"],
+    );
+}
+
+#[test]
+fn a_gate_stops_when_it_is_certain_and_its_files_agree_with_its_exit_code() {
+    let folder = Folder::new();
+    let suite = folder.write("suite.toml", SUITE);
+    for (name, demand, code, verdict) in [
+        ("pass", "at_least = 0.2", 0, "pass"),
+        ("fail", "at_least = 0.85", 1, "fail"),
+        ("open", "at_least = 0.65", 3, "inconclusive"),
+    ] {
+        let requirements = folder.write("gate.toml", &gate(demand));
+        let out = folder.path(name);
+        assert_code(
+            &["gate", "--suite", &suite, "--requirements", &requirements, "--out", &out],
+            code,
+            &[&verdict.to_uppercase(), "edge_cases/hopeless"],
+        );
+        let evaluation = folder.json(&format!("{name}/gate.json"));
+        assert_eq!(evaluation["verdict"], verdict);
+        let rounds = evaluation["counts"]["rounds"].as_u64().unwrap();
+        assert_eq!(rounds == 12, name == "open", "{name} took {rounds} rounds");
+        let junit = fs::read_to_string(folder.path(&format!("{name}/gate.junit.xml"))).unwrap();
+        assert_eq!(elements(&junit, "testcase"), 3);
+        assert_eq!(
+            (elements(&junit, "failure"), elements(&junit, "error")),
+            (usize::from(code == 1), usize::from(code == 3))
+        );
+        assert!(fs::read_to_string(folder.path(&format!("{name}/gate.md"))).unwrap().contains(&verdict.to_uppercase()));
+        // Judged again, the rows say the same: who looked while they came in still has to pay for it.
+        assert_code(&["gate", "--run", &out], code, &[]);
+    }
+    let pass = folder.path("pass");
+    let baseline = folder.path("baseline.json");
+    assert_code(&["baseline", &pass, "-o", &baseline], 0, &["suite two 1.0.0"]);
+    // The same worlds again: nothing speaks against a replacement, and a wide margin is shown.
+    let requirements = folder.write("gate.toml", &gate("at_least = 0.2"));
+    let arguments =
+        ["gate", "--suite", &suite, "--requirements", &requirements, "--baseline", &pass, "--margin", "0.9"];
+    let said = assert_code(&[&arguments[..], &["--out", &folder.path("b")]].concat(), 0, &["not worse than scripted"]);
+    assert!(said.contains("pairs"), "{said}");
+    let other = folder.write("other.toml", &SUITE.replace("0.3", "0.4"));
+    let arguments = ["gate", "--suite", &other, "--requirements", &requirements, "--baseline", &pass];
+    assert_code(&[&arguments[..], &["--out", &folder.path("c")]].concat(), 2, &["the baseline is of suite two"]);
+    let board = format!("first={pass}");
+    assert_code(&["leaderboard", &board, &folder.path("b"), "--baseline", &baseline], 0, &["first", "grip"]);
+    for format in ["md", "html", "json"] {
+        assert_code(&["leaderboard", &board, "--baseline", &baseline, "--format", format], 0, &["first"]);
+    }
+}
+
+#[test]
+fn what_cannot_be_answered_is_said_before_anything_runs() {
+    let folder = Folder::new();
+    let suite = folder.write("suite.toml", SUITE);
+    for (demand, said) in [
+        ("at_least = 1.0", "can't be met at any number of episodes"),
+        ("at_least = 0.999", "can't be met within the budget"),
+        ("at_least = 0.5\ngroup = \"heavy\"", "nominal/easy, edge_cases/hopeless"),
+        ("at_most_times_baseline = 1.2", "robogate baseline RUN -o FILE"),
+    ] {
+        let requirements = folder.write("gate.toml", &gate(demand));
+        let out = folder.path("out");
+        assert_code(&["gate", "--suite", &suite, "--requirements", &requirements, "--out", &out], 2, &[said]);
+        assert!(!std::path::Path::new(&out).exists(), "{demand}");
+    }
+    assert_code(&["gate", "--run", &folder.path("nothing")], 2, &["nothing"]);
+    assert_code(&["gate", "--requirements", &folder.path("no.toml")], 2, &["hint: check the path"]);
+}
