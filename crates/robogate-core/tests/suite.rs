@@ -1,4 +1,5 @@
 //! What a suite promises, and that each mistake in one is named.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use robogate_core::{Domain, Seed, Suite, SuiteError, SuiteProblem, Value};
 
