@@ -30,8 +30,10 @@ pub(crate) fn happened(metric: Metric, trial: &Trial) -> Option<bool> {
         Metric::TimeoutRate => FailureMode::Timeout,
     };
     match &trial.ending {
-        Ending::Success => Some(false),
-        Ending::Failure(Some(found)) => Some(*found == mode),
+        Ending::Failure(Some(found)) if *found == mode => Some(true),
+        // Who does not look for collisions sees none.
+        _ if trial.unseen.contains(&mode) => None,
+        Ending::Success | Ending::Failure(Some(_)) => Some(false),
         // In which way it failed is not known: it may have been this one.
         Ending::Failure(None) | Ending::Invalid(_) => None,
     }

@@ -132,6 +132,7 @@ fn blank(label: Label) -> Trial {
         requested: robogate_core::Assignment::default(),
         ending: Ending::Failure(None),
         time_s: None,
+        unseen: Vec::new(),
     }
 }
 

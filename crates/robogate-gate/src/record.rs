@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-use robogate_core::Suite;
+use robogate_core::{FailureMode, Suite};
 use robogate_dictionary::{Dictionary, Entry, Label, Provenance};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -114,6 +114,9 @@ impl Record {
         dataset_sha256: &str,
         entries: impl Iterator<Item = Result<Entry, GateError>>,
     ) -> Result<Self, GateError> {
+        let not_recorded = provenance.source.iter().flat_map(|source| &source.not_recorded);
+        let unseen: Vec<FailureMode> =
+            not_recorded.filter_map(|word| FailureMode::ALL.into_iter().find(|mode| mode.word() == word)).collect();
         let mut rows = Vec::new();
         let mut uneven = BTreeMap::new();
         for entry in entries {
@@ -121,7 +124,7 @@ impl Record {
             let named = ["uniform", "imported", "suite"].contains(&entry.stage.as_str());
             let focused = entry.stage == "boundary" || (!named && (entry.weight - 1.0).abs() > 0.0);
             *uneven.entry(entry.stage.clone()).or_insert(false) |= focused;
-            rows.push((entry.stage.clone(), Trial::from(&entry)));
+            rows.push((entry.stage.clone(), Trial::of(&entry, &unseen)));
         }
         let all = rows.len();
         let trials: Vec<Trial> = rows

@@ -112,6 +112,12 @@ impl Requirements {
         Ok(requirements)
     }
 
+    /// As a file holds it: the same requirements give the same bytes.
+    pub fn to_toml(&self) -> String {
+        // A table of strings, finite numbers and tables cannot fail to serialise.
+        toml::to_string(self).unwrap_or_default()
+    }
+
     /// Refuses what is wrong whatever the evidence.
     ///
     /// # Errors

@@ -56,6 +56,21 @@ pub struct Trial {
     pub ending: Ending,
     /// How long it took, in simulated seconds; `None` where that was not recorded.
     pub time_s: Option<f64>,
+    /// What its source does not record: any episode, a success too, may have been one of these.
+    pub unseen: Vec<FailureMode>,
+}
+
+impl Trial {
+    /// The trial of a row whose source does not record these modes of failure.
+    pub fn of(entry: &Entry, unseen: &[FailureMode]) -> Self {
+        let trial = Self::from(entry);
+        let ending = match trial.ending {
+            // An import has a failure of no known kind as a timeout.
+            Ending::Failure(Some(FailureMode::Timeout)) if !unseen.is_empty() => Ending::Failure(None),
+            ending => ending,
+        };
+        Self { ending, unseen: unseen.to_vec(), ..trial }
+    }
 }
 
 impl From<&Entry> for Trial {
@@ -68,6 +83,7 @@ impl From<&Entry> for Trial {
             requested: episode.scenario.requested.clone(),
             ending: Ending::from(&episode.outcome),
             time_s: Some(episode.time_s).filter(|t| t.is_finite() && *t >= 0.0),
+            unseen: Vec::new(),
         }
     }
 }

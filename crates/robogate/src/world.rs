@@ -9,8 +9,8 @@ use robogate_core::{Assignment, Fault, FaultKind, ParameterSpace, Policy, Scenar
 use robogate_dictionary::provenance;
 use robogate_sim::claims::{Bench, Setup, Workbench};
 use robogate_sim::{
-    Engine, Gripper, MujocoEngine, PickPlace, Robot, SceneParameters, Scripted, SuctionLaw, WORKSPACE_CENTRE,
-    built_in_robot, built_in_space, built_in_spaces, check_suite, default_space,
+    Engine, Gripper, MujocoEngine, PickPlace, Robot, RobotError, RobotFile, SceneParameters, Scripted, SuctionLaw,
+    WORKSPACE_CENTRE, built_in_robot, built_in_space, built_in_spaces, check_suite, default_space,
 };
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -88,10 +88,7 @@ impl Cell {
         if world.engine != "mujoco" {
             bail!("there is no engine `{}`; there is mujoco", world.engine);
         }
-        let robot = match Path::new(&world.robot) {
-            folder if folder.is_dir() => Robot::from_folder(folder),
-            _ => built_in_robot(&world.robot),
-        }?;
+        let robot = robot(&world.robot)?;
         match (robot.settings.gripper.cup(), world.suction) {
             (Some(_), law) => world.suction = Some(law.unwrap_or(suction)),
             (None, Some(law)) => {
@@ -172,19 +169,11 @@ impl Cell {
             None => None,
         };
         let engine = provenance::Engine { name: build.name.to_owned(), version: Some(build.version), build_sha256 };
-        let mut hash = Sha256::new();
-        for (name, bytes) in self.robot.files()? {
-            // Lengths before contents: no two folders have the same stream.
-            hash.update((name.len() as u64).to_le_bytes());
-            hash.update(name.as_bytes());
-            hash.update((bytes.len() as u64).to_le_bytes());
-            hash.update(&bytes);
-        }
         let arm = &self.robot.settings.arm;
         let [x, y] = WORKSPACE_CENTRE;
         let robot = provenance::Robot {
             name: self.robot.name().to_owned(),
-            sha256: Some(hex(&hash.finalize())),
+            sha256: Some(robot_sha256(&self.robot.files()?)),
             dimensions: Some(provenance::Dimensions {
                 reach_m: arm.reach_m,
                 payload_kg: arm.payload_kg,
@@ -193,6 +182,33 @@ impl Cell {
         };
         Ok((engine, robot))
     }
+}
+
+/// A robot by its folder or its name.
+fn robot(wanted: &str) -> Result<Robot, RobotError> {
+    match Path::new(wanted) {
+        folder if folder.is_dir() => Robot::from_folder(folder),
+        _ => built_in_robot(wanted),
+    }
+}
+
+/// The files of the robot of a recorded run, where they are still those that it ran with.
+pub(crate) fn recorded_robot(provenance: &robogate_dictionary::Provenance) -> Option<Vec<RobotFile>> {
+    let world: World = serde_json::from_value(provenance.world.clone()).ok()?;
+    let files = robot(&world.robot).ok()?.files().ok()?;
+    (provenance.robot.sha256.as_ref() == Some(&robot_sha256(&files))).then_some(files)
+}
+
+fn robot_sha256(files: &[RobotFile]) -> String {
+    let mut hash = Sha256::new();
+    for (name, bytes) in files {
+        // Lengths before contents: no two folders have the same stream.
+        hash.update((name.len() as u64).to_le_bytes());
+        hash.update(name.as_bytes());
+        hash.update((bytes.len() as u64).to_le_bytes());
+        hash.update(bytes);
+    }
+    hex(&hash.finalize())
 }
 
 fn hex(bytes: &[u8]) -> String {

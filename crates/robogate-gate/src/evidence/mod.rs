@@ -26,7 +26,7 @@ pub use keys::{PrivateKey, PublicKey};
 pub use manifest::{FileRecord, Manifest, Role};
 pub use statement::{EVIDENCE_PREDICATE, PAYLOAD_TYPE, STATEMENT_TYPE, TEST_RESULT_PREDICATE};
 pub use verify::{Signed, Verified, verify};
-pub use write::{Ingredients, write};
+pub use write::{Content, Ingredients, write};
 
 /// The manifest's place in the folder.
 pub const MANIFEST: &str = "manifest.json";

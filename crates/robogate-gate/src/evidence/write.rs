@@ -13,21 +13,30 @@ use super::{
 };
 use crate::Sampling;
 
+/// A file's content, wherever it is now.
+#[derive(Debug, Clone)]
+pub enum Content {
+    /// A file, of which a copy goes into the folder.
+    File(PathBuf),
+    /// The bytes themselves.
+    Bytes(Vec<u8>),
+}
+
 /// What goes into the folder.
 #[derive(Debug, Clone)]
 pub struct Ingredients {
     /// The rows.
     pub dictionary: PathBuf,
     /// The demands (TOML).
-    pub requirements: PathBuf,
+    pub requirements: Content,
     /// What relative demands refer to (JSON).
-    pub baseline: Option<PathBuf>,
+    pub baseline: Option<Content>,
     /// The rows of the policy that may be replaced, and the margin.
     pub against: Option<(PathBuf, f64)>,
     /// How the number of episodes came about.
     pub sampling: Sampling,
-    /// Further files: what each is, its path in the folder, and where it is now.
-    pub others: Vec<(Role, String, PathBuf)>,
+    /// Further files: what each is, its path in the folder, and its content.
+    pub others: Vec<(Role, String, Content)>,
 }
 
 /// Makes the folder of evidence `to`, which must not be there yet; it is there whole or not at all.
@@ -59,7 +68,7 @@ pub fn write(to: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> 
 
 fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> Result<Manifest, EvidenceError> {
     let mut files: BTreeMap<String, Role> = BTreeMap::new();
-    let mut add = |role: Role, name: &str, from: &Path| -> Result<(), EvidenceError> {
+    let mut add = |role: Role, name: &str, content: &Content| -> Result<(), EvidenceError> {
         let reserved = [MANIFEST, EVALUATION, SIGNER].contains(&name)
             || [TEST_RESULT, ATTESTATION].iter().any(|statement| {
                 [SIGNED_ENDING, BARE_ENDING].iter().any(|ending| name == format!("{statement}{ending}"))
@@ -74,19 +83,21 @@ fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> R
         if let Some(parent) = place.parent() {
             fs::create_dir_all(parent).map_err(EvidenceError::io(parent, "create"))?;
         }
-        fs::copy(from, &place).map_err(EvidenceError::io(from, "copy"))?;
-        Ok(())
+        match content {
+            Content::File(from) => fs::copy(from, &place).map(|_| ()).map_err(EvidenceError::io(from, "copy")),
+            Content::Bytes(bytes) => fs::write(&place, bytes).map_err(EvidenceError::io(&place, "write")),
+        }
     };
-    add(Role::Dictionary, DICTIONARY, &ingredients.dictionary)?;
+    add(Role::Dictionary, DICTIONARY, &Content::File(ingredients.dictionary.clone()))?;
     add(Role::Requirements, REQUIREMENTS, &ingredients.requirements)?;
     if let Some(baseline) = &ingredients.baseline {
         add(Role::Baseline, BASELINE, baseline)?;
     }
     if let Some((against, _)) = &ingredients.against {
-        add(Role::Against, AGAINST, against)?;
+        add(Role::Against, AGAINST, &Content::File(against.clone()))?;
     }
-    for (role, name, from) in &ingredients.others {
-        add(*role, name, from)?;
+    for (role, name, content) in &ingredients.others {
+        add(*role, name, content)?;
     }
     let margin = ingredients.against.as_ref().map(|(_, margin)| *margin);
     // From the copies: what is judged is what is kept.

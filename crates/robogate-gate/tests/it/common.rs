@@ -13,7 +13,8 @@ pub(crate) fn failed(mode: FailureMode) -> Ending {
 }
 
 pub(crate) fn trial(index: u64, ending: Ending) -> Trial {
-    Trial { index, seed: 1, label: Label::default(), requested: Assignment::default(), ending, time_s: Some(4.1) }
+    let (label, requested) = (Label::default(), Assignment::default());
+    Trial { index, seed: 1, label, requested, ending, time_s: Some(4.1), unseen: Vec::new() }
 }
 
 /// Episodes drawn from a space.

@@ -51,6 +51,20 @@ fn a_failure_in_an_unknown_way_may_have_been_a_collision() {
 }
 
 #[test]
+fn who_does_not_record_collisions_shows_none_of_their_absence() {
+    let gate = requirements(
+        "name = \"c\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"collision_rate\"\nat_most = 0.1\n",
+    );
+    let mut record = drawn(times(400, &Ending::Success));
+    assert_eq!(judge(&gate, &record, Sampling::Fixed).verdict, Verdict::Pass);
+    for trial in &mut record.trials {
+        trial.unseen = vec![FailureMode::Collision];
+    }
+    let found = judge(&gate, &record, Sampling::Fixed);
+    assert_eq!((found.verdict, found.findings[0].valid), (Verdict::Inconclusive, 0));
+}
+
+#[test]
 fn only_whole_rounds_of_a_suite_are_judged() {
     let record = suite(8, times(21, &Ending::Success));
     let found = judge(&requirements(SUCCESS), &record, Sampling::Sequential);

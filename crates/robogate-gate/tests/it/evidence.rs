@@ -11,8 +11,8 @@ use robogate_core::{
 };
 use robogate_dictionary::{Engine, Entry, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, write_parquet};
 use robogate_gate::evidence::{
-    Envelope, EvidenceError, Ingredients, PrivateKey, Problem, PublicKey, Role, Signed, pre_authentication_encoding,
-    verify, write,
+    Content, Envelope, EvidenceError, Ingredients, PrivateKey, Problem, PublicKey, Role, Signed,
+    pre_authentication_encoding, verify, write,
 };
 use robogate_gate::{Sampling, Verdict};
 
@@ -88,13 +88,13 @@ fn run(failures: u64) -> Run {
     fs::write(at("robot.toml"), "name = 'franka'\n").unwrap();
     let ingredients = Ingredients {
         dictionary: at("d.parquet"),
-        requirements: at("r.toml"),
+        requirements: Content::File(at("r.toml")),
         baseline: None,
         against: None,
         sampling: Sampling::Fixed,
         others: vec![
-            (Role::Plan, "plan.json".into(), at("plan.json")),
-            (Role::Robot, "robot/robot.toml".into(), at("robot.toml")),
+            (Role::Plan, "plan.json".into(), Content::File(at("plan.json"))),
+            (Role::Robot, "robot/robot.toml".into(), Content::File(at("robot.toml"))),
         ],
     };
     Run { folder, ingredients }
@@ -222,8 +222,9 @@ fn who_makes_it_all_anew_needs_the_key() {
     let honest = run.evidence("honest", Some(&key()));
     assert_eq!(verify(&honest, Some(&key().public())).unwrap().verdict, Verdict::Fail);
     // The demand is lowered after the fact, and everything signed again by another.
-    let lowered = fs::read_to_string(&run.ingredients.requirements).unwrap().replace("0.9\n", "0.3\n");
-    fs::write(&run.ingredients.requirements, lowered).unwrap();
+    let requirements = run.folder.path().join("r.toml");
+    let lowered = fs::read_to_string(&requirements).unwrap().replace("0.9\n", "0.3\n");
+    fs::write(&requirements, lowered).unwrap();
     let other = PrivateKey::from_seed([8; 32]);
     let forged = run.evidence("forged", Some(&other));
     assert_eq!(verify(&forged, None).unwrap().signed, Signed::ByUnknown { keyid: other.public().id() });
@@ -299,7 +300,7 @@ fn a_file_that_would_leave_the_folder_or_stand_there_twice_is_refused() {
         ("manifest.json", "two files"),
         ("test-result.dsse.json", "two files"),
     ] {
-        run.ingredients.others.push((Role::Attachment, name.to_owned(), plan.clone()));
+        run.ingredients.others.push((Role::Attachment, name.to_owned(), Content::File(plan.clone())));
         let to = run.folder.path().join("e");
         let error = write(&to, &run.ingredients, None).unwrap_err().to_string();
         assert!(error.contains(wanted), "{name}: {error}");

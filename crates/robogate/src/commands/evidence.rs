@@ -4,11 +4,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use robogate_gate::Sampling;
-use robogate_gate::evidence::{Ingredients, PrivateKey, Role, write};
+use robogate_gate::evidence::{Content, Ingredients, PrivateKey, Role, write};
+use robogate_gate::{Asked, Record, Requirements, Sampling};
+use robogate_report::Source;
 
+use crate::commands::gate::{built_in_baseline, refused};
 use crate::exit::{Exit, OrExit};
 use crate::terminal::{line, note};
+use crate::world::recorded_robot;
 
 /// Judge a run and put all that the verdict depends on into a folder that someone else can check.
 ///
@@ -19,10 +22,10 @@ pub(crate) struct Evidence {
     run: PathBuf,
     /// The folder to make
     out: PathBuf,
-    /// What is demanded (TOML)
-    #[arg(long, value_name = "FILE")]
-    requirements: PathBuf,
-    /// What relative demands refer to (JSON)
+    /// What is demanded: default, paper, or a file of your own (TOML); default: what the run's gate was asked
+    #[arg(long, value_name = "NAME|FILE")]
+    requirements: Option<String>,
+    /// What relative demands refer to (JSON); default: what the run's gate referred to, or what comes with RoboGate
     #[arg(long, value_name = "FILE")]
     baseline: Option<PathBuf>,
     /// The run or dictionary of the policy that may be replaced
@@ -31,9 +34,9 @@ pub(crate) struct Evidence {
     /// How far below that policy's success rate this one may lie (0.05 for five points)
     #[arg(long, requires = "against")]
     margin: Option<f64>,
-    /// How the number of episodes came about
-    #[arg(long, value_name = "HOW", default_value = "fixed")]
-    sampling: Count,
+    /// How the number of episodes came about; default: as the run's gate had it, fixed where there was none
+    #[arg(long, value_name = "HOW")]
+    sampling: Option<Count>,
     /// Sign with this private key; without one the evidence is unsigned
     #[arg(long, value_name = "PRIVATE")]
     key: Option<PathBuf>,
@@ -53,27 +56,39 @@ enum Count {
 
 impl Evidence {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let source = Source::open(&self.run).or_usage()?;
+        let provenance = source.dictionary().provenance();
+        let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
         let mut others = Vec::new();
-        if self.run.is_dir() {
-            for (role, name) in [(Role::Plan, "plan.json"), (Role::Summary, "summary.json")] {
-                let path = self.run.join(name);
-                if path.exists() {
-                    others.push((role, name.to_owned(), path));
-                }
+        for (role, name) in
+            [(Role::Plan, "plan.json"), (Role::Summary, "summary.json"), (Role::Attachment, Asked::FILE)]
+        {
+            let path = self.run.join(name);
+            if self.run.is_dir() && path.exists() {
+                others.push((role, name.to_owned(), Content::File(path)));
             }
         }
         for include in &self.include {
             add(include, &mut others).or_usage()?;
         }
+        if !others.iter().any(|(role, ..)| *role == Role::Robot) && provenance.robot.sha256.is_some() {
+            match recorded_robot(provenance) {
+                Some(files) => {
+                    others.extend(files.into_iter().map(|(name, bytes)| {
+                        (Role::Robot, format!("robot/{name}"), Content::Bytes(bytes.into_owned()))
+                    }))
+                }
+                None => note(
+                    "the robot's files are not here as the run had them: they are left out, their hash is in the rows",
+                ),
+            }
+        }
         let ingredients = Ingredients {
             dictionary: dictionary(&self.run),
-            requirements: self.requirements.clone(),
-            baseline: self.baseline.clone(),
-            against: self.against.as_deref().map(dictionary).zip(self.margin),
-            sampling: match self.sampling {
-                Count::Fixed => Sampling::Fixed,
-                Count::Sequential => Sampling::Sequential,
-            },
+            requirements: self.requirements(asked.as_ref())?,
+            baseline: self.baseline(asked.as_ref(), &source)?,
+            against: self.against(asked.as_ref())?,
+            sampling: self.sampling(asked.as_ref()).or_usage()?,
             others,
         };
         // Read before anything is judged: a key that cannot sign is better known now.
@@ -86,13 +101,62 @@ impl Evidence {
     }
 }
 
+impl Evidence {
+    fn requirements(&self, asked: Option<&Asked>) -> Result<Content, Exit> {
+        match (&self.requirements, asked) {
+            (Some(file), _) if Path::new(file).is_file() => Ok(Content::File(file.into())),
+            (Some(name), _) => Ok(Content::Bytes(Requirements::open(name).map_err(refused)?.to_toml().into_bytes())),
+            (None, Some(asked)) => Ok(Content::Bytes(asked.requirements.to_toml().into_bytes())),
+            (None, None) => Err(anyhow::anyhow!(
+                "no gate was asked of this run\nhint: say what is demanded: --requirements default, paper, or a file"
+            ))
+            .or_usage(),
+        }
+    }
+
+    fn baseline(&self, asked: Option<&Asked>, source: &Source) -> Result<Option<Content>, Exit> {
+        let baseline = match (&self.baseline, asked) {
+            (Some(file), _) => return Ok(Some(Content::File(file.clone()))),
+            (None, Some(asked)) => asked.baseline.clone(),
+            (None, None) => built_in_baseline(&Record::of(source.dictionary()).map_err(refused)?),
+        };
+        Ok(baseline.map(|baseline| Content::Bytes(baseline.to_json().into_bytes())))
+    }
+
+    fn against(&self, asked: Option<&Asked>) -> Result<Option<(PathBuf, f64)>, Exit> {
+        let Some(against) = asked.and_then(|asked| asked.against.as_ref()).filter(|_| self.against.is_none()) else {
+            return Ok(self.against.as_deref().map(dictionary).zip(self.margin));
+        };
+        let path = Path::new(&against.path);
+        let now = Source::open(path).or_usage()?;
+        if Record::of(now.dictionary()).map_err(refused)?.dataset_sha256 != against.dataset_sha256 {
+            return Err(anyhow::anyhow!("{} is no longer the run that the gate compared with", against.path))
+                .or_usage();
+        }
+        Ok(Some((dictionary(path), against.margin)))
+    }
+
+    /// Whoever looked while the rounds came in has to pay for the looks.
+    fn sampling(&self, asked: Option<&Asked>) -> anyhow::Result<Sampling> {
+        let recorded = asked.map_or(Sampling::Fixed, |asked| asked.sampling);
+        match self.sampling {
+            Some(Count::Fixed) if recorded == Sampling::Sequential => anyhow::bail!(
+                "the run's gate looked after each round: its number of episodes was not fixed\nhint: leave --sampling out"
+            ),
+            Some(Count::Fixed) => Ok(Sampling::Fixed),
+            Some(Count::Sequential) => Ok(Sampling::Sequential),
+            None => Ok(recorded),
+        }
+    }
+}
+
 /// The dictionary of a run's folder, or the dictionary itself.
 fn dictionary(run: &Path) -> PathBuf {
     if run.is_dir() { run.join("dictionary.parquet") } else { run.to_owned() }
 }
 
 /// Adds a file, or every file of a folder, under the name of its role.
-fn add(include: &str, others: &mut Vec<(Role, String, PathBuf)>) -> anyhow::Result<()> {
+fn add(include: &str, others: &mut Vec<(Role, String, Content)>) -> anyhow::Result<()> {
     let (word, path) = include
         .split_once('=')
         .with_context(|| format!("`{include}` is not ROLE=FILE\nhint: as in --include suite=industrial.toml"))?;
@@ -115,7 +179,7 @@ fn add(include: &str, others: &mut Vec<(Role, String, PathBuf)>) -> anyhow::Resu
         } else {
             let own = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let name = if name.is_empty() { format!("/{own}") } else { name };
-            others.push((role, format!("{word}{name}"), path));
+            others.push((role, format!("{word}{name}"), Content::File(path)));
         }
     }
     Ok(())

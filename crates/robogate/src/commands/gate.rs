@@ -375,7 +375,7 @@ fn show(dir: Option<&Path>, evaluation: &Evaluation, json: bool) -> Result<u8, E
 }
 
 /// The gate's error with its exit code: what the user must change is usage, no evidence is no evidence.
-fn refused(error: GateError) -> Exit {
+pub(crate) fn refused(error: GateError) -> Exit {
     let code = match &error {
         GateError::EmptyBaseline | GateError::MixedLabels { .. } => INVALID,
         GateError::Dictionary(_) => INFRASTRUCTURE,
