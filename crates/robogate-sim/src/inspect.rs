@@ -10,7 +10,7 @@ use serde::Serialize;
 use crate::scene::TARGET;
 use crate::{
     Chain, Engine, JointTargets, MujocoEngine, Placement, Problem, Robot, RobotError, RobotSettings, Scene,
-    SceneParameters, built_in_robot,
+    SceneParameters, built_in_robot, is_folder,
 };
 
 /// Random postures from which the reach is measured.
@@ -71,8 +71,7 @@ pub struct Measured {
 /// Inspects a built-in robot by its name, or one's own by its folder.
 pub fn inspect(robot: &str) -> Inspection {
     let folder = Path::new(robot);
-    let read =
-        if folder.is_dir() { Robot::read(folder) } else { built_in_robot(robot).map(|robot| (robot, Vec::new())) };
+    let read = if is_folder(robot) { Robot::read(folder) } else { built_in_robot(robot).map(|r| (r, Vec::new())) };
     let (robot, mut problems) = match read {
         Ok(read) => read,
         Err(error) => return Inspection { problems: error.into_problems(), settings: None, measured: None },

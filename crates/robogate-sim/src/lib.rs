@@ -37,7 +37,7 @@ pub use parameters::{ParameterError, Placement, SceneParameters};
 pub use pick_place::PickPlace;
 pub use robot::{
     Arm, Gripper, ParallelJaw, Problem, Robot, RobotError, RobotFile, RobotSettings, RobotSource, Site, SuctionCup,
-    built_in_robot, built_in_robots,
+    built_in_robot, built_in_robots, is_folder,
 };
 pub use scene::{Fixture, FixtureKind, Scene, WORKSPACE_CENTRE};
 pub use scripted::Scripted;

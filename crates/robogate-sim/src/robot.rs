@@ -238,6 +238,11 @@ pub fn built_in_robots() -> impl Iterator<Item = &'static str> {
     BUILT_IN.iter().map(|(name, ..)| *name)
 }
 
+/// Whether a robot is named by its folder: a built-in one's name is that robot, whatever folders lie about.
+pub fn is_folder(robot: &str) -> bool {
+    Path::new(robot).is_dir() && !built_in_robots().any(|name| name == robot)
+}
+
 /// The built-in robot of that name.
 pub fn built_in_robot(name: &str) -> Result<Robot, RobotError> {
     let Some((_, model, settings)) = BUILT_IN.iter().find(|(n, ..)| *n == name) else {

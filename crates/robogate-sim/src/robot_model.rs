@@ -61,6 +61,7 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain), Ve
     };
     check_joints(&model, settings, &mut problems);
     check_gripper(&model, settings, &mut problems);
+    check_shapes(&model, settings, &mut problems);
     check_alone(&model, settings, &mut problems);
     // Without a name there is no way along the arm.
     let chain = if named { chain(&model, settings, &mut problems) } else { None };
@@ -305,6 +306,37 @@ fn check_gripper(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<P
                     "put the site on the cup's own body",
                 ));
             }
+        }
+    }
+}
+
+/// What nothing touches never collides and never grips.
+fn check_shapes(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Problem>) {
+    let collides = |geom: usize| model.geom_contype()[geom] != 0 || model.geom_conaffinity()[geom] != 0;
+    let of = |weld: i32| {
+        let bodies = model.geom_bodyid().iter().map(|body| model.body_weldid()[*body as usize]);
+        bodies.enumerate().any(|(geom, body)| body == weld && collides(geom))
+    };
+    let moving = model.geom_bodyid().iter().map(|body| model.body_weldid()[*body as usize]);
+    if !moving.enumerate().any(|(geom, weld)| weld != 0 && collides(geom)) {
+        problems.push(Problem::new(
+            "no part of the robot that moves has a collision shape: it would pass through everything",
+            "give the links geoms with contype or conaffinity (MJCF) or <collision> elements (URDF: <visual> does not collide)",
+        ));
+        return;
+    }
+    let bodies: &[String] = match &settings.gripper {
+        Gripper::ParallelJaw(jaw) => &jaw.finger_bodies,
+        Gripper::Suction(cup) => std::slice::from_ref(&cup.cup_body),
+    };
+    for name in bodies {
+        if let Some(body) = model.name_to_id(MjtObjBase::mjOBJ_BODY, name)
+            && !of(model.body_weldid()[body])
+        {
+            problems.push(Problem::new(
+                format!("body `{name}` of the gripper has no collision shape: it would touch nothing"),
+                "give it a geom with contype or conaffinity, or a <collision> element",
+            ));
         }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! A cup that is told to grip looks along the tool's z axis at the object: from the middle of its lip and from
 //! [`RIM_POINTS`] points around it. It takes hold where the object is no farther from the middle than the grip
-//! threshold. Then the engine joins the two rigidly ([`crate::Engine::join`]); what happens next is what
+//! threshold, and by vacuum no farther than the lip follows either: air holds nothing. Then the engine joins the two rigidly ([`crate::Engine::join`]); what happens next is what
 //! distinguishes the two laws.
 //!
 //! [`SuctionLaw::Surface`] is the surface gripper of the paper (section 4.1): the joint never breaks.
@@ -18,7 +18,8 @@
 //!
 //! - T < V,
 //! - (S / (mu N))^2 + (M_z / (mu R N))^2 <= 1: friction of a ring, as the ellipsoid of Howe and Cutkosky (1996),
-//! - M <= N R: beyond, the object tips over the edge of the lip.
+//! - M <= N R: beyond, the object tips over the edge of the lip. (From N R / 2 on, one side of the ring bears nothing; the
+//!   rubber follows the surface there, and the seal is taken to last until the object tips: the cup's upper bound.)
 //!
 //! Once overloaded the cup leaks and has lost the object; it takes hold again only after it was told to let go.
 //!
@@ -239,7 +240,11 @@ impl Suction {
                 None
             }
             (GripperCommand::Close, State::Idle | State::Sealed(_)) => {
-                let view = view(&self.cup).filter(|view| view.gap_m <= self.threshold);
+                let within = match self.law {
+                    SuctionLaw::Surface => self.threshold,
+                    SuctionLaw::Vacuum => self.threshold.min(LIP_SHARE * self.cup.cup_diameter_m),
+                };
+                let view = view(&self.cup).filter(|view| view.gap_m <= within);
                 self.state = match (self.law, view, self.state) {
                     (_, None, _) | (SuctionLaw::Vacuum, Some(View { seal: None, .. }), _) => State::Idle,
                     (SuctionLaw::Surface, Some(_), _) => State::Holding(f64::INFINITY, Wrench::ZERO),
@@ -355,6 +360,17 @@ mod tests {
         assert_eq!(suction.step(Close, near, None), None);
         assert_eq!(suction.step(Close, near, None), None);
         assert_eq!(suction.step(Close, near, None), Some(Change::Join));
+    }
+
+    #[test]
+    fn air_holds_nothing_however_wide_the_threshold() {
+        let mut suction = Suction::new(SuctionLaw::Vacuum, cup(), 0.02, 0.8, BUILD_UP_S);
+        let before = |gap_m: f64| move |_: &SuctionCup| Some(View { gap_m, seal: Some(1.0) });
+        for _ in 0..5 {
+            assert_eq!(suction.step(GripperCommand::Close, before(0.005), None), None);
+        }
+        assert_eq!(suction.step(GripperCommand::Close, before(0.004), None), None);
+        assert_eq!(suction.step(GripperCommand::Close, before(0.004), None), Some(Change::Join));
     }
 
     #[test]

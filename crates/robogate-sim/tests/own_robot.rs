@@ -188,6 +188,31 @@ fn assert_says(name: &str, model: &str, settings: &str, parts: &[&str]) {
 }
 
 #[test]
+fn a_robot_that_nothing_touches_is_refused() {
+    let untouchable =
+        change(MODEL, "<default class=\"arm\">", "<default class=\"arm\"><geom contype=\"0\" conaffinity=\"0\"/>");
+    let untouchable = change(&untouchable, "<geom rgba=\"0.93 0.93 0.95 1\"/>", "");
+    let untouchable = change(
+        &untouchable,
+        "<geom rgba=\"0.35 0.35 0.38 1\"/>",
+        "<geom rgba=\"0.35 0.35 0.38 1\" contype=\"0\" conaffinity=\"0\"/>",
+    );
+    assert_says("untouchable", &untouchable, SETTINGS, &["pass through everything"]);
+    let bare = change(
+        MODEL,
+        "<geom rgba=\"0.35 0.35 0.38 1\"/>",
+        "<geom rgba=\"0.35 0.35 0.38 1\" contype=\"0\" conaffinity=\"0\"/>",
+    );
+    assert_says("bare-fingers", &bare, SETTINGS, &["`left_finger`", "`right_finger`"]);
+}
+
+#[test]
+fn a_built_in_robots_name_is_that_robot_whatever_folders_lie_about() {
+    assert!(!robogate_sim::is_folder("ur5e"));
+    assert!(robogate_sim::is_folder(&std::env::temp_dir().to_string_lossy()));
+}
+
+#[test]
 fn all_that_is_wrong_is_said_at_once() {
     let mut model = change(MODEL, "name=\"joint3\" range=\"-2.8973 2.8973\"", "name=\"joint3\"");
     model = change(&model, "name=\"joint5\" range=\"-2.8973 2.8973\"", "name=\"joint5\"");

@@ -10,7 +10,7 @@ use robogate_dictionary::provenance;
 use robogate_sim::claims::{Bench, Setup, Workbench};
 use robogate_sim::{
     Engine, Gripper, MujocoEngine, PickPlace, Robot, RobotError, RobotFile, SceneParameters, Scripted, SuctionLaw,
-    WORKSPACE_CENTRE, built_in_robot, built_in_space, built_in_spaces, check_suite, default_space,
+    WORKSPACE_CENTRE, built_in_robot, built_in_space, built_in_spaces, check_suite, default_space, is_folder,
 };
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -36,7 +36,7 @@ pub(crate) struct World {
 /// The world, on the command line.
 #[derive(Debug, Args)]
 pub(crate) struct WorldArguments {
-    /// A built-in robot (franka), or the folder of your own
+    /// A built-in robot (robogate robots), or the folder of your own
     #[arg(long, value_name = "R", default_value = "franka")]
     robot: String,
     /// The physics engine
@@ -70,7 +70,7 @@ impl WorldArguments {
 /// A robot's folder by its full path, so that a run can be resumed from anywhere; a name as it is.
 fn absolute(robot: &str) -> String {
     let path = Path::new(robot);
-    let full = if path.is_dir() { path.canonicalize().ok() } else { None };
+    let full = if is_folder(robot) { path.canonicalize().ok() } else { None };
     full.map_or_else(|| robot.to_owned(), |path| path.to_string_lossy().into_owned())
 }
 
@@ -186,10 +186,7 @@ impl Cell {
 
 /// A robot by its folder or its name.
 fn robot(wanted: &str) -> Result<Robot, RobotError> {
-    match Path::new(wanted) {
-        folder if folder.is_dir() => Robot::from_folder(folder),
-        _ => built_in_robot(wanted),
-    }
+    if is_folder(wanted) { Robot::from_folder(Path::new(wanted)) } else { built_in_robot(wanted) }
 }
 
 /// The files of the robot of a recorded run, where they are still those that it ran with.

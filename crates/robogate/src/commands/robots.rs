@@ -128,6 +128,9 @@ fn summary(settings: &RobotSettings, measured: &Measured) {
         percent(measured.workspace_share),
         if measured.reaches_target { "too" } else { "not" }
     ));
+    if !measured.reaches_target {
+        line("           where it does not reach the target no episode of the task can succeed");
+    }
     match measured.tracking_error_rad {
         Some(error) => line(format_args!("servos     hold and follow within {:.2} mrad", 1e3 * error)),
         None => line("servos     not tried: see above"),
