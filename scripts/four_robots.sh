@@ -1,0 +1,20 @@
+#!/usr/bin/env bash
+# The comparison in docs/results/four-robots.md: 10,000 episodes on each built-in robot, then side by side.
+# Usage: scripts/four_robots.sh [FOLDER]; a run that is there already is gone on with.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+out=${1:-runs/four-robots}
+cargo build --release --locked -p robogate
+robogate=target/release/robogate
+for robot in ur3e ur5e ur10e franka; do
+    if [ -f "$out/$robot/plan.json" ]; then
+        "$robogate" resume "$out/$robot"
+        continue
+    fi
+    # The paper's surface gripper; the Franka has fingers.
+    suction=(--suction surface)
+    [ "$robot" = franka ] && suction=()
+    "$robogate" run --robot "$robot" --plan docs/results/four-robots.toml "${suction[@]}" --out "$out/$robot"
+done
+"$robogate" compare "$out"/{ur3e,ur5e,ur10e,franka} --html "$out/comparison.html" --md "$out/comparison.md"
