@@ -3,10 +3,10 @@
 use std::ops::Range;
 
 use robogate_core::{Suite, SuiteError};
+pub use robogate_dictionary::suite_sha256;
 use robogate_dictionary::{Entry, Label};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
 use crate::OutcomeCounts;
 
@@ -59,14 +59,6 @@ impl SuiteStage {
         let case = self.suite.case(index);
         Label { case: Some(case.id.clone()), category: Some(case.category.clone()), group: Some(case.group.clone()) }
     }
-}
-
-/// The identity of a suite: SHA-256 (hex) of its JSON without white space, in which neither the comments nor
-/// the layout of its file are left.
-pub fn suite_sha256(suite: &Suite) -> String {
-    // A tree of strings, finite numbers and maps with string keys cannot fail to serialise.
-    let json = serde_json::to_vec(suite).unwrap_or_default();
-    Sha256::digest(json).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// A round that is complete and recorded.

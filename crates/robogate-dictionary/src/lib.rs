@@ -25,6 +25,7 @@ pub mod published;
 mod raw;
 pub mod results;
 mod schema;
+mod suite;
 
 pub use columns::{FixedColumn, Kind, fixed_columns};
 pub use entry::{Entry, Label};
@@ -33,4 +34,6 @@ pub use hash::{DatasetHash, dataset_hash};
 pub use journal::{Journal, Recovery};
 pub use parquet::{Column, Dictionary, DictionaryWriter, Entries, Written, write_parquet};
 pub use provenance::{Dimensions, Engine, Platform, Provenance, Robot, Source, Tool};
+
 pub use schema::{SCHEMA_VERSION, SchemaVersion};
+pub use suite::suite_sha256;

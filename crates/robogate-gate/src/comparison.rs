@@ -16,8 +16,9 @@ use robogate_stats::{Confidence, non_inferiority};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::record::recorded_seeds;
 use crate::rounds::Rounds;
-use crate::{Ending, GateError, Question, Record, Sampling, Status, Trial};
+use crate::{Ending, GateError, Record, Sampling, Status, Trial};
 
 /// The policy that may be replaced.
 #[derive(Debug, Clone, Copy)]
@@ -61,35 +62,70 @@ pub struct Comparison {
     pub status: Status,
 }
 
-/// Refuses a comparison that could never be made, before anything runs: of other scenarios or another seed, or with a
-/// margin that is none.
+impl Comparison {
+    /// Its name among the findings.
+    pub const ID: &'static str = "not worse than the other policy";
+}
+
+/// A gate that has not run yet.
+#[derive(Debug, Clone, Copy)]
+pub struct Planned {
+    /// Its seed.
+    pub seed: u64,
+    /// Its rounds at most.
+    pub rounds: u64,
+    /// How their number comes about.
+    pub sampling: Sampling,
+    /// The error of a pass.
+    pub alpha: f64,
+}
+
+/// Refuses a comparison that could never be made, before anything runs: of other scenarios or another seed, with a
+/// margin that is none, or with so few pairs that not even a policy without a failure would pass.
 ///
 /// # Errors
 /// Which of these it is.
-pub fn check_pairing(other: &Record, this: &Record, seed: u64, margin: f64) -> Result<(), GateError> {
+pub fn check_pairing(other: &Record, this: &Record, planned: Planned, margin: f64) -> Result<(), GateError> {
     non_inferiority::check(margin)?;
     if !other.population.is_that_of(&this.population) {
         let baseline = other.population.to_string();
         return Err(GateError::ForeignBaseline { baseline, run: this.population.to_string() });
     }
     match other.trials.first() {
-        Some(first) if first.seed != seed => {
-            let what = format!("the seeds are {} and {seed}", first.seed);
-            Err(GateError::NotPaired { index: first.index, what })
+        Some(first) if first.seed != planned.seed => {
+            let what = format!("the seeds are {} and {}", first.seed, planned.seed);
+            return Err(GateError::NotPaired { index: first.index, what });
         }
-        _ => Ok(()),
+        _ => {}
     }
+    let rounds = Rounds::of(&other.trials, &other.population)?;
+    let most = usize::try_from(planned.rounds).unwrap_or(usize::MAX);
+    let (mut twins, mut looks) = (Vec::new(), Vec::new());
+    for round in rounds.rounds.iter().take(most) {
+        twins.extend(round.iter().map(|a| a.ending.is_valid().then_some((a.ending == Ending::Success, true))));
+        looks.push(twins.len());
+    }
+    let sampling = other.sampling(planned.sampling);
+    let best = Against { record: other, margin }.conclude(&twins, &looks, sampling)?;
+    if best.p_met > planned.alpha {
+        return Err(GateError::TooFewPairs { pairs: twins.len() as u64, margin });
+    }
+    Ok(())
 }
 
 /// Whether a pair's episodes succeeded; `None` where one is invalid.
 type Twin = Option<(bool, bool)>;
 
 impl Against<'_> {
-    pub(crate) fn compare(&self, record: &Record, question: &Question<'_>) -> Result<Comparison, GateError> {
+    pub(crate) fn compare(&self, record: &Record, sampling: Sampling) -> Result<Comparison, GateError> {
         let population = &record.population;
         if !self.record.population.is_that_of(population) {
             let baseline = self.record.population.to_string();
             return Err(GateError::ForeignBaseline { baseline, run: population.to_string() });
+        }
+        if self.record.imported || record.imported {
+            let twins = imported_twins(self.record, record)?;
+            return self.conclude(&twins, &[twins.len()], sampling);
         }
         let others: BTreeMap<u64, &Trial> = self.record.trials.iter().map(|trial| (trial.index, trial)).collect();
         let rounds = Rounds::of(&record.trials, population)?;
@@ -99,7 +135,7 @@ impl Against<'_> {
             let found: Vec<(&Trial, &Trial)> =
                 round.iter().filter_map(|trial| Some((*others.get(&trial.index)?, *trial))).collect();
             // The other run may have fewer rounds; of a round that it has in part nothing is taken.
-            if found.len() < round.len() {
+            if rounds.suite && found.len() < round.len() {
                 break;
             }
             for (a, b) in found {
@@ -108,7 +144,7 @@ impl Against<'_> {
             }
             looks.push(twins.len());
         }
-        self.conclude(&twins, &looks, question.sampling)
+        self.conclude(&twins, &looks, self.record.sampling(sampling))
     }
 
     fn conclude(&self, twins: &[Twin], looks: &[usize], sampling: Sampling) -> Result<Comparison, GateError> {
@@ -160,6 +196,25 @@ impl Against<'_> {
             status: if none { Status::NoEvidence } else { Status::Undecided },
         })
     }
+}
+
+/// Pairs of imported episodes: case and seed say which world an episode met, and nothing else does.
+fn imported_twins(other: &Record, this: &Record) -> Result<Vec<Twin>, GateError> {
+    let (others, these) = (by_identity(other)?, by_identity(this)?);
+    Ok(these.iter().filter_map(|(key, b)| Some(twin(others.get(key)?, b))).collect())
+}
+
+fn by_identity(record: &Record) -> Result<BTreeMap<(&str, i64), &Trial>, GateError> {
+    let refuse = || GateError::NoIdentity { policy: record.policy.clone() };
+    let seeds = recorded_seeds(&record.trials).ok_or_else(refuse)?;
+    let mut found = BTreeMap::new();
+    for (trial, seed) in record.trials.iter().zip(seeds) {
+        let case = trial.label.case.as_deref().ok_or_else(refuse)?;
+        if let Some(first) = found.insert((case, seed), trial) {
+            return Err(GateError::Copies { first: first.index, second: trial.index });
+        }
+    }
+    Ok(found)
 }
 
 fn twin(a: &Trial, b: &Trial) -> Twin {

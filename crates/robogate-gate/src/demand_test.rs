@@ -25,8 +25,8 @@ pub(crate) struct Tested {
     pub(crate) p_met: f64,
     pub(crate) p_violated: f64,
     pub(crate) interval: [f64; 2],
-    /// Rounds in all after which it would be decided if they went as those so far.
-    pub(crate) decided_at_rounds: Option<u64>,
+    /// Steps in all after which it would be decided if they went as those so far.
+    pub(crate) decided_at_steps: Option<u64>,
 }
 
 /// How a test is made.
@@ -39,10 +39,12 @@ pub(crate) struct How {
     pub(crate) beta: f64,
     /// Whether the scenarios are those of a suite, each with a rate of its own.
     pub(crate) suite: bool,
+    /// In how many equal steps the episodes came: rounds of a suite, else single episodes.
+    pub(crate) steps: u64,
 }
 
-/// More rounds than this are not worth naming.
-const MOST_ROUNDS: u64 = 1_000_000;
+/// More steps than this are not worth naming.
+const MOST_STEPS: u64 = 1_000_000;
 
 pub(crate) fn test(
     requirement: &Requirement,
@@ -104,7 +106,7 @@ fn rate(metric: Metric, bound: Bound, rounds: &[Vec<&Trial>], how: How) -> Teste
         p_met: ln_met.min(0.0).exp(),
         p_violated: ln_violated.min(0.0).exp(),
         interval,
-        decided_at_rounds: rate_decided_at(last, p0, rounds.len() as u64, how),
+        decided_at_steps: rate_decided_at(last, p0, how),
     }
 }
 
@@ -124,12 +126,12 @@ fn fixed_below(trials: Trials, p0: f64, suite: bool) -> f64 {
     }
 }
 
-/// The number of rounds at which the rates seen so far would decide; `None` where they lie on both sides of the limit.
-fn rate_decided_at(last: Look, p0: f64, rounds: u64, how: How) -> Option<u64> {
+/// The number of steps at which the rates seen so far would decide; `None` where they lie on both sides of the limit.
+fn rate_decided_at(last: Look, p0: f64, how: How) -> Option<u64> {
     let (worst, best) = (last.worst.rate()?, last.best.rate()?);
-    let per_round = last.worst.n() as f64 / rounds.max(1) as f64;
-    let trials = |rate: f64, rounds: u64| {
-        let n = (per_round * rounds as f64).round() as u64;
+    let per_step = last.worst.n() as f64 / how.steps.max(1) as f64;
+    let trials = |rate: f64, steps: u64| {
+        let n = (per_step * steps as f64).round() as u64;
         // Rounded against the answer that is asked for.
         let good = if worst > p0 { (rate * n as f64).floor() } else { (rate * n as f64).ceil() };
         Trials::new((good as u64).min(n), n).unwrap_or(Trials::NONE)
@@ -148,12 +150,12 @@ fn rate_decided_at(last: Look, p0: f64, rounds: u64, how: How) -> Option<u64> {
     }
 }
 
-/// The least number of rounds at which `decided` holds, if it is a sensible one.
+/// The least number of steps at which `decided` holds, if it is a sensible one.
 fn least(decided: impl Fn(u64) -> bool) -> Option<u64> {
     let mut high = 1;
     while !decided(high) {
         high *= 2;
-        if high > MOST_ROUNDS {
+        if high > MOST_STEPS {
             return None;
         }
     }
@@ -204,12 +206,12 @@ fn mean(requirement: &Requirement, bound: Bound, rounds: &[Vec<&Trial>], how: Ho
         p_met: (-met).exp(),
         p_violated: (-violated).exp(),
         interval: [of_short.low, of_long.high],
-        decided_at_rounds: mean_decided_at(bound, &short, &long, rounds.len() as u64, ceiling, how),
+        decided_at_steps: mean_decided_at(bound, &short, &long, ceiling, how),
     })
 }
 
-/// The rounds so far, again and again, until they would decide: a walk of 100 times their number at most.
-fn mean_decided_at(bound: Bound, short: &[f64], long: &[f64], rounds: u64, ceiling: f64, how: How) -> Option<u64> {
+/// The episodes so far, again and again, until they would decide: a walk of 100 times their number at most.
+fn mean_decided_at(bound: Bound, short: &[f64], long: &[f64], ceiling: f64, how: How) -> Option<u64> {
     let average = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let (values, wanted, below) = if average(long) < bound.limit {
         (long, if bound.sense == Sense::AtMost { how.alpha } else { how.beta }, true)
@@ -227,5 +229,5 @@ fn mean_decided_at(bound: Bound, short: &[f64], long: &[f64], rounds: u64, ceili
             ln >= -wanted.ln()
         })
     };
-    (1..=again).find(|repeats| decided(*repeats)).map(|repeats| repeats as u64 * rounds)
+    (1..=again).find(|repeats| decided(*repeats)).map(|repeats| repeats as u64 * how.steps)
 }

@@ -126,6 +126,50 @@ pub enum GateError {
         /// The scopes there are.
         known: String,
     },
+    /// A demand for each category or group, and episodes that are of none.
+    #[error(
+        "requirement `{id}`: there are episodes without a {what}\nhint: name the column on import (--map {what}=COLUMN), or leave out `each`"
+    )]
+    NoLabel {
+        /// Which.
+        id: String,
+        /// What is missing: category or group.
+        what: &'static str,
+    },
+    /// A plan whose suite is not what it says.
+    #[error("the plan's suite {reason}\nhint: these rows were changed or are of another robogate; run the suite again")]
+    PlannedSuite {
+        /// What is wrong.
+        reason: String,
+    },
+    /// The same episode twice among imported rows.
+    #[error(
+        "rows {first} and {second} are the same episode: case, seed and parameters are alike, and copies are no further evidence\nhint: leave one out, or, where the seed is that of a whole series, import without its column"
+    )]
+    Copies {
+        /// The first row.
+        first: u64,
+        /// The one that repeats it.
+        second: u64,
+    },
+    /// Imported episodes of which nobody knows which worlds they met.
+    #[error(
+        "imported episodes are compared pair by pair only where case and seed are recorded for each, and those of {policy} are not\nhint: name both columns on import (--map case=COLUMN --map seed=COLUMN), or take the other's figures: `robogate baseline RUN -o FILE`"
+    )]
+    NoIdentity {
+        /// Whose.
+        policy: String,
+    },
+    /// A comparison that the best of policies could not win.
+    #[error(
+        "the comparison can't be decided: the other run has {pairs} episodes to pair with, and even if none of this policy's failed, that shows no margin of {margin}\nhint: run the other policy for more rounds with the same seed, or allow a wider --margin"
+    )]
+    TooFewPairs {
+        /// Pairs there can be.
+        pairs: u64,
+        /// The margin.
+        margin: f64,
+    },
     /// Episodes of a suite among others.
     #[error("episode {index} carries no scenario id, and others do\nhint: judge a suite's episodes by themselves")]
     MixedLabels {

@@ -182,7 +182,7 @@ pub struct Question<'a> {
     pub baseline: Option<&'a Baseline>,
     /// The policy that may be replaced.
     pub against: Option<Against<'a>>,
-    /// How the number of episodes came about.
+    /// How the number of episodes came about, as far as the record does not say otherwise ([`Record::sampling`]).
     pub sampling: Sampling,
 }
 
@@ -209,6 +209,7 @@ impl Question<'_> {
         if let Some(baseline) = self.baseline {
             baseline.check(&record.population)?;
         }
+        let sampling = record.sampling(self.sampling);
         let rounds = Rounds::of(&record.trials, &record.population)?;
         let valid = rounds.trials().filter(|trial| trial.ending.is_valid()).count() as u64;
         let episodes = rounds.trials().count() as u64;
@@ -220,17 +221,23 @@ impl Question<'_> {
             left_over: rounds.left_over,
             focused: record.focused,
         };
-        let comparison = self.against.as_ref().map(|against| against.compare(record, self)).transpose()?;
+        let comparison = self.against.as_ref().map(|against| against.compare(record, sampling)).transpose()?;
         let mut findings = Vec::new();
         for requirement in &requirements.requirement {
-            for one in expand(requirement, rounds.trials()) {
+            for one in expand(requirement, rounds.trials().map(|trial| &trial.label))? {
                 findings.push(one);
             }
         }
         let alpha = requirements.alpha();
         // A comparison is one demand more.
         let family = findings.len() + usize::from(comparison.is_some());
-        let how = How { sampling: self.sampling, alpha, beta: alpha / family.max(1) as f64, suite: rounds.suite };
+        let how = How {
+            sampling,
+            alpha,
+            beta: alpha / family.max(1) as f64,
+            suite: rounds.suite,
+            steps: counts.rounds.unwrap_or(episodes),
+        };
         let mut findings = findings
             .into_iter()
             .map(|requirement| self.finding(requirement, &rounds, counts, how))
@@ -248,7 +255,7 @@ impl Question<'_> {
             dataset_sha256: record.dataset_sha256.clone(),
             population: record.population.clone(),
             estimand: record.population.estimand(),
-            sampling: self.sampling,
+            sampling,
             counts,
             requirements: requirements.clone(),
             baseline: self.baseline.cloned(),
@@ -312,9 +319,9 @@ impl Question<'_> {
                 finding.interval = Some(tested.interval);
                 finding.p_met = Some(tested.p_met);
                 finding.p_violated = Some(tested.p_violated);
-                let per_round = counts.episodes as f64 / rounds.rounds.len().max(1) as f64;
+                let per_step = counts.episodes as f64 / how.steps.max(1) as f64;
                 finding.decided_at_episodes =
-                    tested.decided_at_rounds.map(|rounds| (rounds as f64 * per_round).round() as u64);
+                    tested.decided_at_steps.map(|steps| (steps as f64 * per_step).round() as u64);
             }
         }
         Ok(finding)
@@ -374,7 +381,7 @@ fn conclude(counts: Counts, findings: &[Finding], comparison: Option<&Comparison
     let all: Vec<(&str, Status)> = findings
         .iter()
         .map(|f| (f.id.as_str(), f.status))
-        .chain(comparison.map(|c| ("not worse than the other policy", c.status)))
+        .chain(comparison.map(|c| (Comparison::ID, c.status)))
         .collect();
     let of =
         |status: Status| -> Vec<&str> { all.iter().filter(|(_, found)| *found == status).map(|(id, _)| *id).collect() };

@@ -34,7 +34,7 @@ mod verdict;
 
 pub use asked::{Asked, AskedAgainst};
 pub use baseline::{Baseline, BaselineFigure};
-pub use comparison::{Against, Comparison, check_pairing};
+pub use comparison::{Against, Comparison, Planned, check_pairing};
 pub use error::GateError;
 pub use evaluation::{Counts, EndingCount, Evaluation, Finding, GroupResult, Question, Sampling, Status};
 pub use figure::Extremes;

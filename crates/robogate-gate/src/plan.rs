@@ -91,7 +91,7 @@ impl GatePlan {
         let trials: Vec<Trial> = scenarios.iter().cloned().map(blank).collect();
         let mut demands = Vec::new();
         for requirement in &requirements.requirement {
-            demands.extend(expand(requirement, trials.iter()));
+            demands.extend(expand(requirement, scenarios.iter())?);
         }
         let alpha = requirements.alpha();
         let beta = alpha / demands.len().max(1) as f64;

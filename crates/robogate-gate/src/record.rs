@@ -3,13 +3,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-use robogate_core::{FailureMode, Suite};
-use robogate_dictionary::{Dictionary, Entry, Label, Provenance};
+use robogate_core::{FailureMode, Suite, Value};
+use robogate_dictionary::{Dictionary, Entry, Label, Provenance, suite_sha256};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::{GateError, Trial};
+use crate::{GateError, Sampling, Trial};
 
 /// What a set of episodes speaks of.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -84,6 +84,10 @@ pub struct Record {
     pub trials: Vec<Trial>,
     /// Rows that were left out because they were drawn where success turns into failure: no operating rate.
     pub focused: u64,
+    /// How many episodes the plan of a suite has in all; `None` where no suite was run.
+    pub planned: Option<u64>,
+    /// Whether the episodes were imported: their index then is a row's number and says nothing of the world.
+    pub imported: bool,
 }
 
 impl Record {
@@ -97,16 +101,28 @@ impl Record {
     }
 
     /// The record of a campaign that has no row yet; `provenance` holds its plan.
-    pub fn begun(provenance: &Provenance) -> Self {
-        let population = population(provenance, &[]);
-        Self {
+    ///
+    /// # Errors
+    /// A plan whose suite is not what it says.
+    pub fn begun(provenance: &Provenance) -> Result<Self, GateError> {
+        let (population, planned) = population(provenance, &[])?;
+        Ok(Self {
             population,
             robot: provenance.robot.name.clone(),
             policy: provenance.policy.clone(),
             dataset_sha256: String::new(),
             trials: Vec::new(),
             focused: 0,
-        }
+            planned,
+            imported: provenance.source.is_some(),
+        })
+    }
+
+    /// How the number of episodes came about, where `stated` is what is said of it: fewer episodes than the plan has are
+    /// a run that somebody stopped, whatever is said.
+    pub fn sampling(&self, stated: Sampling) -> Sampling {
+        let stopped = self.planned.is_some_and(|planned| (self.trials.len() as u64) < planned);
+        if stopped { Sampling::Sequential } else { stated }
     }
 
     fn collect(
@@ -131,8 +147,15 @@ impl Record {
             .into_iter()
             .filter_map(|(stage, trial)| (!uneven.get(&stage).copied().unwrap_or(false)).then_some(trial))
             .collect();
+        let imported = provenance.source.is_some();
+        if imported {
+            no_copies(&trials)?;
+        }
+        let (population, planned) = population(provenance, &trials)?;
         Ok(Self {
-            population: population(provenance, &trials),
+            population,
+            planned,
+            imported,
             robot: provenance.robot.name.clone(),
             policy: provenance.policy.clone(),
             dataset_sha256: dataset_sha256.to_owned(),
@@ -145,25 +168,65 @@ impl Record {
 /// What a run's plan says about the suite that it runs.
 #[derive(Deserialize)]
 struct SuitePlan {
+    rounds: u64,
     sha256: String,
     suite: Suite,
 }
 
 impl SuitePlan {
-    fn of(plan: &serde_json::Value) -> Option<Self> {
-        serde_json::from_value(plan.get("suite")?.clone()).ok()
+    fn of(plan: &serde_json::Value) -> Result<Option<Self>, GateError> {
+        let Some(suite) = plan.get("suite").filter(|suite| !suite.is_null()) else { return Ok(None) };
+        let wrong = |reason: String| GateError::PlannedSuite { reason };
+        let planned: Self =
+            serde_json::from_value(suite.clone()).map_err(|error| wrong(format!("cannot be read: {error}")))?;
+        let found = suite_sha256(&planned.suite);
+        if found != planned.sha256 {
+            return Err(wrong(format!("has SHA-256 {found}, and the plan says {}", planned.sha256)));
+        }
+        Ok(Some(planned))
     }
 }
 
-fn population(provenance: &Provenance, trials: &[Trial]) -> Population {
-    match SuitePlan::of(&provenance.plan) {
-        Some(SuitePlan { sha256, suite }) => Population::Suite {
-            name: format!("{} {}", suite.name(), suite.version()),
-            sha256,
-            cases: suite.cases().len() as u64,
-        },
-        None => drawn(provenance, trials),
+fn population(provenance: &Provenance, trials: &[Trial]) -> Result<(Population, Option<u64>), GateError> {
+    Ok(match SuitePlan::of(&provenance.plan)? {
+        Some(SuitePlan { rounds, sha256, suite }) => {
+            let cases = suite.cases().len() as u64;
+            let name = format!("{} {}", suite.name(), suite.version());
+            (Population::Suite { name, sha256, cases }, Some(rounds.saturating_mul(cases)))
+        }
+        None => (drawn(provenance, trials), None),
+    })
+}
+
+/// The parameters of imported rows that are no world's: the row's number and the environment's seed.
+const SOURCE_ROW: &str = "source_row";
+const SOURCE_SEED: &str = "source_seed";
+
+/// The seed that each row records for its world; `None` where one does not, or where it is one for all of several.
+pub(crate) fn recorded_seeds(trials: &[Trial]) -> Option<Vec<i64>> {
+    let seeds: Option<Vec<i64>> = trials
+        .iter()
+        .map(|trial| match trial.requested.get(SOURCE_SEED) {
+            Some(Value::Integer(seed)) => Some(*seed),
+            _ => None,
+        })
+        .collect();
+    seeds.filter(|seeds| seeds.len() < 2 || seeds.iter().any(|seed| Some(seed) != seeds.first()))
+}
+
+/// Refuses the same episode twice, as far as rows say which episode they are.
+fn no_copies(trials: &[Trial]) -> Result<(), GateError> {
+    let Some(seeds) = recorded_seeds(trials) else { return Ok(()) };
+    let mut seen: BTreeMap<String, u64> = BTreeMap::new();
+    for (trial, seed) in trials.iter().zip(seeds) {
+        let parameters: Vec<_> = trial.requested.iter().filter(|(name, _)| *name != SOURCE_ROW).collect();
+        let Label { case, category, group } = &trial.label;
+        let identity = format!("{seed} {case:?} {category:?} {group:?} {parameters:?}");
+        if let Some(first) = seen.insert(identity, trial.index) {
+            return Err(GateError::Copies { first, second: trial.index });
+        }
     }
+    Ok(())
 }
 
 /// The population of rows that are no suite's: their space, or the scenarios that their source names.
@@ -176,8 +239,13 @@ fn drawn(provenance: &Provenance, trials: &[Trial]) -> Population {
             [case, category, group].map(|word| word.as_deref().unwrap_or_default())
         })
         .collect();
-    let text =
-        if labels.is_empty() { serde_json::to_string(&provenance.space) } else { serde_json::to_string(&labels) };
+    let nothing_known = provenance.space.parameters().iter().all(|parameter| &*parameter.name == SOURCE_ROW);
+    let text = match &provenance.source {
+        // Rows of which only their number is known are those of their file, and of no other.
+        Some(source) if labels.is_empty() && nothing_known => serde_json::to_string(&source.sha256),
+        _ if labels.is_empty() => serde_json::to_string(&provenance.space),
+        _ => serde_json::to_string(&labels),
+    };
     Population::Drawn { space, sha256: hex(&Sha256::digest(text.unwrap_or_default())) }
 }
 

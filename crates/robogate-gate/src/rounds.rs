@@ -4,16 +4,13 @@ use std::collections::BTreeMap;
 
 use crate::{GateError, Population, Trial};
 
-/// Without a suite there are no rounds; so many looks at most are taken then, evenly spaced.
-const LOOKS: usize = 500;
-
 /// The trials that are judged, round by round.
 #[derive(Debug)]
 pub(crate) struct Rounds<'a> {
     pub(crate) rounds: Vec<Vec<&'a Trial>>,
     /// Trials after the last whole round.
     pub(crate) left_over: u64,
-    /// Whether the rounds are those of a suite.
+    /// Whether the rounds are those of a suite; without one, all trials are one round.
     pub(crate) suite: bool,
 }
 
@@ -21,8 +18,9 @@ impl<'a> Rounds<'a> {
     /// Parts `trials` into rounds: the first run of each scenario, the second of each, and so on.
     pub(crate) fn of(trials: &'a [Trial], population: &Population) -> Result<Self, GateError> {
         let Population::Suite { cases, .. } = population else {
-            let size = trials.len().div_ceil(LOOKS).max(1);
-            let rounds = trials.chunks(size).map(|chunk| chunk.iter().collect()).collect();
+            // The order of these rows may hang on how they went: nothing may depend on where a look falls, so there is
+            // one, at the end.
+            let rounds = if trials.is_empty() { Vec::new() } else { vec![trials.iter().collect()] };
             return Ok(Self { rounds, left_over: 0, suite: false });
         };
         let mut seen: BTreeMap<&str, usize> = BTreeMap::new();

@@ -4,7 +4,7 @@ use std::fmt;
 
 use robogate_dictionary::Label;
 
-use crate::{Each, Requirement, Trial};
+use crate::{Each, GateError, Requirement, Trial};
 
 /// A category, a group, both, or everything.
 #[derive(Debug, Clone, Copy, Default)]
@@ -37,26 +37,33 @@ impl fmt::Display for Scope<'_> {
 }
 
 /// One demand for each category or group where it says so, in order of first appearance.
-pub(crate) fn expand<'a>(requirement: &Requirement, trials: impl Iterator<Item = &'a Trial>) -> Vec<Requirement> {
-    let Some(each) = requirement.each else { return vec![requirement.clone()] };
+///
+/// # Errors
+/// An episode without the word that the demand is parted by: left out, it would be judged by no demand at all.
+pub(crate) fn expand<'a>(
+    requirement: &Requirement,
+    labels: impl Iterator<Item = &'a Label>,
+) -> Result<Vec<Requirement>, GateError> {
+    let Some(each) = requirement.each else { return Ok(vec![requirement.clone()]) };
     let mut found: Vec<(Option<&str>, Option<&str>)> = Vec::new();
-    for Label { category, group, .. } in trials.map(|trial| &trial.label) {
-        let key = match each {
-            Each::Category => (category.as_deref(), None),
-            Each::Group => (category.as_deref(), group.as_deref()),
+    for Label { category, group, .. } in labels {
+        let (key, wanted, what) = match each {
+            Each::Category => ((category.as_deref(), None), category, "category"),
+            Each::Group => ((category.as_deref(), group.as_deref()), group, "group"),
         };
-        if key != (None, None) && !found.contains(&key) {
+        if wanted.is_none() {
+            return Err(GateError::NoLabel { id: requirement.id(), what });
+        }
+        if !found.contains(&key) {
             found.push(key);
         }
     }
     let owned = |word: Option<&str>| word.map(str::to_owned);
-    found
-        .into_iter()
-        .map(|(category, group)| Requirement {
-            category: owned(category),
-            group: owned(group),
-            each: None,
-            ..requirement.clone()
-        })
-        .collect()
+    let parts = found.into_iter().map(|(category, group)| Requirement {
+        category: owned(category),
+        group: owned(group),
+        each: None,
+        ..requirement.clone()
+    });
+    Ok(parts.collect())
 }

@@ -1,9 +1,9 @@
 //! The confidence score, 0 to 100 (the paper's section 3.4 and appendix E).
 //!
 //! C = 100 Σ wᵢ sᵢ with weights and terms as data ([`ScoreTerm`]). It is a summary of observed figures and carries no
-//! error of its own: the verdict does not look at it. Two things that the paper leaves open are settled here: the cycle-time
-//! term 1 - |Δt/t_base| is cut off at 0, because it would fall below beyond twice the baseline; the baseline term 1 + ΔSR
-//! is cut off at 1, because a policy better than its baseline would score above 100.
+//! error of its own: the verdict does not look at it. The cycle-time term 1 - |Δt/t_base| is cut off at 0, because it would
+//! fall below beyond twice the baseline. The paper's baseline term max(0, 1 + ΔSR) exceeds 1, and the score may exceed 100,
+//! where a policy is better than its baseline; a set of requirements may ask for the term cut off at 1 as well.
 
 use robogate_stats::Interval;
 use schemars::JsonSchema;
@@ -43,14 +43,16 @@ pub enum Scoring {
     BaselineDeviation,
     /// 1 at x = 0, else 0.
     Zero,
-    /// 1 + x - b, cut off at 0 and at 1, with the baseline's figure b.
+    /// 1 + x - b, cut off at 0, with the baseline's figure b: above 1 where the policy is the better one.
     BaselineDelta,
+    /// 1 + x - b, cut off at 0 and at 1, with the baseline's figure b.
+    BaselineDeltaCapped,
 }
 
 impl Scoring {
     /// Whether it refers to a baseline.
     pub fn needs_baseline(self) -> bool {
-        matches!(self, Self::BaselineDeviation | Self::BaselineDelta)
+        matches!(self, Self::BaselineDeviation | Self::BaselineDelta | Self::BaselineDeltaCapped)
     }
 
     /// The figure `x` as a number from 0 to 1, with the baseline's figure `b`; `None` without a baseline that it needs.
@@ -62,7 +64,8 @@ impl Scoring {
                 (1.0 - (x - b).abs() / b).max(0.0)
             }
             Self::Zero => f64::from(u8::from(x <= 0.0)),
-            Self::BaselineDelta => (1.0 + x - b?).clamp(0.0, 1.0),
+            Self::BaselineDelta => (1.0 + x - b?).max(0.0),
+            Self::BaselineDeltaCapped => (1.0 + x - b?).clamp(0.0, 1.0),
         };
         Some(scored)
     }
@@ -99,7 +102,7 @@ pub struct ScoredTerm {
 /// The score and what it is made of.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ConfidenceScore {
-    /// 0 to 100 over the valid episodes; absent where a term has no figure.
+    /// 0 to 100 (above where an uncapped baseline term exceeds 1) over the valid episodes; absent where a term has no figure.
     pub points: Option<f64>,
     /// What it could be at the least and at the most, whatever the invalid episodes could have been.
     pub bounds: [f64; 2],

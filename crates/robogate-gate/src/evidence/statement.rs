@@ -4,7 +4,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::{EVALUATION, MANIFEST, Manifest, Role};
-use crate::{Evaluation, Status, Verdict};
+use crate::{Comparison, Evaluation, Status, Verdict};
 
 /// The statement's type (in-toto attestation framework, version 1).
 pub const STATEMENT_TYPE: &str = "https://in-toto.io/Statement/v1";
@@ -32,8 +32,9 @@ struct Statement<'a> {
 /// and a reader that asks whether anything failed must not be told no.
 pub(super) fn test_result(manifest: &Manifest, manifest_sha256: &str, evaluation: &Evaluation) -> String {
     let ids = |met: bool| -> Vec<&str> {
-        let findings = evaluation.findings.iter();
-        findings.filter(|finding| (finding.status == Status::Met) == met).map(|finding| finding.id.as_str()).collect()
+        let findings = evaluation.findings.iter().map(|finding| (finding.id.as_str(), finding.status));
+        let all = findings.chain(evaluation.comparison.as_ref().map(|comparison| (Comparison::ID, comparison.status)));
+        all.filter(|(_, status)| (*status == Status::Met) == met).map(|(id, _)| id).collect()
     };
     let configuration: Vec<Value> = manifest
         .files

@@ -51,6 +51,8 @@ fn record(population: Population, trials: Vec<Trial>) -> Record {
         dataset_sha256: "a".repeat(64),
         trials,
         focused: 0,
+        planned: None,
+        imported: false,
     }
 }
 

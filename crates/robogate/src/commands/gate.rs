@@ -9,8 +9,8 @@ use clap::Args;
 use robogate_campaign::{Completion, DEFAULT_SEED, Event, Plan, Round, Settings};
 use robogate_dictionary::{Label, Provenance};
 use robogate_gate::{
-    Against, Asked, AskedAgainst, Baseline, Evaluation, GateError, GatePlan, Mode, Question, Record, Requirements,
-    Sampling, Trial, Verdict,
+    Against, Asked, AskedAgainst, Baseline, Evaluation, GateError, GatePlan, Mode, Planned, Question, Record,
+    Requirements, Sampling, Trial, Verdict,
 };
 use robogate_report::{Source, evaluation_markdown, junit};
 use robogate_sim::SuctionLaw;
@@ -41,8 +41,10 @@ pub(crate) struct Gate {
     #[arg(long, value_name = "FILE|RUN")]
     baseline: Option<PathBuf>,
     /// How far below the other run's success rate this policy's may lie
-    #[arg(long, value_name = "SHARE", default_value_t = 0.05)]
-    margin: f64,
+    ///
+    /// 0.05 by default; with --run, what its gate was asked
+    #[arg(long, value_name = "SHARE")]
+    margin: Option<f64>,
     /// At most this many rounds of the suite; default: the requirements' budget
     #[arg(long, value_name = "N")]
     rounds: Option<u32>,
@@ -63,6 +65,9 @@ pub(crate) struct Gate {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }
+
+/// How far below the other run's success rate this policy's may lie where nothing is said.
+const MARGIN: f64 = 0.05;
 
 /// The answer's files in a run's folder.
 const ANSWER: [&str; 3] = ["gate.json", "gate.md", "gate.junit.xml"];
@@ -93,15 +98,25 @@ impl Gate {
         let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
         // Whoever looked while the rounds came in has to pay for the looks, whatever is asked afterwards.
         let sampling = asked.as_ref().map_or(Sampling::Fixed, |asked| asked.sampling);
-        let requirements = match (&self.requirements, asked) {
-            (None, Some(asked)) => asked.requirements,
+        let requirements = match (&self.requirements, &asked) {
+            (None, Some(asked)) => asked.requirements.clone(),
             (name, _) => Requirements::open(name.as_deref().unwrap_or("default")).map_err(refused)?,
         };
-        let other = self.other(&record)?;
+        let other = match &asked {
+            Some(asked) if self.baseline.is_none() => {
+                Other { baseline: asked.baseline.clone(), record: compared_with(asked)? }
+            }
+            _ => self.other(&record)?,
+        };
+        let asked_margin = asked.as_ref().and_then(|asked| Some(asked.against.as_ref()?.margin));
+        let margin = self.margin.or(asked_margin).unwrap_or(MARGIN);
+        if let Some(asked) = &asked {
+            self.say_what_is_changed(asked, &requirements, asked_margin);
+        }
         let question = Question {
             requirements: &requirements,
             baseline: other.baseline.as_ref(),
-            against: other.against(self.margin),
+            against: other.against(margin),
             sampling,
         };
         let evaluation = question.evaluate(&record).map_err(refused)?;
@@ -110,6 +125,27 @@ impl Gate {
             write_answer(out, &evaluation)?;
         }
         show(self.out.as_deref(), &evaluation, self.how.json)
+    }
+
+    /// One line for each part of the question that is not the one which the run's gate was asked.
+    fn say_what_is_changed(&self, asked: &Asked, requirements: &Requirements, margin: Option<f64>) {
+        if *requirements != asked.requirements {
+            let (was, is) = (&asked.requirements.name, &requirements.name);
+            note(format_args!("asked anew: the run's gate was asked `{was}`, this answer is to `{is}` as given now"));
+        }
+        if let Some(path) = &self.baseline {
+            let was = match (&asked.against, &asked.baseline) {
+                (Some(against), _) => format!("compared with {}", against.path),
+                (None, Some(_)) => "held against another baseline".to_owned(),
+                (None, None) => "held against no baseline".to_owned(),
+            };
+            note(format_args!("asked anew: the run's gate was {was}, this answer refers to {}", path.display()));
+        }
+        if let (Some(was), Some(is)) = (margin, self.margin)
+            && (was - is).abs() > 0.0
+        {
+            note(format_args!("asked anew: the run's gate allowed a margin of {was}, this answer one of {is}"));
+        }
     }
 
     /// Runs a suite until the answer is certain.
@@ -147,11 +183,16 @@ impl Gate {
         )?;
         plan.check(&provenance.space).or_usage()?;
         let planned = Provenance { plan: serde_json::to_value(&plan).or_broken()?, ..provenance.clone() };
-        let mut record = Record::begun(&planned);
+        let mut record = Record::begun(&planned).map_err(refused)?;
         let other = self.other(&record)?;
         // What cannot be answered is said before anything runs.
         let gate_plan = GatePlan::of(&requirements, other.baseline.as_ref(), &labels, sampling, u64::from(rounds))
             .map_err(refused)?;
+        let margin = self.margin.unwrap_or(MARGIN);
+        if let Some((_, a)) = &other.record {
+            let planned = Planned { seed: plan.seed, rounds: u64::from(rounds), sampling, alpha: requirements.alpha() };
+            robogate_gate::check_pairing(a, &record, planned, margin).map_err(refused)?;
+        }
         if self.plan {
             if self.how.json {
                 let document = serde_json::to_string_pretty(&gate_plan).or_broken()?;
@@ -164,11 +205,8 @@ impl Gate {
         let against = other.record.as_ref().map(|(path, record)| AskedAgainst {
             path: path.canonicalize().unwrap_or_else(|_| path.clone()).to_string_lossy().into_owned(),
             dataset_sha256: record.dataset_sha256.clone(),
-            margin: self.margin,
+            margin,
         });
-        if let Some((_, a)) = &other.record {
-            robogate_gate::check_pairing(a, &record, plan.seed, self.margin).map_err(refused)?;
-        }
         let asked = Asked { format: Asked::FORMAT, requirements, baseline: other.baseline, against, sampling };
         let dir = match &self.out {
             Some(dir) => dir.clone(),
@@ -239,20 +277,22 @@ impl Gate {
     }
 }
 
+/// The run that the gate compares with, as it was when it was asked.
+fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, Exit> {
+    let Some(against) = &asked.against else { return Ok(None) };
+    let path = PathBuf::from(&against.path);
+    let source = Source::open(&path).or_usage()?;
+    let record = Record::of(source.dictionary()).map_err(refused)?;
+    if record.dataset_sha256 != against.dataset_sha256 {
+        return Err(anyhow!("{} is no longer the run that this gate compares with", against.path)).or_usage();
+    }
+    Ok(Some((path, record)))
+}
+
 /// Goes on with an interrupted gate.
 pub(crate) fn go_on(dir: &Path, asked: Asked, cell: &Cell, settings: Settings, how: &How) -> Result<u8, Exit> {
-    let other = match &asked.against {
-        Some(against) => {
-            let source = Source::open(Path::new(&against.path)).or_usage()?;
-            let record = Record::of(source.dictionary()).map_err(refused)?;
-            if record.dataset_sha256 != against.dataset_sha256 {
-                return Err(anyhow!("{} is no longer the run that this gate compares with", against.path)).or_usage();
-            }
-            Some(record)
-        }
-        None => None,
-    };
-    let mut record = Record::begun(&settings.provenance);
+    let other = compared_with(&asked)?.map(|(_, record)| record);
+    let mut record = Record::begun(&settings.provenance).map_err(refused)?;
     let provenance = provenance(cell, settings.provenance.space)?;
     let mut trouble = None;
     let completion = {
@@ -377,7 +417,10 @@ fn show(dir: Option<&Path>, evaluation: &Evaluation, json: bool) -> Result<u8, E
 /// The gate's error with its exit code: what the user must change is usage, no evidence is no evidence.
 pub(crate) fn refused(error: GateError) -> Exit {
     let code = match &error {
-        GateError::EmptyBaseline | GateError::MixedLabels { .. } => INVALID,
+        GateError::EmptyBaseline
+        | GateError::MixedLabels { .. }
+        | GateError::PlannedSuite { .. }
+        | GateError::Copies { .. } => INVALID,
         GateError::Dictionary(_) => INFRASTRUCTURE,
         _ => USAGE,
     };
