@@ -48,7 +48,8 @@ impl Population {
         match self {
             Self::Suite { name, cases, .. } => format!(
                 "Each figure is the mean over the {cases} scenarios of {name}, each counted alike, over fresh seeds: \
-                 it speaks of that mix and of no other."
+                 it speaks of that mix and of no other. Gates of one seed meet the same worlds: another attempt at them \
+                 is no fresh evidence."
             ),
             Self::Drawn { space, .. } => format!(
                 "Each figure is that of episodes drawn from {space}, as its rows were drawn: it speaks of that \

@@ -127,6 +127,19 @@ fn a_gate_stops_when_it_is_certain_and_its_files_agree_with_its_exit_code() {
         ["gate", "--suite", &suite, "--requirements", &requirements, "--baseline", &pass, "--margin", "0.9"];
     let said = assert_code(&[&arguments[..], &["--out", &folder.path("b")]].concat(), 0, &["not worse than scripted"]);
     assert!(said.contains("pairs"), "{said}");
+    // Judged again, the comparison is part of the question, and what is asked otherwise is named.
+    assert_code(&["gate", "--run", &folder.path("b")], 0, &["not worse than scripted"]);
+    let anew = ["gate", "--run", &folder.path("b"), "--margin", "0.8"];
+    let said = text(&robogate(&anew));
+    assert!(said.contains("allowed a margin of 0.9, this answer one of 0.8"), "{said}");
+    // Without the question's file the rows still say that the run was stopped before its plan's end.
+    let rows = folder.path("pass/dictionary.parquet");
+    let said = text(&robogate(&["gate", "--run", &rows, "--requirements", &requirements, "--json"]));
+    assert!(said.contains("\"sampling\": \"sequential\""), "{said}");
+    let small = ["gate", "--suite", &suite, "--requirements", &requirements, "--baseline", &pass];
+    let nowhere = folder.path("d");
+    let small = [&small[..], &["--margin", "0.01", "--out", &nowhere]].concat();
+    assert_code(&small, 2, &["the comparison can't be decided"]);
     let other = folder.write("other.toml", &SUITE.replace("0.3", "0.4"));
     let arguments = ["gate", "--suite", &other, "--requirements", &requirements, "--baseline", &pass];
     assert_code(&[&arguments[..], &["--out", &folder.path("c")]].concat(), 2, &["the baseline is of suite two"]);
@@ -154,4 +167,21 @@ fn what_cannot_be_answered_is_said_before_anything_runs() {
     }
     assert_code(&["gate", "--run", &folder.path("nothing")], 2, &["nothing"]);
     assert_code(&["gate", "--requirements", &folder.path("no.toml")], 2, &["hint: check the path"]);
+}
+
+#[test]
+fn copies_of_an_imported_episode_are_refused_where_seeds_tell_them_apart() {
+    let folder = Folder::new();
+    let requirements = folder.write("gate.toml", &gate("at_least = 0.2"));
+    let judge = |name: &str, seed: &dyn Fn(u64) -> u64, code: i32, parts: &[&str]| {
+        let rows: String = (0..40).map(|i| format!("lift,{},true\n", seed(i))).collect();
+        let csv = folder.write(&format!("{name}.csv"), &format!("case,seed,success\n{rows}"));
+        let rows = folder.path(&format!("{name}.parquet"));
+        assert_code(&["import", &csv, &rows], 0, &[]);
+        assert_code(&["gate", "--run", &rows, "--requirements", &requirements], code, parts);
+    };
+    judge("each", &|i| i, 0, &["PASS"]);
+    judge("copied", &|i| i % 20, 4, &["rows 0 and 20 are the same episode"]);
+    // One seed for all is none of an episode.
+    judge("one", &|_| 0, 0, &["PASS"]);
 }

@@ -1,6 +1,7 @@
-use robogate_core::FailureMode;
+use robogate_core::{FailureMode, Value};
 use robogate_gate::{
-    Against, Ending, Evaluation, GateError, Question, Record, Requirements, Sampling, Status, Verdict,
+    Against, Ending, Evaluation, GateError, Planned, Question, Record, Requirements, Sampling, Status, Verdict,
+    check_pairing,
 };
 
 use crate::common::{drawn, failed, invalid, requirements, suite};
@@ -77,4 +78,46 @@ fn only_rounds_that_both_ran_are_paired() {
     let short = suite(8, endings(20, |_| false));
     let c = ask(&long, &short, 0.05, Sampling::Sequential).unwrap().comparison.unwrap();
     assert_eq!(c.both, 16);
+}
+
+/// Imported episodes: one case, a seed each.
+fn imported(n: i64, seed: impl Fn(i64) -> i64, case: Option<&str>) -> Record {
+    let mut record = drawn(endings(n as u64, |_| false));
+    record.imported = true;
+    for (trial, i) in record.trials.iter_mut().zip(0..) {
+        trial.label.case = case.map(str::to_owned);
+        trial.requested.set("source_seed", Value::Integer(seed(i)));
+    }
+    record
+}
+
+#[test]
+fn imported_episodes_are_paired_by_case_and_seed_and_never_by_their_row() {
+    let a = imported(80, |i| i, Some("lift"));
+    let b = imported(80, |i| 79 - i, Some("lift"));
+    assert_eq!(ask(&b, &a, 0.05, Sampling::Fixed).unwrap().comparison.unwrap().both, 80);
+    let half = imported(80, |i| i + 40, Some("lift"));
+    assert_eq!(ask(&half, &a, 0.05, Sampling::Fixed).unwrap().comparison.unwrap().both, 40);
+    for other in [imported(80, |i| i, None), imported(80, |_| 0, Some("lift"))] {
+        let error = ask(&other, &a, 0.05, Sampling::Fixed).unwrap_err();
+        assert!(matches!(error, GateError::NoIdentity { .. }), "{error}");
+    }
+}
+
+#[test]
+fn a_comparison_that_no_policy_could_win_is_refused_before_anything_runs() {
+    let none = suite(8, []);
+    let planned = |rounds, sampling| Planned { seed: 1, rounds, sampling, alpha: 0.05 };
+    let few = suite(8, endings(16, |_| false));
+    for sampling in [Sampling::Fixed, Sampling::Sequential] {
+        let error = check_pairing(&few, &none, planned(20, sampling), 0.05).unwrap_err();
+        assert!(matches!(error, GateError::TooFewPairs { pairs: 16, .. }), "{error}");
+    }
+    let many = suite(8, endings(800, |_| false));
+    check_pairing(&many, &none, planned(100, Sampling::Sequential), 0.05).unwrap();
+    // The other run has enough, and this gate's budget has not.
+    assert!(matches!(
+        check_pairing(&many, &none, planned(1, Sampling::Sequential), 0.05),
+        Err(GateError::TooFewPairs { pairs: 8, .. })
+    ));
 }

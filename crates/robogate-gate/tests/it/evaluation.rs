@@ -1,5 +1,5 @@
 use robogate_core::FailureMode;
-use robogate_gate::{Baseline, Ending, Question, Requirements, Sampling, Status, Verdict};
+use robogate_gate::{Baseline, Ending, GateError, Question, Record, Requirements, Sampling, Status, Verdict};
 
 use crate::common::{baseline, drawn, failed, invalid, judge, requirements, suite, times};
 
@@ -198,4 +198,54 @@ fn a_baseline_is_the_same_after_a_round_trip() {
     let made = Baseline::of(&suite(4, times(8, &Ending::Success))).unwrap();
     assert_eq!(Baseline::from_json(&made.to_json()).unwrap(), made);
     assert_eq!(made.figures.len(), 7);
+}
+
+#[test]
+fn rows_that_are_no_suite_pass_or_fail_alike_in_any_order() {
+    let gate = requirements(
+        "name = \"o\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.9\n",
+    );
+    // 80 % succeed, and the file has the successes first: a prefix of it would pass.
+    let sorted = drawn(times(800, &Ending::Success).chain(times(200, &failed(FailureMode::GraspMiss))));
+    let found = judge(&gate, &sorted, Sampling::Sequential);
+    assert_eq!(found.verdict, Verdict::Fail);
+    let mut turned = sorted;
+    turned.trials.reverse();
+    let again = judge(&gate, &turned, Sampling::Sequential);
+    assert_eq!(
+        (again.findings[0].p_met, again.findings[0].p_violated),
+        (found.findings[0].p_met, found.findings[0].p_violated)
+    );
+    assert!(found.findings[0].p_met.unwrap() > 0.9);
+}
+
+#[test]
+fn a_demand_for_each_group_is_refused_where_an_episode_has_none() {
+    for (each, missing) in [("group", "group"), ("category", "category")] {
+        let gate = requirements(&format!(
+            "name = \"g\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.1\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.6\neach = \"{each}\"\n"
+        ));
+        let ask = |record: &Record| {
+            Question { requirements: &gate, baseline: None, against: None, sampling: Sampling::Fixed }.evaluate(record)
+        };
+        let error = ask(&drawn(times(100, &Ending::Success))).unwrap_err();
+        assert!(matches!(error, GateError::NoLabel { what, .. } if what == missing), "{error}");
+        let mut one = suite(8, times(80, &Ending::Success));
+        assert_eq!(ask(&one).unwrap().verdict, Verdict::Pass);
+        one.trials[9].label.category = None;
+        one.trials[9].label.group = None;
+        assert!(matches!(ask(&one), Err(GateError::NoLabel { .. })));
+    }
+}
+
+#[test]
+fn a_suite_that_was_cut_short_was_looked_at_whatever_is_said() {
+    let mut record = suite(8, times(40, &Ending::Success));
+    assert_eq!(judge(&requirements(SUCCESS), &record, Sampling::Fixed).sampling, Sampling::Fixed);
+    record.planned = Some(40);
+    assert_eq!(judge(&requirements(SUCCESS), &record, Sampling::Fixed).sampling, Sampling::Fixed);
+    record.planned = Some(80);
+    let forced = judge(&requirements(SUCCESS), &record, Sampling::Fixed);
+    assert_eq!(forced.sampling, Sampling::Sequential);
+    assert_eq!(forced, judge(&requirements(SUCCESS), &record, Sampling::Sequential));
 }

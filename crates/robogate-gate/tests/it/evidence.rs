@@ -23,6 +23,11 @@ fn key() -> PrivateKey {
 }
 
 fn rows(path: &Path, n: u64, failures: u64) {
+    planned_rows(path, n, failures, serde_json::json!({ "n": n }), |_| Label::default());
+}
+
+/// Rows under a plan, each with its label.
+fn planned_rows(path: &Path, n: u64, failures: u64, plan: serde_json::Value, label: impl Fn(u64) -> Label) {
     let space = ParameterSpace::from_toml(
         "name = 'test'\n[[parameter]]\nname = 'mass_kg'\nkind = 'continuous'\nlow = 0.1\nhigh = 2.0\n",
     )
@@ -35,7 +40,7 @@ fn rows(path: &Path, n: u64, failures: u64) {
         policy: "scripted".into(),
         world: serde_json::Value::Null,
         space,
-        plan: serde_json::json!({ "n": n }),
+        plan,
         seed: 5,
         platform: Some(Platform::here()),
         source: None,
@@ -52,7 +57,7 @@ fn rows(path: &Path, n: u64, failures: u64) {
             stage: "uniform".into(),
             design: "latin_hypercube".into(),
             weight: 1.0,
-            label: Label::default(),
+            label: label(index),
             episode: Episode {
                 scenario: Scenario { index, seed: Seed::campaign(5).episode(index), requested },
                 applied: Assignment::default(),
@@ -393,4 +398,58 @@ fn securesystemslib_and_cryptography_accept_keys_and_envelopes() {
     assert!(output.status.success(), "{out}{err}");
     assert!(out.starts_with("skipped") || out.contains(&key.public().id()), "{out}");
     println!("{out}");
+}
+
+const SUITE: &str = "schema = 1\nname = 'one'\nversion = '1.0.0'\ndescription = 'One.'\n[[group]]\nname = 'g'\ncategory = 'c'\nscenarios = [{ id = 'a', mass_kg = 0.2 }]\n";
+
+fn of_suite(run: &Run, rounds: u64, sha256: Option<&str>) {
+    let suite = robogate_core::Suite::from_toml(SUITE).unwrap();
+    let sha256 = sha256.map_or_else(|| robogate_dictionary::suite_sha256(&suite), str::to_owned);
+    let plan = serde_json::json!({ "suite": { "rounds": rounds, "sha256": sha256, "suite": suite } });
+    let label = |_| Label { case: Some("a".into()), category: Some("c".into()), group: Some("g".into()) };
+    planned_rows(&run.ingredients.dictionary, 80, 0, plan, label);
+}
+
+#[test]
+fn rows_of_a_suite_that_was_cut_short_are_no_fixed_number_whatever_is_said() {
+    let run = run(0);
+    of_suite(&run, 80, None);
+    assert_eq!(write(&run.folder.path().join("whole"), &run.ingredients, None).unwrap().sampling, Sampling::Fixed);
+    of_suite(&run, 200, None);
+    let to = run.evidence("short", None);
+    let manifest = fs::read_to_string(to.join("manifest.json")).unwrap();
+    assert!(manifest.contains("\"sampling\": \"sequential\""), "{manifest}");
+    verify(&to, None).unwrap();
+    let forged = manifest.replace("\"sampling\": \"sequential\"", "\"sampling\": \"fixed\"");
+    fs::write(to.join("manifest.json"), forged).unwrap();
+    let problems = verify(&to, None).unwrap_err();
+    assert!(problems.iter().any(|problem| problem.reason.contains("not what follows from them")), "{problems:?}");
+}
+
+#[test]
+fn a_plan_whose_suite_is_not_what_its_hash_says_is_no_evidence() {
+    let run = run(0);
+    let refused = |said: &str| {
+        let error = write(&run.folder.path().join("out"), &run.ingredients, None).unwrap_err().to_string();
+        assert!(error.contains(said), "{error}");
+    };
+    of_suite(&run, 80, Some(&"0".repeat(64)));
+    refused("and the plan says 000");
+    planned_rows(&run.ingredients.dictionary, 80, 0, serde_json::json!({ "suite": { "sha256": "00" } }), |_| {
+        Label::default()
+    });
+    refused("cannot be read");
+}
+
+#[test]
+fn the_comparison_is_a_test_of_the_in_toto_result() {
+    let mut run = run(0);
+    run.ingredients.against = Some((run.ingredients.dictionary.clone(), 0.2));
+    let to = run.evidence("compared", None);
+    let name =
+        fs::read_dir(&to).unwrap().map(|e| e.unwrap().path()).find(|p| p.display().to_string().contains("test-result"));
+    let text = fs::read_to_string(name.unwrap()).unwrap();
+    let statement: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let passed = statement["predicate"]["passedTests"].to_string();
+    assert!(passed.contains("not worse than the other policy"), "{text}");
 }

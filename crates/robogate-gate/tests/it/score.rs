@@ -77,3 +77,18 @@ fn a_term_without_evidence_leaves_no_score_rather_than_a_zero() {
     let score = question.evaluate(&record).unwrap().score.unwrap();
     assert_eq!((score.points, score.terms[3].points), (None, None));
 }
+
+#[test]
+fn the_papers_baseline_term_rewards_a_better_policy_and_the_default_one_is_capped() {
+    let record = suite(68, times(68, &Ending::Success));
+    let worse = baseline(&record, 0.75, 4.1, 0.1);
+    let last = |name: &str| {
+        let requirements = Requirements::open(name).unwrap();
+        let sampling = Sampling::Fixed;
+        let question = Question { requirements: &requirements, baseline: Some(&worse), against: None, sampling };
+        question.evaluate(&record).unwrap().score.unwrap().terms.last().unwrap().points.unwrap()
+    };
+    // 10 max(0, 1 + 1 - 0.75)
+    assert!((last("paper") - 12.5).abs() < 1e-9);
+    assert!((last("default") - 10.0).abs() < 1e-9);
+}

@@ -230,6 +230,13 @@ impl Gate {
             asked.requirements.name,
             dir.display()
         ));
+        if self.seed.is_none() {
+            note(format_args!(
+                "the worlds are those of seed {}, as for every gate without --seed: what was changed until it passes them \
+                 needs others",
+                plan.seed
+            ));
+        }
         let other = other.record.map(|(_, record)| record);
         let mut trouble = None;
         let completion = {
