@@ -40,9 +40,8 @@ pub(crate) struct Gate {
     /// may replace that one
     #[arg(long, value_name = "FILE|RUN")]
     baseline: Option<PathBuf>,
-    /// How far below the other run's success rate this policy's may lie
-    ///
-    /// 0.05 by default; with --run, what its gate was asked
+    /// How far below the other run's success rate this policy's may lie; default: 0.05, and with --run
+    /// what its gate was asked
     #[arg(long, value_name = "SHARE")]
     margin: Option<f64>,
     /// At most this many rounds of the suite; default: the requirements' budget
