@@ -81,7 +81,9 @@ pub enum Zone {
     Boundary,
     /// The whole interval is at or below 30 %.
     Danger,
-    /// Too few episodes: the interval reaches over a limit.
+    /// Enough episodes for any zone, yet the interval reaches over a limit: the rate is near it.
+    Undecided,
+    /// Too few episodes: not even a rate of 50 % would surely lie between the limits.
     TooThin,
 }
 
@@ -92,6 +94,7 @@ impl Zone {
             Self::Safe => "safe",
             Self::Boundary => "boundary",
             Self::Danger => "danger",
+            Self::Undecided => "undecided",
             Self::TooThin => "too thin",
         }
     }
@@ -99,13 +102,22 @@ impl Zone {
     /// The zone of each cell at 95 % shared over all of them.
     pub(crate) fn of(cells: &[Trials]) -> Vec<Self> {
         let level = Confidence::P95.shared_by(cells.len());
-        let zone = |z| match z {
+        // As many episodes, half of them successes.
+        let halves: Vec<Trials> = cells.iter().map(|c| Trials::new(c.n() / 2, c.n()).unwrap_or(Trials::NONE)).collect();
+        let zone = |(found, half)| match found {
             zone::Zone::Safe => Self::Safe,
             zone::Zone::Boundary => Self::Boundary,
             zone::Zone::Danger => Self::Danger,
+            zone::Zone::TooThin { .. } if half == zone::Zone::Boundary => Self::Undecided,
             zone::Zone::TooThin { .. } => Self::TooThin,
         };
-        zones(cells, ZoneLimits::PAPER, level).into_iter().map(zone).collect()
+        let at_level = |cells: &[Trials]| zones(cells, ZoneLimits::PAPER, level);
+        at_level(cells).into_iter().zip(at_level(&halves)).map(zone).collect()
+    }
+
+    /// Whether it is one of the three, and not left open.
+    pub fn is_stated(self) -> bool {
+        matches!(self, Self::Safe | Self::Boundary | Self::Danger)
     }
 }
 
@@ -419,4 +431,17 @@ fn mode_changes(rows: &Rows, base: &Sample, parameter: &ParameterColumn) -> Find
 
 fn word(mode: usize) -> String {
     FailureMode::ALL[mode].word().to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn many_episodes_near_a_limit_are_undecided_and_few_are_too_thin() {
+        let of = |k, n| Trials::new(k, n).unwrap();
+        let cells = [of(700, 1_000), of(7, 10), of(0, 0), of(950, 1_000), of(500, 1_000), of(50, 1_000)];
+        let words: Vec<&str> = Zone::of(&cells).into_iter().map(Zone::word).collect();
+        assert_eq!(words, ["undecided", "too thin", "too thin", "safe", "boundary", "danger"]);
+    }
 }

@@ -145,7 +145,7 @@ impl Analysis {
             provenance,
         };
         analysis.headline = headline(&analysis);
-        analysis.limits = limits(&analysis, !dictionary.provenance().space.correlations().is_empty());
+        analysis.limits = limits(&analysis);
         Ok(analysis)
     }
 
@@ -177,6 +177,18 @@ pub(crate) fn populations(rows: &Rows) -> (Sample, Option<Sample>, Population) {
         Population::OperatingSpace
     };
     (operating, (focused.len() > 0).then_some(focused), population)
+}
+
+/// The parameters that the space draws together with others, as people write them, in the order of the space.
+pub(crate) fn drawn_together(analysis: &Analysis) -> Vec<String> {
+    let along = analysis.along.iter().filter(|along| is_drawn_together(analysis, &along.parameter));
+    along.map(|along| along.label.clone()).collect()
+}
+
+/// Whether the space draws this parameter together with another one.
+pub(crate) fn is_drawn_together(analysis: &Analysis, parameter: &str) -> bool {
+    let correlations = analysis.provenance.space.correlations();
+    correlations.iter().any(|c| c.parameters.iter().any(|name| **name == *parameter))
 }
 
 fn envelope(base: &Sample, up: &str, across: &str) -> Option<Envelope> {

@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::along::{Along, AlongKind, Cell, Correlation, CriticalThreshold, Zone};
+use crate::analysis::{drawn_together, is_drawn_together};
 use crate::words::{count, counted, listed, mode, name, number, percent, percents, range, sentence, with_unit};
 use crate::{Analysis, Population};
 
@@ -154,6 +155,7 @@ fn what_to_do(analysis: &Analysis) -> Vec<String> {
     let mut thresholds: Vec<(&Along, f64, bool, f64)> = analysis
         .along
         .iter()
+        .filter(|along| !is_drawn_together(analysis, &along.parameter))
         .filter_map(|along| match along.threshold.estimated()? {
             CriticalThreshold::Crosses { at, rising, crossing_share, .. } if *crossing_share >= 0.95 => {
                 let strength = along.correlation.estimated().map_or(0.0, |c| c.strength());
@@ -174,7 +176,8 @@ fn what_to_do(analysis: &Analysis) -> Vec<String> {
     }
     if thresholds.is_empty() {
         let strength = |a: &Along| a.correlation.estimated().map_or(0.0, |c| c.strength());
-        let mut ranked: Vec<&Along> = analysis.along.iter().filter(|a| surely_matters(a)).collect();
+        let mut ranked: Vec<&Along> =
+            analysis.along.iter().filter(|a| surely_matters(a) && !is_drawn_together(analysis, &a.parameter)).collect();
         ranked.sort_by(|a, b| strength(b).total_cmp(&strength(a)));
         for along in ranked.into_iter().take(2) {
             let rated = |pick: fn(f64, f64) -> bool| {
@@ -197,6 +200,13 @@ fn what_to_do(analysis: &Analysis) -> Vec<String> {
                 ));
             }
         }
+    }
+    let together = drawn_together(analysis);
+    if !together.is_empty() {
+        lines.push(format!(
+            "The space draws {} together: success along one of them may be the doing of another, so none is advised on alone.",
+            listed(&together)
+        ));
     }
     // Where the scenarios were chosen, a cell of the map is a handful of questions and no place to operate in.
     let map = analysis.envelopes.first().and_then(|e| e.map.estimated());

@@ -1,10 +1,11 @@
 //! What the figures do not say.
 
-use crate::words::{count, counted, percent};
+use crate::analysis::drawn_together;
+use crate::words::{count, counted, listed, percent};
 use crate::{Analysis, Population};
 
-/// `correlated`: whether the space lets parameters move together.
-pub(crate) fn limits(analysis: &Analysis, correlated: bool) -> Vec<String> {
+pub(crate) fn limits(analysis: &Analysis) -> Vec<String> {
+    let together = drawn_together(analysis);
     let mut limits = Vec::new();
     let success = &analysis.success;
     limits.push(match analysis.population {
@@ -18,6 +19,11 @@ pub(crate) fn limits(analysis: &Analysis, correlated: bool) -> Vec<String> {
         Population::FocusedDesign => "Every row comes from a focused design, crowded where success turns into failure. \
              No rate here is one of the operating space."
             .to_owned(),
+        _ if !together.is_empty() => format!(
+            "The operating space is the one that was asked for: {} drawn together by rank, every other parameter on its own, \
+             each even in its own scale. A real cell draws its parts otherwise, and where its parts differ the rate differs.",
+            listed(&together)
+        ),
         _ => "The operating space is the one that was asked for: each parameter on its own, even in its own scale. A real \
              cell draws its parts otherwise, and where its parts differ the rate differs."
             .to_owned(),
@@ -75,11 +81,11 @@ pub(crate) fn limits(analysis: &Analysis, correlated: bool) -> Vec<String> {
         );
     }
     limits.push(format!(
-        "Danger zones are sure one with another (Holm over {} bins and levels), yet only for the bins that were cut. Where \
-         nothing is called a danger zone, that is no proof of safety.",
+        "Bins below 40 % are sure one with another (Holm over {} bins and levels), yet only for the bins that were cut. Where \
+         none is surely below, that is no proof of safety.",
         count(analysis.danger_zones.looked_at)
     ));
-    let drawn = if correlated {
+    let drawn = if !together.is_empty() {
         "Some parameters were drawn together, as the space says, so a rate along one of them holds what the other does too"
     } else {
         "Parameters were drawn independently, so here that is cause; on a line where they move together it need not be"

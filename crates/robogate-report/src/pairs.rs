@@ -68,7 +68,10 @@ pub struct ZoneCounts {
     pub boundary: u64,
     /// Cells surely to 30 %.
     pub danger: u64,
-    /// Cells of which nothing sure can be said.
+    /// Cells with episodes enough whose interval reaches over a limit.
+    #[serde(default)]
+    pub undecided: u64,
+    /// Cells with too few episodes to say anything sure.
     pub too_thin: u64,
 }
 
@@ -121,6 +124,7 @@ pub(crate) fn map(base: &Sample, up: &ParameterColumn, across: &ParameterColumn)
             Zone::Safe => counts.safe += 1,
             Zone::Boundary => counts.boundary += 1,
             Zone::Danger => counts.danger += 1,
+            Zone::Undecided => counts.undecided += 1,
             Zone::TooThin => counts.too_thin += 1,
         }
     }

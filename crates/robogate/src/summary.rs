@@ -9,7 +9,7 @@ use robogate_campaign::{
 use serde_json::json;
 
 use crate::commands::report::PAGE;
-use crate::terminal::{bar, bold, dim, grouped, line, percent};
+use crate::terminal::{bar, bold, dim, grouped, line, percent, wrapped};
 
 /// A bin with fewer valid episodes than this is shown dimmed: its rate says little.
 const FEW: u64 = 20;
@@ -161,8 +161,8 @@ fn found(report: &BoundaryReport) {
             restricted.parameter, restricted.low, restricted.high
         ));
     }
-    line(format_args!(
-        "  together {} of the operating space; {} episodes drawn evenly there{}",
+    wrapped(&format!(
+        "together {} of the operating space; {} episodes drawn evenly there{}",
         small_percent(report.volume.share_of_operating_space),
         grouped(report.volume.episodes),
         match &report.emphasis {

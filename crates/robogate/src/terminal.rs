@@ -1,5 +1,6 @@
 //! What people see: stdout carries data and summaries, stderr errors and progress.
 
+use std::borrow::Cow;
 use std::fmt::{self, Display};
 use std::io::{self, IsTerminal, Write};
 
@@ -39,7 +40,36 @@ pub(crate) fn dim<T: Display>(text: T) -> Styled<T> {
 /// Writes a line of data or summary to stdout. A reader that went away (a closed pipe) ends nothing.
 pub(crate) fn line(text: impl Display) {
     // There is nobody left to tell.
-    let _ = writeln!(io::stdout(), "{text}");
+    let _ = writeln!(io::stdout(), "{}", harmless(&text.to_string()));
+}
+
+/// The text with control characters written out, so that data from files steer no terminal: line ends and the styles
+/// written here (`ESC [ digits ; m`) alone stay. As JSON writes them, so that a JSON document stays the same one.
+fn harmless(text: &str) -> Cow<'_, str> {
+    let plain = |c: char| !c.is_control() || matches!(c, '\n' | '\t');
+    if text.chars().all(plain) {
+        return Cow::Borrowed(text);
+    }
+    let mut safe = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(c) = rest.chars().next() {
+        let taken = style_at(rest).unwrap_or(c.len_utf8());
+        let (head, tail) = rest.split_at(taken);
+        if plain(c) || taken > c.len_utf8() {
+            safe.push_str(head);
+        } else {
+            safe.push_str(&format!("\\u{:04x}", u32::from(c)));
+        }
+        rest = tail;
+    }
+    Cow::Owned(safe)
+}
+
+/// The length of a style at the beginning of the text.
+fn style_at(text: &str) -> Option<usize> {
+    let inside = text.strip_prefix("\x1b[")?;
+    let end = inside.find(|c: char| !c.is_ascii_digit() && c != ';')?;
+    inside[end..].starts_with('m').then_some(end + 3)
 }
 
 /// Writes text in lines of at most 100 columns.
@@ -58,7 +88,7 @@ pub(crate) fn wrapped(text: &str) {
 
 /// Writes a line for people to stderr.
 pub(crate) fn note(text: impl Display) {
-    let _ = writeln!(io::stderr(), "{text}");
+    let _ = writeln!(io::stderr(), "{}", harmless(&text.to_string()));
 }
 
 /// Writes an error.
@@ -84,6 +114,13 @@ pub(crate) fn percent(share: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn control_characters_of_data_are_written_out_and_styles_stay() {
+        assert_eq!(harmless("\x1b[1;31mred\x1b[0m\tµ\n"), "\x1b[1;31mred\x1b[0m\tµ\n");
+        let hostile = "a\x1b]0;title\x07\x1b[2Jb\u{9b}c\r";
+        assert_eq!(harmless(hostile), "a\\u001b]0;title\\u0007\\u001b[2Jb\\u009bc\\u000d");
+    }
 
     #[test]
     fn a_bar_is_as_wide_as_it_is_asked_to_be() {

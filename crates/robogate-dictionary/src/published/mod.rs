@@ -16,7 +16,14 @@ pub use export::export;
 pub use import::{Imported, import};
 
 /// Published names of parameters and our names for them, where they differ.
-const NAMES: [(&str, &str); 3] = [("mass", "mass_kg"), ("size", "size_m"), ("ik_noise", "ik_noise_rad")];
+const NAMES: [(&str, &str); 6] = [
+    ("mass", "mass_kg"),
+    ("size", "size_m"),
+    ("ik_noise", "ik_noise_rad"),
+    ("grip_threshold", "grip_threshold_m"),
+    ("approach_speed", "approach_speed_m_s"),
+    ("position_jitter", "position_jitter_m"),
+];
 
 /// What stands before the name of a published parameter that is the name of another column here.
 const PREFIX: &str = "published_";

@@ -47,7 +47,7 @@ fn the_released_ur5e_dictionary_is_imported_as_it_is() {
     assert_eq!(provenance.seed, 2026);
     assert_eq!(provenance.source.as_ref().unwrap().format, "published_json");
     let names: Vec<&str> = provenance.space.parameters().iter().map(|p| &*p.name).collect();
-    assert_eq!(names, ["ik_noise_rad", "mass_kg", "grip_threshold", "obstacles", "placement"]);
+    assert_eq!(names, ["ik_noise_rad", "mass_kg", "grip_threshold_m", "obstacles", "placement"]);
     let domain = |name: &str| &provenance.space.parameters()[provenance.space.position(name).unwrap()].domain;
     // Not what the paper says of it: 0..3 obstacles, 8 placements.
     assert_eq!(*domain("obstacles"), Domain::Integer { low: 0, high: 4 });
@@ -81,6 +81,27 @@ fn the_released_ur5e_dictionary_is_imported_as_it_is() {
     let rates: Vec<String> =
         bins[3..7].iter().map(|(hit, all)| format!("{:.1}", 100.0 * f64::from(*hit) / f64::from(*all))).collect();
     assert_eq!(rates, ["30.9", "25.3", "28.9", "28.1"]);
+}
+
+#[test]
+fn names_gain_their_units_on_the_way_in_and_lose_them_on_the_way_out() {
+    let folder = Folder::new("units");
+    let there = ["grip_threshold", "approach_speed", "position_jitter", "gravity_scale", "table_friction"];
+    let here = ["grip_threshold_m", "approach_speed_m_s", "position_jitter_m", "gravity_scale", "table_friction"];
+    let row = |i: u32| {
+        let fields: String = there.iter().map(|name| format!("\"{name}\": 0.{}, ", i + 1)).collect();
+        format!("{{{fields}\"success\": true, \"failure_type\": \"none\", \"cycle_time\": 1.0, \"sample_idx\": {i}}}")
+    };
+    let dictionary = imported(&folder, &file(&[row(0), row(1)])).unwrap();
+    for name in here {
+        assert!(dictionary.provenance().space.position(name).is_some(), "{name}");
+    }
+    let mut out = Vec::new();
+    export(&dictionary, &mut out).unwrap();
+    let json: serde_json::Value = serde_json::from_slice(&out).unwrap();
+    for name in there {
+        assert_eq!(json["experiments"][1][name], 0.2, "{name}");
+    }
 }
 
 #[test]

@@ -3,10 +3,10 @@
 use robogate_stats::Trials;
 use robogate_stats::binning::Edges;
 
-use crate::Axis;
 use crate::comparison::entrant::Entrant;
 use crate::rows::{ParameterColumn, ParameterKind};
 use crate::words::{listed, name, range};
+use crate::{Axis, Population};
 
 /// More levels of a whole number than this are cut into bins.
 const MOST_LEVELS: i64 = 16;
@@ -41,8 +41,7 @@ impl SharedAxis {
             return Err("it is a word in one dictionary and a number in another".to_owned());
         }
         let spans: Vec<[f64; 2]> = columns.iter().map(|column| span(column)).collect();
-        let low = spans.iter().map(|s| s[0]).fold(f64::NEG_INFINITY, f64::max);
-        let high = spans.iter().map(|s| s[1]).fold(f64::INFINITY, f64::min);
+        let [low, high] = common(&spans, entrants.iter().any(|e| e.population == Population::AsImported));
         let remark = spans.iter().any(|s| s[0] < low || s[1] > high).then(|| {
             format!(
                 "Only {} of {} is covered by every dictionary; rows outside are left out.",
@@ -143,6 +142,17 @@ impl SharedAxis {
             _ => None,
         }
     }
+}
+
+/// What all spans cover. Ends of an imported dictionary are those of its rows and hang on chance: ends that lie within
+/// 0.5 % of the widest span are one, and no row is left out for them.
+fn common(spans: &[[f64; 2]], observed: bool) -> [f64; 2] {
+    let ends = |at: usize| spans.iter().map(move |span| span[at]);
+    let least = |at: usize| ends(at).fold(f64::INFINITY, f64::min);
+    let most = |at: usize| ends(at).fold(f64::NEG_INFINITY, f64::max);
+    let widest = spans.iter().map(|span| span[1] - span[0]).fold(0.0, f64::max);
+    let alike = |at: usize| observed && most(at) - least(at) <= 0.005 * widest;
+    [if alike(0) { least(0) } else { most(0) }, if alike(1) { most(1) } else { least(1) }]
 }
 
 fn span(column: &ParameterColumn) -> [f64; 2] {

@@ -5,8 +5,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::comparison::entrant::Entrant;
-use crate::comparison::{Comparison, PairedComparison, paired};
-use crate::rate::{Finding, Population};
+use crate::comparison::{Comparison, PairedComparison};
+use crate::rate::Population;
 use crate::words::{count, counted, listed, name, percent, percents, points, points_range};
 
 /// The answer in plain words.
@@ -69,7 +69,19 @@ fn answer(of: &Comparison) -> String {
         (sure, pairs) if sure == pairs => "Every two of them surely differ".to_owned(),
         (sure, pairs) => format!("{sure} of {pairs} pairs surely differ"),
     };
-    format!("Success: {}. {told}.", order.join(", "))
+    let unlike = unlike(of);
+    let spaces = if unlike.is_empty() {
+        String::new()
+    } else {
+        format!(" Their operating spaces differ in {}: so does what these rates speak of.", listed(&unlike))
+    };
+    format!("Success: {}. {told}.{spaces}", order.join(", "))
+}
+
+/// The parameters in which the operating spaces differ.
+fn unlike(of: &Comparison) -> Vec<String> {
+    let covered = of.along.iter().filter(|curve| curve.remark.is_some()).map(|curve| &curve.parameter);
+    covered.chain(of.parameters.not_shared.iter().map(|of| &of.parameter)).map(|parameter| name(parameter)).collect()
 }
 
 fn widest(paired: &[PairedComparison]) -> Option<&PairedComparison> {
@@ -86,8 +98,9 @@ fn what_differs(of: &Comparison) -> Vec<String> {
         .take(6)
         .map(|d| {
             let sure = if d.holm_p <= 0.05 { "" } else { ", not sure" };
+            let paired = d.valid_pairs.map_or_else(String::new, |n| format!(" on the same {}", counted(n, "scenario")));
             format!(
-                "{} against {}: {} points ({}){sure}.",
+                "{} against {}{paired}: {} points ({}){sure}.",
                 d.first,
                 d.second,
                 points(d.difference),
@@ -112,6 +125,7 @@ fn what_differs(of: &Comparison) -> Vec<String> {
     if !modes.is_empty() {
         lines.push(format!("Fails mostly: {}.", listed(&modes)));
     }
+    lines.extend(mass_hurts(of).into_iter().filter(|(all, _)| !all).map(|(_, line)| line));
     lines
 }
 
@@ -138,27 +152,7 @@ fn what_is_common(of: &Comparison) -> Vec<String> {
             first.describe()
         )),
     }
-    if let Finding::Estimated(mass) = &of.mass {
-        let slopes: Vec<Option<&crate::Slope>> = mass.of.iter().map(|effect| effect.slope.estimated()).collect();
-        let hurts =
-            |slope: &Option<&crate::Slope>| slope.is_some_and(|s| s.interval_95[1].is_some_and(|high| high < 0.0));
-        if slopes.iter().all(hurts) {
-            lines.push("Mass surely hurts every one of them.".to_owned());
-        } else {
-            let p: Vec<f64> = slopes.iter().flatten().map(|slope| slope.ln_p.exp()).collect();
-            let mut adjusted = holm(&p).unwrap_or_else(|_| vec![1.0; p.len()]).into_iter();
-            let mut hurt: Vec<String> = Vec::new();
-            for (effect, slope) in mass.of.iter().zip(&slopes) {
-                let Some(slope) = slope else { continue };
-                if adjusted.next().is_some_and(|p| p <= 0.05) && slope.per_log_mass < 0.0 {
-                    hurt.push(effect.name.clone());
-                }
-            }
-            if !hurt.is_empty() {
-                lines.push(format!("Mass surely hurts {}; of the others that is not sure.", listed(&hurt)));
-            }
-        }
-    }
+    lines.extend(mass_hurts(of).into_iter().filter(|(all, _)| *all).map(|(_, line)| line));
     let shared = of.parameters.shared.len() as u64;
     lines.push(match shared {
         0 => "They share no parameter, so that only rates and failure modes can be compared.".to_owned(),
@@ -168,6 +162,26 @@ fn what_is_common(of: &Comparison) -> Vec<String> {
         }
     });
     lines
+}
+
+/// Whom mass surely hurts, and whether that is every one of them.
+fn mass_hurts(of: &Comparison) -> Option<(bool, String)> {
+    let mass = of.mass.estimated()?;
+    let slopes: Vec<Option<&crate::Slope>> = mass.of.iter().map(|effect| effect.slope.estimated()).collect();
+    let hurts = |slope: &Option<&crate::Slope>| slope.is_some_and(|s| s.interval_95[1].is_some_and(|high| high < 0.0));
+    if slopes.iter().all(hurts) {
+        return Some((true, "Mass surely hurts every one of them.".to_owned()));
+    }
+    let p: Vec<f64> = slopes.iter().flatten().map(|slope| slope.ln_p.exp()).collect();
+    let mut adjusted = holm(&p).unwrap_or_else(|_| vec![1.0; p.len()]).into_iter();
+    let mut hurt: Vec<String> = Vec::new();
+    for (effect, slope) in mass.of.iter().zip(&slopes) {
+        let Some(slope) = slope else { continue };
+        if adjusted.next().is_some_and(|p| p <= 0.05) && slope.per_log_mass < 0.0 {
+            hurt.push(effect.name.clone());
+        }
+    }
+    (!hurt.is_empty()).then(|| (false, format!("Mass surely hurts {}; of the others that is not sure.", listed(&hurt))))
 }
 
 fn how_sure(of: &Comparison) -> Vec<String> {
@@ -200,7 +214,7 @@ fn how_sure(of: &Comparison) -> Vec<String> {
 }
 
 /// What the figures do not say.
-pub(crate) fn limits(of: &Comparison, compared: &[&Entrant<'_>], paired: bool) -> Vec<String> {
+pub(crate) fn limits(of: &Comparison, compared: &[&Entrant<'_>]) -> Vec<String> {
     let mut lines = Vec::new();
     for dictionary in &of.dictionaries {
         if let Some(because) = &dictionary.left_out {
@@ -223,28 +237,18 @@ pub(crate) fn limits(of: &Comparison, compared: &[&Entrant<'_>], paired: bool) -
                 .to_owned(),
         );
     }
-    let unlike: Vec<String> = of
-        .along
-        .iter()
-        .filter(|curve| curve.remark.is_some())
-        .map(|curve| name(&curve.parameter))
-        .chain(of.parameters.not_shared.iter().map(|parameter| name(&parameter.parameter)))
-        .collect();
+    let unlike = unlike(of);
     if !unlike.is_empty() {
         lines.push(format!(
             "Their operating spaces differ in {}: a difference of success rates is also one of spaces.",
             listed(&unlike)
         ));
     }
-    if !paired {
-        for (i, first) in compared.iter().enumerate() {
-            for second in compared.iter().skip(i + 1).filter(|second| paired::same_design(first, second)) {
-                lines.push(format!(
-                    "{} and {} ran the same scenarios: --paired compares these two one by one and sees more.",
-                    first.name, second.name
-                ));
-            }
-        }
+    for of in of.differences.iter().filter(|of| of.valid_pairs.is_some()) {
+        lines.push(format!(
+            "{} and {} ran the same scenarios: their difference is that of the pairs. --paired shows which of them flip.",
+            of.first, of.second
+        ));
     }
     lines.push(
         "A curve shows one parameter while the others vary as each dictionary drew them; it is no effect of that \

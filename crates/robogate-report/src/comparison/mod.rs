@@ -42,7 +42,8 @@ pub struct Comparison {
     pub compared: Vec<String>,
     /// What all of them vary, and what only some do.
     pub parameters: SharedParameters,
-    /// Differences of success rates, every two of them, as of independent runs; empty where they are paired.
+    /// Differences of success rates, every two of them, paired where both ran the same scenarios; empty where `paired`
+    /// holds them.
     pub differences: Vec<RateDifference>,
     /// The same scenarios, run twice; empty unless asked for.
     pub paired: Vec<PairedComparison>,
@@ -164,7 +165,7 @@ impl Comparison {
             headline: ComparisonHeadline::default(),
             compared: compared.iter().map(|entrant| entrant.name.clone()).collect(),
             parameters,
-            differences: if options.paired { Vec::new() } else { differences::differences(&compared) },
+            differences: if options.paired { Vec::new() } else { differences::differences(&compared)? },
             paired,
             along: axes.iter().map(|axis| curves::curve(&compared, axis)).collect(),
             universal_zones: if compared.len() < 2 {
@@ -178,7 +179,7 @@ impl Comparison {
             dictionaries: all.iter().map(dictionary).collect(),
             limits: Vec::new(),
         };
-        comparison.limits = headline::limits(&comparison, &compared, options.paired);
+        comparison.limits = headline::limits(&comparison, &compared);
         comparison.headline = headline::headline(&comparison);
         Ok(comparison)
     }

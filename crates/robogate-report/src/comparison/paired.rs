@@ -8,13 +8,13 @@ use robogate_stats::{Confidence, Trials};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::Axis;
 use crate::comparison::ComparisonError;
 use crate::comparison::axis::SharedAxis;
 use crate::comparison::entrant::Entrant;
 use crate::rate::{Finding, Rate};
 use crate::rows::Seen;
 use crate::words::{ends, name, with_unit};
+use crate::{Axis, ReportError};
 
 /// Two dictionaries of the same scenarios. Rows of a focused stage are left out: each campaign chose its own.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -191,12 +191,29 @@ fn difference(first: &Entrant<'_>, one: &Design, second: &Entrant<'_>, two: &Des
         .then(|| format!("`{}` holds {} of them, `{}` {}", first.name, one.rows.len(), second.name, two.rows.len()))
 }
 
-/// Whether two dictionaries ran the same scenarios.
-pub(crate) fn same_design(first: &Entrant<'_>, second: &Entrant<'_>) -> bool {
-    match (Design::of(first), Design::of(second)) {
-        (Ok(one), Ok(two)) => difference(first, &one, second, &two).is_none(),
-        _ => false,
+/// How two dictionaries went on the scenarios that both ran; `None` where they did not run the same ones.
+pub(crate) fn same_scenarios(first: &Entrant<'_>, second: &Entrant<'_>) -> Result<Option<Pairs>, ReportError> {
+    let (one, two) = (Design::of(first)?, Design::of(second)?);
+    if difference(first, &one, second, &two).is_some() {
+        return Ok(None);
     }
+    let rows: Vec<(usize, usize)> = one.rows.into_iter().zip(two.rows).collect();
+    Ok(Some(pairs(first, second, &rows)))
+}
+
+/// Scenarios with evidence from both, by who succeeded.
+fn pairs(first: &Entrant<'_>, second: &Entrant<'_>, rows: &[(usize, usize)]) -> Pairs {
+    let mut pairs = Pairs::default();
+    for (a, b) in rows {
+        match (first.rows.outcome[*a], second.rows.outcome[*b]) {
+            (Seen::Invalid, _) | (_, Seen::Invalid) => {}
+            (Seen::Success, Seen::Success) => pairs.both += 1,
+            (Seen::Success, Seen::Failure(_)) => pairs.first_only += 1,
+            (Seen::Failure(_), Seen::Success) => pairs.second_only += 1,
+            (Seen::Failure(_), Seen::Failure(_)) => pairs.neither += 1,
+        }
+    }
+    pairs
 }
 
 /// Compares every two of them, scenario by scenario.
@@ -239,7 +256,7 @@ fn one(
     most_flips: usize,
 ) -> PairedComparison {
     let seen = |(a, b): &(usize, usize)| (first.rows.outcome[*a], second.rows.outcome[*b]);
-    let mut pairs = Pairs::default();
+    let pairs = pairs(first, second, rows);
     let mut invalid = (0, 0, 0);
     let mut bounds = [0_i64; 2];
     let mut counts = vec![vec![0; FailureMode::ALL.len() + 2]; FailureMode::ALL.len() + 2];
@@ -248,17 +265,11 @@ fn one(
         counts[place(one)][place(two)] += 1;
         invalid.0 += u64::from(one == Seen::Invalid);
         invalid.1 += u64::from(two == Seen::Invalid);
+        invalid.2 += u64::from(one == Seen::Invalid || two == Seen::Invalid);
         let [low_one, high_one] = possible(one);
         let [low_two, high_two] = possible(two);
         bounds[0] += low_one - high_two;
         bounds[1] += high_one - low_two;
-        match (one, two) {
-            (Seen::Invalid, _) | (_, Seen::Invalid) => invalid.2 += 1,
-            (Seen::Success, Seen::Success) => pairs.both += 1,
-            (Seen::Success, Seen::Failure(_)) => pairs.first_only += 1,
-            (Seen::Failure(_), Seen::Success) => pairs.second_only += 1,
-            (Seen::Failure(_), Seen::Failure(_)) => pairs.neither += 1,
-        }
     }
     let gap = newcombe_paired(pairs, Confidence::P95);
     let rate = |successes| Rate::of(Trials::new(successes, pairs.n()).unwrap_or(Trials::NONE));

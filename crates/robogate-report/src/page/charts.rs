@@ -119,7 +119,11 @@ fn levels(along: &Along) -> String {
 
 fn told(cell: &Cell) -> String {
     let rate = cell.rate.rate.map_or_else(|| "-".to_owned(), percent);
-    let zone = if cell.zone == Zone::TooThin { "too thin to name a zone" } else { cell.zone.word() };
+    let zone = match cell.zone {
+        Zone::TooThin => "too thin to name a zone",
+        Zone::Undecided => "undecided between zones",
+        zone => zone.word(),
+    };
     format!(
         "{}: {} of {} succeeded, {rate} ({}); {zone}",
         cell.label,
@@ -231,7 +235,7 @@ pub(crate) fn danger(zones: &DangerZones, most: usize) -> String {
             &format!("{label}: {} ({})", percent(rate), percents(zone.rate.wilson_95)),
         );
     }
-    svg.finish("Danger zones: success rates below 40 %, with intervals")
+    svg.finish("Bins and levels below 40 % success: rates, with intervals")
 }
 
 /// Coefficients with their intervals.

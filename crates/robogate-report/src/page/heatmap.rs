@@ -1,6 +1,5 @@
 //! The operating envelope: observed rates per cell, and the frontier over them.
 
-use crate::along::Zone;
 use crate::page::svg::{Anchor, Scale, Svg, cut};
 use crate::words::{count, name_with_unit, number, percent, percents, significant};
 use crate::{Axis, Frontier, FrontierPoint, PairMap};
@@ -35,7 +34,7 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> S
             svg.text("s d", Anchor::Middle, [middle[0], middle[1] + 4.0], "\u{2013}");
             continue;
         };
-        let thin = cell.zone == Zone::TooThin;
+        let thin = !cell.zone.is_stated();
         let told = format!(
             "{} {}, {} {}: {} of {} succeeded, {} ({}); {}",
             name_with_unit(&map.y.parameter),

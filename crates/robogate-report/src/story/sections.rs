@@ -88,11 +88,13 @@ fn one_envelope(blocks: &mut Vec<Block>, envelope: &Envelope, at: usize) {
             let zones = map.zones;
             let mut reading = vec![format!(
                 "Of {} cells {} are surely safe (70 % or more), {} surely in danger (30 % or less), {} surely between; {} are \
-                 too thin to say. The level is shared over the whole map.",
+                 undecided and {} too thin to say. A zone goes by an interval whose level is shared over the whole map: it is \
+                 wider than the 95 % interval of a cell.",
                 map.cells.len(),
                 zones.safe,
                 zones.danger,
                 zones.boundary,
+                zones.undecided,
                 zones.too_thin
             )];
             reading.extend(frontier.map(read_frontier).unwrap_or_default());
@@ -307,7 +309,7 @@ fn danger(analysis: &Analysis) -> Section {
     let zones = &analysis.danger_zones;
     let sure = zones.zones.iter().filter(|z| z.sure).count();
     let mut reading = vec![format!(
-        "{} of {} bins and levels are surely below 40 % success, the limit of the paper's danger zones (exact one-sided \
+        "{} of {} bins and levels are surely below 40 % success, the limit of the paper's table of dangers (exact one-sided \
          tests, adjusted by Holm over all of them).",
         sure,
         count(zones.looked_at)
@@ -331,13 +333,12 @@ fn danger(analysis: &Analysis) -> Section {
             title: "Surest first".to_owned(),
             svg: charts::danger(zones, 14),
             is_map: false,
-            caption: "Observed success with Wilson intervals; the line is at 40 %. Filled: a sure danger zone."
-                .to_owned(),
+            caption: "Observed success with Wilson intervals; the line is at 40 %. Filled: surely below.".to_owned(),
             reading,
             table: tables::danger(zones),
         })]
     };
-    Section { id: "danger", title: "Danger zones".to_owned(), population: population(analysis), blocks }
+    Section { id: "danger", title: "Below 40 % success".to_owned(), population: population(analysis), blocks }
 }
 
 fn risk(analysis: &Analysis) -> Section {

@@ -108,7 +108,7 @@ pub(crate) fn cells(along: &Along) -> Table {
         ("success", Number),
         ("Wilson 95 %", Number),
         ("exact 95 %", Number),
-        ("zone", ZoneWord),
+        ("zone, level shared", ZoneWord),
     ];
     Table::new(format!("Success along {}", along.label), &columns, rows.collect()).at_most(MOST)
 }
@@ -132,7 +132,7 @@ pub(crate) fn map(map: &PairMap) -> Table {
         ("n", Number),
         ("success", Number),
         ("Wilson 95 %", Number),
-        ("zone", ZoneWord),
+        ("zone, level shared", ZoneWord),
     ];
     Table::new(format!("Cells of {y} \u{d7} {x}"), &columns, rows.collect()).at_most(100)
 }

@@ -118,7 +118,7 @@ fn rates(of: &Comparison) -> Section {
                 d.second.clone(),
                 points(d.difference),
                 points_range(d.interval_95),
-                d.z.map_or_else(|| "-".to_owned(), |z| fixed(z, 2)),
+                d.z.map_or_else(|| d.test().to_owned(), |z| format!("z {}", fixed(z, 2))),
                 d.ln_p.map_or_else(|| "-".to_owned(), p_value),
                 p_value(d.holm_p.max(f64::MIN_POSITIVE).ln()),
             ]
@@ -128,7 +128,7 @@ fn rates(of: &Comparison) -> Section {
             ("second", Text),
             ("points", Number),
             ("95 % (Newcombe)", Number),
-            ("z", Number),
+            ("test", Short),
             ("p", Number),
             ("p by Holm", Number),
         ];
@@ -143,7 +143,8 @@ fn rates(of: &Comparison) -> Section {
             is_map: false,
             caption:
                 "Percentage points with Newcombe's interval. A filled dot is a difference that holds over all pairs \
-                      (z-test, Holm)."
+                      (Holm). Dictionaries that ran the same scenarios are paired (McNemar's exact test, Newcombe's \
+                      paired interval); the others are independent runs (z-test)."
                     .to_owned(),
             reading: Vec::new(),
             table: Table::new("The differences", &columns, rows.collect()).at_most(MOST),

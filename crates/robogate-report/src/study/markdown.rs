@@ -245,9 +245,9 @@ fn method(out: &mut String, study: &Study) {
     *out += "- **Weights**: *weighted* rows carry (n1 + n2) / (n1 + n2 q/p) for stages of n1 and n2 episodes, operating density p \
              and boundary density q, so that both stages together speak of the operating space.\n\
              - **Intervals**: differences are taken episode by episode within a repeat. The variance of their mean adds that of \
-             repeats and that of test episodes; the interval is Student's with Satterthwaite's degrees of freedom. They are \
-             for one comparison at a time: with four measures, three learners and three designs, one in twenty lies \
-             outside by chance. Boundary error was named first.\n\
+             repeats and that of test episodes; the interval is Student's with Satterthwaite's degrees of freedom. Each \
+             interval is for itself. *Better* and *worse* go by wider ones, their 95 % shared over all learners and designs \
+             of a measure (Bonferroni), and are not said below three repeats. Boundary error was named first.\n\
              - **Limits**: one robot, one policy, one budget, one test set. Learners differ more than designs may; another \
              learner may rank designs otherwise.\n";
 }

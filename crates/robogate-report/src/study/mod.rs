@@ -253,13 +253,16 @@ pub struct MeanFigure {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// The interval lies on the better side of 0.
+    /// The interval, its level shared over all designs and learners, lies on the better side of 0.
     Better,
-    /// The interval lies on the worse side of 0.
+    /// The same interval lies on the worse side of 0.
     Worse,
-    /// The interval holds 0, or there is none.
+    /// The same interval holds 0, or there are fewer than three repeats.
     NotShown,
 }
+
+/// Repeats below which no difference is called one: two have an interval of one degree of freedom.
+const FEWEST_REPEATS: usize = 3;
 
 impl Verdict {
     /// In words.
@@ -331,6 +334,12 @@ impl Study {
 
     fn answer_in_words(&self) -> Vec<String> {
         let mut answer = Vec::new();
+        if self.repeats < FEWEST_REPEATS as u64 {
+            answer.push(format!(
+                "{} cannot tell designs apart: from {FEWEST_REPEATS} on a difference can be shown.",
+                crate::words::sentence(&crate::words::counted(self.repeats, "repeat"))
+            ));
+        }
         for arm in [Arm::TwoStage, Arm::PureBoundary] {
             let verdicts: Vec<Verdict> = Learner::ALL
                 .iter()
@@ -550,11 +559,18 @@ fn compared(models: &[Judged], uniform: Option<&Vec<Judged>>) -> Result<Figures,
                     .zip(uniform)
                     .map(|(own, of)| own.iter().zip(&of.per_episode[i]).map(|(a, b)| a - b).collect())
                     .collect();
-                Some(mean_figure(&differences)?)
+                // All comparisons of a measure together are wrong at most once in twenty (Bonferroni).
+                let shared = Confidence::P95.shared_by((Arm::ALL.len() - 1) * Learner::ALL.len());
+                let interval = if differences.len() < FEWEST_REPEATS {
+                    None
+                } else {
+                    crossed_mean(&differences, shared).map_err(|error| error.to_string())?.interval.map(ends)
+                };
+                Some((mean_figure(&differences)?, verdict(measure, interval)))
             }
             None => None,
         };
-        let verdict = less_uniform.as_ref().map(|difference| verdict(measure, difference));
+        let (less_uniform, verdict) = less_uniform.unzip();
         test.push(Score { measure, value: mean_figure(&table)?, less_uniform, verdict });
     }
     Ok(Figures {
@@ -575,8 +591,9 @@ fn mean_figure(table: &[Vec<f64>]) -> Result<MeanFigure, String> {
     })
 }
 
-fn verdict(measure: Measure, difference: &MeanFigure) -> Verdict {
-    match difference.interval_95 {
+/// Of an interval for a difference to uniform.
+fn verdict(measure: Measure, interval: Option<[f64; 2]>) -> Verdict {
+    match interval {
         Some([low, _]) if low > 0.0 => {
             if measure.rises() {
                 Verdict::Better

@@ -70,7 +70,10 @@ fn a_difference_is_the_one_of_the_counts_and_holm_never_shrinks_it() {
     let of = compared(&all);
     assert_eq!(of.compared, ["a", "b", "c"]);
     assert_eq!(of.differences.len(), 3);
-    for d in &of.differences {
+    // The first two ran the same 600 scenarios; the third ran 500.
+    let pairs: Vec<bool> = of.differences.iter().map(|d| d.valid_pairs.is_some()).collect();
+    assert_eq!(pairs, [true, false, false]);
+    for d in &of.differences[1..] {
         let rate = |name: &str| of.dictionaries.iter().find(|x| x.name == name).unwrap().success.rate.rate.unwrap();
         assert!((d.difference - (rate(&d.first) - rate(&d.second))).abs() < 1e-12);
         assert!(d.interval_95[0] < d.difference && d.difference < d.interval_95[1]);
@@ -81,6 +84,25 @@ fn a_difference_is_the_one_of_the_counts_and_holm_never_shrinks_it() {
     // The twelve invalid episodes of the first are in no rate.
     assert_eq!(of.dictionaries[0].success.rate.n, 588);
     assert_eq!(of.dictionaries[0].success.bounds.invalid, 12);
+}
+
+#[test]
+fn the_same_scenarios_have_one_answer_with_and_without_paired() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    // A few scenarios flip, nearly all one way: too few for independent runs, enough for pairs.
+    let worse = |i: u64, by_law| match by_law {
+        Outcome::Success if i.is_multiple_of(25) => Outcome::Failure(FailureMode::Collision),
+        other => other,
+    };
+    let all = [saved(&dir, "a", &space, law(&space, 600)), saved(&dir, "b", &space, changed(&space, 600, worse))];
+    let plain = compared(&all);
+    let by_pairs = &Comparison::of(&all, &paired()).unwrap().paired[0];
+    let d = &plain.differences[0];
+    assert_eq!(d.valid_pairs, Some(by_pairs.valid_pairs));
+    assert_eq!((Some(d.difference), d.interval_95), (by_pairs.gap, by_pairs.gap_95));
+    assert_eq!((d.ln_p, d.holm_p), (Some(by_pairs.ln_p), by_pairs.holm_p));
+    assert!(d.holm_p < 0.05 && plain.headline.answer.contains("surely differ"), "{d:?}");
 }
 
 #[test]

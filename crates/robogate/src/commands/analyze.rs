@@ -164,7 +164,7 @@ fn pair(envelope: &Envelope) {
     }
     match &envelope.frontier {
         Finding::Estimated(frontier) => {
-            line(format_args!("  frontier {}", frontier.closed_form));
+            wrapped(&format!("frontier {}", frontier.closed_form));
             let valid = match frontier.valid_for {
                 Some([low, high]) => format!("valid for {} {low:.4} to {high:.4}", frontier.y),
                 None => "outside what was observed everywhere".to_owned(),
@@ -200,6 +200,7 @@ fn cells(map: &PairMap) {
                 Zone::Safe => '+',
                 Zone::Boundary => '=',
                 Zone::Danger => '!',
+                Zone::Undecided => '?',
                 Zone::TooThin => ' ',
             };
             text.push_str(&match cell.rate.rate {
@@ -212,7 +213,10 @@ fn cells(map: &PairMap) {
     let across: String =
         (0..nx).map(|i| format!("{:>7}", label(&map.x, i).chars().take(6).collect::<String>())).collect();
     line(dim(format_args!("  {:>11} {across}", "from")));
-    line(dim("  ! surely danger (up to 30 %), = surely between, + surely safe (from 70 %), else too thin to say"));
+    wrapped(
+        "! surely danger (up to 30 %), = surely between, + surely safe (from 70 %), ? undecided, else too thin to say. Zones \
+         go by intervals whose level is shared over all cells.",
+    );
 }
 
 fn parameter(along: &Along) {
@@ -241,7 +245,7 @@ fn parameter(along: &Along) {
             grouped(cell.rate.n),
             cell.zone.word()
         );
-        if cell.zone == Zone::TooThin { line(dim(text)) } else { line(text) }
+        if !cell.zone.is_stated() { line(dim(text)) } else { line(text) }
     }
     if along.cells.len() > 40 {
         line(dim(format_args!("  and {} more levels (--json)", along.cells.len() - 40)));
@@ -304,7 +308,7 @@ fn modes(analysis: &Analysis) {
 fn danger(analysis: &Analysis) {
     let zones = &analysis.danger_zones;
     heading(format_args!(
-        "Danger zones: below {:.0} % success (Holm over {} bins and levels)",
+        "Bins and levels below {:.0} % success (Holm over {} bins and levels)",
         100.0 * zones.limit,
         grouped(zones.looked_at)
     ));

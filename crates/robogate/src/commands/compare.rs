@@ -201,18 +201,21 @@ fn differences(of: &Comparison) {
     if of.differences.is_empty() {
         return;
     }
-    heading("Differences in points (Newcombe 95 %, z-test, Holm over all pairs)");
+    heading("Differences in points (Newcombe 95 %, Holm over all pairs)");
     for d in &of.differences {
         let text = format!(
-            "  {} {:>7}  {}  z {:>7}  p by Holm {:>8}  {}",
+            "  {} {:>7}  {}  {:<9}  p by Holm {:>8}  {}",
             fit(&format!("{} - {}", d.first, d.second), 30),
             points(d.difference),
             points_interval(d.interval_95),
-            d.z.map_or_else(|| "-".to_owned(), |z| format!("{z:.2}")),
+            d.z.map_or_else(|| d.test().to_owned(), |z| format!("z {z:>7.2}")),
             p_value(d.holm_p.max(f64::MIN_POSITIVE).ln()),
             if d.holm_p <= 0.05 { "sure" } else { "not sure" }
         );
         if d.holm_p <= 0.05 { line(text) } else { line(dim(text)) }
+    }
+    if of.differences.iter().any(|d| d.valid_pairs.is_some()) {
+        wrapped("McNemar: the same scenarios, paired (exact test, paired interval). z: independent runs.");
     }
 }
 

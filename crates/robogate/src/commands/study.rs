@@ -334,7 +334,7 @@ fn print(study: &Outcome) {
     study.answer.iter().for_each(|sentence| wrapped(sentence));
     line("");
     let test = &study.test;
-    line(format_args!(
+    wrapped(&format!(
         "Judged on {} uniform test episodes, {} of them successes; stating the commoner outcome errs in {}.",
         grouped(test.rate.n),
         test.rate.rate.map_or_else(|| "-".to_owned(), percent),
@@ -345,7 +345,8 @@ fn print(study: &Outcome) {
     }
     line("");
     wrapped(
-        "▲ better, ▼ worse than uniform, by a 95 % interval over repeats and test episodes; no mark: no difference shown. \
+        "▲ better, ▼ worse than uniform, by a 95 % interval over repeats and test episodes whose level is shared over all designs \
+         and learners (Bonferroni); no mark: no difference shown, or fewer than 3 repeats. \
          The last column is the paper's comparison, each AUC on the rows that its model was fitted to: other rows for each \
          design, hence no comparison.",
     );
@@ -360,11 +361,7 @@ fn table(learner: &LearnerFigures) {
     )));
     for arm in &learner.arms {
         let Some(figures) = arm.figures.estimated() else {
-            line(format_args!(
-                "  {:<20} cannot be judged: {}",
-                arm.arm.name(),
-                arm.figures.because().unwrap_or_default()
-            ));
+            wrapped(&format!("{:<20} cannot be judged: {}", arm.arm.name(), arm.figures.because().unwrap_or_default()));
             continue;
         };
         let cell = |measure: Measure| {
