@@ -174,3 +174,16 @@ fn tally(places: &[Option<usize>], success: &[bool], cells: usize) -> Vec<Trials
     // No more successes than rows, by the way they were counted.
     counts.into_iter().map(|(successes, n)| Trials::new(successes, n).unwrap_or(Trials::NONE)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn observed_ends_that_nearly_meet_are_one_and_asked_for_ends_are_not() {
+        let spans = [[0.0, 100.0], [0.3, 99.8]];
+        assert_eq!(common(&spans, true), [0.0, 100.0]);
+        assert_eq!(common(&spans, false), [0.3, 99.8]);
+        assert_eq!(common(&[[0.0, 100.0], [2.0, 99.8]], true), [2.0, 100.0]);
+    }
+}

@@ -338,7 +338,7 @@ fn danger(analysis: &Analysis) -> Section {
             table: tables::danger(zones),
         })]
     };
-    Section { id: "danger", title: "Below 40 % success".to_owned(), population: population(analysis), blocks }
+    Section { id: "danger", title: "Failure zones".to_owned(), population: population(analysis), blocks }
 }
 
 fn risk(analysis: &Analysis) -> Section {

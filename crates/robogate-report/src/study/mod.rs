@@ -334,7 +334,8 @@ impl Study {
 
     fn answer_in_words(&self) -> Vec<String> {
         let mut answer = Vec::new();
-        if self.repeats < FEWEST_REPEATS as u64 {
+        let fitted = self.learners.iter().flat_map(|of| &of.arms).any(|arm| arm.figures.estimated().is_some());
+        if fitted && self.repeats < FEWEST_REPEATS as u64 {
             answer.push(format!(
                 "{} cannot tell designs apart: from {FEWEST_REPEATS} on a difference can be shown.",
                 crate::words::sentence(&crate::words::counted(self.repeats, "repeat"))

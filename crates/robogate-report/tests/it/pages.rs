@@ -143,7 +143,7 @@ fn page_and_markdown_hold_the_same_sections_in_the_same_order() {
         "Operating envelope",
         "Along each parameter",
         "How it fails",
-        "Danger zones",
+        "Failure zones",
         "Risk model",
         "Interactions",
         "How the points were drawn",

@@ -107,9 +107,16 @@ fn a_design_that_never_saw_a_part_of_the_space_places_the_boundary_worse() {
 fn where_one_sharp_threshold_is_all_there_is_focusing_on_it_pays() {
     let law: Law = |at| if at[0] > 0.6 { 1.0 } else { 0.0 };
     let near: Focus = |at| at[0] = 0.56 + 0.08 * at[0];
-    let study = study(law, near, near, 5, 60);
-    let score = of(&study, Learner::MainEffects, Arm::PureBoundary).score(Measure::BoundaryError).unwrap();
+    let of_repeats = |repeats| {
+        let study = study(law, near, near, repeats, 60);
+        of(&study, Learner::MainEffects, Arm::PureBoundary).score(Measure::BoundaryError).unwrap().clone()
+    };
+    let score = of_repeats(10);
     assert_eq!(score.verdict, Some(Verdict::Better), "{score:?}");
+    // Its own interval leaves 0 out with five repeats too; that of nine comparisons together does not.
+    let fewer = of_repeats(5);
+    assert!(fewer.less_uniform.as_ref().unwrap().interval_95.unwrap()[1] < 0.0);
+    assert_eq!(fewer.verdict, Some(Verdict::NotShown), "{fewer:?}");
 }
 
 #[test]
