@@ -16,11 +16,20 @@ pub(super) struct Went {
     pub(super) time_s: Option<f64>,
     /// Whether a failure's kind is said; else `timeout` stands in its place.
     pub(super) kind_known: bool,
+    /// Which flags the row lacks, in the order of [`FLAGS`].
+    pub(super) lacks: [bool; FLAGS.len()],
     /// Whether the row said success beside a collision or a drop.
     pub(super) contradicted: bool,
     /// Whether `success` was missing without an error being named.
     pub(super) silent: bool,
 }
+
+/// The columns that say of one mode alone whether it was so.
+pub(super) const FLAGS: [(FailureMode, Role); 3] = [
+    (FailureMode::Collision, Role::Collision),
+    (FailureMode::GripLoss, Role::Drop),
+    (FailureMode::GraspMiss, Role::GraspMiss),
+];
 
 /// One of our four failure modes by its word.
 pub(super) fn mode(word: &str) -> Option<FailureMode> {
@@ -34,6 +43,7 @@ pub(super) fn of(path: &Path, row: &RawRow, mapping: &Mapping) -> Result<Went, D
         outcome: Outcome::Invalid(Fault::new(fault_kind(&detail), detail)),
         time_s,
         kind_known: true,
+        lacks: [false; FLAGS.len()],
         contradicted: false,
         silent,
     };
@@ -46,13 +56,14 @@ pub(super) fn of(path: &Path, row: &RawRow, mapping: &Mapping) -> Result<Went, D
         Success::Silent => return Ok(invalid(format!("`{}` is missing", mapping.column(Role::Success)), true)),
     };
     let mode = failure_mode(path, row, mapping)?;
-    let flags = [
-        (FailureMode::Collision, flag(path, row, mapping, Role::Collision)?),
-        (FailureMode::GripLoss, flag(path, row, mapping, Role::Drop)?),
-        (FailureMode::GraspMiss, flag(path, row, mapping, Role::GraspMiss)?),
-    ];
+    let mut flags = FLAGS.map(|(mode, _)| (mode, None));
+    for ((_, flag), (_, role)) in flags.iter_mut().zip(FLAGS) {
+        *flag = self::flag(path, row, mapping, role)?;
+    }
+    let lacks = flags.map(|(_, flag)| flag.is_none());
     let raised = flags.iter().find(|(_, flag)| *flag == Some(true)).map(|(mode, _)| *mode);
-    let went = |outcome, kind_known, contradicted| Went { outcome, time_s, kind_known, contradicted, silent: false };
+    let went =
+        |outcome, kind_known, contradicted| Went { outcome, time_s, kind_known, lacks, contradicted, silent: false };
     if said {
         if let Some(mode) = mode {
             let reason = format!("contradicts `{}`, which says success", mapping.column(Role::Success));
@@ -65,10 +76,8 @@ pub(super) fn of(path: &Path, row: &RawRow, mapping: &Mapping) -> Result<Went, D
         });
     }
     if let Some(mode) = mode
-        && let Some((role, _)) = [Role::Collision, Role::Drop, Role::GraspMiss]
-            .into_iter()
-            .zip(flags)
-            .find(|(_, (of, flag))| *of == mode && *flag == Some(false))
+        && let Some(((_, role), _)) =
+            FLAGS.into_iter().zip(flags).find(|(_, (of, flag))| *of == mode && *flag == Some(false))
     {
         let reason = format!("contradicts `{}`, which says {}", mapping.column(Role::FailureMode), mode.word());
         return Err(row.wrong(path, mapping.column(role), reason));

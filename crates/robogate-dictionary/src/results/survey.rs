@@ -28,7 +28,13 @@ pub(super) struct Survey<'a> {
     mapping: &'a Mapping,
     rows: u64,
     fields: Fields,
-    seen: [bool; Role::ALL.len()],
+    /// Which columns are there.
+    present: [bool; Role::ALL.len()],
+    /// Whether any row has a word in its failure mode.
+    names_modes: bool,
+    /// Which flags are lacked by a failure of which nothing else says the kind, or by a success.
+    lacked_by_failure: [bool; outcome::FLAGS.len()],
+    lacked_by_success: [bool; outcome::FLAGS.len()],
     failures_of_unknown_kind: u64,
     contradicted: u64,
     silent: u64,
@@ -43,7 +49,10 @@ impl<'a> Survey<'a> {
             mapping,
             rows: 0,
             fields: Fields::default(),
-            seen: [false; Role::ALL.len()],
+            present: [false; Role::ALL.len()],
+            names_modes: false,
+            lacked_by_failure: [false; outcome::FLAGS.len()],
+            lacked_by_success: [false; outcome::FLAGS.len()],
             failures_of_unknown_kind: 0,
             contradicted: 0,
             silent: 0,
@@ -53,10 +62,20 @@ impl<'a> Survey<'a> {
     }
 
     pub(super) fn row(&mut self, row: &RawRow) -> Result<(), DictionaryError> {
-        for (seen, role) in self.seen.iter_mut().zip(Role::ALL) {
-            *seen |= row.get(self.mapping.column(role)).is_some();
+        for (present, role) in self.present.iter_mut().zip(Role::ALL) {
+            *present |= row.get(self.mapping.column(role)).is_some();
         }
+        let word = row.get(self.mapping.column(Role::FailureMode));
+        self.names_modes |= word.is_some_and(|word| *word != Scalar::Null);
         let went = outcome::of(self.path, row, self.mapping)?;
+        let lacked = match went.outcome {
+            Outcome::Success => Some(&mut self.lacked_by_success),
+            Outcome::Failure(_) if !went.kind_known => Some(&mut self.lacked_by_failure),
+            _ => None,
+        };
+        for (lacked, lacks) in lacked.into_iter().flatten().zip(went.lacks) {
+            *lacked |= lacks;
+        }
         let invalid = matches!(went.outcome, Outcome::Invalid(_));
         self.invalid += u64::from(invalid);
         self.silent += u64::from(went.silent);
@@ -180,8 +199,8 @@ impl<'a> Survey<'a> {
 
     /// A column that the user named must be there, and something must say how episodes went.
     fn check_roles(&self) -> Result<(), DictionaryError> {
-        for (seen, role) in self.seen.iter().zip(Role::ALL) {
-            if !seen && let Some(column) = self.mapping.named(role) {
+        for (present, role) in self.present.iter().zip(Role::ALL) {
+            if !present && let Some(column) = self.mapping.named(role) {
                 let reason = format!("no row has the column `{column}`, which the mapping names for {}", role.word());
                 return Err(DictionaryError::results(self.path, reason));
             }
@@ -197,17 +216,15 @@ impl<'a> Survey<'a> {
     }
 
     fn not_recorded(&self, notes: &mut Vec<String>) -> Vec<String> {
-        let has = |role: Role| Role::ALL.iter().position(|r| *r == role).is_some_and(|at| self.seen[at]);
         let mut not_recorded = Vec::new();
-        if self.failures_of_unknown_kind > 0 || !has(Role::FailureMode) {
-            for (mode, role) in [
-                (FailureMode::GraspMiss, Role::GraspMiss),
-                (FailureMode::GripLoss, Role::Drop),
-                (FailureMode::Collision, Role::Collision),
-            ] {
-                if !has(role) {
-                    not_recorded.push(mode.word().to_owned());
-                }
+        // In the order of the modes' own list. A success needs no flag where failures are named by their mode.
+        for of in FailureMode::ALL {
+            let lacked = outcome::FLAGS
+                .iter()
+                .position(|(mode, _)| *mode == of)
+                .is_some_and(|at| self.lacked_by_failure[at] || (!self.names_modes && self.lacked_by_success[at]));
+            if lacked {
+                not_recorded.push(of.word().to_owned());
             }
         }
         if self.failures_of_unknown_kind > 0 {

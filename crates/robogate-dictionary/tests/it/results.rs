@@ -248,3 +248,33 @@ fn what_has_no_end_is_refused_before_it_fills_memory() {
     let error = refused("published.json", format!("{{\"experiments\": [{{\"x\": \"{}\"}}]}}", long(17)), &none);
     assert!(error.contains("16 MiB without a row"), "{error}");
 }
+
+/// The modes that a table of `rows` under `header` is said not to record.
+fn unrecorded(name: &str, header: &str, rows: &[&str]) -> Vec<String> {
+    let folder = Folder::new(&format!("results-unrecorded-{name}"));
+    let (from, to) = (folder.join("t.csv"), folder.join("d.parquet"));
+    fs::write(&from, format!("{header}\n{}\n", rows.join("\n"))).unwrap();
+    let provenance = import(&from, &to, None, &Mapping::default()).unwrap().provenance;
+    source(&provenance).not_recorded.iter().filter(|what| *what != "cycle_time_s").cloned().collect()
+}
+
+#[test]
+fn an_empty_column_records_nothing() {
+    let header = "success,mass,collision,drop,grasp_miss";
+    let modes = ["grasp_miss", "grip_loss", "collision"];
+    assert_eq!(unrecorded("failed", header, &["false,1,,,"; 300]), modes);
+    assert_eq!(unrecorded("succeeded", header, &["true,1,,,"; 300]), modes);
+    assert_eq!(unrecorded("word", "success,mass,failure_mode", &["true,1,"; 3]), modes);
+}
+
+#[test]
+fn one_row_without_its_flag_leaves_the_mode_unrecorded() {
+    let header = "success,mass,collision,drop,grasp_miss,failure_mode";
+    // A failure of unknown kind may have been a collision.
+    assert_eq!(unrecorded("one", header, &["false,1,0,0,0,", "false,2,,0,0,", "true,3,0,0,0,"]), ["collision"]);
+    // So may a success, where no row names its mode; a success beside a touch is a collision here.
+    assert_eq!(unrecorded("success", header, &["false,1,0,0,0,", "true,2,0,,0,"]), ["grip_loss"]);
+    // A failure whose kind is named was nothing else, and an invalid episode says nothing of any kind.
+    assert!(unrecorded("named", header, &["false,1,,,,timeout", "true,2,,,,", "error,3,,,,"]).is_empty());
+    assert!(unrecorded("raised", header, &["false,1,1,,,", "true,2,0,0,0,"]).is_empty());
+}
