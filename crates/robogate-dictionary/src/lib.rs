@@ -33,7 +33,6 @@ pub use error::{DictionaryError, Row};
 pub use hash::{DatasetHash, dataset_hash};
 pub use journal::{Journal, Recovery};
 pub use parquet::{Column, Dictionary, DictionaryWriter, Entries, Written, write_parquet};
-pub use provenance::{Dimensions, Engine, Platform, Provenance, Robot, Source, Tool};
-
+pub use provenance::{Dimensions, Engine, Platform, Provenance, Robot, Source, Tool, robot_sha256};
 pub use schema::{SCHEMA_VERSION, SchemaVersion};
 pub use suite::suite_sha256;

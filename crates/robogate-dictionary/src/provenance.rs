@@ -3,6 +3,7 @@
 use robogate_core::ParameterSpace;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 
 use crate::{SCHEMA_VERSION, SchemaVersion};
 
@@ -87,6 +88,21 @@ pub struct Robot {
     /// What it can reach and carry, where that is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dimensions: Option<Dimensions>,
+}
+
+/// The identity of a robot: SHA-256 (hex) over names and contents of its files, in order of name.
+pub fn robot_sha256<'a>(files: impl IntoIterator<Item = (&'a str, &'a [u8])>) -> String {
+    let mut files: Vec<_> = files.into_iter().collect();
+    files.sort_unstable();
+    let mut hash = Sha256::new();
+    for (name, bytes) in files {
+        // Lengths before contents: no two folders have the same stream.
+        hash.update((name.len() as u64).to_le_bytes());
+        hash.update(name.as_bytes());
+        hash.update((bytes.len() as u64).to_le_bytes());
+        hash.update(bytes);
+    }
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// What a robot can reach and carry, and where its work lies.

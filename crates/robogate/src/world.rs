@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_campaign::{Station, Workshop};
 use robogate_core::{Assignment, Fault, FaultKind, ParameterSpace, Policy, Scenario, Seed, Simulator, Suite};
-use robogate_dictionary::provenance;
+use robogate_dictionary::{provenance, robot_sha256};
 use robogate_sim::claims::{Bench, Setup, Workbench};
 use robogate_sim::{
     Engine, Gripper, MujocoEngine, PickPlace, Robot, RobotError, RobotFile, SceneParameters, Scripted, SuctionLaw,
@@ -173,7 +173,7 @@ impl Cell {
         let [x, y] = WORKSPACE_CENTRE;
         let robot = provenance::Robot {
             name: self.robot.name().to_owned(),
-            sha256: Some(robot_sha256(&self.robot.files()?)),
+            sha256: Some(identity(&self.robot.files()?)),
             dimensions: Some(provenance::Dimensions {
                 reach_m: arm.reach_m,
                 payload_kg: arm.payload_kg,
@@ -193,19 +193,12 @@ fn robot(wanted: &str) -> Result<Robot, RobotError> {
 pub(crate) fn recorded_robot(provenance: &robogate_dictionary::Provenance) -> Option<Vec<RobotFile>> {
     let world: World = serde_json::from_value(provenance.world.clone()).ok()?;
     let files = robot(&world.robot).ok()?.files().ok()?;
-    (provenance.robot.sha256.as_ref() == Some(&robot_sha256(&files))).then_some(files)
+    (provenance.robot.sha256.as_ref() == Some(&identity(&files))).then_some(files)
 }
 
-fn robot_sha256(files: &[RobotFile]) -> String {
-    let mut hash = Sha256::new();
-    for (name, bytes) in files {
-        // Lengths before contents: no two folders have the same stream.
-        hash.update((name.len() as u64).to_le_bytes());
-        hash.update(name.as_bytes());
-        hash.update((bytes.len() as u64).to_le_bytes());
-        hash.update(bytes);
-    }
-    hex(&hash.finalize())
+/// The identity of a robot by its files.
+fn identity(files: &[RobotFile]) -> String {
+    robot_sha256(files.iter().map(|(name, bytes)| (name.as_str(), &**bytes)))
 }
 
 fn hex(bytes: &[u8]) -> String {

@@ -58,6 +58,11 @@ pub enum EvidenceError {
     /// Two files in one place.
     #[error("two files would stand at `{0}` in the evidence")]
     Twice(String),
+    /// A file beside the rows is not the one that they come from.
+    #[error(
+        "{0}\nhint: evidence holds the files that the rows were measured with; leave the file out or give the run's own"
+    )]
+    Contradicts(Problem),
     /// The gate cannot answer.
     #[error(transparent)]
     Gate(#[from] GateError),

@@ -7,7 +7,7 @@ use std::path::Path;
 use robogate_dictionary::{Dictionary, Tool};
 use sha2::{Digest, Sha256};
 
-use super::{AGAINST, BASELINE, DICTIONARY, EvidenceError, FileRecord, Manifest, REQUIREMENTS};
+use super::{AGAINST, BASELINE, DICTIONARY, EvidenceError, FileRecord, Manifest, Problem, REQUIREMENTS, origin};
 use crate::record::hex;
 use crate::{Against, Baseline, Evaluation, Question, Record, Requirements, Sampling};
 
@@ -31,6 +31,12 @@ pub(super) fn evaluate(folder: &Path, sampling: Sampling, margin: Option<f64>) -
     let against = other.as_ref().map(|(record, margin)| Against { record, margin: *margin });
     let question = Question { requirements: &requirements, baseline: baseline.as_ref(), against, sampling };
     Ok(question.evaluate(&record)?)
+}
+
+/// What contradicts the rows' own account of where they come from.
+pub(super) fn origin(folder: &Path, files: &[FileRecord]) -> Result<Vec<Problem>, EvidenceError> {
+    let dictionary = Dictionary::open(&folder.join(DICTIONARY))?;
+    Ok(origin::problems(folder, files, dictionary.provenance()))
 }
 
 /// The manifest of these files and this evaluation.
@@ -66,7 +72,7 @@ pub(super) fn manifest(
     })
 }
 
-/// Length and SHA-256 of a file, in bounded memory.
+/// Length and SHA-256 of a plain file, in bounded memory.
 pub(super) fn digest(path: &Path) -> io::Result<(u64, String)> {
     let mut file = fs::File::open(path)?;
     let (mut hash, mut bytes, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 16]);

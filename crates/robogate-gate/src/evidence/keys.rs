@@ -1,7 +1,7 @@
 //! The user's key: ed25519, as PEM files that OpenSSL reads too.
 
 use std::fmt;
-use std::fs::{File, OpenOptions};
+use std::fs::{File, Metadata, OpenOptions};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -9,6 +9,7 @@ use ed25519_dalek::pkcs8::spki::der::pem::LineEnding;
 use ed25519_dalek::pkcs8::{DecodePrivateKey, DecodePublicKey, EncodePrivateKey, EncodePublicKey, KeypairBytes};
 use ed25519_dalek::{Signature, Signer, SigningKey, VerifyingKey};
 use sha2::{Digest, Sha256};
+use zeroize::Zeroizing;
 
 use super::EvidenceError;
 use crate::record::hex;
@@ -28,9 +29,9 @@ impl fmt::Debug for PrivateKey {
 impl PrivateKey {
     /// A new key from the operating system's random numbers.
     pub fn generate() -> Result<Self, EvidenceError> {
-        let mut seed = [0; 32];
-        getrandom::fill(&mut seed).map_err(|e| EvidenceError::Random(e.to_string()))?;
-        Ok(Self::from_seed(seed))
+        let mut seed = Zeroizing::new([0; 32]);
+        getrandom::fill(seed.as_mut()).map_err(|e| EvidenceError::Random(e.to_string()))?;
+        Ok(Self(SigningKey::from_bytes(&seed)))
     }
 
     /// The key of this seed (RFC 8032).
@@ -40,11 +41,14 @@ impl PrivateKey {
 
     /// Reads PKCS#8 PEM (RFC 8410). A file that others may read is refused.
     pub fn read(path: &Path) -> Result<Self, EvidenceError> {
-        let file = File::open(path).map_err(EvidenceError::io(path, "open the private key"))?;
-        let metadata = file.metadata().map_err(EvidenceError::io(path, "inspect"))?;
-        let wrong = |reason: String| EvidenceError::NotAKey { path: path.to_owned(), what: "private key", reason };
-        if !metadata.is_file() {
-            return Err(wrong("it is no plain file".to_owned()));
+        const WHAT: &str = "private key";
+        let (file, metadata) = open(path, WHAT)?;
+        let wrong = |reason: String| EvidenceError::NotAKey { path: path.to_owned(), what: WHAT, reason };
+        let text = text_of(file, path)?;
+        if text.contains("PUBLIC KEY") {
+            return Err(wrong(
+                "it is a public key\nhint: sign with the file that `robogate keys new` made beside it".to_owned(),
+            ));
         }
         #[cfg(unix)]
         {
@@ -54,12 +58,8 @@ impl PrivateKey {
                 return Err(EvidenceError::KeyMode { path: path.to_owned(), mode });
             }
         }
-        let text = text_of(file, path)?;
-        if text.contains("PUBLIC KEY") {
-            return Err(wrong(
-                "it is a public key\nhint: sign with the file that `robogate keys new` made beside it".to_owned(),
-            ));
-        }
+        #[cfg(not(unix))]
+        let _ = metadata;
         // The error of the library could hold what it read; a hint is all that is needed.
         let key = SigningKey::from_pkcs8_pem(&text).map_err(|_| {
             wrong("it is not PKCS#8 PEM of an ed25519 key\nhint: make one with `robogate keys new FILE`".to_owned())
@@ -77,7 +77,8 @@ impl PrivateKey {
             path: path.to_owned(),
             hint: "a key is never overwritten; choose another name",
         };
-        if public.exists() {
+        // Of a link too, wherever it leads.
+        if public.symlink_metadata().is_ok() {
             return Err(exists(&public));
         }
         // Version 1, without the public half: OpenSSL refuses the other.
@@ -87,17 +88,29 @@ impl PrivateKey {
             what: "private key",
             reason: e.to_string(),
         })?;
-        let mut options = OpenOptions::new();
-        options.write(true).create_new(true);
-        #[cfg(unix)]
-        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-        let create = |error: std::io::Error| match error.kind() {
-            std::io::ErrorKind::AlreadyExists => exists(path),
-            _ => EvidenceError::io(path, "create")(error),
+        let create = |path: &Path, mode: u32, text: &str| {
+            let mut options = OpenOptions::new();
+            options.write(true).create_new(true);
+            #[cfg(unix)]
+            std::os::unix::fs::OpenOptionsExt::mode(&mut options, mode);
+            #[cfg(not(unix))]
+            let _ = mode;
+            let mut file = options.open(path).map_err(|error| match error.kind() {
+                std::io::ErrorKind::AlreadyExists => exists(path),
+                _ => EvidenceError::io(path, "create")(error),
+            })?;
+            let written = file.write_all(text.as_bytes()).and_then(|()| file.sync_all());
+            if written.is_err() {
+                // Half a key is none; that it could not be written is the error on its way.
+                let _ = std::fs::remove_file(path);
+            }
+            written.map_err(EvidenceError::io(path, "write"))
         };
-        let mut file = options.open(path).map_err(create)?;
-        file.write_all(pem.as_bytes()).and_then(|()| file.sync_all()).map_err(EvidenceError::io(path, "write"))?;
-        std::fs::write(&public, self.public().to_pem()).map_err(EvidenceError::io(&public, "write"))?;
+        create(path, 0o600, &pem)?;
+        if let Err(error) = create(&public, 0o644, &self.public().to_pem()) {
+            let _ = std::fs::remove_file(path);
+            return Err(error);
+        }
         Ok(public)
     }
 
@@ -119,7 +132,7 @@ pub struct PublicKey(VerifyingKey);
 impl PublicKey {
     /// Reads SubjectPublicKeyInfo PEM (RFC 8410).
     pub fn read(path: &Path) -> Result<Self, EvidenceError> {
-        let file = File::open(path).map_err(EvidenceError::io(path, "open the public key"))?;
+        let (file, _) = open(path, "public key")?;
         let text = text_of(file, path)?;
         Self::from_pem(&text).map_err(|reason| EvidenceError::NotAKey {
             path: path.to_owned(),
@@ -162,8 +175,21 @@ impl PublicKey {
     }
 }
 
-fn text_of(file: File, path: &Path) -> Result<String, EvidenceError> {
-    let mut text = String::new();
+/// Opens a plain file, looked at before: opening a pipe would wait for whoever writes to it.
+fn open(path: &Path, what: &'static str) -> Result<(File, Metadata), EvidenceError> {
+    let metadata = std::fs::metadata(path).map_err(EvidenceError::io(path, "open the key"))?;
+    if !metadata.is_file() {
+        return Err(EvidenceError::NotAKey { path: path.to_owned(), what, reason: "it is no plain file".to_owned() });
+    }
+    let file = File::open(path).map_err(EvidenceError::io(path, "open the key"))?;
+    let metadata = file.metadata().map_err(EvidenceError::io(path, "inspect"))?;
+    Ok((file, metadata))
+}
+
+/// The text of a key file, wiped from memory when it is dropped.
+fn text_of(file: File, path: &Path) -> Result<Zeroizing<String>, EvidenceError> {
+    // As large as it can get: a buffer that grows leaves copies behind.
+    let mut text = Zeroizing::new(String::with_capacity(LONGEST as usize + 1));
     file.take(LONGEST).read_to_string(&mut text).map_err(EvidenceError::io(path, "read the key"))?;
     Ok(text)
 }

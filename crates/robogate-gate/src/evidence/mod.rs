@@ -5,7 +5,7 @@
 //! statements say what was found, each in a DSSE envelope where a [`PrivateKey`] is given: the
 //! [test-result] predicate, which other tools read, and our own, which holds the whole manifest.
 //! [`verify`] needs nothing but the folder: it hashes every file, computes the evaluation again from the
-//! rows, builds both statements again, and names each file that is not what it should be.
+//! rows, holds plan, suite and robot against what the rows say of them, builds both statements again, and names each file that is not what it should be.
 //!
 //! There is no clock in it: the same run and key give the same bytes.
 //!
@@ -16,6 +16,7 @@ mod error;
 mod facts;
 mod keys;
 mod manifest;
+mod origin;
 mod statement;
 mod verify;
 mod write;

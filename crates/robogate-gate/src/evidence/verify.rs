@@ -138,7 +138,9 @@ fn missing(error: &std::io::Error) -> String {
 fn manifest_of(folder: &Path) -> Result<Manifest, Problem> {
     let wrong = |reason: String| Problem::new(MANIFEST, reason);
     let text = read(folder, MANIFEST).map_err(|reason| {
-        wrong(format!("{reason}\nhint: a folder of evidence is made by `robogate gate` or `robogate evidence`"))
+        wrong(format!(
+            "{reason}\nhint: a folder of evidence is made by `robogate evidence RUN OUT` after `robogate gate`"
+        ))
     })?;
     let json: serde_json::Value = serde_json::from_str(&text).map_err(|e| wrong(format!("it is no JSON: {e}")))?;
     match json.get("format").and_then(serde_json::Value::as_u64) {
@@ -178,10 +180,21 @@ fn manifest_of(folder: &Path) -> Result<Manifest, Problem> {
 fn check_files(folder: &Path, manifest: &Manifest, statements: &[String; 2], problems: &mut Vec<Problem>) {
     for file in &manifest.files {
         let path = folder.join(&file.path);
-        let plain = fs::symlink_metadata(&path).is_ok_and(|metadata| metadata.is_file());
+        // Looked at before it is opened: a pipe or a device never ends, and a file of holes takes hours.
+        let reason = match fs::symlink_metadata(&path) {
+            Err(error) => Some(missing(&error)),
+            Ok(metadata) if !metadata.is_file() => Some("it is no plain file".to_owned()),
+            Ok(metadata) if metadata.len() != file.bytes => {
+                Some(format!("it has {} bytes, the manifest says {}", metadata.len(), file.bytes))
+            }
+            Ok(_) => None,
+        };
+        if let Some(reason) = reason {
+            problems.push(Problem::new(file.path.as_str(), reason));
+            continue;
+        }
         let reason = match facts::digest(&path) {
             Err(error) => missing(&error),
-            Ok(_) if !plain => "it is no plain file".to_owned(),
             Ok((bytes, _)) if bytes != file.bytes => format!("it has {bytes} bytes, the manifest says {}", file.bytes),
             Ok((_, sha256)) if sha256 != file.sha256 => {
                 format!("it was changed: its SHA-256 is {sha256}, the manifest says {}", file.sha256)
@@ -191,7 +204,10 @@ fn check_files(folder: &Path, manifest: &Manifest, statements: &[String; 2], pro
         problems.push(Problem::new(file.path.as_str(), reason));
     }
     let mut found = Vec::new();
-    walk(folder, "", &mut found, problems);
+    let belongs = |place: &str| {
+        manifest.files.iter().any(|file| file.path.strip_prefix(place).is_some_and(|rest| rest.starts_with('/')))
+    };
+    walk(folder, "", &belongs, &mut found, problems);
     for name in found {
         let known =
             name == MANIFEST || statements.contains(&name) || manifest.files.iter().any(|file| file.path == name);
@@ -202,7 +218,13 @@ fn check_files(folder: &Path, manifest: &Manifest, statements: &[String; 2], pro
     }
 }
 
-fn walk(folder: &Path, prefix: &str, found: &mut Vec<String>, problems: &mut Vec<Problem>) {
+fn walk(
+    folder: &Path,
+    prefix: &str,
+    belongs: &dyn Fn(&str) -> bool,
+    found: &mut Vec<String>,
+    problems: &mut Vec<Problem>,
+) {
     // Names that the manifest can hold are no longer than this.
     const DEEPEST: usize = 200;
     let here = folder.join(prefix);
@@ -219,7 +241,15 @@ fn walk(folder: &Path, prefix: &str, found: &mut Vec<String>, problems: &mut Vec
     for (name, is_folder) in names {
         let name = name.to_string_lossy();
         let path = if prefix.is_empty() { name.into_owned() } else { format!("{prefix}/{name}") };
-        if is_folder { walk(folder, &path, found, problems) } else { found.push(path) }
+        if !is_folder {
+            found.push(path);
+        } else {
+            if !belongs(&path) {
+                let reason = "no file of the evidence lies in this folder\nhint: remove it, or ask who put it there";
+                problems.push(Problem::new(format!("{path}/"), reason));
+            }
+            walk(folder, &path, belongs, found, problems);
+        }
     }
 }
 
@@ -242,13 +272,20 @@ fn check_facts(folder: &Path, manifest: &Manifest, problems: &mut Vec<Problem>) 
             return None;
         }
     };
-    match fs::read_to_string(folder.join(EVALUATION)) {
+    match read(folder, EVALUATION) {
         Ok(text) if text == evaluation.to_json() => {}
         Ok(_) => problems.push(Problem::new(
             EVALUATION,
             format!("it is not what follows from the rows, which is {}: {}", evaluation.verdict, evaluation.because),
         )),
-        Err(error) => problems.push(Problem::new(EVALUATION, missing(&error))),
+        Err(reason) => problems.push(Problem::new(EVALUATION, reason)),
+    }
+    if problems.is_empty() {
+        // Only files with the bytes that the manifest states are safe to read.
+        match facts::origin(folder, &manifest.files) {
+            Ok(found) => problems.extend(found),
+            Err(error) => problems.push(Problem::new(DICTIONARY, error.to_string())),
+        }
     }
     let rebuilt = facts::manifest(
         folder,

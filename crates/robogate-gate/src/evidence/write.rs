@@ -120,6 +120,9 @@ fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> R
             Ok(FileRecord { path, role, bytes, sha256 })
         })
         .collect::<Result<Vec<_>, EvidenceError>>()?;
+    if let Some(problem) = facts::origin(folder, &records)?.into_iter().next() {
+        return Err(EvidenceError::Contradicts(problem));
+    }
     let signer = key.map(|key| key.public().id());
     let manifest = facts::manifest(folder, Tool::robogate(), &evaluation, margin, signer, records)?;
     let json = manifest.to_json();

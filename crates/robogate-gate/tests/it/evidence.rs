@@ -9,14 +9,20 @@ use std::sync::Arc;
 use robogate_core::{
     Assignment, Episode, FailureMode, Fault, FaultKind, Measures, Outcome, ParameterSpace, Scenario, Seed, Value,
 };
-use robogate_dictionary::{Engine, Entry, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, write_parquet};
+use robogate_dictionary::{
+    Dictionary, Engine, Entry, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, robot_sha256, write_parquet,
+};
 use robogate_gate::evidence::{
     Content, Envelope, EvidenceError, Ingredients, PrivateKey, Problem, PublicKey, Role, Signed,
     pre_authentication_encoding, verify, write,
 };
 use robogate_gate::{Sampling, Verdict};
+use sha2::{Digest, Sha256};
 
 const SEED: [u8; 32] = [7; 32];
+
+/// The robot's only file.
+const ROBOT: &[u8] = b"name = 'franka'\n";
 
 fn key() -> PrivateKey {
     PrivateKey::from_seed(SEED)
@@ -36,7 +42,7 @@ fn planned_rows(path: &Path, n: u64, failures: u64, plan: serde_json::Value, lab
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
         engine: Engine { name: "mujoco".into(), version: Some("3.17.0".into()), build_sha256: Some("ab".repeat(32)) },
-        robot: Robot { name: "franka".into(), sha256: Some("cd".repeat(32)), dimensions: None },
+        robot: Robot { name: "franka".into(), sha256: Some(robot_sha256([("robot.toml", ROBOT)])), dimensions: None },
         policy: "scripted".into(),
         world: serde_json::Value::Null,
         space,
@@ -72,6 +78,8 @@ fn planned_rows(path: &Path, n: u64, failures: u64, plan: serde_json::Value, lab
         }
     };
     write_parquet(path, &provenance, (0..n).map(|i| Ok(entry(i)))).unwrap();
+    let plan = serde_json::json!({ "version": 1, "plan": provenance.plan, "provenance": provenance });
+    fs::write(path.with_file_name("plan.json"), plan.to_string()).unwrap();
 }
 
 /// A folder with a run in it, and what evidence is made from.
@@ -89,8 +97,7 @@ fn run(failures: u64) -> Run {
         "name = 'test'\nmode = 'confidence'\nconfidence = 0.95\n\n[[requirement]]\nmetric = 'success_rate'\nat_least = 0.9\n",
     )
     .unwrap();
-    fs::write(at("plan.json"), "{\"seed\": 5}\n").unwrap();
-    fs::write(at("robot.toml"), "name = 'franka'\n").unwrap();
+    fs::write(at("robot.toml"), ROBOT).unwrap();
     let ingredients = Ingredients {
         dictionary: at("d.parquet"),
         requirements: Content::File(at("r.toml")),
@@ -452,4 +459,103 @@ fn the_comparison_is_a_test_of_the_in_toto_result() {
     let statement: serde_json::Value = serde_json::from_str(&text).unwrap();
     let passed = statement["predicate"]["passedTests"].to_string();
     assert!(passed.contains("not worse than the other policy"), "{text}");
+}
+
+/// Why no evidence is made of the ingredients.
+fn unwritten(run: &Run) -> String {
+    let to = run.folder.path().join("unwritten");
+    let error = write(&to, &run.ingredients, None).unwrap_err().to_string();
+    assert!(!to.exists());
+    error
+}
+
+#[test]
+fn plan_robot_and_suite_must_be_those_of_the_rows() {
+    let mut run = run(0);
+    let (plan, robot) = (run.folder.path().join("plan.json"), run.folder.path().join("robot.toml"));
+    let honest = fs::read_to_string(&plan).unwrap();
+    for (from, to) in [("{\"n\":80}", "{\"n\":800}"), ("scripted", "another"), ("{\"plan\"", "{\"plans\"")] {
+        let changed = honest.replacen(from, to, 1);
+        assert_ne!(changed, honest);
+        fs::write(&plan, changed).unwrap();
+        assert!(unwritten(&run).starts_with("plan.json: it is "), "{}", unwritten(&run));
+    }
+    fs::write(&plan, &honest).unwrap();
+    fs::write(&robot, "name = 'other'\n").unwrap();
+    assert!(unwritten(&run).contains("not those of the run"));
+    fs::write(&robot, ROBOT).unwrap();
+    run.ingredients.others.push((Role::Suite, "suite/s.toml".into(), Content::File(robot)));
+    assert!(unwritten(&run).contains("suite/s.toml: the run had no suite"));
+}
+
+#[test]
+fn a_plan_that_another_robogate_let_in_is_named() {
+    let run = run(0);
+    let folder = run.evidence("e", None);
+    let (plan, manifest) = (folder.join("plan.json"), folder.join("manifest.json"));
+    let honest = fs::read_to_string(&plan).unwrap();
+    let forged = honest.replacen("{\"n\":80}", "{\"n\":81}", 1);
+    fs::write(&plan, &forged).unwrap();
+    // The manifest is made to fit.
+    let said = fs::read_to_string(&manifest).unwrap().replace(&sha256(&honest), &sha256(&forged));
+    fs::write(&manifest, said).unwrap();
+    assert!(about(verify(&folder, None), "plan.json").contains("not the plan that the rows were measured by"));
+}
+
+fn sha256(text: &str) -> String {
+    Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[test]
+fn an_empty_folder_that_was_added_is_named() {
+    let run = run(0);
+    let folder = run.evidence("e", None);
+    fs::create_dir_all(folder.join("robot/more")).unwrap();
+    assert!(about(verify(&folder, None), "robot/more/").contains("no file of the evidence"));
+}
+
+#[test]
+#[cfg(unix)]
+fn what_never_ends_is_named_without_being_read() {
+    let run = run(0);
+    let folder = run.evidence("e", Some(&key()));
+    let kept = run.folder.path().join("kept");
+    let pipe = |path: &Path| assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
+    for name in files(&folder).into_keys() {
+        let path = folder.join(&name);
+        fs::rename(&path, &kept).unwrap();
+        pipe(&path);
+        assert!(about(verify(&folder, None), &name).contains("no plain file"));
+        fs::remove_file(&path).unwrap();
+        std::os::unix::fs::symlink("/dev/zero", &path).unwrap();
+        assert!(about(verify(&folder, None), &name).contains("no plain file"));
+        fs::remove_file(&path).unwrap();
+        fs::File::create(&path).unwrap().set_len(1 << 40).unwrap();
+        assert!(about(verify(&folder, None), &name).contains("1099511627776 bytes"));
+        fs::rename(&kept, &path).unwrap();
+    }
+    let path = run.folder.path().join("pipe");
+    pipe(&path);
+    assert!(PublicKey::read(&path).unwrap_err().to_string().contains("no plain file"));
+    assert!(PrivateKey::read(&path).unwrap_err().to_string().contains("no plain file"));
+}
+
+#[test]
+#[cfg(unix)]
+fn a_key_is_there_with_both_halves_or_not_at_all() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("k");
+    let public = key().write_new(&path).unwrap();
+    assert_eq!(fs::metadata(&public).unwrap().permissions().mode() & 0o022, 0);
+    // What is no private key is told so whatever its mode is.
+    assert!(PrivateKey::read(&public).unwrap_err().to_string().contains("it is a public key"));
+    let (other, target) = (folder.path().join("l"), folder.path().join("target"));
+    std::os::unix::fs::symlink(&target, folder.path().join("l.pub")).unwrap();
+    assert!(matches!(key().write_new(&other), Err(EvidenceError::Exists { .. })));
+    assert!(!other.exists() && !target.exists());
+    // A name that is just short enough has no room for `.pub`.
+    let longest = folder.path().join("n".repeat(253));
+    assert!(key().write_new(&longest).is_err());
+    assert!(!longest.exists());
 }
