@@ -37,6 +37,25 @@ pub(crate) fn dim<T: Display>(text: T) -> Styled<T> {
     Styled("2", text)
 }
 
+/// Text from elsewhere (a name in a file, a file's name) on one line: what would steer the terminal stands escaped.
+pub(crate) fn foreign(text: impl Display) -> String {
+    escaped(&text.to_string(), |_| false)
+}
+
+/// Text of several lines, those after the first indented, without what would steer the terminal.
+pub(crate) fn indented(text: impl Display) -> String {
+    escaped(&text.to_string(), |c| c == '\n').replace('\n', "\n    ")
+}
+
+fn escaped(text: &str, keep: impl Fn(char) -> bool) -> String {
+    let mut safe = String::with_capacity(text.len());
+    for c in text.chars() {
+        // C0, DEL and C1.
+        if c.is_control() && !keep(c) { safe.extend(c.escape_debug()) } else { safe.push(c) }
+    }
+    safe
+}
+
 /// Writes a line of data or summary to stdout. A reader that went away (a closed pipe) ends nothing.
 pub(crate) fn line(text: impl Display) {
     // There is nobody left to tell.
@@ -120,6 +139,15 @@ mod tests {
         assert_eq!(harmless("\x1b[1;31mred\x1b[0m\tµ\n"), "\x1b[1;31mred\x1b[0m\tµ\n");
         let hostile = "a\x1b]0;title\x07\x1b[2Jb\u{9b}c\r";
         assert_eq!(harmless(hostile), "a\\u001b]0;title\\u0007\\u001b[2Jb\\u009bc\\u000d");
+    }
+
+    #[test]
+    fn what_would_steer_the_terminal_stands_escaped() {
+        assert_eq!(
+            foreign("a\x1b[2J\nverdict: pass\u{9b}1m\x7f\u{e4}"),
+            "a\\u{1b}[2J\\nverdict: pass\\u{9b}1m\\u{7f}\u{e4}"
+        );
+        assert_eq!(indented("it is no plan\nhint: \rleave it out"), "it is no plan\n    hint: \\rleave it out");
     }
 
     #[test]

@@ -75,6 +75,17 @@ impl EvidenceError {
     pub(super) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Io { path: path.to_owned(), action, source }
     }
+
+    /// The error with the path that the user gave in place of the one where files stand until all are there.
+    pub(super) fn at(self, partial: &Path, to: &Path) -> Self {
+        match self {
+            Self::Io { path, action, source } => {
+                let path = path.strip_prefix(partial).map_or_else(|_| path.clone(), |name| to.join(name));
+                Self::Io { path, action, source }
+            }
+            other => other,
+        }
+    }
 }
 
 /// One thing that is wrong with a folder of evidence.

@@ -56,8 +56,9 @@ pub fn write(to: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> 
     if partial.exists() {
         fs::remove_dir_all(&partial).map_err(EvidenceError::io(&partial, "clear"))?;
     }
-    fs::create_dir_all(&partial).map_err(EvidenceError::io(&partial, "create"))?;
+    fs::create_dir_all(&partial).map_err(EvidenceError::io(to, "create"))?;
     let written = fill(&partial, ingredients, key)
+        .map_err(|error| error.at(&partial, to))
         .and_then(|manifest| fs::rename(&partial, to).map_err(EvidenceError::io(to, "create")).map(|()| manifest));
     if written.is_err() {
         // The error is on its way already; a leftover is cleared by the next try.
@@ -84,7 +85,14 @@ fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> R
             fs::create_dir_all(parent).map_err(EvidenceError::io(parent, "create"))?;
         }
         match content {
-            Content::File(from) => fs::copy(from, &place).map(|_| ()).map_err(EvidenceError::io(from, "copy")),
+            Content::File(from) => {
+                let mut source = fs::File::open(from).map_err(EvidenceError::io(from, "read"))?;
+                if fs::metadata(from).is_ok_and(|metadata| metadata.is_dir()) {
+                    return Err(EvidenceError::io(from, "read")(std::io::ErrorKind::IsADirectory.into()));
+                }
+                let copied = fs::File::create(&place).and_then(|mut copy| std::io::copy(&mut source, &mut copy));
+                copied.map(|_| ()).map_err(EvidenceError::io(&place, "write"))
+            }
             Content::Bytes(bytes) => fs::write(&place, bytes).map_err(EvidenceError::io(&place, "write")),
         }
     };

@@ -10,7 +10,7 @@ use robogate_core::{
     Assignment, Episode, FailureMode, Fault, FaultKind, Measures, Outcome, ParameterSpace, Scenario, Seed, Value,
 };
 use robogate_dictionary::{
-    Dictionary, Engine, Entry, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, robot_sha256, write_parquet,
+    Engine, Entry, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, robot_sha256, write_parquet,
 };
 use robogate_gate::evidence::{
     Content, Envelope, EvidenceError, Ingredients, PrivateKey, Problem, PublicKey, Role, Signed,
@@ -459,6 +459,21 @@ fn the_comparison_is_a_test_of_the_in_toto_result() {
     let statement: serde_json::Value = serde_json::from_str(&text).unwrap();
     let passed = statement["predicate"]["passedTests"].to_string();
     assert!(passed.contains("not worse than the other policy"), "{text}");
+}
+
+#[test]
+fn an_error_names_the_path_that_the_user_gave() {
+    let mut run = run(0);
+    fs::create_dir(run.folder.path().join("deep")).unwrap();
+    let folder = Content::File(run.folder.path().join("deep"));
+    run.ingredients.requirements = folder;
+    assert!(unwritten(&run).contains("deep"));
+    // A file where a folder would have to be.
+    run.ingredients.requirements = Content::File(run.folder.path().join("r.toml"));
+    let robot = Content::File(run.folder.path().join("robot.toml"));
+    run.ingredients.others.push((Role::Attachment, "requirements.toml/x".into(), robot));
+    let said = unwritten(&run);
+    assert!(said.contains("unwritten/requirements.toml") && !said.contains(".part"), "{said}");
 }
 
 /// Why no evidence is made of the ingredients.

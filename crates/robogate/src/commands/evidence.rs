@@ -1,16 +1,17 @@
 //! `robogate evidence`: a verdict as a folder that someone else can check.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use robogate_gate::evidence::{Content, Ingredients, PrivateKey, Role, write};
-use robogate_gate::{Asked, Record, Requirements, Sampling};
+use robogate_gate::evidence::{Content, EvidenceError, Ingredients, PrivateKey, Role, write};
+use robogate_gate::{Asked, GateError, Record, Requirements, Sampling};
 use robogate_report::Source;
 
 use crate::commands::gate::{built_in_baseline, refused};
-use crate::exit::{Exit, OrExit};
-use crate::terminal::{line, note};
+use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::terminal::{foreign, line, note};
 use crate::world::recorded_robot;
 
 /// Judge a run and put all that the verdict depends on into a folder that someone else can check.
@@ -92,9 +93,9 @@ impl Evidence {
             others,
         };
         // Read before anything is judged: a key that cannot sign is better known now.
-        let key = self.key.as_deref().map(PrivateKey::read).transpose().or_usage()?;
-        let manifest = write(&self.out, &ingredients, key.as_ref()).or_usage()?;
-        line(format_args!("{}: {}", manifest.verdict, manifest.because));
+        let key = self.key.as_deref().map(PrivateKey::read).transpose().map_err(unmade)?;
+        let manifest = write(&self.out, &ingredients, key.as_ref()).map_err(unmade)?;
+        line(format_args!("{}: {}", manifest.verdict, foreign(&manifest.because)));
         let signed = manifest.signer.map_or("unsigned".to_owned(), |keyid| format!("signed by key {keyid}"));
         note(format_args!("{}: {} files, {signed}", self.out.display(), manifest.files.len() + 3));
         Ok(manifest.verdict.exit_code())
@@ -147,6 +148,20 @@ impl Evidence {
             Some(Count::Sequential) => Ok(Sampling::Sequential),
             None => Ok(recorded),
         }
+    }
+}
+
+/// The error with its exit code: what the gate has, and what the system refused is infrastructure.
+fn unmade(error: EvidenceError) -> Exit {
+    match error {
+        EvidenceError::Gate(error) => refused(error),
+        EvidenceError::Dictionary(error) => refused(GateError::Dictionary(error)),
+        EvidenceError::Io { ref source, .. } if source.kind() == ErrorKind::NotFound => {
+            Exit { code: USAGE, error: error.into() }
+        }
+        EvidenceError::Io { .. } | EvidenceError::Random(_) => Exit { code: INFRASTRUCTURE, error: error.into() },
+        EvidenceError::Contradicts(_) => Exit { code: INVALID, error: error.into() },
+        _ => Exit { code: USAGE, error: error.into() },
     }
 }
 

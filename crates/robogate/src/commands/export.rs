@@ -43,6 +43,7 @@ impl Export {
                 return Err(why).or_usage();
             }
         };
+        not_there(&self.out)?;
         let dictionary = open(&self.dictionary)?;
         let format = match to {
             To::Csv => Format::Csv,
@@ -53,6 +54,18 @@ impl Export {
         note(format_args!("{}: {} rows", self.out.display(), grouped(rows)));
         Ok(DONE)
     }
+}
+
+/// Refuses a place where there is something: it may be what the rows came from.
+pub(crate) fn not_there(out: &Path) -> Result<(), Exit> {
+    if out.symlink_metadata().is_err() {
+        return Ok(());
+    }
+    let why = anyhow::anyhow!(
+        "{} is there already\nhint: nothing is overwritten; choose another name, or remove it first",
+        out.display()
+    );
+    Err(why).or_usage()
 }
 
 fn by_ending(path: &Path) -> Option<To> {

@@ -6,8 +6,9 @@ use anyhow::Context;
 use clap::{Args, ValueEnum};
 use robogate_dictionary::results::{Format, Mapping, import};
 
+use crate::commands::export::not_there;
 use crate::exit::{DONE, Exit, OrExit};
-use crate::terminal::{grouped, note};
+use crate::terminal::{foreign, grouped, note};
 
 /// Read what another tool measured into Parquet.
 ///
@@ -73,12 +74,13 @@ impl From<Layout> for Format {
 
 impl Import {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        not_there(&self.out)?;
         let mapping = self.mapping()?;
         let imported = import(&self.results, &self.out, self.format.map(Format::from), &mapping).or_usage()?;
         let source = imported.provenance.source.iter();
         let format = source.clone().map(|source| source.format.as_str()).next().unwrap_or_default();
-        note(format_args!("{}: {} rows from {format}", self.out.display(), grouped(imported.written.rows)));
-        source.clone().flat_map(|source| &source.notes).for_each(|remark| note(format_args!("  {remark}")));
+        note(format_args!("{}: {} rows from {format}", foreign(self.out.display()), grouped(imported.written.rows)));
+        source.clone().flat_map(|source| &source.notes).for_each(|remark| note(format_args!("  {}", foreign(remark))));
         for what in source.flat_map(|source| &source.not_recorded) {
             note(format_args!("  no rate can be claimed of {what}: the source does not record it"));
         }

@@ -7,7 +7,7 @@ use robogate_gate::evidence::{Problem, PublicKey, Signed, Verified, verify};
 use serde::Serialize;
 
 use crate::exit::{DONE, Exit, INVALID, OrExit};
-use crate::terminal::{bold, grouped, line};
+use crate::terminal::{bold, foreign, grouped, indented, line};
 
 /// Check a folder of evidence: every file, the signatures, and the verdict anew from the rows.
 ///
@@ -39,7 +39,7 @@ impl Verify {
         let key = self.key.as_deref().map(PublicKey::read).transpose().or_usage()?;
         if !self.evidence.is_dir() {
             let error = anyhow::anyhow!(
-                "{} is no folder\nhint: give the folder that `robogate gate` or `robogate evidence` left",
+                "{} is no folder\nhint: give the folder that `robogate evidence RUN OUT` made, after `robogate gate`",
                 self.evidence.display()
             );
             return Err(error).or_usage();
@@ -54,7 +54,9 @@ impl Verify {
                 Ok(verified) => tell(verified),
                 Err(_) => {
                     line(bold("the evidence does not hold"));
-                    problems.iter().for_each(|problem| line(format_args!("  {problem}")));
+                    problems.iter().for_each(|problem| {
+                        line(format_args!("  {}: {}", foreign(&problem.file), indented(&problem.reason)))
+                    });
                 }
             }
         }
@@ -65,10 +67,12 @@ impl Verify {
 fn tell(verified: &Verified) {
     let Verified { verdict, because, counts, policy, robot, files, signed } = verified;
     line(format_args!("{} {}", bold("the evidence holds: verdict"), bold(verdict)));
-    line(format_args!("  {because}"));
+    line(format_args!("  {}", foreign(because)));
     line(format_args!(
-        "  {} episodes of {policy} on {robot}, {} of them invalid; verdict computed anew from the rows",
+        "  {} episodes of {} on {}, {} of them invalid; verdict computed anew from the rows",
         grouped(counts.episodes),
+        foreign(policy),
+        foreign(robot),
         grouped(counts.invalid)
     ));
     line(format_args!("  {files} files as the manifest says, and no other"));
