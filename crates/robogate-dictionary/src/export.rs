@@ -17,7 +17,7 @@ use crate::{Dictionary, DictionaryError, published};
 /// A form that a dictionary can be exported to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
-    /// CSV after RFC 4180 ([`csv`]).
+    /// CSV after RFC 4180 ([`csv()`]).
     Csv,
     /// One JSON object for each row ([`json_lines`]).
     JsonLines,

@@ -42,7 +42,7 @@ pub trait Engine {
 
     /// Joins the object to the gripper's cup, rigidly and as the two stand now. Loading parts them.
     ///
-    /// When this happens and when it ends is no matter of the engine ([`crate::Suction`]). Does nothing where the
+    /// When this happens and when it ends is no matter of the engine ([`crate::suction`]). Does nothing where the
     /// gripper has no cup.
     fn join(&mut self);
 

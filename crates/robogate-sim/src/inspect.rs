@@ -54,7 +54,7 @@ pub struct Inspection {
 pub struct Measured {
     /// Mass of each moving body that has one, base to tip, in kilograms.
     pub masses_kg: Vec<(String, f64)>,
-    /// How far the flange came from the first joint's axis, in metres: the largest of [`POSTURES`] random postures.
+    /// How far the flange came from the first joint's axis, in metres: the largest of many random postures.
     pub flange_reach_m: f64,
     /// The same for the tool centre point.
     pub tool_reach_m: f64,

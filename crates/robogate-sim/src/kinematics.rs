@@ -91,7 +91,7 @@ impl Chain {
     /// nobody needs to say by name: it is that of `rest`, the posture in which the arm waits. The descent
     /// from `rest` mostly stays in it. Where it does not arrive, or ends with a joint more than a quarter turn
     /// away, descents from other postures look for a nearer one: from `rest` turned to face the goal, and from
-    /// [`STARTS`] postures that are always the same. The first joint, which faces the goal, and the last, which
+    /// a few postures that are always the same. The first joint, which faces the goal, and the last, which
     /// turns the tool, count little: they make no other posture. A redundant arm takes what its first
     /// descent finds: it is pulled to `rest` on its way.
     pub fn reach(&self, goal: &Isometry3<f64>, rest: &[f64]) -> Result<Vec<f64>, Unreachable> {

@@ -1,6 +1,6 @@
 //! The mean of a quantity over repeats of an experiment that were all judged on the same rows.
 //!
-//! x[r][i], repeat r at test row i, has chance from both sides: another repeat would have been trained on other data,
+//! `x[r][i]`, repeat r at test row i, has chance from both sides: another repeat would have been trained on other data,
 //! and other rows would have been judged. With v_r the variance of the repeats' means over their number and v_i that of
 //! the rows' means over theirs, the variance of the grand mean is taken as v_r + v_i, which counts what the two have
 //! in common twice and so leans to the safe side. The interval is Student's with Satterthwaite's degrees of freedom,

@@ -1,6 +1,6 @@
 //! Evidence: a folder that someone else can check.
 //!
-//! [`write`] puts everything that a verdict depends on into one folder: the rows, the demands, what they
+//! [`write()`] puts everything that a verdict depends on into one folder: the rows, the demands, what they
 //! refer to, the plan, the evaluation, and a [`Manifest`] with the SHA-256 of each file. Two in-toto
 //! statements say what was found, each in a DSSE envelope where a [`PrivateKey`] is given: the
 //! [test-result] predicate, which other tools read, and our own, which holds the whole manifest.

@@ -25,7 +25,7 @@ pub(crate) struct Import {
     /// Their format; recognised by content where it is not given
     #[arg(long)]
     format: Option<Layout>,
-    /// Which column is what, as TOML: success = "ok", [parameters], [failure_modes], [about]
+    /// Which column is what, as TOML: success = "ok", and the tables parameters, failure_modes, about
     #[arg(long, value_name = "FILE")]
     mapping: Option<PathBuf>,
     /// Which column is what: success=ok,cycle_time_s=duration,parameter.mass_kg=mass
