@@ -30,7 +30,7 @@ mod suite;
 pub use columns::{FixedColumn, Kind, fixed_columns};
 pub use entry::{Entry, Label};
 pub use error::{DictionaryError, Row};
-pub use hash::{DatasetHash, dataset_hash};
+pub use hash::{DatasetHash, dataset_hash, hex};
 pub use journal::{Journal, Recovery};
 pub use parquet::{Column, Dictionary, DictionaryWriter, Entries, Written, write_parquet};
 pub use provenance::{Dimensions, Engine, Platform, Provenance, Robot, Source, Tool, robot_sha256};

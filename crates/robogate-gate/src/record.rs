@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use robogate_core::{FailureMode, Suite, Value};
-use robogate_dictionary::{Dictionary, Entry, Label, Provenance, suite_sha256};
+use robogate_dictionary::{Dictionary, Entry, Label, Provenance, hex, suite_sha256};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -248,8 +248,4 @@ fn drawn(provenance: &Provenance, trials: &[Trial]) -> Population {
         _ => serde_json::to_string(&labels),
     };
     Population::Drawn { space, sha256: hex(&Sha256::digest(text.unwrap_or_default())) }
-}
-
-pub(crate) fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

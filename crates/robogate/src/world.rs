@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_campaign::{Station, Workshop};
 use robogate_core::{Assignment, Fault, FaultKind, ParameterSpace, Policy, Scenario, Seed, Simulator, Suite};
-use robogate_dictionary::{provenance, robot_sha256};
+use robogate_dictionary::{hex, provenance, robot_sha256};
 use robogate_sim::claims::{Bench, Setup, Workbench};
 use robogate_sim::{
     Engine, Gripper, MujocoEngine, PickPlace, Robot, RobotError, RobotFile, SceneParameters, Scripted, SuctionLaw,
@@ -199,10 +199,6 @@ pub(crate) fn recorded_robot(provenance: &robogate_dictionary::Provenance) -> Op
 /// The identity of a robot by its files.
 fn identity(files: &[RobotFile]) -> String {
     robot_sha256(files.iter().map(|(name, bytes)| (name.as_str(), &**bytes)))
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 impl Workshop for Cell {

@@ -4,11 +4,10 @@ use std::fs;
 use std::io::{self, Read};
 use std::path::Path;
 
-use robogate_dictionary::{Dictionary, Tool};
+use robogate_dictionary::{Dictionary, Tool, hex};
 use sha2::{Digest, Sha256};
 
 use super::{AGAINST, BASELINE, DICTIONARY, EvidenceError, FileRecord, Manifest, Problem, REQUIREMENTS, origin};
-use crate::record::hex;
 use crate::{Against, Baseline, Evaluation, Question, Record, Requirements, Sampling};
 
 /// Computes the evaluation from the rows and demands in the folder.

@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 use ed25519_dalek::pkcs8::spki::der::pem::LineEnding;
 use ed25519_dalek::pkcs8::{DecodePrivateKey, DecodePublicKey, EncodePrivateKey, EncodePublicKey, KeypairBytes};
 use ed25519_dalek::{Signature, Signer, SigningKey, VerifyingKey};
+use robogate_dictionary::hex;
 use sha2::{Digest, Sha256};
 use zeroize::Zeroizing;
 
 use super::EvidenceError;
-use crate::record::hex;
 
 /// A key file is a few hundred bytes; more is something else.
 const LONGEST: u64 = 1 << 14;
