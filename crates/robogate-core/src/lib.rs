@@ -25,8 +25,8 @@ pub use episode::{Contact, Episode, Measures};
 pub use outcome::{FailureMode, Fault, FaultKind, Outcome};
 pub use pose::Pose;
 pub use rollout::{
-    Action, ArmCommand, Ending, GripperCommand, Observation, Phase, Policy, Simulator, Start, Step, TaskSpec, Tick,
-    rollout, rollout_with,
+    Action, ArmCommand, Ending, GripperCommand, Image, Observation, Phase, Policy, Simulator, Start, Step, TaskSpec,
+    Tick, rollout, rollout_with,
 };
 pub use scenario::{Assignment, Scenario, Value};
 pub use seed::{Seed, Stream};

@@ -12,6 +12,9 @@ pub struct Pose {
 }
 
 impl Pose {
+    /// The base frame itself.
+    pub const IDENTITY: Self = Self { position: [0.0; 3], orientation: [1.0, 0.0, 0.0, 0.0] };
+
     /// A pose turned by `yaw` radians about the vertical.
     pub fn upright(position: [f64; 3], yaw: f64) -> Self {
         let half = 0.5 * yaw;

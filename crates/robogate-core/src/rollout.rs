@@ -40,6 +40,24 @@ pub struct Observation {
     /// Opening between the fingers, in metres; `None` for a gripper without fingers (a suction
     /// cup tells nothing: whether it holds shows when the arm lifts).
     pub gripper_opening_m: Option<f64>,
+    /// Pose of the tool centre point at the measured joint positions.
+    pub tool_pose: Pose,
+    /// What the cameras show; empty unless the policy [looks](Policy::looks).
+    pub images: Vec<Image>,
+}
+
+/// A camera's picture.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Image {
+    /// The camera's name.
+    pub camera: String,
+    /// Pixels in a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Red, green and blue (sRGB, 8 bits each) of each pixel, row by row from the top left:
+    /// `3 x width x height` bytes.
+    pub rgb: Vec<u8>,
 }
 
 /// What the arm shall do until the next action.
@@ -47,6 +65,13 @@ pub struct Observation {
 pub enum ArmCommand {
     /// Be at these measured joint positions at the end of the control period.
     JointPositions(Vec<f64>),
+    /// Move the tool centre point by so much from where it was last sent to.
+    ToolDelta {
+        /// Way along the axes of the base frame, in metres.
+        translation_m: [f64; 3],
+        /// Turn about the axes of the base frame, as a rotation vector (axis times angle) in radians.
+        rotation_rad: [f64; 3],
+    },
 }
 
 /// What the gripper shall do.
@@ -149,12 +174,23 @@ pub trait Simulator {
 
     /// Runs one control period.
     fn step(&mut self, action: &Action) -> Result<Step, Fault>;
+
+    /// What the cameras show now. It changes nothing: an episode is the same whether it is looked at or not.
+    fn render(&mut self) -> Result<Vec<Image>, Fault> {
+        Err(Fault::new(FaultKind::Setup, "this simulator has no cameras"))
+    }
 }
 
 /// What drives the robot.
 pub trait Policy {
     /// Forgets the last episode and learns of the next. `seed` feeds whatever the policy draws.
     fn reset(&mut self, task: &TaskSpec, seed: Seed) -> Result<(), Fault>;
+
+    /// Whether the next [`Policy::act`] looks at images. A policy that is blind, or is in the middle of
+    /// a chunk of actions, spares the simulator the work.
+    fn looks(&self) -> bool {
+        false
+    }
 
     /// The next action.
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault>;
@@ -163,6 +199,8 @@ pub trait Policy {
 /// One control tick, as an onlooker sees it.
 #[derive(Debug)]
 pub struct Tick<'a> {
+    /// What the policy saw.
+    pub observation: &'a Observation,
     /// What the policy asked for.
     pub action: &'a Action,
     /// What came of it.
@@ -216,9 +254,12 @@ fn drive(
     }
     let limit = limit as u32;
     while episode.ticks < limit {
+        if policy.looks() {
+            observation.images = simulator.render()?;
+        }
         let action = policy.act(&observation)?;
         let step = simulator.step(&action)?;
-        onlooker(Tick { action: &action, step: &step });
+        onlooker(Tick { observation: &observation, action: &action, step: &step });
         episode.ticks += 1;
         episode.time_s = step.observation.time_s;
         episode.phase = action.phase;

@@ -42,6 +42,8 @@ impl Line {
             joint_positions: vec![self.position],
             joint_velocities: vec![0.0],
             gripper_opening_m: None,
+            tool_pose: Pose::IDENTITY,
+            images: Vec::new(),
         }
     }
 }
@@ -75,7 +77,9 @@ impl Simulator for Line {
         if self.breaks_at == Some(self.steps) {
             return Err(Fault::new(FaultKind::Diverged, "position is NaN"));
         }
-        let ArmCommand::JointPositions(target) = &action.arm;
+        let ArmCommand::JointPositions(target) = &action.arm else {
+            return Err(Fault::new(FaultKind::BadAction, "one position was due"));
+        };
         self.position = target[0];
         let ending = self.endings.iter().find(|(at, _)| *at == self.steps).map(|(_, failure)| Ending {
             failure: *failure,
@@ -294,8 +298,10 @@ fn an_onlooker_sees_each_tick_in_order_and_changes_nothing() {
     let mut seen = Vec::new();
     let line = || Line { endings: vec![(4, None)], ..Line::default() };
     let episode = rollout_with(&mut line(), &mut Walker::default(), &scenario(3), &mut |tick| {
-        let ArmCommand::JointPositions(target) = &tick.action.arm;
-        assert_eq!(target[0].to_bits(), tick.step.state_hash);
+        let target = tick.step.observation.joint_positions.clone();
+        assert_eq!(tick.action.arm, ArmCommand::JointPositions(target));
+        assert!(tick.observation.time_s < tick.step.observation.time_s);
+        assert_eq!(tick.step.observation.joint_positions[0].to_bits(), tick.step.state_hash);
         seen.push(tick.step.observation.time_s);
     });
     assert_eq!(seen.len(), 4);

@@ -235,8 +235,9 @@ pub fn joint_limits(workbench: &dyn Workbench, episodes: usize) -> Result<Findin
             for (most, v) in speed.iter_mut().zip(&tick.step.observation.joint_velocities) {
                 *most = most.max(v.abs());
             }
-            let robogate_core::ArmCommand::JointPositions(q) = &tick.action.arm;
-            commands.push(q.clone());
+            if let robogate_core::ArmCommand::JointPositions(q) = &tick.action.arm {
+                commands.push(q.clone());
+            }
         });
         invalid += usize::from(is_invalid(&episode));
         for window in commands.windows(3) {

@@ -22,6 +22,7 @@ mod scene;
 mod scripted;
 mod servo;
 mod spaces;
+mod steering;
 pub mod suction;
 mod suite;
 mod trajectory;
@@ -42,6 +43,7 @@ pub use robot::{
 pub use scene::{Fixture, FixtureKind, Scene, WORKSPACE_CENTRE};
 pub use scripted::Scripted;
 pub use spaces::{FRANKA_SPACE, built_in_space, built_in_spaces, default_space};
+pub use steering::Steering;
 pub use suction::SuctionLaw;
 pub use suite::{SuiteMisfit, check_suite};
 pub use visual::{Color, FRONT_CAMERA, TableMaterial, Visual};

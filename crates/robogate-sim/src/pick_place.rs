@@ -2,13 +2,14 @@
 
 use nalgebra::Isometry3;
 use robogate_core::{
-    Action, ArmCommand, Assignment, Fault, FaultKind, GripperCommand, Observation, Scenario, Simulator, Start, Step,
-    TaskSpec, Value,
+    Action, Assignment, Fault, FaultKind, GripperCommand, Observation, Scenario, Simulator, Start, Step, TaskSpec,
+    Value,
 };
 
 use crate::referee::{Hand, Referee, Sight};
-use crate::scene::{GRAVITY, isometry};
+use crate::scene::{GRAVITY, isometry, pose};
 use crate::servo::Servo;
+use crate::steering::Steering;
 use crate::suction::{self, Change, Suction};
 use crate::{
     Engine, FixtureKind, FixtureRead, Gripper, JointTargets, ObjectModel, Part, Placement, Primitive, Readback, Scene,
@@ -35,6 +36,7 @@ pub struct PickPlace<E> {
 
 /// The state of the episode under way beyond the engine's.
 struct Running {
+    steering: Steering,
     servo: Servo,
     referee: Referee,
     /// The cup at work, of a gripper that has one.
@@ -99,13 +101,20 @@ impl<E: Engine> PickPlace<E> {
     }
 
     fn observation(&self, running: &Running) -> Observation {
-        let measured = self.engine.joint_positions().iter().zip(&running.bias).map(|(q, bias)| q + bias).collect();
+        let measured = self.measured(running);
         Observation {
             time_s: running.ticks as f64 * CONTROL_PERIOD_S,
+            tool_pose: pose(&self.engine.chain().tcp_at(&measured)),
             joint_positions: measured,
             joint_velocities: self.engine.joint_velocities(),
             gripper_opening_m: self.engine.opening(),
+            images: Vec::new(),
         }
+    }
+
+    /// Joint positions as the encoders read them, in radians.
+    fn measured(&self, running: &Running) -> Vec<f64> {
+        self.engine.joint_positions().iter().zip(&running.bias).map(|(q, bias)| q + bias).collect()
     }
 
     fn state_hash(&self) -> u64 {
@@ -155,6 +164,7 @@ impl<E: Engine> Simulator for PickPlace<E> {
         }
         let applied = applied(&scenario.requested, &parameters, &standing, &scene, &self.engine.read_back()?);
         let running = Running {
+            steering: Steering::default(),
             servo: Servo::at_rest(&home, CONTROL_PERIOD_S),
             referee: Referee::new(scene.target, TOLERANCE_M, self.grip_force_n),
             suction,
@@ -185,12 +195,9 @@ impl<E: Engine> Simulator for PickPlace<E> {
         let Some(mut running) = self.episode.take() else {
             return Err(Fault::new(FaultKind::Setup, "no episode is under way"));
         };
-        let ArmCommand::JointPositions(wanted) = &action.arm;
         let arm = &self.engine.robot().settings.arm;
-        if wanted.len() != arm.joints.len() || wanted.iter().any(|q| !q.is_finite()) {
-            let why = format!("{} finite joint positions were due, got {wanted:?}", arm.joints.len());
-            return Err(Fault::new(FaultKind::BadAction, why));
-        }
+        let wanted =
+            running.steering.joints(&action.arm, &self.measured(&running), self.engine.chain(), &arm.home_rad)?;
         // The servo closes its loop on the encoders: what they read too much, the arm lacks.
         let command: Vec<f64> = wanted.iter().zip(&running.bias).map(|(q, bias)| q - bias).collect();
         running.servo.command(&command, arm, self.engine.chain());

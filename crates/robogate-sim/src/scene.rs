@@ -1,7 +1,7 @@
 //! What stands in the cell, in terms that any engine understands.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::Stream;
+use robogate_core::{Pose, Stream};
 
 use crate::{Motion, ObjectModel, Part, Placement, Primitive, SceneParameters, Visual, occluder};
 
@@ -171,6 +171,12 @@ pub(crate) fn isometry(position: &[f64; 3], orientation: &[f64; 4]) -> Isometry3
     let [w, x, y, z] = *orientation;
     let turn = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
     Isometry3::from_parts(Translation3::from(Vector3::from(*position)), turn)
+}
+
+/// A pose of nalgebra's in plain numbers.
+pub(crate) fn pose(isometry: &Isometry3<f64>) -> Pose {
+    let turn = &isometry.rotation;
+    Pose { position: isometry.translation.vector.into(), orientation: [turn.w, turn.i, turn.j, turn.k] }
 }
 
 #[cfg(test)]

@@ -138,7 +138,14 @@ const PERIOD: f64 = 0.05;
 impl World {
     fn observation(&self) -> Observation {
         let time_s = f64::from(self.ticks) * PERIOD;
-        Observation { time_s, joint_positions: vec![0.0], joint_velocities: vec![0.0], gripper_opening_m: None }
+        Observation {
+            time_s,
+            joint_positions: vec![0.0],
+            joint_velocities: vec![0.0],
+            gripper_opening_m: None,
+            tool_pose: robogate_core::Pose::IDENTITY,
+            images: Vec::new(),
+        }
     }
 }
 
