@@ -33,9 +33,9 @@ fn ways_of_the_tool_add_up_along_the_base_frames_axes() {
         translation[axis] = if axis == 2 { 0.005 } else { -0.005 };
         go(&mut world, &way(translation, [0.0; 3]), 20);
         let end = go(&mut world, &way([0.0; 3], [0.0; 3]), 20);
-        for k in 0..3 {
+        for (k, step) in translation.iter().enumerate() {
             let moved = end.tool_pose.position[k] - start.tool_pose.position[k];
-            assert!((moved - 20.0 * translation[k]).abs() < 1e-3, "axis {axis}: {moved} along {k}");
+            assert!((moved - 20.0 * step).abs() < 1e-3, "axis {axis}: {moved} along {k}");
         }
     }
 }

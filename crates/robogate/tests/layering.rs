@@ -4,9 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
 
 /// For each crate of the workspace, what it may use of the others. `None`: everything.
-const MAY_USE: [(&str, Option<&[&str]>); 10] = [
+const MAY_USE: [(&str, Option<&[&str]>); 11] = [
     ("robogate-core", Some(&[])),
     ("robogate-sim", Some(&["robogate-core", "mujoco-provision"])),
+    ("robogate-bridge", Some(&["robogate-core"])),
     ("robogate-dictionary", Some(&["robogate-core"])),
     ("robogate-stats", Some(&[])),
     ("robogate-campaign", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),

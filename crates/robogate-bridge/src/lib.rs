@@ -1,0 +1,1 @@
+//! The far side of a socket: policy servers and other simulators, and how they speak.
