@@ -6,6 +6,7 @@
 //! [`robogate_core::Simulator`]. [`Scripted`] is the policy of the paper's baseline.
 
 pub mod claims;
+mod description;
 mod disturbance;
 mod engine;
 mod inspect;
@@ -15,6 +16,7 @@ mod object;
 mod occluder;
 mod parameters;
 mod pick_place;
+mod rapier;
 mod referee;
 mod robot;
 mod robot_model;
@@ -36,6 +38,7 @@ pub use mujoco::MujocoEngine;
 pub use object::{MassProperties, ObjectModel, Part, Primitive, Shape};
 pub use parameters::{ParameterError, Placement, SceneParameters};
 pub use pick_place::PickPlace;
+pub use rapier::RapierEngine;
 pub use robot::{
     Arm, Gripper, ParallelJaw, Problem, Robot, RobotError, RobotFile, RobotSettings, RobotSource, Site, SuctionCup,
     built_in_robot, built_in_robots, is_folder,

@@ -9,11 +9,15 @@ use robogate_core::{Assignment, Fault, FaultKind, ParameterSpace, Policy, Scenar
 use robogate_dictionary::{hex, provenance, robot_sha256};
 use robogate_sim::claims::{Bench, Setup, Workbench};
 use robogate_sim::{
-    Engine, Gripper, MujocoEngine, PickPlace, Robot, RobotError, RobotFile, SceneParameters, Scripted, SuctionLaw,
-    WORKSPACE_CENTRE, built_in_robot, built_in_space, built_in_spaces, check_suite, default_space, is_folder,
+    Chain, Engine, EngineBuild, Gripper, MujocoEngine, PickPlace, RapierEngine, Robot, RobotError, RobotFile,
+    SceneParameters, Scripted, SuctionLaw, WORKSPACE_CENTRE, built_in_robot, built_in_space, built_in_spaces,
+    check_suite, default_space, is_folder,
 };
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+
+/// The engines by name, each with its own time step in seconds.
+const ENGINES: [(&str, f64); 2] = [("mujoco", MujocoEngine::TIME_STEP_S), ("rapier", RapierEngine::TIME_STEP_S)];
 
 /// Which world an episode runs in.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -39,7 +43,7 @@ pub(crate) struct WorldArguments {
     /// A built-in robot (robogate robots), or the folder of your own
     #[arg(long, value_name = "R", default_value = "franka")]
     robot: String,
-    /// The physics engine
+    /// The physics engine: mujoco or rapier
     #[arg(long, value_name = "E", default_value = "mujoco")]
     engine: String,
     /// The engine's time step in seconds; default: the engine's own
@@ -60,11 +64,16 @@ impl WorldArguments {
         World {
             robot: absolute(&self.robot),
             engine: self.engine.clone(),
-            time_step_s: self.time_step.unwrap_or(MujocoEngine::TIME_STEP_S),
+            time_step_s: self.time_step.unwrap_or_else(|| time_step(&self.engine)),
             grip_force_n: self.grip_force,
             suction: self.suction,
         }
     }
+}
+
+/// The time step of the engine of that name, in seconds; that of an engine that there is not is never used.
+fn time_step(engine: &str) -> f64 {
+    ENGINES.iter().find(|(name, _)| *name == engine).map_or(MujocoEngine::TIME_STEP_S, |(_, step)| *step)
 }
 
 /// A robot's folder by its full path, so that a run can be resumed from anywhere; a name as it is.
@@ -85,8 +94,9 @@ impl Cell {
     ///
     /// A suction cup holds by `suction` where the world does not say.
     pub(crate) fn new(mut world: World, suction: SuctionLaw) -> anyhow::Result<Self> {
-        if world.engine != "mujoco" {
-            bail!("there is no engine `{}`; there is mujoco", world.engine);
+        if !ENGINES.iter().any(|(name, _)| *name == world.engine) {
+            let known = ENGINES.map(|(name, _)| name).join(" and ");
+            bail!("there is no engine `{}`; there are {known}", world.engine);
         }
         let robot = robot(&world.robot)?;
         match (robot.settings.gripper.cup(), world.suction) {
@@ -101,9 +111,9 @@ impl Cell {
             bail!("--grip-force {force} is for fingers: the gripper of {} is a suction cup", robot.name());
         }
         let cell = Self { world, robot };
-        let mut simulator = cell.simulator(&cell.setup())?;
+        let mut built = cell.build(&cell.setup())?;
         let nominal = Scenario { index: 0, seed: Seed::campaign(0).episode(0), requested: Assignment::default() };
-        simulator.reset(&nominal).context("the robot cannot be set up in the cell")?;
+        built.simulator.reset(&nominal).context("the robot cannot be set up in the cell")?;
         Ok(cell)
     }
 
@@ -146,21 +156,22 @@ impl Cell {
         &self.world
     }
 
-    fn simulator(&self, setup: &Setup) -> anyhow::Result<PickPlace<MujocoEngine>> {
-        let engine = MujocoEngine::new(setup.robot.clone(), setup.time_step_s)?;
-        let simulator = PickPlace::new(engine, None).map_err(|why| anyhow!(why))?;
-        Ok(simulator.with_suction(setup.suction))
+    fn build(&self, setup: &Setup) -> anyhow::Result<Built> {
+        let (robot, step) = (setup.robot.clone(), setup.time_step_s);
+        match self.world.engine.as_str() {
+            "rapier" => Built::new(RapierEngine::new(robot, step)?, setup.suction),
+            _ => Built::new(MujocoEngine::new(robot, step)?, setup.suction),
+        }
     }
 
     fn make(&self, setup: &Setup) -> anyhow::Result<(Box<dyn Simulator>, Box<dyn Policy>)> {
-        let simulator = self.simulator(setup)?;
-        let policy = Scripted::new(setup.robot.clone(), simulator.engine().chain().clone());
-        Ok((Box::new(simulator), Box::new(policy)))
+        let Built { simulator, chain, .. } = self.build(setup)?;
+        Ok((simulator, Box::new(Scripted::new(setup.robot.clone(), chain))))
     }
 
     /// The engine's and robot's part of the provenance.
     pub(crate) fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
-        let build = self.simulator(&self.setup())?.engine().build();
+        let build = self.build(&self.setup())?.engine;
         let build_sha256 = match &build.library {
             Some(path) => {
                 let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
@@ -199,6 +210,21 @@ pub(crate) fn recorded_robot(provenance: &robogate_dictionary::Provenance) -> Op
 /// The identity of a robot by its files.
 fn identity(files: &[RobotFile]) -> String {
     robot_sha256(files.iter().map(|(name, bytes)| (name.as_str(), &**bytes)))
+}
+
+/// A simulator, and what is known of the engine in it.
+struct Built {
+    simulator: Box<dyn Simulator>,
+    chain: Chain,
+    engine: EngineBuild,
+}
+
+impl Built {
+    fn new<E: Engine + 'static>(engine: E, suction: SuctionLaw) -> anyhow::Result<Self> {
+        let (chain, build) = (engine.chain().clone(), engine.build());
+        let simulator = PickPlace::new(engine, None).map_err(|why| anyhow!(why))?.with_suction(suction);
+        Ok(Self { simulator: Box::new(simulator), chain, engine: build })
+    }
 }
 
 impl Workshop for Cell {
