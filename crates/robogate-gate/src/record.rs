@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use robogate_core::{FailureMode, Suite, Value};
+use robogate_dictionary::results::{SOURCE_ROW, SOURCE_SEED};
 use robogate_dictionary::{Dictionary, Entry, Label, Provenance, hex, suite_sha256};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -198,10 +199,6 @@ fn population(provenance: &Provenance, trials: &[Trial]) -> Result<(Population, 
         None => (drawn(provenance, trials), None),
     })
 }
-
-/// The parameters of imported rows that are no world's: the row's number and the environment's seed.
-const SOURCE_ROW: &str = "source_row";
-const SOURCE_SEED: &str = "source_seed";
 
 /// The seed that each row records for its world; `None` where one does not, or where it is one for all of several.
 pub(crate) fn recorded_seeds(trials: &[Trial]) -> Option<Vec<i64>> {

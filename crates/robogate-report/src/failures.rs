@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::along::Along;
 use crate::rate::{Finding, Rate};
 use crate::rows::{Rows, Sample};
-use crate::words::{counted, ends};
+use crate::words::{counted, ends, listed, mode};
 
 /// The success rate below which the paper's table calls a bin a danger zone.
 pub const DANGER_LIMIT: f64 = 0.40;
@@ -25,6 +25,9 @@ pub struct FailureModes {
     pub modes: Vec<ModeShare>,
     /// The most frequent mode, where it is surely ahead of the second.
     pub dominant: Finding<String>,
+    /// Modes that the source of imported rows does not record: a failure that counts as a timeout may have been one.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub not_recorded: Vec<String>,
 }
 
 /// One mode's part of the failures.
@@ -46,7 +49,9 @@ impl FailureModes {
         base.failures(rows).1.into_iter().for_each(|mode| counts[mode] += 1);
         let failures = counts.iter().sum();
         let shares = distribution(&counts, Joint::Simultaneous, Confidence::P95);
+        let not_recorded: Vec<String> = rows.not_recorded.iter().map(|mode| mode.word().to_owned()).collect();
         let dominant = match dominance(&counts) {
+            Some(_) if !not_recorded.is_empty() => Finding::not(unrecorded(&not_recorded)),
             None => Finding::not("nothing failed"),
             Some(found) if found.count == failures => Finding::Estimated(word(found.mode)),
             Some(found) if found.ln_p.is_some_and(|p| p < 0.05_f64.ln()) => Finding::Estimated(word(found.mode)),
@@ -67,8 +72,15 @@ impl FailureModes {
                 })
                 .collect(),
             dominant,
+            not_recorded,
         }
     }
+}
+
+/// What follows from modes that a source does not record.
+pub(crate) fn unrecorded(modes: &[String]) -> String {
+    let modes: Vec<String> = modes.iter().map(|word| mode(word)).collect();
+    format!("the source does not record {}: what counts as a timeout may have been one", listed(&modes))
 }
 
 fn word(mode: usize) -> String {

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::along::{Along, AlongKind, Cell, Correlation, CriticalThreshold, Zone};
 use crate::analysis::{drawn_together, is_drawn_together};
+use crate::failures::unrecorded;
 use crate::words::{count, counted, listed, mode, name, number, percent, percents, range, sentence, with_unit};
 use crate::{Analysis, Population};
 
@@ -56,7 +57,9 @@ fn answer(analysis: &Analysis) -> String {
 fn where_it_fails(analysis: &Analysis) -> Vec<String> {
     let mut lines = Vec::new();
     let modes = &analysis.failure_modes;
-    if modes.failures > 0 {
+    if modes.failures > 0 && !modes.not_recorded.is_empty() {
+        lines.push(format!("How it fails cannot be said: {}.", unrecorded(&modes.not_recorded)));
+    } else if modes.failures > 0 {
         let mut by: Vec<_> = modes.modes.iter().filter(|m| m.failures > 0).collect();
         by.sort_by_key(|m| std::cmp::Reverse(m.failures));
         let told: Vec<String> = by
@@ -79,7 +82,7 @@ fn where_it_fails(analysis: &Analysis) -> Vec<String> {
             counted(stretch.n, "episode")
         ));
     }
-    if stretches.is_empty() && modes.failures > 0 {
+    if stretches.is_empty() && modes.failures > 0 && !analysis.along.is_empty() {
         lines.push(
             "No bin or level of any one parameter is surely below 40 % success and below the overall rate.".into(),
         );

@@ -1,7 +1,7 @@
 //! A dictionary's columns in memory, and the rows that a figure is made from.
 
 use robogate_core::{Domain, FailureMode};
-use robogate_dictionary::{Column, Dictionary, DictionaryError};
+use robogate_dictionary::{Column, Dictionary, DictionaryError, results};
 
 /// Everything that the analysis reads, column by column: about 120 bytes a row.
 pub(crate) struct Rows {
@@ -16,6 +16,8 @@ pub(crate) struct Rows {
     pub(crate) time_s: Vec<Option<f64>>,
     /// Faults of invalid episodes and how many there are of each.
     pub(crate) faults: Vec<(String, u64)>,
+    /// Failure modes that the source of imported rows does not record.
+    pub(crate) not_recorded: Vec<FailureMode>,
 }
 
 /// How a row went.
@@ -74,7 +76,13 @@ impl Rows {
             faults = fault_words.into_iter().zip(counts).collect();
             faults.sort_by(|a, b| b.1.cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
         }
-        let parameters = dictionary.provenance().space.parameters().iter();
+        let provenance = dictionary.provenance();
+        let source = provenance.source.iter().flat_map(|source| &source.not_recorded);
+        let not_recorded =
+            source.filter_map(|word| FailureMode::ALL.into_iter().find(|mode| mode.word() == word)).collect();
+        // What tells imported rows apart says nothing about the world.
+        let told_apart_by = [results::SOURCE_ROW, results::SOURCE_SEED];
+        let parameters = provenance.space.parameters().iter().filter(|p| !told_apart_by.contains(&&*p.name));
         let parameters = parameters.map(|p| parameter(dictionary, &p.name, &p.domain)).collect::<Result<_, _>>()?;
         Ok(Self {
             index,
@@ -86,6 +94,7 @@ impl Rows {
             peak_force_n: dictionary.numbers("peak_contact_force_n")?,
             time_s: dictionary.numbers("cycle_time_s")?,
             faults,
+            not_recorded,
         })
     }
 

@@ -39,21 +39,35 @@ pub(crate) fn dim<T: Display>(text: T) -> Styled<T> {
 
 /// Text from elsewhere (a name in a file, a file's name) on one line: what would steer the terminal stands escaped.
 pub(crate) fn foreign(text: impl Display) -> String {
-    escaped(&text.to_string(), |_| false)
+    escaped(&text.to_string(), |_| None).into_owned()
 }
 
 /// Text of several lines, those after the first indented, without what would steer the terminal.
 pub(crate) fn indented(text: impl Display) -> String {
-    escaped(&text.to_string(), |c| c == '\n').replace('\n', "\n    ")
+    escaped(&text.to_string(), |rest| rest.starts_with('\n').then_some(1)).replace('\n', "\n    ")
 }
 
-fn escaped(text: &str, keep: impl Fn(char) -> bool) -> String {
-    let mut safe = String::with_capacity(text.len());
-    for c in text.chars() {
-        // C0, DEL and C1.
-        if c.is_control() && !keep(c) { safe.extend(c.escape_debug()) } else { safe.push(c) }
+/// The text with control characters (C0, DEL, C1) written out, as JSON writes them: a JSON document stays the same one.
+/// `kept` says how many bytes at the head of a text may pass.
+fn escaped(text: &str, kept: impl Fn(&str) -> Option<usize>) -> Cow<'_, str> {
+    if !text.contains(char::is_control) {
+        return Cow::Borrowed(text);
     }
-    safe
+    let mut safe = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(c) = rest.chars().next() {
+        let taken = kept(rest);
+        let (head, tail) = rest.split_at(taken.unwrap_or(c.len_utf8()));
+        match c {
+            _ if taken.is_some() || !c.is_control() => safe.push_str(head),
+            '\n' => safe.push_str("\\n"),
+            '\r' => safe.push_str("\\r"),
+            '\t' => safe.push_str("\\t"),
+            _ => safe.push_str(&format!("\\u{:04x}", u32::from(c))),
+        }
+        rest = tail;
+    }
+    Cow::Owned(safe)
 }
 
 /// Writes a line of data or summary to stdout. A reader that went away (a closed pipe) ends nothing.
@@ -62,26 +76,10 @@ pub(crate) fn line(text: impl Display) {
     let _ = writeln!(io::stdout(), "{}", harmless(&text.to_string()));
 }
 
-/// The text with control characters written out, so that data from files steer no terminal: line ends and the styles
-/// written here (`ESC [ digits ; m`) alone stay. As JSON writes them, so that a JSON document stays the same one.
+/// The text without what would steer the terminal: data from files are in it. Line ends, tabs and the styles written
+/// here (`ESC [ digits ; m`) alone stay.
 fn harmless(text: &str) -> Cow<'_, str> {
-    let plain = |c: char| !c.is_control() || matches!(c, '\n' | '\t');
-    if text.chars().all(plain) {
-        return Cow::Borrowed(text);
-    }
-    let mut safe = String::with_capacity(text.len());
-    let mut rest = text;
-    while let Some(c) = rest.chars().next() {
-        let taken = style_at(rest).unwrap_or(c.len_utf8());
-        let (head, tail) = rest.split_at(taken);
-        if plain(c) || taken > c.len_utf8() {
-            safe.push_str(head);
-        } else {
-            safe.push_str(&format!("\\u{:04x}", u32::from(c)));
-        }
-        rest = tail;
-    }
-    Cow::Owned(safe)
+    escaped(text, |rest| if rest.starts_with(['\n', '\t']) { Some(1) } else { style_at(rest) })
 }
 
 /// The length of a style at the beginning of the text.
@@ -138,14 +136,14 @@ mod tests {
     fn control_characters_of_data_are_written_out_and_styles_stay() {
         assert_eq!(harmless("\x1b[1;31mred\x1b[0m\tµ\n"), "\x1b[1;31mred\x1b[0m\tµ\n");
         let hostile = "a\x1b]0;title\x07\x1b[2Jb\u{9b}c\r";
-        assert_eq!(harmless(hostile), "a\\u001b]0;title\\u0007\\u001b[2Jb\\u009bc\\u000d");
+        assert_eq!(harmless(hostile), "a\\u001b]0;title\\u0007\\u001b[2Jb\\u009bc\\r");
     }
 
     #[test]
     fn what_would_steer_the_terminal_stands_escaped() {
         assert_eq!(
             foreign("a\x1b[2J\nverdict: pass\u{9b}1m\x7f\u{e4}"),
-            "a\\u{1b}[2J\\nverdict: pass\\u{9b}1m\\u{7f}\u{e4}"
+            "a\\u001b[2J\\nverdict: pass\\u009b1m\\u007f\u{e4}"
         );
         assert_eq!(indented("it is no plan\nhint: \rleave it out"), "it is no plan\n    hint: \\rleave it out");
     }

@@ -25,6 +25,7 @@ use std::path::Path;
 
 pub use format::Format;
 pub use mapping::{About, Mapping};
+pub use survey::{SOURCE_ROW, SOURCE_SEED};
 
 use crate::codec::Interner;
 use crate::published::{self, Imported};

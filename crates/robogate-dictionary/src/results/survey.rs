@@ -17,10 +17,10 @@ use crate::raw::{RawRow, Scalar};
 use crate::{DictionaryError, Engine, Entry, Label, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool};
 
 /// The parameter that an environment's seed becomes.
-const SOURCE_SEED: &str = "source_seed";
+pub const SOURCE_SEED: &str = "source_seed";
 
-/// The parameter of a source that has none: a space must have one.
-const SOURCE_ROW: &str = "source_row";
+/// The parameter of a source that has none, counting its rows: a space must have one.
+pub const SOURCE_ROW: &str = "source_row";
 
 /// What the first reading finds out.
 pub(super) struct Survey<'a> {

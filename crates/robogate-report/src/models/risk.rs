@@ -125,6 +125,9 @@ pub(crate) struct Scored {
 }
 
 pub(crate) fn risk(base: &Sample) -> Finding<(RiskModel, Scored)> {
+    if base.parameters.is_empty() && base.len() > 0 {
+        return Finding::not("there is no parameter to tell the episodes apart by");
+    }
     let failed: Vec<bool> = base.success.iter().map(|s| !s).collect();
     let names: Vec<String> = base.parameters.iter().map(feature).collect();
     let everyone: Vec<usize> = (0..base.len()).collect();

@@ -45,7 +45,10 @@ pub(crate) fn tell(analysis: &Analysis) -> Story {
             ("Where it fails", headline.where_it_fails.clone()),
             ("What to do", headline.what_to_do.clone()),
             ("How sure", headline.how_sure.clone()),
-        ],
+        ]
+        .into_iter()
+        .filter(|(_, lines)| !lines.is_empty())
+        .collect(),
         sections: vec![
             envelope(analysis),
             thresholds(analysis),

@@ -170,3 +170,19 @@ fn whole_numbers_at_the_end_of_what_there_is_do_no_harm() {
     assert!(html(&analysis).contains("</html>"));
     assert_eq!(analysis.success.rate.successes, 40);
 }
+
+#[test]
+fn rows_of_which_only_success_is_known_have_no_parameter_and_no_failure_mode() {
+    let dir = tempfile::tempdir().unwrap();
+    let (csv, path) = (dir.path().join("results.csv"), dir.path().join("results.parquet"));
+    let rows: String = (0..100).map(|i| format!("{},{i}\n", u8::from(i % 3 > 0))).collect();
+    std::fs::write(&csv, format!("success,seed\n{rows}")).unwrap();
+    robogate_dictionary::results::import(&csv, &path, None, &robogate_dictionary::results::Mapping::default()).unwrap();
+    let analysis = Analysis::of(&Source::open(&path).unwrap(), &path, &[]).unwrap();
+    assert!(analysis.along.is_empty());
+    assert!(analysis.risk.because().unwrap().contains("no parameter"));
+    assert!(analysis.failure_modes.dominant.because().unwrap().contains("does not record grasp miss"));
+    let text = markdown(&analysis);
+    assert!(text.contains("How it fails cannot be said") && !text.contains("What to do"));
+    assert!(html(&analysis).contains("</html>"));
+}

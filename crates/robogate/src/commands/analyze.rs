@@ -104,8 +104,10 @@ fn answer(analysis: &Analysis) {
         ("What to do", &headline.what_to_do),
         ("How sure", &headline.how_sure),
     ] {
-        heading(title);
-        lines.iter().for_each(|text| wrapped(text));
+        if !lines.is_empty() {
+            heading(title);
+            lines.iter().for_each(|text| wrapped(text));
+        }
     }
     line("");
     wrapped(&format!("Unless it says otherwise, a figure speaks of {}.", analysis.population.describe()));
@@ -253,7 +255,9 @@ fn parameter(along: &Along) {
 }
 
 fn thresholds(analysis: &Analysis) {
-    heading("Where success crosses 50 % (1,000 bootstrap replicates)");
+    if !analysis.along.is_empty() {
+        heading("Where success crosses 50 % (1,000 bootstrap replicates)");
+    }
     for along in &analysis.along {
         let name = &along.parameter;
         match &along.threshold {
@@ -292,6 +296,11 @@ fn modes(analysis: &Analysis) {
             bar(share, 20),
             interval(mode.interval_95)
         ));
+    }
+    if let (Finding::CannotBeEstimated { because }, false) =
+        (&analysis.failure_modes.dominant, analysis.failure_modes.not_recorded.is_empty())
+    {
+        wrapped(&format!("Which mode leads cannot be said because {because}."));
     }
     for along in &analysis.along {
         let Some(found) = along.transitions.estimated() else { continue };
