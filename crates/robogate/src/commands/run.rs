@@ -147,9 +147,10 @@ impl How {
         let stop = Arc::new(AtomicBool::new(false));
         let asked = Arc::clone(&stop);
         ctrlc::set_handler(move || {
-            if !asked.swap(true, Ordering::Relaxed) {
-                note("\nstopping after the episodes in flight ...");
+            if asked.swap(true, Ordering::Relaxed) {
+                stop_at_once();
             }
+            note("\nstopping after the episodes in flight (once more: at once) ...");
         })
         .or_broken()?;
         work(&Crew { workshop: cell, threads, stop: &stop })
@@ -189,6 +190,13 @@ impl How {
             Completion::Interrupted { done, episodes } => Ok(interrupted(dir, done, episodes)),
         }
     }
+}
+
+/// Ends the process for someone who will not wait for a slow simulator or policy. What is recorded stays: the journal
+/// bears being cut at any byte.
+#[expect(clippy::exit, reason = "the threads at work cannot be asked")]
+fn stop_at_once() -> ! {
+    std::process::exit(i32::from(INTERRUPTED))
 }
 
 /// Says how far an interrupted campaign came and how it goes on.
