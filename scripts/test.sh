@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Sets up and runs all tests: cargo test, with a Python beside it in which the dictionary is read by
-# pyarrow, pandas and DuckDB, and evidence by securesystemslib. Where that Python cannot be set up, its
+# pyarrow, pandas and DuckDB, and evidence by securesystemslib, and another with libzmq for the bridge. Where that Python cannot be set up, its
 # tests are skipped and say so.
 # Arguments go to cargo test.
 set -euo pipefail
@@ -23,5 +23,17 @@ if [ -z "${ROBOGATE_TEST_PYTHON:-}" ]; then
         ROBOGATE_TEST_PYTHON=$(cd "$venv/bin" && pwd)/python
         export ROBOGATE_TEST_PYTHON
     fi
+fi
+if [ -z "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
+    bridges=${CARGO_TARGET_DIR:-target}/bridges-venv
+    if bridges/common/setup.sh "$bridges"; then
+        ROBOGATE_BRIDGE_PYTHON=$(cd "$bridges/bin" && pwd)/python
+        export ROBOGATE_BRIDGE_PYTHON
+    else
+        echo "note: no Python with pyzmq and msgpack; the bridge's tests that need it are skipped" >&2
+    fi
+fi
+if [ -n "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
+    PYTHONPATH=bridges/common "$ROBOGATE_BRIDGE_PYTHON" -m unittest discover -s bridges/common/tests
 fi
 exec cargo test --workspace --locked "$@"

@@ -1,1 +1,3 @@
 //! The far side of a socket: policy servers and other simulators, and how they speak.
+
+pub mod zmtp;
