@@ -36,6 +36,8 @@ pub(crate) struct Link {
     pub(crate) inertia: Matrix3<f64>,
     /// What can be touched.
     pub(crate) shapes: Vec<LinkShape>,
+    /// What can be seen.
+    pub(crate) looks: Vec<LinkLook>,
 }
 
 /// How a link moves against its parent.
@@ -63,6 +65,19 @@ pub(crate) struct LinkShape {
     pub(crate) pose: Isometry3<f64>,
     /// The MJCF body that it belongs to, by name.
     pub(crate) body: String,
+}
+
+/// A solid of a link as a camera sees it.
+#[derive(Debug, Clone)]
+pub(crate) struct LinkLook {
+    /// A mesh's points lie in triples: the corners of its triangles. There are none where its file names no faces.
+    pub(crate) solid: Solid,
+    /// Its pose in the link's frame.
+    pub(crate) pose: Isometry3<f64>,
+    /// Red, green, blue and opacity from 0 to 1, where the model says.
+    pub(crate) rgba: Option<[f64; 4]>,
+    /// The MJCF geometry group.
+    pub(crate) group: i32,
 }
 
 /// A convex solid, centred at its own origin, axes along z.
@@ -117,8 +132,14 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     fn read(&self, robot: &Robot) -> Result<Description, String> {
-        let base =
-            Link { joint: None, mass: 0.0, centre: Vector3::zeros(), inertia: Matrix3::zeros(), shapes: Vec::new() };
+        let base = Link {
+            joint: None,
+            mass: 0.0,
+            centre: Vector3::zeros(),
+            inertia: Matrix3::zeros(),
+            shapes: Vec::new(),
+            looks: Vec::new(),
+        };
         let mut links = vec![base];
         // For each MJCF body the link that it is part of, and its pose there at joint positions 0.
         let mut places: Vec<(usize, Isometry3<f64>)> = Vec::with_capacity(self.model.bodies.len());
@@ -141,6 +162,7 @@ impl Reader<'_> {
                         centre: Vector3::zeros(),
                         inertia: Matrix3::zeros(),
                         shapes: Vec::new(),
+                        looks: Vec::new(),
                     });
                     (links.len() - 1, Isometry3::identity())
                 }
@@ -154,6 +176,8 @@ impl Reader<'_> {
                     let (solid, at) = self.solid(geom)?;
                     link.shapes.push(LinkShape { solid, pose: within * at, body: name.clone() });
                 }
+                // What cannot be drawn is not missed by physics: it is left out.
+                link.looks.extend(self.look(geom, &within).ok());
             }
             if let Some(inertial) = &body.inertial {
                 let frame = within * pose(&inertial.pose);
@@ -245,6 +269,29 @@ impl Reader<'_> {
             }
         };
         Ok((solid, at))
+    }
+
+    fn look(&self, geom: &Geom, within: &Isometry3<f64>) -> Result<LinkLook, String> {
+        let (mut solid, at) = self.solid(geom)?;
+        if let Solid::Hull { points } = &mut solid {
+            let faces = self.faces(geom)?;
+            let corners: Option<Vec<_>> = faces.iter().map(|i| points.get(*i).copied()).collect();
+            *points = corners.ok_or("a mesh has a face without its vertices")?;
+        }
+        let material = geom.material.as_deref().and_then(|name| self.model.assets.material(name)?.rgba);
+        Ok(LinkLook { solid, pose: within * at, rgba: geom.rgba.or(material), group: geom.group })
+    }
+
+    /// The corners of a mesh's triangles, by the numbers of its vertices.
+    fn faces(&self, geom: &Geom) -> Result<Vec<usize>, String> {
+        let wanted = geom.mesh.as_deref().unwrap_or_default();
+        let mesh = self.model.assets.mesh(wanted).ok_or_else(|| format!("there is no mesh `{wanted}`"))?;
+        if mesh.inline_vertices.is_some() {
+            return Ok(mesh.inline_faces.iter().flatten().map(|i| *i as usize).collect());
+        }
+        let path = self.model.resolve_mesh_file(mesh, self.folder).ok_or("a mesh has no file")?;
+        let bytes = fs::read(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+        Ok(faces(&bytes).unwrap_or_default())
     }
 
     /// The vertices of a mesh, of which Rapier takes the convex hull, as MuJoCo does.
@@ -379,6 +426,29 @@ fn vertices(bytes: &[u8]) -> Option<Vec<f64>> {
     (!found.is_empty()).then_some(found)
 }
 
+/// The corners of the triangles of an STL or OBJ file, by the numbers of their vertices: three for each.
+fn faces(bytes: &[u8]) -> Option<Vec<usize>> {
+    let text = std::str::from_utf8(bytes).ok().filter(|text| text.lines().any(|line| line.starts_with("f ")));
+    let Some(text) = text else {
+        // In STL each triangle has vertices of its own.
+        return Some((0..vertices(bytes)?.len() / 3).collect());
+    };
+    let count = text.lines().filter(|line| line.starts_with("v ")).count() as i64;
+    let mut found = Vec::new();
+    for line in text.lines().filter(|line| line.starts_with("f ")) {
+        let corner = |word: &str| {
+            let number: i64 = word.split('/').next()?.parse().ok()?;
+            // Negative numbers count back from the last vertex.
+            usize::try_from(if number < 0 { count + number } else { number - 1 }).ok()
+        };
+        let corners = line.split_whitespace().skip(1).map(corner).collect::<Option<Vec<_>>>()?;
+        for pair in corners.get(1..)?.windows(2) {
+            found.extend([corners[0], pair[0], pair[1]]);
+        }
+    }
+    Some(found)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -397,6 +467,9 @@ mod tests {
             vertices(b"solid\nfacet normal 0 0 1\nouter loop\nvertex 1 2 3\nvertex 4 5 6\nvertex 7 8 9\n").unwrap(),
             nine
         );
+        assert_eq!(faces(b"v 1 2 3\nv 4 5 6\nv 7 8 9\nv 0 0 0\nf 1/1/1 2/2 3 -1\n").unwrap(), [0, 1, 2, 0, 2, 3]);
+        assert_eq!(faces(&stl).unwrap(), [0, 1, 2]);
+        assert!(faces(b"v 1 2 3\nf 1 0 1\n").is_none());
         assert!(vertices(b"\xff\xfe").is_none() && vertices(b"v 1 2").is_none() && vertices(b"").is_none());
     }
 }

@@ -5,6 +5,7 @@
 //! cell; an [`Engine`] gives it physics; [`PickPlace`] makes an engine, a robot and the task a
 //! [`robogate_core::Simulator`]. [`Scripted`] is the policy of the paper's baseline.
 
+pub mod camera;
 pub mod claims;
 mod description;
 mod disturbance;

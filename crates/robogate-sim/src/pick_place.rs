@@ -2,10 +2,11 @@
 
 use nalgebra::Isometry3;
 use robogate_core::{
-    Action, Assignment, Fault, FaultKind, GripperCommand, Observation, Scenario, Simulator, Start, Step, TaskSpec,
-    Value,
+    Action, Assignment, Fault, FaultKind, GripperCommand, Image, Observation, Scenario, Simulator, Start, Step,
+    TaskSpec, Value,
 };
 
+use crate::camera::{Cameras, Posture};
 use crate::referee::{Hand, Referee, Sight};
 use crate::scene::{GRAVITY, isometry, pose};
 use crate::servo::Servo;
@@ -13,7 +14,7 @@ use crate::steering::Steering;
 use crate::suction::{self, Change, Suction};
 use crate::{
     Engine, FixtureKind, FixtureRead, Gripper, JointTargets, ObjectModel, Part, Placement, Primitive, Readback, Scene,
-    SceneParameters, SuctionLaw,
+    SceneParameters, SuctionLaw, Visual,
 };
 
 /// Time between two actions, in seconds (paper, section 4.1).
@@ -31,6 +32,8 @@ pub struct PickPlace<E> {
     grip_force_n: f64,
     suction_law: SuctionLaw,
     steps_per_period: usize,
+    /// Or why there are none.
+    cameras: Result<Cameras, String>,
     episode: Option<Running>,
 }
 
@@ -84,14 +87,27 @@ impl<E: Engine> PickPlace<E> {
                 None => cup.force_n(),
             },
         };
-        let steps_per_period = steps.round() as usize;
-        Ok(Self { engine, grip_force_n, suction_law: SuctionLaw::Vacuum, steps_per_period, episode: None })
+        Ok(Self {
+            cameras: Cameras::new(engine.robot()),
+            engine,
+            grip_force_n,
+            suction_law: SuctionLaw::Vacuum,
+            steps_per_period: steps.round() as usize,
+            episode: None,
+        })
     }
 
     /// The same task, a suction cup holding by this law.
     #[must_use]
     pub fn with_suction(mut self, law: SuctionLaw) -> Self {
         self.suction_law = law;
+        self
+    }
+
+    /// The same task, the cameras' pictures of this size in pixels.
+    #[must_use]
+    pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
+        self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
         self
     }
 
@@ -117,6 +133,16 @@ impl<E: Engine> PickPlace<E> {
         self.engine.joint_positions().iter().zip(&running.bias).map(|(q, bias)| q + bias).collect()
     }
 
+    /// Where everything that moves is.
+    fn posture(&self, fixtures: usize) -> Posture {
+        Posture {
+            joints: self.engine.joint_positions(),
+            opening_m: self.engine.opening(),
+            object: self.engine.object(),
+            fixtures: (0..fixtures).map(|i| self.engine.fixture(i)).collect(),
+        }
+    }
+
     fn state_hash(&self) -> u64 {
         // FNV-1a over 64-bit words.
         let mut hash = 0xcbf2_9ce4_8422_2325_u64;
@@ -129,6 +155,9 @@ impl<E: Engine> Simulator for PickPlace<E> {
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
         let setup = |why: String| Fault::new(FaultKind::Setup, why);
         self.episode = None;
+        if let Ok(cameras) = &mut self.cameras {
+            cameras.clear();
+        }
         let gripper = &self.engine.robot().settings.gripper;
         let parameters =
             SceneParameters::from_assignment(&scenario.requested, Some(gripper)).map_err(|e| setup(e.to_string()))?;
@@ -162,7 +191,16 @@ impl<E: Engine> Simulator for PickPlace<E> {
         if touches.collision.is_some() || touches.body_on_object || touches.fingers.iter().any(Option::is_some) {
             return Err(setup("the robot starts in contact".to_owned()));
         }
-        let applied = applied(&scenario.requested, &parameters, &standing, &scene, &self.engine.read_back()?);
+        // How it looks is read from the cameras, where the robot's model allows any.
+        let visual = match &mut self.cameras {
+            Ok(cameras) => {
+                cameras.set_up(&scene);
+                cameras.visual().unwrap_or(scene.visual)
+            }
+            Err(_) => scene.visual,
+        };
+        let held = Held { engine: &self.engine.read_back()?, visual: &visual };
+        let applied = applied(&scenario.requested, &parameters, &standing, &scene, &held);
         let running = Running {
             steering: Steering::default(),
             servo: Servo::at_rest(&home, CONTROL_PERIOD_S),
@@ -262,15 +300,28 @@ impl<E: Engine> Simulator for PickPlace<E> {
         }
         Ok(step)
     }
+
+    fn render(&mut self) -> Result<Vec<Image>, Fault> {
+        let setup = |why: String| Fault::new(FaultKind::Setup, why);
+        let cameras = self.cameras.as_ref().map_err(|why| setup(format!("this robot cannot be drawn: {why}")))?;
+        let fixtures = cameras.fixtures().ok_or_else(|| setup("no scenario is set up".to_owned()))?;
+        Ok(cameras.render(&self.posture(fixtures)))
+    }
 }
 
-/// The requested parameters as the engine holds them, and as the scene does where no engine is concerned.
+/// What was made of a scenario.
+struct Held<'a> {
+    engine: &'a Readback,
+    visual: &'a Visual,
+}
+
+/// The requested parameters as engine and cameras hold them.
 fn applied(
     requested: &Assignment,
     asked: &SceneParameters,
     standing: &Placement,
     scene: &Scene,
-    engine: &Readback,
+    Held { engine, visual }: &Held<'_>,
 ) -> Assignment {
     let size = engine_size(asked, engine);
     let model = ObjectModel::new(asked.shape, size, engine.mass_kg, 0.0);
@@ -302,7 +353,7 @@ fn applied(
             "placement" => Value::Category(format!("{:.6?}", engine.object.translation.vector.as_slice()).into()),
             "shape" => Value::Category(engine_shape(asked, engine).into()),
             _ if disturbance.value(name).is_some() => number(disturbance.value(name).unwrap_or(f64::NAN)),
-            _ if scene.visual.value(name).is_some() => match scene.visual.value(name) {
+            _ if visual.value(name).is_some() => match visual.value(name) {
                 Some(Value::Number(x)) => number(x),
                 word => word.unwrap_or(Value::Number(f64::NAN)),
             },

@@ -7,8 +7,8 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rapier3d_f64::dynamics::{
-    GenericJoint, GenericJointBuilder, JointAxesMask, JointAxis, MassProperties,
-    MotorModel, MultibodyDofCoupling, MultibodyJointHandle, RigidBodyBuilder, RigidBodyHandle, SpringCoefficients,
+    GenericJoint, GenericJointBuilder, JointAxesMask, JointAxis, MassProperties, MotorModel, MultibodyDofCoupling,
+    MultibodyJointHandle, RigidBodyBuilder, RigidBodyHandle, SpringCoefficients,
 };
 use rapier3d_f64::geometry::{
     Collider, ColliderBuilder, ColliderHandle, Group, InteractionGroups, InteractionTestMode, SharedShape,
@@ -20,8 +20,8 @@ use robogate_core::{Fault, FaultKind};
 use crate::description::{Description, Link, Solid};
 use crate::engine::Collision;
 use crate::{
-    Arm, Chain, Engine, EngineBuild, FixtureKind, FixtureRead, JointTargets, ParallelJaw, Primitive, Problem, Readback, Robot,
-    RobotError, Scene, Touches, Wrench,
+    Arm, Chain, Engine, EngineBuild, FixtureKind, FixtureRead, JointTargets, ParallelJaw, Primitive, Problem, Readback,
+    Robot, RobotError, Scene, Touches, Wrench,
 };
 
 /// Who meets whom: the robot does not meet itself.
@@ -357,8 +357,14 @@ impl Engine for RapierEngine {
 
         // The object: its friction is that of each of its contacts, whatever it touches.
         let mass = &scene.object.mass;
-        let link =
-            Link { joint: None, mass: mass.mass_kg, centre: mass.centre, inertia: mass.inertia, shapes: Vec::new() };
+        let link = Link {
+            joint: None,
+            mass: mass.mass_kg,
+            centre: mass.centre,
+            inertia: mass.inertia,
+            shapes: Vec::new(),
+            looks: Vec::new(),
+        };
         let object = world.insert_body(
             RigidBodyBuilder::dynamic()
                 .pose(pose(&scene.object_pose))

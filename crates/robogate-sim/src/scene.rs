@@ -16,7 +16,7 @@ pub(crate) const GRAVITY: f64 = 9.81;
 
 /// The table's middle and half its extent, in metres.
 const TABLE_CENTRE: [f64; 2] = [0.55, 0.0];
-const TABLE_HALF: [f64; 2] = [0.4, 0.7];
+pub(crate) const TABLE_HALF: [f64; 2] = [0.4, 0.7];
 
 /// Obstacles stand within this distance of the workspace centre, in metres (paper, section 4.2).
 const OBSTACLE_RADIUS: f64 = 0.3;
