@@ -6,17 +6,21 @@
 //! [`robogate_core::Simulator`]. [`Scripted`] is the policy of the paper's baseline.
 
 pub mod camera;
+mod cell;
 pub mod claims;
 mod description;
 mod disturbance;
 mod engine;
 mod inspect;
+mod judge;
 mod kinematics;
 mod mujoco;
 mod object;
 mod occluder;
+pub mod offsite;
 mod parameters;
 mod pick_place;
+mod plant;
 mod rapier;
 mod referee;
 mod robot;
@@ -31,6 +35,7 @@ mod suite;
 mod trajectory;
 mod visual;
 
+pub use cell::{CONTROL_PERIOD_S, ResolvedCell, TIME_LIMIT_S};
 pub use disturbance::{Disturbance, Motion};
 pub use engine::{Collision, Engine, EngineBuild, FixtureRead, JointTargets, Readback, Touches, Wrench};
 pub use inspect::{Inspection, Measured, inspect};

@@ -1,9 +1,11 @@
 //! The objects: five shapes out of primitives, with the inertia of a shifted centre of mass.
 
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// A convex primitive, centred at its own origin.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Primitive {
     /// A box by its half extents, in metres.
     Box {

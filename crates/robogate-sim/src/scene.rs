@@ -2,6 +2,7 @@
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Pose, Stream};
+use serde::{Deserialize, Serialize};
 
 use crate::{Motion, ObjectModel, Part, Placement, Primitive, SceneParameters, Visual, occluder};
 
@@ -38,7 +39,8 @@ pub struct Fixture {
 }
 
 /// What a fixture is there for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum FixtureKind {
     /// What everything stands on.
     Table,
