@@ -4,6 +4,7 @@ A simulator is a class with the methods of `Simulator`; `serve` does the rest: t
 everything that goes in and out, the typed errors. `Client` asks a server, `robogate serve` among them.
 """
 
+from .cell import PARAMETERS, Motion, Part, Touches, combined, turned, unit
 from .client import Client, Refused, Unanswered
 from .errors import Problem
 from .identity import robot_sha256
@@ -11,18 +12,25 @@ from .server import Action, Image, Scenario, Server, Simulator, serve
 from .servo import Fingers, Servo
 
 __all__ = [
+    "PARAMETERS",
     "Action",
     "Client",
     "Fingers",
     "Image",
+    "Motion",
+    "Part",
     "Problem",
     "Refused",
     "Scenario",
     "Server",
     "Servo",
     "Simulator",
+    "Touches",
     "Unanswered",
+    "combined",
     "robot_sha256",
     "serve",
+    "turned",
+    "unit",
 ]
 __version__ = "0.1.0"

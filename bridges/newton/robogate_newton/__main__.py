@@ -1,0 +1,54 @@
+"""python -m robogate_newton: serves the cell in Newton."""
+
+import argparse
+import sys
+from pathlib import Path
+
+import warp as wp
+
+# Standard output carries the address alone.
+wp.config.log_level = wp.LOG_WARNING
+
+from robogate_bridge import Problem, serve  # noqa: E402
+
+from .example import example_cell  # noqa: E402
+from .robot import Robot  # noqa: E402
+from .simulator import CONTROL_PERIOD_S, ENGINES, Newton  # noqa: E402
+
+ROBOT = Path(__file__).resolve().parents[3] / "assets" / "robots" / "franka"
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="bridges/newton/start.sh", description="RoboGate's cell in Newton, on the CPU.")
+    parser.add_argument("--solver", choices=sorted(ENGINES), default="mujoco", help="Newton's solver (default: mujoco)")
+    parser.add_argument("--robot", type=Path, default=ROBOT, help="folder of the robot (default: assets/robots/franka)")
+    parser.add_argument("--port", type=int, default=5570, help="port; 0 takes a free one (default: 5570)")
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine alone)")
+    parser.add_argument("--allow-remote", action="store_true", help="let other machines in: there is no authentication")
+    parser.add_argument("--time-step", type=float, help="time step in seconds (default: the solver's own)")
+    parser.add_argument("--compile", action="store_true", help="compile the solver's kernels into the cache and end")
+    args = parser.parse_args()
+    step = args.time_step
+    if step is not None and not (1e-5 <= step <= CONTROL_PERIOD_S and _whole(CONTROL_PERIOD_S / step)):
+        parser.error(f"--time-step: the control period of {CONTROL_PERIOD_S} s must be a whole number of time steps")
+    if not 0 <= args.port < 65536:
+        parser.error("--port: 0 to 65535")
+    try:
+        robot = Robot.read(args.robot)
+        simulator = Newton(robot, args.solver, step)
+        # No client shall wait for kernels to compile.
+        simulator.try_out(example_cell(robot))
+    except Problem as problem:
+        print(f"error: {problem.detail}", file=sys.stderr)
+        return 2
+    if not args.compile:
+        serve(simulator, f"tcp://{args.host}:{args.port or '*'}", args.allow_remote)
+    return 0
+
+
+def _whole(x):
+    return abs(x - round(x)) < 1e-6
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,73 @@
+"""Newton's MuJoCo solver on the CPU, with the settings of RoboGate's own MuJoCo."""
+
+import warnings
+
+import mujoco
+import numpy as np
+from newton.solvers import SolverMuJoCo
+from robogate_bridge import Touches
+
+from .engine import Engine
+
+
+class MujocoEngine(Engine):
+    """MuJoCo behind Newton: state and controls pass through Newton's single-precision arrays at every step."""
+
+    name = "mujoco"
+    time_step_s = 0.002
+    friction_is_mean = False
+    gap = 0.0
+
+    @staticmethod
+    def version():
+        return f"mujoco {mujoco.__version__}, CPU"
+
+    def start(self):
+        self._solver = SolverMuJoCo(
+            self.world.model,
+            use_mujoco_cpu=True,
+            integrator="implicitfast",
+            cone="elliptic",
+            impratio=10.0,
+            iterations=100,
+            ls_iterations=50,
+            include_sites=False,
+            kinematic_switchable_roots=False,
+        )
+        self._model, self._data = self._solver.mj_model, self._solver.mj_data
+        shapes = self._solver.mjc_geom_to_newton_shape.numpy()[0]
+        self._parts = [self.world.parts[shape] if shape >= 0 else None for shape in shapes]
+        self._geom = {int(shape): geom for geom, shape in enumerate(shapes) if shape >= 0}
+        self._force = np.zeros(6)
+
+    def integrate(self):
+        self._solver.step(self.state, self.after, self.control, None, self.time_step_s)
+
+    def touches(self):
+        touches, contact = Touches(), self._data.contact
+        for i, ((one, two), row) in enumerate(zip(contact.geom.tolist(), contact.efc_address.tolist())):
+            # A contact that is only near has no constraint.
+            if row >= 0:
+                mujoco.mj_contactForce(self._model, self._data, i, self._force)
+                touches.add(self._parts[one], self._parts[two], float(self._force[0]))
+        return touches
+
+    def friction(self):
+        def held(shape):
+            geom = self._geom[shape]
+            return float(self._model.geom_friction[geom][0]), int(self._model.geom_priority[geom])
+
+        own, own_priority = held(self.world.object_shapes[0])
+        table, table_priority = held(self.world.table_shape)
+        # The higher priority says how the two meet.
+        return own, table if table_priority > own_priority else own
+
+    def trouble(self):
+        for kind, warning in enumerate(self._data.warning):
+            if warning.number:
+                return f"{mujoco.mjtWarning(kind).name} at {warning.lastinfo}"
+        return None
+
+
+# Newton looks at the model with MuJoCo Warp's eyes too, which has bounds of its own for friction.
+warnings.filterwarnings("ignore", message=".*MJ_MINMU.*")

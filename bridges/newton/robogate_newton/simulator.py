@@ -1,0 +1,99 @@
+"""The cell in Newton as a simulator of the bridge: physics alone, judged by RoboGate."""
+
+import newton
+from robogate_bridge import PARAMETERS, Action, Fingers, Problem, Scenario, Servo
+
+from . import __version__
+from .geometry import Geometry
+from .mujoco_engine import MujocoEngine
+from .steel_engine import SteelEngine
+from .world import Workshop
+
+ENGINES = {engine.name: engine for engine in (MujocoEngine, SteelEngine)}
+
+CONTROL_PERIOD_S = 0.05
+TIME_LIMIT_S = 15.0
+
+
+class Newton:
+    """One robot, one solver; a world for each episode."""
+
+    def __init__(self, robot, solver, time_step_s=None):
+        self._robot = robot
+        self._kind = ENGINES[solver]
+        self._time_step = self._kind.time_step_s if time_step_s is None else time_step_s
+        self._steps = round(CONTROL_PERIOD_S / self._time_step)
+        self._workshop = Workshop(robot, self._kind.friction_is_mean, self._kind.gap)
+        self._engine = None
+
+    def try_out(self, cell):
+        """Runs one control period: Newton compiles what it needs, and what it cannot do shows."""
+        self.reset(Scenario(index=0, seed=0, parameters={}, cell=cell))
+        self.step(Action("joint_position", cell["robot"]["home_rad"], close=True))
+        self.close()
+
+    def hello(self):
+        return {
+            "server": {"name": "robogate-newton", "version": __version__},
+            "engine": {"name": "newton", "version": newton.__version__, "solver": self._kind.version()},
+            "robot": {"name": self._robot.name, "sha256": self._robot.sha256},
+            "time_step_s": self._time_step,
+            "control_period_s": CONTROL_PERIOD_S,
+            "time_limit_s": TIME_LIMIT_S,
+            "joints": self._robot.joints,
+            "action_spaces": ["joint_position"],
+            "tool_delta": None,
+            "cameras": [],
+            "parameters": PARAMETERS,
+            "judges": False,
+            "deterministic": True,
+        }
+
+    def reset(self, scenario):
+        self._engine = None
+        cell = scenario.cell
+        try:
+            if cell["robot"]["joints"] != self._robot.joints:
+                raise Problem("setup", f"this server's robot is {self._robot.name}, with {len(self._robot.joints)} joints")
+            world = self._workshop.build(cell)
+            engine = self._kind(world, Geometry(self._robot, cell), cell, self._time_step)
+            self._servo = Servo(cell["robot"], CONTROL_PERIOD_S)
+            self._fingers = Fingers(cell["robot"]["gripper"], self._time_step)
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as why:
+            raise Problem("setup", f"Newton cannot build this cell: {type(why).__name__}: {why}") from why
+        self._ticks = 0
+        self._engine = engine
+        return {"observation": self._observation(), "readback": engine.readback(), "sight": engine.first_sight()}
+
+    def step(self, action):
+        engine = self._engine
+        self._servo.command(action.arm)
+        sights = []
+        for k in range(1, self._steps + 1):
+            positions, velocities = self._servo.targets(k / self._steps)
+            engine.advance(positions, velocities, self._fingers.target(action.close, engine.opening()))
+            sights.append(engine.sight())
+        self._ticks += 1
+        engine.check()
+        return {
+            "observation": self._observation(),
+            "state_hash": engine.state_hash(),
+            "sights": sights,
+            "clearance_m": engine.clearance(),
+        }
+
+    def state_hash(self):
+        return self._engine.state_hash()
+
+    def close(self):
+        self._engine = None
+
+    def _observation(self):
+        engine = self._engine
+        return {
+            "time_s": self._ticks * CONTROL_PERIOD_S,
+            "joint_positions": engine.joint_positions(),
+            "joint_velocities": engine.joint_velocities(),
+            "gripper_opening_m": engine.opening(),
+            "tool_pose": engine.tool_pose(),
+        }

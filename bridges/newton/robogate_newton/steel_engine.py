@@ -1,0 +1,115 @@
+"""Newton's Steel solver: joint coordinates, hard contacts, projected Gauss-Seidel, friction that is anchored in patches.
+
+Nothing of it is MuJoCo's: not the contact model, not the solver, not the collision detection.
+"""
+
+import newton
+import numpy as np
+import warp as wp
+from newton.solvers import SolverSteel
+from robogate_bridge import Touches
+
+from .engine import Engine
+from .world import ROLLING
+
+# Contacts, and constraint rows, that one step may have. An episode with more is diverged, never silently wrong.
+CONTACTS = 128
+ROWS = 192
+
+# The rows of a joint's end stop are made this near to it, in rad or m.
+STOP_GAP = 0.05
+
+
+class SteelEngine(Engine):
+    """Both steps, from one state to the other and back, are recorded once and replayed: the same bits, eight times
+    as fast."""
+
+    name = "steel"
+    time_step_s = 0.0025
+    friction_is_mean = True
+    gap = 0.002
+
+    @staticmethod
+    def version():
+        return "steel (experimental), CPU"
+
+    def start(self):
+        model, world = self.world.model, self.world
+        model.shape_contact_pairs = wp.array(np.array(world.pairs, dtype=np.int32), dtype=wp.vec2i, device="cpu")
+        self._pipeline = newton.CollisionPipeline(
+            model,
+            broad_phase="explicit",
+            rigid_contact_max=CONTACTS,
+            max_triangle_pairs=1,
+            deterministic=True,
+            verify_buffers=False,
+        )
+        self._contacts = self._pipeline.contacts()
+        self._solver = SolverSteel(
+            model,
+            iterations=24,
+            enable_joint_limits=True,
+            joint_limit_activation_gap=STOP_GAP,
+            articulation_constraint_max=ROWS,
+            free_body_constraint_max=ROWS,
+            warn_constraint_overflow=False,
+        )
+        self._seen = self._solver.observables({self._solver.ObservableKind.CONTACT_F}, contacts=self._contacts)
+        self._overflow = self._solver.constraint_overflow.numpy()
+        self._count = self._contacts.rigid_contact_count.numpy()
+        self._pair = (self._contacts.rigid_contact_shape0.numpy(), self._contacts.rigid_contact_shape1.numpy())
+        self._normal, self._force = self._contacts.rigid_contact_normal.numpy(), self._seen.contact_f.numpy()
+        mass, gravity = model.body_mass.numpy(), model.gravity.numpy()[0]
+        for views in self._views.values():
+            # As every arm's controller does: the weight of the arm itself is compensated.
+            views["body_f"][world.robot_bodies, :3] = -mass[world.robot_bodies, None] * gravity
+        ball = all(part["primitive"]["kind"] == "sphere" for part in self._cell["object"]["parts"])
+        self._inertia = float(model.body_inertia.numpy()[world.object_body][0, 0]) if ball else None
+        self._pressed = 0.0
+        self._graphs = []
+
+    def integrate(self):
+        if not self._graphs:
+            for before, after in ((self.state, self.after), (self.after, self.state)):
+                with wp.ScopedCapture(device="cpu") as capture:
+                    self._pipeline.collide(before, self._contacts)
+                    self._solver.step(
+                        before, after, self.control, self._contacts, self.time_step_s, observables=self._seen
+                    )
+                self._graphs.append(capture.graph)
+        if self._inertia is not None:
+            self._resist_rolling()
+        wp.capture_launch(self._graphs[self.steps % 2])
+
+    def touches(self):
+        touches, parts = Touches(), self.world.parts
+        n = min(int(self._count[0]), CONTACTS)
+        one, two = (shapes[:n].tolist() for shapes in self._pair)
+        normal_forces = np.abs((self._normal[:n] * self._force[:n, :3]).sum(axis=1)).tolist()
+        for a, b, force in zip(one, two, normal_forces):
+            # A contact that is only near has no force.
+            if force > 0.0:
+                touches.add(parts[a], parts[b], force)
+        self._pressed = touches.on_object_n
+        return touches
+
+    def friction(self):
+        # Steel's rule: the mean of the two shapes.
+        held, world = self.world.model.shape_material_mu.numpy().astype(float), self.world
+        own = held[world.object_shapes[0]]
+        pad = next(shape for shape, part in enumerate(world.parts) if part is not None and part.finger is not None)
+        return float(0.5 * (own + held[pad])), float(0.5 * (own + held[world.table_shape]))
+
+    def trouble(self):
+        return f"more than {CONTACTS} contacts or {ROWS} rows" if self._overflow.any() else None
+
+    def _resist_rolling(self):
+        """A ball's rolling friction, which Steel does not have: against its turning, by no more than what stops it."""
+        views, body = self._views[id(self.state)], self.world.object_body
+        turning = views["body_qd"][body, 3:].astype(float)
+        speed = float(np.linalg.norm(turning))
+        moment = np.zeros(3)
+        if self._pressed > 0.0 and speed > 0.0:
+            most = self._inertia * speed / self.time_step_s
+            moment = turning * (-min(ROLLING * self._pressed, most) / speed)
+        views["body_f"][body, 3:] = moment

@@ -1,0 +1,281 @@
+"""A cell as a Newton model: the robot from its MJCF file, the object, the fixtures."""
+
+from dataclasses import dataclass
+
+import newton
+import numpy as np
+import warp as wp
+from newton.solvers import SolverMuJoCo, SolverSteel
+from robogate_bridge import Part, Problem, unit
+
+# Radius of the patch in which a soft pad touches, in metres: torsional friction is that of a disc under even
+# pressure, 2/3 of friction times radius. And the rolling friction of the object, in metres.
+PATCH_RADIUS = 5e-3
+ROLLING = 5e-4
+
+# Time constant in which a contact or an end stop gives way, in seconds, and how stiff it is: as in RoboGate's own MuJoCo.
+CONTACT_SOLREF = (0.004, 1.0)
+CONTACT_SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
+LIMIT_SOLIMP = (0.99, 0.999, 1e-4, 0.5, 2.0)
+
+# Mass of a fixture that moves, in kilograms. It is driven: only what counts as inertia at all matters.
+DRIVEN_MASS = 1e3
+
+
+@dataclass(frozen=True)
+class Mover:
+    """A fixture that moves: its number in the cell, its body, where its joint begins in the coordinates and in the
+    velocities, and how it moves."""
+
+    fixture: int
+    body: int
+    q: int
+    qd: int
+    motion: dict
+
+
+@dataclass(frozen=True)
+class World:
+    """A model, and where the cell's things are in it."""
+
+    model: newton.Model
+    # What each shape is of; None for what meets nothing.
+    parts: list[Part | None]
+    # Pairs of shapes that may touch.
+    pairs: list[tuple[int, int]]
+    # The arm's joints and the fingers' in the joint coordinates (and the velocities: they are the first).
+    arm: list[int]
+    fingers: list[int]
+    robot_bodies: list[int]
+    object_body: int
+    object_shapes: list[int]
+    fixture_shapes: list[int]
+    table_shape: int
+    movers: list[Mover]
+    # The tool centre point: its body, and its pose in it.
+    tcp_body: int
+    tcp_pose: dict
+
+
+class Workshop:
+    """Builds worlds for one robot. `friction_is_mean` says that the solver takes the mean of two shapes' coefficients;
+    otherwise the object's coefficient wins. `gap` (m) is how near two shapes must be for the solver to look at them."""
+
+    def __init__(self, robot, friction_is_mean, gap):
+        self._robot = robot
+        self._friction_is_mean = friction_is_mean
+        self._gap = gap
+        self._base = self._builder()
+        try:
+            self._base.add_mjcf(
+                str(robot.model), floating=False, enable_self_collisions=False, parse_mujoco_options=False
+            )
+        except Exception as why:
+            raise Problem("setup", f"Newton does not read {robot.model}: {why}") from why
+
+    def _builder(self):
+        builder = newton.ModelBuilder()
+        SolverMuJoCo.register_custom_attributes(builder)
+        SolverSteel.register_custom_attributes(builder)
+        builder.default_shape_cfg.gap = self._gap
+        builder.rigid_gap = self._gap
+        return builder
+
+    def build(self, cell):
+        """The cell's world, the arm at home and the gripper open."""
+        drives, gripper = cell["robot"], cell["robot"]["gripper"]
+        builder = self._builder()
+        # A copied builder brings its own gravity along.
+        builder.add_builder(self._base)
+        builder.gravity = (0.0, 0.0, -cell["gravity_m_s2"])
+        bodies = [label.rsplit("/", 1)[-1] for label in builder.body_label]
+        robot_shapes = builder.shape_count
+
+        # The robot: its drives, its weight compensated, its place at the start.
+        arm = [self._coordinate(builder, name) for name in drives["joints"]]
+        fingers = [self._coordinate(builder, name) for name in gripper["finger_joints"]]
+        for i, q in enumerate(arm):
+            builder.joint_target_ke[q] = drives["stiffness_nm_rad"][i]
+            builder.joint_target_kd[q] = drives["damping_nms_rad"][i]
+            builder.joint_effort_limit[q] = drives["torque_limit_nm"][i]
+            builder.joint_q[q] = builder.joint_target_q[q] = drives["home_rad"][i]
+        for q in fingers:
+            builder.joint_target_ke[q] = gripper["stiffness_n_m"]
+            builder.joint_target_kd[q] = gripper["damping_ns_m"]
+            # What limits the grip is how far the fingers' target runs ahead of them.
+            builder.joint_effort_limit[q] = 10.0 * gripper["force_n"]
+            builder.joint_q[q] = builder.joint_target_q[q] = 0.5 * gripper["opening_m"]
+        for q in arm + fingers:
+            builder.joint_target_mode[q] = int(newton.JointTargetMode.POSITION_VELOCITY)
+            self._set(builder, "mujoco:jnt_actgravcomp", q, True)
+            self._set(builder, "mujoco:solreflimit", q, wp.vec2(*CONTACT_SOLREF))
+            self._set(builder, "mujoco:solimplimit", q, wp.types.vector(5, float)(*LIMIT_SOLIMP))
+        for body in range(len(bodies)):
+            self._set(builder, "mujoco:gravcomp", body, 1.0)
+
+        friction, table_friction = cell["friction"], cell["table_friction"]
+        parts: list[Part | None] = []
+        static = self._static(builder)
+        for shape in range(robot_shapes):
+            builder.shape_material_mu[shape] = friction
+            builder.shape_gap[shape] = self._gap
+            self._set(builder, "mujoco:geom_priority", shape, 0)
+            body = bodies[builder.shape_body[shape]]
+            finger = gripper["finger_bodies"].index(body) if body in gripper["finger_bodies"] else None
+            collides = builder.shape_flags[shape] & newton.ShapeFlags.COLLIDE_SHAPES
+            parts.append(Part("robot", body, finger) if collides else None)
+
+        # The fixtures; in Newton a shape of body -1 stands in the world.
+        movers, fixture_shapes = [], []
+        for i, fixture in enumerate(cell["fixtures"]):
+            place, body = transform(fixture["pose"]), -1
+            if fixture["motion"] is not None:
+                q, qd = len(builder.joint_q), len(builder.joint_qd)
+                body = builder.add_body(
+                    xform=place, mass=DRIVEN_MASS, inertia=wp.mat33(np.eye(3) * DRIVEN_MASS), lock_inertia=True,
+                    is_kinematic=True,
+                )
+                movers.append(Mover(i, body, q, qd, fixture["motion"]))
+                place = wp.transform_identity()
+            own = table_friction != friction and fixture["kind"] == "table"
+            # What gives the asked for mean with the object's own; it may be below zero, the mean is not.
+            mean = 2.0 * table_friction - friction if own else friction
+            mu = mean if self._friction_is_mean else (table_friction if own else friction)
+            shape = self._shape(builder, fixture["primitive"], body, place, mu, 2 if own else 0, balls(cell))
+            fixture_shapes.append(shape)
+            parts.append(Part("fixture", fixture=i))
+
+        # The object.
+        thing = cell["object"]
+        object_body = builder.add_body(
+            xform=transform(thing["pose"]), com=wp.vec3(*thing["centre_of_mass"]), mass=thing["mass_kg"],
+            inertia=wp.mat33(np.array(thing["inertia_kg_m2"], dtype=np.float32)), lock_inertia=True,
+        )
+        self._set(builder, "steel:rigid_body_angular_damping", object_body, 0.0)
+        object_shapes = []
+        for part in thing["parts"]:
+            ball = part["primitive"]["kind"] == "sphere"
+            place = transform(part["pose"])
+            object_shapes.append(self._shape(builder, part["primitive"], object_body, place, friction, 1, ball))
+            parts.append(Part("object"))
+
+        pairs = self._pairs(parts, static)
+        allowed = set(pairs)
+        met = [shape for shape, part in enumerate(parts) if part is not None]
+        for i, a in enumerate(met):
+            for b in met[i + 1 :]:
+                if (a, b) not in allowed:
+                    builder.add_shape_collision_filter_pair(a, b)
+        model = builder.finalize(device="cpu")
+        tcp = next((s for s, l in enumerate(builder.shape_label) if l.rsplit("/", 1)[-1] == drives["tcp_site"]), None)
+        if tcp is None:
+            raise Problem("setup", f"the robot's model has no site {drives['tcp_site']!r}")
+        table = next((i for i, fixture in enumerate(cell["fixtures"]) if fixture["kind"] == "table"), None)
+        if table is None:
+            raise Problem("setup", "the cell has no table")
+        return World(
+            model=model,
+            parts=parts,
+            pairs=pairs,
+            arm=arm,
+            fingers=fingers,
+            robot_bodies=list(range(len(bodies))),
+            object_body=object_body,
+            object_shapes=object_shapes,
+            fixture_shapes=fixture_shapes,
+            table_shape=fixture_shapes[table],
+            movers=movers,
+            tcp_body=builder.shape_body[tcp],
+            tcp_pose=pose(builder.shape_transform[tcp]),
+        )
+
+    def _coordinate(self, builder, joint):
+        for index, label in enumerate(builder.joint_label):
+            if label.rsplit("/", 1)[-1] == joint:
+                return builder.joint_q_start[index]
+        raise Problem("setup", f"the robot's model has no joint {joint!r}")
+
+    @staticmethod
+    def _set(builder, name, index, value):
+        attribute = builder.custom_attributes[name]
+        if attribute.values is None:
+            attribute.values = {}
+        attribute.values[index] = value
+
+    @staticmethod
+    def _static(builder):
+        """Bodies that no joint lets move."""
+        fixed = {-1}
+        for joint, kind in enumerate(builder.joint_type):
+            if kind == newton.JointType.FIXED and builder.joint_parent[joint] in fixed:
+                fixed.add(builder.joint_child[joint])
+        return {shape for shape, body in enumerate(builder.shape_body) if body in fixed}
+
+    @staticmethod
+    def _pairs(parts, static):
+        """Robot and object, robot and fixtures (but for the base, which stands there), object and fixtures."""
+        out = []
+        for a, one in enumerate(parts):
+            for b in range(a + 1, len(parts)):
+                other = parts[b]
+                if one is None or other is None:
+                    continue
+                kinds = {one.kind, other.kind}
+                base = one.kind == "robot" and a in static
+                if len(kinds) == 2 and not (base and "fixture" in kinds):
+                    out.append((a, b))
+        return out
+
+    def _shape(self, builder, primitive, body, place, mu, priority, rolls):
+        config = builder.default_shape_cfg.copy()
+        config.density, config.gap, config.margin = 0.0, self._gap, 0.0
+        config.mu, config.mu_torsional, config.mu_rolling = mu, mu * PATCH_RADIUS * 2.0 / 3.0, ROLLING
+        config.collision_filter_parent = False
+        custom = {}
+        if priority:
+            custom = {
+                "mujoco:geom_priority": priority,
+                "mujoco:condim": 6 if rolls else 4,
+                "mujoco:solref": wp.vec2(*CONTACT_SOLREF),
+                "mujoco:geom_solimp": wp.types.vector(5, float)(*CONTACT_SOLIMP),
+            }
+        more = {"xform": place, "cfg": config, "custom_attributes": custom}
+        match primitive["kind"]:
+            case "box":
+                x, y, z = primitive["half"]
+                return builder.add_shape_box(body, hx=x, hy=y, hz=z, **more)
+            case "cylinder":
+                radius, half_height = primitive["radius"], primitive["half_height"]
+                return builder.add_shape_cylinder(body, radius=radius, half_height=half_height, **more)
+            case "sphere":
+                return builder.add_shape_sphere(body, radius=primitive["radius"], **more)
+        raise Problem("setup", f"there is no primitive {primitive['kind']!r}")
+
+
+def balls(cell):
+    """Whether the object rolls on a ball."""
+    return any(part["primitive"]["kind"] == "sphere" for part in cell["object"]["parts"])
+
+
+def transform(pose):
+    """A pose of the protocol as Newton has it: x, y, z, and the quaternion's scalar last."""
+    w, x, y, z = pose["orientation"]
+    return wp.transform(wp.vec3(*pose["position"]), wp.quat(x, y, z, w))
+
+
+def pose(values):
+    """Seven numbers of Newton's as a pose of the protocol, its quaternion of norm 1 in double precision."""
+    x, y, z, a, b, c, w = map(float, values)
+    return {"position": [x, y, z], "orientation": unit([w, a, b, c])}
+
+
+def primitive(model, shape):
+    """The primitive that Newton holds; None for any other."""
+    kind, (a, b, c) = int(model.shape_type.numpy()[shape]), model.shape_scale.numpy()[shape].tolist()
+    if kind == int(newton.GeoType.BOX):
+        return {"kind": "box", "half": [a, b, c]}
+    if kind == int(newton.GeoType.CYLINDER):
+        return {"kind": "cylinder", "radius": a, "half_height": b}
+    if kind == int(newton.GeoType.SPHERE):
+        return {"kind": "sphere", "radius": a}
+    return None

@@ -1,0 +1,10 @@
+#!/usr/bin/env bash
+# Sets up and runs the Newton server's tests. Arguments go to unittest.
+set -euo pipefail
+here=$(cd "$(dirname "$0")" && pwd)
+export ROBOGATE_NEWTON_VENV=${ROBOGATE_NEWTON_VENV:-$here/.venv}
+"$here/../common/setup.sh" "$ROBOGATE_NEWTON_VENV" "$here/requirements.txt" >&2
+# As start.sh has it: the server that a test starts finds the kernels that the tests compiled.
+export WARP_CACHE_PATH=${WARP_CACHE_PATH:-$ROBOGATE_NEWTON_VENV/kernels}
+export PYTHONPATH=$here${PYTHONPATH:+:$PYTHONPATH}
+exec "$ROBOGATE_NEWTON_VENV/bin/python" -m unittest discover --start-directory "$here/tests" "$@"

@@ -1,0 +1,259 @@
+"""The physics' claims, held against what is not ours: Coulomb's law, free fall, MuJoCo's kinematics; and the server's.
+
+Each holds for both solvers.
+"""
+
+import json
+import subprocess
+import sys
+import unittest
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+wp.config.log_level = wp.LOG_WARNING
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from hand import Chain, Hand  # noqa: E402
+from robogate_bridge import Client, Problem, Refused, Server, codec  # noqa: E402
+from robogate_newton.example import UP, example_cell  # noqa: E402
+from robogate_newton.robot import Robot  # noqa: E402
+from robogate_newton.simulator import ENGINES, Newton  # noqa: E402
+
+HERE = Path(__file__).resolve().parent
+FOLDER = HERE.parents[2] / "assets" / "robots" / "franka"
+FRANKA = Robot.read(FOLDER)
+CHAIN = Chain(FRANKA)
+SIMULATORS = {solver: Newton(FRANKA, solver) for solver in ENGINES}
+G = 9.81
+
+
+def fixture(kind, primitive, position, yaw=0.0, motion=None):
+    turn = [np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)]
+    return {"name": kind, "kind": kind, "primitive": primitive, "pose": {"position": position, "orientation": turn},
+            "motion": motion}
+
+
+def begun(solver, shape="box", fixtures=(), **values):
+    return Hand(SIMULATORS[solver], CHAIN, example_cell(FRANKA, shape, fixtures=fixtures, **values))
+
+
+class ThePhysics(unittest.TestCase):
+    def test_lifts_every_primitive_with_the_grip_force(self):
+        for solver, shape in product(ENGINES, ("box", "cylinder", "sphere")):
+            with self.subTest(solver=solver, shape=shape):
+                hand = begun(solver, shape)
+                hand.grasp()
+                self.assertTrue(hand.sight["object_on_fixture"])
+                hand.lift()
+                self.assertGreater(hand.object[2], 0.19)
+                self.assertFalse(hand.sight["object_on_fixture"])
+                for force in hand.sight["fingers"]:
+                    self.assertAlmostEqual(force, 30.0, delta=0.3)
+                self.assertAlmostEqual(hand.sight["opening_m"], 0.05, delta=2e-3)
+
+    def test_drops_below_coulombs_limit_and_holds_above_it(self):
+        # 2 mu F carries m (g + a); the lift's acceleration is at most 1.02 m/s^2: 0.175 m, rest to rest, in 1 s.
+        mass, force = 0.5, 15.0
+        law = mass * G / (2.0 * force)
+        for solver, share in product(ENGINES, (0.95, 1.15)):
+            with self.subTest(solver=solver, share=share):
+                hand = begun(solver, mass_kg=mass, friction=share * law, force_n=force)
+                hand.grasp()
+                hand.lift()
+                self.assertEqual(hand.object[2] > 0.19, share > 1.0, hand.object)
+
+    def test_lets_the_object_fall_as_galileo_says(self):
+        # What the solvers' integrators make of it is h - g t (t + dt) / 2.
+        for solver, gravity in product(ENGINES, (9.81, 3.7)):
+            with self.subTest(solver=solver, gravity=gravity):
+                cell = example_cell(FRANKA, at=(0.6, 0.3)) | {"gravity_m_s2": gravity}
+                cell["object"]["pose"]["position"][2] = 1.0
+                hand = Hand(SIMULATORS[solver], CHAIN, cell)
+                hand.wait(0.3)
+                fallen = 0.5 * gravity * 0.3 * (0.3 + SIMULATORS[solver].hello()["time_step_s"])
+                self.assertAlmostEqual(hand.object[2], 1.0 - fallen, delta=2e-5)
+                self.assertAlmostEqual(hand.sight["object_velocity"]["linear_m_s"][2], -gravity * 0.3, delta=1e-4)
+
+    def test_has_the_kinematics_that_mujoco_reads_from_the_same_file(self):
+        for solver in ENGINES:
+            with self.subTest(solver=solver):
+                hand = begun(solver)
+                hand.go([0.45, 0.2, 0.3], 1.0)
+                hand.wait(0.5)
+                at, turn = CHAIN.tool(hand.observation["joint_positions"])
+                pose = hand.observation["tool_pose"]
+                np.testing.assert_allclose(pose["position"], at, atol=2e-6)
+                w, x, y, z = pose["orientation"]
+                np.testing.assert_allclose(
+                    [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], turn[:, 0], atol=5e-6
+                )
+                # And the drives bring the arm where it was sent.
+                np.testing.assert_allclose(hand.observation["joint_positions"], hand.joints, atol=1e-3)
+
+    def test_reads_back_what_was_asked_for(self):
+        motion = {"velocity_m_s": [0.0, 0.2, 0.0], "starts_s": 0.5, "ends_s": 2.0}
+        more = [
+            fixture("obstacle", {"kind": "cylinder", "radius": 0.02, "half_height": 0.06}, [0.6, 0.21, 0.06], 0.3),
+            fixture("obstacle", {"kind": "box", "half": [0.02, 0.02, 0.05]}, [0.3, -0.2, 0.05], 1.1),
+            fixture("disturbance", {"kind": "box", "half": [0.03, 0.03, 0.04]}, [0.5, -0.5, 0.041], 0.7, motion),
+        ]
+        cell = example_cell(FRANKA, mass_kg=0.123, friction=0.37, at=(0.47, 0.05), fixtures=more)
+        cell |= {"gravity_m_s2": 6.0, "table_friction": 0.11}
+        thing = cell["object"]
+        thing["centre_of_mass"] = [0.004, 0.0, -0.003]
+        thing["parts"] = [
+            {"primitive": {"kind": "box", "half": [0.03, 0.02, 0.01]}, "pose": {"position": [0, 0, -0.015],
+                                                                            "orientation": UP}},
+            {"primitive": {"kind": "sphere", "radius": 0.011}, "pose": {"position": [0.01, 0, 0.01], "orientation": UP}},
+        ]  # fmt: skip
+        for solver in ENGINES:
+            with self.subTest(solver=solver):
+                read = Hand(SIMULATORS[solver], CHAIN, cell).start["readback"]
+                for key in ("friction", "table_friction", "gravity_m_s2"):
+                    self.assertAlmostEqual(read[key], cell[key], delta=1e-6 * cell[key], msg=key)
+                self.assertAlmostEqual(read["mass_kg"], 0.123, delta=1e-7)
+                np.testing.assert_allclose(read["centre_of_mass"], thing["centre_of_mass"], atol=1e-8)
+                self.assertSame(read["object_pose"], thing["pose"])
+                self.assertEqual(len(read["parts"]), 2)
+                for got, part in zip(read["parts"], thing["parts"]):
+                    self.assertSame(got, part["primitive"])
+                self.assertEqual([one["fixture"] for one in read["fixtures"]], [0, 1, 2, 3])
+                for got, want in zip(read["fixtures"], cell["fixtures"]):
+                    self.assertSame(got["primitive"], want["primitive"])
+                    self.assertSame(got["pose"], want["pose"])
+                    self.assertEqual(got["motion"], want["motion"])
+
+    def assertSame(self, got, want):
+        """The same keys with the same words and, in single precision, numbers."""
+        self.assertEqual(got.keys(), want.keys())
+        for key, value in want.items():
+            if isinstance(value, str):
+                self.assertEqual(got[key], value)
+            else:
+                np.testing.assert_allclose(got[key], value, atol=1e-7, err_msg=key)
+
+    def test_a_driven_fixture_keeps_its_way_and_pushes_the_object(self):
+        motion = {"velocity_m_s": [0.0, 0.2, 0.0], "starts_s": 0.2, "ends_s": 1.2}
+        pusher = fixture("disturbance", {"kind": "box", "half": [0.03, 0.03, 0.04]}, [0.5, -0.1, 0.041], 0.0, motion)
+        for solver in ENGINES:
+            with self.subTest(solver=solver):
+                hand = begun(solver, fixtures=[pusher])
+                hand.wait(1.5)
+                # It ends with its front at y = -0.1 + 0.2 + 0.03, the box of 5 cm before it.
+                self.assertAlmostEqual(hand.object[1], 0.13 + 0.025, delta=3e-3)
+                self.assertLess(abs(hand.object[0] - 0.5), 5e-3)
+
+    def test_a_ball_that_rolls_comes_to_rest(self):
+        # Pushed to 0.2 m/s, rolling friction of 0.5 mm stops a ball of 2.5 cm radius: the loss is 5/7 of g times
+        # 0.5 mm over the radius, 0.14 m/s^2, so it rolls 14 cm in 1.4 s.
+        motion = {"velocity_m_s": [0.0, 0.2, 0.0], "starts_s": 0.0, "ends_s": 0.3}
+        pusher = fixture("disturbance", {"kind": "box", "half": [0.03, 0.03, 0.04]}, [0.5, -0.09, 0.041], 0.0, motion)
+        for solver in ENGINES:
+            with self.subTest(solver=solver):
+                hand = begun(solver, "sphere", fixtures=[pusher])
+                hand.wait(3.0)
+                self.assertGreater(hand.object[1], 0.03)
+                self.assertLess(np.linalg.norm(hand.sight["object_velocity"]["linear_m_s"]), 0.005)
+
+    def test_names_what_the_arm_runs_into(self):
+        wall = fixture("obstacle", {"kind": "box", "half": [0.03, 0.03, 0.1]}, [0.5, 0.2, 0.1])
+        for solver in ENGINES:
+            with self.subTest(solver=solver):
+                hand = begun(solver, at=(0.6, -0.2), fixtures=[wall])
+                hand.go([0.5, 0.0, 0.15], 1.0)
+                free = hand.steps[-1]["clearance_m"]
+                self.assertIsNotNone(free)
+                # The hand is 20.4 cm wide across its fingers' way, at 3 to 9 cm above the tool: its side is at y = 0.102.
+                self.assertAlmostEqual(free, 0.17 - 0.102, delta=0.005)
+                self.assertTrue(all(sight["collision"] is None for step in hand.steps for sight in step["sights"]))
+                hand.go([0.5, 0.1, 0.15], 1.0)
+                hits = [sight["collision"] for step in hand.steps for sight in step["sights"] if sight["collision"]]
+                self.assertEqual({(hit["robot_body"], hit["fixture"]) for hit in hits}, {("hand", 1)})
+                self.assertGreater(max(hit["force_n"] for hit in hits), 1.0)
+                self.assertEqual(hand.steps[-1]["clearance_m"], 0.0)
+
+    def test_sees_an_arm_that_starts_in_contact(self):
+        at = CHAIN.tool(example_cell(FRANKA)["robot"]["home_rad"])[0].tolist()
+        block = fixture("obstacle", {"kind": "box", "half": [0.05, 0.05, 0.05]}, at)
+        for solver in ENGINES:
+            with self.subTest(solver=solver):
+                self.assertIsNotNone(begun(solver, fixtures=[block]).start["sight"]["collision"])
+                sight = begun(solver).start["sight"]
+                self.assertEqual((sight["collision"], sight["fingers"]), (None, [None, None]))
+
+    def test_gives_the_same_bits_whatever_ran_before(self):
+        for solver in ENGINES:
+            with self.subTest(solver=solver):
+                hashes = []
+                for shape in ("box", "sphere", "box"):
+                    hand = begun(solver, shape)
+                    hand.grasp(0.03)
+                    hashes.append([step["state_hash"] for step in hand.steps])
+                self.assertEqual(hashes[0], hashes[2])
+                self.assertNotEqual(hashes[0][-1], hashes[1][-1])
+
+
+class TheServer(unittest.TestCase):
+    def test_is_started_and_driven_over_its_socket(self):
+        for solver in ENGINES:
+            with self.subTest(solver=solver):
+                self.drive(solver)
+
+    def drive(self, solver):
+        command = [HERE.parent / "start.sh", "--solver", solver, "--port", "0"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+            try:
+                # The first line on standard output, and nothing before it.
+                address = json.loads(server.stdout.readline())["listening"]
+                with Client(address, timeout_s=60.0) as client:
+                    hello = client.hello()
+                    self.assertEqual(hello["engine"]["name"], "newton")
+                    self.assertIn(solver, hello["engine"]["solver"])
+                    self.assertEqual(hello["robot"]["sha256"], FRANKA.sha256)
+                    cell = example_cell(FRANKA)
+                    home = cell["robot"]["home_rad"]
+                    for broken in ({}, cell | {"object": {}}, cell | {"fixtures": []}):
+                        with self.assertRaises(Refused) as refused:
+                            client.reset(cell=broken | {"control_period_s": 0.05})
+                        self.assertEqual(refused.exception.kind, "setup")
+                    client.reset({"friction": 0.8}, cell=cell)
+                    here = begun(solver)
+                    for steps in (client.step([[*home, -1.0]], "joint_position"),
+                                  client.step([[*home, 1.0]] * 3, "joint_position")):  # fmt: skip
+                        self.assertEqual(len(steps[-1]["sights"]), round(0.05 / hello["time_step_s"]))
+                    here.run()
+                    here.closed = True
+                    here.wait(0.15)
+                    # Another process, the same bits.
+                    self.assertEqual(client.state_hash(), here.steps[-1]["state_hash"])
+            finally:
+                server.terminate()
+                server.wait(30)
+
+    def test_refuses_what_is_no_robot_with_fingers(self):
+        with self.assertRaisesRegex(Problem, "fingers"):
+            Robot.read(FOLDER.parent / "ur5e")
+        with self.assertRaisesRegex(Problem, "robot.toml"):
+            Robot.read(HERE)
+
+    def test_says_that_a_state_has_diverged(self):
+        cell = example_cell(FRANKA) | {"gravity_m_s2": 1e37}
+        home = cell["robot"]["home_rad"]
+        for solver in ENGINES:
+            with self.subTest(solver=solver):
+                server = Server(SIMULATORS[solver])
+
+                def ask(op, server=server, **fields):
+                    request = codec.encode({"v": 1, "op": op, "episode": 1, **fields})
+                    return codec.decode(server.answer([request])[0])
+
+                self.assertTrue(ask("reset", index=0, seed=0, parameters={}, cell=cell)["ok"])
+                reply = ask("step", tick=0, action_space="joint_position", actions=[[*home, -1.0]] * 20)
+                self.assertEqual(reply["error"]["kind"], "diverged")
+
+
+if __name__ == "__main__":
+    unittest.main()
