@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Sets up and runs all tests: cargo test, with a Python beside it in which the dictionary is read by
-# pyarrow, pandas and DuckDB, and evidence by securesystemslib, and another with libzmq for the bridge. Where that Python cannot be set up, its
-# tests are skipped and say so.
+# pyarrow, pandas and DuckDB, and evidence by securesystemslib, another with libzmq for the bridge, and one with Newton. Where such a Python cannot be set
+# up, its tests are skipped and say so.
 # Arguments go to cargo test.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -35,5 +35,12 @@ if [ -z "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
 fi
 if [ -n "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
     PYTHONPATH=bridges/common "$ROBOGATE_BRIDGE_PYTHON" -m unittest discover -s bridges/common/tests
+fi
+# The cell in Newton: a Python of its own, and kernels that are compiled once. Nothing of Rust waits for it.
+newton=${CARGO_TARGET_DIR:-target}/newton-venv
+if bridges/common/setup.sh "$newton" bridges/newton/requirements.txt; then
+    ROBOGATE_NEWTON_VENV=$(cd "$newton" && pwd) bridges/newton/test.sh
+else
+    echo "note: no Python with Newton; the tests of bridges/newton are skipped" >&2
 fi
 exec cargo test --workspace --locked "$@"

@@ -1,7 +1,9 @@
 """What a server that runs RoboGate's cell needs beside the drives: who touches whom, and what moves by itself."""
 
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
+
+from .errors import Problem
 
 # The parameters that come to such a server resolved, in its cell: all of RoboGate's world but a suction cup's.
 PARAMETERS = [
@@ -118,4 +120,6 @@ def combined(one, two):
 def unit(quaternion):
     """A quaternion of norm 1, out of one that single precision rounded."""
     norm = sqrt(sum(x * x for x in quaternion))
+    if not 0.0 < norm < inf:
+        raise Problem("diverged", f"an orientation is {list(quaternion)}")
     return [x / norm for x in quaternion]

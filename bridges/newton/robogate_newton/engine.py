@@ -63,13 +63,13 @@ class Engine:
         self.integrate()
         self.state, self.after = self.after, self.state
         self.steps += 1
-        self._place_movers()
-
-    def check(self):
-        """A `Problem` where the state is not to be believed."""
         views = self._views[id(self.state)]
         if not (np.isfinite(views["joint_q"]).all() and np.isfinite(views["joint_qd"]).all()):
             raise Problem("diverged", f"Newton ({self.name}): the state is not finite")
+        self._place_movers()
+
+    def check(self):
+        """A `Problem` where the solver says that the state is not to be believed."""
         if trouble := self.trouble():
             raise Problem("diverged", f"Newton ({self.name}): {trouble}")
 
