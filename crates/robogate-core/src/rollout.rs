@@ -290,10 +290,13 @@ fn chain(hash: u64, next: u64) -> u64 {
 /// keep a quantity in another form (a density, a single-precision mass) return it rounded.
 const APPLIED_TOLERANCE: f64 = 1e-6;
 
+/// Below this size the difference itself counts: a small offset is read out of a position in single precision.
+const APPLIED_FLOOR: f64 = 0.1;
+
 fn check_applied(requested: &Assignment, applied: &Assignment) -> Result<(), Fault> {
     for (name, want) in requested.iter() {
         let same = match (requested.number(name), applied.number(name)) {
-            (Some(want), Some(got)) => (want - got).abs() <= APPLIED_TOLERANCE * want.abs().max(APPLIED_TOLERANCE),
+            (Some(want), Some(got)) => (want - got).abs() <= APPLIED_TOLERANCE * want.abs().max(APPLIED_FLOOR),
             _ => applied.get(name) == Some(want),
         };
         if !same {

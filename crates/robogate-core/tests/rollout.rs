@@ -262,8 +262,11 @@ fn a_number_that_is_not_finite_counts_as_not_applied() {
 fn single_precision_and_further_parameters_count_as_applied() {
     let mut request = scenario(0);
     request.requested.set("mass_kg", Value::Number(0.1));
+    request.requested.set("offset_x_m", Value::Number(0.003));
     let alter = |a: &mut Assignment| {
         a.set("mass_kg", Value::Number(f64::from(0.1_f32)));
+        // Read out of where the object stands.
+        a.set("offset_x_m", Value::Number(f64::from(0.503_f32) - 0.5));
         a.set("gravity", Value::Number(9.81));
     };
     let mut line = Line { alter, endings: vec![(1, None)], ..Line::default() };
