@@ -1,3 +1,4 @@
 //! The far side of a socket: policy servers and other simulators, and how they speak.
 
+pub mod simulator;
 pub mod zmtp;

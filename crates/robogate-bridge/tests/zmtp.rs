@@ -216,41 +216,15 @@ fn a_late_answer_is_not_taken_for_the_next_one() {
     assert_eq!(requester.ask(&[b"?"], SECOND).unwrap(), [b"good"]);
 }
 
-/// The generator of SplitMix64: tests need no more.
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, n: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) % n as u64) as usize
-    }
-}
-
-/// How long a fuzz test goes on: seconds in `ROBOGATE_FUZZ_SECONDS`, or one.
-fn fuzz_time() -> Duration {
-    let seconds = std::env::var("ROBOGATE_FUZZ_SECONDS").ok().and_then(|text| text.parse().ok());
-    Duration::from_secs(seconds.unwrap_or(1))
-}
-
 #[test]
 fn no_bytes_make_the_decoder_panic_or_hold_more_than_its_limits() {
-    let mut random = Random(6);
-    let (began, time) = (Instant::now(), fuzz_time());
+    let mut random = support::Random(6);
+    let (began, time) = (Instant::now(), support::fuzz_time());
     let limits = Limits { frames: 3, frame_bytes: 4096, message_bytes: 8192 };
     let mut runs = 0_u64;
     while began.elapsed() < time {
         let mut stream = [REQ, REP][random.below(2)].to_vec();
-        for _ in 0..random.below(4) {
-            let at = random.below(stream.len());
-            match random.below(4) {
-                0 => stream[at] = random.below(256) as u8,
-                1 => stream[at] ^= 1 << random.below(8),
-                2 => drop(stream.drain(at..(at + 1 + random.below(9)).min(stream.len()))),
-                _ => stream.insert(at, [0, 1, 2, 4, 6, 0xff][random.below(6)]),
-            }
-        }
+        random.mutate(&mut stream);
         let mut decoder = Decoder::new(limits);
         let mut rest = &stream[..];
         'stream: while !rest.is_empty() {

@@ -26,7 +26,7 @@ pub use outcome::{FailureMode, Fault, FaultKind, Outcome};
 pub use pose::Pose;
 pub use rollout::{
     Action, ArmCommand, Ending, GripperCommand, Image, Observation, Phase, Policy, Simulator, Start, Step, TaskSpec,
-    Tick, rollout, rollout_with,
+    Tick, check_applied, rollout, rollout_with,
 };
 pub use scenario::{Assignment, Scenario, Value};
 pub use seed::{Seed, Stream};

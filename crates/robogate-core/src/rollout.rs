@@ -293,7 +293,8 @@ const APPLIED_TOLERANCE: f64 = 1e-6;
 /// Below this size the difference itself counts: a small offset is read out of a position in single precision.
 const APPLIED_FLOOR: f64 = 0.1;
 
-fn check_applied(requested: &Assignment, applied: &Assignment) -> Result<(), Fault> {
+/// Whether every parameter that was asked for came back: numbers within a rounding of their kind, words as they were.
+pub fn check_applied(requested: &Assignment, applied: &Assignment) -> Result<(), Fault> {
     for (name, want) in requested.iter() {
         let same = match (requested.number(name), applied.number(name)) {
             (Some(want), Some(got)) => (want - got).abs() <= APPLIED_TOLERANCE * want.abs().max(APPLIED_FLOOR),
