@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Sets up and runs all tests: cargo test, with a Python beside it in which the dictionary is read by
-# pyarrow, pandas and DuckDB, and evidence by securesystemslib, another with libzmq for the bridge, and one with Newton. Where such a Python cannot be set
+# pyarrow, pandas and DuckDB, and evidence by securesystemslib, another with libzmq for the bridge, and one with Newton and one with USD. Where such a Python cannot be set
 # up, its tests are skipped and say so.
 # Arguments go to cargo test.
 set -euo pipefail
@@ -42,5 +42,12 @@ if bridges/common/setup.sh "$newton" bridges/newton/requirements.txt; then
     ROBOGATE_NEWTON_VENV=$(cd "$newton" && pwd) bridges/newton/test.sh
 else
     echo "note: no Python with Newton; the tests of bridges/newton are skipped" >&2
+fi
+# The cell in Isaac Sim, as far as it can be tested without.
+isaac=${CARGO_TARGET_DIR:-target}/isaac-venv
+if bridges/common/setup.sh "$isaac" bridges/isaac_sim/tests/requirements.txt; then
+    ROBOGATE_ISAAC_TEST_VENV=$isaac bridges/isaac_sim/test.sh
+else
+    echo "note: no Python with USD; the tests of bridges/isaac_sim are skipped" >&2
 fi
 exec cargo test --workspace --locked "$@"

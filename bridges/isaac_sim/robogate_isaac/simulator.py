@@ -1,0 +1,145 @@
+"""The cell in Isaac Sim as a simulator of the bridge: physics alone, judged by RoboGate."""
+
+import struct
+from hashlib import blake2b
+
+from robogate_bridge import PARAMETERS, Fingers, Motion, Problem, Servo, Touches, combined, turned, unit
+
+from . import __version__
+from .stage import damped, drive_of
+
+CONTROL_PERIOD_S = 0.05
+TIME_LIMIT_S = 15.0
+TIME_STEP_S = 0.0025
+
+
+class Isaac:
+    """One robot; a fresh stage for each episode. `runtime` makes what runs it: `runtime.Runtime`, after `SimulationApp`."""
+
+    def __init__(self, robot, runtime, version):
+        self._robot, self._make, self._version = robot, runtime, version
+        self._steps = round(CONTROL_PERIOD_S / TIME_STEP_S)
+        self._own = {body.joint.name: body.joint.damping for body in robot.bodies if body.joint}
+        self._runtime = None
+
+    def hello(self):
+        return {
+            "server": {"name": "robogate-isaac-sim", "version": __version__},
+            "engine": {"name": "isaac-sim", "version": self._version, "solver": "physx TGS, CPU"},
+            "robot": {"name": self._robot.name, "sha256": self._robot.sha256},
+            "time_step_s": TIME_STEP_S,
+            "control_period_s": CONTROL_PERIOD_S,
+            "time_limit_s": TIME_LIMIT_S,
+            "joints": self._robot.joints,
+            "action_spaces": ["joint_position"],
+            "tool_delta": None,
+            "cameras": [],
+            "parameters": PARAMETERS,
+            "judges": False,
+            # PhysX says so of one machine and one build; not tried here (README.md).
+            "deterministic": True,
+        }
+
+    def reset(self, scenario):
+        self._runtime = None
+        self._cell = cell = scenario.cell
+        try:
+            drives = cell["robot"]
+            if drives["joints"] != self._robot.joints:
+                raise Problem("setup", f"this server's robot is {self._robot.name}, with {len(self._robot.joints)} joints")
+            if drives["tcp_site"] not in self._robot.sites:
+                raise Problem("setup", f"the robot's model has no site {drives['tcp_site']!r}")
+            body, self._tcp = self._robot.sites[drives["tcp_site"]]
+            if not any(fixture["kind"] == "table" for fixture in cell["fixtures"]):
+                raise Problem("setup", "the cell has no table")
+            runtime = self._make(self._robot, cell, TIME_STEP_S, body)
+            self._servo = Servo(drives, CONTROL_PERIOD_S)
+            self._fingers = Fingers(drives["gripper"], TIME_STEP_S)
+            self._movers = [(i, Motion(fixture)) for i, fixture in enumerate(cell["fixtures"]) if fixture["motion"]]
+            names = [*drives["joints"], *drives["gripper"]["finger_joints"]]
+            self._damping = [(drive_of(name, drives)[1], self._own[name]) for name in names]
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as why:
+            raise Problem("setup", f"Isaac Sim cannot build this cell: {type(why).__name__}: {why}") from why
+        self._runtime, self._ticks, self._step_count = runtime, 0, 0
+        # No force has acted yet.
+        return {"observation": self._observation(), "readback": self._readback(), "sight": self._sight(Touches())}
+
+    def step(self, action):
+        self._servo.command(action.arm)
+        sights = []
+        for k in range(1, self._steps + 1):
+            positions, velocities = self._servo.targets(k / self._steps)
+            fingers = [self._fingers.target(action.close, self._opening())] * 2
+            wanted = [damped(v, *damping) for v, damping in zip([*velocities, 0.0, 0.0], self._damping)]
+            self._step_count += 1
+            for fixture, motion in self._movers:
+                self._runtime.cell.move(fixture, motion.position(self._step_count * TIME_STEP_S))
+            self._runtime.step([*positions, *fingers], wanted)
+            touches = Touches()
+            for one, two, force in self._runtime.contacts():
+                touches.add(self._runtime.cell.part(one), self._runtime.cell.part(two), force)
+            sights.append(self._sight(touches))
+        self._ticks += 1
+        return {
+            "observation": self._observation(),
+            "state_hash": self.state_hash(),
+            "sights": sights,
+            "clearance_m": None,
+        }
+
+    def state_hash(self):
+        positions, velocities = self._runtime.joints()
+        pose, linear, angular = self._runtime.object()
+        state = [*positions, *velocities, *pose["position"], *pose["orientation"], *linear, *angular]
+        bits = blake2b(struct.pack(f"<{len(state)}d", *state), digest_size=8).digest()
+        return int.from_bytes(bits, "little")
+
+    def close(self):
+        self._runtime = None
+
+    def _opening(self):
+        return sum(self._runtime.joints()[0][len(self._robot.joints) :])
+
+    def _tool_pose(self):
+        body = self._runtime.tool_body()
+        return combined({**body, "orientation": unit(body["orientation"])}, self._tcp)
+
+    def _observation(self):
+        positions, velocities = self._runtime.joints()
+        arm = len(self._robot.joints)
+        return {
+            "time_s": self._ticks * CONTROL_PERIOD_S,
+            "joint_positions": positions[:arm],
+            "joint_velocities": velocities[:arm],
+            "gripper_opening_m": self._opening(),
+            "tool_pose": self._tool_pose(),
+        }
+
+    def _sight(self, touches):
+        pose, (u, v, w), (a, b, c) = self._runtime.object()
+        pose = {**pose, "orientation": unit(pose["orientation"])}
+        # PhysX's is the velocity of the centre of mass.
+        x, y, z = turned(pose["orientation"], self._cell["object"]["centre_of_mass"])
+        return touches.sight() | {
+            "object_pose": pose,
+            "object_velocity": {"linear_m_s": [u - (b * z - c * y), v - (c * x - a * z), w - (a * y - b * x)],
+                                "angular_rad_s": [a, b, c]},
+            "tool_pose": self._tool_pose(),
+            "opening_m": self._opening(),
+        }
+
+    def _readback(self):
+        runtime = self._runtime
+        friction, table_friction = runtime.cell.friction()
+        mass, centre = runtime.mass()
+        pose, _, _ = runtime.object()
+        return {
+            "friction": friction,
+            "table_friction": table_friction,
+            "gravity_m_s2": runtime.gravity(),
+            "mass_kg": mass,
+            "centre_of_mass": centre,
+            "parts": runtime.cell.parts(),
+            "object_pose": {**pose, "orientation": unit(pose["orientation"])},
+            "fixtures": runtime.cell.fixtures(),
+        }

@@ -1,0 +1,311 @@
+"""A cell as a USD stage, by the schemas of UsdPhysics and, as plain attributes, of PhysX. Nothing of Isaac Sim is needed
+here: what is authored can be looked at with any USD."""
+
+from math import degrees, radians
+
+import mujoco
+import numpy as np
+from pxr import Gf, Sdf, UsdGeom, UsdPhysics, UsdShade
+from robogate_bridge import Part, Problem, combined, turned
+
+ROBOT = "/World/robot"
+OBJECT = "/World/object"
+FIXTURES = "/World/fixtures"
+MATERIALS = "/World/materials"
+SCENE = "/physicsScene"
+
+
+class Cell:
+    """A cell on a stage: authors it, and reads it back."""
+
+    def __init__(self, stage, robot, cell, time_step_s):
+        self._stage, self._robot, self._cell = stage, robot, cell
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+        stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+        self._scene(time_step_s)
+        self._materials()
+        self._add_robot()
+        self._add_fixtures()
+        self._add_object()
+
+    def _scene(self, time_step_s):
+        scene = UsdPhysics.Scene.Define(self._stage, SCENE)
+        scene.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
+        scene.CreateGravityMagnitudeAttr(self._cell["gravity_m_s2"])
+        prim = scene.GetPrim()
+        prim.AddAppliedSchema("PhysxSceneAPI")
+        # One scene, one environment: the CPU is faster here, and the same from run to run.
+        _set(prim, "physxScene:enableGPUDynamics", Sdf.ValueTypeNames.Bool, False)
+        _set(prim, "physxScene:broadphaseType", Sdf.ValueTypeNames.Token, "MBP")
+        _set(prim, "physxScene:solverType", Sdf.ValueTypeNames.Token, "TGS")
+        _set(prim, "physxScene:enableEnhancedDeterminism", Sdf.ValueTypeNames.Bool, True)
+        _set(prim, "physxScene:timeStepsPerSecond", Sdf.ValueTypeNames.UInt, round(1.0 / time_step_s))
+
+    def _materials(self):
+        """The object's coefficient is that of its contacts: PhysX multiplies the two shapes', and the others' is 1, or for
+        a table with a friction of its own what gives that."""
+        friction, table = self._cell["friction"], self._cell["table_friction"]
+        if friction == 0.0 and table != 0.0:
+            raise Problem("setup", "PhysX multiplies coefficients: an object without friction has none on the table")
+        own = {"object": friction, "other": 1.0, "table": table / friction if friction else 1.0}
+        for name, coefficient in own.items():
+            material = UsdShade.Material.Define(self._stage, f"{MATERIALS}/{name}")
+            held = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
+            held.CreateStaticFrictionAttr(coefficient)
+            held.CreateDynamicFrictionAttr(coefficient)
+            held.CreateRestitutionAttr(0.0)
+            material.GetPrim().AddAppliedSchema("PhysxMaterialAPI")
+            _set(material.GetPrim(), "physxMaterial:frictionCombineMode", Sdf.ValueTypeNames.Token, "multiply")
+
+    def _add_robot(self):
+        drives = self._cell["robot"]
+        gripper = drives["gripper"]
+        home = dict(zip(drives["joints"], drives["home_rad"], strict=True))
+        home |= {name: 0.5 * gripper["opening_m"] for name in gripper["finger_joints"]}
+        root = UsdGeom.Xform.Define(self._stage, ROBOT).GetPrim()
+        UsdPhysics.ArticulationRootAPI.Apply(root)
+        root.AddAppliedSchema("PhysxArticulationAPI")
+        _set(root, "physxArticulation:enabledSelfCollisions", Sdf.ValueTypeNames.Bool, False)
+        _set(root, "physxArticulation:solverPositionIterationCount", Sdf.ValueTypeNames.Int, 32)
+        _set(root, "physxArticulation:solverVelocityIterationCount", Sdf.ValueTypeNames.Int, 4)
+        _set(root, "physxArticulation:sleepThreshold", Sdf.ValueTypeNames.Float, 0.0)
+        places = self._robot.places(home)
+        for body in self._robot.bodies:
+            path = f"{ROBOT}/{body.name}"
+            link = self._rigid(path, places[body.name], body.mass, body.centre, body.inertia, body.axes)
+            # As every arm's controller does: the weight of the arm itself is compensated.
+            _set(link, "physxRigidBody:disableGravity", Sdf.ValueTypeNames.Bool, True)
+            for i, shape in enumerate(body.shapes):
+                self._collider(f"{path}/shape_{i}", shape.kind, shape.size, shape.pose, "other")
+            if body.parent is None:
+                # The base stands on the table's level: what of it touches a fixture is no contact.
+                filtered = UsdPhysics.FilteredPairsAPI.Apply(link).CreateFilteredPairsRel()
+                for i in range(len(self._cell["fixtures"])):
+                    filtered.AddTarget(f"{FIXTURES}/fixture_{i}")
+            self._add_joint(body, drives)
+
+    def _add_joint(self, body, drives):
+        joint = body.joint
+        path = f"{ROBOT}/joints/{joint.name if joint else body.name + '_fixed'}"
+        if joint is None:
+            made = UsdPhysics.FixedJoint.Define(self._stage, path)
+            anchor, turn = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+        else:
+            kind = UsdPhysics.PrismaticJoint if joint.slides else UsdPhysics.RevoluteJoint
+            made = kind.Define(self._stage, path)
+            made.CreateAxisAttr("Z")
+            # USD's limits of hinges are in degrees.
+            low, high = joint.range if joint.slides else map(degrees, joint.range)
+            made.CreateLowerLimitAttr(low)
+            made.CreateUpperLimitAttr(high)
+            anchor, turn = joint.anchor, _z_to(joint.axis)
+        inside = {"position": anchor, "orientation": turn}
+        outside = combined(body.pose, inside)
+        if body.parent is not None:
+            made.CreateBody0Rel().SetTargets([f"{ROBOT}/{body.parent}"])
+        made.CreateBody1Rel().SetTargets([f"{ROBOT}/{body.name}"])
+        made.CreateLocalPos0Attr(Gf.Vec3f(*outside["position"]))
+        made.CreateLocalRot0Attr(Gf.Quatf(*outside["orientation"]))
+        made.CreateLocalPos1Attr(Gf.Vec3f(*inside["position"]))
+        made.CreateLocalRot1Attr(Gf.Quatf(*inside["orientation"]))
+        if joint is None:
+            return
+        prim = made.GetPrim()
+        prim.AddAppliedSchema("PhysxJointAPI")
+        _set(prim, "physxJoint:armature", Sdf.ValueTypeNames.Float, joint.armature)
+        _set(prim, "physxJoint:jointFriction", Sdf.ValueTypeNames.Float, 0.0)
+        gains = drive_of(joint.name, drives)
+        if gains is None:
+            return
+        stiffness, damping, most = gains
+        # The joint's own damping acts through the drive: see `damped`. USD's gains of hinges are per degree.
+        unit = 1.0 if joint.slides else radians(1.0)
+        drive = UsdPhysics.DriveAPI.Apply(prim, "linear" if joint.slides else "angular")
+        drive.CreateTypeAttr("force")
+        drive.CreateStiffnessAttr(stiffness * unit)
+        drive.CreateDampingAttr((damping + joint.damping) * unit)
+        drive.CreateMaxForceAttr(most)
+
+    def _add_fixtures(self):
+        UsdGeom.Scope.Define(self._stage, FIXTURES)
+        for i, fixture in enumerate(self._cell["fixtures"]):
+            path = f"{FIXTURES}/fixture_{i}"
+            table = fixture["kind"] == "table"
+            body = UsdGeom.Xform.Define(self._stage, path)
+            _place(body, fixture["pose"])
+            if fixture["motion"] is not None:
+                held = UsdPhysics.RigidBodyAPI.Apply(body.GetPrim())
+                held.CreateKinematicEnabledAttr(True)
+            still = {"position": [0.0, 0.0, 0.0], "orientation": [1.0, 0.0, 0.0, 0.0]}
+            self._collider(f"{path}/shape", *_sizes(fixture["primitive"]), still, "table" if table else "other")
+
+    def _add_object(self):
+        thing = self._cell["object"]
+        moments, axes = principal(thing["inertia_kg_m2"])
+        prim = self._rigid(OBJECT, thing["pose"], thing["mass_kg"], thing["centre_of_mass"], moments, axes)
+        _set(prim, "physxRigidBody:linearDamping", Sdf.ValueTypeNames.Float, 0.0)
+        _set(prim, "physxRigidBody:angularDamping", Sdf.ValueTypeNames.Float, 0.0)
+        _set(prim, "physxRigidBody:sleepThreshold", Sdf.ValueTypeNames.Float, 0.0)
+        _set(prim, "physxRigidBody:solverPositionIterationCount", Sdf.ValueTypeNames.Int, 32)
+        _set(prim, "physxRigidBody:solverVelocityIterationCount", Sdf.ValueTypeNames.Int, 4)
+        for i, part in enumerate(thing["parts"]):
+            self._collider(f"{OBJECT}/shape_{i}", *_sizes(part["primitive"]), part["pose"], "object")
+
+    def _rigid(self, path, pose, mass, centre, inertia, axes):
+        body = UsdGeom.Xform.Define(self._stage, path)
+        _place(body, pose)
+        prim = body.GetPrim()
+        UsdPhysics.RigidBodyAPI.Apply(prim)
+        held = UsdPhysics.MassAPI.Apply(prim)
+        held.CreateMassAttr(mass)
+        held.CreateCenterOfMassAttr(Gf.Vec3f(*centre))
+        held.CreateDiagonalInertiaAttr(Gf.Vec3f(*inertia))
+        held.CreatePrincipalAxesAttr(Gf.Quatf(*axes))
+        prim.AddAppliedSchema("PhysxRigidBodyAPI")
+        # Every contact of the robot and of the object is reported, however light.
+        prim.AddAppliedSchema("PhysxContactReportAPI")
+        _set(prim, "physxContactReport:threshold", Sdf.ValueTypeNames.Float, 0.0)
+        return prim
+
+    def _collider(self, path, kind, size, pose, material):
+        stage, scale = self._stage, [1.0, 1.0, 1.0]
+        match kind:
+            case "box":
+                shape, scale = UsdGeom.Cube.Define(stage, path), size
+                shape.CreateSizeAttr(2.0)
+            case "sphere":
+                shape = UsdGeom.Sphere.Define(stage, path)
+                shape.CreateRadiusAttr(size[0])
+            case "cylinder" | "capsule":
+                shape = (UsdGeom.Cylinder if kind == "cylinder" else UsdGeom.Capsule).Define(stage, path)
+                shape.CreateRadiusAttr(size[0])
+                shape.CreateHeightAttr(2.0 * size[1])
+                shape.CreateAxisAttr("Z")
+            case _:
+                raise Problem("setup", f"there is no primitive {kind!r}")
+        _place(shape, pose, scale)
+        UsdPhysics.CollisionAPI.Apply(shape.GetPrim())
+        binding = UsdShade.MaterialBindingAPI.Apply(shape.GetPrim())
+        bound = UsdShade.Material.Get(stage, f"{MATERIALS}/{material}")
+        binding.Bind(bound, UsdShade.Tokens.weakerThanDescendants, "physics")
+
+    def move(self, fixture, position):
+        """Sends a fixture that moves there, by the end of the next time step: PhysX gives it the speed."""
+        prim = self._stage.GetPrimAtPath(f"{FIXTURES}/fixture_{fixture}")
+        prim.GetAttribute("xformOp:translate").Set(Gf.Vec3d(*position))
+
+    def part(self, path):
+        """What the rigid body or fixture at this path is of; None for anything else."""
+        if path == OBJECT or path.startswith(f"{OBJECT}/"):
+            return Part("object")
+        root, _, rest = path.partition(f"{FIXTURES}/fixture_")
+        if not root and rest:
+            return Part("fixture", fixture=int(rest.split("/")[0]))
+        root, _, rest = path.partition(f"{ROBOT}/")
+        if root or not rest:
+            return None
+        body, fingers = rest.split("/")[0], self._cell["robot"]["gripper"]["finger_bodies"]
+        return Part("robot", body, fingers.index(body) if body in fingers else None)
+
+    def friction(self):
+        """Coefficients of the object against what is not the table, and against the table."""
+        held = {
+            name: UsdPhysics.MaterialAPI(self._stage.GetPrimAtPath(f"{MATERIALS}/{name}")).GetStaticFrictionAttr().Get()
+            for name in ("object", "other", "table")
+        }
+        return held["object"] * held["other"], held["object"] * held["table"]
+
+    def parts(self):
+        """The object's primitives."""
+        return [_primitive(self._stage, f"{OBJECT}/shape_{i}") for i in range(len(self._cell["object"]["parts"]))]
+
+    def fixtures(self):
+        """The fixtures as they stand now."""
+        out = []
+        for i, fixture in enumerate(self._cell["fixtures"]):
+            prim = self._stage.GetPrimAtPath(f"{FIXTURES}/fixture_{i}")
+            driven = bool(UsdPhysics.RigidBodyAPI(prim).GetKinematicEnabledAttr().Get())
+            place = UsdGeom.Xformable(prim).GetLocalTransformation()
+            turn = place.ExtractRotationQuat()
+            out.append({
+                "fixture": i,
+                "primitive": _primitive(self._stage, f"{FIXTURES}/fixture_{i}/shape"),
+                "pose": {"position": list(place.ExtractTranslation()),
+                         "orientation": [turn.GetReal(), *turn.GetImaginary()]},
+                "motion": fixture["motion"] if driven else None,
+            })
+        return out
+
+
+def drive_of(joint, drives):
+    """Stiffness, damping and largest torque or force of a joint's drive; None where it has none."""
+    if joint in drives["joints"]:
+        i = drives["joints"].index(joint)
+        return drives["stiffness_nm_rad"][i], drives["damping_nms_rad"][i], drives["torque_limit_nm"][i]
+    gripper = drives["gripper"]
+    if joint in gripper["finger_joints"]:
+        # What limits the grip is how far the fingers' target runs ahead of them.
+        return gripper["stiffness_n_m"], gripper["damping_ns_m"], 10.0 * gripper["force_n"]
+    return None
+
+
+def damped(velocity, damping, own):
+    """The drive's target velocity that makes a joint with damping of its own follow one without: the drive's damping is
+    d + own, and (d + own)(v' - v) = d (target - v) - own v for v' = target d / (d + own)."""
+    total = damping + own
+    return velocity * damping / total if total > 0.0 else 0.0
+
+
+def principal(inertia):
+    """Principal moments and the turn (w, x, y, z) from their axes to the body's."""
+    moments, axes = np.linalg.eigh(np.asarray(inertia, dtype=float))
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] *= -1.0
+    turn = np.zeros(4)
+    mujoco.mju_mat2Quat(turn, np.ascontiguousarray(axes).reshape(9))
+    return moments.tolist(), turn.tolist()
+
+
+def _z_to(axis):
+    turn = np.zeros(4)
+    mujoco.mju_quatZ2Vec(turn, np.asarray(axis, dtype=float))
+    assert np.allclose(turned(turn.tolist(), [0.0, 0.0, 1.0]), axis)
+    return turn.tolist()
+
+
+def _sizes(primitive):
+    match primitive["kind"]:
+        case "box":
+            return "box", primitive["half"]
+        case "cylinder":
+            return "cylinder", [primitive["radius"], primitive["half_height"]]
+        case "sphere":
+            return "sphere", [primitive["radius"]]
+    raise Problem("setup", f"there is no primitive {primitive['kind']!r}")
+
+
+def _primitive(stage, path):
+    prim = stage.GetPrimAtPath(path)
+    if prim.IsA(UsdGeom.Cube):
+        half = 0.5 * UsdGeom.Cube(prim).GetSizeAttr().Get()
+        return {"kind": "box", "half": [half * x for x in prim.GetAttribute("xformOp:scale").Get()]}
+    if prim.IsA(UsdGeom.Cylinder):
+        shape = UsdGeom.Cylinder(prim)
+        radius, height = shape.GetRadiusAttr().Get(), shape.GetHeightAttr().Get()
+        return {"kind": "cylinder", "radius": radius, "half_height": 0.5 * height}
+    if prim.IsA(UsdGeom.Sphere):
+        return {"kind": "sphere", "radius": UsdGeom.Sphere(prim).GetRadiusAttr().Get()}
+    return None
+
+
+def _place(shape, pose, scale=(1.0, 1.0, 1.0)):
+    """Translate, orient, scale, in this order and in double precision: as Isaac Sim's own wrappers have them."""
+    shape.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*pose["position"]))
+    shape.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Quatd(*pose["orientation"]))
+    shape.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*scale))
+
+
+def _set(prim, name, kind, value):
+    prim.CreateAttribute(name, kind).Set(value)

@@ -1,0 +1,8 @@
+#!/usr/bin/env bash
+# Sets up and runs the Isaac Sim server's tests, without Isaac Sim. Arguments go to unittest.
+set -euo pipefail
+here=$(cd "$(dirname "$0")" && pwd)
+venv=${ROBOGATE_ISAAC_TEST_VENV:-$here/.venv}
+"$here/../common/setup.sh" "$venv" "$here/tests/requirements.txt" >&2
+export PYTHONPATH=$here${PYTHONPATH:+:$PYTHONPATH}
+exec "$venv/bin/python" -m unittest discover --start-directory "$here/tests" "$@"

@@ -1,0 +1,15 @@
+"""Serves the fakes, for `robogate bridge check`: what it says of the protocol is so, what it says of physics means nothing."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from fakes import Fakes  # noqa: E402
+
+Fakes().install()
+
+from robogate_isaac.__main__ import main  # noqa: E402
+
+if __name__ == "__main__":
+    sys.exit(main())
