@@ -52,7 +52,7 @@ pub use gate::{
 pub use headline::Headline;
 pub use models::{
     CalibrationFigures, Coefficient, Estimate, Frontier, FrontierPoint, Penalty, PenaltyLevel, Regression,
-    ReliabilityBin, RiskModel, RocCurve, RocFigures,
+    ReliabilityBin, RiskModel, RocCurve, RocFigures, Scoring, ScoringTerm,
 };
 pub use page::{comparison_html, comparison_markdown, html, markdown};
 pub use pairs::{Axis, PairCell, PairMap, ZoneCounts};

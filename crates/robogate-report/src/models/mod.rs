@@ -11,7 +11,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use frontier::{Frontier, FrontierPoint};
-pub use risk::{CalibrationFigures, Penalty, PenaltyLevel, ReliabilityBin, RiskModel, RocCurve, RocFigures};
+pub use risk::{
+    CalibrationFigures, Penalty, PenaltyLevel, ReliabilityBin, RiskModel, RocCurve, RocFigures, Scoring, ScoringTerm,
+};
 
 pub(crate) use frontier::frontier;
 pub(crate) use interactions::{MAIN, PRODUCTS, interactions};

@@ -11,7 +11,7 @@
 
 use robogate_stats::Confidence;
 use robogate_stats::calibration::{Bins, Calibration, calibration};
-use robogate_stats::logistic::{Data, Options, RegressionError, Scale, fit};
+use robogate_stats::logistic::{Data, Fit, Options, RegressionError, Scale, fit};
 use robogate_stats::roc::{RocError, RocPoint, auc, cross_validate, curve, stratified_folds};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -40,12 +40,62 @@ pub struct RiskModel {
     pub regression: Regression,
     /// The penalties of each categorical parameter, from all rows.
     pub penalties: Vec<Penalty>,
+    /// The same model as one asks it: coefficients per unit and their covariance.
+    pub scoring: Scoring,
     /// How well it tells failures from successes.
     pub roc: Finding<RocFigures>,
     /// Whether its probabilities come true, in sample.
     pub calibration_in_sample: Finding<CalibrationFigures>,
     /// The same for rows that the model had not seen.
     pub calibration_cross_validated: Finding<CalibrationFigures>,
+}
+
+/// A logistic model of P(failure) in the parameters' own units: p = 1 / (1 + exp(-(intercept + Σ coefficient · x))), where x is the
+/// value of a number, and of a category the penalty of its level.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Scoring {
+    /// Log-odds of a failure where every x is 0.
+    pub intercept: f64,
+    /// The parameters that have a coefficient.
+    pub terms: Vec<ScoringTerm>,
+    /// Covariance of the intercept and the coefficients, row by row.
+    pub covariance: Vec<f64>,
+    /// The largest variance x' V x of the log-odds among the rows: beyond it the model extrapolates.
+    pub most_variance: f64,
+}
+
+/// One parameter of a model that is asked.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ScoringTerm {
+    /// The parameter; where it has penalties, they stand in [`RiskModel::penalties`].
+    pub parameter: String,
+    /// Log-odds per unit, or per unit of penalty.
+    pub coefficient: f64,
+}
+
+impl Scoring {
+    fn of(fit: &Fit, parameters: &[ParameterColumn], columns: &[&[f64]]) -> Self {
+        let raw = fit.raw_coefficients();
+        let size = raw.len();
+        // The intercept, then the columns that have a coefficient.
+        let estimated = |i: &usize| *i == 0 || fit.terms.get(i - 1).is_some_and(|term| term.coefficient().is_some());
+        let kept: Vec<usize> = (0..size).filter(estimated).collect();
+        let at = |i: usize, j: usize| fit.raw_covariance()[i * size + j];
+        let variance = |row: usize| {
+            let x = |i: usize| if i == 0 { 1.0 } else { columns[i - 1][row] };
+            kept.iter().map(|i| kept.iter().map(|j| x(*i) * x(*j) * at(*i, *j)).sum::<f64>()).sum::<f64>()
+        };
+        let rows = columns.first().map_or(0, |column| column.len());
+        Self {
+            intercept: raw[0],
+            terms: kept[1..]
+                .iter()
+                .map(|i| ScoringTerm { parameter: parameters[i - 1].name.clone(), coefficient: raw[*i] })
+                .collect(),
+            covariance: kept.iter().flat_map(|i| kept.iter().map(move |j| at(*i, *j))).collect(),
+            most_variance: (0..rows).map(variance).fold(0.0, f64::max),
+        }
+    }
 }
 
 /// The penalties of one categorical parameter.
@@ -142,6 +192,7 @@ pub(crate) fn risk(base: &Sample) -> Finding<(RiskModel, Scored)> {
     let Some(p) = whole.probabilities(&slices) else {
         return Finding::not("the columns do not fit the model");
     };
+    let scoring = Scoring::of(&whole, &base.parameters, &slices);
     drop(slices);
     drop(columns);
     let folds = stratified_folds(&failed, FOLDS, 0);
@@ -170,6 +221,7 @@ pub(crate) fn risk(base: &Sample) -> Finding<(RiskModel, Scored)> {
         paper_features: base.parameters.len() == PAPER.len() && PAPER.iter().all(|n| base.parameter(n).is_some()),
         regression: Regression::of(&whole, "failure", &names, true),
         penalties: coded.penalties(&base.parameters),
+        scoring,
         roc: roc_figures(&p, &failed, crossed.as_ref().ok()),
         calibration_in_sample: calibrated(&p, &failed),
         calibration_cross_validated: match &crossed {
