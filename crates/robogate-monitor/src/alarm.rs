@@ -42,12 +42,24 @@ pub enum Metric {
     CycleTimeSpread,
     /// The shares of the failure modes among failures.
     FailureModes,
+    /// The rate of cycles outside what was validated.
+    Outside,
+    /// The failure rate that the risk model expects.
+    Risk,
 }
 
 impl Metric {
     /// Every metric.
-    pub const ALL: [Self; 6] =
-        [Self::Success, Self::Drop, Self::Collision, Self::CycleTime, Self::CycleTimeSpread, Self::FailureModes];
+    pub const ALL: [Self; 8] = [
+        Self::Success,
+        Self::Drop,
+        Self::Collision,
+        Self::CycleTime,
+        Self::CycleTimeSpread,
+        Self::FailureModes,
+        Self::Outside,
+        Self::Risk,
+    ];
 
     /// Its word in data.
     pub fn word(self) -> &'static str {
@@ -58,6 +70,8 @@ impl Metric {
             Self::CycleTime => "cycle_time",
             Self::CycleTimeSpread => "cycle_time_spread",
             Self::FailureModes => "failure_modes",
+            Self::Outside => "outside",
+            Self::Risk => "risk",
         }
     }
 
@@ -70,6 +84,8 @@ impl Metric {
             Self::CycleTime => "cycle time",
             Self::CycleTimeSpread => "spread of the cycle time",
             Self::FailureModes => "mix of failure modes",
+            Self::Outside => "cycles outside what was validated",
+            Self::Risk => "expected failure rate",
         }
     }
 }

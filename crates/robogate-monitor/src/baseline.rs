@@ -8,6 +8,7 @@ use crate::alarm::Metric;
 use crate::cycle::MODES;
 use crate::detector::Factors;
 use crate::factors::{self, Binned};
+use crate::settings::Settings;
 
 /// Bins of the cycle time.
 const BINS: usize = 20;
@@ -94,8 +95,9 @@ impl Baseline {
         Binned::of(self.cycle_times_s.as_deref()?, BINS)
     }
 
-    /// The factors of a metric's detector, or why there are none. `alpha` is the chance that the bound is wrong.
-    pub fn factors(&self, metric: Metric, alpha: f64) -> Result<Factors, &'static str> {
+    /// The factors of a metric's detector, or why there are none.
+    pub fn factors(&self, metric: Metric, settings: &Settings) -> Result<Factors, &'static str> {
+        let alpha = settings.alpha();
         const ROOM: &str = "the baseline is too small, or too poor, for a change to be told from it";
         let event = |count: Option<Count>, failures: bool| {
             let trials = count.and_then(Count::trials).ok_or("it is still being learnt")?;
@@ -117,6 +119,13 @@ impl Baseline {
                 let share =
                     |count: &u64| Trials::new(*count, n).map_or(1.0, |t| bound(t, false, alpha / MODES.len() as f64));
                 factors::shares(&counts.each_ref().map(share)).ok_or(ROOM)
+            }
+            Metric::Outside => {
+                factors::event(settings.outside_share).ok_or("`outside_share` leaves no room for a change")
+            }
+            Metric::Risk => {
+                let success = self.success.and_then(Count::trials).ok_or("it is still being learnt")?;
+                factors::risk(bound(success, true, alpha)).ok_or(ROOM)
             }
         }
     }

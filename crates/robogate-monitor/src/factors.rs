@@ -64,6 +64,28 @@ fn bets(scores: &[f64], bound: f64) -> Vec<(f64, Vec<f64>)> {
     BETS.map(bet).to_vec()
 }
 
+/// Steps that a risk is counted in.
+const RISK_STEPS: u8 = 128;
+
+/// The step of a risk: the steps are narrow where risks are small, √p in 128 parts.
+pub(crate) fn risk_step(risk: f64) -> u8 {
+    // The highest step holds 1 itself; a cast of what is no number gives 0.
+    ((risk.sqrt() * f64::from(RISK_STEPS)) as u8).min(RISK_STEPS - 1)
+}
+
+/// The middle of a step.
+pub(crate) fn risk_of(step: u8) -> f64 {
+    ((f64::from(step) + 0.5) / f64::from(RISK_STEPS)).powi(2)
+}
+
+/// Factors for a risk (P(failure) by a model) whose mean is at most `bound` before the change. Symbols: the step of `risk_step`.
+///
+/// The score is the lower end of the step, so that a mean risk within the bound has a mean score within it.
+pub fn risk(bound: f64) -> Option<Factors> {
+    let scores: Vec<f64> = (0..RISK_STEPS).map(|step| (f64::from(step) / f64::from(RISK_STEPS)).powi(2)).collect();
+    Factors::new(&bets(&scores, bound))
+}
+
 /// A distribution of cycle times, as counts in bins, and how far the truth may be from it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Binned {
@@ -189,6 +211,21 @@ mod tests {
         (wide[0], wide[binned.shares.len() - 1]) = (0.5, 0.5);
         assert!(spread.largest_expectation(&wide) > 1.3);
         assert!(location.largest_expectation(&wide) <= 1.0, "a wider spread is no shift");
+    }
+
+    #[test]
+    fn a_mean_risk_within_the_bound_is_no_evidence_and_one_beyond_is() {
+        let factors = risk(0.05).unwrap();
+        let alternating = |a: f64, b: f64| {
+            let mut shares = vec![0.0; RISK_STEPS.into()];
+            shares[usize::from(risk_step(a))] += 0.5;
+            shares[usize::from(risk_step(b))] += 0.5;
+            factors.largest_expectation(&shares)
+        };
+        assert!(alternating(0.02, 0.08) <= 1.0 && alternating(0.0, 0.1) <= 1.0);
+        assert!(alternating(0.05, 0.12) > 1.1);
+        assert_eq!((risk_step(0.0), risk_step(1.0), risk_step(f64::NAN)), (0, 127, 0));
+        assert_eq!(risk(1.0), None);
     }
 
     #[test]

@@ -4,6 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::alarm::Metric;
 use crate::cycle::Cycle;
+use crate::domain::Judged;
+use crate::factors;
 
 /// A symbol that was not reported.
 pub(crate) const ABSENT: u8 = u8::MAX;
@@ -15,13 +17,13 @@ pub(crate) struct Symbols {
     pub(crate) time_s: f64,
     /// Cycle time of a successful cycle, in seconds; below 0 where there is none.
     pub(crate) cycle_time_s: f32,
-    /// Failed, drop, collision, bin of the cycle time, failure mode.
-    pub(crate) codes: [u8; 5],
+    /// Failed, drop, collision, bin of the cycle time, failure mode, outside, step of the risk.
+    pub(crate) codes: [u8; 7],
 }
 
 impl Symbols {
     /// A cycle's symbols. `bin` puts a cycle time into its bin, where the bins are known.
-    pub(crate) fn of(cycle: &Cycle, bin: impl Fn(f64) -> u8) -> Self {
+    pub(crate) fn of(cycle: &Cycle, judged: Judged, bin: impl Fn(f64) -> u8) -> Self {
         let flag = |flag: Option<bool>| flag.map_or(ABSENT, u8::from);
         let cycle_time = cycle.cycle_time_s.filter(|_| cycle.success);
         Self {
@@ -33,19 +35,23 @@ impl Symbols {
                 flag(cycle.collision),
                 cycle_time.map_or(ABSENT, bin),
                 cycle.mode().unwrap_or(ABSENT),
+                flag(judged.outside),
+                judged.risk.map_or(ABSENT, factors::risk_step),
             ],
         }
     }
 
     /// The symbol that a metric's detector reads; `None` where it was not reported.
     pub(crate) fn code(&self, metric: Metric) -> Option<u8> {
-        let [failed, drop, collision, bin, mode] = self.codes;
+        let [failed, drop, collision, bin, mode, outside, risk] = self.codes;
         let code = match metric {
             Metric::Success => failed,
             Metric::Drop => drop,
             Metric::Collision => collision,
             Metric::CycleTime | Metric::CycleTimeSpread => bin,
             Metric::FailureModes => mode,
+            Metric::Outside => outside,
+            Metric::Risk => risk,
         };
         (code != ABSENT).then_some(code)
     }
@@ -63,6 +69,12 @@ impl History {
     /// Room for this many cycles, taken at once.
     pub(crate) fn new(capacity: usize) -> Self {
         Self { capacity: capacity.max(1), next: 0, ring: Vec::with_capacity(capacity.max(1)) }
+    }
+
+    /// Whether it is a ring of this many cycles.
+    pub(crate) fn fits(&self, capacity: usize) -> bool {
+        let whole = self.ring.len() == self.capacity || self.next == self.ring.len();
+        self.capacity == capacity.max(1) && self.ring.len() <= self.capacity && self.next < self.capacity && whole
     }
 
     /// Adds a cycle; the oldest gives way.
@@ -89,7 +101,7 @@ mod tests {
     #[test]
     fn the_ring_keeps_the_newest_in_order() {
         let mut history = History::new(3);
-        let at = |time_s| Symbols { time_s, cycle_time_s: -1.0, codes: [0; 5] };
+        let at = |time_s| Symbols { time_s, cycle_time_s: -1.0, codes: [0; 7] };
         for i in 0..8 {
             history.push(at(f64::from(i)));
             let times: Vec<f64> = history.newest_first().map(|s| s.time_s).collect();

@@ -42,7 +42,7 @@ impl Learning {
         mut learnt: impl FnMut(Metric),
     ) {
         let enough = u64::from(settings.learn_cycles);
-        let [failed, drop, collision, _, mode] = symbols.codes;
+        let [failed, drop, collision, _, mode, ..] = symbols.codes;
         for (slot, tally, happened, metric) in [
             (&mut baseline.success, &mut self.successes, Some(failed == 0), Metric::Success),
             (&mut baseline.drop, &mut self.drops, reported(drop), Metric::Drop),

@@ -38,13 +38,17 @@
 //! | what is normal? | [`Baseline`] |
 //! | did something change, and since when? | [`detector`], with the [`factors`] of each metric |
 //! | what does the paper's rule say? | [`paper`] |
+//! | was it ever evaluated, and what does the risk model expect? | [`domain`] |
 //! | does one robot stand out? | [`fleet`] |
 //! | how often would it cry wolf, how late would it see? | [`simulate`] |
+//!
+//! The feature `service` adds the service around it: feeds, store, outputs and page.
 
 mod alarm;
 mod baseline;
 mod cycle;
 pub mod detector;
+pub mod domain;
 pub mod factors;
 pub mod fleet;
 mod history;
@@ -52,6 +56,9 @@ mod learning;
 mod monitor;
 pub mod paper;
 mod recipe;
+mod reference;
+#[cfg(feature = "service")]
+pub mod service;
 mod settings;
 pub mod simulate;
 mod words;
@@ -60,5 +67,6 @@ pub use alarm::{Alarm, Happening, Level, Metric, Rule, Since};
 pub use baseline::{Baseline, BaselineError, Count};
 pub use cycle::{Cycle, CycleError, LONGEST_NAME, MODES, MOST_PARAMETERS, ParameterValue};
 pub use monitor::{Monitor, TooManyRecipes};
-pub use recipe::{DetectorView, Recipe, RecipeState, RobotTally, Standing};
+pub use recipe::{DetectorView, OutsideTally, Recipe, RecipeState, RobotTally, Standing};
+pub use reference::{Reference, ReferenceError};
 pub use settings::{Settings, SettingsError, Shares};

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::alarm::Alarm;
 use crate::cycle::Cycle;
+use crate::domain::Judged;
 use crate::recipe::{Recipe, RecipeState};
 use crate::settings::{Settings, SettingsError};
 
@@ -36,41 +37,51 @@ impl Monitor {
         Ok(Self { settings, recipes: BTreeMap::new() })
     }
 
-    /// Gives a recipe back what it remembered. Evidence that does not fit the settings starts again from nothing.
+    /// Gives a recipe back what it remembered: see [`Recipe::restore`].
     pub fn restore(&mut self, name: &str, state: RecipeState) {
-        self.recipes.insert(name.to_owned(), Recipe::restore(state, &self.settings));
+        self.recipes.insert(name.to_owned(), Recipe::restore(name, state, &self.settings));
     }
 
-    /// Whether a cycle of this recipe would be taken.
+    /// Whether a cycle of this recipe would be taken after `others` more that are new.
     ///
     /// # Errors
     /// The recipe is new and there is no room for it.
-    pub fn has_room(&self, recipe: &str) -> Result<(), TooManyRecipes> {
+    pub fn has_room(&self, recipe: &str, others: usize) -> Result<(), TooManyRecipes> {
         let most = self.settings.most_recipes;
-        if self.recipes.len() < most as usize || self.recipes.contains_key(recipe) {
+        if self.recipes.len() + others < most as usize || self.recipes.contains_key(recipe) {
             Ok(())
         } else {
             Err(TooManyRecipes { recipe: recipe.to_owned(), most })
         }
     }
 
-    /// Takes in one cycle, in the order of arrival; what happens to alarms is handed to `said`.
+    /// Takes in one cycle, in the order of arrival; what happens to alarms is handed to `said`, and what is said of its
+    /// parameters returned.
     ///
     /// The cycle is one that passed [`Cycle::check`]. Allocates nothing but at an alarm, for a recipe or robot never heard
     /// before, and where learning ends.
     ///
     /// # Errors
     /// The recipe is new and there is no room for it.
-    pub fn observe(&mut self, cycle: &Cycle, said: &mut dyn FnMut(Alarm)) -> Result<(), TooManyRecipes> {
+    pub fn observe(&mut self, cycle: &Cycle, said: &mut dyn FnMut(Alarm)) -> Result<Judged, TooManyRecipes> {
         if let Some(recipe) = self.recipes.get_mut(cycle.recipe.as_str()) {
-            recipe.observe(cycle, &self.settings, said);
-            return Ok(());
+            return Ok(recipe.observe(cycle, &self.settings, said));
         }
-        self.has_room(&cycle.recipe)?;
-        let mut recipe = Recipe::new(self.settings.baseline_of(&cycle.recipe).clone(), &self.settings);
-        recipe.observe(cycle, &self.settings, said);
+        self.has_room(&cycle.recipe, 0)?;
+        let mut recipe = Recipe::new(&cycle.recipe, &self.settings);
+        let judged = recipe.observe(cycle, &self.settings, said);
         self.recipes.insert(cycle.recipe.clone(), recipe);
-        Ok(())
+        Ok(judged)
+    }
+
+    /// How many recipes there are.
+    pub fn len(&self) -> usize {
+        self.recipes.len()
+    }
+
+    /// Whether nothing was heard yet.
+    pub fn is_empty(&self) -> bool {
+        self.recipes.is_empty()
     }
 
     /// The settings.

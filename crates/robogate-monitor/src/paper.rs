@@ -84,7 +84,7 @@ impl PaperWindow {
     /// Takes in one cycle and says where the rule stands.
     pub fn update(&mut self, success: bool) -> Option<Level> {
         if let Some(oldest) = self.failed.get_mut(self.next) {
-            self.failures -= u32::from(self.full && *oldest);
+            self.failures = self.failures.saturating_sub(u32::from(self.full && *oldest));
             *oldest = !success;
             self.failures += u32::from(!success);
         }

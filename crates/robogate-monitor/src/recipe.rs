@@ -1,14 +1,17 @@
 //! One recipe: the paper's window, a detector for each metric, and what they have said.
 
 use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::sync::Arc;
 
 use robogate_stats::Trials;
 use serde::{Deserialize, Serialize};
 
 use crate::alarm::{Alarm, Happening, Level, Metric, Rule};
 use crate::baseline::Baseline;
-use crate::cycle::Cycle;
+use crate::cycle::{Cycle, ParameterValue};
 use crate::detector::{Evidence, Factors};
+use crate::domain::{Domain, Judged, Validated};
 use crate::factors::Binned;
 use crate::history::{History, Symbols};
 use crate::learning::Learning;
@@ -21,12 +24,15 @@ use crate::words;
 pub struct Recipe {
     pub(crate) factors: [Option<Factors>; Metric::ALL.len()],
     pub(crate) binned: Option<Binned>,
+    domain: Option<Arc<Domain>>,
     pub(crate) state: RecipeState,
 }
 
 /// All that a recipe must remember: the same state and the same cycles give the same alarms, bit for bit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RecipeState {
+    /// Names the baseline and the domain that the settings gave.
+    pub(crate) given: u64,
     pub(crate) baseline: Baseline,
     pub(crate) learning: Learning,
     pub(crate) evidence: [Option<[Evidence; 2]>; Metric::ALL.len()],
@@ -39,6 +45,8 @@ pub struct RecipeState {
     pub(crate) successes: u64,
     pub(crate) raised: u64,
     pub(crate) history: History,
+    /// One for each parameter of the envelope in its order, and one for their combination.
+    pub(crate) outside: Vec<OutsideTally>,
     pub(crate) robots: BTreeMap<String, RobotTally>,
 }
 
@@ -51,6 +59,34 @@ pub struct Standing {
     pub last: u64,
     /// How often it did, the first time included.
     pub times: u64,
+}
+
+/// How often one parameter lay outside what was validated.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct OutsideTally {
+    /// Cycles since the detectors began.
+    pub cycles: u64,
+    /// The last of them, numbered within the recipe.
+    pub last: u64,
+    /// The lowest and highest number.
+    pub numbers: Option<[f64; 2]>,
+    /// The first word.
+    pub word: Option<String>,
+}
+
+impl OutsideTally {
+    fn add(&mut self, cycle: u64, value: Option<&ParameterValue>) {
+        self.cycles += 1;
+        self.last = cycle;
+        match value {
+            Some(ParameterValue::Number(x)) => {
+                let [low, high] = self.numbers.unwrap_or([*x, *x]);
+                self.numbers = Some([low.min(*x), high.max(*x)]);
+            }
+            Some(ParameterValue::Word(word)) if self.word.is_none() => self.word = Some(word.clone()),
+            _ => {}
+        }
+    }
 }
 
 /// What one robot did in one recipe.
@@ -75,9 +111,10 @@ pub struct DetectorView {
 
 impl Recipe {
     /// A recipe that nothing was heard of.
-    pub fn new(baseline: Baseline, settings: &Settings) -> Self {
+    pub fn new(name: &str, settings: &Settings) -> Self {
         let state = RecipeState {
-            baseline,
+            given: given(name, settings),
+            baseline: settings.baseline_of(name).clone(),
             learning: Learning::default(),
             evidence: Default::default(),
             began: Default::default(),
@@ -88,14 +125,35 @@ impl Recipe {
             successes: 0,
             raised: 0,
             history: History::new(settings.history_cycles as usize),
+            outside: Vec::new(),
             robots: BTreeMap::new(),
         };
-        Self::restore(state, settings)
+        Self::restore(name, state, settings)
     }
 
-    /// A recipe from what it remembered. Evidence that does not fit the settings starts again from nothing.
-    pub fn restore(state: RecipeState, settings: &Settings) -> Self {
-        let mut recipe = Self { factors: Default::default(), binned: None, state };
+    /// A recipe from what it remembered.
+    ///
+    /// Where the settings now give another baseline or domain, what was learnt and all evidence start again from nothing; so
+    /// does evidence that does not fit the settings. Counts stay.
+    pub fn restore(name: &str, mut state: RecipeState, settings: &Settings) -> Self {
+        let given = given(name, settings);
+        if state.given != given {
+            state.given = given;
+            state.baseline = settings.baseline_of(name).clone();
+            state.learning = Learning::default();
+            state.evidence = Default::default();
+            state.standing = Default::default();
+            (state.paper, state.paper_said) = (None, None);
+        }
+        if !state.history.fits(settings.history_cycles as usize) {
+            state.history = History::new(settings.history_cycles as usize);
+        }
+        let domain = settings.domain_of(name).cloned();
+        let parameters = domain.as_ref().map_or(0, |domain| domain.envelope.len() + 1);
+        if state.outside.len() != parameters {
+            state.outside = vec![OutsideTally::default(); parameters];
+        }
+        let mut recipe = Self { factors: Default::default(), binned: None, domain, state };
         for metric in Metric::ALL {
             recipe.begin(metric, settings);
         }
@@ -117,7 +175,7 @@ impl Recipe {
         if metric == Metric::CycleTime {
             self.binned = self.state.baseline.binned();
         }
-        let factors = self.state.baseline.factors(metric, settings.alpha()).ok();
+        let factors = self.new_factors(metric, settings).ok();
         let kept = self.state.evidence[i].take().zip(factors.as_ref());
         self.state.evidence[i] = match kept {
             Some((evidence, factors)) if evidence.iter().all(|e| e.fits(factors)) => Some(evidence),
@@ -129,13 +187,22 @@ impl Recipe {
         self.factors[i] = factors;
     }
 
-    /// Takes in one cycle; what happens to alarms is handed to `said`.
+    fn new_factors(&self, metric: Metric, settings: &Settings) -> Result<Factors, &'static str> {
+        match (metric, &self.domain) {
+            (Metric::Outside | Metric::Risk, None) => Err("no reference says what was validated"),
+            (Metric::Risk, Some(domain)) if domain.risk.is_none() => Err("the reference holds no risk model"),
+            _ => self.state.baseline.factors(metric, settings),
+        }
+    }
+
+    /// Takes in one cycle; what happens to alarms is handed to `said`, and what is said of its parameters returned.
     ///
     /// Allocates nothing but at an alarm, for a robot never heard before, and where learning ends.
-    pub fn observe(&mut self, cycle: &Cycle, settings: &Settings, said: &mut dyn FnMut(Alarm)) {
-        let binned = self.binned.as_ref();
-        let symbols = Symbols::of(cycle, |t| binned.map_or(crate::history::ABSENT, |b| b.bin(t)));
+    pub fn observe(&mut self, cycle: &Cycle, settings: &Settings, said: &mut dyn FnMut(Alarm)) -> Judged {
         self.state.cycles += 1;
+        let judged = self.judge(cycle);
+        let binned = self.binned.as_ref();
+        let symbols = Symbols::of(cycle, judged, |t| binned.map_or(crate::history::ABSENT, |b| b.bin(t)));
         self.state.successes += u64::from(cycle.success);
         self.count_robot(cycle, settings);
         self.state.history.push(symbols);
@@ -146,6 +213,23 @@ impl Recipe {
             }
         }
         self.learn(&symbols, settings);
+        judged
+    }
+
+    fn judge(&mut self, cycle: &Cycle) -> Judged {
+        let Some(domain) = &self.domain else { return Judged::default() };
+        let (tallies, now) = (&mut self.state.outside, self.state.cycles);
+        let judged = domain.judge(cycle, |place, value| {
+            if let Some(tally) = tallies.get_mut(place) {
+                tally.add(now, Some(value));
+            }
+        });
+        if judged.by_combination
+            && let Some(tally) = tallies.last_mut()
+        {
+            tally.add(now, None);
+        }
+        judged
     }
 
     fn count_robot(&mut self, cycle: &Cycle, settings: &Settings) {
@@ -193,7 +277,7 @@ impl Recipe {
                     }
                 }
             } else if let Some(stood) = *standing
-                && now - stood.last >= settings.clear_after_cycles
+                && now.saturating_sub(stood.last) >= settings.clear_after_cycles
             {
                 *standing = None;
                 said(words::cleared(self, metric, level, cycle, settings, stood));
@@ -210,6 +294,7 @@ impl Recipe {
             if metric == Metric::Success {
                 let rate = self.state.baseline.success_rate();
                 self.state.paper = rate.map(|rate| PaperWindow::new(&settings.paper, rate));
+                self.begin(Metric::Risk, settings);
             }
         }
     }
@@ -219,6 +304,15 @@ impl Recipe {
         self.state.evidence.iter_mut().flatten().flatten().for_each(Evidence::restart);
         self.state.standing = Default::default();
         self.state.began = [self.state.cycles; Metric::ALL.len()];
+        self.state.outside.fill(OutsideTally::default());
+    }
+
+    /// Each parameter of the envelope with what was validated and what lay outside since the detectors began; then, without
+    /// a name, combinations beyond the fitted ones.
+    pub fn outside(&self) -> impl Iterator<Item = (Option<(&str, &Validated)>, &OutsideTally)> {
+        let named = self.domain.iter().flat_map(|domain| &domain.envelope);
+        let named = named.map(|(name, validated)| Some((name.as_str(), validated)));
+        named.chain(std::iter::once(None)).zip(&self.state.outside)
     }
 
     /// What is normal for it, learnt parts included.
@@ -260,7 +354,7 @@ impl Recipe {
                 (Some(factors), Some(evidence)) => {
                     Ok(Level::ALL.map(|level| (evidence[level as usize].value(factors), settings.limit(metric, level))))
                 }
-                _ => Err(self.state.baseline.factors(metric, settings.alpha()).err().unwrap_or("it has not begun")),
+                _ => Err(self.new_factors(metric, settings).err().unwrap_or("it has not begun")),
             };
             DetectorView { metric, levels, standing: self.state.standing[i] }
         })
@@ -272,6 +366,30 @@ impl Recipe {
         let detectors = Level::ALL.into_iter().rev().find(|level| stands(*level));
         detectors.max(self.state.paper_said)
     }
+}
+
+/// Names what the settings give a recipe: FNV-1a over its numbers and its text. No secret hangs on it.
+fn given(name: &str, settings: &Settings) -> u64 {
+    struct Fnv(u64);
+    impl Fnv {
+        fn add(&mut self, word: u64) {
+            self.0 = (self.0 ^ word).wrapping_mul(0x0000_0100_0000_01b3);
+            // High bits come down, so that every bit of a word tells.
+            self.0 ^= self.0 >> 29;
+        }
+    }
+    impl std::fmt::Write for Fnv {
+        fn write_str(&mut self, text: &str) -> std::fmt::Result {
+            text.bytes().for_each(|byte| self.add(byte.into()));
+            Ok(())
+        }
+    }
+    let mut hash = Fnv(0xcbf2_9ce4_8422_2325);
+    let Baseline { success, drop, collision, failure_modes, cycle_times_s } = settings.baseline_of(name);
+    // Writing to it cannot fail.
+    let _ = write!(hash, "{success:?}{drop:?}{collision:?}{failure_modes:?}{:?}", settings.domain_of(name));
+    cycle_times_s.iter().flatten().for_each(|time| hash.add(time.to_bits()));
+    hash.0
 }
 
 /// The id of a happening.

@@ -1,12 +1,14 @@
 //! The settings of the monitor.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::alarm::{Level, Metric};
 use crate::baseline::{Baseline, BaselineError};
+use crate::domain::{Domain, DomainError};
 use crate::paper::PaperRule;
 
 /// The settings of the monitor. What is absent has its default.
@@ -39,6 +41,14 @@ pub struct Settings {
     pub baseline: Baseline,
     /// Baselines by recipe.
     pub recipes: BTreeMap<String, Baseline>,
+    /// Share of cycles that may lie outside what was validated before that is a change.
+    pub outside_share: f64,
+    /// What was validated, for recipes that have no domain of their own. It comes from a reference, not from the settings file.
+    #[serde(skip)]
+    pub domain: Option<Arc<Domain>>,
+    /// What was validated, by recipe.
+    #[serde(skip)]
+    pub domains: BTreeMap<String, Arc<Domain>>,
 }
 
 impl Default for Settings {
@@ -57,6 +67,9 @@ impl Default for Settings {
             most_robots: 1_000,
             baseline: Baseline::default(),
             recipes: BTreeMap::new(),
+            outside_share: 0.01,
+            domain: None,
+            domains: BTreeMap::new(),
         }
     }
 }
@@ -82,11 +95,24 @@ pub struct Shares {
     pub cycle_time_spread: f64,
     /// Of the mix of failure modes.
     pub failure_modes: f64,
+    /// Of the cycles outside what was validated.
+    pub outside: f64,
+    /// Of the failure rate that the risk model expects.
+    pub risk: f64,
 }
 
 impl Default for Shares {
     fn default() -> Self {
-        Self { success: 0.5, drop: 0.1, collision: 0.1, cycle_time: 0.1, cycle_time_spread: 0.1, failure_modes: 0.1 }
+        Self {
+            success: 0.4,
+            drop: 0.1,
+            collision: 0.1,
+            cycle_time: 0.1,
+            cycle_time_spread: 0.05,
+            failure_modes: 0.1,
+            outside: 0.075,
+            risk: 0.075,
+        }
     }
 }
 
@@ -100,6 +126,8 @@ impl Shares {
             Metric::CycleTime => self.cycle_time,
             Metric::CycleTimeSpread => self.cycle_time_spread,
             Metric::FailureModes => self.failure_modes,
+            Metric::Outside => self.outside,
+            Metric::Risk => self.risk,
         }
     }
 }
@@ -127,6 +155,14 @@ pub enum SettingsError {
         recipe: String,
         /// What is wrong.
         error: BaselineError,
+    },
+    /// A domain that cannot be one.
+    #[error("recipe `{recipe}`: {error}")]
+    Domain {
+        /// The recipe; `*` for the common domain.
+        recipe: String,
+        /// What is wrong.
+        error: DomainError,
     },
 }
 
@@ -160,6 +196,11 @@ impl Settings {
         for (recipe, baseline) in std::iter::once(("*", &self.baseline)).chain(named) {
             baseline.check().map_err(|error| SettingsError::Baseline { recipe: recipe.to_owned(), error })?;
         }
+        within("outside_share", self.outside_share, 0.0, 0.5, "from 0 to 0.5")?;
+        let common = self.domain.iter().map(|domain| ("*", domain));
+        for (recipe, domain) in common.chain(self.domains.iter().map(|(name, domain)| (name.as_str(), domain))) {
+            domain.check().map_err(|error| SettingsError::Domain { recipe: recipe.to_owned(), error })?;
+        }
         Ok(())
     }
 
@@ -179,6 +220,11 @@ impl Settings {
     /// The chance that one bound of a baseline is wrong, so that all of them hold together with the confidence set.
     pub fn alpha(&self) -> f64 {
         (1.0 - self.baseline_confidence) / Metric::ALL.len() as f64
+    }
+
+    /// What was validated for a recipe.
+    pub fn domain_of(&self, recipe: &str) -> Option<&Arc<Domain>> {
+        self.domains.get(recipe).or(self.domain.as_ref())
     }
 
     /// The baseline of a recipe.

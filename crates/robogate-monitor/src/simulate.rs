@@ -152,7 +152,7 @@ impl Runner for Paper {
 ///
 /// The detector's limit is the one it has in the family of all metrics. `None` where the baseline allows no detector.
 pub fn simulate(question: &Question, settings: &Settings, baseline: &Baseline) -> Option<Vec<Figures>> {
-    let factors = baseline.factors(Metric::Success, settings.alpha()).ok()?;
+    let factors = baseline.factors(Metric::Success, settings).ok()?;
     let rate = baseline.success_rate()?;
     let mut all = Vec::new();
     for level in Level::ALL {

@@ -5,6 +5,7 @@ use robogate_stats::{Confidence, Trials, wilson};
 use crate::alarm::{Alarm, Happening, Level, Metric, Rule, Since};
 use crate::cycle::{Cycle, MODES};
 use crate::detector::{ChangePoint, change_point};
+use crate::domain::Validated;
 use crate::fleet::outliers;
 use crate::history::Symbols;
 use crate::recipe::{Recipe, Standing, happening_id};
@@ -82,20 +83,20 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
     let state = recipe.state();
     let began = state.began[metric as usize];
     // Only what the detector has heard: the cycles that taught the baseline are not held against it.
-    let heard = usize::try_from(state.cycles - began).unwrap_or(usize::MAX);
+    let heard = usize::try_from(state.cycles.saturating_sub(began)).unwrap_or(usize::MAX);
     let kept: Vec<(u64, &Symbols, u8)> = state
         .history
         .newest_first()
         .take(heard)
         .enumerate()
-        .filter_map(|(back, symbols)| Some((state.cycles - back as u64, symbols, symbols.code(metric)?)))
+        .filter_map(|(back, symbols)| Some((state.cycles.saturating_sub(back as u64), symbols, symbols.code(metric)?)))
         .collect();
     let found = recipe.factors[metric as usize]
         .as_ref()
         .and_then(|factors| change_point(factors, kept.iter().map(|(_, _, code)| *code)));
     let since = found.and_then(|found| since(&found, &kept));
     let after = kept.get(..found.map_or(kept.len(), |f| f.likeliest + 1)).unwrap_or(&kept);
-    let what = what(recipe, metric, after);
+    let what = what(recipe, metric, after, settings);
     let promise = grouped(settings.promise(level));
     let how_sure = format!(
         "The evidence reached {}; without a change, the first {} of any kind comes after {promise} cycles or more in the mean.",
@@ -106,7 +107,11 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
         }
     );
     let mode = matches!(metric, Metric::Success | Metric::FailureModes).then(|| grown_mode(recipe, after)).flatten();
-    let look_at = look_at(recipe, metric, settings, mode);
+    let first = since.map_or(began, |since| since.cycles_95[0]);
+    let mut look_at = look_at(recipe, metric, settings, mode);
+    if matches!(metric, Metric::Outside | Metric::Risk) {
+        look_at.splice(0..0, outside(recipe, first));
+    }
     alarm(recipe, cycle, Happening::Raised, level, Rule::Detector, metric, what, how_sure, since, look_at)
 }
 
@@ -141,7 +146,7 @@ fn since(found: &ChangePoint, kept: &[(u64, &Symbols, u8)]) -> Option<Since> {
     })
 }
 
-fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)]) -> String {
+fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], settings: &Settings) -> String {
     let baseline = recipe.baseline();
     let before = |count: Option<crate::Count>, failures: bool| {
         let trials = count.and_then(crate::Count::trials).unwrap_or(Trials::NONE);
@@ -201,6 +206,20 @@ fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)]) -> Strin
             }
             None => "The mix of failure modes changed.".to_owned(),
         },
+        Metric::Outside => format!(
+            "{} of the last {n} cycles lie outside what was validated; at most {} were to be expected.",
+            events(),
+            percent(settings.outside_share)
+        ),
+        Metric::Risk => {
+            let expected =
+                after.iter().map(|(_, _, step)| crate::factors::risk_of(*step)).sum::<f64>() / n.max(1) as f64;
+            format!(
+                "The parameters of the last {n} cycles let the risk model expect {} failures; the baseline is {}.",
+                percent(expected),
+                before(baseline.success, true)
+            )
+        }
     }
 }
 
@@ -220,6 +239,28 @@ fn grown_mode(recipe: &Recipe, after: &[(u64, &Symbols, u8)]) -> Option<u8> {
         now - counts.get(usize::from(*mode)).copied().unwrap_or(0) as f64 / n
     };
     (0..total).max_by(|a, b| growth(a).total_cmp(&growth(b))).filter(|_| !modes.is_empty())
+}
+
+/// The parameters that lay outside what was validated from a cycle on, in words.
+fn outside(recipe: &Recipe, from: u64) -> Vec<String> {
+    let lately = recipe.outside().filter(|(_, tally)| tally.cycles > 0 && tally.last >= from);
+    lately
+        .map(|(parameter, tally)| {
+            let Some((name, validated)) = parameter else {
+                return format!("combinations of parameters beyond the evaluated ones, in {} cycles", tally.cycles);
+            };
+            let seen = match (tally.numbers, &tally.word) {
+                (Some([low, high]), _) if low < high => format!("{low} to {high}"),
+                (Some([low, _]), _) => low.to_string(),
+                (None, word) => format!("`{}`", word.as_deref().unwrap_or_default()),
+            };
+            let good = match validated {
+                Validated::Range([low, high]) => format!("from {low} to {high}"),
+                Validated::Words(words) => format!("for {}", words.join(", ")),
+            };
+            format!("{name}: {seen} in {} cycles, but validated {good}", tally.cycles)
+        })
+        .collect()
 }
 
 /// What to look at first: the robot that stands out, then what usually lies behind such a change.
@@ -257,6 +298,8 @@ fn look_at(recipe: &Recipe, metric: Metric, settings: &Settings, mode: Option<u8
         Metric::CycleTime => "speed override, retries of the grasp, joint friction, network or camera delays",
         Metric::CycleTimeSpread => "retries of the grasp, intermittent delays, mixed parts under one recipe",
         Metric::FailureModes => "what changed in the cell since then, even while the success rate holds",
+        Metric::Outside => "parts, fixtures or lighting that the gate never saw: validate them, or keep them out",
+        Metric::Risk => "harder parts or conditions than the gate's, even while the success rate holds",
     };
     all.push(usual.to_owned());
     all

@@ -3,9 +3,11 @@
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
+use std::sync::Arc;
 
 use robogate_core::Seed;
-use robogate_monitor::{Baseline, Count, Cycle, Monitor, Settings};
+use robogate_monitor::domain::{Domain, Risk, RiskTerm, Validated};
+use robogate_monitor::{Baseline, Count, Cycle, Monitor, ParameterValue, Settings};
 
 struct Counting;
 
@@ -40,7 +42,17 @@ fn a_cycle_without_an_alarm_allocates_nothing() {
         failure_modes: Some([0, 0, 0, 100, 0]),
         cycle_times_s: Some((0..1_000).map(|i| 3.5 + 0.001 * f64::from(i)).collect()),
     };
-    let mut monitor = Monitor::new(Settings { baseline, ..Settings::default() }).unwrap();
+    let domain = Domain {
+        envelope: [("mass_kg".to_owned(), Validated::Range([0.1, 0.8]))].into(),
+        risk: Some(Risk {
+            intercept: -6.0,
+            terms: vec![RiskTerm { parameter: "mass_kg".to_owned(), coefficient: 6.0, penalties: None }],
+            covariance: vec![0.1, 0.0, 0.0, 0.1],
+            most_variance: 0.2,
+        }),
+    };
+    let mut monitor =
+        Monitor::new(Settings { baseline, domain: Some(Arc::new(domain)), ..Settings::default() }).unwrap();
     let mut stream = Seed::campaign(1).stream("allocation");
     let mut cycle = Cycle {
         id: "a".to_owned(),
@@ -52,7 +64,7 @@ fn a_cycle_without_an_alarm_allocates_nothing() {
         drop: Some(false),
         collision: Some(false),
         cycle_time_s: Some(4.0),
-        parameters: Default::default(),
+        parameters: [("mass_kg".to_owned(), ParameterValue::Number(0.3))].into(),
     };
     let mut alarms = 0;
     let mut before = 0;

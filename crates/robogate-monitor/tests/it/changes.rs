@@ -1,9 +1,9 @@
 //! Each kind of change is found, named and dated; nothing else is.
 
 use robogate_core::Seed;
-use robogate_monitor::{Alarm, Happening, Level, Metric, Monitor, Rule, Settings};
+use robogate_monitor::{Alarm, Baseline, Count, Happening, Level, Metric, Monitor, ParameterValue, Rule, Settings};
 
-use crate::common::{Cell, cycle};
+use crate::common::{Cell, cycle, domain};
 
 /// The detectors' alarms of 1,000 normal cycles followed by `n` changed ones.
 fn alarms(after: Cell, n: usize, settings: Settings) -> Vec<Alarm> {
@@ -61,6 +61,78 @@ fn a_changed_mix_of_failures_is_found_while_the_success_rate_holds() {
     assert_eq!(critical.metric, Metric::FailureModes);
     assert!(critical.what.starts_with("timeout is"), "{}", critical.what);
     assert!(critical.look_at.iter().any(|text| text.starts_with("timeouts grew")));
+}
+
+/// Cycles that all succeed, of a cell whose gate saw 2 % failures; the mass is drawn from `mass_kg` after cycle 1,000.
+fn of_mass(mass_kg: [f64; 2]) -> Vec<Alarm> {
+    let settings = Settings {
+        baseline: Baseline { success: Some(Count { count: 9_800, of: 10_000 }), ..Baseline::default() },
+        domain: Some(domain()),
+        ..Settings::default()
+    };
+    let mut monitor = Monitor::new(settings).unwrap();
+    let mut stream = Seed::campaign(6).stream("mass");
+    let mut cycle = cycle();
+    let mut said = Vec::new();
+    for i in 0..2_000 {
+        let [low, high] = if i < 1_000 { [0.1, 0.4] } else { mass_kg };
+        cycle.time_s += 4.0;
+        cycle.parameters.insert("mass_kg".to_owned(), ParameterValue::Number(stream.between(low, high)));
+        let shape = if stream.uniform() < 0.5 { "box" } else { "can" };
+        cycle.parameters.insert("shape".to_owned(), ParameterValue::Word(shape.to_owned()));
+        monitor.observe(&cycle, &mut |alarm| said.push(alarm)).unwrap();
+    }
+    said.retain(|alarm| alarm.rule == Rule::Detector);
+    said
+}
+
+#[test]
+fn parts_that_were_never_validated_are_said_while_every_cycle_succeeds() {
+    assert_eq!(of_mass([0.1, 0.4]), []);
+    let found = of_mass([0.82, 0.93]);
+    let critical = found.iter().find(|a| a.level == Level::Critical && a.metric == Metric::Outside).unwrap();
+    assert!(critical.cycle <= 1_010, "{critical:#?}");
+    assert!(critical.what.contains("lie outside what was validated"), "{}", critical.what);
+    let text = &critical.look_at[0];
+    assert!(text.starts_with("mass_kg: 0.8") && text.ends_with("but validated from 0.1 to 0.8"), "{text}");
+}
+
+#[test]
+fn harder_parts_within_the_envelope_are_said_while_every_cycle_succeeds() {
+    let found = of_mass([0.6, 0.8]);
+    assert!(found.iter().all(|a| a.metric == Metric::Risk), "{found:#?}");
+    let critical = found.iter().find(|a| a.level == Level::Critical).unwrap();
+    assert!((1_001..1_200).contains(&critical.cycle), "{critical:#?}");
+    assert!(
+        critical.what.contains("let the risk model expect 1") || critical.what.contains("expect 2"),
+        "{}",
+        critical.what
+    );
+    let since = critical.since.unwrap();
+    assert!(since.cycles_95[0] <= 1_001 && 1_001 <= since.cycles_95[1], "{since:?}");
+}
+
+#[test]
+fn a_new_reference_starts_what_hangs_on_it_again_and_keeps_the_counts() {
+    let given = Settings { domain: Some(domain()), ..known() };
+    let mut monitor = Monitor::new(known()).unwrap();
+    let mut stream = Seed::campaign(5).stream("reference");
+    let mut cycle = cycle();
+    for _ in 0..700 {
+        Cell { success: 0.5, ..Cell::NORMAL }.draw(&mut stream, &mut cycle);
+        monitor.observe(&cycle, &mut |_| {}).unwrap();
+    }
+    let state = monitor.recipe("bracket").unwrap().state().clone();
+    let restored = |settings: Settings| {
+        let mut monitor = Monitor::new(settings).unwrap();
+        monitor.restore("bracket", state.clone());
+        monitor
+    };
+    assert_eq!(restored(known()), monitor);
+    let changed = restored(given);
+    let recipe = changed.recipe("bracket").unwrap();
+    assert_eq!((recipe.trials().n(), recipe.level(), recipe.window().n()), (700, None, 0));
+    assert!(recipe.detectors(changed.settings())[Metric::Outside as usize].levels.is_ok());
 }
 
 #[test]

@@ -1,6 +1,9 @@
 //! Cycles and baselines for the claims.
 
+use std::sync::Arc;
+
 use robogate_core::Stream;
+use robogate_monitor::domain::Domain;
 use robogate_monitor::{Baseline, Count, Cycle, MODES};
 
 /// What a cell does.
@@ -53,6 +56,17 @@ impl Cell {
             cycle_times_s: Some((0..n).map(time).collect()),
         }
     }
+}
+
+/// What a campaign over mass and shape would have left: failures grow with the mass.
+pub(crate) fn domain() -> Arc<Domain> {
+    let json = r#"{
+        "envelope": {"mass_kg": {"range": [0.1, 0.8]}, "shape": {"words": ["box", "can"]}},
+        "risk": {"intercept": -6, "terms": [
+            {"parameter": "mass_kg", "coefficient": 6},
+            {"parameter": "shape", "coefficient": 2, "penalties": {"box": 0.04, "can": 0.08}}],
+            "covariance": [0.1,0,0, 0,0.1,0, 0,0,0.1], "most_variance": 0.2}}"#;
+    Arc::new(serde_json::from_str(json).unwrap())
 }
 
 pub(crate) fn cycle() -> Cycle {

@@ -4,7 +4,7 @@ use robogate_core::Seed;
 use robogate_monitor::detector::Evidence;
 use robogate_monitor::factors::event;
 use robogate_monitor::simulate::{Mean, Question, simulate};
-use robogate_monitor::{Baseline, Count, Happening, Level, Monitor, Rule, Settings};
+use robogate_monitor::{Baseline, Count, Happening, Level, Monitor, Rule, Settings, Shares};
 
 use crate::common::{Cell, cycle};
 
@@ -36,7 +36,7 @@ fn the_mean_run_length_is_at_least_the_promise_over_ten_thousand_streams() {
 
 #[test]
 fn all_metrics_of_all_recipes_together_keep_the_promise() {
-    let baseline = Cell::NORMAL.baseline(100_000);
+    let baseline = Cell::NORMAL.baseline(20_000);
     let settings =
         Settings { warning_cycles: 200.0, critical_cycles: 200.0, history_cycles: 16, baseline, ..Settings::default() };
     let empty = Monitor::new(settings).unwrap();
@@ -70,10 +70,16 @@ fn a_drop_is_seen_no_later_than_by_the_papers_critical_rule() {
     let baseline =
         Baseline { success: Some(Count { count: 9_500_000_000, of: 10_000_000_000 }), ..Baseline::default() };
     let mut settings = Settings { critical_cycles: 64_000.0, ..Settings::default() };
-    settings.shares.success = 1.0;
-    settings.shares.drop = 0.0;
-    (settings.shares.collision, settings.shares.cycle_time) = (0.0, 0.0);
-    (settings.shares.cycle_time_spread, settings.shares.failure_modes) = (0.0, 0.0);
+    settings.shares = Shares {
+        success: 1.0,
+        drop: 0.0,
+        collision: 0.0,
+        cycle_time: 0.0,
+        cycle_time_spread: 0.0,
+        failure_modes: 0.0,
+        outside: 0.0,
+        risk: 0.0,
+    };
     let figures = simulate(&question, &settings, &baseline).unwrap();
     let of = |rule: &str| figures.iter().find(|f| f.rule == rule && f.level == Level::Critical).unwrap();
     let (paper, detector) = (of("paper"), of("detector"));

@@ -1,0 +1,173 @@
+//! The fleet as one document: per fleet, per robot, and for each recipe how much its robots differ.
+
+use std::collections::BTreeMap;
+
+use robogate_stats::Trials;
+use serde::Serialize;
+
+use super::intake::Intake;
+use super::status::RateStatus;
+use crate::Level;
+use crate::fleet::{outliers, spread};
+
+/// Recipes whose robots are compared, the gravest and busiest first.
+const RECIPES: usize = 20;
+/// Robots that are listed, those with the lowest success rate first.
+const ROBOTS: usize = 200;
+/// Level of the outlier test, over the robots of one recipe.
+const ALPHA: f64 = 0.05;
+
+/// What each robot did in each recipe: all that the comparison needs.
+#[derive(Debug)]
+pub(super) struct Tallies {
+    all: Trials,
+    robots: BTreeMap<String, Trials>,
+    recipes: Vec<(String, Vec<(String, Trials)>)>,
+}
+
+/// The fleet.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FleetStatus {
+    /// The version of this form.
+    pub version: u32,
+    /// All cycles of all robots and recipes.
+    pub all: RateStatus,
+    /// How many robots there are.
+    pub robots_known: usize,
+    /// Each robot over all its recipes, the lowest success rate first. Recipes differ: see `recipes` for who stands out.
+    pub robots: Vec<RobotStatus>,
+    /// Recipes with more than one robot, the gravest first, then the busiest.
+    pub recipes: Vec<RecipeFleet>,
+}
+
+/// What a robot did.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RobotStatus {
+    /// The robot.
+    pub robot: String,
+    /// Its success.
+    pub rate: RateStatus,
+}
+
+/// How much the robots of one recipe differ.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RecipeFleet {
+    /// The recipe.
+    pub recipe: String,
+    /// The spread; absent where all cycles have one outcome.
+    pub spread: Option<SpreadStatus>,
+    /// Robots that stand out, the surest first, at the level 0.05 over all robots of the recipe; none among fewer than four.
+    pub outliers: Vec<OutlierStatus>,
+    /// Its robots, the lowest success rate first.
+    pub robots: Vec<RobotStatus>,
+}
+
+/// Spread of the robots' success rates beyond chance: a beta-binomial fit.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct SpreadStatus {
+    /// Robots.
+    pub robots: usize,
+    /// Mean success rate of a robot.
+    pub mean: f64,
+    /// Overdispersion, from 0 (all alike) to 1.
+    pub overdispersion: f64,
+    /// Its 95 % interval.
+    pub overdispersion_95: [f64; 2],
+    /// Standard deviation of the robots' rates.
+    pub deviation: f64,
+    /// Its 95 % interval.
+    pub deviation_95: [f64; 2],
+}
+
+/// A robot that stands out.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct OutlierStatus {
+    /// The robot.
+    pub robot: String,
+    /// Whether it is worse than its peers, not better.
+    pub worse: bool,
+    /// The two-sided p-value by Holm.
+    pub p: f64,
+    /// What it did.
+    pub rate: RateStatus,
+}
+
+impl Tallies {
+    pub(super) fn of(intake: &Intake) -> Self {
+        let mut robots: BTreeMap<String, Trials> = BTreeMap::new();
+        let mut several: Vec<(Option<Level>, u64, &str)> = Vec::new();
+        let mut all = Trials::NONE;
+        for (name, recipe) in intake.monitor().recipes() {
+            all = together(all, recipe.trials());
+            for (robot, tally) in recipe.robots() {
+                let trials = Trials::new(tally.successes, tally.cycles).unwrap_or(Trials::NONE);
+                match robots.get_mut(robot) {
+                    Some(sum) => *sum = together(*sum, trials),
+                    None => drop(robots.insert(robot.to_owned(), trials)),
+                }
+            }
+            if recipe.robots().nth(1).is_some() {
+                several.push((recipe.level(), recipe.trials().n(), name));
+            }
+        }
+        several.sort_by_key(|(level, n, _)| std::cmp::Reverse((*level, *n)));
+        let tallies = |(_, _, name): &(Option<Level>, u64, &str)| {
+            let recipe = intake.monitor().recipe(name)?;
+            let robots = recipe.robots().filter_map(|(robot, tally)| {
+                Some((robot.to_owned(), Trials::new(tally.successes, tally.cycles).ok()?))
+            });
+            Some(((*name).to_owned(), robots.collect()))
+        };
+        Self { all, robots, recipes: several.iter().take(RECIPES).filter_map(tallies).collect() }
+    }
+}
+
+fn together(a: Trials, b: Trials) -> Trials {
+    Trials::new(a.successes() + b.successes(), a.n() + b.n()).unwrap_or(Trials::NONE)
+}
+
+impl FleetStatus {
+    /// Compares the robots: up to a second of work for each recipe of a thousand robots, so not on the desk's thread.
+    pub(super) fn of(tallies: &Tallies) -> Self {
+        let robots = tallies.robots.iter().map(|(robot, trials)| (robot.as_str(), *trials));
+        Self {
+            version: 1,
+            all: RateStatus::of(tallies.all),
+            robots_known: tallies.robots.len(),
+            robots: lowest(robots),
+            recipes: tallies.recipes.iter().map(|(recipe, robots)| recipe_fleet(recipe, robots)).collect(),
+        }
+    }
+}
+
+fn lowest<'a>(robots: impl Iterator<Item = (&'a str, Trials)>) -> Vec<RobotStatus> {
+    let mut all: Vec<RobotStatus> =
+        robots.map(|(robot, trials)| RobotStatus { robot: robot.to_owned(), rate: RateStatus::of(trials) }).collect();
+    all.sort_by(|a, b| a.rate.rate.unwrap_or(1.0).total_cmp(&b.rate.rate.unwrap_or(1.0)));
+    all.truncate(ROBOTS);
+    all
+}
+
+fn recipe_fleet(recipe: &str, robots: &[(String, Trials)]) -> RecipeFleet {
+    let named: Vec<(&str, Trials)> = robots.iter().map(|(robot, trials)| (robot.as_str(), *trials)).collect();
+    let trials: Vec<Trials> = named.iter().map(|(_, trials)| *trials).collect();
+    let outlier = |o: crate::fleet::Outlier| OutlierStatus {
+        rate: RateStatus::of(o.trials),
+        robot: o.robot,
+        worse: o.worse,
+        p: o.p,
+    };
+    RecipeFleet {
+        recipe: recipe.to_owned(),
+        spread: spread(&trials).map(|s| SpreadStatus {
+            robots: s.robots,
+            mean: s.mean,
+            overdispersion: s.rho,
+            overdispersion_95: s.rho_95,
+            deviation: s.deviation,
+            deviation_95: s.deviation_95,
+        }),
+        outliers: outliers(&named, ALPHA).into_iter().map(outlier).collect(),
+        robots: lowest(named.iter().copied()),
+    }
+}

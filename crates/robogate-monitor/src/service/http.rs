@@ -1,0 +1,508 @@
+//! The HTTP side: cycles in, status, metrics and page out.
+//!
+//! | request | answer |
+//! |---|---|
+//! | `POST /v1/cycles` | one cycle, an array of them, or one a line; what became of them |
+//! | `POST /v1/recipes/NAME/restart` | the recipe's detectors start again, after the cause was mended |
+//! | `GET /v1/status` | where everything stands |
+//! | `GET /v1/fleet` | all robots, how much those of each recipe differ, and who stands out |
+//! | `GET /metrics` | for Prometheus |
+//! | `GET /healthz` | 200 while cycles can be written |
+//! | `GET /` | the page |
+//!
+//! Without a token only this machine may connect: the address must be a loopback one, requests must name it as their host, and
+//! another site's page may not post. With a token everything but `/` (which holds no data) and `/healthz` asks for it.
+//!
+//! A slow client holds one of many connections and nothing else: heads, bodies and whole connections have their time.
+
+use std::collections::BTreeMap;
+use std::convert::Infallible;
+use std::net::{IpAddr, SocketAddr};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use http_body_util::{BodyExt, Full};
+use hyper::body::{Bytes, Incoming};
+use hyper::header::{self, HeaderValue};
+use hyper::service::service_fn;
+use hyper::{Method, Request, Response, StatusCode};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use serde_json::value::RawValue;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{Semaphore, oneshot, watch};
+
+use super::desk::{Answer, Busy, Handle, Job};
+use super::fleet::FleetStatus;
+use super::intake::Taken;
+
+/// Time for which a comparison of the robots holds.
+const FLEET_HOLDS: Duration = Duration::from_secs(10);
+
+/// The page, whole: it loads nothing from elsewhere.
+const PAGE: &str = include_str!("page.html");
+
+/// Limits of the HTTP side.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct HttpSettings {
+    /// Largest body, in bytes.
+    pub most_body_bytes: usize,
+    /// Bytes of all bodies that are held in memory at once, from their arrival until they are on disk.
+    pub most_held_bytes: usize,
+    /// Connections at once.
+    pub most_connections: usize,
+    /// Connections at once from one address.
+    pub most_connections_per_address: usize,
+    /// Requests a second from one address, in the mean; ten seconds' worth may come at once.
+    pub requests_per_s: f64,
+    /// Seconds for a request's head, and for an idle connection.
+    pub head_s: f64,
+    /// Seconds for a request's body.
+    pub body_s: f64,
+    /// Seconds until an answer is given up.
+    pub answer_s: f64,
+    /// Seconds after which a connection takes no further request.
+    pub connection_s: f64,
+}
+
+impl Default for HttpSettings {
+    fn default() -> Self {
+        Self {
+            most_body_bytes: 16 << 20,
+            most_held_bytes: 128 << 20,
+            most_connections: 1_024,
+            most_connections_per_address: 512,
+            requests_per_s: 2_000.0,
+            head_s: 10.0,
+            body_s: 30.0,
+            answer_s: 30.0,
+            connection_s: 600.0,
+        }
+    }
+}
+
+/// Why the HTTP side did not start, or stopped.
+#[derive(Debug, thiserror::Error)]
+pub enum HttpError {
+    /// An address that others can reach, without a token.
+    #[error("{0} can be reached from other machines and there is no token; hint: --token-file, or listen on 127.0.0.1")]
+    NoToken(SocketAddr),
+    /// A token that is too short to be one.
+    #[error("the token has {0} bytes, but must have at least 16")]
+    ShortToken(usize),
+    /// The address cannot be listened on.
+    #[error("cannot listen on {address}: {because}")]
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// Why.
+        because: std::io::Error,
+    },
+}
+
+/// Serves until `stop` is told or dropped. `listening` is told the address, whose port may have been chosen by the system.
+///
+/// # Errors
+/// It cannot start.
+pub fn serve(
+    address: SocketAddr,
+    token: Option<String>,
+    settings: HttpSettings,
+    desk: Handle,
+    listening: impl FnOnce(SocketAddr),
+    stop: oneshot::Receiver<()>,
+) -> Result<(), HttpError> {
+    match &token {
+        None if !address.ip().is_loopback() => return Err(HttpError::NoToken(address)),
+        Some(token) if token.len() < 16 => return Err(HttpError::ShortToken(token.len())),
+        _ => {}
+    }
+    let failed = |because| HttpError::Listen { address, because };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
+    runtime.block_on(async {
+        let listener = TcpListener::bind(address).await.map_err(failed)?;
+        listening(listener.local_addr().map_err(failed)?);
+        let server = Arc::new(Server {
+            token,
+            settings,
+            desk,
+            peers: Mutex::new(Peers::default()),
+            room: Semaphore::new(settings.most_connections),
+            held: AtomicUsize::new(0),
+            fleet: tokio::sync::Mutex::new(None),
+        });
+        let (closing, closed) = watch::channel(false);
+        tokio::select! {
+            () = accept(&listener, &server, &closed) => {}
+            _ = stop => {}
+        }
+        // Requests under way get a moment to be answered.
+        drop((listener, closed));
+        closing.send_replace(true);
+        let _ = tokio::time::timeout(Duration::from_secs(5), closing.closed()).await;
+        Ok(())
+    })
+}
+
+struct Server {
+    token: Option<String>,
+    settings: HttpSettings,
+    desk: Handle,
+    peers: Mutex<Peers>,
+    room: Semaphore,
+    /// Bytes of bodies in memory.
+    held: AtomicUsize,
+    /// The last comparison of the robots.
+    fleet: tokio::sync::Mutex<Option<(Instant, Bytes)>>,
+}
+
+/// What is known of the addresses that connect.
+#[derive(Default)]
+struct Peers(BTreeMap<IpAddr, Peer>);
+
+struct Peer {
+    connections: usize,
+    /// Requests that it may still make.
+    credit: f64,
+    since: Instant,
+}
+
+impl Peers {
+    /// Whether the address may have one more connection.
+    fn connect(&mut self, address: IpAddr, settings: &HttpSettings) -> bool {
+        if self.0.len() > 10_000 {
+            self.0.retain(|_, peer| peer.connections > 0 || peer.since.elapsed() < Duration::from_secs(10));
+        }
+        let credit = settings.requests_per_s * 10.0;
+        let peer = self.0.entry(address).or_insert(Peer { connections: 0, credit, since: Instant::now() });
+        let room = peer.connections < settings.most_connections_per_address;
+        peer.connections += usize::from(room);
+        room
+    }
+
+    fn disconnect(&mut self, address: IpAddr) {
+        if let Some(peer) = self.0.get_mut(&address) {
+            peer.connections = peer.connections.saturating_sub(1);
+        }
+    }
+
+    /// Whether the address may make one more request.
+    fn request(&mut self, address: IpAddr, settings: &HttpSettings) -> bool {
+        let Some(peer) = self.0.get_mut(&address) else { return true };
+        let gained = peer.since.elapsed().as_secs_f64() * settings.requests_per_s;
+        peer.since = Instant::now();
+        peer.credit = (peer.credit + gained).min(settings.requests_per_s * 10.0);
+        let allowed = peer.credit >= 1.0;
+        peer.credit -= f64::from(u8::from(allowed));
+        allowed
+    }
+}
+
+async fn accept(listener: &TcpListener, server: &Arc<Server>, closed: &watch::Receiver<bool>) {
+    loop {
+        let Ok((stream, peer)) = listener.accept().await else {
+            // Out of descriptors, most likely: others will end.
+            tokio::time::sleep(Duration::from_millis(50)).await;
+            continue;
+        };
+        let server = Arc::clone(server);
+        let mut open = closed.clone();
+        tokio::spawn(async move {
+            let Ok(_room) = server.room.try_acquire() else { return };
+            let known = server.peers.lock().is_ok_and(|mut peers| peers.connect(peer.ip(), &server.settings));
+            if known {
+                converse(&server, stream, peer, &mut open).await;
+                if let Ok(mut peers) = server.peers.lock() {
+                    peers.disconnect(peer.ip());
+                }
+            }
+            drop(open);
+        });
+    }
+}
+
+async fn converse(server: &Arc<Server>, stream: TcpStream, peer: SocketAddr, ending: &mut watch::Receiver<bool>) {
+    let _ = stream.set_nodelay(true);
+    let service = service_fn(|request| {
+        let server = Arc::clone(server);
+        async move { Ok::<_, Infallible>(respond(&server, request, peer).await) }
+    });
+    let connection = hyper::server::conn::http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(Duration::from_secs_f64(server.settings.head_s))
+        .max_buf_size(64 << 10)
+        .serve_connection(TokioIo::new(stream), service);
+    let mut connection = std::pin::pin!(connection);
+    let life = tokio::time::sleep(Duration::from_secs_f64(server.settings.connection_s));
+    // A connection that breaks is no event.
+    tokio::select! {
+        _ = connection.as_mut() => return,
+        () = life => {}
+        _ = ending.wait_for(|ending| *ending) => {}
+    }
+    // The request under way is answered, and no other taken.
+    connection.as_mut().graceful_shutdown();
+    let last = server.settings.body_s + server.settings.answer_s;
+    let _ = tokio::time::timeout(Duration::from_secs_f64(last), connection).await;
+}
+
+type Reply = Response<Full<Bytes>>;
+
+fn reply(status: StatusCode, kind: &'static str, body: impl Into<Bytes>) -> Reply {
+    let mut reply = Response::new(Full::new(body.into()));
+    *reply.status_mut() = status;
+    let headers = reply.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(kind));
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    reply
+}
+
+fn document(status: StatusCode, body: &impl Serialize) -> Reply {
+    // A tree of strings and finite numbers cannot fail to serialise.
+    reply(status, "application/json", serde_json::to_vec(body).unwrap_or_default())
+}
+
+/// A refusal that the sender should answer by trying again.
+fn later(status: StatusCode, because: impl std::fmt::Display) -> Reply {
+    let mut reply = refusal(status, because);
+    reply.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
+    reply
+}
+
+fn refusal(status: StatusCode, because: impl std::fmt::Display) -> Reply {
+    document(status, &json!({ "error": because.to_string() }))
+}
+
+async fn respond(server: &Server, request: Request<Incoming>, peer: SocketAddr) -> Reply {
+    let allowed = server.peers.lock().is_ok_and(|mut peers| peers.request(peer.ip(), &server.settings));
+    if !allowed {
+        return later(StatusCode::TOO_MANY_REQUESTS, "too many requests from this address");
+    }
+    let path = request.uri().path().to_owned();
+    let open = matches!(path.as_str(), "/" | "/healthz");
+    if let Some(refused) = admit(server, &request, open) {
+        return refused;
+    }
+    match (request.method(), path.as_str()) {
+        (&Method::POST, "/v1/cycles") => cycles(server, request).await,
+        (&Method::POST, path) if restart_of(path).is_some() => {
+            let recipe = restart_of(path).unwrap_or_default();
+            match ask(server, |reply| Job::Restart { recipe, reply }).await {
+                Ok(true) => document(StatusCode::OK, &json!({ "restarted": true })),
+                Ok(false) => refusal(StatusCode::NOT_FOUND, "no such recipe"),
+                Err(refused) => refused,
+            }
+        }
+        (&Method::GET, "/v1/status") => match ask(server, |reply| Job::Status { reply }).await {
+            Ok(status) => document(StatusCode::OK, &status),
+            Err(refused) => refused,
+        },
+        (&Method::GET, "/v1/fleet") => fleet(server).await,
+        (&Method::GET, "/metrics") => match ask(server, |reply| Job::Metrics { reply }).await {
+            Ok(text) => reply(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", text),
+            Err(refused) => refused,
+        },
+        (&Method::GET, "/healthz") => match ask(server, |reply| Job::Healthy { reply }).await {
+            Ok(()) => document(StatusCode::OK, &json!({ "healthy": true })),
+            Err(refused) => refused,
+        },
+        (&Method::GET, "/") => {
+            let mut page = reply(StatusCode::OK, "text/html; charset=utf-8", PAGE);
+            let policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; \
+                          img-src data:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'";
+            page.headers_mut().insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(policy));
+            page
+        }
+        (_, "/v1/cycles" | "/v1/status" | "/v1/fleet" | "/metrics" | "/healthz" | "/") => {
+            refusal(StatusCode::METHOD_NOT_ALLOWED, "this path does not take this method")
+        }
+        _ => refusal(StatusCode::NOT_FOUND, "there is nothing here; the page is at /"),
+    }
+}
+
+/// Refuses who may not come in.
+fn admit(server: &Server, request: &Request<Incoming>, open: bool) -> Option<Reply> {
+    let text = |name| request.headers().get(name).and_then(|value: &HeaderValue| value.to_str().ok());
+    match &server.token {
+        Some(_) if open => None,
+        Some(token) => {
+            let sent = text(header::AUTHORIZATION).and_then(|value| value.split_once(' ')).unwrap_or_default();
+            if sent.0.eq_ignore_ascii_case("bearer") && same(sent.1.as_bytes(), token.as_bytes()) {
+                return None;
+            }
+            let mut refused = refusal(StatusCode::UNAUTHORIZED, "a bearer token is needed");
+            refused.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+            Some(refused)
+        }
+        None => {
+            // A name that a stranger's DNS points at this machine is not this machine's name.
+            let host = text(header::HOST).unwrap_or_default();
+            if !is_this_machine(host) {
+                return Some(refusal(
+                    StatusCode::FORBIDDEN,
+                    "without a token the host must be localhost or a loopback address",
+                ));
+            }
+            let origin = text(header::ORIGIN).map(|origin| origin.trim_start_matches("http://"));
+            let foreign = origin.is_some_and(|origin| origin != host);
+            foreign.then(|| refusal(StatusCode::FORBIDDEN, "another site's page may not use this"))
+        }
+    }
+}
+
+fn is_this_machine(host: &str) -> bool {
+    let name = match host.strip_prefix('[') {
+        Some(rest) => rest.split(']').next().unwrap_or_default(),
+        None => host.split(':').next().unwrap_or_default(),
+    };
+    name == "localhost" || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
+}
+
+/// Whether two tokens are the same, in a time that does not tell where they differ.
+fn same(a: &[u8], b: &[u8]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).fold(0, |sum, (a, b)| sum | (a ^ b)) == 0
+}
+
+/// Asks the desk, and turns trouble into an answer.
+async fn ask<T>(server: &Server, job: impl FnOnce(oneshot::Sender<Answer<T>>) -> Job) -> Result<T, Reply> {
+    let busy = |busy: Busy| later(StatusCode::SERVICE_UNAVAILABLE, busy);
+    let answer = server.desk.ask(job).map_err(busy)?;
+    match tokio::time::timeout(Duration::from_secs_f64(server.settings.answer_s), answer).await {
+        Ok(Ok(Ok(value))) => Ok(value),
+        Ok(Ok(Err(trouble))) => {
+            let status =
+                if trouble.full { StatusCode::INSUFFICIENT_STORAGE } else { StatusCode::INTERNAL_SERVER_ERROR };
+            Err(refusal(status, trouble.because))
+        }
+        Ok(Err(_)) => Err(busy(Busy)),
+        Err(_) => Err(refusal(
+            StatusCode::GATEWAY_TIMEOUT,
+            "no answer in time; send again: known cycles are not counted twice",
+        )),
+    }
+}
+
+async fn cycles(server: &Server, request: Request<Incoming>) -> Reply {
+    let mut held = Held { bytes: 0, of: server };
+    let body = read(request.into_body(), &mut held);
+    let body = match tokio::time::timeout(Duration::from_secs_f64(server.settings.body_s), body).await {
+        Ok(Ok(body)) => body,
+        Ok(Err(refused)) => return refused,
+        Err(_) => return refusal(StatusCode::REQUEST_TIMEOUT, "the body took too long"),
+    };
+    let batch = lines(body);
+    match ask(server, |reply| Job::Cycles { batch, reply }).await {
+        Ok(taken) => answer_of(&taken),
+        Err(refused) => refused,
+    }
+}
+
+/// Bytes of bodies that one request holds in memory, until it is answered.
+struct Held<'a> {
+    bytes: usize,
+    of: &'a Server,
+}
+
+impl Held<'_> {
+    /// Holds more; whether there is room.
+    fn hold(&mut self, bytes: usize) -> bool {
+        self.bytes += bytes;
+        self.of.held.fetch_add(bytes, Ordering::Relaxed) + bytes <= self.of.settings.most_held_bytes
+    }
+}
+
+impl Drop for Held<'_> {
+    fn drop(&mut self) {
+        self.of.held.fetch_sub(self.bytes, Ordering::Relaxed);
+    }
+}
+
+async fn read(mut body: Incoming, held: &mut Held<'_>) -> Result<Vec<u8>, Reply> {
+    let most = held.of.settings.most_body_bytes;
+    let mut whole = Vec::new();
+    while let Some(frame) = body.frame().await {
+        let frame = frame.map_err(|error| refusal(StatusCode::BAD_REQUEST, error))?;
+        let Ok(data) = frame.into_data() else { continue };
+        if whole.len() + data.len() > most {
+            let because = format!("the body has more than {most} bytes");
+            return Err(refusal(StatusCode::PAYLOAD_TOO_LARGE, because));
+        }
+        if !held.hold(data.len()) {
+            return Err(later(StatusCode::SERVICE_UNAVAILABLE, "too many bytes wait to be written; send again later"));
+        }
+        whole.extend_from_slice(&data);
+    }
+    Ok(whole)
+}
+
+/// One cycle a line, from one document, an array of documents, or lines. What is none of these is left as it is.
+fn lines(body: Vec<u8>) -> Vec<u8> {
+    // A line break within a document can only be white space.
+    let one_line = |value: &RawValue| value.get().replace(['\n', '\r'], " ");
+    match body.iter().find(|byte| !byte.is_ascii_whitespace()) {
+        Some(b'[') => match serde_json::from_slice::<Vec<&RawValue>>(&body) {
+            Ok(all) => all.into_iter().map(one_line).collect::<Vec<_>>().join("\n").into_bytes(),
+            Err(_) => body,
+        },
+        // Lines end the parser after the first one.
+        _ => match serde_json::from_slice::<&RawValue>(&body) {
+            Ok(value) => one_line(value).into_bytes(),
+            Err(_) => body,
+        },
+    }
+}
+
+/// The comparison of the robots is dear: it is made anew after [`FLEET_HOLDS`], by one at a time.
+async fn fleet(server: &Server) -> Reply {
+    let mut kept = server.fleet.lock().await;
+    if let Some((since, bytes)) = &*kept
+        && since.elapsed() < FLEET_HOLDS
+    {
+        return reply(StatusCode::OK, "application/json", bytes.clone());
+    }
+    let tallies = match ask(server, |reply| Job::Fleet { reply }).await {
+        Ok(tallies) => tallies,
+        Err(refused) => return refused,
+    };
+    let made = tokio::task::spawn_blocking(move || serde_json::to_vec(&FleetStatus::of(&tallies))).await;
+    match made {
+        Ok(Ok(bytes)) => {
+            let bytes = Bytes::from(bytes);
+            *kept = Some((Instant::now(), bytes.clone()));
+            reply(StatusCode::OK, "application/json", bytes)
+        }
+        Ok(Err(error)) => refusal(StatusCode::INTERNAL_SERVER_ERROR, error),
+        Err(error) => refusal(StatusCode::INTERNAL_SERVER_ERROR, error),
+    }
+}
+
+/// 200 where all was taken, 422 where some was refused: what was accepted is on disk all the same.
+fn answer_of(taken: &Taken) -> Reply {
+    let nothing = taken.accepted + taken.duplicates + taken.refused == 0;
+    if nothing {
+        return refusal(StatusCode::BAD_REQUEST, "the body holds no cycle");
+    }
+    let status = if taken.refused == 0 { StatusCode::OK } else { StatusCode::UNPROCESSABLE_ENTITY };
+    document(status, taken)
+}
+
+/// The recipe of `/v1/recipes/NAME/restart`, its escapes resolved.
+fn restart_of(path: &str) -> Option<String> {
+    let name = path.strip_prefix("/v1/recipes/")?.strip_suffix("/restart")?;
+    let mut bytes = Vec::new();
+    let mut rest = name.bytes();
+    while let Some(byte) = rest.next() {
+        bytes.push(if byte == b'%' {
+            let digit = |byte: Option<u8>| char::from(byte?).to_digit(16);
+            (digit(rest.next())? * 16 + digit(rest.next())?) as u8
+        } else {
+            byte
+        });
+    }
+    String::from_utf8(bytes).ok().filter(|name| !name.is_empty())
+}

@@ -1,0 +1,353 @@
+//! What becomes of a cycle that arrives.
+//!
+//! | it is | treatment |
+//! |---|---|
+//! | new | written to disk, then heard by the detectors, then acknowledged |
+//! | doubled (its id is known, the same content) | acknowledged, not heard again |
+//! | contradicting (its id is known, other content) | refused |
+//! | out of order (before the newest of its robot, by the sender's clocks) | as new, in the order of arrival, and counted |
+//! | late (before it by more than an hour, or what is set) | as out of order, and counted as late |
+//! | malformed | refused with its line and why; the others of its batch are taken |
+//!
+//! Late cycles are heard nevertheless: a robot whose clock once jumped ahead must not become invisible.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::Serialize;
+
+use super::store::{Kept, Store, StoreError};
+use crate::{Alarm, Cycle, Monitor, TooManyRecipes};
+
+/// A recipe's state is written after so many of its cycles.
+const STATE_EVERY: u64 = 5_000;
+/// Robots whose newest time is known; a further one is not told early from late.
+const MOST_ROBOTS: usize = 100_000;
+/// Refusals that an answer lists.
+const LISTED: usize = 100;
+
+/// Why nothing was taken in.
+#[derive(Debug, thiserror::Error)]
+pub enum IntakeError {
+    /// The store failed. Nothing of the batch was kept.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+/// What became of a batch.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+pub struct Taken {
+    /// New cycles, now on disk.
+    pub accepted: u64,
+    /// Cycles that were known already.
+    pub duplicates: u64,
+    /// Of the accepted, those before the newest of their robot.
+    pub out_of_order: u64,
+    /// Of these, those before it by more than is set.
+    pub late: u64,
+    /// Of the accepted, those outside what was validated.
+    pub outside: u64,
+    /// How many were refused.
+    pub refused: u64,
+    /// The first hundred of them.
+    pub refusals: Vec<Refused>,
+}
+
+/// A cycle that was refused.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Refused {
+    /// Its line, from 1.
+    pub line: u64,
+    /// Why.
+    pub because: String,
+}
+
+impl Taken {
+    fn refuse(&mut self, line: u64, because: String) {
+        self.refused += 1;
+        if self.refusals.len() < LISTED {
+            self.refusals.push(Refused { line, because });
+        }
+    }
+
+    /// Adds the counts of another batch; its refusals are not listed again.
+    pub fn add(&mut self, other: &Self) {
+        self.accepted += other.accepted;
+        self.duplicates += other.duplicates;
+        self.out_of_order += other.out_of_order;
+        self.late += other.late;
+        self.outside += other.outside;
+        self.refused += other.refused;
+    }
+}
+
+/// How far a recipe is.
+#[derive(Debug, Clone, Copy, Default)]
+struct Heard {
+    /// The last cycle that it heard.
+    last: u64,
+    /// The last cycle in its state on disk.
+    written: u64,
+    /// Cycles that it heard since.
+    since: u64,
+}
+
+/// The store and the monitor together: cycles go through here and nowhere else.
+#[derive(Debug)]
+pub struct Intake {
+    store: Store,
+    monitor: Monitor,
+    late_after_s: f64,
+    newest_time: BTreeMap<String, f64>,
+    heard: BTreeMap<String, Heard>,
+    newest: u64,
+    /// Alarms that are not on disk yet.
+    unwritten: Vec<Alarm>,
+    /// All that became of cycles since the start.
+    totals: Taken,
+}
+
+impl Intake {
+    /// Takes up where the store left off: each recipe's state, then the cycles since.
+    ///
+    /// # Errors
+    /// The store cannot be read.
+    pub fn open(store: Store, mut monitor: Monitor, late_after_s: f64) -> Result<Self, IntakeError> {
+        let mut heard = BTreeMap::new();
+        for (name, seq, state) in store.recipes()? {
+            monitor.restore(&name, state);
+            heard.insert(name, Heard { last: seq, written: seq, since: 0 });
+        }
+        let mut alarms = Vec::new();
+        store.unheard(|seq, cycle| {
+            // A recipe beyond the settings' number was taken under other settings; it stays on disk.
+            if monitor.observe(cycle, &mut |alarm| alarms.push(alarm)).is_ok() {
+                note(&mut heard, &cycle.recipe, seq);
+            }
+        })?;
+        store.together(|| store.add_alarms(&alarms))?;
+        let newest = store.newest()?;
+        let newest_time = store.robots(MOST_ROBOTS)?.into_iter().collect();
+        Ok(Self {
+            store,
+            monitor,
+            late_after_s,
+            newest_time,
+            heard,
+            newest,
+            unwritten: Vec::new(),
+            totals: Taken::default(),
+        })
+    }
+
+    /// Takes in several batches with one commit. When this returns, what it calls accepted is on disk.
+    ///
+    /// # Errors
+    /// The store failed; then nothing of any batch was kept or heard.
+    pub fn take(&mut self, batches: &[&[u8]]) -> Result<Vec<Taken>, IntakeError> {
+        let mut fresh = Fresh::default();
+        self.store.begin()?;
+        let taken: Result<Vec<Taken>, StoreError> = batches.iter().map(|batch| self.keep(batch, &mut fresh)).collect();
+        let taken = match taken.and_then(|taken| self.store.commit().map(|()| taken)) {
+            Ok(taken) => taken,
+            Err(error) => {
+                self.store.roll_back();
+                return Err(error.into());
+            }
+        };
+        Ok(self.hear(taken, fresh)?)
+    }
+
+    /// Writes one batch into the transaction.
+    fn keep(&self, batch: &[u8], fresh: &mut Fresh) -> Result<Taken, StoreError> {
+        let mut taken = Taken::default();
+        for (line, text) in texts(batch) {
+            let cycle = match parse(text) {
+                Ok(cycle) => cycle,
+                Err(because) => {
+                    taken.refuse(line, because);
+                    continue;
+                }
+            };
+            if let Err(full) = self.has_room(&cycle.recipe, fresh) {
+                taken.refuse(line, full.to_string());
+                continue;
+            }
+            match self.store.add(&cycle, text_of(text))? {
+                Kept::New(seq) => {
+                    taken.accepted += 1;
+                    fresh.cycles.push((seq, cycle));
+                }
+                Kept::Same => taken.duplicates += 1,
+                Kept::Other => taken.refuse(line, format!("the id `{}` is known with other content", cycle.id)),
+            }
+        }
+        Ok(taken)
+    }
+
+    /// Whether a recipe can be watched, those that this commit brings counted.
+    fn has_room(&self, recipe: &str, fresh: &mut Fresh) -> Result<(), TooManyRecipes> {
+        if self.monitor.recipe(recipe).is_none() && !fresh.recipes.contains(recipe) {
+            self.monitor.has_room(recipe, fresh.recipes.len())?;
+            fresh.recipes.insert(recipe.to_owned());
+        }
+        Ok(())
+    }
+
+    /// Lets the detectors hear what is on disk now.
+    fn hear(&mut self, mut taken: Vec<Taken>, fresh: Fresh) -> Result<Vec<Taken>, StoreError> {
+        let mut alarms: Vec<Alarm> = Vec::new();
+        let mut fresh = fresh.cycles.into_iter();
+        let mut due = BTreeSet::new();
+        for taken in &mut taken {
+            for (seq, cycle) in fresh.by_ref().take(taken.accepted as usize) {
+                self.clock(&cycle, taken);
+                self.newest = seq;
+                // There is room: that was asked before it was written.
+                if let Ok(judged) = self.monitor.observe(&cycle, &mut |alarm| alarms.push(alarm)) {
+                    taken.outside += u64::from(judged.outside == Some(true));
+                }
+                if note(&mut self.heard, &cycle.recipe, seq) >= STATE_EVERY {
+                    due.insert(cycle.recipe);
+                }
+            }
+            self.totals.add(taken);
+        }
+        // All of this follows from the cycles on disk: if it cannot be written now, a restart writes it.
+        self.unwritten.append(&mut alarms);
+        if !self.unwritten.is_empty() {
+            self.store.together(|| self.store.add_alarms(&self.unwritten))?;
+            self.unwritten.clear();
+        }
+        self.keep_recipes(due.into_iter().collect())?;
+        self.sweep()?;
+        Ok(taken)
+    }
+
+    fn clock(&mut self, cycle: &Cycle, taken: &mut Taken) {
+        if let Some(newest) = self.newest_time.get_mut(cycle.robot.as_str()) {
+            taken.out_of_order += u64::from(cycle.time_s < *newest);
+            taken.late += u64::from(cycle.time_s < *newest - self.late_after_s);
+            *newest = newest.max(cycle.time_s);
+        } else if self.newest_time.len() < MOST_ROBOTS {
+            self.newest_time.insert(cycle.robot.clone(), cycle.time_s);
+        }
+    }
+
+    fn keep_recipe(&mut self, name: &str) -> Result<(), StoreError> {
+        if let (Some(recipe), Some(heard)) = (self.monitor.recipe(name), self.heard.get_mut(name)) {
+            self.store.keep_recipe(name, heard.last, recipe.state())?;
+            *heard = Heard { last: heard.last, written: heard.last, since: 0 };
+        }
+        Ok(())
+    }
+
+    /// Writes every recipe's state, so that the next start hears nothing again.
+    ///
+    /// # Errors
+    /// The store failed; the cycles are on disk all the same.
+    pub fn close(&mut self) -> Result<(), IntakeError> {
+        Ok(self.keep_recipes(self.behind(u64::MAX))?)
+    }
+
+    /// Recipes that heard cycles up to this number which their state on disk does not hold.
+    fn behind(&self, up_to: u64) -> Vec<String> {
+        let behind = self.heard.iter().filter(|(_, heard)| heard.since > 0 && heard.written < up_to);
+        behind.map(|(name, _)| name.clone()).collect()
+    }
+
+    /// Writes the states of some recipes, all or none.
+    fn keep_recipes(&mut self, names: Vec<String>) -> Result<(), StoreError> {
+        if names.is_empty() {
+            return Ok(());
+        }
+        let before: Vec<Option<Heard>> = names.iter().map(|name| self.heard.get(name).copied()).collect();
+        self.store.begin()?;
+        let kept = names.iter().try_for_each(|name| self.keep_recipe(name)).and_then(|()| self.store.commit());
+        if kept.is_err() {
+            self.store.roll_back();
+            let before = names.into_iter().zip(before).filter_map(|(name, heard)| Some((name, heard?)));
+            self.heard.extend(before);
+        }
+        kept
+    }
+
+    /// Deletes what is older than is kept, after the states that hold it are on disk.
+    fn sweep(&mut self) -> Result<(), StoreError> {
+        let Some(up_to) = self.store.too_old(self.newest) else { return Ok(()) };
+        self.keep_recipes(self.behind(up_to))?;
+        self.store.sweep(up_to)
+    }
+
+    /// Restarts a recipe's detectors after its cause was mended; whether there is such a recipe.
+    ///
+    /// # Errors
+    /// The store failed.
+    pub fn restart(&mut self, name: &str) -> Result<bool, IntakeError> {
+        let Some(recipe) = self.monitor.recipe_mut(name) else { return Ok(false) };
+        recipe.restart();
+        self.keep_recipe(name)?;
+        Ok(true)
+    }
+
+    /// Whether the store can be written.
+    ///
+    /// # Errors
+    /// It cannot: why.
+    pub fn healthy(&self) -> Result<(), IntakeError> {
+        Ok(self.store.probe()?)
+    }
+
+    /// The monitor.
+    pub fn monitor(&self) -> &Monitor {
+        &self.monitor
+    }
+
+    /// What became of cycles since the start.
+    pub fn totals(&self) -> &Taken {
+        &self.totals
+    }
+
+    /// The store.
+    pub fn store(&self) -> &Store {
+        &self.store
+    }
+}
+
+/// What one commit brings.
+#[derive(Default)]
+struct Fresh {
+    /// New cycles with their numbers.
+    cycles: Vec<(u64, Cycle)>,
+    /// Recipes never heard before.
+    recipes: BTreeSet<String>,
+}
+
+/// Notes that a recipe heard a cycle; how many since its state was written.
+fn note(heard: &mut BTreeMap<String, Heard>, recipe: &str, seq: u64) -> u64 {
+    if let Some(heard) = heard.get_mut(recipe) {
+        heard.last = seq;
+        heard.since += 1;
+        return heard.since;
+    }
+    // Nothing of it is on disk but its cycles, of which this is the first.
+    heard.insert(recipe.to_owned(), Heard { last: seq, written: seq.saturating_sub(1), since: 1 });
+    1
+}
+
+/// The lines of a batch that are not blank, numbered from 1.
+fn texts(batch: &[u8]) -> impl Iterator<Item = (u64, &[u8])> {
+    let lines = batch.split(|byte| *byte == b'\n').zip(1..);
+    lines.map(|(text, line)| (line, text.trim_ascii())).filter(|(_, text)| !text.is_empty())
+}
+
+fn parse(text: &[u8]) -> Result<Cycle, String> {
+    let text = std::str::from_utf8(text).map_err(|e| format!("not UTF-8: {e}"))?;
+    let cycle: Cycle = serde_json::from_str(text).map_err(|e| e.to_string())?;
+    cycle.check().map_err(|e| e.to_string())?;
+    Ok(cycle)
+}
+
+/// Text that [`parse`] accepted is UTF-8.
+fn text_of(text: &[u8]) -> &str {
+    std::str::from_utf8(text).unwrap_or_default()
+}

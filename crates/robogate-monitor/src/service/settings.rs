@@ -1,0 +1,62 @@
+//! The settings file of the service.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::http::HttpSettings;
+use super::store::StoreSettings;
+use crate::{Settings, SettingsError};
+
+/// The settings of the service. What is absent has its default.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ServiceSettings {
+    /// What is watched, and how surely.
+    pub detectors: Settings,
+    /// What is kept.
+    pub store: StoreSettings,
+    /// Limits of the HTTP side.
+    pub http: HttpSettings,
+    /// A cycle older than the newest of its robot by more than this counts as late, in seconds of the sender's clock.
+    pub late_after_s: f64,
+}
+
+impl ServiceSettings {
+    /// Refuses settings that cannot be.
+    ///
+    /// # Errors
+    /// The first setting that is wrong.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        self.detectors.check()?;
+        let HttpSettings { requests_per_s, head_s, body_s, answer_s, connection_s, .. } = self.http;
+        for (setting, value, low, high, range) in [
+            ("late_after_s", self.late_after_s, 0.0, 1e9, "from 0 to 1e9"),
+            ("http.requests_per_s", requests_per_s, 0.1, 1e6, "from 0.1 to 1e6"),
+            ("http.head_s", head_s, 0.1, 3_600.0, "from 0.1 to 3600"),
+            ("http.body_s", body_s, 0.1, 3_600.0, "from 0.1 to 3600"),
+            ("http.answer_s", answer_s, 0.1, 3_600.0, "from 0.1 to 3600"),
+            ("http.connection_s", connection_s, 1.0, 1e6, "from 1 to 1e6"),
+            ("http.most_connections", self.http.most_connections as f64, 1.0, 1e6, "from 1 to 1e6"),
+            ("http.most_body_bytes", self.http.most_body_bytes as f64, 1.0, 1e9, "from 1 to 1e9"),
+            ("store.keep_cycles", self.store.keep_cycles as f64, 1.0, 1e12, "from 1 to 1e12"),
+            ("store.keep_alarms", self.store.keep_alarms as f64, 1.0, 1e12, "from 1 to 1e12"),
+            ("store.most_mib", self.store.most_mib as f64, 0.0, 1e9, "from 0 to 1e9"),
+        ] {
+            if !(value >= low && value <= high) {
+                return Err(SettingsError::Range { setting, value, range });
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Default for ServiceSettings {
+    fn default() -> Self {
+        Self {
+            detectors: Settings::default(),
+            store: StoreSettings::default(),
+            http: HttpSettings::default(),
+            late_after_s: 3_600.0,
+        }
+    }
+}

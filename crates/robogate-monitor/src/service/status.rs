@@ -1,0 +1,147 @@
+//! Where everything stands, as one document: what the page shows.
+
+use robogate_stats::{Confidence, Trials, wilson};
+use serde::Serialize;
+use serde_json::Value;
+
+use super::intake::{Intake, IntakeError, Taken};
+use crate::domain::Validated;
+use crate::{Level, OutsideTally, Recipe, Settings};
+
+/// Recipes shown, the gravest and busiest first.
+const RECIPES: usize = 200;
+/// Alarms and cycles shown.
+const ALARMS: u32 = 100;
+const CYCLES: u32 = 20;
+
+/// Where everything stands.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Status {
+    /// The version of this form.
+    pub version: u32,
+    /// The promises: cycles to a false warning and to a false critical alarm.
+    pub promised_cycles: [f64; 2],
+    /// How many recipes there are.
+    pub recipes_known: usize,
+    /// The recipes, the gravest first, then the busiest.
+    pub recipes: Vec<RecipeStatus>,
+    /// The last alarms, newest first.
+    pub alarms: Vec<Value>,
+    /// The last cycles, newest first.
+    pub cycles: Vec<Value>,
+    /// What became of cycles since the start of this process.
+    pub intake: Taken,
+}
+
+/// A rate with its 95 % Wilson interval.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RateStatus {
+    /// Successes.
+    pub successes: u64,
+    /// Cycles.
+    pub cycles: u64,
+    /// Observed rate; absent where there are no cycles.
+    pub rate: Option<f64>,
+    /// The interval.
+    pub interval_95: [f64; 2],
+}
+
+impl RateStatus {
+    pub(super) fn of(trials: Trials) -> Self {
+        let interval = wilson(trials, Confidence::P95);
+        let interval_95 = [interval.low, interval.high];
+        Self { successes: trials.successes(), cycles: trials.n(), rate: trials.rate(), interval_95 }
+    }
+}
+
+/// Where a recipe stands.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RecipeStatus {
+    /// The recipe.
+    pub recipe: String,
+    /// The gravest level that stands; absent where none does.
+    pub level: Option<Level>,
+    /// Where the paper's rule stands.
+    pub paper: Option<Level>,
+    /// Success in the paper's window.
+    pub window: RateStatus,
+    /// Success of all its cycles.
+    pub all: RateStatus,
+    /// The success rate of its baseline; absent while it is being learnt.
+    pub baseline: Option<f64>,
+    /// Its detectors.
+    pub detectors: Vec<DetectorStatus>,
+    /// Its cycles outside what was validated, by parameter, since the detectors began.
+    pub outside: Vec<OutsideStatus>,
+}
+
+/// Where a detector stands.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DetectorStatus {
+    /// What it watches.
+    pub metric: &'static str,
+    /// The same for people.
+    pub label: &'static str,
+    /// Evidence and limit for a warning and a critical alarm; absent where there is no detector.
+    pub levels: Option<[[f64; 2]; 2]>,
+    /// Why there is none.
+    pub because: Option<&'static str>,
+    /// The gravest alarm that stands.
+    pub standing: Option<Level>,
+}
+
+/// How often a parameter lay outside what was validated.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct OutsideStatus {
+    /// The parameter; absent for combinations beyond the evaluated ones.
+    pub parameter: Option<String>,
+    /// What was validated.
+    pub validated: Option<Validated>,
+    /// How often, between what, and when last.
+    #[serde(flatten)]
+    pub seen: OutsideTally,
+}
+
+impl Status {
+    pub(super) fn of(intake: &Intake) -> Result<Self, IntakeError> {
+        let monitor = intake.monitor();
+        let settings = monitor.settings();
+        let mut order: Vec<(&str, &Recipe)> = monitor.recipes().collect();
+        order.sort_by_key(|(_, recipe)| std::cmp::Reverse((recipe.level(), recipe.trials().n())));
+        let value = |text: String| serde_json::from_str(&text).unwrap_or(Value::Null);
+        Ok(Self {
+            version: 1,
+            promised_cycles: [settings.warning_cycles, settings.critical_cycles],
+            recipes_known: order.len(),
+            recipes: order.iter().take(RECIPES).map(|(name, recipe)| recipe_status(name, recipe, settings)).collect(),
+            alarms: intake.store().last_alarms(ALARMS)?.into_iter().map(value).collect(),
+            cycles: intake.store().last_cycles(CYCLES)?.into_iter().map(value).collect(),
+            intake: intake.totals().clone(),
+        })
+    }
+}
+
+fn recipe_status(name: &str, recipe: &Recipe, settings: &Settings) -> RecipeStatus {
+    let detector = |view: crate::DetectorView| DetectorStatus {
+        metric: view.metric.word(),
+        label: view.metric.label(),
+        levels: view.levels.ok().map(|levels| levels.map(|(evidence, limit)| [evidence, limit])),
+        because: view.levels.err(),
+        standing: Level::ALL.into_iter().rev().find(|level| view.standing[*level as usize].is_some()),
+    };
+    let outside = recipe.outside().filter(|(_, tally)| tally.cycles > 0).map(|(parameter, tally)| OutsideStatus {
+        parameter: parameter.map(|(name, _)| name.to_owned()),
+        validated: parameter.map(|(_, validated)| validated.clone()),
+        seen: tally.clone(),
+    });
+    RecipeStatus {
+        recipe: name.to_owned(),
+        level: recipe.level(),
+        paper: recipe.paper_level(),
+        window: RateStatus::of(recipe.window()),
+        all: RateStatus::of(recipe.trials()),
+        baseline: recipe.baseline().success_rate(),
+        detectors: recipe.detectors(settings).map(detector).to_vec(),
+        outside: outside.collect(),
+    }
+}

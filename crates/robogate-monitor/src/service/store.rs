@@ -1,0 +1,327 @@
+//! What is on disk: cycles, what each recipe remembers, alarms, in one SQLite file.
+//!
+//! The journal is a write-ahead log that is synced at each commit (`synchronous = FULL`): a commit that returned survives the
+//! end of the process and of the machine's power. A recipe's state is written from time to time together with the number of the last
+//! cycle in it; after a restart the cycles since are heard again, which gives the same state, bit for bit.
+
+use std::path::Path;
+
+use rusqlite::{Connection, OptionalExtension, params};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::recipe::RecipeState;
+use crate::{Alarm, Cycle};
+
+/// The version of the tables.
+const FORM: i64 = 1;
+/// Cycles that are deleted at once.
+const SWEEP: u64 = 2_000;
+
+/// Settings of the store.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct StoreSettings {
+    /// Cycles kept on disk; ids of older ones are forgotten, so that they would count again.
+    pub keep_cycles: u64,
+    /// Alarms kept on disk.
+    pub keep_alarms: u64,
+    /// Largest size of the store, in MiB; beyond it cycles are refused as if the disk were full. 0: no limit.
+    pub most_mib: u64,
+}
+
+impl Default for StoreSettings {
+    fn default() -> Self {
+        Self { keep_cycles: 1_000_000, keep_alarms: 100_000, most_mib: 0 }
+    }
+}
+
+/// Why the store failed.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// There is no room left: the disk is full, or the store as large as it may be.
+    #[error(
+        "the disk, or the store's limit, is full; hint: free space, or set `keep_cycles` lower or `most_mib` higher"
+    )]
+    Full,
+    /// Another process has it.
+    #[error("another process uses this store")]
+    InUse,
+    /// It was written by another version.
+    #[error("the store has the form {found}, but this version reads {FORM}")]
+    Form {
+        /// What it has.
+        found: i64,
+    },
+    /// A row that cannot be read.
+    #[error("{what} in the store cannot be read: {because}")]
+    Damaged {
+        /// Which row.
+        what: String,
+        /// Why.
+        because: String,
+    },
+    /// Anything else.
+    #[error("store: {0}")]
+    Sqlite(rusqlite::Error),
+}
+
+impl From<rusqlite::Error> for StoreError {
+    fn from(error: rusqlite::Error) -> Self {
+        match error.sqlite_error_code() {
+            Some(rusqlite::ErrorCode::DiskFull) => Self::Full,
+            Some(rusqlite::ErrorCode::DatabaseBusy | rusqlite::ErrorCode::DatabaseLocked) => Self::InUse,
+            _ => Self::Sqlite(error),
+        }
+    }
+}
+
+/// The store.
+#[derive(Debug)]
+pub struct Store {
+    connection: Connection,
+    settings: StoreSettings,
+}
+
+/// What became of a cycle in the store.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kept {
+    /// It is new, under this number.
+    New(u64),
+    /// Its id is known, with the same content.
+    Same,
+    /// Its id is known, with other content.
+    Other,
+}
+
+impl Store {
+    /// Opens the store at `path`, or makes it. Only one process may have it.
+    ///
+    /// # Errors
+    /// A file that cannot be opened, is used by another process, or has another form.
+    pub fn open(path: &Path, settings: StoreSettings) -> Result<Self, StoreError> {
+        Self::prepare(Connection::open(path)?, settings)
+    }
+
+    /// A store in memory: for a feed whose end is the end of it.
+    ///
+    /// # Errors
+    /// None that is known.
+    pub fn in_memory(settings: StoreSettings) -> Result<Self, StoreError> {
+        Self::prepare(Connection::open_in_memory()?, settings)
+    }
+
+    fn prepare(connection: Connection, settings: StoreSettings) -> Result<Self, StoreError> {
+        connection.busy_timeout(std::time::Duration::ZERO)?;
+        // Exclusive: a second process is told so at once, and the log needs no shared memory.
+        connection.execute_batch(
+            "PRAGMA locking_mode = EXCLUSIVE; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL;
+             PRAGMA temp_store = MEMORY; PRAGMA wal_autocheckpoint = 4000; PRAGMA journal_size_limit = 67108864;
+             BEGIN EXCLUSIVE;
+             CREATE TABLE IF NOT EXISTS facts (name TEXT PRIMARY KEY, value INTEGER NOT NULL) WITHOUT ROWID;
+             CREATE TABLE IF NOT EXISTS cycles (
+                 seq INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE, recipe TEXT NOT NULL, robot TEXT NOT NULL,
+                 time_s REAL NOT NULL, body TEXT NOT NULL);
+             CREATE TABLE IF NOT EXISTS recipes (name TEXT PRIMARY KEY, seq INTEGER NOT NULL, state TEXT NOT NULL);
+             CREATE TABLE IF NOT EXISTS alarms (
+                 n INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE, body TEXT NOT NULL);
+             COMMIT;",
+        )?;
+        let store = Self { connection, settings };
+        match store.fact("form")? {
+            None => store.set_fact("form", FORM)?,
+            Some(FORM) => {}
+            Some(found) => return Err(StoreError::Form { found }),
+        }
+        if settings.most_mib > 0 {
+            let page: i64 = store.connection.query_row("PRAGMA page_size", [], |row| row.get(0))?;
+            let pages = (settings.most_mib << 20) / page.max(1) as u64;
+            store.connection.query_row(&format!("PRAGMA max_page_count = {pages}"), [], |_| Ok(()))?;
+        }
+        Ok(store)
+    }
+
+    fn fact(&self, name: &str) -> Result<Option<i64>, StoreError> {
+        let mut found = self.connection.prepare_cached("SELECT value FROM facts WHERE name = ?1")?;
+        Ok(found.query_row([name], |row| row.get(0)).optional()?)
+    }
+
+    fn set_fact(&self, name: &str, value: i64) -> Result<(), StoreError> {
+        self.connection
+            .prepare_cached("INSERT OR REPLACE INTO facts VALUES (?1, ?2)")?
+            .execute(params![name, value])?;
+        Ok(())
+    }
+
+    /// Writes a fact, to see whether anything can be written.
+    pub(super) fn probe(&self) -> Result<(), StoreError> {
+        self.set_fact("probe", 1)
+    }
+
+    /// Begins a transaction; what follows is kept by [`Self::commit`] alone.
+    pub(super) fn begin(&self) -> Result<(), StoreError> {
+        Ok(self.connection.execute_batch("BEGIN IMMEDIATE")?)
+    }
+
+    /// Writes the transaction to disk. When this returns, it is there.
+    pub(super) fn commit(&self) -> Result<(), StoreError> {
+        Ok(self.connection.execute_batch("COMMIT")?)
+    }
+
+    /// Forgets the transaction.
+    pub(super) fn roll_back(&self) {
+        // A full disk may have rolled back already; there is nothing to undo then.
+        let _ = self.connection.execute_batch("ROLLBACK");
+    }
+
+    /// Does all of it in one transaction, or nothing.
+    pub(super) fn together(&self, work: impl FnOnce() -> Result<(), StoreError>) -> Result<(), StoreError> {
+        self.begin()?;
+        let done = work().and_then(|()| self.commit());
+        if done.is_err() {
+            self.roll_back();
+        }
+        done
+    }
+
+    /// Adds a cycle, whose text is `body`.
+    pub(super) fn add(&self, cycle: &Cycle, body: &str) -> Result<Kept, StoreError> {
+        let mut insert = self.connection.prepare_cached(
+            "INSERT INTO cycles (id, recipe, robot, time_s, body) VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT (id) DO NOTHING",
+        )?;
+        if insert.execute(params![cycle.id, cycle.recipe, cycle.robot, cycle.time_s, body])? > 0 {
+            return Ok(Kept::New(self.connection.last_insert_rowid().cast_unsigned()));
+        }
+        let mut known = self.connection.prepare_cached("SELECT body FROM cycles WHERE id = ?1")?;
+        let known: String = known.query_row([&cycle.id], |row| row.get(0))?;
+        // The same cycle may be written in another order of keys.
+        let same = known == body || serde_json::from_str::<Cycle>(&known).is_ok_and(|known| known == *cycle);
+        Ok(if same { Kept::Same } else { Kept::Other })
+    }
+
+    /// Writes what a recipe remembers after the cycle `seq`.
+    pub(super) fn keep_recipe(&self, name: &str, seq: u64, state: &RecipeState) -> Result<(), StoreError> {
+        let text = serde_json::to_string(state)
+            .map_err(|e| StoreError::Damaged { what: format!("recipe `{name}`"), because: e.to_string() })?;
+        let mut insert = self.connection.prepare_cached("INSERT OR REPLACE INTO recipes VALUES (?1, ?2, ?3)")?;
+        insert.execute(params![name, seq.cast_signed(), text])?;
+        Ok(())
+    }
+
+    /// What each recipe remembers, and after which cycle.
+    pub(super) fn recipes(&self) -> Result<Vec<(String, u64, RecipeState)>, StoreError> {
+        let mut all = self.connection.prepare("SELECT name, seq, state FROM recipes ORDER BY name")?;
+        let rows = all.query_map([], |row| Ok((row.get(0)?, row.get::<_, i64>(1)?, row.get::<_, String>(2)?)))?;
+        rows.map(|row| {
+            let (name, seq, text): (String, i64, String) = row?;
+            let state = serde_json::from_str(&text)
+                .map_err(|e| StoreError::Damaged { what: format!("recipe `{name}`"), because: e.to_string() })?;
+            Ok((name, seq.cast_unsigned(), state))
+        })
+        .collect()
+    }
+
+    /// Hands out the cycles that no recipe's state holds yet, in their order, with their numbers.
+    pub(super) fn unheard(&self, mut hear: impl FnMut(u64, &Cycle)) -> Result<(), StoreError> {
+        let mut all = self.connection.prepare(
+            "SELECT c.seq, c.body FROM cycles c LEFT JOIN recipes r ON r.name = c.recipe
+             WHERE r.seq IS NULL OR c.seq > r.seq ORDER BY c.seq",
+        )?;
+        let mut rows = all.query([])?;
+        while let Some(row) = rows.next()? {
+            let (seq, body): (i64, String) = (row.get(0)?, row.get(1)?);
+            let cycle = serde_json::from_str(&body)
+                .map_err(|e| StoreError::Damaged { what: format!("cycle {seq}"), because: e.to_string() })?;
+            hear(seq.cast_unsigned(), &cycle);
+        }
+        Ok(())
+    }
+
+    /// The newest time of each robot's cycles.
+    pub(super) fn robots(&self, most: usize) -> Result<Vec<(String, f64)>, StoreError> {
+        let mut all = self.connection.prepare("SELECT robot, MAX(time_s) FROM cycles GROUP BY robot LIMIT ?1")?;
+        let rows = all.query_map([most as i64], |row| Ok((row.get(0)?, row.get(1)?)))?;
+        Ok(rows.collect::<Result<_, _>>()?)
+    }
+
+    /// The last cycles, newest first, as they were sent.
+    pub(super) fn last_cycles(&self, n: u32) -> Result<Vec<String>, StoreError> {
+        let mut last = self.connection.prepare_cached("SELECT body FROM cycles ORDER BY seq DESC LIMIT ?1")?;
+        let rows = last.query_map([n], |row| row.get(0))?;
+        Ok(rows.collect::<Result<_, _>>()?)
+    }
+
+    /// Adds alarms, in their order; those that are known stay as they are.
+    pub(super) fn add_alarms(&self, alarms: &[Alarm]) -> Result<(), StoreError> {
+        let sql = "INSERT INTO alarms (id, body) VALUES (?1, ?2) ON CONFLICT (id) DO NOTHING";
+        let mut insert = self.connection.prepare_cached(sql)?;
+        for alarm in alarms {
+            let body = serde_json::to_string(alarm)
+                .map_err(|e| StoreError::Damaged { what: format!("alarm `{}`", alarm.id), because: e.to_string() })?;
+            insert.execute(params![alarm.id, body])?;
+        }
+        Ok(())
+    }
+
+    /// The alarms after number `n`, oldest first, at most `most`.
+    pub(super) fn alarms_after(&self, n: u64, most: u32) -> Result<Vec<(u64, String)>, StoreError> {
+        let mut all = self.connection.prepare_cached("SELECT n, body FROM alarms WHERE n > ?1 ORDER BY n LIMIT ?2")?;
+        let rows = all.query_map(params![n.cast_signed(), most], |row| Ok((row.get::<_, i64>(0)?, row.get(1)?)))?;
+        rows.map(|row| row.map(|(n, body)| (n.cast_unsigned(), body)).map_err(StoreError::from)).collect()
+    }
+
+    /// The last alarms, newest first.
+    pub(super) fn last_alarms(&self, most: u32) -> Result<Vec<String>, StoreError> {
+        let mut all = self.connection.prepare_cached("SELECT body FROM alarms ORDER BY n DESC LIMIT ?1")?;
+        let rows = all.query_map([most], |row| row.get(0))?;
+        Ok(rows.collect::<Result<_, _>>()?)
+    }
+
+    /// The number of the last alarm that an output delivered.
+    pub(super) fn delivered(&self, output: &str) -> Result<u64, StoreError> {
+        Ok(self.fact(&format!("delivered:{output}"))?.unwrap_or(0).cast_unsigned())
+    }
+
+    /// Makes an output known. A new one begins with the next alarm: what was raised before it is not its business.
+    pub(super) fn enrol(&self, output: &str) -> Result<(), StoreError> {
+        self.connection
+            .prepare_cached("INSERT OR IGNORE INTO facts SELECT ?1, COALESCE(MAX(n), 0) FROM alarms")?
+            .execute([format!("delivered:{output}")])?;
+        Ok(())
+    }
+
+    /// Says that an output delivered every alarm up to number `n`.
+    pub(super) fn set_delivered(&self, output: &str, n: u64) -> Result<(), StoreError> {
+        self.set_fact(&format!("delivered:{output}"), n.cast_signed())
+    }
+
+    /// Cycles that are more than are kept, and the number up to which they may go; `None` where there are not enough of
+    /// them to be worth a sweep.
+    pub(super) fn too_old(&self, newest: u64) -> Option<u64> {
+        let surplus = newest.saturating_sub(self.settings.keep_cycles);
+        let first: Option<i64> = self
+            .connection
+            .prepare_cached("SELECT seq FROM cycles ORDER BY seq LIMIT 1")
+            .and_then(|mut first| first.query_row([], |row| row.get(0)))
+            .ok();
+        let first = first?.cast_unsigned();
+        (surplus >= first + SWEEP.min(self.settings.keep_cycles / 10)).then_some(surplus)
+    }
+
+    /// Deletes cycles up to this number, and alarms beyond those kept.
+    pub(super) fn sweep(&self, up_to: u64) -> Result<(), StoreError> {
+        self.connection.execute("DELETE FROM cycles WHERE seq <= ?1", [up_to.cast_signed()])?;
+        self.connection.execute(
+            "DELETE FROM alarms WHERE n <= (SELECT MAX(n) FROM alarms) - ?1",
+            [self.settings.keep_alarms.cast_signed()],
+        )?;
+        Ok(())
+    }
+
+    /// The newest cycle's number; 0 where there is none.
+    pub(super) fn newest(&self) -> Result<u64, StoreError> {
+        let newest: i64 =
+            self.connection.query_row("SELECT COALESCE(MAX(seq), 0) FROM cycles", [], |row| row.get(0))?;
+        Ok(newest.cast_unsigned())
+    }
+}

@@ -1,0 +1,254 @@
+//! The HTTP side: treatments, limits, doors.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use robogate_monitor::service::{HttpSettings, serve};
+use serde_json::json;
+
+use crate::common::{Service, cycle, cycles, get, post};
+
+fn open() -> (tempfile::TempDir, Service) {
+    let folder = tempfile::tempdir().unwrap();
+    let service = Service::start(&folder.path().join("monitor.db"), HttpSettings::default(), None);
+    (folder, service)
+}
+
+#[test]
+fn each_kind_of_cycle_gets_its_stated_treatment() {
+    let (_folder, service) = open();
+    let to = service.address;
+    let first = cycle(10, 0.0);
+    assert_eq!(post(to, "/v1/cycles", &first, None).1["accepted"], 1);
+    // Doubled: the same again is fine, and is not counted.
+    let (status, again) = post(to, "/v1/cycles", &first, None);
+    assert_eq!((status, &again["accepted"], &again["duplicates"]), (200, &json!(0), &json!(1)));
+    // Contradicting: the same id with another outcome.
+    let (status, other) = post(to, "/v1/cycles", &first.replace("true", "false"), None);
+    assert_eq!((status, &other["refused"]), (422, &json!(1)));
+    assert!(other["refusals"][0]["because"].as_str().unwrap().contains("`c10` is known with other content"));
+    // Out of order by 12 s, late by more than an hour: same robot, heard all the same.
+    let (_, early) = post(to, "/v1/cycles", &cycle(7, 0.0), None);
+    assert_eq!((&early["accepted"], &early["out_of_order"], &early["late"]), (&json!(1), &json!(1), &json!(0)));
+    let late = cycle(4, 0.0).replace("1760000016", "1750000016");
+    let (_, late) = post(to, "/v1/cycles", &late, None);
+    assert_eq!((&late["accepted"], &late["out_of_order"], &late["late"]), (&json!(1), &json!(1), &json!(1)));
+    // Malformed: refused with its line; its neighbours are taken.
+    let batch = format!("{}\n{{\"id\":\"x\"}}\n\nnonsense\n{}\n", cycle(20, 0.0), cycle(21, 0.0));
+    let (status, mixed) = post(to, "/v1/cycles", &batch, None);
+    assert_eq!((status, &mixed["accepted"], &mixed["refused"]), (422, &json!(2), &json!(2)));
+    assert_eq!((&mixed["refusals"][0]["line"], &mixed["refusals"][1]["line"]), (&json!(2), &json!(4)));
+    // An array is taken like lines; nothing is no batch.
+    let array = format!("[{},\n{}]", cycle(30, 0.0), cycle(31, 0.0));
+    assert_eq!(post(to, "/v1/cycles", &array, None).1["accepted"], 2);
+    assert_eq!(post(to, "/v1/cycles", " \n", None).0, 400);
+    let (_, status) = get(to, "/v1/status");
+    let status: serde_json::Value = serde_json::from_str(&status).unwrap();
+    assert_eq!(status["intake"]["accepted"], 7);
+    assert_eq!(status["cycles"].as_array().unwrap().len(), 7);
+    service.end();
+}
+
+#[test]
+fn metrics_health_status_fleet_and_page_answer() {
+    let (_folder, service) = open();
+    let to = service.address;
+    assert_eq!(post(to, "/v1/cycles", &cycles(0..600, 0.05), None).0, 200);
+    assert_eq!(post(to, "/v1/cycles", &cycles(600..1_200, 0.5), None).0, 200);
+    let (status, text) = get(to, "/metrics");
+    assert_eq!(status, 200);
+    assert!(text.contains("robogate_monitor_cycles_total{recipe=\"part-0\"} 600"), "{text}");
+    assert!(text.contains(
+        "robogate_monitor_alarm_standing{recipe=\"part-0\",rule=\"detector\",metric=\"success\",level=\"critical\"} 1"
+    ));
+    // Every sample belongs to a family that was declared before it.
+    let families: Vec<&str> = text.lines().filter_map(|l| l.strip_prefix("# TYPE ")?.split(' ').next()).collect();
+    for line in text.lines().filter(|line| !line.starts_with('#')) {
+        let name = line.split(['{', ' ']).next().unwrap();
+        assert!(families.contains(&name), "{line}");
+        assert!(line.rsplit(' ').next().unwrap().parse::<f64>().is_ok(), "{line}");
+    }
+    // The dashboard asks for nothing that is not there.
+    let dashboard: serde_json::Value =
+        serde_json::from_str(include_str!("../../../../deploy/grafana/robogate-monitor.json")).unwrap();
+    for panel in dashboard["panels"].as_array().unwrap() {
+        for target in panel["targets"].as_array().unwrap() {
+            let expression = target["expr"].as_str().unwrap();
+            let is_name = |c: char| c.is_ascii_lowercase() || c == '_';
+            let names = expression.split(|c| !is_name(c)).filter(|name| name.starts_with("robogate_monitor_"));
+            assert!(names.inspect(|name| assert!(families.contains(name), "{name}")).count() > 0, "{expression}");
+        }
+    }
+    assert_eq!(get(to, "/healthz"), (200, "{\"healthy\":true}".to_owned()));
+    let fleet: serde_json::Value = serde_json::from_str(&get(to, "/v1/fleet").1).unwrap();
+    assert_eq!(fleet["recipes"][0]["spread"]["robots"], 3);
+    assert!(get(to, "/").1.contains("<title>RoboGate monitor</title>"));
+    assert_eq!(get(to, "/nothing").0, 404);
+    assert_eq!(post(to, "/v1/recipes/part-0/restart", "", None).0, 200);
+    assert_eq!(post(to, "/v1/recipes/none/restart", "", None).0, 404);
+    let after: serde_json::Value = serde_json::from_str(&get(to, "/v1/status").1).unwrap();
+    let part = after["recipes"].as_array().unwrap().iter().find(|r| r["recipe"] == "part-0").unwrap();
+    assert!(part["detectors"].as_array().unwrap().iter().all(|d| d["standing"].is_null()));
+    service.end();
+}
+
+#[test]
+fn without_a_token_only_this_machine_may_connect_and_no_other_site_post() {
+    let (_folder, service) = open();
+    let raw = |head: &str| {
+        let mut stream = TcpStream::connect(service.address).unwrap();
+        write!(stream, "{head}connection: close\r\n\r\n").unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        answer.split(' ').nth(1).unwrap().to_owned()
+    };
+    assert_eq!(raw("GET /v1/status HTTP/1.1\r\nhost: 127.0.0.1\r\n"), "200");
+    assert_eq!(raw("GET /v1/status HTTP/1.1\r\nhost: evil.example\r\n"), "403");
+    assert_eq!(raw("POST /v1/cycles HTTP/1.1\r\nhost: localhost\r\norigin: http://evil.example\r\n"), "403");
+    let anyone = "0.0.0.0:0".parse().unwrap();
+    let (_stop, stopped) = tokio::sync::oneshot::channel();
+    let refused = serve(anyone, None, HttpSettings::default(), service.desk.handle(), |_| {}, stopped).unwrap_err();
+    assert!(refused.to_string().contains("--token-file"), "{refused}");
+    service.end();
+}
+
+#[test]
+fn with_a_token_everything_but_page_and_health_asks_for_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let token = "0123456789abcdef";
+    let service = Service::start(&folder.path().join("monitor.db"), HttpSettings::default(), Some(token));
+    let to = service.address;
+    assert_eq!(post(to, "/v1/cycles", &cycle(1, 0.0), None).0, 401);
+    assert_eq!(post(to, "/v1/cycles", &cycle(1, 0.0), Some("0123456789abcdeF")).0, 401);
+    assert_eq!(post(to, "/v1/cycles", &cycle(1, 0.0), Some(token)).0, 200);
+    for (path, status) in [("/v1/status", 401), ("/metrics", 401), ("/v1/fleet", 401), ("/", 200), ("/healthz", 200)] {
+        assert_eq!(get(to, path).0, status, "{path}");
+    }
+    service.end();
+}
+
+#[test]
+fn a_body_or_a_sender_beyond_the_limit_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let http = HttpSettings { most_body_bytes: 2_000, requests_per_s: 1.0, ..HttpSettings::default() };
+    let service = Service::start(&folder.path().join("monitor.db"), http, None);
+    let to = service.address;
+    assert_eq!(post(to, "/v1/cycles", &cycles(0..30, 0.0), None).0, 413);
+    let codes: Vec<u16> = (0..30).map(|i| post(to, "/v1/cycles", &cycle(i, 0.0), None).0).collect();
+    assert!(codes.contains(&200) && codes.contains(&429), "{codes:?}");
+    service.end();
+}
+
+#[test]
+fn two_hundred_slow_clients_hold_nobody_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let http = HttpSettings { head_s: 60.0, body_s: 60.0, ..HttpSettings::default() };
+    let service = Service::start(&folder.path().join("monitor.db"), http, None);
+    let to = service.address;
+    let head = "POST /v1/cycles HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-length: 1000\r\n";
+    let slow: Vec<TcpStream> = (0..200)
+        .map(|i| {
+            let mut stream = TcpStream::connect(to).unwrap();
+            // Half stop within the head, half within the body.
+            let part = if i % 2 == 0 { head.to_owned() } else { format!("{head}\r\n{{") };
+            stream.write_all(part.as_bytes()).unwrap();
+            stream
+        })
+        .collect();
+    let start = Instant::now();
+    assert_eq!(post(to, "/v1/cycles", &cycle(1, 0.0), None).0, 200);
+    assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
+    drop(slow);
+    service.end();
+}
+
+#[test]
+fn a_client_that_never_ends_its_head_is_let_go() {
+    let folder = tempfile::tempdir().unwrap();
+    let http = HttpSettings { head_s: 0.3, ..HttpSettings::default() };
+    let service = Service::start(&folder.path().join("monitor.db"), http, None);
+    let mut stream = TcpStream::connect(service.address).unwrap();
+    stream.write_all(b"GET / HTTP/1.1\r\nhost: 127").unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    let mut answer = Vec::new();
+    // Closed, with or without a last word; what matters is that it does not stay.
+    let _ = stream.read_to_end(&mut answer);
+    assert!(!String::from_utf8_lossy(&answer).contains("200 OK"));
+    service.end();
+}
+
+#[test]
+fn an_idle_connection_is_let_go_and_many_bodies_cannot_fill_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let http = HttpSettings { head_s: 0.3, most_held_bytes: 20_000, ..HttpSettings::default() };
+    let service = Service::start(&folder.path().join("monitor.db"), http, None);
+    let mut idle = TcpStream::connect(service.address).unwrap();
+    idle.write_all(b"GET /healthz HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n").unwrap();
+    idle.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    let mut answer = Vec::new();
+    let start = Instant::now();
+    idle.read_to_end(&mut answer).unwrap();
+    assert!(String::from_utf8_lossy(&answer).contains("200 OK") && start.elapsed() < Duration::from_secs(10));
+    // Senders who stop in the middle hold what they sent; the next one is told to come again, until they are let go.
+    let held: Vec<TcpStream> = (0..3)
+        .map(|_| {
+            let mut stream = TcpStream::connect(service.address).unwrap();
+            let head = "POST /v1/cycles HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-length: 9000\r\n\r\n";
+            stream.write_all(head.as_bytes()).unwrap();
+            stream.write_all(&[b' '; 6_000]).unwrap();
+            stream
+        })
+        .collect();
+    let mut refused = 200;
+    for _ in 0..50 {
+        refused = post(service.address, "/v1/cycles", &(cycle(1, 0.0) + &" ".repeat(6_000)), None).0;
+        if refused == 503 {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(refused, 503);
+    drop(held);
+    let start = Instant::now();
+    while post(service.address, "/v1/cycles", &(cycle(2, 0.0) + &" ".repeat(6_000)), None).0 != 200 {
+        assert!(start.elapsed() < Duration::from_secs(10));
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    service.end();
+}
+
+#[test]
+fn a_document_an_array_and_lines_are_the_same_cycles_to_the_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let of = |name: &str, bodies: &[String]| {
+        let service = Service::start(&folder.path().join(name), HttpSettings::default(), None);
+        for body in bodies {
+            assert_eq!(post(service.address, "/v1/cycles", body, None).0, 200);
+        }
+        let status = get(service.address, "/v1/status").1;
+        service.end();
+        serde_json::from_str::<serde_json::Value>(&status).unwrap()["cycles"].clone()
+    };
+    let lines = cycles(0..5, 0.5);
+    let array = format!("[{}]", lines.trim_end().replace('\n', ",\r\n"));
+    let documents: Vec<String> = lines.lines().map(|line| line.replace(',', ",\n  ")).collect();
+    let wanted = of("lines", std::slice::from_ref(&lines));
+    assert_eq!(wanted.as_array().unwrap().len(), 5);
+    assert_eq!(of("array", &[array]), wanted);
+    assert_eq!(of("documents", &documents), wanted);
+}
+
+#[test]
+fn nothing_that_is_posted_ends_the_service() {
+    let (_folder, service) = open();
+    let deep = "[".repeat(100_000);
+    let long = format!("{{\"id\":\"{}\"}}", "x".repeat(1_000_000));
+    let huge = cycle(1, 0.0).replace("1760000004", "1e999");
+    for body in ["null", "[]", "[null]", "{", "\"\u{0}\"", "1e9", "[1,2]", "\u{feff}{}", &deep, &long, &huge] {
+        let (status, answer) = post(service.address, "/v1/cycles", body, None);
+        assert!(status == 422 || status == 400, "{status} {answer} for {}", &body[..body.len().min(30)]);
+    }
+    assert_eq!(post(service.address, "/v1/cycles", &cycle(1, 0.0), None).0, 200);
+    service.end();
+}

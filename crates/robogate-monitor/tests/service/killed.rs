@@ -1,0 +1,92 @@
+//! Killed by signal 9 in the middle of the work, again and again: what was acknowledged is there once.
+
+use std::io::{BufRead, BufReader, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use robogate_core::Seed;
+use robogate_monitor::service::{HttpSettings, StoreSettings};
+
+use crate::common::{Service, cycle, cycles, intake};
+
+const FOLDER: &str = "ROBOGATE_MONITOR_KILLED";
+
+/// The process that is killed: this test again, told by its environment to serve.
+#[test]
+fn child() {
+    let Some(path) = std::env::var_os(FOLDER) else { return };
+    let service = Service::start(Path::new(&path), HttpSettings::default(), None);
+    println!("address {}", service.address);
+    loop {
+        std::thread::park();
+    }
+}
+
+fn start(path: &Path) -> (Child, String) {
+    let mut child = Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "killed::child", "--nocapture"])
+        .env(FOLDER, path)
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let address = lines.map(Result::unwrap).find_map(|line| Some(line.split_once("address ")?.1.to_owned())).unwrap();
+    (child, address)
+}
+
+/// Posts one cycle on an open connection; whether it was acknowledged.
+fn acknowledged(stream: &mut BufReader<TcpStream>, body: &str) -> Option<()> {
+    let head = format!("POST /v1/cycles HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-length: {}\r\n\r\n", body.len());
+    stream.get_mut().write_all((head + body).as_bytes()).ok()?;
+    let mut status = String::new();
+    stream.read_line(&mut status).ok().filter(|n| *n > 0)?;
+    let mut length = 0;
+    loop {
+        let mut line = String::new();
+        stream.read_line(&mut line).ok().filter(|n| *n > 0)?;
+        if line == "\r\n" {
+            break;
+        }
+        if let Some(n) = line.to_ascii_lowercase().strip_prefix("content-length: ") {
+            length = n.trim().parse().ok()?;
+        }
+    }
+    let mut body = vec![0; length];
+    std::io::Read::read_exact(stream, &mut body).ok()?;
+    status.contains(" 200 ").then_some(())
+}
+
+#[test]
+fn twenty_kills_lose_no_acknowledged_cycle_and_repeat_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("monitor.db");
+    let mut stream = Seed::campaign(1).stream("kills");
+    let mut next = 0;
+    for _ in 0..20 {
+        let (mut child, address) = start(&path);
+        // The kill comes while a sender sends, at a moment nobody chose.
+        let wait = std::time::Duration::from_millis(100 + stream.below(200) as u64);
+        let killer = std::thread::spawn(move || {
+            std::thread::sleep(wait);
+            child.kill().unwrap();
+            child.wait().unwrap();
+        });
+        if let Ok(connection) = TcpStream::connect(&address) {
+            let mut connection = BufReader::new(connection);
+            // What was not acknowledged is sent again after the kill, as a sender does.
+            while acknowledged(&mut connection, &cycle(next, 0.05)).is_some() {
+                next += 1;
+            }
+        }
+        killer.join().unwrap();
+    }
+    assert!(next > 20, "{next} cycles in twenty lives");
+    let survivor = intake(&path, StoreSettings::default());
+    let heard: u64 = survivor.monitor().recipes().map(|(_, recipe)| recipe.trials().n()).sum();
+    // The last one sent may be there without its acknowledgement.
+    assert!(heard == next || heard == next + 1, "{heard} heard, {next} acknowledged");
+    let mut never_killed = intake(&folder.path().join("other.db"), StoreSettings::default());
+    never_killed.take(&[cycles(0..heard, 0.05).as_bytes()]).unwrap();
+    assert!(never_killed.monitor() == survivor.monitor());
+}

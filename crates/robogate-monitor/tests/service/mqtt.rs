@@ -1,0 +1,177 @@
+//! A real broker: mosquitto. Where it is not installed this says so and is skipped.
+
+use std::net::TcpListener;
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use robogate_monitor::service::{Broker, Desk, Output, StoreSettings};
+use rumqttc::{Client, Event, MqttOptions, Packet, QoS};
+
+use crate::common::{cycle, cycles, intake};
+
+const SKIPPED: &str = "skipped: no mosquitto on this machine (Debian: apt-get install mosquitto)";
+
+/// mosquitto on a port of its own; ends with this.
+struct Mosquitto {
+    process: Child,
+    port: u16,
+    folder: tempfile::TempDir,
+}
+
+impl Mosquitto {
+    fn start() -> Option<Self> {
+        let folder = tempfile::tempdir().unwrap();
+        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        // Sessions survive a restart; the broker keeps its own rights, whoever started it.
+        let settings = format!(
+            "listener {port} 127.0.0.1\nallow_anonymous true\npersistence true\npersistence_location {}/\nuser root\n\
+             autosave_interval 1\nautosave_on_changes true\nmax_queued_messages 0\n",
+            folder.path().display()
+        );
+        std::fs::write(folder.path().join("mosquitto.conf"), settings).unwrap();
+        let process = Self::run(&folder)?;
+        let broker = Self { process, port, folder };
+        broker.wait();
+        Some(broker)
+    }
+
+    fn run(folder: &tempfile::TempDir) -> Option<Child> {
+        ["mosquitto", "/usr/sbin/mosquitto"].into_iter().find_map(|name| {
+            let mut command = Command::new(name);
+            command.arg("-c").arg(folder.path().join("mosquitto.conf"));
+            command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().ok()
+        })
+    }
+
+    fn wait(&self) {
+        until("the broker listens", || std::net::TcpStream::connect(("127.0.0.1", self.port)).is_ok());
+    }
+
+    /// Killed, and started again on the same port.
+    fn restart(&mut self) {
+        self.process.kill().unwrap();
+        self.process.wait().unwrap();
+        self.process = Self::run(&self.folder).unwrap();
+        self.wait();
+    }
+
+    fn broker(&self) -> Broker {
+        Broker { host: "127.0.0.1".to_owned(), port: self.port, client: "robogate".to_owned(), login: None }
+    }
+
+    /// Publishes, and waits until the broker has it.
+    fn publish(&self, payload: &str) {
+        let mut options = MqttOptions::new("sender", "127.0.0.1", self.port);
+        options.set_max_packet_size(1 << 20, 1 << 20);
+        let (client, mut connection) = Client::new(options, 10);
+        client.publish("cell/cycles", QoS::AtLeastOnce, false, payload).unwrap();
+        for event in connection.iter() {
+            if matches!(event.unwrap(), Event::Incoming(Packet::PubAck(_))) {
+                break;
+            }
+        }
+        client.disconnect().unwrap();
+        connection.iter().take_while(Result::is_ok).for_each(drop);
+    }
+}
+
+impl Drop for Mosquitto {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+fn until(what: &str, mut done: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !done() {
+        assert!(start.elapsed() < Duration::from_secs(15), "{what} did not happen in 15 s");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn accepted(desk: &Desk) -> u64 {
+    desk.handle().status().unwrap().intake.accepted
+}
+
+#[test]
+fn cycles_come_in_and_alarms_go_out_by_a_real_broker() {
+    let Some(broker) = Mosquitto::start() else { return eprintln!("{SKIPPED}") };
+    let folder = tempfile::tempdir().unwrap();
+    let desk = Desk::open(intake(&folder.path().join("monitor.db"), StoreSettings::default()), |_| {});
+    // Who listens to alarms.
+    let heard = Arc::new(Mutex::new(Vec::new()));
+    let (client, mut connection) = Client::new(MqttOptions::new("listener", "127.0.0.1", broker.port), 10);
+    client.subscribe("cell/alarms", QoS::AtLeastOnce).unwrap();
+    let subscribed = Arc::new(AtomicBool::new(false));
+    let (sink, told) = (Arc::clone(&heard), Arc::clone(&subscribed));
+    std::thread::spawn(move || {
+        for event in connection.iter().flatten() {
+            match event {
+                Event::Incoming(Packet::SubAck(_)) => told.store(true, Ordering::Release),
+                Event::Incoming(Packet::Publish(message)) => {
+                    sink.lock().unwrap().push(serde_json::from_slice::<serde_json::Value>(&message.payload).unwrap());
+                }
+                _ => {}
+            }
+        }
+    });
+    until("the subscription", || subscribed.load(Ordering::Acquire));
+    let deliver = broker.broker().alarms("cell/alarms".to_owned());
+    let output = Output::start("mqtt".to_owned(), desk.handle(), deliver, |_| {}).unwrap();
+    let (end, refused) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new(Vec::new())));
+    let sink = Arc::clone(&refused);
+    let trouble = move |text: &str| sink.lock().unwrap().push(text.to_owned());
+    let hears = broker.broker().hear("cell/cycles".to_owned(), desk.handle(), Arc::clone(&end), trouble);
+    // The session begins with the subscription, which takes a moment: a first cycle is sent until it is heard.
+    until("the first cycle", || {
+        broker.publish(&cycle(0, 0.05));
+        accepted(&desk) > 0
+    });
+    broker.publish(&cycles(1..600, 0.05));
+    broker.publish("this is no cycle");
+    broker.publish(&cycles(600..900, 0.6));
+    until("900 cycles", || accepted(&desk) == 900);
+    until("an alarm", || !heard.lock().unwrap().is_empty());
+    output.end();
+    let said = desk.handle().status().unwrap().alarms;
+    until("every alarm", || heard.lock().unwrap().len() == said.len());
+    assert!(heard.lock().unwrap().iter().eq(said.iter().rev()), "alarms in their order, each once");
+    assert!(refused.lock().unwrap().iter().any(|text| text.contains("cell/cycles line 1")), "{refused:?}");
+    end.store(true, Ordering::Release);
+    hears.join().unwrap();
+    desk.close().unwrap();
+}
+
+#[test]
+fn what_was_sent_while_the_monitor_or_the_broker_was_away_is_heard_once() {
+    let Some(mut broker) = Mosquitto::start() else { return eprintln!("{SKIPPED}") };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("monitor.db");
+    let hear = |broker: &Mosquitto, desk: &Desk| {
+        let end = Arc::new(AtomicBool::new(false));
+        (broker.broker().hear("cell/cycles".to_owned(), desk.handle(), Arc::clone(&end), |_| {}), end)
+    };
+    let desk = Desk::open(intake(&path, StoreSettings::default()), |_| {});
+    let (hears, end) = hear(&broker, &desk);
+    until("the first cycle", || {
+        broker.publish(&cycle(0, 0.05));
+        accepted(&desk) > 0
+    });
+    end.store(true, Ordering::Release);
+    hears.join().unwrap();
+    desk.close().unwrap();
+    // Nobody is there.
+    broker.publish(&cycles(1..100, 0.05));
+    let desk = Desk::open(intake(&path, StoreSettings::default()), |_| {});
+    let (hears, end) = hear(&broker, &desk);
+    until("what was sent meanwhile", || accepted(&desk) == 99);
+    broker.restart();
+    broker.publish(&cycles(100..200, 0.05));
+    until("what was sent after the broker's restart", || accepted(&desk) == 199);
+    end.store(true, Ordering::Release);
+    hears.join().unwrap();
+    desk.close().unwrap();
+}
