@@ -6,6 +6,15 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
+# The monitor is tested against a real MQTT broker and in a real browser.
+for tool in mosquitto chromium; do
+    PATH=$PATH:/usr/sbin command -v "$tool" > /dev/null && continue
+    if [ "$(id -u)" -eq 0 ] && command -v apt-get > /dev/null; then
+        { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$tool"; } > /dev/null || true
+    fi
+    PATH=$PATH:/usr/sbin command -v "$tool" > /dev/null || echo "note: no $tool; the tests that need it are skipped" >&2
+done
+
 requirements=(crates/robogate-dictionary/tests/requirements.txt crates/robogate-gate/tests/evidence-requirements.txt)
 venv=${CARGO_TARGET_DIR:-target}/readers-venv
 if [ -z "${ROBOGATE_TEST_PYTHON:-}" ]; then

@@ -59,6 +59,8 @@ enum Verb {
     Verify(commands::verify::Verify),
     /// Make and name the keys that sign evidence
     Keys(commands::keys::Keys),
+    /// Watch a deployed robot: drift of its cycles, with alarms whose false-alarm rate is promised
+    Monitor(commands::monitor::Monitor),
     /// Check claims by experiment
     Check(commands::check::Check),
 }
@@ -83,6 +85,7 @@ fn main() -> ExitCode {
         Verb::Evidence(evidence) => evidence.execute(),
         Verb::Verify(verify) => verify.execute(),
         Verb::Keys(keys) => keys.execute(),
+        Verb::Monitor(monitor) => monitor.execute(),
         Verb::Check(check) => check.execute(),
     };
     match result {

@@ -32,6 +32,10 @@ fn the_schemas_are_those_of_the_code() {
         ("summary", schema_for!(robogate_campaign::Summary)),
         ("boundary", schema_for!(robogate_campaign::BoundaryReport)),
         ("event", schema_for!(robogate_campaign::Event)),
+        ("cycle", schema_for!(robogate_monitor::Cycle)),
+        ("alarm", schema_for!(robogate_monitor::Alarm)),
+        ("monitor-reference", schema_for!(robogate_monitor::Reference)),
+        ("monitor-settings", schema_for!(robogate_monitor::service::ServiceSettings)),
         ("study", schema_for!(robogate_report::study::Study)),
         ("requirements", schema_for!(robogate_gate::Requirements)),
         ("baseline", schema_for!(robogate_gate::Baseline)),
@@ -63,15 +67,24 @@ fn the_command_reference_is_what_help_says() {
     };
     let overview = help(&[]);
     let mut page = format!("# The command\n\nGenerated from `robogate --help`.\n\n```\n{overview}```\n");
-    let verbs = overview
-        .lines()
+    for verb in verbs(&overview) {
+        let text = help(&[&verb]);
+        page += &format!("\n## robogate {verb}\n\n```\n{text}```\n");
+        for under in verbs(&text) {
+            page += &format!("\n### robogate {verb} {under}\n\n```\n{}```\n", help(&[&verb, &under]));
+        }
+    }
+    check("docs/command.md", &page);
+}
+
+/// The verbs that a help text lists.
+fn verbs(help: &str) -> Vec<String> {
+    help.lines()
         .skip_while(|line| !line.starts_with("Commands:"))
         .skip(1)
         .take_while(|line| !line.is_empty())
         .filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next().filter(|_| !line.starts_with("   ")))
-        .filter(|verb| *verb != "help");
-    for verb in verbs {
-        page += &format!("\n## robogate {verb}\n\n```\n{}```\n", help(&[verb]));
-    }
-    check("docs/command.md", &page);
+        .filter(|verb| *verb != "help")
+        .map(str::to_owned)
+        .collect()
 }

@@ -1,0 +1,178 @@
+//! `robogate monitor reference`: what the monitor needs to know of a run.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Args;
+use robogate_core::{Domain, FailureMode, Parameter};
+use robogate_dictionary::{Column, Dictionary, DictionaryError};
+use robogate_monitor::domain::{self, Risk, RiskTerm, Validated};
+use robogate_monitor::{Baseline, Count, Reference};
+use robogate_report::{Analysis, Finding, Population, RiskModel, Source};
+
+use crate::commands::analyze::analyse;
+use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::terminal::{grouped, line, note};
+
+/// How near to an end of its range, in parts of the range, a parameter must have been evaluated for that end to count as validated.
+const NEAR: f64 = 0.02;
+
+/// Write what the monitor needs to know of a run: its baseline, and what was validated.
+///
+/// Successes and failure modes stand in it as counts; each parameter with the range, or the words, of the valid episodes; and the
+/// risk model with the covariance of its coefficients. An end of the operating range counts as validated if an episode came
+/// within 2 % of the range to it.
+#[derive(Debug, Args)]
+pub(super) struct ReferenceOf {
+    /// A run's folder or a dictionary
+    run: PathBuf,
+    /// The file to write, - for stdout
+    #[arg(short, long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+impl ReferenceOf {
+    pub(super) fn execute(&self) -> Result<u8, Exit> {
+        let source = Source::open(&self.run).or_usage()?;
+        let analysis = analyse(&source, &self.run, &[])?;
+        let envelope = envelope(source.dictionary()).or_broken()?;
+        let rate = &analysis.success.rate;
+        if rate.n == 0 || envelope.is_empty() {
+            let error = anyhow::anyhow!("no valid episode: nothing was validated");
+            return Err(Exit { code: INVALID, error });
+        }
+        let reference = Reference {
+            version: Reference::VERSION,
+            robot: analysis.subject.robot.clone(),
+            policy: analysis.subject.policy.clone(),
+            population: analysis.population.describe().to_owned(),
+            dataset_sha256: analysis.subject.dataset_hash.clone(),
+            baseline: baseline(&analysis),
+            domain: domain::Domain { envelope, risk: analysis.risk.estimated().map(risk) },
+        };
+        reference.check().or_broken()?;
+        let text = serde_json::to_string_pretty(&reference).map_err(anyhow::Error::from).or_broken()?;
+        if self.out.as_os_str() == "-" {
+            line(text);
+            return Ok(DONE);
+        }
+        std::fs::write(&self.out, text + "\n")
+            .with_context(|| format!("cannot write {}", self.out.display()))
+            .or_broken()?;
+        self.tell(&analysis, &reference);
+        Ok(DONE)
+    }
+
+    fn tell(&self, analysis: &Analysis, reference: &Reference) {
+        note(format_args!("{}: {} on {}", self.out.display(), reference.policy, reference.robot));
+        match reference.baseline.success {
+            Some(Count { count, of }) => note(format_args!(
+                "  baseline: {} of {} episodes succeeded; {}",
+                grouped(count),
+                grouped(of),
+                reference.population
+            )),
+            None => note(
+                "  no baseline: focused episodes say nothing of the operating rate; it is learnt from the first cycles",
+            ),
+        }
+        note(format_args!("  envelope of {} parameters", reference.domain.envelope.len()));
+        match &analysis.risk {
+            Finding::Estimated(model) => {
+                note(format_args!("  risk model of {} parameters", model.scoring.terms.len()));
+                model.regression.cautions.iter().for_each(|caution| note(format_args!("  {caution}")));
+            }
+            Finding::CannotBeEstimated { because } => note(format_args!("  no risk model because {because}")),
+        }
+    }
+}
+
+/// The counts; none from a focused design, whose rate is not that of the operation.
+fn baseline(analysis: &Analysis) -> Baseline {
+    if analysis.population == Population::FocusedDesign {
+        return Baseline::default();
+    }
+    let rate = &analysis.success.rate;
+    let found = |mode: &FailureMode| {
+        let modes = &analysis.failure_modes.modes;
+        modes.iter().find(|share| share.mode == mode.word()).map_or(0, |share| share.failures)
+    };
+    let [a, b, c, d] = FailureMode::ALL.each_ref().map(found);
+    let modes = [a, b, c, d, 0];
+    Baseline {
+        success: Some(Count { count: rate.successes, of: rate.n }),
+        failure_modes: (modes.iter().sum::<u64>() > 0).then_some(modes),
+        ..Baseline::default()
+    }
+}
+
+fn risk(model: &RiskModel) -> Risk {
+    let penalties = |parameter: &str| {
+        let penalty = model.penalties.iter().find(|penalty| penalty.parameter == parameter)?;
+        Some(penalty.levels.iter().map(|level| (level.level.clone(), level.penalty)).collect())
+    };
+    let scoring = &model.scoring;
+    let term = |term: &robogate_report::ScoringTerm| RiskTerm {
+        parameter: term.parameter.clone(),
+        coefficient: term.coefficient,
+        penalties: penalties(&term.parameter),
+    };
+    Risk {
+        intercept: scoring.intercept,
+        terms: scoring.terms.iter().map(term).collect(),
+        covariance: scoring.covariance.clone(),
+        most_variance: scoring.most_variance,
+    }
+}
+
+/// What each parameter of the valid episodes was.
+fn envelope(dictionary: &Dictionary) -> Result<BTreeMap<String, Validated>, DictionaryError> {
+    let valid = valid(dictionary)?;
+    let mut envelope = BTreeMap::new();
+    for parameter in dictionary.provenance().space.parameters() {
+        let found = match dictionary.column(&parameter.name)? {
+            Column::Categories { words, codes } => {
+                let mut seen: Vec<u32> = kept(codes, &valid).collect();
+                seen.sort_unstable();
+                seen.dedup();
+                let words: Vec<String> =
+                    seen.into_iter().filter_map(|code| words.get(code as usize).cloned()).collect();
+                (!words.is_empty()).then_some(Validated::Words(words))
+            }
+            _ => range(parameter, kept(dictionary.numbers(&parameter.name)?, &valid)),
+        };
+        envelope.extend(found.map(|found| (parameter.name.to_string(), found)));
+    }
+    Ok(envelope)
+}
+
+fn kept<'a, T: 'a>(values: Vec<Option<T>>, valid: &'a [bool]) -> impl Iterator<Item = T> + 'a {
+    values.into_iter().zip(valid).filter_map(|(value, valid)| value.filter(|_| *valid))
+}
+
+/// From the lowest to the highest value; an end of the operating range where one came near it.
+fn range(parameter: &Parameter, values: impl Iterator<Item = f64>) -> Option<Validated> {
+    let (low, high) = values
+        .filter(|x| x.is_finite())
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+    if low > high {
+        return None;
+    }
+    let (first, last) = match parameter.domain {
+        Domain::Continuous { low, high, .. } => (low, high),
+        Domain::Integer { low, high } => (low as f64, high as f64),
+        Domain::Categorical { .. } => (low, high),
+    };
+    let low = if parameter.domain.to_unit(low) <= NEAR { low.min(first) } else { low };
+    let high = if parameter.domain.to_unit(high) >= 1.0 - NEAR { high.max(last) } else { high };
+    Some(Validated::Range([low, high]))
+}
+
+/// Which episodes are evidence.
+fn valid(dictionary: &Dictionary) -> Result<Vec<bool>, DictionaryError> {
+    let Column::Categories { words, codes } = dictionary.column("outcome")? else { return Ok(Vec::new()) };
+    let counts = |word: &String| word == "success" || FailureMode::ALL.iter().any(|mode| mode.word() == word);
+    let counts: Vec<bool> = words.iter().map(counts).collect();
+    Ok(codes.iter().map(|code| code.and_then(|code| counts.get(code as usize).copied()).unwrap_or(false)).collect())
+}

@@ -1,0 +1,288 @@
+//! Feeds, outputs and the store, put together.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Sender, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use anyhow::{Context, anyhow};
+use clap::Args;
+use robogate_monitor::service::{
+    Broker, Deliver, Desk, Handle, HttpError, Intake, Output, Store, Taken, json_lines, serve, webhook,
+};
+use robogate_monitor::{Level, Monitor};
+
+use super::Watched;
+use crate::exit::{DONE, Exit, FAIL, INFRASTRUCTURE, INVALID, OrExit};
+use crate::terminal::{grouped, note};
+
+/// Lines of a feed that are taken in together.
+const TOGETHER: u64 = 1_000;
+/// Time until a feed tries again.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// Longest line of a feed, in bytes.
+const LONGEST_LINE: usize = 1 << 20;
+
+/// Hear cycles and tell alarms.
+///
+/// Cycles come from a file or pipe (JSON Lines), by HTTP (POST /v1/cycles) or by MQTT; alarms go to stdout as JSON Lines, and to
+/// webhooks and MQTT where asked for. What is acknowledged is in the store. With a feed alone it ends with the feed: exit
+/// code 1 while a critical alarm stands, 4 where the feed held no cycle.
+#[derive(Debug, Args)]
+pub(super) struct Serve {
+    /// Cycles as JSON Lines: a file or a pipe, - for stdin
+    feed: Option<PathBuf>,
+    /// Where cycles, statistics and alarms are kept (SQLite); without it a feed is watched in memory
+    #[arg(long, value_name = "FILE")]
+    store: Option<PathBuf>,
+    /// Serve HTTP here (127.0.0.1:7380): POST /v1/cycles, /v1/status, /metrics, /healthz and the page at /
+    #[arg(long, value_name = "ADDRESS", requires = "store")]
+    listen: Option<SocketAddr>,
+    /// File with the bearer token; needed where other machines can connect
+    #[arg(long, value_name = "FILE", requires = "listen")]
+    token_file: Option<PathBuf>,
+    /// POST each alarm to this URL; may be given more than once
+    #[arg(long, value_name = "URL")]
+    webhook: Vec<String>,
+    /// MQTT broker (host:port); user and password come from ROBOGATE_MQTT_USER and ROBOGATE_MQTT_PASSWORD
+    #[arg(long, value_name = "HOST:PORT")]
+    mqtt: Option<String>,
+    /// Hear cycles from this MQTT topic
+    #[arg(long, value_name = "TOPIC", requires_all = ["mqtt", "store"])]
+    mqtt_cycles: Option<String>,
+    /// Tell alarms to this MQTT topic
+    #[arg(long, value_name = "TOPIC", requires = "mqtt")]
+    mqtt_alarms: Option<String>,
+    #[command(flatten)]
+    watched: Watched,
+}
+
+/// What ends the command.
+enum End {
+    /// The feed was read to its end, or why not.
+    Feed(Result<Taken, String>),
+    /// The HTTP side ended, which it does not do by itself.
+    Http(Result<(), HttpError>),
+    /// Someone asked.
+    Asked,
+}
+
+impl Serve {
+    pub(super) fn execute(&self) -> Result<u8, Exit> {
+        let settings = self.watched.settings()?;
+        let serves = self.listen.is_some() || self.mqtt_cycles.is_some();
+        if self.feed.is_none() && !serves {
+            let hint = "nothing to hear; hint: name a file of cycles (or - for stdin), --listen or --mqtt-cycles";
+            return Err(anyhow!(hint)).or_usage();
+        }
+        let token = self.token_file.as_deref().map(token).transpose()?;
+        let broker = self.mqtt.as_deref().map(broker).transpose()?;
+        let store = match &self.store {
+            Some(path) => Store::open(path, settings.store).with_context(|| format!("{}", path.display())),
+            None => Store::in_memory(settings.store).map_err(anyhow::Error::from),
+        };
+        let monitor = Monitor::new(settings.detectors).or_usage()?;
+        let intake = Intake::open(store.or_broken()?, monitor, settings.late_after_s).or_broken()?;
+        let desk = Desk::open(intake, |text| note(text));
+        let ending = Arc::new(AtomicBool::new(false));
+        let outputs = self.outputs(&desk, broker.as_ref())?;
+        let (tell, told) = channel();
+        let asked = tell.clone();
+        ctrlc::set_handler(move || {
+            // Nobody hears it after the end.
+            let _ = asked.send(End::Asked);
+        })
+        .or_broken()?;
+        let server = self.listen.map(|address| http(address, token, &settings.http, desk.handle(), tell.clone()));
+        let hears = broker
+            .zip(self.mqtt_cycles.clone())
+            .map(|(broker, topic)| broker.hear(topic, desk.handle(), Arc::clone(&ending), |trouble| note(trouble)));
+        if let Some(path) = &self.feed {
+            read(path, desk.handle(), tell, serves)?;
+        }
+        let mut code = DONE;
+        let mut broken = None;
+        while let Ok(end) = told.recv() {
+            match end {
+                End::Feed(Ok(taken)) => {
+                    say(&taken);
+                    if !serves {
+                        code = if taken.accepted + taken.duplicates == 0 { INVALID } else { stands(&desk) };
+                        break;
+                    }
+                }
+                End::Feed(Err(because)) => {
+                    broken = Some(anyhow!(because));
+                    break;
+                }
+                End::Http(Err(error)) => {
+                    broken = Some(error.into());
+                    break;
+                }
+                End::Http(Ok(())) | End::Asked => break,
+            }
+        }
+        ending.store(true, Ordering::Release);
+        if let Some((stop, thread)) = server {
+            // It may have ended by itself.
+            let _ = stop.send(());
+            let _ = thread.join();
+        }
+        if let Some(thread) = hears {
+            let _ = thread.join();
+        }
+        outputs.into_iter().for_each(Output::end);
+        desk.close().map_err(|because| anyhow!(because)).or_broken()?;
+        match broken {
+            Some(error) if matches!(error.downcast_ref(), Some(HttpError::NoToken(_) | HttpError::ShortToken(_))) => {
+                Err(error).or_usage()
+            }
+            Some(error) => Err(Exit { code: INFRASTRUCTURE, error }),
+            None => Ok(code),
+        }
+    }
+
+    fn outputs(&self, desk: &Desk, broker: Option<&Broker>) -> Result<Vec<Output>, Exit> {
+        let mut all: Vec<(String, Deliver)> = vec![("stdout".to_owned(), json_lines(std::io::stdout()))];
+        all.extend(self.webhook.iter().map(|url| (format!("webhook {url}"), webhook(url.clone()))));
+        if let (Some(broker), Some(topic)) = (broker, &self.mqtt_alarms) {
+            all.push((format!("mqtt {topic}"), broker.alarms(topic.clone())));
+        }
+        let start = |(name, deliver)| Output::start(name, desk.handle(), deliver, |trouble| note(trouble));
+        all.into_iter().map(start).collect::<Result<_, _>>().or_broken()
+    }
+}
+
+fn http(
+    address: SocketAddr,
+    token: Option<String>,
+    settings: &robogate_monitor::service::HttpSettings,
+    desk: Handle,
+    tell: Sender<End>,
+) -> (tokio::sync::oneshot::Sender<()>, JoinHandle<()>) {
+    let (stop, stopped) = tokio::sync::oneshot::channel();
+    let settings = *settings;
+    let thread = std::thread::spawn(move || {
+        let listening = |address| note(format_args!("Listening on http://{address}"));
+        let ended = serve(address, token, settings, desk, listening, stopped);
+        let _ = tell.send(End::Http(ended));
+    });
+    (stop, thread)
+}
+
+fn token(path: &Path) -> Result<String, Exit> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+    Ok(text.trim().to_owned())
+}
+
+fn broker(place: &str) -> Result<Broker, Exit> {
+    let (host, port) = place.rsplit_once(':').unwrap_or((place, "1883"));
+    let port = port.parse().with_context(|| format!("--mqtt {place}: `{port}` is no port")).or_usage()?;
+    let login = std::env::var("ROBOGATE_MQTT_USER").ok().zip(std::env::var("ROBOGATE_MQTT_PASSWORD").ok());
+    Ok(Broker { host: host.to_owned(), port, client: "robogate-monitor".to_owned(), login })
+}
+
+/// Reads a feed on its own thread, where a pipe may let it wait for its writer.
+fn read(path: &Path, desk: Handle, tell: Sender<End>, patient: bool) -> Result<(), Exit> {
+    let path = path.to_owned();
+    if path != Path::new("-") {
+        std::fs::metadata(&path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+    }
+    std::thread::spawn(move || {
+        let reader: Result<Box<dyn BufRead>, String> = if path == Path::new("-") {
+            Ok(Box::new(BufReader::new(std::io::stdin())))
+        } else {
+            File::open(&path)
+                .map(|file| -> Box<dyn BufRead> { Box::new(BufReader::with_capacity(1 << 20, file)) })
+                .map_err(|error| format!("cannot read {}: {error}", path.display()))
+        };
+        let _ = tell.send(End::Feed(reader.and_then(|reader| follow(reader, &desk, patient))));
+    });
+    Ok(())
+}
+
+/// Takes in lines as they come: together those that are there, at most a thousand. A line that is too long is refused.
+///
+/// `patient`: while the store is in trouble the feed waits, because others are being served; else that is its end.
+fn follow(mut reader: Box<dyn BufRead>, desk: &Handle, patient: bool) -> Result<Taken, String> {
+    let mut all = Taken::default();
+    // Whole lines and the beginning of the next, and where that begins.
+    let (mut batch, mut begun) = (Vec::new(), 0);
+    let (mut lines, mut before, mut too_long) = (0, 0, false);
+    loop {
+        let waiting = reader.fill_buf().map_err(|error| format!("the feed cannot be read: {error}"))?;
+        let ended = waiting.is_empty();
+        let end = waiting.iter().position(|byte| *byte == b'\n');
+        let used = end.map_or(waiting.len(), |at| at + 1);
+        if !too_long {
+            batch.extend_from_slice(waiting.get(..used).unwrap_or_default());
+        }
+        // The next line may be here already; if not, what there is must not wait for it.
+        let more = waiting.get(used..).is_some_and(|rest| rest.contains(&b'\n'));
+        reader.consume(used);
+        if batch.len() - begun > LONGEST_LINE {
+            note(format_args!("line {}: longer than {LONGEST_LINE} bytes", before + lines + 1));
+            batch.truncate(begun);
+            all.refused += 1;
+            too_long = true;
+        }
+        if end.is_some() {
+            if too_long {
+                // Its place in the count.
+                batch.push(b'\n');
+                too_long = false;
+            }
+            begun = batch.len();
+            lines += 1;
+        }
+        if (ended || end.is_some() && (lines >= TOGETHER || !more)) && !batch.is_empty() {
+            let taken = take(desk, std::mem::take(&mut batch), patient)?;
+            for refused in &taken.refusals {
+                note(format_args!("line {}: {}", before + refused.line, refused.because));
+            }
+            all.add(&taken);
+            before += lines;
+            (lines, begun) = (0, 0);
+        }
+        if ended {
+            return Ok(all);
+        }
+    }
+}
+
+fn take(desk: &Handle, batch: Vec<u8>, patient: bool) -> Result<Taken, String> {
+    loop {
+        match desk.take(batch.clone()) {
+            Err(because) if patient => {
+                note(format_args!("the feed waits: {because}"));
+                std::thread::sleep(PATIENCE);
+            }
+            answer => return answer,
+        }
+    }
+}
+
+fn say(taken: &Taken) {
+    note(format_args!(
+        "{} cycles accepted, {} doubled, {} out of order ({} late), {} outside what was validated, {} refused",
+        grouped(taken.accepted),
+        grouped(taken.duplicates),
+        grouped(taken.out_of_order),
+        grouped(taken.late),
+        grouped(taken.outside),
+        grouped(taken.refused)
+    ));
+}
+
+/// 1 while a critical alarm stands.
+fn stands(desk: &Desk) -> u8 {
+    let critical = |status: robogate_monitor::service::Status| {
+        status.recipes.first().is_some_and(|recipe| recipe.level == Some(Level::Critical))
+    };
+    if desk.handle().status().is_ok_and(critical) { FAIL } else { DONE }
+}
