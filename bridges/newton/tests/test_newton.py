@@ -146,6 +146,18 @@ class ThePhysics(unittest.TestCase):
                 self.assertAlmostEqual(hand.object[1], 0.13 + 0.025, delta=3e-3)
                 self.assertLess(abs(hand.object[0] - 0.5), 5e-3)
 
+    def test_what_slides_stops_where_coulombs_law_has_it_on_a_table_with_a_friction_of_its_own(self):
+        # Pushed to 0.3 m/s and let go: v^2 / (2 mu g) further.
+        motion = {"velocity_m_s": [0.0, 0.3, 0.0], "starts_s": 0.1, "ends_s": 0.6}
+        pusher = fixture("disturbance", {"kind": "box", "half": [0.03, 0.03, 0.04]}, [0.5, -0.11, 0.041], 0.0, motion)
+        for solver, (friction, on_table) in product(ENGINES, ((0.8, 0.1), (0.2, 0.6))):
+            with self.subTest(solver=solver, friction=friction, on_table=on_table):
+                cell = example_cell(FRANKA, friction=friction, fixtures=[pusher]) | {"table_friction": on_table}
+                hand = Hand(SIMULATORS[solver], CHAIN, cell)
+                hand.wait(1.3)
+                slid = hand.object[1] - (-0.11 + 0.5 * 0.3 + 0.03 + 0.025)
+                self.assertAlmostEqual(slid, 0.3**2 / (2.0 * on_table * G), delta=0.08 * slid)
+
     def test_a_ball_that_rolls_comes_to_rest(self):
         # Pushed to 0.2 m/s, rolling friction of 0.5 mm stops a ball of 2.5 cm radius: the loss is 5/7 of g times
         # 0.5 mm over the radius, 0.14 m/s^2, so it rolls 14 cm in 1.4 s.
