@@ -259,7 +259,10 @@ def serve(simulator: Simulator, bind: str = "tcp://127.0.0.1:5570", allow_remote
     for name in (signal.SIGINT, signal.SIGTERM):
         signal.signal(name, _stop)
     try:
-        socket.bind(bind)
+        try:
+            socket.bind(bind)
+        except zmq.ZMQError as why:
+            raise SystemExit(f"cannot listen on {bind}: {why.strerror}") from None
         print(json.dumps({"listening": socket.getsockopt(zmq.LAST_ENDPOINT).decode().rstrip("\0")}), flush=True)
         while True:
             socket.send_multipart(server.answer(socket.recv_multipart()), copy=False)

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import warp as wp
 
-# Standard output carries the address alone.
+# Standard output carries the address alone, and that there is no GPU is as it should be.
+wp.config.log_level = wp.LOG_ERROR
+wp.init()
 wp.config.log_level = wp.LOG_WARNING
 
 from robogate_bridge import Problem, serve  # noqa: E402
@@ -36,6 +38,7 @@ def main():
     try:
         robot = Robot.read(args.robot)
         simulator = Newton(robot, args.solver, step)
+        print("starting; the first time, kernels are compiled, which takes a minute or so", file=sys.stderr)
         # No client shall wait for kernels to compile.
         simulator.try_out(example_cell(robot))
     except Problem as problem:
