@@ -21,6 +21,8 @@ pub(crate) struct Description {
     pub(crate) chain: Chain,
     /// The link that carries the tool centre point, and its pose there.
     pub(crate) tcp: (usize, Isometry3<f64>),
+    /// The MJCF's bodies by name, each with the link that it is part of and its pose there.
+    pub(crate) bodies: Vec<(String, usize, Isometry3<f64>)>,
 }
 
 /// One rigid body.
@@ -76,6 +78,8 @@ pub(crate) struct LinkLook {
     pub(crate) pose: Isometry3<f64>,
     /// Red, green, blue and opacity from 0 to 1, where the model says.
     pub(crate) rgba: Option<[f64; 4]>,
+    /// The MJCF geometry's name.
+    pub(crate) name: Option<String>,
     /// The MJCF geometry group.
     pub(crate) group: i32,
 }
@@ -213,7 +217,10 @@ impl Reader<'_> {
         let tcp = site(&robot.settings.arm.tcp_site)?;
         let flange = site(&robot.settings.arm.flange_site)?;
         let chain = chain(&links, robot, tcp, flange)?;
-        Ok(Description { chain, couplings: self.couplings()?, links, tcp })
+        let named = self.model.bodies.iter().zip(&places);
+        let bodies =
+            named.filter_map(|(entry, (link, within))| Some((entry.body.name.clone()?, *link, *within))).collect();
+        Ok(Description { chain, couplings: self.couplings()?, links, tcp, bodies })
     }
 
     fn joint(&self, joint: &Joint, parent: usize, way: &Isometry3<f64>, body: &str) -> Result<LinkJoint, String> {
@@ -279,7 +286,13 @@ impl Reader<'_> {
             *points = corners.ok_or("a mesh has a face without its vertices")?;
         }
         let material = geom.material.as_deref().and_then(|name| self.model.assets.material(name)?.rgba);
-        Ok(LinkLook { solid, pose: within * at, rgba: geom.rgba.or(material), group: geom.group })
+        Ok(LinkLook {
+            solid,
+            pose: within * at,
+            rgba: geom.rgba.or(material),
+            name: geom.name.clone(),
+            group: geom.group,
+        })
     }
 
     /// The corners of a mesh's triangles, by the numbers of its vertices.

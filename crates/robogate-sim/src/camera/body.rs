@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use nalgebra::{Isometry3, Matrix3, Vector3};
+use nalgebra::{Isometry3, Vector3};
 
 use crate::camera::finish::Finish;
 use crate::camera::mesh::Mesh;
@@ -55,8 +55,8 @@ pub(crate) struct Body<'a> {
     pub(crate) form: &'a Form,
     pub(crate) finish: &'a Finish,
     pub(crate) centre: Vector3<f32>,
-    /// From the base frame's axes to the body's.
-    pub(crate) turn: Matrix3<f32>,
+    /// The body's axes in the base frame.
+    pub(crate) axes: [Vector3<f32>; 3],
 }
 
 /// Eight rays from one eye.
@@ -89,23 +89,23 @@ impl Hits {
 
 impl<'a> Body<'a> {
     pub(crate) fn new(form: &'a Form, finish: &'a Finish, pose: &Isometry3<f64>) -> Self {
-        let turn = pose.rotation.inverse().to_rotation_matrix().into_inner().map(|x| x as f32);
-        Self { form, finish, centre: pose.translation.vector.map(|x| x as f32), turn }
+        let turn = pose.rotation.to_rotation_matrix();
+        let axes = [0, 1, 2].map(|i| turn.matrix().column(i).map(|x| x as f32));
+        Self { form, finish, centre: pose.translation.vector.map(|x| x as f32), axes }
     }
 
     /// The ends of the axis of the capsule that holds it, and its radius.
     pub(crate) fn hull(&self) -> (Vector3<f32>, Vector3<f32>, f32) {
         let (axis, half, radius) = self.form.hull();
-        let along = self.turn.row(axis).transpose() * half;
+        let along = self.axes[axis] * half;
         (self.centre - along, self.centre + along, radius)
     }
 
     /// Lets the rays from `eye` meet the body and notes where they do so before anything else.
     pub(crate) fn meet(&self, index: u32, eye: &Vector3<f32>, rays: &Rays, hits: &mut Hits) {
-        let o = self.turn * (eye - self.centre);
-        let m = &self.turn;
-        let local = |row: usize| -> Lanes {
-            let [a, b, c] = [m[(row, 0)], m[(row, 1)], m[(row, 2)]];
+        let o = self.local(eye);
+        let local = |axis: usize| -> Lanes {
+            let [a, b, c]: [f32; 3] = self.axes[axis].into();
             let mut out = [0.0; LANES];
             for (k, out) in out.iter_mut().enumerate() {
                 *out = a * rays.x[k] + b * rays.y[k] + c * rays.z[k];
@@ -137,7 +137,7 @@ impl<'a> Body<'a> {
 
     /// A point of the base frame in the body's own.
     pub(crate) fn local(&self, point: &Vector3<f32>) -> Vector3<f32> {
-        self.turn * (point - self.centre)
+        self.along_axes(&(point - self.centre))
     }
 
     /// The outward normal in the base frame at a point of the surface, given in the body's own. Edges are
@@ -147,8 +147,13 @@ impl<'a> Body<'a> {
             Form::Box { half } => {
                 let least = half[0].min(half[1]).min(half[2]);
                 let edge = (0.15 * least).min(0.003);
-                let beyond = |i: usize| (p[i].abs() - (half[i] - edge)).max(0.0) * p[i].signum();
-                Vector3::new(beyond(0), beyond(1), beyond(2))
+                let beyond = [0, 1, 2].map(|i: usize| (p[i].abs() - (half[i] - edge)).max(0.0) * p[i].signum());
+                // Away from the edges one face is all there is: most of a picture.
+                let faces = beyond.iter().filter(|x| x.abs() > 0.0).count();
+                if let (1, Some(i)) = (faces, beyond.iter().position(|x| x.abs() > 0.0)) {
+                    return self.axes[i] * beyond[i].signum();
+                }
+                Vector3::from(beyond)
             }
             Form::Sphere { .. } => *p,
             Form::Capsule { half_height, .. } => Vector3::new(p.x, p.y, p.z - p.z.clamp(-half_height, *half_height)),
@@ -160,7 +165,18 @@ impl<'a> Body<'a> {
             }
             Form::Mesh(mesh) => mesh.normal(triangle),
         };
-        self.turn.tr_mul(&local).try_normalize(1e-12).unwrap_or_else(Vector3::z)
+        let square = local.norm_squared();
+        if square <= 1e-18 {
+            return Vector3::z();
+        }
+        let [x, y, z] = &self.axes;
+        (x * local.x + y * local.y + z * local.z) * (1.0 / square.sqrt())
+    }
+
+    /// A direction of the base frame in the body's own.
+    pub(crate) fn along_axes(&self, way: &Vector3<f32>) -> Vector3<f32> {
+        let [x, y, z] = &self.axes;
+        Vector3::new(x.dot(way), y.dot(way), z.dot(way))
     }
 }
 

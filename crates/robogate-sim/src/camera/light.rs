@@ -37,11 +37,6 @@ impl Light {
         let key = exposed * KEY_SHARE / towards.z;
         Self { lux, towards, key, around: exposed * (1.0 - KEY_SHARE) }
     }
-
-    /// Light from all around that reaches a surface with this normal: less from below.
-    pub(crate) fn ambient(&self, normal: &Vector3<f32>) -> f32 {
-        self.around * (0.68 + 0.32 * normal.z)
-    }
 }
 
 /// A colour's reflectances.
@@ -63,7 +58,9 @@ fn encode(x: f64) -> f64 {
     if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
 }
 
-const STEPS: usize = 4096;
+/// The curve is kept for exposures from 2^-12 to 2^12, in so many steps to a doubling.
+const OCTAVES: u32 = 24;
+const STEP_BITS: u32 = 7;
 
 /// What the camera's sensor makes of light: x / (1 + x), a little steeper in its middle, which no light clips, and sRGB
 /// on top. 1 is the middle of the curve.
@@ -71,17 +68,18 @@ const STEPS: usize = 4096;
 /// The form is that of Naka and Rushton (1966) for photoreceptors: x^n / (x^n + 1), here with n = 1.15.
 pub(crate) fn exposed(radiance: &Vector3<f32>) -> [u8; 3] {
     static CURVE: OnceLock<Vec<u8>> = OnceLock::new();
+    let lowest = (127 - OCTAVES / 2) << STEP_BITS;
     let curve = CURVE.get_or_init(|| {
-        let value = |i: usize| {
-            let share = (i as f64 + 0.5) / STEPS as f64;
-            let x = (share / (1.0 - share)).powf(1.15);
+        let value = |i: u32| {
+            let x = f64::from(f32::from_bits(((lowest + i) << (23 - STEP_BITS)) + (1 << (22 - STEP_BITS)))).powf(1.15);
             (255.0 * encode(x / (1.0 + x))).round() as u8
         };
-        (0..STEPS).map(value).collect()
+        (0..OCTAVES << STEP_BITS).map(value).collect()
     });
+    // A number's exponent and first binary digits say in which step it lies.
     let channel = |x: f32| {
-        let x = x.max(0.0);
-        curve[((x / (1.0 + x) * STEPS as f32) as usize).min(STEPS - 1)]
+        let step = (x.max(0.0).to_bits() >> (23 - STEP_BITS)).saturating_sub(lowest);
+        curve[(step as usize).min(curve.len() - 1)]
     };
     [channel(radiance.x), channel(radiance.y), channel(radiance.z)]
 }
@@ -93,7 +91,7 @@ mod tests {
     /// A flat unshadowed surface of this colour on the table.
     fn seen(color: [u8; 3], lux: f64) -> [u8; 3] {
         let light = Light::new(lux);
-        let illuminance = light.key * light.towards.z + light.ambient(&Vector3::z());
+        let illuminance = light.key * light.towards.z + light.around;
         exposed(&(linear(Color(color)) * illuminance))
     }
 

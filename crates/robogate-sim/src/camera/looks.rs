@@ -8,7 +8,9 @@ use crate::camera::Posture;
 use crate::camera::body::Form;
 use crate::camera::finish::{Finish, Pattern};
 use crate::camera::mesh::Mesh;
+use crate::camera::outfits::{self, Outfit};
 use crate::description::{Description, LinkLook, Solid};
+use crate::robot::RobotSource;
 use crate::{Robot, RobotError};
 
 /// Geometry groups up to this one are drawn, as MuJoCo's viewer does; collision shapes that stand in for something finer
@@ -78,10 +80,17 @@ impl RobotLooks {
         let all = || description.links.iter().enumerate().flat_map(|(i, link)| link.looks.iter().map(move |l| (i, l)));
         let shown: Vec<_> = all().filter(|(_, look)| look.group <= SHOWN_GROUPS).collect();
         let drawn = if shown.is_empty() { all().collect() } else { shown };
-        let pieces: Vec<Piece> = drawn.into_iter().filter_map(|(link, look)| Piece::new(link, look)).collect();
+        let built_in = matches!(robot.source, RobotSource::BuiltIn { .. });
+        let outfit = if built_in { outfits::of(robot.name()) } else { None };
+        let mut pieces: Vec<Piece> = match outfit {
+            Some(Outfit::Whole(parts)) => parts.iter().filter_map(|part| part.on(&description)).collect(),
+            Some(Outfit::Housings) => drawn.into_iter().flat_map(|(link, look)| outfits::housing(link, look)).collect(),
+            None => drawn.into_iter().filter_map(|(link, look)| Piece::new(link, look)).collect(),
+        };
         if pieces.is_empty() {
             return Err("its model has nothing that can be seen".to_owned());
         }
+        pieces.push(outfits::pedestal());
         Ok(Self { pieces, links, tool: description.tcp })
     }
 
@@ -146,7 +155,7 @@ fn drive(joint: &str, robot: &Robot, description: &Description) -> Drive {
 
 impl Piece {
     /// A look of the model as it is; `None` for a mesh without triangles.
-    fn new(link: usize, look: &LinkLook) -> Option<Self> {
+    pub(crate) fn new(link: usize, look: &LinkLook) -> Option<Self> {
         let mut place = look.pose;
         let form = match &look.solid {
             Solid::Box { half } => Form::Box { half: half.map(|x| x as f32) },

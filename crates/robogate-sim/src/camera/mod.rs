@@ -16,6 +16,7 @@ mod finish;
 mod light;
 mod looks;
 mod mesh;
+mod outfits;
 mod pinhole;
 mod shadow;
 mod stage;
@@ -29,7 +30,7 @@ pub use pinhole::Pinhole;
 
 use crate::camera::looks::RobotLooks;
 use crate::camera::stage::Stage;
-use crate::{FRONT_CAMERA, Gripper, Robot, Scene, Visual};
+use crate::{FRONT_CAMERA, Gripper, Robot, Scene, Visual, WORKSPACE_CENTRE};
 
 /// The cameras' names, in the order of the pictures.
 pub const CAMERAS: [&str; 2] = ["front", "wrist"];
@@ -73,11 +74,25 @@ impl Cameras {
             Gripper::ParallelJaw(jaw) => jaw.palm_m + 0.035,
             Gripper::Suction(_) => 0.09,
         };
-        // Beside the hand, where no finger moves. Across the tool's y axis, along which the fingers close, and upright
-        // in the picture is the way back to the hand.
-        let from = Point3::new(0.1, 0.0, -behind);
-        let wrist = Pinhole::looking(from, Point3::new(0.0, 0.0, 0.02), &Vector3::x());
-        Ok(Self { robot: RobotLooks::new(robot)?, wrist, size: [SIZE_PX; 2], scene: None })
+        // Beside the hand, across the tool's y axis, along which the fingers close; the hand is below in the picture.
+        let mounted = |side: f64| {
+            let from = Point3::new(side * 0.1, 0.0, -behind);
+            Pinhole::looking(from, Point3::new(0.0, 0.0, 0.02), &(Vector3::x() * side))
+        };
+        let looks = RobotLooks::new(robot)?;
+        // On the side from which it looks towards the workspace, and not back at the robot, while the arm waits.
+        let waiting = Posture {
+            joints: robot.settings.arm.home_rad.clone(),
+            opening_m: None,
+            object: Isometry3::identity(),
+            fixtures: Vec::new(),
+        };
+        let tool = looks.tool(&waiting);
+        let [x, y] = WORKSPACE_CENTRE;
+        let ahead = Vector3::new(x, y, 0.0) - tool.translation.vector;
+        let sight = tool.rotation * (mounted(1.0).rotation * Vector3::z());
+        let side = if sight.xy().dot(&ahead.xy()) >= 0.0 { 1.0 } else { -1.0 };
+        Ok(Self { robot: looks, wrist: mounted(side), size: [SIZE_PX; 2], scene: None })
     }
 
     /// The same cameras with pictures of another size, in pixels.

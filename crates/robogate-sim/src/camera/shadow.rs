@@ -148,14 +148,14 @@ impl<'a> Shadows<'a> {
     fn behind_mesh(&self, caster: &Caster, point: &Vector3<f32>) -> f32 {
         let body = &self.bodies[caster.body as usize];
         let Form::Mesh(mesh) = body.form else { return 0.0 };
-        let way = body.turn * self.towards;
+        let way = body.along_axes(&self.towards);
         f32::from(mesh.first(&body.local(point), &way, 1e-3, 10.0).is_some())
     }
 }
 
 impl Caster {
     fn new(index: u32, body: &Body<'_>, seen: impl Fn(&Vector3<f32>) -> Vector3<f32>) -> Self {
-        let axis = |i: usize| seen(&body.turn.row(i).transpose());
+        let axis = |i: usize| seen(&body.axes[i]);
         let (_, half, radius) = body.form.hull();
         let figure = match body.form {
             Form::Sphere { radius } => Figure::Disc { radius: *radius },

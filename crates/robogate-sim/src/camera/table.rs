@@ -90,18 +90,18 @@ impl Level {
 
     /// Between the four texels about a place, in texels from the corner.
     fn at(&self, u: f32, v: f32) -> Vector3<f32> {
-        let (u, v) = (u - 0.5, v - 0.5);
-        let (left, top) = (u.floor(), v.floor());
-        let (across, down) = (u - left, v - top);
-        let texel = |i: f32, j: f32| {
-            let column = (i.max(0.0) as usize).min(self.size[0] - 1);
-            let row = (j.max(0.0) as usize).min(self.size[1] - 1);
-            let [r, g, b, _] = self.texels[row * self.size[0] + column];
+        // Beyond the border the border goes on.
+        let within = |x: f32, size: usize| (x - 0.5).max(0.0).min((size - 1) as f32);
+        let (u, v) = (within(u, self.size[0]), within(v, self.size[1]));
+        let (left, top) = (u as usize, v as usize);
+        let (across, down) = (u - left as f32, v - top as f32);
+        let texel = |column: usize, row: usize| {
+            let [r, g, b, _] = self.texels[row.min(self.size[1] - 1) * self.size[0] + column.min(self.size[0] - 1)];
             Vector3::new(f32::from(r), f32::from(g), f32::from(b))
         };
-        let upper = texel(left, top) * (1.0 - across) + texel(left + 1.0, top) * across;
-        let lower = texel(left, top + 1.0) * (1.0 - across) + texel(left + 1.0, top + 1.0) * across;
-        let root = (upper * (1.0 - down) + lower * down) / 255.0;
+        let upper = texel(left, top) * (1.0 - across) + texel(left + 1, top) * across;
+        let lower = texel(left, top + 1) * (1.0 - across) + texel(left + 1, top + 1) * across;
+        let root = (upper * (1.0 - down) + lower * down) * (1.0 / 255.0);
         root.component_mul(&root)
     }
 }
@@ -188,22 +188,24 @@ fn lattice(x: i32, y: i32, z: i32) -> f32 {
     (h >> 8) as f32 / 16_777_216.0
 }
 
+/// The whole number below: the processor's own rounding is not in every instruction set, and a call for it is slow.
+fn below(x: f32) -> i32 {
+    let towards_zero = x as i32;
+    towards_zero - i32::from(x < towards_zero as f32)
+}
+
 /// Value noise in the plane: from 0 to 1, features about one unit wide.
 fn noise(x: f32, y: f32) -> f32 {
-    let (left, low) = (x.floor(), y.floor());
-    let (a, b) = (smooth(x - left), smooth(y - low));
-    let (i, j) = (left as i32, low as i32);
-    let at = |i, j| lattice(i, j, 0);
-    let below = at(i, j) * (1.0 - a) + at(i + 1, j) * a;
-    let above = at(i, j + 1) * (1.0 - a) + at(i + 1, j + 1) * a;
-    below * (1.0 - b) + above * b
+    let (i, j) = (below(x), below(y));
+    let (a, b) = (smooth(x - i as f32), smooth(y - j as f32));
+    let line = |j| lattice(i, j, 0) * (1.0 - a) + lattice(i + 1, j, 0) * a;
+    line(j) * (1.0 - b) + line(j + 1) * b
 }
 
 /// Value noise in space.
 pub(crate) fn noise3(p: Vector3<f32>) -> f32 {
-    let floor = p.map(f32::floor);
-    let [a, b, c] = [smooth(p.x - floor.x), smooth(p.y - floor.y), smooth(p.z - floor.z)];
-    let (i, j, k) = (floor.x as i32, floor.y as i32, floor.z as i32);
+    let [i, j, k] = [below(p.x), below(p.y), below(p.z)];
+    let [a, b, c] = [smooth(p.x - i as f32), smooth(p.y - j as f32), smooth(p.z - k as f32)];
     let line = |j, k| lattice(i, j, k) * (1.0 - a) + lattice(i + 1, j, k) * a;
     let plane = |k| line(j, k) * (1.0 - b) + line(j + 1, k) * b;
     plane(k) * (1.0 - c) + plane(k + 1) * c
