@@ -220,22 +220,51 @@ fn a_turned_camera_turns_the_picture() {
     assert!((0.5 * (c + d) - 0.5 * (a + b) - 0.1 * focal).abs() < 2.5, "{a} {b} {c} {d}");
 }
 
-#[test]
-fn a_scene_can_be_looked_at_without_an_engine() {
-    let parameters = SceneParameters::default();
+/// A scene with everything in it, and where all of it is while the arm waits.
+fn crowded() -> (Robot, Scene, Posture) {
+    let mut requested = Assignment::default();
+    for (name, value) in [
+        ("obstacles", Value::Integer(5)),
+        ("occluders", Value::Integer(2)),
+        ("disturbance_speed_m_s", Value::Number(0.2)),
+        ("object_transparency", Value::Number(0.6)),
+        ("shape", word("irregular")),
+    ] {
+        requested.set(name, value);
+    }
+    let parameters = SceneParameters::from_assignment(&requested, None).unwrap();
     let placement = Placement::from_name(&parameters.placement).unwrap();
     let mut stream = Seed::campaign(1).stream("obstacles");
     let scene = Scene::new(&parameters, &placement, &mut stream).unwrap();
     let robot = built_in_robot("franka").unwrap();
-    let mut cameras = Cameras::new(&robot).unwrap();
     let posture = Posture {
         joints: robot.settings.arm.home_rad.clone(),
         opening_m: Some(0.08),
         object: scene.object_pose,
         fixtures: scene.fixtures.iter().map(|fixture| fixture.part.pose).collect(),
     };
+    (robot, scene, posture)
+}
+
+#[test]
+fn a_scene_can_be_looked_at_without_an_engine() {
+    let (robot, scene, posture) = crowded();
+    let mut cameras = Cameras::new(&robot).unwrap();
     assert!(cameras.render(&posture).is_empty());
     cameras.set_up(&scene);
     assert_eq!(cameras.visual().map(|visual| visual.table_material), Some(scene.visual.table_material));
     assert_eq!(cameras.render(&posture).len(), 2);
+}
+
+#[test]
+fn tiles_and_shadow_grid_spare_work_and_change_no_byte() {
+    let (robot, scene, mut posture) = crowded();
+    let mut cameras = Cameras::new(&robot).unwrap();
+    cameras.set_up(&scene);
+    let mut exhaustive = Cameras::new(&robot).unwrap().exhaustive();
+    exhaustive.set_up(&scene);
+    for elbow in [-2.35, -2.0] {
+        posture.joints[3] = elbow;
+        assert!(cameras.render(&posture) == exhaustive.render(&posture), "elbow at {elbow}");
+    }
 }

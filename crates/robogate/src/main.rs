@@ -3,6 +3,7 @@
 mod answer;
 mod commands;
 mod exit;
+mod picture;
 mod progress;
 mod summary;
 mod terminal;
@@ -31,6 +32,8 @@ enum Verb {
     Resume(commands::resume::Resume),
     /// Run one episode of a campaign again, bit for bit, and tell its story
     Replay(commands::replay::Replay),
+    /// Take pictures of a scenario with the cell's cameras
+    Snapshot(commands::snapshot::Snapshot),
     /// Say where the policy fails, how the parameters act, and how sure that is
     Analyze(commands::analyze::Analyze),
     /// Say how robots, policies or simulators differ, and where all of them fail
@@ -71,6 +74,7 @@ fn main() -> ExitCode {
         Verb::Run(run) => run.execute(),
         Verb::Resume(resume) => resume.execute(),
         Verb::Replay(replay) => replay.execute(),
+        Verb::Snapshot(snapshot) => snapshot.execute(),
         Verb::Analyze(analyze) => analyze.execute(),
         Verb::Compare(compare) => compare.execute(),
         Verb::Report(report) => report.execute(),

@@ -7,6 +7,7 @@ use clap::Args;
 use robogate_campaign::{Station, Workshop};
 use robogate_core::{Assignment, Fault, FaultKind, ParameterSpace, Policy, Scenario, Seed, Simulator, Suite};
 use robogate_dictionary::{hex, provenance, robot_sha256};
+use robogate_sim::camera::SIZE_PX;
 use robogate_sim::claims::{Bench, Setup, Workbench};
 use robogate_sim::{
     Chain, Engine, EngineBuild, Gripper, MujocoEngine, PickPlace, RapierEngine, Robot, RobotError, RobotFile,
@@ -87,6 +88,8 @@ fn absolute(robot: &str) -> String {
 pub(crate) struct Cell {
     world: World,
     robot: Robot,
+    /// Pixels along each side of the cameras' pictures.
+    picture_px: usize,
 }
 
 impl Cell {
@@ -110,11 +113,16 @@ impl Cell {
         if let (Some(_), Some(force)) = (robot.settings.gripper.cup(), world.grip_force_n) {
             bail!("--grip-force {force} is for fingers: the gripper of {} is a suction cup", robot.name());
         }
-        let cell = Self { world, robot };
+        let cell = Self { world, robot, picture_px: SIZE_PX };
         let mut built = cell.build(&cell.setup())?;
         let nominal = Scenario { index: 0, seed: Seed::campaign(0).episode(0), requested: Assignment::default() };
         built.simulator.reset(&nominal).context("the robot cannot be set up in the cell")?;
         Ok(cell)
+    }
+
+    /// The same cell, its cameras' pictures so many pixels wide and high.
+    pub(crate) fn with_pictures_of(self, picture_px: usize) -> Self {
+        Self { picture_px, ..self }
     }
 
     /// The cell of a recorded run.
@@ -159,8 +167,8 @@ impl Cell {
     fn build(&self, setup: &Setup) -> anyhow::Result<Built> {
         let (robot, step) = (setup.robot.clone(), setup.time_step_s);
         match self.world.engine.as_str() {
-            "rapier" => Built::new(RapierEngine::new(robot, step)?, setup.suction),
-            _ => Built::new(MujocoEngine::new(robot, step)?, setup.suction),
+            "rapier" => Built::new(RapierEngine::new(robot, step)?, setup.suction, self.picture_px),
+            _ => Built::new(MujocoEngine::new(robot, step)?, setup.suction, self.picture_px),
         }
     }
 
@@ -220,9 +228,10 @@ struct Built {
 }
 
 impl Built {
-    fn new<E: Engine + 'static>(engine: E, suction: SuctionLaw) -> anyhow::Result<Self> {
+    fn new<E: Engine + 'static>(engine: E, suction: SuctionLaw, picture_px: usize) -> anyhow::Result<Self> {
         let (chain, build) = (engine.chain().clone(), engine.build());
-        let simulator = PickPlace::new(engine, None).map_err(|why| anyhow!(why))?.with_suction(suction);
+        let task = PickPlace::new(engine, None).map_err(|why| anyhow!(why))?;
+        let simulator = task.with_suction(suction).with_picture_size(picture_px, picture_px);
         Ok(Self { simulator: Box::new(simulator), chain, engine: build })
     }
 }

@@ -245,3 +245,54 @@ fn a_wrong_suite_is_told_in_full_with_exit_code_2() {
     assert_usage(&["run", "--suite", "industrial-68", "-n", "10"], &["cannot be used with"]);
     assert_usage(&["run", "--rounds", "10"], &["--suite"]);
 }
+
+/// Width and height in a PNG's header.
+fn png_size(file: &str) -> [u32; 2] {
+    let bytes = fs::read(file).unwrap();
+    assert_eq!(&bytes[..8], b"\x89PNG\r\n\x1a\n", "{file}");
+    [16, 20].map(|at| u32::from_be_bytes(bytes[at..at + 4].try_into().unwrap()))
+}
+
+#[test]
+fn snapshots_are_pngs_that_are_the_same_each_time_and_overwrite_nothing() {
+    let dir = TempDir::new().unwrap();
+    let take = |folder: &str| {
+        let out = path(&dir, folder);
+        let case = ["--suite", "industrial-68", "--case", "cluttered_scene-2", "--at", "0,0.6", "--size", "64"];
+        robogate(&[["snapshot", "--json", "--out", &out].as_slice(), &case].concat())
+    };
+    let (one, two) = (take("one"), take("two"));
+    assert_done(&one);
+    assert_done(&two);
+    let document: serde_json::Value = serde_json::from_slice(&one.stdout).unwrap();
+    let pictures = document["pictures"].as_array().unwrap();
+    assert_eq!(pictures.len(), 4);
+    let mut different = std::collections::BTreeSet::new();
+    for picture in pictures {
+        let file = picture["file"].as_str().unwrap();
+        assert_eq!(png_size(file), [64, 64]);
+        assert!(fs::read(file).unwrap() == fs::read(file.replace("/one/", "/two/")).unwrap(), "{file}");
+        different.insert(fs::read(file).unwrap());
+    }
+    assert_eq!(different.len(), 4, "another camera or time is another picture");
+    let again = take("one");
+    assert_eq!(again.status.code(), Some(2));
+    assert!(text(&again).contains("is there already"), "{}", text(&again));
+
+    let sheet = path(&dir, "sheet.png");
+    assert_done(&robogate(&["snapshot", "--suite", "industrial-68", "--sheet", "--size", "16", "--out", &sheet]));
+    assert_eq!(png_size(&sheet), [10 * 20 + 4, 7 * 33 + 4]);
+}
+
+#[test]
+fn snapshots_of_what_there_is_not_are_refused_with_exit_code_2() {
+    assert_usage(&["snapshot", "--suite", "industrial-68", "--case", "nothing"], &["has no scenario `nothing`"]);
+    assert_usage(&["snapshot", "--suite", "nothing"], &["there is no suite `nothing`"]);
+    assert_usage(&["snapshot", "--set", "lighting_lux"], &["write NAME=VALUE"]);
+    assert_usage(&["snapshot", "--set", "lighting=500"], &["lighting"]);
+    assert_usage(&["snapshot", "--set", "table_material=marble"], &["marble", "wood"]);
+    assert_usage(&["snapshot", "--at", "-1"], &["--at"]);
+    assert_usage(&["snapshot", "--size", "0"], &["1 to 4096"]);
+    assert_usage(&["snapshot", "--sheet"], &["--suite"]);
+    assert_usage(&["snapshot", "--run", "/nowhere", "--index", "3"], &["/nowhere"]);
+}

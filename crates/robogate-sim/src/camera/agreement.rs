@@ -56,10 +56,11 @@ fn hits(solids: &[(&Form, Isometry3<f64>)], camera: &Pinhole) -> Vec<(f32, u32)>
     let finish = Finish::new([128; 3], 0.0);
     let bodies: Vec<_> = solids.iter().map(|(form, pose)| Body::new(form, &finish, pose)).collect();
     let light = Light::new(500.0);
-    let shadows = Shadows::new(&bodies, |_| true, &light, Vector3::zeros());
+    let shadows = Shadows::new(&bodies, |_| true, &light, Vector3::zeros(), false);
     let room = Room { wall: Vector3::zeros(), floor: -1.0 };
     let object = vec![false; bodies.len()];
-    Picture { bodies: &bodies, shadows: &shadows, light: &light, room: &room, object: &object }.hits(camera)
+    Picture { bodies: &bodies, shadows: &shadows, light: &light, room: &room, object: &object, exhaustive: false }
+        .hits(camera)
 }
 
 fn camera() -> Pinhole {

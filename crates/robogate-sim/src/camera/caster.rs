@@ -31,6 +31,8 @@ pub(crate) struct Picture<'a> {
     pub(crate) room: &'a Room,
     /// For each body, whether it is one of the object's.
     pub(crate) object: &'a [bool],
+    /// Whether every ray tries every body.
+    pub(crate) exhaustive: bool,
 }
 
 impl View {
@@ -65,7 +67,7 @@ impl Picture<'_> {
     /// Red, green and blue of each pixel, row by row.
     pub(crate) fn take(&self, camera: &Pinhole) -> Vec<u8> {
         let view = View::new(camera);
-        let tiles = Tiles::new(self.bodies, &view);
+        let tiles = Tiles::new(self.bodies, &view, self.exhaustive);
         let (width, height) = (view.width, view.height);
         let mut rgb = vec![0_u8; 3 * width * height];
         for row in 0..height {
@@ -129,7 +131,7 @@ impl Picture<'_> {
     #[cfg(test)]
     pub(crate) fn hits(&self, camera: &Pinhole) -> Vec<(f32, u32)> {
         let view = View::new(camera);
-        let tiles = Tiles::new(self.bodies, &view);
+        let tiles = Tiles::new(self.bodies, &view, self.exhaustive);
         let mut found = Vec::with_capacity(view.width * view.height);
         for row in 0..view.height {
             for column in (0..view.width).step_by(TILE) {
@@ -151,7 +153,7 @@ impl Picture<'_> {
                 let (body, near) = tiles.order[word * 64 + bits.trailing_zeros() as usize];
                 bits &= bits - 1;
                 // Bodies come by the depth at which they begin: from here on all are hidden.
-                if hits.depth.iter().all(|depth| *depth <= near) {
+                if !self.exhaustive && hits.depth.iter().all(|depth| *depth <= near) {
                     return hits;
                 }
                 if !(through && self.object[body as usize]) {

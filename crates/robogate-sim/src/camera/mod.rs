@@ -49,6 +49,7 @@ pub struct Cameras {
     /// The wrist camera in the frame of the tool centre point, as it is meant to be.
     wrist: Isometry3<f64>,
     size: [usize; 2],
+    exhaustive: bool,
     scene: Option<Stage>,
 }
 
@@ -92,13 +93,21 @@ impl Cameras {
         let ahead = Vector3::new(x, y, 0.0) - tool.translation.vector;
         let sight = tool.rotation * (mounted(1.0).rotation * Vector3::z());
         let side = if sight.xy().dot(&ahead.xy()) >= 0.0 { 1.0 } else { -1.0 };
-        Ok(Self { robot: looks, wrist: mounted(side), size: [SIZE_PX; 2], scene: None })
+        Ok(Self { robot: looks, wrist: mounted(side), size: [SIZE_PX; 2], exhaustive: false, scene: None })
     }
 
     /// The same cameras with pictures of another size, in pixels.
     #[must_use]
     pub fn with_size(mut self, width: usize, height: usize) -> Self {
         self.size = [width.max(1), height.max(1)];
+        self
+    }
+
+    /// The same cameras without what spares them work: every ray tries every solid, and every point every shadow. Pictures
+    /// are the same to the bit; tests and benchmarks hold the others against them.
+    #[must_use]
+    pub fn exhaustive(mut self) -> Self {
+        self.exhaustive = true;
         self
     }
 
@@ -135,7 +144,7 @@ impl Cameras {
     /// What the cameras show of this posture, in the order of [`CAMERAS`]; nothing before [`Self::set_up`].
     pub fn render(&self, posture: &Posture) -> Vec<Image> {
         let Some(scene) = &self.scene else { return Vec::new() };
-        scene.with_bodies(&self.robot, posture, |picture| {
+        scene.with_bodies(&self.robot, posture, self.exhaustive, |picture| {
             let image = |name: &str, camera: &Pinhole| Image {
                 camera: name.to_owned(),
                 width: camera.width,
@@ -150,7 +159,7 @@ impl Cameras {
     pub fn view(&self, camera: &Pinhole, posture: &Posture) -> Option<Image> {
         let scene = self.scene.as_ref()?;
         let (width, height) = (camera.width, camera.height);
-        let rgb = scene.with_bodies(&self.robot, posture, |picture| picture.take(camera));
+        let rgb = scene.with_bodies(&self.robot, posture, self.exhaustive, |picture| picture.take(camera));
         Some(Image { camera: "own".to_owned(), width, height, rgb })
     }
 }

@@ -63,12 +63,14 @@ enum Figure {
 }
 
 impl<'a> Shadows<'a> {
-    /// The shadows of those of the bodies that cast any.
+    /// The shadows of those of the bodies that cast any. With `all` they may fall into every cell: what the grid spares is
+    /// not spared.
     pub(crate) fn new(
         bodies: &'a [Body<'a>],
         casts: impl Fn(usize) -> bool,
         light: &Light,
         middle: Vector3<f32>,
+        all: bool,
     ) -> Self {
         let towards = light.towards;
         let x = towards.cross(&Vector3::y()).normalize();
@@ -83,18 +85,21 @@ impl<'a> Shadows<'a> {
         let corner = seen(&middle).xy() - Vector2::repeat(reach);
         let mut shadows =
             Self { bodies, towards, across, casters, corner, words, cells: vec![0; CELLS * CELLS * words] };
-        shadows.fill(seen(&middle).z - 0.6);
+        shadows.fill(seen(&middle).z - 0.9, all);
         shadows
     }
 
     /// Enters each caster into the cells that its shadow may reach; nothing that is seen lies lower than `lowest`.
-    fn fill(&mut self, lowest: f32) {
+    fn fill(&mut self, lowest: f32, all: bool) {
         for (k, caster) in self.casters.iter().enumerate() {
             let blur = LAMP_SPREAD * (caster.centre.z + caster.radius - lowest).max(0.0);
             let (a, b, radius) = caster.capsule();
             let margin = radius + blur;
             let cell = |x: f32, axis: usize| ((x - self.corner[axis]) / CELL).floor();
             let range = |axis: usize| {
+                if all {
+                    return (0.0, CELLS as f32 - 1.0);
+                }
                 let (low, high) = (a[axis].min(b[axis]) - margin, a[axis].max(b[axis]) + margin);
                 let last = CELLS as f32 - 1.0;
                 (cell(low, axis).max(0.0), cell(high, axis).min(last))
@@ -107,7 +112,7 @@ impl<'a> Shadows<'a> {
             for row in top as usize..=bottom as usize {
                 for column in left as usize..=right as usize {
                     let middle = self.corner + Vector2::new(column as f32 + 0.5, row as f32 + 0.5) * CELL;
-                    if distance_squared(&middle, &a, &b) <= near {
+                    if all || distance_squared(&middle, &a, &b) <= near {
                         self.cells[(row * CELLS + column) * self.words + k / 64] |= 1 << (k % 64);
                     }
                 }

@@ -111,6 +111,7 @@ impl Stage {
         &self,
         robot: &RobotLooks,
         posture: &Posture,
+        exhaustive: bool,
         draw: impl FnOnce(&Picture<'_>) -> T,
     ) -> T {
         let mut bodies = Vec::with_capacity(self.props.len() + robot.pieces.len());
@@ -134,8 +135,15 @@ impl Stage {
             casts.push(true);
         }
         let [x, y] = WORKSPACE_CENTRE.map(|x| x as f32);
-        let shadows = Shadows::new(&bodies, |i| casts[i], &self.light, Vector3::new(x - 0.1, y, 0.0));
-        draw(&Picture { bodies: &bodies, shadows: &shadows, light: &self.light, room: &self.room, object: &object })
+        let shadows = Shadows::new(&bodies, |i| casts[i], &self.light, Vector3::new(x - 0.1, y, 0.0), exhaustive);
+        draw(&Picture {
+            bodies: &bodies,
+            shadows: &shadows,
+            light: &self.light,
+            room: &self.room,
+            object: &object,
+            exhaustive,
+        })
     }
 }
 

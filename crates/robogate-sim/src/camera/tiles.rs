@@ -37,7 +37,8 @@ pub(crate) struct Tiles {
 }
 
 impl Tiles {
-    pub(crate) fn new(bodies: &[Body<'_>], view: &View) -> Self {
+    /// With `all` every tile may show every body: what tiles spare is not spared.
+    pub(crate) fn new(bodies: &[Body<'_>], view: &View, all: bool) -> Self {
         let seen = |p: &Vector3<f32>| {
             let p = p - view.eye;
             Vector3::new(p.dot(&view.right), p.dot(&view.down), p.dot(&view.forward))
@@ -62,7 +63,7 @@ impl Tiles {
         for (k, (body, near)) in order.iter().enumerate() {
             let (a, b, radius) = &hulls[*body as usize];
             let [columns, rows] = [(0, across, view.width), (1, down, view.height)].map(|(axis, tiles, pixels)| {
-                if *near < NEAREST {
+                if all || *near < NEAREST {
                     return 0..tiles;
                 }
                 let far = a.z.max(b.z) + radius;
@@ -82,7 +83,7 @@ impl Tiles {
                     let middle = Vector3::new(x, y, 1.0).normalize();
                     // Half the tile's diagonal, seen from the eye at distance 1 or farther along its ray: no wider than this.
                     let spread = TILE as f32 * std::f32::consts::FRAC_1_SQRT_2 / view.focal * distance;
-                    if line_to_segment(&middle, a, b) <= radius + spread {
+                    if all || line_to_segment(&middle, a, b) <= radius + spread {
                         bits[(row * across + column) * words + k / 64] |= 1 << (k % 64);
                     }
                 }

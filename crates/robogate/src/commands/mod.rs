@@ -16,6 +16,7 @@ pub(crate) mod report;
 pub(crate) mod resume;
 pub(crate) mod robots;
 pub(crate) mod run;
+pub(crate) mod snapshot;
 pub(crate) mod study;
 pub(crate) mod suites;
 pub(crate) mod verify;

@@ -1,0 +1,227 @@
+//! `robogate snapshot`: what the cell's cameras show.
+
+use std::path::PathBuf;
+
+use anyhow::anyhow;
+use clap::Args;
+use robogate_campaign::{DEFAULT_SEED, Station, Workshop, recorded};
+use robogate_core::{Assignment, Image, Scenario, Seed, Start, Suite, Value};
+use robogate_sim::SuctionLaw;
+use robogate_sim::camera::{CAMERAS, SIZE_PX};
+use serde_json::json;
+
+use crate::commands::suites;
+use crate::exit::{DONE, Exit, OrExit};
+use crate::picture;
+use crate::terminal::{foreign, line, note};
+use crate::world::{Cell, WorldArguments};
+
+/// Pixels along a picture's side on a sheet, where nothing else is said.
+const ON_SHEET_PX: usize = 144;
+/// Pictures in a row of a sheet.
+const COLUMNS: usize = 10;
+/// Larger pictures are refused: beyond this a typing error is likelier than a wish.
+const LARGEST_PX: usize = 4096;
+
+/// Take pictures of a scenario with the cell's cameras, at the start or while the scripted controller works.
+#[derive(Debug, Args)]
+pub(crate) struct Snapshot {
+    /// A scenario of this suite: a built-in one, or the file of your own
+    #[arg(long, value_name = "SUITE")]
+    suite: Option<String>,
+    /// The suite's scenario, by its name; default: that of --index
+    #[arg(long, value_name = "ID", requires = "suite", conflicts_with = "index")]
+    case: Option<String>,
+    /// An episode of this run
+    #[arg(long, value_name = "DIR", requires = "index", conflicts_with_all = ["suite", "seed", "set", "robot", "engine", "time_step", "grip_force", "suction"])]
+    run: Option<PathBuf>,
+    /// The episode's index: the scenario of a suite in its turn, the episode of a run, or what chance makes of a scenario
+    #[arg(long, value_name = "I")]
+    index: Option<u64>,
+    /// The campaign's seed
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    /// A parameter of the scenario (docs/parameters.md); may be given again
+    #[arg(long, value_name = "NAME=VALUE")]
+    set: Vec<String>,
+    /// When, in seconds of simulated time; several with commas
+    #[arg(long, value_name = "SECONDS", value_delimiter = ',', default_value = "0")]
+    at: Vec<f64>,
+    /// Only this camera: front or wrist; default: both, on a sheet the front one
+    #[arg(long, value_name = "CAMERA", value_parser = CAMERAS)]
+    camera: Option<String>,
+    /// Width and height of a picture in pixels; default: 256, on a sheet 144
+    #[arg(long, value_name = "PIXELS")]
+    size: Option<usize>,
+    /// Every scenario of the suite once, on one sheet
+    #[arg(long, requires = "suite", conflicts_with_all = ["case", "run"])]
+    sheet: bool,
+    #[command(flatten)]
+    world: WorldArguments,
+    /// Where to: a folder, or a sheet's file; default: snapshots, or SUITE.png
+    #[arg(long, value_name = "PATH")]
+    out: Option<PathBuf>,
+    /// Print what was written as one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+impl Snapshot {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let size = self.size.unwrap_or(if self.sheet { ON_SHEET_PX } else { SIZE_PX });
+        if !(1..=LARGEST_PX).contains(&size) {
+            return Err(anyhow!("--size {size}: a picture has 1 to {LARGEST_PX} pixels along a side")).or_usage();
+        }
+        let mut times = self.at.clone();
+        if let Some(wrong) = times.iter().find(|t| !(0.0..=1e6).contains(*t)) {
+            return Err(anyhow!("--at {wrong}: a time is 0 s or later")).or_usage();
+        }
+        times.sort_by(f64::total_cmp);
+        let cell = match &self.run {
+            Some(dir) => Cell::recorded(&robogate_campaign::settings(dir).or_usage()?.provenance),
+            None => Cell::new(self.world.world(), SuctionLaw::Vacuum),
+        };
+        let cell = cell.or_usage()?.with_pictures_of(size);
+        let suite = self.suite.as_deref().map(suites::find).transpose()?;
+        if let Some(suite) = &suite {
+            cell.check_suite(suite).or_usage()?;
+        }
+        match &suite {
+            Some(suite) if self.sheet => self.sheet(&cell, suite, &times),
+            _ => self.pictures(&cell, suite.as_ref(), &times),
+        }
+    }
+
+    /// One scenario, a file for each camera and time.
+    fn pictures(&self, cell: &Cell, suite: Option<&Suite>, times: &[f64]) -> Result<u8, Exit> {
+        let (name, scenario) = self.scenario(suite)?;
+        let folder = self.out.clone().unwrap_or_else(|| PathBuf::from("snapshots"));
+        let mut station = cell.station().or_broken()?;
+        let mut written = Vec::new();
+        let reached = watch(&mut station, &scenario, times, |time_s, images| {
+            for image in images.into_iter().filter(|image| self.shows(image, None)) {
+                let file = folder.join(format!("{name}-{time_s:.2}s-{}.png", image.camera));
+                picture::write(&file, &image).or_usage()?;
+                if !self.json {
+                    line(foreign(file.display()));
+                }
+                written.push(json!({ "file": file, "camera": image.camera, "time_s": time_s }));
+            }
+            Ok(())
+        })?;
+        if let Some(later) = times.iter().find(|t| **t > reached + 1e-9) {
+            note(format_args!("the episode ended at {reached:.2} s: of {later} s and later there is no picture"));
+        }
+        if self.json {
+            line(json!({ "version": 1, "scenario": name, "pictures": written }));
+        }
+        Ok(DONE)
+    }
+
+    /// Every scenario of a suite on one sheet.
+    fn sheet(&self, cell: &Cell, suite: &Suite, times: &[f64]) -> Result<u8, Exit> {
+        let [time] = times else {
+            return Err(anyhow!("--sheet shows every scenario once: give --at one time")).or_usage();
+        };
+        let file = self.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.png", suite.name())));
+        let mut station = cell.station().or_broken()?;
+        let mut pictures = Vec::with_capacity(suite.cases().len());
+        for (index, case) in (self.index.unwrap_or(0)..).zip(suite.cases()) {
+            let scenario = self.with_set(suite.scenario(self.campaign(), index))?;
+            // An episode that is over by then is shown at its end.
+            let mut last = None;
+            watch(&mut station, &scenario, &[*time], |_, images| {
+                last = images.into_iter().find(|image| self.shows(image, Some(CAMERAS[0])));
+                Ok(())
+            })?;
+            pictures.extend(last.map(|image| (case.id.clone(), image)));
+        }
+        picture::write(&file, &picture::sheet(&pictures, COLUMNS)).or_usage()?;
+        if self.json {
+            line(json!({ "version": 1, "suite": suite.name(), "file": file, "scenarios": pictures.len() }));
+        } else {
+            line(foreign(file.display()));
+        }
+        Ok(DONE)
+    }
+
+    fn shows(&self, image: &Image, default: Option<&str>) -> bool {
+        self.camera.as_deref().or(default).is_none_or(|camera| image.camera == camera)
+    }
+
+    fn campaign(&self) -> Seed {
+        Seed::campaign(self.seed.unwrap_or(DEFAULT_SEED))
+    }
+
+    /// What is asked for, and its name in files.
+    fn scenario(&self, suite: Option<&Suite>) -> Result<(String, Scenario), Exit> {
+        if let (Some(dir), Some(index)) = (&self.run, self.index) {
+            let entry = recorded(dir, index).or_usage()?;
+            return Ok((format!("episode-{index}"), entry.episode.scenario));
+        }
+        let index = self.index.unwrap_or(0);
+        let Some(suite) = suite else {
+            let scenario = Scenario { index, seed: self.campaign().episode(index), requested: Assignment::default() };
+            return Ok((format!("scenario-{index}"), self.with_set(scenario)?));
+        };
+        let index = match &self.case {
+            None => index,
+            Some(id) => match suite.cases().iter().position(|case| case.id == *id) {
+                Some(place) => place as u64,
+                None => {
+                    let (suite, id) = (suite.name(), foreign(id));
+                    let why = anyhow!("{suite} has no scenario `{id}`; robogate suites show {suite} lists them");
+                    return Err(why).or_usage();
+                }
+            },
+        };
+        Ok((suite.case(index).id.clone(), self.with_set(suite.scenario(self.campaign(), index))?))
+    }
+
+    /// The scenario with the parameters of --set.
+    fn with_set(&self, mut scenario: Scenario) -> Result<Scenario, Exit> {
+        for pair in &self.set {
+            let Some((name, value)) = pair.split_once('=') else {
+                return Err(anyhow!("--set {}: write NAME=VALUE", foreign(pair))).or_usage();
+            };
+            let value = match (value.parse::<i64>(), value.parse::<f64>()) {
+                (Ok(whole), _) => Value::Integer(whole),
+                (_, Ok(number)) => Value::Number(number),
+                _ => Value::Category(value.into()),
+            };
+            scenario.requested.set(name, value);
+        }
+        Ok(scenario)
+    }
+}
+
+/// Runs an episode and hands over pictures at these times (ascending, in seconds), or at its end where that comes first.
+/// Returns the time of the last.
+fn watch(
+    station: &mut Station,
+    scenario: &Scenario,
+    times: &[f64],
+    mut show: impl FnMut(f64, Vec<Image>) -> Result<(), Exit>,
+) -> Result<f64, Exit> {
+    let Station { simulator, policy } = station;
+    let Start { task, mut observation, .. } = simulator.reset(scenario).or_usage()?;
+    policy.reset(&task, scenario.seed).or_broken()?;
+    let mut times = times.iter().peekable();
+    let mut over = false;
+    while let Some(next) = times.peek() {
+        let now = observation.time_s;
+        over = over || now >= task.time_limit_s - 1e-9;
+        if now >= **next - 1e-9 || over {
+            show(now, simulator.render().or_usage()?)?;
+            while times.next_if(|t| over || **t <= now + 1e-9).is_some() {}
+            if over {
+                return Ok(now);
+            }
+        } else {
+            let step = policy.act(&observation).and_then(|action| simulator.step(&action)).or_broken()?;
+            over = step.ending.is_some();
+            observation = step.observation;
+        }
+    }
+    Ok(observation.time_s)
+}
