@@ -291,7 +291,7 @@ fn snapshots_of_what_there_is_not_are_refused_with_exit_code_2() {
     assert_usage(&["snapshot", "--set", "lighting_lux"], &["write NAME=VALUE"]);
     assert_usage(&["snapshot", "--set", "lighting=500"], &["lighting"]);
     assert_usage(&["snapshot", "--set", "table_material=marble"], &["marble", "wood"]);
-    assert_usage(&["snapshot", "--at", "-1"], &["--at"]);
+    assert_usage(&["snapshot", "--at=-1"], &["--at -1", "0 s or later"]);
     assert_usage(&["snapshot", "--size", "0"], &["1 to 4096"]);
     assert_usage(&["snapshot", "--sheet"], &["--suite"]);
     assert_usage(&["snapshot", "--run", "/nowhere", "--index", "3"], &["/nowhere"]);
