@@ -40,7 +40,7 @@ pub trait Engine {
     /// Opening between the pads, in metres; `None` for a gripper without fingers.
     fn opening(&self) -> Option<f64>;
 
-    /// Joins the object to the gripper's cup, rigidly and as the two stand now. Loading parts them.
+    /// Joins the object to the gripper's cup as the two stand now, with next to no give. Loading parts them.
     ///
     /// When this happens and when it ends is no matter of the engine ([`crate::suction`]). Does nothing where the
     /// gripper has no cup.

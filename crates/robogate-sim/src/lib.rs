@@ -2,18 +2,21 @@
 //! the scripted controller that drives it.
 //!
 //! A [`Robot`] is a folder (MJCF and `robot.toml`). [`Scene`] says in neutral terms what stands in the
-//! cell; an [`Engine`] gives it physics; [`PickPlace`] makes an engine, a robot and the task a
-//! [`robogate_core::Simulator`]. [`Scripted`] is the policy of the paper's baseline.
+//! cell; an [`Engine`] gives it physics (MuJoCo and Rapier, each a feature of this crate); [`PickPlace`] makes an
+//! engine, a robot and the task a [`robogate_core::Simulator`]. [`Scripted`] is the policy of the paper's baseline.
 
 pub mod camera;
 mod cell;
 pub mod claims;
+#[cfg(feature = "rapier")]
 mod description;
 mod disturbance;
 mod engine;
+#[cfg(feature = "mujoco")]
 mod inspect;
 mod judge;
 mod kinematics;
+#[cfg(feature = "mujoco")]
 mod mujoco;
 mod object;
 mod occluder;
@@ -21,9 +24,11 @@ pub mod offsite;
 mod parameters;
 mod pick_place;
 mod plant;
+#[cfg(feature = "rapier")]
 mod rapier;
 mod referee;
 mod robot;
+#[cfg(feature = "mujoco")]
 mod robot_model;
 mod scene;
 mod scripted;
@@ -38,12 +43,15 @@ mod visual;
 pub use cell::{CONTROL_PERIOD_S, ResolvedCell, TIME_LIMIT_S};
 pub use disturbance::{Disturbance, Motion};
 pub use engine::{Collision, Engine, EngineBuild, FixtureRead, JointTargets, Readback, Touches, Wrench};
+#[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, inspect};
 pub use kinematics::{Chain, ChainJoint, Unreachable};
+#[cfg(feature = "mujoco")]
 pub use mujoco::MujocoEngine;
 pub use object::{MassProperties, ObjectModel, Part, Primitive, Shape};
 pub use parameters::{ParameterError, Placement, SceneParameters};
 pub use pick_place::PickPlace;
+#[cfg(feature = "rapier")]
 pub use rapier::RapierEngine;
 pub use robot::{
     Arm, Gripper, ParallelJaw, Problem, Robot, RobotError, RobotFile, RobotSettings, RobotSource, Site, SuctionCup,

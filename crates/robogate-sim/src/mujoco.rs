@@ -587,7 +587,7 @@ impl Engine for MujocoEngine {
                 let scene = &loaded.scene.fixtures[fixture];
                 let near = match scene.motion {
                     Some(_) => scene.distance_bound_at(&loaded.geom_pose(other), centre, radius),
-                    None => scene.distance_bound(centre, radius),
+                    None => scene.distance_bound_at(&scene.part.pose, centre, radius),
                 };
                 if near < best {
                     best = best.min(loaded.data.geom_distance(robot, other, best, None));

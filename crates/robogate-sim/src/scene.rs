@@ -53,12 +53,7 @@ pub enum FixtureKind {
 }
 
 impl Fixture {
-    /// A lower bound of the distance from a ball to the fixture, in metres (negative inside).
-    pub(crate) fn distance_bound(&self, centre: [f64; 3], radius: f64) -> f64 {
-        self.distance_bound_at(&self.part.pose, centre, radius)
-    }
-
-    /// The same where the fixture stands at `pose`.
+    /// A lower bound of the distance from a ball to the fixture where it stands at `pose`, in metres (negative inside).
     pub(crate) fn distance_bound_at(&self, pose: &Isometry3<f64>, centre: [f64; 3], radius: f64) -> f64 {
         let local = pose.inverse_transform_point(&Point3::from(centre));
         let beyond = local.coords.abs() - Vector3::from(self.part.primitive.half_extent());
@@ -202,11 +197,17 @@ mod tests {
             for (i, fixture) in scene.fixtures.iter().enumerate().skip(1) {
                 let at = fixture.part.pose.translation.vector;
                 assert!((at.x - 0.5).hypot(at.y) <= OBSTACLE_RADIUS);
-                assert!(fixture.distance_bound([placement.position[0], placement.position[1], 0.06], 0.06) > 0.0);
+                assert!(
+                    fixture.distance_bound_at(
+                        &fixture.part.pose,
+                        [placement.position[0], placement.position[1], 0.06],
+                        0.06
+                    ) > 0.0
+                );
                 for other in &scene.fixtures[i + 1..] {
                     let there = other.part.pose.translation.vector;
                     let radius = fixture.part.primitive.half_extent()[0];
-                    assert!(other.distance_bound([at.x, at.y, there.z], radius) > 0.0);
+                    assert!(other.distance_bound_at(&other.part.pose, [at.x, at.y, there.z], radius) > 0.0);
                 }
             }
         }

@@ -2,8 +2,8 @@
 //!
 //! A cup that is told to grip looks along the tool's z axis at the object: from the middle of its lip and from
 //! [`RIM_POINTS`] points around it. It takes hold where the object is no farther from the middle than the grip
-//! threshold, and by vacuum no farther than the lip follows either: air holds nothing. Then the engine joins the two rigidly ([`crate::Engine::join`]); what happens next is what
-//! distinguishes the two laws.
+//! threshold, and by vacuum no farther than the lip follows either: air holds nothing. Then the engine joins the two ([`crate::Engine::join`]); what happens next is
+//! what distinguishes the two laws.
 //!
 //! [`SuctionLaw::Surface`] is the surface gripper of the paper (section 4.1): the joint never breaks.
 //!
@@ -23,7 +23,7 @@
 //!
 //! Once overloaded the cup leaks and has lost the object; it takes hold again only after it was told to let go.
 //!
-//! The vacuum is there after [`BUILD_UP_S`] of sealing without a break. The joint is rigid and the lip is rubber: it
+//! The vacuum is there after [`BUILD_UP_S`] of sealing without a break. The joint hardly gives and the lip is rubber: it
 //! feels the joint's load with a lag of [`LIP_LAG_S`], so that jolts of a few milliseconds do not peel it off.
 
 use std::f64::consts::{PI, TAU};

@@ -1,43 +1,9 @@
-//! The Franka's model against the manufacturer's Denavit-Hartenberg table.
+//! Inverse kinematics, and mass properties against MuJoCo's own.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
-use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Seed;
-use robogate_sim::{Engine, MujocoEngine, ObjectModel, Placement, Scene, SceneParameters, Shape, built_in_robot};
-
-/// Modified (Craig) parameters (a, alpha, d) of joints 1 to 7 and the flange: Franka Control Interface
-/// documentation, "Denavit-Hartenberg parameters".
-const FRANKA_DH: [(f64, f64, f64); 8] = [
-    (0.0, 0.0, 0.333),
-    (0.0, -FRAC_PI_2, 0.0),
-    (0.0, FRAC_PI_2, 0.316),
-    (0.0825, FRAC_PI_2, 0.0),
-    (-0.0825, -FRAC_PI_2, 0.384),
-    (0.0, FRAC_PI_2, 0.0),
-    (0.088, FRAC_PI_2, 0.0),
-    (0.0, 0.0, 0.107),
-];
-
-/// One row of the table as a matrix product, written out from the definition:
-/// T = Rx(alpha) Tx(a) Rz(theta) Tz(d).
-fn craig((a, alpha, d): (f64, f64, f64), theta: f64) -> Isometry3<f64> {
-    let turn = |axis: &nalgebra::Unit<Vector3<f64>>, angle| {
-        Isometry3::from_parts(Translation3::identity(), UnitQuaternion::from_axis_angle(axis, angle))
-    };
-    turn(&Vector3::x_axis(), alpha)
-        * Isometry3::translation(a, 0.0, 0.0)
-        * turn(&Vector3::z_axis(), theta)
-        * Isometry3::translation(0.0, 0.0, d)
-}
-
-fn flange_by_table(q: &[f64]) -> Isometry3<f64> {
-    FRANKA_DH
-        .iter()
-        .zip(q.iter().copied().chain([0.0]))
-        .fold(Isometry3::identity(), |frame, (row, theta)| frame * craig(*row, theta))
-}
+use robogate_sim::{Engine, MujocoEngine, ObjectModel, Shape, built_in_robot};
 
 fn assert_same(a: &Isometry3<f64>, b: &Isometry3<f64>) {
     let off = a.inverse() * b;
@@ -47,36 +13,6 @@ fn assert_same(a: &Isometry3<f64>, b: &Isometry3<f64>) {
 
 fn engine() -> MujocoEngine {
     MujocoEngine::new(built_in_robot("franka").unwrap(), MujocoEngine::TIME_STEP_S).unwrap()
-}
-
-fn random_joints(engine: &MujocoEngine, index: u64) -> Vec<f64> {
-    let mut stream = Seed::campaign(11).episode(index).stream("joints");
-    engine.chain().joints.iter().map(|joint| stream.between(joint.range[0], joint.range[1])).collect()
-}
-
-fn scene() -> Scene {
-    let placement = Placement::from_name("center_0").unwrap();
-    Scene::new(&SceneParameters::default(), &placement, &mut Seed::campaign(0).stream("obstacles")).unwrap()
-}
-
-#[test]
-fn chain_and_engine_agree_with_the_manufacturers_table() {
-    let mut engine = engine();
-    // The hand is turned by -45 degrees about the flange's z, the tool centre point 0.1034 m beyond it.
-    let hand = Isometry3::from_parts(
-        Translation3::new(0.0, 0.0, 0.1034),
-        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -FRAC_PI_4),
-    );
-    for index in 0..1000 {
-        let q = random_joints(&engine, index);
-        let flange = flange_by_table(&q);
-        assert_same(&engine.chain().flange_at(&q), &flange);
-        assert_same(&engine.chain().tcp_at(&q), &(flange * hand));
-        if index < 50 {
-            engine.load(&scene(), &q).unwrap();
-            assert_same(&engine.tcp(), &(flange * hand));
-        }
-    }
 }
 
 #[test]

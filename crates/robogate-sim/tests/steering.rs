@@ -9,7 +9,7 @@ use robogate_core::{
 use robogate_sim::{MujocoEngine, PickPlace};
 
 fn world() -> (PickPlace<MujocoEngine>, Observation) {
-    let engine = MujocoEngine::new(common::franka().0, MujocoEngine::TIME_STEP_S).unwrap();
+    let engine = MujocoEngine::new(common::On::Mujoco.franka().robot, MujocoEngine::TIME_STEP_S).unwrap();
     let mut world = PickPlace::new(engine, None).unwrap();
     let scenario = Scenario { index: 0, seed: Seed::campaign(1).episode(0), requested: Assignment::default() };
     let start = world.reset(&scenario).unwrap();

@@ -4,19 +4,14 @@
 mod common;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::f64::consts::FRAC_PI_2;
 
-use common::franka;
-use nalgebra::Vector3;
+use common::On;
 use robogate_core::{
     Action, Assignment, Domain, Episode, Fault, FaultKind, Observation, Outcome, Policy, Scenario, Seed, Spread, Suite,
     TaskSpec, Value, rollout,
 };
 use robogate_sim::claims::{Bench, Workbench};
-use robogate_sim::{
-    Disturbance, Engine, FixtureKind, JointTargets, MujocoEngine, Placement, Scene, SceneParameters, TableMaterial,
-    built_in_robot, check_suite,
-};
+use robogate_sim::{Placement, TableMaterial, built_in_robot, check_suite};
 
 /// The seed of a campaign where nobody chose another.
 const SEED: u64 = 2026;
@@ -124,7 +119,7 @@ fn what_means_nothing_is_named_with_all_its_scenarios() {
 }
 
 fn bench() -> Bench {
-    let franka = franka();
+    let franka = On::Mujoco.franka();
     franka.bench(&franka.setup()).unwrap()
 }
 
@@ -168,73 +163,6 @@ fn visual_parameters_are_applied_and_move_nothing() {
     let looked = rollout(&mut *simulator, &mut *policy, &scenario(&looks, 5));
     assert_eq!(looked.trajectory_hash, plain.trajectory_hash);
     assert_eq!(looked.applied, looked.scenario.requested);
-}
-
-fn crossing(index: u64) -> Scenario {
-    let parameters = [
-        ("disturbance_speed_m_s", number(0.2)),
-        ("disturbance_start_s", number(0.5)),
-        ("disturbance_x_m", number(0.5)),
-        ("disturbance_y_m", number(-0.4)),
-        ("disturbance_heading_rad", number(FRAC_PI_2)),
-        ("disturbance_travel_m", number(0.5)),
-    ];
-    scenario(&parameters, index)
-}
-
-/// An engine with the scene of [`crossing`], the arm at home.
-fn loaded() -> (MujocoEngine, Scene, JointTargets) {
-    let robot = built_in_robot("franka").unwrap();
-    let gripper = robot.settings.gripper.clone();
-    let home = robot.settings.arm.home_rad.clone();
-    let parameters = SceneParameters::from_assignment(&crossing(0).requested, Some(&gripper)).unwrap();
-    let placement = Placement::from_name(&parameters.placement).unwrap();
-    let scene = Scene::new(&parameters, &placement, &mut Seed::campaign(1).episode(0).stream("obstacles")).unwrap();
-    let mut engine = MujocoEngine::new(robot, 0.002).unwrap();
-    engine.load(&scene, &home).unwrap();
-    let targets = JointTargets { positions: home.clone(), velocities: vec![0.0; home.len()], finger: 0.04 };
-    (engine, scene, targets)
-}
-
-#[test]
-fn the_disturbance_is_where_its_path_says_and_pushes_the_object_there() {
-    let (mut engine, scene, targets) = loaded();
-    let mover = scene.fixtures.iter().position(|fixture| fixture.kind == FixtureKind::Disturbance).unwrap();
-    let start = engine.object().translation.vector;
-    let mut pushed_at = None;
-    for step in 1..=2000 {
-        engine.advance(&targets);
-        let time = f64::from(step) * 0.002;
-        let way = 0.2 * (time.clamp(0.5, 3.0) - 0.5);
-        let at = engine.fixture(mover).translation.vector;
-        assert!((at.xy() - Vector3::new(0.5, -0.4 + way, 0.0).xy()).norm() < 1e-9, "{time}: {at}");
-        let moved = (engine.object().translation.vector - start).norm();
-        if moved > 1e-3 {
-            pushed_at.get_or_insert(time);
-        }
-    }
-    // Faces meet when the box has come 0.4 m less half of each: 0.345 m, 1.725 s after 0.5 s.
-    let pushed_at = pushed_at.unwrap();
-    assert!((2.2..2.3).contains(&pushed_at), "{pushed_at}");
-    // At its halt its face stands at y = 0.13, and the object's middle half its edge beyond.
-    let end = engine.object().translation.vector;
-    assert!((end.y - 0.155).abs() < 0.004 && (end.x - start.x).abs() < 0.01, "{end}");
-    engine.health().unwrap();
-}
-
-#[test]
-fn the_disturbance_is_read_back_and_a_scene_without_one_has_none() {
-    let (engine, ..) = loaded();
-    let movers = engine.read_back().unwrap().fixtures.into_iter().filter(|fixture| fixture.motion.is_some());
-    assert_eq!(movers.count(), 1);
-    let (mut simulator, _) = bench();
-    let start = simulator.reset(&crossing(0)).unwrap();
-    for (name, want) in start.applied.iter() {
-        let want = want.clone();
-        let (asked, got) = (crossing(0).requested.number(name).unwrap(), &want);
-        assert!(matches!(got, Value::Number(x) if (x - asked).abs() < 1e-9), "{name}: {got}");
-    }
-    assert_eq!(Disturbance::default().speed_m_s, 0.0);
 }
 
 /// Does nothing for a while, then what another policy would.

@@ -1,50 +1,92 @@
-//! The workbench of the tests: a robot in one of the engines.
+//! Robots under each of the engines.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 #![allow(dead_code, reason = "each test binary uses its part")]
 
 use std::path::Path;
 
+#[cfg(feature = "mujoco")]
+use robogate_sim::MujocoEngine;
+#[cfg(feature = "rapier")]
+use robogate_sim::RapierEngine;
 use robogate_sim::claims::{Bench, Setup, Workbench};
-use robogate_sim::{Engine, MujocoEngine, PickPlace, RapierEngine, Robot, Scripted, SuctionLaw};
+use robogate_sim::{Engine, PickPlace, Robot, Scripted, SuctionLaw};
 
-pub(crate) struct InMujoco(pub(crate) Robot);
-
-pub(crate) fn franka() -> InMujoco {
-    robot("franka")
+/// An engine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum On {
+    #[cfg(feature = "mujoco")]
+    Mujoco,
+    #[cfg(feature = "rapier")]
+    Rapier,
 }
 
-/// A robot of the repository, by the name of its folder.
-pub(crate) fn robot(name: &str) -> InMujoco {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/robots").join(name);
-    InMujoco(Robot::from_folder(&folder).unwrap())
-}
+impl On {
+    /// A robot of the repository in this engine, by the name of its folder.
+    pub(crate) fn robot(self, name: &str) -> Station {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/robots").join(name);
+        Station { on: self, robot: Robot::from_folder(&folder).unwrap() }
+    }
 
-impl InMujoco {
-    /// The same robot under the other engine.
-    pub(crate) fn in_rapier(self) -> InRapier {
-        InRapier(self.0)
+    pub(crate) fn franka(self) -> Station {
+        self.robot("franka")
+    }
+
+    pub(crate) fn ur5e(self) -> Station {
+        self.robot("ur5e")
+    }
+
+    /// So many episodes where the engine is fast, and fewer where it is slow.
+    pub(crate) fn episodes(self, fast: usize) -> usize {
+        match self {
+            #[cfg(feature = "mujoco")]
+            Self::Mujoco => fast,
+            #[cfg(feature = "rapier")]
+            Self::Rapier => fast / 4,
+        }
+    }
+
+    pub(crate) fn time_step(self) -> f64 {
+        match self {
+            #[cfg(feature = "mujoco")]
+            Self::Mujoco => MujocoEngine::TIME_STEP_S,
+            #[cfg(feature = "rapier")]
+            Self::Rapier => RapierEngine::TIME_STEP_S,
+        }
     }
 }
 
-pub(crate) struct InRapier(Robot);
+/// A robot in an engine.
+pub(crate) struct Station {
+    pub(crate) on: On,
+    pub(crate) robot: Robot,
+}
 
-impl Workbench for InMujoco {
+impl Station {
+    /// The engine alone.
+    pub(crate) fn engine(&self) -> Box<dyn Engine> {
+        let (robot, step) = (self.robot.clone(), self.on.time_step());
+        match self.on {
+            #[cfg(feature = "mujoco")]
+            On::Mujoco => Box::new(MujocoEngine::new(robot, step).unwrap()),
+            #[cfg(feature = "rapier")]
+            On::Rapier => Box::new(RapierEngine::new(robot, step).unwrap()),
+        }
+    }
+}
+
+impl Workbench for Station {
     fn setup(&self) -> Setup {
-        Setup { robot: self.0.clone(), time_step_s: MujocoEngine::TIME_STEP_S, suction: SuctionLaw::Vacuum }
+        Setup { robot: self.robot.clone(), time_step_s: self.on.time_step(), suction: SuctionLaw::Vacuum }
     }
 
     fn bench(&self, setup: &Setup) -> Result<Bench, String> {
-        bench(MujocoEngine::new(setup.robot.clone(), setup.time_step_s).map_err(|e| e.to_string())?, setup)
-    }
-}
-
-impl Workbench for InRapier {
-    fn setup(&self) -> Setup {
-        Setup { robot: self.0.clone(), time_step_s: RapierEngine::TIME_STEP_S, suction: SuctionLaw::Vacuum }
-    }
-
-    fn bench(&self, setup: &Setup) -> Result<Bench, String> {
-        bench(RapierEngine::new(setup.robot.clone(), setup.time_step_s).map_err(|e| e.to_string())?, setup)
+        let (robot, step) = (setup.robot.clone(), setup.time_step_s);
+        match self.on {
+            #[cfg(feature = "mujoco")]
+            On::Mujoco => bench(MujocoEngine::new(robot, step).map_err(|e| e.to_string())?, setup),
+            #[cfg(feature = "rapier")]
+            On::Rapier => bench(RapierEngine::new(robot, step).map_err(|e| e.to_string())?, setup),
+        }
     }
 }
 

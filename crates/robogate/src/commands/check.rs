@@ -9,7 +9,7 @@ use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
 use crate::terminal::{bold, line, note};
-use crate::world::WorldArguments;
+use crate::world::{Cell, WorldArguments};
 
 /// Check claims by experiment.
 #[derive(Debug, Args)]
@@ -38,9 +38,10 @@ struct Physics {
 }
 
 /// The claims by name.
-const CLAIMS: [&str; 11] = [
+const CLAIMS: [&str; 12] = [
     "coulomb",
     "opening",
+    "no_creep",
     "vacuum_limit",
     "cup_area",
     "gravity",
@@ -64,10 +65,13 @@ impl Check {
 
 impl Physics {
     fn execute(&self) -> Result<u8, Exit> {
-        let cell = self.world.cell(SuctionLaw::Vacuum)?;
+        let cell = Cell::new(self.world.world(), SuctionLaw::Vacuum).or_usage()?;
         let space = Arc::new(cell.space(None).or_usage()?);
-        let fingers: &[Experiment<'_>] =
-            &[("coulomb", &|| claims::coulomb(&cell)), ("opening", &|| claims::opening(&cell, 140))];
+        let fingers: &[Experiment<'_>] = &[
+            ("coulomb", &|| claims::coulomb(&cell, &[2.0, 4.0, 7.0])),
+            ("opening", &|| claims::opening(&cell, 140)),
+            ("no_creep", &|| claims::no_creep(&cell, 140)),
+        ];
         let suction: &[Experiment<'_>] = &[
             ("vacuum_limit", &|| claims::vacuum_limit(&cell)),
             ("cup_area", &|| claims::cup_area(&cell)),

@@ -1,11 +1,11 @@
 //! `robogate robots`: which robots there are, and what is wrong with one.
 
 use clap::{Args, Subcommand};
-use robogate_sim::{Gripper, Inspection, Measured, RobotSettings, built_in_robot, built_in_robots, inspect};
+use robogate_sim::{Gripper, RobotSettings, built_in_robot, built_in_robots};
 use serde_json::json;
 
-use crate::exit::{DONE, Exit, OrExit, USAGE};
-use crate::terminal::{bold, line, percent};
+use crate::exit::{DONE, Exit, OrExit};
+use crate::terminal::{bold, line};
 
 /// List the built-in robots, or check one of your own.
 #[derive(Debug, Args)]
@@ -37,7 +37,7 @@ struct Check {
 impl Robots {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         match &self.what {
-            Some(What::Check(check)) => Ok(check.execute()),
+            Some(What::Check(check)) => check.execute(),
             None => self.list(),
         }
     }
@@ -64,14 +64,14 @@ impl Robots {
     }
 }
 
-fn in_words(gripper: &Gripper) -> String {
+pub(crate) fn in_words(gripper: &Gripper) -> String {
     match gripper {
         Gripper::ParallelJaw(jaw) => format!("parallel jaw, {:.0} mm", 1e3 * jaw.opening_m),
         Gripper::Suction(cup) => format!("suction cup, {:.0} mm", 1e3 * cup.cup_diameter_m),
     }
 }
 
-fn facts(settings: &RobotSettings) -> serde_json::Value {
+pub(crate) fn facts(settings: &RobotSettings) -> serde_json::Value {
     let RobotSettings { name, arm, gripper, .. } = settings;
     json!({
         "name": name,
@@ -83,56 +83,17 @@ fn facts(settings: &RobotSettings) -> serde_json::Value {
 }
 
 impl Check {
-    fn execute(&self) -> u8 {
-        let inspection = inspect(&self.robot);
-        let Inspection { problems, settings, measured } = &inspection;
-        if self.json {
-            line(json!({
-                "version": 1,
-                "robot": settings.as_ref().map(facts),
-                "problems": problems,
-                "measured": measured,
-            }));
-        } else {
-            let name = settings.as_ref().map_or(self.robot.as_str(), |settings| &settings.name);
-            match problems.len() {
-                0 => line(format_args!("{} {name} can be used", bold("ok"))),
-                1 => line(format_args!("{} 1 thing is wrong with {name}", bold("FAILS"))),
-                n => line(format_args!("{} {n} things are wrong with {name}", bold("FAILS"))),
-            }
-            for (i, problem) in problems.iter().enumerate() {
-                line(format_args!("\n{}. {}\n   hint: {}", i + 1, problem.what, problem.hint));
-            }
-            if let (Some(settings), Some(measured)) = (settings, measured) {
-                line("");
-                summary(settings, measured);
-            }
-        }
-        if problems.is_empty() { DONE } else { USAGE }
+    #[cfg(feature = "mujoco")]
+    fn execute(&self) -> Result<u8, Exit> {
+        Ok(crate::inspection::show(&self.robot, self.json))
     }
-}
 
-fn summary(settings: &RobotSettings, measured: &Measured) {
-    let RobotSettings { arm, gripper, .. } = settings;
-    let total: f64 = measured.masses_kg.iter().map(|(_, mass)| mass).sum();
-    let masses: Vec<String> = measured.masses_kg.iter().map(|(body, mass)| format!("{body} {mass:.3}")).collect();
-    line(format_args!("joints     {}: {}", arm.joints.len(), arm.joints.join(", ")));
-    line(format_args!("gripper    {}", in_words(gripper)));
-    line(format_args!("masses     {total:.3} kg that move: {}", masses.join(", ")));
-    line(format_args!(
-        "reach      {:.3} m stated; from the first joint's axis the flange came {:.3} m, the tool {:.3} m",
-        arm.reach_m, measured.flange_reach_m, measured.tool_reach_m
-    ));
-    line(format_args!(
-        "workspace  {} of the places over the table within reach of a tool that points down; the target {}",
-        percent(measured.workspace_share),
-        if measured.reaches_target { "too" } else { "not" }
-    ));
-    if !measured.reaches_target {
-        line("           where it does not reach the target no episode of the task can succeed");
-    }
-    match measured.tracking_error_rad {
-        Some(error) => line(format_args!("servos     hold and follow within {:.2} mrad", 1e3 * error)),
-        None => line("servos     not tried: see above"),
+    #[cfg(not(feature = "mujoco"))]
+    fn execute(&self) -> Result<u8, Exit> {
+        let why = format!(
+            "robots are checked with MuJoCo, which this build does not have\nhint: build with --features mujoco, or try it: robogate run --robot {} -n 10",
+            self.robot
+        );
+        Err(anyhow::anyhow!(why)).or_usage()
     }
 }

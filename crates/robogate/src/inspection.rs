@@ -1,0 +1,62 @@
+//! What an inspection of a robot found, for people and as JSON.
+
+use robogate_sim::{Inspection, Measured, RobotSettings, inspect};
+use serde_json::json;
+
+use crate::commands::robots::{facts, in_words};
+use crate::exit::{DONE, USAGE};
+use crate::terminal::{bold, line, percent};
+
+/// Inspects a robot, shows what was found and gives the exit code.
+pub(crate) fn show(robot: &str, json: bool) -> u8 {
+    let inspection = inspect(robot);
+    let Inspection { problems, settings, measured } = &inspection;
+    if json {
+        line(json!({
+            "version": 1,
+            "robot": settings.as_ref().map(facts),
+            "problems": problems,
+            "measured": measured,
+        }));
+    } else {
+        let name = settings.as_ref().map_or(robot, |settings| &settings.name);
+        match problems.len() {
+            0 => line(format_args!("{} {name} can be used", bold("ok"))),
+            1 => line(format_args!("{} 1 thing is wrong with {name}", bold("FAILS"))),
+            n => line(format_args!("{} {n} things are wrong with {name}", bold("FAILS"))),
+        }
+        for (i, problem) in problems.iter().enumerate() {
+            line(format_args!("\n{}. {}\n   hint: {}", i + 1, problem.what, problem.hint));
+        }
+        if let (Some(settings), Some(measured)) = (settings, measured) {
+            line("");
+            summary(settings, measured);
+        }
+    }
+    if problems.is_empty() { DONE } else { USAGE }
+}
+
+fn summary(settings: &RobotSettings, measured: &Measured) {
+    let RobotSettings { arm, gripper, .. } = settings;
+    let total: f64 = measured.masses_kg.iter().map(|(_, mass)| mass).sum();
+    let masses: Vec<String> = measured.masses_kg.iter().map(|(body, mass)| format!("{body} {mass:.3}")).collect();
+    line(format_args!("joints     {}: {}", arm.joints.len(), arm.joints.join(", ")));
+    line(format_args!("gripper    {}", in_words(gripper)));
+    line(format_args!("masses     {total:.3} kg that move: {}", masses.join(", ")));
+    line(format_args!(
+        "reach      {:.3} m stated; from the first joint's axis the flange came {:.3} m, the tool {:.3} m",
+        arm.reach_m, measured.flange_reach_m, measured.tool_reach_m
+    ));
+    line(format_args!(
+        "workspace  {} of the places over the table within reach of a tool that points down; the target {}",
+        percent(measured.workspace_share),
+        if measured.reaches_target { "too" } else { "not" }
+    ));
+    if !measured.reaches_target {
+        line("           where it does not reach the target no episode of the task can succeed");
+    }
+    match measured.tracking_error_rad {
+        Some(error) => line(format_args!("servos     hold and follow within {:.2} mrad", 1e3 * error)),
+        None => line("servos     not tried: see above"),
+    }
+}

@@ -1,0 +1,22 @@
+#!/usr/bin/env bash
+# A build without MuJoCo: it links nothing that is not Rust but the C library, and runs a campaign.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+features=(--package robogate --no-default-features --features rapier --locked)
+cargo clippy "${features[@]}" -- -D warnings
+cargo build "${features[@]}"
+binary=${CARGO_TARGET_DIR:-target}/debug/robogate
+
+if ldd "$binary" | grep -v -E 'linux-vdso|ld-linux|libc\.|libm\.|libgcc_s\.|libpthread\.|libdl\.|librt\.'; then
+    echo "error: a build with Rapier alone links what stands above" >&2
+    exit 1
+fi
+out=$(mktemp -d)
+trap 'rm -rf "$out"' EXIT
+"$binary" run -n 30 --seed 1 --out "$out/run"
+# What this build cannot do it refuses by name, as wrong usage.
+code=0
+"$binary" robots check franka 2> "$out/refused" || code=$?
+grep -q 'robots are checked with MuJoCo' "$out/refused" && [ "$code" = 2 ]
+echo "a build with Rapier alone runs a campaign, and links no foreign library"
