@@ -218,6 +218,12 @@ impl SceneParameters {
         Ok(())
     }
 
+    /// The parameters that there are for a robot with this gripper.
+    pub fn names(gripper: &Gripper) -> impl Iterator<Item = &'static str> {
+        let cup = gripper.cup().is_some();
+        MEANINGS.iter().map(|(name, _)| *name).filter(move |name| cup || *name != GRIP_THRESHOLD)
+    }
+
     /// The parameters of an assignment, for a robot with this gripper where one is given.
     pub fn from_assignment(assignment: &Assignment, gripper: Option<&Gripper>) -> Result<Self, ParameterError> {
         let mut parameters = Self::default();

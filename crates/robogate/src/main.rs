@@ -3,6 +3,7 @@
 mod answer;
 mod commands;
 mod exit;
+mod far;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod picture;
@@ -66,6 +67,10 @@ enum Verb {
     Keys(commands::keys::Keys),
     /// Watch a deployed robot: drift of its cycles, with alarms whose false-alarm rate is promised
     Monitor(commands::monitor::Monitor),
+    /// Put the cell behind a socket, for a policy or a script of your own
+    Serve(commands::serve::Serve),
+    /// Hold simulators behind a socket to the bridge protocol
+    Bridge(commands::bridge::Bridge),
     /// Check claims by experiment
     Check(commands::check::Check),
 }
@@ -92,6 +97,8 @@ fn main() -> ExitCode {
         Verb::Verify(verify) => verify.execute(),
         Verb::Keys(keys) => keys.execute(),
         Verb::Monitor(monitor) => monitor.execute(),
+        Verb::Serve(serve) => serve.execute(),
+        Verb::Bridge(bridge) => bridge.execute(),
         Verb::Check(check) => check.execute(),
     };
     match result {

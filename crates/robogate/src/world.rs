@@ -1,9 +1,13 @@
 //! From settings to a cell: the robot, the engine under it and the scripted controller.
 
+use std::num::NonZeroUsize;
 use std::path::Path;
+use std::sync::Arc;
 
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
+use robogate_bridge::simulator::Pool;
+use robogate_bridge::simulator::message::{self, ActionSpace, Camera, DeltaScale, Hello};
 use robogate_campaign::{Station, Workshop};
 use robogate_core::{Assignment, Fault, FaultKind, ParameterSpace, Policy, Scenario, Seed, Simulator, Suite};
 use robogate_dictionary::{hex, provenance, robot_sha256};
@@ -14,12 +18,15 @@ use robogate_sim::RapierEngine;
 use robogate_sim::camera::SIZE_PX;
 use robogate_sim::claims::{Bench, Setup, Workbench};
 use robogate_sim::{
-    Chain, Engine, EngineBuild, Gripper, PickPlace, Robot, RobotError, RobotFile, SceneParameters, Scripted,
-    SuctionLaw, WORKSPACE_CENTRE, built_in_robot, built_in_space, built_in_spaces, check_suite, default_space,
-    is_folder,
+    CONTROL_PERIOD_S, Chain, Engine, EngineBuild, Gripper, PickPlace, Robot, RobotError, RobotFile, SceneParameters,
+    Scripted, SuctionLaw, TIME_LIMIT_S, WORKSPACE_CENTRE, built_in_robot, built_in_space, built_in_spaces, check_suite,
+    default_space, is_folder, offsite,
 };
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+
+use crate::exit::{Exit, OrExit};
+use crate::far::{self, Far, OurWorld, Simulators, Told};
 
 /// The engines of this build by name, each with its own time step in seconds; the first is the default.
 const ENGINES: &[(&str, f64)] = &[
@@ -30,6 +37,12 @@ const ENGINES: &[(&str, f64)] = &[
 ];
 
 const _: () = assert!(!ENGINES.is_empty(), "a build needs an engine: --features mujoco, rapier or both");
+
+/// The engine by which the robot's kinematics are known where the physics is elsewhere: the first of [`ENGINES`].
+#[cfg(feature = "mujoco")]
+type OwnEngine = MujocoEngine;
+#[cfg(not(feature = "mujoco"))]
+type OwnEngine = RapierEngine;
 
 /// Which world an episode runs in.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -47,6 +60,9 @@ pub(crate) struct World {
     /// What holds an object at a suction cup; nothing for a gripper without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) suction: Option<SuctionLaw>,
+    /// What the engine is to us where it is behind a socket.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) simulator: Option<Far>,
 }
 
 /// The world, on the command line.
@@ -56,10 +72,10 @@ pub(crate) struct WorldArguments {
     #[arg(long, value_name = "R", default_value = "franka")]
     robot: String,
     /// The physics engine: mujoco or rapier
-    #[arg(long, value_name = "E", default_value = ENGINES[0].0)]
+    #[arg(long, value_name = "E", default_value = ENGINES[0].0, conflicts_with = "addresses")]
     engine: String,
     /// The engine's time step in seconds; default: the engine's own
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", conflicts_with = "addresses")]
     time_step: Option<f64>,
     /// Normal force of each gripper pad in newtons; default: the robot's own
     #[arg(long, value_name = "NEWTONS")]
@@ -68,17 +84,26 @@ pub(crate) struct WorldArguments {
     /// friction, up to their limits); default: surface for the paper preset, vacuum otherwise
     #[arg(long, value_name = "LAW")]
     suction: Option<SuctionLaw>,
+    #[command(flatten)]
+    pub(crate) simulators: Simulators,
 }
 
 impl WorldArguments {
+    /// The cell that they name; a suction cup holds by `suction` where they do not say.
+    pub(crate) fn cell(&self, suction: SuctionLaw) -> Result<Cell, Exit> {
+        let pool = self.simulators.connect()?;
+        Cell::new(self.world(), suction, pool).or_usage()
+    }
+
     /// The world that they name.
-    pub(crate) fn world(&self) -> World {
+    fn world(&self) -> World {
         World {
             robot: absolute(&self.robot),
             engine: self.engine.clone(),
             time_step_s: self.time_step.unwrap_or_else(|| time_step(&self.engine)),
             grip_force_n: self.grip_force,
             suction: self.suction,
+            simulator: None,
         }
     }
 }
@@ -101,18 +126,29 @@ pub(crate) struct Cell {
     robot: Robot,
     /// Pixels along each side of the cameras' pictures.
     picture_px: usize,
+    /// The servers, where the engine is behind a socket.
+    pool: Option<Arc<Pool>>,
 }
+
+/// What 1 means in a tool delta that we serve.
+const DELTA: DeltaScale = DeltaScale { translation_m: 0.02, rotation_rad: 0.05 };
 
 impl Cell {
     /// Reads the robot and tries the cell out once, so that what is wrong is said before anything starts.
     ///
     /// A suction cup holds by `suction` where the world does not say.
-    pub(crate) fn new(mut world: World, suction: SuctionLaw) -> anyhow::Result<Self> {
-        if !ENGINES.iter().any(|(name, _)| *name == world.engine) {
+    pub(crate) fn new(mut world: World, suction: SuctionLaw, pool: Option<Arc<Pool>>) -> anyhow::Result<Self> {
+        let robot = robot(&world.robot)?;
+        if let Some(pool) = &pool {
+            let hello = pool.hello();
+            far::check(hello, &robot, &identity(&robot.files()?))?;
+            world.engine = far::engine(hello).name;
+            world.time_step_s = hello.time_step_s;
+            world.simulator = Some(if hello.judges { Far::Judging } else { Far::Physics });
+        } else if !ENGINES.iter().any(|(name, _)| *name == world.engine) {
             let known = ENGINES.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(" and ");
             bail!("there is no engine `{}` in this build; it has {known}", world.engine);
         }
-        let robot = robot(&world.robot)?;
         match (robot.settings.gripper.cup(), world.suction) {
             (Some(_), law) => world.suction = Some(law.unwrap_or(suction)),
             (None, Some(law)) => {
@@ -124,10 +160,8 @@ impl Cell {
         if let (Some(_), Some(force)) = (robot.settings.gripper.cup(), world.grip_force_n) {
             bail!("--grip-force {force} is for fingers: the gripper of {} is a suction cup", robot.name());
         }
-        let cell = Self { world, robot, picture_px: SIZE_PX };
-        let mut built = cell.build(&cell.setup())?;
-        let nominal = Scenario { index: 0, seed: Seed::campaign(0).episode(0), requested: Assignment::default() };
-        built.simulator.reset(&nominal).context("the robot cannot be set up in the cell")?;
+        let cell = Self { world, robot, picture_px: SIZE_PX, pool };
+        cell.simulator()?.reset(&nominal()).context("the robot cannot be set up in the cell")?;
         Ok(cell)
     }
 
@@ -136,12 +170,39 @@ impl Cell {
         Self { picture_px, ..self }
     }
 
-    /// The cell of a recorded run.
-    pub(crate) fn recorded(provenance: &robogate_dictionary::Provenance) -> anyhow::Result<Self> {
-        let world = serde_json::from_value(provenance.world.clone())
-            .context("the run's plan.json says nothing useful under provenance.world")?;
+    /// The cell of a recorded run. One in servers needs to be told where they are now.
+    pub(crate) fn recorded(
+        provenance: &robogate_dictionary::Provenance,
+        simulators: &Simulators,
+    ) -> Result<Self, Exit> {
+        let world: World = serde_json::from_value(provenance.world.clone())
+            .context("the run's plan.json says nothing useful under provenance.world")
+            .or_usage()?;
+        let pool = simulators.connect()?;
+        let engine = &provenance.engine;
+        match (world.simulator, &pool) {
+            (Some(_), None) => {
+                let name = &engine.name;
+                Err(anyhow!("the run was made in {name}, a simulator behind a socket\n  hint: --simulator ADDRESS"))
+            }
+            (None, Some(_)) => {
+                Err(anyhow!("the run was made in {}, an engine of our own, without --simulator", engine.name))
+            }
+            (Some(_), Some(pool)) if far::engine(pool.hello()) != *engine => {
+                let (is, version) = (far::engine(pool.hello()), engine.version.as_deref().unwrap_or_default());
+                let now = is.version.as_deref().unwrap_or_default();
+                Err(anyhow!("the run was made in {} {version}, this is {} {now}", engine.name, is.name))
+            }
+            _ => Ok(()),
+        }
+        .or_usage()?;
         // Runs of robots with a cup all say by which law it holds.
-        Self::new(world, SuctionLaw::Vacuum)
+        Self::new(world, SuctionLaw::Vacuum, pool).or_usage()
+    }
+
+    /// How many servers the engine is behind, if it is behind any: as many episodes run at once.
+    pub(crate) fn servers(&self) -> Option<NonZeroUsize> {
+        self.pool.as_ref().and_then(|pool| NonZeroUsize::new(pool.len()))
     }
 
     /// A parameter space by its name, or the file that it is in; without either the robot's own.
@@ -158,12 +219,35 @@ impl Cell {
                 .with_context(|| format!("cannot read {wanted}"))
                 .and_then(|text| ParameterSpace::from_toml(&text).with_context(|| wanted.to_owned())),
         }?;
-        SceneParameters::check_space(&space, Some(gripper)).with_context(|| format!("space {}", space.name()))?;
+        let named = space.parameters().iter().map(|parameter| &*parameter.name);
+        self.check_known(named).with_context(|| format!("space {}", space.name()))?;
+        // What parameters mean in a world that is not ours is not ours to say.
+        if self.world.simulator != Some(Far::Judging) {
+            SceneParameters::check_space(&space, Some(gripper)).with_context(|| format!("space {}", space.name()))?;
+        }
         Ok(space)
+    }
+
+    /// Whether a simulator behind a socket can apply these parameters.
+    fn check_known<'a>(&self, mut names: impl Iterator<Item = &'a str>) -> anyhow::Result<()> {
+        let Some(pool) = &self.pool else { return Ok(()) };
+        let hello = pool.hello();
+        let here = |name: &str| !hello.judges && offsite::HERE.contains(&name);
+        match names.find(|name| !here(name) && !hello.parameters.iter().any(|known| known == name)) {
+            Some(name) => {
+                bail!("the simulator cannot apply the parameter `{name}`; it knows {}", hello.parameters.join(", "))
+            }
+            None => Ok(()),
+        }
     }
 
     /// Whether the gripper has every parameter that a suite asks for.
     pub(crate) fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
+        let named = suite.space().parameters().iter().map(|parameter| &*parameter.name);
+        self.check_known(named).with_context(|| format!("suite {}", suite.name()))?;
+        if self.world.simulator == Some(Far::Judging) {
+            return Ok(());
+        }
         match check_suite(suite, Some(&self.robot.settings.gripper)).first() {
             Some(misfit) => bail!("suite {}: {misfit}", suite.name()),
             None => Ok(()),
@@ -186,22 +270,108 @@ impl Cell {
         }
     }
 
+    /// The robot's kinematics; those of an engine behind a socket are taken to be ours, and held against it at each reset.
+    fn chain(&self, setup: &Setup) -> anyhow::Result<Chain> {
+        match self.pool {
+            Some(_) => Ok(OwnEngine::new(setup.robot.clone(), ENGINES[0].1)?.chain().clone()),
+            None => Ok(self.build(setup)?.chain),
+        }
+    }
+
     fn make(&self, setup: &Setup) -> anyhow::Result<(Box<dyn Simulator>, Box<dyn Policy>)> {
-        let Built { simulator, chain, .. } = self.build(setup)?;
+        let (simulator, chain) = match &self.pool {
+            Some(pool) => {
+                let chain = self.chain(setup)?;
+                let sha256 = identity(&self.robot.files()?);
+                (far::simulator(pool, &setup.robot, chain.clone(), sha256, self.picture_px)?, chain)
+            }
+            None => {
+                let Built { simulator, chain, .. } = self.build(setup)?;
+                (simulator, chain)
+            }
+        };
         Ok((simulator, Box::new(Scripted::new(setup.robot.clone(), chain))))
+    }
+
+    /// A simulator of the cell.
+    pub(crate) fn simulator(&self) -> anyhow::Result<Box<dyn Simulator>> {
+        Ok(self.make(&self.setup())?.0)
+    }
+
+    /// Our world, for a server that does not judge.
+    pub(crate) fn our_world(&self) -> anyhow::Result<OurWorld> {
+        let setup = self.setup();
+        OurWorld::new(&setup.robot, self.chain(&setup)?, identity(&self.robot.files()?), self.picture_px)
+    }
+
+    /// What a server says of this cell.
+    pub(crate) fn hello(&self) -> anyhow::Result<Hello> {
+        if self.pool.is_some() {
+            bail!("--simulator names a simulator that is served already");
+        }
+        let (engine, robot) = self.provenance()?;
+        let mut simulator = self.simulator()?;
+        simulator.reset(&nominal())?;
+        // A robot that cannot be drawn has no cameras.
+        let images = simulator.render().unwrap_or_default();
+        let camera =
+            |image: robogate_core::Image| Camera { name: image.camera, width: image.width, height: image.height };
+        let program = |name: &str, version: &str| message::Program { name: name.into(), version: version.into() };
+        Ok(Hello {
+            server: program("robogate", env!("CARGO_PKG_VERSION")),
+            engine: message::Engine { name: engine.name, version: engine.version.unwrap_or_default(), solver: None },
+            robot: message::Robot { name: robot.name, sha256: robot.sha256 },
+            time_step_s: self.world.time_step_s,
+            control_period_s: CONTROL_PERIOD_S,
+            time_limit_s: TIME_LIMIT_S,
+            joints: self.robot.settings.arm.joints.clone(),
+            action_spaces: vec![ActionSpace::JointPosition, ActionSpace::ToolDelta],
+            tool_delta: Some(DELTA),
+            cameras: images.into_iter().map(camera).collect(),
+            quaternion_order: "wxyz".to_owned(),
+            image_origin: "top_left".to_owned(),
+            parameters: SceneParameters::names(&self.robot.settings.gripper).map(str::to_owned).collect(),
+            judges: true,
+            deterministic: true,
+        })
+    }
+
+    /// The engine alone, to be told and to report.
+    pub(crate) fn physics_host(&self) -> anyhow::Result<far::PhysicsHost> {
+        let hello = self.hello()?;
+        let here = |name: &String| !offsite::HERE.contains(&name.as_str());
+        let hello = Hello {
+            judges: false,
+            action_spaces: vec![ActionSpace::JointPosition],
+            tool_delta: None,
+            cameras: Vec::new(),
+            parameters: hello.parameters.into_iter().filter(here).collect(),
+            ..hello
+        };
+        let Setup { robot, time_step_s: step, .. } = self.setup();
+        if robot.settings.gripper.cup().is_some() {
+            bail!("{} holds by suction, which has no place behind the bridge without a judge", robot.name());
+        }
+        let host: Box<dyn Told> = match self.world.engine.as_str() {
+            #[cfg(feature = "rapier")]
+            "rapier" => {
+                Box::new(offsite::Host::new(RapierEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?)
+            }
+            #[cfg(feature = "mujoco")]
+            "mujoco" => {
+                Box::new(offsite::Host::new(MujocoEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?)
+            }
+            other => bail!("there is no engine `{other}` in this build"),
+        };
+        Ok(far::PhysicsHost::new(hello, host))
     }
 
     /// The engine's and robot's part of the provenance.
     pub(crate) fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
-        let build = self.build(&self.setup())?.engine;
-        let build_sha256 = match &build.library {
-            Some(path) => {
-                let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-                Some(hex(&Sha256::digest(bytes)))
-            }
-            None => None,
+        let engine = match &self.pool {
+            Some(pool) => far::engine(pool.hello()),
+            None => engine(self.build(&self.setup())?.engine)?,
         };
-        let engine = provenance::Engine { name: build.name.to_owned(), version: Some(build.version), build_sha256 };
         let arm = &self.robot.settings.arm;
         let [x, y] = WORKSPACE_CENTRE;
         let robot = provenance::Robot {
@@ -215,6 +385,23 @@ impl Cell {
         };
         Ok((engine, robot))
     }
+}
+
+/// An engine in this process, as records name it.
+fn engine(build: EngineBuild) -> anyhow::Result<provenance::Engine> {
+    let build_sha256 = match &build.library {
+        Some(path) => {
+            let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+            Some(hex(&Sha256::digest(bytes)))
+        }
+        None => None,
+    };
+    Ok(provenance::Engine { name: build.name.to_owned(), version: Some(build.version), build_sha256 })
+}
+
+/// The scenario in which nothing is asked for.
+fn nominal() -> Scenario {
+    Scenario { index: 0, seed: Seed::campaign(0).episode(0), requested: Assignment::default() }
 }
 
 /// A robot by its folder or its name.
@@ -268,6 +455,17 @@ impl Workbench for Cell {
     }
 
     fn bench(&self, setup: &Setup) -> Result<Bench, String> {
+        let own = self.setup();
+        let fixed = match self.world.simulator {
+            None => false,
+            Some(Far::Physics) => setup.time_step_s != own.time_step_s,
+            Some(Far::Judging) => *setup != own,
+        };
+        if fixed {
+            return Err(
+                "a simulator behind a socket keeps its own time step, and one that judges its own robot".to_owned()
+            );
+        }
         self.make(setup).map_err(|e| format!("{e:#}"))
     }
 }

@@ -262,5 +262,5 @@ fn judged_step(period: Period<Nothing>, observation: Observation) -> Result<Step
     {
         return Err(lie(format!("an ending at {} s, seen at {} s", ending.time_s, observation.time_s)));
     }
-    Ok(Step { observation, measures, ending, events: period.events, state_hash: period.state_hash })
+    Ok(Step { observation, measures, ending, events: period.events.unwrap_or_default(), state_hash: period.state_hash })
 }

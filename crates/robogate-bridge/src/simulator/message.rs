@@ -472,8 +472,8 @@ pub struct Period<S> {
     #[serde(default)]
     pub ending: Option<End>,
     /// For the story of a replay.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub events: Vec<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub events: Option<Vec<String>>,
     /// One for each time step.
     #[serde(default = "none", skip_serializing_if = "Option::is_none")]
     pub sights: Option<Vec<S>>,

@@ -69,7 +69,7 @@ impl Host for Judging {
             state_hash: step.state_hash,
             measures: Some(step.measures),
             ending: step.ending.map(End::from),
-            events: step.events,
+            events: Some(step.events),
             sights: None,
             clearance_m: None,
         })

@@ -67,6 +67,13 @@ impl Offsite {
         })
     }
 
+    /// The same task, the cameras' pictures of this size in pixels.
+    #[must_use]
+    pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
+        self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
+        self
+    }
+
     /// The robot.
     pub fn robot(&self) -> &Robot {
         self.judge.robot()

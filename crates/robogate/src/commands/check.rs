@@ -9,7 +9,7 @@ use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
 use crate::terminal::{bold, line, note};
-use crate::world::{Cell, WorldArguments};
+use crate::world::WorldArguments;
 
 /// Check claims by experiment.
 #[derive(Debug, Args)]
@@ -65,7 +65,7 @@ impl Check {
 
 impl Physics {
     fn execute(&self) -> Result<u8, Exit> {
-        let cell = Cell::new(self.world.world(), SuctionLaw::Vacuum).or_usage()?;
+        let cell = self.world.cell(SuctionLaw::Vacuum)?;
         let space = Arc::new(cell.space(None).or_usage()?);
         let fingers: &[Experiment<'_>] = &[
             ("coulomb", &|| claims::coulomb(&cell, &[2.0, 4.0, 7.0])),

@@ -150,9 +150,9 @@ impl Gate {
     /// Runs a suite until the answer is certain.
     fn run_suite(&self) -> Result<u8, Exit> {
         let requirements = Requirements::open(self.requirements.as_deref().unwrap_or("default")).map_err(refused)?;
-        let world = self.world.world();
-        let robot = Path::new(&world.robot).file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        let cell = Cell::new(world, SuctionLaw::Vacuum).or_usage()?;
+        let cell = self.world.cell(SuctionLaw::Vacuum)?;
+        let robot = Path::new(&cell.world().robot).file_name();
+        let robot = robot.map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         let suite = suites::find(&self.suite)?;
         cell.check_suite(&suite).or_usage()?;
         let rounds = self.rounds.unwrap_or(requirements.budget.rounds);

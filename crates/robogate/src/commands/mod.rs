@@ -2,6 +2,7 @@
 
 pub(crate) mod analyze;
 pub(crate) mod baseline;
+pub(crate) mod bridge;
 pub(crate) mod check;
 pub(crate) mod compare;
 pub(crate) mod evidence;
@@ -16,6 +17,7 @@ pub(crate) mod report;
 pub(crate) mod resume;
 pub(crate) mod robots;
 pub(crate) mod run;
+pub(crate) mod serve;
 pub(crate) mod snapshot;
 pub(crate) mod study;
 pub(crate) mod suites;

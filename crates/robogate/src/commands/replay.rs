@@ -9,6 +9,7 @@ use serde_json::json;
 
 use crate::commands::run::provenance;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::far::Simulators;
 use crate::terminal::{bold, dim, line};
 use crate::world::Cell;
 
@@ -19,6 +20,8 @@ pub(crate) struct Replay {
     dir: PathBuf,
     /// The episode's index, as in the dictionary
     index: u64,
+    #[command(flatten)]
+    simulators: Simulators,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -34,7 +37,7 @@ struct Line {
 impl Replay {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
-        let cell = Cell::recorded(&settings.provenance).or_usage()?;
+        let cell = Cell::recorded(&settings.provenance, &self.simulators)?;
         let entry = recorded(&self.dir, self.index).or_usage()?;
         let mut station = cell.station().or_broken()?;
         let mut story: Vec<Line> = Vec::new();

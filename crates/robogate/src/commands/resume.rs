@@ -8,6 +8,7 @@ use robogate_gate::Asked;
 use crate::commands::gate;
 use crate::commands::run::{How, provenance};
 use crate::exit::{Exit, OrExit};
+use crate::far::Simulators;
 use crate::world::Cell;
 
 /// Go on with an interrupted campaign.
@@ -16,13 +17,15 @@ pub(crate) struct Resume {
     /// The run's folder
     dir: PathBuf,
     #[command(flatten)]
+    simulators: Simulators,
+    #[command(flatten)]
     how: How,
 }
 
 impl Resume {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
-        let cell = Cell::recorded(&settings.provenance).or_usage()?;
+        let cell = Cell::recorded(&settings.provenance, &self.simulators)?;
         if let Some(asked) = Asked::of(&self.dir).or_usage()? {
             return gate::go_on(&self.dir, asked, &cell, settings, &self.how);
         }

@@ -54,7 +54,7 @@ pub(crate) struct Run {
 /// How a campaign is run and shown.
 #[derive(Debug, Args)]
 pub(crate) struct How {
-    /// Threads that run episodes; default: one for each core
+    /// Threads that run episodes; default: one for each core, or for each server of --simulator
     #[arg(long, value_name = "T")]
     threads: Option<NonZeroUsize>,
     /// Print the result as one JSON document
@@ -64,12 +64,12 @@ pub(crate) struct How {
 
 impl Run {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let world = self.world.world();
-        let robot = Path::new(&world.robot).file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         // The paper's surface gripper is the paper's: elsewhere a cup holds what it can hold.
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
-        let cell = Cell::new(world, if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum }).or_usage()?;
+        let cell = self.world.cell(if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum })?;
+        let robot = Path::new(&cell.world().robot).file_name();
+        let robot = robot.map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         let (plan, space) = self.plan_and_space(&cell)?;
         let provenance = provenance(&cell, space)?;
         let dir = match &self.out {
@@ -143,7 +143,11 @@ impl Run {
 impl How {
     /// Gives `work` a crew that Ctrl-C asks to stop.
     pub(crate) fn with_crew<T>(&self, cell: &Cell, work: impl FnOnce(&Crew<'_>) -> Result<T, Exit>) -> Result<T, Exit> {
-        let threads = self.threads.or_else(|| std::thread::available_parallelism().ok()).unwrap_or(NonZeroUsize::MIN);
+        let threads = self
+            .threads
+            .or_else(|| cell.servers())
+            .or_else(|| std::thread::available_parallelism().ok())
+            .unwrap_or(NonZeroUsize::MIN);
         let stop = Arc::new(AtomicBool::new(false));
         let asked = Arc::clone(&stop);
         ctrlc::set_handler(move || {

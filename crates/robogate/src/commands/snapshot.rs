@@ -78,10 +78,12 @@ impl Snapshot {
         }
         times.sort_by(f64::total_cmp);
         let cell = match &self.run {
-            Some(dir) => Cell::recorded(&robogate_campaign::settings(dir).or_usage()?.provenance),
-            None => Cell::new(self.world.world(), SuctionLaw::Vacuum),
+            Some(dir) => {
+                Cell::recorded(&robogate_campaign::settings(dir).or_usage()?.provenance, &self.world.simulators)?
+            }
+            None => self.world.cell(SuctionLaw::Vacuum)?,
         };
-        let cell = cell.or_usage()?.with_pictures_of(size);
+        let cell = cell.with_pictures_of(size);
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         if let Some(suite) = &suite {
             cell.check_suite(suite).or_usage()?;

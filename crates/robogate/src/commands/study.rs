@@ -19,7 +19,7 @@ use crate::commands::run::{How, exit, provenance};
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
 use crate::progress::Progress;
 use crate::terminal::{bold, dim, grouped, line, note, percent, wrapped};
-use crate::world::{Cell, WorldArguments};
+use crate::world::WorldArguments;
 
 /// What the study does; written first, never changed.
 const SETTINGS: &str = "study.json";
@@ -95,7 +95,7 @@ struct Arms {
 impl Study {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         // As in a plan of one's own: a cup holds what it can hold.
-        let cell = Cell::new(self.world.world(), SuctionLaw::Vacuum).or_usage()?;
+        let cell = self.world.cell(SuctionLaw::Vacuum)?;
         let space = cell.space(self.space.as_deref()).or_usage()?;
         let plan = match &self.plan {
             Some(file) => Plan::load(file).or_usage()?,

@@ -1,0 +1,118 @@
+//! The cell behind a socket, as its users meet it: `robogate serve`, `--simulator`, `robogate bridge check`.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+use tempfile::TempDir;
+
+fn robogate(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_robogate")).args(arguments).output().unwrap()
+}
+
+fn text(output: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+fn assert_exit(arguments: &[&str], code: i32, parts: &[&str]) {
+    let output = robogate(arguments);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", text(&output));
+    for part in parts {
+        assert!(text(&output).contains(part), "{arguments:?} does not say {part:?}: {}", text(&output));
+    }
+}
+
+/// A `robogate serve` that ends with the test.
+struct Server {
+    child: Child,
+    address: String,
+}
+
+impl Server {
+    fn start(arguments: &[&str]) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+            .args(["serve", "--bind", "tcp://127.0.0.1:*"])
+            .args(arguments)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut said = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut said).unwrap();
+        let said: serde_json::Value = serde_json::from_str(&said).unwrap();
+        Self { child, address: said["listening"].as_str().unwrap().to_owned() }
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        drop(self.child.kill());
+        drop(self.child.wait());
+    }
+}
+
+/// A run's rows as CSV.
+fn rows(dir: &Path) -> String {
+    let out = dir.join("rows.csv");
+    assert_exit(&["export", dir.to_str().unwrap(), out.to_str().unwrap()], 0, &[]);
+    fs::read_to_string(out).unwrap()
+}
+
+#[test]
+fn an_engine_behind_the_bridge_gives_the_rows_of_the_engine_inside_judged_there_or_here() {
+    let dir = TempDir::new().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let run = |name: &str, more: &[&str]| {
+        let out = at(name);
+        let arguments = [&["run", "-n", "9", "--seed", "5", "--out", out.to_str().unwrap()], more].concat();
+        assert_exit(&arguments, 0, &[]);
+        rows(&out)
+    };
+    let inside = run("inside", &[]);
+    for (name, more) in [("judging", &[][..]), ("physics", &["--physics-only"])] {
+        let (one, other) = (Server::start(more), Server::start(more));
+        let pool = format!("{},{}", one.address, other.address);
+        assert_eq!(run(name, &["--simulator", &pool]), inside, "{name}");
+        let folder = at(name).to_str().unwrap().to_owned();
+        assert_exit(&["replay", &folder, "3", "--simulator", &one.address], 0, &["same as recorded"]);
+        assert_exit(&["replay", &folder, "3"], 2, &["--simulator"]);
+        assert_exit(&["bridge", "check", &one.address], 0, &["holds", "median"]);
+    }
+    let here = at("inside").to_str().unwrap().to_owned();
+    let server = Server::start(&[]);
+    assert_exit(&["replay", &here, "3", "--simulator", &server.address], 2, &["without --simulator"]);
+}
+
+#[test]
+fn a_script_drives_the_cell_with_deltas_of_the_tool() {
+    let Some(python) = std::env::var_os("ROBOGATE_BRIDGE_PYTHON") else {
+        eprintln!("skipped: ROBOGATE_BRIDGE_PYTHON names no Python with pyzmq and msgpack");
+        return;
+    };
+    let server = Server::start(&[]);
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let output = Command::new(python)
+        .arg(root.join("bridges/examples/drive.py"))
+        .args([&server.address, "-n", "2"])
+        .env("PYTHONPATH", root.join("bridges/common"))
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", text(&output));
+    assert_eq!(String::from_utf8_lossy(&output.stdout), "episode 0: success\nepisode 1: success\n");
+}
+
+#[test]
+fn what_cannot_work_is_said_before_anything_runs() {
+    assert_exit(&["serve", "--bind", "tcp://0.0.0.0:*"], 2, &["other machines", "--allow-remote"]);
+    assert_exit(&["serve", "--bind", "127.0.0.1:1"], 2, &["tcp://127.0.0.1:5570"]);
+    assert_exit(&["serve", "--robot", "ur5e", "--physics-only"], 2, &["suction"]);
+    assert_exit(&["run", "--simulator", "tcp://127.0.0.1:1"], 5, &["cannot reach tcp://127.0.0.1:1"]);
+    assert_exit(&["bridge", "check", "tcp://127.0.0.1:1"], 5, &["cannot reach"]);
+    let server = Server::start(&["--robot", "ur5e"]);
+    let address = server.address.as_str();
+    assert_exit(&["run", "--simulator", address], 2, &["another robot", "--robot"]);
+    assert_exit(&["run", "--simulator", address, "--engine", "mujoco"], 2, &["cannot be used with"]);
+    let twice = format!("{address},{address}");
+    assert_exit(&["run", "--robot", "ur5e", "--simulator", &twice], 2, &["twice"]);
+}
