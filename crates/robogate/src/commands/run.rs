@@ -199,7 +199,7 @@ impl How {
 /// Ends the process for someone who will not wait for a slow simulator or policy. What is recorded stays: the journal
 /// bears being cut at any byte.
 #[expect(clippy::exit, reason = "the threads at work cannot be asked")]
-fn stop_at_once() -> ! {
+pub(crate) fn stop_at_once() -> ! {
     std::process::exit(i32::from(INTERRUPTED))
 }
 

@@ -11,6 +11,7 @@ use robogate_bridge::zmtp::{Address, Replier, ZmtpError};
 use robogate_sim::SuctionLaw;
 use serde_json::json;
 
+use crate::commands::run::stop_at_once;
 use crate::exit::{DONE, Exit, OrExit, USAGE};
 use crate::terminal::{line, note};
 use crate::world::WorldArguments;
@@ -60,7 +61,13 @@ impl Serve {
         })?;
         let stop = Arc::new(AtomicBool::new(false));
         let asked = Arc::clone(&stop);
-        ctrlc::set_handler(move || asked.store(true, Ordering::Relaxed)).or_broken()?;
+        ctrlc::set_handler(move || {
+            // A client in the middle of something has its time; who asks twice has none.
+            if asked.swap(true, Ordering::Relaxed) {
+                stop_at_once();
+            }
+        })
+        .or_broken()?;
         let hello = server.hello();
         note(format_args!(
             "{} in {} {} on {}; Ctrl-C ends it",
