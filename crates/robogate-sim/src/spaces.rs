@@ -5,9 +5,10 @@ use crate::Gripper;
 /// The paper's Franka parameter space, as TOML.
 pub const FRANKA_SPACE: &str = include_str!("../../../assets/spaces/franka.toml");
 
-const SPACES: [(&str, &str); 3] = [
+const SPACES: [(&str, &str); 4] = [
     ("franka", FRANKA_SPACE),
     ("ur", include_str!("../../../assets/spaces/ur.toml")),
+    ("learned", include_str!("../../../assets/spaces/learned.toml")),
     ("ur-wide", include_str!("../../../assets/spaces/ur-wide.toml")),
 ];
 

@@ -55,6 +55,8 @@ enum Verb {
     Import(commands::import::Import),
     /// Ask by experiment whether boundary focusing is worth it
     Study(commands::study::Study),
+    /// Record demonstrations of the scripted controller, with pictures, as a LeRobot dataset (v3.0)
+    Demos(commands::demos::Demos),
     /// List, show and check suites: the scenarios on which a policy is judged
     Suites(commands::suites::Suites),
     /// List the robots, or say what is wrong with one
@@ -91,6 +93,7 @@ fn main() -> ExitCode {
         Verb::Export(export) => export.execute(),
         Verb::Import(import) => import.execute(),
         Verb::Study(study) => study.execute(),
+        Verb::Demos(demos) => demos.execute(),
         Verb::Suites(suites) => suites.execute(),
         Verb::Robots(robots) => robots.execute(),
         Verb::Evidence(evidence) => evidence.execute(),

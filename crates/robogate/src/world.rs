@@ -10,6 +10,7 @@ use robogate_bridge::simulator::Pool;
 use robogate_bridge::simulator::message::{self, ActionSpace, Camera, DeltaScale, Hello};
 use robogate_campaign::{Station, Workshop};
 use robogate_core::{Assignment, Fault, FaultKind, ParameterSpace, Policy, Scenario, Seed, Simulator, Suite};
+use robogate_demos::Recorder;
 use robogate_dictionary::{hex, provenance, robot_sha256};
 #[cfg(feature = "mujoco")]
 use robogate_sim::MujocoEngine;
@@ -252,6 +253,19 @@ impl Cell {
             Some(misfit) => bail!("suite {}: {misfit}", suite.name()),
             None => Ok(()),
         }
+    }
+
+    /// The robot's name.
+    pub(crate) fn robot_name(&self) -> &str {
+        self.robot.name()
+    }
+
+    /// A simulator, and the scripted controller under a recorder that pushes the arm about by `push_m`.
+    pub(crate) fn demonstrator(&self, push_m: f64) -> anyhow::Result<(Box<dyn Simulator>, Recorder<Scripted>)> {
+        let setup = self.setup();
+        let (simulator, chain) = (self.simulator()?, self.chain(&setup)?);
+        let rest = setup.robot.settings.arm.home_rad.clone();
+        Ok((simulator, Recorder::new(Scripted::new(setup.robot, chain.clone()), chain, rest, push_m)))
     }
 
     /// The world that it is in.

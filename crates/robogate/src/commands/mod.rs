@@ -5,6 +5,7 @@ pub(crate) mod baseline;
 pub(crate) mod bridge;
 pub(crate) mod check;
 pub(crate) mod compare;
+pub(crate) mod demos;
 pub(crate) mod evidence;
 pub(crate) mod export;
 pub(crate) mod gate;

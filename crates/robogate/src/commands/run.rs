@@ -27,7 +27,7 @@ pub(crate) struct Run {
     /// A plan of your own in place of a preset (TOML; the presets are its reference)
     #[arg(long, value_name = "FILE", conflicts_with = "preset")]
     plan: Option<PathBuf>,
-    /// The parameter space: franka, ur, ur-wide, or a file of your own (TOML); default: the robot's own, by its gripper
+    /// The parameter space: franka, ur, ur-wide, learned, or a file of your own (TOML); default: the robot's own, by its gripper
     #[arg(long, value_name = "NAME|FILE")]
     space: Option<String>,
     /// A suite in place of both stages: a built-in one, or the file of your own (TOML)

@@ -47,7 +47,7 @@ pub(crate) struct Study {
     /// A plan whose boundary stage is tried in place of the paper's (TOML); its budgets and its seed are not used
     #[arg(long, value_name = "FILE")]
     plan: Option<PathBuf>,
-    /// The parameter space: franka, ur, ur-wide, or a file of your own (TOML); default: the robot's own, by its gripper
+    /// The parameter space: franka, ur, ur-wide, learned, or a file of your own (TOML); default: the robot's own, by its gripper
     #[arg(long, value_name = "NAME|FILE")]
     space: Option<String>,
     #[command(flatten)]

@@ -1,0 +1,198 @@
+//! Between the expert and the simulator.
+
+use nalgebra::{Isometry3, Translation3};
+use robogate_core::{
+    Action, ArmCommand, Fault, FaultKind, GripperCommand, Image, Observation, Policy, Pose, Seed, TaskSpec,
+};
+use robogate_sim::Chain;
+
+use crate::Push;
+
+/// What the expert saw, and what it did.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    /// Simulated time, in seconds.
+    pub time_s: f64,
+    /// Measured joint positions, in radians.
+    pub joints: Vec<f64>,
+    /// The tool's pose at these.
+    pub tool: Pose,
+    /// Opening between the fingers, in metres.
+    pub opening_m: Option<f64>,
+    /// What the cameras showed, as PNG.
+    pub pictures: Vec<Picture>,
+    /// Joint positions that the expert asked for, in radians.
+    pub wanted: Vec<f64>,
+    /// The tool's pose at these.
+    pub wanted_tool: Pose,
+    /// The tool's way from the pose asked for before: along (m) and about (rad, rotation vector) the base's axes.
+    pub wanted_delta: [f64; 6],
+    /// What the expert asked of the gripper.
+    pub gripper: GripperCommand,
+    /// What the expert was told of the object, and a learner is not: where its middle stood at the start, and its edge, in
+    /// metres.
+    pub told: [f64; 4],
+}
+
+/// A camera's picture, compressed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    /// The camera's name.
+    pub camera: String,
+    /// Pixels in a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// The PNG file.
+    pub png: Vec<u8>,
+    /// Of red, green and blue (0 to 1): least, greatest, sum and sum of squares over the pixels.
+    pub moments: [[f64; 4]; 3],
+}
+
+/// An episode of the expert.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Demonstration {
+    /// The task in words.
+    pub task: String,
+    /// The frames, one for each control tick.
+    pub frames: Vec<Frame>,
+}
+
+/// A policy that does what the expert does, pushed about, and notes it.
+///
+/// The expert must answer with joint positions. It is shown the arm as if nobody pushed it, so that it keeps to its way.
+#[derive(Debug)]
+pub struct Recorder<P> {
+    expert: P,
+    chain: Chain,
+    rest: Vec<f64>,
+    sigma_m: f64,
+    push: Push,
+    period_s: f64,
+    told: [f64; 4],
+    /// The last two commands: the expert's, and what was made of them. Older first.
+    sent: Vec<(Vec<f64>, Vec<f64>)>,
+    demonstration: Demonstration,
+}
+
+impl<P: Policy> Recorder<P> {
+    /// Records `expert` on the arm `chain`, which waits at `rest` (rad), with pushes of `sigma_m` ([`Push`]).
+    pub fn new(expert: P, chain: Chain, rest: Vec<f64>, sigma_m: f64) -> Self {
+        Self {
+            expert,
+            chain,
+            rest,
+            sigma_m,
+            push: Push::new(0.0, Seed::campaign(0)),
+            period_s: 0.0,
+            told: [0.0; 4],
+            sent: Vec::new(),
+            demonstration: Demonstration { task: String::new(), frames: Vec::new() },
+        }
+    }
+
+    /// What was recorded since the last reset.
+    pub fn take(&mut self) -> Demonstration {
+        let empty = Demonstration { task: self.demonstration.task.clone(), frames: Vec::new() };
+        std::mem::replace(&mut self.demonstration, empty)
+    }
+
+    /// The observation as it would be without the pushes: the arm is half way between its last two commands.
+    fn undisturbed(&self, observation: &Observation) -> Observation {
+        let mut seen = Observation { images: Vec::new(), ..observation.clone() };
+        if !self.sent.is_empty() {
+            let share = 1.0 / self.sent.len() as f64;
+            for (expert, made) in &self.sent {
+                for ((q, expert), made) in seen.joint_positions.iter_mut().zip(expert).zip(made) {
+                    *q += share * (expert - made);
+                }
+            }
+            seen.tool_pose = pose(&self.chain.tcp_at(&seen.joint_positions));
+        }
+        seen
+    }
+}
+
+impl<P: Policy> Policy for Recorder<P> {
+    fn reset(&mut self, task: &TaskSpec, seed: Seed) -> Result<(), Fault> {
+        self.push = Push::new(self.sigma_m, seed);
+        self.period_s = task.control_period_s;
+        let [x, y, z] = task.object_pose.position;
+        self.told = [x, y, z, task.object_extent_m[0]];
+        self.sent.clear();
+        self.demonstration = Demonstration { task: task.instruction.clone(), frames: Vec::new() };
+        self.expert.reset(task, seed)
+    }
+
+    fn looks(&self) -> bool {
+        true
+    }
+
+    fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
+        let action = self.expert.act(&self.undisturbed(observation))?;
+        let ArmCommand::JointPositions(wanted) = &action.arm else {
+            return Err(Fault::new(FaultKind::BadAction, "demonstrations are of an expert that sends joint positions"));
+        };
+        let goal = self.chain.tcp_at(wanted);
+        let off = self.push.next(self.period_s, goal.translation.z);
+        let made = if off.norm() > 0.0 {
+            let moved = Isometry3::from_parts(Translation3::from(goal.translation.vector + off), goal.rotation);
+            self.chain.inverse(&moved, wanted, &self.rest).unwrap_or_else(|_| wanted.clone())
+        } else {
+            wanted.clone()
+        };
+        let before = match self.sent.last() {
+            Some((expert, _)) => self.chain.tcp_at(expert),
+            None => self.chain.tcp_at(&observation.joint_positions),
+        };
+        let way = goal.translation.vector - before.translation.vector;
+        let turn = (goal.rotation * before.rotation.inverse()).scaled_axis();
+        self.demonstration.frames.push(Frame {
+            time_s: observation.time_s,
+            joints: observation.joint_positions.clone(),
+            tool: observation.tool_pose,
+            opening_m: observation.gripper_opening_m,
+            pictures: observation.images.iter().map(Picture::of).collect::<Result<_, _>>()?,
+            wanted: wanted.clone(),
+            wanted_tool: pose(&goal),
+            wanted_delta: [way.x, way.y, way.z, turn.x, turn.y, turn.z],
+            gripper: action.gripper,
+            told: self.told,
+        });
+        if self.sent.len() == 2 {
+            self.sent.remove(0);
+        }
+        self.sent.push((wanted.clone(), made.clone()));
+        Ok(Action { arm: ArmCommand::JointPositions(made), ..action })
+    }
+}
+
+impl Picture {
+    fn of(image: &Image) -> Result<Self, Fault> {
+        let broken = |why: String| Fault::new(FaultKind::Setup, format!("camera {}: {why}", image.camera));
+        let side = |n: usize| u32::try_from(n).map_err(|e| broken(e.to_string()));
+        let mut png = Vec::new();
+        let mut encoder = png::Encoder::new(&mut png, side(image.width)?, side(image.height)?);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_compression(png::Compression::Fast);
+        let mut writer = encoder.write_header().map_err(|e| broken(e.to_string()))?;
+        writer.write_image_data(&image.rgb).map_err(|e| broken(e.to_string()))?;
+        writer.finish().map_err(|e| broken(e.to_string()))?;
+        let mut moments = [[1.0, 0.0, 0.0, 0.0]; 3];
+        for pixel in image.rgb.as_chunks::<3>().0 {
+            for ([least, greatest, sum, squares], byte) in moments.iter_mut().zip(pixel) {
+                let x = f64::from(*byte) / 255.0;
+                (*least, *greatest) = (x.min(*least), x.max(*greatest));
+                (*sum, *squares) = (*sum + x, *squares + x * x);
+            }
+        }
+        let Image { camera, width, height, .. } = image;
+        Ok(Self { camera: camera.clone(), width: *width, height: *height, png, moments })
+    }
+}
+
+fn pose(at: &Isometry3<f64>) -> Pose {
+    let q = at.rotation.quaternion();
+    Pose { position: at.translation.vector.into(), orientation: [q.w, q.i, q.j, q.k] }
+}

@@ -1,0 +1,161 @@
+//! `robogate demos`: the scripted controller's episodes, recorded for learning.
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::thread;
+
+use anyhow::anyhow;
+use clap::Args;
+use robogate_campaign::DEFAULT_SEED;
+use robogate_core::samplers::Uniform;
+use robogate_core::{Outcome, Sampler, Scenario, Seed, rollout};
+use robogate_demos::{Dataset, Demonstration};
+use robogate_sim::SuctionLaw;
+use serde_json::json;
+
+use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::terminal::{grouped, line, note};
+use crate::world::{Cell, WorldArguments};
+
+/// Frames a second: one for each control tick.
+const FPS: u32 = 20;
+
+/// Record demonstrations of the scripted controller, with pictures, as a LeRobot dataset (v3.0).
+#[derive(Debug, Args)]
+pub(crate) struct Demos {
+    /// The dataset's folder, which must not be there yet
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// How many episodes are tried
+    #[arg(short, long, value_name = "N", default_value_t = 100)]
+    n: u32,
+    /// Their seed: points of the space are drawn from it
+    #[arg(long, value_name = "S", default_value_t = DEFAULT_SEED)]
+    seed: u64,
+    /// The parameter space: learned, franka, ur, ur-wide, or a file of your own (TOML)
+    #[arg(long, value_name = "NAME|FILE", default_value = "learned")]
+    space: String,
+    /// Width and height of the pictures, in pixels
+    #[arg(long, value_name = "PIXELS", default_value_t = 96, value_parser = clap::value_parser!(u16).range(8..=1024))]
+    size: u16,
+    /// How far the arm is pushed off the controller's path above the table, so that the way back is recorded too:
+    /// standard deviation in metres; 0 does not push
+    #[arg(long, value_name = "METRES", default_value_t = 0.02)]
+    push: f64,
+    /// Keep the episodes that failed too
+    #[arg(long)]
+    all: bool,
+    /// Threads that run episodes; default: one for each core
+    #[arg(long, value_name = "T")]
+    threads: Option<NonZeroUsize>,
+    /// Print the result as one JSON document
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    world: WorldArguments,
+}
+
+impl Demos {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let usage = |why: String| Exit { code: USAGE, error: anyhow!(why) };
+        if !(0.0..=0.1).contains(&self.push) {
+            return Err(usage(format!("--push {}: between 0 and 0.1 m", self.push)));
+        }
+        if self.n == 0 {
+            return Err(usage("-n 0: at least one episode".to_owned()));
+        }
+        let cell = Cell::new(self.world.world(), SuctionLaw::Vacuum, None).or_usage()?.with_pictures_of(self.size.into());
+        let space = Arc::new(cell.space(Some(&self.space)).or_usage()?);
+        let seed = Seed::campaign(self.seed);
+        let design = Uniform.design(&space, self.n as usize, seed.stream("demonstrations")).or_usage()?;
+        let mut dataset = Dataset::create(&self.out, FPS, cell.robot_name()).or_usage()?;
+        let threads = self.threads.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
+        let (mut kept, mut failed, mut invalid) = (0_u64, 0_u64, 0_u64);
+        // In rounds, so that what waits to be written is bounded.
+        let round = 4 * threads;
+        for first in (0..design.len()).step_by(round) {
+            let indices: Vec<usize> = (first..design.len().min(first + round)).collect();
+            let scenarios: Vec<Scenario> = indices
+                .iter()
+                .filter_map(|i| {
+                    let requested = design.assignment(*i)?;
+                    Some(Scenario { index: *i as u64, seed: seed.episode(*i as u64), requested })
+                })
+                .collect();
+            for (outcome, demonstration) in self.record(&cell, &scenarios, threads)? {
+                match outcome {
+                    Outcome::Success => {}
+                    Outcome::Failure(_) => failed += 1,
+                    Outcome::Invalid(fault) => {
+                        invalid += 1;
+                        note(format_args!("warning: an episode is invalid: {fault}"));
+                        continue;
+                    }
+                }
+                if self.all || outcome == Outcome::Success {
+                    dataset.push(&demonstration).or_broken()?;
+                    kept += 1;
+                }
+            }
+            let done = first + indices.len();
+            if done * 10 / design.len() > first * 10 / design.len() {
+                note(format_args!("{done} of {} episodes, {kept} kept", design.len()));
+            }
+        }
+        if kept == 0 {
+            let what = if invalid > 0 { "was valid" } else { "succeeded" };
+            return Err(Exit { code: INVALID, error: anyhow!("no episode {what}: nothing is written") });
+        }
+        let written = dataset.finish().or_broken()?;
+        self.report(&written, failed, invalid);
+        Ok(DONE)
+    }
+
+    fn report(&self, written: &robogate_demos::Written, failed: u64, invalid: u64) {
+        if self.json {
+            line(json!({
+                "version": 1,
+                "dataset": self.out,
+                "episodes": written.episodes,
+                "frames": written.frames,
+                "failed": failed,
+                "invalid": invalid,
+            }));
+        } else {
+            let (episodes, frames) = (grouped(written.episodes as u64), grouped(written.frames as u64));
+            let kept = if self.all { "kept" } else { "left out" };
+            line(format_args!("{episodes} episodes, {frames} frames in {}", self.out.display()));
+            line(format_args!("  of {} tried, {failed} failed ({kept}), {invalid} were invalid", self.n));
+        }
+    }
+
+    /// Runs the scenarios on so many threads; what came of them is in their order.
+    fn record(
+        &self,
+        cell: &Cell,
+        scenarios: &[Scenario],
+        threads: usize,
+    ) -> Result<Vec<(Outcome, Demonstration)>, Exit> {
+        let share = scenarios.len().div_ceil(threads).max(1);
+        let work = |mine: &[Scenario]| -> anyhow::Result<Vec<(Outcome, Demonstration)>> {
+            let (mut simulator, mut recorder) = cell.demonstrator(self.push)?;
+            Ok(mine
+                .iter()
+                .map(|scenario| (rollout(&mut *simulator, &mut recorder, scenario).outcome, recorder.take()))
+                .collect())
+        };
+        let results: Vec<_> = thread::scope(|scope| {
+            let handles: Vec<_> = scenarios.chunks(share).map(|mine| scope.spawn(move || work(mine))).collect();
+            handles.into_iter().map(thread::ScopedJoinHandle::join).collect()
+        });
+        let mut all = Vec::with_capacity(scenarios.len());
+        for result in results {
+            let broken = |error| Exit { code: INFRASTRUCTURE, error };
+            all.extend(
+                result.map_err(|_| broken(anyhow!("a thread that records broke"))).and_then(|r| r.map_err(broken))?,
+            );
+        }
+        Ok(all)
+    }
+}
