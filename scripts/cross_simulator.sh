@@ -1,0 +1,17 @@
+#!/usr/bin/env bash
+# The scripted Franka on the same 2,000 scenarios in MuJoCo and in Rapier, scenario against scenario.
+# Usage: scripts/cross_simulator.sh [FOLDER]; a run that is there already is gone on with.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+out=${1:-runs/cross-simulator}
+cargo build --release --locked -p robogate
+robogate=${CARGO_TARGET_DIR:-target}/release/robogate
+for engine in mujoco rapier; do
+    if [ -f "$out/$engine/plan.json" ]; then
+        "$robogate" resume "$out/$engine"
+    else
+        "$robogate" run --engine "$engine" --plan docs/results/cross-simulator.toml --out "$out/$engine"
+    fi
+done
+"$robogate" compare --paired "$out"/{mujoco,rapier} --html "$out/comparison.html" --md "$out/comparison.md"
