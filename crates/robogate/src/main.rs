@@ -8,6 +8,7 @@ mod far;
 mod inspection;
 mod picture;
 mod progress;
+mod served;
 mod summary;
 mod terminal;
 mod world;
@@ -57,6 +58,8 @@ enum Verb {
     Study(commands::study::Study),
     /// List, show and check suites: the scenarios on which a policy is judged
     Suites(commands::suites::Suites),
+    /// List the profiles of policy servers, or probe a server
+    Policy(commands::policy::Policies),
     /// List the robots, or say what is wrong with one
     Robots(commands::robots::Robots),
     /// Judge a run and put all that the verdict depends on into a folder that someone else can check
@@ -92,6 +95,7 @@ fn main() -> ExitCode {
         Verb::Import(import) => import.execute(),
         Verb::Study(study) => study.execute(),
         Verb::Suites(suites) => suites.execute(),
+        Verb::Policy(policy) => policy.execute(),
         Verb::Robots(robots) => robots.execute(),
         Verb::Evidence(evidence) => evidence.execute(),
         Verb::Verify(verify) => verify.execute(),
