@@ -59,4 +59,21 @@ if bridges/common/setup.sh "$isaac" bridges/isaac_sim/tests/requirements.txt; th
 else
     echo "note: no Python with USD; the tests of bridges/isaac_sim are skipped" >&2
 fi
+if [ -z "${ROBOGATE_POLICY_PYTHON:-}" ]; then
+    wanted=crates/robogate-bridge/tests/policy-requirements.txt
+    policies=${CARGO_TARGET_DIR:-target}/policies-venv
+    if ! cmp -s "$wanted" "$policies/installed.txt"; then
+        rm -rf "$policies"
+        if python3 -m venv "$policies" &&
+            "$policies/bin/pip" install --quiet --disable-pip-version-check --requirement "$wanted"; then
+            cp "$wanted" "$policies/installed.txt"
+        else
+            echo "note: no Python with openpi-client and vla-eval; the policies' tests that need it are skipped" >&2
+        fi
+    fi
+    if [ -f "$policies/installed.txt" ]; then
+        ROBOGATE_POLICY_PYTHON=$(cd "$policies/bin" && pwd)/python
+        export ROBOGATE_POLICY_PYTHON
+    fi
+fi
 exec cargo test --workspace --locked "$@"

@@ -8,6 +8,7 @@ mod far;
 mod inspection;
 mod picture;
 mod progress;
+mod served;
 mod summary;
 mod terminal;
 mod world;
@@ -59,6 +60,8 @@ enum Verb {
     Demos(commands::demos::Demos),
     /// List, show and check suites: the scenarios on which a policy is judged
     Suites(commands::suites::Suites),
+    /// List the profiles of policy servers, or probe a server
+    Policy(commands::policy::Policies),
     /// List the robots, or say what is wrong with one
     Robots(commands::robots::Robots),
     /// Judge a run and put all that the verdict depends on into a folder that someone else can check
@@ -95,6 +98,7 @@ fn main() -> ExitCode {
         Verb::Study(study) => study.execute(),
         Verb::Demos(demos) => demos.execute(),
         Verb::Suites(suites) => suites.execute(),
+        Verb::Policy(policy) => policy.execute(),
         Verb::Robots(robots) => robots.execute(),
         Verb::Evidence(evidence) => evidence.execute(),
         Verb::Verify(verify) => verify.execute(),

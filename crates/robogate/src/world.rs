@@ -28,6 +28,7 @@ use sha2::{Digest, Sha256};
 
 use crate::exit::{Exit, OrExit};
 use crate::far::{self, Far, OurWorld, Simulators, Told};
+use crate::served::Served;
 
 /// The engines of this build by name, each with its own time step in seconds; the first is the default.
 const ENGINES: &[(&str, f64)] = &[
@@ -64,6 +65,9 @@ pub(crate) struct World {
     /// What the engine is to us where it is behind a socket.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) simulator: Option<Far>,
+    /// The policy server in place of the scripted controller.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) policy: Option<Served>,
 }
 
 /// The world, on the command line.
@@ -105,6 +109,7 @@ impl WorldArguments {
             grip_force_n: self.grip_force,
             suction: self.suction,
             simulator: None,
+            policy: None,
         }
     }
 }
@@ -169,6 +174,29 @@ impl Cell {
     /// The same cell, its cameras' pictures so many pixels wide and high.
     pub(crate) fn with_pictures_of(self, picture_px: usize) -> Self {
         Self { picture_px, ..self }
+    }
+
+    /// The same cell with a policy behind a socket, if there is one.
+    pub(crate) fn with_policy(mut self, policy: Option<Served>) -> Self {
+        self.world.policy = policy;
+        self
+    }
+
+    /// The same cell, its policy's server (if it has one) asked anew what it is.
+    pub(crate) fn asked_again(mut self) -> Result<Self, Exit> {
+        self.world.policy = self.world.policy.as_ref().map(Served::asked_again).transpose()?;
+        Ok(self)
+    }
+
+    /// The policy's name in records.
+    pub(crate) fn policy(&self) -> &str {
+        self.world.policy.as_ref().map_or("scripted", |served| &served.profile.name)
+    }
+
+    /// At how many stations the policy can be at once, where that is limited.
+    pub(crate) fn at_most(&self) -> Option<NonZeroUsize> {
+        let served = self.world.policy.as_ref()?;
+        served.profile.dialect.one_at_a_time().then_some(NonZeroUsize::MIN)
     }
 
     /// The cell of a recorded run. One in servers needs to be told where they are now.
@@ -453,8 +481,12 @@ impl Built {
 
 impl Workshop for Cell {
     fn station(&self) -> Result<Station, Fault> {
-        let (simulator, policy) =
+        let (simulator, scripted) =
             self.make(&self.setup()).map_err(|e| Fault::new(FaultKind::Unavailable, format!("{e:#}")))?;
+        let policy = match &self.world.policy {
+            Some(served) => Box::new(served.connect()?),
+            None => scripted,
+        };
         Ok(Station { simulator, policy })
     }
 }

@@ -19,6 +19,7 @@ use crate::answer;
 use crate::commands::run::{How, free_folder, interrupted, provenance, write_report};
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::served::PolicyArguments;
 use crate::terminal::{grouped, line, note};
 use crate::world::{Cell, WorldArguments};
 
@@ -58,6 +59,8 @@ pub(crate) struct Gate {
     seed: Option<u64>,
     #[command(flatten)]
     world: WorldArguments,
+    #[command(flatten)]
+    policy: PolicyArguments,
     #[command(flatten)]
     how: How,
     /// The folder: of the run, a new one under runs/ by default; with --run, where the answer's files go, nowhere by default
@@ -150,7 +153,7 @@ impl Gate {
     /// Runs a suite until the answer is certain.
     fn run_suite(&self) -> Result<u8, Exit> {
         let requirements = Requirements::open(self.requirements.as_deref().unwrap_or("default")).map_err(refused)?;
-        let cell = self.world.cell(SuctionLaw::Vacuum)?;
+        let cell = self.world.cell(SuctionLaw::Vacuum)?.with_policy(self.policy.served()?);
         let robot = Path::new(&cell.world().robot).file_name();
         let robot = robot.map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         let suite = suites::find(&self.suite)?;
@@ -212,7 +215,7 @@ impl Gate {
             None => free_folder(&format!("gate-{robot}-{}", plan.seed)),
         };
         note(format_args!(
-            "RoboGate {}: {} in {} {}, {} controller, seed {}",
+            "RoboGate {}: {} in {} {}, {} policy, seed {}",
             env!("CARGO_PKG_VERSION"),
             provenance.robot.name,
             provenance.engine.name,

@@ -37,7 +37,7 @@ struct Line {
 impl Replay {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
-        let cell = Cell::recorded(&settings.provenance, &self.simulators)?;
+        let cell = Cell::recorded(&settings.provenance, &self.simulators)?.asked_again()?;
         let entry = recorded(&self.dir, self.index).or_usage()?;
         let mut station = cell.station().or_broken()?;
         let mut story: Vec<Line> = Vec::new();
@@ -68,6 +68,11 @@ impl Replay {
                     != (&was.tool, &was.engine, &was.robot, &was.platform)
                 {
                     line("  tool, engine, robot or platform are not those that the run was made with");
+                }
+                if cell.world().policy.is_some() {
+                    line(
+                        "  the policy is behind a server: where that draws at random, no replay is the same (robogate policy check)",
+                    );
                 }
             }
         }

@@ -25,7 +25,7 @@ pub(crate) struct Resume {
 impl Resume {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
-        let cell = Cell::recorded(&settings.provenance, &self.simulators)?;
+        let cell = Cell::recorded(&settings.provenance, &self.simulators)?.asked_again()?;
         if let Some(asked) = Asked::of(&self.dir).or_usage()? {
             return gate::go_on(&self.dir, asked, &cell, settings, &self.how);
         }

@@ -5,15 +5,17 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use anyhow::anyhow;
 use clap::Args;
 use robogate_campaign::{Completion, Crew, DEFAULT_SEED, Event, Plan, Preset, RunError};
-use robogate_core::ParameterSpace;
+use robogate_core::{FaultKind, ParameterSpace};
 use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool};
 use robogate_sim::SuctionLaw;
 
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
 use crate::progress::Progress;
+use crate::served::PolicyArguments;
 use crate::summary;
 use crate::terminal::{grouped, note};
 use crate::world::{Cell, WorldArguments};
@@ -45,6 +47,8 @@ pub(crate) struct Run {
     #[command(flatten)]
     world: WorldArguments,
     #[command(flatten)]
+    policy: PolicyArguments,
+    #[command(flatten)]
     how: How,
     /// The run's folder; default: a new one under runs/
     #[arg(long, value_name = "DIR")]
@@ -68,6 +72,7 @@ impl Run {
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
         let cell = self.world.cell(if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum })?;
+        let cell = cell.with_policy(self.policy.served()?);
         let robot = Path::new(&cell.world().robot).file_name();
         let robot = robot.map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         let (plan, space) = self.plan_and_space(&cell)?;
@@ -83,11 +88,12 @@ impl Run {
             }
         };
         note(format_args!(
-            "RoboGate {}: {} in {} {}, scripted controller, seed {}",
+            "RoboGate {}: {} in {} {}, {} policy, seed {}",
             env!("CARGO_PKG_VERSION"),
             provenance.robot.name,
             provenance.engine.name,
             provenance.engine.version.as_deref().unwrap_or_default(),
+            provenance.policy,
             plan.seed
         ));
         match &plan.suite {
@@ -143,11 +149,15 @@ impl Run {
 impl How {
     /// Gives `work` a crew that Ctrl-C asks to stop.
     pub(crate) fn with_crew<T>(&self, cell: &Cell, work: impl FnOnce(&Crew<'_>) -> Result<T, Exit>) -> Result<T, Exit> {
-        let threads = self
+        let wanted = self
             .threads
             .or_else(|| cell.servers())
             .or_else(|| std::thread::available_parallelism().ok())
             .unwrap_or(NonZeroUsize::MIN);
+        let threads = cell.at_most().map_or(wanted, |limit| limit.min(wanted));
+        if self.threads.is_some() && threads < wanted {
+            note(format_args!("{threads} thread: the policy server keeps one state for all who ask"));
+        }
         let stop = Arc::new(AtomicBool::new(false));
         let asked = Arc::clone(&stop);
         ctrlc::set_handler(move || {
@@ -168,7 +178,22 @@ impl How {
     ) -> Result<Completion, Exit> {
         self.with_crew(cell, |crew| {
             let mut progress = Progress::new();
-            work(crew, &mut |event| progress.hear(event)).map_err(exit)
+            let mut lost = Lost::default();
+            let completion = work(crew, &mut |event| {
+                if cell.world().policy.is_some() && lost.hear(event) {
+                    crew.stop.store(true, Ordering::Relaxed);
+                }
+                progress.hear(event);
+            })
+            .map_err(exit)?;
+            match (completion, lost.why) {
+                (Completion::Interrupted { .. }, Some(fault)) => Err(anyhow!(
+                    "stopped: {UNAVAILABLE_IN_A_ROW} episodes in a row were invalid, the last by {fault}; what is recorded \
+                     stays, and `robogate resume` goes on"
+                ))
+                .or_broken(),
+                (completion, _) => Ok(completion),
+            }
         })
     }
 
@@ -193,6 +218,33 @@ impl How {
             }
             Completion::Interrupted { done, episodes } => Ok(interrupted(dir, done, episodes)),
         }
+    }
+}
+
+/// How many episodes in a row may be lost to a policy server that is away before a campaign stops by itself.
+const UNAVAILABLE_IN_A_ROW: u32 = 10;
+
+/// Counts episodes lost to a policy server that is away.
+#[derive(Debug, Default)]
+struct Lost {
+    in_a_row: u32,
+    why: Option<String>,
+}
+
+impl Lost {
+    /// Whether it is time to stop.
+    fn hear(&mut self, event: &Event) -> bool {
+        let Event::Episode { fault, .. } = event else { return self.why.is_some() };
+        match fault {
+            Some(fault) if fault.starts_with(&FaultKind::Unavailable.to_string()) => {
+                self.in_a_row += 1;
+                if self.in_a_row >= UNAVAILABLE_IN_A_ROW {
+                    self.why = Some(fault.clone());
+                }
+            }
+            _ => self.in_a_row = 0,
+        }
+        self.why.is_some()
     }
 }
 
@@ -240,7 +292,7 @@ pub(crate) fn provenance(cell: &Cell, space: ParameterSpace) -> Result<Provenanc
         schema_version: SCHEMA_VERSION,
         engine,
         robot,
-        policy: "scripted".to_owned(),
+        policy: cell.policy().to_owned(),
         world: serde_json::to_value(cell.world()).or_broken()?,
         space,
         plan: serde_json::Value::Null,

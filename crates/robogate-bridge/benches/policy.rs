@@ -1,0 +1,90 @@
+//! What asking a policy server costs beside the model: a whole question with two pictures of 256 x 256 over loopback, to a server
+//! that answers at once.
+//!
+//! `cargo bench -p robogate-bridge --bench policy [-- QUESTIONS]`
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark prints, and stops where it cannot go on")]
+
+use std::net::TcpListener;
+use std::sync::Arc;
+use std::thread;
+use std::time::Instant;
+
+use rmpv::Value;
+use robogate_bridge::policy::{Profile, ServerPolicy};
+use robogate_core::{Image, Observation, Pose};
+use tungstenite::{Message, accept};
+
+fn main() {
+    let questions = std::env::args().skip(1).find_map(|a| a.parse().ok()).unwrap_or(500);
+    let url = server();
+    let built_in = Profile::built_in("pi0-libero").unwrap().replace("length = 50", "length = 10");
+    let as_they_are = built_in.replace("224", "256");
+    for (what, text) in [("sent as they are", as_they_are), ("resized to 224 x 224", built_in)] {
+        let mut policy = ServerPolicy::connect(&url, Arc::new(Profile::from_toml(&text).unwrap())).unwrap();
+        policy.begin("pick up the box").unwrap();
+        let observation = observation();
+        let mut times: Vec<f64> = (0..questions)
+            .map(|_| {
+                let start = Instant::now();
+                policy.ask(&observation).unwrap();
+                1e3 * start.elapsed().as_secs_f64()
+            })
+            .collect();
+        times.sort_by(f64::total_cmp);
+        let share = |q: usize| times[(times.len() - 1) * q / 100];
+        let executed = 5.0;
+        println!(
+            "openpi, two pictures {what}: {:.3} ms a question (median), {:.3} ms at the 90th percentile; {:.3} ms a step of {executed}",
+            share(50),
+            share(90),
+            share(50) / executed
+        );
+    }
+}
+
+/// Answers ten actions to whatever it is asked.
+fn server() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("ws://{}", listener.local_addr().unwrap());
+    let key = |name: &str| Value::Binary(name.as_bytes().to_vec());
+    let array = Value::Map(vec![
+        (key("__ndarray__"), true.into()),
+        (key("data"), Value::Binary(vec![0; 8 * 70])),
+        (key("dtype"), "<f8".into()),
+        (key("shape"), Value::Array(vec![10.into(), 7.into()])),
+    ]);
+    let mut answer = Vec::new();
+    rmpv::encode::write_value(&mut answer, &Value::Map(vec![("actions".into(), array)])).unwrap();
+    thread::spawn(move || {
+        for stream in listener.incoming() {
+            let stream = stream.unwrap();
+            stream.set_nodelay(true).unwrap();
+            let mut socket = accept(stream).unwrap();
+            socket.send(Message::binary(vec![0x80])).unwrap();
+            while let Ok(message) = socket.read() {
+                if message.is_binary() {
+                    socket.send(Message::binary(answer.clone())).unwrap();
+                }
+            }
+        }
+    });
+    url
+}
+
+fn observation() -> Observation {
+    let side = 256;
+    let image = |camera: &str| Image {
+        camera: camera.to_owned(),
+        width: side,
+        height: side,
+        rgb: (0..3 * side * side).map(|i| (i * i) as u8).collect(),
+    };
+    Observation {
+        time_s: 0.0,
+        joint_positions: vec![0.0; 7],
+        joint_velocities: vec![0.0; 7],
+        gripper_opening_m: Some(0.08),
+        tool_pose: Pose { position: [0.5, 0.0, 0.3], orientation: [0.0, 1.0, 0.0, 0.0] },
+        images: vec![image("front"), image("wrist")],
+    }
+}
