@@ -206,7 +206,7 @@ impl Dataset {
             })
             .collect();
         for (feature, size, values) in VECTORS {
-            let all = frames.iter().flat_map(|frame| values(frame)).map(|x| x as f32).collect();
+            let all = frames.iter().flat_map(values).map(|x| x as f32).collect();
             columns.push((feature.to_owned(), Column::FloatLists(size(form), all)));
         }
         let time = (0..n).map(|i| (i as f64 / f64::from(self.fps)) as f32).collect();

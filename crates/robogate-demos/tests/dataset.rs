@@ -1,5 +1,8 @@
 //! The layout of a dataset on disk, read back by a Parquet reader.
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 use std::fs::{self, File};
 
 use parquet::file::reader::{FileReader, SerializedFileReader};
@@ -23,7 +26,7 @@ impl Policy for Onward {
     }
 }
 
-const READY: [f64; 7] = [0.0, -0.785_398, 0.0, -2.356_194, 0.0, 1.570_796, 0.785_398];
+const READY: [f64; 7] = [0.0, -FRAC_PI_4, 0.0, -3.0 * FRAC_PI_4, 0.0, FRAC_PI_2, FRAC_PI_4];
 
 fn task() -> TaskSpec {
     TaskSpec {

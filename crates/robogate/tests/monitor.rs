@@ -25,7 +25,7 @@ fn path(dir: &TempDir, name: &str) -> String {
 fn row(i: u32) -> (f64, f64, &'static str, bool) {
     let unit = |step: u32| f64::from((i * step) % 97) / 96.0;
     let (friction, mass) = (0.05 + 1.15 * unit(31), 0.05 + 1.95 * unit(17));
-    let placement = if i % 2 == 0 { "center_0" } else { "edge_0" };
+    let placement = if i.is_multiple_of(2) { "center_0" } else { "edge_0" };
     (friction, mass, placement, friction + unit(53) > 0.2 + 0.3 * mass)
 }
 

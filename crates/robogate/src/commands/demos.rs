@@ -65,7 +65,7 @@ impl Demos {
         if self.n == 0 {
             return Err(usage("-n 0: at least one episode".to_owned()));
         }
-        let cell = Cell::new(self.world.world(), SuctionLaw::Vacuum, None).or_usage()?.with_pictures_of(self.size.into());
+        let cell = self.world.cell(SuctionLaw::Vacuum)?.with_pictures_of(self.size.into());
         let space = Arc::new(cell.space(Some(&self.space)).or_usage()?);
         let seed = Seed::campaign(self.seed);
         let design = Uniform.design(&space, self.n as usize, seed.stream("demonstrations")).or_usage()?;
