@@ -6,9 +6,7 @@ from pathlib import Path
 
 import warp as wp
 
-# Standard output carries the address alone, and that there is no GPU is as it should be.
-wp.config.log_level = wp.LOG_ERROR
-wp.init()
+# Standard output carries the address alone.
 wp.config.log_level = wp.LOG_WARNING
 
 from robogate_bridge import Problem, serve  # noqa: E402

@@ -31,6 +31,7 @@ class MujocoEngine(Engine):
             impratio=10.0,
             iterations=100,
             ls_iterations=50,
+            enable_multiccd=True,
             include_sites=False,
             kinematic_switchable_roots=False,
         )

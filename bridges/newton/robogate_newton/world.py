@@ -15,6 +15,7 @@ ROLLING = 5e-4
 
 # Time constant in which a contact or an end stop gives way, in seconds, and how stiff it is: as in RoboGate's own MuJoCo.
 CONTACT_SOLREF = (0.004, 1.0)
+SOLREF_AS_IT_IS = 1
 CONTACT_SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
 LIMIT_SOLIMP = (0.99, 0.999, 1e-4, 0.5, 2.0)
 
@@ -109,6 +110,7 @@ class Workshop:
             builder.joint_target_mode[q] = int(newton.JointTargetMode.POSITION_VELOCITY)
             self._set(builder, "mujoco:jnt_actgravcomp", q, True)
             self._set(builder, "mujoco:solreflimit", q, wp.vec2(*CONTACT_SOLREF))
+            self._set(builder, "mujoco:solreflimit_mode", q, SOLREF_AS_IT_IS)
             self._set(builder, "mujoco:solimplimit", q, wp.types.vector(5, float)(*LIMIT_SOLIMP))
         for body in range(len(bodies)):
             self._set(builder, "mujoco:gravcomp", body, 1.0)
@@ -237,6 +239,7 @@ class Workshop:
                 "mujoco:geom_priority": priority,
                 "mujoco:condim": 6 if rolls else 4,
                 "mujoco:solref": wp.vec2(*CONTACT_SOLREF),
+                "mujoco:solref_mode": SOLREF_AS_IT_IS,
                 "mujoco:geom_solimp": wp.types.vector(5, float)(*CONTACT_SOLIMP),
             }
         more = {"xform": place, "cfg": config, "custom_attributes": custom}

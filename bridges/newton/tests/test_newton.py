@@ -10,6 +10,7 @@ import unittest
 from itertools import product
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import warp as wp
 
@@ -52,7 +53,7 @@ class ThePhysics(unittest.TestCase):
                 self.assertFalse(hand.sight["object_on_fixture"])
                 for force in hand.sight["fingers"]:
                     self.assertAlmostEqual(force, 30.0, delta=0.3)
-                self.assertAlmostEqual(hand.sight["opening_m"], 0.05, delta=2e-3)
+                self.assertAlmostEqual(hand.sight["opening_m"], 0.05, delta=5e-4)
 
     def test_drops_below_coulombs_limit_and_holds_above_it(self):
         # 2 mu F carries m (g + a); the lift's acceleration is at most 1.02 m/s^2: 0.175 m, rest to rest, in 1 s.
@@ -135,6 +136,21 @@ class ThePhysics(unittest.TestCase):
             else:
                 np.testing.assert_allclose(got[key], value, atol=1e-7, err_msg=key)
 
+    def test_hands_mujoco_the_settings_of_robogates_own(self):
+        hand = begun("mujoco", "cylinder", friction=0.3)
+        model = hand.simulator._engine._model
+        self.assertEqual((model.opt.impratio, model.opt.cone, model.opt.integrator, model.opt.disableflags),
+                         (10.0, mujoco.mjtCone.mjCONE_ELLIPTIC, mujoco.mjtIntegrator.mjINT_IMPLICITFAST, 0))  # fmt: skip
+        thing = model.ngeom - 1
+        self.assertEqual((model.geom_condim[thing], model.geom_priority[thing]), (4, 1))
+        np.testing.assert_allclose(model.geom_solref[thing], [0.004, 1.0])
+        np.testing.assert_allclose(model.geom_solimp[thing], [0.95, 0.99, 0.001, 0.5, 2.0], rtol=1e-6)
+        np.testing.assert_allclose(model.geom_friction[thing], [0.3, 0.001, 5e-4], rtol=1e-6)
+        np.testing.assert_allclose(model.jnt_solref[:9], [[0.004, 1.0]] * 9)
+        np.testing.assert_allclose(model.eq_solref, [[0.004, 1.0]])
+        np.testing.assert_allclose(model.dof_armature[:9], [0.1] * 7 + [0.5] * 2)
+        np.testing.assert_allclose(model.body_gravcomp[1:12], 1.0)
+
     def test_a_driven_fixture_keeps_its_way_and_pushes_the_object(self):
         motion = {"velocity_m_s": [0.0, 0.2, 0.0], "starts_s": 0.2, "ends_s": 1.2}
         pusher = fixture("disturbance", {"kind": "box", "half": [0.03, 0.03, 0.04]}, [0.5, -0.1, 0.041], 0.0, motion)
@@ -143,7 +159,9 @@ class ThePhysics(unittest.TestCase):
                 hand = begun(solver, fixtures=[pusher])
                 hand.wait(1.5)
                 # It ends with its front at y = -0.1 + 0.2 + 0.03, the box of 5 cm before it.
-                self.assertAlmostEqual(hand.object[1], 0.13 + 0.025, delta=3e-3)
+                # MuJoCo's soft contact throws it off: README.md.
+                delta = {"mujoco": 0.03, "steel": 3e-3}[solver]
+                self.assertAlmostEqual(hand.object[1], 0.13 + 0.025, delta=delta)
                 self.assertLess(abs(hand.object[0] - 0.5), 5e-3)
 
     def test_what_slides_stops_where_coulombs_law_has_it_on_a_table_with_a_friction_of_its_own(self):
@@ -156,7 +174,8 @@ class ThePhysics(unittest.TestCase):
                 hand = Hand(SIMULATORS[solver], CHAIN, cell)
                 hand.wait(1.3)
                 slid = hand.object[1] - (-0.11 + 0.5 * 0.3 + 0.03 + 0.025)
-                self.assertAlmostEqual(slid, 0.3**2 / (2.0 * on_table * G), delta=0.08 * slid)
+                delta = {"mujoco": 2.5e-3, "steel": 1e-3}[solver]
+                self.assertAlmostEqual(slid, 0.3**2 / (2.0 * on_table * G), delta=delta)
 
     def test_a_ball_that_rolls_comes_to_rest(self):
         # Pushed to 0.2 m/s, rolling friction of 0.5 mm stops a ball of 2.5 cm radius: the loss is 5/7 of g times
