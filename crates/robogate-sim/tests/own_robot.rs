@@ -5,10 +5,12 @@ use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{Assignment, Outcome, Scenario, Seed, rollout};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use robogate_core::{Assignment, Image, Outcome, Scenario, Seed, Simulator, rollout};
+use robogate_sim::camera::{Cameras, Pinhole, Posture};
 use robogate_sim::{
-    Engine, Inspection, MujocoEngine, PickPlace, Robot, Scripted, built_in_robot, built_in_robots, inspect,
+    Engine, Inspection, MujocoEngine, PickPlace, Placement, Robot, Scene, SceneParameters, Scripted, built_in_robot,
+    built_in_robots, inspect,
 };
 
 const MODEL: &str = include_str!("../../../assets/robots/franka/franka.xml");
@@ -93,6 +95,31 @@ fn a_robot_as_the_menagerie_writes_it_picks_and_places() {
     let mut simulator = PickPlace::new(engine, None).unwrap();
     let scenario = Scenario { index: 0, seed: Seed::campaign(1).episode(0), requested: Assignment::default() };
     assert_eq!(rollout(&mut simulator, &mut policy, &scenario).outcome, Outcome::Success);
+    assert_eq!(simulator.render().unwrap().len(), 2);
+
+    // Its visual mesh is seen; the collision shapes in group 3 are not.
+    let without = change(&model, "<geom mesh=\"wrist\" class=\"visual\"/>", "");
+    let files = [("franka.xml", without.as_str()), ("robot.toml", &settings), ("assets/wrist.obj", MESH)];
+    let bare = Robot::from_folder(&folder("menagerie-bare", &files)).unwrap();
+    let [with, without] = [Robot::from_folder(&own).unwrap(), bare].map(|robot| wrist_from_the_side(&robot));
+    let changed = with.rgb.chunks_exact(3).zip(without.rgb.chunks_exact(3)).filter(|(a, b)| a != b).count();
+    assert!(changed > 100, "{changed} pixels");
+}
+
+/// A picture of the last link at home, from 35 cm beside it.
+fn wrist_from_the_side(robot: &Robot) -> Image {
+    let parameters = SceneParameters::default();
+    let placement = Placement::from_name(&parameters.placement).unwrap();
+    let scene = Scene::new(&parameters, &placement, &mut Seed::campaign(1).stream("obstacles")).unwrap();
+    let mut cameras = Cameras::new(robot).unwrap();
+    cameras.set_up(&scene);
+    let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).unwrap();
+    let joints = robot.settings.arm.home_rad.clone();
+    let flange = Point3::from(engine.chain().flange_at(&joints).translation.vector) + Vector3::z() * 0.05;
+    let pose = Pinhole::looking(flange + Vector3::y() * 0.35, flange, &Vector3::z());
+    let fixtures = scene.fixtures.iter().map(|fixture| fixture.part.pose).collect();
+    let posture = Posture { joints, opening_m: Some(0.08), object: scene.object_pose, fixtures };
+    cameras.view(&Pinhole { pose, field_of_view_rad: 0.6, width: 64, height: 64 }, &posture).unwrap()
 }
 
 /// The UR5e's rows (d, a, alpha), standard Denavit-Hartenberg.
@@ -164,6 +191,11 @@ fn a_urdf_with_sites_from_its_settings_moves_as_the_table_says() {
         let off = (flange * Isometry3::translation(0.0, 0.0, 0.12)).inverse() * engine.chain().tcp_at(&q);
         assert!(off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-6);
     }
+    // Only MuJoCo can read it, so it has no cameras; everything else works.
+    let mut simulator = PickPlace::new(engine, None).unwrap();
+    let scenario = Scenario { index: 0, seed: Seed::campaign(1).episode(0), requested: Assignment::default() };
+    let why = simulator.reset(&scenario).and_then(|_| simulator.render()).unwrap_err().to_string();
+    assert!(why.contains("this robot cannot be drawn"), "{why}");
 }
 
 #[test]

@@ -241,6 +241,11 @@ impl Caster {
                 bar(u, *radius, width) * bar(v.abs(), flat + round, width)
             }
             Figure::Hexagon { edges, axes, half } => {
+                // Outside the widest edge that the shadow can have here; so are most points of a cell.
+                let widest = blur(self.radius - off.z);
+                if edges.iter().any(|(normal, reach)| off.xy().dot(normal).abs() >= reach + widest) {
+                    return 0.0;
+                }
                 // Where the ray to the lamp is inside the box.
                 let (mut enters, mut leaves) = (-1e9_f32, 1e9_f32);
                 for i in 0..3 {
