@@ -18,6 +18,7 @@ pub(crate) struct Description {
     /// Pairs of joints of which one follows the other.
     pub(crate) couplings: Vec<Coupling>,
     /// The chain from the base to the tool.
+    #[cfg_attr(not(feature = "rapier"), expect(dead_code, reason = "Rapier builds its bodies from it"))]
     pub(crate) chain: Chain,
     /// The link that carries the tool centre point, and its pose there.
     pub(crate) tcp: (usize, Isometry3<f64>),
@@ -54,13 +55,16 @@ pub(crate) struct LinkJoint {
     pub(crate) slides: bool,
     pub(crate) range: Option<[f64; 2]>,
     /// Reflected inertia of the drive, in kg m^2 or kg.
+    #[cfg_attr(not(feature = "rapier"), expect(dead_code, reason = "Rapier builds its bodies from it"))]
     pub(crate) armature: f64,
     /// Viscous damping, in N m s/rad or N s/m.
+    #[cfg_attr(not(feature = "rapier"), expect(dead_code, reason = "Rapier builds its bodies from it"))]
     pub(crate) damping: f64,
 }
 
 /// A convex solid of a link.
 #[derive(Debug, Clone)]
+#[cfg_attr(not(feature = "rapier"), expect(dead_code, reason = "Rapier builds its bodies from it"))]
 pub(crate) struct LinkShape {
     pub(crate) solid: Solid,
     /// Its pose in the link's frame.

@@ -8,7 +8,6 @@
 pub mod camera;
 mod cell;
 pub mod claims;
-#[cfg(feature = "rapier")]
 mod description;
 mod disturbance;
 mod engine;
