@@ -157,8 +157,8 @@ def main():
         "river KSWIN": lambda: drift.KSWIN(seed=1),
         "river DDM": binary.DDM,
         "river EDDM": binary.EDDM,
-        "river HDDM_A": binary.HDDM_A,
-        "river HDDM_W": binary.HDDM_W,
+        "river HDDM_A": binary.HDDMA,
+        "river HDDM_W": binary.HDDMW,
     }.items():
         row(name, lambda n, make=make: Rivers(n, make), n // 2, max(n // 10, 10), seed, True)
     for limit in (2_000, 50_000):

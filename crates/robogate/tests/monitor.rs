@@ -1,0 +1,177 @@
+//! `robogate monitor` as its user meets it.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Command, Output, Stdio};
+
+use robogate_monitor::{Cycle, Reference};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+fn robogate(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_robogate")).args(arguments).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+fn path(dir: &TempDir, name: &str) -> String {
+    dir.path().join(name).to_str().unwrap().to_owned()
+}
+
+/// The parameters and outcome of row `i` of a campaign: failures grow with the mass.
+fn row(i: u32) -> (f64, f64, &'static str, bool) {
+    let unit = |step: u32| f64::from((i * step) % 97) / 96.0;
+    let (friction, mass) = (0.05 + 1.15 * unit(31), 0.05 + 1.95 * unit(17));
+    let placement = if i % 2 == 0 { "center_0" } else { "edge_0" };
+    (friction, mass, placement, friction + unit(53) > 0.2 + 0.3 * mass)
+}
+
+/// A dictionary of 970 rows in the published form, and the reference made from it.
+fn reference(dir: &TempDir) -> (String, Reference) {
+    let experiments: Vec<Value> = (0..970)
+        .map(|i| {
+            let (friction, mass, placement, success) = row(i);
+            json!({
+                "sample_idx": i, "friction": friction, "mass": mass, "placement": placement, "success": success,
+                "failure_type": if success { "none" } else { "grasp_miss" }, "cycle_time": 4.0,
+            })
+        })
+        .collect();
+    let document = json!({ "metadata": { "robot": "ur5e" }, "summary": {}, "experiments": experiments });
+    let (run, file) = (path(dir, "run.json"), path(dir, "reference.json"));
+    fs::write(&run, document.to_string()).unwrap();
+    let output = robogate(&["monitor", "reference", &run, "--out", &file]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let reference: Reference = serde_json::from_str(&fs::read_to_string(&file).unwrap()).unwrap();
+    (file, reference)
+}
+
+fn cycle(i: u32, mass: f64, success: bool) -> Value {
+    let (friction, _, placement, _) = row(i);
+    json!({
+        "id": format!("c{i}"), "robot": "cell-1", "recipe": "bracket", "time_s": 1_795_254_000 + 4 * i, "success": success,
+        "parameters": { "friction": friction, "mass_kg": mass, "placement": placement },
+    })
+}
+
+#[test]
+fn the_references_risk_is_that_of_the_rows_and_none_of_them_lies_outside() {
+    let dir = tempfile::tempdir().unwrap();
+    let (_, reference) = reference(&dir);
+    let (mut risk, mut failures) = (0.0, 0.0);
+    for i in 0..970 {
+        let (_, mass, _, success) = row(i);
+        let cycle: Cycle = serde_json::from_value(cycle(i, mass, success)).unwrap();
+        let judged = reference.domain.judge(&cycle, |place, value| panic!("row {i}: parameter {place} is {value:?}"));
+        assert_eq!(judged.outside, Some(false), "row {i}");
+        risk += judged.risk.unwrap();
+        failures += f64::from(u8::from(!success));
+    }
+    // At the maximum of the likelihood the derivative by the intercept, Σ (y - p), is 0.
+    assert!(failures > 50.0 && (risk - failures).abs() < 1e-6 * failures, "{risk} expected, {failures} seen");
+    let success = reference.baseline.success.unwrap();
+    assert_eq!((success.count, success.of), (970 - failures as u64, 970));
+}
+
+#[test]
+fn a_feed_that_ends_in_a_critical_alarm_has_the_exit_code_1_and_a_quiet_one_0() {
+    let dir = tempfile::tempdir().unwrap();
+    let (reference, _) = reference(&dir);
+    let feed = path(&dir, "cycles.jsonl");
+    // Masses as they were validated, then others.
+    let write = |after: Option<f64>| {
+        let mass = |i: u32| after.filter(|_| i >= 900).unwrap_or(row(i).1);
+        let lines: String = (0..1_200).map(|i| format!("{}\n", cycle(i, mass(i), true))).collect();
+        fs::write(&feed, lines).unwrap();
+    };
+    write(None);
+    let quiet = robogate(&["monitor", "serve", &feed, "--reference", &reference]);
+    assert_eq!((quiet.status.code(), text(&quiet.stdout)), (Some(0), String::new()), "{}", text(&quiet.stderr));
+    write(Some(2.5));
+    let loud = robogate(&["monitor", "serve", &feed, "--reference", &format!("bracket={reference}")]);
+    assert_eq!(loud.status.code(), Some(1), "{}", text(&loud.stderr));
+    assert!(text(&loud.stderr).contains("300 outside what was validated"), "{}", text(&loud.stderr));
+    let alarms: Vec<Value> = text(&loud.stdout).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let critical = alarms.iter().find(|alarm| alarm["level"] == "critical").unwrap();
+    assert_eq!((&critical["metric"], &critical["recipe"]), (&json!("outside"), &json!("bracket")));
+    assert!(critical["look_at"][0].as_str().unwrap().starts_with("mass_kg: 2.5 in"), "{critical}");
+}
+
+#[test]
+fn a_feed_without_a_cycle_and_what_cannot_be_settings_are_told_apart_from_success() {
+    let dir = tempfile::tempdir().unwrap();
+    let (empty, settings) = (path(&dir, "empty.jsonl"), path(&dir, "monitor.toml"));
+    fs::write(&empty, "\nno cycle\n").unwrap();
+    let nothing = robogate(&["monitor", "serve", &empty]);
+    assert_eq!(nothing.status.code(), Some(4), "{}", text(&nothing.stderr));
+    assert!(text(&nothing.stderr).contains("line 2: "), "{}", text(&nothing.stderr));
+    for (wrong, because) in [
+        ("[detectors]\nwarning_cycles = 0", "warning_cycles"),
+        ("[detectors.baseline]\nsuccess = { count = 9, of = 5 }", "9 of 5"),
+        ("[http]\nhead_s = 1e300", "head_s"),
+        ("speed = 9", "speed"),
+    ] {
+        fs::write(&settings, wrong).unwrap();
+        let refused = robogate(&["monitor", "serve", &empty, "--settings", &settings]);
+        assert_eq!(refused.status.code(), Some(2), "{wrong}");
+        assert!(text(&refused.stderr).contains(because), "{}", text(&refused.stderr));
+    }
+    for arguments in [
+        vec!["monitor", "serve"],
+        vec!["monitor", "serve", "--listen", "127.0.0.1:0"],
+        vec!["monitor", "serve", "nowhere.jsonl"],
+        vec!["monitor", "serve", &empty, "--reference", &empty],
+    ] {
+        assert_eq!(robogate(&arguments).status.code(), Some(2), "{arguments:?}");
+    }
+    let store = path(&dir, "monitor.db");
+    let open = robogate(&["monitor", "serve", "--store", &store, "--listen", "0.0.0.0:0"]);
+    assert_eq!(open.status.code(), Some(2));
+    assert!(text(&open.stderr).contains("--token-file"), "{}", text(&open.stderr));
+}
+
+#[test]
+fn a_pipe_is_heard_line_by_line_and_a_line_too_long_is_refused() {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args(["monitor", "serve", "-"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut pipe = child.stdin.take().unwrap();
+    for i in 0..600 {
+        writeln!(pipe, "{}", cycle(i, 0.3, i % 20 != 0)).unwrap();
+    }
+    writeln!(pipe, "{}", "x".repeat(3_000_000)).unwrap();
+    for i in 600..900 {
+        writeln!(pipe, "{}", cycle(i, 0.3, false)).unwrap();
+    }
+    pipe.flush().unwrap();
+    // The pipe is open: an alarm does not wait for its end.
+    let mut alarm = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut alarm).unwrap();
+    assert!(alarm.contains("\"raised\""), "{alarm}");
+    drop(pipe);
+    let output = child.wait_with_output().unwrap();
+    let said = text(&output.stderr);
+    assert!(said.contains("line 601: longer than") && said.contains("900 cycles accepted"), "{said}");
+    assert_eq!(output.status.code(), Some(1));
+}
+
+#[test]
+fn the_simulation_is_a_document_with_the_papers_rule_beside_the_promise() {
+    let output = robogate(&["monitor", "simulate", "--streams", "20", "--json", "--cycle-s", "10"]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let document: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((&document["version"], &document["cycles_per_day"]), (&json!(1), &json!(8_640.0)));
+    let figures = document["figures"].as_array().unwrap();
+    assert_eq!(figures.len(), 4);
+    assert!(figures.iter().all(|figure| figure["delays"].as_array().unwrap().len() == 3));
+    let promised: Vec<&Value> = figures.iter().map(|figure| &figure["promised_cycles"]).collect();
+    assert_eq!(promised, [&Value::Null, &json!(2_000.0), &Value::Null, &json!(50_000.0)]);
+    assert_eq!(robogate(&["monitor", "simulate", "--rate", "1.5"]).status.code(), Some(2));
+}
