@@ -46,11 +46,13 @@ pub enum Metric {
     Outside,
     /// The failure rate that the risk model expects.
     Risk,
+    /// The rate of failures of one robot among several.
+    Robot,
 }
 
 impl Metric {
     /// Every metric.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Success,
         Self::Drop,
         Self::Collision,
@@ -59,6 +61,7 @@ impl Metric {
         Self::FailureModes,
         Self::Outside,
         Self::Risk,
+        Self::Robot,
     ];
 
     /// Its word in data.
@@ -72,6 +75,7 @@ impl Metric {
             Self::FailureModes => "failure_modes",
             Self::Outside => "outside",
             Self::Risk => "risk",
+            Self::Robot => "robot",
         }
     }
 
@@ -86,6 +90,7 @@ impl Metric {
             Self::FailureModes => "mix of failure modes",
             Self::Outside => "cycles outside what was validated",
             Self::Risk => "expected failure rate",
+            Self::Robot => "failure rate of one robot",
         }
     }
 }

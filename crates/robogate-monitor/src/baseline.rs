@@ -104,7 +104,7 @@ impl Baseline {
             factors::event(bound(trials, failures, alpha)).ok_or(ROOM)
         };
         match metric {
-            Metric::Success => event(self.success, true),
+            Metric::Success | Metric::Robot => event(self.success, true),
             Metric::Drop => event(self.drop, false),
             Metric::Collision => event(self.collision, false),
             Metric::CycleTime | Metric::CycleTimeSpread => {

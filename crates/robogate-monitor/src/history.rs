@@ -19,11 +19,13 @@ pub(crate) struct Symbols {
     pub(crate) cycle_time_s: f32,
     /// Failed, drop, collision, bin of the cycle time, failure mode, outside, step of the risk.
     pub(crate) codes: [u8; 7],
+    /// The robot's place in its recipe.
+    pub(crate) robot: u16,
 }
 
 impl Symbols {
     /// A cycle's symbols. `bin` puts a cycle time into its bin, where the bins are known.
-    pub(crate) fn of(cycle: &Cycle, judged: Judged, bin: impl Fn(f64) -> u8) -> Self {
+    pub(crate) fn of(cycle: &Cycle, robot: u16, judged: Judged, bin: impl Fn(f64) -> u8) -> Self {
         let flag = |flag: Option<bool>| flag.map_or(ABSENT, u8::from);
         let cycle_time = cycle.cycle_time_s.filter(|_| cycle.success);
         Self {
@@ -38,6 +40,7 @@ impl Symbols {
                 flag(judged.outside),
                 judged.risk.map_or(ABSENT, factors::risk_step),
             ],
+            robot,
         }
     }
 
@@ -45,7 +48,7 @@ impl Symbols {
     pub(crate) fn code(&self, metric: Metric) -> Option<u8> {
         let [failed, drop, collision, bin, mode, outside, risk] = self.codes;
         let code = match metric {
-            Metric::Success => failed,
+            Metric::Success | Metric::Robot => failed,
             Metric::Drop => drop,
             Metric::Collision => collision,
             Metric::CycleTime | Metric::CycleTimeSpread => bin,
@@ -101,7 +104,7 @@ mod tests {
     #[test]
     fn the_ring_keeps_the_newest_in_order() {
         let mut history = History::new(3);
-        let at = |time_s| Symbols { time_s, cycle_time_s: -1.0, codes: [0; 7] };
+        let at = |time_s| Symbols { time_s, cycle_time_s: -1.0, codes: [0; 7], robot: 0 };
         for i in 0..8 {
             history.push(at(f64::from(i)));
             let times: Vec<f64> = history.newest_first().map(|s| s.time_s).collect();

@@ -47,7 +47,7 @@ pub struct RecipeState {
     pub(crate) history: History,
     /// One for each parameter of the envelope in its order, and one for their combination.
     pub(crate) outside: Vec<OutsideTally>,
-    pub(crate) robots: BTreeMap<String, RobotTally>,
+    pub(crate) robots: BTreeMap<String, RobotState>,
 }
 
 /// An alarm that stands.
@@ -89,6 +89,13 @@ impl OutsideTally {
     }
 }
 
+impl RobotState {
+    fn forget(&mut self) {
+        self.evidence = None;
+        self.standing = [None; 2];
+    }
+}
+
 /// What one robot did in one recipe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct RobotTally {
@@ -107,6 +114,49 @@ pub struct DetectorView {
     pub levels: Result<[(f64, f64); 2], &'static str>,
     /// What stands, for each level.
     pub standing: [Option<Standing>; 2],
+}
+
+/// All that is remembered of one robot in one recipe.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct RobotState {
+    pub(crate) tally: RobotTally,
+    /// Its place in the order in which robots were first heard.
+    pub(crate) place: u16,
+    pub(crate) evidence: Option<[Evidence; 2]>,
+    pub(crate) standing: [Option<Standing>; 2],
+}
+
+/// The place of robots that are not told apart.
+const NO_PLACE: u16 = u16::MAX;
+
+/// What a symbol did to a detector's alarm.
+enum Turn {
+    Raised,
+    Cleared(Standing),
+}
+
+/// Lets a detector hear a symbol at one level.
+fn turn(
+    (factors, evidence): (&Factors, &mut Evidence),
+    code: u8,
+    limit: f64,
+    standing: &mut Option<Standing>,
+    now: u64,
+    clear_after: u64,
+) -> Option<Turn> {
+    if evidence.update(factors, code) >= limit {
+        evidence.restart();
+        if let Some(standing) = standing {
+            standing.last = now;
+            standing.times += 1;
+            return None;
+        }
+        *standing = Some(Standing { raised: now, last: now, times: 1 });
+        return Some(Turn::Raised);
+    }
+    let stood = standing.filter(|stood| now.saturating_sub(stood.last) >= clear_after)?;
+    *standing = None;
+    Some(Turn::Cleared(stood))
 }
 
 impl Recipe {
@@ -144,6 +194,7 @@ impl Recipe {
             state.evidence = Default::default();
             state.standing = Default::default();
             (state.paper, state.paper_said) = (None, None);
+            state.robots.values_mut().for_each(RobotState::forget);
         }
         if !state.history.fits(settings.history_cycles as usize) {
             state.history = History::new(settings.history_cycles as usize);
@@ -185,6 +236,11 @@ impl Recipe {
             }),
         };
         self.factors[i] = factors;
+        if let (Metric::Robot, Some(factors)) = (metric, &self.factors[i]) {
+            for robot in self.state.robots.values_mut() {
+                robot.evidence = robot.evidence.take().filter(|both| both.iter().all(|e| e.fits(factors)));
+            }
+        }
     }
 
     fn new_factors(&self, metric: Metric, settings: &Settings) -> Result<Factors, &'static str> {
@@ -201,15 +257,17 @@ impl Recipe {
     pub fn observe(&mut self, cycle: &Cycle, settings: &Settings, said: &mut dyn FnMut(Alarm)) -> Judged {
         self.state.cycles += 1;
         let judged = self.judge(cycle);
+        let robot = self.count_robot(cycle, settings);
         let binned = self.binned.as_ref();
-        let symbols = Symbols::of(cycle, judged, |t| binned.map_or(crate::history::ABSENT, |b| b.bin(t)));
+        let symbols = Symbols::of(cycle, robot, judged, |t| binned.map_or(crate::history::ABSENT, |b| b.bin(t)));
         self.state.successes += u64::from(cycle.success);
-        self.count_robot(cycle, settings);
         self.state.history.push(symbols);
         self.hear_paper(cycle, settings, said);
         for metric in Metric::ALL {
-            if let Some(code) = symbols.code(metric) {
-                self.hear(metric, code, cycle, settings, said);
+            match symbols.code(metric) {
+                Some(code) if metric == Metric::Robot => self.hear_robot(code, cycle, settings, said),
+                Some(code) => self.hear(metric, code, cycle, settings, said),
+                None => {}
             }
         }
         self.learn(&symbols, settings);
@@ -232,14 +290,53 @@ impl Recipe {
         judged
     }
 
-    fn count_robot(&mut self, cycle: &Cycle, settings: &Settings) {
+    /// Counts the robot's cycle and returns its place.
+    fn count_robot(&mut self, cycle: &Cycle, settings: &Settings) -> u16 {
         let robots = &mut self.state.robots;
         if !robots.contains_key(cycle.robot.as_str()) && robots.len() < settings.most_robots as usize {
-            robots.insert(cycle.robot.clone(), RobotTally::default());
+            let place = u16::try_from(robots.len()).unwrap_or(NO_PLACE);
+            let fresh = RobotState { tally: RobotTally::default(), place, evidence: None, standing: [None; 2] };
+            robots.insert(cycle.robot.clone(), fresh);
         }
-        if let Some(tally) = robots.get_mut(cycle.robot.as_str()) {
-            tally.cycles += 1;
-            tally.successes += u64::from(cycle.success);
+        let Some(robot) = robots.get_mut(cycle.robot.as_str()) else { return NO_PLACE };
+        robot.tally.cycles += 1;
+        robot.tally.successes += u64::from(cycle.success);
+        robot.place
+    }
+
+    /// Lets the robot's own detector hear its cycle, where there are others beside it.
+    ///
+    /// A robot's evidence grows with its own cycles only, so all robots of all recipes have one share of the false alarms.
+    fn hear_robot(&mut self, code: u8, cycle: &Cycle, settings: &Settings, said: &mut dyn FnMut(Alarm)) {
+        let metric = Metric::Robot;
+        let (now, several) = (self.state.cycles, self.state.robots.len() > 1);
+        for level in Level::ALL {
+            let Some(factors) = &self.factors[metric as usize] else { return };
+            let Some(robot) = self.state.robots.get_mut(cycle.robot.as_str()).filter(|_| several) else { return };
+            let none = || [Evidence::none(factors), Evidence::none(factors)];
+            let evidence = &mut robot.evidence.get_or_insert_with(none)[level as usize];
+            let (standing, limit) = (&mut robot.standing[level as usize], settings.limit(metric, level));
+            let turned = turn((factors, evidence), code, limit, standing, now, settings.clear_after_cycles);
+            self.tell(turned, metric, level, cycle, settings, said);
+        }
+    }
+
+    fn tell(
+        &mut self,
+        turned: Option<Turn>,
+        metric: Metric,
+        level: Level,
+        cycle: &Cycle,
+        settings: &Settings,
+        said: &mut dyn FnMut(Alarm),
+    ) {
+        match turned {
+            Some(Turn::Raised) => {
+                self.state.raised += 1;
+                said(words::raised(self, metric, level, cycle, settings));
+            }
+            Some(Turn::Cleared(stood)) => said(words::cleared(self, metric, level, cycle, settings, stood)),
+            None => {}
         }
     }
 
@@ -257,31 +354,13 @@ impl Recipe {
     }
 
     fn hear(&mut self, metric: Metric, code: u8, cycle: &Cycle, settings: &Settings, said: &mut dyn FnMut(Alarm)) {
-        let i = metric as usize;
+        let (i, now) = (metric as usize, self.state.cycles);
         for level in Level::ALL {
             let (Some(factors), Some(evidence)) = (&self.factors[i], &mut self.state.evidence[i]) else { return };
-            let evidence = &mut evidence[level as usize];
-            let now = self.state.cycles;
-            let standing = &mut self.state.standing[i][level as usize];
-            if evidence.update(factors, code) >= settings.limit(metric, level) {
-                evidence.restart();
-                match standing {
-                    Some(standing) => {
-                        standing.last = now;
-                        standing.times += 1;
-                    }
-                    None => {
-                        *standing = Some(Standing { raised: now, last: now, times: 1 });
-                        self.state.raised += 1;
-                        said(words::raised(self, metric, level, cycle, settings));
-                    }
-                }
-            } else if let Some(stood) = *standing
-                && now.saturating_sub(stood.last) >= settings.clear_after_cycles
-            {
-                *standing = None;
-                said(words::cleared(self, metric, level, cycle, settings, stood));
-            }
+            let (standing, limit) = (&mut self.state.standing[i][level as usize], settings.limit(metric, level));
+            let heard = (factors, &mut evidence[level as usize]);
+            let turned = turn(heard, code, limit, standing, now, settings.clear_after_cycles);
+            self.tell(turned, metric, level, cycle, settings, said);
         }
     }
 
@@ -295,6 +374,7 @@ impl Recipe {
                 let rate = self.state.baseline.success_rate();
                 self.state.paper = rate.map(|rate| PaperWindow::new(&settings.paper, rate));
                 self.begin(Metric::Risk, settings);
+                self.begin(Metric::Robot, settings);
             }
         }
     }
@@ -305,6 +385,7 @@ impl Recipe {
         self.state.standing = Default::default();
         self.state.began = [self.state.cycles; Metric::ALL.len()];
         self.state.outside.fill(OutsideTally::default());
+        self.state.robots.values_mut().for_each(RobotState::forget);
     }
 
     /// Each parameter of the envelope with what was validated and what lay outside since the detectors began; then, without
@@ -343,13 +424,16 @@ impl Recipe {
 
     /// What each robot did in it, by name.
     pub fn robots(&self) -> impl Iterator<Item = (&str, RobotTally)> {
-        self.state.robots.iter().map(|(name, tally)| (name.as_str(), *tally))
+        self.state.robots.iter().map(|(name, robot)| (name.as_str(), robot.tally))
     }
 
     /// Where each detector stands.
     pub fn detectors(&self, settings: &Settings) -> [DetectorView; Metric::ALL.len()] {
         Metric::ALL.map(|metric| {
             let i = metric as usize;
+            if metric == Metric::Robot {
+                return self.robot_detector(settings);
+            }
             let levels = match (&self.factors[i], &self.state.evidence[i]) {
                 (Some(factors), Some(evidence)) => {
                     Ok(Level::ALL.map(|level| (evidence[level as usize].value(factors), settings.limit(metric, level))))
@@ -360,9 +444,31 @@ impl Recipe {
         })
     }
 
+    /// The highest evidence of any robot, and the alarm of a robot that stands longest.
+    fn robot_detector(&self, settings: &Settings) -> DetectorView {
+        let metric = Metric::Robot;
+        let robots = || self.state.robots.values();
+        let levels = match &self.factors[metric as usize] {
+            _ if self.state.robots.len() < 2 => Err("there is one robot"),
+            None => Err(self.new_factors(metric, settings).err().unwrap_or("it has not begun")),
+            Some(factors) => Ok(Level::ALL.map(|level| {
+                let evidence =
+                    robots().filter_map(|robot| Some(robot.evidence.as_ref()?[level as usize].value(factors)));
+                (evidence.fold(0.0, f64::max), settings.limit(metric, level))
+            })),
+        };
+        let first = |level: Level| {
+            let standing = robots().filter_map(|robot| robot.standing[level as usize]);
+            standing.min_by_key(|standing| standing.raised)
+        };
+        DetectorView { metric, levels, standing: Level::ALL.map(first) }
+    }
+
     /// The gravest level that stands, of any rule.
     pub fn level(&self) -> Option<Level> {
-        let stands = |level: Level| self.state.standing.iter().any(|both| both[level as usize].is_some());
+        let robots = self.state.robots.values().map(|robot| &robot.standing);
+        let all = || self.state.standing.iter().chain(robots.clone());
+        let stands = |level: Level| all().any(|both| both[level as usize].is_some());
         let detectors = Level::ALL.into_iter().rev().find(|level| stands(*level));
         detectors.max(self.state.paper_said)
     }

@@ -11,6 +11,9 @@ use crate::baseline::{Baseline, BaselineError};
 use crate::domain::{Domain, DomainError};
 use crate::paper::PaperRule;
 
+/// Bounds that a baseline gives: failures, drops, collisions, the cycle time's location and spread, the modes.
+const BOUNDS: f64 = 6.0;
+
 /// The settings of the monitor. What is absent has its default.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -79,7 +82,7 @@ impl Default for Settings {
 /// A metric with the share v alarms when its statistic M reaches A / v. Each M grows by at most one for each cycle while nothing
 /// changes, and only with the cycles of its own recipe; so Σ v M, over all metrics and recipes, is at most the number of cycles
 /// heard, in the mean. The mean number of cycles until the first false alarm of any metric in any recipe is therefore
-/// at least A. Recipes cost nothing: the more there are, the fewer cycles each has.
+/// at least A. Recipes cost nothing: the more there are, the fewer cycles each has; nor do the robots of a recipe.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Shares {
@@ -99,19 +102,22 @@ pub struct Shares {
     pub outside: f64,
     /// Of the failure rate that the risk model expects.
     pub risk: f64,
+    /// Of the failure rate of one robot, all robots together.
+    pub robot: f64,
 }
 
 impl Default for Shares {
     fn default() -> Self {
         Self {
             success: 0.4,
-            drop: 0.1,
-            collision: 0.1,
+            drop: 0.075,
+            collision: 0.075,
             cycle_time: 0.1,
             cycle_time_spread: 0.05,
-            failure_modes: 0.1,
+            failure_modes: 0.075,
             outside: 0.075,
             risk: 0.075,
+            robot: 0.075,
         }
     }
 }
@@ -128,6 +134,7 @@ impl Shares {
             Metric::FailureModes => self.failure_modes,
             Metric::Outside => self.outside,
             Metric::Risk => self.risk,
+            Metric::Robot => self.robot,
         }
     }
 }
@@ -196,6 +203,7 @@ impl Settings {
         for (recipe, baseline) in std::iter::once(("*", &self.baseline)).chain(named) {
             baseline.check().map_err(|error| SettingsError::Baseline { recipe: recipe.to_owned(), error })?;
         }
+        within("most_robots", self.most_robots.into(), 1.0, 65_000.0, "from 1 to 65000")?;
         within("outside_share", self.outside_share, 0.0, 0.5, "from 0 to 0.5")?;
         let common = self.domain.iter().map(|domain| ("*", domain));
         for (recipe, domain) in common.chain(self.domains.iter().map(|(name, domain)| (name.as_str(), domain))) {
@@ -219,7 +227,7 @@ impl Settings {
 
     /// The chance that one bound of a baseline is wrong, so that all of them hold together with the confidence set.
     pub fn alpha(&self) -> f64 {
-        (1.0 - self.baseline_confidence) / Metric::ALL.len() as f64
+        (1.0 - self.baseline_confidence) / BOUNDS
     }
 
     /// What was validated for a recipe.

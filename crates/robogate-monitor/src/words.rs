@@ -84,11 +84,13 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
     let began = state.began[metric as usize];
     // Only what the detector has heard: the cycles that taught the baseline are not held against it.
     let heard = usize::try_from(state.cycles.saturating_sub(began)).unwrap_or(usize::MAX);
+    let place = state.robots.get(&cycle.robot).map(|robot| robot.place);
     let kept: Vec<(u64, &Symbols, u8)> = state
         .history
         .newest_first()
         .take(heard)
         .enumerate()
+        .filter(|(_, symbols)| metric != Metric::Robot || Some(symbols.robot) == place)
         .filter_map(|(back, symbols)| Some((state.cycles.saturating_sub(back as u64), symbols, symbols.code(metric)?)))
         .collect();
     let found = recipe.factors[metric as usize]
@@ -96,7 +98,7 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
         .and_then(|factors| change_point(factors, kept.iter().map(|(_, _, code)| *code)));
     let since = found.and_then(|found| since(&found, &kept));
     let after = kept.get(..found.map_or(kept.len(), |f| f.likeliest + 1)).unwrap_or(&kept);
-    let what = what(recipe, metric, after, settings);
+    let what = what(recipe, metric, after, &cycle.robot, settings);
     let promise = grouped(settings.promise(level));
     let how_sure = format!(
         "The evidence reached {}; without a change, the first {} of any kind comes after {promise} cycles or more in the mean.",
@@ -106,7 +108,9 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
             Level::Critical => "critical alarm",
         }
     );
-    let mode = matches!(metric, Metric::Success | Metric::FailureModes).then(|| grown_mode(recipe, after)).flatten();
+    let mode = matches!(metric, Metric::Success | Metric::FailureModes | Metric::Robot)
+        .then(|| grown_mode(recipe, after))
+        .flatten();
     let first = since.map_or(began, |since| since.cycles_95[0]);
     let mut look_at = look_at(recipe, metric, settings, mode);
     if matches!(metric, Metric::Outside | Metric::Risk) {
@@ -146,7 +150,7 @@ fn since(found: &ChangePoint, kept: &[(u64, &Symbols, u8)]) -> Option<Since> {
     })
 }
 
-fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], settings: &Settings) -> String {
+fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], robot: &str, settings: &Settings) -> String {
     let baseline = recipe.baseline();
     let before = |count: Option<crate::Count>, failures: bool| {
         let trials = count.and_then(crate::Count::trials).unwrap_or(Trials::NONE);
@@ -206,6 +210,10 @@ fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], settings
             }
             None => "The mix of failure modes changed.".to_owned(),
         },
+        Metric::Robot => {
+            let before = before(baseline.success, true);
+            format!("Robot {robot} fails at {} over its last {n} cycles; the baseline is {before}.", events())
+        }
         Metric::Outside => format!(
             "{} of the last {n} cycles lie outside what was validated; at most {} were to be expected.",
             events(),
@@ -298,6 +306,7 @@ fn look_at(recipe: &Recipe, metric: Metric, settings: &Settings, mode: Option<u8
         Metric::CycleTime => "speed override, retries of the grasp, joint friction, network or camera delays",
         Metric::CycleTimeSpread => "retries of the grasp, intermittent delays, mixed parts under one recipe",
         Metric::FailureModes => "what changed in the cell since then, even while the success rate holds",
+        Metric::Robot => "this robot: its gripper, calibration and load; the others have the same parts and software",
         Metric::Outside => "parts, fixtures or lighting that the gate never saw: validate them, or keep them out",
         Metric::Risk => "harder parts or conditions than the gate's, even while the success rate holds",
     };

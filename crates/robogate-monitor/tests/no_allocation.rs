@@ -66,16 +66,18 @@ fn a_cycle_without_an_alarm_allocates_nothing() {
         cycle_time_s: Some(4.0),
         parameters: [("mass_kg".to_owned(), ParameterValue::Number(0.3))].into(),
     };
+    let mut other = "s".to_owned();
     let mut alarms = 0;
     let mut before = 0;
     for i in 0..20_000 {
-        if i == 1 {
-            // The first cycle made the recipe.
+        if i == 4 {
+            // The first cycles made the recipe and its two robots.
             before = CALLS.with(Cell::get);
         }
         cycle.time_s += 4.0;
         cycle.success = stream.uniform() < 0.97;
         cycle.cycle_time_s = Some(stream.between(3.5, 4.5));
+        std::mem::swap(&mut cycle.robot, &mut other);
         monitor.observe(&cycle, &mut |_| alarms += 1).unwrap();
     }
     assert_eq!((CALLS.with(Cell::get) - before, alarms), (0, 0));

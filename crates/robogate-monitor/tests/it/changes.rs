@@ -136,6 +136,30 @@ fn a_new_reference_starts_what_hangs_on_it_again_and_keeps_the_counts() {
 }
 
 #[test]
+fn one_worn_robot_of_ten_is_named_before_the_fleet_shows_it() {
+    let mut monitor = Monitor::new(known()).unwrap();
+    let mut stream = Seed::campaign(9).stream("worn");
+    let mut cycle = cycle();
+    let mut found: Vec<Alarm> = Vec::new();
+    for i in 0..6_000 {
+        let worn = i >= 2_000 && i % 10 == 3;
+        Cell { success: if worn { 0.75 } else { 0.95 }, ..Cell::NORMAL }.draw(&mut stream, &mut cycle);
+        cycle.robot = format!("cell-{}", i % 10);
+        monitor.observe(&cycle, &mut |alarm| found.push(alarm)).unwrap();
+    }
+    let critical =
+        |metric| found.iter().find(|a| a.metric == metric && a.level == Level::Critical && a.rule == Rule::Detector);
+    let named = critical(Metric::Robot).unwrap();
+    assert_eq!(named.robot, "cell-3");
+    assert!(named.what.starts_with("Robot cell-3 fails at "), "{}", named.what);
+    let since = named.since.unwrap();
+    assert!(since.cycles_95[0] <= 2_004 && 2_004 <= since.cycles_95[1], "{since:?}");
+    assert!(critical(Metric::Success).is_none_or(|fleet| fleet.cycle > named.cycle));
+    assert!(found.iter().filter(|a| a.metric == Metric::Robot).all(|a| a.robot == "cell-3"), "{found:#?}");
+    assert_eq!(monitor.recipe("bracket").unwrap().level(), Some(Level::Critical));
+}
+
+#[test]
 fn a_recipe_without_a_baseline_learns_one_and_then_sees_changes() {
     let after = Cell { success: 0.6, ..Cell::NORMAL };
     let found = alarms(after, 300, Settings::default());

@@ -41,6 +41,7 @@ fn all_metrics_of_all_recipes_together_keep_the_promise() {
         Settings { warning_cycles: 200.0, critical_cycles: 200.0, history_cycles: 16, baseline, ..Settings::default() };
     let empty = Monitor::new(settings).unwrap();
     let names = ["bracket", "housing", "shaft"];
+    let robots = ["cell-1", "cell-2", "cell-3", "cell-4"];
     let lengths: Vec<f64> = (0..1_000)
         .map(|i| {
             let mut stream = Seed::campaign(9).episode(i).stream("family");
@@ -50,6 +51,7 @@ fn all_metrics_of_all_recipes_together_keep_the_promise() {
             while !alarmed {
                 Cell::NORMAL.draw(&mut stream, &mut cycle);
                 names[stream.below(names.len())].clone_into(&mut cycle.recipe);
+                robots[stream.below(robots.len())].clone_into(&mut cycle.robot);
                 monitor.observe(&cycle, &mut |alarm| alarmed |= alarm.rule == Rule::Detector).unwrap();
                 length += 1.0;
             }
@@ -79,6 +81,7 @@ fn a_drop_is_seen_no_later_than_by_the_papers_critical_rule() {
         failure_modes: 0.0,
         outside: 0.0,
         risk: 0.0,
+        robot: 0.0,
     };
     let figures = simulate(&question, &settings, &baseline).unwrap();
     let of = |rule: &str| figures.iter().find(|f| f.rule == rule && f.level == Level::Critical).unwrap();
