@@ -20,6 +20,8 @@ use crate::{Alarm, Cycle, Monitor, TooManyRecipes};
 
 /// A recipe's state is written after so many of its cycles.
 const STATE_EVERY: u64 = 5_000;
+/// Recipes whose states are written together before old cycles go.
+const STATES_AT_ONCE: usize = 8;
 /// Robots whose newest time is known; a further one is not told early from late.
 const MOST_ROBOTS: usize = 100_000;
 /// Refusals that an answer lists.
@@ -274,8 +276,12 @@ impl Intake {
     /// Deletes what is older than is kept, after the states that hold it are on disk.
     fn sweep(&mut self) -> Result<(), StoreError> {
         let Some(up_to) = self.store.too_old(self.newest) else { return Ok(()) };
-        self.keep_recipes(self.behind(up_to))?;
-        self.store.sweep(up_to)
+        let mut behind = self.behind(up_to);
+        // A few at a time, so that no sender waits for a thousand of them; the rest before the next batches.
+        let whole = behind.len() <= STATES_AT_ONCE;
+        behind.truncate(STATES_AT_ONCE);
+        self.keep_recipes(behind)?;
+        if whole { self.store.sweep(up_to) } else { Ok(()) }
     }
 
     /// Restarts a recipe's detectors after its cause was mended; whether there is such a recipe.
