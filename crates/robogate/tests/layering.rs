@@ -8,7 +8,7 @@ const MAY_USE: [(&str, Option<&[&str]>); 12] = [
     ("robogate-core", Some(&[])),
     ("robogate-sim", Some(&["robogate-core", "mujoco-provision"])),
     ("robogate-bridge", Some(&["robogate-core"])),
-    ("robogate-demos", Some(&["robogate-core", "robogate-sim"])),
+    ("robogate-demos", Some(&["robogate-core", "robogate-sim", "mujoco-provision"])),
     ("robogate-dictionary", Some(&["robogate-core"])),
     ("robogate-stats", Some(&[])),
     ("robogate-campaign", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
