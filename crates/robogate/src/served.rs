@@ -1,20 +1,20 @@
-//! A policy behind a socket, as the command names it and a run records it.
+//! A learned policy, behind a socket or in a file, as the command names it and a run records it.
 
 use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use clap::Args;
-use robogate_bridge::policy::{Profile, ServerError, ServerPolicy};
+use robogate_bridge::policy::{Dialect, Profile, ServerError, ServerPolicy};
 use serde::{Deserialize, Serialize};
 
 use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
 
-/// A policy behind a socket.
+/// A learned policy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Served {
-    /// Its server's address.
+    /// Its server's address, or its file.
     pub(crate) server: String,
     /// What the model sees and how its answers are meant, in full.
     pub(crate) profile: Arc<Profile>,
@@ -25,8 +25,15 @@ pub(crate) struct Served {
 impl Served {
     /// Asks a server what it is.
     fn ask(server: &str, profile: Arc<Profile>) -> Result<Self, Exit> {
-        let policy = ServerPolicy::connect(server, Arc::clone(&profile)).map_err(refused)?;
-        Ok(Self { server: server.to_owned(), profile, declared: policy.declared().clone() })
+        // A run is resumed and replayed from other folders, too.
+        let server = match &profile.dialect {
+            Dialect::Onnx {} if !server.contains("://") => {
+                std::path::absolute(server).map_or_else(|_| server.to_owned(), |path| path.display().to_string())
+            }
+            _ => server.to_owned(),
+        };
+        let policy = ServerPolicy::connect(&server, Arc::clone(&profile)).map_err(refused)?;
+        Ok(Self { server, profile, declared: policy.declared().clone() })
     }
 
     /// The same policy, its server asked anew what it is.
@@ -43,10 +50,11 @@ impl Served {
 /// The policy, on the command line.
 #[derive(Debug, Args)]
 pub(crate) struct PolicyArguments {
-    /// The address of a policy server in place of the scripted controller, such as ws://127.0.0.1:8000
-    #[arg(long, value_name = "URL", requires = "profile")]
+    /// A policy in place of the scripted controller: the address of its server, such as ws://127.0.0.1:8000, or an ONNX
+    /// file
+    #[arg(long, value_name = "URL|FILE", requires = "profile")]
     policy: Option<String>,
-    /// What that server's model sees and how its answers are meant: a built-in profile (robogate policy profiles), or a
+    /// What that model sees and how its answers are meant: a built-in profile (robogate policy profiles), or a
     /// file of your own (TOML)
     #[arg(long, value_name = "NAME|FILE", requires = "policy")]
     profile: Option<String>,

@@ -130,8 +130,8 @@ fn absolute(robot: &str) -> String {
 pub(crate) struct Cell {
     world: World,
     robot: Robot,
-    /// Pixels along each side of the cameras' pictures.
-    picture_px: usize,
+    /// Pixels along each side of the cameras' pictures, where they are asked for.
+    picture_px: Option<usize>,
     /// The servers, where the engine is behind a socket.
     pool: Option<Arc<Pool>>,
 }
@@ -166,17 +166,23 @@ impl Cell {
         if let (Some(_), Some(force)) = (robot.settings.gripper.cup(), world.grip_force_n) {
             bail!("--grip-force {force} is for fingers: the gripper of {} is a suction cup", robot.name());
         }
-        let cell = Self { world, robot, picture_px: SIZE_PX, pool };
+        let cell = Self { world, robot, picture_px: None, pool };
         cell.simulator()?.reset(&nominal()).context("the robot cannot be set up in the cell")?;
         Ok(cell)
     }
 
     /// The same cell, its cameras' pictures so many pixels wide and high.
     pub(crate) fn with_pictures_of(self, picture_px: usize) -> Self {
-        Self { picture_px, ..self }
+        Self { picture_px: Some(picture_px), ..self }
     }
 
-    /// The same cell with a policy behind a socket, if there is one.
+    /// Pixels along each side of the cameras' pictures: as asked for, or as the policy wants them.
+    fn picture_px(&self) -> usize {
+        let wanted = || self.world.policy.as_ref()?.profile.rendered_px;
+        self.picture_px.or_else(wanted).unwrap_or(SIZE_PX)
+    }
+
+    /// The same cell with a learned policy, if there is one.
     pub(crate) fn with_policy(mut self, policy: Option<Served>) -> Self {
         self.world.policy = policy;
         self
@@ -305,9 +311,9 @@ impl Cell {
         let (robot, step) = (setup.robot.clone(), setup.time_step_s);
         match self.world.engine.as_str() {
             #[cfg(feature = "mujoco")]
-            "mujoco" => Built::new(MujocoEngine::new(robot, step)?, setup.suction, self.picture_px),
+            "mujoco" => Built::new(MujocoEngine::new(robot, step)?, setup.suction, self.picture_px()),
             #[cfg(feature = "rapier")]
-            "rapier" => Built::new(RapierEngine::new(robot, step)?, setup.suction, self.picture_px),
+            "rapier" => Built::new(RapierEngine::new(robot, step)?, setup.suction, self.picture_px()),
             other => bail!("there is no engine `{other}` in this build"),
         }
     }
@@ -325,7 +331,7 @@ impl Cell {
             Some(pool) => {
                 let chain = self.chain(setup)?;
                 let sha256 = identity(&self.robot.files()?);
-                (far::simulator(pool, &setup.robot, chain.clone(), sha256, self.picture_px)?, chain)
+                (far::simulator(pool, &setup.robot, chain.clone(), sha256, self.picture_px())?, chain)
             }
             None => {
                 let Built { simulator, chain, .. } = self.build(setup)?;
@@ -343,7 +349,7 @@ impl Cell {
     /// Our world, for a server that does not judge.
     pub(crate) fn our_world(&self) -> anyhow::Result<OurWorld> {
         let setup = self.setup();
-        OurWorld::new(&setup.robot, self.chain(&setup)?, identity(&self.robot.files()?), self.picture_px)
+        OurWorld::new(&setup.robot, self.chain(&setup)?, identity(&self.robot.files()?), self.picture_px())
     }
 
     /// What a server says of this cell.

@@ -39,10 +39,11 @@ pub(crate) fn token() -> Option<String> {
 pub(crate) fn connect(url: &str, profile: &Profile) -> Result<Box<dyn Link>, ServerError> {
     let deadline = Deadline::within(profile.server.connect_s);
     let dialect = &profile.dialect;
-    if !url.starts_with(dialect.scheme()) && !url.starts_with("wss://") {
+    let is_file = matches!(dialect, Dialect::Onnx {});
+    if is_file == url.contains("://") || !(url.starts_with(dialect.scheme()) || url.starts_with("wss://")) {
         return Err(ServerError::Address {
             url: url.to_owned(),
-            why: format!("the profile's dialect is {}: {}HOST:PORT", dialect.name(), dialect.scheme()),
+            why: format!("the profile's dialect is {}: {}", dialect.name(), dialect.address()),
         });
     }
     let rest = |form| Rest::connect(url, form, deadline).map(boxed);
@@ -62,6 +63,7 @@ pub(crate) fn connect(url: &str, profile: &Profile) -> Result<Box<dyn Link>, Ser
             let chunk = profile.chunk.length.unwrap_or(profile.chunk.execute);
             LeRobotServer::connect(url, settings, chunk, deadline).map(boxed)
         }
+        Dialect::Onnx {} => network(url, profile),
         Dialect::VlaEval {} => VlaEval::connect(url, profile, deadline).map(boxed),
     };
     // Something is there and does not speak as it should: what is it?
@@ -72,6 +74,18 @@ pub(crate) fn connect(url: &str, profile: &Profile) -> Result<Box<dyn Link>, Ser
         }
         other => other,
     })
+}
+
+/// A network that runs here: there is nothing to connect to.
+#[cfg(feature = "onnx")]
+fn network(path: &str, profile: &Profile) -> Result<Box<dyn Link>, ServerError> {
+    super::onnx::Network::load(path, profile).map(boxed)
+}
+
+#[cfg(not(feature = "onnx"))]
+fn network(path: &str, _: &Profile) -> Result<Box<dyn Link>, ServerError> {
+    let why = "this build runs no ONNX files: it lacks the feature `onnx`".to_owned();
+    Err(ServerError::Address { url: path.to_owned(), why })
 }
 
 fn boxed(link: impl Link + 'static) -> Box<dyn Link> {

@@ -16,6 +16,8 @@ mod lerobot;
 mod link;
 mod msgpack;
 mod npy;
+#[cfg(feature = "onnx")]
+mod onnx;
 mod openpi;
 mod pickle;
 mod picture;

@@ -20,6 +20,10 @@ pub struct Profile {
     pub instruction: Option<String>,
     /// How the server speaks.
     pub dialect: Dialect,
+    /// Width and height in pixels at which the cell's own cameras draw for it; left out, 256. What a policy was taught
+    /// on small pictures it shall not see made from large ones: they are smoother.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rendered_px: Option<usize>,
     /// The pictures, in the order in which they are sent.
     #[serde(default, rename = "camera", skip_serializing_if = "Vec::is_empty")]
     pub cameras: Vec<Camera>,
@@ -80,6 +84,9 @@ pub enum Dialect {
     /// vla-eval's model servers: WebSocket, msgpack with text keys.
     #[serde(rename = "vla-eval")]
     VlaEval {},
+    /// No server: a network in an ONNX file, whose path is the address. Keys are the names of its inputs.
+    #[serde(rename = "onnx")]
+    Onnx {},
 }
 
 /// What a LeRobot server is told to load.
@@ -123,16 +130,26 @@ impl Dialect {
             Self::Rest { .. } => "rest",
             Self::VlaEval {} => "vla-eval",
             Self::LeRobot(_) => "lerobot",
+            Self::Onnx {} => "onnx",
+        }
+    }
+
+    /// What an address of such a server looks like.
+    pub fn address(&self) -> String {
+        match self {
+            Self::Onnx {} => "FILE.onnx".to_owned(),
+            _ => format!("{}HOST:PORT", self.scheme()),
         }
     }
 
     /// How the address of such a server begins.
-    pub fn scheme(&self) -> &'static str {
+    pub(crate) fn scheme(&self) -> &'static str {
         match self {
             Self::Openpi {} | Self::RoboArena {} | Self::VlaEval {} => "ws://",
             Self::Gr00tN15(_) | Self::Gr00tN16(_) => "tcp://",
             Self::Gr00tN15Http(_) | Self::OpenVla { .. } | Self::OpenVlaOft {} | Self::Rest { .. } => "http://",
             Self::LeRobot(_) => "grpc://",
+            Self::Onnx {} => "",
         }
     }
 
@@ -433,6 +450,7 @@ const BUILT_IN: &[(&str, &str)] = &[
     ("octo-base", include_str!("profiles/octo-base.toml")),
     ("octo-small", include_str!("profiles/octo-small.toml")),
     ("droid-roboarena", include_str!("profiles/droid-roboarena.toml")),
+    ("learned", include_str!("profiles/learned.toml")),
 ];
 
 impl Profile {
@@ -459,6 +477,11 @@ impl Profile {
         let name_fits = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
         if self.name.is_empty() || self.name.len() > 64 || !self.name.chars().all(name_fits) {
             return wrong("name", format!("`{}` is no name: letters, digits, `-`, `_` and `.`", self.name));
+        }
+        if let Some(side) = self.rendered_px
+            && !(8..=MAX_SIDE).contains(&side)
+        {
+            return wrong("rendered_px", format!("{side} is not between 8 and {MAX_SIDE} pixels"));
         }
         for (i, camera) in self.cameras.iter().enumerate() {
             let at = |field: &str| format!("camera[{i}].{field}");

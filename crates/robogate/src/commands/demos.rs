@@ -70,7 +70,8 @@ impl Demos {
         let seed = Seed::campaign(self.seed);
         let design = Uniform.design(&space, self.n as usize, seed.stream("demonstrations")).or_usage()?;
         let mut dataset = Dataset::create(&self.out, FPS, cell.robot_name()).or_usage()?;
-        let threads = self.threads.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
+        let wanted = cell.servers().or(self.threads).or_else(|| thread::available_parallelism().ok());
+        let threads = wanted.map_or(1, NonZeroUsize::get);
         let (mut kept, mut failed, mut invalid) = (0_u64, 0_u64, 0_u64);
         // In rounds, so that what waits to be written is bounded.
         let round = 4 * threads;

@@ -14,9 +14,9 @@ use serde_json::json;
 use crate::exit::{DONE, Exit, FAIL, OrExit};
 use crate::served::{profile, refused};
 use crate::terminal::{bold, foreign, line, note};
-use crate::world::WorldArguments;
+use crate::world::{Cell, WorldArguments};
 
-/// List the profiles of policy servers, or probe a server.
+/// List the profiles of policies, or probe one.
 #[derive(Debug, Args)]
 pub(crate) struct Policies {
     #[command(subcommand)]
@@ -33,14 +33,14 @@ enum What {
         #[arg(long)]
         json: bool,
     },
-    /// Probe a server: what it says of itself, shapes, repeatability, latency, and whether its actions mean what the
+    /// Probe a policy server or an ONNX file: what it says of itself, shapes, repeatability, latency, and whether its actions mean what the
     /// profile says; exit code 1 if something looks wrong
     Check(Box<Check>),
 }
 
 #[derive(Debug, Args)]
 struct Check {
-    /// The server's address, such as ws://127.0.0.1:8000
+    /// The server's address, such as ws://127.0.0.1:8000, or an ONNX file
     url: String,
     /// What its model sees and how its answers are meant: a built-in profile, or a file of your own (TOML)
     #[arg(long, value_name = "NAME|FILE")]
@@ -83,10 +83,10 @@ fn profiles(name: Option<&str>, json: bool) -> Result<u8, Exit> {
         line(format_args!("{}  {}", bold(format_args!("{:<18}", p.name)), p.model));
         let cameras: Vec<&str> = p.cameras.iter().map(|camera| camera.from.as_str()).collect();
         line(format_args!(
-            "{:<20}{} at {}HOST:PORT, cameras {}, {} numbers, executes {} of {}",
+            "{:<20}{} at {}, cameras {}, {} numbers, executes {} of {}",
             "",
             p.dialect.name(),
-            p.dialect.scheme(),
+            p.dialect.address(),
             cameras.join(" and "),
             p.action.size,
             p.chunk.execute,
@@ -106,6 +106,7 @@ impl Check {
     fn execute(&self) -> Result<u8, Exit> {
         let profile = Arc::new(profile(&self.profile).or_usage()?);
         let cell = self.world.cell(SuctionLaw::Vacuum)?;
+        let cell = profile.rendered_px.into_iter().fold(cell, Cell::with_pictures_of);
         let mut found = Findings { figures: Vec::new(), complaints: Vec::new() };
         let mut policy = ServerPolicy::connect(&self.url, Arc::clone(&profile)).map_err(refused)?;
         found.figures.push(("says of itself", foreign(policy.declared())));
