@@ -23,6 +23,7 @@ pub mod offsite;
 mod parameters;
 mod pick_place;
 mod plant;
+mod random;
 #[cfg(feature = "rapier")]
 mod rapier;
 mod referee;
@@ -50,6 +51,7 @@ pub use mujoco::MujocoEngine;
 pub use object::{MassProperties, ObjectModel, Part, Primitive, Shape};
 pub use parameters::{ParameterError, Placement, SceneParameters};
 pub use pick_place::PickPlace;
+pub use random::Random;
 #[cfg(feature = "rapier")]
 pub use rapier::RapierEngine;
 pub use robot::{

@@ -4,11 +4,11 @@ mod answer;
 mod commands;
 mod exit;
 mod far;
+mod guest;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod picture;
 mod progress;
-mod served;
 mod summary;
 mod terminal;
 mod world;

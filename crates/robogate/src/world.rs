@@ -28,7 +28,7 @@ use sha2::{Digest, Sha256};
 
 use crate::exit::{Exit, OrExit};
 use crate::far::{self, Far, OurWorld, Simulators, Told};
-use crate::served::Served;
+use crate::guest::Guest;
 
 /// The engines of this build by name, each with its own time step in seconds; the first is the default.
 const ENGINES: &[(&str, f64)] = &[
@@ -65,9 +65,9 @@ pub(crate) struct World {
     /// What the engine is to us where it is behind a socket.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) simulator: Option<Far>,
-    /// The policy server in place of the scripted controller.
+    /// The policy in place of the scripted controller.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) policy: Option<Served>,
+    pub(crate) policy: Option<Guest>,
 }
 
 /// The world, on the command line.
@@ -178,31 +178,30 @@ impl Cell {
 
     /// Pixels along each side of the cameras' pictures: as asked for, or as the policy wants them.
     fn picture_px(&self) -> usize {
-        let wanted = || self.world.policy.as_ref()?.profile.rendered_px;
+        let wanted = || self.world.policy.as_ref()?.profile()?.rendered_px;
         self.picture_px.or_else(wanted).unwrap_or(SIZE_PX)
     }
 
-    /// The same cell with a learned policy, if there is one.
-    pub(crate) fn with_policy(mut self, policy: Option<Served>) -> Self {
+    /// The same cell with this policy in place of the scripted controller, if there is one.
+    pub(crate) fn with_policy(mut self, policy: Option<Guest>) -> Self {
         self.world.policy = policy;
         self
     }
 
     /// The same cell, its policy's server (if it has one) asked anew what it is.
     pub(crate) fn asked_again(mut self) -> Result<Self, Exit> {
-        self.world.policy = self.world.policy.as_ref().map(Served::asked_again).transpose()?;
+        self.world.policy = self.world.policy.as_ref().map(Guest::asked_again).transpose()?;
         Ok(self)
     }
 
     /// The policy's name in records.
     pub(crate) fn policy(&self) -> &str {
-        self.world.policy.as_ref().map_or("scripted", |served| &served.profile.name)
+        self.world.policy.as_ref().map_or("scripted", Guest::name)
     }
 
     /// At how many stations the policy can be at once, where that is limited.
     pub(crate) fn at_most(&self) -> Option<NonZeroUsize> {
-        let served = self.world.policy.as_ref()?;
-        served.profile.dialect.one_at_a_time().then_some(NonZeroUsize::MIN)
+        self.world.policy.as_ref()?.profile()?.dialect.one_at_a_time().then_some(NonZeroUsize::MIN)
     }
 
     /// The cell of a recorded run. One in servers needs to be told where they are now.
@@ -490,7 +489,7 @@ impl Workshop for Cell {
         let (simulator, scripted) =
             self.make(&self.setup()).map_err(|e| Fault::new(FaultKind::Unavailable, format!("{e:#}")))?;
         let policy = match &self.world.policy {
-            Some(served) => Box::new(served.connect()?),
+            Some(guest) => guest.policy()?,
             None => scripted,
         };
         Ok(Station { simulator, policy })

@@ -39,8 +39,7 @@ pub(crate) fn token() -> Option<String> {
 pub(crate) fn connect(url: &str, profile: &Profile) -> Result<Box<dyn Link>, ServerError> {
     let deadline = Deadline::within(profile.server.connect_s);
     let dialect = &profile.dialect;
-    let is_file = matches!(dialect, Dialect::Onnx {});
-    if is_file == url.contains("://") || !(url.starts_with(dialect.scheme()) || url.starts_with("wss://")) {
+    if dialect.is_file() == url.contains("://") || !(url.starts_with(dialect.scheme()) || url.starts_with("wss://")) {
         return Err(ServerError::Address {
             url: url.to_owned(),
             why: format!("the profile's dialect is {}: {}", dialect.name(), dialect.address()),

@@ -153,6 +153,11 @@ impl Dialect {
         }
     }
 
+    /// Whether its address is a file's.
+    pub fn is_file(&self) -> bool {
+        matches!(self, Self::Onnx {})
+    }
+
     /// Whether the server keeps one state for all who ask: then only one evaluator may.
     pub fn one_at_a_time(&self) -> bool {
         // Octo's server keeps the last pictures and the instruction until /reset, LeRobot's all that it has.

@@ -1,16 +1,18 @@
 //! `robogate demos`: the scripted controller's episodes, recorded for learning.
 
 use std::num::NonZeroUsize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread;
 
 use anyhow::anyhow;
 use clap::Args;
 use robogate_campaign::DEFAULT_SEED;
+use robogate_campaign::folder::DICTIONARY;
 use robogate_core::samplers::Uniform;
-use robogate_core::{Outcome, Sampler, Scenario, Seed, rollout};
+use robogate_core::{Assignment, Outcome, Sampler, Scenario, Seed, rollout};
 use robogate_demos::{Dataset, Demonstration};
+use robogate_dictionary::Dictionary;
 use robogate_sim::SuctionLaw;
 use serde_json::json;
 
@@ -36,6 +38,9 @@ pub(crate) struct Demos {
     /// The parameter space: learned, franka, ur, ur-wide, or a file of your own (TOML)
     #[arg(long, value_name = "NAME|FILE", default_value = "learned")]
     space: String,
+    /// In place of points of a space: the scenarios in which the policy of this run failed, in turn, with fresh seeds
+    #[arg(long, value_name = "DIR", conflicts_with = "space")]
+    failed_in: Option<PathBuf>,
     /// Width and height of the pictures, in pixels
     #[arg(long, value_name = "PIXELS", default_value_t = 96, value_parser = clap::value_parser!(u16).range(8..=1024))]
     size: u16,
@@ -66,23 +71,22 @@ impl Demos {
             return Err(usage("-n 0: at least one episode".to_owned()));
         }
         let cell = self.world.cell(SuctionLaw::Vacuum)?.with_pictures_of(self.size.into());
-        let space = Arc::new(cell.space(Some(&self.space)).or_usage()?);
         let seed = Seed::campaign(self.seed);
-        let design = Uniform.design(&space, self.n as usize, seed.stream("demonstrations")).or_usage()?;
+        let points = match &self.failed_in {
+            Some(run) => failures(run)?.into_iter().cycle().take(self.n as usize).collect(),
+            None => self.points(&cell, seed)?,
+        };
         let mut dataset = Dataset::create(&self.out, FPS, cell.robot_name()).or_usage()?;
         let wanted = cell.servers().or(self.threads).or_else(|| thread::available_parallelism().ok());
         let threads = wanted.map_or(1, NonZeroUsize::get);
         let (mut kept, mut failed, mut invalid) = (0_u64, 0_u64, 0_u64);
         // In rounds, so that what waits to be written is bounded.
         let round = 4 * threads;
-        for first in (0..design.len()).step_by(round) {
-            let indices: Vec<usize> = (first..design.len().min(first + round)).collect();
-            let scenarios: Vec<Scenario> = indices
-                .iter()
-                .filter_map(|i| {
-                    let requested = design.assignment(*i)?;
-                    Some(Scenario { index: *i as u64, seed: seed.episode(*i as u64), requested })
-                })
+        for (nth, some) in points.chunks(round).enumerate() {
+            let first = nth * round;
+            let scenarios: Vec<Scenario> = (first as u64..)
+                .zip(some)
+                .map(|(index, requested)| Scenario { index, seed: seed.episode(index), requested: requested.clone() })
                 .collect();
             for (outcome, demonstration) in self.record(&cell, &scenarios, threads)? {
                 match outcome {
@@ -99,9 +103,9 @@ impl Demos {
                     kept += 1;
                 }
             }
-            let done = first + indices.len();
-            if done * 10 / design.len() > first * 10 / design.len() {
-                note(format_args!("{done} of {} episodes, {kept} kept", design.len()));
+            let done = first + scenarios.len();
+            if done * 10 / points.len() > first * 10 / points.len() {
+                note(format_args!("{done} of {} episodes, {kept} kept", points.len()));
             }
         }
         if kept == 0 {
@@ -111,6 +115,13 @@ impl Demos {
         let written = dataset.finish().or_broken()?;
         self.report(&written, failed, invalid);
         Ok(DONE)
+    }
+
+    /// Points of the space, drawn uniformly.
+    fn points(&self, cell: &Cell, seed: Seed) -> Result<Vec<Assignment>, Exit> {
+        let space = Arc::new(cell.space(Some(&self.space)).or_usage()?);
+        let design = Uniform.design(&space, self.n as usize, seed.stream("demonstrations")).or_usage()?;
+        Ok((0..design.len()).filter_map(|i| design.assignment(i)).collect())
     }
 
     fn report(&self, written: &robogate_demos::Written, failed: u64, invalid: u64) {
@@ -159,4 +170,22 @@ impl Demos {
         }
         Ok(all)
     }
+}
+
+/// What was asked for where the policy of this run failed, in the order of the episodes.
+fn failures(run: &Path) -> Result<Vec<Assignment>, Exit> {
+    let dictionary = Dictionary::open(&run.join(DICTIONARY))
+        .map_err(|error| anyhow!(error).context(format!("{} is no finished run", run.display())))
+        .or_usage()?;
+    let mut failed = Vec::new();
+    for entry in dictionary.entries() {
+        let episode = entry.or_usage()?.episode;
+        if matches!(episode.outcome, Outcome::Failure(_)) {
+            failed.push(episode.scenario.requested);
+        }
+    }
+    if failed.is_empty() {
+        return Err(anyhow!("no episode of {} failed: there is nothing to demonstrate", run.display())).or_usage();
+    }
+    Ok(failed)
 }

@@ -19,7 +19,7 @@ use crate::answer;
 use crate::commands::run::{How, free_folder, interrupted, provenance, write_report};
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
-use crate::served::PolicyArguments;
+use crate::guest::PolicyArguments;
 use crate::terminal::{grouped, line, note};
 use crate::world::{Cell, WorldArguments};
 
@@ -153,7 +153,7 @@ impl Gate {
     /// Runs a suite until the answer is certain.
     fn run_suite(&self) -> Result<u8, Exit> {
         let requirements = Requirements::open(self.requirements.as_deref().unwrap_or("default")).map_err(refused)?;
-        let cell = self.world.cell(SuctionLaw::Vacuum)?.with_policy(self.policy.served()?);
+        let cell = self.world.cell(SuctionLaw::Vacuum)?.with_policy(self.policy.guest()?);
         let robot = Path::new(&cell.world().robot).file_name();
         let robot = robot.map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         let suite = suites::find(&self.suite)?;

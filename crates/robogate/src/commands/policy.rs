@@ -12,7 +12,7 @@ use robogate_sim::SuctionLaw;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::served::{profile, refused};
+use crate::guest::{profile, refused};
 use crate::terminal::{bold, foreign, line, note};
 use crate::world::{Cell, WorldArguments};
 

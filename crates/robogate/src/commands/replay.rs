@@ -10,6 +10,7 @@ use serde_json::json;
 use crate::commands::run::provenance;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::far::Simulators;
+use crate::guest::Guest;
 use crate::terminal::{bold, dim, line};
 use crate::world::Cell;
 
@@ -69,7 +70,11 @@ impl Replay {
                 {
                     line("  tool, engine, robot or platform are not those that the run was made with");
                 }
-                if cell.world().policy.is_some() {
+                if now.world != was.world {
+                    line("  the policy is another: not the file of the run, or its server says other things of itself");
+                }
+                let profile = cell.world().policy.as_ref().and_then(Guest::profile);
+                if profile.is_some_and(|profile| !profile.dialect.is_file()) {
                     line(
                         "  the policy is behind a server: where that draws at random, no replay is the same (robogate policy check)",
                     );

@@ -14,8 +14,8 @@ use robogate_sim::SuctionLaw;
 
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
+use crate::guest::PolicyArguments;
 use crate::progress::Progress;
-use crate::served::PolicyArguments;
 use crate::summary;
 use crate::terminal::{grouped, note};
 use crate::world::{Cell, WorldArguments};
@@ -72,7 +72,7 @@ impl Run {
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
         let cell = self.world.cell(if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum })?;
-        let cell = cell.with_policy(self.policy.served()?);
+        let cell = cell.with_policy(self.policy.guest()?);
         let robot = Path::new(&cell.world().robot).file_name();
         let robot = robot.map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         let (plan, space) = self.plan_and_space(&cell)?;

@@ -1,0 +1,109 @@
+//! Policies in place of the scripted controller, as their user meets them: networks in files, the random one, and
+//! demonstrations of what they fail at.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+const PLAN: &str = "seed = 5\n[uniform]\nepisodes = 6\n";
+
+fn networks() -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../robogate-bridge/tests/networks")
+}
+
+fn robogate(dir: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_robogate")).current_dir(dir).args(arguments).output().unwrap()
+}
+
+fn assert_exit(dir: &Path, arguments: &[&str], code: i32, parts: &[&str]) -> String {
+    let output = robogate(dir, arguments);
+    let text = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {text}");
+    for part in parts {
+        assert!(text.contains(part), "{arguments:?} does not say {part:?}: {text}");
+    }
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// A folder with the plan and the small network.
+fn workplace() -> TempDir {
+    let dir = TempDir::new().unwrap();
+    fs::write(dir.path().join("plan.toml"), PLAN).unwrap();
+    for file in ["small.onnx", "small.toml"] {
+        fs::copy(networks().join(file), dir.path().join(file)).unwrap();
+    }
+    dir
+}
+
+const RUN: [&str; 6] = ["run", "--space", "learned", "--plan", "plan.toml", "--json"];
+
+/// A run's summary.
+fn run(dir: &Path, more: &[&str]) -> Value {
+    let text = assert_exit(dir, &[&RUN, more].concat(), 0, &[]);
+    serde_json::from_str::<Value>(&text).unwrap()["summary"].take()
+}
+
+#[test]
+fn a_network_in_a_file_is_found_again_from_another_folder() {
+    let dir = workplace();
+    run(dir.path(), &["--policy", "small.onnx", "--profile", "small.toml", "--out", "r"]);
+    let elsewhere = TempDir::new().unwrap();
+    let r = dir.path().join("r");
+    assert_exit(elsewhere.path(), &["replay", r.to_str().unwrap(), "0"], 0, &["same as recorded, bit for bit"]);
+}
+
+#[test]
+fn the_random_policy_does_the_same_on_any_number_of_threads_and_never_picks() {
+    let dir = workplace();
+    let one = run(dir.path(), &["--policy", "random", "--threads", "1", "--out", "one"]);
+    let two = run(dir.path(), &["--policy", "random", "--threads", "2", "--out", "two"]);
+    let hash = |summary: &Value| summary["dataset_hash"].as_str().map(str::to_owned);
+    assert!(hash(&one).is_some(), "{one}");
+    assert_eq!(hash(&one), hash(&two));
+    assert_exit(dir.path(), &["replay", "one", "3"], 0, &["same as recorded, bit for bit"]);
+}
+
+#[test]
+fn a_policy_without_its_profile_is_a_mistake_of_usage() {
+    let dir = workplace();
+    let bad: [(&[&str], &[&str]); 4] = [
+        (&["--policy", "small.onnx"], &["--profile says what it sees"]),
+        (&["--policy", "random", "--profile", "learned"], &["random has no profile"]),
+        (&["--policy", "missing.onnx", "--profile", "small.toml"], &["missing.onnx", "cannot be read"]),
+        (&["--policy", "plan.toml", "--profile", "small.toml"], &["no ONNX file that can be run"]),
+    ];
+    for (more, says) in bad {
+        assert_exit(dir.path(), &[&RUN, more].concat(), 2, says);
+    }
+}
+
+#[test]
+fn what_a_policy_failed_at_is_demonstrated() {
+    let dir = workplace();
+    run(dir.path(), &["--policy", "random", "--out", "r"]);
+    let demos = ["demos", "--failed-in", "r", "-n", "8", "--size", "16", "--push", "0", "--out", "d", "--json"];
+    let said: Value = serde_json::from_str(&assert_exit(dir.path(), &demos, 0, &[])).unwrap();
+    // Six failures; the first two come twice.
+    assert_eq!((&said["episodes"], &said["failed"]), (&8.into(), &0.into()), "{said}");
+    assert_exit(dir.path(), &["demos", "--failed-in", "plan.toml", "--out", "e"], 2, &["plan.toml is no finished run"]);
+    assert!(!dir.path().join("e").exists());
+    run(dir.path(), &["--out", "good"]);
+    assert_exit(dir.path(), &["demos", "--failed-in", "good", "--out", "e"], 2, &["no episode of good failed"]);
+    assert!(!dir.path().join("e").exists());
+}
+
+#[test]
+fn the_networks_that_ship_pick_and_place() {
+    let dir = workplace();
+    let policies = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/policies");
+    for name in ["learned", "learned-wide"] {
+        let file = policies.join(format!("{name}.onnx"));
+        let summary = run(dir.path(), &["--policy", file.to_str().unwrap(), "--profile", "learned", "--out", name]);
+        let succeeded = summary["stages"][0]["successes"].as_u64();
+        assert!(succeeded.is_some_and(|n| n >= 5), "{name}: {succeeded:?} of 6: {summary}");
+    }
+}

@@ -1,0 +1,53 @@
+#!/usr/bin/env bash
+# From demonstrations to docs/results/learned-policy.md: record, train, find the failures, record there, train again, measure.
+# Usage: scripts/learned/run.sh [FOLDER]; what is there already is not done again. About two hours on two cores.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+
+out=${1:-runs/learned}
+mkdir -p "$out"
+python=$out/venv/bin/python
+if [ ! -x "$python" ]; then
+    python3 -m venv "$out/venv"
+    "$out/venv/bin/pip" install --quiet --requirement scripts/learned/requirements.txt
+fi
+cargo build --release --locked -p robogate
+robogate=${CARGO_TARGET_DIR:-target}/release/robogate
+wide=scripts/learned/wide.toml
+
+# Runs what a folder is made by, unless it is there.
+make() {
+    local folder=$1
+    shift
+    if [ -f "$folder/plan.json" ]; then "$robogate" resume "$folder"; else "$robogate" run "$@" --out "$folder"; fi
+}
+
+if [ ! -f "$out/learned.onnx" ]; then
+    [ -f "$out/demos/meta/info.json" ] || "$robogate" demos --out "$out/demos" -n 1000 --push 0.012
+    "$python" scripts/learned/train.py "$out/demos" --out "$out/learned.onnx"
+fi
+"$robogate" policy profiles learned > "$out/learned.toml"
+sed 's/^name = "learned"/name = "learned-wide"/' "$out/learned.toml" > "$out/learned-wide.toml"
+
+if [ ! -f "$out/learned-wide.onnx" ]; then
+    make "$out/campaign" --space "$wide" --plan scripts/learned/campaign.toml --policy "$out/learned.onnx" --profile "$out/learned.toml"
+    [ -f "$out/more/meta/info.json" ] || "$robogate" demos --failed-in "$out/campaign" --out "$out/more" -n 500 --push 0.012 --seed 7002
+    "$python" scripts/learned/train.py "$out/demos" "$out/more" --out "$out/learned-wide.onnx"
+fi
+
+for policy in learned learned-wide; do
+    guest=(--policy "$out/$policy.onnx" --profile "$out/$policy.toml")
+    for engine in mujoco rapier; do
+        make "$out/$policy-$engine" --space learned --plan scripts/learned/fresh.toml --engine "$engine" "${guest[@]}"
+    done
+    make "$out/$policy-over-wide" --space "$wide" --plan scripts/learned/fresh.toml "${guest[@]}"
+    make "$out/$policy-suite" --suite industrial-68 --rounds 2 "${guest[@]}"
+done
+make "$out/scripted-mujoco" --space learned --plan scripts/learned/fresh.toml
+make "$out/scripted-over-wide" --space "$wide" --plan scripts/learned/fresh.toml
+make "$out/scripted-suite" --suite industrial-68 --rounds 2
+make "$out/random-suite" --suite industrial-68 --rounds 2 --policy random
+
+"$robogate" compare --paired "$out"/learned-{mujoco,rapier}
+"$robogate" compare --paired "$out"/{learned,learned-wide}-over-wide
+"$robogate" leaderboard "$out"/{scripted,learned,learned-wide,random}-suite --format md
