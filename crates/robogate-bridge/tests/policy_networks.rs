@@ -55,6 +55,15 @@ fn a_small_network_answers_as_in_onnx_runtime() {
 }
 
 #[test]
+fn the_networks_that_ship_answer_as_in_onnx_runtime() {
+    let learned = Profile::built_in("learned").expect("it is there");
+    let policies = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/policies");
+    for name in ["learned", "learned-wide"] {
+        agrees_with_onnx_runtime(&policies.join(format!("{name}.onnx")), learned, name);
+    }
+}
+
+#[test]
 fn an_answer_is_executed_as_joint_positions_and_asked_for_anew_when_used_up() {
     let mut policy = load(&file("small.onnx"), SMALL).expect("it loads");
     policy.reset(&task("pick up the box"), Seed::campaign(1)).expect("nothing to begin");
@@ -98,9 +107,14 @@ fn what_does_not_fit_the_network_is_said_before_the_first_episode() {
 }
 
 #[test]
-fn a_size_left_open_is_asked_to_be_closed() {
-    let why = refusal(&file("wide.onnx"), SMALL);
-    assert!(why.contains("export the network with a batch of one"), "{why}");
+fn a_batch_that_is_left_open_is_one() {
+    agrees_with_onnx_runtime(&file("batch.onnx"), SMALL, "small");
+}
+
+#[test]
+fn another_size_that_is_left_open_is_asked_to_be_closed() {
+    let why = refusal(&file("open.onnx"), SMALL);
+    assert!(why.contains("the size of its input `state` is left open"), "{why}");
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //!
 //! Inputs are found by name: a picture by its camera's key, a vector by its state's. A picture comes as bytes where the network
 //! takes bytes, and as floats from 0 to 1 where it takes floats. Axes of one are put before what the profile says where the
-//! network has more, as for a batch. The first output is the chunk of actions. The same file, profile and pictures give the
+//! network has more, as for a batch, and close what it leaves open there. The first output is the chunk of actions. The same file, profile and pictures give the
 //! same actions, whatever else runs.
 
 use std::fs::File;
@@ -13,15 +13,16 @@ use std::sync::Arc;
 use serde_json::{Value as Json, json};
 use sha2::{Digest, Sha256};
 use tract_onnx::prelude::{
-    DatumType, Framework, InferenceModelExt, IntoRunnable, TValue, TVec, Tensor, TractError, TractResult,
-    TypedRunnableModel,
+    DatumType, Framework, InferenceFact, InferenceModelExt, IntoRunnable, TValue, TVec, Tensor, TractError,
+    TractResult, TypedRunnableModel,
 };
+use tract_onnx::tract_hir::infer::Factoid;
 
 use super::array::{Array, Dtype};
 use super::error::ServerError;
 use super::exchange::{Chunk, Query};
 use super::link::Link;
-use super::profile::Profile;
+use super::profile::{Axes, Camera, Profile};
 use super::websocket::Deadline;
 
 /// A file that is larger is not read, in bytes.
@@ -53,8 +54,8 @@ impl Network {
             return Err(address(format!("more than {} MB: no network for one core", MAX_FILE >> 20)));
         }
         let sha256: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
-        let (model, inputs) =
-            guarded(|| prepare(&bytes)).map_err(|why| address(format!("no ONNX file that can be run: {why}")))?;
+        let (model, inputs) = guarded(|| prepare(&bytes, profile))
+            .map_err(|why| address(format!("no ONNX file that can be run: {why}")))?;
         let wanted: Vec<&str> = inputs.iter().map(|input| input.name.as_str()).collect();
         let cameras = profile.cameras.iter().map(|camera| camera.key.as_str());
         let keys: Vec<&str> = cameras.chain(profile.states.iter().map(|state| state.key.as_str())).collect();
@@ -142,21 +143,39 @@ impl Input {
 
 type Prepared = (Arc<TypedRunnableModel>, Vec<Input>);
 
-fn prepare(bytes: &[u8]) -> TractResult<Prepared> {
-    let model = tract_onnx::onnx().model_for_read(&mut &*bytes)?.into_typed()?;
+fn prepare(bytes: &[u8], profile: &Profile) -> TractResult<Prepared> {
+    let mut model = tract_onnx::onnx().model_for_read(&mut &*bytes)?;
     let mut inputs = Vec::new();
-    for (i, outlet) in model.input_outlets()?.iter().enumerate() {
+    for (i, outlet) in model.input_outlets()?.to_vec().into_iter().enumerate() {
+        let name = model.node(outlet.node).name.clone();
         let fact = model.input_fact(i)?;
-        let shape = fact.shape.as_concrete().ok_or_else(|| {
-            TractError::msg("an input whose size is left open: export the network with a batch of one")
+        let dtype = fact.datum_type.concretize().unwrap_or(DatumType::F32);
+        let axes = fact.shape.dims().map(|dim| usize::try_from(dim.concretize()?.as_i64()?).ok());
+        let shape = closed(&axes.collect::<Vec<_>>(), sent(profile, &name)).ok_or_else(|| {
+            TractError::msg(format!("the size of its input `{name}` is left open: export it with a size"))
         })?;
-        inputs.push(Input {
-            name: model.node(outlet.node).name.clone(),
-            dtype: fact.datum_type,
-            shape: shape.to_vec(),
-        });
+        model.set_input_fact(i, InferenceFact::dt_shape(dtype, &shape))?;
+        inputs.push(Input { name, dtype, shape });
     }
+    // What comes out follows from what goes in; what the file says of it may still be open.
+    model.set_output_fact(0, InferenceFact::default())?;
     Ok((model.into_optimized()?.into_runnable()?, inputs))
+}
+
+/// What the profile sends under this name: the axes of a picture, or one axis of a length that the robot knows.
+fn sent(profile: &Profile, name: &str) -> Vec<Option<usize>> {
+    match profile.cameras.iter().find(|camera| camera.key == name) {
+        Some(Camera { width: w, height: h, axes: Axes::Hwc, .. }) => vec![Some(*h), Some(*w), Some(3)],
+        Some(Camera { width: w, height: h, axes: Axes::Chw, .. }) => vec![Some(3), Some(*h), Some(*w)],
+        None => vec![None],
+    }
+}
+
+/// Axes that a network leaves open, closed: one where more come than are sent, as for a batch; else what is sent.
+fn closed(axes: &[Option<usize>], sent: Vec<Option<usize>>) -> Option<Vec<usize>> {
+    let more = axes.len().saturating_sub(sent.len());
+    let sent = std::iter::repeat_n(Some(1), more).chain(sent);
+    axes.iter().zip(sent).map(|(axis, sent)| axis.or(sent)).collect()
 }
 
 /// What a library does with a file that somebody else wrote: should it break, that is an error of the file's.

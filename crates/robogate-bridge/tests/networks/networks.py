@@ -1,4 +1,4 @@
-"""Writes small.onnx and wide.onnx, and expected.json: what ONNX Runtime makes of them and of the policy that RoboGate ships.
+"""Writes small.onnx, batch.onnx and open.onnx, and expected.json: what ONNX Runtime makes of them and of the policy that RoboGate ships.
 
     pip install --requirement scripts/learned/requirements.txt
     python crates/robogate-bridge/tests/networks/networks.py
@@ -16,11 +16,11 @@ from onnx import TensorProto, helper, numpy_helper
 from PIL import Image
 
 HERE = Path(__file__).parent
-SHIPPED = HERE.parents[3] / "assets/policies/learned.onnx"
+SHIPPED = HERE.parents[3] / "assets/policies"
 SIDE = 96
 
 
-def small(path, batch):
+def small(path, batch, width):
     """The means of a picture's colours and a state of eight numbers, through one layer: two actions of eight numbers."""
     rng = np.random.default_rng(1)
     weights = {
@@ -39,7 +39,7 @@ def small(path, batch):
     ]
     inputs = [
         helper.make_tensor_value_info("front", TensorProto.UINT8, [batch, 8, 8, 3]),
-        helper.make_tensor_value_info("state", TensorProto.FLOAT, [batch, 8]),
+        helper.make_tensor_value_info("state", TensorProto.FLOAT, [batch, width]),
     ]
     outputs = [helper.make_tensor_value_info("actions", TensorProto.FLOAT, [1, 2, 8])]
     initializers = [numpy_helper.from_array(np.asarray(value), name) for name, value in weights.items()]
@@ -60,9 +60,10 @@ at = SIDE // 4
 middle = np.asarray(counting.crop((at, at, SIDE - at, SIDE - at)))[None].astype(np.float32) / 255
 whole = np.asarray(counting.resize((64, 64), Image.Resampling.BILINEAR))[None].astype(np.float32) / 255
 state = np.array([[0, 0, 0, 0, 0, 0, 0, 0.08]], dtype=np.float32)
-small(HERE / "small.onnx", 1)
-small(HERE / "wide.onnx", "batch")
+small(HERE / "small.onnx", 1, 8)
+small(HERE / "batch.onnx", "batch", 8)
+small(HERE / "open.onnx", "batch", "width")
 expected = {"small": answer(HERE / "small.onnx", front=eighth, state=state)}
-if SHIPPED.exists():
-    expected["learned"] = answer(SHIPPED, front=middle, wrist=whole, state=state)
+for path in sorted(SHIPPED.glob("*.onnx")):
+    expected[path.stem] = answer(path, front=middle, wrist=whole, state=state)
 (HERE / "expected.json").write_text(json.dumps(expected, indent=1) + "\n")
