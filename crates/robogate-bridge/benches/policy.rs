@@ -11,8 +11,11 @@ use std::time::Instant;
 
 use rmpv::Value;
 use robogate_bridge::policy::{Profile, ServerPolicy};
-use robogate_core::{Image, Observation, Pose};
+use support::observation;
 use tungstenite::{Message, accept};
+
+#[path = "../tests/policy_support/mod.rs"]
+mod support;
 
 fn main() {
     let questions = std::env::args().skip(1).find_map(|a| a.parse().ok()).unwrap_or(500);
@@ -22,7 +25,7 @@ fn main() {
     for (what, text) in [("sent as they are", as_they_are), ("resized to 224 x 224", built_in)] {
         let mut policy = ServerPolicy::connect(&url, Arc::new(Profile::from_toml(&text).unwrap())).unwrap();
         policy.begin("pick up the box").unwrap();
-        let observation = observation();
+        let observation = observation(256);
         let mut times: Vec<f64> = (0..questions)
             .map(|_| {
                 let start = Instant::now();
@@ -69,22 +72,4 @@ fn server() -> String {
         }
     });
     url
-}
-
-fn observation() -> Observation {
-    let side = 256;
-    let image = |camera: &str| Image {
-        camera: camera.to_owned(),
-        width: side,
-        height: side,
-        rgb: (0..3 * side * side).map(|i| (i * i) as u8).collect(),
-    };
-    Observation {
-        time_s: 0.0,
-        joint_positions: vec![0.0; 7],
-        joint_velocities: vec![0.0; 7],
-        gripper_opening_m: Some(0.08),
-        tool_pose: Pose { position: [0.5, 0.0, 0.3], orientation: [0.0, 1.0, 0.0, 0.0] },
-        images: vec![image("front"), image("wrist")],
-    }
 }
