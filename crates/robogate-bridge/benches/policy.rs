@@ -5,14 +5,17 @@
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark prints, and stops where it cannot go on")]
 
 use std::net::TcpListener;
+use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::thread;
 use std::time::Instant;
 
-use rmpv::Value;
+use openpi::{actions, serve};
 use robogate_bridge::policy::{Profile, ServerPolicy};
-use support::observation;
-use tungstenite::{Message, accept};
+use support::{observation, task};
+use tungstenite::Message;
+
+#[path = "../tests/policy_support/openpi.rs"]
+mod openpi;
 
 #[path = "../tests/policy_support/mod.rs"]
 mod support;
@@ -24,7 +27,7 @@ fn main() {
     let as_they_are = built_in.replace("224", "256");
     for (what, text) in [("sent as they are", as_they_are), ("resized to 224 x 224", built_in)] {
         let mut policy = ServerPolicy::connect(&url, Arc::new(Profile::from_toml(&text).unwrap())).unwrap();
-        policy.begin("pick up the box").unwrap();
+        policy.begin(&task("pick up the box").instruction).unwrap();
         let observation = observation(256);
         let mut times: Vec<f64> = (0..questions)
             .map(|_| {
@@ -49,27 +52,14 @@ fn main() {
 fn server() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("ws://{}", listener.local_addr().unwrap());
-    let key = |name: &str| Value::Binary(name.as_bytes().to_vec());
-    let array = Value::Map(vec![
-        (key("__ndarray__"), true.into()),
-        (key("data"), Value::Binary(vec![0; 8 * 70])),
-        (key("dtype"), "<f8".into()),
-        (key("shape"), Value::Array(vec![10.into(), 7.into()])),
-    ]);
-    let mut answer = Vec::new();
-    rmpv::encode::write_value(&mut answer, &Value::Map(vec![("actions".into(), array)])).unwrap();
-    thread::spawn(move || {
-        for stream in listener.incoming() {
-            let stream = stream.unwrap();
-            stream.set_nodelay(true).unwrap();
-            let mut socket = accept(stream).unwrap();
-            socket.send(Message::binary(vec![0x80])).unwrap();
-            while let Ok(message) = socket.read() {
-                if message.is_binary() {
-                    socket.send(Message::binary(answer.clone())).unwrap();
-                }
+    let answer = actions(10, 7, |_, _| 0.0);
+    serve(listener, move |_, socket| {
+        while let Ok(message) = socket.read() {
+            if message.is_binary() {
+                socket.send(Message::binary(answer.clone())).unwrap();
             }
         }
+        ControlFlow::Continue(())
     });
     url
 }
