@@ -8,6 +8,7 @@ mod far;
 mod inspection;
 mod picture;
 mod progress;
+mod renderer;
 mod served;
 mod summary;
 mod terminal;
