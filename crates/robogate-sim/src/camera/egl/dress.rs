@@ -37,13 +37,14 @@ const HIGHLIGHT: f32 = 32.0 / 128.0;
 
 /// What of a scene is drawn: geoms of the shown groups, and nothing that MuJoCo adds for its own users.
 pub(super) fn options() -> MjvOption {
-    let mut options = MjvOption::default();
-    options.geomgroup = [1, 1, 1, 0, 0, 0];
-    options.sitegroup = [0; 6];
-    options.jointgroup = [0; 6];
-    options.tendongroup = [0; 6];
-    options.actuatorgroup = [0; 6];
-    options
+    MjvOption {
+        geomgroup: [1, 1, 1, 0, 0, 0],
+        sitegroup: [0; 6],
+        jointgroup: [0; 6],
+        tendongroup: [0; 6],
+        actuatorgroup: [0; 6],
+        ..MjvOption::default()
+    }
 }
 
 /// The model that is drawn in place of the engine's, with the same joints in the same order.
