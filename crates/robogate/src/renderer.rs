@@ -81,3 +81,27 @@ fn egl(engine: &MujocoEngine) -> anyhow::Result<(Box<dyn Renderer<MujocoEngine>>
 fn egl(_: &MujocoEngine) -> anyhow::Result<(Box<dyn Renderer<MujocoEngine>>, String)> {
     bail!("this build has no EGL renderer\n  hint: build it with --features egl, as docs/cameras.md says")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_embedded_renderer_leaves_no_trace_and_another_its_name_and_device() {
+        assert_eq!(RendererName::Embedded.drawn(), None);
+        assert_eq!(RendererName::Egl.drawn(), Some(Drawn::Egl { device: None }));
+        let drawn = Drawn::Egl { device: Some("llvmpipe".to_owned()) };
+        let recorded = serde_json::json!({ "name": "egl", "device": "llvmpipe" });
+        assert_eq!(serde_json::to_value(&drawn).unwrap(), recorded);
+        assert_eq!(serde_json::from_value::<Drawn>(recorded).unwrap(), drawn);
+        assert!(serde_json::from_value::<Drawn>(serde_json::json!({ "name": "vulkan" })).is_err());
+    }
+
+    #[test]
+    fn only_what_mujoco_holds_in_this_process_is_drawn_by_it() {
+        let egl = Drawn::Egl { device: None };
+        assert!(egl.check("mujoco", false).is_ok());
+        assert!(egl.check("rapier", false).unwrap_err().to_string().contains("rapier"));
+        assert!(egl.check("mujoco", true).unwrap_err().to_string().contains("--simulator"));
+    }
+}
