@@ -177,12 +177,11 @@ impl Cell {
         if let Some(drawn) = &world.renderer {
             drawn.check(&world.engine, pool.is_some())?;
         }
-        let mut cell = Self { world, robot, picture_px: SIZE_PX, pool };
         #[cfg(feature = "mujoco")]
-        if let Some(drawn) = &cell.world.renderer {
-            let Setup { robot, time_step_s, .. } = cell.setup();
-            cell.world.renderer = Some(drawn.open(&MujocoEngine::new(robot, time_step_s)?)?.1);
+        if let Some(drawn) = &world.renderer {
+            world.renderer = Some(drawn.open(&MujocoEngine::new(robot.clone(), world.time_step_s)?)?.1);
         }
+        let cell = Self { world, robot, picture_px: SIZE_PX, pool };
         let mut simulator = cell.simulator()?;
         simulator.reset(&nominal()).context("the robot cannot be set up in the cell")?;
         if cell.world.renderer.is_some() {
