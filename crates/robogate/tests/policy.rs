@@ -45,10 +45,8 @@ fn profile(dir: &TempDir, name: &str, changes: &[(&str, &str)]) -> String {
 }
 
 /// Ten actions an answer, all of them executed; one attempt to connect.
-const TEN: [(&str, &str); 2] = [
-    ("length = 50\nexecute = 5", "length = 10\nexecute = 10"),
-    ("[action]", "[server]\nattempts = 1\n\n[action]"),
-];
+const TEN: [(&str, &str); 2] =
+    [("length = 50\nexecute = 5", "length = 10\nexecute = 10"), ("[action]", "[server]\nattempts = 1\n\n[action]")];
 
 fn listener() -> (TcpListener, String) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
