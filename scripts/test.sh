@@ -15,6 +15,15 @@ for tool in mosquitto chromium; do
     PATH=$PATH:/usr/sbin command -v "$tool" > /dev/null || echo "note: no $tool; the tests that need it are skipped" >&2
 done
 
+# MuJoCo's own renderer draws by EGL; Mesa has it without a GPU.
+mesa=(libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri)
+if ! ldconfig -p | grep -q 'libEGL\.so\.1' || ! ldconfig -p | grep -q 'libGL\.so\.1' || ! compgen -G '/usr/lib/*/dri/swrast_dri.so' > /dev/null; then
+    if [ "$(id -u)" -eq 0 ] && command -v apt-get > /dev/null; then
+        { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${mesa[@]}"; } > /dev/null || true
+    fi
+    ldconfig -p | grep -q 'libEGL\.so\.1' || echo "note: no EGL; the tests of MuJoCo's own renderer are skipped" >&2
+fi
+
 requirements=(crates/robogate-dictionary/tests/requirements.txt crates/robogate-gate/tests/evidence-requirements.txt)
 venv=${CARGO_TARGET_DIR:-target}/readers-venv
 if [ -z "${ROBOGATE_TEST_PYTHON:-}" ]; then
@@ -76,4 +85,6 @@ if [ -z "${ROBOGATE_POLICY_PYTHON:-}" ]; then
         export ROBOGATE_POLICY_PYTHON
     fi
 fi
-exec cargo test --workspace --locked "$@"
+cargo test --workspace --locked "$@"
+# MuJoCo's own renderer is a feature of its own: what it adds, with the same dependencies as above.
+exec cargo test --workspace --locked --features robogate/egl --test egl

@@ -4,7 +4,7 @@ A simulator is a class with the methods of `Simulator`; `serve` does the rest: t
 everything that goes in and out, the typed errors. `Client` asks a server, `robogate serve` among them.
 """
 
-from .cell import PARAMETERS, Motion, Part, Touches, combined, turned, unit
+from .cell import CONTROL_PERIOD_S, Motion, Part, Touches, combined, physics_hello, turned, unit
 from .client import Client, Refused, Unanswered
 from .errors import Problem
 from .identity import robot_sha256
@@ -12,7 +12,7 @@ from .server import Action, Image, Scenario, Server, Simulator, serve
 from .servo import Fingers, Servo
 
 __all__ = [
-    "PARAMETERS",
+    "CONTROL_PERIOD_S",
     "Action",
     "Client",
     "Fingers",
@@ -28,6 +28,7 @@ __all__ = [
     "Touches",
     "Unanswered",
     "combined",
+    "physics_hello",
     "robot_sha256",
     "serve",
     "turned",

@@ -5,6 +5,9 @@ from math import inf, sqrt
 
 from .errors import Problem
 
+CONTROL_PERIOD_S = 0.05
+TIME_LIMIT_S = 15.0
+
 # The parameters that come to such a server resolved, in its cell: all of RoboGate's world but a suction cup's.
 PARAMETERS = [
     "friction", "mass_kg", "com_offset", "size_m", "ik_noise_rad", "obstacles", "shape", "placement",
@@ -13,6 +16,26 @@ PARAMETERS = [
     "disturbance_y_m", "disturbance_heading_rad", "disturbance_travel_m", "lighting_lux", "camera_roll_rad",
     "camera_pitch_rad", "table_material", "background_color", "object_color", "object_transparency",
 ]  # fmt: skip
+
+
+
+def physics_hello(server, engine, robot, time_step_s):
+    """The `hello` of physics for RoboGate's cell: `server` and `engine` name themselves, `robot` has a name, a hash and joints."""
+    return {
+        "server": server,
+        "engine": engine,
+        "robot": {"name": robot.name, "sha256": robot.sha256},
+        "time_step_s": time_step_s,
+        "control_period_s": CONTROL_PERIOD_S,
+        "time_limit_s": TIME_LIMIT_S,
+        "joints": robot.joints,
+        "action_spaces": ["joint_position"],
+        "tool_delta": None,
+        "cameras": [],
+        "parameters": PARAMETERS,
+        "judges": False,
+        "deterministic": True,
+    }
 
 
 @dataclass(frozen=True)

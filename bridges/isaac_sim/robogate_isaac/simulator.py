@@ -3,13 +3,22 @@
 import struct
 from hashlib import blake2b
 
-from robogate_bridge import PARAMETERS, Fingers, Motion, Problem, Servo, Touches, combined, turned, unit
+from robogate_bridge import (
+    CONTROL_PERIOD_S,
+    Fingers,
+    Motion,
+    Problem,
+    Servo,
+    Touches,
+    combined,
+    physics_hello,
+    turned,
+    unit,
+)
 
 from . import __version__
 from .stage import damped, drive_of
 
-CONTROL_PERIOD_S = 0.05
-TIME_LIMIT_S = 15.0
 TIME_STEP_S = 0.0025
 
 
@@ -23,22 +32,10 @@ class Isaac:
         self._runtime = None
 
     def hello(self):
-        return {
-            "server": {"name": "robogate-isaac-sim", "version": __version__},
-            "engine": {"name": "isaac-sim", "version": self._version, "solver": "physx TGS, CPU"},
-            "robot": {"name": self._robot.name, "sha256": self._robot.sha256},
-            "time_step_s": TIME_STEP_S,
-            "control_period_s": CONTROL_PERIOD_S,
-            "time_limit_s": TIME_LIMIT_S,
-            "joints": self._robot.joints,
-            "action_spaces": ["joint_position"],
-            "tool_delta": None,
-            "cameras": [],
-            "parameters": PARAMETERS,
-            "judges": False,
-            # PhysX says so of one machine and one build; not tried here (README.md).
-            "deterministic": True,
-        }
+        server = {"name": "robogate-isaac-sim", "version": __version__}
+        engine = {"name": "isaac-sim", "version": self._version, "solver": "physx TGS, CPU"}
+        # Deterministic: PhysX says so of one machine and one build; not tried here (README.md).
+        return physics_hello(server, engine, self._robot, TIME_STEP_S)
 
     def reset(self, scenario):
         self._runtime = None

@@ -9,11 +9,11 @@ import warp as wp
 # Standard output carries the address alone.
 wp.config.log_level = wp.LOG_WARNING
 
-from robogate_bridge import Problem, serve  # noqa: E402
+from robogate_bridge import CONTROL_PERIOD_S, Problem, serve  # noqa: E402
 
 from .example import example_cell  # noqa: E402
 from .robot import Robot  # noqa: E402
-from .simulator import CONTROL_PERIOD_S, ENGINES, Newton  # noqa: E402
+from .simulator import ENGINES, Newton  # noqa: E402
 
 ROBOT = Path(__file__).resolve().parents[3] / "assets" / "robots" / "franka"
 

@@ -1,7 +1,7 @@
 """The cell in Newton as a simulator of the bridge: physics alone, judged by RoboGate."""
 
 import newton
-from robogate_bridge import PARAMETERS, Action, Fingers, Problem, Scenario, Servo
+from robogate_bridge import CONTROL_PERIOD_S, Action, Fingers, Problem, Scenario, Servo, physics_hello
 
 from . import __version__
 from .geometry import Geometry
@@ -10,9 +10,6 @@ from .steel_engine import SteelEngine
 from .world import Workshop
 
 ENGINES = {engine.name: engine for engine in (MujocoEngine, SteelEngine)}
-
-CONTROL_PERIOD_S = 0.05
-TIME_LIMIT_S = 15.0
 
 
 class Newton:
@@ -33,21 +30,9 @@ class Newton:
         self.close()
 
     def hello(self):
-        return {
-            "server": {"name": "robogate-newton", "version": __version__},
-            "engine": {"name": "newton", "version": newton.__version__, "solver": self._kind.version()},
-            "robot": {"name": self._robot.name, "sha256": self._robot.sha256},
-            "time_step_s": self._time_step,
-            "control_period_s": CONTROL_PERIOD_S,
-            "time_limit_s": TIME_LIMIT_S,
-            "joints": self._robot.joints,
-            "action_spaces": ["joint_position"],
-            "tool_delta": None,
-            "cameras": [],
-            "parameters": PARAMETERS,
-            "judges": False,
-            "deterministic": True,
-        }
+        server = {"name": "robogate-newton", "version": __version__}
+        engine = {"name": "newton", "version": newton.__version__, "solver": self._kind.version()}
+        return physics_hello(server, engine, self._robot, self._time_step)
 
     def reset(self, scenario):
         self._engine = None

@@ -5,14 +5,20 @@
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark prints, and stops where it cannot go on")]
 
 use std::net::TcpListener;
+use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::thread;
 use std::time::Instant;
 
-use rmpv::Value;
+use openpi::{actions, serve};
 use robogate_bridge::policy::{Profile, ServerPolicy};
-use robogate_core::{Image, Observation, Pose};
-use tungstenite::{Message, accept};
+use support::{observation, task};
+use tungstenite::Message;
+
+#[path = "../tests/policy_support/openpi.rs"]
+mod openpi;
+
+#[path = "../tests/policy_support/mod.rs"]
+mod support;
 
 fn main() {
     let questions = std::env::args().skip(1).find_map(|a| a.parse().ok()).unwrap_or(500);
@@ -21,8 +27,8 @@ fn main() {
     let as_they_are = built_in.replace("224", "256");
     for (what, text) in [("sent as they are", as_they_are), ("resized to 224 x 224", built_in)] {
         let mut policy = ServerPolicy::connect(&url, Arc::new(Profile::from_toml(&text).unwrap())).unwrap();
-        policy.begin("pick up the box").unwrap();
-        let observation = observation();
+        policy.begin(&task("pick up the box").instruction).unwrap();
+        let observation = observation(256);
         let mut times: Vec<f64> = (0..questions)
             .map(|_| {
                 let start = Instant::now();
@@ -46,45 +52,14 @@ fn main() {
 fn server() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("ws://{}", listener.local_addr().unwrap());
-    let key = |name: &str| Value::Binary(name.as_bytes().to_vec());
-    let array = Value::Map(vec![
-        (key("__ndarray__"), true.into()),
-        (key("data"), Value::Binary(vec![0; 8 * 70])),
-        (key("dtype"), "<f8".into()),
-        (key("shape"), Value::Array(vec![10.into(), 7.into()])),
-    ]);
-    let mut answer = Vec::new();
-    rmpv::encode::write_value(&mut answer, &Value::Map(vec![("actions".into(), array)])).unwrap();
-    thread::spawn(move || {
-        for stream in listener.incoming() {
-            let stream = stream.unwrap();
-            stream.set_nodelay(true).unwrap();
-            let mut socket = accept(stream).unwrap();
-            socket.send(Message::binary(vec![0x80])).unwrap();
-            while let Ok(message) = socket.read() {
-                if message.is_binary() {
-                    socket.send(Message::binary(answer.clone())).unwrap();
-                }
+    let answer = actions(10, 7, |_, _| 0.0);
+    serve(listener, move |_, socket| {
+        while let Ok(message) = socket.read() {
+            if message.is_binary() {
+                socket.send(Message::binary(answer.clone())).unwrap();
             }
         }
+        ControlFlow::Continue(())
     });
     url
-}
-
-fn observation() -> Observation {
-    let side = 256;
-    let image = |camera: &str| Image {
-        camera: camera.to_owned(),
-        width: side,
-        height: side,
-        rgb: (0..3 * side * side).map(|i| (i * i) as u8).collect(),
-    };
-    Observation {
-        time_s: 0.0,
-        joint_positions: vec![0.0; 7],
-        joint_velocities: vec![0.0; 7],
-        gripper_opening_m: Some(0.08),
-        tool_pose: Pose { position: [0.5, 0.0, 0.3], orientation: [0.0, 1.0, 0.0, 0.0] },
-        images: vec![image("front"), image("wrist")],
-    }
 }

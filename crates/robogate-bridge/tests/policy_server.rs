@@ -1,15 +1,18 @@
 //! A policy behind a WebSocket: what goes right, and the name of whatever goes wrong.
 
+#[path = "policy_support/openpi.rs"]
+mod openpi;
 mod policy_support;
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
+use openpi::{actions, serve};
 use policy_support::{observation, task};
-use rmpv::Value;
 use robogate_bridge::policy::{Profile, ServerPolicy};
 use robogate_core::{ArmCommand, FaultKind, GripperCommand, Policy, Seed};
 use tungstenite::{Message, WebSocket, accept};
@@ -19,35 +22,13 @@ fn profile(server: &str) -> Profile {
     Profile::from_toml(&format!("{text}\n[server]\n{server}")).expect("it works here")
 }
 
-fn actions(rows: usize, width: usize, number: impl Fn(usize, usize) -> f64) -> Vec<u8> {
-    let data =
-        (0..rows).flat_map(|i| (0..width).flat_map(move |j| [(i, j)])).flat_map(|(i, j)| number(i, j).to_le_bytes());
-    let key = |name: &str| Value::Binary(name.as_bytes().to_vec());
-    let array = Value::Map(vec![
-        (key("__ndarray__"), true.into()),
-        (key("data"), Value::Binary(data.collect())),
-        (key("dtype"), "<f8".into()),
-        (key("shape"), Value::Array(vec![rows.into(), width.into()])),
-    ]);
-    bytes(&Value::Map(vec![("actions".into(), array)]))
-}
-
-fn bytes(value: &Value) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    rmpv::encode::write_value(&mut bytes, value).expect("it works here");
-    bytes
-}
-
-/// A server that sends metadata and then does as it is told, for each connection.
-fn server(serve: impl Fn(usize, &mut WebSocket<TcpStream>) + Send + 'static) -> String {
+/// A server that does as it is told with each connection.
+fn server(converse: impl Fn(usize, &mut WebSocket<TcpStream>) + Send + 'static) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("it works here");
     let url = format!("ws://{}", listener.local_addr().expect("it works here"));
-    thread::spawn(move || {
-        for (number, stream) in listener.incoming().enumerate() {
-            let Ok(mut socket) = accept(stream.expect("it works here")) else { continue };
-            socket.send(Message::binary(bytes(&Value::Map(vec![])))).expect("it works here");
-            serve(number, &mut socket);
-        }
+    serve(listener, move |number, socket| {
+        converse(number, socket);
+        ControlFlow::Continue(())
     });
     url
 }

@@ -6,7 +6,7 @@ use crate::{Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Measure
 
 /// What the policy is told about the task. Nominal: what a cell's engineer would know beforehand,
 /// not what the episode's noise made of it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TaskSpec {
     /// The task in words, for language-conditioned policies.
     pub instruction: String,

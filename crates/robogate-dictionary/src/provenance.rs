@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::{SCHEMA_VERSION, SchemaVersion};
+use crate::{SCHEMA_VERSION, SchemaVersion, hex};
 
 /// Where a dictionary comes from: everything that its rows depend on, and nothing else.
 ///
@@ -102,7 +102,7 @@ pub fn robot_sha256<'a>(files: impl IntoIterator<Item = (&'a str, &'a [u8])>) ->
         hash.update((bytes.len() as u64).to_le_bytes());
         hash.update(bytes);
     }
-    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    hex(&hash.finalize())
 }
 
 /// What a robot can reach and carry, and where its work lies.

@@ -157,7 +157,7 @@ impl Reader<'_> {
             let (parent, way) = match entry.parent {
                 Some(parent) => {
                     let (link, way) = *places.get(parent).ok_or("a body comes before its parent")?;
-                    (link, way * pose(&body.pose))
+                    (link, way * isometry(&body.pose))
                 }
                 None => (0, Isometry3::identity()),
             };
@@ -188,7 +188,7 @@ impl Reader<'_> {
                 link.looks.extend(self.look(geom, &within).ok());
             }
             if let Some(inertial) = &body.inertial {
-                let frame = within * pose(&inertial.pose);
+                let frame = within * isometry(&inertial.pose);
                 let about = match inertial.inertia {
                     InertiaSpec::Diagonal(d) => Matrix3::from_diagonal(&Vector3::from(d)),
                     InertiaSpec::Full([xx, yy, zz, xy, xz, yz]) => Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz),
@@ -216,7 +216,7 @@ impl Reader<'_> {
                 .site_by_name(wanted)
                 .ok_or_else(|| format!("there is no site `{wanted}`, which robot.toml names"))?;
             let (link, within) = places[body];
-            Ok::<_, String>((link, within * pose(&self.model.bodies[body].body.sites[site].pose)))
+            Ok::<_, String>((link, within * isometry(&self.model.bodies[body].body.sites[site].pose)))
         };
         let tcp = site(&robot.settings.arm.tcp_site)?;
         let flange = site(&robot.settings.arm.flange_site)?;
@@ -254,7 +254,7 @@ impl Reader<'_> {
     fn solid(&self, geom: &Geom) -> Result<(Solid, Isometry3<f64>), String> {
         let name = geom.name.as_deref().unwrap_or("without a name");
         let [a, b, c] = geom.size;
-        let at = pose(&geom.pose);
+        let at = isometry(&geom.pose);
         if let Some([x1, y1, z1, x2, y2, z2]) = geom.fromto {
             let (from, to) = (Vector3::new(x1, y1, z1), Vector3::new(x2, y2, z2));
             let along = to - from;
@@ -325,7 +325,7 @@ impl Reader<'_> {
             let bytes = fs::read(&path).map_err(|e| format!("mesh `{wanted}`: {}: {e}", path.display()))?;
             vertices(&bytes).ok_or_else(|| format!("mesh `{wanted}`: {} is neither STL nor OBJ", path.display()))?
         };
-        let place = pose(&mesh.refpose);
+        let place = isometry(&mesh.refpose);
         let points: Vec<_> = flat
             .chunks_exact(3)
             .map(|v| place.inverse_transform_point(&Point3::new(v[0], v[1], v[2])))
@@ -374,7 +374,8 @@ impl Link {
     }
 }
 
-fn pose(pose: &mjcf_rs::Pose) -> Isometry3<f64> {
+/// A pose as MJCF's reader and Rapier have it, who share the type, in nalgebra's.
+pub(crate) fn isometry(pose: &mjcf_rs::Pose) -> Isometry3<f64> {
     let (t, r) = (pose.translation, pose.rotation);
     let turn = UnitQuaternion::new_normalize(Quaternion::new(r.w, r.x, r.y, r.z));
     Isometry3::from_parts(Translation3::new(t.x, t.y, t.z), turn)

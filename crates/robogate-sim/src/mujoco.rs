@@ -180,6 +180,24 @@ impl MujocoEngine {
     /// The scene as a MuJoCo model, for whoever wants to look at it or step it alone.
     pub fn compile(&self, scene: &Scene) -> Result<MjModel, MjEditError> {
         let mut spec = self.base.clone();
+        self.furnish(&mut spec, scene)?;
+        spec.compile()
+    }
+
+    /// The robot alone, before any scene.
+    #[cfg(feature = "egl")]
+    pub(crate) fn base(&self) -> &MjSpec {
+        &self.base
+    }
+
+    /// Positions of all joints of the loaded scene, in the compiled model's order.
+    #[cfg(feature = "egl")]
+    pub(crate) fn positions(&self) -> &[f64] {
+        self.loaded().data.qpos()
+    }
+
+    /// Puts a scene about the robot.
+    pub(crate) fn furnish(&self, spec: &mut MjSpec, scene: &Scene) -> Result<(), MjEditError> {
         spec.option_mut().gravity = [0.0, 0.0, -scene.gravity];
         let world = spec.world_body_mut();
         for (i, fixture) in scene.fixtures.iter().enumerate() {
@@ -244,7 +262,7 @@ impl MujocoEngine {
             weld.solref_mut()[..2].copy_from_slice(&[CONTACT_TIME_S, 1.0]);
             weld.solimp_mut()[..3].copy_from_slice(&[0.95, 0.99, 0.001]);
         }
-        spec.compile()
+        Ok(())
     }
 }
 

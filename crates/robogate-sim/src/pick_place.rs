@@ -2,7 +2,7 @@
 
 use robogate_core::{Action, Fault, FaultKind, Image, Scenario, Simulator, Start, Step};
 
-use crate::camera::{Cameras, Posture};
+use crate::camera::{Cameras, Posture, Renderer};
 use crate::cell::ResolvedCell;
 use crate::judge::Judge;
 use crate::plant::Plant;
@@ -14,6 +14,8 @@ pub struct PickPlace<E> {
     judge: Judge,
     /// Or why there are none.
     cameras: Result<Cameras, String>,
+    /// In place of the cameras.
+    renderer: Option<Box<dyn Renderer<E>>>,
 }
 
 impl<E: Engine> PickPlace<E> {
@@ -26,7 +28,7 @@ impl<E: Engine> PickPlace<E> {
         let plant = Plant::new(engine, grip_force_n)?;
         let judge = Judge::new(plant.engine.robot().clone(), plant.engine.chain().clone(), plant.grip_force_n);
         let cameras = Cameras::new(plant.engine.robot());
-        Ok(Self { plant, judge, cameras })
+        Ok(Self { plant, judge, cameras, renderer: None })
     }
 
     /// The same task, a suction cup holding by this law.
@@ -40,6 +42,16 @@ impl<E: Engine> PickPlace<E> {
     #[must_use]
     pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
         self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
+        if let Some(renderer) = &mut self.renderer {
+            renderer.resize(width, height);
+        }
+        self
+    }
+
+    /// The same task, its pictures taken by `renderer`.
+    #[must_use]
+    pub fn with_renderer(mut self, renderer: Box<dyn Renderer<E>>) -> Self {
+        self.renderer = Some(renderer);
         self
     }
 
@@ -59,13 +71,18 @@ impl<E: Engine> PickPlace<E> {
 
 impl<E: Engine> Simulator for PickPlace<E> {
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
-        let Self { plant, judge, cameras } = self;
-        if let Ok(cameras) = cameras {
-            cameras.clear();
+        let Self { plant, judge, cameras, renderer } = self;
+        match (renderer.as_mut(), cameras.as_mut()) {
+            (Some(renderer), _) => renderer.clear(),
+            (None, Ok(cameras)) => cameras.clear(),
+            (None, Err(_)) => {}
         }
         let cell = judge.brief(scenario)?;
         plant.load(&cell)?;
-        let visual = show(cameras, &cell);
+        let visual = match renderer {
+            Some(renderer) => renderer.set_up(&plant.engine, &cell.scene),
+            None => show(cameras, &cell),
+        };
         let held = plant.engine.read_back()?;
         judge.start(scenario, cell, (&held, &visual), plant.engine.touches(), plant.arm_state())
     }
@@ -79,6 +96,9 @@ impl<E: Engine> Simulator for PickPlace<E> {
     }
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
         let engine = &self.plant.engine;
+        if let Some(renderer) = &mut self.renderer {
+            return renderer.render(engine);
+        }
         render(&self.cameras, |fixtures| Posture {
             joints: engine.joint_positions(),
             opening_m: engine.opening(),

@@ -5,7 +5,7 @@
 //! friction solved together with position correction, friction coefficients that are the object's alone.
 //! What Rapier lacks and MuJoCo has, a ball's rolling friction, is added as a moment.
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rapier3d_f64::dynamics::{
     GenericJoint, GenericJointBuilder, ImpulseJointHandle, JointAxesMask, JointAxis, MassProperties, MotorModel,
     MultibodyDofCoupling, MultibodyJointHandle, RigidBodyBuilder, RigidBodyHandle, SpringCoefficients,
@@ -18,7 +18,7 @@ use rapier3d_f64::math::{Matrix, Pose, Rotation, Vector};
 use rapier3d_f64::prelude::{CoefficientCombineRule, PhysicsWorld};
 use robogate_core::{Fault, FaultKind};
 
-use crate::description::{Description, Link, Solid};
+use crate::description::{Description, Link, Solid, isometry};
 use crate::engine::Collision;
 use crate::{
     Arm, Chain, Engine, EngineBuild, FixtureKind, FixtureRead, JointTargets, ParallelJaw, Primitive, Readback, Robot,
@@ -132,12 +132,6 @@ fn vector(v: &Vector3<f64>) -> Vector {
 fn pose(pose: &Isometry3<f64>) -> Pose {
     let q = pose.rotation;
     Pose { translation: vector(&pose.translation.vector), rotation: Rotation::from_xyzw(q.i, q.j, q.k, q.w) }
-}
-
-fn isometry(pose: &Pose) -> Isometry3<f64> {
-    let (t, r) = (pose.translation, pose.rotation);
-    let turn = UnitQuaternion::new_normalize(nalgebra::Quaternion::new(r.w, r.x, r.y, r.z));
-    Isometry3::from_parts(Translation3::new(t.x, t.y, t.z), turn)
 }
 
 /// Rapier's cylinders and capsules stand along y, ours along z.

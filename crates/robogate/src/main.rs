@@ -9,6 +9,7 @@ mod guest;
 mod inspection;
 mod picture;
 mod progress;
+mod renderer;
 mod summary;
 mod terminal;
 mod world;

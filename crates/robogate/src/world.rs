@@ -16,7 +16,7 @@ use robogate_dictionary::{hex, provenance, robot_sha256};
 use robogate_sim::MujocoEngine;
 #[cfg(feature = "rapier")]
 use robogate_sim::RapierEngine;
-use robogate_sim::camera::SIZE_PX;
+use robogate_sim::camera::{Renderer, SIZE_PX};
 use robogate_sim::claims::{Bench, Setup, Workbench};
 use robogate_sim::{
     CONTROL_PERIOD_S, Chain, Engine, EngineBuild, Gripper, PickPlace, Robot, RobotError, RobotFile, SceneParameters,
@@ -29,6 +29,7 @@ use sha2::{Digest, Sha256};
 use crate::exit::{Exit, OrExit};
 use crate::far::{self, Far, OurWorld, Simulators, Told};
 use crate::guest::Guest;
+use crate::renderer::{Drawn, RendererName};
 
 /// The engines of this build by name, each with its own time step in seconds; the first is the default.
 const ENGINES: &[(&str, f64)] = &[
@@ -62,6 +63,9 @@ pub(crate) struct World {
     /// What holds an object at a suction cup; nothing for a gripper without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) suction: Option<SuctionLaw>,
+    /// What takes the pictures; the embedded caster where it is left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) renderer: Option<Drawn>,
     /// What the engine is to us where it is behind a socket.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) simulator: Option<Far>,
@@ -89,6 +93,9 @@ pub(crate) struct WorldArguments {
     /// friction, up to their limits); default: surface for the paper preset, vacuum otherwise
     #[arg(long, value_name = "LAW")]
     suction: Option<SuctionLaw>,
+    /// What takes the cameras' pictures: the embedded ray caster, or MuJoCo's own renderer by EGL (docs/cameras.md)
+    #[arg(long, value_name = "R", default_value = "embedded")]
+    renderer: RendererName,
     #[command(flatten)]
     pub(crate) simulators: Simulators,
 }
@@ -108,6 +115,7 @@ impl WorldArguments {
             time_step_s: self.time_step.unwrap_or_else(|| time_step(&self.engine)),
             grip_force_n: self.grip_force,
             suction: self.suction,
+            renderer: self.renderer.drawn(),
             simulator: None,
             policy: None,
         }
@@ -166,8 +174,19 @@ impl Cell {
         if let (Some(_), Some(force)) = (robot.settings.gripper.cup(), world.grip_force_n) {
             bail!("--grip-force {force} is for fingers: the gripper of {} is a suction cup", robot.name());
         }
+        if let Some(drawn) = &world.renderer {
+            drawn.check(&world.engine, pool.is_some())?;
+        }
+        #[cfg(feature = "mujoco")]
+        if let Some(drawn) = &world.renderer {
+            world.renderer = Some(drawn.open(&MujocoEngine::new(robot.clone(), world.time_step_s)?)?.1);
+        }
         let cell = Self { world, robot, picture_px: None, pool };
-        cell.simulator()?.reset(&nominal()).context("the robot cannot be set up in the cell")?;
+        let mut simulator = cell.simulator()?;
+        simulator.reset(&nominal()).context("the robot cannot be set up in the cell")?;
+        if cell.world.renderer.is_some() {
+            simulator.render()?;
+        }
         Ok(cell)
     }
 
@@ -310,9 +329,13 @@ impl Cell {
         let (robot, step) = (setup.robot.clone(), setup.time_step_s);
         match self.world.engine.as_str() {
             #[cfg(feature = "mujoco")]
-            "mujoco" => Built::new(MujocoEngine::new(robot, step)?, setup.suction, self.picture_px()),
+            "mujoco" => {
+                let engine = MujocoEngine::new(robot, step)?;
+                let renderer = self.world.renderer.as_ref().map(|drawn| drawn.open(&engine)).transpose()?;
+                Built::new(engine, setup.suction, self.picture_px(), renderer.map(|(renderer, _)| renderer))
+            }
             #[cfg(feature = "rapier")]
-            "rapier" => Built::new(RapierEngine::new(robot, step)?, setup.suction, self.picture_px()),
+            "rapier" => Built::new(RapierEngine::new(robot, step)?, setup.suction, self.picture_px(), None),
             other => bail!("there is no engine `{other}` in this build"),
         }
     }
@@ -385,6 +408,9 @@ impl Cell {
 
     /// The engine alone, to be told and to report.
     pub(crate) fn physics_host(&self) -> anyhow::Result<far::PhysicsHost> {
+        if self.world.renderer.is_some() {
+            bail!("--renderer egl: a server of the physics alone takes no pictures");
+        }
         let hello = self.hello()?;
         let here = |name: &String| !offsite::HERE.contains(&name.as_str());
         let hello = Hello {
@@ -476,9 +502,17 @@ struct Built {
 }
 
 impl Built {
-    fn new<E: Engine + 'static>(engine: E, suction: SuctionLaw, picture_px: usize) -> anyhow::Result<Self> {
+    fn new<E: Engine + 'static>(
+        engine: E,
+        suction: SuctionLaw,
+        picture_px: usize,
+        renderer: Option<Box<dyn Renderer<E>>>,
+    ) -> anyhow::Result<Self> {
         let (chain, build) = (engine.chain().clone(), engine.build());
-        let task = PickPlace::new(engine, None).map_err(|why| anyhow!(why))?;
+        let mut task = PickPlace::new(engine, None).map_err(|why| anyhow!(why))?;
+        if let Some(renderer) = renderer {
+            task = task.with_renderer(renderer);
+        }
         let simulator = task.with_suction(suction).with_picture_size(picture_px, picture_px);
         Ok(Self { simulator: Box::new(simulator), chain, engine: build })
     }

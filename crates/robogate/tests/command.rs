@@ -148,6 +148,10 @@ fn what_is_wrong_is_said_with_exit_code_2_and_nothing_is_started() {
     run("-n", "0", &["at least one episode"]);
     run("--robot", "r2d2", &["no robot `r2d2`", "franka"]);
     run("--engine", "ode", &["no engine `ode`", "mujoco"]);
+    assert_usage(&["run", "--out", &out, "--engine", "rapier", "--renderer", "egl"], &["--engine mujoco", "rapier"]);
+    #[cfg(not(feature = "egl"))]
+    run("--renderer", "egl", &["no EGL renderer", "--features egl"]);
+    run("--renderer", "vulkan", &["vulkan", "embedded", "egl"]);
     run("--grip-force", "500", &["500", "70"]);
     run("--time-step", "0.003", &["0.003", "whole number of steps"]);
     run("--preset", "big", &["big", "quick", "paper"]);

@@ -114,6 +114,7 @@ impl Array {
     }
 
     /// The same elements in another shape, which must hold as many.
+    #[cfg(test)]
     #[must_use]
     pub(crate) fn reshaped(self, shape: Vec<usize>) -> Self {
         debug_assert_eq!(shape.iter().product::<usize>(), self.shape.iter().product::<usize>());

@@ -7,6 +7,7 @@ use super::error::ServerError;
 use super::picture::Picture;
 use super::profile::{ActionForm, Arm, Axes, MAX_CHUNK, Part, Profile, Rotation, Side};
 use super::rotation;
+use super::spare::Spare;
 
 /// What a model is asked: pictures and vectors under the server's names, in the profile's order.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,6 +32,17 @@ impl Query {
         instruction: &str,
         step: u64,
     ) -> Result<Self, ServerError> {
+        Self::drawn(profile, observation, instruction, step, &mut Spare::default())
+    }
+
+    /// The same, its pictures in buffers that [`Query::give_back`] returns.
+    pub(crate) fn drawn(
+        profile: &Profile,
+        observation: &Observation,
+        instruction: &str,
+        step: u64,
+        spare: &mut Spare,
+    ) -> Result<Self, ServerError> {
         let images = profile.cameras.iter().map(|camera| {
             let image = observation.images.iter().find(|image| image.camera == camera.from).ok_or_else(|| {
                 let known: Vec<&str> = observation.images.iter().map(|image| image.camera.as_str()).collect();
@@ -40,7 +52,7 @@ impl Query {
                     camera.from
                 ))
             })?;
-            let picture = Picture::taken(image, camera).ok_or_else(|| {
+            let picture = Picture::taken(image, camera, spare).ok_or_else(|| {
                 ServerError::Observation(format!(
                     "the picture of `{}` has {} bytes, which are not {} x {} pixels",
                     image.camera,
@@ -52,7 +64,11 @@ impl Query {
             let (w, h) = (picture.width, picture.height);
             let (shape, data) = match camera.axes {
                 Axes::Hwc => (vec![h, w, 3], picture.rgb),
-                Axes::Chw => (vec![3, h, w], picture.planes()),
+                Axes::Chw => {
+                    let planes = picture.planes(spare);
+                    spare.give(picture.rgb);
+                    (vec![3, h, w], planes)
+                }
             };
             let array = Array::new(Dtype::U8, shape, data).map_err(|e| ServerError::Observation(e.to_string()))?;
             Ok((camera.key.clone(), array))
@@ -71,6 +87,11 @@ impl Query {
         let states = states.collect::<Result<_, ServerError>>()?;
         let instruction = profile.instruction.as_deref().unwrap_or(instruction).to_owned();
         Ok(Self { images, states, instruction, step, time_s: observation.time_s })
+    }
+
+    /// Returns the pictures' buffers.
+    pub(crate) fn give_back(self, spare: &mut Spare) {
+        self.images.into_iter().for_each(|(_, array)| spare.give(array.into_data()));
     }
 }
 

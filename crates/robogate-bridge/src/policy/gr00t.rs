@@ -6,7 +6,7 @@
 
 use std::collections::BTreeSet;
 
-use rmpv::{Value, ValueRef};
+use rmpv::ValueRef;
 use serde_json::Value as Json;
 
 use super::array::Array;
@@ -68,7 +68,7 @@ impl Gr00tServer {
     fn call<T>(
         &mut self,
         endpoint: &'static str,
-        data: Option<Value>,
+        data: Option<ValueRef<'_>>,
         deadline: Deadline,
         read: impl FnOnce(&ValueRef<'_>) -> Result<T, ServerError>,
     ) -> Result<T, ServerError> {
@@ -92,27 +92,28 @@ impl Link for Gr00tServer {
             // It keeps nothing and knows no reset.
             Version::N15 => Ok(()),
             Version::N16 => {
-                let options = msgpack::map([("options", Value::Nil)]);
+                let options = msgpack::map([("options", ValueRef::Nil)]);
                 self.call("reset", Some(options), deadline, |_| Ok(()))
             }
         }
     }
 
-    fn ask(&mut self, query: Query, deadline: Deadline) -> Result<Chunk, ServerError> {
+    fn ask(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, ServerError> {
         let keys = self.settings.action_keys.clone();
         let language = self.settings.language_key.clone();
         let (version, settled) = (self.version, self.layout);
-        let mut ask = |query: &Query, layout| {
-            let data = observation(query, version, layout, &language);
+        let mut ask = |layout| {
+            let files = Files::of(query, version, layout);
+            let data = files.observation(&query.instruction, version, layout, &language);
             self.call("get_action", Some(data), deadline, |answer| actions(answer, &keys))
         };
         if let Some(layout) = settled {
-            return ask(&query, layout);
+            return ask(layout);
         }
         // A wrong layout is refused in words; that question costs no inference.
-        let (layout, answer) = match ask(&query, Layout::Nested) {
+        let (layout, answer) = match ask(Layout::Nested) {
             Err(ServerError::Refused { text }) if text.contains("must be in observation") => {
-                (Layout::Flat, ask(&query, Layout::Flat))
+                (Layout::Flat, ask(Layout::Flat))
             }
             other => (Layout::Nested, other),
         };
@@ -126,43 +127,60 @@ impl Link for Gr00tServer {
 }
 
 /// A question as bytes.
-fn encode(endpoint: &str, data: Option<Value>, token: Option<String>) -> Vec<u8> {
-    let endpoint = [("endpoint", Value::from(endpoint))];
+fn encode(endpoint: &str, data: Option<ValueRef<'_>>, token: Option<String>) -> Vec<u8> {
+    let endpoint = [("endpoint", ValueRef::from(endpoint))];
     let data = data.map(|data| ("data", data));
-    let token = token.map(|token| ("api_token", Value::from(token)));
+    let token = token.as_deref().map(|token| ("api_token", ValueRef::from(token)));
     msgpack::encode(&msgpack::map(endpoint.into_iter().chain(data).chain(token)))
 }
 
-/// What `get_action` is asked with.
-fn observation(query: &Query, version: Version, layout: Layout, language: &str) -> Value {
-    // N1.6 has axes for batch and time, N1.5 one for time.
-    let ones = if version == Version::N16 { 2 } else { 1 };
-    let file = |array: &Array| {
-        let shape = std::iter::repeat_n(1, ones).chain(array.shape().iter().copied()).collect();
-        let file = npy::write(&array.clone().reshaped(shape));
-        msgpack::map([("__ndarray_class__", Value::Boolean(true)), ("as_npy", Value::Binary(file))])
-    };
-    let text = Value::from(query.instruction.as_str());
-    let nested =
-        |arrays: &[(String, Array)]| msgpack::map(arrays.iter().map(|(key, array)| (key.clone(), file(array))));
-    let observation = match layout {
-        Layout::Nested => {
-            let sentence = Value::Array(vec![Value::Array(vec![text])]);
-            msgpack::map([
-                ("video", nested(&query.images)),
-                ("state", nested(&query.states)),
-                ("language", msgpack::map([(language, sentence)])),
-            ])
+/// A question's arrays as files, by the names that a layout has for them.
+struct Files {
+    video: Vec<(String, Vec<u8>)>,
+    state: Vec<(String, Vec<u8>)>,
+}
+
+impl Files {
+    fn of(query: &Query, version: Version, layout: Layout) -> Self {
+        // N1.6 has axes for batch and time, N1.5 one for time.
+        let ones = if version == Version::N16 { 2 } else { 1 };
+        let files = |kind: &str, arrays: &[(String, Array)]| {
+            let name = |key: &str| match layout {
+                Layout::Nested => key.to_owned(),
+                Layout::Flat => format!("{kind}.{key}"),
+            };
+            arrays.iter().map(|(key, array)| (name(key), npy::write(array, ones))).collect()
+        };
+        Self { video: files("video", &query.images), state: files("state", &query.states) }
+    }
+
+    /// What `get_action` is asked with.
+    fn observation<'a>(
+        &'a self,
+        instruction: &'a str,
+        version: Version,
+        layout: Layout,
+        language: &'a str,
+    ) -> ValueRef<'a> {
+        fn entries(files: &[(String, Vec<u8>)]) -> impl Iterator<Item = (&str, ValueRef<'_>)> {
+            files.iter().map(|(key, file)| {
+                let mark = ("__ndarray_class__", ValueRef::Boolean(true));
+                (key.as_str(), msgpack::map([mark, ("as_npy", ValueRef::Binary(file))]))
+            })
         }
-        Layout::Flat => {
-            let video = query.images.iter().map(|(key, array)| (format!("video.{key}"), file(array)));
-            let state = query.states.iter().map(|(key, array)| (format!("state.{key}"), file(array)));
-            msgpack::map(video.chain(state).chain([(language.to_owned(), Value::Array(vec![text]))]))
+        let sentence = ValueRef::Array(vec![instruction.into()]);
+        let (video, state) = (entries(&self.video), entries(&self.state));
+        let observation = match layout {
+            Layout::Nested => {
+                let language = msgpack::map([(language, ValueRef::Array(vec![sentence]))]);
+                msgpack::map([("video", msgpack::map(video)), ("state", msgpack::map(state)), ("language", language)])
+            }
+            Layout::Flat => msgpack::map(video.chain(state).chain([(language, sentence)])),
+        };
+        match version {
+            Version::N15 => observation,
+            Version::N16 => msgpack::map([("observation", observation), ("options", ValueRef::Nil)]),
         }
-    };
-    match version {
-        Version::N15 => observation,
-        Version::N16 => msgpack::map([("observation", observation), ("options", Value::Nil)]),
     }
 }
 
@@ -312,14 +330,15 @@ mod tests {
             let (images, states) = (arrays("video"), arrays("state"));
             assert_eq!((images.len(), states.len()), (2, 7), "{name}");
             let query = Query { images, states, instruction: instruction.to_owned(), step: 0, time_s: 0.0 };
-            let data = observation(&query, version, layout, &settings().language_key);
+            let (files, language) = (Files::of(&query, version, layout), settings().language_key);
+            let data = files.observation(instruction, version, layout, &language);
             assert_eq!(encode("get_action", Some(data), None), capture.bytes, "{name}");
         }
         let folder = "gr00t_n16/libero_panda_nested";
         assert_eq!(encode("ping", None, None), Capture::read(folder, "00_ping.req.bin").bytes);
         let modalities = Capture::read(folder, "01_get_modality_config.req.bin");
         assert_eq!(encode("get_modality_config", None, None), modalities.bytes);
-        let options = msgpack::map([("options", Value::Nil)]);
+        let options = msgpack::map([("options", ValueRef::Nil)]);
         assert_eq!(encode("reset", Some(options), None), Capture::read(folder, "02_reset.req.bin").bytes);
     }
 

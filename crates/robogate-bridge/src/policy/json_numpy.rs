@@ -7,11 +7,12 @@ use serde_json::Value as Json;
 use super::array::{Array, Dtype};
 use super::error::ServerError;
 
-/// Appends an array, spaced as Python's `json` does.
-pub(crate) fn write(json: &mut String, array: &Array) {
+/// Appends an array with so many axes of one before its own, spaced as Python's `json` does.
+pub(crate) fn write(json: &mut String, array: &Array, ones: usize) {
     json.push_str("{\"__numpy__\": \"");
     STANDARD.encode_string(array.data(), json);
-    let shape = array.shape().iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+    let shape =
+        std::iter::repeat_n(&1, ones).chain(array.shape()).map(ToString::to_string).collect::<Vec<_>>().join(", ");
     json.push_str(&format!("\", \"dtype\": \"{}\", \"shape\": [{shape}]}}", array.dtype().name()));
 }
 

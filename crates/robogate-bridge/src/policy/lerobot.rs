@@ -50,15 +50,15 @@ impl Link for LeRobotServer {
         self.channel.call("/transport.AsyncInference/Ready", &[Vec::new()], deadline).map(drop)
     }
 
-    fn ask(&mut self, query: Query, deadline: Deadline) -> Result<Chunk, ServerError> {
+    fn ask(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, ServerError> {
         if !self.told {
-            let setup = grpc::bytes_field(1, &encode_setup(&self.settings, self.chunk, &query));
+            let setup = grpc::bytes_field(1, &encode_setup(&self.settings, self.chunk, query));
             self.channel.call("/transport.AsyncInference/SendPolicyInstructions", &[setup], deadline)?;
             self.told = true;
         }
         let number = i32::try_from(self.asked).unwrap_or(i32::MAX);
         self.asked += 1;
-        let parts = in_parts(&encode_observation(&query, query.time_s, number));
+        let parts = in_parts(&encode_observation(query, query.time_s, number));
         self.channel.call("/transport.AsyncInference/SendObservations", &parts, deadline)?;
         let answer = self.channel.call("/transport.AsyncInference/GetActions", &[Vec::new()], deadline)?;
         match grpc::read_bytes_field(&answer, 1)? {

@@ -20,7 +20,7 @@ pub(crate) trait Link: Send {
     fn begin(&mut self, instruction: &str, episode: u64, deadline: Deadline) -> Result<(), ServerError>;
 
     /// Asks for actions.
-    fn ask(&mut self, query: Query, deadline: Deadline) -> Result<Chunk, ServerError>;
+    fn ask(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, ServerError>;
 
     /// What the server says of itself.
     fn declared(&self) -> &Json;

@@ -22,10 +22,12 @@ mod openpi;
 mod pickle;
 mod picture;
 mod profile;
+mod resample;
 mod rest;
 mod roboarena;
 mod rotation;
 mod server;
+mod spare;
 #[cfg(test)]
 mod tests;
 mod vla_eval;

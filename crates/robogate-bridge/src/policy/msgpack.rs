@@ -1,6 +1,6 @@
 //! Arrays in msgpack: the two ways in which policy servers write numpy arrays as maps.
 
-use rmpv::{Value, ValueRef};
+use rmpv::ValueRef;
 
 use super::array::{Array, Dtype};
 use super::error::ServerError;
@@ -18,32 +18,42 @@ pub(crate) enum Keys {
 }
 
 /// An array as a map of four: a mark, raw bytes, type and shape.
-pub(crate) fn array(array: Array, keys: Keys) -> Value {
-    let key = |name: &str| match keys {
-        Keys::Binary => Value::Binary(name.as_bytes().to_vec()),
-        Keys::Text => Value::from(name),
+pub(crate) fn array(array: &Array, keys: Keys) -> ValueRef<'_> {
+    let key = |name: &'static str| match keys {
+        Keys::Binary => ValueRef::Binary(name.as_bytes()),
+        Keys::Text => ValueRef::from(name),
     };
-    let shape = Value::Array(array.shape().iter().map(|n| Value::from(*n)).collect());
-    let dtype = Value::from(array.dtype().name());
-    Value::Map(vec![
-        (key("__ndarray__"), Value::Boolean(true)),
-        (key("data"), Value::Binary(array.into_data())),
+    let shape = ValueRef::Array(array.shape().iter().map(|n| ValueRef::from(*n)).collect());
+    let dtype = ValueRef::from(array.dtype().name());
+    ValueRef::Map(vec![
+        (key("__ndarray__"), ValueRef::Boolean(true)),
+        (key("data"), ValueRef::Binary(array.data())),
         (key("dtype"), dtype),
         (key("shape"), shape),
     ])
 }
 
+/// Arrays by their keys, as entries of a map.
+pub(crate) fn arrays(arrays: &[(String, Array)], keys: Keys) -> impl Iterator<Item = (&str, ValueRef<'_>)> {
+    arrays.iter().map(move |(key, value)| (key.as_str(), array(value, keys)))
+}
+
 /// A map with text keys.
-pub(crate) fn map<K: Into<String>>(entries: impl IntoIterator<Item = (K, Value)>) -> Value {
-    Value::Map(entries.into_iter().map(|(key, value)| (Value::from(key.into()), value)).collect())
+pub(crate) fn map<'a>(entries: impl IntoIterator<Item = (&'a str, ValueRef<'a>)>) -> ValueRef<'a> {
+    ValueRef::Map(entries.into_iter().map(|(key, value)| (ValueRef::from(key), value)).collect())
 }
 
 /// The bytes of a value.
-pub(crate) fn encode(value: &Value) -> Vec<u8> {
+pub(crate) fn encode(value: &ValueRef<'_>) -> Vec<u8> {
     let mut bytes = Vec::new();
-    // Writing into a vector cannot fail.
-    let _ = rmpv::encode::write_value(&mut bytes, value);
+    encode_into(&mut bytes, value);
     bytes
+}
+
+/// Appends the bytes of a value.
+pub(crate) fn encode_into(bytes: &mut Vec<u8>, value: &ValueRef<'_>) {
+    // Writing into a vector cannot fail.
+    let _ = rmpv::encode::write_value_ref(bytes, value);
 }
 
 /// The value that all of these bytes are.

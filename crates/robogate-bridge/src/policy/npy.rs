@@ -4,11 +4,13 @@ use super::array::{Array, Dtype};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 
-/// The bytes of the file that `numpy.save` writes.
-pub(crate) fn write(array: &Array) -> Vec<u8> {
-    let shape = match array.shape() {
+/// The bytes of the file that `numpy.save` writes, of an array with so many axes of one before its own.
+pub(crate) fn write(array: &Array, ones: usize) -> Vec<u8> {
+    let axes = std::iter::repeat_n(&1, ones).chain(array.shape());
+    let axes: Vec<String> = axes.map(ToString::to_string).collect();
+    let shape = match axes.as_slice() {
         [one] => format!("({one},)"),
-        many => format!("({})", many.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")),
+        many => format!("({})", many.join(", ")),
     };
     let header = format!("{{'descr': '{}', 'fortran_order': False, 'shape': {shape}, }}", array.dtype().name());
     // Numpy leaves room for the first axis to grow and rounds up to 64 bytes: 128 in all for arrays of a few axes.
@@ -88,15 +90,18 @@ mod tests {
         for shape in [vec![], vec![6], vec![2, 3], vec![1, 1, 2, 3]] {
             let size: usize = shape.iter().product();
             let array = Array::new(Dtype::F32, shape, (0..4 * size).map(|i| i as u8).collect()).unwrap();
-            let bytes = write(&array);
+            let bytes = write(&array, 0);
             assert_eq!((bytes.len() - array.data().len()) % 64, 0);
             assert_eq!(read(&bytes).unwrap(), array);
+            let batched = read(&write(&array, 2)).unwrap();
+            assert_eq!(batched.shape(), [[1, 1].as_slice(), array.shape()].concat());
+            assert_eq!(batched.data(), array.data());
         }
     }
 
     #[test]
     fn what_is_no_file_is_refused_in_words() {
-        let good = write(&Array::vector(&[1.0, 2.0], Dtype::F64));
+        let good = write(&Array::vector(&[1.0, 2.0], Dtype::F64), 0);
         let at = good.windows(3).position(|bytes| bytes == b"<f8").unwrap();
         let mut objects = good.clone();
         objects[at..at + 3].copy_from_slice(b"|O8");

@@ -81,10 +81,10 @@ impl Link for Network {
         Ok(())
     }
 
-    fn ask(&mut self, query: Query, _: Deadline) -> Result<Chunk, ServerError> {
-        let arrays: Vec<(String, Array)> = query.images.into_iter().chain(query.states).collect();
+    fn ask(&mut self, query: &Query, _: Deadline) -> Result<Chunk, ServerError> {
         let tensors = self.inputs.iter().map(|input| {
-            let array = arrays.iter().find(|(key, _)| *key == input.name).map(|(_, array)| array);
+            let mut sent = query.images.iter().chain(&query.states);
+            let array = sent.find(|(key, _)| *key == input.name).map(|(_, array)| array);
             let array = array.ok_or_else(|| ServerError::Mismatch(format!("nothing is sent as `{}`", input.name)))?;
             Ok(input.tensor(array)?.into())
         });

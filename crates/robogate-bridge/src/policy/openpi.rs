@@ -3,6 +3,7 @@
 //! On connection the server sends its metadata. Any text message is a Python traceback, after which it hangs up. It
 //! keeps no state between questions.
 
+use rmpv::ValueRef;
 use serde_json::Value as Json;
 
 use super::error::ServerError;
@@ -49,8 +50,8 @@ impl Link for Openpi {
         Ok(())
     }
 
-    fn ask(&mut self, query: Query, deadline: Deadline) -> Result<Chunk, ServerError> {
-        match self.socket.ask(encode(query), "infer", deadline)? {
+    fn ask(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, ServerError> {
+        match self.socket.ask(&question(query), "infer", deadline)? {
             Answer::Bytes(bytes) => decode(&bytes),
             Answer::Text(traceback) => Err(ServerError::refused(&traceback)),
         }
@@ -61,12 +62,11 @@ impl Link for Openpi {
     }
 }
 
-/// A question as bytes.
-pub(crate) fn encode(query: Query) -> Vec<u8> {
-    let arrays = query.images.into_iter().chain(query.states);
-    let entries = arrays.map(|(key, value)| (key, msgpack::array(value, Keys::Binary)));
-    let prompt = ("prompt".to_owned(), query.instruction.into());
-    msgpack::encode(&msgpack::map(entries.chain([prompt])))
+/// A question.
+fn question(query: &Query) -> ValueRef<'_> {
+    let arrays = |arrays| msgpack::arrays(arrays, Keys::Binary);
+    let prompt = ("prompt", query.instruction.as_str().into());
+    msgpack::map(arrays(&query.images).chain(arrays(&query.states)).chain([prompt]))
 }
 
 /// The actions in an answer.
@@ -101,7 +101,8 @@ mod tests {
             [("c2s_00_obs_libero_4x4.bin", "pick up the black bowl"), ("c2s_02_obs_droid_4x4.bin", "do something")]
         {
             let capture = Capture::read(FOLDER, name);
-            assert_eq!(encode(query(&capture.msgpack(), instruction)), capture.bytes, "{name}");
+            let query = query(&capture.msgpack(), instruction);
+            assert_eq!(msgpack::encode(&question(&query)), capture.bytes, "{name}");
         }
     }
 

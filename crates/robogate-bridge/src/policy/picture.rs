@@ -3,6 +3,8 @@
 use robogate_core::Image;
 
 use super::profile::{Camera, Filter, Fit};
+use super::resample::Taps;
+use super::spare::Spare;
 
 /// Rows of red, green and blue, from the top left.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -17,139 +19,100 @@ pub struct Picture {
 
 impl Picture {
     /// What a camera shows, as the profile wants it; `None` where the image is not as large as it says.
-    pub(crate) fn taken(image: &Image, camera: &Camera) -> Option<Self> {
+    pub(crate) fn taken(image: &Image, camera: &Camera, spare: &mut Spare) -> Option<Self> {
         let Image { width, height, rgb, .. } = image;
         if *width == 0 || *height == 0 || width.checked_mul(*height)?.checked_mul(3)? != rgb.len() {
             return None;
         }
-        let mut picture = Self { width: *width, height: *height, rgb: rgb.clone() };
+        let shown = View { width: *width, height: *height, rgb };
         // Official clients turn the picture before anything else.
-        if camera.turned {
-            picture.turn();
-        }
-        if camera.crop < 1.0 {
-            picture = picture.cropped(camera.crop);
-        }
-        let (width, height) = (camera.width, camera.height);
-        Some(if (picture.width, picture.height) == (width, height) {
-            picture
-        } else {
-            match camera.fit {
-                Fit::Stretch => picture.resized(width, height, camera.filter),
-                Fit::Pad => picture.padded(width, height, camera.filter),
-            }
-        })
+        let turned = camera.turned.then(|| shown.turned(spare));
+        let upright = turned.as_ref().map_or(shown, Self::view);
+        let cropped = (camera.crop < 1.0).then(|| upright.cropped(camera.crop, spare));
+        let middle = cropped.as_ref().map_or(upright, Self::view);
+        let picture = match camera.fit {
+            Fit::Stretch => middle.resized(camera.width, camera.height, camera.filter, spare),
+            Fit::Pad => middle.padded(camera.width, camera.height, camera.filter, spare),
+        };
+        turned.into_iter().chain(cropped).for_each(|between| spare.give(between.rgb));
+        Some(picture)
     }
 
-    /// By 180 degrees.
-    fn turn(&mut self) {
-        self.rgb.as_chunks_mut::<3>().0.reverse();
-    }
-
-    /// The middle, with `share` of each side.
-    fn cropped(&self, share: f64) -> Self {
-        let cut = |side: usize| ((side as f64 * share).round() as usize).clamp(1, side);
-        let (width, height) = (cut(self.width), cut(self.height));
-        let (x, y) = ((self.width - width) / 2, (self.height - height) / 2);
-        let rows = self.rgb.chunks_exact(3 * self.width).skip(y).take(height);
-        let rgb = rows.flat_map(|row| row[3 * x..3 * (x + width)].iter().copied()).collect();
-        Self { width, height, rgb }
-    }
-
-    /// Made to fit without distortion, with black about it (openpi-client's `resize_with_pad`).
-    fn padded(&self, width: usize, height: usize, filter: Filter) -> Self {
-        let ratio = (self.width as f64 / width as f64).max(self.height as f64 / height as f64);
-        let fitted = |side: usize, limit: usize| ((side as f64 / ratio) as usize).clamp(1, limit);
-        let inner = self.resized(fitted(self.width, width), fitted(self.height, height), filter);
-        let (left, top) = ((width - inner.width) / 2, (height - inner.height) / 2);
-        let mut rgb = vec![0; 3 * width * height];
-        let rows = rgb.chunks_exact_mut(3 * width).skip(top).zip(inner.rgb.chunks_exact(3 * inner.width));
-        rows.for_each(|(row, inner_row)| row[3 * left..3 * (left + inner.width)].copy_from_slice(inner_row));
-        Self { width, height, rgb }
-    }
-
-    /// Resampled as Pillow does it, to the bit: two passes in fixed point, the filter widened where the picture
-    /// shrinks.
-    fn resized(&self, width: usize, height: usize, filter: Filter) -> Self {
-        let mut wide = if width == self.width { self.rgb.clone() } else { Vec::with_capacity(3 * width * self.height) };
-        if width != self.width {
-            let taps = taps(self.width, width, filter);
-            for row in self.rgb.chunks_exact(3 * self.width) {
-                let (pixels, _) = row.as_chunks::<3>();
-                for (first, weights) in &taps {
-                    let mut sum = [HALF; 3];
-                    for ([r, g, b], weight) in pixels[*first..].iter().zip(weights) {
-                        sum[0] += i32::from(*r) * weight;
-                        sum[1] += i32::from(*g) * weight;
-                        sum[2] += i32::from(*b) * weight;
-                    }
-                    wide.extend(sum.map(rounded));
-                }
-            }
-        }
-        if height == self.height {
-            return Self { width, height, rgb: wide };
-        }
-        let stride = 3 * width;
-        let mut rgb = Vec::with_capacity(stride * height);
-        let mut sums = vec![HALF; stride];
-        for (first, weights) in taps(self.height, height, filter) {
-            sums.fill(HALF);
-            for (row, weight) in wide.chunks_exact(stride).skip(first).zip(&weights) {
-                sums.iter_mut().zip(row).for_each(|(sum, byte)| *sum += i32::from(*byte) * weight);
-            }
-            rgb.extend(sums.iter().map(|sum| rounded(*sum)));
-        }
-        Self { width, height, rgb }
+    fn view(&self) -> View<'_> {
+        View { width: self.width, height: self.height, rgb: &self.rgb }
     }
 
     /// One plane for each colour, one after the other.
-    pub(crate) fn planes(&self) -> Vec<u8> {
+    pub(crate) fn planes(&self, spare: &mut Spare) -> Vec<u8> {
         let (pixels, _) = self.rgb.as_chunks::<3>();
-        (0..3).flat_map(|colour| pixels.iter().map(move |pixel| pixel[colour])).collect()
+        let mut planes = spare.take();
+        (0..3).for_each(|colour| planes.extend(pixels.iter().map(|pixel| pixel[colour])));
+        planes
     }
 }
 
-/// Bits after the point of a weight: 8 bits of colour and 2 of overshoot fit beside them.
-const PRECISION: u32 = 32 - 8 - 2;
-/// One half, for rounding.
-const HALF: i32 = 1 << (PRECISION - 1);
-
-fn rounded(sum: i32) -> u8 {
-    (sum >> PRECISION).clamp(0, 255) as u8
+/// A picture that belongs to somebody else.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct View<'a> {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) rgb: &'a [u8],
 }
 
-/// For each pixel of a side the first one that it is made from, and the weights.
-fn taps(from: usize, to: usize, filter: Filter) -> Vec<(usize, Vec<i32>)> {
-    let (kernel, support): (fn(f64) -> f64, f64) = match filter {
-        Filter::Bilinear => (triangle, 1.0),
-        Filter::Lanczos => (lanczos, 3.0),
-    };
-    let scale = from as f64 / to as f64;
-    let widening = scale.max(1.0);
-    let support = support * widening;
-    (0..to)
-        .map(|x| {
-            let centre = (x as f64 + 0.5) * scale;
-            // Truncation towards zero below zero is what a clamp at zero gives.
-            let first = (centre - support + 0.5).max(0.0) as usize;
-            let last = ((centre + support + 0.5) as usize).min(from);
-            let weights: Vec<f64> = (first..last).map(|i| kernel((i as f64 - centre + 0.5) / widening)).collect();
-            let sum: f64 = weights.iter().sum();
-            let one = f64::from(1_u32 << PRECISION);
-            // Half away from zero, as the original rounds.
-            (first, weights.iter().map(|w| (w / sum * one).round() as i32).collect())
-        })
-        .collect()
-}
+impl View<'_> {
+    /// By 180 degrees.
+    fn turned(self, spare: &mut Spare) -> Picture {
+        let mut rgb = spare.take();
+        rgb.extend_from_slice(self.rgb);
+        rgb.as_chunks_mut::<3>().0.reverse();
+        Picture { width: self.width, height: self.height, rgb }
+    }
 
-fn triangle(x: f64) -> f64 {
-    (1.0 - x.abs()).max(0.0)
-}
+    /// The middle, with `share` of each side.
+    fn cropped(self, share: f64, spare: &mut Spare) -> Picture {
+        let cut = |side: usize| ((side as f64 * share).round() as usize).clamp(1, side);
+        let (width, height) = (cut(self.width), cut(self.height));
+        let (x, y) = ((self.width - width) / 2, (self.height - height) / 2);
+        let mut rgb = spare.take();
+        let rows = self.rgb.chunks_exact(3 * self.width).skip(y).take(height);
+        rows.for_each(|row| rgb.extend_from_slice(&row[3 * x..3 * (x + width)]));
+        Picture { width, height, rgb }
+    }
 
-fn lanczos(x: f64) -> f64 {
-    let sinc = |x: f64| if x == 0.0 { 1.0 } else { (x * std::f64::consts::PI).sin() / (x * std::f64::consts::PI) };
-    if x.abs() < 3.0 { sinc(x) * sinc(x / 3.0) } else { 0.0 }
+    /// Made to fit without distortion, with black about it (openpi-client's `resize_with_pad`).
+    fn padded(self, width: usize, height: usize, filter: Filter, spare: &mut Spare) -> Picture {
+        let ratio = (self.width as f64 / width as f64).max(self.height as f64 / height as f64);
+        let fitted = |side: usize, limit: usize| ((side as f64 / ratio) as usize).clamp(1, limit);
+        let inner = self.resized(fitted(self.width, width), fitted(self.height, height), filter, spare);
+        if (inner.width, inner.height) == (width, height) {
+            return inner;
+        }
+        let (left, top) = ((width - inner.width) / 2, (height - inner.height) / 2);
+        let mut rgb = spare.take();
+        rgb.resize(3 * width * height, 0);
+        let rows = rgb.chunks_exact_mut(3 * width).skip(top).zip(inner.rgb.chunks_exact(3 * inner.width));
+        rows.for_each(|(row, inner_row)| row[3 * left..3 * (left + inner.width)].copy_from_slice(inner_row));
+        spare.give(inner.rgb);
+        Picture { width, height, rgb }
+    }
+
+    /// Resampled as Pillow does it, to the bit: first along the rows, then along the columns.
+    fn resized(self, width: usize, height: usize, filter: Filter, spare: &mut Spare) -> Picture {
+        let mut rgb = spare.take();
+        match (width == self.width, height == self.height) {
+            (true, true) => rgb.extend_from_slice(self.rgb),
+            (false, true) => Taps::new(self.width, width, filter).across(self, &mut rgb),
+            (true, false) => Taps::new(self.height, height, filter).down(self, &mut rgb),
+            (false, false) => {
+                let mut between = spare.take();
+                Taps::new(self.width, width, filter).across(self, &mut between);
+                let narrow = View { width, height: self.height, rgb: &between };
+                Taps::new(self.height, height, filter).down(narrow, &mut rgb);
+                spare.give(between);
+            }
+        }
+        Picture { width, height, rgb }
+    }
 }
 
 #[cfg(test)]
@@ -179,29 +142,30 @@ mod tests {
             })
             .collect();
         assert_eq!(expected.len(), 8);
+        let mut spare = Spare::default();
         for (width, height, what, want) in expected {
             let got = match what {
-                "bilinear" => picture().resized(width, height, Filter::Bilinear),
-                "lanczos" => picture().resized(width, height, Filter::Lanczos),
-                _ => picture().padded(width, height, Filter::Bilinear),
+                "bilinear" => picture().view().resized(width, height, Filter::Bilinear, &mut spare),
+                "lanczos" => picture().view().resized(width, height, Filter::Lanczos, &mut spare),
+                _ => picture().view().padded(width, height, Filter::Bilinear, &mut spare),
             };
             assert_eq!(hash(&got.rgb), want, "{what} {width}x{height}");
+            // Whatever the memory held before.
+            spare.give(got.rgb);
         }
     }
 
     #[test]
     fn turning_twice_changes_nothing_and_once_brings_the_last_pixel_first() {
         let original = picture();
-        let mut turned = original.clone();
-        turned.turn();
+        let turned = original.view().turned(&mut Spare::default());
         assert_eq!(turned.rgb[..3], original.rgb[original.rgb.len() - 3..]);
-        turned.turn();
-        assert_eq!(turned, original);
+        assert_eq!(turned.view().turned(&mut Spare::default()), original);
     }
 
     #[test]
     fn a_crop_keeps_the_middle() {
-        let cropped = picture().cropped(0.5);
+        let cropped = picture().view().cropped(0.5, &mut Spare::default());
         assert_eq!((cropped.width, cropped.height), (7, 5));
         let original = picture();
         assert_eq!(cropped.rgb[..3], original.rgb[3 * (2 * 13 + 3)..3 * (2 * 13 + 3) + 3]);

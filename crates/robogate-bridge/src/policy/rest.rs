@@ -88,8 +88,8 @@ impl Link for Rest {
         }
     }
 
-    fn ask(&mut self, query: Query, deadline: Deadline) -> Result<Chunk, ServerError> {
-        let reply = self.http.post("/act", &encode(&query, &self.form), deadline)?;
+    fn ask(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, ServerError> {
+        let reply = self.http.post("/act", &encode(query, &self.form), deadline)?;
         decode(&reply, &self.form)
     }
 
@@ -112,20 +112,16 @@ fn encode(query: &Query, form: &Form) -> String {
         json_numpy::write_text(json, key);
         json.push_str(": ");
     };
-    let one_more = |array: &super::Array| {
-        let shape = std::iter::once(1).chain(array.shape().iter().copied()).collect();
-        array.clone().reshaped(shape)
-    };
     match form {
         Form::Gr00tN15 { language_key, .. } => {
             json.push_str("{\"observation\": ");
             for (key, array) in &query.images {
                 entry(&mut json, &format!("video.{key}"));
-                json_numpy::write(&mut json, &one_more(array));
+                json_numpy::write(&mut json, array, 1);
             }
             for (key, array) in &query.states {
                 entry(&mut json, &format!("state.{key}"));
-                json_numpy::write(&mut json, &one_more(array));
+                json_numpy::write(&mut json, array, 1);
             }
             entry(&mut json, language_key);
             json.push('[');
@@ -135,13 +131,13 @@ fn encode(query: &Query, form: &Form) -> String {
         Form::OpenVla { unnorm_key } | Form::Rest { unnorm_key } => {
             for (key, array) in &query.images {
                 entry(&mut json, key);
-                json_numpy::write(&mut json, array);
+                json_numpy::write(&mut json, array, 0);
             }
             entry(&mut json, "instruction");
             json_numpy::write_text(&mut json, &query.instruction);
             for (key, array) in &query.states {
                 entry(&mut json, key);
-                json_numpy::write(&mut json, array);
+                json_numpy::write(&mut json, array, 0);
             }
             if let Some(unnorm_key) = unnorm_key {
                 entry(&mut json, "unnorm_key");
@@ -152,7 +148,7 @@ fn encode(query: &Query, form: &Form) -> String {
         Form::OpenVlaOft => {
             for (key, array) in query.images.iter().chain(&query.states) {
                 entry(&mut json, key);
-                json_numpy::write(&mut json, array);
+                json_numpy::write(&mut json, array, 0);
             }
             entry(&mut json, "instruction");
             json_numpy::write_text(&mut json, &query.instruction);

@@ -1,6 +1,7 @@
 //! RoboArena's WebSocket server: openpi's encoding, with a description of itself on connection, an `endpoint` in each
 //! question and a session for each episode. Here text is no error: `reset` is answered so.
 
+use rmpv::ValueRef;
 use serde_json::Value as Json;
 
 use super::error::ServerError;
@@ -34,15 +35,15 @@ impl RoboArena {
 impl Link for RoboArena {
     fn begin(&mut self, _: &str, episode: u64, deadline: Deadline) -> Result<(), ServerError> {
         self.session = format!("robogate-{}-{episode}", std::process::id());
-        match self.socket.ask(encode_reset(&self.session), "reset", deadline)? {
+        match self.socket.ask(&reset(&self.session), "reset", deadline)? {
             Answer::Text(text) if text.contains("reset successful") => Ok(()),
             Answer::Text(text) => Err(ServerError::refused(&text)),
             Answer::Bytes(_) => Err(ServerError::undecodable("the answer to reset", "it is not the text of one")),
         }
     }
 
-    fn ask(&mut self, query: Query, deadline: Deadline) -> Result<Chunk, ServerError> {
-        match self.socket.ask(encode(query, &self.session), "infer", deadline)? {
+    fn ask(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, ServerError> {
+        match self.socket.ask(&question(query, &self.session), "infer", deadline)? {
             Answer::Bytes(bytes) => openpi::decode(&bytes),
             Answer::Text(traceback) => Err(ServerError::refused(&traceback)),
         }
@@ -53,18 +54,16 @@ impl Link for RoboArena {
     }
 }
 
-/// A question as bytes.
-fn encode(query: Query, session: &str) -> Vec<u8> {
-    let arrays = |arrays: Vec<(String, super::Array)>| {
-        arrays.into_iter().map(|(key, value)| (key, msgpack::array(value, Keys::Binary)))
-    };
-    let session = ("session_id".to_owned(), session.into());
-    let words = [("prompt".to_owned(), query.instruction.into()), ("endpoint".to_owned(), "infer".into())];
-    msgpack::encode(&msgpack::map(arrays(query.images).chain([session]).chain(arrays(query.states)).chain(words)))
+/// A question.
+fn question<'a>(query: &'a Query, session: &'a str) -> ValueRef<'a> {
+    let arrays = |arrays| msgpack::arrays(arrays, Keys::Binary);
+    let words = [("prompt", query.instruction.as_str().into()), ("endpoint", "infer".into())];
+    let session = ("session_id", session.into());
+    msgpack::map(arrays(&query.images).chain([session]).chain(arrays(&query.states)).chain(words))
 }
 
-fn encode_reset(session: &str) -> Vec<u8> {
-    msgpack::encode(&msgpack::map([("session_id", session.into()), ("endpoint", "reset".into())]))
+fn reset(session: &str) -> ValueRef<'_> {
+    msgpack::map([("session_id", session.into()), ("endpoint", "reset".into())])
 }
 
 /// Holds the server's description of itself against the profile.
@@ -124,8 +123,9 @@ mod tests {
     #[test]
     fn questions_and_resets_are_those_of_roboarenas_own_client_to_the_byte() {
         let capture = Capture::read(FOLDER, "c2s_00_infer_obs.bin");
-        assert_eq!(encode(query(&capture.msgpack(), "test"), "38DSA3hd3"), capture.bytes);
-        assert_eq!(encode_reset("38DSA3hd3"), Capture::read(FOLDER, "c2s_01_reset.bin").bytes);
+        let query = query(&capture.msgpack(), "test");
+        assert_eq!(msgpack::encode(&question(&query, "38DSA3hd3")), capture.bytes);
+        assert_eq!(msgpack::encode(&reset("38DSA3hd3")), Capture::read(FOLDER, "c2s_01_reset.bin").bytes);
     }
 
     #[test]

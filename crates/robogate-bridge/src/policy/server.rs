@@ -11,6 +11,7 @@ use super::error::ServerError;
 use super::exchange::{Chunk, Query};
 use super::link::{self, Link};
 use super::profile::Profile;
+use super::spare::Spare;
 use super::websocket::Deadline;
 
 /// A model behind its own inference server, seen as a [`Policy`].
@@ -31,6 +32,8 @@ pub struct ServerPolicy {
     step: u64,
     /// Raw actions of the chunk that are still to be executed.
     queue: VecDeque<Vec<f64>>,
+    /// Where the next question's pictures go.
+    spare: Spare,
 }
 
 impl std::fmt::Debug for ServerPolicy {
@@ -57,6 +60,7 @@ impl ServerPolicy {
             episode: 0,
             step: 0,
             queue: VecDeque::new(),
+            spare: Spare::default(),
         })
     }
 
@@ -107,12 +111,13 @@ impl ServerPolicy {
 
     /// Asks for a chunk of actions, which are checked against the profile and not executed.
     pub fn ask(&mut self, observation: &Observation) -> Result<Chunk, ServerError> {
-        let query = Query::new(&self.profile, observation, &self.instruction, self.step)?;
+        let query = Query::drawn(&self.profile, observation, &self.instruction, self.step, &mut self.spare)?;
         let deadline = self.deadline();
         let Some(link) = self.link.as_mut() else {
             return Err(ServerError::Closed { when: "before the episode began".to_owned(), reason: String::new() });
         };
-        let answer = link.ask(query, deadline).and_then(|chunk| chunk.check(&self.profile).map(|()| chunk));
+        let answer = link.ask(&query, deadline).and_then(|chunk| chunk.check(&self.profile).map(|()| chunk));
+        query.give_back(&mut self.spare);
         match &answer {
             Ok(_) => self.warm = true,
             Err(_) => self.link = None,

@@ -5,7 +5,7 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use rmpv::{Value, ValueRef};
+use rmpv::ValueRef;
 use serde_json::Value as Json;
 
 use super::error::ServerError;
@@ -31,11 +31,11 @@ impl VlaEval {
         let socket = Socket::connect(url, deadline)?;
         let mut link = Self { socket, declared: Json::Null, number: 1, steps: 0, begun: false };
         let hello = msgpack::map([
-            ("harness_version", Value::from(env!("CARGO_PKG_VERSION"))),
+            ("harness_version", ValueRef::from(env!("CARGO_PKG_VERSION"))),
             ("protocol_version", 1.into()),
             ("benchmark", "robogate".into()),
         ]);
-        let answer = link.socket.ask(encode("hello", hello, 1, now()), "hello", deadline)?;
+        let answer = link.socket.ask(&message("hello", hello, 1, now()), "hello", deadline)?;
         let Answer::Bytes(bytes) = answer else {
             return Err(ServerError::undecodable("the answer to hello", "it is text"));
         };
@@ -64,29 +64,29 @@ impl Link for VlaEval {
     fn begin(&mut self, instruction: &str, episode: u64, deadline: Deadline) -> Result<(), ServerError> {
         if std::mem::replace(&mut self.begun, true) {
             let payload = msgpack::map([
-                ("metrics", Value::Map(Vec::new())),
+                ("metrics", ValueRef::Map(Vec::new())),
                 ("steps", self.steps.into()),
                 ("elapsed_sec", 0.0.into()),
             ]);
-            let end = encode("episode_end", payload, self.next(), now());
-            self.socket.tell(end, "episode_end", deadline)?;
+            let end = message("episode_end", payload, self.next(), now());
+            self.socket.tell(&end, "episode_end", deadline)?;
         }
         self.steps = 0;
         let task = msgpack::map([
-            ("name", Value::from(instruction)),
+            ("name", ValueRef::from(instruction)),
             ("suite", "robogate".into()),
             ("task_id", 0.into()),
             ("episode_idx", episode.into()),
         ]);
-        let start = encode("episode_start", msgpack::map([("task", task)]), self.next(), now());
-        self.socket.tell(start, "episode_start", deadline)
+        let start = message("episode_start", msgpack::map([("task", task)]), self.next(), now());
+        self.socket.tell(&start, "episode_start", deadline)
     }
 
-    fn ask(&mut self, query: Query, deadline: Deadline) -> Result<Chunk, ServerError> {
+    fn ask(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, ServerError> {
         let number = self.next();
         self.steps += 1;
-        let mut answer =
-            self.socket.ask(encode("observation", observation(query), number, now()), "observation", deadline)?;
+        let question = message("observation", observation(query), number, now());
+        let mut answer = self.socket.ask(&question, "observation", deadline)?;
         loop {
             let Answer::Bytes(bytes) = &answer else {
                 return Err(ServerError::undecodable("the answer to an observation", "it is text".to_owned()));
@@ -108,24 +108,17 @@ fn now() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |t| t.as_secs_f64())
 }
 
-/// A message as bytes.
-fn encode(kind: &str, payload: Value, number: u64, timestamp: f64) -> Vec<u8> {
-    msgpack::encode(&msgpack::map([
-        ("type", kind.into()),
-        ("payload", payload),
-        ("seq", number.into()),
-        ("timestamp", timestamp.into()),
-    ]))
+/// A message.
+fn message<'a>(kind: &'a str, payload: ValueRef<'a>, number: u64, timestamp: f64) -> ValueRef<'a> {
+    msgpack::map([("type", kind.into()), ("payload", payload), ("seq", number.into()), ("timestamp", timestamp.into())])
 }
 
 /// The payload of a question. Pictures go as they are: vla-eval's own client packs them as PNG, its server takes both.
-fn observation(query: Query) -> Value {
-    let arrays = |arrays: Vec<(String, super::Array)>| {
-        arrays.into_iter().map(|(key, value)| (key, msgpack::array(value, Keys::Text)))
-    };
-    let images = ("images".to_owned(), msgpack::map(arrays(query.images)));
-    let task = ("task_description".to_owned(), query.instruction.into());
-    msgpack::map([images, task].into_iter().chain(arrays(query.states)))
+fn observation(query: &Query) -> ValueRef<'_> {
+    let arrays = |arrays| msgpack::arrays(arrays, Keys::Text);
+    let images = ("images", msgpack::map(arrays(&query.images)));
+    let task = ("task_description", query.instruction.as_str().into());
+    msgpack::map([images, task].into_iter().chain(arrays(&query.states)))
 }
 
 /// The payload of a message of this kind; nothing if it answers something before the message of this number.
@@ -260,16 +253,18 @@ mod tests {
     #[test]
     fn messages_are_those_of_vla_evals_own_client_to_the_byte() {
         let capture = Capture::read(FOLDER, "c2s_05_obs_raw.bin");
-        let message = capture.msgpack();
-        let payload = captured(&message, "payload");
+        let theirs = capture.msgpack();
+        let payload = captured(&theirs, "payload");
         let mut asked = query(captured(payload, "images"), "pick up the black bowl");
         asked.states = query(payload, "").states;
         assert_eq!((asked.images.len(), asked.states.len()), (2, 1));
-        assert_eq!(encode("observation", observation(asked), 6, timestamp(&message)), capture.bytes);
+        let ours = message("observation", observation(&asked), 6, timestamp(&theirs));
+        assert_eq!(msgpack::encode(&ours), capture.bytes);
         let capture = Capture::read(FOLDER, "c2s_10_episode_end.bin");
-        let metrics = msgpack::map([("success", Value::Boolean(true))]);
+        let metrics = msgpack::map([("success", ValueRef::Boolean(true))]);
         let payload = msgpack::map([("metrics", metrics), ("steps", 5.into()), ("elapsed_sec", 1.25.into())]);
-        assert_eq!(encode("episode_end", payload, 11, timestamp(&capture.msgpack())), capture.bytes);
+        let ours = message("episode_end", payload, 11, timestamp(&capture.msgpack()));
+        assert_eq!(msgpack::encode(&ours), capture.bytes);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! One question, one answer over a WebSocket (RFC 6455), with a keeper who answers pings while nobody asks.
+//! One question in msgpack, one answer over a WebSocket (RFC 6455), with a keeper who answers pings while nobody asks.
 //!
 //! Upstream servers ping every 20 s and hang up when nobody answers within 20 more. An evaluator is silent for longer
 //! than that while a simulator is reset, so a thread looks at the socket once a second between questions.
@@ -9,10 +9,12 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use rmpv::ValueRef;
 use tungstenite::protocol::WebSocketConfig;
-use tungstenite::{Error, HandshakeError, Message, WebSocket};
+use tungstenite::{Bytes, Error, HandshakeError, Message, WebSocket};
 
 use super::error::ServerError;
+use super::msgpack;
 
 /// Longest answer. The longest real ones, of a whole chunk for two arms, have tens of kilobytes.
 pub(crate) const MAX_ANSWER: usize = 8 << 20;
@@ -121,6 +123,8 @@ struct Shared {
 #[derive(Debug)]
 struct Line {
     web: WebSocket<Timed>,
+    /// Where the next message is written: memory that has been touched before.
+    spare: Vec<u8>,
     /// Why it can no longer be used.
     broken: Option<ServerError>,
 }
@@ -157,7 +161,7 @@ impl Socket {
             HandshakeError::Failure(Error::Url(e)) => ServerError::Address { url: url.to_owned(), why: e.to_string() },
             HandshakeError::Failure(e) => ServerError::undecodable("the WebSocket handshake", e),
         })?;
-        let line = Mutex::new(Line { web, broken: None });
+        let line = Mutex::new(Line { web, spare: Vec::new(), broken: None });
         let shared = Arc::new(Shared { line, leave: Mutex::new(false), left: Condvar::new() });
         let kept = Arc::clone(&shared);
         let keeper = std::thread::Builder::new()
@@ -173,12 +177,12 @@ impl Socket {
     }
 
     /// Says something and waits for the answer.
-    pub(crate) fn ask(&self, question: Vec<u8>, what: &str, deadline: Deadline) -> Result<Answer, ServerError> {
+    pub(crate) fn ask(&self, question: &ValueRef<'_>, what: &str, deadline: Deadline) -> Result<Answer, ServerError> {
         self.shared.lock().exchange(Some(question), what, deadline)
     }
 
     /// Says something to which no answer comes.
-    pub(crate) fn tell(&self, message: Vec<u8>, what: &str, deadline: Deadline) -> Result<(), ServerError> {
+    pub(crate) fn tell(&self, message: &ValueRef<'_>, what: &str, deadline: Deadline) -> Result<(), ServerError> {
         self.shared.lock().tell(message, what, deadline)
     }
 }
@@ -224,7 +228,12 @@ impl Shared {
 }
 
 impl Line {
-    fn exchange(&mut self, question: Option<Vec<u8>>, what: &str, deadline: Deadline) -> Result<Answer, ServerError> {
+    fn exchange(
+        &mut self,
+        question: Option<&ValueRef<'_>>,
+        what: &str,
+        deadline: Deadline,
+    ) -> Result<Answer, ServerError> {
         if let Some(question) = question {
             self.tell(question, what, deadline)?;
         }
@@ -234,10 +243,16 @@ impl Line {
         answer
     }
 
-    fn tell(&mut self, message: Vec<u8>, what: &str, deadline: Deadline) -> Result<(), ServerError> {
+    fn tell(&mut self, message: &ValueRef<'_>, what: &str, deadline: Deadline) -> Result<(), ServerError> {
         self.usable()?;
         self.web.get_mut().deadline = deadline;
-        let sent = self.web.send(Message::binary(message)).map_err(|e| named(e, what, deadline));
+        let mut bytes = std::mem::take(&mut self.spare);
+        bytes.clear();
+        msgpack::encode_into(&mut bytes, message);
+        let bytes = Bytes::from(bytes);
+        let sent = self.web.send(Message::binary(bytes.clone())).map_err(|e| named(e, what, deadline));
+        // A clone is the same memory. What was sent is gone, so this is the last one, and becomes a vector again as it is.
+        self.spare = bytes.into();
         self.broken = sent.as_ref().err().cloned();
         sent
     }

@@ -251,7 +251,7 @@ fn judged(hello: &Hello, begun: Begun<Nothing, Nothing>, requested: &Assignment)
     }
     check_pose("object_pose", &task.object_pose).map_err(lie)?;
     check_pose("target_pose", &task.target_pose).map_err(lie)?;
-    Ok(Start { task: task.spec(), observation, applied: assignment(&applied, requested) })
+    Ok(Start { task, observation, applied: assignment(&applied, requested) })
 }
 
 fn judged_step(period: Period<Nothing>, observation: Observation) -> Result<Step, AskError> {

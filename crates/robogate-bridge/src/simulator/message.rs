@@ -308,7 +308,7 @@ pub struct Begun<R, S> {
     pub observation: Seen,
     /// What the policy may know.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub task: Option<Task>,
+    pub task: Option<TaskSpec>,
     /// The parameters after they were applied.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub applied: Option<BTreeMap<String, Number>>,
@@ -380,62 +380,6 @@ pub(super) fn check_pose(what: &str, pose: &Pose) -> Result<(), String> {
         return Ok(());
     }
     Err(format!("{what} has the quaternion {:?}, which is of no rotation", pose.orientation))
-}
-
-/// The task of a judging server.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Task {
-    /// In words.
-    pub instruction: String,
-    /// Time between two actions, in seconds.
-    pub control_period_s: f64,
-    /// The episode is a timeout from here on, in seconds.
-    pub time_limit_s: f64,
-    /// The object's shape.
-    pub shape: String,
-    /// Its bounding box, in metres.
-    pub object_extent_m: [f64; 3],
-    /// Where it nominally is.
-    pub object_pose: Pose,
-    /// Where it shall come to rest.
-    pub target_pose: Pose,
-    /// Horizontal distance that counts as there, in metres.
-    pub tolerance_m: f64,
-    /// How fast the tool may come down, in m/s.
-    pub approach_speed_m_s: Option<f64>,
-}
-
-impl From<&TaskSpec> for Task {
-    fn from(task: &TaskSpec) -> Self {
-        Self {
-            instruction: task.instruction.clone(),
-            control_period_s: task.control_period_s,
-            time_limit_s: task.time_limit_s,
-            shape: task.shape.clone(),
-            object_extent_m: task.object_extent_m,
-            object_pose: task.object_pose,
-            target_pose: task.target_pose,
-            tolerance_m: task.tolerance_m,
-            approach_speed_m_s: task.approach_speed_m_s,
-        }
-    }
-}
-
-impl Task {
-    /// The task as a policy is told it.
-    pub(super) fn spec(self) -> TaskSpec {
-        TaskSpec {
-            instruction: self.instruction,
-            control_period_s: self.control_period_s,
-            time_limit_s: self.time_limit_s,
-            shape: self.shape,
-            object_extent_m: self.object_extent_m,
-            object_pose: self.object_pose,
-            target_pose: self.target_pose,
-            tolerance_m: self.tolerance_m,
-            approach_speed_m_s: self.approach_speed_m_s,
-        }
-    }
 }
 
 /// What a step asks for.

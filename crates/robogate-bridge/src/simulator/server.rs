@@ -7,7 +7,7 @@ use serde::de::{DeserializeOwned, IgnoredAny};
 use super::bounds::{self, VERSION};
 use super::message::{
     ActionSpace, Begun, End, Envelope, ErrorKind, Hashed, Hello, Nothing, Period, Picture, Refusal, Render, Rendered,
-    Reply, Request, Reset, Seen, Stepped, Steps, Task, assignment, decode, encode, parameters,
+    Reply, Request, Reset, Seen, Stepped, Steps, assignment, decode, encode, parameters,
 };
 
 /// A simulator that a [`Server`] answers for.
@@ -55,7 +55,7 @@ impl Host for Judging {
         let start = self.simulator.reset(scenario)?;
         Ok(Begun {
             observation: Seen::from(&start.observation),
-            task: Some(Task::from(&start.task)),
+            task: Some(start.task),
             applied: Some(parameters(&start.applied)),
             readback: None,
             sight: None,

@@ -71,8 +71,8 @@ pub(crate) fn check_distinct(sources: &[(Source, PathBuf)]) -> Result<(), Compar
     Ok(())
 }
 
-/// A name for each dictionary: what the user says, else the first of robot, engine, policy and file name that tells
-/// all of them apart.
+/// A name for each dictionary: what the user says, else the first of robot, engine, policy, renderer and file name that
+/// tells all of them apart.
 pub(crate) fn names(sources: &[(Source, PathBuf)], given: &[String]) -> Result<Vec<String>, ComparisonError> {
     if !given.is_empty() {
         if given.len() != sources.len() {
@@ -83,17 +83,27 @@ pub(crate) fn names(sources: &[(Source, PathBuf)], given: &[String]) -> Result<V
         }
         return Ok(given.to_vec());
     }
-    let all = |attribute: fn(&Provenance) -> &String| -> Vec<String> {
-        sources.iter().map(|(source, _)| attribute(source.dictionary().provenance()).clone()).collect()
+    let all = |attribute: fn(&Provenance) -> &str| -> Vec<String> {
+        sources.iter().map(|(source, _)| attribute(source.dictionary().provenance()).to_owned()).collect()
     };
     let stems: Vec<String> = sources.iter().map(|(_, path)| stem(path)).collect();
-    for names in [all(|p| &p.robot.name), all(|p| &p.engine.name), all(|p| &p.policy), stems] {
+    for names in [all(|p| &p.robot.name), all(|p| &p.engine.name), all(|p| &p.policy), all(renderer), stems] {
         let known = names.iter().all(|name| !name.is_empty() && name != "unknown");
         if known && repeated(&names).is_none() {
             return Ok(names);
         }
     }
     Ok(sources.iter().enumerate().map(|(i, (_, path))| format!("{} {}", i + 1, stem(path))).collect())
+}
+
+/// The renderer that a world of ours says it has; the embedded one is not written down.
+fn renderer(provenance: &Provenance) -> &str {
+    let world = &provenance.world;
+    match (world.get("engine"), world.get("renderer")) {
+        (None, _) => "unknown",
+        (Some(_), None) => "embedded",
+        (Some(_), Some(renderer)) => renderer.get("name").and_then(|name| name.as_str()).unwrap_or("unknown"),
+    }
 }
 
 fn repeated(names: &[String]) -> Option<&String> {

@@ -45,6 +45,23 @@ fn paired() -> ComparisonOptions {
 }
 
 #[test]
+fn runs_that_differ_in_their_renderer_alone_are_named_by_it() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    let drawn = |file: &str, world: serde_json::Value, n: u64| {
+        let path = dir.path().join(format!("{file}.parquet"));
+        let provenance = robogate_dictionary::Provenance { world, ..provenance(space.clone()) };
+        write_parquet(&path, &provenance, law(&space, n).into_iter().map(Ok::<_, DictionaryError>)).unwrap();
+        (Source::open(&path).unwrap(), path)
+    };
+    let names = |a, b| compared(&[a, b]).dictionaries.iter().map(|d| d.name.clone()).collect::<Vec<_>>();
+    let plain = || serde_json::json!({ "engine": "mujoco" });
+    let egl = serde_json::json!({ "engine": "mujoco", "renderer": { "name": "egl", "device": "llvmpipe" } });
+    assert_eq!(names(drawn("a", plain(), 50), drawn("b", egl, 60)), ["embedded", "egl"]);
+    assert_eq!(names(drawn("c", plain(), 50), drawn("d", plain(), 60)), ["c", "d"]);
+}
+
+#[test]
 fn one_dictionary_or_the_same_one_twice_is_no_comparison() {
     let dir = TempDir::new().unwrap();
     let space = boxes();

@@ -23,6 +23,27 @@ pub(crate) struct Room {
     pub(crate) floor: f32,
 }
 
+impl Room {
+    /// Light from floor and walls on the way from `eye`, as exposed: far enough for nothing on the table to touch them.
+    pub(crate) fn seen(&self, light: &Light, eye: &Vector3<f32>, way: &Vector3<f32>) -> Vector3<f32> {
+        /// From the base to the walls, in metres.
+        const WALL: f32 = 2.2;
+        let flat = (way.x * way.x + way.y * way.y).sqrt().max(1e-6);
+        let start = (eye.x * eye.x + eye.y * eye.y).sqrt();
+        let to_wall = (WALL + start) / flat;
+        let height = eye.z + to_wall * way.z;
+        let lit = light.full();
+        // The wall is lit from above; the floor lies in the table's and its own shade.
+        let wall = self.wall * (lit * (0.74 + 0.16 * (height / 1.5).clamp(-0.6, 1.0)));
+        if height >= self.floor {
+            return wall;
+        }
+        let below = (self.floor - height).min(1.0);
+        let floor = self.wall * (lit * 0.5);
+        wall + (floor - wall) * (below / 0.15).min(1.0)
+    }
+}
+
 /// All that a picture is made of.
 pub(crate) struct Picture<'a> {
     pub(crate) bodies: &'a [Body<'a>],
@@ -182,7 +203,7 @@ impl Picture<'_> {
                     let normal = body.normal(&body.local(&point), hits.triangle[lane]);
                     let slant = 1.0 - (normal.dot(&way) / way.norm()).abs();
                     let share = share * (1.0 - 0.7 * slant * slant * slant);
-                    let tint = Vector3::repeat(1.0).lerp(&body.finish.albedo, 0.35);
+                    let tint = body.finish.tint();
                     *color = *color * (1.0 - share) + beyond[lane].component_mul(&tint) * share;
                 }
             }
@@ -244,27 +265,7 @@ impl Picture<'_> {
         }
         std::array::from_fn(|k| match self.bodies.get(hits.body[k] as usize) {
             Some(_) => albedo[k] * diffuse[k] + Vector3::repeat(mirrored[k]),
-            None => self.surroundings(view, &rays.direction(k)),
+            None => self.room.seen(light, &view.eye, &rays.direction(k)),
         })
-    }
-
-    /// Floor and walls, far enough for nothing on the table to touch them.
-    fn surroundings(&self, view: &View, way: &Vector3<f32>) -> Vector3<f32> {
-        /// From the base to the walls, in metres.
-        const WALL: f32 = 2.2;
-        let light = self.light;
-        let flat = (way.x * way.x + way.y * way.y).sqrt().max(1e-6);
-        let start = (view.eye.x * view.eye.x + view.eye.y * view.eye.y).sqrt();
-        let to_wall = (WALL + start) / flat;
-        let height = view.eye.z + to_wall * way.z;
-        let lit = light.key * light.towards.z + light.around;
-        // The wall is lit from above; the floor lies in the table's and its own shade.
-        let wall = self.room.wall * (lit * (0.74 + 0.16 * (height / 1.5).clamp(-0.6, 1.0)));
-        if height >= self.room.floor {
-            return wall;
-        }
-        let below = (self.room.floor - height).min(1.0);
-        let floor = self.room.wall * (lit * 0.5);
-        wall + (floor - wall) * (below / 0.15).min(1.0)
     }
 }

@@ -43,6 +43,11 @@ impl Finish {
         self
     }
 
+    /// What a clear body leaves of the light that goes through it.
+    pub(crate) fn tint(&self) -> Vector3<f32> {
+        Vector3::repeat(1.0).lerp(&self.albedo, 0.35)
+    }
+
     /// Reflectances and gloss at a point of the body's frame, of which a pixel covers `footprint` metres.
     pub(crate) fn at(&self, p: &Vector3<f32>, footprint: f32) -> (Vector3<f32>, f32) {
         match self.pattern {

@@ -14,7 +14,7 @@ pub(crate) const LAMP_SPREAD: f32 = 0.08;
 
 /// At this illuminance a surface that reflects a third of the light is exposed to the curve's middle, in lux.
 const MIDDLE_LUX: f32 = 500.0;
-const MIDDLE_ALBEDO: f32 = 0.34;
+pub(crate) const MIDDLE_ALBEDO: f32 = 0.34;
 
 /// The light in the cell: a lamp far off and light from all around.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,6 +36,11 @@ impl Light {
         let exposed = lux as f32 / (MIDDLE_LUX * MIDDLE_ALBEDO);
         let key = exposed * KEY_SHARE / towards.z;
         Self { lux, towards, key, around: exposed * (1.0 - KEY_SHARE) }
+    }
+
+    /// Of an upward surface in full light, as exposed.
+    pub(crate) fn full(&self) -> f32 {
+        self.key * self.towards.z + self.around
     }
 }
 
@@ -91,8 +96,7 @@ mod tests {
     /// A flat unshadowed surface of this colour on the table.
     fn seen(color: [u8; 3], lux: f64) -> [u8; 3] {
         let light = Light::new(lux);
-        let illuminance = light.key * light.towards.z + light.around;
-        exposed(&(linear(Color(color)) * illuminance))
+        exposed(&(linear(Color(color)) * light.full()))
     }
 
     #[test]

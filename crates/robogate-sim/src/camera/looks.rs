@@ -15,12 +15,18 @@ use crate::{Robot, RobotError};
 
 /// Geometry groups up to this one are drawn, as MuJoCo's viewer does; collision shapes that stand in for something finer
 /// are in others.
-const SHOWN_GROUPS: i32 = 2;
+pub(crate) const SHOWN_GROUPS: i32 = 2;
 
 /// A robot before the cameras.
 #[derive(Debug)]
 pub(crate) struct RobotLooks {
     pub(crate) pieces: Vec<Piece>,
+    /// Whether the pieces are RoboGate's and not the model's own geometry.
+    #[cfg(feature = "egl")]
+    pub(crate) dressed: bool,
+    /// The model's bodies by name, each with the link that it is part of and its pose there.
+    #[cfg(feature = "egl")]
+    pub(crate) bodies: Vec<(String, usize, Isometry3<f64>)>,
     links: Vec<Option<Hinge>>,
     /// The link with the tool centre point, and its pose there.
     tool: (usize, Isometry3<f64>),
@@ -82,6 +88,8 @@ impl RobotLooks {
         let drawn = if shown.is_empty() { all().collect() } else { shown };
         let built_in = matches!(robot.source, RobotSource::BuiltIn { .. });
         let outfit = if built_in { outfits::of(robot.name()) } else { None };
+        #[cfg(feature = "egl")]
+        let dressed = outfit.is_some();
         let mut pieces: Vec<Piece> = match outfit {
             Some(Outfit::Whole(parts)) => parts.iter().filter_map(|part| part.on(&description)).collect(),
             Some(Outfit::Housings) => drawn.into_iter().flat_map(|(link, look)| outfits::housing(link, look)).collect(),
@@ -91,7 +99,15 @@ impl RobotLooks {
             return Err("its model has nothing that can be seen".to_owned());
         }
         pieces.push(outfits::pedestal());
-        Ok(Self { pieces, links, tool: description.tcp })
+        Ok(Self {
+            pieces,
+            #[cfg(feature = "egl")]
+            dressed,
+            #[cfg(feature = "egl")]
+            bodies: description.bodies,
+            links,
+            tool: description.tcp,
+        })
     }
 
     /// The links' poses.

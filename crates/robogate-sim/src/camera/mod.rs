@@ -12,10 +12,13 @@
 mod agreement;
 mod body;
 mod caster;
+#[cfg(feature = "egl")]
+mod egl;
 mod finish;
 mod light;
 mod looks;
 mod mesh;
+mod mounts;
 mod outfits;
 mod pinhole;
 mod shadow;
@@ -23,14 +26,17 @@ mod stage;
 mod table;
 mod tiles;
 
-use nalgebra::{Isometry3, Point3, Vector3};
-use robogate_core::Image;
+use nalgebra::Isometry3;
+use robogate_core::{Fault, Image};
 
+#[cfg(feature = "egl")]
+pub use egl::EglRenderer;
 pub use pinhole::Pinhole;
 
 use crate::camera::looks::RobotLooks;
+use crate::camera::mounts::{Mounts, front_pose};
 use crate::camera::stage::Stage;
-use crate::{FRONT_CAMERA, Gripper, Robot, Scene, Visual, WORKSPACE_CENTRE};
+use crate::{Robot, Scene, Visual};
 
 /// The cameras' names, in the order of the pictures.
 pub const CAMERAS: [&str; 2] = ["front", "wrist"];
@@ -38,16 +44,26 @@ pub const CAMERAS: [&str; 2] = ["front", "wrist"];
 /// Pixels along each side of a picture, where nothing else is said.
 pub const SIZE_PX: usize = 256;
 
-/// Fields of view of the front and the wrist camera, in radians.
-const FIELD_OF_VIEW_RAD: [f64; 2] = [70.0 * RADIANS, 75.0 * RADIANS];
-const RADIANS: f64 = std::f64::consts::PI / 180.0;
+/// Takes a cell's pictures in place of the embedded caster, from what an engine holds.
+pub trait Renderer<E> {
+    /// Width and height of its pictures from now on, in pixels.
+    fn resize(&mut self, width: usize, height: usize);
+
+    /// Puts a scene before the cameras, and says how it looks: what of the visual parameters is applied.
+    fn set_up(&mut self, engine: &E, scene: &Scene) -> Visual;
+
+    /// Takes the scene away.
+    fn clear(&mut self);
+
+    /// What the cameras show of the engine's world, in the order of [`CAMERAS`].
+    fn render(&mut self, engine: &E) -> Result<Vec<Image>, Fault>;
+}
 
 /// The cell's cameras.
 #[derive(Debug)]
 pub struct Cameras {
     robot: RobotLooks,
-    /// The wrist camera in the frame of the tool centre point, as it is meant to be.
-    wrist: Isometry3<f64>,
+    mounts: Mounts,
     size: [usize; 2],
     exhaustive: bool,
     scene: Option<Stage>,
@@ -71,29 +87,15 @@ impl Cameras {
     ///
     /// Fails where its model cannot be read without MuJoCo: a URDF, or MJCF with parts that the neutral reader does not know.
     pub fn new(robot: &Robot) -> Result<Self, String> {
-        let behind = match &robot.settings.gripper {
-            Gripper::ParallelJaw(jaw) => jaw.palm_m + 0.035,
-            Gripper::Suction(_) => 0.09,
-        };
-        // Beside the hand, across the tool's y axis, along which the fingers close; the hand is below in the picture.
-        let mounted = |side: f64| {
-            let from = Point3::new(side * 0.1, 0.0, -behind);
-            Pinhole::looking(from, Point3::new(0.0, 0.0, 0.02), &(Vector3::x() * side))
-        };
         let looks = RobotLooks::new(robot)?;
-        // On the side from which it looks towards the workspace, and not back at the robot, while the arm waits.
         let waiting = Posture {
             joints: robot.settings.arm.home_rad.clone(),
             opening_m: None,
             object: Isometry3::identity(),
             fixtures: Vec::new(),
         };
-        let tool = looks.tool(&waiting);
-        let [x, y] = WORKSPACE_CENTRE;
-        let ahead = Vector3::new(x, y, 0.0) - tool.translation.vector;
-        let sight = tool.rotation * (mounted(1.0).rotation * Vector3::z());
-        let side = if sight.xy().dot(&ahead.xy()) >= 0.0 { 1.0 } else { -1.0 };
-        Ok(Self { robot: looks, wrist: mounted(side), size: [SIZE_PX; 2], exhaustive: false, scene: None })
+        let mounts = Mounts::new(&robot.settings.gripper, &looks.tool(&waiting));
+        Ok(Self { robot: looks, mounts, size: [SIZE_PX; 2], exhaustive: false, scene: None })
     }
 
     /// The same cameras with pictures of another size, in pixels.
@@ -134,11 +136,7 @@ impl Cameras {
     /// The cameras as they stand in this posture: front and wrist.
     pub fn pinholes(&self, posture: &Posture) -> [Pinhole; 2] {
         let front = self.scene.as_ref().map_or_else(front_pose, |scene| scene.front);
-        let [roll, pitch] = Pinhole::turn_between(&front_pose(), &front);
-        let wrist = self.robot.tool(posture) * Pinhole::turned(&self.wrist, roll, pitch);
-        let [width, height] = self.size;
-        let camera = |pose, field_of_view_rad| Pinhole { pose, field_of_view_rad, width, height };
-        [camera(front, FIELD_OF_VIEW_RAD[0]), camera(wrist, FIELD_OF_VIEW_RAD[1])]
+        self.mounts.pinholes(&front, &self.robot.tool(posture), self.size)
     }
 
     /// What the cameras show of this posture, in the order of [`CAMERAS`]; nothing before [`Self::set_up`].
@@ -162,10 +160,4 @@ impl Cameras {
         let rgb = scene.with_bodies(&self.robot, posture, self.exhaustive, |picture| picture.take(camera));
         Some(Image { camera: "own".to_owned(), width, height, rgb })
     }
-}
-
-/// The front camera's pose as it is meant to be.
-fn front_pose() -> Isometry3<f64> {
-    let (from, at) = FRONT_CAMERA;
-    Pinhole::looking(Point3::from(from), Point3::from(at), &Vector3::z())
 }

@@ -26,23 +26,23 @@ pub(crate) struct Stage {
     pub(crate) front: Isometry3<f64>,
     /// How many fixtures there are.
     pub(crate) fixtures: usize,
-    light: Light,
-    room: Room,
-    props: Vec<Prop>,
+    pub(crate) light: Light,
+    pub(crate) room: Room,
+    pub(crate) props: Vec<Prop>,
 }
 
 /// A solid and what it moves with.
 #[derive(Debug)]
-struct Prop {
+pub(crate) struct Prop {
     form: Form,
-    finish: Finish,
-    with: With,
+    pub(crate) finish: Finish,
+    pub(crate) with: With,
     /// Its pose there.
     place: Isometry3<f64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum With {
+pub(crate) enum With {
     /// A fixture, by its place in the scene.
     Fixture(usize),
     /// The table, which casts no shadow on anything that is seen.

@@ -10,7 +10,7 @@ use crate::scene::TABLE_HALF;
 use crate::{Color, TableMaterial};
 
 /// Texels along x and y of the finest picture: about 1.6 mm each.
-const SIZE: [usize; 2] = [512, 896];
+pub(crate) const SIZE: [usize; 2] = [512, 896];
 /// Pictures, each half as fine as the one before.
 const LEVELS: usize = 5;
 

@@ -33,7 +33,7 @@ pub(crate) struct Snapshot {
     #[arg(long, value_name = "ID", requires = "suite", conflicts_with = "index")]
     case: Option<String>,
     /// An episode of this run
-    #[arg(long, value_name = "DIR", requires = "index", conflicts_with_all = ["suite", "seed", "set", "robot", "engine", "time_step", "grip_force", "suction"])]
+    #[arg(long, value_name = "DIR", requires = "index", conflicts_with_all = ["suite", "seed", "set", "robot", "engine", "time_step", "grip_force", "suction", "renderer"])]
     run: Option<PathBuf>,
     /// The episode's index: the scenario of a suite in its turn, the episode of a run, or what chance makes of a scenario
     #[arg(long, value_name = "I")]

@@ -1,0 +1,48 @@
+//! `robogate demos` as its user meets it.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use tempfile::TempDir;
+
+/// Every file below a folder, by its path there.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut waiting = vec![folder.to_owned()];
+    while let Some(next) = waiting.pop() {
+        for entry in fs::read_dir(next).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                waiting.push(path);
+            } else {
+                found.insert(path.strip_prefix(folder).unwrap().to_owned(), fs::read(&path).unwrap());
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn the_same_bytes_come_for_any_thread_count() {
+    let dir = TempDir::new().unwrap();
+    // Five are a round of four and a rest for one thread, and a share of three and one of two for two.
+    let record = |threads: &str| {
+        let out = dir.path().join(threads);
+        let output = Command::new(env!("CARGO_BIN_EXE_robogate"))
+            .args(["demos", "-n", "5", "--size", "16", "--all", "--threads", threads, "--out"])
+            .arg(&out)
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        files(&out)
+    };
+    let (one, two) = (record("1"), record("2"));
+    assert!(one.keys().any(|path| path.extension().is_some_and(|e| e == "parquet")));
+    assert_eq!(one.keys().collect::<Vec<_>>(), two.keys().collect::<Vec<_>>());
+    for (path, bytes) in &one {
+        assert!(*bytes == two[path], "{} differs", path.display());
+    }
+}

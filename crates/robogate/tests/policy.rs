@@ -1,0 +1,171 @@
+//! Policies behind servers, as the command's user meets them: `policy check`, `run --policy`, `resume`.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+#[path = "../../robogate-bridge/tests/policy_support/openpi.rs"]
+mod openpi;
+
+use std::fs;
+use std::io::{Read, Write};
+use std::net::TcpListener;
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::process::{Command, Output};
+use std::thread;
+
+use openpi::{actions, serve};
+use tempfile::TempDir;
+use tungstenite::{Message, accept};
+
+fn robogate(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_robogate")).args(arguments).output().unwrap()
+}
+
+fn text(output: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+fn assert_exit(arguments: &[&str], code: i32, parts: &[&str]) {
+    let output = robogate(arguments);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", text(&output));
+    for part in parts {
+        assert!(text(&output).contains(part), "{arguments:?} does not say {part:?}: {}", text(&output));
+    }
+}
+
+/// A built-in profile, changed and in a file.
+fn profile(dir: &TempDir, name: &str, changes: &[(&str, &str)]) -> String {
+    let mut toml = String::from_utf8(robogate(&["policy", "profiles", name]).stdout).unwrap();
+    for (from, to) in changes {
+        assert!(toml.contains(from), "{toml}");
+        toml = toml.replace(from, to);
+    }
+    let file = dir.path().join(format!("{name}.toml"));
+    fs::write(&file, toml).unwrap();
+    file.to_str().unwrap().to_owned()
+}
+
+/// Ten actions an answer, all of them executed; one attempt to connect.
+const TEN: [(&str, &str); 2] =
+    [("length = 50\nexecute = 5", "length = 10\nexecute = 10"), ("[action]", "[server]\nattempts = 1\n\n[action]")];
+
+fn listener() -> (TcpListener, String) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("ws://{}", listener.local_addr().unwrap());
+    (listener, url)
+}
+
+/// Answers this many questions by going straight down with an open hand, and is gone.
+fn go_down(listener: TcpListener, mut questions: usize) {
+    let answer = actions(10, 7, |_, j| [0.0, 0.0, -0.5, 0.0, 0.0, 0.0, -1.0][j]);
+    serve(listener, move |_, socket| {
+        while let Ok(message) = socket.read() {
+            if message.is_binary() {
+                if questions == 0 {
+                    return ControlFlow::Break(());
+                }
+                questions -= 1;
+                socket.send(Message::binary(answer.clone())).unwrap();
+            }
+        }
+        ControlFlow::Continue(())
+    });
+}
+
+/// The outcome of each episode of a run.
+fn outcomes(run: &str) -> Vec<String> {
+    let out = Path::new(run).join("rows.csv");
+    assert_exit(&["export", run, out.to_str().unwrap()], 0, &[]);
+    let table = fs::read_to_string(out).unwrap();
+    let mut lines = table.lines();
+    let column = lines.next().unwrap().split(',').position(|name| name == "outcome").unwrap();
+    lines.map(|line| line.split(',').nth(column).unwrap().to_owned()).collect()
+}
+
+#[test]
+fn a_policy_behind_a_server_is_checked_run_recorded_and_replayed() {
+    let dir = TempDir::new().unwrap();
+    let profile = profile(&dir, "pi0-libero", &TEN);
+    let (listener, url) = listener();
+    go_down(listener, usize::MAX);
+    let check = ["policy", "check", &url, "--profile", &profile, "--questions", "2"];
+    assert_exit(
+        &check,
+        0,
+        &["10 actions of 7 numbers", "the same question gets the same answer", "nothing looks wrong"],
+    );
+    let run = dir.path().join("run").to_str().unwrap().to_owned();
+    let start = ["run", "--policy", &url, "--profile", &profile, "-n", "3", "--threads", "1", "--out", &run];
+    assert_exit(&start, 0, &["pi0-libero policy"]);
+    // It drives the hand into the table.
+    assert_eq!(outcomes(&run), ["collision"; 3]);
+    assert_exit(&["replay", &run, "1"], 0, &["same as recorded"]);
+}
+
+#[test]
+fn what_server_and_profile_do_not_agree_on_is_said_by_name() {
+    let dir = TempDir::new().unwrap();
+    let (openpi, url) = listener();
+    go_down(openpi, usize::MAX);
+    // Six numbers are no way and turn of the tool and a gripper.
+    let six = profile(&dir, "pi0-libero", &[("size = 7", "size = 6")]);
+    assert_exit(&["policy", "check", &url, "--profile", &six], 2, &["action.size: 6, but arm = \"tool_delta\" has 7"]);
+    // They may be five joints and a gripper; then the server says otherwise.
+    let [ten, once] = TEN;
+    let joints = ("size = 7\narm = \"tool_delta\"", "size = 6\narm = \"joint_positions\"");
+    let six = profile(&dir, "pi0-libero", &[ten, once, joints]);
+    let words = "an action has 7 numbers, the profile's action.size is 6";
+    assert_exit(&["policy", "check", &url, "--profile", &six], 1, &["looks wrong:", words]);
+    let run = dir.path().join("run").to_str().unwrap().to_owned();
+    let start = ["run", "--policy", &url, "--profile", &six, "-n", "3", "--threads", "1", "--out", &run];
+    assert_exit(&start, 4, &[]);
+    assert_eq!(outcomes(&run), ["invalid"; 3]);
+
+    let (http, url) = listener();
+    thread::spawn(move || {
+        for stream in http.incoming() {
+            let mut stream = stream.unwrap();
+            if matches!(stream.read(&mut [0; 2048]), Ok(1..)) {
+                drop(
+                    stream.write_all(b"HTTP/1.1 404 Not Found\r\nContent-Length: 22\r\n\r\n{\"detail\":\"Not Found\"}"),
+                );
+            }
+        }
+    });
+    let profile_of = |changes: &[(&str, &str)]| profile(&dir, "droid-roboarena", changes);
+    let ten = profile(&dir, "pi0-libero", &TEN);
+    let words = ["another dialect: the profile says openpi, but", "like OpenVLA's"];
+    assert_exit(&["policy", "check", &url, "--profile", &ten], 2, &words);
+    assert_exit(&["run", "--policy", &url, "--profile", &ten, "-n", "3"], 2, &words);
+
+    let (roboarena, url) = listener();
+    thread::spawn(move || {
+        for stream in roboarena.incoming() {
+            let Ok(mut socket) = accept(stream.unwrap()) else { continue };
+            let config = include_bytes!("../../robogate-bridge/tests/captures/roboarena/s2c_00_config_metadata.bin");
+            drop(socket.send(Message::binary(config.to_vec())));
+        }
+    });
+    let large = profile_of(&[("width = 224", "width = 256"), ("height = 224", "height = 256")]);
+    let words = ["mismatch: the server wants pictures of 224 x 224, the profile's", "is 256 x 256"];
+    assert_exit(&["policy", "check", &url, "--profile", &large], 2, &words);
+}
+
+#[test]
+fn a_server_that_dies_costs_invalid_episodes_and_resume_finds_the_policy_in_the_record() {
+    let dir = TempDir::new().unwrap();
+    let profile = profile(&dir, "pi0-libero", &TEN);
+    let (listener, url) = listener();
+    let address = listener.local_addr().unwrap();
+    go_down(listener, 5);
+    let run = dir.path().join("run").to_str().unwrap().to_owned();
+    let start = ["run", "--policy", &url, "--profile", &profile, "-n", "24", "--threads", "1", "--out", &run];
+    assert_exit(&start, 5, &["10 episodes in a row were invalid", "robogate resume"]);
+    assert_exit(&["resume", &run], 5, &["unreachable", &url]);
+    go_down(TcpListener::bind(address).unwrap(), usize::MAX);
+    assert_exit(&["resume", &run, "--threads", "1"], 0, &[]);
+    let outcomes = outcomes(&run);
+    let invalid: Vec<usize> = (0..outcomes.len()).filter(|i| outcomes[*i] == "invalid").collect();
+    // Once lost, an episode stays lost: what was seen of the policy then is no evidence of it.
+    assert_eq!((outcomes.len(), invalid.len()), (24, 10));
+    assert!(invalid[0] > 0 && invalid.windows(2).all(|pair| pair[1] == pair[0] + 1), "{outcomes:?}");
+}
