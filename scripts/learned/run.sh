@@ -11,7 +11,7 @@ if [ ! -x "$python" ]; then
     python3 -m venv "$out/venv"
     "$out/venv/bin/pip" install --quiet --requirement scripts/learned/requirements.txt
 fi
-cargo build --release --locked -p robogate
+cargo build --release --locked -p robogate --features egl
 robogate=${CARGO_TARGET_DIR:-target}/release/robogate
 wide=scripts/learned/wide.toml
 
@@ -48,6 +48,21 @@ make "$out/scripted-over-wide" --space "$wide" --plan scripts/learned/fresh.toml
 make "$out/scripted-suite" --suite industrial-68 --rounds 2
 make "$out/random-suite" --suite industrial-68 --rounds 2 --policy random
 
+guest=(--policy "$out/learned.onnx" --profile "$out/learned.toml")
+make "$out/learned-egl" --space learned --plan scripts/learned/fresh.toml --renderer egl "${guest[@]}"
+for engine in mujoco rapier; do
+    make "$out/few-$engine" --space learned --plan scripts/learned/few.toml --engine "$engine" "${guest[@]}"
+done
+if [ ! -f "$out/few-steel/summary.json" ]; then
+    bridges/newton/start.sh --solver steel --port 5893 &
+    trap "kill $!" EXIT
+    # The first start sets Newton up.
+    until (: < /dev/tcp/127.0.0.1/5893) 2> /dev/null; do sleep 2; done
+    "$robogate" run --space learned --plan scripts/learned/few.toml --simulator tcp://127.0.0.1:5893 "${guest[@]}" --out "$out/few-steel"
+fi
+
 "$robogate" compare --paired "$out"/learned-{mujoco,rapier}
+"$robogate" compare --paired "$out"/learned-{mujoco,egl}
+"$robogate" compare --paired "$out"/few-{mujoco,steel}
 "$robogate" compare --paired "$out"/{learned,learned-wide}-over-wide
 "$robogate" leaderboard "$out"/{scripted,learned,learned-wide,random}-suite --format md

@@ -131,7 +131,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("dataset", type=Path, nargs="+", help="folders of robogate demos")
     parser.add_argument("--out", type=Path, required=True, help="the ONNX file")
-    parser.add_argument("--steps", type=int, default=40000)
+    parser.add_argument("--steps", type=int, default=30000)
     parser.add_argument("--batch", type=int, default=64)
     parser.add_argument("--rate", type=float, default=1.5e-3, help="the greatest learning rate")
     parser.add_argument("--minutes", type=float, help="shorten the steps to what fits into this time, by their first speed")
