@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # From demonstrations to docs/results/learned-policy.md: record, train, find the failures, record there, train again, measure.
-# Usage: scripts/learned/run.sh [FOLDER]; what is there already is not done again. About two hours on two cores.
+# Usage: scripts/learned/run.sh [FOLDER]; what is there already is not done again.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
@@ -49,7 +49,7 @@ make "$out/scripted-suite" --suite industrial-68 --rounds 2
 make "$out/random-suite" --suite industrial-68 --rounds 2 --policy random
 
 guest=(--policy "$out/learned.onnx" --profile "$out/learned.toml")
-make "$out/learned-egl" --space learned --plan scripts/learned/fresh.toml --renderer egl "${guest[@]}"
+make "$out/few-egl" --space learned --plan scripts/learned/few.toml --renderer egl "${guest[@]}"
 for engine in mujoco rapier; do
     make "$out/few-$engine" --space learned --plan scripts/learned/few.toml --engine "$engine" "${guest[@]}"
 done
@@ -62,7 +62,8 @@ if [ ! -f "$out/few-steel/summary.json" ]; then
 fi
 
 "$robogate" compare --paired "$out"/learned-{mujoco,rapier}
-"$robogate" compare --paired "$out"/learned-{mujoco,egl}
-"$robogate" compare --paired "$out"/few-{mujoco,steel}
+for other in rapier steel egl; do
+    "$robogate" compare --paired "$out"/few-{mujoco,$other}
+done
 "$robogate" compare --paired "$out"/{learned,learned-wide}-over-wide
 "$robogate" leaderboard "$out"/{scripted,learned,learned-wide,random}-suite --format md
