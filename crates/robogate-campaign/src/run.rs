@@ -21,6 +21,7 @@ use robogate_core::{DesignError, Episode, Fault, Outcome, ParameterSpace};
 use robogate_dictionary::{Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Provenance};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::folder::{self, BOUNDARY, DICTIONARY, Folder, JOURNAL, PLAN, SUMMARY};
 use crate::summary::Summing;
@@ -220,21 +221,35 @@ fn same_origin(recorded: &Provenance, present: &Provenance) -> Result<(), RunErr
             ("robot", p.robot.name.clone()),
             ("robot files", text(&p.robot.sha256)),
             ("policy", p.policy.clone()),
-            ("world", p.world.to_string()),
             ("platform", text(&platform)),
         ]
     };
     for ((what, recorded), (_, present)) in of(recorded).into_iter().zip(of(present)) {
         if recorded != present {
-            return Err(RunError::Mismatch { what, recorded, present });
+            return Err(RunError::Mismatch { what: what.to_owned(), recorded, present });
         }
+    }
+    if let Some((what, recorded, present)) = difference("world".to_owned(), &recorded.world, &present.world) {
+        return Err(RunError::Mismatch { what, recorded, present });
     }
     if recorded.space != present.space {
         let name = |space: &ParameterSpace| format!("`{}`", space.name());
         let (recorded, present) = (name(&recorded.space), name(&present.space));
-        return Err(RunError::Mismatch { what: "parameter space", recorded, present });
+        return Err(RunError::Mismatch { what: "parameter space".to_owned(), recorded, present });
     }
     Ok(())
+}
+
+/// Where two settings first differ, by name, and what stands there in each.
+fn difference(name: String, recorded: &Value, present: &Value) -> Option<(String, String, String)> {
+    match (recorded, present) {
+        (Value::Object(a), Value::Object(b)) => a.keys().chain(b.keys()).find_map(|key| {
+            let of = |object: &serde_json::Map<String, Value>| object.get(key).cloned().unwrap_or_default();
+            difference(format!("{name}.{key}"), &of(a), &of(b))
+        }),
+        _ if recorded == present => None,
+        _ => Some((name, recorded.to_string(), present.to_string())),
+    }
 }
 
 /// How many episodes from the start may all be invalid before a person is told.
@@ -563,7 +578,7 @@ pub enum RunError {
     )]
     Mismatch {
         /// What differs.
-        what: &'static str,
+        what: String,
         /// As it was.
         recorded: String,
         /// As it is.

@@ -81,7 +81,7 @@ fn something_else_than_at_the_beginning_is_refused_by_name() {
         ("robot", |p| p.robot.name = "ur5e".to_owned()),
         ("robot files", |p| p.robot.sha256 = Some("00".to_owned())),
         ("policy", |p| p.policy = "acts".to_owned()),
-        ("world", |p| p.world["time_step_s"] = 0.001.into()),
+        ("world.time_step_s", |p| p.world["time_step_s"] = 0.001.into()),
         ("platform", |p| p.platform = None),
     ];
     for (name, change) in changes {
@@ -91,7 +91,7 @@ fn something_else_than_at_the_beginning_is_refused_by_name() {
             robogate_campaign::resume(base.path(), &present, crew, events)
         });
         let error = resumed.unwrap_err();
-        assert!(matches!(error, RunError::Mismatch { what, .. } if what == name), "{error}");
+        assert!(matches!(&error, RunError::Mismatch { what, .. } if what == name), "{error}");
     }
     assert_eq!(files(base.path()), before);
 }
