@@ -48,6 +48,9 @@ make "$out/scripted-over-wide" --space "$wide" --plan scripts/learned/fresh.toml
 make "$out/scripted-suite" --suite industrial-68 --rounds 2
 make "$out/random-suite" --suite industrial-68 --rounds 2 --policy random
 
+guest=(--policy "$out/learned-wide.onnx" --profile "$out/learned-wide.toml")
+make "$out/wide-few-mujoco" --space learned --plan scripts/learned/few.toml "${guest[@]}"
+make "$out/wide-few-egl" --space learned --plan scripts/learned/few.toml --renderer egl "${guest[@]}"
 guest=(--policy "$out/learned.onnx" --profile "$out/learned.toml")
 make "$out/few-egl" --space learned --plan scripts/learned/few.toml --renderer egl "${guest[@]}"
 for engine in mujoco rapier; do
@@ -65,5 +68,6 @@ fi
 for other in rapier steel egl; do
     "$robogate" compare --paired "$out"/few-{mujoco,$other}
 done
+"$robogate" compare --paired "$out"/wide-few-{mujoco,egl}
 "$robogate" compare --paired "$out"/{learned,learned-wide}-over-wide
 "$robogate" leaderboard "$out"/{scripted,learned,learned-wide,random}-suite --format md
