@@ -152,13 +152,18 @@ impl ActionSpec {
                     values[*i] < low[*i] - room || values[*i] > high[*i] + room
                 };
                 if let Some(i) = (0..values.len()).find(outside) {
-                    return Err(format!("number {i} of the action is {}; expected {} to {}", values[i], low[i], high[i]));
+                    return Err(format!(
+                        "number {i} of the action is {}; expected {} to {}",
+                        values[i], low[i], high[i]
+                    ));
                 }
             }
         }
         match (self.gripper, action.gripper) {
             (Some(_), Some(command)) if (-1.0..=1.0).contains(&command) => Ok(()),
-            (Some(_), command) => Err(format!("expected a gripper command from -1 (open) to 1 (close), got {command:?}")),
+            (Some(_), command) => {
+                Err(format!("expected a gripper command from -1 (open) to 1 (close), got {command:?}"))
+            }
             (None, None) => Ok(()),
             (None, Some(_)) => Err("this task has no gripper command".to_owned()),
         }
@@ -174,7 +179,9 @@ impl ActionSpec {
             return Err(format!("`{}` is declared twice", kinds[i]));
         }
         self.spaces.iter().try_for_each(|space| match space {
-            ActionSpace::JointPosition { joints } if joints.is_empty() => Err("joint_position has no joints".to_owned()),
+            ActionSpace::JointPosition { joints } if joints.is_empty() => {
+                Err("joint_position has no joints".to_owned())
+            }
             ActionSpace::ToolDelta { translation_m, rotation_rad }
                 if !(*translation_m > 0.0 && *rotation_rad > 0.0 && finite(&[*translation_m, *rotation_rad])) =>
             {
@@ -185,8 +192,11 @@ impl ActionSpec {
                 if names.is_empty() || !same {
                     return Err("vector needs a name, a low and a high for each of its numbers".to_owned());
                 }
-                match low.iter().zip(high).position(|(low, high)| !(low < high && low.is_finite() && high.is_finite())) {
-                    Some(i) => Err(format!("`{}`: low {} is not below high {}, both finite", names[i], low[i], high[i])),
+                match low.iter().zip(high).position(|(low, high)| !(low < high && low.is_finite() && high.is_finite()))
+                {
+                    Some(i) => {
+                        Err(format!("`{}`: low {} is not below high {}, both finite", names[i], low[i], high[i]))
+                    }
                     None => Ok(()),
                 }
             }

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use crate::{
-    Action, Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Image, Measures, Observation, Outcome, Scenario,
-    Seed, TaskInstance, TaskSpec,
+    Action, Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Image, Measures, Observation, Outcome,
+    Scenario, Seed, TaskInstance, TaskSpec,
 };
 
 /// What an environment answers to a reset.

@@ -236,7 +236,8 @@ impl TaskSpec {
     /// Every failure mode of the task, in the order of reports; `timeout` is last where it is not declared.
     pub fn modes(&self) -> impl Iterator<Item = FailureMode> + '_ {
         let declared = self.failure_modes.iter().map(|mode| mode.name);
-        let timeout = (!self.failure_modes.iter().any(|mode| mode.name == FailureMode::TIMEOUT)).then_some(FailureMode::TIMEOUT);
+        let timeout =
+            (!self.failure_modes.iter().any(|mode| mode.name == FailureMode::TIMEOUT)).then_some(FailureMode::TIMEOUT);
         declared.chain(timeout)
     }
 
@@ -247,7 +248,11 @@ impl TaskSpec {
 
     /// What a failure mode means, where the task says so.
     pub fn meaning_of(&self, mode: FailureMode) -> Option<&str> {
-        self.failure_modes.iter().find(|spec| spec.name == mode).map(|spec| &*spec.meaning).filter(|text| !text.is_empty())
+        self.failure_modes
+            .iter()
+            .find(|spec| spec.name == mode)
+            .map(|spec| &*spec.meaning)
+            .filter(|text| !text.is_empty())
     }
 
     /// A measure by its name.
@@ -263,7 +268,10 @@ impl TaskSpec {
     /// The space of everything that the task lets vary, over the whole of each declared range. Fails where the task
     /// declares no parameter.
     pub fn declared_space(&self) -> Result<ParameterSpace, crate::SpaceError> {
-        let varies = self.parameters.iter().filter_map(|spec| Some(Parameter { name: Arc::clone(&spec.name), domain: spec.domain()? }));
+        let varies = self
+            .parameters
+            .iter()
+            .filter_map(|spec| Some(Parameter { name: Arc::clone(&spec.name), domain: spec.domain()? }));
         ParameterSpace::new(format!("{} (declared ranges)", self.name), varies.collect())
     }
 
@@ -299,7 +307,9 @@ impl ParameterSpec {
                 Some(Domain::Continuous { low: *low, high: *high, scale: Scale::Linear })
             }
             Allowed::Integer { low, high } if low < high => Some(Domain::Integer { low: *low, high: *high }),
-            Allowed::Categorical { choices, .. } if choices.len() > 1 => Some(Domain::Categorical { choices: choices.clone() }),
+            Allowed::Categorical { choices, .. } if choices.len() > 1 => {
+                Some(Domain::Categorical { choices: choices.clone() })
+            }
             _ => None,
         }
     }
@@ -312,9 +322,15 @@ impl ParameterSpec {
             (Allowed::Continuous { low, high }, Value::Integer(n)) if (*low..=*high).contains(&(*n as f64)) => Ok(()),
             (Allowed::Continuous { low, high }, _) => wrong(format!("a number from {low} to {high}")),
             (Allowed::Integer { low, high }, Value::Integer(n)) if (*low..=*high).contains(n) => Ok(()),
-            (Allowed::Integer { low, high }, Value::Number(x)) if x.fract() == 0.0 && (*low as f64..=*high as f64).contains(x) => Ok(()),
+            (Allowed::Integer { low, high }, Value::Number(x))
+                if x.fract() == 0.0 && (*low as f64..=*high as f64).contains(x) =>
+            {
+                Ok(())
+            }
             (Allowed::Integer { low, high }, _) => wrong(format!("an integer from {low} to {high}")),
-            (Allowed::Categorical { choices, open }, Value::Category(word)) if *open || choices.contains(word) => Ok(()),
+            (Allowed::Categorical { choices, open }, Value::Category(word)) if *open || choices.contains(word) => {
+                Ok(())
+            }
             (Allowed::Categorical { choices, .. }, _) => wrong(format!("one of {}", choices.join(", "))),
         }
     }

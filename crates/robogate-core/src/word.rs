@@ -6,14 +6,14 @@ use std::fmt;
 use std::sync::{Mutex, PoisonError};
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// A short name of 1 to 64 ASCII letters, digits, `_`, `-` and `.`.
 ///
 /// Words are compared by their text. They are interned for the life of the process and are as cheap to copy as a
 /// reference, so a million episodes share one text for each failure mode.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Word(&'static str);
 
 /// The text of every word that was made at run time.
@@ -101,17 +101,16 @@ impl PartialEq<&str> for Word {
     }
 }
 
-impl TryFrom<String> for Word {
-    type Error = WordError;
-
-    fn try_from(text: String) -> Result<Self, WordError> {
-        Self::new(&text)
+impl Serialize for Word {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.0)
     }
 }
 
-impl From<Word> for String {
-    fn from(word: Word) -> Self {
-        word.0.to_owned()
+impl<'de> Deserialize<'de> for Word {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = Cow::<str>::deserialize(deserializer)?;
+        Self::new(&text).map_err(D::Error::custom)
     }
 }
 
