@@ -41,9 +41,10 @@ pub enum Command {
 }
 
 /// The actions that a task takes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ActionSpec {
-    /// The kinds of command, at least one; the first is the task's own.
+    /// The kinds of command, at least one in a task that runs; the first is the task's own.
+    #[serde(default)]
     pub spaces: Vec<ActionSpace>,
     /// The gripper beside the command; absent where there is none, or where it is part of the vector.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -20,9 +20,12 @@ pub struct TaskSpec {
     pub version: u32,
     /// The task in words.
     pub instruction: String,
-    /// Time between two actions, in seconds.
+    /// Time between two actions, in seconds. Zero, and left out of files, where it is not known: in the task of an
+    /// imported dictionary.
+    #[serde(default, skip_serializing_if = "unknown")]
     pub control_period_s: f64,
-    /// An episode that lasts this long is a timeout, in simulated seconds.
+    /// An episode that lasts this long is a timeout, in simulated seconds. Zero where it is not known.
+    #[serde(default, skip_serializing_if = "unknown")]
     pub time_limit_s: f64,
     /// How a policy can fail, in the order in which reports list it. Every task also has `timeout`, whether or not
     /// it is listed.
@@ -37,12 +40,18 @@ pub struct TaskSpec {
     #[serde(default)]
     pub parameters: Vec<ParameterSpec>,
     /// What a policy sees.
+    #[serde(default)]
     pub observation: ObservationSpec,
     /// What a policy may answer.
+    #[serde(default)]
     pub action: ActionSpec,
     /// Data that only this task's own components understand.
     #[serde(default, skip_serializing_if = "serde_json::Value::is_null")]
     pub details: serde_json::Value,
+}
+
+fn unknown(seconds: &f64) -> bool {
+    *seconds <= 0.0
 }
 
 /// A way to fail.

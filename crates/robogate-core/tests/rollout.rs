@@ -28,11 +28,7 @@ fn task(period_s: f64, limit_s: f64) -> Arc<TaskSpec> {
             cameras: Vec::new(),
         },
         action: ActionSpec {
-            spaces: vec![ActionSpace::Vector {
-                names: vec!["position".to_owned()],
-                low: vec![-1e4],
-                high: vec![1e4],
-            }],
+            spaces: vec![ActionSpace::Vector { names: vec!["position".to_owned()], low: vec![-1e4], high: vec![1e4] }],
             gripper: None,
         },
         details: serde_json::Value::Null,

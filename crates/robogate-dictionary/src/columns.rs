@@ -4,8 +4,8 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use robogate_core::{
-    Assignment, Contact, Domain, Episode, FailureMode, Fault, Measures, Outcome, ParameterSpace, Phase, Scenario, Seed,
-    Value,
+    Assignment, Contact, Domain, Episode, FailureMode, Fault, Measures, Outcome, ParameterSpace, Scenario, Seed,
+    TaskSpec, Value, Word,
 };
 
 use crate::codec::{FAULT_KINDS, Interner, integer_as_number, number_as_integer};
@@ -17,9 +17,9 @@ use crate::{DictionaryError, Entry, Label, SchemaVersion};
 pub enum Kind {
     /// A real number, never NaN or infinite.
     Number,
-    /// A signed whole number.
+    /// A signed integer.
     Integer,
-    /// A whole number from 0.
+    /// An integer from 0.
     Count,
     /// A word or text.
     Text,
@@ -40,11 +40,13 @@ pub struct FixedColumn {
     pub meaning: &'static str,
 }
 
-/// The fixed columns in order; the last three are there since version 1.1. Between `seed` and `applied_other` stand, for each parameter of the space,
-/// a column of its name (the value asked for), and after these one of its name behind `applied_` (the
-/// value read back from the simulator, null where it never got so far).
+/// The fixed columns in order; the last three are there since version 1.1.
+///
+/// Between `seed` and `applied_other` stand, for each parameter of the space, a column of its name (the requested value),
+/// and after these one of its name behind `applied_` (the value read back from the environment, null where the reset
+/// failed). Before `ticks` stands a column for each measure of the task.
 pub fn fixed_columns() -> impl Iterator<Item = &'static FixedColumn> {
-    LEADING.iter().chain(&TRAILING).chain(&LABEL)
+    LEADING.iter().chain(&TRAILING).chain(&CLOSING).chain(&LABEL)
 }
 
 /// The columns of a suite's scenarios, last of all.
@@ -100,7 +102,7 @@ pub(crate) enum Cell<'a> {
     Text(Cow<'a, str>),
 }
 
-/// A cell that makes no entry.
+/// A cell that cannot be part of an entry.
 #[derive(Debug)]
 pub(crate) struct WrongCell {
     /// The column's name.
@@ -147,8 +149,8 @@ static LEADING: [FixedColumn; 5] = [
 /// What stands before the name of a parameter where its applied value is meant.
 const APPLIED: &str = "applied_";
 
-/// The columns after the parameters.
-static TRAILING: [FixedColumn; 16] = [
+/// The columns between the parameters and the measures.
+static TRAILING: [FixedColumn; 10] = [
     FixedColumn {
         name: "applied_other",
         kind: Kind::Text,
@@ -161,14 +163,14 @@ static TRAILING: [FixedColumn; 16] = [
         kind: Kind::Text,
         required: true,
         repeats: true,
-        meaning: "success, grasp_miss, grip_loss, collision, timeout, or invalid (no evidence)",
+        meaning: "success, a failure mode, or invalid (no evidence)",
     },
     FixedColumn {
         name: "failure_type",
         kind: Kind::Text,
         required: false,
         repeats: true,
-        meaning: "the published word: the failure, or none; null where invalid",
+        meaning: "the failure mode, or none; null where invalid",
     },
     FixedColumn {
         name: "fault_kind",
@@ -196,7 +198,7 @@ static TRAILING: [FixedColumn; 16] = [
         kind: Kind::Text,
         required: false,
         repeats: true,
-        meaning: "what the policy said it was doing then",
+        meaning: "the phase that the policy reported then",
     },
     FixedColumn {
         name: "contact_robot_body",
@@ -219,34 +221,10 @@ static TRAILING: [FixedColumn; 16] = [
         repeats: false,
         meaning: "largest normal force in the control period of first touch, in newtons",
     },
-    FixedColumn {
-        name: "peak_contact_force_n",
-        kind: Kind::Number,
-        required: false,
-        repeats: false,
-        meaning: "largest normal force between the robot and anything, in newtons",
-    },
-    FixedColumn {
-        name: "slip_m",
-        kind: Kind::Number,
-        required: false,
-        repeats: false,
-        meaning: "largest displacement of the object in the hand since it was held, in metres",
-    },
-    FixedColumn {
-        name: "min_clearance_m",
-        kind: Kind::Number,
-        required: false,
-        repeats: false,
-        meaning: "smallest distance between the robot and anything but the object, in metres",
-    },
-    FixedColumn {
-        name: "target_distance_m",
-        kind: Kind::Number,
-        required: false,
-        repeats: false,
-        meaning: "horizontal distance of the object from its target, in metres",
-    },
+];
+
+/// The columns after the measures.
+static CLOSING: [FixedColumn; 2] = [
     FixedColumn { name: "ticks", kind: Kind::Count, required: true, repeats: false, meaning: "control ticks run" },
     FixedColumn {
         name: "trajectory_hash",
@@ -257,19 +235,20 @@ static TRAILING: [FixedColumn; 16] = [
     },
 ];
 
-/// The columns of a dictionary over one space.
+/// The columns of a dictionary of one task over one space.
 #[derive(Debug, Clone)]
 pub(crate) struct Columns {
     space: ParameterSpace,
+    measures: Vec<Word>,
     specs: Vec<ColumnSpec>,
     /// Whether the last three are those of a suite's scenarios.
     labelled: bool,
 }
 
 impl Columns {
-    /// The columns over `space` in this version of the schema; a parameter must not take the name of another
-    /// column.
-    pub(crate) fn of(space: &ParameterSpace, version: SchemaVersion) -> Result<Self, DictionaryError> {
+    /// The columns of `task` over `space` in this version of the schema; a parameter or measure must not take the name
+    /// of another column.
+    pub(crate) fn of(task: &TaskSpec, space: &ParameterSpace, version: SchemaVersion) -> Result<Self, DictionaryError> {
         let spec = |name, kind, required, repeats| ColumnSpec { name, kind, required, repeats };
         let fixed = |column: &FixedColumn| spec(column.name.to_owned(), column.kind, column.required, column.repeats);
         let of_parameters = |prefix: &'static str, required| {
@@ -282,6 +261,8 @@ impl Columns {
                 spec(format!("{prefix}{}", parameter.name), kind, required, kind != Kind::Number)
             })
         };
+        let measures: Vec<Word> = task.measures.iter().map(|measure| measure.name).collect();
+        let of_measures = measures.iter().map(|name| spec(name.as_str().to_owned(), Kind::Number, false, false));
         let labelled = version >= LABELLED;
         let specs: Vec<ColumnSpec> = LEADING
             .iter()
@@ -289,6 +270,8 @@ impl Columns {
             .chain(of_parameters("", true))
             .chain(of_parameters(APPLIED, false))
             .chain(TRAILING.iter().map(fixed))
+            .chain(of_measures)
+            .chain(CLOSING.iter().map(fixed))
             .chain(LABEL.iter().filter(|_| labelled).map(fixed))
             .collect();
         // Readers on case-insensitive engines (DuckDB) would not tell `Mass` from `mass`.
@@ -297,10 +280,13 @@ impl Columns {
         names.sort();
         if let Some(pair) = names.windows(2).find(|pair| pair[0].0 == pair[1].0) {
             let parameters = LEADING.len()..LEADING.len() + 2 * space.len();
-            let at = if parameters.contains(&pair[0].1) { pair[0].1 } else { pair[1].1 };
-            return Err(DictionaryError::ColumnClash { parameter: specs[at].name.clone() });
+            let first_measure = parameters.end + TRAILING.len();
+            let chosen =
+                |at: &usize| parameters.contains(at) || (first_measure..first_measure + measures.len()).contains(at);
+            let at = if chosen(&pair[0].1) { pair[0].1 } else { pair[1].1 };
+            return Err(DictionaryError::ColumnClash { column: specs[at].name.clone() });
         }
-        Ok(Self { space: space.clone(), specs, labelled })
+        Ok(Self { space: space.clone(), measures, specs, labelled })
     }
 
     /// The columns in order.
@@ -326,7 +312,7 @@ impl Columns {
         ]);
         self.flatten_requested(scenario, cells)?;
         self.flatten_applied(applied, cells);
-        cells.push(text(outcome.word()));
+        cells.push(text(outcome.as_str()));
         cells.push(failure_type(outcome).map_or(Cell::Null, text));
         match outcome {
             Outcome::Invalid(Fault { kind, detail }) => {
@@ -335,15 +321,14 @@ impl Columns {
             Outcome::Success | Outcome::Failure(_) => cells.extend([Cell::Null, Cell::Null]),
         }
         cells.push(number(Some(*time_s)));
-        cells.push(phase.map_or(Cell::Null, |phase| text(phase.word())));
+        cells.push(phase.map_or(Cell::Null, |phase| text(phase.as_str())));
         match contact {
             Some(Contact { robot_body, other_body, force_n }) => {
                 cells.extend([text(robot_body), text(other_body), number(Some(*force_n))]);
             }
             None => cells.extend([Cell::Null, Cell::Null, Cell::Null]),
         }
-        let Measures { peak_contact_force_n, slip_m, min_clearance_m, target_distance_m } = *measures;
-        cells.extend([peak_contact_force_n, slip_m, min_clearance_m, target_distance_m].map(number));
+        cells.extend(self.measures.iter().map(|name| number(measures.get(name.as_str()))));
         cells.push(Cell::Count(u64::from(*ticks)));
         cells.push(Cell::Text(format!("{trajectory_hash:016x}").into()));
         if self.labelled {
@@ -420,7 +405,7 @@ impl Columns {
                     Cell::Number(x) => Value::Number(*x),
                     Cell::Integer(n) => Value::Integer(*n),
                     Cell::Text(word) => Value::Category(words.get(word)),
-                    Cell::Count(_) => return Err(row.wrong("is no parameter's value")),
+                    Cell::Count(_) => return Err(row.wrong("is not a parameter's value")),
                 };
                 pairs.push((Arc::clone(&parameter.name), value));
             }
@@ -429,17 +414,14 @@ impl Columns {
         let requested = assignment()?;
         let mut applied = assignment()?;
         if let Some(json) = row.optional_text() {
-            let other = parse_other(json).ok_or_else(|| row.wrong("is no list of [name, kind, value]"))?;
+            let other = parse_other(json).ok_or_else(|| row.wrong("is not a list of [name, kind, value]"))?;
             applied = applied.iter().map(|(name, value)| (words.get(name), value.clone())).chain(other).collect();
         }
         let outcome = outcome(&mut row)?;
         let time_s = row.optional_number().unwrap_or(f64::NAN);
         let phase = match row.optional_text() {
             None => None,
-            Some(word) => {
-                let known = Phase::ALL.into_iter().find(|phase| phase.word() == word);
-                Some(known.ok_or_else(|| row.wrong("is no phase"))?)
-            }
+            Some(word) => Some(Word::new(word).map_err(|why| row.wrong(&why.to_string()))?),
         };
         let (robot_body, other_body, force_n) = (row.optional_text(), row.optional_text(), row.optional_number());
         let contact = match (robot_body, other_body, force_n) {
@@ -449,21 +431,16 @@ impl Columns {
                 other_body: other.to_owned(),
                 force_n: force.unwrap_or(f64::NAN),
             }),
-            _ => return Err(row.wrong("belongs to a contact whose bodies are not both there")),
+            _ => return Err(row.wrong("belongs to a contact that lacks one of its two bodies")),
         };
-        let measures = Measures {
-            peak_contact_force_n: row.optional_number(),
-            slip_m: row.optional_number(),
-            min_clearance_m: row.optional_number(),
-            target_distance_m: row.optional_number(),
-        };
+        let measures: Measures = self.measures.iter().map(|name| (*name, row.optional_number())).collect();
         let ticks = u32::try_from(row.count()?).map_err(|_| row.wrong("is more than 32 bits can count"))?;
         let hash = row.text()?;
         // `from_str_radix` alone would take a sign and fewer digits, which no writer leaves.
         let trajectory_hash = u64::from_str_radix(hash, 16)
             .ok()
             .filter(|_| hash.len() == 16 && !hash.starts_with('+'))
-            .ok_or_else(|| row.wrong("is no hash of 16 hexadecimal digits"))?;
+            .ok_or_else(|| row.wrong("is not a hash of 16 hexadecimal digits"))?;
         let label = if self.labelled {
             let mut word = || row.optional_text().map(str::to_owned);
             Label { case: word(), category: word(), group: word() }
@@ -476,23 +453,23 @@ impl Columns {
     }
 }
 
-/// The word of the published dictionaries for an outcome; `None` where there is no evidence.
+/// The text of the `failure_type` column; `None` where there is no evidence.
 pub(crate) fn failure_type(outcome: &Outcome) -> Option<&'static str> {
     match outcome {
         Outcome::Success => Some("none"),
-        Outcome::Failure(mode) => Some(mode.word()),
+        Outcome::Failure(mode) => Some(mode.as_str()),
         Outcome::Invalid(_) => None,
     }
 }
 
 fn outcome(row: &mut RowReader<'_>) -> Result<Outcome, WrongCell> {
     let word = row.text()?;
-    let mode = FailureMode::ALL.into_iter().find(|mode| mode.word() == word);
     let invalid = word == "invalid";
-    if mode.is_none() && !invalid && word != "success" {
-        return Err(row.wrong("is no outcome"));
-    }
-    let expected = if invalid { None } else { Some(mode.map_or("none", FailureMode::word)) };
+    let mode = match word {
+        "success" | "invalid" => None,
+        _ => Some(FailureMode::new(word).map_err(|why| row.wrong(&why.to_string()))?),
+    };
+    let expected = if invalid { None } else { Some(mode.map_or("none", FailureMode::as_str)) };
     if row.optional_text() != expected {
         return Err(row.wrong(&format!("contradicts the outcome {word}")));
     }
@@ -500,7 +477,7 @@ fn outcome(row: &mut RowReader<'_>) -> Result<Outcome, WrongCell> {
         None => None,
         Some(kind) => {
             let known = FAULT_KINDS.into_iter().find(|known| known.to_string() == kind);
-            Some(known.ok_or_else(|| row.wrong("is no class of fault"))?)
+            Some(known.ok_or_else(|| row.wrong("is not a class of fault"))?)
         }
     };
     if kind.is_some() != invalid {
@@ -531,16 +508,16 @@ impl<'a> RowReader<'a> {
     fn count(&mut self) -> Result<u64, WrongCell> {
         match self.next() {
             Cell::Count(n) => Ok(*n),
-            _ => Err(self.wrong("is no whole number from 0")),
+            _ => Err(self.wrong("is not an integer from 0")),
         }
     }
 
     fn number(&mut self) -> Result<f64, WrongCell> {
-        self.optional_number().ok_or_else(|| self.wrong("is no number"))
+        self.optional_number().ok_or_else(|| self.wrong("is not a number"))
     }
 
     fn text(&mut self) -> Result<&'a str, WrongCell> {
-        self.optional_text().ok_or_else(|| self.wrong("is no text"))
+        self.optional_text().ok_or_else(|| self.wrong("is not a text"))
     }
 
     fn optional_number(&mut self) -> Option<f64> {
@@ -595,7 +572,7 @@ fn fit<'a>(domain: &Domain, value: &'a Value) -> Option<Cell<'a>> {
 fn kind_word(domain: &Domain) -> &'static str {
     match domain {
         Domain::Continuous { .. } => "a finite real number",
-        Domain::Integer { .. } => "a whole number",
+        Domain::Integer { .. } => "an integer",
         Domain::Categorical { .. } => "a word",
     }
 }

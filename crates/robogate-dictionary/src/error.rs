@@ -57,13 +57,11 @@ pub enum DictionaryError {
         /// Its version.
         found: SchemaVersion,
     },
-    /// A parameter under the name of a column that means something else.
-    #[error(
-        "parameter `{parameter}` has the name of a column of the dictionary\nhint: rename it in the parameter space"
-    )]
+    /// A parameter or measure under the name of a column that means something else.
+    #[error("`{column}` is the name of another column of the dictionary\nhint: rename the parameter or measure")]
     ColumnClash {
         /// The name.
-        parameter: String,
+        column: String,
     },
     /// No column of that name.
     #[error("{} has no column `{column}`\nhint: its columns are {columns}", path.display())]

@@ -14,7 +14,7 @@ use crate::codec::{self, Interner};
 use crate::{DictionaryError, Entry};
 
 const MAGIC: [u8; 8] = *b"RGJOURNL";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const HEADER: u64 = 16;
 const HEAD: usize = 12;
 

@@ -26,6 +26,7 @@ mod raw;
 pub mod results;
 mod schema;
 mod suite;
+pub mod v1;
 
 pub use columns::{FixedColumn, Kind, fixed_columns};
 pub use entry::{Entry, Label};

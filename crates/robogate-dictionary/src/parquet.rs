@@ -88,7 +88,7 @@ impl fmt::Debug for DictionaryWriter {
 impl DictionaryWriter {
     /// Begins a dictionary that will be at `path`, in this crate's schema version.
     pub fn create(path: &Path, provenance: &Provenance) -> Result<Self, DictionaryError> {
-        let columns = Columns::of(&provenance.space, SCHEMA_VERSION)?;
+        let columns = Columns::of(&provenance.task, &provenance.space, SCHEMA_VERSION)?;
         let provenance = Provenance { schema_version: SCHEMA_VERSION, ..provenance.clone() };
         let json = provenance.to_json();
         let checksums = vec![hex_crc(json.as_bytes())];
@@ -106,7 +106,7 @@ impl DictionaryWriter {
             rows_in_group: 0,
             rows: 0,
             last_index: None,
-            hash: DatasetHash::new(),
+            hash: DatasetHash::new(Arc::clone(&provenance.task)),
             checksums,
         })
     }
@@ -376,7 +376,7 @@ impl Dictionary {
         }
         let provenance: Provenance =
             serde_json::from_str(json).map_err(|e| damaged(path, "the provenance", e.to_string()))?;
-        let columns = Columns::of(&provenance.space, version)?;
+        let columns = Columns::of(&provenance.task, &provenance.space, version)?;
         let leaves = find_leaves(&metadata, &columns, path)?;
         let checksums = checksums
             .map(|crc| u32::from_str_radix(crc, 16))
@@ -451,7 +451,7 @@ impl Dictionary {
             row: 0,
             last_index: None,
             words: Interner::default(),
-            hash: DatasetHash::new(),
+            hash: DatasetHash::new(Arc::clone(&self.provenance.task)),
             done: false,
         }
     }
@@ -833,7 +833,7 @@ impl Entries<'_> {
     }
 
     fn check_hash(&mut self) -> Result<(), DictionaryError> {
-        let found = std::mem::take(&mut self.hash).finish();
+        let found = self.hash.clone().finish();
         let dictionary = self.dictionary;
         if found == dictionary.dataset_hash {
             return Ok(());

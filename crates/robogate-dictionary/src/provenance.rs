@@ -1,6 +1,8 @@
 //! Where a dictionary comes from.
 
-use robogate_core::ParameterSpace;
+use std::sync::Arc;
+
+use robogate_core::{ParameterSpace, TaskSpec};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -19,11 +21,14 @@ pub struct Provenance {
     pub schema_version: SchemaVersion,
     /// What stepped the physics.
     pub engine: Engine,
+    /// The task, as the environment declared it. Its measures are columns of the rows.
+    #[serde(default = "before_tasks")]
+    pub task: Arc<TaskSpec>,
     /// The robot that was judged.
     pub robot: Robot,
     /// The policy that drove it.
     pub policy: String,
-    /// The settings of the world (time step, grip force) in the simulator's own form.
+    /// The settings of the world (time step, grip force) in the environment's own form.
     #[serde(default, skip_serializing_if = "serde_json::Value::is_null")]
     pub world: serde_json::Value,
     /// The parameter space: its parameters are columns of the rows, in this order.
@@ -46,6 +51,11 @@ impl Provenance {
         // A tree of strings, numbers and maps with string keys cannot fail to serialise.
         serde_json::to_string(self).unwrap_or_default()
     }
+}
+
+/// The task of a dictionary that does not say it.
+fn before_tasks() -> Arc<TaskSpec> {
+    Arc::new(crate::v1::task())
 }
 
 /// The tool that wrote a dictionary.

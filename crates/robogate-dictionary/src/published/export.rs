@@ -1,5 +1,6 @@
 //! To the published JSON.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 
 use robogate_core::{Assignment, Domain, FailureMode, Outcome, ParameterSpace, Scale, Value};
@@ -8,7 +9,7 @@ use serde::ser::{SerializeMap, Serializer};
 use serde_json::{Map, Value as Json, json};
 
 use super::{
-    ANALYTIC, COLLISION, CYCLE_TIME, DROP, FAILURE_TYPE, GRASP_MISS, SAMPLE, SUCCESS, TARGET_DISTANCE, name_there,
+    ANALYTIC, CYCLE_TIME, FAILURE_TYPE, FLAGS, SAMPLE, SUCCESS, TARGET_DISTANCE, TARGET_DISTANCE_HERE, name_there,
 };
 use crate::columns::failure_type;
 use crate::export::write_error;
@@ -57,7 +58,7 @@ fn to_json(text: &mut Vec<u8>, value: &impl Serialize) -> Result<(), DictionaryE
 #[derive(Default)]
 struct Counts {
     successes: u64,
-    failures: [u64; 4],
+    failures: BTreeMap<FailureMode, u64>,
     invalid: u64,
 }
 
@@ -66,21 +67,17 @@ impl Counts {
         match outcome {
             Outcome::Success => self.successes += 1,
             Outcome::Invalid(_) => self.invalid += 1,
-            Outcome::Failure(mode) => {
-                if let Some(at) = FailureMode::ALL.iter().position(|known| known == mode) {
-                    self.failures[at] += 1;
-                }
-            }
+            Outcome::Failure(mode) => *self.failures.entry(*mode).or_default() += 1,
         }
     }
 
     fn total(&self) -> u64 {
-        self.successes + self.failures.iter().sum::<u64>()
+        self.successes + self.failures.values().sum::<u64>()
     }
 
     fn summary(&self) -> Json {
-        let types = FailureMode::ALL.iter().zip(self.failures).filter(|(_, n)| *n > 0);
-        let types: Map<String, Json> = types.map(|(mode, n)| (mode.word().to_owned(), n.into())).collect();
+        let types: Map<String, Json> =
+            self.failures.iter().map(|(mode, n)| (mode.as_str().to_owned(), (*n).into())).collect();
         let mut summary = json!({
             "total": self.total(),
             "success_count": self.successes,
@@ -143,10 +140,10 @@ impl Serialize for PublishedRow<'_> {
         row.serialize_entry(SUCCESS, &(episode.outcome == Outcome::Success))?;
         row.serialize_entry(FAILURE_TYPE, &failure_type(&episode.outcome))?;
         row.serialize_entry(CYCLE_TIME, &episode.time_s)?;
-        row.serialize_entry(COLLISION, &failed(FailureMode::Collision))?;
-        row.serialize_entry(DROP, &failed(FailureMode::GripLoss))?;
-        row.serialize_entry(GRASP_MISS, &failed(FailureMode::GraspMiss))?;
-        if let Some(distance) = episode.measures.target_distance_m {
+        for (mode, flag) in FLAGS {
+            row.serialize_entry(flag, &failed(mode))?;
+        }
+        if let Some(distance) = episode.measures.get(TARGET_DISTANCE_HERE.as_str()) {
             row.serialize_entry(TARGET_DISTANCE, &distance)?;
         }
         row.serialize_entry(SAMPLE, &self.0.index())?;

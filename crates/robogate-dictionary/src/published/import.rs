@@ -1,25 +1,26 @@
 //! From the published JSON.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
 use robogate_core::{
-    Assignment, Domain, Episode, FailureMode, Measures, Outcome, Parameter, ParameterSpace, Scenario, Seed, Value,
+    Assignment, Domain, Episode, FailureMode, Outcome, Parameter, ParameterSpace, Scenario, Seed, Value,
 };
 use serde_json::json;
 
 use super::rows::{self, Frame};
 use super::{
-    ANALYTIC, COLLISION, CYCLE_TIME, DROP, FAILURE_TYPE, GRASP_MISS, PREFIX, SAMPLE, SUCCESS, TARGET_DISTANCE,
+    ANALYTIC, CYCLE_TIME, FAILURE_TYPE, FLAGS, PREFIX, SAMPLE, SUCCESS, TARGET_DISTANCE, TARGET_DISTANCE_HERE,
     name_here,
 };
 use crate::codec::{EXACT_INTEGER, Interner};
-use crate::columns::{Columns, failure_type};
+use crate::columns::Columns;
 use crate::fields::Fields;
 use crate::raw::{RawRow, Scalar};
 use crate::{
     DictionaryError, DictionaryWriter, Engine, Entry, Label, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool,
-    Written,
+    Written, v1,
 };
 
 /// What an import made.
@@ -52,12 +53,15 @@ pub fn import(from: &Path, to: &Path) -> Result<Imported, DictionaryError> {
     Ok(Imported { provenance: plan.provenance, written })
 }
 
+/// More failure modes than this are not modes but descriptions.
+const MOST_MODES: usize = 1000;
+
 /// What the first reading finds out.
 #[derive(Default)]
 struct Survey {
     rows: u64,
     successes: u64,
-    failures: [u64; 4],
+    failures: BTreeMap<FailureMode, u64>,
     flagged_later: u64,
     fields: Fields,
     /// The last sample index; `None` once they do not rise, or one is missing.
@@ -73,10 +77,15 @@ impl Survey {
         match outcome {
             Outcome::Success => self.successes += 1,
             Outcome::Failure(mode) => {
-                let at = FailureMode::ALL.iter().position(|known| *known == mode).unwrap_or(0);
-                self.failures[at] += 1;
-                let flags = [COLLISION, DROP, GRASP_MISS];
-                let raised = flags.iter().filter(|flag| row.get(flag) == Some(&Scalar::Bool(true))).count();
+                *self.failures.entry(mode).or_default() += 1;
+                if self.failures.len() > MOST_MODES {
+                    return Err(row.wrong(
+                        path,
+                        FAILURE_TYPE,
+                        format!("is one more failure mode than the {MOST_MODES} that a file can have"),
+                    ));
+                }
+                let raised = FLAGS.iter().filter(|(_, flag)| row.get(flag) == Some(&Scalar::Bool(true))).count();
                 let own = usize::from(flag_of(mode).is_some_and(|flag| row.get(flag).is_some()));
                 self.flagged_later += u64::from(raised > own);
             }
@@ -117,7 +126,9 @@ impl Survey {
             ("summary.failure_count", &frame.summary["failure_count"], failures),
         ];
         let types = &frame.summary["failure_types"];
-        let by_mode = FailureMode::ALL.iter().zip(self.failures).map(|(mode, n)| (mode.word(), &types[mode.word()], n));
+        let count = |name: &str| self.failures.iter().find(|(mode, _)| mode.as_str() == name).map_or(0, |(_, n)| *n);
+        let by_mode =
+            types.as_object().into_iter().flatten().map(|(name, claimed)| (name.as_str(), claimed, count(name)));
         for (name, claimed, found) in whole.into_iter().chain(by_mode) {
             if claimed.as_u64().is_some_and(|claimed| claimed != found) {
                 return refuse(format!("its `{name}` says {claimed}, its rows have {found}"));
@@ -187,6 +198,7 @@ impl Survey {
             tool: Tool::robogate(),
             schema_version: SCHEMA_VERSION,
             engine: Engine { name: name(["simulator", "mode"]), version: None, build_sha256: None },
+            task: Arc::new(v1::task()),
             robot: Robot { name: name(["robot", "robot_name"]), sha256: None, dimensions: None },
             policy: name(["policy", "controller"]),
             world: serde_json::Value::Null,
@@ -202,7 +214,7 @@ impl Survey {
             }),
         };
         // Refused here, before anything is written.
-        Columns::of(&provenance.space, SCHEMA_VERSION)?;
+        Columns::of(&provenance.task, &provenance.space, SCHEMA_VERSION)?;
         Ok(Plan { provenance, fields, by_sample: self.samples_rise })
     }
 }
@@ -212,12 +224,13 @@ fn free_name(published: &str) -> String {
     let here = name_here(published);
     let parameter = |name: &str| Parameter { name: name.into(), domain: Domain::Integer { low: 0, high: 0 } };
     let clashes = ParameterSpace::new("one", vec![parameter(here)])
-        .is_ok_and(|space| Columns::of(&space, SCHEMA_VERSION).is_err());
+        .is_ok_and(|space| Columns::of(&v1::task(), &space, SCHEMA_VERSION).is_err());
     if clashes { format!("{PREFIX}{here}") } else { here.to_owned() }
 }
 
 fn is_parameter(name: &str) -> bool {
-    ![SUCCESS, FAILURE_TYPE, CYCLE_TIME, TARGET_DISTANCE, SAMPLE, COLLISION, DROP, GRASP_MISS].contains(&name)
+    ![SUCCESS, FAILURE_TYPE, CYCLE_TIME, TARGET_DISTANCE, SAMPLE].contains(&name)
+        && FLAGS.iter().all(|(_, flag)| *flag != name)
 }
 
 /// How a row becomes an entry.
@@ -260,7 +273,7 @@ impl Plan {
             time_s: cycle_time(path, row)?,
             phase: None,
             contact: None,
-            measures: Measures { target_distance_m: target_distance(path, row)?, ..Measures::default() },
+            measures: [(TARGET_DISTANCE_HERE, target_distance(path, row)?)].into_iter().collect(),
             ticks: 0,
             trajectory_hash: 0,
         };
@@ -276,12 +289,7 @@ impl Plan {
 
 /// The flag that a failure of this mode raises.
 fn flag_of(mode: FailureMode) -> Option<&'static str> {
-    match mode {
-        FailureMode::GraspMiss => Some(GRASP_MISS),
-        FailureMode::GripLoss => Some(DROP),
-        FailureMode::Collision => Some(COLLISION),
-        FailureMode::Timeout => None,
-    }
+    FLAGS.iter().find(|(flagged, _)| *flagged == mode).map(|(_, flag)| *flag)
 }
 
 /// How the row's episode went, by all that the row says about it.
@@ -292,11 +300,10 @@ fn outcome(path: &Path, row: &RawRow) -> Result<Outcome, DictionaryError> {
     let Some(Scalar::Text(word)) = row.get(FAILURE_TYPE) else {
         return Err(row.wrong(path, FAILURE_TYPE, "is no word"));
     };
-    let known = FailureMode::ALL.into_iter().map(Outcome::Failure).chain([Outcome::Success]);
-    let outcome = known
-        .into_iter()
-        .find(|outcome| failure_type(outcome) == Some(word))
-        .ok_or_else(|| row.wrong(path, FAILURE_TYPE, "is none of none, timeout, grip_loss, collision, grasp_miss"))?;
+    let outcome = match word.as_str() {
+        "none" => Outcome::Success,
+        word => Outcome::Failure(FailureMode::new(word).map_err(|why| row.wrong(path, FAILURE_TYPE, why.to_string()))?),
+    };
     if (outcome == Outcome::Success) != *success {
         return Err(row.wrong(path, FAILURE_TYPE, format!("contradicts `{SUCCESS}`, which is {success}")));
     }
@@ -304,7 +311,7 @@ fn outcome(path: &Path, row: &RawRow) -> Result<Outcome, DictionaryError> {
         Outcome::Failure(mode) => flag_of(*mode),
         Outcome::Success | Outcome::Invalid(_) => None,
     };
-    for flag in [COLLISION, DROP, GRASP_MISS] {
+    for (_, flag) in FLAGS {
         let contradicts = match row.get(flag) {
             None | Some(Scalar::Null) => false,
             Some(Scalar::Bool(raised)) => {

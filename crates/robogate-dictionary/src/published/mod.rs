@@ -14,6 +14,7 @@ mod rows;
 
 pub use export::export;
 pub use import::{Imported, import};
+use robogate_core::{FailureMode, Word};
 
 /// Published names of parameters and our names for them, where they differ.
 const NAMES: [(&str, &str); 6] = [
@@ -31,14 +32,21 @@ const PREFIX: &str = "published_";
 /// Fields of a published row that an analytic formula gave, and no episode.
 const ANALYTIC: [&str; 2] = ["zone", "fail_prob"];
 
+/// Failure modes that have a flag of their own in a published row, and the flag's name.
+pub(crate) const FLAGS: [(FailureMode, &str); 3] = [
+    (FailureMode::constant("collision"), "collision"),
+    (FailureMode::constant("grip_loss"), "drop"),
+    (FailureMode::constant("grasp_miss"), "grasp_miss"),
+];
+
+/// Our name of the measure that is called [`TARGET_DISTANCE`] there.
+const TARGET_DISTANCE_HERE: Word = Word::constant("target_distance_m");
+
 const SUCCESS: &str = "success";
 const FAILURE_TYPE: &str = "failure_type";
 const CYCLE_TIME: &str = "cycle_time";
 const TARGET_DISTANCE: &str = "dist_to_target";
 const SAMPLE: &str = "sample_idx";
-const COLLISION: &str = "collision";
-const DROP: &str = "drop";
-const GRASP_MISS: &str = "grasp_miss";
 
 /// Our name of a published parameter.
 fn name_here(published: &str) -> &str {

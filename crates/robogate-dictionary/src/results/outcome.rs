@@ -26,14 +26,14 @@ pub(super) struct Went {
 
 /// The columns that say of one mode alone whether it was so.
 pub(super) const FLAGS: [(FailureMode, Role); 3] = [
-    (FailureMode::Collision, Role::Collision),
-    (FailureMode::GripLoss, Role::Drop),
-    (FailureMode::GraspMiss, Role::GraspMiss),
+    (FailureMode::constant("collision"), Role::Collision),
+    (FailureMode::constant("grip_loss"), Role::Drop),
+    (FailureMode::constant("grasp_miss"), Role::GraspMiss),
 ];
 
-/// One of our four failure modes by its word.
+/// A failure mode by its word.
 pub(super) fn mode(word: &str) -> Option<FailureMode> {
-    FailureMode::ALL.into_iter().find(|mode| mode.word() == word)
+    FailureMode::new(word).ok()
 }
 
 /// How the row's episode went.
@@ -67,10 +67,10 @@ pub(super) fn of(path: &Path, row: &RawRow, mapping: &Mapping) -> Result<Went, D
     if said {
         if let Some(mode) = mode {
             let reason = format!("contradicts `{}`, which says success", mapping.column(Role::Success));
-            return Err(row.wrong(path, mapping.column(Role::FailureMode), format!("({}) {reason}", mode.word())));
+            return Err(row.wrong(path, mapping.column(Role::FailureMode), format!("({}) {reason}", mode.as_str())));
         }
         // A grasp that was missed once and then succeeded is a success; a touch or a drop is not.
-        return Ok(match raised.filter(|mode| *mode != FailureMode::GraspMiss) {
+        return Ok(match raised.filter(|mode| mode.as_str() != "grasp_miss") {
             Some(mode) => went(Outcome::Failure(mode), true, true),
             None => went(Outcome::Success, true, false),
         });
@@ -79,12 +79,12 @@ pub(super) fn of(path: &Path, row: &RawRow, mapping: &Mapping) -> Result<Went, D
         && let Some(((_, role), _)) =
             FLAGS.into_iter().zip(flags).find(|(_, (of, flag))| *of == mode && *flag == Some(false))
     {
-        let reason = format!("contradicts `{}`, which says {}", mapping.column(Role::FailureMode), mode.word());
+        let reason = format!("contradicts `{}`, which says {}", mapping.column(Role::FailureMode), mode.as_str());
         return Err(row.wrong(path, mapping.column(role), reason));
     }
     // All three flags lowered say what it was not: the object was never placed in time.
-    let told = mode.or(raised).or(flags.iter().all(|(_, flag)| *flag == Some(false)).then_some(FailureMode::Timeout));
-    Ok(went(Outcome::Failure(told.unwrap_or(FailureMode::Timeout)), told.is_some(), false))
+    let told = mode.or(raised).or(flags.iter().all(|(_, flag)| *flag == Some(false)).then_some(FailureMode::TIMEOUT));
+    Ok(went(Outcome::Failure(told.unwrap_or(FailureMode::TIMEOUT)), told.is_some(), false))
 }
 
 enum Success {

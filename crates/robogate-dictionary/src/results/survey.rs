@@ -3,9 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use robogate_core::{
-    Assignment, Domain, Episode, FailureMode, Measures, Outcome, Parameter, ParameterSpace, Scenario, Seed, Value,
-};
+use robogate_core::{Assignment, Domain, Episode, Measures, Outcome, Parameter, ParameterSpace, Scenario, Seed, Value};
 use serde_json::json;
 
 use super::mapping::{Mapping, Role};
@@ -178,6 +176,7 @@ impl<'a> Survey<'a> {
             tool: Tool::robogate(),
             schema_version: SCHEMA_VERSION,
             engine: Engine { name: word(&mapping.about.simulator, &["benchmark"]), version: None, build_sha256: None },
+            task: Arc::new(crate::v1::task()),
             robot: Robot { name: word(&mapping.about.robot, &[]), sha256: None, dimensions: None },
             policy: word(&mapping.about.policy, &["model_server"]),
             world: serde_json::Value::Null,
@@ -193,7 +192,7 @@ impl<'a> Survey<'a> {
             }),
         };
         // Refused here, before anything is written.
-        Columns::of(&provenance.space, SCHEMA_VERSION)?;
+        Columns::of(&provenance.task, &provenance.space, SCHEMA_VERSION)?;
         Ok(Plan { path, mapping, provenance, columns, format })
     }
 
@@ -218,13 +217,13 @@ impl<'a> Survey<'a> {
     fn not_recorded(&self, notes: &mut Vec<String>) -> Vec<String> {
         let mut not_recorded = Vec::new();
         // In the order of the modes' own list. A success needs no flag where failures are named by their mode.
-        for of in FailureMode::ALL {
+        for of in crate::v1::task().modes() {
             let lacked = outcome::FLAGS
                 .iter()
                 .position(|(mode, _)| *mode == of)
                 .is_some_and(|at| self.lacked_by_failure[at] || (!self.names_modes && self.lacked_by_success[at]));
             if lacked {
-                not_recorded.push(of.word().to_owned());
+                not_recorded.push(of.as_str().to_owned());
             }
         }
         if self.failures_of_unknown_kind > 0 {
@@ -263,7 +262,8 @@ impl<'a> Survey<'a> {
 /// Whether a parameter of this name would take the name of another column.
 fn taken(name: &str, domain: &Domain) -> bool {
     let parameter = Parameter { name: name.into(), domain: domain.clone() };
-    ParameterSpace::new("one", vec![parameter]).is_ok_and(|space| Columns::of(&space, SCHEMA_VERSION).is_err())
+    ParameterSpace::new("one", vec![parameter])
+        .is_ok_and(|space| Columns::of(&crate::v1::task(), &space, SCHEMA_VERSION).is_err())
 }
 
 /// How a row becomes an entry.
