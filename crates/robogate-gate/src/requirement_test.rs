@@ -16,7 +16,7 @@ use robogate_stats::compare::{at_least, at_most};
 use robogate_stats::operating::{Answer, RateTest};
 use robogate_stats::{Confidence, Interval, Trials, clopper_pearson};
 
-use crate::figure::{Tally, duration, happened};
+use crate::figure::{Tally, happened, value};
 use crate::{Bound, GateError, Metric, Requirement, Sampling, Sense, Trial};
 
 /// Both p-values, the interval at the error α on each side, and when the demand would be decided.
@@ -24,7 +24,8 @@ use crate::{Bound, GateError, Metric, Requirement, Sampling, Sense, Trial};
 pub(crate) struct Tested {
     pub(crate) p_met: f64,
     pub(crate) p_violated: f64,
-    pub(crate) interval: [f64; 2],
+    /// Absent for a quantile.
+    pub(crate) interval: Option<[f64; 2]>,
     /// Steps in all after which it would be decided if they went as those so far.
     pub(crate) decided_at_steps: Option<u64>,
 }
@@ -52,10 +53,16 @@ pub(crate) fn test(
     rounds: &[Vec<&Trial>],
     how: How,
 ) -> Result<Tested, GateError> {
-    match requirement.metric {
-        Metric::CycleTimeS => mean(requirement, bound, rounds, how),
-        metric => Ok(rate(metric, bound, rounds, how)),
+    let metric = requirement.metric;
+    if metric.is_mean() {
+        return mean(requirement, bound, rounds, how);
     }
+    let Some(q) = metric.quantile() else { return Ok(rate(metric, bound, bound, rounds, how)) };
+    // The quantile keeps its limit exactly where a share of values small enough lies beyond it.
+    let beyond = if bound.sense == Sense::AtMost { 1.0 - q } else { q };
+    let tested = rate(metric, bound, Bound { sense: Sense::AtMost, limit: beyond }, rounds, how);
+    // That interval is one of the share.
+    Ok(Tested { interval: None, ..tested })
 }
 
 /// Good events so far, each episode that says nothing counted as bad and as good.
@@ -65,12 +72,13 @@ struct Look {
     best: Trials,
 }
 
-fn rate(metric: Metric, bound: Bound, rounds: &[Vec<&Trial>], how: How) -> Tested {
+/// Tests the rate of an event against `bound`. The event of a quantile is a value beyond `limit`.
+fn rate(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Trial>], how: How) -> Tested {
     let mut tally = Tally::default();
     let looks: Vec<Look> = rounds
         .iter()
         .map(|round| {
-            round.iter().for_each(|trial| tally.add(happened(metric, trial)));
+            round.iter().for_each(|trial| tally.add(happened(metric, limit, trial)));
             let good = if bound.sense == Sense::AtLeast { tally.yes } else { tally.no };
             let trials = |k| Trials::new(k, tally.n()).unwrap_or(Trials::NONE);
             Look { worst: trials(good), best: trials(good + tally.unknown) }
@@ -105,7 +113,7 @@ fn rate(metric: Metric, bound: Bound, rounds: &[Vec<&Trial>], how: How) -> Teste
     Tested {
         p_met: ln_met.min(0.0).exp(),
         p_violated: ln_violated.min(0.0).exp(),
-        interval,
+        interval: Some(interval),
         decided_at_steps: rate_decided_at(last, p0, how),
     }
 }
@@ -168,21 +176,26 @@ fn least(decided: impl Fn(u64) -> bool) -> Option<u64> {
 }
 
 fn mean(requirement: &Requirement, bound: Bound, rounds: &[Vec<&Trial>], how: How) -> Result<Tested, GateError> {
-    let ceiling = requirement.ceiling_s.unwrap_or(f64::INFINITY);
+    // Values are shifted so that they start at 0.
+    let [floor, ceiling] = requirement.range();
+    let floor = floor.unwrap_or(0.0);
+    let ceiling = ceiling.unwrap_or(f64::INFINITY) - floor;
+    let bound = Bound { limit: bound.limit - floor, ..bound };
     let mut looks = Vec::with_capacity(rounds.len());
     let (mut short, mut long) = (Vec::new(), Vec::new());
     for round in rounds {
         for trial in round {
-            let time = duration(trial);
-            if let Some(time_s) = time
-                // The clock of an episode is a sum of many steps.
-                && time_s > ceiling * (1.0 + 1e-9)
+            let value = value(requirement.metric, trial).map(|value| value - floor);
+            // The clock of an episode is a sum of many steps.
+            if let Some(shifted) = value
+                && !(-1e-9 * ceiling..=ceiling * (1.0 + 1e-9)).contains(&shifted)
             {
                 let (id, index) = (requirement.id(), trial.index);
-                return Err(GateError::AboveCeiling { id, index, time_s, ceiling_s: ceiling });
+                let (low, high) = (floor, ceiling + floor);
+                return Err(GateError::OutOfRange { id, index, value: shifted + floor, low, high });
             }
-            short.push(time.unwrap_or(0.0).min(ceiling));
-            long.push(time.unwrap_or(ceiling).min(ceiling));
+            short.push(value.unwrap_or(0.0).clamp(0.0, ceiling));
+            long.push(value.unwrap_or(ceiling).clamp(0.0, ceiling));
         }
         looks.push(short.len());
     }
@@ -205,7 +218,7 @@ fn mean(requirement: &Requirement, bound: Bound, rounds: &[Vec<&Trial>], how: Ho
     Ok(Tested {
         p_met: (-met).exp(),
         p_violated: (-violated).exp(),
-        interval: [of_short.low, of_long.high],
+        interval: Some([of_short.low + floor, of_long.high + floor]),
         decided_at_steps: mean_decided_at(bound, &short, &long, ceiling, how),
     })
 }
