@@ -69,7 +69,7 @@ else
     echo "note: no Python with USD; the tests of bridges/isaac_sim are skipped" >&2
 fi
 if [ -z "${ROBOGATE_POLICY_PYTHON:-}" ]; then
-    wanted=crates/robogate-bridge/tests/policy-requirements.txt
+    wanted=crates/robogate-policy/tests/requirements.txt
     policies=${CARGO_TARGET_DIR:-target}/policies-venv
     if ! cmp -s "$wanted" "$policies/installed.txt"; then
         rm -rf "$policies"

@@ -5,15 +5,15 @@ use std::time::Duration;
 
 use anyhow::{anyhow, bail};
 use clap::Args;
-use robogate_bridge::simulator::message::{Begun, Hello, Period, Seen};
-use robogate_bridge::simulator::{Host, NoWorld, Patience, Pool, PoolError, Remote, World};
-use robogate_bridge::zmtp::Address;
 use robogate_core::{
     Action, ArmCommand, Fault, FaultKind, GripperCommand, Image, Observation, Scenario, Simulator, Start, Step,
 };
 use robogate_dictionary::provenance;
+use robogate_remote::message::{Begun, Hello, Period, Seen};
+use robogate_remote::{Host, NoWorld, Patience, Pool, PoolError, Remote, World};
 use robogate_sim::offsite::{self, Cell, FarPeriod, FarReadback, FarSight, HERE, Offsite};
 use robogate_sim::{CONTROL_PERIOD_S, Chain, Engine, Robot};
+use robogate_zmtp::Address;
 use serde::{Deserialize, Serialize};
 
 use crate::exit::{Exit, INFRASTRUCTURE, USAGE};

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
-use robogate_bridge::policy::{Profile, ServerError, ServerPolicy};
 use robogate_core::{Fault, Policy};
+use robogate_policy::{Profile, ServerError, ServerPolicy};
 use robogate_sim::Random;
 use serde::{Deserialize, Serialize};
 

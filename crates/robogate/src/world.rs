@@ -6,12 +6,12 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
-use robogate_bridge::simulator::Pool;
-use robogate_bridge::simulator::message::{self, ActionSpace, Camera, DeltaScale, Hello};
 use robogate_campaign::{Station, Workshop};
 use robogate_core::{Assignment, Fault, FaultKind, ParameterSpace, Policy, Scenario, Seed, Simulator, Suite};
 use robogate_demos::Recorder;
 use robogate_dictionary::{hex, provenance, robot_sha256};
+use robogate_remote::Pool;
+use robogate_remote::message::{self, ActionSpace, Camera, DeltaScale, Hello};
 #[cfg(feature = "mujoco")]
 use robogate_sim::MujocoEngine;
 #[cfg(feature = "rapier")]

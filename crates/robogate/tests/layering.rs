@@ -4,10 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
 
 /// For each crate of the workspace, what it may use of the others. `None`: everything.
-const MAY_USE: [(&str, Option<&[&str]>); 12] = [
+const MAY_USE: [(&str, Option<&[&str]>); 14] = [
     ("robogate-core", Some(&[])),
     ("robogate-sim", Some(&["robogate-core", "mujoco-provision"])),
-    ("robogate-bridge", Some(&["robogate-core"])),
+    ("robogate-zmtp", Some(&[])),
+    ("robogate-policy", Some(&["robogate-core", "robogate-zmtp"])),
+    ("robogate-remote", Some(&["robogate-core", "robogate-zmtp"])),
     ("robogate-demos", Some(&["robogate-core", "robogate-sim", "mujoco-provision"])),
     ("robogate-dictionary", Some(&["robogate-core"])),
     ("robogate-stats", Some(&[])),

@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use robogate_bridge::simulator::contract::{Report, examine};
-use robogate_bridge::simulator::{AskError, Link, NoWorld};
-use robogate_bridge::zmtp::Address;
 use robogate_core::{Assignment, Sampler, Scenario, Seed, samplers::LatinHypercube};
+use robogate_remote::conformance::{Report, examine};
+use robogate_remote::{AskError, Link, NoWorld};
 use robogate_sim::SuctionLaw;
 use robogate_sim::offsite::HERE;
+use robogate_zmtp::Address;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};

@@ -5,9 +5,9 @@ use std::time::Instant;
 
 use anyhow::anyhow;
 use clap::{Args, Subcommand};
-use robogate_bridge::policy::{Arm, Chunk, Profile, ServerError, ServerPolicy, Side};
 use robogate_campaign::{Station, Workshop};
 use robogate_core::{Assignment, FaultKind, GripperCommand, Image, Observation, Scenario, Seed, Simulator};
+use robogate_policy::{Arm, Chunk, Profile, ServerError, ServerPolicy, Side};
 use robogate_sim::SuctionLaw;
 use serde_json::json;
 

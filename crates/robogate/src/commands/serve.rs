@@ -5,10 +5,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::anyhow;
 use clap::Args;
-use robogate_bridge::simulator::bounds::REQUEST;
-use robogate_bridge::simulator::{Host, Judging, Server};
-use robogate_bridge::zmtp::{Address, Replier, ZmtpError};
+use robogate_remote::bounds::REQUEST;
+use robogate_remote::{Host, Judging, Server};
 use robogate_sim::SuctionLaw;
+use robogate_zmtp::{Address, Replier, ZmtpError};
 use serde_json::json;
 
 use crate::commands::run::stop_at_once;
