@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
 
 /// For each crate of the workspace, what it may use of the others. `None`: everything.
-const MAY_USE: [(&str, Option<&[&str]>); 12] = [
+const MAY_USE: [(&str, Option<&[&str]>); 13] = [
     ("robogate-core", Some(&[])),
     ("robogate-sim", Some(&["robogate-core", "mujoco-provision"])),
     ("robogate-bridge", Some(&["robogate-core"])),
@@ -13,7 +13,8 @@ const MAY_USE: [(&str, Option<&[&str]>); 12] = [
     ("robogate-stats", Some(&[])),
     ("robogate-campaign", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     ("robogate-gate", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
-    ("robogate-report", Some(&["robogate-core", "robogate-dictionary", "robogate-stats", "robogate-gate"])),
+    ("robogate-analysis", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
+    ("robogate-report", Some(&["robogate-stats", "robogate-analysis", "robogate-gate"])),
     ("robogate-monitor", Some(&["robogate-core", "robogate-stats"])),
     ("mujoco-provision", Some(&[])),
     ("robogate", None),
