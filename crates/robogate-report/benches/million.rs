@@ -11,9 +11,10 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Instant;
 
+use robogate_analysis::{Analysis, Source};
 use robogate_core::{Assignment, Episode, FailureMode, Measures, Outcome, ParameterSpace, Scenario, Seed};
 use robogate_dictionary::{DictionaryWriter, Engine, Entry, Label, Provenance, Robot, SCHEMA_VERSION, Tool};
-use robogate_report::{Analysis, Source, html};
+use robogate_report::html;
 
 const SPACE: &str = include_str!("../../../assets/spaces/franka.toml");
 

@@ -20,6 +20,7 @@
 //! | what will such a gate do? | [`operating`] |
 //! | may B replace A? | [`non_inferiority`] |
 //! | what holds for the operating space, when the rows were drawn elsewhere? | [`weighted`] |
+//! | how is a figure written for people? | [`format`] |
 
 pub mod anytime;
 pub mod binning;
@@ -29,6 +30,7 @@ pub mod compare;
 pub mod correlation;
 pub mod crossed;
 pub(crate) mod dense;
+pub mod format;
 pub mod fourier;
 pub mod interval;
 pub mod limit_state;

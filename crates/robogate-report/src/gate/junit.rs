@@ -10,7 +10,7 @@ use robogate_gate::{Evaluation, GroupResult, Status, Verdict};
 
 use super::DemandRow;
 use crate::page::escape;
-use crate::words::{count, percent, percents};
+use robogate_stats::format::{count, percent, percent_range};
 
 /// The evaluation as JUnit XML.
 pub fn junit(evaluation: &Evaluation) -> String {
@@ -113,7 +113,7 @@ fn group(out: &mut String, group: &GroupResult) {
             "{} of {} valid episodes succeeded: {rate}, 95 % interval {}; {}",
             count(group.successes),
             count(group.valid),
-            percents(group.interval_95),
+            percent_range(group.interval_95),
             if endings.is_empty() { "nothing else happened".to_owned() } else { endings.join(", ") }
         ))
     );

@@ -5,7 +5,8 @@ use std::fmt::Write;
 use robogate_gate::{Leaderboard, Standing};
 
 use crate::page::{STYLE, escape, escape_markdown};
-use crate::words::{count, fixed, mode, percent, percents};
+use robogate_analysis::labels::mode_label;
+use robogate_stats::format::{count, fixed, percent, percent_range};
 
 /// What the columns say, one policy a line.
 struct Line {
@@ -28,7 +29,7 @@ impl Line {
             (None, _) => dash(),
         };
         let failures: Vec<String> =
-            standing.endings.iter().map(|e| format!("{} {}", mode(&e.ending), count(e.episodes))).collect();
+            standing.endings.iter().map(|e| format!("{} {}", mode_label(&e.ending), count(e.episodes))).collect();
         let rate = if standing.valid > 0 { percent(standing.successes as f64 / standing.valid as f64) } else { dash() };
         Self {
             rank,
@@ -38,7 +39,7 @@ impl Line {
                 .score_95
                 .map_or_else(|| "no spread".to_owned(), |[l, h]| format!("{} to {}", fixed(l, 1), fixed(h, 1))),
             success: format!("{rate} ({} of {})", count(standing.successes), count(standing.valid)),
-            success_interval: percents(standing.success_95),
+            success_interval: percent_range(standing.success_95),
             failures: if failures.is_empty() { dash() } else { failures.join(", ") },
             terms: standing
                 .score

@@ -6,7 +6,7 @@ use robogate_gate::{ConfidenceScore, Evaluation, Mode, Verdict};
 
 use super::{DemandRow, how_judged, sign, value, what_next};
 use crate::page::escape_markdown;
-use crate::words::{count, fixed, percent, percents, sentence};
+use robogate_stats::format::{count, fixed, percent, percent_range, sentence};
 
 /// The evaluation as Markdown.
 pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
@@ -78,7 +78,7 @@ pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
                 escape_markdown(&group.group),
                 count(group.successes),
                 count(group.valid),
-                percents(group.interval_95),
+                percent_range(group.interval_95),
                 escape_markdown(&endings.join(", "))
             );
         }

@@ -10,7 +10,7 @@ pub use junit::junit;
 pub use leaderboard::{leaderboard_html, leaderboard_markdown};
 pub use markdown::evaluation_markdown;
 
-use crate::words::{count, fixed, percent};
+use robogate_stats::format::{count, fixed, percent};
 
 /// One demand in words: what a table of any kind shows.
 #[derive(Debug, Clone, PartialEq, Eq)]

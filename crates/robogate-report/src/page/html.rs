@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use crate::page::svg::escape;
 use crate::story::{Block, Figure, Kind, Story, Table, tell, tell_comparison};
-use crate::{Analysis, Comparison};
+use robogate_analysis::{Analysis, Comparison};
 
 pub(crate) const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");

@@ -7,7 +7,7 @@ mod markdown;
 mod svg;
 pub(crate) mod versus;
 
-pub(crate) use heatmap::{drawable, heatmap, said};
+pub(crate) use heatmap::{drawable, heatmap};
 pub(crate) use html::STYLE;
 pub use html::{comparison_html, html};
 pub(crate) use markdown::escape as escape_markdown;

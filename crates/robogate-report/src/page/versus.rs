@@ -1,10 +1,10 @@
 //! Figures that set dictionaries side by side.
 
-use crate::comparison::{DisagreementMap, MassSensitivity, ReachRow, SharedCurve, UniversalZones};
-use crate::page::heatmap::said;
 use crate::page::svg::{Anchor, Scale, Svg, cut};
-use crate::words::{count, mode, name_with_unit, number, percent, percents, points, points_range, significant};
-use crate::{ComparedDictionary, Rate};
+use robogate_analysis::labels::{label_with_unit, mode_label, parameter_label};
+use robogate_analysis::{ComparedDictionary, Rate};
+use robogate_analysis::{DisagreementMap, ReachRow, Sensitivity, SharedCurve, UniversalZones};
+use robogate_stats::format::{count, number, percent, percent_range, points, points_range, significant};
 
 /// Series that have a colour of their own; the next ones begin anew with a hollow dot.
 const COLOURS: usize = 6;
@@ -69,7 +69,7 @@ pub(crate) fn rates(dictionaries: &[ComparedDictionary], names: &[String]) -> St
         let rate = &dictionary.success.rate;
         let told = rate.rate.map_or_else(
             || "no valid episode".to_owned(),
-            |r| format!("{} ({})", percent(r), percents(rate.wilson_95)),
+            |r| format!("{} ({})", percent(r), percent_range(rate.wilson_95)),
         );
         let label =
             format!("{}  {}", cut(&dictionary.name, 26), rate.rate.map_or_else(|| "\u{2013}".to_owned(), percent));
@@ -129,7 +129,7 @@ pub(crate) fn modes(dictionaries: &[&ComparedDictionary]) -> String {
     let mut at = 0.0;
     for (i, word) in words.iter().enumerate() {
         svg.rect(&format!("m{i}"), [at, 4.0, 11.0, 11.0]);
-        svg.text("s", Anchor::Start, [at + 16.0, 14.0], &mode(word));
+        svg.text("s", Anchor::Start, [at + 16.0, 14.0], &mode_label(word));
         at += 30.0 + 6.6 * word.len() as f64;
     }
     let x = Scale::linear([0.0, 1.0], [150.0, 440.0]);
@@ -148,9 +148,9 @@ pub(crate) fn modes(dictionaries: &[&ComparedDictionary]) -> String {
             let told = format!(
                 "{}: {} {} ({})",
                 dictionary.name,
-                mode(&share.mode),
+                mode_label(&share.mode),
                 percent(part),
-                percents(share.interval_95)
+                percent_range(share.interval_95)
             );
             svg.rect_told(&format!("m{i}"), [x.at(from), y, x.at(from + part) - x.at(from) - 0.8, 18.0], &told);
             from += part;
@@ -213,7 +213,7 @@ pub(crate) fn curve(curve: &SharedCurve, names: &[String]) -> String {
                 of.successes,
                 of.n,
                 percent(rate),
-                percents(of.wilson_95)
+                percent_range(of.wilson_95)
             );
             dot(&mut svg, series, [at, y.at(rate)], 3.4, &told);
         }
@@ -245,8 +245,8 @@ pub(crate) fn curve(curve: &SharedCurve, names: &[String]) -> String {
             }
         }
     }
-    svg.text("a", Anchor::Middle, [0.5 * (left + right), bottom + drop + 35.0], &name_with_unit(&curve.parameter));
-    svg.finish(&format!("Success along {}", name_with_unit(&curve.parameter)))
+    svg.text("a", Anchor::Middle, [0.5 * (left + right), bottom + drop + 35.0], &label_with_unit(&curve.parameter));
+    svg.finish(&format!("Success along {}", label_with_unit(&curve.parameter)))
 }
 
 /// The surest zones in which all of them fail.
@@ -279,7 +279,7 @@ pub(crate) fn universal(zones: &UniversalZones, names: &[String], most: usize) -
             let told = format!(
                 "{name}, {said}: {} ({})",
                 rate.rate.map_or_else(|| "-".to_owned(), percent),
-                percents(rate.wilson_95)
+                percent_range(rate.wilson_95)
             );
             dot(&mut svg, series, [x.at(rate.rate.unwrap_or_default()), y], 3.4, &told);
         }
@@ -322,10 +322,10 @@ pub(crate) fn reach(rows: &[ReachRow], names: &[String]) -> String {
     svg.finish("Workspace over reach against success rate")
 }
 
-/// Slopes of the log-odds over ln(mass).
-pub(crate) fn mass(mass: &MassSensitivity) -> String {
-    let rows: Vec<Row> = mass
-        .of
+/// Slopes of the log-odds over the logarithm of a parameter.
+pub(crate) fn sensitivity(sensitivity: &Sensitivity) -> String {
+    let rows: Vec<Row> = sensitivity
+        .effects
         .iter()
         .enumerate()
         .filter_map(|(series, effect)| {
@@ -335,18 +335,20 @@ pub(crate) fn mass(mass: &MassSensitivity) -> String {
             let sure = ends[0] > 0.0 || ends[1] < 0.0;
             Some(Row {
                 label: effect.name.clone(),
-                estimate: slope.per_log_mass,
+                estimate: slope.per_log_unit,
                 interval: ends,
                 sure,
                 series: Some(series),
             })
         })
         .collect();
+    let label = parameter_label(&sensitivity.parameter);
+    let ends = [format!("\u{2190} {label} hurts"), format!("{label} helps \u{2192}")];
     forest(
         &rows,
         "",
-        ["\u{2190} weight hurts", "weight helps \u{2192}"],
-        "Slope of the log-odds of success over ln(mass)",
+        ends.each_ref().map(String::as_str),
+        &format!("Slope of the log-odds of success over ln({label})"),
     )
 }
 
@@ -370,14 +372,14 @@ pub(crate) fn disagreement(map: &DisagreementMap, names: [&str; 2]) -> String {
         let gap = (cell.first_only as f64 - cell.second_only as f64) / cell.disagree.n.max(1) as f64;
         let told = format!(
             "{} {}, {} {}: {} of {} differ, {} ({}); only {} in {}, only {} in {}, gap {} points",
-            name_with_unit(&map.y.parameter),
-            said(&map.y, row),
-            name_with_unit(&map.x.parameter),
-            said(&map.x, column),
+            label_with_unit(&map.y.parameter),
+            map.y.cell_label(row),
+            label_with_unit(&map.x.parameter),
+            map.x.cell_label(column),
             cell.disagree.successes,
             cell.disagree.n,
             percent(share),
-            percents(cell.disagree.wilson_95),
+            percent_range(cell.disagree.wilson_95),
             names[0],
             cell.first_only,
             names[1],
@@ -427,7 +429,7 @@ fn shade(gap: f64) -> usize {
 }
 
 fn sides(svg: &mut Svg, map: &DisagreementMap, [left, w, h, bottom]: [f64; 4]) {
-    let ticks = |axis: &crate::Axis| -> Vec<(f64, String)> {
+    let ticks = |axis: &robogate_analysis::Axis| -> Vec<(f64, String)> {
         if axis.levels.is_empty() {
             axis.edges.iter().enumerate().map(|(i, edge)| (i as f64, significant(*edge, 2))).collect()
         } else {
@@ -442,8 +444,8 @@ fn sides(svg: &mut Svg, map: &DisagreementMap, [left, w, h, bottom]: [f64; 4]) {
     for (at, text) in ticks(&map.y).into_iter().step_by(every(h, 18.0)) {
         svg.text("s", Anchor::End, [left - 7.0, bottom - h * at + 4.0], &text);
     }
-    svg.text("a", Anchor::Middle, [0.5 * (left + 506.0), bottom + 33.0], &name_with_unit(&map.x.parameter));
-    svg.text_up("a", [11.0, 0.5 * (8.0 + bottom)], &name_with_unit(&map.y.parameter));
+    svg.text("a", Anchor::Middle, [0.5 * (left + 506.0), bottom + 33.0], &label_with_unit(&map.x.parameter));
+    svg.text_up("a", [11.0, 0.5 * (8.0 + bottom)], &label_with_unit(&map.y.parameter));
 }
 
 /// The interval of a paired gap as a caption.

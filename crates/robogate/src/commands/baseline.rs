@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
+use robogate_analysis::Source;
 use robogate_gate::{Baseline, Metric, Record};
-use robogate_report::Source;
 
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::terminal::{grouped, line, note, percent};

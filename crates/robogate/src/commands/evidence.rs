@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
+use robogate_analysis::Source;
 use robogate_gate::evidence::{Content, EvidenceError, Ingredients, PrivateKey, Role, write};
 use robogate_gate::{Asked, GateError, Record, Requirements, Sampling};
-use robogate_report::Source;
 
 use crate::commands::gate::{built_in_baseline, refused};
 use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};

@@ -6,13 +6,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
+use robogate_analysis::Source;
 use robogate_campaign::{Completion, DEFAULT_SEED, Event, Plan, Round, Settings};
 use robogate_dictionary::{Label, Provenance};
 use robogate_gate::{
     Against, Asked, AskedAgainst, Baseline, Evaluation, GateError, GatePlan, Mode, Planned, Question, Record,
     Requirements, Sampling, Trial, Verdict,
 };
-use robogate_report::{Source, evaluation_markdown, junit};
+use robogate_report::{evaluation_markdown, junit};
 use robogate_sim::SuctionLaw;
 
 use crate::answer;

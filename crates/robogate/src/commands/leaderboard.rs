@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
+use robogate_analysis::Source;
 use robogate_gate::{Baseline, Leaderboard, Record, Requirements};
-use robogate_report::{Source, leaderboard_html, leaderboard_markdown};
+use robogate_report::{leaderboard_html, leaderboard_markdown};
 
 use crate::commands::gate::built_in_baseline;
 use crate::exit::{DONE, Exit, INVALID, OrExit};

@@ -5,13 +5,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
+use robogate_analysis::study::{LearnerFigures, Measure, Repeat, Score, Study as Outcome, Verdict};
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{
     Bins, BoundaryReport, BoundaryStage, Completion, Crew, Event, Plan, PooledWeights, Preset, UniformStage,
 };
 use robogate_core::{ParameterSpace, Seed};
 use robogate_dictionary::{Dictionary, Provenance};
-use robogate_report::study::{LearnerFigures, Measure, Repeat, Score, Study as Outcome, Verdict};
+use robogate_report::{study_answer, study_json, study_markdown};
 use robogate_sim::SuctionLaw;
 use serde::{Deserialize, Serialize};
 
@@ -234,10 +235,10 @@ impl Study {
     }
 
     fn tell(&self, study: &Outcome) -> Result<u8, Exit> {
-        write(&self.out.join(RESULT), &(study.to_json() + "\n"))?;
-        write(&self.out.join(PAGE), &study.markdown())?;
+        write(&self.out.join(RESULT), &(study_json(study) + "\n"))?;
+        write(&self.out.join(PAGE), &study_markdown(study))?;
         if self.how.json {
-            line(study.to_json());
+            line(study_json(study));
         } else {
             print(study);
             line("");
@@ -331,7 +332,7 @@ fn weights(dictionary: &Dictionary, pooled: &PooledWeights) -> Result<Vec<f64>, 
 fn print(study: &Outcome) {
     line(bold("Is boundary focusing worth it?"));
     line("");
-    study.answer.iter().for_each(|sentence| wrapped(sentence));
+    study_answer(study).iter().for_each(|sentence| wrapped(sentence));
     line("");
     let test = &study.test;
     wrapped(&format!(
@@ -354,7 +355,7 @@ fn print(study: &Outcome) {
 
 fn table(learner: &LearnerFigures) {
     line("");
-    line(bold(format_args!("Learner: {}", learner.learner.name())));
+    line(bold(format_args!("Learner: {}", learner.name)));
     line(dim(format_args!(
         "  {:<20} {:>7}  {:<26} {:>8}  {:>8}  {:>8}  {:>9}",
         "design", "error", "less uniform, in points", "log loss", "Brier", "AUC", "in sample"

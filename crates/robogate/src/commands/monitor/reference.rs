@@ -5,11 +5,11 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
+use robogate_analysis::{Analysis, Finding, Population, RiskModel, Source};
 use robogate_core::{Domain, FailureMode, Parameter};
 use robogate_dictionary::{Column, Dictionary, DictionaryError};
 use robogate_monitor::domain::{self, Risk, RiskTerm, Validated};
 use robogate_monitor::{Baseline, Count, Reference};
-use robogate_report::{Analysis, Finding, Population, RiskModel, Source};
 
 use crate::commands::analyze::analyse;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
@@ -113,7 +113,7 @@ fn risk(model: &RiskModel) -> Risk {
         Some(penalty.levels.iter().map(|level| (level.level.clone(), level.penalty)).collect())
     };
     let scoring = &model.scoring;
-    let term = |term: &robogate_report::ScoringTerm| RiskTerm {
+    let term = |term: &robogate_analysis::ScoringTerm| RiskTerm {
         parameter: term.parameter.clone(),
         coefficient: term.coefficient,
         penalties: penalties(&term.parameter),
