@@ -6,11 +6,9 @@
 //!
 //! This crate sees no file, socket, thread or clock. Everything random takes a [`Seed`].
 
-mod cholesky;
 mod copula;
 mod design;
 mod episode;
-mod normal;
 mod outcome;
 mod pose;
 mod rollout;

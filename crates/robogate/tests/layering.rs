@@ -4,13 +4,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
 
 /// For each crate of the workspace, what it may use of the others. `None`: everything.
-const MAY_USE: [(&str, Option<&[&str]>); 12] = [
-    ("robogate-core", Some(&[])),
+const MAY_USE: [(&str, Option<&[&str]>); 13] = [
+    ("robogate-maths", Some(&[])),
+    ("robogate-core", Some(&["robogate-maths"])),
     ("robogate-sim", Some(&["robogate-core", "mujoco-provision"])),
     ("robogate-bridge", Some(&["robogate-core"])),
     ("robogate-demos", Some(&["robogate-core", "robogate-sim", "mujoco-provision"])),
     ("robogate-dictionary", Some(&["robogate-core"])),
-    ("robogate-stats", Some(&[])),
+    ("robogate-stats", Some(&["robogate-maths"])),
     ("robogate-campaign", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     ("robogate-gate", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     ("robogate-report", Some(&["robogate-core", "robogate-dictionary", "robogate-stats", "robogate-gate"])),
