@@ -7,12 +7,10 @@
 //! This crate uses no file, socket, thread or clock. Everything random takes a [`Seed`].
 
 mod action;
-mod cholesky;
 mod copula;
 mod design;
 mod episode;
 mod measures;
-mod normal;
 mod observation;
 mod outcome;
 mod pose;

@@ -39,7 +39,7 @@
 //! | did something change, and since when? | [`detector`], with the [`factors`] of each metric |
 //! | what does the paper's rule say? | [`paper`] |
 //! | was it ever evaluated, and what does the risk model expect? | [`domain`] |
-//! | does one robot stand out? | [`fleet`] |
+//! | does one robot differ from its peers? | [`robogate_stats::overdispersion`] |
 //! | how often would it cry wolf, how late would it see? | [`simulate`] |
 //!
 //! The feature `service` adds the service around it: feeds, store, outputs and page.
@@ -50,7 +50,6 @@ mod cycle;
 pub mod detector;
 pub mod domain;
 pub mod factors;
-pub mod fleet;
 mod history;
 mod learning;
 mod monitor;

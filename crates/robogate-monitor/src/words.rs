@@ -1,12 +1,12 @@
 //! An alarm in words: what changed, since when, how sure, and what to look at.
 
+use robogate_stats::overdispersion::outliers;
 use robogate_stats::{Confidence, Trials, wilson};
 
 use crate::alarm::{Alarm, Happening, Level, Metric, Rule, Since};
 use crate::cycle::{Cycle, MODES};
 use crate::detector::{ChangePoint, change_point};
 use crate::domain::Validated;
-use crate::fleet::outliers;
 use crate::history::Symbols;
 use crate::recipe::{Recipe, Standing, happening_id};
 use crate::settings::Settings;
@@ -275,13 +275,13 @@ fn outside(recipe: &Recipe, from: u64) -> Vec<String> {
 fn look_at(recipe: &Recipe, metric: Metric, settings: &Settings, mode: Option<u8>) -> Vec<String> {
     let mut all = Vec::new();
     if matches!(metric, Metric::Success | Metric::FailureModes) {
-        let tallies: Vec<(&str, Trials)> =
-            recipe.robots().filter_map(|(name, t)| Some((name, Trials::new(t.successes, t.cycles).ok()?))).collect();
+        let (names, tallies): (Vec<&str>, Vec<Trials>) =
+            recipe.robots().filter_map(|(name, t)| Some((name, Trials::new(t.successes, t.cycles).ok()?))).unzip();
         let found = outliers(&tallies, 1.0 - settings.baseline_confidence);
         all.extend(found.iter().filter(|o| o.worse).map(|outlier| {
             format!(
                 "robot {}: {} of {} cycles succeeded, fewer than its peers",
-                outlier.robot,
+                names[outlier.index],
                 outlier.trials.successes(),
                 outlier.trials.n()
             )

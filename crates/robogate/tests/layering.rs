@@ -5,14 +5,15 @@ use std::process::Command;
 
 /// For each crate of the workspace, what it may use of the others. `None`: everything.
 const MAY_USE: &[(&str, Option<&[&str]>)] = &[
-    ("robogate-core", Some(&[])),
+    ("robogate-maths", Some(&[])),
+    ("robogate-core", Some(&["robogate-maths"])),
     ("robogate-sim", Some(&["robogate-core", "mujoco-provision"])),
     ("robogate-zmtp", Some(&[])),
     ("robogate-policy", Some(&["robogate-core", "robogate-zmtp"])),
     ("robogate-remote", Some(&["robogate-core", "robogate-zmtp"])),
     ("robogate-demos", Some(&["robogate-core", "robogate-sim", "mujoco-provision"])),
     ("robogate-dictionary", Some(&["robogate-core"])),
-    ("robogate-stats", Some(&[])),
+    ("robogate-stats", Some(&["robogate-maths"])),
     ("robogate-campaign", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     ("robogate-gate", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     ("robogate-analysis", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 
 use robogate_stats::Trials;
+use robogate_stats::overdispersion::{Outlier, outliers, spread};
 use serde::Serialize;
 
 use super::intake::Intake;
 use super::status::RateStatus;
 use crate::Level;
-use crate::fleet::{outliers, spread};
 
 /// Recipes whose robots are compared, the gravest and busiest first.
 const RECIPES: usize = 20;
@@ -149,25 +149,24 @@ fn lowest<'a>(robots: impl Iterator<Item = (&'a str, Trials)>) -> Vec<RobotStatu
 }
 
 fn recipe_fleet(recipe: &str, robots: &[(String, Trials)]) -> RecipeFleet {
-    let named: Vec<(&str, Trials)> = robots.iter().map(|(robot, trials)| (robot.as_str(), *trials)).collect();
-    let trials: Vec<Trials> = named.iter().map(|(_, trials)| *trials).collect();
-    let outlier = |o: crate::fleet::Outlier| OutlierStatus {
+    let trials: Vec<Trials> = robots.iter().map(|(_, trials)| *trials).collect();
+    let outlier = |o: Outlier| OutlierStatus {
         rate: RateStatus::of(o.trials),
-        robot: o.robot,
+        robot: robots[o.index].0.clone(),
         worse: o.worse,
         p: o.p,
     };
     RecipeFleet {
         recipe: recipe.to_owned(),
         spread: spread(&trials).map(|s| SpreadStatus {
-            robots: s.robots,
+            robots: s.groups,
             mean: s.mean,
             overdispersion: s.rho,
             overdispersion_95: s.rho_95,
             deviation: s.deviation,
             deviation_95: s.deviation_95,
         }),
-        outliers: outliers(&named, ALPHA).into_iter().map(outlier).collect(),
-        robots: lowest(named.iter().copied()),
+        outliers: outliers(&trials, ALPHA).into_iter().map(outlier).collect(),
+        robots: lowest(robots.iter().map(|(robot, trials)| (robot.as_str(), *trials))),
     }
 }

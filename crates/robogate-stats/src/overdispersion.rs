@@ -1,48 +1,51 @@
-//! Many robots, one recipe: how much their success rates differ beyond chance, and which robot stands out.
+//! Groups of trials (the robots of one recipe, say): how much their success rates differ beyond chance, and which group is an
+//! outlier.
 //!
-//! Model: robot i succeeds k_i times in n_i cycles with a rate of its own, drawn from a Beta distribution with mean μ and
-//! overdispersion ρ = 1 / (a + b + 1), so that the variance of rates is ρ μ (1 - μ). ρ = 0: all alike. Both are estimated by
-//! maximum likelihood; the 95 % interval of ρ is that of the profile likelihood, whose deviance is compared with 3.841, the point of
+//! Model: group i succeeds k_i times in n_i trials with its own rate, from a Beta distribution with mean μ and
+//! overdispersion ρ = 1 / (a + b + 1). The variance of the rates is ρ μ (1 - μ); at ρ = 0 all rates are equal. Both are estimated by
+//! maximum likelihood. The 95 % interval of ρ is that of the profile likelihood: its deviance is compared with 3.841, the 95 % point of
 //! chi squared with one degree of freedom.
 //!
-//! A robot stands out if its count lies in a tail of the beta-binomial distribution fitted to the others by moments. The two-sided
-//! p-values (twice the smaller tail) are compared with α after Holm's correction over the robots.
+//! A group is an outlier if its count lies in a tail of the beta-binomial distribution fitted to the other groups by moments. The two-sided
+//! p-values (twice the smaller tail) are compared with α after Holm's correction over the groups.
 //!
-//! Limit: the fitted parameters are taken as known, which makes tails too light with few robots: at least four are
-//! asked for before any is named. At ρ = 0 the interval is conservative.
+//! Limit: the fitted parameters are taken as known, which makes the tails too light with few groups. [`outliers`] therefore
+//! needs at least four groups. At ρ = 0 the interval is conservative.
 //! Sources: Skellam (1948), JRSS B 10 (the beta-binomial); Holm (1979), Scand. J. Statist. 6.
 
-use robogate_stats::Trials;
-use robogate_stats::multiplicity::holm;
+use robogate_maths::gamma::ln_gamma;
 
-/// Fewest robots among which one may be called an outlier.
+use crate::Trials;
+use crate::multiplicity::holm;
+
+/// The smallest number of groups among which one may be called an outlier.
 pub const FEWEST: usize = 4;
 /// 95 % point of chi squared with one degree of freedom.
 const CHI_SQUARED_95: f64 = 3.841_458_820_694_124;
 
-/// How much robots differ.
+/// How much the groups differ.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spread {
-    /// Mean success rate of a robot, μ.
+    /// Mean success rate of a group, μ.
     pub mean: f64,
-    /// Overdispersion ρ, from 0 (all alike) to 1 (each always succeeds or always fails).
+    /// Overdispersion ρ, from 0 (equal rates) to 1 (each group always succeeds or always fails).
     pub rho: f64,
     /// Its 95 % interval.
     pub rho_95: [f64; 2],
-    /// Standard deviation of the robots' rates, √(ρ μ (1 - μ)).
+    /// Standard deviation of the groups' rates, √(ρ μ (1 - μ)).
     pub deviation: f64,
     /// The interval of that deviation, from the one of ρ at the estimated mean.
     pub deviation_95: [f64; 2],
-    /// Robots.
-    pub robots: usize,
+    /// Number of groups with trials.
+    pub groups: usize,
 }
 
-/// A robot that stands out.
-#[derive(Debug, Clone, PartialEq)]
+/// A group whose rate differs significantly from its peers.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outlier {
-    /// The robot.
-    pub robot: String,
-    /// What it did.
+    /// Its position in the input.
+    pub index: usize,
+    /// Its trials.
     pub trials: Trials,
     /// Whether it is worse than its peers, not better.
     pub worse: bool,
@@ -50,9 +53,9 @@ pub struct Outlier {
     pub p: f64,
 }
 
-/// ln of the beta-binomial likelihood of one robot, without the binomial coefficient, which no parameter changes.
+/// ln of the beta-binomial likelihood of one group, without the binomial coefficient, which no parameter changes.
 ///
-/// Written as sums of logarithms, which also hold in the limit ρ = 0; long runs are summed by Stirling's series.
+/// The logarithms are summed by Stirling's series; ρ = 0 is its binomial limit.
 fn ln_likelihood(k: f64, n: f64, mean: f64, rho: f64) -> f64 {
     if rho <= 0.0 {
         let term = |count: f64, p: f64| if count > 0.0 { count * p.ln() } else { 0.0 };
@@ -67,19 +70,7 @@ fn rising(x: f64, m: f64) -> f64 {
     ln_gamma(x + m) - ln_gamma(x)
 }
 
-/// ln Γ(x) for x > 0, by Stirling's series after a shift beyond 10 (Abramowitz and Stegun 6.1.41).
-fn ln_gamma(x: f64) -> f64 {
-    let (mut x, mut shift) = (x, 0.0);
-    while x < 10.0 {
-        shift += x.ln();
-        x += 1.0;
-    }
-    let (r, rr) = (1.0 / x, 1.0 / (x * x));
-    let series = r * (1.0 / 12.0 - rr * (1.0 / 360.0 - rr * (1.0 / 1260.0 - rr * (1.0 / 1680.0 - rr / 1188.0))));
-    (x - 0.5) * x.ln() - x + 0.5 * (2.0 * std::f64::consts::PI).ln() + series - shift
-}
-
-/// The largest value of a unimodal function in [low, high], by golden sections, and where.
+/// The maximum of a unimodal function in [low, high], by golden sections: its position and its value.
 fn maximum(mut low: f64, mut high: f64, f: impl Fn(f64) -> f64) -> (f64, f64) {
     const SECTION: f64 = 0.618_033_988_749_895;
     let (mut a, mut b) = (high - SECTION * (high - low), low + SECTION * (high - low));
@@ -101,23 +92,25 @@ fn maximum(mut low: f64, mut high: f64, f: impl Fn(f64) -> f64) -> (f64, f64) {
 }
 
 /// The profile likelihood at ρ: the best mean, and ln L there.
-fn profile(robots: &[(f64, f64)], rho: f64) -> (f64, f64) {
-    maximum(1e-9, 1.0 - 1e-9, |mean| robots.iter().map(|(k, n)| ln_likelihood(*k, *n, mean, rho)).sum())
+fn profile(groups: &[(f64, f64)], rho: f64) -> (f64, f64) {
+    maximum(1e-9, 1.0 - 1e-9, |mean| groups.iter().map(|(k, n)| ln_likelihood(*k, *n, mean, rho)).sum())
 }
 
-/// Estimates how much robots differ. `None` with fewer than two that did anything, or where all cycles have one outcome.
+/// Estimates how much the groups differ.
+///
+/// `None` with fewer than two groups that have trials, or where all trials have one outcome.
 pub fn spread(tallies: &[Trials]) -> Option<Spread> {
-    let robots: Vec<(f64, f64)> =
+    let groups: Vec<(f64, f64)> =
         tallies.iter().filter(|t| t.n() > 0).map(|t| (t.successes() as f64, t.n() as f64)).collect();
-    let total: (f64, f64) = robots.iter().fold((0.0, 0.0), |sum, (k, n)| (sum.0 + k, sum.1 + n));
-    if robots.len() < 2 || total.0 <= 0.0 || total.0 >= total.1 {
+    let total: (f64, f64) = groups.iter().fold((0.0, 0.0), |sum, (k, n)| (sum.0 + k, sum.1 + n));
+    if groups.len() < 2 || total.0 <= 0.0 || total.0 >= total.1 {
         return None;
     }
     // ρ is searched in its logarithm; below 1e-7 it cannot be told from 0.
     let (low, high) = (1e-7_f64.ln(), 0.999_f64.ln());
-    let at = |log: f64| profile(&robots, log.exp()).1;
+    let at = |log: f64| profile(&groups, log.exp()).1;
     let (log, inside) = maximum(low, high, at);
-    let zero = profile(&robots, 0.0).1;
+    let zero = profile(&groups, 0.0).1;
     let (rho, best) = if zero >= inside { (0.0, zero) } else { (log.exp(), inside) };
     let floor = best - 0.5 * CHI_SQUARED_95;
     let cross = |mut inside: f64, mut outside: f64| {
@@ -134,7 +127,7 @@ pub fn spread(tallies: &[Trials]) -> Option<Spread> {
     let centre = if rho > 0.0 { log } else { low };
     let bottom = if zero >= floor { 0.0 } else { cross(centre, low).exp() };
     let top = if at(high) >= floor { 1.0 } else { cross(centre, high).exp() };
-    let mean = profile(&robots, rho).0;
+    let mean = profile(&groups, rho).0;
     let deviation = |rho: f64| (rho * mean * (1.0 - mean)).sqrt();
     Some(Spread {
         mean,
@@ -142,17 +135,17 @@ pub fn spread(tallies: &[Trials]) -> Option<Spread> {
         rho_95: [bottom, top],
         deviation: deviation(rho),
         deviation_95: [deviation(bottom), deviation(top)],
-        robots: robots.len(),
+        groups: groups.len(),
     })
 }
 
-/// The robots that stand out from their peers at the level `alpha` over all of them, the surest first.
-pub fn outliers(tallies: &[(&str, Trials)], alpha: f64) -> Vec<Outlier> {
-    let active: Vec<&(&str, Trials)> = tallies.iter().filter(|(_, t)| t.n() > 0).collect();
+/// The groups whose rate differs from their peers at the level `alpha` over all of them, the smallest p-value first.
+pub fn outliers(tallies: &[Trials], alpha: f64) -> Vec<Outlier> {
+    let active: Vec<(usize, Trials)> = tallies.iter().copied().enumerate().filter(|(_, t)| t.n() > 0).collect();
     if active.len() < FEWEST {
         return Vec::new();
     }
-    let judged: Vec<(f64, bool)> = active.iter().enumerate().map(|(i, (_, own))| judge(&active, i, *own)).collect();
+    let judged: Vec<(f64, bool)> = (0..active.len()).map(|at| judge(&active, at)).collect();
     let p: Vec<f64> = judged.iter().map(|(p, _)| *p).collect();
     let Ok(adjusted) = holm(&p) else { return Vec::new() };
     let mut found: Vec<Outlier> = active
@@ -160,18 +153,13 @@ pub fn outliers(tallies: &[(&str, Trials)], alpha: f64) -> Vec<Outlier> {
         .zip(&judged)
         .zip(adjusted)
         .filter(|(_, p)| *p <= alpha)
-        .map(|(((name, trials), (_, worse)), p)| Outlier {
-            robot: (*name).to_owned(),
-            trials: *trials,
-            worse: *worse,
-            p,
-        })
+        .map(|(((index, trials), (_, worse)), p)| Outlier { index: *index, trials: *trials, worse: *worse, p })
         .collect();
     found.sort_by(|a, b| a.p.total_cmp(&b.p));
     found
 }
 
-/// Mean and overdispersion by moments (Kleinman 1973, JASA 68), cheap enough to leave each robot out in turn.
+/// Mean and overdispersion by moments (Kleinman 1973, JASA 68), cheap enough to leave each group out in turn.
 ///
 /// Half a success and half a failure are added to the pooled counts, which keeps the mean off 0 and 1.
 fn moments(tallies: &[Trials]) -> (f64, f64) {
@@ -186,9 +174,10 @@ fn moments(tallies: &[Trials]) -> (f64, f64) {
     (mean, if rho.is_finite() { rho.clamp(0.0, 0.999) } else { 0.0 })
 }
 
-/// The two-sided p-value of one robot among its peers, and whether it is worse.
-fn judge(active: &[&(&str, Trials)], own: usize, trials: Trials) -> (f64, bool) {
-    let peers: Vec<Trials> = active.iter().enumerate().filter(|(i, _)| *i != own).map(|(_, (_, t))| *t).collect();
+/// The two-sided p-value of one group among its peers, and whether it is worse.
+fn judge(active: &[(usize, Trials)], own: usize) -> (f64, bool) {
+    let trials = active[own].1;
+    let peers: Vec<Trials> = active.iter().enumerate().filter(|(at, _)| *at != own).map(|(_, (_, t))| *t).collect();
     let (mean, rho) = moments(&peers);
     let worse = trials.rate().unwrap_or(mean) < mean;
     let (k, n) = (trials.successes(), trials.n());
@@ -214,54 +203,46 @@ fn judge(active: &[&(&str, Trials)], own: usize, trials: Trials) -> (f64, bool) 
 
 #[cfg(test)]
 mod tests {
-    use robogate_core::Seed;
+    use rand_chacha::ChaCha8Rng;
+    use rand_core::SeedableRng;
 
     use super::*;
+    use crate::resample::uniform;
 
     fn trials(k: u64, n: u64) -> Trials {
         Trials::new(k, n).unwrap()
     }
 
     #[test]
-    fn ln_gamma_is_that_of_factorials_and_halves() {
-        let mut factorial = 0.0;
-        for n in 1..40 {
-            factorial += f64::from(n).ln();
-            assert!((ln_gamma(f64::from(n) + 1.0) - factorial).abs() < 1e-11 * (1.0 + factorial));
-        }
-        assert!((ln_gamma(0.5) - 0.5 * std::f64::consts::PI.ln()).abs() < 1e-13);
-    }
-
-    #[test]
-    fn robots_alike_have_no_spread_and_robots_that_differ_have_theirs() {
-        let mut stream = Seed::campaign(3).stream("fleet");
-        let mut fleet = |low: f64, high: f64| -> Vec<Trials> {
-            let mut robot = || {
-                let rate = stream.between(low, high);
-                Trials::count((0..500).map(|_| stream.uniform() < rate))
+    fn interval_covers_the_true_spread() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut groups = |low: f64, high: f64| -> Vec<Trials> {
+            let mut group = || {
+                let rate = low + (high - low) * uniform(&mut rng);
+                Trials::count((0..500).map(|_| uniform(&mut rng) < rate))
             };
-            (0..30).map(|_| robot()).collect()
+            (0..30).map(|_| group()).collect()
         };
-        let alike = spread(&fleet(0.9, 0.9)).unwrap();
-        assert!(alike.rho_95[0] == 0.0 && alike.rho_95[1] < 0.02, "{alike:?}");
+        let alike = spread(&groups(0.9, 0.9)).unwrap();
+        assert!(alike.rho_95[0] <= 0.0 && alike.rho_95[1] < 0.02, "{alike:?}");
         // Uniform on 0.8 to 1.0 has a standard deviation of 0.2 / √12 = 0.0577.
-        let differ = spread(&fleet(0.8, 1.0)).unwrap();
+        let differ = spread(&groups(0.8, 1.0)).unwrap();
         assert!(differ.deviation_95[0] < 0.0577 && 0.0577 < differ.deviation_95[1], "{differ:?}");
         assert!(differ.deviation_95[0] > 0.03);
     }
 
     #[test]
-    fn the_robot_that_fails_more_is_named_and_no_other() {
-        let mut fleet: Vec<(&str, Trials)> = ["a", "b", "c", "d", "e"].map(|name| (name, trials(474, 500))).to_vec();
-        assert_eq!(outliers(&fleet, 0.05), []);
-        fleet[3].1 = trials(430, 500);
-        let found = outliers(&fleet, 0.05);
-        assert_eq!(found.iter().map(|o| (o.robot.as_str(), o.worse)).collect::<Vec<_>>(), [("d", true)]);
-        assert!(outliers(&fleet[2..], 0.05).is_empty(), "three robots are too few");
+    fn only_the_worse_group_is_an_outlier() {
+        let mut groups = [trials(474, 500); 5];
+        assert_eq!(outliers(&groups, 0.05), []);
+        groups[3] = trials(430, 500);
+        let found = outliers(&groups, 0.05);
+        assert_eq!(found.iter().map(|o| (o.index, o.worse)).collect::<Vec<_>>(), [(3, true)]);
+        assert!(outliers(&groups[2..], 0.05).is_empty(), "three groups are too few");
     }
 
     #[test]
-    fn a_fleet_that_says_nothing_has_no_spread() {
+    fn no_evidence_has_no_spread() {
         assert_eq!(spread(&[]), None);
         assert_eq!(spread(&[trials(3, 5)]), None);
         assert_eq!(spread(&[trials(5, 5), trials(7, 7)]), None);

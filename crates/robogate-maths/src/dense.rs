@@ -2,25 +2,36 @@
 
 /// Lower Cholesky factor L of a symmetric positive definite matrix, A = L Lᵀ.
 #[derive(Debug, Clone)]
-pub(crate) struct Cholesky {
+pub struct Cholesky {
     size: usize,
     lower: Vec<f64>,
 }
 
 impl Cholesky {
-    /// Factors `matrix`; `None` where a pivot falls below `tolerance` times its diagonal entry.
-    pub(crate) fn new(matrix: &[f64], size: usize, tolerance: f64) -> Option<Self> {
-        let (factor, kept) = pivots(matrix, size, tolerance);
-        (kept.len() == size).then_some(Self { size, lower: factor })
+    /// Factors `matrix`.
+    ///
+    /// # Errors
+    /// The first row whose pivot is not above `tolerance` times its diagonal entry: the rows before it explain it.
+    pub fn new(matrix: &[f64], size: usize, tolerance: f64) -> Result<Self, usize> {
+        let (lower, kept) = pivots(matrix, size, tolerance);
+        match (0..size).find(|i| kept.get(*i) != Some(i)) {
+            Some(explained) => Err(explained),
+            None => Ok(Self { size, lower }),
+        }
+    }
+
+    /// L, row by row, with zeros above the diagonal.
+    pub fn lower(&self) -> &[f64] {
+        &self.lower
     }
 
     /// ln det A.
-    pub(crate) fn ln_det(&self) -> f64 {
+    pub fn ln_det(&self) -> f64 {
         (0..self.size).map(|i| 2.0 * self.lower[i * self.size + i].ln()).sum()
     }
 
     /// Solves A x = b in place.
-    pub(crate) fn solve(&self, b: &mut [f64]) {
+    pub fn solve(&self, b: &mut [f64]) {
         self.forward(b);
         for i in (0..self.size).rev() {
             let mut value = b[i];
@@ -32,7 +43,7 @@ impl Cholesky {
     }
 
     /// Solves L x = b in place.
-    pub(crate) fn forward(&self, b: &mut [f64]) {
+    pub fn forward(&self, b: &mut [f64]) {
         for i in 0..self.size {
             let row = &self.lower[i * self.size..i * self.size + i];
             let value: f64 = row.iter().zip(b.iter()).map(|(l, x)| l * x).sum();
@@ -41,7 +52,7 @@ impl Cholesky {
     }
 
     /// A⁻¹.
-    pub(crate) fn inverse(&self) -> Vec<f64> {
+    pub fn inverse(&self) -> Vec<f64> {
         let n = self.size;
         let mut inverse = vec![0.0; n * n];
         let mut unit = vec![0.0; n];
@@ -64,22 +75,17 @@ impl Cholesky {
     }
 }
 
-/// Cholesky in the given order that steps over columns explained by the ones before them.
+/// Cholesky in the given order. It leaves out each column that the ones before it explain.
 ///
-/// Returns the factor (rows of stepped-over columns are zero) and the indices kept.
+/// Returns the factor, where the rows of left-out columns are zero, and the indices of the kept columns.
 fn pivots(matrix: &[f64], size: usize, tolerance: f64) -> (Vec<f64>, Vec<usize>) {
     let mut lower = vec![0.0; size * size];
     let mut kept = Vec::with_capacity(size);
     for i in 0..size {
-        for &j in &kept {
-            let mut value = matrix[i * size + j];
-            for &k in &kept {
-                if k >= j {
-                    break;
-                }
-                value -= lower[i * size + k] * lower[j * size + k];
-            }
-            lower[i * size + j] = value / lower[j * size + j];
+        for (at, &j) in kept.iter().enumerate() {
+            let earlier: &[usize] = &kept[..at];
+            let explained: f64 = earlier.iter().map(|&k| lower[i * size + k] * lower[j * size + k]).sum();
+            lower[i * size + j] = (matrix[i * size + j] - explained) / lower[j * size + j];
         }
         let explained: f64 = kept.iter().map(|&k| lower[i * size + k] * lower[i * size + k]).sum();
         let pivot = matrix[i * size + i] - explained;
@@ -94,8 +100,9 @@ fn pivots(matrix: &[f64], size: usize, tolerance: f64) -> (Vec<f64>, Vec<usize>)
     (lower, kept)
 }
 
-/// Columns of a Gram matrix that earlier ones explain but for `tolerance` of their square, each with the explaining ones.
-pub(crate) fn dependent_columns(gram: &[f64], size: usize, tolerance: f64) -> Vec<(usize, Vec<usize>)> {
+/// Finds the columns of a Gram matrix that earlier columns explain up to `tolerance` of their square. Each comes with the
+/// columns that explain it.
+pub fn dependent_columns(gram: &[f64], size: usize, tolerance: f64) -> Vec<(usize, Vec<usize>)> {
     let (_, kept) = pivots(gram, size, tolerance);
     let mut dependent = Vec::new();
     for column in (0..size).filter(|i| !kept.contains(i)) {
@@ -110,7 +117,7 @@ pub(crate) fn dependent_columns(gram: &[f64], size: usize, tolerance: f64) -> Ve
             }
         }
         let mut explaining = Vec::new();
-        if let Some(factor) = Cholesky::new(&sub, m, 0.0) {
+        if let Ok(factor) = Cholesky::new(&sub, m, 0.0) {
             factor.solve(&mut rhs);
             let own = gram[column * size + column];
             for (a, &i) in before.iter().enumerate() {
@@ -125,7 +132,7 @@ pub(crate) fn dependent_columns(gram: &[f64], size: usize, tolerance: f64) -> Ve
 }
 
 /// Sum of products, in eight lanes so that it vectorises; the order of additions is fixed.
-pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut lanes = [0.0; 8];
     let (a_chunks, a_rest) = a.as_chunks::<8>();
     let (b_chunks, b_rest) = b.as_chunks::<8>();
