@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
 
 /// For each crate of the workspace, what it may use of the others. `None`: everything.
-const MAY_USE: [(&str, Option<&[&str]>); 13] = [
+const MAY_USE: [(&str, Option<&[&str]>); 14] = [
     ("robogate-maths", Some(&[])),
     ("robogate-core", Some(&["robogate-maths"])),
     ("robogate-sim", Some(&["robogate-core", "mujoco-provision"])),
@@ -16,6 +16,7 @@ const MAY_USE: [(&str, Option<&[&str]>); 13] = [
     ("robogate-gate", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     ("robogate-report", Some(&["robogate-core", "robogate-dictionary", "robogate-stats", "robogate-gate"])),
     ("robogate-monitor", Some(&["robogate-core", "robogate-stats"])),
+    ("robogate-testing", Some(&[])),
     ("mujoco-provision", Some(&[])),
     ("robogate", None),
 ];
