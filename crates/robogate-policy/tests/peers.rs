@@ -1,9 +1,7 @@
 //! Policies behind upstream's own code: openpi-client's codec and picture tools, vla-eval's model server.
 //!
 //! `ROBOGATE_POLICY_PYTHON` names a Python with `tests/requirements.txt`; `scripts/test.sh` makes one. Without it
-//! these tests are skipped and say so.
-
-#![expect(clippy::print_stderr, reason = "a test says why it is skipped")]
+//! these tests are skipped.
 
 mod support;
 
@@ -26,10 +24,7 @@ struct Peer {
 impl Peer {
     /// Starts a script and waits until it says its address.
     fn start(script: &str) -> Option<Self> {
-        let Some(python) = std::env::var_os("ROBOGATE_POLICY_PYTHON") else {
-            eprintln!("skipped: ROBOGATE_POLICY_PYTHON names no Python with openpi-client and vla-eval");
-            return None;
-        };
+        let python = robogate_testing::path("ROBOGATE_POLICY_PYTHON", "a Python with openpi-client and vla-eval")?;
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers").join(script);
         let mut child =
             Command::new(python).arg(script).stdout(Stdio::piped()).spawn().expect("the interpreter starts");

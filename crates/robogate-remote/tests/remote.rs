@@ -1,6 +1,6 @@
 //! Simulators behind the bridge: whatever a server does, an episode is right or it is Invalid, and nothing waits for ever.
 
-#![expect(clippy::print_stderr, clippy::unwrap_used, reason = "a test says why it is skipped, and fails by panicking")]
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! Claims about MuJoCo's own renderer beside the embedded one. Without an EGL device they are skipped, and say so.
+//! Claims about MuJoCo's own renderer beside the embedded one. Without an EGL device they are skipped.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeSet;
@@ -27,13 +27,12 @@ fn embedded(robot: &str) -> PickPlace<MujocoEngine> {
 }
 
 /// The same cell with MuJoCo's renderer, where there is a device for it.
-#[expect(clippy::print_stderr, reason = "who runs the tests shall know that they are skipped")]
 fn egl(robot: &str) -> Option<PickPlace<MujocoEngine>> {
     let engine = MujocoEngine::new(built_in_robot(robot).unwrap(), MujocoEngine::TIME_STEP_S).unwrap();
     match EglRenderer::new(&engine) {
         Ok(renderer) => Some(PickPlace::new(engine, None).unwrap().with_renderer(Box::new(renderer))),
         Err(why) => {
-            eprintln!("skipped: {why}");
+            robogate_testing::skip("egl", &why.to_string());
             None
         }
     }

@@ -86,10 +86,8 @@ fn an_engine_behind_the_bridge_gives_the_rows_of_the_engine_inside_judged_there_
 
 #[test]
 fn a_script_drives_the_cell_with_deltas_of_the_tool() {
-    let Some(python) = std::env::var_os("ROBOGATE_BRIDGE_PYTHON") else {
-        eprintln!("skipped: ROBOGATE_BRIDGE_PYTHON names no Python with pyzmq and msgpack");
-        return;
-    };
+    let wanted = "a Python with pyzmq and msgpack";
+    let Some(python) = robogate_testing::path("ROBOGATE_BRIDGE_PYTHON", wanted) else { return };
     let server = Server::start(&[]);
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let output = Command::new(python)

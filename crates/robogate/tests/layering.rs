@@ -19,6 +19,7 @@ const MAY_USE: &[(&str, Option<&[&str]>)] = &[
     ("robogate-analysis", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
     ("robogate-report", Some(&["robogate-stats", "robogate-analysis", "robogate-gate"])),
     ("robogate-monitor", Some(&["robogate-core", "robogate-stats"])),
+    ("robogate-testing", Some(&[])),
     ("mujoco-provision", Some(&[])),
     ("robogate", None),
 ];

@@ -1,5 +1,5 @@
 //! The claims of the dictionary, one module for each part.
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests are tests, which may")]
+#![expect(clippy::unwrap_used, reason = "helpers of tests are tests, which may")]
 
 mod common;
 mod export;

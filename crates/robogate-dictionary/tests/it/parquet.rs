@@ -268,10 +268,8 @@ fn a_foreign_or_truncated_file_is_refused_with_what_it_is() {
 
 #[test]
 fn pyarrow_pandas_and_duckdb_read_what_was_written() {
-    let Some(python) = std::env::var_os("ROBOGATE_TEST_PYTHON") else {
-        println!("skipped: ROBOGATE_TEST_PYTHON names no Python with pyarrow, pandas and duckdb");
-        return;
-    };
+    let wanted = "a Python with pyarrow, pandas and duckdb";
+    let Some(python) = robogate_testing::path("ROBOGATE_TEST_PYTHON", wanted) else { return };
     let folder = Folder::new("parquet-readers");
     let path = folder.join("d.parquet");
     let hash = write(&path, (0..20_000).map(entry));

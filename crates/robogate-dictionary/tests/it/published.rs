@@ -28,11 +28,7 @@ fn file(rows: &[String]) -> String {
 }
 
 fn shared_data() -> Option<PathBuf> {
-    let folder = std::env::var_os("ROBOGATE_SHARED_DATA").map(PathBuf::from);
-    if folder.is_none() {
-        println!("skipped: ROBOGATE_SHARED_DATA names no folder with the published data");
-    }
-    folder
+    robogate_testing::path("ROBOGATE_SHARED_DATA", "the folder of the released data")
 }
 
 #[test]

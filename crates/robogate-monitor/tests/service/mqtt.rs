@@ -1,6 +1,7 @@
-//! A real broker: mosquitto. Where it is not installed this says so and is skipped.
+//! A real broker: mosquitto. Where it is not installed the tests are skipped.
 
 use std::net::TcpListener;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -11,10 +12,9 @@ use rumqttc::{Client, Event, MqttOptions, Packet, QoS};
 
 use crate::common::{cycle, cycles, intake};
 
-const SKIPPED: &str = "skipped: no mosquitto on this machine (Debian: apt-get install mosquitto)";
-
 /// mosquitto on a port of its own; ends with this.
 struct Mosquitto {
+    program: PathBuf,
     process: Child,
     port: u16,
     folder: tempfile::TempDir,
@@ -31,18 +31,17 @@ impl Mosquitto {
             folder.path().display()
         );
         std::fs::write(folder.path().join("mosquitto.conf"), settings).unwrap();
-        let process = Self::run(&folder)?;
-        let broker = Self { process, port, folder };
+        let program = robogate_testing::program("mosquitto")?;
+        let process = Self::run(&program, &folder);
+        let broker = Self { program, process, port, folder };
         broker.wait();
         Some(broker)
     }
 
-    fn run(folder: &tempfile::TempDir) -> Option<Child> {
-        ["mosquitto", "/usr/sbin/mosquitto"].into_iter().find_map(|name| {
-            let mut command = Command::new(name);
-            command.arg("-c").arg(folder.path().join("mosquitto.conf"));
-            command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().ok()
-        })
+    fn run(program: &Path, folder: &tempfile::TempDir) -> Child {
+        let mut command = Command::new(program);
+        command.arg("-c").arg(folder.path().join("mosquitto.conf"));
+        command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
     }
 
     fn wait(&self) {
@@ -53,7 +52,7 @@ impl Mosquitto {
     fn restart(&mut self) {
         self.process.kill().unwrap();
         self.process.wait().unwrap();
-        self.process = Self::run(&self.folder).unwrap();
+        self.process = Self::run(&self.program, &self.folder);
         self.wait();
     }
 
@@ -98,7 +97,7 @@ fn accepted(desk: &Desk) -> u64 {
 
 #[test]
 fn cycles_come_in_and_alarms_go_out_by_a_real_broker() {
-    let Some(broker) = Mosquitto::start() else { return eprintln!("{SKIPPED}") };
+    let Some(broker) = Mosquitto::start() else { return };
     let folder = tempfile::tempdir().unwrap();
     let desk = Desk::open(intake(&folder.path().join("monitor.db"), StoreSettings::default()), |_| {});
     // Who listens to alarms.
@@ -147,7 +146,7 @@ fn cycles_come_in_and_alarms_go_out_by_a_real_broker() {
 
 #[test]
 fn what_was_sent_while_the_monitor_or_the_broker_was_away_is_heard_once() {
-    let Some(mut broker) = Mosquitto::start() else { return eprintln!("{SKIPPED}") };
+    let Some(mut broker) = Mosquitto::start() else { return };
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("monitor.db");
     let hear = |broker: &Mosquitto, desk: &Desk| {
