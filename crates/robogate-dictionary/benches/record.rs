@@ -2,6 +2,7 @@
 //!
 //! `cargo bench -p robogate-dictionary [-- ROWS]` prints one line for each operation. Peak memory is
 //! that of the process so far, so it may only rise; flat lines are bounded memory.
+#![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a program that prints what it measures")]
 
 use std::fs;

@@ -4,6 +4,7 @@
 //!
 //! The service is a process of its own, held on one core by `taskset`, with its store in FOLDER (default: the system's folder for
 //! temporary files) on a real disk; this process is the sender. Each answer is waited for: what was answered is on disk.
+#![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::unwrap_used, reason = "a measurement that fails ends")]
 #![expect(clippy::print_stdout, reason = "it prints what it measured")]
 

@@ -57,6 +57,7 @@ pub mod paper;
 mod recipe;
 mod reference;
 #[cfg(feature = "service")]
+#[expect(clippy::disallowed_methods, reason = "a service has deadlines and waits; the monitor itself has no clock")]
 pub mod service;
 mod settings;
 pub mod simulate;

@@ -3,12 +3,7 @@
 //! `ROBOGATE_BRIDGE_PYTHON=... cargo bench -p robogate-remote` (`bridges/common/setup.sh FOLDER` makes the Python). Fails
 //! where a round trip is slower than the bridge may be.
 
-#![expect(
-    clippy::print_stderr,
-    clippy::print_stdout,
-    clippy::unwrap_used,
-    reason = "a bench prints, and fails by panicking"
-)]
+#![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a bench prints, and fails by panicking")]
 
 use std::process::ExitCode;
 use std::sync::Arc;

@@ -3,6 +3,7 @@
 //! `cargo bench -p robogate-sim --bench camera [-- FOLDER]` prints processor milliseconds a picture (mean of front and wrist, 256 x 256
 //! pixels, with shadows and smooth edges), and how many times as long it takes where every ray tries every solid and
 //! every point every shadow. With a folder it writes the pictures there as PPM.
+#![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a program that prints what it measures")]
 
 use std::time::SystemTime;

@@ -1,6 +1,7 @@
 //! What an episode costs in each engine, as a ratio in one run.
 //!
 //! `cargo bench -p robogate-sim --bench engines [-- EPISODES]`
+#![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark prints, and stops where it cannot go on")]
 
 use std::sync::Arc;
