@@ -1,6 +1,5 @@
 //! Success along each parameter: rates per bin or level, zones, correlation, critical threshold, failure modes.
 
-use robogate_core::FailureMode;
 use robogate_stats::binning::{Edges, per_bin, per_category};
 use robogate_stats::correlation::{cramers_v, point_biserial, spearman};
 use robogate_stats::modes::{self, Transitions};
@@ -406,8 +405,9 @@ fn mode_changes(rows: &Rows, base: &Sample, parameter: &ParameterColumn) -> Find
         _ => None,
     };
     let edges = by_level.map_or_else(|| Edges::equal_count(&values, (failed.len() / 30).clamp(2, BINS)), Ok);
+    let word = |mode: usize| rows.mode(mode).to_owned();
     let found =
-        edges.and_then(|edges| modes::transitions(&values, &modes_of, FailureMode::ALL.len(), &edges, Confidence::P95));
+        edges.and_then(|edges| modes::transitions(&values, &modes_of, rows.modes.len(), &edges, Confidence::P95));
     match found {
         Ok(Transitions { bins, transitions, .. }) => Finding::Estimated(ModeChanges {
             bins: bins
@@ -430,10 +430,6 @@ fn mode_changes(rows: &Rows, base: &Sample, parameter: &ParameterColumn) -> Find
             crate::labels::parameter_label(&parameter.name)
         )),
     }
-}
-
-fn word(mode: usize) -> String {
-    FailureMode::ALL[mode].word().to_owned()
 }
 
 #[cfg(test)]

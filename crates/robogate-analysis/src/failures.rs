@@ -1,6 +1,5 @@
 //! How the policy fails, and where surely most.
 
-use robogate_core::FailureMode;
 use robogate_stats::Confidence;
 use robogate_stats::compare::at_most;
 use robogate_stats::modes::{Joint, distribution, dominance};
@@ -37,6 +36,9 @@ pub struct FailureModes {
 pub struct ModeShare {
     /// The mode.
     pub mode: String,
+    /// Whether the task declares it; else these are failures of unknown kind.
+    #[serde(default = "declared")]
+    pub declared: bool,
     /// How often.
     pub failures: u64,
     /// Share of all failures; absent where nothing failed.
@@ -45,13 +47,19 @@ pub struct ModeShare {
     pub interval_95: [f64; 2],
 }
 
+/// Analyses of earlier versions know declared modes alone.
+fn declared() -> bool {
+    true
+}
+
 impl FailureModes {
     pub(crate) fn of(rows: &Rows, base: &Sample) -> Self {
-        let mut counts = vec![0; FailureMode::ALL.len()];
+        let mut counts = vec![0; rows.modes.len()];
         base.failures(rows).1.into_iter().for_each(|mode| counts[mode] += 1);
         let failures = counts.iter().sum();
         let shares = distribution(&counts, Joint::Simultaneous, Confidence::P95);
-        let not_recorded: Vec<String> = rows.not_recorded.iter().map(|mode| mode.word().to_owned()).collect();
+        let not_recorded: Vec<String> = rows.not_recorded.iter().map(|mode| mode.as_str().to_owned()).collect();
+        let word = |mode: usize| rows.mode(mode).to_owned();
         let dominant = match dominance(&counts) {
             Some(_) if !not_recorded.is_empty() => Finding::not(unrecorded(&not_recorded)),
             None => Finding::not("nothing failed"),
@@ -68,6 +76,7 @@ impl FailureModes {
                 .enumerate()
                 .map(|(mode, share)| ModeShare {
                     mode: word(mode),
+                    declared: mode < rows.declared,
                     failures: share.count,
                     share: share.share,
                     interval_95: ends(share.interval),
@@ -83,10 +92,6 @@ impl FailureModes {
 pub fn unrecorded(modes: &[String]) -> String {
     let modes: Vec<String> = modes.iter().map(|word| mode_label(word)).collect();
     format!("the source does not record {}: what counts as a timeout may have been one", list(&modes))
-}
-
-fn word(mode: usize) -> String {
-    FailureMode::ALL[mode].word().to_owned()
 }
 
 /// Bins and levels in which the policy surely fails most of the time.

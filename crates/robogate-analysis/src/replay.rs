@@ -1,6 +1,5 @@
 //! Episodes worth seeing again.
 
-use robogate_core::FailureMode;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -121,11 +120,7 @@ pub(crate) fn lowest(n: usize, value: impl Fn(usize) -> Option<f64>) -> Vec<usiz
 }
 
 pub(crate) fn episode(rows: &Rows, row: usize, figure: String) -> WorthReplaying {
-    let outcome = match rows.outcome[row] {
-        Seen::Success => "success",
-        Seen::Failure(mode) => FailureMode::ALL[usize::from(mode)].word(),
-        Seen::Invalid => "invalid",
-    };
+    let outcome = rows.outcome_name(rows.outcome[row]);
     let when = rows.time_s[row].map_or_else(String::new, |t| format!(" at {} s", fixed(t, 2)));
     WorthReplaying {
         index: rows.index[row],

@@ -1,6 +1,6 @@
 //! A dictionary's columns in memory, and the rows that a figure is made from.
 
-use robogate_core::{Domain, FailureMode};
+use robogate_core::{Domain, FailureMode, Word};
 use robogate_dictionary::{Column, Dictionary, DictionaryError, results};
 
 /// Everything that the analysis reads, column by column: about 120 bytes a row.
@@ -11,8 +11,13 @@ pub(crate) struct Rows {
     pub(crate) stages: Vec<Stage>,
     pub(crate) weight: Vec<f64>,
     pub(crate) outcome: Vec<Seen>,
+    /// The failure modes of the task, then those that it does not declare and that happened.
+    pub(crate) modes: Vec<FailureMode>,
+    /// How many of these the task declares.
+    pub(crate) declared: usize,
     pub(crate) parameters: Vec<ParameterColumn>,
-    pub(crate) peak_force_n: Vec<Option<f64>>,
+    /// The task's measures by name.
+    pub(crate) measures: Vec<(Word, Vec<Option<f64>>)>,
     pub(crate) time_s: Vec<Option<f64>>,
     /// Faults of invalid episodes and how many there are of each.
     pub(crate) faults: Vec<(String, u64)>,
@@ -24,8 +29,8 @@ pub(crate) struct Rows {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Seen {
     Success,
-    /// Position in [`FailureMode::ALL`].
-    Failure(u8),
+    /// Position in [`Rows::modes`].
+    Failure(u16),
     Invalid,
 }
 
@@ -61,7 +66,10 @@ impl Rows {
         let (stage_words, stage) = words(dictionary, "stage")?;
         let (design_words, design) = words(dictionary, "design")?;
         let (outcome_words, outcome_codes) = words(dictionary, "outcome")?;
-        let meaning: Vec<Seen> = outcome_words.iter().map(|word| seen(word)).collect();
+        let task = &dictionary.provenance().task;
+        let mut modes: Vec<FailureMode> = task.modes().collect();
+        let declared = modes.len();
+        let meaning: Vec<Seen> = outcome_words.iter().map(|word| seen(word, &mut modes)).collect();
         let outcome: Vec<Seen> =
             outcome_codes.iter().map(|code| at(&meaning, *code).unwrap_or(Seen::Invalid)).collect();
         let stages = stages(&stage_words, &stage, &design_words, &design, &weight);
@@ -78,8 +86,9 @@ impl Rows {
         }
         let provenance = dictionary.provenance();
         let source = provenance.source.iter().flat_map(|source| &source.not_recorded);
-        let not_recorded =
-            source.filter_map(|word| FailureMode::ALL.into_iter().find(|mode| mode.word() == word)).collect();
+        let not_recorded = source.filter_map(|name| modes.iter().copied().find(|mode| mode.as_str() == name)).collect();
+        let measure = |name: Word| Ok((name, dictionary.numbers(name.as_str())?));
+        let measures = task.measures.iter().map(|spec| measure(spec.name)).collect::<Result<_, DictionaryError>>()?;
         // What tells imported rows apart says nothing about the world.
         let told_apart_by = [results::SOURCE_ROW, results::SOURCE_SEED];
         let parameters = provenance.space.parameters().iter().filter(|p| !told_apart_by.contains(&&*p.name));
@@ -91,7 +100,9 @@ impl Rows {
             weight,
             outcome,
             parameters,
-            peak_force_n: dictionary.numbers("peak_contact_force_n")?,
+            modes,
+            declared,
+            measures,
             time_s: dictionary.numbers("cycle_time_s")?,
             faults,
             not_recorded,
@@ -100,6 +111,25 @@ impl Rows {
 
     pub(crate) fn len(&self) -> usize {
         self.outcome.len()
+    }
+
+    /// A measure of the task, one value for each row.
+    pub(crate) fn measure(&self, name: &str) -> Option<&[Option<f64>]> {
+        self.measures.iter().find(|(known, _)| *known == name).map(|(_, values)| &**values)
+    }
+
+    /// The name of the mode at this position of [`Self::modes`].
+    pub(crate) fn mode(&self, at: usize) -> &'static str {
+        self.modes.get(at).copied().unwrap_or(FailureMode::UNKNOWN).as_str()
+    }
+
+    /// The name of an outcome in data.
+    pub(crate) fn outcome_name(&self, seen: Seen) -> &'static str {
+        match seen {
+            Seen::Success => "success",
+            Seen::Failure(mode) => self.mode(usize::from(mode)),
+            Seen::Invalid => "invalid",
+        }
     }
 
     /// The valid rows whose stage is focused, or is not.
@@ -199,14 +229,20 @@ impl ParameterColumn {
     }
 }
 
-fn seen(word: &str) -> Seen {
-    match word {
-        "success" => Seen::Success,
-        _ => match FailureMode::ALL.iter().position(|mode| mode.word() == word) {
-            Some(mode) => Seen::Failure(mode as u8),
-            None => Seen::Invalid,
-        },
+/// What a text of the outcome column means. A failure that the task does not declare joins `modes`.
+fn seen(text: &str, modes: &mut Vec<FailureMode>) -> Seen {
+    match text {
+        "success" => return Seen::Success,
+        "invalid" => return Seen::Invalid,
+        _ => {}
     }
+    let mode = FailureMode::from_foreign(text);
+    let at = modes.iter().position(|known| *known == mode).unwrap_or_else(|| {
+        modes.push(mode);
+        modes.len() - 1
+    });
+    // A file has far fewer modes than rows.
+    Seen::Failure(u16::try_from(at).unwrap_or(u16::MAX))
 }
 
 fn at<T: Copy>(table: &[T], code: Option<u32>) -> Option<T> {

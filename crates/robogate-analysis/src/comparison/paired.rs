@@ -1,6 +1,5 @@
 //! Two dictionaries that ran the same scenarios: what changed, and where.
 
-use robogate_core::FailureMode;
 use robogate_dictionary::{Column, DictionaryError};
 use robogate_stats::compare::{Pairs, mcnemar_exact, newcombe_paired};
 use robogate_stats::multiplicity::holm;
@@ -260,10 +259,15 @@ fn one(
     let pairs = pairs(first, second, rows);
     let mut invalid = (0, 0, 0);
     let mut bounds = [0_i64; 2];
-    let mut counts = vec![vec![0; FailureMode::ALL.len() + 2]; FailureMode::ALL.len() + 2];
+    let names = outcome_names(first, second);
+    let place = |entrant: &Entrant<'_>, seen: Seen| {
+        let name = entrant.rows.outcome_name(seen);
+        names.iter().position(|known| *known == name).unwrap_or_default()
+    };
+    let mut counts = vec![vec![0; names.len()]; names.len()];
     for at in rows {
         let (one, two) = seen(at);
-        counts[place(one)][place(two)] += 1;
+        counts[place(first, one)][place(second, two)] += 1;
         invalid.0 += u64::from(one == Seen::Invalid);
         invalid.1 += u64::from(two == Seen::Invalid);
         invalid.2 += u64::from(one == Seen::Invalid || two == Seen::Invalid);
@@ -274,7 +278,7 @@ fn one(
     }
     let gap = newcombe_paired(pairs, Confidence::P95);
     let rate = |successes| Rate::of(Trials::new(successes, pairs.n()).unwrap_or(Trials::NONE));
-    let (outcomes, counts) = without_empty(counts);
+    let (outcomes, counts) = without_empty(&names, counts);
     PairedComparison {
         first: first.name.clone(),
         second: second.name.clone(),
@@ -311,30 +315,24 @@ fn possible(seen: Seen) -> [i64; 2] {
     }
 }
 
-fn place(seen: Seen) -> usize {
-    match seen {
-        Seen::Success => 0,
-        Seen::Failure(mode) => 1 + usize::from(mode),
-        Seen::Invalid => FailureMode::ALL.len() + 1,
+/// Every outcome that either can have: success, the failure modes of both, invalid.
+fn outcome_names(first: &Entrant<'_>, second: &Entrant<'_>) -> Vec<&'static str> {
+    let mut names = vec!["success"];
+    for mode in first.rows.modes.iter().chain(&second.rows.modes) {
+        if !names.contains(&mode.as_str()) {
+            names.push(mode.as_str());
+        }
     }
-}
-
-fn word(seen: Seen) -> String {
-    outcome_words().get(place(seen)).cloned().unwrap_or_default()
-}
-
-fn outcome_words() -> Vec<String> {
-    let modes = FailureMode::ALL.iter().map(|mode| mode.word());
-    ["success"].into_iter().chain(modes).chain(["invalid"]).map(str::to_owned).collect()
+    names.push("invalid");
+    names
 }
 
 /// Without outcomes that neither had.
-fn without_empty(counts: Vec<Vec<u64>>) -> (Vec<String>, Vec<Vec<u64>>) {
+fn without_empty(names: &[&str], counts: Vec<Vec<u64>>) -> (Vec<String>, Vec<Vec<u64>>) {
     let keep: Vec<bool> =
         (0..counts.len()).map(|i| counts[i].iter().any(|n| *n > 0) || counts.iter().any(|row| row[i] > 0)).collect();
     let kept = |i: &usize| keep[*i];
-    let words = outcome_words();
-    let words = (0..words.len()).filter(kept).map(|i| words[i].clone()).collect();
+    let words = (0..names.len()).filter(kept).map(|i| names[i].to_owned()).collect();
     let counts = (0..counts.len()).filter(kept).map(|i| (0..counts.len()).filter(kept).map(|j| counts[i][j]).collect());
     (words, counts.collect())
 }
@@ -399,8 +397,8 @@ fn flips(first: &Entrant<'_>, second: &Entrant<'_>, rows: &[(usize, usize)], mos
         let index = first.rows.index[*a];
         found.push(Flip {
             index,
-            first: word(one),
-            second: word(two),
+            first: first.rows.outcome_name(one).to_owned(),
+            second: second.rows.outcome_name(two).to_owned(),
             parameters: first.rows.parameters.iter().map(|p| (p.name.clone(), p.show(p.values[*a]))).collect(),
             replay: [first, second].into_iter().filter_map(|entrant| entrant.replay(index)).collect(),
         });
