@@ -1,5 +1,7 @@
 //! The smaller figures.
 
+use maud::Markup;
+
 use crate::page::heatmap::step;
 use crate::page::svg::{Anchor, Scale, Svg, cut};
 use robogate_analysis::labels::{label_with_unit, mode_label};
@@ -11,7 +13,7 @@ use robogate_stats::format::{count, number, percent, percent_range, significant}
 const ZONES: [f64; 2] = [0.3, 0.7];
 
 /// The success rate on a line from 0 to 100 %, with its interval and the zones.
-pub(crate) fn rate_scale(rate: &Rate, bounds: Option<[f64; 2]>) -> String {
+pub(crate) fn rate_scale(rate: &Rate, bounds: Option<[f64; 2]>) -> Markup {
     let mut svg = Svg::new(360.0, 84.0);
     let x = Scale::linear([0.0, 1.0], [6.0, 354.0]);
     let y = 34.0;
@@ -42,7 +44,7 @@ pub(crate) fn rate_scale(rate: &Rate, bounds: Option<[f64; 2]>) -> String {
 }
 
 /// Success along one parameter.
-pub(crate) fn along(along: &Along) -> String {
+pub(crate) fn along(along: &Along) -> Markup {
     match along.kind {
         AlongKind::Continuous | AlongKind::ContinuousLog if along.cells.iter().all(|c| c.range.is_some()) => {
             bins(along)
@@ -51,7 +53,7 @@ pub(crate) fn along(along: &Along) -> String {
     }
 }
 
-fn bins(along: &Along) -> String {
+fn bins(along: &Along) -> Markup {
     let mut svg = Svg::new(340.0, 200.0);
     let (low, high) = match (along.cells.first(), along.cells.last()) {
         (Some(first), Some(last)) => (first.range.unwrap_or_default()[0], last.range.unwrap_or_default()[1]),
@@ -90,7 +92,7 @@ fn bins(along: &Along) -> String {
 /// Most levels that are drawn.
 const MOST_LEVELS: usize = 24;
 
-fn levels(along: &Along) -> String {
+fn levels(along: &Along) -> Markup {
     let cells = &along.cells[..along.cells.len().min(MOST_LEVELS)];
     let height = if cells.len() <= 7 { 26.0 } else { 19.0 };
     let bottom = 10.0 + height * cells.len() as f64;
@@ -145,7 +147,7 @@ fn rate_axis(svg: &mut Svg, y: Scale, left: f64, right: f64) {
 }
 
 /// Shares of the failure modes.
-pub(crate) fn modes(modes: &FailureModes) -> String {
+pub(crate) fn modes(modes: &FailureModes) -> Markup {
     let mut svg = Svg::new(520.0, 4.0 + 34.0 * modes.modes.len() as f64);
     let x = Scale::linear([0.0, 1.0], [92.0, 376.0]);
     for (i, share) in modes.modes.iter().enumerate() {
@@ -163,7 +165,7 @@ pub(crate) fn modes(modes: &FailureModes) -> String {
 }
 
 /// How the modes change along a parameter.
-pub(crate) fn mode_changes(parameter: &str, changes: &ModeChanges, modes: &FailureModes) -> String {
+pub(crate) fn mode_changes(parameter: &str, changes: &ModeChanges, modes: &FailureModes) -> Markup {
     let n = changes.bins.len().max(1);
     let mut svg = Svg::new(420.0, 232.0);
     let (left, right, top, bottom) = (42.0, 412.0, 34.0, 184.0);
@@ -216,7 +218,7 @@ pub(crate) fn mode_changes(parameter: &str, changes: &ModeChanges, modes: &Failu
 }
 
 /// The surest danger zones with their intervals.
-pub(crate) fn danger(zones: &DangerZones, most: usize) -> String {
+pub(crate) fn danger(zones: &DangerZones, most: usize) -> Markup {
     let shown = &zones.zones[..zones.zones.len().min(most)];
     let bottom = 8.0 + 24.0 * shown.len() as f64;
     let mut svg = Svg::new(520.0, bottom + 26.0);
@@ -245,7 +247,7 @@ pub(crate) fn danger(zones: &DangerZones, most: usize) -> String {
 }
 
 /// Coefficients with their intervals.
-pub(crate) fn coefficients(regression: &Regression) -> String {
+pub(crate) fn coefficients(regression: &Regression) -> Markup {
     let shown: Vec<_> = regression
         .terms
         .iter()
@@ -296,7 +298,7 @@ fn square(svg: &mut Svg, across: &str, up: &str) -> (Scale, Scale) {
 }
 
 /// ROC curves.
-pub(crate) fn roc(figures: &RocFigures) -> String {
+pub(crate) fn roc(figures: &RocFigures) -> Markup {
     let mut svg = Svg::new(SQUARE, SQUARE);
     let (x, y) = square(&mut svg, "successes called failures", "failures found");
     for curve in &figures.curves {
@@ -313,7 +315,7 @@ pub(crate) fn roc(figures: &RocFigures) -> String {
 }
 
 /// Stated against observed failure rates.
-pub(crate) fn reliability(figures: &CalibrationFigures) -> String {
+pub(crate) fn reliability(figures: &CalibrationFigures) -> Markup {
     let mut svg = Svg::new(SQUARE, SQUARE);
     let (x, y) = square(&mut svg, "stated chance of failure", "observed failure rate");
     for bin in &figures.bins {

@@ -1,5 +1,7 @@
 //! The operating envelope: observed rates per cell, and the frontier over them.
 
+use maud::Markup;
+
 use crate::page::svg::{Anchor, Scale, Svg, cut};
 use robogate_analysis::labels::label_with_unit;
 use robogate_analysis::{Axis, Frontier, FrontierPoint, PairMap};
@@ -18,7 +20,7 @@ pub(crate) fn step(rate: f64) -> usize {
     ((rate * STEPS as f64) as usize).min(STEPS - 1)
 }
 
-pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> String {
+pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> Markup {
     let (nx, ny) = (map.x.cells().max(1), map.y.cells().max(1));
     let w = (WIDTH - LEFT - RIGHT) / nx as f64;
     let h = (400.0 / ny as f64).clamp(22.0, 56.0);

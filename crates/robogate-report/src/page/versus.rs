@@ -1,5 +1,7 @@
 //! Figures that set dictionaries side by side.
 
+use maud::Markup;
+
 use crate::page::svg::{Anchor, Scale, Svg, cut};
 use robogate_analysis::labels::{label_with_unit, mode_label, parameter_label};
 use robogate_analysis::{ComparedDictionary, Rate};
@@ -51,7 +53,7 @@ fn legend_height(names: &[String], [left, right]: [f64; 2]) -> f64 {
 }
 
 /// Success rates with their intervals.
-pub(crate) fn rates(dictionaries: &[ComparedDictionary], names: &[String]) -> String {
+pub(crate) fn rates(dictionaries: &[ComparedDictionary], names: &[String]) -> Markup {
     let mut svg = Svg::new(440.0, 30.0 + 34.0 * dictionaries.len() as f64);
     let x = Scale::linear([0.0, 1.0], [6.0, 424.0]);
     let bottom = 34.0 * dictionaries.len() as f64 + 6.0;
@@ -87,7 +89,7 @@ pub(crate) fn rates(dictionaries: &[ComparedDictionary], names: &[String]) -> St
 }
 
 /// Differences or slopes with their intervals about zero.
-pub(crate) fn forest(rows: &[Row], unit: &str, ends: [&str; 2], label: &str) -> String {
+pub(crate) fn forest(rows: &[Row], unit: &str, ends: [&str; 2], label: &str) -> Markup {
     let far = rows.iter().flat_map(|row| row.interval).chain(rows.iter().map(|row| row.estimate));
     let far = far.filter(|v| v.is_finite()).fold(0.05_f64, |far, v| far.max(v.abs()));
     let bottom = 8.0 + 26.0 * rows.len() as f64;
@@ -121,7 +123,7 @@ pub(crate) fn forest(rows: &[Row], unit: &str, ends: [&str; 2], label: &str) -> 
 }
 
 /// Failure modes, one bar for each dictionary.
-pub(crate) fn modes(dictionaries: &[&ComparedDictionary]) -> String {
+pub(crate) fn modes(dictionaries: &[&ComparedDictionary]) -> Markup {
     let words: Vec<&str> =
         dictionaries.first().map_or_else(Vec::new, |d| d.failure_modes.modes.iter().map(|m| m.mode.as_str()).collect());
     let bottom = 30.0 + 32.0 * dictionaries.len() as f64;
@@ -164,7 +166,7 @@ pub(crate) fn modes(dictionaries: &[&ComparedDictionary]) -> String {
 const MOST_LETTERS: usize = 14;
 
 /// Success along one parameter, every dictionary in the same bins.
-pub(crate) fn curve(curve: &SharedCurve, names: &[String]) -> String {
+pub(crate) fn curve(curve: &SharedCurve, names: &[String]) -> Markup {
     let (left, right) = (42.0, 412.0);
     let top = legend_height(names, [left, right]) + 6.0;
     let bottom = top + 150.0;
@@ -250,7 +252,7 @@ pub(crate) fn curve(curve: &SharedCurve, names: &[String]) -> String {
 }
 
 /// The surest zones in which all of them fail.
-pub(crate) fn universal(zones: &UniversalZones, names: &[String], most: usize) -> String {
+pub(crate) fn universal(zones: &UniversalZones, names: &[String], most: usize) -> Markup {
     let shown = &zones.zones[..zones.zones.len().min(most)];
     let (left, right) = (214.0, 500.0);
     let top = legend_height(names, [0.0, right]) + 6.0;
@@ -288,7 +290,7 @@ pub(crate) fn universal(zones: &UniversalZones, names: &[String], most: usize) -
 }
 
 /// Workspace over reach against success.
-pub(crate) fn reach(rows: &[ReachRow], names: &[String]) -> String {
+pub(crate) fn reach(rows: &[ReachRow], names: &[String]) -> Markup {
     let known: Vec<(&ReachRow, f64)> = rows.iter().filter_map(|row| Some((row, row.ratio?))).collect();
     let far = known.iter().map(|(_, ratio)| *ratio).fold(1.0_f64, f64::max) * 1.1;
     let top = legend_height(names, [46.0, 512.0]) + 8.0;
@@ -323,7 +325,7 @@ pub(crate) fn reach(rows: &[ReachRow], names: &[String]) -> String {
 }
 
 /// Slopes of the log-odds over the logarithm of a parameter.
-pub(crate) fn sensitivity(sensitivity: &Sensitivity) -> String {
+pub(crate) fn sensitivity(sensitivity: &Sensitivity) -> Markup {
     let rows: Vec<Row> = sensitivity
         .effects
         .iter()
@@ -353,7 +355,7 @@ pub(crate) fn sensitivity(sensitivity: &Sensitivity) -> String {
 }
 
 /// Where two dictionaries end differently.
-pub(crate) fn disagreement(map: &DisagreementMap, names: [&str; 2]) -> String {
+pub(crate) fn disagreement(map: &DisagreementMap, names: [&str; 2]) -> Markup {
     const LEFT: f64 = 62.0;
     let (nx, ny) = (map.x.cells().max(1), map.y.cells().max(1));
     let w = (520.0 - LEFT - 14.0) / nx as f64;

@@ -7,6 +7,7 @@ mod comparison;
 mod degenerate;
 #[path = "../../../robogate-analysis/tests/it/designs.rs"]
 mod designs;
+mod gate;
 mod headline;
 mod pages;
 #[path = "../../../robogate-analysis/tests/it/runs.rs"]
