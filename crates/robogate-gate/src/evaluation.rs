@@ -7,6 +7,7 @@
 //!
 //! Where each "met" shall be quotable by itself, [`Family::Holm`] adjusts these too.
 
+use robogate_core::TaskSpec;
 use robogate_dictionary::{Label, TaskIdentity};
 use robogate_stats::multiplicity::holm;
 use robogate_stats::{Confidence, Trials, clopper_pearson};
@@ -83,7 +84,10 @@ pub struct RequirementResult {
     pub id: String,
     /// The demand.
     pub requirement: Requirement,
-    /// The demand with its limit as a number.
+    /// The unit of its metric; empty for rates and counts.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub unit: String,
+    /// The requirement with its limit as a number.
     pub bound: Bound,
     /// Episodes in its scope that say something about the metric.
     pub valid: u64,
@@ -244,7 +248,7 @@ impl Question<'_> {
         };
         let mut results = results
             .into_iter()
-            .map(|requirement| self.result(requirement, &rounds, counts, how))
+            .map(|requirement| self.result(requirement, &record.task, &rounds, counts, how))
             .collect::<Result<Vec<RequirementResult>, GateError>>()?;
         let mut comparison = comparison;
         self.decide(&mut results, comparison.as_mut(), alpha);
@@ -275,6 +279,7 @@ impl Question<'_> {
     fn result(
         &self,
         requirement: Requirement,
+        task: &TaskSpec,
         rounds: &Rounds<'_>,
         counts: Counts,
         how: How,
@@ -295,6 +300,7 @@ impl Question<'_> {
         let (valid, invalid, figure) = figure(requirement.metric, all, requirement.range());
         let mut result = RequirementResult {
             id,
+            unit: requirement.metric.unit(task),
             requirement,
             bound,
             valid,

@@ -84,6 +84,17 @@ impl Metric {
         }
     }
 
+    /// The unit of its figure; empty for rates and counts.
+    pub fn unit(self, task: &TaskSpec) -> String {
+        match self {
+            Self::CycleTime(_) => "s".to_owned(),
+            Self::Measure(name, _) => {
+                task.measure(name.as_str()).map_or_else(String::new, |measure| measure.unit.clone())
+            }
+            Self::Success | Self::Failure(_) | Self::FailureCount(_) => String::new(),
+        }
+    }
+
     /// Whether it is the probability of something in an episode.
     pub fn is_rate(self) -> bool {
         matches!(self, Self::Success | Self::Failure(_))

@@ -18,7 +18,7 @@ mod study;
 mod text;
 
 pub use gate::{
-    DemandRow, evaluation_markdown, how_judged, junit, leaderboard_html, leaderboard_markdown, sign, what_next,
+    RequirementRow, evaluation_markdown, how_judged, junit, leaderboard_html, leaderboard_markdown, sign, what_next,
 };
 pub use json::{AnalysisDocument, ComparisonDocument, StudyDocument, analysis_json, comparison_json, study_json};
 pub use page::{comparison_html, comparison_markdown, html, markdown};

@@ -10,7 +10,7 @@ use maud::{Markup, PreEscaped, html};
 use robogate_gate::{Evaluation, GroupResult, Status, Verdict};
 use robogate_stats::format::{count, percent, percent_range};
 
-use super::DemandRow;
+use super::RequirementRow;
 use crate::page::prose;
 
 /// What stands above the XML.
@@ -27,9 +27,9 @@ struct Problem {
 
 /// The evaluation as JUnit XML.
 pub fn junit(evaluation: &Evaluation) -> String {
-    let rows = DemandRow::all(evaluation);
+    let rows = RequirementRow::all(evaluation);
     let ids: Vec<String> = evaluation
-        .findings
+        .results
         .iter()
         .map(|f| format!("{} {} {}", f.id, f.bound.sense, f.bound.limit))
         .chain(evaluation.comparison.iter().map(|_| "non-inferiority".to_owned()))
@@ -72,7 +72,7 @@ pub fn junit(evaluation: &Evaluation) -> String {
     page.into_string()
 }
 
-fn problem(row: &DemandRow) -> Option<Problem> {
+fn problem(row: &RequirementRow) -> Option<Problem> {
     let (failure, kind) = match row.status {
         Status::Met => return None,
         Status::Violated => (true, "violated"),
@@ -80,13 +80,13 @@ fn problem(row: &DemandRow) -> Option<Problem> {
         Status::NoEvidence => (false, "no evidence"),
     };
     let details = [row.interval.as_str(), row.note.as_str()].join("\n").trim().to_owned();
-    Some(Problem { failure, kind, message: format!("{}: observed {}", row.demand, row.observed), details })
+    Some(Problem { failure, kind, message: format!("{}: observed {}", row.requirement, row.observed), details })
 }
 
 fn properties(evaluation: &Evaluation) -> Markup {
     let counts = evaluation.counts;
     let all = [
-        ("verdict", evaluation.verdict.word().to_owned()),
+        ("verdict", evaluation.verdict.as_str().to_owned()),
         ("because", evaluation.because.clone()),
         ("policy", evaluation.policy.clone()),
         ("robot", evaluation.robot.clone()),
