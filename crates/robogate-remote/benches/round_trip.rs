@@ -1,7 +1,7 @@
-//! What the bridge itself costs: a Rust client and Python servers on the loopback, their simulator next to free.
+//! Overhead of the protocol: a Rust client and Python servers on the loopback interface. The simulator does almost nothing.
 //!
-//! `ROBOGATE_BRIDGE_PYTHON=... cargo bench -p robogate-remote` (`bridges/common/setup.sh FOLDER` makes the Python). Fails
-//! where a round trip is slower than the bridge may be.
+//! `ROBOGATE_BRIDGE_PYTHON=... cargo bench -p robogate-remote` (`bridges/common/setup.sh FOLDER` makes the Python
+//! environment). Fails if the median of a round trip exceeds its limit.
 
 #![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a bench prints, and fails by panicking")]
 
@@ -10,24 +10,25 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use robogate_core::{Action, ArmCommand, Assignment, GripperCommand, Scenario, Seed, Simulator};
-use robogate_remote::{NoWorld, Patience, Pool, Remote};
+use robogate_remote::{Pool, RemoteEnvironment, Timeouts};
 use robogate_zmtp::Address;
 
 #[expect(dead_code, reason = "tests use the rest")]
 #[path = "../../robogate-zmtp/tests/support/mod.rs"]
 mod support;
 
-/// Control periods whose times are taken, within the toy's time limit each episode.
+/// Number of control periods that are measured.
 const PERIODS: usize = 4000;
+/// Control periods of an episode, within the time limit of the toy simulator.
 const EPISODE: usize = 99;
-/// What a round trip may cost: of state alone, and with a picture of 256 x 256 pixels.
+/// Limits of a round trip: of state alone, and with an image of 256 x 256 pixels.
 const STATE: Duration = Duration::from_micros(150);
-const PICTURE: Duration = Duration::from_micros(500);
+const IMAGE: Duration = Duration::from_micros(500);
 
 fn server(python: &std::path::Path) -> (support::Peer, Address) {
     let peer = support::Peer::start(python, &support::root().join("bridges/common/tests/toy.py"), &[]);
-    let said: serde_json::Value = serde_json::from_str(&peer.said).unwrap();
-    let address = said["listening"].as_str().unwrap().parse().unwrap();
+    let line: serde_json::Value = serde_json::from_str(&peer.first_line).unwrap();
+    let address = line["listening"].as_str().unwrap().parse().unwrap();
     (peer, address)
 }
 
@@ -41,7 +42,7 @@ fn action() -> Action {
     Action { arm, gripper: GripperCommand::Open, phase: None }
 }
 
-/// Times of so many calls, sorted.
+/// Durations of [`PERIODS`] calls, sorted.
 fn times(simulator: &mut dyn Simulator, mut call: impl FnMut(&mut dyn Simulator)) -> Vec<Duration> {
     let mut times = Vec::with_capacity(PERIODS);
     for k in 0..PERIODS {
@@ -57,11 +58,11 @@ fn times(simulator: &mut dyn Simulator, mut call: impl FnMut(&mut dyn Simulator)
     times
 }
 
-fn remote(pool: &Arc<Pool>) -> Remote<NoWorld> {
-    Remote::new(Arc::clone(pool), None).unwrap()
+fn remote(pool: &Arc<Pool>) -> RemoteEnvironment {
+    RemoteEnvironment::new(Arc::clone(pool)).unwrap()
 }
 
-/// Steps per second of so many workers at once.
+/// Steps per second of this number of parallel workers.
 fn rate(pool: &Arc<Pool>, workers: usize) -> f64 {
     let began = Instant::now();
     std::thread::scope(|scope| {
@@ -82,23 +83,22 @@ fn rate(pool: &Arc<Pool>, workers: usize) -> f64 {
 
 fn main() -> ExitCode {
     let Some(python) = std::env::var_os("ROBOGATE_BRIDGE_PYTHON").map(std::path::PathBuf::from) else {
-        println!("ROBOGATE_BRIDGE_PYTHON names no Python with pyzmq and msgpack: nothing is measured");
+        println!("set ROBOGATE_BRIDGE_PYTHON to a Python interpreter with pyzmq and msgpack");
         return ExitCode::FAILURE;
     };
     let (_one, first) = server(&python);
     let (_other, second) = server(&python);
-    let patience = Patience::of(Duration::from_secs(10));
-    let connect = |addresses: &[Address]| Arc::new(Pool::connect(addresses, patience, Box::new(|_| {})).unwrap());
+    let timeouts = Timeouts::from_step(Duration::from_secs(10));
+    let connect = |addresses: &[Address]| Arc::new(Pool::connect(addresses, timeouts, Box::new(|_| {})).unwrap());
     let pool = connect(std::slice::from_ref(&first));
     let mut slow = false;
     let mut simulator = remote(&pool);
-    let mut say = |what: &str, times: &[Duration], limit: Duration| {
+    let mut print = |what: &str, times: &[Duration], limit: Duration| {
         let (median, p99) = (times[PERIODS / 2], times[PERIODS * 99 / 100]);
-        println!("{what:<28} {median:>9.1?} median {p99:>9.1?} for 99 of 100, {limit:?} allowed");
+        println!("{what:<28} {median:>9.1?} median {p99:>9.1?} 99th percentile, limit {limit:?}");
         slow |= median > limit;
     };
     let steps = {
-        // Steps are their own warming up: two a turn, one of them timed.
         let step = |simulator: &mut dyn Simulator| drop(simulator.step(&action()).unwrap());
         let mut times = Vec::with_capacity(PERIODS);
         for k in 0..PERIODS {
@@ -112,14 +112,14 @@ fn main() -> ExitCode {
         times.sort_unstable();
         times
     };
-    say("step, state alone", &steps, STATE);
+    print("step, state alone", &steps, STATE);
     let renders = times(&mut simulator, |simulator| drop(simulator.render().unwrap()));
-    say("render, 256 x 256 pixels", &renders, PICTURE);
+    print("render, 256 x 256 pixels", &renders, IMAGE);
     drop(simulator);
     let one = rate(&pool, 1);
     drop(pool);
     let both = connect(&[first, second]);
     let two = rate(&both, 2);
-    println!("one server {one:>8.0} steps/s, two servers {two:>8.0} steps/s: {:.2} times", two / one);
+    println!("one server {one:>8.0} steps/s, two servers {two:>8.0} steps/s, ratio {:.2}", two / one);
     if slow { ExitCode::FAILURE } else { ExitCode::SUCCESS }
 }

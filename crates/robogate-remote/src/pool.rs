@@ -1,187 +1,184 @@
-//! Several servers as one simulator for each worker.
+//! Several servers that act as one simulator for each worker.
 //!
-//! An episode runs in one server. A server fails when it cannot be reached, does not answer in time, or answers what
-//! cannot be right. A failure in the middle of an episode makes that episode Invalid; one at its reset, when
-//! nothing has happened yet, sends the episode to another server. After a failure a server rests for 1 s, after the
-//! next in a row for 2 s, then 4 s and 8 s; after [`GIVE_UP`] failures without a whole episode between them it is not asked
-//! again. When none is left every further episode is Invalid at once.
+//! An episode runs in one server. A server failure is one of these: the server is unreachable, it does not answer in
+//! time, or its reply is invalid. A failure during an episode makes that episode Invalid. A failure at a reset sends the
+//! episode to another server, because no part of it has run yet. After a failure a server is not used for 1 s, after
+//! further consecutive failures for 2 s, 4 s and 8 s. After [`MAX_FAILURES`] failures without a completed episode
+//! between them it is not used again. When no server is left, each further episode is Invalid immediately.
 
 use std::fmt;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use robogate_core::{Action, Fault, FaultKind, Image, Scenario, Simulator, Start, Step};
-
-use super::client::World;
-use super::link::{AskError, Link, Patience};
-use super::message::Hello;
+use robogate_core::{Fault, FaultKind};
 use robogate_zmtp::Address;
 
-/// Failures in a row after which a server is not asked again.
-pub const GIVE_UP: u32 = 5;
-/// How long a worker waits for a server that others use.
-const WAIT: Duration = Duration::from_secs(600);
+use super::connection::{Connection, Timeouts};
+use super::error::{RequestError, violation};
+use super::message::Hello;
 
-/// Hears of every failure of a server: its address, what happened, what follows.
+/// Number of consecutive failures after which a server is not used again.
+pub const MAX_FAILURES: u32 = 5;
+/// Longest time that a worker waits for a free server.
+const MAX_WAIT: Duration = Duration::from_secs(600);
+
+/// Receives one line of text for each server failure: address, cause and consequence.
 pub type Listener = Box<dyn Fn(&str) + Send + Sync>;
 
-/// Servers that are the same simulator.
+/// Connections to servers of the same simulator.
 pub struct Pool {
     hello: Hello,
-    patience: Patience,
+    timeouts: Timeouts,
     slots: Mutex<Vec<Slot>>,
-    freed: Condvar,
+    changed: Condvar,
     listener: Listener,
-    /// How long a server rests after its first failure.
-    rest: Duration,
+    /// Time for which a server is not used after its first failure.
+    backoff: Duration,
 }
 
 struct Slot {
     address: Address,
     state: State,
-    /// Its connection, while nobody uses it.
-    link: Option<Link>,
-    /// Failures since its last whole episode.
+    /// The connection, while the server is not in use.
+    connection: Option<Connection>,
+    /// Failures since its last completed episode.
     failures: u32,
 }
 
 #[derive(Debug, Clone, PartialEq)]
 enum State {
     Free,
-    Used,
-    RestsUntil(Instant),
-    GivenUp(String),
+    InUse,
+    BackoffUntil(Instant),
+    /// Not used again, for this reason.
+    Disabled(String),
 }
 
-/// Why there is no pool.
+/// Why a pool cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum PoolError {
-    /// No server was named, or one twice.
-    #[error("{0}")]
-    Servers(String),
-    /// One does not answer as it should.
+    /// The list of addresses is empty.
+    #[error("the list of simulators is empty. Expected at least one address")]
+    NoServer,
+    /// An address is listed twice.
+    #[error("{0} is listed twice. A server runs one episode at a time: start one server for each address")]
+    Duplicate(Address),
+    /// A server does not answer, or its reply is invalid.
     #[error("{address}: {why}")]
-    Ask {
-        /// Its address.
+    Request {
+        /// Address of the server.
         address: Address,
         /// What is wrong.
-        why: AskError,
+        why: RequestError,
     },
-    /// Two are not the same simulator.
-    #[error("{first} and {other} are not the same simulator: {what}")]
-    Differ {
-        /// The first of the pool.
+    /// Two servers are different simulators.
+    #[error("{first} and {other} are different simulators: {difference}")]
+    Mismatch {
+        /// First server of the pool.
         first: Address,
-        /// The other.
+        /// The server that differs from it.
         other: Address,
-        /// In what they differ.
-        what: String,
+        /// What differs.
+        difference: String,
     },
 }
 
 impl Pool {
-    /// Connects to every server. All must say the same of themselves.
-    pub fn connect(addresses: &[Address], patience: Patience, listener: Listener) -> Result<Self, PoolError> {
+    /// Connect to all servers. They must report the same about themselves.
+    pub fn connect(addresses: &[Address], timeouts: Timeouts, listener: Listener) -> Result<Self, PoolError> {
         let mut slots: Vec<Slot> = Vec::new();
         let mut hello: Option<Hello> = None;
         for address in addresses {
             if slots.iter().any(|slot| slot.address == *address) {
-                return Err(PoolError::Servers(format!(
-                    "{address} is named twice: a server runs one episode at a time"
-                )));
+                return Err(PoolError::Duplicate(address.clone()));
             }
-            let link = Link::connect(address.clone(), patience)
-                .map_err(|why| PoolError::Ask { address: address.clone(), why })?;
+            let connection = Connection::open(address.clone(), timeouts)
+                .map_err(|why| PoolError::Request { address: address.clone(), why })?;
             match &hello {
-                None => hello = Some(link.hello().clone()),
+                None => hello = Some(connection.hello().clone()),
                 Some(first) => {
-                    if let Some(what) = difference(first, link.hello()) {
+                    if let Some(difference) = difference(first, connection.hello()) {
                         let (first, other) = (slots[0].address.clone(), address.clone());
-                        return Err(PoolError::Differ { first, other, what });
+                        return Err(PoolError::Mismatch { first, other, difference });
                     }
                 }
             }
-            slots.push(Slot { address: address.clone(), state: State::Free, link: Some(link), failures: 0 });
+            let (address, connection) = (address.clone(), Some(connection));
+            slots.push(Slot { address, state: State::Free, connection, failures: 0 });
         }
-        let hello = hello.ok_or_else(|| PoolError::Servers("no simulator is named".to_owned()))?;
-        Ok(Self {
-            hello,
-            patience,
-            slots: Mutex::new(slots),
-            freed: Condvar::new(),
-            listener,
-            rest: Duration::from_secs(1),
-        })
+        let hello = hello.ok_or(PoolError::NoServer)?;
+        let (slots, changed) = (Mutex::new(slots), Condvar::new());
+        Ok(Self { hello, timeouts, slots, changed, listener, backoff: Duration::from_secs(1) })
     }
 
-    /// The same pool, a server resting so long after its first failure, and twice as long after each further one.
+    /// Set the time for which a server is not used after its first failure. Each further failure doubles it.
     #[must_use]
-    pub fn resting(mut self, first: Duration) -> Self {
-        self.rest = first;
+    pub fn with_backoff(mut self, first: Duration) -> Self {
+        self.backoff = first;
         self
     }
 
-    /// What the servers say of themselves.
+    /// What the servers report about themselves.
     pub fn hello(&self) -> &Hello {
         &self.hello
     }
 
-    /// How many servers there are.
+    /// Number of servers.
     pub fn len(&self) -> usize {
         self.slots().len()
     }
 
-    /// Whether there are none; there always are.
+    /// Whether the pool has no servers, which [`Pool::connect`] excludes.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
     fn slots(&self) -> MutexGuard<'_, Vec<Slot>> {
-        // A worker that panicked left no slot half written.
+        // No code panics between two related writes, so that a poisoned lock still guards valid slots.
         self.slots.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A server that nobody uses, as soon as there is one.
-    fn lease(self: &Arc<Self>) -> Result<Lease, Fault> {
+    /// Wait for a free server and connect to it.
+    pub(crate) fn lease(self: &Arc<Self>) -> Result<Lease, Fault> {
         let began = Instant::now();
         let mut slots = self.slots();
         loop {
             let now = Instant::now();
             let ready = |slot: &Slot| match slot.state {
                 State::Free => true,
-                State::RestsUntil(when) => when <= now,
-                State::Used | State::GivenUp(_) => false,
+                State::BackoffUntil(end) => end <= now,
+                State::InUse | State::Disabled(_) => false,
             };
             if let Some(i) = slots.iter().position(ready) {
-                slots[i].state = State::Used;
-                let (address, link) = (slots[i].address.clone(), slots[i].link.take());
+                slots[i].state = State::InUse;
+                let (address, connection) = (slots[i].address.clone(), slots[i].connection.take());
                 drop(slots);
-                let mut lease = Lease { pool: Arc::clone(self), slot: i, address, link };
+                let mut lease = Lease { pool: Arc::clone(self), slot: i, address, connection };
                 match lease.connect() {
                     Ok(()) => return Ok(lease),
-                    Err(why) => lease.failed(&why),
+                    Err(why) => lease.fail(&why),
                 }
                 slots = self.slots();
                 continue;
             }
-            let wakes = slots.iter().filter_map(|slot| match slot.state {
-                State::RestsUntil(when) => Some(when.saturating_duration_since(now)),
+            let backoffs = slots.iter().filter_map(|slot| match slot.state {
+                State::BackoffUntil(end) => Some(end.saturating_duration_since(now)),
                 _ => None,
             });
-            let used = slots.iter().any(|slot| slot.state == State::Used);
-            let patience = match (wakes.min(), used) {
-                (Some(rest), _) => rest,
-                (None, true) => WAIT,
+            let in_use = slots.iter().any(|slot| slot.state == State::InUse);
+            let wait = match (backoffs.min(), in_use) {
+                (Some(backoff), _) => backoff,
+                (None, true) => MAX_WAIT,
                 (None, false) => {
-                    let why: Vec<String> = slots.iter().map(ToString::to_string).collect();
-                    let detail = format!("no simulator is left: {}", why.join("; "));
+                    let reasons: Vec<String> = slots.iter().map(ToString::to_string).collect();
+                    let detail = format!("no simulator is left: {}", reasons.join("; "));
                     return Err(Fault::new(FaultKind::Unavailable, detail));
                 }
             };
-            if began.elapsed() >= WAIT {
-                return Err(Fault::new(FaultKind::Unavailable, "every simulator has been in use for ten minutes"));
+            if began.elapsed() >= MAX_WAIT {
+                return Err(Fault::new(FaultKind::Unavailable, "all simulators were in use for 10 minutes"));
             }
-            slots = self.freed.wait_timeout(slots, patience).unwrap_or_else(PoisonError::into_inner).0;
+            slots = self.changed.wait_timeout(slots, wait).unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 }
@@ -189,185 +186,90 @@ impl Pool {
 impl fmt::Display for Slot {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.state {
-            State::GivenUp(why) => write!(f, "{}: {why}", self.address),
+            State::Disabled(why) => write!(f, "{}: {why}", self.address),
             _ => self.address.fmt(f),
         }
     }
 }
 
-/// In what two servers differ, if they do. Their programs may.
+/// What differs between two servers, if anything. The programs that answer may differ.
 fn difference(a: &Hello, b: &Hello) -> Option<String> {
     let a = Hello { server: b.server.clone(), ..a.clone() };
     if a == *b {
         return None;
     }
     Some(if a.engine != b.engine {
-        format!("their engines are {:?} and {:?}", a.engine, b.engine)
+        format!("the engines are {:?} and {:?}", a.engine, b.engine)
     } else if a.robot != b.robot {
-        format!("their robots are {:?} and {:?}", a.robot, b.robot)
+        format!("the robots are {:?} and {:?}", a.robot, b.robot)
     } else {
-        "they say different things of themselves in hello".to_owned()
+        "their replies to hello differ".to_owned()
     })
 }
 
 /// The use of a server for one episode.
-struct Lease {
+pub(crate) struct Lease {
     pool: Arc<Pool>,
     slot: usize,
-    address: Address,
-    /// Gone once the server is given back.
-    link: Option<Link>,
+    pub(crate) address: Address,
+    /// Nothing after the server was released.
+    pub(crate) connection: Option<Connection>,
 }
 
 impl Lease {
-    /// Connects where there is no connection, and makes sure that it is still the same simulator.
-    fn connect(&mut self) -> Result<(), AskError> {
-        if self.link.is_none() {
-            let link = Link::connect(self.address.clone(), self.pool.patience)?;
-            if let Some(what) = difference(&self.pool.hello, link.hello()) {
-                return Err(AskError::Lie(format!("it is not the simulator that it was: {what}")));
+    /// Connect if there is no connection, and check that the server is still the same simulator.
+    fn connect(&mut self) -> Result<(), RequestError> {
+        if self.connection.is_none() {
+            let connection = Connection::open(self.address.clone(), self.pool.timeouts)?;
+            if let Some(difference) = difference(&self.pool.hello, connection.hello()) {
+                return Err(violation(format!("the simulator has changed since the start: {difference}")));
             }
-            self.link = Some(link);
+            self.connection = Some(connection);
         }
         Ok(())
     }
 
-    /// Gives the server back; `whole` after an episode that ran to its end.
-    fn done(&mut self, whole: bool) {
-        let link = self.link.take();
+    /// Release the server. `completed` says whether its episode ran to the end.
+    pub(crate) fn release(&mut self, completed: bool) {
+        let connection = self.connection.take();
         let mut slots = self.pool.slots();
         let slot = &mut slots[self.slot];
-        if slot.state == State::Used {
+        if slot.state == State::InUse {
             slot.state = State::Free;
-            slot.link = link;
-            slot.failures = if whole { 0 } else { slot.failures };
-            self.pool.freed.notify_one();
+            slot.connection = connection;
+            slot.failures = if completed { 0 } else { slot.failures };
+            self.pool.changed.notify_one();
         }
     }
 
-    /// Gives it back after a failure.
-    fn failed(&mut self, why: &AskError) {
-        self.link = None;
+    /// Release the server after a failure.
+    pub(crate) fn fail(&mut self, why: &RequestError) {
+        self.connection = None;
         let mut slots = self.pool.slots();
         let slot = &mut slots[self.slot];
         slot.failures += 1;
-        slot.link = None;
-        let follows = if slot.failures >= GIVE_UP {
-            slot.state = State::GivenUp(why.to_string());
-            format!("it is not asked again after {GIVE_UP} failures in a row")
+        slot.connection = None;
+        let consequence = if slot.failures >= MAX_FAILURES {
+            slot.state = State::Disabled(why.to_string());
+            format!("not used again after {MAX_FAILURES} consecutive failures")
         } else {
-            let rest = self.pool.rest * 2_u32.pow(slot.failures - 1);
-            slot.state = State::RestsUntil(Instant::now() + rest);
-            format!("it is asked again in {} s", rest.as_secs_f64())
+            let backoff = self.pool.backoff * 2_u32.pow(slot.failures - 1);
+            slot.state = State::BackoffUntil(Instant::now() + backoff);
+            format!("next attempt in {} s", backoff.as_secs_f64())
         };
         drop(slots);
-        // All: one may take it when it has rested, or all may have to know that it is gone.
-        self.pool.freed.notify_all();
-        (self.pool.listener)(&format!("simulator {}: {why}; {follows}", self.address));
+        // Wake all workers: one of them may use the server later, and all of them must know when none is left.
+        self.pool.changed.notify_all();
+        (self.pool.listener)(&format!("simulator {}: {why}; {consequence}", self.address));
     }
 }
 
 impl Drop for Lease {
     fn drop(&mut self) {
-        if let Some(link) = &mut self.link {
-            // In the middle of something: the server learns by the next reset.
-            link.disconnect();
-            self.done(false);
-        }
-    }
-}
-
-/// A simulator in whichever server of a pool is free.
-pub struct Remote<W> {
-    pool: Arc<Pool>,
-    /// Where the servers do not judge.
-    world: Option<W>,
-    lease: Option<Lease>,
-    /// Control periods until the time limit.
-    limit: u64,
-}
-
-impl<W: World> Remote<W> {
-    /// A simulator in this pool; `world` is there exactly where its servers do not judge.
-    pub fn new(pool: Arc<Pool>, world: Option<W>) -> Result<Self, String> {
-        let hello = pool.hello();
-        match &world {
-            Some(_) if hello.judges => return Err("this simulator judges its own world".to_owned()),
-            None if !hello.judges => return Err("this simulator does not judge: it needs a world".to_owned()),
-            Some(world) => world.accepts(hello)?,
-            None => {}
-        }
-        Ok(Self { pool, world, lease: None, limit: 0 })
-    }
-
-    /// Ends the use of the server after an answer.
-    fn settle<T>(&mut self, mut lease: Lease, answer: Result<T, AskError>) -> Result<T, Fault> {
-        answer.map_err(|why| {
-            let fault = why.fault(&lease.address);
-            if why.blames_server() {
-                lease.failed(&why)
-            } else {
-                lease.done(true)
-            }
-            fault
-        })
-    }
-}
-
-impl<W: World> Simulator for Remote<W> {
-    fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
-        if let Some(mut lease) = self.lease.take() {
-            lease.done(false);
-        }
-        let mut tries = 1 + self.pool.len();
-        loop {
-            let mut lease = self.pool.lease()?;
-            let Some(link) = &mut lease.link else { continue };
-            let answer = link.reset(scenario, self.world.as_mut());
-            tries -= 1;
-            match answer {
-                Ok(start) => {
-                    self.limit = (start.task.time_limit_s / start.task.control_period_s).round() as u64;
-                    self.lease = Some(lease);
-                    return Ok(start);
-                }
-                Err(why) if why.blames_server() && tries > 0 => lease.failed(&why),
-                Err(why) => return self.settle(lease, Err(why)),
-            }
-        }
-    }
-
-    fn step(&mut self, action: &Action) -> Result<Step, Fault> {
-        let no_episode = || Fault::new(FaultKind::Setup, "no episode is under way");
-        let mut lease = self.lease.take().ok_or_else(no_episode)?;
-        let link = lease.link.as_mut().ok_or_else(no_episode)?;
-        let answer = link.step(action, self.world.as_mut());
-        let tick = link.tick;
-        let step = match answer {
-            Ok(step) => step,
-            Err(why) => return self.settle(lease, Err(why)),
-        };
-        // Another worker may be waiting for the server.
-        if step.ending.is_some() || tick >= self.limit {
-            lease.done(true);
-        } else {
-            self.lease = Some(lease);
-        }
-        Ok(step)
-    }
-
-    fn render(&mut self) -> Result<Vec<Image>, Fault> {
-        if let Some(world) = &mut self.world {
-            return world.render();
-        }
-        let no_episode = || Fault::new(FaultKind::Setup, "no episode is under way");
-        let mut lease = self.lease.take().ok_or_else(no_episode)?;
-        match lease.link.as_mut().ok_or_else(no_episode)?.render() {
-            Ok(images) => {
-                self.lease = Some(lease);
-                Ok(images)
-            }
-            Err(why) => self.settle(lease, Err(why)),
+        if let Some(connection) = &mut self.connection {
+            // The episode was abandoned. The next reset ends it in the server.
+            connection.disconnect();
+            self.release(false);
         }
     }
 }

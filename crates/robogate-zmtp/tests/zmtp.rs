@@ -68,7 +68,7 @@ fn libzmq_answers_our_questions() {
     let Some(python) = support::python() else { return };
     let script = support::root().join("crates/robogate-zmtp/tests/peers/echo.py");
     let peer = support::Peer::start(&python, &script, &[]);
-    let mut requester = Requester::new(peer.said.parse().unwrap(), LIMITS);
+    let mut requester = Requester::new(peer.first_line.parse().unwrap(), LIMITS);
     let big = vec![7; 300_000];
     for frames in [vec![&b"one"[..]], vec![b"", &big[..255], &big[..256]], vec![&big, b"end"]] {
         let answer = requester.ask(&frames, 10 * SECOND).unwrap();
@@ -103,7 +103,7 @@ fn we_answer_libzmqs_questions() {
     let script = support::root().join("crates/robogate-zmtp/tests/peers/ask.py");
     beside_a_replier(|address| {
         let peer = support::Peer::start(&python, &script, &[&address.to_string()]);
-        assert_eq!(peer.said, "all answered");
+        assert_eq!(peer.first_line, "all answered");
     });
 }
 

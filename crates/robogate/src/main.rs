@@ -3,12 +3,12 @@
 mod answer;
 mod commands;
 mod exit;
-mod far;
 mod guest;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod picture;
 mod progress;
+mod remote;
 mod renderer;
 mod summary;
 mod terminal;
@@ -61,7 +61,7 @@ enum Verb {
     Demos(commands::demos::Demos),
     /// List, show and check suites: the scenarios on which a policy is judged
     Suites(commands::suites::Suites),
-    /// List the profiles of policy servers, or probe a server
+    /// List the profiles of policies, or check a policy server
     Policy(commands::policy::Policies),
     /// List the robots, or say what is wrong with one
     Robots(commands::robots::Robots),
@@ -73,9 +73,9 @@ enum Verb {
     Keys(commands::keys::Keys),
     /// Watch a deployed robot: drift of its cycles, with alarms whose false-alarm rate is promised
     Monitor(commands::monitor::Monitor),
-    /// Put the cell behind a socket, for a policy or a script of your own
+    /// Serve the cell to other programs over the bridge protocol
     Serve(commands::serve::Serve),
-    /// Hold simulators behind a socket to the bridge protocol
+    /// Run the conformance tests against a simulator server
     Bridge(commands::bridge::Bridge),
     /// Check claims by experiment
     Check(commands::check::Check),

@@ -27,8 +27,8 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::exit::{Exit, OrExit};
-use crate::far::{self, Far, OurWorld, Simulators, Told};
 use crate::guest::Guest;
+use crate::remote::{self, BuiltInTask, PhysicsEngine, RemoteKind, Simulators};
 use crate::renderer::{Drawn, RendererName};
 
 /// The engines of this build by name, each with its own time step in seconds; the first is the default.
@@ -66,9 +66,9 @@ pub(crate) struct World {
     /// What takes the pictures; the embedded caster where it is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) renderer: Option<Drawn>,
-    /// What the engine is to us where it is behind a socket.
+    /// How the remote simulator is used, if the run has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) simulator: Option<Far>,
+    pub(crate) simulator: Option<RemoteKind>,
     /// The policy in place of the scripted controller.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) policy: Option<Guest>,
@@ -140,11 +140,11 @@ pub(crate) struct Cell {
     robot: Robot,
     /// Pixels along each side of the cameras' pictures, where they are asked for.
     picture_px: Option<usize>,
-    /// The servers, where the engine is behind a socket.
+    /// Connections to the remote simulators, if `--simulator` is given.
     pool: Option<Arc<Pool>>,
 }
 
-/// What 1 means in a tool delta that we serve.
+/// What a value of 1 means in a tool delta that `robogate serve` receives.
 const DELTA: DeltaScale = DeltaScale { translation_m: 0.02, rotation_rad: 0.05 };
 
 impl Cell {
@@ -155,10 +155,10 @@ impl Cell {
         let robot = robot(&world.robot)?;
         if let Some(pool) = &pool {
             let hello = pool.hello();
-            far::check(hello, &robot, &identity(&robot.files()?))?;
-            world.engine = far::engine(hello).name;
+            remote::check(hello, &robot, &identity(&robot.files()?))?;
+            world.engine = remote::engine(hello).name;
             world.time_step_s = hello.time_step_s;
-            world.simulator = Some(if hello.judges { Far::Judging } else { Far::Physics });
+            world.simulator = Some(RemoteKind::of(hello));
         } else if !ENGINES.iter().any(|(name, _)| *name == world.engine) {
             let known = ENGINES.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(" and ");
             bail!("there is no engine `{}` in this build; it has {known}", world.engine);
@@ -236,15 +236,15 @@ impl Cell {
         match (world.simulator, &pool) {
             (Some(_), None) => {
                 let name = &engine.name;
-                Err(anyhow!("the run was made in {name}, a simulator behind a socket\n  hint: --simulator ADDRESS"))
+                Err(anyhow!("the run was made in {name}, a remote simulator\n  hint: add --simulator ADDRESS"))
             }
             (None, Some(_)) => {
-                Err(anyhow!("the run was made in {}, an engine of our own, without --simulator", engine.name))
+                Err(anyhow!("the run was made in the built-in engine {}: run this without --simulator", engine.name))
             }
-            (Some(_), Some(pool)) if far::engine(pool.hello()) != *engine => {
-                let (is, version) = (far::engine(pool.hello()), engine.version.as_deref().unwrap_or_default());
+            (Some(_), Some(pool)) if remote::engine(pool.hello()) != *engine => {
+                let (is, version) = (remote::engine(pool.hello()), engine.version.as_deref().unwrap_or_default());
                 let now = is.version.as_deref().unwrap_or_default();
-                Err(anyhow!("the run was made in {} {version}, this is {} {now}", engine.name, is.name))
+                Err(anyhow!("the run was made in {} {version}, but the simulator is {} {now}", engine.name, is.name))
             }
             _ => Ok(()),
         }
@@ -253,7 +253,7 @@ impl Cell {
         Self::new(world, SuctionLaw::Vacuum, pool).or_usage()
     }
 
-    /// How many servers the engine is behind, if it is behind any: as many episodes run at once.
+    /// Number of remote simulators, if there are any: as many episodes run in parallel.
     pub(crate) fn servers(&self) -> Option<NonZeroUsize> {
         self.pool.as_ref().and_then(|pool| NonZeroUsize::new(pool.len()))
     }
@@ -274,21 +274,24 @@ impl Cell {
         }?;
         let named = space.parameters().iter().map(|parameter| &*parameter.name);
         self.check_known(named).with_context(|| format!("space {}", space.name()))?;
-        // What parameters mean in a world that is not ours is not ours to say.
-        if self.world.simulator != Some(Far::Judging) {
+        // Only the simulator knows the parameters of its own task.
+        if self.world.simulator != Some(RemoteKind::ScoresItself) {
             SceneParameters::check_space(&space, Some(gripper)).with_context(|| format!("space {}", space.name()))?;
         }
         Ok(space)
     }
 
-    /// Whether a simulator behind a socket can apply these parameters.
+    /// Check that a remote simulator can apply these parameters.
     fn check_known<'a>(&self, mut names: impl Iterator<Item = &'a str>) -> anyhow::Result<()> {
         let Some(pool) = &self.pool else { return Ok(()) };
         let hello = pool.hello();
-        let here = |name: &str| !hello.judges && offsite::HERE.contains(&name);
+        let here = |name: &str| !hello.scores_itself && offsite::HERE.contains(&name);
         match names.find(|name| !here(name) && !hello.parameters.iter().any(|known| known == name)) {
             Some(name) => {
-                bail!("the simulator cannot apply the parameter `{name}`; it knows {}", hello.parameters.join(", "))
+                bail!(
+                    "the simulator cannot apply the parameter `{name}`. Expected one of: {}",
+                    hello.parameters.join(", ")
+                )
             }
             None => Ok(()),
         }
@@ -298,7 +301,7 @@ impl Cell {
     pub(crate) fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
         let named = suite.space().parameters().iter().map(|parameter| &*parameter.name);
         self.check_known(named).with_context(|| format!("suite {}", suite.name()))?;
-        if self.world.simulator == Some(Far::Judging) {
+        if self.world.simulator == Some(RemoteKind::ScoresItself) {
             return Ok(());
         }
         match check_suite(suite, Some(&self.robot.settings.gripper)).first() {
@@ -353,7 +356,7 @@ impl Cell {
             Some(pool) => {
                 let chain = self.chain(setup)?;
                 let sha256 = identity(&self.robot.files()?);
-                (far::simulator(pool, &setup.robot, chain.clone(), sha256, self.picture_px())?, chain)
+                (remote::simulator(pool, &setup.robot, chain.clone(), sha256, self.picture_px())?, chain)
             }
             None => {
                 let Built { simulator, chain, .. } = self.build(setup)?;
@@ -368,16 +371,16 @@ impl Cell {
         Ok(self.make(&self.setup())?.0)
     }
 
-    /// Our world, for a server that does not judge.
-    pub(crate) fn our_world(&self) -> anyhow::Result<OurWorld> {
+    /// The built-in task, for a server that only computes physics.
+    pub(crate) fn remote_task(&self) -> anyhow::Result<BuiltInTask> {
         let setup = self.setup();
-        OurWorld::new(&setup.robot, self.chain(&setup)?, identity(&self.robot.files()?), self.picture_px())
+        BuiltInTask::new(&setup.robot, self.chain(&setup)?, identity(&self.robot.files()?), self.picture_px())
     }
 
-    /// What a server says of this cell.
+    /// The reply to `hello` of a server of this cell.
     pub(crate) fn hello(&self) -> anyhow::Result<Hello> {
         if self.pool.is_some() {
-            bail!("--simulator names a simulator that is served already");
+            bail!("--simulator: a remote simulator cannot be served again. Use --engine");
         }
         let (engine, robot) = self.provenance()?;
         let mut simulator = self.simulator()?;
@@ -401,20 +404,20 @@ impl Cell {
             quaternion_order: "wxyz".to_owned(),
             image_origin: "top_left".to_owned(),
             parameters: SceneParameters::names(&self.robot.settings.gripper).map(str::to_owned).collect(),
-            judges: true,
+            scores_itself: true,
             deterministic: true,
         })
     }
 
-    /// The engine alone, to be told and to report.
-    pub(crate) fn physics_host(&self) -> anyhow::Result<far::PhysicsHost> {
+    /// The engine as a server that only computes physics.
+    pub(crate) fn physics_host(&self) -> anyhow::Result<remote::PhysicsHost> {
         if self.world.renderer.is_some() {
-            bail!("--renderer egl: a server of the physics alone takes no pictures");
+            bail!("--renderer egl cannot be used with --physics-only: such a server has no cameras");
         }
         let hello = self.hello()?;
         let here = |name: &String| !offsite::HERE.contains(&name.as_str());
         let hello = Hello {
-            judges: false,
+            scores_itself: false,
             action_spaces: vec![ActionSpace::JointPosition],
             tool_delta: None,
             cameras: Vec::new(),
@@ -423,9 +426,9 @@ impl Cell {
         };
         let Setup { robot, time_step_s: step, .. } = self.setup();
         if robot.settings.gripper.cup().is_some() {
-            bail!("{} holds by suction, which has no place behind the bridge without a judge", robot.name());
+            bail!("--physics-only supports parallel grippers only: {} has a suction cup", robot.name());
         }
-        let host: Box<dyn Told> = match self.world.engine.as_str() {
+        let host: Box<dyn PhysicsEngine> = match self.world.engine.as_str() {
             #[cfg(feature = "rapier")]
             "rapier" => {
                 Box::new(offsite::Host::new(RapierEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?)
@@ -436,13 +439,13 @@ impl Cell {
             }
             other => bail!("there is no engine `{other}` in this build"),
         };
-        Ok(far::PhysicsHost::new(hello, host))
+        Ok(remote::PhysicsHost::new(hello, host))
     }
 
     /// The engine's and robot's part of the provenance.
     pub(crate) fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
         let engine = match &self.pool {
-            Some(pool) => far::engine(pool.hello()),
+            Some(pool) => remote::engine(pool.hello()),
             None => engine(self.build(&self.setup())?.engine)?,
         };
         let arm = &self.robot.settings.arm;
@@ -543,12 +546,13 @@ impl Workbench for Cell {
         let own = self.setup();
         let fixed = match self.world.simulator {
             None => false,
-            Some(Far::Physics) => setup.time_step_s != own.time_step_s,
-            Some(Far::Judging) => *setup != own,
+            Some(RemoteKind::Physics) => setup.time_step_s != own.time_step_s,
+            Some(RemoteKind::ScoresItself) => *setup != own,
         };
         if fixed {
             return Err(
-                "a simulator behind a socket keeps its own time step, and one that judges its own robot".to_owned()
+                "a remote simulator cannot change its time step; one that scores itself cannot change its robot either"
+                    .to_owned(),
             );
         }
         self.make(setup).map_err(|e| format!("{e:#}"))

@@ -1,4 +1,5 @@
-//! Peers in Python, where there is one: `ROBOGATE_BRIDGE_PYTHON` names an interpreter with pyzmq and msgpack.
+//! Python peers and random bytes for tests. `ROBOGATE_BRIDGE_PYTHON` is the path of a Python interpreter with pyzmq and
+//! msgpack.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -10,7 +11,7 @@ pub(crate) fn python() -> Option<PathBuf> {
     robogate_testing::path("ROBOGATE_BRIDGE_PYTHON", "a Python with pyzmq and msgpack")
 }
 
-/// The repository's root.
+/// Root folder of the repository.
 pub(crate) fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
@@ -18,8 +19,8 @@ pub(crate) fn root() -> PathBuf {
 /// A process that ends with the test.
 pub(crate) struct Peer {
     child: Child,
-    /// Its first line of output.
-    pub(crate) said: String,
+    /// First line of its output.
+    pub(crate) first_line: String,
 }
 
 impl Peer {
@@ -32,12 +33,14 @@ impl Peer {
             .stdout(Stdio::piped())
             .spawn()
             .expect("the interpreter starts");
-        let mut said = String::new();
-        BufReader::new(child.stdout.take().expect("it is piped")).read_line(&mut said).expect("it says a line");
-        Self { child, said: said.trim().to_owned() }
+        let mut first_line = String::new();
+        BufReader::new(child.stdout.take().expect("stdout is piped"))
+            .read_line(&mut first_line)
+            .expect("the script prints a line");
+        Self { child, first_line: first_line.trim().to_owned() }
     }
 
-    /// Ends it now.
+    /// End the process.
     pub(crate) fn kill(&mut self) {
         drop(self.child.kill());
         drop(self.child.wait());
@@ -50,7 +53,7 @@ impl Drop for Peer {
     }
 }
 
-/// The generator of SplitMix64: tests need no more.
+/// The SplitMix64 generator.
 pub(crate) struct Random(pub(crate) u64);
 
 impl Random {
@@ -61,9 +64,9 @@ impl Random {
         ((z ^ (z >> 31)) % n as u64) as usize
     }
 
-    /// Up to three small changes of bytes: some that mean something to a decoder, some that mean nothing.
+    /// Apply up to three random changes. Half of the inserted bytes are significant to the decoders.
     pub(crate) fn mutate(&mut self, bytes: &mut Vec<u8>) {
-        const TELLING: [u8; 12] = [0, 1, 2, 4, 6, 0x80, 0x91, 0xc0, 0xca, 0xcb, 0xdd, 0xff];
+        const SIGNIFICANT: [u8; 12] = [0, 1, 2, 4, 6, 0x80, 0x91, 0xc0, 0xca, 0xcb, 0xdd, 0xff];
         for _ in 0..self.below(4) {
             if bytes.is_empty() {
                 return;
@@ -73,14 +76,14 @@ impl Random {
                 0 => bytes[at] = self.below(256) as u8,
                 1 => bytes[at] ^= 1 << self.below(8),
                 2 => drop(bytes.drain(at..(at + 1 + self.below(9)).min(bytes.len()))),
-                3 => bytes[at] = TELLING[self.below(TELLING.len())],
-                _ => bytes.insert(at, TELLING[self.below(TELLING.len())]),
+                3 => bytes[at] = SIGNIFICANT[self.below(SIGNIFICANT.len())],
+                _ => bytes.insert(at, SIGNIFICANT[self.below(SIGNIFICANT.len())]),
             }
         }
     }
 }
 
-/// How long a fuzz test goes on: seconds in `ROBOGATE_FUZZ_SECONDS`, or one.
+/// Duration of a fuzz test: `ROBOGATE_FUZZ_SECONDS`, or one second.
 pub(crate) fn fuzz_time() -> Duration {
     let seconds = std::env::var("ROBOGATE_FUZZ_SECONDS").ok().and_then(|text| text.parse().ok());
     Duration::from_secs(seconds.unwrap_or(1))

@@ -9,8 +9,8 @@ use serde_json::json;
 
 use crate::commands::run::provenance;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
-use crate::far::Simulators;
 use crate::guest::Guest;
+use crate::remote::Simulators;
 use crate::terminal::{bold, dim, line};
 use crate::world::Cell;
 

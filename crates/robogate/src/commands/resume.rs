@@ -8,7 +8,7 @@ use robogate_gate::Asked;
 use crate::commands::gate;
 use crate::commands::run::{How, provenance};
 use crate::exit::{Exit, OrExit};
-use crate::far::Simulators;
+use crate::remote::Simulators;
 use crate::world::Cell;
 
 /// Go on with an interrupted campaign.

@@ -1,12 +1,12 @@
-//! `robogate serve`: our engines behind the bridge protocol.
+//! `robogate serve`: a built-in engine as a server of the bridge protocol.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::anyhow;
 use clap::Args;
-use robogate_remote::bounds::REQUEST;
-use robogate_remote::{Host, Judging, Server};
+use robogate_remote::limits::REQUEST;
+use robogate_remote::{EnvironmentHost, Host, Server};
 use robogate_sim::SuctionLaw;
 use robogate_zmtp::{Address, Replier, ZmtpError};
 use serde_json::json;
@@ -16,18 +16,19 @@ use crate::exit::{DONE, Exit, OrExit, USAGE};
 use crate::terminal::{line, note};
 use crate::world::WorldArguments;
 
-/// Put the cell behind a socket, for a policy or a script of your own (bridges/PROTOCOL.md).
+/// Serve the cell to other programs over the bridge protocol (bridges/PROTOCOL.md).
 ///
-/// Prints its address as one line of JSON, then answers until Ctrl-C. One episode runs at a time: start one server for each client.
+/// Prints the address as one line of JSON, then answers requests until Ctrl-C. A server runs one episode at a time:
+/// start one for each client.
 #[derive(Debug, Args)]
 pub(crate) struct Serve {
-    /// Where to listen; port 0 or * takes a free one
+    /// Address to listen on; port 0 or * takes a free one
     #[arg(long, value_name = "ADDRESS", default_value = "tcp://127.0.0.1:5570")]
     bind: Address,
-    /// Listen where other machines reach it, too: the protocol has no authentication
+    /// Allow an address that other machines can reach. The protocol has no authentication
     #[arg(long)]
     allow_remote: bool,
-    /// Judge nothing: be told the cell and report what is seen, as the servers under bridges/ do
+    /// Compute physics only: set up the cells that the client sends and report physical states, without a task
     #[arg(long)]
     physics_only: bool,
     #[command(flatten)]
@@ -38,8 +39,8 @@ impl Serve {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         if !self.bind.is_loopback() && !self.allow_remote {
             let why = anyhow!(
-                "{} is reached by other machines and the protocol has no authentication\n  hint: --allow-remote if that \
-                 is meant",
+                "--bind {}: other machines can reach this address, and the protocol has no authentication\n  hint: bind to \
+                 tcp://127.0.0.1:PORT, or add --allow-remote",
                 self.bind
             );
             return Err(why).or_usage();
@@ -51,7 +52,7 @@ impl Serve {
         }
         let hello = cell.hello().or_usage()?;
         let simulator = cell.simulator().or_broken()?;
-        self.answer(Server::new(Judging::new(hello, simulator)))
+        self.answer(Server::new(EnvironmentHost::new(hello, simulator)))
     }
 
     fn answer<H: Host>(&self, mut server: Server<H>) -> Result<u8, Exit> {
@@ -60,17 +61,17 @@ impl Serve {
             why => Exit { code: crate::exit::INFRASTRUCTURE, error: why.into() },
         })?;
         let stop = Arc::new(AtomicBool::new(false));
-        let asked = Arc::clone(&stop);
+        let interrupted = Arc::clone(&stop);
         ctrlc::set_handler(move || {
-            // A client in the middle of something has its time; who asks twice has none.
-            if asked.swap(true, Ordering::Relaxed) {
+            // The first Ctrl-C lets the current request finish, the second one does not.
+            if interrupted.swap(true, Ordering::Relaxed) {
                 stop_at_once();
             }
         })
         .or_broken()?;
         let hello = server.hello();
         note(format_args!(
-            "{} in {} {} on {}; Ctrl-C ends it",
+            "serving {} in {} {} on {}; press Ctrl-C to stop",
             hello.robot.name,
             hello.engine.name,
             hello.engine.version,
