@@ -1,5 +1,7 @@
 //! Policies behind WebSocket servers: episodes, and the error for each kind of failure.
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 #[path = "support/openpi.rs"]
 mod openpi;
 mod support;
