@@ -1,4 +1,4 @@
-//! A policy in place of the scripted controller, as the command names it and a run records it.
+//! Policies in place of the scripted controller, on the command line and in the record of a run.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -6,7 +6,7 @@ use std::sync::Arc;
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_core::{Fault, Policy};
-use robogate_policy::{Profile, ServerError, ServerPolicy};
+use robogate_policy::{ExternalPolicy, PolicyError, Profile};
 use robogate_sim::Random;
 use serde::{Deserialize, Serialize};
 
@@ -16,34 +16,34 @@ use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub(crate) enum Guest {
-    /// Behind a socket or in a file.
+    /// An external policy.
     Served(Served),
-    /// One that comes with RoboGate.
+    /// A policy that is part of RoboGate.
     Own(Own),
 }
 
-/// Policies that come with RoboGate, beside the scripted controller.
+/// Policies that are part of RoboGate, besides the scripted controller.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Own {
-    /// Knows nothing: the floor of a ranking.
+    /// Random actions: the baseline of a ranking.
     Random,
 }
 
-/// A learned policy behind a socket, or in a file.
+/// A learned policy behind an inference server, or in a file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Served {
-    /// Its server's address, or its file.
+    /// Address of the server, or path of the file.
     server: String,
-    /// What the model sees and how its answers are meant, in full.
+    /// Observation and action mapping of the policy.
     profile: Arc<Profile>,
-    /// What the server said of itself when it was first asked.
+    /// What the policy reported about itself on the first connection.
     declared: serde_json::Value,
 }
 
 impl Guest {
-    /// Its name in records.
+    /// Name in records.
     pub(crate) fn name(&self) -> &str {
         match self {
             Self::Served(served) => &served.profile.name,
@@ -51,7 +51,7 @@ impl Guest {
         }
     }
 
-    /// What it was taught to see, where it was taught.
+    /// Profile of an external policy.
     pub(crate) fn profile(&self) -> Option<&Profile> {
         match self {
             Self::Served(served) => Some(&served.profile),
@@ -59,7 +59,7 @@ impl Guest {
         }
     }
 
-    /// The same policy, its server asked anew what it is.
+    /// The same policy, with a new description of itself.
     pub(crate) fn asked_again(&self) -> Result<Self, Exit> {
         match self {
             Self::Served(served) => Served::ask(&served.server, Arc::clone(&served.profile)).map(Self::Served),
@@ -67,23 +67,23 @@ impl Guest {
         }
     }
 
-    /// One for a station of its own.
+    /// A policy for one worker.
     pub(crate) fn policy(&self) -> Result<Box<dyn Policy>, Fault> {
         Ok(match self {
-            Self::Served(served) => Box::new(ServerPolicy::connect(&served.server, Arc::clone(&served.profile))?),
+            Self::Served(served) => Box::new(ExternalPolicy::connect(&served.server, Arc::clone(&served.profile))?),
             Self::Own(Own::Random) => Box::new(Random::new()),
         })
     }
 }
 
 impl Served {
-    /// Asks a server what it is.
+    /// Connect to a policy and record what it reports about itself.
     fn ask(server: &str, profile: Arc<Profile>) -> Result<Self, Exit> {
-        // A run is resumed and replayed from other folders, too.
+        // A run may be resumed and replayed from another folder.
         let is_file = profile.dialect.is_file() && !server.contains("://");
         let full = if is_file { std::path::absolute(server).ok() } else { None };
         let server = full.map_or_else(|| server.to_owned(), |path| path.display().to_string());
-        let policy = ServerPolicy::connect(&server, Arc::clone(&profile)).map_err(refused)?;
+        let policy = ExternalPolicy::connect(&server, Arc::clone(&profile)).map_err(policy_error)?;
         Ok(Self { server, profile, declared: policy.declared().clone() })
     }
 }
@@ -91,40 +91,54 @@ impl Served {
 /// The policy, on the command line.
 #[derive(Debug, Args)]
 pub(crate) struct PolicyArguments {
-    /// A policy in place of the scripted controller: the address of its server, such as ws://127.0.0.1:8000, or an ONNX
-    /// file, or random, the floor of a ranking
+    /// Policy to run instead of the scripted controller: the address of a server, such as ws://127.0.0.1:8000, an ONNX
+    /// file, or `random` (random actions, the baseline of a ranking)
     #[arg(long, value_name = "URL|FILE|random")]
     policy: Option<String>,
-    /// What that model sees and how its answers are meant: a built-in profile (robogate policy profiles), or a
-    /// file of your own (TOML)
+    /// Observation and action mapping of the policy: a built-in profile (robogate policy profiles), or a TOML file
     #[arg(long, value_name = "NAME|FILE", requires = "policy")]
     profile: Option<String>,
 }
 
 impl PolicyArguments {
-    /// The policy that they name, if any; its server is asked what it is.
+    /// Connect to the policy of these arguments, if they name one.
     pub(crate) fn guest(&self) -> Result<Option<Guest>, Exit> {
         match (self.policy.as_deref(), &self.profile) {
             (None, _) => Ok(None),
             (Some("random"), None) => Ok(Some(Guest::Own(Own::Random))),
-            (Some("random"), Some(_)) => Err(anyhow!("--policy random has no profile")).or_usage(),
+            (Some("random"), Some(_)) => Err(anyhow!("--profile cannot be used with --policy random")).or_usage(),
             (Some(server), Some(wanted)) => {
                 Served::ask(server, Arc::new(profile(wanted).or_usage()?)).map(|served| Some(Guest::Served(served)))
             }
-            (Some(server), None) => {
-                Err(anyhow!("--policy {server}: --profile says what it sees and how its answers are meant")).or_usage()
-            }
+            (Some(policy), None) => Err(without_profile(policy)).or_usage(),
         }
     }
 }
 
-/// A profile by its name or its file.
+/// The error for a policy without a profile.
+fn without_profile(policy: &str) -> anyhow::Error {
+    if policy == "scripted" {
+        anyhow!("--policy scripted: the scripted controller is the default. Leave out --policy")
+    } else if policy.contains("://") || Path::new(policy).exists() {
+        anyhow!(
+            "--policy {policy}: --profile is missing. It describes the observations and actions of the model\n  hint: \
+             `robogate policy profiles` lists the built-in profiles"
+        )
+    } else {
+        anyhow!(
+            "--policy {policy}: not a policy. Expected the address of a server such as ws://127.0.0.1:8000, the path of \
+             an ONNX file, or `random`"
+        )
+    }
+}
+
+/// A profile by its name or the path of its file.
 pub(crate) fn profile(wanted: &str) -> anyhow::Result<Profile> {
     match Profile::built_in(wanted) {
         Some(text) => Profile::from_toml(text).with_context(|| format!("profile {wanted}")),
         None if !Path::new(wanted).exists() && !wanted.contains(['/', '.']) => {
             let known = Profile::built_in_names().collect::<Vec<_>>().join(", ");
-            bail!("there is no profile `{wanted}`; built in: {known}; one of your own is named by its file")
+            bail!("unknown profile `{wanted}`. Expected the path of a TOML file or one of: {known}")
         }
         None => {
             let text = std::fs::read_to_string(wanted).with_context(|| format!("cannot read {wanted}"))?;
@@ -133,8 +147,8 @@ pub(crate) fn profile(wanted: &str) -> anyhow::Result<Profile> {
     }
 }
 
-/// A server's error with its exit code: what the settings say wrongly is usage, the rest infrastructure.
-pub(crate) fn refused(error: ServerError) -> Exit {
-    let code = if error.is_in_the_settings() { USAGE } else { INFRASTRUCTURE };
+/// An error of a policy with its exit code: wrong settings are a usage error, all others infrastructure.
+pub(crate) fn policy_error(error: PolicyError) -> Exit {
+    let code = if error.is_usage_error() { USAGE } else { INFRASTRUCTURE };
     Exit { code, error: error.into() }
 }
