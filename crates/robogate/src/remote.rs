@@ -11,9 +11,10 @@ use robogate_core::{
 use robogate_dictionary::provenance;
 use robogate_remote::message::{Hello, ObservationMessage, Period, ResetReply};
 use robogate_remote::{Host, Pool, PoolError, RemoteEnvironment, RemotePhysics, RemoteTask, Timeouts};
-use robogate_sim::offsite::{self, Cell, FarPeriod, FarReadback, FarSight, HERE, Offsite};
-use robogate_sim::{CONTROL_PERIOD_S, Chain, Engine, Robot};
 use robogate_zmtp::Address;
+use robogate_physics::{Chain, Engine, Robot};
+use robogate_tasks::pick_place::CONTROL_PERIOD_S;
+use robogate_tasks::pick_place::remote::{self as cell_remote, Cell, FarPeriod, FarReadback, FarSight, HERE, Offsite};
 use serde::{Deserialize, Serialize};
 
 use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
@@ -194,13 +195,13 @@ pub(crate) trait PhysicsEngine {
     fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<FarPeriod, Fault>;
 }
 
-impl<E: Engine> PhysicsEngine for offsite::Host<E> {
+impl<E: Engine> PhysicsEngine for cell_remote::Host<E> {
     fn reset(&mut self, scenario: &Scenario) -> Result<(FarReadback, FarSight, Observation), Fault> {
-        offsite::Host::reset(self, scenario)
+        cell_remote::Host::reset(self, scenario)
     }
 
     fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<FarPeriod, Fault> {
-        offsite::Host::step(self, joints, gripper)
+        cell_remote::Host::step(self, joints, gripper)
     }
 }
 

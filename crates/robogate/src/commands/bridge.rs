@@ -8,9 +8,9 @@ use clap::{Args, Subcommand};
 use robogate_core::{Assignment, Sampler, Scenario, Seed, samplers::LatinHypercube};
 use robogate_remote::conformance::{Report, check};
 use robogate_remote::{Connection, PhysicsSession, RequestError, ScoredSession};
-use robogate_sim::SuctionLaw;
-use robogate_sim::offsite::HERE;
 use robogate_zmtp::Address;
+use robogate_physics::SuctionLaw;
+use robogate_tasks::pick_place::remote::HERE;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};

@@ -14,7 +14,7 @@ use robogate_gate::{
     Requirements, Sampling, Trial, Verdict,
 };
 use robogate_report::{evaluation_markdown, junit};
-use robogate_sim::SuctionLaw;
+use robogate_physics::SuctionLaw;
 
 use crate::answer;
 use crate::commands::run::{How, free_folder, interrupted, provenance, write_report};

@@ -7,8 +7,8 @@ use anyhow::anyhow;
 use clap::Args;
 use robogate_remote::limits::REQUEST;
 use robogate_remote::{EnvironmentHost, Host, Server};
-use robogate_sim::SuctionLaw;
 use robogate_zmtp::{Address, Replier, ZmtpError};
+use robogate_physics::SuctionLaw;
 use serde_json::json;
 
 use crate::commands::run::stop_at_once;
