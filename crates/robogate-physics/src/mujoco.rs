@@ -266,8 +266,36 @@ impl MujocoEngine {
     }
 }
 
+/// Which MuJoCo this process runs.
+pub(crate) fn build() -> EngineBuild {
+    // The library that this process runs, as the loader mapped it.
+    let maps = std::fs::read_to_string("/proc/self/maps").unwrap_or_default();
+    let library = maps
+        .lines()
+        .filter_map(|line| line.splitn(6, ' ').nth(5).map(str::trim_start))
+        .find(|path| path.rsplit('/').next().is_some_and(|file| file.starts_with("libmujoco.so")));
+    EngineBuild { name: "mujoco", version: mujoco_rs::mujoco_version().to_owned(), library: library.map(PathBuf::from) }
+}
+
+/// The first warning that MuJoCo raised since the state was made, in words.
+pub(crate) fn warning(data: &MjData<Box<MjModel>>) -> Option<String> {
+    let kind = data.warning().iter().position(|warning| warning.number > 0)?;
+    let info = data.warning()[kind].lastinfo;
+    let what = match kind {
+        0 => "inertia matrix is singular",
+        1 => "contact buffer is full",
+        2 => "constraint buffer is full",
+        3 => "a position is not finite or too large",
+        4 => "a velocity is not finite or too large",
+        5 => "an acceleration is not finite or too large",
+        6 => "a control is not finite or too large",
+        _ => "warning",
+    };
+    Some(format!("MuJoCo: {what} (at {info})"))
+}
+
 /// MuJoCo would write its warnings, with the time, into a file in the current folder.
-fn silence_log_file() {
+pub(crate) fn silence_log_file() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
         // SAFETY: all use of MuJoCo here begins with `MujocoEngine::new`, which waits for this call: nobody
@@ -329,17 +357,7 @@ fn find(model: &MjModel, kind: MjtObjBase, what: &str, name: &str) -> Result<usi
 
 impl Engine for MujocoEngine {
     fn build(&self) -> EngineBuild {
-        // The library that this process runs, as the loader mapped it.
-        let maps = std::fs::read_to_string("/proc/self/maps").unwrap_or_default();
-        let library = maps
-            .lines()
-            .filter_map(|line| line.splitn(6, ' ').nth(5).map(str::trim_start))
-            .find(|path| path.rsplit('/').next().is_some_and(|file| file.starts_with("libmujoco.so")));
-        EngineBuild {
-            name: "mujoco",
-            version: mujoco_rs::mujoco_version().to_owned(),
-            library: library.map(PathBuf::from),
-        }
+        build()
     }
 
     fn robot(&self) -> &Robot {
@@ -487,19 +505,8 @@ impl Engine for MujocoEngine {
 
     fn health(&self) -> Result<(), Fault> {
         let loaded = self.loaded();
-        if let Some(kind) = loaded.data.warning().iter().position(|warning| warning.number > 0) {
-            let info = loaded.data.warning()[kind].lastinfo;
-            let what = match kind {
-                0 => "inertia matrix is singular",
-                1 => "contact buffer is full",
-                2 => "constraint buffer is full",
-                3 => "a position is not finite or too large",
-                4 => "a velocity is not finite or too large",
-                5 => "an acceleration is not finite or too large",
-                6 => "a control is not finite or too large",
-                _ => "warning",
-            };
-            return Err(Fault::new(FaultKind::Diverged, format!("MuJoCo: {what} (at {info})")));
+        if let Some(warning) = warning(&loaded.data) {
+            return Err(Fault::new(FaultKind::Diverged, warning));
         }
         if loaded.data.qpos().iter().chain(loaded.data.qvel()).any(|x| !x.is_finite()) {
             return Err(Fault::new(FaultKind::Diverged, "MuJoCo: the state is not finite"));

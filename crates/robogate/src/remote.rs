@@ -9,12 +9,12 @@ use robogate_core::{
     Action, ArmCommand, Fault, FaultKind, GripperCommand, Image, Observation, Scenario, Simulator, Start, Step,
 };
 use robogate_dictionary::provenance;
+use robogate_physics::{Chain, Engine, Robot};
 use robogate_remote::message::{Hello, ObservationMessage, Period, ResetReply};
 use robogate_remote::{Host, Pool, PoolError, RemoteEnvironment, RemotePhysics, RemoteTask, Timeouts};
-use robogate_zmtp::Address;
-use robogate_physics::{Chain, Engine, Robot};
 use robogate_tasks::pick_place::CONTROL_PERIOD_S;
 use robogate_tasks::pick_place::remote::{self as cell_remote, Cell, FarPeriod, FarReadback, FarSight, HERE, Offsite};
+use robogate_zmtp::Address;
 use serde::{Deserialize, Serialize};
 
 use crate::exit::{Exit, INFRASTRUCTURE, USAGE};

@@ -11,8 +11,6 @@ use robogate_campaign::{Station, Workshop};
 use robogate_core::{Assignment, Fault, FaultKind, ParameterSpace, Policy, Scenario, Seed, Simulator, Suite};
 use robogate_demos::Recorder;
 use robogate_dictionary::{hex, provenance, robot_sha256};
-use robogate_remote::Pool;
-use robogate_remote::message::{self, ActionSpace, Camera, DeltaScale, Hello};
 #[cfg(feature = "mujoco")]
 use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]
@@ -21,6 +19,8 @@ use robogate_physics::{
     Chain, Engine, EngineBuild, Gripper, Robot, RobotError, RobotFile, SuctionLaw, WORKSPACE_CENTRE, built_in_robot,
     is_folder,
 };
+use robogate_remote::Pool;
+use robogate_remote::message::{self, ActionSpace, Camera, DeltaScale, Hello};
 use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
 use robogate_tasks::pick_place::{
     CONTROL_PERIOD_S, PickPlace, SceneParameters, Scripted, TIME_LIMIT_S, built_in_space, built_in_spaces, check_suite,
@@ -433,9 +433,13 @@ impl Cell {
         }
         let host: Box<dyn PhysicsEngine> = match self.world.engine.as_str() {
             #[cfg(feature = "rapier")]
-            "rapier" => Box::new(cell_remote::Host::new(RapierEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?),
+            "rapier" => {
+                Box::new(cell_remote::Host::new(RapierEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?)
+            }
             #[cfg(feature = "mujoco")]
-            "mujoco" => Box::new(cell_remote::Host::new(MujocoEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?),
+            "mujoco" => {
+                Box::new(cell_remote::Host::new(MujocoEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?)
+            }
             other => bail!("there is no engine `{other}` in this build"),
         };
         Ok(remote::PhysicsHost::new(hello, host))

@@ -13,7 +13,7 @@ const MAY_USE: &[(&str, Option<&[&str]>)] = &[
     ("robogate-zmtp", Some(&[])),
     ("robogate-policy", Some(&["robogate-core", "robogate-zmtp"])),
     ("robogate-remote", Some(&["robogate-core", "robogate-zmtp"])),
-    ("robogate-demos", Some(&["robogate-core", "robogate-physics", "mujoco-provision"])),
+    ("robogate-demos", Some(&["robogate-core", "robogate-physics", "robogate-tasks", "mujoco-provision"])),
     ("robogate-dictionary", Some(&["robogate-core"])),
     ("robogate-stats", Some(&["robogate-maths"])),
     ("robogate-campaign", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),

@@ -1,10 +1,11 @@
 //! A scenario's cell after every random draw, and what an engine made of it.
 
 use nalgebra::Isometry3;
-use robogate_core::{Assignment, Fault, FaultKind, Pose, Scenario, TaskSpec, Value};
+use robogate_core::{Assignment, Fault, FaultKind, Pose, Scenario, Value};
 use robogate_physics::{FixtureKind, FixtureRead, GRAVITY, Primitive, Readback, Robot, Scene, Visual, isometry};
 
 use super::scene::{TARGET, scene};
+use super::spec::Briefing;
 use super::{Placement, SceneParameters};
 
 /// Time between two actions, in seconds (paper, section 4.1).
@@ -58,14 +59,10 @@ impl ResolvedCell {
     }
 
     /// What the policy is told.
-    pub fn task(&self) -> TaskSpec {
+    pub fn briefing(&self) -> Briefing {
         let size = self.parameters.size_m;
-        let shape = self.parameters.shape.as_str();
-        TaskSpec {
-            instruction: format!("pick up the {shape} and place it at the target"),
-            control_period_s: CONTROL_PERIOD_S,
-            time_limit_s: TIME_LIMIT_S,
-            shape: shape.to_owned(),
+        Briefing {
+            shape: self.parameters.shape.as_str().to_owned(),
             object_extent_m: [size; 3],
             object_pose: self.placement.pose(size),
             target_pose: Pose::upright(self.target, 0.0),

@@ -3,11 +3,12 @@
 //! The same for every plant, be it an engine in this process ([`super::PickPlace`]) or behind a socket
 //! ([`super::remote`]): one set of random draws, one reading back, one referee.
 
-use robogate_core::{Action, Fault, FaultKind, GripperCommand, Observation, Scenario, Start, Step};
-use robogate_physics::{ArmState, Chain, Readback, Robot, Steering, StepView, Touches, Visual, pose};
+use robogate_core::{Action, Fault, FaultKind, Observation, Scenario, Start, Step};
+use robogate_physics::{ArmState, Chain, GripperCommand, Readback, Robot, Steering, StepView, Touches, Visual, pose};
 
 use super::cell::{CONTROL_PERIOD_S, ResolvedCell, TOLERANCE_M};
 use super::referee::{self, Referee};
+use super::spec::observation;
 
 /// Clearance beyond this is not measured, in metres.
 const CLEARANCE_LIMIT_M: f64 = 0.25;
@@ -64,7 +65,7 @@ impl Judge {
             return Err(Fault::new(FaultKind::Setup, "the robot starts in contact"));
         }
         let applied = cell.applied(&scenario.requested, held, visual);
-        let task = cell.task();
+        let instance = cell.briefing().instance();
         let mut episode = Episode {
             steering: Steering::default(),
             referee: Referee::new(cell.target, TOLERANCE_M, self.grip_force_n),
@@ -75,7 +76,7 @@ impl Judge {
         };
         let observation = episode.observe(arm_state, &self.chain);
         self.episode = Some(episode);
-        Ok(Start { task, observation, applied })
+        Ok(Start { instance, observation, applied })
     }
 
     /// Where a plant has to drive the arm's joints (rad) in the next control period.
@@ -84,8 +85,8 @@ impl Judge {
             return Err(Fault::new(FaultKind::Setup, "no episode is under way"));
         };
         let home = &self.robot.settings.arm.home_rad;
-        let wanted = episode.steering.joints(&action.arm, &episode.measured, &self.chain, home)?;
-        episode.told = action.gripper;
+        let wanted = episode.steering.joints(&action.command, &episode.measured, &self.chain, home)?;
+        episode.told = GripperCommand::of(action);
         // The servo closes its loop on the encoders: what they read too much, the arm lacks.
         Ok(wanted.iter().zip(&episode.cell.bias).map(|(q, bias)| q - bias).collect())
     }
@@ -106,7 +107,7 @@ impl Judge {
 
     /// Clearance from here on (m) tells nothing new.
     pub(crate) fn clearance_bound(&self) -> f64 {
-        let smallest = self.episode.as_ref().and_then(|episode| episode.referee.measures().min_clearance_m);
+        let smallest = self.episode.as_ref().and_then(|episode| episode.referee.min_clearance());
         smallest.unwrap_or(CLEARANCE_LIMIT_M)
     }
 
@@ -154,13 +155,8 @@ impl Episode {
     /// What the policy sees of an arm: the encoders' bias is in it.
     fn observe(&mut self, arm_state: ArmState, chain: &Chain) -> Observation {
         self.measured = arm_state.joint_positions.iter().zip(&self.cell.bias).map(|(q, bias)| q + bias).collect();
-        Observation {
-            time_s: self.ticks as f64 * CONTROL_PERIOD_S,
-            tool_pose: pose(&chain.tcp_at(&self.measured)),
-            joint_positions: self.measured.clone(),
-            joint_velocities: arm_state.joint_velocities,
-            gripper_opening_m: arm_state.opening_m,
-            images: Vec::new(),
-        }
+        let tool = pose(&chain.tcp_at(&self.measured));
+        let measured = ArmState { joint_positions: self.measured.clone(), ..arm_state };
+        observation(self.ticks as f64 * CONTROL_PERIOD_S, measured, tool)
     }
 }

@@ -1,6 +1,6 @@
 //! Pick and place: take an object from the table and put it at a target.
 //!
-//! [`PickPlace`] makes an engine, a robot and this task a [`robogate_core::Simulator`]. [`Scripted`] is the controller of
+//! [`PickPlace`] makes an engine, a robot and this task a [`robogate_core::Environment`]. [`Scripted`] is the controller of
 //! the paper's baseline. [`remote`] runs the task in an engine of another process.
 
 mod cell;
@@ -19,6 +19,7 @@ mod scene;
 mod scripted;
 mod simulator;
 mod spaces;
+pub mod spec;
 mod suite;
 
 pub use cell::{CONTROL_PERIOD_S, ResolvedCell, TIME_LIMIT_S};

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use robogate_core::{Assignment, Domain, ParameterSpace};
+use robogate_core::{Allowed, Assignment, Domain, ParameterSpace, ParameterSpec};
 use robogate_physics::{Color, Gripper, Object, TableMaterial, Visual};
 
 use super::scene::OBSTACLE_GAP;
@@ -221,6 +221,26 @@ impl SceneParameters {
     pub fn object(&self) -> Object {
         self.shape.object(self.size_m, self.mass_kg, self.com_offset)
     }
+}
+
+/// The parameters that there are for a robot with this gripper, as the task declares them.
+pub(super) fn specs(gripper: &Gripper) -> Vec<ParameterSpec> {
+    let spec = |(name, meaning): &(&'static str, Meaning)| ParameterSpec {
+        name: (*name).into(),
+        unit: String::new(),
+        meaning: String::new(),
+        allowed: match meaning {
+            Meaning::Number { low, high } if WHOLE.contains(name) => {
+                Allowed::Integer { low: *low as i64, high: *high as i64 }
+            }
+            Meaning::Number { low, high } => Allowed::Continuous { low: *low, high: *high },
+            Meaning::Word(_) => Allowed::Categorical { choices: vec!["any".into()], open: true },
+        },
+        nominal: None,
+        read_from: String::new(),
+    };
+    let there: Vec<&str> = SceneParameters::names(gripper).collect();
+    MEANINGS.iter().filter(|(name, _)| there.contains(name)).map(spec).collect()
 }
 
 fn meaning(name: &str) -> Result<&'static Meaning, ParameterError> {

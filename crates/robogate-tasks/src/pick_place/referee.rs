@@ -15,8 +15,10 @@
 //! A timeout is the rollout's: the time limit passed and nothing of this had happened.
 
 use nalgebra::{Isometry3, Vector3};
-use robogate_core::{Contact, Ending, FailureMode, GripperCommand, Measures};
-use robogate_physics::{Collision, GripperState, Touches};
+use robogate_core::{Contact, Ending, FailureMode, Measures};
+use robogate_physics::{Collision, GripperCommand, GripperState, Touches};
+
+use super::spec::{COLLISION, GRASP_MISS, GRIP_LOSS, MIN_CLEARANCE, PEAK_CONTACT_FORCE, SLIP, TARGET_DISTANCE};
 
 /// The gripper is at rest when its opening changed less than this in [`SETTLE_S`], in metres.
 const SETTLED_M: f64 = 2e-4;
@@ -88,6 +90,15 @@ enum Grip {
     Released { height: f64, calm_since: Option<f64> },
 }
 
+/// What was measured so far; `None` where there was nothing to measure.
+#[derive(Debug, Clone, Copy, Default)]
+struct Measured {
+    peak_contact_force_n: Option<f64>,
+    slip_m: Option<f64>,
+    min_clearance_m: Option<f64>,
+    target_distance_m: Option<f64>,
+}
+
 /// Watches an episode.
 #[derive(Debug, Clone)]
 pub(crate) struct Referee {
@@ -97,7 +108,7 @@ pub(crate) struct Referee {
     grip: Grip,
     collision: Option<(f64, Collision)>,
     ending: Option<(Option<FailureMode>, f64)>,
-    measures: Measures,
+    measured: Measured,
     events: Vec<String>,
     lifted: bool,
 }
@@ -113,7 +124,7 @@ impl Referee {
             grip: Grip::Free,
             collision: None,
             ending: None,
-            measures: Measures::default(),
+            measured: Measured::default(),
             events: Vec::new(),
             lifted: false,
         }
@@ -126,7 +137,20 @@ impl Referee {
 
     /// What was measured so far.
     pub(crate) fn measures(&self) -> Measures {
-        self.measures
+        let Measured { peak_contact_force_n, slip_m, min_clearance_m, target_distance_m } = self.measured;
+        [
+            (PEAK_CONTACT_FORCE, peak_contact_force_n),
+            (SLIP, slip_m),
+            (MIN_CLEARANCE, min_clearance_m),
+            (TARGET_DISTANCE, target_distance_m),
+        ]
+        .into_iter()
+        .collect()
+    }
+
+    /// The smallest clearance so far, in metres.
+    pub(crate) fn min_clearance(&self) -> Option<f64> {
+        self.measured.min_clearance_m
     }
 
     /// Takes what happened since it was last asked.
@@ -136,14 +160,14 @@ impl Referee {
 
     /// Takes note of a clearance.
     pub(crate) fn note_clearance(&mut self, clearance: f64) {
-        let smallest = self.measures.min_clearance_m.get_or_insert(f64::INFINITY);
+        let smallest = self.measured.min_clearance_m.get_or_insert(f64::INFINITY);
         *smallest = smallest.min(clearance.max(0.0));
     }
 
     /// The decisive event, with names for the bodies of a collision.
     pub(crate) fn ending(&self, name: impl FnOnce(&Collision) -> (String, String)) -> Option<Ending> {
         let (failure, time_s) = self.ending?;
-        let contact = self.collision.filter(|_| failure == Some(FailureMode::Collision)).map(|(_, collision)| {
+        let contact = self.collision.filter(|_| failure == Some(COLLISION)).map(|(_, collision)| {
             let (robot_body, other_body) = name(&collision);
             Contact { robot_body, other_body, force_n: collision.force }
         });
@@ -157,7 +181,7 @@ impl Referee {
             return;
         }
         if self.collision.is_some() {
-            self.end(Some(FailureMode::Collision), sight.time);
+            self.end(Some(COLLISION), sight.time);
             return;
         }
         match (sight.gripper, &mut self.grip) {
@@ -183,7 +207,7 @@ impl Referee {
                     let since = *untouched_since.get_or_insert(sight.time);
                     if sight.time - since >= LOSS_S {
                         self.events.push("object lost".to_owned());
-                        self.end(Some(FailureMode::GripLoss), sight.time);
+                        self.end(Some(GRIP_LOSS), sight.time);
                     }
                 }
             }
@@ -229,10 +253,10 @@ impl Referee {
         self.events.push(what);
         if held {
             let in_hand = sight.tcp.inverse() * sight.object;
-            self.measures.slip_m = Some(0.0);
+            self.measured.slip_m = Some(0.0);
             self.grip = Grip::Held { in_hand, untouched_since: None };
         } else {
-            self.end(Some(FailureMode::GraspMiss), sight.time);
+            self.end(Some(GRASP_MISS), sight.time);
         }
     }
 
@@ -252,7 +276,7 @@ impl Referee {
         }
         if *height > DROP_M {
             self.events.push("object had been let go in the air".to_owned());
-            self.end(Some(FailureMode::GripLoss), sight.time);
+            self.end(Some(GRIP_LOSS), sight.time);
         } else if self.distance(&sight.object) <= self.tolerance {
             let off = 1e3 * self.distance(&sight.object);
             self.events.push(format!("object at rest, {off:.1} mm from the target"));
@@ -261,13 +285,13 @@ impl Referee {
     }
 
     fn measure(&mut self, sight: &Sight<'_>) {
-        self.measures.target_distance_m = Some(self.distance(&sight.object));
+        self.measured.target_distance_m = Some(self.distance(&sight.object));
         if let Some(force) = sight.touches.peak_force {
-            let peak = self.measures.peak_contact_force_n.get_or_insert(0.0);
+            let peak = self.measured.peak_contact_force_n.get_or_insert(0.0);
             *peak = peak.max(force);
         }
         let touched = sight.in_touch();
-        if let (Grip::Held { in_hand, .. }, Some(slip)) = (&self.grip, &mut self.measures.slip_m)
+        if let (Grip::Held { in_hand, .. }, Some(slip)) = (&self.grip, &mut self.measured.slip_m)
             && touched
             && self.ending.is_none()
         {
@@ -282,7 +306,7 @@ impl Referee {
         match (&mut self.collision, sight.touches.collision) {
             (None, Some(found)) if self.ending.is_none() => {
                 self.collision = Some((sight.time, found));
-                self.measures.min_clearance_m = Some(0.0);
+                self.measured.min_clearance_m = Some(0.0);
             }
             (Some((_, first)), Some(now)) if (first.robot_body, first.fixture) == (now.robot_body, now.fixture) => {
                 first.force = first.force.max(now.force);

@@ -1,14 +1,18 @@
-//! Engine, robot and task as one simulator.
+//! Engine, robot and task as one environment.
+
+use std::sync::Arc;
 
 use robogate_camera::{Cameras, Posture, Renderer};
-use robogate_core::{Action, Fault, FaultKind, Image, Scenario, Simulator, Start, Step};
-use robogate_physics::{Engine, Plant, SuctionLaw, Visual};
+use robogate_core::{Action, CameraSpec, Environment, Fault, FaultKind, Image, Scenario, Start, Step, TaskSpec};
+use robogate_physics::{Engine, GripperCommand, Plant, SuctionLaw, Visual};
 
 use super::cell::{CONTROL_PERIOD_S, ResolvedCell};
 use super::judge::Judge;
+use super::spec::spec;
 
 /// Pick an object from the table and place it at the target.
 pub struct PickPlace<E> {
+    task: Arc<TaskSpec>,
     plant: Plant<E>,
     judge: Judge,
     /// Or why there are none.
@@ -21,13 +25,14 @@ impl<E: Engine> PickPlace<E> {
     /// The task on this engine; `grip_force_n` replaces the robot's own setting. A suction cup holds by vacuum
     /// ([`Self::with_suction`]).
     ///
-    /// Fails where the control period is no whole number of the engine's time steps, or the grip force
-    /// is none that the gripper can hold.
+    /// Fails where the control period is not an integer number of the engine's time steps, or where the gripper cannot
+    /// hold with this force.
     pub fn new(engine: E, grip_force_n: Option<f64>) -> Result<Self, String> {
         let plant = Plant::new(engine, CONTROL_PERIOD_S, grip_force_n)?;
         let judge = Judge::new(plant.engine.robot().clone(), plant.engine.chain().clone(), plant.grip_force_n());
         let cameras = Cameras::new(plant.engine.robot());
-        Ok(Self { plant, judge, cameras, renderer: None })
+        let task = Arc::new(spec(plant.engine.robot(), camera_specs(&cameras)));
+        Ok(Self { task, plant, judge, cameras, renderer: None })
     }
 
     /// The same task, a suction cup holding by this law.
@@ -41,6 +46,7 @@ impl<E: Engine> PickPlace<E> {
     #[must_use]
     pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
         self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
+        self.task = Arc::new(spec(self.plant.engine.robot(), camera_specs(&self.cameras)));
         if let Some(renderer) = &mut self.renderer {
             renderer.resize(width, height);
         }
@@ -62,15 +68,19 @@ impl<E: Engine> PickPlace<E> {
     fn run(&mut self, action: &Action) -> Result<Step, Fault> {
         let Self { plant, judge, .. } = self;
         let command = judge.command(action)?;
-        plant.run(&command, action.gripper, &mut |view| judge.look(view))?;
+        plant.run(&command, GripperCommand::of(action), &mut |view| judge.look(view))?;
         let clearance = plant.engine.clearance_below(judge.clearance_bound());
         judge.finish(plant.arm_state(), clearance, plant.state_hash(), |body| plant.engine.robot_body(body))
     }
 }
 
-impl<E: Engine> Simulator for PickPlace<E> {
+impl<E: Engine> Environment for PickPlace<E> {
+    fn task(&self) -> &Arc<TaskSpec> {
+        &self.task
+    }
+
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
-        let Self { plant, judge, cameras, renderer } = self;
+        let Self { plant, judge, cameras, renderer, .. } = self;
         match (renderer.as_mut(), cameras.as_mut()) {
             (Some(renderer), _) => renderer.clear(),
             (None, Ok(cameras)) => cameras.clear(),
@@ -105,6 +115,15 @@ impl<E: Engine> Simulator for PickPlace<E> {
             fixtures: (0..fixtures).map(|i| engine.fixture(i)).collect(),
         })
     }
+}
+
+/// The cameras as the task declares them: none where the robot cannot be rendered.
+pub(crate) fn camera_specs(cameras: &Result<Cameras, String>) -> Vec<CameraSpec> {
+    let specs = |cameras: &Cameras| {
+        let (width, height) = cameras.size();
+        cameras.names().map(|name| CameraSpec { name: name.to_owned(), width, height }).collect()
+    };
+    cameras.as_ref().map(specs).unwrap_or_default()
 }
 
 /// Puts a cell before the cameras. How it looks is read from them, where the robot's model allows any.

@@ -6,11 +6,11 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::{Args, Subcommand};
 use robogate_core::{Assignment, Sampler, Scenario, Seed, samplers::LatinHypercube};
+use robogate_physics::SuctionLaw;
 use robogate_remote::conformance::{Report, check};
 use robogate_remote::{Connection, PhysicsSession, RequestError, ScoredSession};
-use robogate_zmtp::Address;
-use robogate_physics::SuctionLaw;
 use robogate_tasks::pick_place::remote::HERE;
+use robogate_zmtp::Address;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};

@@ -7,8 +7,8 @@ use anyhow::anyhow;
 use clap::{Args, Subcommand};
 use robogate_campaign::{Station, Workshop};
 use robogate_core::{Assignment, FaultKind, GripperCommand, Image, Observation, Scenario, Seed, Simulator};
-use robogate_policy::{Arm, Chunk, Profile, ServerError, ServerPolicy, Side};
 use robogate_physics::SuctionLaw;
+use robogate_policy::{Arm, Chunk, Profile, ServerError, ServerPolicy, Side};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};

@@ -5,10 +5,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::anyhow;
 use clap::Args;
+use robogate_physics::SuctionLaw;
 use robogate_remote::limits::REQUEST;
 use robogate_remote::{EnvironmentHost, Host, Server};
 use robogate_zmtp::{Address, Replier, ZmtpError};
-use robogate_physics::SuctionLaw;
 use serde_json::json;
 
 use crate::commands::run::stop_at_once;

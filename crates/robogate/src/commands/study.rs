@@ -12,8 +12,8 @@ use robogate_campaign::{
 };
 use robogate_core::{ParameterSpace, Seed};
 use robogate_dictionary::{Dictionary, Provenance};
-use robogate_report::{study_answer, study_json, study_markdown};
 use robogate_physics::SuctionLaw;
+use robogate_report::{study_answer, study_json, study_markdown};
 use serde::{Deserialize, Serialize};
 
 use crate::commands::run::{How, exit, provenance};

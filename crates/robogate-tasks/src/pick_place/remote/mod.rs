@@ -94,8 +94,11 @@ impl Offsite {
         let Some((scenario, cell)) = self.cell.take() else {
             return Err(Fault::new(FaultKind::Setup, "no cell was set up"));
         };
-        let there = isometry(&observation.tool_pose.position, &observation.tool_pose.orientation);
-        let off = self.judge.chain().tcp_at(&observation.joint_positions).inverse() * there;
+        let tool = observation
+            .tool_pose()
+            .ok_or_else(|| Fault::new(FaultKind::Setup, "the observation of the arm has no tool_pose"))?;
+        let there = isometry(&tool.position, &tool.orientation);
+        let off = self.judge.chain().tcp_at(observation.joint_positions()).inverse() * there;
         let (way, turn) = (off.translation.vector.norm(), off.rotation.angle());
         if way > TOOL_OFF_M || turn > TOOL_OFF_RAD {
             let detail = format!(
@@ -157,8 +160,8 @@ impl Offsite {
             pose
         };
         Posture {
-            joints: observation.joint_positions.clone(),
-            opening_m: observation.gripper_opening_m,
+            joints: observation.joint_positions().to_vec(),
+            opening_m: observation.gripper_opening_m(),
             object,
             fixtures: self.fixtures.iter().map(fixture).collect(),
         }
@@ -180,8 +183,8 @@ pub const HERE: [&str; 9] = [
 
 fn arm_state(observation: &Observation) -> ArmState {
     ArmState {
-        joint_positions: observation.joint_positions.clone(),
-        joint_velocities: observation.joint_velocities.clone(),
-        opening_m: observation.gripper_opening_m,
+        joint_positions: observation.joint_positions().to_vec(),
+        joint_velocities: observation.joint_velocities().to_vec(),
+        opening_m: observation.gripper_opening_m(),
     }
 }
