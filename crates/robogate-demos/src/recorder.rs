@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Translation3};
 use robogate_core::{
     Action, ArmCommand, Fault, FaultKind, GripperCommand, Image, Observation, Policy, Pose, Seed, TaskSpec,
 };
-use robogate_sim::Chain;
+use robogate_physics::Chain;
 
 use crate::Push;
 

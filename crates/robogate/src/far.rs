@@ -12,8 +12,9 @@ use robogate_core::{
     Action, ArmCommand, Fault, FaultKind, GripperCommand, Image, Observation, Scenario, Simulator, Start, Step,
 };
 use robogate_dictionary::provenance;
-use robogate_sim::offsite::{self, Cell, FarPeriod, FarReadback, FarSight, HERE, Offsite};
-use robogate_sim::{CONTROL_PERIOD_S, Chain, Engine, Robot};
+use robogate_physics::{Chain, Engine, Robot};
+use robogate_tasks::pick_place::CONTROL_PERIOD_S;
+use robogate_tasks::pick_place::remote::{self, Cell, FarPeriod, FarReadback, FarSight, HERE, Offsite};
 use serde::{Deserialize, Serialize};
 
 use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
@@ -183,13 +184,13 @@ pub(crate) trait Told {
     fn step(&mut self, joints: &[f64], told: GripperCommand) -> Result<FarPeriod, Fault>;
 }
 
-impl<E: Engine> Told for offsite::Host<E> {
+impl<E: Engine> Told for remote::Host<E> {
     fn reset(&mut self, scenario: &Scenario) -> Result<(FarReadback, FarSight, Observation), Fault> {
-        offsite::Host::reset(self, scenario)
+        remote::Host::reset(self, scenario)
     }
 
     fn step(&mut self, joints: &[f64], told: GripperCommand) -> Result<FarPeriod, Fault> {
-        offsite::Host::step(self, joints, told)
+        remote::Host::step(self, joints, told)
     }
 }
 

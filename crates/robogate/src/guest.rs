@@ -7,7 +7,7 @@ use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_bridge::policy::{Profile, ServerError, ServerPolicy};
 use robogate_core::{Fault, Policy};
-use robogate_sim::Random;
+use robogate_tasks::Random;
 use serde::{Deserialize, Serialize};
 
 use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};

@@ -8,20 +8,23 @@ use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_bridge::simulator::Pool;
 use robogate_bridge::simulator::message::{self, ActionSpace, Camera, DeltaScale, Hello};
+use robogate_camera::{Renderer, SIZE_PX};
 use robogate_campaign::{Station, Workshop};
 use robogate_core::{Assignment, Fault, FaultKind, ParameterSpace, Policy, Scenario, Seed, Simulator, Suite};
 use robogate_demos::Recorder;
 use robogate_dictionary::{hex, provenance, robot_sha256};
 #[cfg(feature = "mujoco")]
-use robogate_sim::MujocoEngine;
+use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]
-use robogate_sim::RapierEngine;
-use robogate_sim::camera::{Renderer, SIZE_PX};
-use robogate_sim::claims::{Bench, Setup, Workbench};
-use robogate_sim::{
-    CONTROL_PERIOD_S, Chain, Engine, EngineBuild, Gripper, PickPlace, Robot, RobotError, RobotFile, SceneParameters,
-    Scripted, SuctionLaw, TIME_LIMIT_S, WORKSPACE_CENTRE, built_in_robot, built_in_space, built_in_spaces, check_suite,
-    default_space, is_folder, offsite,
+use robogate_physics::RapierEngine;
+use robogate_physics::{
+    Chain, Engine, EngineBuild, Gripper, Robot, RobotError, RobotFile, SuctionLaw, WORKSPACE_CENTRE, built_in_robot,
+    is_folder,
+};
+use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
+use robogate_tasks::pick_place::{
+    CONTROL_PERIOD_S, PickPlace, SceneParameters, Scripted, TIME_LIMIT_S, built_in_space, built_in_spaces, check_suite,
+    default_space, remote,
 };
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -166,7 +169,7 @@ impl Cell {
         match (robot.settings.gripper.cup(), world.suction) {
             (Some(_), law) => world.suction = Some(law.unwrap_or(suction)),
             (None, Some(law)) => {
-                let (name, gripper) = (robot.name(), robot.settings.gripper.words());
+                let (name, gripper) = (robot.name(), robot.settings.gripper.description());
                 bail!("--suction {law} is for a suction cup: the gripper of {name} is {gripper}");
             }
             (None, None) => {}
@@ -285,7 +288,7 @@ impl Cell {
     fn check_known<'a>(&self, mut names: impl Iterator<Item = &'a str>) -> anyhow::Result<()> {
         let Some(pool) = &self.pool else { return Ok(()) };
         let hello = pool.hello();
-        let here = |name: &str| !hello.judges && offsite::HERE.contains(&name);
+        let here = |name: &str| !hello.judges && remote::HERE.contains(&name);
         match names.find(|name| !here(name) && !hello.parameters.iter().any(|known| known == name)) {
             Some(name) => {
                 bail!("the simulator cannot apply the parameter `{name}`; it knows {}", hello.parameters.join(", "))
@@ -412,7 +415,7 @@ impl Cell {
             bail!("--renderer egl: a server of the physics alone takes no pictures");
         }
         let hello = self.hello()?;
-        let here = |name: &String| !offsite::HERE.contains(&name.as_str());
+        let here = |name: &String| !remote::HERE.contains(&name.as_str());
         let hello = Hello {
             judges: false,
             action_spaces: vec![ActionSpace::JointPosition],
@@ -427,13 +430,9 @@ impl Cell {
         }
         let host: Box<dyn Told> = match self.world.engine.as_str() {
             #[cfg(feature = "rapier")]
-            "rapier" => {
-                Box::new(offsite::Host::new(RapierEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?)
-            }
+            "rapier" => Box::new(remote::Host::new(RapierEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?),
             #[cfg(feature = "mujoco")]
-            "mujoco" => {
-                Box::new(offsite::Host::new(MujocoEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?)
-            }
+            "mujoco" => Box::new(remote::Host::new(MujocoEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?),
             other => bail!("there is no engine `{other}` in this build"),
         };
         Ok(far::PhysicsHost::new(hello, host))

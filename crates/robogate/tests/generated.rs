@@ -27,7 +27,7 @@ fn the_schemas_are_those_of_the_code() {
         ("parameter-space", schema_for!(robogate_core::ParameterSpace)),
         ("suite", schema_for!(robogate_core::Suite)),
         ("plan", schema_for!(robogate_campaign::Plan)),
-        ("robot", schema_for!(robogate_sim::RobotSettings)),
+        ("robot", schema_for!(robogate_physics::RobotSettings)),
         ("run-settings", schema_for!(robogate_campaign::Settings)),
         ("summary", schema_for!(robogate_campaign::Summary)),
         ("boundary", schema_for!(robogate_campaign::BoundaryReport)),

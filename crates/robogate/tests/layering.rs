@@ -4,11 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
 
 /// For each crate of the workspace, what it may use of the others. `None`: everything.
-const MAY_USE: [(&str, Option<&[&str]>); 12] = [
+const MAY_USE: [(&str, Option<&[&str]>); 14] = [
     ("robogate-core", Some(&[])),
-    ("robogate-sim", Some(&["robogate-core", "mujoco-provision"])),
+    ("robogate-physics", Some(&["robogate-core", "mujoco-provision"])),
+    ("robogate-camera", Some(&["robogate-core", "robogate-physics", "mujoco-provision"])),
+    ("robogate-tasks", Some(&["robogate-core", "robogate-physics", "robogate-camera", "mujoco-provision"])),
     ("robogate-bridge", Some(&["robogate-core"])),
-    ("robogate-demos", Some(&["robogate-core", "robogate-sim", "mujoco-provision"])),
+    ("robogate-demos", Some(&["robogate-core", "robogate-physics", "mujoco-provision"])),
     ("robogate-dictionary", Some(&["robogate-core"])),
     ("robogate-stats", Some(&[])),
     ("robogate-campaign", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),

@@ -8,8 +8,8 @@ use robogate_bridge::simulator::contract::{Report, examine};
 use robogate_bridge::simulator::{AskError, Link, NoWorld};
 use robogate_bridge::zmtp::Address;
 use robogate_core::{Assignment, Sampler, Scenario, Seed, samplers::LatinHypercube};
-use robogate_sim::SuctionLaw;
-use robogate_sim::offsite::HERE;
+use robogate_physics::SuctionLaw;
+use robogate_tasks::pick_place::remote::HERE;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use clap::{Args, Subcommand};
-use robogate_sim::SuctionLaw;
-use robogate_sim::claims::{self, Finding, Workbench};
+use robogate_physics::SuctionLaw;
+use robogate_tasks::pick_place::claims::{self, Finding, Workbench};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
@@ -89,7 +89,7 @@ impl Physics {
         let own = if gripper.cup().is_some() { suction } else { fingers };
         let experiments = || own.iter().chain(any);
         if let Some(claim) = self.claims.iter().find(|claim| experiments().all(|(name, _)| name != claim)) {
-            return Err(anyhow::anyhow!("the claim {claim} says nothing about {}", gripper.words())).or_usage();
+            return Err(anyhow::anyhow!("the claim {claim} says nothing about {}", gripper.description())).or_usage();
         }
         let mut found = Vec::new();
         for (name, experiment) in experiments() {

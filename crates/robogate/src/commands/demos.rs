@@ -13,7 +13,7 @@ use robogate_core::samplers::Uniform;
 use robogate_core::{Assignment, Outcome, Sampler, Scenario, Seed, rollout};
 use robogate_demos::{Dataset, Demonstration};
 use robogate_dictionary::Dictionary;
-use robogate_sim::SuctionLaw;
+use robogate_physics::SuctionLaw;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};

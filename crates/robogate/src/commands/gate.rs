@@ -12,8 +12,8 @@ use robogate_gate::{
     Against, Asked, AskedAgainst, Baseline, Evaluation, GateError, GatePlan, Mode, Planned, Question, Record,
     Requirements, Sampling, Trial, Verdict,
 };
+use robogate_physics::SuctionLaw;
 use robogate_report::{Source, evaluation_markdown, junit};
-use robogate_sim::SuctionLaw;
 
 use crate::answer;
 use crate::commands::run::{How, free_folder, interrupted, provenance, write_report};

@@ -8,7 +8,7 @@ use clap::{Args, Subcommand};
 use robogate_bridge::policy::{Arm, Chunk, Profile, ServerError, ServerPolicy, Side};
 use robogate_campaign::{Station, Workshop};
 use robogate_core::{Assignment, FaultKind, GripperCommand, Image, Observation, Scenario, Seed, Simulator};
-use robogate_sim::SuctionLaw;
+use robogate_physics::SuctionLaw;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};

@@ -10,7 +10,7 @@ use clap::Args;
 use robogate_campaign::{Completion, Crew, DEFAULT_SEED, Event, Plan, Preset, RunError};
 use robogate_core::{FaultKind, ParameterSpace};
 use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool};
-use robogate_sim::SuctionLaw;
+use robogate_physics::SuctionLaw;
 
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};

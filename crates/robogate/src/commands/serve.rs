@@ -8,7 +8,7 @@ use clap::Args;
 use robogate_bridge::simulator::bounds::REQUEST;
 use robogate_bridge::simulator::{Host, Judging, Server};
 use robogate_bridge::zmtp::{Address, Replier, ZmtpError};
-use robogate_sim::SuctionLaw;
+use robogate_physics::SuctionLaw;
 use serde_json::json;
 
 use crate::commands::run::stop_at_once;

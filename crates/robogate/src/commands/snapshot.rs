@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use clap::Args;
+use robogate_camera::{CAMERAS, SIZE_PX};
 use robogate_campaign::{DEFAULT_SEED, Station, Workshop, recorded};
 use robogate_core::{Assignment, Image, Scenario, Seed, Start, Suite, Value};
-use robogate_sim::SuctionLaw;
-use robogate_sim::camera::{CAMERAS, SIZE_PX};
+use robogate_physics::SuctionLaw;
 use serde_json::json;
 
 use crate::commands::suites;

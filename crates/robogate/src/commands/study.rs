@@ -11,8 +11,8 @@ use robogate_campaign::{
 };
 use robogate_core::{ParameterSpace, Seed};
 use robogate_dictionary::{Dictionary, Provenance};
+use robogate_physics::SuctionLaw;
 use robogate_report::study::{LearnerFigures, Measure, Repeat, Score, Study as Outcome, Verdict};
-use robogate_sim::SuctionLaw;
 use serde::{Deserialize, Serialize};
 
 use crate::commands::run::{How, exit, provenance};

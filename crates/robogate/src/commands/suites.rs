@@ -102,7 +102,8 @@ impl Suites {
         let text = read(file).or_usage()?;
         let (suite, problems): (Option<Suite>, Vec<String>) = match Suite::from_toml(&text) {
             Ok(suite) => {
-                let problems = robogate_sim::check_suite(&suite, None).iter().map(ToString::to_string).collect();
+                let problems =
+                    robogate_tasks::pick_place::check_suite(&suite, None).iter().map(ToString::to_string).collect();
                 (Some(suite), problems)
             }
             Err(SuiteError::Syntax(text)) => (None, vec![text]),
@@ -144,7 +145,8 @@ pub(crate) fn find(name: &str) -> Result<Suite, Exit> {
         return Err(why).or_usage();
     }
     let suite = Suite::from_toml(&read(file).or_usage()?).with_context(|| file.display().to_string()).or_usage()?;
-    let problems: Vec<String> = robogate_sim::check_suite(&suite, None).iter().map(ToString::to_string).collect();
+    let problems: Vec<String> =
+        robogate_tasks::pick_place::check_suite(&suite, None).iter().map(ToString::to_string).collect();
     if problems.is_empty() {
         return Ok(suite);
     }
