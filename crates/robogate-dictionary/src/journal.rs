@@ -15,6 +15,8 @@ use crate::{DictionaryError, Entry};
 
 const MAGIC: [u8; 8] = *b"RGJOURNL";
 const VERSION: u32 = 2;
+/// The version of RoboGate 0.1, which numbered the failure modes and measures of its one task.
+const BEFORE_TASKS: u32 = 1;
 const HEADER: u64 = 16;
 const HEAD: usize = 12;
 
@@ -98,7 +100,7 @@ impl Journal {
     }
 
     fn write_header(&mut self) -> Result<(), DictionaryError> {
-        let header = header();
+        let header = header_of(VERSION);
         self.file.write_all(&header).map_err(DictionaryError::io(&self.path, "write"))?;
         self.end = HEADER;
         Ok(())
@@ -126,20 +128,23 @@ impl Journal {
         let refuse = |reason: String| Err(DictionaryError::NotAJournal { path: self.path.clone(), reason });
         let mut found = Vec::new();
         reader.take(HEADER).read_to_end(&mut found).map_err(DictionaryError::io(&self.path, "read"))?;
-        let expected = header();
+        let expected = header_of(VERSION);
         if found == expected {
             return Ok(true);
         }
         if expected.starts_with(&found) {
             return Ok(false);
         }
-        match (found.first_chunk(), found.get(8..12).and_then(|v| v.first_chunk())) {
-            (Some(&MAGIC), Some(version)) if u32::from_le_bytes(*version) > VERSION => refuse(format!(
-                "it is of version {}, and this robogate reads {VERSION} at most\nhint: upgrade robogate",
-                u32::from_le_bytes(*version)
+        let version = found.get(8..12).and_then(|bytes| bytes.first_chunk()).map(|bytes| u32::from_le_bytes(*bytes));
+        match (found.first_chunk(), version) {
+            (Some(&MAGIC), Some(version)) if version > VERSION => refuse(format!(
+                "version {version} is newer than {VERSION}, the newest that this version of robogate reads\nhint: upgrade robogate"
             )),
+            (Some(&MAGIC), Some(BEFORE_TASKS)) if found == header_of(BEFORE_TASKS) => refuse(
+                "this run was begun with robogate 0.1\nhint: finish it with that version, or begin it anew".to_owned(),
+            ),
             (Some(&MAGIC), _) => refuse("its header is damaged".to_owned()),
-            _ => refuse("it does not begin as one\nhint: check the path".to_owned()),
+            _ => refuse("it does not begin with the header of a journal\nhint: check the path".to_owned()),
         }
     }
 
@@ -308,10 +313,10 @@ impl Drop for Journal {
     }
 }
 
-fn header() -> [u8; HEADER as usize] {
+fn header_of(version: u32) -> [u8; HEADER as usize] {
     let mut header = [0; HEADER as usize];
     header[..8].copy_from_slice(&MAGIC);
-    header[8..12].copy_from_slice(&VERSION.to_le_bytes());
+    header[8..12].copy_from_slice(&version.to_le_bytes());
     let crc = crc32fast::hash(&header[..12]);
     header[12..].copy_from_slice(&crc.to_le_bytes());
     header

@@ -9,3 +9,4 @@ mod journal;
 mod parquet;
 mod published;
 mod results;
+mod v0_1;
