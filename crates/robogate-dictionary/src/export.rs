@@ -59,6 +59,7 @@ pub fn csv(dictionary: &Dictionary, out: impl Write) -> Result<u64, DictionaryEr
         quote(&mut header, name);
     }
     header.push_str("\r\n");
+    let parameters = dictionary.columns().parameters();
     rows(dictionary, out, header, |cells, text| {
         for (i, cell) in cells.iter().enumerate() {
             separate(text, i);
@@ -69,6 +70,8 @@ pub fn csv(dictionary: &Dictionary, out: impl Write) -> Result<u64, DictionaryEr
                 Cell::Number(x) => write!(text, "{x:?}"),
                 Cell::Integer(n) => write!(text, "{n}"),
                 Cell::Count(n) => write!(text, "{n}"),
+                // Only quotes tell a category of digits from a number.
+                Cell::Text(word) if parameters.contains(&i) && number(word).is_some() => write!(text, "\"{word}\""),
                 Cell::Text(word) => {
                     quote(text, word);
                     Ok(())
@@ -134,6 +137,25 @@ fn quote(text: &mut String, field: &str) {
     } else {
         text.push_str(field);
     }
+}
+
+/// What a field of CSV without quotes is, where it is a number.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Number {
+    Integer(i64),
+    Real(f64),
+}
+
+/// A text as the number that this module writes so; `inf`, `nan` and `+1` are words.
+pub(crate) fn number(text: &str) -> Option<Number> {
+    let digits = text.strip_prefix('-').unwrap_or(text);
+    if !digits.starts_with(|c: char| c.is_ascii_digit()) {
+        return None;
+    }
+    if let Ok(n) = text.parse() {
+        return Some(Number::Integer(n));
+    }
+    text.parse().ok().filter(|x: &f64| x.is_finite()).map(Number::Real)
 }
 
 struct JsonRow<'a> {

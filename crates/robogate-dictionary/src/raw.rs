@@ -17,6 +17,9 @@ use crate::{DictionaryError, Row};
 /// More fields than this are no row of parameters; each would become two columns.
 pub(crate) const MOST_FIELDS: usize = 1000;
 
+/// More failure modes than this are descriptions of single episodes.
+pub(crate) const MOST_MODES: usize = 1000;
+
 /// One value of a row.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Scalar {

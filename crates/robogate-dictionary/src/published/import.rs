@@ -17,7 +17,7 @@ use super::{
 use crate::codec::{EXACT_INTEGER, Interner};
 use crate::columns::Columns;
 use crate::fields::Fields;
-use crate::raw::{RawRow, Scalar};
+use crate::raw::{MOST_MODES, RawRow, Scalar};
 use crate::{
     DictionaryError, DictionaryWriter, Engine, Entry, Label, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool,
     Written, v1,
@@ -53,9 +53,6 @@ pub fn import(from: &Path, to: &Path) -> Result<Imported, DictionaryError> {
     Ok(Imported { provenance: plan.provenance, written })
 }
 
-/// More failure modes than this are not modes but descriptions.
-const MOST_MODES: usize = 1000;
-
 /// What the first reading finds out.
 #[derive(Default)]
 struct Survey {
@@ -85,7 +82,7 @@ impl Survey {
                         format!("is one more failure mode than the {MOST_MODES} that a file can have"),
                     ));
                 }
-                let raised = FLAGS.iter().filter(|(_, flag)| row.get(flag) == Some(&Scalar::Bool(true))).count();
+                let raised = FLAGS.iter().filter(|flag| row.get(flag.column) == Some(&Scalar::Bool(true))).count();
                 let own = usize::from(flag_of(mode).is_some_and(|flag| row.get(flag).is_some()));
                 self.flagged_later += u64::from(raised > own);
             }
@@ -230,7 +227,7 @@ fn free_name(published: &str) -> String {
 
 fn is_parameter(name: &str) -> bool {
     ![SUCCESS, FAILURE_TYPE, CYCLE_TIME, TARGET_DISTANCE, SAMPLE].contains(&name)
-        && FLAGS.iter().all(|(_, flag)| *flag != name)
+        && FLAGS.iter().all(|flag| flag.column != name)
 }
 
 /// How a row becomes an entry.
@@ -289,7 +286,7 @@ impl Plan {
 
 /// The flag that a failure of this mode raises.
 fn flag_of(mode: FailureMode) -> Option<&'static str> {
-    FLAGS.iter().find(|(flagged, _)| *flagged == mode).map(|(_, flag)| *flag)
+    FLAGS.iter().find(|flag| flag.mode == mode).map(|flag| flag.column)
 }
 
 /// How the row's episode went, by all that the row says about it.
@@ -311,7 +308,7 @@ fn outcome(path: &Path, row: &RawRow) -> Result<Outcome, DictionaryError> {
         Outcome::Failure(mode) => flag_of(*mode),
         Outcome::Success | Outcome::Invalid(_) => None,
     };
-    for (_, flag) in FLAGS {
+    for flag in FLAGS.map(|flag| flag.column) {
         let contradicts = match row.get(flag) {
             None | Some(Scalar::Null) => false,
             Some(Scalar::Bool(raised)) => {

@@ -33,7 +33,7 @@ impl Format {
         [Self::Published, Self::LeRobot, Self::VlaEval, Self::Csv, Self::JsonLines, Self::Parquet];
 
     /// Its name in options and provenance.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Published => "published_json",
             Self::LeRobot => "lerobot",
@@ -56,7 +56,7 @@ impl Format {
 
 impl fmt::Display for Format {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.word())
+        f.write_str(self.as_str())
     }
 }
 

@@ -3,6 +3,7 @@
 
 mod common;
 mod export;
+mod exported;
 mod fuzz;
 mod hostile;
 mod journal;
