@@ -13,7 +13,7 @@ pub enum Kind {
     Text,
 }
 
-/// A column that every dictionary has, whatever its space.
+/// A column that every dictionary has.
 #[derive(Debug, Clone, Copy)]
 pub struct FixedColumn {
     /// Its name.
@@ -22,17 +22,17 @@ pub struct FixedColumn {
     pub kind: Kind,
     /// Whether every row has a value; else a missing one is null, never 0 or NaN.
     pub required: bool,
-    /// Whether few distinct values are to be expected.
+    /// Whether few distinct values are expected.
     pub(super) repeats: bool,
     /// What it means.
     pub meaning: &'static str,
 }
 
-/// The fixed columns in order; the last three are there since version 1.1.
+/// The fixed columns in order; the last three exist since version 1.1.
 ///
-/// Between `seed` and `applied_other` stand, for each parameter of the space, a column of its name (the requested value),
-/// and after these one of its name behind `applied_` (the value read back from the environment, null where the reset
-/// failed). Before `ticks` stands a column for each measure of the task.
+/// Between `seed` and `applied_other` each parameter of the space has a column of its name (the requested value). After
+/// these each has one with the prefix `applied_` (the value read back from the environment, null where the reset failed).
+/// Before `ticks` each measure of the task has a column.
 pub fn fixed_columns() -> impl Iterator<Item = &'static FixedColumn> {
     LEADING.iter().chain(&TRAILING).chain(&CLOSING).chain(&LABEL)
 }
@@ -44,7 +44,7 @@ pub(super) static LEADING: [FixedColumn; 5] = [
         kind: Kind::Count,
         required: true,
         repeats: false,
-        meaning: "the episode's index in its campaign; rows stand in its rising order",
+        meaning: "the episode's index in its campaign; rows are in rising order of it",
     },
     FixedColumn {
         name: "stage",
@@ -53,20 +53,20 @@ pub(super) static LEADING: [FixedColumn; 5] = [
         repeats: true,
         meaning: "the stage of the campaign that ran it",
     },
-    FixedColumn { name: "design", kind: Kind::Text, required: true, repeats: true, meaning: "what drew its point" },
+    FixedColumn { name: "design", kind: Kind::Text, required: true, repeats: true, meaning: "what sampled its point" },
     FixedColumn {
         name: "weight",
         kind: Kind::Number,
         required: true,
         repeats: false,
-        meaning: "importance weight p(x)/q(x): operating density over the density it was drawn from",
+        meaning: "importance weight p(x)/q(x): operating density over the density that the point was sampled from",
     },
     FixedColumn {
         name: "seed",
         kind: Kind::Count,
         required: true,
         repeats: true,
-        meaning: "the campaign's seed; with the index, the seed of all that was left to chance",
+        meaning: "the campaign's seed; with the index it determines everything random in the episode",
     },
 ];
 
@@ -163,7 +163,7 @@ pub(super) static LABEL: [FixedColumn; 3] = [
         kind: Kind::Text,
         required: false,
         repeats: true,
-        meaning: "the id of the scenario in its suite; null where the point was drawn from a space",
+        meaning: "the id of the scenario in its suite; null where the point was sampled from a space",
     },
     FixedColumn {
         name: "category",

@@ -29,7 +29,7 @@ pub(crate) struct ColumnSpec {
     pub(crate) kind: Kind,
     /// Whether every row has a value.
     pub(crate) required: bool,
-    /// Whether few distinct values are to be expected.
+    /// Whether few distinct values are expected.
     pub(crate) repeats: bool,
 }
 
@@ -59,7 +59,7 @@ pub(crate) struct WrongCell {
     pub(crate) reason: String,
 }
 
-/// What stands before the name of a parameter where its applied value is meant.
+/// Prefix of a parameter's name for its applied value.
 const APPLIED: &str = "applied_";
 
 /// The columns of a dictionary of one task over one space.
@@ -128,8 +128,8 @@ impl Columns {
 
     /// Writes `entry` as one cell for each column.
     ///
-    /// What the columns cannot hold without loss is kept elsewhere or missing, never bent: an applied
-    /// value of another kind or name stands in `applied_other`, a measure that is not finite is null.
+    /// What the columns cannot hold without loss is kept elsewhere or missing: an applied value of another kind or name is
+    /// in `applied_other`, a measure that is not finite is null.
     pub(crate) fn flatten<'a>(&self, entry: &'a Entry, cells: &mut Vec<Cell<'a>>) -> Result<(), DictionaryError> {
         entry.check()?;
         let Entry { stage, design, weight, label, episode } = entry;
@@ -181,13 +181,7 @@ impl Columns {
             let name = &parameter.name;
             let value = scenario.requested.get(name).ok_or_else(|| wrong(name, "was not requested".to_owned()))?;
             let cell = fit(&parameter.domain, value).ok_or_else(|| {
-                wrong(
-                    name,
-                    format!(
-                        "is {value}, which is not of its kind\nhint: the space says {}",
-                        kind_word(&parameter.domain)
-                    ),
-                )
+                wrong(name, format!("is {value}. Expected {}, as the space says", kind_word(&parameter.domain)))
             })?;
             cells.push(cell);
         }
@@ -195,7 +189,7 @@ impl Columns {
             return Ok(());
         }
         let stray = scenario.requested.iter().map(|(name, _)| name).find(|name| self.space.position(name).is_none());
-        Err(wrong(stray.unwrap_or("?"), "was requested and is not in the space".to_owned()))
+        Err(wrong(stray.unwrap_or("?"), "was requested, but the space does not have it".to_owned()))
     }
 
     fn flatten_applied<'a>(&self, applied: &'a Assignment, cells: &mut Vec<Cell<'a>>) {
@@ -221,7 +215,7 @@ impl Columns {
         });
     }
 
-    /// The entry that a row of cells, one for each column, stands for.
+    /// The entry of a row of cells, one for each column.
     pub(crate) fn unflatten(&self, cells: &[Cell<'_>], words: &mut Interner) -> Result<Entry, WrongCell> {
         let mut row = RowReader { specs: &self.specs, cells, at: 0 };
         let index = row.count()?;
@@ -263,10 +257,10 @@ impl Columns {
                 other_body: other.to_owned(),
                 force_n: force.unwrap_or(f64::NAN),
             }),
-            _ => return Err(row.wrong("belongs to a contact that lacks one of its two bodies")),
+            _ => return Err(row.wrong("belongs to a contact without one of its two bodies")),
         };
         let measures: Measures = self.measures.iter().map(|name| (*name, row.optional_number())).collect();
-        let ticks = u32::try_from(row.count()?).map_err(|_| row.wrong("is more than 32 bits can count"))?;
+        let ticks = u32::try_from(row.count()?).map_err(|_| row.wrong("does not fit in 32 bits"))?;
         let hash = row.text()?;
         // `from_str_radix` alone would take a sign and fewer digits, which no writer leaves.
         let trajectory_hash = u64::from_str_radix(hash, 16)
@@ -289,7 +283,7 @@ fn parameter_columns(space: &ParameterSpace) -> Range<usize> {
     LEADING.len()..LEADING.len() + 2 * space.len()
 }
 
-/// The text of the `failure_type` column; `None` where there is no evidence.
+/// The text of the `failure_type` column; `None` for an invalid episode.
 pub(crate) fn failure_type(outcome: &Outcome) -> Option<&'static str> {
     match outcome {
         Outcome::Success => Some("none"),
@@ -374,7 +368,7 @@ impl<'a> RowReader<'a> {
     fn wrong(&self, reason: &str) -> WrongCell {
         let at = self.at.saturating_sub(1);
         let value = match self.cells.get(at) {
-            None | Some(Cell::Null) => "the missing value".to_owned(),
+            None | Some(Cell::Null) => "a missing value".to_owned(),
             Some(Cell::Number(x)) => x.to_string(),
             Some(Cell::Integer(n)) => n.to_string(),
             Some(Cell::Count(n)) => n.to_string(),

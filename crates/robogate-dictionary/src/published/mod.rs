@@ -32,7 +32,7 @@ const PREFIX: &str = "published_";
 /// Fields of a published row that come from an analytic formula.
 const ANALYTIC: [&str; 2] = ["zone", "fail_prob"];
 
-/// A column of a published row that says of one failure mode whether it happened.
+/// A column of a published row: whether one failure mode happened.
 #[derive(Debug)]
 pub(crate) struct Flag {
     /// The failure mode.

@@ -1,4 +1,4 @@
-//! Columns that say of one failure mode whether it happened.
+//! Columns that hold one failure mode each: whether it happened.
 
 use robogate_core::FailureMode;
 
@@ -6,7 +6,7 @@ use super::Mapping;
 use super::role::Role;
 use crate::published;
 
-/// A column that says of one failure mode alone whether it happened.
+/// A column that holds one failure mode: whether it happened.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Flag {
     /// The failure mode.
@@ -15,7 +15,7 @@ pub(super) struct Flag {
     pub(super) column: Option<String>,
     /// Whether an episode can have it and succeed all the same.
     pub(super) tolerated: bool,
-    /// Whether every source of this kind should have it: where it is missing, its failure mode is not recorded.
+    /// Whether the source should have it: where it is missing, its failure mode is not recorded.
     pub(super) expected: bool,
 }
 

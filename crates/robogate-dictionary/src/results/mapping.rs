@@ -44,16 +44,15 @@ use crate::published::FLAGS;
 pub struct Mapping {
     /// The column of each role that is not in the column of its own name.
     pub roles: BTreeMap<Role, String>,
-    /// Failure modes that have a column of their own, which says true or false: the mode and its column.
+    /// Failure modes with a column of their own, true or false: the mode and its column.
     pub flags: BTreeMap<FailureMode, String>,
     /// Parameters: their names here and the columns they are in. Absent: every column left over.
     pub parameters: Option<BTreeMap<String, String>>,
     /// Columns that are not parameters.
     pub ignore: Vec<String>,
-    /// Words of the failure mode's column, and the failure mode that each stands for. Another word is a failure mode of
-    /// its own.
+    /// Words of the failure mode's column and the failure mode of each. Any other word is a failure mode of its own.
     pub failure_modes: BTreeMap<String, FailureMode>,
-    /// What the file does not say about its origin.
+    /// The origin of the file, where the file does not hold it.
     pub about: About,
 }
 
@@ -103,12 +102,12 @@ impl Mapping {
         Ok(())
     }
 
-    /// Whether it says nothing.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Whether it says nothing about the columns.
+    /// Whether it names no column.
     pub(super) fn names_no_column(&self) -> bool {
         Self { about: About::default(), ..self.clone() }.is_empty()
     }
@@ -118,7 +117,7 @@ impl Mapping {
         self.roles.get(&role).map_or(role.as_str(), String::as_str)
     }
 
-    /// Whether a parameter is taken from this column because the mapping says so.
+    /// Whether the mapping names this column for a parameter.
     pub(super) fn names_parameter(&self, column: &str) -> bool {
         self.parameters.iter().flat_map(BTreeMap::values).any(|named| named == column)
     }

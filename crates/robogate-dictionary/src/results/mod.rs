@@ -37,18 +37,18 @@ use crate::published::{self, Imported};
 use crate::raw::RawRow;
 use crate::{Dictionary, DictionaryError, DictionaryWriter};
 
-/// What a reader says about a file beside its rows.
+/// What a reader finds in a file beside its rows.
 #[derive(Debug, Default)]
 struct Frame {
     /// SHA-256 of the file.
     sha256: String,
-    /// The numbers and words around the rows (version, date, seed), as the tool wrote them.
+    /// Numbers and words beside the rows (version, date, seed), as the tool wrote them.
     metadata: serde_json::Map<String, serde_json::Value>,
-    /// What the reader left out or had to decide, in sentences.
+    /// What the reader left out or decided, in sentences.
     notes: Vec<String>,
 }
 
-/// What takes the rows.
+/// Receives the rows.
 type Sink<'a> = &'a mut dyn FnMut(&RawRow) -> Result<(), DictionaryError>;
 
 /// Imports the results in `from` as the dictionary `to`.

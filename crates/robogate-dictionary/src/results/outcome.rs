@@ -10,17 +10,17 @@ use super::role::{FAILURE_TYPE, Role};
 use crate::DictionaryError;
 use crate::raw::{RawRow, Scalar};
 
-/// What a row says about its episode.
+/// How a row's episode ended, and how the row says so.
 #[derive(Debug, PartialEq)]
 pub(super) struct Ended {
     pub(super) outcome: Outcome,
     /// Seconds; `None` where the row has none.
     pub(super) time_s: Option<f64>,
-    /// Whether a failure's kind is recorded; else [`FailureMode::UNKNOWN`] stands in its place.
+    /// Whether the row has a failure mode for its failure; else it is [`FailureMode::UNKNOWN`].
     pub(super) kind_known: bool,
     /// The value of each flag, in the order of [`Results::flags`]; empty for an invalid episode.
     pub(super) flags: Vec<Option<bool>>,
-    /// Whether the row says success beside a flag that rules it out.
+    /// Whether the row reports success and a flag that rules it out.
     pub(super) contradicted: bool,
     /// Whether `success` is missing and no error is named.
     pub(super) silent: bool,
@@ -54,7 +54,7 @@ impl<'a> Results<'a> {
         Self { mapping, flags, failure_columns }
     }
 
-    /// Whether a column of this name says how the episode ended, so that it is never a parameter.
+    /// Whether a column of this name says how the episode ended. It is then never a parameter.
     pub(super) fn has(&self, column: &str) -> bool {
         column == FAILURE_TYPE
             || Role::ALL.into_iter().any(|role| role.is_result() && self.mapping.column(role) == column)
@@ -161,7 +161,7 @@ impl<'a> Results<'a> {
         })
     }
 
-    /// The failure mode that a word of the row stands for, and the word's column.
+    /// The failure mode of the row's word, and the word's column.
     fn failure_mode(&self, path: &Path, row: &RawRow) -> Result<Option<(FailureMode, &'a str)>, DictionaryError> {
         for column in self.failure_columns.iter().copied() {
             let word = match row.get(column) {
@@ -181,7 +181,7 @@ impl<'a> Results<'a> {
         Ok(None)
     }
 
-    /// What broke, where the row says so.
+    /// The error of the infrastructure, where the row names one.
     fn error(&self, row: &RawRow) -> Option<String> {
         let column = self.mapping.column(Role::Error);
         let text = match row.get(column)? {

@@ -30,7 +30,7 @@ pub(super) struct Survey<'a> {
     rows: u64,
     fields: Fields,
     modes: BTreeSet<FailureMode>,
-    /// Which columns of roles and flags are there.
+    /// Which columns of roles and flags exist.
     roles: [bool; Role::ALL.len()],
     flags: Vec<FlagUse>,
     /// Whether there is a column [`FAILURE_TYPE`].
@@ -48,13 +48,13 @@ pub(super) struct Survey<'a> {
 /// How the rows use a flag.
 #[derive(Debug, Clone, Default)]
 struct FlagUse {
-    /// Its column is there.
+    /// Its column exists.
     present: bool,
     /// A row has a value.
     used: bool,
-    /// A failure lacks it of which nothing else says the kind.
+    /// A failure without a failure mode has no value.
     lacked_by_failure: bool,
-    /// A success lacks it.
+    /// A success has no value.
     lacked_by_success: bool,
 }
 
@@ -314,22 +314,22 @@ impl<'a> Survey<'a> {
         }
         if self.unknown_failures > 0 {
             let (n, unknown) = (self.unknown_failures, FailureMode::UNKNOWN);
-            notes.push(format!("{n} failures have no failure mode: they are recorded as `{unknown}`."));
+            notes.push(format!("Failures without a failure mode: {n}. They are recorded as `{unknown}`."));
         }
         if self.without_time > 0 {
             not_recorded.push("cycle_time_s".to_owned());
-            notes.push(format!("{} episodes have no cycle time.", self.without_time));
+            notes.push(format!("Episodes without a cycle time: {}.", self.without_time));
         }
         if self.contradicted > 0 {
             notes.push(format!(
-                "{} episodes report success and a failure mode by its flag: they are recorded as failures.",
+                "Episodes with success and the flag of a failure mode: {}. They are recorded as failures.",
                 self.contradicted
             ));
         }
         if self.invalid > 0 {
             let (all, by_error) = (self.invalid, self.invalid_by_error);
             notes.push(format!(
-                "{all} episodes are invalid: {by_error} report an error, {} have no outcome.",
+                "Invalid episodes: {all}, of which {by_error} report an error and {} have no outcome.",
                 all - by_error
             ));
         }

@@ -70,10 +70,10 @@ fn lerobot_tasks_become_cases() {
 fn contradicting_averages_are_refused() {
     let text = fs::read_to_string(fixture("lerobot_one_environment.json")).unwrap();
     let error = refused("edited.json", text.replace("75.0", "100.0"), &Mapping::default());
-    assert!(error.contains("`pc_success` says 100") && error.contains("3 successes in 4 episodes"), "{error}");
+    assert!(error.contains("`pc_success` is 100") && error.contains("3 successes in 4 episodes"), "{error}");
     let text = fs::read_to_string(fixture("lerobot_tasks.json")).unwrap();
     let error = refused("cut.json", text.replace("[true, true]", "[true]"), &Mapping::default());
-    assert!(error.contains("`overall.n_episodes` says 5, its rows are 4"), "{error}");
+    assert!(error.contains("`overall.n_episodes` is 5, but it has 4 episodes"), "{error}");
 }
 
 #[test]
@@ -101,7 +101,12 @@ fn mapping_names_the_columns() {
     let (provenance, entries) = imported(&fixture("table.csv"), None, &mapping);
     // The last one says success beside a collision.
     assert_eq!(words(&entries), ["success", "grip_loss", "collision", "invalid", "collision"]);
-    assert!(source(&provenance).notes.iter().any(|n| n.starts_with("1 episodes report success and a failure mode")));
+    assert!(
+        source(&provenance)
+            .notes
+            .iter()
+            .any(|n| n.starts_with("Episodes with success and the flag of a failure mode: 1."))
+    );
     assert_eq!(entries[2].episode.time_s, 3.125);
     assert_eq!(entries[1].episode.scenario.requested.number("mass_kg"), Some(1.1));
     assert_eq!(entries[1].episode.scenario.requested.category("surface"), Some("rubber"));
@@ -146,7 +151,7 @@ fn pyarrow_file_is_read() {
     assert_eq!(requested.number("mass_kg"), Some(0.75));
     assert_eq!(requested.get("obstacles"), Some(&Value::Integer(3)));
     assert_eq!(requested.category("shape"), Some("box"));
-    assert!(source(&provenance).notes.iter().any(|note| note.contains("`trace.list.element` is left out")));
+    assert!(source(&provenance).notes.iter().any(|note| note.contains("`trace.list.element` is ignored")));
 }
 
 #[test]
@@ -165,7 +170,7 @@ fn wrong_values_are_located() {
         ("f.csv", "success,cycle_time_s\n1,soon\n", &["`soon` is not a time in seconds"]),
         ("g.csv", "result,mass\n1,2\n", &["no row says in `success` how its episode ended", "--map success=COLUMN"]),
         ("h.csv", "success,success\n1,2\n", &["the column `success` twice"]),
-        ("i.csv", "success,mass\n1,2\n1\n", &["line 3", "1 fields under a header of 2"]),
+        ("i.csv", "success,mass\n1,2\n1\n", &["line 3", "1 fields. Expected 2"]),
         ("j.csv", "success,mass\n", &["no episodes", "nothing was evaluated"]),
         ("k.jsonl", "{\"success\": true}\n{\"success\": tru}\n", &["line 2", "one JSON object"]),
         ("l.jsonl", "{\"success\": true, \"success\": false}\n{}\n", &["line 1", "`success` twice"]),
@@ -182,7 +187,7 @@ fn wrong_values_are_located() {
         ("s.csv", "success,case\n1,2.5\n", &["2.5 is not a word, as a case must be"]),
         ("u.csv", "success,drop\n1,0.3\n", &["column `drop`: 0.3 is neither true nor false", "[parameters]"]),
         ("s", "", &["it is empty"]),
-        ("t", "\u{1}\0\u{2}", &["none of the known formats", "--format"]),
+        ("t", "\u{1}\0\u{2}", &["its format is unknown", "--format"]),
     ] {
         let error = refused(name, content, &none);
         assert!(wanted.iter().all(|part| error.contains(part)), "{name}: {error}");
@@ -317,7 +322,7 @@ fn any_word_is_a_failure_mode() {
     assert!(
         source(&provenance)
             .notes
-            .contains(&"1 failures have no failure mode: they are recorded as `unknown`.".to_owned())
+            .contains(&"Failures without a failure mode: 1. They are recorded as `unknown`.".to_owned())
     );
 }
 

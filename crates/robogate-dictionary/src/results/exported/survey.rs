@@ -152,7 +152,7 @@ impl<'a> Survey<'a> {
         let mut not_recorded = Vec::new();
         if self.without_time > 0 {
             not_recorded.push("cycle_time_s".to_owned());
-            notes.push(format!("{} episodes have no cycle time.", self.without_time));
+            notes.push(format!("Episodes without a cycle time: {}.", self.without_time));
         }
         let name = |given: &Option<String>| given.as_deref().unwrap_or("unknown").to_owned();
         let provenance = Provenance {
