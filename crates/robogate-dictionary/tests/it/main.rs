@@ -4,9 +4,11 @@
 
 mod common;
 mod export;
+mod exported;
 mod fuzz;
 mod hostile;
 mod journal;
 mod parquet;
 mod published;
 mod results;
+mod v0_1;

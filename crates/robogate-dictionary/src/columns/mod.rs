@@ -1,6 +1,10 @@
 //! An entry as a flat row, the form that Parquet, CSV and JSON Lines share.
 
+mod fixed;
+mod layout;
+
 use std::borrow::Cow;
+use std::ops::Range;
 use std::sync::Arc;
 
 use robogate_core::{
@@ -8,71 +12,13 @@ use robogate_core::{
     TaskSpec, Value, Word,
 };
 
+use fixed::{CLOSING, LABEL, LEADING, TRAILING};
+pub use fixed::{FixedColumn, Kind, fixed_columns};
+pub(crate) use layout::Layout;
+
 use crate::codec::{FAULT_KINDS, Interner, integer_as_number, number_as_integer};
 use crate::schema::LABELLED;
 use crate::{DictionaryError, Entry, Label, SchemaVersion};
-
-/// What a column holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
-    /// A real number, never NaN or infinite.
-    Number,
-    /// A signed integer.
-    Integer,
-    /// An integer from 0.
-    Count,
-    /// A word or text.
-    Text,
-}
-
-/// A column that every dictionary has, whatever its space.
-#[derive(Debug, Clone, Copy)]
-pub struct FixedColumn {
-    /// Its name.
-    pub name: &'static str,
-    /// What it holds.
-    pub kind: Kind,
-    /// Whether every row has a value; else a missing one is null, never 0 or NaN.
-    pub required: bool,
-    /// Whether few distinct values are to be expected.
-    repeats: bool,
-    /// What it means.
-    pub meaning: &'static str,
-}
-
-/// The fixed columns in order; the last three are there since version 1.1.
-///
-/// Between `seed` and `applied_other` stand, for each parameter of the space, a column of its name (the requested value),
-/// and after these one of its name behind `applied_` (the value read back from the environment, null where the reset
-/// failed). Before `ticks` stands a column for each measure of the task.
-pub fn fixed_columns() -> impl Iterator<Item = &'static FixedColumn> {
-    LEADING.iter().chain(&TRAILING).chain(&CLOSING).chain(&LABEL)
-}
-
-/// The columns of a suite's scenarios, last of all.
-static LABEL: [FixedColumn; 3] = [
-    FixedColumn {
-        name: "case",
-        kind: Kind::Text,
-        required: false,
-        repeats: true,
-        meaning: "the id of the scenario in its suite; null where the point was drawn from a space",
-    },
-    FixedColumn {
-        name: "category",
-        kind: Kind::Text,
-        required: false,
-        repeats: true,
-        meaning: "the scenario's category in its suite",
-    },
-    FixedColumn {
-        name: "group",
-        kind: Kind::Text,
-        required: false,
-        repeats: true,
-        meaning: "the scenario's group within its category",
-    },
-];
 
 /// One column.
 #[derive(Debug, Clone)]
@@ -83,7 +29,7 @@ pub(crate) struct ColumnSpec {
     pub(crate) kind: Kind,
     /// Whether every row has a value.
     pub(crate) required: bool,
-    /// Whether few distinct values are to be expected.
+    /// Whether few distinct values are expected.
     pub(crate) repeats: bool,
 }
 
@@ -113,127 +59,8 @@ pub(crate) struct WrongCell {
     pub(crate) reason: String,
 }
 
-/// The columns before the parameters.
-static LEADING: [FixedColumn; 5] = [
-    FixedColumn {
-        name: "index",
-        kind: Kind::Count,
-        required: true,
-        repeats: false,
-        meaning: "the episode's index in its campaign; rows stand in its rising order",
-    },
-    FixedColumn {
-        name: "stage",
-        kind: Kind::Text,
-        required: true,
-        repeats: true,
-        meaning: "the stage of the campaign that ran it",
-    },
-    FixedColumn { name: "design", kind: Kind::Text, required: true, repeats: true, meaning: "what drew its point" },
-    FixedColumn {
-        name: "weight",
-        kind: Kind::Number,
-        required: true,
-        repeats: false,
-        meaning: "importance weight p(x)/q(x): operating density over the density it was drawn from",
-    },
-    FixedColumn {
-        name: "seed",
-        kind: Kind::Count,
-        required: true,
-        repeats: true,
-        meaning: "the campaign's seed; with the index, the seed of all that was left to chance",
-    },
-];
-
-/// What stands before the name of a parameter where its applied value is meant.
+/// Prefix of a parameter's name for its applied value.
 const APPLIED: &str = "applied_";
-
-/// The columns between the parameters and the measures.
-static TRAILING: [FixedColumn; 10] = [
-    FixedColumn {
-        name: "applied_other",
-        kind: Kind::Text,
-        required: false,
-        repeats: false,
-        meaning: "applied values that fit no column: JSON [[name, number|integer|category, value], ...]",
-    },
-    FixedColumn {
-        name: "outcome",
-        kind: Kind::Text,
-        required: true,
-        repeats: true,
-        meaning: "success, a failure mode, or invalid (no evidence)",
-    },
-    FixedColumn {
-        name: "failure_type",
-        kind: Kind::Text,
-        required: false,
-        repeats: true,
-        meaning: "the failure mode, or none; null where invalid",
-    },
-    FixedColumn {
-        name: "fault_kind",
-        kind: Kind::Text,
-        required: false,
-        repeats: true,
-        meaning: "the class of fault of an invalid episode",
-    },
-    FixedColumn {
-        name: "fault_detail",
-        kind: Kind::Text,
-        required: false,
-        repeats: false,
-        meaning: "what happened in an invalid episode",
-    },
-    FixedColumn {
-        name: "cycle_time_s",
-        kind: Kind::Number,
-        required: false,
-        repeats: false,
-        meaning: "time of the decisive event, in simulated seconds from the start",
-    },
-    FixedColumn {
-        name: "phase",
-        kind: Kind::Text,
-        required: false,
-        repeats: true,
-        meaning: "the phase that the policy reported then",
-    },
-    FixedColumn {
-        name: "contact_robot_body",
-        kind: Kind::Text,
-        required: false,
-        repeats: true,
-        meaning: "the robot's body in the deciding contact",
-    },
-    FixedColumn {
-        name: "contact_other_body",
-        kind: Kind::Text,
-        required: false,
-        repeats: true,
-        meaning: "what it touched",
-    },
-    FixedColumn {
-        name: "contact_force_n",
-        kind: Kind::Number,
-        required: false,
-        repeats: false,
-        meaning: "largest normal force in the control period of first touch, in newtons",
-    },
-];
-
-/// The columns after the measures.
-static CLOSING: [FixedColumn; 2] = [
-    FixedColumn { name: "ticks", kind: Kind::Count, required: true, repeats: false, meaning: "control ticks run" },
-    FixedColumn {
-        name: "trajectory_hash",
-        kind: Kind::Text,
-        required: true,
-        repeats: false,
-        meaning: "hash over the state at every tick, 16 hexadecimal digits: equal hashes, equal runs",
-    },
-];
 
 /// The columns of a dictionary of one task over one space.
 #[derive(Debug, Clone)]
@@ -279,7 +106,7 @@ impl Columns {
             specs.iter().enumerate().map(|(i, spec)| (spec.name.to_ascii_lowercase(), i)).collect();
         names.sort();
         if let Some(pair) = names.windows(2).find(|pair| pair[0].0 == pair[1].0) {
-            let parameters = LEADING.len()..LEADING.len() + 2 * space.len();
+            let parameters = parameter_columns(space);
             let first_measure = parameters.end + TRAILING.len();
             let chosen =
                 |at: &usize| parameters.contains(at) || (first_measure..first_measure + measures.len()).contains(at);
@@ -294,10 +121,15 @@ impl Columns {
         &self.specs
     }
 
+    /// Where the columns of requested and applied parameters stand.
+    pub(crate) fn parameters(&self) -> Range<usize> {
+        parameter_columns(&self.space)
+    }
+
     /// Writes `entry` as one cell for each column.
     ///
-    /// What the columns cannot hold without loss is kept elsewhere or missing, never bent: an applied
-    /// value of another kind or name stands in `applied_other`, a measure that is not finite is null.
+    /// What the columns cannot hold without loss is kept elsewhere or missing: an applied value of another kind or name is
+    /// in `applied_other`, a measure that is not finite is null.
     pub(crate) fn flatten<'a>(&self, entry: &'a Entry, cells: &mut Vec<Cell<'a>>) -> Result<(), DictionaryError> {
         entry.check()?;
         let Entry { stage, design, weight, label, episode } = entry;
@@ -349,13 +181,7 @@ impl Columns {
             let name = &parameter.name;
             let value = scenario.requested.get(name).ok_or_else(|| wrong(name, "was not requested".to_owned()))?;
             let cell = fit(&parameter.domain, value).ok_or_else(|| {
-                wrong(
-                    name,
-                    format!(
-                        "is {value}, which is not of its kind\nhint: the space says {}",
-                        kind_word(&parameter.domain)
-                    ),
-                )
+                wrong(name, format!("is {value}. Expected {}, as the space says", kind_word(&parameter.domain)))
             })?;
             cells.push(cell);
         }
@@ -363,7 +189,7 @@ impl Columns {
             return Ok(());
         }
         let stray = scenario.requested.iter().map(|(name, _)| name).find(|name| self.space.position(name).is_none());
-        Err(wrong(stray.unwrap_or("?"), "was requested and is not in the space".to_owned()))
+        Err(wrong(stray.unwrap_or("?"), "was requested, but the space does not have it".to_owned()))
     }
 
     fn flatten_applied<'a>(&self, applied: &'a Assignment, cells: &mut Vec<Cell<'a>>) {
@@ -389,7 +215,7 @@ impl Columns {
         });
     }
 
-    /// The entry that a row of cells, one for each column, stands for.
+    /// The entry of a row of cells, one for each column.
     pub(crate) fn unflatten(&self, cells: &[Cell<'_>], words: &mut Interner) -> Result<Entry, WrongCell> {
         let mut row = RowReader { specs: &self.specs, cells, at: 0 };
         let index = row.count()?;
@@ -431,10 +257,10 @@ impl Columns {
                 other_body: other.to_owned(),
                 force_n: force.unwrap_or(f64::NAN),
             }),
-            _ => return Err(row.wrong("belongs to a contact that lacks one of its two bodies")),
+            _ => return Err(row.wrong("belongs to a contact without one of its two bodies")),
         };
         let measures: Measures = self.measures.iter().map(|name| (*name, row.optional_number())).collect();
-        let ticks = u32::try_from(row.count()?).map_err(|_| row.wrong("is more than 32 bits can count"))?;
+        let ticks = u32::try_from(row.count()?).map_err(|_| row.wrong("does not fit in 32 bits"))?;
         let hash = row.text()?;
         // `from_str_radix` alone would take a sign and fewer digits, which no writer leaves.
         let trajectory_hash = u64::from_str_radix(hash, 16)
@@ -453,7 +279,11 @@ impl Columns {
     }
 }
 
-/// The text of the `failure_type` column; `None` where there is no evidence.
+fn parameter_columns(space: &ParameterSpace) -> Range<usize> {
+    LEADING.len()..LEADING.len() + 2 * space.len()
+}
+
+/// The text of the `failure_type` column; `None` for an invalid episode.
 pub(crate) fn failure_type(outcome: &Outcome) -> Option<&'static str> {
     match outcome {
         Outcome::Success => Some("none"),
@@ -538,7 +368,7 @@ impl<'a> RowReader<'a> {
     fn wrong(&self, reason: &str) -> WrongCell {
         let at = self.at.saturating_sub(1);
         let value = match self.cells.get(at) {
-            None | Some(Cell::Null) => "the missing value".to_owned(),
+            None | Some(Cell::Null) => "a missing value".to_owned(),
             Some(Cell::Number(x)) => x.to_string(),
             Some(Cell::Integer(n)) => n.to_string(),
             Some(Cell::Count(n)) => n.to_string(),
