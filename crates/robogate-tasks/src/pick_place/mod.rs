@@ -22,6 +22,12 @@ mod spaces;
 pub mod spec;
 mod suite;
 
+/// The task's name.
+pub const NAME: &str = "pick_place";
+
+/// What the task is, in a few words.
+pub const SUMMARY: &str = "pick a part from a table with a robot arm and place it at a target";
+
 pub use cell::{CONTROL_PERIOD_S, ResolvedCell, TIME_LIMIT_S};
 pub use disturbance::Disturbance;
 #[cfg(feature = "mujoco")]

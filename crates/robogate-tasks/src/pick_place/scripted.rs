@@ -239,7 +239,7 @@ fn end_of(path: &[Vec<f64>], start: &[f64]) -> Vec<f64> {
 impl Policy for Scripted {
     fn check(&self, task: &TaskSpec) -> Result<(), String> {
         let joints = task.action.joints();
-        if task.name != "pick_place" || joints != Some(&*self.robot.settings.arm.joints) {
+        if task.name != super::NAME || joints != Some(&*self.robot.settings.arm.joints) {
             return Err(format!(
                 "the scripted controller drives pick_place on {}, not {}",
                 self.robot.name(),

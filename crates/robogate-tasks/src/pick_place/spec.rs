@@ -65,7 +65,7 @@ pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
     observed.push(vector(vectors::TOOL_POSE, 7, ""));
     let (translation_m, rotation_rad) = TOOL_DELTA;
     TaskSpec {
-        name: Word::constant("pick_place"),
+        name: Word::constant(super::NAME),
         version: 1,
         instruction: "pick up the part and place it at the target".to_owned(),
         control_period_s: CONTROL_PERIOD_S,

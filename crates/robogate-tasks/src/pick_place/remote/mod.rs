@@ -11,14 +11,17 @@ pub use cell::{Cell, CellFixture, CellGripper, CellMotion, CellObject, CellPart,
 pub use host::Host;
 pub use report::{FarCollision, FarFixture, FarPeriod, FarReadback, FarSight, FarVelocity};
 
+use std::sync::Arc;
+
 use nalgebra::Isometry3;
 use robogate_camera::{Cameras, Posture};
-use robogate_core::{Action, Fault, FaultKind, Image, Observation, Scenario, Start, Step};
+use robogate_core::{Action, Fault, FaultKind, Image, Observation, Scenario, Start, Step, TaskSpec};
 use robogate_physics::{ArmState, Chain, Fixture, Gripper, Robot, grip_force, isometry};
 
 use crate::pick_place::cell::ResolvedCell;
 use crate::pick_place::judge::Judge;
-use crate::pick_place::simulator::{render, show};
+use crate::pick_place::simulator::{camera_specs, render, show};
+use crate::pick_place::spec::spec;
 
 /// From where a far engine has the tool to where the arm's joints put it, at the start: more than this is another
 /// robot, in metres ...
@@ -28,6 +31,7 @@ const TOOL_OFF_RAD: f64 = 0.02;
 
 /// The task around an engine that is somewhere else.
 pub struct Offsite {
+    task: Arc<TaskSpec>,
     judge: Judge,
     sha256: Option<String>,
     grip_force_n: f64,
@@ -54,6 +58,7 @@ impl Offsite {
         let judge = Judge::new(robot, chain, grip_force_n);
         let cameras = Cameras::new(judge.robot());
         Ok(Self {
+            task: Arc::new(spec(judge.robot(), camera_specs(&cameras))),
             judge,
             sha256,
             grip_force_n,
@@ -69,7 +74,13 @@ impl Offsite {
     #[must_use]
     pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
         self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
+        self.task = Arc::new(spec(self.judge.robot(), camera_specs(&self.cameras)));
         self
+    }
+
+    /// The task.
+    pub fn task(&self) -> &Arc<TaskSpec> {
+        &self.task
     }
 
     /// The robot.
