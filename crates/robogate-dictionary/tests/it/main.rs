@@ -1,4 +1,4 @@
-//! The claims of the dictionary, one module for each part.
+//! Tests of the dictionary, one module for each part.
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests are tests, which may")]
 
 mod common;
