@@ -28,7 +28,7 @@ pub struct Provenance {
     pub robot: Robot,
     /// The policy that drove it.
     pub policy: String,
-    /// The settings of the world (time step, grip force) in the environment's own form.
+    /// The settings of the world (its time step, for example) in the environment's own form.
     #[serde(default, skip_serializing_if = "serde_json::Value::is_null")]
     pub world: serde_json::Value,
     /// The parameter space: its parameters are columns of the rows, in this order.
@@ -151,8 +151,8 @@ pub struct Source {
     pub sha256: String,
     /// What the import decided or left out, in sentences.
     pub notes: Vec<String>,
-    /// What the source does not record, so that no rate of it can be estimated: names of failure modes (with `collision`
-    /// here, any failure may have been one) and `cycle_time_s`.
+    /// What the source does not record, so that no rate of it can be estimated: names of failure modes (with `jammed` here,
+    /// any failure may have been one) and `cycle_time_s`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_recorded: Vec<String>,
 }

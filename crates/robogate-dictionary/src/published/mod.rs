@@ -39,7 +39,7 @@ pub(crate) struct Flag {
     pub(crate) mode: FailureMode,
     /// The column.
     pub(crate) column: &'static str,
-    /// Whether an episode can have it and succeed all the same.
+    /// Whether an episode can have it and succeed all the same: a second grasp makes up for one that missed.
     pub(crate) tolerated: bool,
 }
 

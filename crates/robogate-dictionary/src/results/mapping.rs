@@ -26,11 +26,11 @@ use crate::published::FLAGS;
 ///     [parameters]
 ///     mass_kg = "mass"
 ///     [flags]
-///     jammed = "gripper_jammed"
+///     jammed = "jam_detected"
 ///     [failure_modes]
 ///     "stuck in the chute" = "jammed"
 ///     [about]
-///     task = "bin_picking"
+///     task = "sorting"
 ///     policy = "pi0-2026-11"
 ///     "#,
 ///     "mapping.toml",
@@ -39,7 +39,7 @@ use crate::published::FLAGS;
 /// # Ok::<(), robogate_dictionary::DictionaryError>(())
 /// ```
 ///
-/// The keys `collision`, `drop` and `grasp_miss` name the flags of these failure modes (`drop` that of `grip_loss`).
+/// The names of the flags in the published JSON are keys, too: mappings of version 0.1 use them.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Mapping {
     /// The column of each role that is not in the column of its own name.

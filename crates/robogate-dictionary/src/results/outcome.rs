@@ -105,7 +105,7 @@ impl<'a> Results<'a> {
                 if let Some((mode, at)) = mode {
                     return Err(row.wrong(path, at, format!("({mode}) contradicts `{column}`, which says success")));
                 }
-                // A grasp that was missed once and then succeeded is a success; a touch or a drop is not.
+                // A tolerated flag can be raised in a success; any other makes it a failure.
                 return Ok(match raised(false) {
                     Some(mode) => ended(Outcome::Failure(mode), true, true, flags),
                     None => ended(Outcome::Success, true, false, flags),

@@ -22,6 +22,9 @@ pub const SOURCE_SEED: &str = "source_seed";
 /// The parameter of a source that has none, numbering its rows: a space must have one.
 pub const SOURCE_ROW: &str = "source_row";
 
+/// The column of a parameter (`None` for the row's number) and the parameter.
+type FromColumn = (Option<Arc<str>>, Parameter);
+
 /// What the first reading finds out.
 pub(super) struct Survey<'a> {
     path: &'a Path,
@@ -148,7 +151,7 @@ impl<'a> Survey<'a> {
         let mut notes = frame.notes.clone();
         let not_recorded = self.not_recorded(&mut notes);
         let task = task::of_rows(&self.mapping.about, self.declared_modes(&not_recorded), &[], Vec::new());
-        let (columns, parameters) = self.parameters(&task, &mut notes)?;
+        let (columns, parameters) = self.parameters(&task, &mut notes)?.into_iter().unzip();
         notes
             .push("Ranges are the observed ones, each row has weight 1, and the index is the row's number.".to_owned());
         notes
@@ -182,13 +185,9 @@ impl<'a> Survey<'a> {
         Ok(Plan { path: self.path, mapping: self.mapping, results: self.results, provenance, columns, format })
     }
 
-    /// The parameters and for each its column; `None` for the row's number.
-    fn parameters(
-        &mut self,
-        task: &TaskSpec,
-        notes: &mut Vec<String>,
-    ) -> Result<(Vec<Option<Arc<str>>>, Vec<Parameter>), DictionaryError> {
-        let (mut columns, mut parameters): (Vec<Option<Arc<str>>>, Vec<Parameter>) = (Vec::new(), Vec::new());
+    /// The parameters that the rows show.
+    fn parameters(&mut self, task: &TaskSpec, notes: &mut Vec<String>) -> Result<Vec<FromColumn>, DictionaryError> {
+        let mut parameters: Vec<FromColumn> = Vec::new();
         for field in std::mem::take(&mut self.fields).into_iter() {
             let name = match &self.mapping.parameters {
                 _ if *field.name == *self.mapping.column(Role::Seed) => SOURCE_SEED,
@@ -201,15 +200,13 @@ impl<'a> Survey<'a> {
                 optional(&field, name, self.rows, task)
             };
             match domain {
-                Ok(domain) => {
-                    parameters.push(Parameter { name: name.into(), domain });
-                    columns.push(Some(field.name));
-                }
+                Ok(domain) => parameters.push((Some(Arc::clone(&field.name)), Parameter { name: name.into(), domain })),
                 Err(why) => notes.push(format!("Column `{}` is ignored: {why}.", field.name)),
             }
         }
         if let Some(named) = &self.mapping.parameters
-            && let Some((name, column)) = named.iter().find(|(name, _)| parameters.iter().all(|p| *p.name != ***name))
+            && let Some((name, column)) =
+                named.iter().find(|(name, _)| parameters.iter().all(|(_, p)| *p.name != ***name))
         {
             let reason =
                 format!("no row has the column `{column}`, which the mapping names for the parameter `{name}`");
@@ -219,11 +216,10 @@ impl<'a> Survey<'a> {
             // Row numbers beyond 2^32 are beyond what an integer parameter can span.
             let high = i64::try_from(self.rows - 1).unwrap_or(i64::MAX).min((1 << 32) - 1);
             let domain = Domain::Integer { low: 0, high };
-            parameters.push(Parameter { name: SOURCE_ROW.into(), domain });
-            columns.push(None);
+            parameters.push((None, Parameter { name: SOURCE_ROW.into(), domain }));
             notes.push(format!("No column is a parameter: `{SOURCE_ROW}` numbers the episodes."));
         }
-        Ok((columns, parameters))
+        Ok(parameters)
     }
 
     /// The domain of a parameter that the mapping names: every row must have it.

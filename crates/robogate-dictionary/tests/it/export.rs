@@ -1,4 +1,4 @@
-//! What CSV and JSON Lines promise.
+//! Tests of the export to CSV and JSON Lines.
 
 use std::fs;
 

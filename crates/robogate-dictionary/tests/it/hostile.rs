@@ -1,4 +1,4 @@
-//! Whatever a file holds, a reader answers with values or with an error.
+//! Damaged and hostile files are read or refused, without a panic.
 
 use std::fs;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! What the journal promises.
+//! Tests of the journal: append, repair, locking and interruption.
 
 use std::fs::{self, OpenOptions};
 use std::io::{BufRead, BufReader, Write};

@@ -1,4 +1,4 @@
-//! What the Parquet record promises.
+//! Tests of the Parquet record.
 
 use std::fs;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! What import from and export to the published JSON promise.
+//! Tests of import from and export to the published JSON.
 
 use std::fs;
 use std::path::{Path, PathBuf};
