@@ -11,30 +11,30 @@ use super::intake::{Intake, IntakeError, Taken};
 use super::metrics::metrics;
 use super::status::Status;
 
-/// Requests that may wait.
+/// Limit of waiting requests.
 const WAITING: usize = 1_024;
-/// Requests, and bytes, that share one commit.
+/// Limits of the requests, and of their bytes, that share one commit.
 const TOGETHER: usize = 256;
 const TOGETHER_BYTES: usize = 32 << 20;
 
-/// What an answer may be: the value, or why there is none, in words. `full` tells a full disk from other trouble.
-pub(super) type Answer<T> = Result<T, Trouble>;
+/// The answer to a request: the value, or the problem.
+pub(super) type Answer<T> = Result<T, Problem>;
 
-/// Why the desk could not do what was asked.
+/// A failed request. `full`: the disk is full.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Trouble {
+pub(super) struct Problem {
     pub(super) full: bool,
     pub(super) because: String,
 }
 
-impl From<IntakeError> for Trouble {
+impl From<IntakeError> for Problem {
     fn from(error: IntakeError) -> Self {
         let full = matches!(error, IntakeError::Store(super::StoreError::Full));
         Self { full, because: error.to_string() }
     }
 }
 
-impl From<super::StoreError> for Trouble {
+impl From<super::StoreError> for Problem {
     fn from(error: super::StoreError) -> Self {
         IntakeError::from(error).into()
     }
@@ -47,30 +47,30 @@ pub(super) enum Job {
     Metrics { reply: oneshot::Sender<Answer<String>> },
     Healthy { reply: oneshot::Sender<Answer<()>> },
     Restart { recipe: String, reply: oneshot::Sender<Answer<bool>> },
-    Enrol { output: String, reply: oneshot::Sender<Answer<()>> },
+    Register { output: String, reply: oneshot::Sender<Answer<()>> },
     Undelivered { output: String, most: u32, reply: oneshot::Sender<Answer<Vec<(u64, String)>>> },
     Delivered { output: String, n: u64, reply: oneshot::Sender<Answer<()>> },
     Close { reply: oneshot::Sender<Answer<()>> },
 }
 
-/// The desk has more waiting than it can hold, or is closed.
+/// Too many requests wait, or the engine is closed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("the monitor is busy or closing; send again later")]
+#[error("the monitor is busy or closing. Send the request again later")]
 pub struct Busy;
 
-/// The thread.
+/// The thread that owns the store and the monitor.
 #[derive(Debug)]
-pub struct Desk {
+pub struct ServiceEngine {
     thread: JoinHandle<()>,
     handle: Handle,
 }
 
-/// A way to the desk; as many as are wanted.
+/// A handle to send requests to the engine. It can be cloned.
 #[derive(Debug, Clone)]
 pub struct Handle(SyncSender<Job>);
 
-impl Desk {
-    /// Starts the thread. `say` is told when cycles begin to be refused because the store failed, and when they are taken again.
+impl ServiceEngine {
+    /// Starts the thread. `say` receives a message when cycles are refused because the store failed, and when they are accepted again.
     pub fn open(intake: Intake, say: impl Fn(&str) + Send + 'static) -> Self {
         let (sender, receiver) = sync_channel(WAITING);
         let mut health = Health { failed: None, probed: None, say: Box::new(say) };
@@ -78,28 +78,28 @@ impl Desk {
         Self { thread, handle: Handle(sender) }
     }
 
-    /// A way to it.
+    /// A handle to the engine.
     pub fn handle(&self) -> Handle {
         self.handle.clone()
     }
 
-    /// Does what waits, writes what is to be remembered, and ends the thread.
+    /// Processes waiting requests, writes the state, and ends the thread.
     ///
     /// # Errors
-    /// The store failed, in words; acknowledged cycles are on disk all the same.
+    /// The store failed, as text. Acknowledged cycles are on disk in any case.
     pub fn close(self) -> Result<(), String> {
         let closed = self.handle.wait(|reply| Job::Close { reply });
         let ended = self.thread.join();
         match (closed, ended) {
             (Ok(Ok(())), Ok(())) => Ok(()),
-            (Ok(Err(trouble)), _) => Err(trouble.because),
-            _ => Err("the monitor's thread ended early".to_owned()),
+            (Ok(Err(problem)), _) => Err(problem.because),
+            _ => Err("the thread of the monitor ended early".to_owned()),
         }
     }
 }
 
 impl Handle {
-    /// Hands over a job without waiting.
+    /// Sends a request without waiting.
     pub(super) fn ask<T>(&self, job: impl FnOnce(oneshot::Sender<T>) -> Job) -> Result<oneshot::Receiver<T>, Busy> {
         let (reply, answer) = oneshot::channel();
         match self.0.try_send(job(reply)) {
@@ -108,71 +108,71 @@ impl Handle {
         }
     }
 
-    /// Hands over a job, waiting for room and for the answer. Not for use inside an event loop.
+    /// Sends a request and waits for the answer. Not for use inside an event loop.
     pub(super) fn wait<T>(&self, job: impl FnOnce(oneshot::Sender<T>) -> Job) -> Result<T, Busy> {
         let (reply, answer) = oneshot::channel();
         self.0.send(job(reply)).map_err(|_| Busy)?;
         answer.blocking_recv().map_err(|_| Busy)
     }
 
-    /// Takes in a batch of lines; what is called accepted is on disk.
+    /// Processes a batch of lines. Accepted cycles are on disk when this returns.
     ///
     /// # Errors
-    /// Why nothing was taken, in words.
+    /// Why nothing was accepted, as text.
     pub fn take(&self, batch: Vec<u8>) -> Result<Taken, String> {
         match self.wait(|reply| Job::Cycles { batch, reply }) {
             Ok(Ok(taken)) => Ok(taken),
-            Ok(Err(trouble)) => Err(trouble.because),
+            Ok(Err(problem)) => Err(problem.because),
             Err(busy) => Err(busy.to_string()),
         }
     }
 
-    /// Where everything stands.
+    /// The status document.
     ///
     /// # Errors
-    /// Why it cannot be said, in words.
+    /// Why it is not available, as text.
     pub fn status(&self) -> Result<Status, String> {
         match self.wait(|reply| Job::Status { reply }) {
             Ok(Ok(status)) => Ok(status),
-            Ok(Err(trouble)) => Err(trouble.because),
+            Ok(Err(problem)) => Err(problem.because),
             Err(busy) => Err(busy.to_string()),
         }
     }
 }
 
-/// Time for which an answer about the disk holds: health is asked for by strangers, and asking the disk costs a write.
+/// Time for which a health check is reused: anyone may ask for it, and each check writes to the disk.
 const PROBE_HOLDS: Duration = Duration::from_secs(1);
-/// Time for which a failed batch tells more than the disk's answer to a single small write.
+/// Time for which a failed batch counts more than a small write that succeeds.
 const FAILURE_HOLDS: Duration = Duration::from_secs(60);
 
-/// What is known of the store's health.
+/// The health of the store.
 struct Health {
-    /// Since the last batch failed; nothing once one was written again.
-    failed: Option<(Instant, Trouble)>,
+    /// The time and cause of the last failed batch; `None` once a batch was written again.
+    failed: Option<(Instant, Problem)>,
     probed: Option<(Instant, Answer<()>)>,
     say: Box<dyn Fn(&str) + Send>,
 }
 
 impl Health {
-    fn note(&mut self, written: Result<(), &Trouble>) {
+    fn note(&mut self, written: Result<(), &Problem>) {
         match written {
-            Ok(()) if self.failed.take().is_some() => (self.say)("cycles are taken again"),
+            Ok(()) if self.failed.take().is_some() => (self.say)("cycles are accepted again"),
             Ok(()) => {}
-            Err(trouble) => {
+            Err(problem) => {
                 if self.failed.is_none() {
-                    (self.say)(&format!("cycles are refused: {}", trouble.because));
+                    (self.say)(&format!("cycles are refused: {}", problem.because));
                 }
-                self.failed = Some((Instant::now(), trouble.clone()));
+                self.failed = Some((Instant::now(), problem.clone()));
             }
         }
     }
 
     fn ask(&mut self, intake: &Intake) -> Answer<()> {
-        if let Some((_, trouble)) = self.failed.as_ref().filter(|(since, _)| since.elapsed() < FAILURE_HOLDS) {
-            return Err(trouble.clone());
+        if let Some((_, problem)) = self.failed.as_ref().filter(|(since, _)| since.elapsed() < FAILURE_HOLDS) {
+            return Err(problem.clone());
         }
         let held = self.probed.take().filter(|(since, _)| since.elapsed() < PROBE_HOLDS);
-        let (since, found) = held.unwrap_or_else(|| (Instant::now(), intake.healthy().map_err(Trouble::from)));
+        let (since, found) = held.unwrap_or_else(|| (Instant::now(), intake.healthy().map_err(Problem::from)));
         self.probed = Some((since, found.clone()));
         found
     }
@@ -184,7 +184,7 @@ fn work(mut intake: Intake, jobs: &Receiver<Job>, health: &mut Health) {
         match job {
             Job::Cycles { batch, reply } => next = together(&mut intake, jobs, health, batch, reply),
             Job::Close { reply } => {
-                answer(reply, intake.close().map_err(Trouble::from));
+                answer(reply, intake.close().map_err(Problem::from));
                 return;
             }
             Job::Healthy { reply } => answer(reply, health.ask(&intake)),
@@ -196,7 +196,7 @@ fn work(mut intake: Intake, jobs: &Receiver<Job>, health: &mut Health) {
     }
 }
 
-/// Takes in a batch together with those that wait behind it; returns the first job that is none.
+/// Processes a batch together with the batches that wait behind it. Returns the first other job.
 fn together(
     intake: &mut Intake,
     jobs: &Receiver<Job>,
@@ -225,9 +225,9 @@ fn together(
             replies.into_iter().zip(taken).for_each(|(reply, taken)| answer(reply, Ok(taken)));
         }
         Err(error) => {
-            let trouble = Trouble::from(error);
-            health.note(Err(&trouble));
-            replies.into_iter().for_each(|reply| answer(reply, Err(trouble.clone())));
+            let problem = Problem::from(error);
+            health.note(Err(&problem));
+            replies.into_iter().for_each(|reply| answer(reply, Err(problem.clone())));
         }
     }
     next
@@ -235,25 +235,25 @@ fn together(
 
 fn quick(intake: &mut Intake, job: Job) {
     match job {
-        Job::Status { reply } => answer(reply, Status::of(intake).map_err(Trouble::from)),
+        Job::Status { reply } => answer(reply, Status::of(intake).map_err(Problem::from)),
         Job::Fleet { reply } => answer(reply, Ok(Tallies::of(intake))),
         Job::Metrics { reply } => answer(reply, Ok(metrics(intake))),
-        Job::Restart { recipe, reply } => answer(reply, intake.restart(&recipe).map_err(Trouble::from)),
-        Job::Enrol { output, reply } => answer(reply, intake.store().enrol(&output).map_err(Trouble::from)),
+        Job::Restart { recipe, reply } => answer(reply, intake.restart(&recipe).map_err(Problem::from)),
+        Job::Register { output, reply } => answer(reply, intake.store().register(&output).map_err(Problem::from)),
         Job::Undelivered { output, most, reply } => {
             let store = intake.store();
             let found = store.delivered(&output).and_then(|n| store.alarms_after(n, most));
-            answer(reply, found.map_err(Trouble::from));
+            answer(reply, found.map_err(Problem::from));
         }
         Job::Delivered { output, n, reply } => {
-            answer(reply, intake.store().set_delivered(&output, n).map_err(Trouble::from));
+            answer(reply, intake.store().set_delivered(&output, n).map_err(Problem::from));
         }
-        // The loop has taken these out.
+        // The loop handles these.
         Job::Cycles { .. } | Job::Healthy { .. } | Job::Close { .. } => {}
     }
 }
 
-/// Whoever asked may have gone away.
+/// Sends an answer. The receiver may be gone.
 fn answer<T>(reply: oneshot::Sender<T>, value: T) {
     let _ = reply.send(value);
 }

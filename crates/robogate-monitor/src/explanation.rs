@@ -1,22 +1,30 @@
-//! An alarm in words: what changed, since when, how sure, and what to look at.
+//! The texts of an alarm: what changed, since when, with what guarantee, and the likely causes.
 
 use robogate_stats::overdispersion::outliers;
 use robogate_stats::{Confidence, Trials, wilson};
 
 use crate::alarm::{Alarm, Happening, Level, Metric, Rule, Since};
-use crate::cycle::{Cycle, MODES};
+use crate::cycle::Cycle;
 use crate::detector::{ChangePoint, change_point};
 use crate::domain::Validated;
 use crate::history::Symbols;
+use crate::modes::OTHER_MODE;
 use crate::recipe::{Recipe, Standing, happening_id};
 use crate::settings::Settings;
+
+/// A number with at most three significant digits.
+fn number(x: f64) -> String {
+    let digits = 2 - x.abs().log10().floor().clamp(-6.0, 2.0) as i32;
+    let text = format!("{x:.*}", digits as usize);
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
 
 /// A share as a percentage with one decimal.
 fn percent(share: f64) -> String {
     format!("{:.1} %", 100.0 * share)
 }
 
-/// A whole number with its thousands apart.
+/// An integer with thousands separators.
 fn grouped(number: f64) -> String {
     let digits = format!("{number:.0}");
     let mut text = String::new();
@@ -66,23 +74,23 @@ fn alarm(
     }
 }
 
-/// The paper's rule was raised or cleared.
+/// Describes an alarm of the paper's rule that was raised or cleared.
 pub(crate) fn paper(recipe: &Recipe, cycle: &Cycle, settings: &Settings, happening: Happening, level: Level) -> Alarm {
     let window = recipe.window();
     let baseline = recipe.baseline().success_rate().map_or_else(|| "-".to_owned(), percent);
     let what =
         format!("{} of the last {} cycles succeeded; the baseline is {baseline}.", window.successes(), window.n());
-    let how_sure = "The moving window of the paper promises nothing about false alarms.".to_owned();
+    let how_sure = "The false-alarm rate of the paper's moving window is not bounded.".to_owned();
     let look_at =
         if happening == Happening::Raised { look_at(recipe, Metric::Success, settings, None) } else { vec![] };
     alarm(recipe, cycle, happening, level, Rule::Paper, Metric::Success, what, how_sure, None, look_at)
 }
 
-/// A detector's evidence reached its limit.
+/// Describes an alarm of a detector whose evidence reached its limit.
 pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycle, settings: &Settings) -> Alarm {
     let state = recipe.state();
     let began = state.began[metric as usize];
-    // Only what the detector has heard: the cycles that taught the baseline are not held against it.
+    // Only cycles since the detector started: those that the baseline was learnt from are not compared with it.
     let heard = usize::try_from(state.cycles.saturating_sub(began)).unwrap_or(usize::MAX);
     let place = state.robots.get(&cycle.robot).map(|robot| robot.place);
     let kept: Vec<(u64, &Symbols, u8)> = state
@@ -101,7 +109,7 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
     let what = what(recipe, metric, after, &cycle.robot, settings);
     let promise = grouped(settings.promise(level));
     let how_sure = format!(
-        "The evidence reached {}; without a change, the first {} of any kind comes after {promise} cycles or more in the mean.",
+        "The evidence reached its limit of {}. Without a change, the mean number of cycles until the first {} of any metric is at least {promise}.",
         grouped(settings.limit(metric, level)),
         match level {
             Level::Warning => "warning",
@@ -119,7 +127,7 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
     alarm(recipe, cycle, Happening::Raised, level, Rule::Detector, metric, what, how_sure, since, look_at)
 }
 
-/// A detector was quiet for long enough.
+/// Describes the end of an alarm of a detector without further evidence.
 pub(crate) fn cleared(
     recipe: &Recipe,
     metric: Metric,
@@ -129,12 +137,12 @@ pub(crate) fn cleared(
     stood: Standing,
 ) -> Alarm {
     let what = format!(
-        "No further evidence for {} cycles; the alarm of cycle {} is over (evidence reached its limit {} times).",
+        "No further evidence for {} cycles: the alarm of cycle {} is cleared (the evidence reached its limit {} times).",
         grouped(settings.clear_after_cycles as f64),
         stood.raised,
         stood.times
     );
-    let how_sure = "Quiet is no proof that the cause is gone.".to_owned();
+    let how_sure = "A cleared alarm does not prove that the cause is gone.".to_owned();
     alarm(recipe, cycle, Happening::Cleared, level, Rule::Detector, metric, what, how_sure, None, vec![])
 }
 
@@ -169,7 +177,7 @@ fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], robot: &
         }
         Metric::Drop => {
             format!(
-                "Objects drop in {} of the last {n} cycles; the baseline is {}.",
+                "Parts drop in {} of the last {n} cycles; the baseline is {}.",
                 events(),
                 before(baseline.drop, false)
             )
@@ -190,7 +198,7 @@ fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], robot: &
                 )
             } else {
                 format!(
-                    "Cycle times spread wider: the middle half spans {:.3} s over the last {n}; in the baseline {:.3} s.",
+                    "The spread of cycle times grew: the interquartile range is {:.3} s over the last {n}; the baseline is {:.3} s.",
                     high - low,
                     high_before - low_before
                 )
@@ -199,11 +207,11 @@ fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], robot: &
         Metric::FailureModes => match grown_mode(recipe, after) {
             Some(mode) => {
                 let now = Trials::count(after.iter().map(|(_, symbols, _)| symbols.code(metric) == Some(mode)));
-                let counts = baseline.failure_modes.unwrap_or_default();
-                let then = Trials::new(counts.get(usize::from(mode)).copied().unwrap_or(0), counts.iter().sum());
+                let name = recipe.state().modes.name(mode);
+                let counts = baseline.failure_modes.clone().unwrap_or_default();
+                let then = Trials::new(counts.of(name), counts.total());
                 format!(
-                    "{} is {} of the last {n} failures; the baseline is {}.",
-                    MODES.get(usize::from(mode)).unwrap_or(&"another mode"),
+                    "`{name}` is {} of the last {n} failures; the baseline is {}.",
                     rate(now),
                     rate(then.unwrap_or(Trials::NONE))
                 )
@@ -215,7 +223,7 @@ fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], robot: &
             format!("Robot {robot} fails at {} over its last {n} cycles; the baseline is {before}.", events())
         }
         Metric::Outside => format!(
-            "{} of the last {n} cycles lie outside what was validated; at most {} were to be expected.",
+            "{} of the last {n} cycles lie outside the validated region; at most {} are accepted.",
             events(),
             percent(settings.outside_share)
         ),
@@ -223,7 +231,7 @@ fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], robot: &
             let expected =
                 after.iter().map(|(_, _, step)| crate::factors::risk_of(*step)).sum::<f64>() / n.max(1) as f64;
             format!(
-                "The parameters of the last {n} cycles let the risk model expect {} failures; the baseline is {}.",
+                "The risk model predicts {} failures for the parameters of the last {n} cycles; the baseline is {}.",
                 percent(expected),
                 before(baseline.success, true)
             )
@@ -231,47 +239,48 @@ fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], robot: &
     }
 }
 
-/// The quartiles by order statistics; zeros where there is nothing.
+/// The quartiles by order statistics; zeros without values.
 fn quartiles(values: &mut [f64]) -> [f64; 3] {
     values.sort_by(f64::total_cmp);
     [1, 2, 3].map(|q| values.get((q * values.len() / 4).min(values.len().saturating_sub(1))).copied().unwrap_or(0.0))
 }
 
-/// The failure mode whose share grew most; `None` where no failure is among the cycles or no mix is known.
+/// The code of the failure mode whose share grew most; `None` without failures or without a known mix.
 fn grown_mode(recipe: &Recipe, after: &[(u64, &Symbols, u8)]) -> Option<u8> {
-    let counts = recipe.baseline().failure_modes?;
-    let (n, total) = (counts.iter().sum::<u64>().max(1) as f64, counts.len() as u8);
+    let counts = recipe.baseline().failure_modes.as_ref()?;
+    let known = &recipe.state().modes;
+    let n = counts.total().max(1) as f64;
     let modes: Vec<u8> = after.iter().filter_map(|(_, symbols, _)| symbols.code(Metric::FailureModes)).collect();
     let growth = |mode: &u8| {
         let now = modes.iter().filter(|m| *m == mode).count() as f64 / modes.len().max(1) as f64;
-        now - counts.get(usize::from(*mode)).copied().unwrap_or(0) as f64 / n
+        now - counts.of(known.name(*mode)) as f64 / n
     };
-    (0..total).max_by(|a, b| growth(a).total_cmp(&growth(b))).filter(|_| !modes.is_empty())
+    (0..known.len() as u8).max_by(|a, b| growth(a).total_cmp(&growth(b))).filter(|_| !modes.is_empty())
 }
 
-/// The parameters that lay outside what was validated from a cycle on, in words.
+/// The parameters that lay outside the validated region since a cycle, as text.
 fn outside(recipe: &Recipe, from: u64) -> Vec<String> {
     let lately = recipe.outside().filter(|(_, tally)| tally.cycles > 0 && tally.last >= from);
     lately
         .map(|(parameter, tally)| {
             let Some((name, validated)) = parameter else {
-                return format!("combinations of parameters beyond the evaluated ones, in {} cycles", tally.cycles);
+                return format!("combinations of parameters outside the validated region, in {} cycles", tally.cycles);
             };
             let seen = match (tally.numbers, &tally.word) {
-                (Some([low, high]), _) if low < high => format!("{low} to {high}"),
-                (Some([low, _]), _) => low.to_string(),
+                (Some([low, high]), _) if low < high => format!("{} to {}", number(low), number(high)),
+                (Some([low, _]), _) => number(low),
                 (None, word) => format!("`{}`", word.as_deref().unwrap_or_default()),
             };
             let good = match validated {
-                Validated::Range([low, high]) => format!("from {low} to {high}"),
+                Validated::Range([low, high]) => format!("from {} to {}", number(*low), number(*high)),
                 Validated::Words(words) => format!("for {}", words.join(", ")),
             };
-            format!("{name}: {seen} in {} cycles, but validated {good}", tally.cycles)
+            format!("{name}: {seen} in {} cycles; validated {good}", tally.cycles)
         })
         .collect()
 }
 
-/// What to look at first: the robot that stands out, then what usually lies behind such a change.
+/// Likely causes: a robot that differs from its peers, then the usual causes of such a change.
 fn look_at(recipe: &Recipe, metric: Metric, settings: &Settings, mode: Option<u8>) -> Vec<String> {
     let mut all = Vec::new();
     if matches!(metric, Metric::Success | Metric::FailureModes) {
@@ -280,7 +289,7 @@ fn look_at(recipe: &Recipe, metric: Metric, settings: &Settings, mode: Option<u8
         let found = outliers(&tallies, 1.0 - settings.baseline_confidence);
         all.extend(found.iter().filter(|o| o.worse).map(|outlier| {
             format!(
-                "robot {}: {} of {} cycles succeeded, fewer than its peers",
+                "robot {}: {} of {} cycles succeeded, significantly fewer than its peers",
                 names[outlier.index],
                 outlier.trials.successes(),
                 outlier.trials.n()
@@ -288,27 +297,23 @@ fn look_at(recipe: &Recipe, metric: Metric, settings: &Settings, mode: Option<u8
         }));
     }
     if let Some(mode) = mode {
-        all.push(
-            match mode {
-                0 => "grasp misses grew: calibration of camera and arm, pose estimates, wear of the fingertips",
-                1 => "grip losses grew: gripping force, worn pads, heavier or smoother parts",
-                2 => "collisions grew: fixtures, obstacles, a changed part or an outdated map of the cell",
-                3 => "timeouts grew: controller limits, speed override, a policy that hesitates",
-                _ => "failures of another kind grew: the robot's own log",
-            }
-            .to_owned(),
-        );
+        all.push(match recipe.state().modes.name(mode) {
+            OTHER_MODE => "failures of an unlisted mode grew: see the robot's own log".to_owned(),
+            mode => format!("failures with the mode `{mode}` grew: see the last cycles with this mode"),
+        });
     }
     let usual = match metric {
-        Metric::Success => "what changed in the cell since then: parts, gripper, lighting, software",
+        Metric::Success => "changes in the cell since then: parts, gripper, lighting, software",
         Metric::Drop => "gripping force, worn pads, heavier or smoother parts",
         Metric::Collision => "fixtures, obstacles and the calibration of the arm",
-        Metric::CycleTime => "speed override, retries of the grasp, joint friction, network or camera delays",
-        Metric::CycleTimeSpread => "retries of the grasp, intermittent delays, mixed parts under one recipe",
-        Metric::FailureModes => "what changed in the cell since then, even while the success rate holds",
-        Metric::Robot => "this robot: its gripper, calibration and load; the others have the same parts and software",
-        Metric::Outside => "parts, fixtures or lighting that the gate never saw: validate them, or keep them out",
-        Metric::Risk => "harder parts or conditions than the gate's, even while the success rate holds",
+        Metric::CycleTime => "speed override, retries, joint friction, network or camera delays",
+        Metric::CycleTimeSpread => "retries, intermittent delays, different parts under one recipe",
+        Metric::FailureModes => "changes in the cell since then, even if the success rate is unchanged",
+        Metric::Robot => {
+            "this robot: its gripper, calibration and load; the other robots have the same parts and software"
+        }
+        Metric::Outside => "parts, fixtures or lighting that the gate did not evaluate: validate or exclude them",
+        Metric::Risk => "harder parts or conditions than those of the gate, even if the success rate is unchanged",
     };
     all.push(usual.to_owned());
     all
