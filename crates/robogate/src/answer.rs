@@ -26,7 +26,7 @@ pub(crate) fn print(evaluation: &Evaluation) {
         line(format_args!(
             "  {}  {text}  {}",
             colour(row.status, sign(row.status)),
-            colour(row.status, row.status.word())
+            colour(row.status, row.status.as_str())
         ));
         if !row.note.is_empty() {
             line(dim(format_args!("     {}", row.note)));
@@ -192,7 +192,7 @@ fn banner(verdict: Verdict) -> Styled<String> {
         Verdict::Inconclusive => "1;30;43",
         Verdict::Invalid => "1;97;45",
     };
-    styled(style, format!(" {} ", verdict.word().to_uppercase()))
+    styled(style, format!(" {} ", verdict.as_str().to_uppercase()))
 }
 
 fn colour(status: Status, text: &str) -> Styled<&str> {

@@ -1,4 +1,4 @@
-//! A policy in place of the scripted controller, as the command names it and a run records it.
+//! Where a policy comes from, as the command names it and a run records it.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -12,72 +12,72 @@ use serde::{Deserialize, Serialize};
 
 use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
 
-/// A policy in place of the scripted controller.
+/// A policy other than the environment's scripted controller.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
-pub(crate) enum Guest {
-    /// Behind a socket or in a file.
-    Served(Served),
-    /// One that comes with RoboGate.
-    Own(Own),
+pub(crate) enum PolicySource {
+    /// Behind a server or in a file.
+    External(ExternalPolicy),
+    /// Built in.
+    BuiltIn(BuiltInPolicy),
 }
 
-/// Policies that come with RoboGate, beside the scripted controller.
+/// Built-in policies that drive any task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(crate) enum Own {
-    /// Knows nothing: the floor of a ranking.
+pub(crate) enum BuiltInPolicy {
+    /// Draws its actions at random.
     Random,
 }
 
-/// A learned policy behind a socket, or in a file.
+/// A learned policy behind a server, or in a file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Served {
+pub(crate) struct ExternalPolicy {
     /// Its server's address, or its file.
     server: String,
-    /// What the model sees and how its answers are meant, in full.
+    /// Observation and action mapping, in full.
     profile: Arc<Profile>,
-    /// What the server said of itself when it was first asked.
+    /// What the server reported about itself when the run began.
     declared: serde_json::Value,
 }
 
-impl Guest {
+impl PolicySource {
     /// Its name in records.
     pub(crate) fn name(&self) -> &str {
         match self {
-            Self::Served(served) => &served.profile.name,
-            Self::Own(Own::Random) => "random",
+            Self::External(served) => &served.profile.name,
+            Self::BuiltIn(BuiltInPolicy::Random) => "random",
         }
     }
 
-    /// What it was taught to see, where it was taught.
+    /// Its observation and action mapping, where it has one.
     pub(crate) fn profile(&self) -> Option<&Profile> {
         match self {
-            Self::Served(served) => Some(&served.profile),
-            Self::Own(_) => None,
+            Self::External(served) => Some(&served.profile),
+            Self::BuiltIn(_) => None,
         }
     }
 
-    /// The same policy, its server asked anew what it is.
+    /// The same policy, with what its server reports now.
     pub(crate) fn asked_again(&self) -> Result<Self, Exit> {
         match self {
-            Self::Served(served) => Served::ask(&served.server, Arc::clone(&served.profile)).map(Self::Served),
-            Self::Own(own) => Ok(Self::Own(*own)),
+            Self::External(served) => ExternalPolicy::ask(&served.server, Arc::clone(&served.profile)).map(Self::External),
+            Self::BuiltIn(own) => Ok(Self::BuiltIn(*own)),
         }
     }
 
-    /// One for a station of its own.
+    /// A new instance, for a worker of its own.
     pub(crate) fn policy(&self) -> Result<Box<dyn Policy>, Fault> {
         Ok(match self {
-            Self::Served(served) => Box::new(ServerPolicy::connect(&served.server, Arc::clone(&served.profile))?),
-            Self::Own(Own::Random) => Box::new(Random::new()),
+            Self::External(served) => Box::new(ServerPolicy::connect(&served.server, Arc::clone(&served.profile))?),
+            Self::BuiltIn(BuiltInPolicy::Random) => Box::new(Random::new()),
         })
     }
 }
 
-impl Served {
-    /// Asks a server what it is.
+impl ExternalPolicy {
+    /// Connects to a server and records what it reports about itself.
     fn ask(server: &str, profile: Arc<Profile>) -> Result<Self, Exit> {
         // A run is resumed and replayed from other folders, too.
         let is_file = profile.dialect.is_file() && !server.contains("://");
@@ -91,28 +91,30 @@ impl Served {
 /// The policy, on the command line.
 #[derive(Debug, Args)]
 pub(crate) struct PolicyArguments {
-    /// A policy in place of the scripted controller: the address of its server, such as ws://127.0.0.1:8000, or an ONNX
-    /// file, or random, the floor of a ranking
-    #[arg(long, value_name = "URL|FILE|random")]
+    /// Choose the policy: scripted (the environment's own controller, the default), random (actions drawn within the
+    /// bounds of the task), the address of a policy server such as ws://127.0.0.1:8000, or an ONNX file
+    #[arg(long, value_name = "URL|FILE|random|scripted")]
     policy: Option<String>,
-    /// What that model sees and how its answers are meant: a built-in profile (robogate policy profiles), or a
-    /// file of your own (TOML)
+    /// Choose the observation and action mapping of that policy: a built-in profile (see `robogate policy profiles`), or
+    /// a file of your own (TOML)
     #[arg(long, value_name = "NAME|FILE", requires = "policy")]
     profile: Option<String>,
 }
 
 impl PolicyArguments {
-    /// The policy that they name, if any; its server is asked what it is.
-    pub(crate) fn guest(&self) -> Result<Option<Guest>, Exit> {
+    /// The policy that they name; `None` for the scripted controller.
+    pub(crate) fn source(&self) -> Result<Option<PolicySource>, Exit> {
         match (self.policy.as_deref(), &self.profile) {
-            (None, _) => Ok(None),
-            (Some("random"), None) => Ok(Some(Guest::Own(Own::Random))),
-            (Some("random"), Some(_)) => Err(anyhow!("--policy random has no profile")).or_usage(),
+            (None, _) | (Some("scripted"), None) => Ok(None),
+            (Some("random"), None) => Ok(Some(PolicySource::BuiltIn(BuiltInPolicy::Random))),
+            (Some(name @ ("random" | "scripted")), Some(_)) => {
+                Err(anyhow!("--policy {name} takes no profile\n  hint: leave out --profile")).or_usage()
+            }
             (Some(server), Some(wanted)) => {
-                Served::ask(server, Arc::new(profile(wanted).or_usage()?)).map(|served| Some(Guest::Served(served)))
+                ExternalPolicy::ask(server, Arc::new(profile(wanted).or_usage()?)).map(|served| Some(PolicySource::External(served)))
             }
             (Some(server), None) => {
-                Err(anyhow!("--policy {server}: --profile says what it sees and how its answers are meant")).or_usage()
+                Err(anyhow!("--policy {server}: an external policy needs a profile\n  hint: add --profile NAME (see `robogate policy profiles`)")).or_usage()
             }
         }
     }
@@ -124,7 +126,7 @@ pub(crate) fn profile(wanted: &str) -> anyhow::Result<Profile> {
         Some(text) => Profile::from_toml(text).with_context(|| format!("profile {wanted}")),
         None if !Path::new(wanted).exists() && !wanted.contains(['/', '.']) => {
             let known = Profile::built_in_names().collect::<Vec<_>>().join(", ");
-            bail!("there is no profile `{wanted}`; built in: {known}; one of your own is named by its file")
+            bail!("--profile {wanted}: unknown profile. Expected a file, or one of: {known}")
         }
         None => {
             let text = std::fs::read_to_string(wanted).with_context(|| format!("cannot read {wanted}"))?;
@@ -133,7 +135,7 @@ pub(crate) fn profile(wanted: &str) -> anyhow::Result<Profile> {
     }
 }
 
-/// A server's error with its exit code: what the settings say wrongly is usage, the rest infrastructure.
+/// A server's error with its exit code: usage where the settings are wrong, else infrastructure.
 pub(crate) fn refused(error: ServerError) -> Exit {
     let code = if error.is_in_the_settings() { USAGE } else { INFRASTRUCTURE };
     Exit { code, error: error.into() }

@@ -7,9 +7,10 @@ use std::sync::Arc;
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_campaign::{Worker, WorkerFactory};
-use robogate_core::{Environment, Fault, FaultKind, ParameterSpace, Policy, Suite, TaskSpec};
+use robogate_core::{Assignment, Environment, Fault, FaultKind, ParameterSpace, Policy, Suite, TaskSpec};
 use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance};
 use robogate_physics::{RobotFile, SuctionLaw, is_folder};
+use robogate_remote::message::{self, Hello};
 use robogate_remote::{Pool, RemoteEnvironment};
 use robogate_tasks::SelfContained;
 use robogate_tasks::pick_place::{built_in_space, built_in_spaces};
@@ -22,6 +23,7 @@ use crate::policy_source::PolicySource;
 use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
 use crate::remote::{self, Simulators};
 use crate::renderer::RendererName;
+use crate::terminal::foreign;
 
 /// The environment, on the command line.
 #[derive(Debug, Args)]
@@ -170,7 +172,10 @@ impl Subject {
         };
         let task = environment.task().or_broken()?;
         let subject = Self { environment, policy, task };
-        let ready = subject.policy().map_err(anyhow::Error::from).or_broken()?;
+        let ready = match &subject.policy {
+            Some(source) => source.policy().map_err(anyhow::Error::from).or_broken()?,
+            None => subject.environment.controller().or_usage()?,
+        };
         ready
             .check(&subject.task)
             .map_err(|why| anyhow!("the policy {} cannot drive this environment: {why}", subject.policy_name()))
@@ -225,6 +230,14 @@ impl Subject {
         };
         let policy = policy.as_ref().map(PolicySource::asked_again).transpose()?;
         Self::new(environment, policy)
+    }
+
+    /// The same subject, its camera images of this many pixels in width and height, where the cell renders them.
+    pub(crate) fn with_pictures_of(mut self, picture_px: usize) -> Self {
+        if let EnvironmentSource::Cell(cell) = self.environment {
+            self.environment = EnvironmentSource::Cell(Box::new(cell.with_pictures_of(picture_px)));
+        }
+        self
     }
 
     /// The task.
@@ -358,6 +371,23 @@ impl EnvironmentSource {
         })
     }
 
+    /// What a server of this environment reports about itself.
+    pub(crate) fn hello(&self) -> anyhow::Result<Hello> {
+        match self {
+            Self::Cell(cell) => cell.hello(),
+            Self::SelfContained(task) => {
+                let engine = cell::engine(task.engine())?;
+                let version = engine.version.unwrap_or_default();
+                let engine = message::Engine { name: engine.name, version, solver: None };
+                let program =
+                    message::Program { name: "robogate".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() };
+                let space = Some(ParameterSpace::from_toml(task.space())?);
+                Ok(Hello { space, ..Hello::new((*task.task()).clone(), program, engine) })
+            }
+            Self::Remote(_) => bail!("--simulator names a simulator that is served already"),
+        }
+    }
+
     /// A parameter space by its name or file; without either, that of the environment.
     pub(crate) fn space(&self, wanted: Option<&str>) -> anyhow::Result<ParameterSpace> {
         let space = match (wanted, self) {
@@ -441,7 +471,7 @@ impl EnvironmentSource {
 }
 
 /// A parameter space by its name or file.
-fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
+pub(crate) fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
     let own = registry::TASKS.iter().find(|task| task.name() == wanted).map(|task| task.space());
     match built_in_space(wanted).or(own) {
         Some(text) => ParameterSpace::from_toml(text).with_context(|| wanted.to_owned()),
@@ -453,6 +483,23 @@ fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
             .with_context(|| format!("cannot read {wanted}"))
             .and_then(|text| ParameterSpace::from_toml(&text).with_context(|| wanted.to_owned())),
     }
+}
+
+/// Parameters given as NAME=VALUE.
+pub(crate) fn assignment(pairs: &[String]) -> anyhow::Result<Assignment> {
+    let mut assignment = Assignment::default();
+    for pair in pairs {
+        let Some((name, value)) = pair.split_once('=') else {
+            bail!("--set {}: expected NAME=VALUE", foreign(pair));
+        };
+        let value = match (value.parse::<i64>(), value.parse::<f64>()) {
+            (Ok(integer), _) => robogate_core::Value::Integer(integer),
+            (_, Ok(number)) => robogate_core::Value::Number(number),
+            _ => robogate_core::Value::Category(value.into()),
+        };
+        assignment.set(name, value);
+    }
+    Ok(assignment)
 }
 
 /// The files of the robot of a recorded run, where they are still those that it ran with.

@@ -12,7 +12,7 @@ use robogate_gate::{Asked, GateError, Record, Requirements, Sampling};
 use crate::commands::gate::{built_in_baseline, refused};
 use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::terminal::{foreign, line, note};
-use crate::world::recorded_robot;
+use crate::subject::recorded_robot;
 
 /// Judge a run and put all that the verdict depends on into a folder that someone else can check.
 ///

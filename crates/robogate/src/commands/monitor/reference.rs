@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Args;
 use robogate_analysis::{Analysis, Finding, Population, RiskModel, Source};
-use robogate_core::{Domain, FailureMode, Parameter};
+use robogate_core::{Domain, Parameter};
 use robogate_dictionary::{Column, Dictionary, DictionaryError};
 use robogate_monitor::domain::{self, Risk, RiskTerm, Validated};
 use robogate_monitor::{Baseline, Count, ModeCounts, Reference};
@@ -168,7 +168,7 @@ fn range(parameter: &Parameter, values: impl Iterator<Item = f64>) -> Option<Val
 /// Which episodes are valid.
 fn valid(dictionary: &Dictionary) -> Result<Vec<bool>, DictionaryError> {
     let Column::Categories { words, codes } = dictionary.column("outcome")? else { return Ok(Vec::new()) };
-    let counts = |word: &String| word == "success" || FailureMode::ALL.iter().any(|mode| mode.word() == word);
+    let counts = |word: &String| word != "invalid";
     let counts: Vec<bool> = words.iter().map(counts).collect();
     Ok(codes.iter().map(|code| code.and_then(|code| counts.get(code as usize).copied()).unwrap_or(false)).collect())
 }
