@@ -11,7 +11,7 @@ use std::time::Instant;
 
 use openpi::{actions, serve};
 use robogate_policy::{Profile, ServerPolicy};
-use support::{observation, task};
+use support::{begin, observation};
 use tungstenite::Message;
 
 #[path = "../tests/support/openpi.rs"]
@@ -27,7 +27,7 @@ fn main() {
     let as_they_are = built_in.replace("224", "256");
     for (what, text) in [("sent as they are", as_they_are), ("resized to 224 x 224", built_in)] {
         let mut policy = ServerPolicy::connect(&url, Arc::new(Profile::from_toml(&text).unwrap())).unwrap();
-        policy.begin(&task("pick up the box").instruction).unwrap();
+        begin(&mut policy, "pick up the box").unwrap();
         let observation = observation(256);
         let mut times: Vec<f64> = (0..questions)
             .map(|_| {

@@ -1,6 +1,6 @@
 //! Between the cell and a model: observations into queries, answers into actions, as a profile says.
 
-use robogate_core::{Action, ArmCommand, GripperCommand, Observation};
+use robogate_core::{Action, Command, Observation, Pose, vectors};
 
 use super::array::{Array, Dtype};
 use super::error::ServerError;
@@ -79,6 +79,9 @@ impl Query {
             for part in &state.parts {
                 push(&mut numbers, *part, profile, observation)?;
             }
+            for name in &state.vectors {
+                numbers.extend(observation.vector(name.as_str()).ok_or_else(|| missing(name.as_str()))?);
+            }
             if numbers.iter().any(|n| !n.is_finite()) {
                 return Err(ServerError::Observation(format!("the state `{}` is not finite", state.key)));
             }
@@ -95,11 +98,19 @@ impl Query {
     }
 }
 
+/// The error for a vector that the observation lacks.
+fn missing(vector: &str) -> ServerError {
+    ServerError::Observation(format!("the profile uses the vector `{vector}`; the observation has none of this name"))
+}
+
 fn push(numbers: &mut Vec<f64>, part: Part, profile: &Profile, observation: &Observation) -> Result<(), ServerError> {
-    let tool = rotation::seen(&observation.tool_pose, profile.tool.shift_m, profile.tool.turn_rad);
+    let tool = match (part.vector() == Some(vectors::TOOL_POSE), observation.tool_pose()) {
+        (true, None) => return Err(missing(vectors::TOOL_POSE.as_str())),
+        (_, pose) => rotation::seen(&pose.unwrap_or(Pose::IDENTITY), profile.tool.shift_m, profile.tool.turn_rad),
+    };
     let [w, x, y, z] = tool.orientation;
     let opening = || {
-        observation.gripper_opening_m.ok_or_else(|| {
+        observation.gripper_opening_m().ok_or_else(|| {
             ServerError::Observation("the profile asks for the opening of the fingers; the gripper has none".to_owned())
         })
     };
@@ -116,7 +127,11 @@ fn push(numbers: &mut Vec<f64>, part: Part, profile: &Profile, observation: &Obs
         Part::ToolYaw => numbers.push(rotation::euler(tool.orientation)[2]),
         Part::ToolQuaternionXyzw => numbers.extend([x, y, z, w]),
         Part::ToolQuaternionWxyz => numbers.extend([w, x, y, z]),
-        Part::JointPositions => numbers.extend(&observation.joint_positions),
+        Part::JointPositions => numbers.extend(
+            observation
+                .vector(vectors::JOINT_POSITIONS.as_str())
+                .ok_or_else(|| missing(vectors::JOINT_POSITIONS.as_str()))?,
+        ),
         Part::GripperFingers => numbers.extend([0.5 * opening()?, -0.5 * opening()?]),
         Part::GripperOpenness => numbers.push(openness()?),
         Part::GripperClosedness => numbers.push(1.0 - openness()?),
@@ -222,14 +237,20 @@ impl ActionForm {
     /// What an action's raw numbers tell the robot, whose joints are at `joints`. The numbers are finite and as many as
     /// [`ActionForm::size`].
     pub fn action(&self, raw: &[f64], joints: &[f64]) -> Result<Action, ServerError> {
+        if self.arm == Arm::Vector {
+            return Ok(Action { command: Command::Vector(raw.to_vec()), gripper: None, phase: None });
+        }
         let Some((gripper, arm)) = raw.split_last() else {
             return Err(ServerError::Shape("an action without numbers".to_owned()));
         };
-        let open = match self.gripper_open {
-            Side::Above => *gripper > self.gripper_threshold,
-            Side::Below => *gripper < self.gripper_threshold,
+        let (Some(threshold), Some(side)) = (self.gripper_threshold, self.gripper_open) else {
+            return Err(ServerError::Shape("the profile has no action.gripper_threshold or gripper_open".to_owned()));
         };
-        let gripper = if open { GripperCommand::Open } else { GripperCommand::Close };
+        let open = match side {
+            Side::Above => *gripper > threshold,
+            Side::Below => *gripper < threshold,
+        };
+        let gripper = Some(if open { Action::OPEN } else { Action::CLOSE });
         let cut = |n: f64| self.clip.map_or(n, |limit| n.clamp(-limit, limit));
         if self.arm != Arm::ToolDelta && arm.len() != joints.len() {
             return Err(ServerError::Shape(format!(
@@ -238,10 +259,10 @@ impl ActionForm {
                 joints.len()
             )));
         }
-        let arm = match (self.arm, arm) {
+        let command = match (self.arm, arm) {
             (Arm::ToolDelta, [x, y, z, a, b, c]) => {
                 let turn = [*a, *b, *c].map(|n| cut(n) * self.rotation_scale_rad);
-                ArmCommand::ToolDelta {
+                Command::ToolDelta {
                     translation_m: [*x, *y, *z].map(|n| cut(n) * self.position_scale_m),
                     rotation_rad: match self.rotation {
                         Rotation::AxisAngle => turn,
@@ -252,18 +273,18 @@ impl ActionForm {
             (Arm::ToolDelta, other) => {
                 return Err(ServerError::Shape(format!("{} numbers for a tool's way and turn: 6 are", other.len())));
             }
-            (Arm::JointPositions, arm) => ArmCommand::JointPositions(arm.to_vec()),
-            (Arm::JointDeltas, arm) => ArmCommand::JointPositions(
+            (Arm::JointPositions | Arm::Vector, arm) => Command::JointPosition(arm.to_vec()),
+            (Arm::JointDeltas, arm) => Command::JointPosition(
                 joints.iter().zip(arm).map(|(q, n)| q + cut(*n) * self.rotation_scale_rad).collect(),
             ),
         };
-        Ok(Action { arm, gripper, phase: None })
+        Ok(Action { command, gripper, phase: None })
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use robogate_core::{Image, Pose};
+    use robogate_core::Image;
 
     use super::*;
 
@@ -271,11 +292,12 @@ mod tests {
         let image = |camera: &str| Image { camera: camera.to_owned(), width: 2, height: 2, rgb: (0..12).collect() };
         Observation {
             time_s: 0.0,
-            joint_positions: (1..=7).map(f64::from).collect(),
-            joint_velocities: vec![0.0; 7],
-            gripper_opening_m: Some(0.06),
-            // A quarter turn about z.
-            tool_pose: Pose::upright([0.1, 0.2, 0.3], std::f64::consts::FRAC_PI_2),
+            vectors: vec![
+                (vectors::JOINT_POSITIONS, (1..=7).map(f64::from).collect()),
+                (vectors::GRIPPER_OPENING, vec![0.06]),
+                // A rotation by 90 degrees about z.
+                (vectors::TOOL_POSE, Pose::upright([0.1, 0.2, 0.3], std::f64::consts::FRAC_PI_2).to_array().to_vec()),
+            ],
             images: vec![image("front"), image("wrist")],
         }
     }
@@ -341,17 +363,17 @@ mod tests {
     fn numbers_are_cut_then_scaled_and_the_gripper_has_its_side() {
         let mut form = profile(|text| text).action;
         let action = form.action(&[0.5, -3.0, 0.0, 0.0, 0.0, 1.0, 0.2], &[]).unwrap();
-        let way = ArmCommand::ToolDelta { translation_m: [0.01, -0.02, 0.0], rotation_rad: [0.0, 0.0, 0.05] };
-        assert_eq!((action.arm, action.gripper), (way, GripperCommand::Close));
-        form.gripper_open = Side::Above;
-        assert_eq!(form.action(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.2], &[]).unwrap().gripper, GripperCommand::Open);
+        let delta = Command::ToolDelta { translation_m: [0.01, -0.02, 0.0], rotation_rad: [0.0, 0.0, 0.05] };
+        assert_eq!((action.command, action.gripper), (delta, Some(Action::CLOSE)));
+        form.gripper_open = Some(Side::Above);
+        assert_eq!(form.action(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.2], &[]).unwrap().gripper, Some(Action::OPEN));
         form.arm = Arm::JointDeltas;
         let action = form.action(&[1.0, -9.0, 0.0], &[0.5, 0.5]).unwrap();
-        assert_eq!(action.arm, ArmCommand::JointPositions(vec![0.55, 0.45]));
+        assert_eq!(action.command, Command::JointPosition(vec![0.55, 0.45]));
         form.arm = Arm::JointPositions;
         assert_eq!(
-            form.action(&[1.0, -9.0, 0.0], &[0.5, 0.5]).unwrap().arm,
-            ArmCommand::JointPositions(vec![1.0, -9.0])
+            form.action(&[1.0, -9.0, 0.0], &[0.5, 0.5]).unwrap().command,
+            Command::JointPosition(vec![1.0, -9.0])
         );
         let error = form.action(&[1.0, 0.0], &[0.5, 0.5]).unwrap_err().to_string();
         assert!(error.contains("an action for 1 joints, the arm has 2"), "{error}");

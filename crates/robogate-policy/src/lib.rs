@@ -28,6 +28,7 @@ mod roboarena;
 mod rotation;
 mod server;
 mod spare;
+mod suits;
 #[cfg(test)]
 mod tests;
 mod vla_eval;

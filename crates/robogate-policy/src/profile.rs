@@ -1,5 +1,6 @@
 //! What a model was taught to see and how its answers are meant, as data.
 
+use robogate_core::{Word, vectors};
 use serde::{Deserialize, Serialize};
 
 use super::array::Dtype;
@@ -239,7 +240,11 @@ pub struct State {
     /// The server's name for it.
     pub key: String,
     /// What it is made of, in order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<Part>,
+    /// Vectors of the task's observation by name, after the parts, as they are observed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub vectors: Vec<Word>,
     /// Its numbers' type: `<f4` or `<f8`.
     #[serde(default = "double", rename = "type")]
     pub dtype: Dtype,
@@ -250,7 +255,7 @@ fn double() -> Dtype {
 }
 
 impl State {
-    /// How many numbers it has, for an arm of so many joints.
+    /// How many numbers its parts have, for an arm of so many joints; vectors are not counted.
     pub fn size(&self, joints: usize) -> usize {
         self.parts.iter().map(|part| part.size(joints)).sum()
     }
@@ -307,6 +312,18 @@ impl Part {
         }
     }
 
+    /// The vector of the observation that it is made from.
+    pub(crate) fn vector(self) -> Option<Word> {
+        match self {
+            Self::Zero => None,
+            Self::JointPositions => Some(vectors::JOINT_POSITIONS),
+            Self::GripperFingers | Self::GripperOpenness | Self::GripperClosedness | Self::GripperOpening => {
+                Some(vectors::GRIPPER_OPENING)
+            }
+            _ => Some(vectors::TOOL_POSE),
+        }
+    }
+
     pub(crate) fn is_share_of_stroke(self) -> bool {
         matches!(self, Self::GripperOpenness | Self::GripperClosedness)
     }
@@ -331,7 +348,7 @@ pub struct Tool {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ActionForm {
-    /// How many numbers it has. The last one is the gripper's.
+    /// How many numbers it has. The last one is the gripper's, unless `arm` is `vector`.
     pub size: usize,
     /// What the others are.
     pub arm: Arm,
@@ -347,10 +364,12 @@ pub struct ActionForm {
     /// The arm's numbers are cut to this size before they are scaled; left out, they are not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clip: Option<f64>,
-    /// Where the gripper's number turns from one command to the other.
-    pub gripper_threshold: f64,
-    /// Which side of it is open.
-    pub gripper_open: Side,
+    /// Where the gripper's number turns from one command to the other. Required unless `arm` is `vector`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gripper_threshold: Option<f64>,
+    /// Which side of it is open. Required unless `arm` is `vector`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gripper_open: Option<Side>,
 }
 
 /// The paper's scale of positions (section 7.1).
@@ -373,6 +392,8 @@ pub enum Arm {
     JointPositions,
     /// A way for each joint from where it was measured; a one is `rotation_scale_rad`.
     JointDeltas,
+    /// The numbers of the task's own action vector, clipped to its bounds; no gripper beside them.
+    Vector,
 }
 
 /// How a turn is written.
@@ -503,7 +524,7 @@ impl Profile {
             }
         }
         for (i, state) in self.states.iter().enumerate() {
-            if state.parts.is_empty() {
+            if state.parts.is_empty() && state.vectors.is_empty() {
                 return wrong(&format!("state[{i}].parts"), "nothing in it".to_owned());
             }
             if !matches!(state.dtype, Dtype::F32 | Dtype::F64) {
@@ -547,8 +568,17 @@ impl Profile {
         if let Some((field, _)) = finite.iter().find(|(_, v)| !v.iter().all(|n| n.is_finite())) {
             return wrong(field, "not finite".to_owned());
         }
-        if !self.action.gripper_threshold.is_finite() {
+        if self.action.gripper_threshold.is_some_and(|threshold| !threshold.is_finite()) {
             return wrong("action.gripper_threshold", "not finite".to_owned());
+        }
+        let gripper = [
+            ("action.gripper_threshold", self.action.gripper_threshold.is_some()),
+            ("action.gripper_open", self.action.gripper_open.is_some()),
+        ];
+        let vector = self.action.arm == Arm::Vector;
+        if let Some((field, _)) = gripper.iter().find(|(_, given)| *given == vector) {
+            let why = if vector { "not used with arm = \"vector\": remove it" } else { "missing" };
+            return wrong(field, why.to_owned());
         }
         match (self.action.arm, self.action.size) {
             (Arm::ToolDelta, 7) => {}
@@ -558,7 +588,8 @@ impl Profile {
                     format!("{size}, but arm = \"tool_delta\" has 7 numbers: 3 of way, 3 of turn, 1 of the gripper"),
                 );
             }
-            (_, 2..=64) => {}
+            (Arm::Vector, 1..=1024) | (Arm::JointPositions | Arm::JointDeltas, 2..=64) => {}
+            (Arm::Vector, size) => return wrong("action.size", format!("{size} is not between 1 and 1024")),
             (_, size) => return wrong("action.size", format!("{size} is no number of joints and a gripper")),
         }
         if matches!(self.dialect, Dialect::LeRobot(_)) && self.chunk.length.is_none() {

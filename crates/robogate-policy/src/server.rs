@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use robogate_core::{Action, Fault, Observation, Policy, Seed, TaskSpec};
+use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec};
 use serde_json::Value as Json;
 
 use super::error::ServerError;
@@ -12,6 +12,7 @@ use super::exchange::{Chunk, Query};
 use super::link::{self, Link};
 use super::profile::Profile;
 use super::spare::Spare;
+use super::suits;
 use super::websocket::Deadline;
 
 /// A model behind its own inference server, seen as a [`Policy`].
@@ -32,6 +33,8 @@ pub struct ServerPolicy {
     step: u64,
     /// Raw actions of the chunk that are still to be executed.
     queue: VecDeque<Vec<f64>>,
+    /// Smallest and largest value of each number of a vector action, where the task takes one.
+    bounds: Vec<(f64, f64)>,
     /// Where the next question's pictures go.
     spare: Spare,
 }
@@ -60,6 +63,7 @@ impl ServerPolicy {
             episode: 0,
             step: 0,
             queue: VecDeque::new(),
+            bounds: Vec::new(),
             spare: Spare::default(),
         })
     }
@@ -133,11 +137,17 @@ impl ServerPolicy {
 }
 
 impl Policy for ServerPolicy {
-    fn reset(&mut self, task: &TaskSpec, _: Seed) -> Result<(), Fault> {
-        Ok(self.begin(&task.instruction)?)
+    fn check(&self, task: &TaskSpec) -> Result<(), String> {
+        suits::check(&self.profile, task)
     }
 
-    fn looks(&self) -> bool {
+    fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {
+        let bounds = task.action.vector().map(|(low, high)| low.iter().copied().zip(high.iter().copied()).collect());
+        self.bounds = bounds.unwrap_or_default();
+        Ok(self.begin(&instance.instruction)?)
+    }
+
+    fn wants_images(&self) -> bool {
         self.queue.is_empty() && !self.profile.cameras.is_empty()
     }
 
@@ -147,6 +157,11 @@ impl Policy for ServerPolicy {
             self.queue.extend(chunk.into_rows().into_iter().take(self.profile.chunk.execute));
         }
         let raw = self.queue.pop_front().unwrap_or_default();
-        Ok(self.profile.action.action(&raw, &observation.joint_positions)?)
+        let mut action = self.profile.action.action(&raw, observation.joint_positions())?;
+        if let Command::Vector(numbers) = &mut action.command {
+            // Networks overshoot a little; the task would reject such an action.
+            numbers.iter_mut().zip(&self.bounds).for_each(|(n, (low, high))| *n = n.clamp(*low, *high));
+        }
+        Ok(action)
     }
 }

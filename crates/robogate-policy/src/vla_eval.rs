@@ -200,15 +200,14 @@ fn compare(declared: &Json, profile: &Profile) -> Result<(), ServerError> {
         };
         if let Some((low, high, open)) = gripper {
             let name = format("gripper").unwrap_or_default();
-            if form.gripper_open != open {
+            if form.gripper_open != Some(open) {
                 return mismatch(format!(
                     "the server's gripper is `{name}`, the profile's gripper_open says the opposite"
                 ));
             }
-            if !(low..high).contains(&form.gripper_threshold) {
+            if let Some(threshold) = form.gripper_threshold.filter(|threshold| !(low..high).contains(threshold)) {
                 return mismatch(format!(
-                    "the server's gripper is `{name}`, the profile's gripper_threshold {} is not between {low} and {high}",
-                    form.gripper_threshold
+                    "the server's gripper is `{name}`, the profile's gripper_threshold {threshold} is not between {low} and {high}"
                 ));
             }
         }
@@ -291,8 +290,8 @@ mod tests {
             change(&mut profile);
             compare(&declared, &profile).unwrap_err().to_string()
         };
-        assert!(wrong(&|p| p.action.gripper_open = Side::Above).contains("the opposite"));
-        assert!(wrong(&|p| p.action.gripper_threshold = 2.0).contains("not between -1 and 1"));
+        assert!(wrong(&|p| p.action.gripper_open = Some(Side::Above)).contains("the opposite"));
+        assert!(wrong(&|p| p.action.gripper_threshold = Some(2.0)).contains("not between -1 and 1"));
         assert!(wrong(&|p| p.action.rotation = Rotation::Euler).contains("`axis_angle`"));
         assert!(wrong(&|p| p.action.size = 8).contains("have 7 numbers"));
         assert!(wrong(&|p| p.cameras.truncate(1)).contains("wrist camera"));

@@ -11,9 +11,9 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
 
-use robogate_core::{ArmCommand, Policy, Seed};
+use robogate_core::{Command as Motion, Policy};
 use robogate_policy::{Profile, ServerPolicy};
-use support::{observation, task};
+use support::{begin, observation};
 
 /// A peer that ends with the test.
 struct Peer {
@@ -60,8 +60,8 @@ fn openpis_own_codec_and_picture_tools_agree_with_ours_and_its_pings_are_answere
     let mut policy = ServerPolicy::connect(&peer.url, profile).unwrap();
     assert_eq!(policy.declared()["reset_pose"][1], -1.5);
     for _ in 0..2 {
-        policy.reset(&task("pick up the box"), Seed::campaign(1)).unwrap();
-        let ArmCommand::ToolDelta { translation_m, rotation_rad } = policy.act(&observation(256)).unwrap().arm else {
+        begin(&mut policy, "pick up the box").unwrap();
+        let Motion::ToolDelta { translation_m, rotation_rad } = policy.act(&observation(256)).unwrap().command else {
             panic!("no way of the tool");
         };
         near(translation_m, ECHOED.0);
@@ -91,16 +91,16 @@ fn vla_evals_own_server_agrees_with_ours() {
     let mut policy = connect();
     assert_eq!(policy.declared()["model_server"], "Echo");
     for _ in 0..2 {
-        policy.reset(&task("pick up the box"), Seed::campaign(1)).unwrap();
+        begin(&mut policy, "pick up the box").unwrap();
         for step in 0..2 {
-            let ArmCommand::ToolDelta { translation_m, .. } = policy.act(&observation(256)).unwrap().arm else {
+            let Motion::ToolDelta { translation_m, .. } = policy.act(&observation(256)).unwrap().command else {
                 panic!("no way of the tool");
             };
             // The second action is from the server's own buffer: one more, cut to one. A new episode empties it.
             near(translation_m, if step == 0 { ECHOED.0 } else { [0.02; 3] });
         }
     }
-    policy.reset(&task("boom"), Seed::campaign(1)).unwrap();
+    begin(&mut policy, "boom").unwrap();
     let fault = policy.act(&observation(256)).unwrap_err();
     assert!(fault.detail.contains("no such task"), "{}", fault.detail);
 }
