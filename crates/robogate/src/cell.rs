@@ -88,7 +88,7 @@ impl Cell {
         match (gripper.cup(), settings.suction) {
             (Some(_), law) => settings.suction = Some(law.unwrap_or(suction)),
             (None, Some(law)) => {
-                bail!("--suction {law} applies to suction cups; the gripper of {name} is {}", gripper.words());
+                bail!("--suction {law} applies to suction cups; the gripper of {name} is {}", gripper.description());
             }
             (None, None) => {}
         }
@@ -246,8 +246,7 @@ impl Cell {
         }
         let (engine, robot) = self.provenance()?;
         let program = message::Program { name: "robogate".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() };
-        let engine =
-            message::Engine { name: engine.name, version: engine.version.unwrap_or_default(), solver: None };
+        let engine = message::Engine { name: engine.name, version: engine.version.unwrap_or_default(), solver: None };
         let task = (**self.environment()?.task()).clone();
         Ok(Hello {
             robot: Some(message::Robot { name: robot.name, sha256: robot.sha256 }),

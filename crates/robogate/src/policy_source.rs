@@ -62,7 +62,9 @@ impl PolicySource {
     /// The same policy, with what its server reports now.
     pub(crate) fn asked_again(&self) -> Result<Self, Exit> {
         match self {
-            Self::External(served) => ExternalPolicy::ask(&served.server, Arc::clone(&served.profile)).map(Self::External),
+            Self::External(served) => {
+                ExternalPolicy::ask(&served.server, Arc::clone(&served.profile)).map(Self::External)
+            }
             Self::BuiltIn(own) => Ok(Self::BuiltIn(*own)),
         }
     }

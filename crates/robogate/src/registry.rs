@@ -3,8 +3,8 @@
 //! A new engine or task is one line here. Robots, spaces and suites are files that their crates embed.
 
 use anyhow::anyhow;
-use robogate_campaign::BUILT_IN_SUITES;
 use robogate_camera::Renderer;
+use robogate_campaign::BUILT_IN_SUITES;
 #[cfg(feature = "mujoco")]
 use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]

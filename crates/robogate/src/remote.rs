@@ -206,7 +206,8 @@ impl Host for PhysicsHost {
         let Command::JointPosition(joints) = &action.command else {
             return Err(Fault::new(FaultKind::BadAction, "expected joint positions"));
         };
-        let FarPeriod { observation, state_hash, sights, clearance_m } = self.engine.step(joints, GripperCommand::of(action))?;
+        let FarPeriod { observation, state_hash, sights, clearance_m } =
+            self.engine.step(joints, GripperCommand::of(action))?;
         Ok(Period {
             observation: ObservationMessage::from(&observation),
             state_hash,

@@ -206,7 +206,9 @@ impl Subject {
             None if remote => {
                 Err(anyhow!("the run was made in the remote simulator {}\n  hint: --simulator ADDRESS", engine.name))
             }
-            Some(_) if !remote => Err(anyhow!("the run was made in the built-in engine {}, without --simulator", engine.name)),
+            Some(_) if !remote => {
+                Err(anyhow!("the run was made in the built-in engine {}, without --simulator", engine.name))
+            }
             Some(pool) if remote::engine(pool.hello()) != *engine => {
                 let (now, version) = (remote::engine(pool.hello()), engine.version.as_deref().unwrap_or_default());
                 let other = now.version.as_deref().unwrap_or_default();
@@ -448,10 +450,9 @@ impl EnvironmentSource {
         match self {
             Self::Cell(cell) => Recorded::Cell(cell.settings().clone()),
             Self::SelfContained(task) => Recorded::SelfContained(RecordedTask { task: task.name().to_owned() }),
-            Self::Remote(source) => Recorded::Remote(RecordedServers {
-                simulator: ScoresItself::ScoresItself,
-                robot: source.robot.clone(),
-            }),
+            Self::Remote(source) => {
+                Recorded::Remote(RecordedServers { simulator: ScoresItself::ScoresItself, robot: source.robot.clone() })
+            }
         }
     }
 
@@ -512,10 +513,8 @@ pub(crate) fn recorded_robot(provenance: &Provenance) -> Option<Vec<RobotFile>> 
 
 impl WorkerFactory for Subject {
     fn worker(&self) -> Result<Worker, Fault> {
-        let environment = self
-            .environment
-            .environment()
-            .map_err(|why| Fault::new(FaultKind::Unavailable, format!("{why:#}")))?;
+        let environment =
+            self.environment.environment().map_err(|why| Fault::new(FaultKind::Unavailable, format!("{why:#}")))?;
         Ok(Worker { environment, policy: self.policy()? })
     }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{
-    MarginalEffect, BoundaryReport, DrawnFrom, OutcomeCounts, Population, Stage, StageSummary, SuiteSummary, Summary,
+    BoundaryReport, DrawnFrom, MarginalEffect, OutcomeCounts, Population, Stage, StageSummary, SuiteSummary, Summary,
 };
 use serde_json::json;
 

@@ -10,8 +10,8 @@ use robogate_zmtp::Address;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::terminal::{bold, line, note};
 use crate::subject::{EnvironmentArguments, assignment, named_space};
+use crate::terminal::{bold, line, note};
 
 /// Run the conformance tests against a simulator server.
 #[derive(Debug, Args)]
@@ -70,9 +70,8 @@ impl BridgeCheck {
             (None, None) => None,
         };
         let base = assignment(&self.set).or_usage()?;
-        let scenarios = scenarios(&task, space.map(Arc::new).as_ref(), &base, SCENARIOS)
-            .map_err(anyhow::Error::msg)
-            .or_usage()?;
+        let scenarios =
+            scenarios(&task, space.map(Arc::new).as_ref(), &base, SCENARIOS).map_err(anyhow::Error::msg).or_usage()?;
         note(format_args!("checking {} ...", self.address));
         let report = if hello.scores_itself {
             check(&self.address, timeouts, &scenarios, &mut ScoredSession)

@@ -3,13 +3,12 @@
 use std::sync::Arc;
 
 use clap::{Args, Subcommand};
-use robogate_physics::SuctionLaw;
 use robogate_tasks::pick_place::claims::{self, Finding, Workbench};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::terminal::{bold, line, note};
 use crate::subject::{EnvironmentArguments, EnvironmentSource};
+use crate::terminal::{bold, line, note};
 
 /// Check claims by experiment.
 #[derive(Debug, Args)]

@@ -15,10 +15,10 @@ use robogate_demos::{Dataset, Demonstration};
 use robogate_dictionary::Dictionary;
 use serde_json::json;
 
-use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
-use crate::terminal::{grouped, line, note};
 use crate::cell::Cell;
+use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::subject::{EnvironmentArguments, named_space};
+use crate::terminal::{grouped, line, note};
 
 /// Frames a second: one for each control tick.
 const FPS: u32 = 20;

@@ -3,17 +3,18 @@
 use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate_analysis::Source;
 use robogate_campaign::{Completion, DEFAULT_SEED, Event, Plan, Round, Settings};
+use robogate_core::Suite;
 use robogate_dictionary::{Label, Provenance};
 use robogate_gate::{
     Against, Asked, AskedAgainst, Baseline, Evaluation, GateError, GatePlan, Mode, Planned, Question, Record,
     Requirements, Sampling, Trial, Verdict,
 };
-use robogate_core::Suite;
 use robogate_physics::SuctionLaw;
 use robogate_report::{evaluation_markdown, junit};
 
@@ -22,8 +23,8 @@ use crate::commands::run::{How, free_folder, interrupted, introduce, write_repor
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::policy_source::PolicyArguments;
-use crate::terminal::{grouped, line, note};
 use crate::subject::{EnvironmentArguments, Subject};
+use crate::terminal::{grouped, line, note};
 
 /// Answer: may this policy run? Run a suite until that is certain, or judge what was run.
 ///

@@ -13,8 +13,8 @@ use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
 use crate::policy_source::{profile, refused};
-use crate::terminal::{bold, foreign, line, note};
 use crate::subject::{EnvironmentArguments, Subject};
+use crate::terminal::{bold, foreign, line, note};
 
 /// List the profiles of policies, or probe one.
 #[derive(Debug, Args)]
@@ -228,15 +228,15 @@ fn meaning(profile: &Profile, chunk: &Chunk, observation: &Observation, found: &
     let grippers: Vec<f64> = arms().map(|(gripper, _)| *gripper).collect();
     let low = grippers.iter().copied().fold(f64::INFINITY, f64::min);
     let high = grippers.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    found.figures.push(("gripper numbers", format!("{low:.3} to {high:.3}, threshold {}", form.gripper_threshold)));
+    let Some(threshold) = form.gripper_threshold else { return };
+    found.figures.push(("gripper numbers", format!("{low:.3} to {high:.3}, threshold {threshold}")));
     let joints = observation.joint_positions();
     let first = chunk.rows().first().map(|row| form.action(row, joints));
     if matches!(&first, Some(Ok(action)) if action.gripper == Some(Action::CLOSE)) {
         found.complaints.push(format!(
             "with the gripper open and far from the object the first action closes it ({}): is action.gripper_open the right \
-             side of action.gripper_threshold = {}?",
+             side of action.gripper_threshold = {threshold}?",
             grippers.first().copied().unwrap_or_default(),
-            form.gripper_threshold
         ));
     }
     if let Some(Err(error)) = first {
@@ -248,9 +248,10 @@ fn meaning(profile: &Profile, chunk: &Chunk, observation: &Observation, found: &
 fn moves(profile: &Profile, environment: &mut dyn Environment, found: &mut Findings) -> Result<(), Exit> {
     const TICKS: u32 = 10;
     let form = &profile.action;
-    let (open, close) = match form.gripper_open {
-        Side::Above => (form.gripper_threshold + 1.0, form.gripper_threshold - 1.0),
-        Side::Below => (form.gripper_threshold - 1.0, form.gripper_threshold + 1.0),
+    let (Some(threshold), Some(side)) = (form.gripper_threshold, form.gripper_open) else { return Ok(()) };
+    let (open, close) = match side {
+        Side::Above => (threshold + 1.0, threshold - 1.0),
+        Side::Below => (threshold - 1.0, threshold + 1.0),
     };
     let mut run = |arm: &dyn Fn(&Observation) -> Vec<f64>, gripper: f64, ticks: u32| -> Result<_, Exit> {
         let before = environment.reset(&nominal()).or_broken()?.observation;
@@ -274,8 +275,7 @@ fn moves(profile: &Profile, environment: &mut dyn Environment, found: &mut Findi
         {
             let one = |_: &Observation| (0..6).map(|i| f64::from(i == axis)).collect();
             let (before, after) = run(&one, open, TICKS)?;
-            let way: Vec<f64> =
-                position(&after).iter().zip(position(&before)).map(|(a, b)| a - b).collect();
+            let way: Vec<f64> = position(&after).iter().zip(position(&before)).map(|(a, b)| a - b).collect();
             let told = f64::from(TICKS) * form.clip.unwrap_or(1.0).min(1.0) * form.position_scale_m;
             let mm: Vec<String> = way.iter().map(|m| format!("{:+.1}", 1e3 * m)).collect();
             found.figures.push((name, format!("{} mm in {TICKS} steps, told {:.1}", mm.join(", "), 1e3 * told)));

@@ -11,8 +11,8 @@ use serde_json::json;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::policy_source::PolicySource;
 use crate::remote::Simulators;
-use crate::terminal::{bold, dim, line};
 use crate::subject::Subject;
+use crate::terminal::{bold, dim, line};
 
 /// Replay one episode bit for bit and print its timeline.
 #[derive(Debug, Args)]
@@ -58,7 +58,10 @@ impl Replay {
         } else {
             self.print(subject.task(), &again, &timeline);
             if same {
-                line(format_args!("identical to the recorded episode, bit for bit (trajectory {:016x})", again.trajectory_hash));
+                line(format_args!(
+                    "identical to the recorded episode, bit for bit (trajectory {:016x})",
+                    again.trajectory_hash
+                ));
             } else {
                 line(bold("DIFFERS from the recorded episode"));
                 line(format_args!("  recorded {}", describe(&before)));

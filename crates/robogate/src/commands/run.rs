@@ -16,9 +16,9 @@ use crate::commands::suites;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
 use crate::policy_source::PolicyArguments;
 use crate::progress::Progress;
+use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
 use crate::terminal::{grouped, note};
-use crate::subject::{EnvironmentArguments, Subject};
 
 /// Find where the policy fails: a campaign over the operating space, then near the failure boundary.
 #[derive(Debug, Args)]
@@ -82,7 +82,12 @@ impl Run {
                     Some(stage) => Some(stage.suite.name().into()),
                     None => self.plan.as_deref().and_then(Path::file_stem).map(|s| s.to_string_lossy()),
                 };
-                free_folder(&format!("{}-{}-{}", subject.label(), plan_name.as_deref().unwrap_or(&self.preset), plan.seed))
+                free_folder(&format!(
+                    "{}-{}-{}",
+                    subject.label(),
+                    plan_name.as_deref().unwrap_or(&self.preset),
+                    plan.seed
+                ))
             }
         };
         introduce(&provenance, plan.seed);

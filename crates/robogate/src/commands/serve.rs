@@ -13,8 +13,8 @@ use serde_json::json;
 
 use crate::commands::run::stop_at_once;
 use crate::exit::{DONE, Exit, OrExit, USAGE};
-use crate::terminal::{line, note};
 use crate::subject::{EnvironmentArguments, EnvironmentSource};
+use crate::terminal::{line, note};
 
 /// Serve a built-in environment to other programs over the bridge protocol (bridges/PROTOCOL.md).
 ///
@@ -48,7 +48,8 @@ impl Serve {
         let source = self.environment.environment(SuctionLaw::Vacuum)?;
         if self.physics_only {
             let EnvironmentSource::Cell(cell) = &source else {
-                return Err(anyhow!("--physics-only applies to the built-in cell\n  hint: leave out --task")).or_usage();
+                return Err(anyhow!("--physics-only applies to the built-in cell\n  hint: leave out --task"))
+                    .or_usage();
             };
             return self.answer(Server::new(cell.physics_host().or_usage()?));
         }

@@ -14,8 +14,8 @@ use serde_json::json;
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::picture;
-use crate::terminal::{foreign, line, note};
 use crate::subject::{EnvironmentArguments, Subject, assignment};
+use crate::terminal::{foreign, line, note};
 
 /// Pixels along a picture's side on a sheet, where nothing else is said.
 const ON_SHEET_PX: usize = 144;

@@ -19,8 +19,8 @@ use serde::{Deserialize, Serialize};
 use crate::commands::run::{How, exit};
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
 use crate::progress::Progress;
-use crate::terminal::{bold, dim, grouped, line, note, percent, wrapped};
 use crate::subject::{EnvironmentArguments, Subject};
+use crate::terminal::{bold, dim, grouped, line, note, percent, wrapped};
 
 /// What the study does; written first, never changed.
 const SETTINGS: &str = "study.json";
