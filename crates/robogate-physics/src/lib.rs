@@ -6,6 +6,8 @@
 
 pub mod description;
 mod engine;
+#[cfg(any(feature = "mujoco", feature = "rapier"))]
+mod friction;
 #[cfg(feature = "mujoco")]
 mod inspect;
 mod kinematics;
