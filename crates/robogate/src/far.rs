@@ -14,7 +14,7 @@ use robogate_core::{
 use robogate_dictionary::provenance;
 use robogate_physics::{Chain, Engine, Robot};
 use robogate_tasks::pick_place::CONTROL_PERIOD_S;
-use robogate_tasks::pick_place::remote::{self, Cell, FarPeriod, FarReadback, FarSight, HERE, Offsite};
+use robogate_tasks::pick_place::remote::{self, Cell, FarPeriod, FarReadback, FarSight, Offsite};
 use serde::{Deserialize, Serialize};
 
 use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
@@ -148,7 +148,7 @@ impl World for OurWorld {
     }
 
     fn acts_here(&self, parameter: &str) -> bool {
-        HERE.contains(&parameter)
+        remote::is_local(parameter)
     }
 
     fn brief(&mut self, scenario: &Scenario) -> Result<Cell, Fault> {

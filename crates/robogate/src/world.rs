@@ -288,7 +288,7 @@ impl Cell {
     fn check_known<'a>(&self, mut names: impl Iterator<Item = &'a str>) -> anyhow::Result<()> {
         let Some(pool) = &self.pool else { return Ok(()) };
         let hello = pool.hello();
-        let here = |name: &str| !hello.judges && remote::HERE.contains(&name);
+        let here = |name: &str| !hello.judges && remote::is_local(name);
         match names.find(|name| !here(name) && !hello.parameters.iter().any(|known| known == name)) {
             Some(name) => {
                 bail!("the simulator cannot apply the parameter `{name}`; it knows {}", hello.parameters.join(", "))
@@ -415,7 +415,7 @@ impl Cell {
             bail!("--renderer egl: a server of the physics alone takes no pictures");
         }
         let hello = self.hello()?;
-        let here = |name: &String| !remote::HERE.contains(&name.as_str());
+        let here = |name: &String| !remote::is_local(name);
         let hello = Hello {
             judges: false,
             action_spaces: vec![ActionSpace::JointPosition],

@@ -9,7 +9,7 @@ use robogate_bridge::simulator::{AskError, Link, NoWorld};
 use robogate_bridge::zmtp::Address;
 use robogate_core::{Assignment, Sampler, Scenario, Seed, samplers::LatinHypercube};
 use robogate_physics::SuctionLaw;
-use robogate_tasks::pick_place::remote::HERE;
+use robogate_tasks::pick_place::remote::is_local;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
@@ -70,7 +70,7 @@ impl BridgeCheck {
             .design(&space, SCENARIOS, seed.stream("bridge check"))
             .context("no scenarios can be drawn")
             .or_usage()?;
-        let known = |name: &str| hello.parameters.iter().any(|p| p == name) || (!hello.judges && HERE.contains(&name));
+        let known = |name: &str| hello.parameters.iter().any(|p| p == name) || (!hello.judges && is_local(name));
         let scenarios: Vec<Scenario> = (0..SCENARIOS)
             .filter_map(|i| {
                 let drawn = design.assignment(i)?;
