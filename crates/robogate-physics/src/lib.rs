@@ -6,6 +6,8 @@
 
 pub mod description;
 mod engine;
+#[cfg(any(feature = "mujoco", feature = "rapier"))]
+mod friction;
 mod gripper_command;
 #[cfg(feature = "mujoco")]
 mod inspect;

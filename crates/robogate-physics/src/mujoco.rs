@@ -5,6 +5,7 @@
 //! `robogate check physics`): implicit integration, elliptic friction cones with `impratio` 10, and
 //! contacts of the object as stiff as the default time step allows.
 
+use std::cmp::Ordering;
 use std::path::PathBuf;
 use std::sync::Once;
 
@@ -14,10 +15,11 @@ use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3
 use robogate_core::{Fault, FaultKind};
 
 use crate::engine::Collision;
+use crate::friction::{Coefficients, Friction};
 use crate::scene::isometry;
 use crate::{
-    Chain, Engine, EngineBuild, FixtureRead, JointTargets, Motion, Part, Primitive, Problem, Readback, Robot,
-    RobotError, Scene, Touches, Wrench, robot_model,
+    Chain, Engine, EngineBuild, FixtureKind, FixtureRead, JointTargets, Motion, Part, Primitive, Problem, Readback,
+    Robot, RobotError, Scene, Touches, Wrench, robot_model,
 };
 
 /// Contact masks: the robot meets the object and fixtures, the object meets fixtures; the robot does not
@@ -351,6 +353,18 @@ fn primitive(model: &MjModel, geom: usize) -> Option<Primitive> {
     }
 }
 
+/// The sliding friction coefficient of a contact of two geoms, by MuJoCo's rule ("Computation", "Contact"): that of the
+/// geom with the higher priority, or the larger one at equal priority.
+fn contact_friction(model: &MjModel, a: usize, b: usize) -> f64 {
+    let [(first, friction), (second, other)] =
+        [a, b].map(|geom| (model.geom_priority()[geom], model.geom_friction()[geom][0]));
+    match first.cmp(&second) {
+        Ordering::Greater => friction,
+        Ordering::Less => other,
+        Ordering::Equal => friction.max(other),
+    }
+}
+
 fn find(model: &MjModel, kind: MjtObjBase, what: &str, name: &str) -> Result<usize, String> {
     model.name_to_id(kind, name).ok_or_else(|| format!("there is no {what} `{name}`, which robot.toml names"))
 }
@@ -453,20 +467,11 @@ impl Engine for MujocoEngine {
     fn read_back(&self) -> Result<Readback, Fault> {
         let loaded = self.loaded();
         let model = loaded.data.model();
-        let mut friction = None;
-        let mut table_friction = None;
         let mut parts = Vec::new();
         let mut fixtures = Vec::new();
         for (geom, kind) in loaded.kinds.iter().enumerate() {
-            match kind {
-                Kind::Object => {
-                    friction = Some(model.geom_friction()[geom][0]);
-                    parts.extend(primitive(model, geom));
-                }
-                Kind::Fixture(0) if model.geom_priority()[geom] > 1 => {
-                    table_friction = Some(model.geom_friction()[geom][0]);
-                }
-                _ => {}
+            if *kind == Kind::Object {
+                parts.extend(primitive(model, geom));
             }
             if let Kind::Fixture(fixture) = kind {
                 let motion = loaded.movers.iter().find(|mover| mover.fixture == *fixture).map(|mover| mover.motion);
@@ -474,10 +479,10 @@ impl Engine for MujocoEngine {
                 fixtures.push(FixtureRead { fixture: *fixture, primitive: primitive(model, geom), pose, motion });
             }
         }
-        let friction = friction.ok_or_else(|| Fault::new(FaultKind::Setup, "the object has no shape"))?;
+        let Friction { others, table } = loaded.friction()?;
         Ok(Readback {
-            friction,
-            table_friction: table_friction.unwrap_or(friction),
+            friction: others,
+            table_friction: table,
             gravity: -loaded.data.model_opt().gravity[2],
             mass_kg: model.body_mass()[loaded.object_body],
             centre_of_mass: Vector3::from(model.body_ipos()[loaded.object_body]),
@@ -642,6 +647,22 @@ impl Loaded {
             self.data.qpos_mut()[*qpos] = motion.offset(time).norm();
             self.data.qvel_mut()[*qvel] = motion.velocity_at(time).norm();
         }
+    }
+
+    /// The friction coefficients that act between the object and everything that it can touch.
+    fn friction(&self) -> Result<Friction, Fault> {
+        let model = self.data.model();
+        let object: Vec<usize> = (0..self.kinds.len()).filter(|geom| self.kinds[*geom] == Kind::Object).collect();
+        let mut friction = Coefficients::default();
+        for (geom, kind) in self.kinds.iter().enumerate() {
+            let table = match *kind {
+                Kind::Fixture(fixture) => self.scene.fixtures[fixture].kind == FixtureKind::Table,
+                Kind::Robot { .. } => false,
+                Kind::Object | Kind::Ghost => continue,
+            };
+            object.iter().for_each(|part| friction.add(table, contact_friction(model, *part, geom)));
+        }
+        friction.finish()
     }
 
     /// Where MuJoCo has a geom.

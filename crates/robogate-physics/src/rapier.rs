@@ -20,6 +20,7 @@ use robogate_core::{Fault, FaultKind};
 
 use crate::description::{Description, Link, Solid, isometry};
 use crate::engine::Collision;
+use crate::friction::{Coefficients, Friction};
 use crate::{
     Arm, Chain, Engine, EngineBuild, FixtureKind, FixtureRead, JointTargets, ParallelJaw, Primitive, Readback, Robot,
     RobotError, Scene, Touches, Wrench,
@@ -177,6 +178,16 @@ fn mass_properties(link: &Link) -> MassProperties {
     let mut matrix = [0.0; 9];
     matrix.copy_from_slice(&columns);
     MassProperties::with_inertia_matrix(vector(&link.centre), link.mass, Matrix::from_cols_array(&matrix))
+}
+
+/// The table's own coefficient that gives a contact with an object of coefficient `object` the coefficient `friction`.
+///
+/// The geometric mean is the only rule that takes precedence over the object's own rule and can give any coefficient.
+fn table_coefficient(friction: f64, object: f64) -> Result<f64, String> {
+    if friction > 0.0 && object <= 0.0 {
+        return Err(format!("table_friction = {friction}: in Rapier an object without friction has none on the table"));
+    }
+    Ok(if friction > 0.0 { friction * friction / object } else { 0.0 })
 }
 
 fn groups(member: Group, meets: Group) -> InteractionGroups {
@@ -353,9 +364,10 @@ impl Engine for RapierEngine {
             } else {
                 (ground, fixture.part.pose * at)
             };
-            // Where the table has a friction of its own, it and not the object says how the two meet.
             let (friction, rule) = match scene.table_friction.filter(|_| fixture.kind == FixtureKind::Table) {
-                Some(friction) => (friction, CoefficientCombineRule::GeometricMean),
+                Some(friction) => {
+                    (table_coefficient(friction, scene.friction).map_err(setup)?, CoefficientCombineRule::GeometricMean)
+                }
                 None => (0.0, CoefficientCombineRule::Max),
             };
             let collider = ColliderBuilder::new(shared)
@@ -436,17 +448,12 @@ impl Engine for RapierEngine {
     fn read_back(&self) -> Result<Readback, Fault> {
         let loaded = self.loaded();
         let object = &loaded.world.bodies[loaded.object];
-        let friction = loaded.object_shapes.first().map(|shape| loaded.world.colliders[*shape].friction());
-        let friction = friction.ok_or_else(|| Fault::new(FaultKind::Setup, "the object has no shape"))?;
+        let Friction { others, table } = loaded.friction()?;
         let parts = loaded.object_shapes.iter().filter_map(|shape| read_primitive(&loaded.world.colliders[*shape]));
-        let mut table_friction = friction;
         let mut fixtures = Vec::new();
         for (handle, kind) in &loaded.colliders {
             let Kind::Fixture(fixture) = *kind else { continue };
             let collider = &loaded.world.colliders[*handle];
-            if fixture == 0 && collider.friction_combine_rule() != CoefficientCombineRule::Max {
-                table_friction = collider.friction();
-            }
             fixtures.push(FixtureRead {
                 fixture,
                 primitive: read_primitive(collider),
@@ -459,8 +466,8 @@ impl Engine for RapierEngine {
         }
         let com = object.mass_properties().local_mprops.local_com;
         Ok(Readback {
-            friction,
-            table_friction,
+            friction: others,
+            table_friction: table,
             gravity: -loaded.world.gravity.z,
             mass_kg: object.mass(),
             centre_of_mass: Vector3::new(com.x, com.y, com.z),
@@ -628,6 +635,31 @@ impl Engine for RapierEngine {
 }
 
 impl Loaded {
+    /// The friction coefficients that act between the object and everything that it can touch, by Rapier's rule.
+    fn friction(&self) -> Result<Friction, Fault> {
+        let mut friction = Coefficients::default();
+        for (handle, kind) in &self.colliders {
+            let table = match *kind {
+                Kind::Fixture(fixture) => self.scene.fixtures[fixture].kind == FixtureKind::Table,
+                Kind::Robot { .. } => false,
+                Kind::Object => continue,
+            };
+            let other = &self.world.colliders[*handle];
+            for part in self.object_shapes.iter().map(|shape| &self.world.colliders[*shape]) {
+                friction.add(
+                    table,
+                    CoefficientCombineRule::combine(
+                        part.friction(),
+                        other.friction(),
+                        part.friction_combine_rule(),
+                        other.friction_combine_rule(),
+                    ),
+                );
+            }
+        }
+        friction.finish()
+    }
+
     /// Position of a joint; 0 is the axis that slides, 3 the one that turns.
     fn position(&self, joint: MultibodyJointHandle, axis: usize) -> f64 {
         let link = self.world.multibody_joints.get(joint).and_then(|(body, id)| body.link(id));

@@ -342,6 +342,35 @@ of_every_engine! {
         engine.health().unwrap();
     }
 
+    /// A box that slides on the table after a push decelerates by mu g, mu being the table's own coefficient.
+    fn the_tables_friction_stops_the_object(on: On) {
+        for (friction, table_friction) in [(0.9, 0.2), (0.1, 0.2)] {
+            let mut engine = on.franka().engine();
+            let mut parameters = crossing().to_vec();
+            parameters[0].1 = Value::Number(0.8);
+            parameters.push(("friction", Value::Number(friction)));
+            parameters.push(("table_friction", Value::Number(table_friction)));
+            let scene = scene(on, "franka", &parameters);
+            let home = engine.robot().settings.arm.home_rad.clone();
+            engine.load(&scene, &home).unwrap();
+            let targets = JointTargets { positions: home.clone(), velocities: vec![0.0; home.len()], finger: 0.04 };
+            let dt = engine.time_step();
+            let mut sliding = Vec::new();
+            for step in 1..=(4.0 / dt).round() as usize {
+                engine.advance(&targets);
+                // The pusher stops after 0.5 s of waiting and 0.5 m.
+                let (time, speed) = (step as f64 * dt, engine.object_velocity().0.norm());
+                if time > 0.5 + 0.5 / 0.8 + 0.01 && speed > 0.1 {
+                    sliding.push((time, speed));
+                }
+            }
+            let [(t1, v1), (t2, v2)] = [sliding[0], sliding[sliding.len() - 1]];
+            let (deceleration, law) = ((v1 - v2) / (t2 - t1), table_friction * 9.81);
+            println!("{on:?} {friction}, {table_friction} on the table: {deceleration:.3} m/s^2 of {law:.3} m/s^2");
+            assert!((deceleration / law - 1.0).abs() < 0.03, "{on:?}: {deceleration} of {law} m/s^2");
+        }
+    }
+
     /// One round of the 68.
     fn the_industrial_suite_is_solved(on: On) {
         let suite = Suite::from_toml(include_str!("../../../assets/suites/industrial-68.toml")).unwrap();

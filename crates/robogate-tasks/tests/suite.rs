@@ -114,9 +114,9 @@ fn what_means_nothing_is_named_with_all_its_scenarios() {
     let told: Vec<String> = misfits.iter().map(ToString::to_string).collect();
     assert_eq!(told.len(), 3, "{told:?}");
     let find = |what: &str| told.iter().find(|told| told.contains(what)).unwrap();
-    assert!(find("friction").starts_with("scenario `slippery_surface-1`: parameter `friction` = 11 is outside"));
-    assert!(find("humidity").starts_with("scenario `standard_objects-1` and 67 more: parameter `humidity`"));
-    assert!(find("white").starts_with("scenario `color-5`: parameter `object_color`: there is no `white`"));
+    assert!(find("friction").starts_with("scenario `slippery_surface-1`: parameter `friction` = 11 is out of range"));
+    assert!(find("humidity").starts_with("scenario `standard_objects-1` and 67 more: unknown parameter `humidity`"));
+    assert!(find("white").starts_with("scenario `color-5`: parameter `object_color`: unknown value `white`"));
 }
 
 fn bench() -> Bench {

@@ -166,7 +166,7 @@ impl Cell {
     fn check_known(&self, space: &ParameterSpace) -> anyhow::Result<()> {
         let Some(pool) = &self.pool else { return Ok(()) };
         let task = &pool.hello().task;
-        let applies = |name: &str| remote::HERE.contains(&name) || task.parameter(name).is_some();
+        let applies = |name: &str| remote::is_local(name) || task.parameter(name).is_some();
         match space.parameters().iter().find(|parameter| !applies(&parameter.name)) {
             Some(parameter) => {
                 let known: Vec<&str> = task.parameters.iter().map(|parameter| &*parameter.name).collect();
@@ -267,7 +267,7 @@ impl Cell {
         hello.scores_itself = false;
         hello.task.action.spaces.truncate(1);
         hello.task.observation.cameras.clear();
-        hello.task.parameters.retain(|parameter| !remote::HERE.contains(&&*parameter.name));
+        hello.task.parameters.retain(|parameter| !remote::is_local(&parameter.name));
         let Setup { robot, time_step_s, .. } = self.setup();
         Ok(PhysicsHost::new(hello, (EngineEntry::find(&self.settings.engine)?.host)(robot, time_step_s)?))
     }

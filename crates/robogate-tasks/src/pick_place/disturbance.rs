@@ -25,12 +25,6 @@ pub struct Disturbance {
     pub travel_m: f64,
 }
 
-impl Default for Disturbance {
-    fn default() -> Self {
-        Self { speed_m_s: 0.0, start_s: 0.0, from: [0.5, -0.5], heading_rad: 0.0, travel_m: 0.5 }
-    }
-}
-
 impl Disturbance {
     /// The moving body, if there is one.
     pub(crate) fn fixture(&self) -> Option<Fixture> {
@@ -70,32 +64,6 @@ impl Disturbance {
             None => Self { speed_m_s: 0.0, ..self },
         }
     }
-
-    /// The value of one of its parameters.
-    pub(crate) fn value(&self, parameter: &str) -> Option<f64> {
-        Some(match parameter {
-            "disturbance_speed_m_s" => self.speed_m_s,
-            "disturbance_start_s" => self.start_s,
-            "disturbance_x_m" => self.from[0],
-            "disturbance_y_m" => self.from[1],
-            "disturbance_heading_rad" => self.heading_rad,
-            "disturbance_travel_m" => self.travel_m,
-            _ => return None,
-        })
-    }
-
-    /// The place of one of its parameters.
-    pub(crate) fn value_mut(&mut self, parameter: &str) -> Option<&mut f64> {
-        Some(match parameter {
-            "disturbance_speed_m_s" => &mut self.speed_m_s,
-            "disturbance_start_s" => &mut self.start_s,
-            "disturbance_x_m" => &mut self.from[0],
-            "disturbance_y_m" => &mut self.from[1],
-            "disturbance_heading_rad" => &mut self.heading_rad,
-            "disturbance_travel_m" => &mut self.travel_m,
-            _ => return None,
-        })
-    }
 }
 
 #[cfg(test)]
@@ -107,11 +75,10 @@ mod tests {
         let asked = Disturbance { speed_m_s: 0.3, start_s: 0.7, from: [0.62, -0.4], heading_rad: 2.1, travel_m: 0.9 };
         let body = asked.fixture().unwrap();
         let read = asked.read(Some((&body.part.pose, &body.motion.unwrap())));
-        for name in
-            ["speed_m_s", "start_s", "x_m", "y_m", "heading_rad", "travel_m"].map(|n| format!("disturbance_{n}"))
-        {
-            assert!((asked.value(&name).unwrap() - read.value(&name).unwrap()).abs() < 1e-12, "{name}");
+        let numbers = |d: Disturbance| [d.speed_m_s, d.start_s, d.from[0], d.from[1], d.heading_rad, d.travel_m];
+        for (asked, read) in numbers(asked).into_iter().zip(numbers(read)) {
+            assert!((asked - read).abs() < 1e-12, "{asked} became {read}");
         }
-        assert_eq!(Disturbance::default().fixture(), None);
+        assert_eq!(Disturbance { speed_m_s: 0.0, ..asked }.fixture(), None);
     }
 }

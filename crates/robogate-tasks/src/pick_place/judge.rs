@@ -1,19 +1,21 @@
-//! The task around a plant: what it is told to set up, what the policy sees and asks for, and how it ends.
+//! The task around a plant: it resolves scenarios, adds encoder errors, turns actions into joint commands and scores the
+//! episode.
 //!
-//! The same for every plant, be it an engine in this process ([`super::PickPlace`]) or behind a socket
-//! ([`super::remote`]): one set of random draws, one reading back, one referee.
+//! It is the same for an engine in this process ([`super::PickPlace`]) and in another one ([`super::remote`]): one set of
+//! random draws, one read-back, one referee.
 
 use robogate_core::{Action, Fault, FaultKind, Observation, Scenario, Start, Step};
 use robogate_physics::{ArmState, Chain, GripperCommand, Readback, Robot, Steering, StepView, Touches, Visual, pose};
 
 use super::cell::{CONTROL_PERIOD_S, ResolvedCell, TOLERANCE_M};
+use super::parameters::ReadbackContext;
 use super::referee::{self, Referee};
 use super::spec::observation;
 
 /// Clearance beyond this is not measured, in metres.
 const CLEARANCE_LIMIT_M: f64 = 0.25;
 
-/// Runs the task on a robot.
+/// The task on a robot.
 pub(crate) struct Judge {
     robot: Robot,
     chain: Chain,
@@ -21,14 +23,25 @@ pub(crate) struct Judge {
     episode: Option<Episode>,
 }
 
-/// The episode under way.
+/// What acts in a cell that a plant has set up, for reading parameters back.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Acting<'a> {
+    /// State of the engine.
+    pub(crate) engine: &'a Readback,
+    /// State of the cameras.
+    pub(crate) visual: &'a Visual,
+    /// Threshold of the suction cup, in metres; `None` without a cup.
+    pub(crate) grip_threshold_m: Option<f64>,
+}
+
+/// The running episode.
 struct Episode {
     cell: ResolvedCell,
     steering: Steering,
     referee: Referee,
-    /// Joint positions as the encoders read them, in radians.
+    /// Joint positions as the encoders measure them, in radians.
     measured: Vec<f64>,
-    told: GripperCommand,
+    gripper: GripperCommand,
     ticks: u64,
 }
 
@@ -45,58 +58,60 @@ impl Judge {
         &self.chain
     }
 
-    /// The cell that a plant has to set up. No episode is under way any more.
-    pub(crate) fn brief(&mut self, scenario: &Scenario) -> Result<ResolvedCell, Fault> {
+    /// The cell that a plant must set up for a scenario. Ends the running episode.
+    pub(crate) fn resolve(&mut self, scenario: &Scenario) -> Result<ResolvedCell, Fault> {
         self.episode = None;
         ResolvedCell::new(scenario, &self.robot)
     }
 
-    /// Begins the episode in a cell that a plant has set up: what it holds, how it looks, who touches whom, how
-    /// the arm is.
+    /// Starts the episode in a cell that a plant has set up. `touches` and `arm_state` are those of the start.
     pub(crate) fn start(
         &mut self,
         scenario: &Scenario,
         cell: ResolvedCell,
-        (held, visual): (&Readback, &Visual),
+        acting: Acting<'_>,
         touches: &Touches,
         arm_state: ArmState,
     ) -> Result<Start, Fault> {
         if touches.collision.is_some() || touches.body_on_object || touches.fingers.iter().any(Option::is_some) {
             return Err(Fault::new(FaultKind::Setup, "the robot starts in contact"));
         }
-        let applied = cell.applied(&scenario.requested, held, visual);
-        let instance = cell.briefing().instance();
+        let briefing = cell.briefing();
+        let Acting { engine, visual, grip_threshold_m } = acting;
+        let context = ReadbackContext { cell: &cell, engine, visual, grip_threshold_m, briefing: &briefing };
+        let applied = context.applied(&scenario.requested);
+        let instance = briefing.instance();
         let mut episode = Episode {
             steering: Steering::default(),
             referee: Referee::new(cell.target, TOLERANCE_M, self.grip_force_n),
             measured: Vec::new(),
-            told: GripperCommand::Open,
+            gripper: GripperCommand::Open,
             ticks: 0,
             cell,
         };
-        let observation = episode.observe(arm_state, &self.chain);
+        let observation = episode.observation(arm_state, &self.chain);
         self.episode = Some(episode);
         Ok(Start { instance, observation, applied })
     }
 
-    /// Where a plant has to drive the arm's joints (rad) in the next control period.
+    /// Joint positions (rad) to which a plant must drive the arm in the next control period.
     pub(crate) fn command(&mut self, action: &Action) -> Result<Vec<f64>, Fault> {
         let Some(episode) = &mut self.episode else {
-            return Err(Fault::new(FaultKind::Setup, "no episode is under way"));
+            return Err(Fault::new(FaultKind::Setup, "no episode is running"));
         };
         let home = &self.robot.settings.arm.home_rad;
         let wanted = episode.steering.joints(&action.command, &episode.measured, &self.chain, home)?;
-        episode.told = GripperCommand::of(action);
-        // The servo closes its loop on the encoders: what they read too much, the arm lacks.
+        episode.gripper = GripperCommand::of(action);
+        // The servo closes its loop on the encoders, so the arm is off by their bias.
         Ok(wanted.iter().zip(&episode.cell.bias).map(|(q, bias)| q - bias).collect())
     }
 
-    /// Looks at one time step of the control period under way.
-    pub(crate) fn look(&mut self, view: &StepView<'_>) {
+    /// Observes one time step of the running control period.
+    pub(crate) fn observe(&mut self, view: &StepView<'_>) {
         let Some(episode) = &mut self.episode else { return };
-        episode.referee.look(&referee::Sight {
+        episode.referee.observe(&referee::Sight {
             time: (episode.ticks as f64 + view.fraction) * CONTROL_PERIOD_S,
-            gripper: episode.told,
+            gripper: episode.gripper,
             hand: view.gripper,
             touches: view.touches,
             object: view.object,
@@ -105,14 +120,14 @@ impl Judge {
         });
     }
 
-    /// Clearance from here on (m) tells nothing new.
+    /// A clearance (m) of this or more changes no measure.
     pub(crate) fn clearance_bound(&self) -> f64 {
         let smallest = self.episode.as_ref().and_then(|episode| episode.referee.min_clearance());
         smallest.unwrap_or(CLEARANCE_LIMIT_M)
     }
 
-    /// Ends the control period: how the arm is, how near it is to anything (m) and the plant's state. `body` names a
-    /// body of the robot.
+    /// Ends the control period. `clearance` is the distance between robot and fixtures in metres, if it is small; `body`
+    /// gives the name of a body of the robot.
     pub(crate) fn finish(
         &mut self,
         arm_state: ArmState,
@@ -121,13 +136,13 @@ impl Judge {
         body: impl FnOnce(usize) -> String,
     ) -> Result<Step, Fault> {
         let Some(episode) = &mut self.episode else {
-            return Err(Fault::new(FaultKind::Setup, "no episode is under way"));
+            return Err(Fault::new(FaultKind::Setup, "no episode is running"));
         };
         episode.ticks += 1;
         if let Some(clearance) = clearance {
             episode.referee.note_clearance(clearance);
         }
-        let observation = episode.observe(arm_state, &self.chain);
+        let observation = episode.observation(arm_state, &self.chain);
         let (cell, referee) = (&episode.cell, &mut episode.referee);
         let step = Step {
             observation,
@@ -145,15 +160,15 @@ impl Judge {
         Ok(step)
     }
 
-    /// Gives the episode up.
+    /// Ends the running episode without a result.
     pub(crate) fn abandon(&mut self) {
         self.episode = None;
     }
 }
 
 impl Episode {
-    /// What the policy sees of an arm: the encoders' bias is in it.
-    fn observe(&mut self, arm_state: ArmState, chain: &Chain) -> Observation {
+    /// The observation of an arm, with the encoders' bias.
+    fn observation(&mut self, arm_state: ArmState, chain: &Chain) -> Observation {
         self.measured = arm_state.joint_positions.iter().zip(&self.cell.bias).map(|(q, bias)| q + bias).collect();
         let tool = pose(&chain.tcp_at(&self.measured));
         let measured = ArmState { joint_positions: self.measured.clone(), ..arm_state };

@@ -33,7 +33,7 @@ pub use disturbance::Disturbance;
 #[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, inspect};
 pub use object::Shape;
-pub use parameters::{ParameterError, SceneParameters};
+pub use parameters::{ActsOn, ParameterError, ParameterRow, SceneParameters, parameters};
 pub use placement::Placement;
 pub use scene::scene;
 pub use scripted::Scripted;

@@ -175,7 +175,7 @@ impl Referee {
     }
 
     /// Looks at one time step.
-    pub(crate) fn look(&mut self, sight: &Sight<'_>) {
+    pub(crate) fn observe(&mut self, sight: &Sight<'_>) {
         self.measure(sight);
         if self.ending.is_some() {
             return;

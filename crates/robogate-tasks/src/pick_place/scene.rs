@@ -6,6 +6,7 @@ use robogate_physics::{
     Fixture, FixtureKind, GRAVITY, Part, Primitive, Scene, TABLE_CENTRE, TABLE_HALF, WORKSPACE_CENTRE, isometry,
 };
 
+use super::cell::TOLERANCE_M;
 use super::{Placement, SceneParameters, occluder};
 
 /// The target on the table, in metres: outside the circle of the obstacles.
@@ -35,7 +36,7 @@ pub fn scene(parameters: &SceneParameters, placement: &Placement, stream: &mut S
     // The object may be rotated: its footprint is within the circle around its square.
     let mut taken = vec![
         (placement.position, half * std::f64::consts::SQRT_2 + room),
-        (TARGET, half * std::f64::consts::SQRT_2 + 0.03 + room),
+        (TARGET, half * std::f64::consts::SQRT_2 + TOLERANCE_M + room),
     ];
     taken.extend(occluder::footprints(&panels));
     for i in 1..=parameters.obstacles {

@@ -7,7 +7,7 @@ use robogate_core::{Action, CameraSpec, Environment, Fault, FaultKind, Image, Sc
 use robogate_physics::{Engine, GripperCommand, Plant, SuctionLaw, Visual};
 
 use super::cell::{CONTROL_PERIOD_S, ResolvedCell};
-use super::judge::Judge;
+use super::judge::{Acting, Judge};
 use super::spec::spec;
 
 /// Pick an object from the table and place it at the target.
@@ -68,7 +68,7 @@ impl<E: Engine> PickPlace<E> {
     fn run(&mut self, action: &Action) -> Result<Step, Fault> {
         let Self { plant, judge, .. } = self;
         let command = judge.command(action)?;
-        plant.run(&command, GripperCommand::of(action), &mut |view| judge.look(view))?;
+        plant.run(&command, GripperCommand::of(action), &mut |view| judge.observe(view))?;
         let clearance = plant.engine.clearance_below(judge.clearance_bound());
         judge.finish(plant.arm_state(), clearance, plant.state_hash(), |body| plant.engine.robot_body(body))
     }
@@ -86,14 +86,15 @@ impl<E: Engine> Environment for PickPlace<E> {
             (None, Ok(cameras)) => cameras.clear(),
             (None, Err(_)) => {}
         }
-        let cell = judge.brief(scenario)?;
+        let cell = judge.resolve(scenario)?;
         plant.load(&cell.scene, cell.parameters.grip_threshold_m)?;
         let visual = match renderer {
             Some(renderer) => renderer.set_up(&plant.engine, &cell.scene),
             None => show(cameras, &cell),
         };
-        let held = plant.engine.read_back()?;
-        judge.start(scenario, cell, (&held, &visual), plant.engine.touches(), plant.arm_state())
+        let engine = plant.engine.read_back()?;
+        let acting = Acting { engine: &engine, visual: &visual, grip_threshold_m: plant.grip_threshold_m() };
+        judge.start(scenario, cell, acting, plant.engine.touches(), plant.arm_state())
     }
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {

@@ -53,7 +53,8 @@ impl Rank {
             let source = Source::open(&path).or_usage()?;
             entries.push((name, Record::of(source.dictionary()).or_broken()?));
         }
-        let first = entries.first().ok_or_else(|| anyhow::anyhow!("a leaderboard needs at least one run")).or_usage()?;
+        let first =
+            entries.first().ok_or_else(|| anyhow::anyhow!("a leaderboard needs at least one run")).or_usage()?;
         let requirements = Requirements::open(&self.requirements, &first.1.task).or_usage()?;
         let baseline = match (&self.baseline, entries.first()) {
             (Some(file), _) => Some(Baseline::open(file).or_usage()?),

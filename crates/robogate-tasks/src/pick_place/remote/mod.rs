@@ -19,7 +19,8 @@ use robogate_core::{Action, Fault, FaultKind, Image, Observation, Scenario, Star
 use robogate_physics::{ArmState, Chain, Fixture, Gripper, Robot, grip_force, isometry};
 
 use crate::pick_place::cell::ResolvedCell;
-use crate::pick_place::judge::Judge;
+use crate::pick_place::judge::{Acting, Judge};
+use crate::pick_place::parameters;
 use crate::pick_place::simulator::{camera_specs, render, show};
 use crate::pick_place::spec::spec;
 
@@ -91,7 +92,7 @@ impl Offsite {
     /// The cell that the engine has to set up for this scenario.
     pub fn brief(&mut self, scenario: &Scenario) -> Result<Cell, Fault> {
         self.seen = None;
-        let resolved = self.judge.brief(scenario)?;
+        let resolved = self.judge.resolve(scenario)?;
         let (robot, chain) = (self.judge.robot(), self.judge.chain());
         let cell = Cell::new(&resolved, robot, chain, self.grip_force_n, self.sha256.clone())
             .map_err(|why| Fault::new(FaultKind::Setup, why))?;
@@ -123,7 +124,10 @@ impl Offsite {
         let (touches, seen) = sight.read(self.fixtures.len(), &mut self.bodies, 0.0)?;
         let visual = show(&mut self.cameras, &cell);
         self.seen = Some(self.posture(observation, seen.object));
-        self.judge.start(&scenario, cell, (&held.into(), &visual), &touches, arm_state(observation))
+        let engine = held.into();
+        // A suction cup works in an engine of this process only.
+        let acting = Acting { engine: &engine, visual: &visual, grip_threshold_m: None };
+        self.judge.start(&scenario, cell, acting, &touches, arm_state(observation))
     }
 
     /// Where the engine has to drive the arm's joints (rad) in the next control period.
@@ -142,7 +146,7 @@ impl Offsite {
         for (k, sight) in sights.iter().enumerate() {
             let share = (k + 1) as f64 / sights.len() as f64;
             let (touches, seen) = sight.read(self.fixtures.len(), &mut self.bodies, share)?;
-            self.judge.look(&seen.with(&touches));
+            self.judge.observe(&seen.with(&touches));
             if k + 1 == sights.len() {
                 self.seen = Some(self.posture(observation, seen.object));
             }
@@ -179,18 +183,10 @@ impl Offsite {
     }
 }
 
-/// Parameters that act on this side of a socket: on the encoders, the policy and our cameras.
-pub const HERE: [&str; 9] = [
-    "ik_noise_rad",
-    "approach_speed_m_s",
-    "lighting_lux",
-    "camera_roll_rad",
-    "camera_pitch_rad",
-    "table_material",
-    "background_color",
-    "object_color",
-    "object_transparency",
-];
+/// Whether a parameter acts in this process, on encoders, policy or cameras, so that the engine need not apply it.
+pub fn is_local(parameter: &str) -> bool {
+    parameters().iter().any(|row| row.name == parameter && row.acts_on.is_local())
+}
 
 fn arm_state(observation: &Observation) -> ArmState {
     ArmState {
