@@ -72,10 +72,14 @@ python() {
 
 # cargo-nextest where it is installed, else cargo test: rust ARGUMENTS...
 rust() {
+    case " $* " in
+        *" -p "* | *" --package "*) ;;
+        *) set -- --workspace "$@" ;;
+    esac
     if command -v cargo-nextest > /dev/null; then
-        cargo nextest run --no-fail-fast --workspace --locked "$@"
+        cargo nextest run --no-fail-fast --locked "$@"
     else
-        cargo test --no-fail-fast --workspace --locked --lib --bins --tests --examples "$@"
+        cargo test --no-fail-fast --locked --lib --bins --tests --examples "$@"
     fi
 }
 

@@ -4,9 +4,16 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::Word;
 
-/// Measured values by name, in the order in which they were set. A name that is absent was not measured.
-#[derive(Debug, Clone, Default, PartialEq)]
+/// Measured values by name. A name that is absent was not measured. The order in which they were set is kept, and does
+/// not matter for equality.
+#[derive(Debug, Clone, Default)]
 pub struct Measures(Vec<(Word, f64)>);
+
+impl PartialEq for Measures {
+    fn eq(&self, other: &Self) -> bool {
+        self.len() == other.len() && self.0.iter().all(|(name, value)| other.get(name.as_str()) == Some(*value))
+    }
+}
 
 impl Measures {
     /// The value of a measure, if it was measured.

@@ -74,7 +74,7 @@ const fn is_word(bytes: &[u8]) -> bool {
         }
         i += 1;
     }
-    0 < bytes.len() && bytes.len() <= Word::MAX_LENGTH
+    !bytes.is_empty() && bytes.len() <= Word::MAX_LENGTH
 }
 
 impl fmt::Display for Word {

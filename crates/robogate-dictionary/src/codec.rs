@@ -85,8 +85,8 @@ impl Encoder<'_> {
         }
         self.f64(*time_s);
         self.phase(*phase);
-        // One byte says what is there: without a label it is the byte that it was before there were labels, so
-        // that records and hashes of unlabelled episodes stay what they were.
+        // One byte marks what follows. Without a label it is the byte that schema 1.0 wrote: records and hashes of
+        // unlabelled episodes are unchanged.
         self.u8(u8::from(contact.is_some()) * CONTACT + u8::from(!label.is_empty()) * LABEL);
         if let Some(Contact { robot_body, other_body, force_n }) = contact {
             self.text(robot_body);
@@ -223,7 +223,7 @@ const CATEGORY: u8 = b'c';
 pub(crate) struct Interner(Vec<Arc<str>>);
 
 impl Interner {
-    /// Beyond this many, words are no longer few: looking them up would cost more than it saves.
+    /// Beyond this number, looking words up costs more than sharing them saves.
     const LIMIT: usize = 256;
 
     pub(crate) fn get(&mut self, text: &str) -> Arc<str> {
@@ -238,7 +238,7 @@ impl Interner {
     }
 }
 
-/// Reads the exact form back. The error says what does not fit.
+/// Reads the exact form back. The error says what is wrong.
 pub(crate) fn decode(bytes: &[u8], words: &mut Interner) -> Result<Entry, String> {
     let mut decoder = Decoder { rest: bytes, words };
     let entry = decoder.entry()?;

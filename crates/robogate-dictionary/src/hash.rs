@@ -9,13 +9,12 @@ use sha2::{Digest, Sha256};
 
 use crate::{DictionaryError, Entry, codec};
 
-/// SHA-256 over the canonical form of every entry, in order: the identity of a data set, whatever
-/// file it is in.
+/// SHA-256 over the canonical form of every entry, in order: the identity of a dataset in any file.
 ///
-/// The bytes of a Parquet file depend on its writer's version and settings; these do not. Two
-/// campaigns agree on it exactly if they agree on every value of every row. Not told apart are what
-/// Parquet does not tell apart either: the order of the parameters, an integer as integer or as
-/// real number, and a measure that is missing or not finite.
+/// The bytes of a Parquet file depend on its writer's version and settings; this hash does not. Two campaigns have the
+/// same hash exactly if they agree on every value of every row. It does not distinguish what Parquet does not
+/// distinguish: the order of the parameters, an integer as integer or as real number, and a measure that is missing or
+/// not finite.
 #[derive(Debug, Clone)]
 pub struct DatasetHash {
     task: Arc<TaskSpec>,

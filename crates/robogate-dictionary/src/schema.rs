@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 2, minor: 0 };
 
 /// The oldest version that this crate reads. Version 2 added the task and took nothing away.
-const OLDEST: SchemaVersion = SchemaVersion { major: 1, minor: 0 };
+pub(crate) const OLDEST: SchemaVersion = SchemaVersion { major: 1, minor: 0 };
 
 /// The version that added the columns of a suite's scenarios (`case`, `category`, `group`).
 pub(crate) const LABELLED: SchemaVersion = SchemaVersion { major: 1, minor: 1 };

@@ -8,7 +8,7 @@ use robogate_core::{Severity, TaskSpec};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{GateError, Metric, Record, Requirement, ScoreTerm, score};
+use crate::{GateError, Metric, Record, Requirement, ScoreTerm, Scoring, score};
 
 /// The most rounds that a budget may have: what is more is a slip of the finger.
 const MOST_ROUNDS: u32 = 10_000;
@@ -135,7 +135,13 @@ impl Requirements {
             family: Family::default(),
             budget: Budget::default(),
             requirement: std::iter::once(requirement(Metric::Success, Some(0.92), None)).chain(failures).collect(),
-            score: Vec::new(),
+            score: vec![ScoreTerm {
+                name: "Success".to_owned(),
+                metric: Metric::Success,
+                category: None,
+                weight: 1.0,
+                scoring: Scoring::Linear { full_at: 1.0 },
+            }],
         }
     }
 

@@ -16,7 +16,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use robogate_core::{Seed, Stream};
-use robogate_monitor::service::{Desk, Intake, ServiceSettings, Store, serve};
+use robogate_monitor::service::{Intake, ServiceEngine, ServiceSettings, Store, serve};
 use robogate_monitor::{Cycle, Monitor, Settings};
 
 /// Cycles sent in batches, and in one batch.
@@ -68,10 +68,10 @@ fn child(path: &Path) {
     let store = Store::open(path, settings.store).unwrap();
     let intake = Intake::open(store, Monitor::new(settings.detectors).unwrap(), settings.late_after_s).unwrap();
     println!("opened {}", start.elapsed().as_secs_f64());
-    let desk = Desk::open(intake, |_| {});
+    let engine = ServiceEngine::open(intake, |_| {});
     let (_stop, stopped) = tokio::sync::oneshot::channel();
     let listening = |address| println!("address {address}");
-    serve("127.0.0.1:0".parse().unwrap(), None, http, desk.handle(), listening, stopped).unwrap();
+    serve("127.0.0.1:0".parse().unwrap(), None, http, engine.handle(), listening, stopped).unwrap();
 }
 
 struct Server {

@@ -9,7 +9,7 @@ use serde::ser::{SerializeMap, Serializer};
 use serde_json::{Map, Value as Json, json};
 
 use super::{
-    ANALYTIC, CYCLE_TIME, FAILURE_TYPE, FLAGS, SAMPLE, SUCCESS, TARGET_DISTANCE, TARGET_DISTANCE_HERE, name_there,
+    ANALYTIC, CYCLE_TIME, FAILURE_TYPE, FLAGS, Flag, SAMPLE, SUCCESS, TARGET_DISTANCE, TARGET_DISTANCE_HERE, name_there,
 };
 use crate::columns::failure_type;
 use crate::export::write_error;
@@ -17,9 +17,8 @@ use crate::{Dictionary, DictionaryError, Entry};
 
 /// Writes the dictionary in the published schema, one row a line. Returns the number of rows.
 ///
-/// The schema has no place for an episode that is no evidence: invalid ones are left out, and
-/// `metadata` says how many they were. It says too that `zone` and `fail_prob` are not there, which
-/// come from a formula and not from episodes. Parameters are the requested ones.
+/// The schema has no place for invalid episodes: they are left out, and `metadata` gives their number. `metadata` also
+/// says that `zone` and `fail_prob` are left out. Parameters are the requested ones.
 pub fn export(dictionary: &Dictionary, mut out: impl Write) -> Result<u64, DictionaryError> {
     let mut counts = Counts::default();
     for entry in dictionary.entries() {
@@ -31,6 +30,8 @@ pub fn export(dictionary: &Dictionary, mut out: impl Write) -> Result<u64, Dicti
     text.extend_from_slice(b",\n\"summary\": ");
     to_json(&mut text, &counts.summary())?;
     text.extend_from_slice(b",\n\"experiments\": [");
+    let task = &dictionary.provenance().task;
+    let flags: Vec<&Flag> = FLAGS.iter().filter(|flag| task.declares(flag.mode)).collect();
     let mut rows = 0;
     for entry in dictionary.entries() {
         let entry = entry?;
@@ -38,7 +39,7 @@ pub fn export(dictionary: &Dictionary, mut out: impl Write) -> Result<u64, Dicti
             continue;
         }
         text.extend_from_slice(if rows == 0 { b"\n" } else { b",\n" });
-        to_json(&mut text, &PublishedRow(&entry))?;
+        to_json(&mut text, &PublishedRow { entry: &entry, flags: &flags })?;
         rows += 1;
         if text.len() > 1 << 16 {
             out.write_all(&text).map_err(write_error)?;
@@ -84,7 +85,7 @@ impl Counts {
             "failure_count": self.total() - self.successes,
             "failure_types": types,
         });
-        // The rate of nothing is no number.
+        // No episodes have no rate.
         if self.total() > 0 {
             summary["success_rate"] = (self.successes as f64 / self.total() as f64).into();
         }
@@ -105,9 +106,9 @@ fn metadata(dictionary: &Dictionary, counts: &Counts) -> Json {
         "dataset_hash": dictionary.dataset_hash(),
         "invalid_episodes_left_out": counts.invalid,
         "fields_left_out": ANALYTIC,
-        "note": "Parameters are those requested. zone and fail_prob come from an analytic formula in the published \
-                 dictionaries, not from episodes, and are not there. Rows of a boundary-focused stage do not speak of \
-                 the whole space: their importance weights are in the Parquet dictionary.",
+        "note": "Parameters are the requested ones. zone and fail_prob are left out: in the published dictionaries an \
+                 analytic formula gives them. Rows of a boundary-focused stage do not represent the whole space: \
+                 their importance weights are in the Parquet dictionary.",
     })
 }
 
@@ -129,24 +130,27 @@ fn parameter_space(space: &ParameterSpace) -> Json {
     Json::Object(parameters.collect())
 }
 
-struct PublishedRow<'a>(&'a Entry);
+struct PublishedRow<'a> {
+    entry: &'a Entry,
+    /// The flags of failure modes that the task has.
+    flags: &'a [&'a Flag],
+}
 
 impl Serialize for PublishedRow<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let episode = &self.0.episode;
-        let failed = |mode| episode.outcome == Outcome::Failure(mode);
+        let episode = &self.entry.episode;
         let mut row = serializer.serialize_map(None)?;
         parameters(&mut row, &episode.scenario.requested)?;
         row.serialize_entry(SUCCESS, &(episode.outcome == Outcome::Success))?;
         row.serialize_entry(FAILURE_TYPE, &failure_type(&episode.outcome))?;
         row.serialize_entry(CYCLE_TIME, &episode.time_s)?;
-        for (mode, flag) in FLAGS {
-            row.serialize_entry(flag, &failed(mode))?;
+        for flag in self.flags {
+            row.serialize_entry(flag.column, &(episode.outcome == Outcome::Failure(flag.mode)))?;
         }
         if let Some(distance) = episode.measures.get(TARGET_DISTANCE_HERE.as_str()) {
             row.serialize_entry(TARGET_DISTANCE, &distance)?;
         }
-        row.serialize_entry(SAMPLE, &self.0.index())?;
+        row.serialize_entry(SAMPLE, &self.entry.index())?;
         row.end()
     }
 }

@@ -17,16 +17,16 @@ use super::{
 use crate::codec::{EXACT_INTEGER, Interner};
 use crate::columns::Columns;
 use crate::fields::Fields;
-use crate::raw::{RawRow, Scalar};
+use crate::raw::{MOST_MODES, RawRow, Scalar};
 use crate::{
     DictionaryError, DictionaryWriter, Engine, Entry, Label, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool,
     Written, v1,
 };
 
-/// What an import made.
+/// The result of an import.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Imported {
-    /// The provenance that was written: its `source` has what had to be decided or left out.
+    /// The provenance that was written; its `source` lists what was decided or left out.
     pub provenance: Provenance,
     /// The rows.
     pub written: Written,
@@ -34,9 +34,9 @@ pub struct Imported {
 
 /// Imports the published file `from` as the dictionary `to`.
 ///
-/// The file is read twice: once to derive the parameter space from it (observed ranges and words) and
-/// to check every row, once to write. Nothing is written where a row is wrong. Each row has weight 1:
-/// the distribution it was drawn from is taken to be the one its rates speak of.
+/// The file is read twice: once to derive the parameter space (observed ranges and words) and to check every row, once to
+/// write. Nothing is written where a row is wrong. Each row has weight 1: rates apply to the distribution that the rows
+/// were sampled from.
 pub fn import(from: &Path, to: &Path) -> Result<Imported, DictionaryError> {
     let mut survey = Survey::default();
     let frame = rows::read(from, &mut |row| survey.row(from, row))?;
@@ -52,9 +52,6 @@ pub fn import(from: &Path, to: &Path) -> Result<Imported, DictionaryError> {
     let written = writer.finish()?;
     Ok(Imported { provenance: plan.provenance, written })
 }
-
-/// More failure modes than this are not modes but descriptions.
-const MOST_MODES: usize = 1000;
 
 /// What the first reading finds out.
 #[derive(Default)]
@@ -82,10 +79,10 @@ impl Survey {
                     return Err(row.wrong(
                         path,
                         FAILURE_TYPE,
-                        format!("is one more failure mode than the {MOST_MODES} that a file can have"),
+                        format!("is one failure mode too many. Expected at most {MOST_MODES} in a file"),
                     ));
                 }
-                let raised = FLAGS.iter().filter(|(_, flag)| row.get(flag) == Some(&Scalar::Bool(true))).count();
+                let raised = FLAGS.iter().filter(|flag| row.get(flag.column) == Some(&Scalar::Bool(true))).count();
                 let own = usize::from(flag_of(mode).is_some_and(|flag| row.get(flag).is_some()));
                 self.flagged_later += u64::from(raised > own);
             }
@@ -112,11 +109,11 @@ impl Survey {
         self.last_sample = sample;
     }
 
-    /// What the file says about its rows as a whole must be so.
+    /// The totals of the file must be those of its rows.
     fn check_frame(&self, path: &Path, frame: &Frame) -> Result<(), DictionaryError> {
         let refuse = |reason: String| Err(DictionaryError::Published { path: path.to_owned(), reason });
         if self.rows == 0 {
-            return refuse("its `experiments` are empty: there is no space to derive from them".to_owned());
+            return refuse("its `experiments` are empty. Expected at least one row".to_owned());
         }
         let failures = self.rows - self.successes;
         let whole = [
@@ -131,7 +128,7 @@ impl Survey {
             types.as_object().into_iter().flatten().map(|(name, claimed)| (name.as_str(), claimed, count(name)));
         for (name, claimed, found) in whole.into_iter().chain(by_mode) {
             if claimed.as_u64().is_some_and(|claimed| claimed != found) {
-                return refuse(format!("its `{name}` says {claimed}, its rows have {found}"));
+                return refuse(format!("its `{name}` is {claimed}, but its rows have {found}"));
             }
         }
         Ok(())
@@ -151,7 +148,7 @@ impl Survey {
             let domain = match field.domain() {
                 Ok(domain) => domain,
                 Err(why) => {
-                    notes.push(format!("field `{}` is left out: {why}", field.name));
+                    notes.push(format!("Field `{}` is ignored: {why}.", field.name));
                     continue;
                 }
             };
@@ -160,38 +157,37 @@ impl Survey {
                     path: path.to_owned(),
                     row: Row(row),
                     column: field.name.to_string(),
-                    value: "the missing value".to_owned(),
-                    reason: "is there in other rows\nhint: every row must have every parameter".to_owned(),
+                    value: "a missing value".to_owned(),
+                    reason: "cannot be used. Expected a value in every row, as other rows have it".to_owned(),
                 });
             }
             let here = free_name(&field.name);
             if here != name_here(&field.name) {
-                notes.push(format!("field `{}` is the parameter `{here}`: its name is another column's", field.name));
+                notes.push(format!("Field `{}` is the parameter `{here}`: another column has its name.", field.name));
             }
             parameters.push(Parameter { name: here.into(), domain });
             fields.push(field.name);
         }
         for name in left_out {
-            notes.push(format!("field `{name}` is left out: a formula gave it, not an episode"));
+            notes.push(format!("Field `{name}` is ignored: it comes from a formula and not from an episode."));
         }
         let space = ParameterSpace::new("imported", parameters)?;
         if !self.samples_rise {
-            notes.push(format!("`{SAMPLE}` is missing in a row or does not rise: the index is the row's number"));
+            notes.push(format!("`{SAMPLE}` is missing in a row or does not rise: the index is the row's number."));
         }
         if self.flagged_later > 0 {
             let n = self.flagged_later;
-            notes.push(format!("{n} failures have the flag of another failure too: only `{FAILURE_TYPE}` is kept"));
+            notes.push(format!("Failures with the flag of another failure: {n}. Only `{FAILURE_TYPE}` is kept."));
         }
         let seed = frame.metadata["seed"].as_u64();
         if seed.is_none() {
-            notes.push("the campaign's seed is not known: 0 stands in its place".to_owned());
+            notes.push("The campaign's seed is not known: 0 is used in its place.".to_owned());
         }
         notes.push(
-            "applied parameters, phases, contacts, ticks and trajectory hashes are not in the source: ticks and hashes \
-             are 0"
+            "The source has no applied parameters, phases, contacts, ticks and trajectory hashes. Ticks and hashes are 0."
                 .to_owned(),
         );
-        notes.push("ranges are the observed ones, and each row has weight 1".to_owned());
+        notes.push("Ranges are the observed ones, and each row has weight 1.".to_owned());
         let word = |key: &str| frame.metadata[key].as_str();
         let name = |keys: [&str; 2]| keys.into_iter().find_map(word).unwrap_or("unknown").to_owned();
         let provenance = Provenance {
@@ -219,7 +215,7 @@ impl Survey {
     }
 }
 
-/// Our name of a published parameter, out of the way of the other columns.
+/// Our name of a published parameter; it differs from the names of the other columns.
 fn free_name(published: &str) -> String {
     let here = name_here(published);
     let parameter = |name: &str| Parameter { name: name.into(), domain: Domain::Integer { low: 0, high: 0 } };
@@ -230,7 +226,7 @@ fn free_name(published: &str) -> String {
 
 fn is_parameter(name: &str) -> bool {
     ![SUCCESS, FAILURE_TYPE, CYCLE_TIME, TARGET_DISTANCE, SAMPLE].contains(&name)
-        && FLAGS.iter().all(|(_, flag)| *flag != name)
+        && FLAGS.iter().all(|flag| flag.column != name)
 }
 
 /// How a row becomes an entry.
@@ -261,7 +257,7 @@ impl Plan {
                     (Some(Scalar::Integer(n)), _) => Value::Integer(*n),
                     (Some(Scalar::Number(x)), _) => Value::Number(*x),
                     (Some(Scalar::Text(text)), _) => Value::Category(words.get(text)),
-                    _ => return Err(row.wrong(path, field, "is no parameter's value")),
+                    _ => return Err(row.wrong(path, field, "is not a value that a parameter can have")),
                 };
                 Ok((Arc::clone(&parameter.name), value))
             })
@@ -289,16 +285,16 @@ impl Plan {
 
 /// The flag that a failure of this mode raises.
 fn flag_of(mode: FailureMode) -> Option<&'static str> {
-    FLAGS.iter().find(|(flagged, _)| *flagged == mode).map(|(_, flag)| *flag)
+    FLAGS.iter().find(|flag| flag.mode == mode).map(|flag| flag.column)
 }
 
-/// How the row's episode went, by all that the row says about it.
+/// How the row's episode ended, by all of its fields.
 fn outcome(path: &Path, row: &RawRow) -> Result<Outcome, DictionaryError> {
     let Some(Scalar::Bool(success)) = row.get(SUCCESS) else {
         return Err(row.wrong(path, SUCCESS, "is neither true nor false"));
     };
     let Some(Scalar::Text(word)) = row.get(FAILURE_TYPE) else {
-        return Err(row.wrong(path, FAILURE_TYPE, "is no word"));
+        return Err(row.wrong(path, FAILURE_TYPE, "is not a word. Expected a failure mode or none"));
     };
     let outcome = match word.as_str() {
         "none" => Outcome::Success,
@@ -311,7 +307,7 @@ fn outcome(path: &Path, row: &RawRow) -> Result<Outcome, DictionaryError> {
         Outcome::Failure(mode) => flag_of(*mode),
         Outcome::Success | Outcome::Invalid(_) => None,
     };
-    for (_, flag) in FLAGS {
+    for flag in FLAGS.map(|flag| flag.column) {
         let contradicts = match row.get(flag) {
             None | Some(Scalar::Null) => false,
             Some(Scalar::Bool(raised)) => {
@@ -333,7 +329,7 @@ fn outcome(path: &Path, row: &RawRow) -> Result<Outcome, DictionaryError> {
 /// The row's cycle time, in seconds.
 fn cycle_time(path: &Path, row: &RawRow) -> Result<f64, DictionaryError> {
     non_negative(path, row, CYCLE_TIME)?
-        .ok_or_else(|| row.wrong(path, CYCLE_TIME, "is no time in seconds\nhint: every row must have it"))
+        .ok_or_else(|| row.wrong(path, CYCLE_TIME, "is not a time. Expected seconds in every row"))
 }
 
 /// The row's distance of the object from its target, in metres.
@@ -346,7 +342,7 @@ fn non_negative(path: &Path, row: &RawRow, field: &str) -> Result<Option<f64>, D
         None | Some(Scalar::Null) => return Ok(None),
         Some(Scalar::Integer(n)) => *n as f64,
         Some(Scalar::Number(x)) => *x,
-        Some(_) => return Err(row.wrong(path, field, "is no number")),
+        Some(_) => return Err(row.wrong(path, field, "is not a number")),
     };
-    if x < 0.0 { Err(row.wrong(path, field, "is below 0")) } else { Ok(Some(x)) }
+    if x < 0.0 { Err(row.wrong(path, field, "is negative. Expected 0 or more")) } else { Ok(Some(x)) }
 }

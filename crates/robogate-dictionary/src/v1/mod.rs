@@ -1,4 +1,4 @@
-//! What dictionaries of schema 1 left unsaid.
+//! The task that dictionaries of schema 1 do not name.
 //!
 //! RoboGate 0.1 knew one task, pick and place, and did not write it down. Its dictionaries and the published ones
 //! have this task's failure modes, measures and phases.

@@ -7,7 +7,7 @@ use robogate_monitor::service::HttpSettings;
 use crate::common::{Service, cycles, post};
 
 #[test]
-fn the_page_shows_recipes_detectors_alarms_robots_and_cycles_in_a_browser() {
+fn a_browser_shows_the_whole_page() {
     let Some(chromium) = robogate_testing::program("chromium") else { return };
     let folder = tempfile::tempdir().unwrap();
     let service = Service::start(&folder.path().join("monitor.db"), HttpSettings::default(), None);
