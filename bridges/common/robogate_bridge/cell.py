@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 from .errors import Problem
-from .parameters import PARAMETERS
 
 CONTROL_PERIOD_S = 0.05
 TIME_LIMIT_S = 15.0
