@@ -241,7 +241,10 @@ fn a_wrong_suite_is_told_in_full_with_exit_code_2() {
         fs::write(&suite, format!("{head}\ncategory = \"nominal\"\nscenarios = [{scenarios}]")).unwrap();
     };
     write("{ id = \"a\", friction = 20.0, glare = 1.0 }, { id = \"b\", friction = 0.1, glare = 1.0 }");
-    assert_usage(&["suites", "check", &suite], &["`friction` = 20 is out of range", "unknown parameter `glare`", "2 problems"]);
+    assert_usage(
+        &["suites", "check", &suite],
+        &["`friction` = 20 is out of range", "unknown parameter `glare`", "2 problems"],
+    );
     assert_usage(&["run", "--suite", &suite], &["`friction` = 20 is out of range", "unknown parameter `glare`"]);
     write("{ id = \"a\" }, { id = \"a\" }");
     assert_usage(&["suites", "check", &suite], &["scenario id `a` is there twice"]);
