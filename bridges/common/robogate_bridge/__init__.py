@@ -4,7 +4,7 @@ A simulator is a class with the methods of `Simulator`; `serve` does the rest: t
 everything that goes in and out, the typed errors. `Client` asks a server, `robogate serve` among them.
 """
 
-from .cell import CONTROL_PERIOD_S, Motion, Part, Touches, combined, physics_hello, turned, unit
+from .cell import CONTROL_PERIOD_S, Contact, Motion, Part, Touches, combined, physics_hello, turned, unit
 from .client import Client, Refused, Unanswered
 from .errors import Problem
 from .identity import robot_sha256
@@ -15,6 +15,7 @@ __all__ = [
     "CONTROL_PERIOD_S",
     "Action",
     "Client",
+    "Contact",
     "Fingers",
     "Image",
     "Motion",
