@@ -4,7 +4,7 @@ A simulator is a class with the methods of `Simulator`. `serve` does the rest: t
 and replies, and the typed errors. `Client` sends requests to a server, such as `robogate serve`.
 """
 
-from .cell import CONTROL_PERIOD_S, Motion, Part, Touches, arm_observation, combined, physics_hello, turned, unit
+from .cell import CONTROL_PERIOD_S, Contact, Motion, Part, Touches, arm_observation, combined, physics_hello, turned, unit
 from .client import Client, Refused, Unanswered
 from .errors import Problem
 from .identity import robot_sha256, state_hash
@@ -15,6 +15,7 @@ __all__ = [
     "CONTROL_PERIOD_S",
     "Action",
     "Client",
+    "Contact",
     "Fingers",
     "Image",
     "Motion",

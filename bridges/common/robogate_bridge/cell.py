@@ -1,6 +1,6 @@
 """What a server that runs RoboGate's cell needs beside the drives: who touches whom, and what moves by itself."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import inf, sqrt
 
 from .errors import Problem
@@ -51,6 +51,31 @@ def arm_observation(time_s, joint_positions, joint_velocities, opening_m, tool_p
             "tool_pose": [*tool_pose["position"], *tool_pose["orientation"]],
         },
     }
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Constants of contacts, from the map `contact` of a cell."""
+
+    # Torsional friction is that of a disc of this radius under uniform pressure.
+    patch_radius_m: float
+    rolling_m: float
+    # Of the object's contacts and of joint end stops, at critical damping.
+    time_constant_s: float
+    # MuJoCo's constraint impedance (the first three numbers of solimp), of the object's contacts and of joint end stops.
+    impedance: list[float]
+    limit_impedance: list[float]
+    # Of a fixture that moves.
+    driven_mass_kg: float
+
+    @classmethod
+    def of(cls, cell):
+        """The constants of a cell."""
+        return cls(**{field.name: cell["contact"][field.name] for field in fields(cls)})
+
+    def torsional(self, friction):
+        """Torsional friction in metres of a contact with this sliding friction coefficient."""
+        return friction * self.patch_radius_m * 2.0 / 3.0
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import msgpack
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from robogate_bridge import Client, Fingers, Problem, Server, Servo, codec
+from robogate_bridge import Client, Contact, Fingers, Problem, Server, Servo, codec
 from robogate_bridge.server import loopback
 from toy import Gantry, Still, Tank
 
@@ -25,6 +25,14 @@ CELL = {
     "gravity_m_s2": 9.81,
     "friction": 0.8,
     "table_friction": 0.8,
+    "contact": {
+        "patch_radius_m": 0.006,
+        "rolling_m": 0.0004,
+        "time_constant_s": 0.005,
+        "impedance": [0.9, 0.95, 0.002],
+        "limit_impedance": [0.98, 0.99, 0.001],
+        "driven_mass_kg": 500.0,
+    },
     "object": {
         "parts": [{"primitive": {"kind": "sphere", "radius": 0.02}, "pose": None}],
         "pose": {"position": [0.5, 0.0, 0.02], "orientation": [1.0, 0.0, 0.0, 0.0]},
@@ -51,6 +59,18 @@ def begun(simulator=None, **fields):
     reply = ask(server, "reset", index=0, seed=1, parameters={}, **fields)
     assert reply["ok"], reply
     return server
+
+
+class TheContact(unittest.TestCase):
+    def test_is_read_from_the_cell(self):
+        contact = Contact.of(CELL)
+        self.assertEqual(contact.rolling_m, 0.0004)
+        self.assertEqual(contact.impedance, [0.9, 0.95, 0.002])
+        self.assertAlmostEqual(contact.torsional(0.5), 0.002)
+
+    def test_is_required(self):
+        with self.assertRaises(KeyError):
+            Contact.of({"contact": {"patch_radius_m": 0.005}})
 
 
 class TheServer(unittest.TestCase):

@@ -36,6 +36,14 @@ def example_cell(robot, shape="box", size_m=0.05, mass_kg=0.3, friction=0.8, at=
         "gravity_m_s2": 9.81,
         "friction": friction,
         "table_friction": friction,
+        "contact": {
+            "patch_radius_m": 5e-3,
+            "rolling_m": 5e-4,
+            "time_constant_s": 4e-3,
+            "impedance": [0.95, 0.99, 0.001],
+            "limit_impedance": [0.99, 0.999, 1e-4],
+            "driven_mass_kg": 1e3,
+        },
         "object": {
             "parts": [{"primitive": primitive, "pose": {"position": [0.0, 0.0, 0.0], "orientation": UP}}],
             "pose": {"position": [*at, half], "orientation": UP},

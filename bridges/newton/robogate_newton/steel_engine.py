@@ -7,10 +7,9 @@ import newton
 import numpy as np
 import warp as wp
 from newton.solvers import SolverSteel
-from robogate_bridge import Touches
+from robogate_bridge import Contact, Touches
 
 from .engine import Engine
-from .world import ROLLING
 
 # Contacts, and constraint rows, that one step may have. An episode with more is diverged, never silently wrong.
 CONTACTS = 128
@@ -65,6 +64,7 @@ class SteelEngine(Engine):
             views["body_f"][world.robot_bodies, :3] = -mass[world.robot_bodies, None] * gravity
         ball = all(part["primitive"]["kind"] == "sphere" for part in self._cell["object"]["parts"])
         self._inertia = float(model.body_inertia.numpy()[world.object_body][0, 0]) if ball else None
+        self._rolling = Contact.of(self._cell).rolling_m
         self._pressed = 0.0
         self._graphs = []
 
@@ -111,5 +111,5 @@ class SteelEngine(Engine):
         moment = np.zeros(3)
         if self._pressed > 0.0 and speed > 0.0:
             most = self._inertia * speed / self.time_step_s
-            moment = turning * (-min(ROLLING * self._pressed, most) / speed)
+            moment = turning * (-min(self._rolling * self._pressed, most) / speed)
         views["body_f"][body, 3:] = moment

@@ -6,21 +6,13 @@ import newton
 import numpy as np
 import warp as wp
 from newton.solvers import SolverMuJoCo, SolverSteel
-from robogate_bridge import Part, Problem, unit
+from robogate_bridge import Contact, Part, Problem, unit
 
-# Radius of the patch in which a soft pad touches, in metres: torsional friction is that of a disc under even
-# pressure, 2/3 of friction times radius. And the rolling friction of the object, in metres.
-PATCH_RADIUS = 5e-3
-ROLLING = 5e-4
+# MuJoCo's defaults for the midpoint and the power of solimp, which follow a cell's impedance.
+IMPEDANCE_SHAPE = (0.5, 2.0)
 
-# Time constant in which a contact or an end stop gives way, in seconds, and how stiff it is: as in RoboGate's own MuJoCo.
-CONTACT_SOLREF = (0.004, 1.0)
+# Newton takes solref as it is given.
 SOLREF_AS_IT_IS = 1
-CONTACT_SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
-LIMIT_SOLIMP = (0.99, 0.999, 1e-4, 0.5, 2.0)
-
-# Mass of a fixture that moves, in kilograms. It is driven: only what counts as inertia at all matters.
-DRIVEN_MASS = 1e3
 
 
 @dataclass(frozen=True)
@@ -85,6 +77,7 @@ class Workshop:
     def build(self, cell):
         """The cell's world, the arm at home and the gripper open."""
         drives, gripper = cell["robot"], cell["robot"]["gripper"]
+        contact = Contact.of(cell)
         builder = self._builder()
         # A copied builder brings its own gravity along.
         builder.add_builder(self._base)
@@ -109,9 +102,9 @@ class Workshop:
         for q in arm + fingers:
             builder.joint_target_mode[q] = int(newton.JointTargetMode.POSITION_VELOCITY)
             self._set(builder, "mujoco:jnt_actgravcomp", q, True)
-            self._set(builder, "mujoco:solreflimit", q, wp.vec2(*CONTACT_SOLREF))
+            self._set(builder, "mujoco:solreflimit", q, solref(contact))
             self._set(builder, "mujoco:solreflimit_mode", q, SOLREF_AS_IT_IS)
-            self._set(builder, "mujoco:solimplimit", q, wp.types.vector(5, float)(*LIMIT_SOLIMP))
+            self._set(builder, "mujoco:solimplimit", q, solimp(contact.limit_impedance))
         for body in range(len(bodies)):
             self._set(builder, "mujoco:gravcomp", body, 1.0)
 
@@ -134,8 +127,8 @@ class Workshop:
             if fixture["motion"] is not None:
                 q, qd = len(builder.joint_q), len(builder.joint_qd)
                 body = builder.add_body(
-                    xform=place, mass=DRIVEN_MASS, inertia=wp.mat33(np.eye(3) * DRIVEN_MASS), lock_inertia=True,
-                    is_kinematic=True,
+                    xform=place, mass=contact.driven_mass_kg, inertia=wp.mat33(np.eye(3) * contact.driven_mass_kg),
+                    lock_inertia=True, is_kinematic=True,
                 )
                 movers.append(Mover(i, body, q, qd, fixture["motion"]))
                 place = wp.transform_identity()
@@ -143,7 +136,8 @@ class Workshop:
             # What gives the asked for mean with the object's own; it may be below zero, the mean is not.
             mean = 2.0 * table_friction - friction if own else friction
             mu = mean if self._friction_is_mean else (table_friction if own else friction)
-            shape = self._shape(builder, fixture["primitive"], body, place, mu, 2 if own else 0, balls(cell))
+            priority = 2 if own else 0
+            shape = self._shape(builder, contact, fixture["primitive"], body, place, mu, priority, balls(cell))
             fixture_shapes.append(shape)
             parts.append(Part("fixture", fixture=i))
 
@@ -158,7 +152,9 @@ class Workshop:
         for part in thing["parts"]:
             ball = part["primitive"]["kind"] == "sphere"
             place = transform(part["pose"])
-            object_shapes.append(self._shape(builder, part["primitive"], object_body, place, friction, 1, ball))
+            object_shapes.append(
+                self._shape(builder, contact, part["primitive"], object_body, place, friction, 1, ball)
+            )
             parts.append(Part("object"))
 
         pairs = self._pairs(parts, static)
@@ -228,19 +224,19 @@ class Workshop:
                     out.append((a, b))
         return out
 
-    def _shape(self, builder, primitive, body, place, mu, priority, rolls):
+    def _shape(self, builder, contact, primitive, body, place, mu, priority, rolls):
         config = builder.default_shape_cfg.copy()
         config.density, config.gap, config.margin = 0.0, self._gap, 0.0
-        config.mu, config.mu_torsional, config.mu_rolling = mu, mu * PATCH_RADIUS * 2.0 / 3.0, ROLLING
+        config.mu, config.mu_torsional, config.mu_rolling = mu, contact.torsional(mu), contact.rolling_m
         config.collision_filter_parent = False
         custom = {}
         if priority:
             custom = {
                 "mujoco:geom_priority": priority,
                 "mujoco:condim": 6 if rolls else 4,
-                "mujoco:solref": wp.vec2(*CONTACT_SOLREF),
+                "mujoco:solref": solref(contact),
                 "mujoco:solref_mode": SOLREF_AS_IT_IS,
-                "mujoco:geom_solimp": wp.types.vector(5, float)(*CONTACT_SOLIMP),
+                "mujoco:geom_solimp": solimp(contact.impedance),
             }
         more = {"xform": place, "cfg": config, "custom_attributes": custom}
         match primitive["kind"]:
@@ -253,6 +249,16 @@ class Workshop:
             case "sphere":
                 return builder.add_shape_sphere(body, radius=primitive["radius"], **more)
         raise Problem("setup", f"there is no primitive {primitive['kind']!r}")
+
+
+def solref(contact):
+    """MuJoCo's solref: the time constant, and critical damping."""
+    return wp.vec2(contact.time_constant_s, 1.0)
+
+
+def solimp(impedance):
+    """MuJoCo's solimp of a cell's impedance."""
+    return wp.types.vector(5, float)(*impedance, *IMPEDANCE_SHAPE)
 
 
 def balls(cell):

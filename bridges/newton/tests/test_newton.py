@@ -151,6 +151,27 @@ class ThePhysics(unittest.TestCase):
         np.testing.assert_allclose(model.dof_armature[:9], [0.1] * 7 + [0.5] * 2)
         np.testing.assert_allclose(model.body_gravcomp[1:12], 1.0)
 
+    def test_takes_contact_constants_from_the_cell(self):
+        contact = {
+            "patch_radius_m": 9e-3,
+            "rolling_m": 2e-4,
+            "time_constant_s": 6e-3,
+            "impedance": [0.9, 0.98, 0.002],
+            "limit_impedance": [0.97, 0.99, 2e-4],
+            "driven_mass_kg": 200.0,
+        }
+        motion = {"velocity_m_s": [0.0, 0.2, 0.0], "starts_s": 0.2, "ends_s": 1.2}
+        pusher = fixture("disturbance", {"kind": "box", "half": [0.03, 0.03, 0.04]}, [0.5, -0.3, 0.041], 0.0, motion)
+        cell = example_cell(FRANKA, "cylinder", friction=0.3, fixtures=[pusher]) | {"contact": contact}
+        model = Hand(SIMULATORS["mujoco"], CHAIN, cell).simulator._engine._model
+        thing = model.ngeom - 1
+        np.testing.assert_allclose(model.geom_friction[thing], [0.3, 0.0018, 2e-4], rtol=1e-6)
+        np.testing.assert_allclose(model.geom_solref[thing], [0.006, 1.0], rtol=1e-6)
+        np.testing.assert_allclose(model.geom_solimp[thing], [0.9, 0.98, 0.002, 0.5, 2.0], rtol=1e-6)
+        np.testing.assert_allclose(model.jnt_solref[:9], [[0.006, 1.0]] * 9, rtol=1e-6)
+        np.testing.assert_allclose(model.jnt_solimp[:9], [[0.97, 0.99, 2e-4, 0.5, 2.0]] * 9, rtol=1e-6)
+        self.assertAlmostEqual(max(model.body_mass), 200.0, places=3)
+
     def test_a_driven_fixture_keeps_its_way_and_pushes_the_object(self):
         motion = {"velocity_m_s": [0.0, 0.2, 0.0], "starts_s": 0.2, "ends_s": 1.2}
         pusher = fixture("disturbance", {"kind": "box", "half": [0.03, 0.03, 0.04]}, [0.5, -0.1, 0.041], 0.0, motion)

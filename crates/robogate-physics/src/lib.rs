@@ -4,6 +4,7 @@
 //! stands in the cell. An [`Engine`] gives robot and scene their physics; MuJoCo and Rapier are features of this crate.
 //! A [`Plant`] is an engine together with the drives that follow joint commands and the cup that holds an object.
 
+pub mod contact;
 pub mod description;
 mod engine;
 #[cfg(any(feature = "mujoco", feature = "rapier"))]

@@ -19,7 +19,7 @@ use crate::friction::{Coefficients, Friction};
 use crate::scene::isometry;
 use crate::{
     Chain, Engine, EngineBuild, FixtureKind, FixtureRead, JointTargets, Motion, Part, Primitive, Problem, Readback,
-    Robot, RobotError, Scene, Touches, Wrench, robot_model,
+    Robot, RobotError, Scene, Touches, Wrench, contact, robot_model,
 };
 
 /// Contact masks: the robot meets the object and fixtures, the object meets fixtures; the robot does not
@@ -27,20 +27,6 @@ use crate::{
 pub(crate) const ROBOT: (i32, i32) = (1, 0);
 const OBJECT: (i32, i32) = (2, 1);
 const FIXTURE: (i32, i32) = (0, 3);
-
-/// Radius of the patch in which a soft pad touches, in metres: torsional friction is that of a disc
-/// under even pressure, 2/3 of friction times radius.
-const PATCH_RADIUS: f64 = 5e-3;
-
-/// Rolling friction of the object, in metres: what stops a ball on the table's mat.
-const ROLLING: f64 = 5e-4;
-
-/// Time constant in which a contact of the object gives way, in seconds: as stiff as the default time step
-/// allows (MuJoCo asks for two steps), and the same for shorter ones, so that they converge to one physics.
-pub(crate) const CONTACT_TIME_S: f64 = 2.0 * MujocoEngine::TIME_STEP_S;
-
-/// Mass of a fixture that moves, in kilograms.
-const DRIVEN_MASS: f64 = 1e3;
 
 /// Fixtures and object by their names in the compiled model. The prefix keeps them from meeting a
 /// robot's names.
@@ -216,7 +202,7 @@ impl MujocoEngine {
                 *joint.axis_mut() = (pose.rotation.inverse() * motion.velocity.normalize()).into();
                 let geom = body.add_geom().with_name(&name);
                 shape(geom, primitive, &Isometry3::identity());
-                geom.set_mass(DRIVEN_MASS);
+                geom.set_mass(contact::DRIVEN_MASS_KG);
                 geom
             } else {
                 let geom = world.add_geom().with_name(&name);
@@ -261,8 +247,8 @@ impl MujocoEngine {
             weld.set_active(false);
             // Given in full, or the model's compiler would take the start's poses for those to hold.
             weld.data_mut()[..11].copy_from_slice(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
-            weld.solref_mut()[..2].copy_from_slice(&[CONTACT_TIME_S, 1.0]);
-            weld.solimp_mut()[..3].copy_from_slice(&[0.95, 0.99, 0.001]);
+            weld.solref_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);
+            weld.solimp_mut()[..3].copy_from_slice(&contact::IMPEDANCE);
         }
         Ok(())
     }
@@ -338,9 +324,9 @@ fn shape(geom: &mut mujoco_rs::wrappers::mj_editing::MjsGeom, primitive: &Primit
 fn object_contact(geom: &mut mujoco_rs::wrappers::mj_editing::MjsGeom, friction: f64, rolls: bool) {
     // Sliding and twisting friction; a ball has rolling friction too, or it would never rest.
     geom.set_condim(if rolls { 6 } else { 4 });
-    *geom.friction_mut() = [friction, friction * PATCH_RADIUS * 2.0 / 3.0, ROLLING];
-    geom.solref_mut()[..2].copy_from_slice(&[CONTACT_TIME_S, 1.0]);
-    geom.solimp_mut()[..3].copy_from_slice(&[0.95, 0.99, 0.001]);
+    *geom.friction_mut() = [friction, friction * contact::PATCH_RADIUS_M * 2.0 / 3.0, contact::ROLLING_M];
+    geom.solref_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);
+    geom.solimp_mut()[..3].copy_from_slice(&contact::IMPEDANCE);
 }
 
 fn primitive(model: &MjModel, geom: usize) -> Option<Primitive> {

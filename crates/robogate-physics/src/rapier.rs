@@ -23,16 +23,13 @@ use crate::engine::Collision;
 use crate::friction::{Coefficients, Friction};
 use crate::{
     Arm, Chain, Engine, EngineBuild, FixtureKind, FixtureRead, JointTargets, ParallelJaw, Primitive, Readback, Robot,
-    RobotError, Scene, Touches, Wrench,
+    RobotError, Scene, Touches, Wrench, contact,
 };
 
 /// Who meets whom: the robot does not meet itself.
 const ROBOT: Group = Group::GROUP_1;
 const OBJECT: Group = Group::GROUP_2;
 const FIXTURE: Group = Group::GROUP_3;
-
-/// Rolling friction of a ball, in metres, as MuJoCo has it here.
-const ROLLING: f64 = 5e-4;
 
 /// Into how many parts the solver divides a time step.
 const SUBSTEPS: usize = 4;
@@ -771,7 +768,7 @@ impl Loaded {
         })
     }
 
-    /// A ball's rolling friction: against its turning, at most `ROLLING` times the force that presses it.
+    /// A ball's rolling friction: against its turning, at most [`contact::ROLLING_M`] times the force that presses it.
     fn resist_rolling(&mut self) {
         let object = self.object;
         let dt = self.world.integration_parameters.dt;
@@ -783,7 +780,7 @@ impl Loaded {
         if pressed > 0.0 && speed > 0.0 {
             // No more than what stops it within the step.
             let inertia = body.mass_properties().local_mprops.principal_inertia().x;
-            let moment = (ROLLING * pressed).min(inertia * speed / dt);
+            let moment = (contact::ROLLING_M * pressed).min(inertia * speed / dt);
             body.add_torque(turning * (-moment / speed), false);
         }
     }

@@ -7,10 +7,10 @@ use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::MjsBody;
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
-use crate::mujoco::{CONTACT_TIME_S, PREFIX, ROBOT, wxyz};
+use crate::mujoco::{PREFIX, ROBOT, wxyz};
 use crate::robot::RobotSource;
 use crate::scene::isometry;
-use crate::{Chain, ChainJoint, Gripper, ParallelJaw, Problem, Robot, RobotSettings, Site};
+use crate::{Chain, ChainJoint, Gripper, ParallelJaw, Problem, Robot, RobotSettings, Site, contact};
 
 /// Group in which a model's own actuators are switched off: the cell has its own drives.
 const OFF_GROUP: i32 = 30;
@@ -198,8 +198,8 @@ fn add_drives(spec: &mut MjSpec, settings: &RobotSettings, problems: &mut Vec<Pr
         *driven.actfrcrange_mut() = [-limit, limit];
         driven.set_actfrclimited(mjtLimited::mjLIMITED_TRUE);
         // An end stop does not give way to the drive.
-        driven.solref_limit_mut()[..2].copy_from_slice(&[CONTACT_TIME_S, 1.0]);
-        driven.solimp_limit_mut()[..3].copy_from_slice(&[0.99, 0.999, 1e-4]);
+        driven.solref_limit_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);
+        driven.solimp_limit_mut()[..3].copy_from_slice(&contact::LIMIT_IMPEDANCE);
         let mut gain = [0.0; 10];
         gain[0] = stiffness;
         let mut bias = [0.0; 10];

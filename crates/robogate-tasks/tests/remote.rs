@@ -6,9 +6,10 @@ use std::sync::Arc;
 
 use robogate_core::samplers::LatinHypercube;
 use robogate_core::{
-    Action, Fault, FaultKind, Outcome, ParameterSpace, Sampler, Scenario, Seed, Simulator, Start, Step, rollout,
+    Action, Environment, Fault, FaultKind, Observation, Outcome, ParameterSpace, Sampler, Scenario, Seed, Start, Step,
+    TaskSpec, rollout, vectors,
 };
-use robogate_physics::{Engine, MujocoEngine, RapierEngine, built_in_robot};
+use robogate_physics::{Engine, GripperCommand, MujocoEngine, RapierEngine, built_in_robot};
 use robogate_tasks::pick_place::remote::{FarPeriod, Host, Offsite};
 use robogate_tasks::pick_place::{FRANKA_SPACE, PickPlace, Scripted};
 
@@ -27,7 +28,11 @@ impl<E: Engine> Far<E> {
     }
 }
 
-impl<E: Engine> Simulator for Far<E> {
+impl<E: Engine> Environment for Far<E> {
+    fn task(&self) -> &Arc<TaskSpec> {
+        self.offsite.task()
+    }
+
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
         self.offsite.brief(scenario)?;
         let (held, sight, observation) = self.host.reset(scenario)?;
@@ -36,11 +41,17 @@ impl<E: Engine> Simulator for Far<E> {
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {
         let command = self.offsite.command(action)?;
-        let mut period = self.host.step(&command, action.gripper)?;
+        let mut period = self.host.step(&command, GripperCommand::of(action))?;
         (self.lie)(&mut period);
         let FarPeriod { observation, state_hash, sights, clearance_m } = period;
         self.offsite.finish(&sights, &observation, clearance_m, state_hash)
     }
+}
+
+/// The observation of an arm whose tool is this much higher.
+fn raise_tool(observation: &mut Observation, by_m: f64) {
+    let tool = observation.vectors.iter_mut().find(|(name, _)| *name == vectors::TOOL_POSE);
+    tool.unwrap().1[2] += by_m;
 }
 
 fn scenarios(count: usize) -> Vec<Scenario> {
@@ -60,7 +71,7 @@ fn same_there_as_here<E: Engine>(count: usize, make: impl Fn() -> E) {
     for scenario in scenarios(count) {
         let episode = rollout(&mut here, &mut policy, &scenario);
         assert_eq!(rollout(&mut there, &mut policy, &scenario), episode);
-        words.insert(episode.outcome.word());
+        words.insert(episode.outcome.as_str());
     }
     assert!(words.len() >= 2, "{words:?}");
 }
@@ -99,13 +110,12 @@ fn what_a_far_engine_changed_or_cannot_have_seen_makes_the_episode_invalid() {
     invalid(&mut far, &mut policy, |p| p.sights[0].object_pose.orientation = [0.0; 4], "no rotation");
 
     let mut offsite = Offsite::new(robot, chain, None, None).unwrap();
-    let mut start =
-        |change: fn(&mut robogate_tasks::pick_place::remote::FarReadback, &mut robogate_core::Observation)| {
-            offsite.brief(scenario).unwrap();
-            let (mut held, sight, mut observation) = far.host.reset(scenario).unwrap();
-            change(&mut held, &mut observation);
-            offsite.start(held, &sight, &observation)
-        };
+    let mut start = |change: fn(&mut robogate_tasks::pick_place::remote::FarReadback, &mut Observation)| {
+        offsite.brief(scenario).unwrap();
+        let (mut held, sight, mut observation) = far.host.reset(scenario).unwrap();
+        change(&mut held, &mut observation);
+        offsite.start(held, &sight, &observation)
+    };
     let asked = &scenario.requested;
     for (name, applied) in [
         ("friction", start(|held, _| held.friction *= 1.01).unwrap().applied),
@@ -115,7 +125,7 @@ fn what_a_far_engine_changed_or_cannot_have_seen_makes_the_episode_invalid() {
     ] {
         assert_ne!(applied.get(name), asked.get(name), "{name}");
     }
-    let other = start(|_, observation| observation.tool_pose.position[2] += 0.02).unwrap_err();
+    let other = start(|_, observation| raise_tool(observation, 0.02)).unwrap_err();
     assert!(other.detail.contains("another robot"), "{other}");
     assert!(Offsite::new(built_in_robot("ur5e").unwrap(), far.offsite_chain(), None, None).is_err());
 }

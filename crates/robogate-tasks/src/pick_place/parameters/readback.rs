@@ -1,8 +1,8 @@
 //! How applied values are read: from what acts in the episode, never from the request.
 //!
 //! Where a parameter scales a random draw (encoder bias, position jitter), the reader divides what acts by the draw. The
-//! request is used for two things only: to interpret what is read (of which shape a size is the size), and to round a
-//! length to the request where the two differ by less than positions can resolve.
+//! request is used for two things only: to interpret what is read (of which shape a size is the size), and to round what
+//! is computed from it where the two differ by less than the state can resolve.
 
 use nalgebra::{Isometry3, Vector2};
 use robogate_physics::{FixtureKind, FixtureRead, GRAVITY, Primitive, Readback, Visual, isometry};
@@ -15,8 +15,8 @@ use crate::pick_place::{Disturbance, Placement, Shape};
 /// Poses within this distance (m) and angle (rad) are equal. Engines may hold poses in single precision.
 const POSE_TOLERANCE: f64 = 1e-6;
 
-/// Biases within this distance are equal, in radians.
-const BIAS_TOLERANCE: f64 = 1e-9;
+/// A value that is computed from doubles equals the request within this distance, in metres or radians.
+const ROUNDING: f64 = 1e-12;
 
 /// Everything that acts in an episode once it is set up.
 pub(crate) struct ReadbackContext<'a> {
@@ -110,7 +110,9 @@ pub(super) fn placement(context: &ReadbackContext<'_>) -> String {
 
 /// The offset of the object from its placement, in metres.
 pub(super) fn offset(context: &ReadbackContext<'_>) -> [f64; 2] {
-    (context.displacement() - context.jitter()).into()
+    let read: [f64; 2] = (context.displacement() - context.jitter()).into();
+    let requested = context.cell.parameters.offset_m;
+    [0, 1].map(|axis| if (read[axis] - requested[axis]).abs() < ROUNDING { requested[axis] } else { read[axis] })
 }
 
 /// The radius of the disc from which the object's displacement was drawn; `NaN` if the displacement has another
@@ -132,9 +134,12 @@ pub(super) fn position_jitter(context: &ReadbackContext<'_>) -> f64 {
 /// The bound of the encoder biases that the episode uses; `NaN` if they are not this episode's draws.
 pub(super) fn encoder_bias(context: &ReadbackContext<'_>) -> f64 {
     let (biases, draws) = (&context.cell.bias, &context.cell.draws.encoders);
+    let requested = context.cell.parameters.ik_noise_rad;
+    // Least squares over the joints.
     let product: f64 = biases.iter().zip(draws).map(|(bias, draw)| bias * draw).sum();
-    let bound = product / draws.iter().map(|draw| draw * draw).sum::<f64>();
-    let drawn = biases.iter().zip(draws).all(|(bias, draw)| (bias - bound * draw).abs() <= BIAS_TOLERANCE);
+    let estimate = product / draws.iter().map(|draw| draw * draw).sum::<f64>();
+    let bound = if (estimate - requested).abs() < ROUNDING { requested } else { estimate };
+    let drawn = biases.iter().zip(draws).all(|(bias, draw)| (bias - bound * draw).abs() < ROUNDING);
     if drawn && biases.len() == draws.len() { bound } else { f64::NAN }
 }
 

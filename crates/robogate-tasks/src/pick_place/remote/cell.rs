@@ -2,7 +2,7 @@
 
 use nalgebra::Matrix3;
 use robogate_core::Pose;
-use robogate_physics::{Chain, Fixture, FixtureKind, Motion, Part, Primitive, Robot, Visual, pose};
+use robogate_physics::{Chain, Fixture, FixtureKind, Motion, Part, Primitive, Robot, Visual, contact, pose};
 use serde::{Deserialize, Serialize};
 
 use crate::pick_place::cell::{CONTROL_PERIOD_S, ResolvedCell};
@@ -18,6 +18,8 @@ pub struct Cell {
     pub friction: f64,
     /// The same between object and table.
     pub table_friction: f64,
+    /// Constants of contacts.
+    pub contact: CellContact,
     /// The object.
     pub object: CellObject,
     /// The table, then whatever else stands or moves there.
@@ -26,6 +28,23 @@ pub struct Cell {
     pub robot: CellRobot,
     /// How it all looks.
     pub visual: CellVisual,
+}
+
+/// Constants of contacts, those of [`robogate_physics::contact`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CellContact {
+    /// Radius of a soft contact patch: torsional friction is 2/3 of friction times this.
+    pub patch_radius_m: f64,
+    /// Rolling friction of a ball.
+    pub rolling_m: f64,
+    /// Time constant of the object's contacts and of joint end stops, at critical damping.
+    pub time_constant_s: f64,
+    /// MuJoCo's constraint impedance of the object's contacts.
+    pub impedance: [f64; 3],
+    /// MuJoCo's constraint impedance of joint end stops.
+    pub limit_impedance: [f64; 3],
+    /// Mass of a fixture that moves.
+    pub driven_mass_kg: f64,
 }
 
 /// The object.
@@ -196,6 +215,14 @@ impl Cell {
             gravity_m_s2: scene.gravity,
             friction: scene.friction,
             table_friction: scene.table_friction.unwrap_or(scene.friction),
+            contact: CellContact {
+                patch_radius_m: contact::PATCH_RADIUS_M,
+                rolling_m: contact::ROLLING_M,
+                time_constant_s: contact::TIME_CONSTANT_S,
+                impedance: contact::IMPEDANCE,
+                limit_impedance: contact::LIMIT_IMPEDANCE,
+                driven_mass_kg: contact::DRIVEN_MASS_KG,
+            },
             object: CellObject {
                 parts: scene.object.parts.iter().map(CellPart::from).collect(),
                 pose: pose(&scene.object_pose),

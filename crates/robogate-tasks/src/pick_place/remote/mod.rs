@@ -7,7 +7,7 @@ mod cell;
 mod host;
 mod report;
 
-pub use cell::{Cell, CellFixture, CellGripper, CellMotion, CellObject, CellPart, CellRobot, CellVisual};
+pub use cell::{Cell, CellContact, CellFixture, CellGripper, CellMotion, CellObject, CellPart, CellRobot, CellVisual};
 pub use host::Host;
 pub use report::{FarCollision, FarFixture, FarPeriod, FarReadback, FarSight, FarVelocity};
 
