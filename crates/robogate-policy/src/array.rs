@@ -1,46 +1,46 @@
-//! Arrays as numpy has them: what every policy server sends and takes.
+//! Arrays as in NumPy, which all policy servers send and take.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// An element's type. Little-endian, as every machine is that runs a policy server.
+/// Type of the elements. Little-endian, as all machines that run policy servers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Dtype {
-    /// One byte, 0 or 1.
+    /// Boolean, one byte: 0 or 1.
     #[serde(rename = "|b1")]
     Bool,
-    /// Unsigned, 8 bits.
+    /// Unsigned integer, 8 bits.
     #[serde(rename = "|u1")]
     U8,
-    /// Signed, 8 bits.
+    /// Signed integer, 8 bits.
     #[serde(rename = "|i1")]
     I8,
-    /// Unsigned, 16 bits.
+    /// Unsigned integer, 16 bits.
     #[serde(rename = "<u2")]
     U16,
-    /// Signed, 16 bits.
+    /// Signed integer, 16 bits.
     #[serde(rename = "<i2")]
     I16,
-    /// Unsigned, 32 bits.
+    /// Unsigned integer, 32 bits.
     #[serde(rename = "<u4")]
     U32,
-    /// Signed, 32 bits.
+    /// Signed integer, 32 bits.
     #[serde(rename = "<i4")]
     I32,
-    /// Unsigned, 64 bits.
+    /// Unsigned integer, 64 bits.
     #[serde(rename = "<u8")]
     U64,
-    /// Signed, 64 bits.
+    /// Signed integer, 64 bits.
     #[serde(rename = "<i8")]
     I64,
-    /// Half precision.
+    /// Half-precision float.
     #[serde(rename = "<f2")]
     F16,
-    /// Single precision.
+    /// Single-precision float.
     #[serde(rename = "<f4")]
     F32,
-    /// Double precision.
+    /// Double-precision float.
     #[serde(rename = "<f8")]
     F64,
 }
@@ -61,23 +61,23 @@ impl Dtype {
         (Self::F64, "<f8", 8),
     ];
 
-    /// By numpy's name, such as `<f4`.
+    /// The type with this NumPy name, such as `<f4`.
     pub fn by_name(name: &str) -> Option<Self> {
         Self::ALL.iter().find(|(_, known, _)| *known == name).map(|(dtype, ..)| *dtype)
     }
 
-    /// Numpy's name.
+    /// The NumPy name.
     pub fn name(self) -> &'static str {
         Self::ALL.iter().find(|(dtype, ..)| *dtype == self).map_or("", |(_, name, _)| name)
     }
 
-    /// Bytes of an element.
+    /// Size of an element in bytes.
     pub fn size(self) -> usize {
         Self::ALL.iter().find(|(dtype, ..)| *dtype == self).map_or(1, |(.., size)| *size)
     }
 }
 
-/// Numbers in rows and columns.
+/// An array with any number of axes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Array {
     dtype: Dtype,
@@ -85,10 +85,10 @@ pub struct Array {
     data: Vec<u8>,
 }
 
-/// Bytes that are not the array that they claim to be.
+/// The number of bytes does not match the shape and type of an array.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("an array of shape {shape:?} and type {dtype} cannot have {bytes} bytes")]
-pub struct NotAnArray {
+#[error("{bytes} bytes do not match an array of shape {shape:?} and type {dtype}")]
+pub struct InvalidArray {
     shape: Vec<usize>,
     dtype: &'static str,
     bytes: usize,
@@ -96,15 +96,15 @@ pub struct NotAnArray {
 
 impl Array {
     /// An array from its raw bytes, in C order.
-    pub fn new(dtype: Dtype, shape: Vec<usize>, data: Vec<u8>) -> Result<Self, NotAnArray> {
+    pub fn new(dtype: Dtype, shape: Vec<usize>, data: Vec<u8>) -> Result<Self, InvalidArray> {
         let bytes = shape.iter().try_fold(dtype.size(), |product, n| product.checked_mul(*n));
         if bytes != Some(data.len()) {
-            return Err(NotAnArray { shape, dtype: dtype.name(), bytes: data.len() });
+            return Err(InvalidArray { shape, dtype: dtype.name(), bytes: data.len() });
         }
         Ok(Self { dtype, shape, data })
     }
 
-    /// A vector of these numbers, as the type that is asked for (a float; others are sent as double precision).
+    /// A vector of these numbers. `dtype` is a single- or double-precision float; any other becomes double precision.
     pub fn vector(numbers: &[f64], dtype: Dtype) -> Self {
         let (dtype, data) = match dtype {
             Dtype::F32 => (dtype, numbers.iter().flat_map(|n| (*n as f32).to_le_bytes()).collect()),
@@ -113,7 +113,7 @@ impl Array {
         Self { dtype, shape: vec![numbers.len()], data }
     }
 
-    /// The same elements in another shape, which must hold as many.
+    /// The same elements in another shape with the same number of elements.
     #[cfg(test)]
     #[must_use]
     pub(crate) fn reshaped(self, shape: Vec<usize>) -> Self {
@@ -121,12 +121,12 @@ impl Array {
         Self { shape, ..self }
     }
 
-    /// The elements' type.
+    /// Type of the elements.
     pub fn dtype(&self) -> Dtype {
         self.dtype
     }
 
-    /// Elements along each axis.
+    /// Number of elements along each axis.
     pub fn shape(&self) -> &[usize] {
         &self.shape
     }
@@ -140,7 +140,7 @@ impl Array {
         self.data
     }
 
-    /// The elements as numbers, in C order.
+    /// The elements in C order, as double-precision floats.
     pub fn numbers(&self) -> Vec<f64> {
         fn each<const N: usize>(data: &[u8], read: impl Fn([u8; N]) -> f64) -> Vec<f64> {
             data.as_chunks().0.iter().map(|bytes| read(*bytes)).collect()
@@ -185,7 +185,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn half_precision_reads_as_the_standard_says() {
+    fn half_precision_follows_ieee_754() {
         // IEEE 754-2008, binary16: one, minus two, the largest, the smallest subnormal.
         for (bits, value) in [(0x3c00, 1.0), (0xc000, -2.0), (0x7bff, 65504.0), (0x0001, 5.960_464_477_539_063e-8)] {
             assert_eq!(half(bits), value);
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shape_that_the_bytes_do_not_fill_is_refused() {
+    fn a_wrong_number_of_bytes_is_an_error() {
         assert!(Array::new(Dtype::F32, vec![2, 3], vec![0; 24]).is_ok());
         for shape in [vec![2, 2], vec![usize::MAX, 2], vec![usize::MAX, usize::MAX, 4]] {
             assert!(Array::new(Dtype::F32, shape, vec![0; 24]).is_err());

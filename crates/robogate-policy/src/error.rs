@@ -1,122 +1,137 @@
-//! What goes wrong with a policy server. None of it is a failure of the policy.
+//! Errors of external policies. They make an episode invalid and are never a failure of the policy.
 
 use robogate_core::{Fault, FaultKind};
 
-/// Why a server gave no action.
+/// Why an external policy gave no action.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum ServerError {
-    /// The address is none that this dialect can use.
-    #[error("bad address: `{url}`: {why}")]
+pub enum PolicyError {
+    /// The address does not fit the dialect of the profile.
+    #[error("invalid address: `{url}`: {why}")]
     Address {
-        /// As given.
+        /// The address.
         url: String,
-        /// What is wrong, and what would be right.
+        /// What is wrong with it, and what is expected.
         why: String,
     },
-    /// Nobody answers there.
+    /// The file of a network cannot be used.
+    #[error("invalid policy file: {path}: {why}")]
+    File {
+        /// Path of the file.
+        path: String,
+        /// What is wrong with it, and what is expected.
+        why: String,
+    },
+    /// No server listens on the address.
     #[error("unreachable: {url}: {why}")]
     Unreachable {
-        /// Whom.
+        /// The address.
         url: String,
-        /// What the system says.
+        /// Error of the operating system.
         why: String,
     },
     /// The deadline passed.
-    #[error("timeout: {what} took longer than {limit_s} s")]
+    #[error("timeout: {operation} took longer than {limit_s} s")]
     Timeout {
         /// What was waited for.
-        what: String,
-        /// The deadline, in seconds.
+        operation: String,
+        /// Time limit, in seconds.
         limit_s: f64,
     },
-    /// The server went away.
-    #[error("died: the server closed the connection {when}{reason}")]
+    /// The server closed the connection.
+    #[error("connection closed: the server closed the connection {when}{reason}")]
     Closed {
-        /// In the middle of what.
+        /// During which operation.
         when: String,
-        /// The reason that it gave, after a colon, or nothing.
+        /// The reason that the server gave, after a colon; or nothing.
         reason: String,
     },
-    /// The server answered that it cannot.
-    #[error("refused: the server answers with an error: {text}")]
-    Refused {
-        /// Its own words, cut to a readable length.
+    /// The policy reported an error.
+    #[error("policy error: {text}")]
+    Reported {
+        /// The message of the policy, shortened.
         text: String,
     },
-    /// Bytes that are no answer of this dialect.
-    #[error("undecodable: {what}: {why}")]
-    Undecodable {
+    /// The bytes are not a valid reply of this dialect.
+    #[error("invalid reply: {message}: {why}")]
+    InvalidReply {
         /// Which message.
-        what: &'static str,
+        message: &'static str,
         /// What is wrong with it.
         why: String,
     },
-    /// An answer that is too long to be one.
-    #[error("too large: an answer of more than {limit} bytes")]
+    /// The reply exceeds the size limit.
+    #[error("too large: the reply has more than {limit} bytes")]
     TooLarge {
-        /// What is allowed.
+        /// Size limit in bytes.
         limit: usize,
     },
-    /// Something else listens on the port.
-    #[error("another dialect: the profile says {wanted}, but {found}")]
-    OtherDialect {
-        /// What was expected.
-        wanted: &'static str,
-        /// What is there, and what to do.
+    /// A server of another dialect listens on the address.
+    #[error("wrong dialect: the profile expects {expected}, but {found}")]
+    WrongDialect {
+        /// Dialect of the profile.
+        expected: &'static str,
+        /// What listens there, and which dialect to use.
         found: String,
     },
-    /// What the server says of itself is not what the profile says.
-    #[error("mismatch: {0}")]
+    /// The policy's description of itself contradicts the profile.
+    #[error("profile mismatch: {0}")]
     Mismatch(String),
     /// The actions have another shape than the profile says.
     #[error("wrong shape: {0}")]
     Shape(String),
-    /// An action that is no number.
+    /// An action contains NaN or infinity.
     #[error("not finite: number {column} of action {row} is {value}")]
     NotFinite {
-        /// Which action of the chunk, from 0.
+        /// Index of the action in the chunk, from 0.
         row: usize,
-        /// Which number of it, from 0.
+        /// Index of the number in the action, from 0.
         column: usize,
-        /// NaN or an infinity.
+        /// The value.
         value: String,
     },
-    /// The cell does not show what the profile asks for.
+    /// The observation lacks something that the profile requires.
     #[error("observation: {0}")]
     Observation(String),
 }
 
-impl ServerError {
-    /// Whether asking again may help: the network or the server, not the settings.
-    pub(crate) fn is_passing(&self) -> bool {
+impl PolicyError {
+    /// Whether a new attempt may succeed: the network or the server failed, and not the settings.
+    pub(crate) fn is_transient(&self) -> bool {
         matches!(self, Self::Unreachable { .. } | Self::Timeout { .. } | Self::Closed { .. })
     }
 
     /// Whether the settings are wrong, and not the network or the server.
-    pub fn is_in_the_settings(&self) -> bool {
-        matches!(self, Self::Address { .. } | Self::OtherDialect { .. } | Self::Mismatch(_) | Self::Observation(_))
+    pub fn is_usage_error(&self) -> bool {
+        matches!(
+            self,
+            Self::Address { .. }
+                | Self::File { .. }
+                | Self::WrongDialect { .. }
+                | Self::Mismatch(_)
+                | Self::Observation(_)
+        )
     }
 
-    pub(crate) fn undecodable(what: &'static str, why: impl ToString) -> Self {
-        Self::Undecodable { what, why: why.to_string() }
+    pub(crate) fn invalid_reply(message: &'static str, why: impl ToString) -> Self {
+        Self::InvalidReply { message, why: why.to_string() }
     }
 
-    /// An error in the server's own words: the end of them, where Python says what it is.
-    pub(crate) fn refused(text: &str) -> Self {
+    /// An error in the words of the policy. Keeps the end of a long text, where a Python traceback names the error.
+    pub(crate) fn reported(text: &str) -> Self {
         const KEPT: usize = 400;
         let text = text.trim();
         let from = text.char_indices().rev().nth(KEPT).map_or(0, |(i, _)| i);
         let cut = if from > 0 { "... " } else { "" };
-        Self::Refused { text: format!("{cut}{}", text.get(from..).unwrap_or_default()) }
+        Self::Reported { text: format!("{cut}{}", text.get(from..).unwrap_or_default()) }
     }
 }
 
-impl From<ServerError> for Fault {
-    fn from(error: ServerError) -> Self {
+impl From<PolicyError> for Fault {
+    fn from(error: PolicyError) -> Self {
         let kind = match error {
-            ServerError::Shape(_) | ServerError::NotFinite { .. } => FaultKind::BadAction,
-            ServerError::Observation(_) => FaultKind::Setup,
+            PolicyError::Shape(_) | PolicyError::NotFinite { .. } => FaultKind::BadAction,
+            PolicyError::Observation(_) => FaultKind::Setup,
             _ => FaultKind::Unavailable,
         };
         Self::new(kind, error.to_string())

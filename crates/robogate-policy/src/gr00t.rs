@@ -1,8 +1,8 @@
-//! NVIDIA's Isaac GR00T servers over ZeroMQ: msgpack with `.npy` files in it.
+//! NVIDIA's Isaac GR00T servers over ZeroMQ: msgpack that contains `.npy` files.
 //!
-//! N1.6 takes an observation in one of two layouts: nested, or flat behind its simulation wrapper. Which one can only be
-//! found out by asking. N1.5 takes the flat one without a batch. Both say which pictures, vectors and actions
-//! they know.
+//! N1.6 takes observations in one of two layouts: nested, or flat with its simulation wrapper. Only a request shows which
+//! one a server takes. N1.5 takes the flat layout without a batch axis. Both report the names of their images, vectors
+//! and actions.
 
 use std::collections::BTreeSet;
 
@@ -10,16 +10,17 @@ use rmpv::ValueRef;
 use serde_json::Value as Json;
 
 use super::array::Array;
-use super::error::ServerError;
-use super::exchange::{Chunk, Query};
-use super::link::{Link, token};
+use super::connection::{Connection, token};
+use super::deadline::Deadline;
+use super::error::PolicyError;
 use super::msgpack;
 use super::npy;
 use super::profile::{Gr00t, Profile};
-use super::websocket::{Deadline, MAX_ANSWER};
+use super::websocket::MAX_REPLY;
+use super::{chunk::Chunk, query::Query};
 use robogate_zmtp::{Limits, Requester, ZmtpError};
 
-/// Which server.
+/// Version of the server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Version {
     /// `scripts/inference_service.py`.
@@ -28,14 +29,14 @@ pub(crate) enum Version {
     N16,
 }
 
-/// How N1.6 wants an observation.
+/// Layout of an observation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Layout {
     Nested,
     Flat,
 }
 
-/// A connection to such a server.
+/// A connection to a GR00T server.
 #[derive(Debug)]
 pub(crate) struct Gr00tServer {
     requester: Requester,
@@ -52,17 +53,17 @@ impl Gr00tServer {
         settings: &Gr00t,
         profile: &Profile,
         deadline: Deadline,
-    ) -> Result<Self, ServerError> {
+    ) -> Result<Self, PolicyError> {
         let address =
-            url.parse().map_err(|e: ZmtpError| ServerError::Address { url: url.to_owned(), why: e.to_string() })?;
-        let limits = Limits { frames: 4, frame_bytes: MAX_ANSWER, message_bytes: MAX_ANSWER };
+            url.parse().map_err(|e: ZmtpError| PolicyError::Address { url: url.to_owned(), why: e.to_string() })?;
+        let limits = Limits { frames: 4, frame_bytes: MAX_REPLY, message_bytes: MAX_REPLY };
         let requester = Requester::new(address, limits);
         let layout = (version == Version::N15).then_some(Layout::Flat);
-        let mut link = Self { requester, version, settings: settings.clone(), layout, declared: Json::Null };
-        link.call("ping", None, deadline, |_| Ok(()))?;
-        link.declared = link.call("get_modality_config", None, deadline, declared)?;
-        compare(&link.declared, settings, profile)?;
-        Ok(link)
+        let mut connection = Self { requester, version, settings: settings.clone(), layout, declared: Json::Null };
+        connection.call("ping", None, deadline, |_| Ok(()))?;
+        connection.declared = connection.call("get_modality_config", None, deadline, declared)?;
+        compare(&connection.declared, settings, profile)?;
+        Ok(connection)
     }
 
     fn call<T>(
@@ -70,26 +71,29 @@ impl Gr00tServer {
         endpoint: &'static str,
         data: Option<ValueRef<'_>>,
         deadline: Deadline,
-        read: impl FnOnce(&ValueRef<'_>) -> Result<T, ServerError>,
-    ) -> Result<T, ServerError> {
+        read: impl FnOnce(&ValueRef<'_>) -> Result<T, PolicyError>,
+    ) -> Result<T, PolicyError> {
         let left = deadline.left().ok_or_else(|| deadline.passed(endpoint))?;
-        let frames = self.requester.ask(&[encode(endpoint, data, token())], left).map_err(|error| match error {
+        let frames = self.requester.request(&[encode(endpoint, data, token())], left).map_err(|error| match error {
             ZmtpError::TimedOut(_) => deadline.passed(endpoint),
-            ZmtpError::Closed => ServerError::Closed { when: format!("during {endpoint}"), reason: String::new() },
-            ZmtpError::Unreachable { address, why } => ServerError::Unreachable { url: address, why: why.to_string() },
-            other => ServerError::undecodable("a ZeroMQ message", other),
+            ZmtpError::Closed => PolicyError::Closed { when: format!("during {endpoint}"), reason: String::new() },
+            ZmtpError::Unreachable { address, why } => PolicyError::Unreachable { url: address, why: why.to_string() },
+            other => PolicyError::invalid_reply("ZeroMQ message", other),
         })?;
         let [body] = frames.as_slice() else {
-            return Err(ServerError::undecodable("a ZeroMQ message", format!("{} parts, not one", frames.len())));
+            return Err(PolicyError::invalid_reply(
+                "ZeroMQ message",
+                format!("expected one frame, got {}", frames.len()),
+            ));
         };
-        read(&answer(endpoint, body)?)
+        read(&decode_reply(endpoint, body)?)
     }
 }
 
-impl Link for Gr00tServer {
-    fn begin(&mut self, _: &str, _: u64, deadline: Deadline) -> Result<(), ServerError> {
+impl Connection for Gr00tServer {
+    fn begin(&mut self, _: &str, _: u64, deadline: Deadline) -> Result<(), PolicyError> {
         match self.version {
-            // It keeps nothing and knows no reset.
+            // It has no state and no reset.
             Version::N15 => Ok(()),
             Version::N16 => {
                 let options = msgpack::map([("options", ValueRef::Nil)]);
@@ -98,27 +102,27 @@ impl Link for Gr00tServer {
         }
     }
 
-    fn ask(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, ServerError> {
+    fn infer(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, PolicyError> {
         let keys = self.settings.action_keys.clone();
         let language = self.settings.language_key.clone();
-        let (version, settled) = (self.version, self.layout);
-        let mut ask = |layout| {
-            let files = Files::of(query, version, layout);
+        let (version, known_layout) = (self.version, self.layout);
+        let mut request = |layout| {
+            let files = Files::new(query, version, layout);
             let data = files.observation(&query.instruction, version, layout, &language);
-            self.call("get_action", Some(data), deadline, |answer| actions(answer, &keys))
+            self.call("get_action", Some(data), deadline, |reply| decode_actions(reply, &keys))
         };
-        if let Some(layout) = settled {
-            return ask(layout);
+        if let Some(layout) = known_layout {
+            return request(layout);
         }
-        // A wrong layout is refused in words; that question costs no inference.
-        let (layout, answer) = match ask(Layout::Nested) {
-            Err(ServerError::Refused { text }) if text.contains("must be in observation") => {
-                (Layout::Flat, ask(Layout::Flat))
+        // The server rejects a wrong layout before it runs the model.
+        let (layout, reply) = match request(Layout::Nested) {
+            Err(PolicyError::Reported { text }) if text.contains("must be in observation") => {
+                (Layout::Flat, request(Layout::Flat))
             }
             other => (Layout::Nested, other),
         };
-        self.layout = answer.is_ok().then_some(layout);
-        answer
+        self.layout = reply.is_ok().then_some(layout);
+        reply
     }
 
     fn declared(&self) -> &Json {
@@ -126,7 +130,7 @@ impl Link for Gr00tServer {
     }
 }
 
-/// A question as bytes.
+/// Encode a request.
 fn encode(endpoint: &str, data: Option<ValueRef<'_>>, token: Option<String>) -> Vec<u8> {
     let endpoint = [("endpoint", ValueRef::from(endpoint))];
     let data = data.map(|data| ("data", data));
@@ -134,15 +138,15 @@ fn encode(endpoint: &str, data: Option<ValueRef<'_>>, token: Option<String>) -> 
     msgpack::encode(&msgpack::map(endpoint.into_iter().chain(data).chain(token)))
 }
 
-/// A question's arrays as files, by the names that a layout has for them.
+/// The arrays of a request as `.npy` files, under the names that a layout uses.
 struct Files {
     video: Vec<(String, Vec<u8>)>,
     state: Vec<(String, Vec<u8>)>,
 }
 
 impl Files {
-    fn of(query: &Query, version: Version, layout: Layout) -> Self {
-        // N1.6 has axes for batch and time, N1.5 one for time.
+    fn new(query: &Query, version: Version, layout: Layout) -> Self {
+        // N1.6 has leading axes for batch and time, N1.5 only for time.
         let ones = if version == Version::N16 { 2 } else { 1 };
         let files = |kind: &str, arrays: &[(String, Array)]| {
             let name = |key: &str| match layout {
@@ -154,7 +158,7 @@ impl Files {
         Self { video: files("video", &query.images), state: files("state", &query.states) }
     }
 
-    /// What `get_action` is asked with.
+    /// The data of a `get_action` request.
     fn observation<'a>(
         &'a self,
         instruction: &'a str,
@@ -184,54 +188,54 @@ impl Files {
     }
 }
 
-/// The answer in a message, unless it is an error.
-fn answer<'a>(endpoint: &'static str, body: &'a [u8]) -> Result<ValueRef<'a>, ServerError> {
+/// Decode a reply, unless it reports an error.
+fn decode_reply<'a>(endpoint: &'static str, body: &'a [u8]) -> Result<ValueRef<'a>, PolicyError> {
     if body == b"ERROR" {
-        return Err(ServerError::refused("ERROR"));
+        return Err(PolicyError::reported("ERROR"));
     }
-    let answer = msgpack::decode(endpoint, body)?;
-    match msgpack::get(&answer, "error").and_then(msgpack::name) {
-        Some("") => Err(ServerError::refused("an error without a word (it could not read the question)")),
-        Some(text) => Err(ServerError::refused(text)),
-        None => Ok(answer),
+    let reply = msgpack::decode(endpoint, body)?;
+    match msgpack::get(&reply, "error").and_then(msgpack::name) {
+        Some("") => Err(PolicyError::reported("an error without a message (the server could not decode the request)")),
+        Some(text) => Err(PolicyError::reported(text)),
+        None => Ok(reply),
     }
 }
 
-/// The actions of an answer: N1.6 has an array of actions and remarks, N1.5 the actions alone.
-fn actions(answer: &ValueRef<'_>, keys: &[String]) -> Result<Chunk, ServerError> {
-    const WHAT: &str = "the answer to get_action";
-    let map = match answer {
-        ValueRef::Array(items) => items.first().unwrap_or(answer),
+/// Decode the actions of a reply. N1.6 sends an array of actions and information, N1.5 the actions alone.
+fn decode_actions(reply: &ValueRef<'_>, keys: &[String]) -> Result<Chunk, PolicyError> {
+    const WHAT: &str = "reply to get_action";
+    let map = match reply {
+        ValueRef::Array(items) => items.first().unwrap_or(reply),
         other => other,
     };
     let entries =
-        msgpack::entries(map).ok_or_else(|| ServerError::undecodable(WHAT, "it is no map of actions".to_owned()))?;
+        msgpack::entries(map).ok_or_else(|| PolicyError::invalid_reply(WHAT, "not a map of actions".to_owned()))?;
     let known = || entries.iter().filter_map(|(key, _)| msgpack::name(key)).collect::<Vec<_>>().join(", ");
     let mut rows: Vec<Vec<f64>> = Vec::new();
     for key in keys {
         let prefixed = format!("action.{key}");
         let value = msgpack::get(map, &prefixed)
             .or_else(|| msgpack::get(map, key))
-            .ok_or_else(|| ServerError::Shape(format!("the answer has no `{key}`; it has {}", known())))?;
+            .ok_or_else(|| PolicyError::Shape(format!("the reply has no `{key}`; it has {}", known())))?;
         let Some(ValueRef::Binary(file)) = msgpack::get(value, "as_npy") else {
-            return Err(ServerError::undecodable(WHAT, format!("`{key}` is no array")));
+            return Err(PolicyError::invalid_reply(WHAT, format!("`{key}` is not an array")));
         };
-        let array = npy::read(file).map_err(|why| ServerError::undecodable(WHAT, why))?;
+        let array = npy::read(file).map_err(|why| PolicyError::invalid_reply(WHAT, why))?;
         Chunk::join(&mut rows, Chunk::columns(&array, key)?, key)?;
     }
     Chunk::of_rows(rows)
 }
 
-/// What the server knows, as a map from kind to names, whichever of the two ways it says it in.
-fn declared(answer: &ValueRef<'_>) -> Result<Json, ServerError> {
-    const WHAT: &str = "the answer to get_modality_config";
-    let kinds = msgpack::entries(answer).ok_or_else(|| ServerError::undecodable(WHAT, "it is no map".to_owned()))?;
+/// Decode the configuration of a server: a map from kinds to names. The two versions encode it differently.
+fn declared(reply: &ValueRef<'_>) -> Result<Json, PolicyError> {
+    const WHAT: &str = "reply to get_modality_config";
+    let kinds = msgpack::entries(reply).ok_or_else(|| PolicyError::invalid_reply(WHAT, "not a map".to_owned()))?;
     let mut all = serde_json::Map::new();
     for (kind, config) in kinds {
         let (Some(kind), Some(config)) = (msgpack::name(kind), msgpack::get(config, "as_json")) else { continue };
         let config = match msgpack::name(config) {
             // N1.5.
-            Some(text) => serde_json::from_str(text).map_err(|e| ServerError::undecodable(WHAT, e))?,
+            Some(text) => serde_json::from_str(text).map_err(|e| PolicyError::invalid_reply(WHAT, e))?,
             None => msgpack::to_json(config),
         };
         all.insert(kind.to_owned(), config);
@@ -239,8 +243,8 @@ fn declared(answer: &ValueRef<'_>) -> Result<Json, ServerError> {
     Ok(Json::Object(all))
 }
 
-/// Holds what the server knows against the profile.
-fn compare(declared: &Json, settings: &Gr00t, profile: &Profile) -> Result<(), ServerError> {
+/// Check the configuration of a server against the profile.
+fn compare(declared: &Json, settings: &Gr00t, profile: &Profile) -> Result<(), PolicyError> {
     let names = |kind: &str| -> Option<BTreeSet<&str>> {
         let keys = declared.get(kind)?.get("modality_keys")?.as_array()?;
         Some(
@@ -258,13 +262,13 @@ fn compare(declared: &Json, settings: &Gr00t, profile: &Profile) -> Result<(), S
         ("language", "dialect.language_key", [settings.language_key.as_str()].into()),
     ];
     for (kind, field, ours) in &ours {
-        // N1.5's servers leave kinds out.
+        // N1.5 servers omit some kinds.
         let Some(theirs) = names(kind) else { continue };
-        // Nobody has to use every action.
+        // A profile may ignore some actions.
         let fits = if *kind == "action" { ours.is_subset(&theirs) } else { *ours == theirs };
         if !fits {
-            return Err(ServerError::Mismatch(format!(
-                "the server's {kind} is {}; the profile's {field}: {}",
+            return Err(PolicyError::Mismatch(format!(
+                "{kind} of the server is {}, but {field} of the profile is {}",
                 joined(&theirs),
                 joined(ours)
             )));
@@ -272,8 +276,8 @@ fn compare(declared: &Json, settings: &Gr00t, profile: &Profile) -> Result<(), S
     }
     let steps = declared.get("action").and_then(|a| a.get("delta_indices")).and_then(Json::as_array).map(Vec::len);
     match (steps, profile.chunk.length) {
-        (Some(theirs), Some(ours)) if theirs != ours => Err(ServerError::Mismatch(format!(
-            "the server answers {theirs} actions, the profile's chunk.length is {ours}"
+        (Some(theirs), Some(ours)) if theirs != ours => Err(PolicyError::Mismatch(format!(
+            "the server sends {theirs} actions, but chunk.length of the profile is {ours}"
         ))),
         _ => Ok(()),
     }
@@ -306,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn questions_of_both_versions_and_layouts_are_those_of_the_upstream_clients_to_the_byte() {
+    fn requests_equal_captured_ones() {
         let cases = [
             (
                 "gr00t_n16/libero_panda_nested/03_get_action.req.bin",
@@ -321,16 +325,16 @@ mod tests {
             let capture = Capture::read("", name);
             let question = capture.msgpack();
             let data = msgpack::get(&question, "data").unwrap();
-            let seen = msgpack::get(data, "observation").unwrap_or(data);
+            let captured = msgpack::get(data, "observation").unwrap_or(data);
             let ones = if version == Version::N16 { 2 } else { 1 };
             let arrays = |kind: &str| match layout {
-                Layout::Nested => query(msgpack::entries(msgpack::get(seen, kind).unwrap()).unwrap(), "", ones),
-                Layout::Flat => query(msgpack::entries(seen).unwrap(), &format!("{kind}."), ones),
+                Layout::Nested => query(msgpack::entries(msgpack::get(captured, kind).unwrap()).unwrap(), "", ones),
+                Layout::Flat => query(msgpack::entries(captured).unwrap(), &format!("{kind}."), ones),
             };
             let (images, states) = (arrays("video"), arrays("state"));
             assert_eq!((images.len(), states.len()), (2, 7), "{name}");
             let query = Query { images, states, instruction: instruction.to_owned(), step: 0, time_s: 0.0 };
-            let (files, language) = (Files::of(&query, version, layout), settings().language_key);
+            let (files, language) = (Files::new(&query, version, layout), settings().language_key);
             let data = files.observation(instruction, version, layout, &language);
             assert_eq!(encode("get_action", Some(data), None), capture.bytes, "{name}");
         }
@@ -343,57 +347,66 @@ mod tests {
     }
 
     #[test]
-    fn answers_of_both_versions_and_layouts_are_understood() {
+    fn captured_replies_are_decoded() {
         for (name, length) in [
             ("gr00t_n16/libero_panda_nested/03_get_action.rep.bin", 16),
             ("gr00t_n16/libero_panda_sim/03_get_action.rep.bin", 16),
             ("gr00t_n15/get_action.rep.bin", 16),
         ] {
             let capture = Capture::read("", name);
-            let chunk = actions(&answer("get_action", &capture.bytes).unwrap(), &settings().action_keys).unwrap();
+            let chunk =
+                decode_actions(&decode_reply("get_action", &capture.bytes).unwrap(), &settings().action_keys).unwrap();
             assert_eq!((chunk.rows().len(), chunk.rows()[0].len()), (length, 7), "{name}");
         }
     }
 
     #[test]
-    fn errors_are_told_from_answers() {
-        for (name, words) in [
+    fn error_replies_are_errors() {
+        for (name, part) in [
             ("gr00t_n16/libero_panda_nested/06_err_other_layout.rep.bin", "must contain a 'video' key"),
             ("gr00t_n16/libero_panda_sim/06_err_other_layout.rep.bin", "must be in observation"),
-            ("gr00t_n16/libero_panda_nested/10_err_garbage.rep.bin", "without a word"),
+            ("gr00t_n16/libero_panda_nested/10_err_garbage.rep.bin", "without a message"),
             ("gr00t_n15/err.rep.bin", "video.image"),
         ] {
-            let error = answer("get_action", &Capture::read("", name).bytes).unwrap_err();
-            assert!(matches!(&error, ServerError::Refused { text } if text.contains(words)), "{error}");
+            let error = decode_reply("get_action", &Capture::read("", name).bytes).unwrap_err();
+            assert!(matches!(&error, PolicyError::Reported { text } if text.contains(part)), "{error}");
         }
     }
 
     #[test]
-    fn what_the_server_knows_is_held_against_the_profile() {
+    fn the_configuration_is_compared_with_the_profile() {
         let capture = Capture::read("gr00t_n16/libero_panda_nested", "01_get_modality_config.rep.bin");
-        let said = declared(&capture.msgpack()).unwrap();
+        let declared = super::declared(&capture.msgpack()).unwrap();
         let mut profile = Profile::from_toml(Profile::built_in("gr00t-n1.6-libero").unwrap()).unwrap();
-        compare(&said, &settings(), &profile).unwrap();
+        compare(&declared, &settings(), &profile).unwrap();
         profile.chunk.length = Some(8);
-        assert!(compare(&said, &settings(), &profile).unwrap_err().to_string().contains("chunk.length is 8"));
+        assert!(
+            compare(&declared, &settings(), &profile)
+                .unwrap_err()
+                .to_string()
+                .contains("chunk.length of the profile is 8")
+        );
         profile.cameras.pop();
-        let error = compare(&said, &settings(), &profile).unwrap_err().to_string();
-        assert!(error.contains("video is image, wrist_image; the profile's cameras: image"), "{error}");
+        let error = compare(&declared, &settings(), &profile).unwrap_err().to_string();
+        assert!(
+            error.contains("video of the server is image, wrist_image, but cameras of the profile is image"),
+            "{error}"
+        );
     }
 
     #[test]
-    fn n15_says_the_same_in_its_own_way() {
+    fn n15_configurations_are_decoded() {
         let capture = Capture::read("gr00t_n15", "get_modality_config.rep.bin");
-        let said = declared(&capture.msgpack()).unwrap();
-        assert_eq!(said["video"]["modality_keys"][0], "video.image");
+        let declared = super::declared(&capture.msgpack()).unwrap();
+        assert_eq!(declared["video"]["modality_keys"][0], "video.image");
         let mut one = settings();
         one.action_keys = vec!["x".to_owned(), "gripper".to_owned()];
         let profile = Profile::from_toml(Profile::built_in("gr00t-n1.6-libero").unwrap()).unwrap();
-        compare(&said, &one, &profile).unwrap();
+        compare(&declared, &one, &profile).unwrap();
     }
 
     #[test]
-    fn whatever_bytes_come_decoding_returns() {
+    fn decoding_never_panics() {
         let seeds = [
             "gr00t_n16/libero_panda_nested/01_get_modality_config.rep.bin",
             "gr00t_n16/libero_panda_nested/03_get_action.rep.bin",
@@ -403,9 +416,9 @@ mod tests {
         .map(|name| Capture::read("", name).bytes);
         let keys = settings().action_keys;
         fuzz(&seeds, |bytes| {
-            if let Ok(answer) = answer("get_action", bytes) {
-                let _ = actions(&answer, &keys);
-                let _ = declared(&answer);
+            if let Ok(reply) = decode_reply("get_action", bytes) {
+                let _ = decode_actions(&reply, &keys);
+                let _ = declared(&reply);
             }
         });
     }

@@ -1,4 +1,4 @@
-//! gRPC over plain HTTP/2, as far as four methods of a few bytes fields need it.
+//! A minimal gRPC client over HTTP/2 without TLS, for methods whose messages have fields of bytes only.
 
 use std::time::Duration;
 
@@ -8,10 +8,11 @@ use tokio::net::TcpStream;
 use tokio::runtime::Runtime;
 use tungstenite::Bytes;
 
-use super::error::ServerError;
-use super::websocket::{Deadline, MAX_ANSWER};
+use super::deadline::Deadline;
+use super::error::PolicyError;
+use super::websocket::MAX_REPLY;
 
-/// A connection.
+/// A connection to a gRPC server.
 #[derive(Debug)]
 pub(crate) struct Channel {
     runtime: Runtime,
@@ -19,29 +20,29 @@ pub(crate) struct Channel {
     address: String,
 }
 
-/// What an address of a gRPC server names: `host:port`.
-fn parse(url: &str) -> Result<String, ServerError> {
-    let wrong = |why: &str| ServerError::Address { url: url.to_owned(), why: why.to_owned() };
-    let rest = url.strip_prefix("grpc://").ok_or_else(|| wrong("it must begin with grpc://"))?;
+/// The `host:port` of the address of a gRPC server.
+fn parse(url: &str) -> Result<String, PolicyError> {
+    let wrong = |why: &str| PolicyError::Address { url: url.to_owned(), why: why.to_owned() };
+    let rest = url.strip_prefix("grpc://").ok_or_else(|| wrong("expected grpc://HOST:PORT"))?;
     let address = rest.trim_end_matches('/');
     match address.rsplit_once(':') {
         Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok() => Ok(address.to_owned()),
-        _ => Err(wrong("it must be grpc://HOST:PORT")),
+        _ => Err(wrong("expected grpc://HOST:PORT")),
     }
 }
 
 impl Channel {
-    /// Connects to `grpc://host:port`.
-    pub(crate) fn connect(url: &str, deadline: Deadline) -> Result<Self, ServerError> {
+    /// Connect to `grpc://host:port`.
+    pub(crate) fn connect(url: &str, deadline: Deadline) -> Result<Self, PolicyError> {
         let address = parse(url)?;
-        let unreachable = |why: String| ServerError::Unreachable { url: url.to_owned(), why };
+        let unreachable = |why: String| PolicyError::Unreachable { url: url.to_owned(), why };
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()
             .map_err(|e| unreachable(e.to_string()))?;
-        let requests = runtime.block_on(in_time(deadline, "connecting", async {
+        let requests = runtime.block_on(with_deadline(deadline, "connecting", async {
             let stream = TcpStream::connect(&address).await.map_err(|e| unreachable(e.to_string()))?;
-            // Small questions go out at once. A stream without the option is slow, not wrong.
+            // Send small requests immediately. Without this option the stream is only slower.
             let _ = stream.set_nodelay(true);
             let (requests, connection) = h2::client::Builder::new()
                 .max_header_list_size(16 << 10)
@@ -49,34 +50,34 @@ impl Channel {
                 .initial_connection_window_size(1 << 20)
                 .handshake(stream)
                 .await
-                .map_err(|e| ServerError::undecodable("the HTTP/2 handshake", e))?;
-            // It ends with the connection; what went wrong is told to whoever asks.
+                .map_err(|e| PolicyError::invalid_reply("the HTTP/2 handshake", e))?;
+            // The task ends with the connection. Requests report its errors.
             drop(tokio::spawn(connection));
-            // A peer that does not speak HTTP/2 shows it here.
-            requests.ready().await.map_err(|e| ServerError::undecodable("the HTTP/2 handshake", e))
+            // Fails here if the peer does not use HTTP/2.
+            requests.ready().await.map_err(|e| PolicyError::invalid_reply("the HTTP/2 handshake", e))
         }))?;
         Ok(Self { runtime, requests, address })
     }
 
-    /// Calls a method with messages, one or (where it takes a stream) several, and returns its answer.
+    /// Call a method with one message, or several for a method that takes a stream. Returns the message of the reply.
     pub(crate) fn call(
         &mut self,
         method: &'static str,
         messages: &[Vec<u8>],
         deadline: Deadline,
-    ) -> Result<Vec<u8>, ServerError> {
+    ) -> Result<Vec<u8>, PolicyError> {
         let Self { runtime, requests, address } = self;
-        runtime.block_on(in_time(deadline, method, call(requests, address, method, messages)))
+        runtime.block_on(with_deadline(deadline, method, call(requests, address, method, messages)))
     }
 }
 
-async fn in_time<T>(
+async fn with_deadline<T>(
     deadline: Deadline,
-    what: &str,
-    work: impl Future<Output = Result<T, ServerError>>,
-) -> Result<T, ServerError> {
+    operation: &str,
+    work: impl Future<Output = Result<T, PolicyError>>,
+) -> Result<T, PolicyError> {
     let left = deadline.left().unwrap_or(Duration::ZERO);
-    tokio::time::timeout(left, work).await.unwrap_or_else(|_| Err(deadline.passed(what)))
+    tokio::time::timeout(left, work).await.unwrap_or_else(|_| Err(deadline.passed(operation)))
 }
 
 async fn call(
@@ -84,17 +85,17 @@ async fn call(
     address: &str,
     method: &'static str,
     messages: &[Vec<u8>],
-) -> Result<Vec<u8>, ServerError> {
-    let gone = |e: h2::Error| ServerError::Closed { when: format!("during {method}"), reason: format!(": {e}") };
+) -> Result<Vec<u8>, PolicyError> {
+    let gone = |e: h2::Error| PolicyError::Closed { when: format!("during {method}"), reason: format!(": {e}") };
     let request = Request::builder()
         .method(Method::POST)
         .uri(format!("http://{address}{method}"))
         .header("content-type", "application/grpc")
         .header("te", "trailers")
         .body(())
-        .map_err(|e| ServerError::undecodable("a gRPC address", e))?;
+        .map_err(|e| PolicyError::invalid_reply("gRPC address", e))?;
     let mut requests = requests.clone().ready().await.map_err(gone)?;
-    let (answer, mut stream) = requests.send_request(request, false).map_err(gone)?;
+    let (reply, mut stream) = requests.send_request(request, false).map_err(gone)?;
     for message in messages {
         let mut framed = Vec::with_capacity(message.len() + 5);
         framed.push(0);
@@ -103,19 +104,19 @@ async fn call(
         stream.send_data(framed.into(), false).map_err(gone)?;
     }
     stream.send_data(Bytes::new(), true).map_err(gone)?;
-    let (head, mut body) = answer.await.map_err(gone)?.into_parts();
+    let (head, mut body) = reply.await.map_err(gone)?.into_parts();
     if head.status != StatusCode::OK {
-        return Err(ServerError::undecodable("a gRPC answer", format!("HTTP {}", head.status)));
+        return Err(PolicyError::invalid_reply("gRPC reply", format!("HTTP {}", head.status)));
     }
     status(&head.headers)?;
     let mut bytes = Vec::new();
     while let Some(part) = body.data().await {
         let part = part.map_err(gone)?;
-        if bytes.len() + part.len() > MAX_ANSWER {
-            return Err(ServerError::TooLarge { limit: MAX_ANSWER });
+        if bytes.len() + part.len() > MAX_REPLY {
+            return Err(PolicyError::TooLarge { limit: MAX_REPLY });
         }
         bytes.extend_from_slice(&part);
-        // The window only fails to grow on a stream that is gone, which the next read tells.
+        // This fails only if the stream is closed, which the next read reports.
         let _ = body.flow_control().release_capacity(part.len());
     }
     if let Some(trailers) = body.trailers().await.map_err(gone)? {
@@ -124,33 +125,33 @@ async fn call(
     message(&bytes).map(<[u8]>::to_vec)
 }
 
-/// The error that a status other than zero is.
-fn status(headers: &HeaderMap) -> Result<(), ServerError> {
+/// Check that the gRPC status is zero.
+fn status(headers: &HeaderMap) -> Result<(), PolicyError> {
     let text = |name: &str| headers.get(name).map(|value| String::from_utf8_lossy(value.as_bytes()).into_owned());
     match text("grpc-status") {
         Some(code) if code != "0" => {
-            let words = text("grpc-message").unwrap_or_default().replace("%20", " ").replace("%0A", "\n");
-            Err(ServerError::refused(&format!("gRPC status {code}: {words}")))
+            let message = text("grpc-message").unwrap_or_default().replace("%20", " ").replace("%0A", "\n");
+            Err(PolicyError::reported(&format!("gRPC status {code}: {message}")))
         }
         _ => Ok(()),
     }
 }
 
-/// The one message in a body.
-pub(crate) fn message(body: &[u8]) -> Result<&[u8], ServerError> {
-    let wrong = |why: &str| ServerError::undecodable("a gRPC answer", why);
-    let (prefix, message) = body.split_at_checked(5).ok_or_else(|| wrong("it has no message"))?;
+/// The only message of a body.
+pub(crate) fn message(body: &[u8]) -> Result<&[u8], PolicyError> {
+    let wrong = |why: &str| PolicyError::invalid_reply("gRPC reply", why);
+    let (prefix, message) = body.split_at_checked(5).ok_or_else(|| wrong("no message"))?;
     if prefix[0] != 0 {
-        return Err(wrong("it is compressed"));
+        return Err(wrong("the message is compressed, which is not supported"));
     }
     let length = u32::from_be_bytes([prefix[1], prefix[2], prefix[3], prefix[4]]) as usize;
     if length != message.len() {
-        return Err(wrong("its message has another length than it says"));
+        return Err(wrong("the length of the message does not match its prefix"));
     }
     Ok(message)
 }
 
-/// A field of bytes in a protobuf message.
+/// Encode a field of bytes of a protobuf message.
 pub(crate) fn bytes_field(number: u8, bytes: &[u8]) -> Vec<u8> {
     let mut field = vec![number << 3 | 2];
     let mut length = bytes.len();
@@ -163,9 +164,10 @@ pub(crate) fn bytes_field(number: u8, bytes: &[u8]) -> Vec<u8> {
     field
 }
 
-/// The last field of bytes of this number in a protobuf message; empty where there is none, as protobuf has it.
-pub(crate) fn read_bytes_field(mut message: &[u8], number: u64) -> Result<&[u8], ServerError> {
-    let wrong = || ServerError::undecodable("a protobuf message", "it ends too early, or has fields that are no bytes");
+/// The last field of bytes with this number in a protobuf message; empty if there is none, as protobuf defines.
+pub(crate) fn read_bytes_field(mut message: &[u8], number: u64) -> Result<&[u8], PolicyError> {
+    let wrong =
+        || PolicyError::invalid_reply("protobuf message", "it is truncated, or has fields of an unsupported type");
     let mut found: &[u8] = &[];
     while !message.is_empty() {
         let key = varint(&mut message).ok_or_else(wrong)?;

@@ -1,16 +1,17 @@
-//! Plain HTTP/1.1 with deadlines and bounded answers.
+//! HTTP/1.1 without TLS, with deadlines and a limit on the size of replies.
 
-use super::error::ServerError;
-use super::websocket::{Deadline, MAX_ANSWER};
+use super::deadline::Deadline;
+use super::error::PolicyError;
+use super::websocket::MAX_REPLY;
 
-/// A server that is asked over HTTP.
+/// An HTTP server.
 #[derive(Debug)]
 pub(crate) struct Http {
     agent: ureq::Agent,
     base: String,
 }
 
-/// What came back.
+/// The reply to a request.
 #[derive(Debug)]
 pub(crate) struct Reply {
     pub(crate) status: u16,
@@ -18,34 +19,29 @@ pub(crate) struct Reply {
 }
 
 impl Http {
-    /// A server at `http://host:port`.
-    pub(crate) fn new(url: &str) -> Result<Self, ServerError> {
-        let wrong = |why: &str| ServerError::Address { url: url.to_owned(), why: why.to_owned() };
-        if url.starts_with("https://") {
-            return Err(wrong(
-                "TLS is not spoken here; put a proxy on this machine and name it as http://127.0.0.1:PORT",
-            ));
-        }
-        let rest = url.strip_prefix("http://").ok_or_else(|| wrong("it must begin with http://"))?;
+    /// The server at `http://host:port`.
+    pub(crate) fn new(url: &str) -> Result<Self, PolicyError> {
+        let wrong = |why: &str| PolicyError::Address { url: url.to_owned(), why: why.to_owned() };
+        let rest = url.strip_prefix("http://").ok_or_else(|| wrong("expected http://HOST:PORT"))?;
         let authority = rest.trim_end_matches('/');
         if authority.is_empty() || authority.contains(['/', '?', '#', ' ']) {
-            return Err(wrong("it must be http://HOST:PORT, without a path"));
+            return Err(wrong("expected http://HOST:PORT, without a path"));
         }
         let agent =
             ureq::Agent::config_builder().http_status_as_error(false).max_redirects(0).proxy(None).build().into();
         Ok(Self { agent, base: format!("http://{authority}") })
     }
 
-    /// Sends JSON to a path.
-    pub(crate) fn post(&self, path: &'static str, json: &str, deadline: Deadline) -> Result<Reply, ServerError> {
+    /// Send JSON to a path.
+    pub(crate) fn post(&self, path: &'static str, json: &str, deadline: Deadline) -> Result<Reply, PolicyError> {
         let left = deadline.left().ok_or_else(|| deadline.passed(path))?;
         let request = self.agent.post(format!("{}{path}", self.base)).config().timeout_global(Some(left)).build();
         let response = request.header("Content-Type", "application/json").send(json);
         self.reply(path, response, deadline)
     }
 
-    /// Fetches a path.
-    pub(crate) fn get(&self, path: &'static str, deadline: Deadline) -> Result<Reply, ServerError> {
+    /// Request a path.
+    pub(crate) fn get(&self, path: &'static str, deadline: Deadline) -> Result<Reply, PolicyError> {
         let left = deadline.left().ok_or_else(|| deadline.passed(path))?;
         let response =
             self.agent.get(format!("{}{path}", self.base)).config().timeout_global(Some(left)).build().call();
@@ -57,21 +53,21 @@ impl Http {
         path: &'static str,
         response: Result<ureq::http::Response<ureq::Body>, ureq::Error>,
         deadline: Deadline,
-    ) -> Result<Reply, ServerError> {
+    ) -> Result<Reply, PolicyError> {
         let named = |error: ureq::Error| match error {
             ureq::Error::Timeout(_) => deadline.passed(path),
-            ureq::Error::BodyExceedsLimit(_) => ServerError::TooLarge { limit: MAX_ANSWER },
+            ureq::Error::BodyExceedsLimit(_) => PolicyError::TooLarge { limit: MAX_REPLY },
             ureq::Error::Io(e) if e.kind() == std::io::ErrorKind::ConnectionRefused => self.unreachable(e),
             ureq::Error::HostNotFound | ureq::Error::ConnectionFailed => self.unreachable(error),
-            ureq::Error::Io(e) => ServerError::Closed { when: format!("during {path}"), reason: format!(": {e}") },
-            other => ServerError::undecodable("an HTTP answer", other),
+            ureq::Error::Io(e) => PolicyError::Closed { when: format!("during {path}"), reason: format!(": {e}") },
+            other => PolicyError::invalid_reply("HTTP reply", other),
         };
         let mut response = response.map_err(named)?;
-        let body = response.body_mut().with_config().limit(MAX_ANSWER as u64).read_to_vec().map_err(named)?;
+        let body = response.body_mut().with_config().limit(MAX_REPLY as u64).read_to_vec().map_err(named)?;
         Ok(Reply { status: response.status().as_u16(), body })
     }
 
-    fn unreachable(&self, why: impl ToString) -> ServerError {
-        ServerError::Unreachable { url: self.base.clone(), why: why.to_string() }
+    fn unreachable(&self, why: impl ToString) -> PolicyError {
+        PolicyError::Unreachable { url: self.base.clone(), why: why.to_string() }
     }
 }

@@ -1,19 +1,24 @@
-//! Policies behind sockets: each model's own inference server, over its own wire format.
+//! External policies: models behind their own inference servers, and networks in ONNX files.
 //!
-//! A [`Profile`] says what a model was taught to see and how its answers are meant. A dialect, one file each, says how
-//! its server speaks. [`ServerPolicy`] is both, as the [`Policy`](robogate_core::Policy) that runs an episode. Whatever
-//! goes wrong on the way is a [`ServerError`] with a name, and becomes a fault: never a failure of the policy.
+//! A [`Profile`] describes which observations a model takes and what its actions mean. A dialect, one module each,
+//! implements the wire format of a server. [`ExternalPolicy`] combines both as a [`Policy`](robogate_core::Policy).
+//! Each failure of the connection or the server is a [`PolicyError`]. It becomes a fault of the episode, and never a
+//! failure of the policy.
 
+mod action;
 mod array;
+mod buffers;
+mod chunk;
+mod connection;
+mod deadline;
 mod error;
-mod exchange;
+mod external;
 mod gr00t;
 mod grpc;
 mod http;
 mod identify;
 mod json_numpy;
 mod lerobot;
-mod link;
 mod msgpack;
 mod npy;
 #[cfg(feature = "onnx")]
@@ -22,24 +27,24 @@ mod openpi;
 mod pickle;
 mod picture;
 mod profile;
+mod query;
 mod resample;
 mod rest;
 mod roboarena;
 mod rotation;
-mod server;
-mod spare;
 mod suits;
 #[cfg(test)]
 mod tests;
 mod vla_eval;
 mod websocket;
 
-pub use array::{Array, Dtype, NotAnArray};
-pub use error::ServerError;
-pub use exchange::{Chunk, Query};
+pub use array::{Array, Dtype, InvalidArray};
+pub use chunk::Chunk;
+pub use error::PolicyError;
+pub use external::ExternalPolicy;
 pub use picture::Picture;
 pub use profile::{
-    ActionForm, Arm, Axes, Camera, Chunking, Dialect, Filter, Fit, Gr00t, LeRobot, Part, Patience, Profile,
-    ProfileError, Rotation, Side, State, Tool,
+    ActionForm, Arm, Axes, Camera, Chunking, Dialect, Filter, Fit, Gr00t, LeRobot, Part, Profile, ProfileError,
+    Rotation, Side, State, Timeouts, Tool,
 };
-pub use server::ServerPolicy;
+pub use query::Query;

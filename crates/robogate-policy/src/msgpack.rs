@@ -1,23 +1,23 @@
-//! Arrays in msgpack: the two ways in which policy servers write numpy arrays as maps.
+//! Values and arrays in msgpack. Policy servers write NumPy arrays as maps, in two variants.
 
 use rmpv::ValueRef;
 
 use super::array::{Array, Dtype};
-use super::error::ServerError;
+use super::error::PolicyError;
 
-/// How deep an answer may be nested. Real ones have four levels.
+/// Most levels of nesting in a reply. Real ones have four.
 const MAX_DEPTH: usize = 32;
 
-/// How the keys of an array's map are written.
+/// Type of the keys of an array's map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Keys {
-    /// As bytes: openpi and RoboArena. With text the server takes the array for a map.
+    /// Bytes: openpi and RoboArena. With string keys their servers do not recognise the array.
     Binary,
-    /// As text: vla-eval.
+    /// Strings: vla-eval.
     Text,
 }
 
-/// An array as a map of four: a mark, raw bytes, type and shape.
+/// An array as a map with four entries: a marker, raw bytes, type and shape.
 pub(crate) fn array(array: &Array, keys: Keys) -> ValueRef<'_> {
     let key = |name: &'static str| match keys {
         Keys::Binary => ValueRef::Binary(name.as_bytes()),
@@ -33,41 +33,41 @@ pub(crate) fn array(array: &Array, keys: Keys) -> ValueRef<'_> {
     ])
 }
 
-/// Arrays by their keys, as entries of a map.
+/// Named arrays as entries of a map.
 pub(crate) fn arrays(arrays: &[(String, Array)], keys: Keys) -> impl Iterator<Item = (&str, ValueRef<'_>)> {
     arrays.iter().map(move |(key, value)| (key.as_str(), array(value, keys)))
 }
 
-/// A map with text keys.
+/// A map with string keys.
 pub(crate) fn map<'a>(entries: impl IntoIterator<Item = (&'a str, ValueRef<'a>)>) -> ValueRef<'a> {
     ValueRef::Map(entries.into_iter().map(|(key, value)| (ValueRef::from(key), value)).collect())
 }
 
-/// The bytes of a value.
+/// Encode a value.
 pub(crate) fn encode(value: &ValueRef<'_>) -> Vec<u8> {
     let mut bytes = Vec::new();
     encode_into(&mut bytes, value);
     bytes
 }
 
-/// Appends the bytes of a value.
+/// Append the encoding of a value.
 pub(crate) fn encode_into(bytes: &mut Vec<u8>, value: &ValueRef<'_>) {
     // Writing into a vector cannot fail.
     let _ = rmpv::encode::write_value_ref(bytes, value);
 }
 
-/// The value that all of these bytes are.
-pub(crate) fn decode<'a>(what: &'static str, bytes: &'a [u8]) -> Result<ValueRef<'a>, ServerError> {
+/// Decode a value that takes up all bytes.
+pub(crate) fn decode<'a>(what: &'static str, bytes: &'a [u8]) -> Result<ValueRef<'a>, PolicyError> {
     let mut rest = bytes;
     let value = rmpv::decode::read_value_ref_with_max_depth(&mut rest, MAX_DEPTH)
-        .map_err(|e| ServerError::undecodable(what, format!("no msgpack: {e}")))?;
+        .map_err(|e| PolicyError::invalid_reply(what, format!("not valid msgpack: {e}")))?;
     if rest.is_empty() {
         return Ok(value);
     }
-    Err(ServerError::undecodable(what, format!("no msgpack: {} bytes after the end", rest.len())))
+    Err(PolicyError::invalid_reply(what, format!("not valid msgpack: {} bytes after the end", rest.len())))
 }
 
-/// An entry of a map, whose keys may be text or bytes.
+/// The value of a key in a map whose keys are strings or bytes.
 pub(crate) fn get<'v, 'a>(map: &'v ValueRef<'a>, key: &str) -> Option<&'v ValueRef<'a>> {
     entries(map)?.iter().find(|(k, _)| name(k) == Some(key)).map(|(_, value)| value)
 }
@@ -77,7 +77,7 @@ pub(crate) fn entries<'v, 'a>(value: &'v ValueRef<'a>) -> Option<&'v [(ValueRef<
     if let ValueRef::Map(entries) = value { Some(entries) } else { None }
 }
 
-/// Text, or bytes that are text.
+/// The text of a string, or of bytes that are UTF-8.
 pub(crate) fn name<'a>(value: &ValueRef<'a>) -> Option<&'a str> {
     match value {
         ValueRef::String(text) => text.into_str(),
@@ -86,22 +86,22 @@ pub(crate) fn name<'a>(value: &ValueRef<'a>) -> Option<&'a str> {
     }
 }
 
-/// The array that a map of four is, whatever its keys are written as.
-pub(crate) fn read_array(what: &'static str, value: &ValueRef<'_>) -> Result<Array, ServerError> {
+/// Read an array from its map, with keys of either type.
+pub(crate) fn read_array(what: &'static str, value: &ValueRef<'_>) -> Result<Array, PolicyError> {
     let missing =
-        |key: &str| ServerError::undecodable(what, format!("no array: its `{key}` is missing or of another type"));
+        |key: &str| PolicyError::invalid_reply(what, format!("not an array: `{key}` is missing or has the wrong type"));
     let Some(ValueRef::Boolean(true)) = get(value, "__ndarray__") else { return Err(missing("__ndarray__")) };
     let Some(ValueRef::Binary(data)) = get(value, "data") else { return Err(missing("data")) };
     let dtype = get(value, "dtype").and_then(name).ok_or_else(|| missing("dtype"))?;
     let dtype = Dtype::by_name(dtype)
-        .ok_or_else(|| ServerError::undecodable(what, format!("arrays of type `{dtype}` are not understood")))?;
+        .ok_or_else(|| PolicyError::invalid_reply(what, format!("unsupported array type `{dtype}`")))?;
     let Some(ValueRef::Array(shape)) = get(value, "shape") else { return Err(missing("shape")) };
     let shape = shape.iter().map(|n| usize::try_from(n.as_u64()?).ok()).collect::<Option<Vec<_>>>();
     Array::new(dtype, shape.ok_or_else(|| missing("shape"))?, data.to_vec())
-        .map_err(|e| ServerError::undecodable(what, e))
+        .map_err(|e| PolicyError::invalid_reply(what, e))
 }
 
-/// What a server says of itself, as JSON: bytes and foreign types as a word in their place.
+/// Convert a value to JSON. Bytes and extension types become placeholders.
 pub(crate) fn to_json(value: &ValueRef<'_>) -> serde_json::Value {
     use serde_json::Value as Json;
     match value {

@@ -1,10 +1,10 @@
-//! Arrays as `.npy` files in memory (numpy's format 1.0 to 3.0): how GR00T's servers send them.
+//! Arrays as `.npy` files in memory (NumPy format 1.0 to 3.0), as GR00T servers send them.
 
 use super::array::{Array, Dtype};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 
-/// The bytes of the file that `numpy.save` writes, of an array with so many axes of one before its own.
+/// The file that `numpy.save` writes for an array with `ones` additional leading axes of size 1.
 pub(crate) fn write(array: &Array, ones: usize) -> Vec<u8> {
     let axes = std::iter::repeat_n(&1, ones).chain(array.shape());
     let axes: Vec<String> = axes.map(ToString::to_string).collect();
@@ -13,7 +13,7 @@ pub(crate) fn write(array: &Array, ones: usize) -> Vec<u8> {
         many => format!("({})", many.join(", ")),
     };
     let header = format!("{{'descr': '{}', 'fortran_order': False, 'shape': {shape}, }}", array.dtype().name());
-    // Numpy leaves room for the first axis to grow and rounds up to 64 bytes: 128 in all for arrays of a few axes.
+    // NumPy leaves room for the first axis to grow and rounds up to 64 bytes: 128 in total for arrays with few axes.
     let room = (MAGIC.len() + 4 + header.len() + 1).next_multiple_of(64).max(128) - MAGIC.len() - 4;
     let mut bytes = Vec::with_capacity(MAGIC.len() + 4 + room + array.data().len());
     bytes.extend_from_slice(MAGIC);
@@ -24,28 +24,28 @@ pub(crate) fn write(array: &Array, ones: usize) -> Vec<u8> {
     bytes
 }
 
-/// The array in such a file.
+/// Read the array of a file.
 pub(crate) fn read(bytes: &[u8]) -> Result<Array, String> {
-    let after_magic = bytes.strip_prefix(MAGIC).ok_or("no .npy file: its first bytes are others")?;
+    let after_magic = bytes.strip_prefix(MAGIC).ok_or("not a .npy file: wrong first bytes")?;
     let (length, rest) = match after_magic {
         [1, _, a, b, rest @ ..] => (usize::from(u16::from_le_bytes([*a, *b])), rest),
         [2 | 3, _, a, b, c, d, rest @ ..] => (u32::from_le_bytes([*a, *b, *c, *d]) as usize, rest),
-        _ => return Err("a .npy file of an unknown version".to_owned()),
+        _ => return Err("unknown version of the .npy format".to_owned()),
     };
-    let (header, data) = rest.split_at_checked(length).ok_or("a .npy file that ends in its header")?;
-    let header = std::str::from_utf8(header).map_err(|_| "a .npy header that is no text")?;
+    let (header, data) = rest.split_at_checked(length).ok_or("the .npy file ends inside its header")?;
+    let header = std::str::from_utf8(header).map_err(|_| "the .npy header is not UTF-8")?;
     let (dtype, fortran, shape) = parse(header).ok_or_else(|| {
         let start: String = header.chars().take(120).collect();
-        format!("a .npy header that is not understood: {start}")
+        format!("invalid .npy header: {start}")
     })?;
-    let dtype = Dtype::by_name(dtype).ok_or_else(|| format!("arrays of type `{dtype}` are not understood"))?;
+    let dtype = Dtype::by_name(dtype).ok_or_else(|| format!("unsupported array type `{dtype}`"))?;
     if fortran && shape.iter().filter(|n| **n > 1).count() > 1 {
-        return Err("an array in Fortran order".to_owned());
+        return Err("unsupported array in Fortran order".to_owned());
     }
     Array::new(dtype, shape, data.to_vec()).map_err(|e| e.to_string())
 }
 
-/// Type, order and shape from a header: a Python dictionary of these three, in any order.
+/// Type, order and shape from a header: a Python dictionary with these three keys, in any order.
 fn parse(header: &str) -> Option<(&str, bool, Vec<usize>)> {
     let mut rest = header.trim().strip_prefix('{')?.strip_suffix('}')?.trim();
     let (mut dtype, mut fortran, mut shape) = (None, None, None);
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_reads_back_as_it_was_written() {
+    fn files_round_trip() {
         for shape in [vec![], vec![6], vec![2, 3], vec![1, 1, 2, 3]] {
             let size: usize = shape.iter().product();
             let array = Array::new(Dtype::F32, shape, (0..4 * size).map(|i| i as u8).collect()).unwrap();
@@ -100,19 +100,19 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_file_is_refused_in_words() {
+    fn invalid_files_are_errors() {
         let good = write(&Array::vector(&[1.0, 2.0], Dtype::F64), 0);
         let at = good.windows(3).position(|bytes| bytes == b"<f8").unwrap();
         let mut objects = good.clone();
         objects[at..at + 3].copy_from_slice(b"|O8");
-        for (bytes, words) in [
-            (b"PK\x03\x04".to_vec(), "first bytes"),
-            (good[..40].to_vec(), "ends in its header"),
-            (good[..good.len() - 1].to_vec(), "cannot have 15 bytes"),
+        for (bytes, part) in [
+            (b"PK\x03\x04".to_vec(), "wrong first bytes"),
+            (good[..40].to_vec(), "ends inside its header"),
+            (good[..good.len() - 1].to_vec(), "15 bytes do not match"),
             (objects, "`|O8`"),
         ] {
             let error = read(&bytes).unwrap_err();
-            assert!(error.contains(words), "{error}");
+            assert!(error.contains(part), "{error}");
         }
     }
 }

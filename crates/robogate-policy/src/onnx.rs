@@ -1,13 +1,14 @@
-//! Networks without a server: an ONNX file, run inside by tract on one core.
+//! Networks in ONNX files, run in this process by tract on one core.
 //!
-//! Inputs are found by name: a picture by its camera's key, a vector by its state's. A picture comes as bytes where the network
-//! takes bytes, and as floats from 0 to 1 where it takes floats. Axes of one are put before what the profile says where the
-//! network has more, as for a batch, and close what it leaves open there. The first output is the chunk of actions. The same file, profile and pictures give the
-//! same actions, whatever else runs.
+//! The keys of cameras and states are the names of the inputs. An image is passed as bytes if the network takes bytes, and
+//! as floats from 0 to 1 if it takes floats. If an input has more axes than the profile's array, leading axes of size 1
+//! are added, for example for a batch. The first output is the chunk of actions. The same file, profile and observation
+//! give the same actions.
 
 use std::fs::File;
 use std::io::Read;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
 use std::sync::Arc;
 
 use serde_json::{Value as Json, json};
@@ -19,16 +20,16 @@ use tract_onnx::prelude::{
 use tract_onnx::tract_hir::infer::Factoid;
 
 use super::array::{Array, Dtype};
-use super::error::ServerError;
-use super::exchange::{Chunk, Query};
-use super::link::Link;
+use super::connection::Connection;
+use super::deadline::Deadline;
+use super::error::PolicyError;
 use super::profile::{Axes, Camera, Profile};
-use super::websocket::Deadline;
+use super::{chunk::Chunk, query::Query};
 
-/// A file that is larger is not read, in bytes.
+/// Largest file that is read, in bytes.
 const MAX_FILE: u64 = 1 << 30;
 
-/// A network, ready to be asked.
+/// A loaded network.
 pub(crate) struct Network {
     model: Arc<TypedRunnableModel>,
     inputs: Vec<Input>,
@@ -43,29 +44,27 @@ struct Input {
 }
 
 impl Network {
-    /// Reads the file and holds its inputs against the profile.
-    pub(crate) fn load(path: &str, profile: &Profile) -> Result<Self, ServerError> {
-        let address = |why: String| ServerError::Address { url: path.to_owned(), why };
-        let mut bytes = Vec::new();
-        File::open(path)
-            .and_then(|file| file.take(MAX_FILE + 1).read_to_end(&mut bytes))
-            .map_err(|e| address(format!("cannot be read: {e}")))?;
-        if bytes.len() as u64 > MAX_FILE {
-            return Err(address(format!("more than {} MB: no network for one core", MAX_FILE >> 20)));
-        }
+    /// Load a file and check its inputs against the profile.
+    pub(crate) fn load(path: &str, profile: &Profile) -> Result<Self, PolicyError> {
+        let invalid = |why: String| PolicyError::File { path: path.to_owned(), why };
+        let bytes = read(path).map_err(invalid)?;
         let sha256: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
-        let (model, inputs) = guarded(|| prepare(&bytes, profile))
-            .map_err(|why| address(format!("no ONNX file that can be run: {why}")))?;
-        let wanted: Vec<&str> = inputs.iter().map(|input| input.name.as_str()).collect();
+        let (model, inputs) =
+            catch_panics(|| prepare(&bytes, profile)).map_err(|why| invalid(explain(&bytes, &why)))?;
+        let names: Vec<&str> = inputs.iter().map(|input| input.name.as_str()).collect();
         let cameras = profile.cameras.iter().map(|camera| camera.key.as_str());
         let keys: Vec<&str> = cameras.chain(profile.states.iter().map(|state| state.key.as_str())).collect();
-        if let Some(key) = keys.iter().find(|key| !wanted.contains(key)) {
-            let wanted = wanted.join(", ");
-            return Err(ServerError::Mismatch(format!("the profile sends `{key}`; the network takes {wanted}")));
+        if let Some(key) = keys.iter().find(|key| !names.contains(key)) {
+            let names = names.join(", ");
+            return Err(PolicyError::Mismatch(format!(
+                "the profile sends `{key}`, but the inputs of the network are {names}"
+            )));
         }
-        if let Some(name) = wanted.iter().find(|name| !keys.contains(name)) {
+        if let Some(name) = names.iter().find(|name| !keys.contains(name)) {
             let keys = keys.join(", ");
-            return Err(ServerError::Mismatch(format!("the network takes `{name}`; the profile sends {keys}")));
+            return Err(PolicyError::Mismatch(format!(
+                "the network has an input `{name}`, but the profile sends {keys}"
+            )));
         }
         let described: Vec<Json> = inputs
             .iter()
@@ -76,20 +75,20 @@ impl Network {
     }
 }
 
-impl Link for Network {
-    fn begin(&mut self, _: &str, _: u64, _: Deadline) -> Result<(), ServerError> {
+impl Connection for Network {
+    fn begin(&mut self, _: &str, _: u64, _: Deadline) -> Result<(), PolicyError> {
         Ok(())
     }
 
-    fn ask(&mut self, query: &Query, _: Deadline) -> Result<Chunk, ServerError> {
+    fn infer(&mut self, query: &Query, _: Deadline) -> Result<Chunk, PolicyError> {
         let tensors = self.inputs.iter().map(|input| {
             let mut sent = query.images.iter().chain(&query.states);
             let array = sent.find(|(key, _)| *key == input.name).map(|(_, array)| array);
-            let array = array.ok_or_else(|| ServerError::Mismatch(format!("nothing is sent as `{}`", input.name)))?;
+            let array = array.ok_or_else(|| PolicyError::Mismatch(format!("the profile sends no `{}`", input.name)))?;
             Ok(input.tensor(array)?.into())
         });
-        let tensors: TVec<TValue> = tensors.collect::<Result<_, ServerError>>()?;
-        let (shape, numbers) = guarded(|| {
+        let tensors: TVec<TValue> = tensors.collect::<Result<_, PolicyError>>()?;
+        let (shape, numbers) = catch_panics(|| {
             let outputs = self.model.run(tensors)?;
             let actions = outputs.first().map(|output| output.cast_to::<f64>()).transpose()?;
             actions.map_or_else(
@@ -99,9 +98,9 @@ impl Link for Network {
                 },
             )
         })
-        .map_err(|why| ServerError::refused(&why))?;
+        .map_err(|why| PolicyError::reported(&why))?;
         let data = numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
-        let array = Array::new(Dtype::F64, shape, data).map_err(|e| ServerError::Shape(e.to_string()))?;
+        let array = Array::new(Dtype::F64, shape, data).map_err(|e| PolicyError::Shape(e.to_string()))?;
         Chunk::of_array(&array)
     }
 
@@ -111,15 +110,16 @@ impl Link for Network {
 }
 
 impl Input {
-    /// What is sent, as the network takes it.
-    fn tensor(&self, array: &Array) -> Result<Tensor, ServerError> {
+    /// Convert an array to the type and shape of this input.
+    fn tensor(&self, array: &Array) -> Result<Tensor, PolicyError> {
         let shape = array.shape();
-        let more = self.shape.len().checked_sub(shape.len());
-        let fits = more.is_some_and(|more| self.shape[..more].iter().all(|n| *n == 1) && self.shape[more..] == *shape);
+        let extra = self.shape.len().checked_sub(shape.len());
+        let fits =
+            extra.is_some_and(|extra| self.shape[..extra].iter().all(|n| *n == 1) && self.shape[extra..] == *shape);
         if !fits {
-            let (name, wanted) = (&self.name, &self.shape);
-            return Err(ServerError::Mismatch(format!(
-                "the profile sends `{name}` as {shape:?}; the network takes {wanted:?}"
+            let (name, expected) = (&self.name, &self.shape);
+            return Err(PolicyError::Mismatch(format!(
+                "the profile sends `{name}` with shape {shape:?}, but the network takes {expected:?}"
             )));
         }
         let is_picture = array.dtype() == Dtype::U8;
@@ -132,15 +132,42 @@ impl Input {
             }
             other => {
                 let (name, sent) = (&self.name, array.dtype().name());
-                return Err(ServerError::Mismatch(format!(
-                    "`{name}` is {other:?} in the network; {sent} is sent as F32, pictures also as U8"
+                return Err(PolicyError::Mismatch(format!(
+                    "the input `{name}` has the type {other:?}, but the profile sends {sent}. Supported: F32, and U8 for images"
                 )));
             }
         };
-        tensor.map_err(|e| ServerError::Mismatch(format!("{e:#}")))
+        tensor.map_err(|e| PolicyError::Mismatch(format!("{e:#}")))
     }
 }
 
+/// Read a file of limited size.
+fn read(path: &str) -> Result<Vec<u8>, String> {
+    if Path::new(path).is_dir() {
+        return Err("it is a folder. Expected an ONNX file".to_owned());
+    }
+    let mut bytes = Vec::new();
+    File::open(path)
+        .and_then(|file| file.take(MAX_FILE + 1).read_to_end(&mut bytes))
+        .map_err(|e| format!("cannot be read: {e}"))?;
+    if bytes.len() as u64 > MAX_FILE {
+        return Err(format!("it has more than {} MiB, which is too large to run on one core", MAX_FILE >> 20));
+    }
+    Ok(bytes)
+}
+
+/// Why a file cannot be loaded, for a user who may have named the wrong one.
+fn explain(bytes: &[u8], why: &str) -> String {
+    if bytes.is_empty() {
+        "it is empty. Expected an ONNX model".to_owned()
+    } else if std::str::from_utf8(bytes).is_ok() {
+        "it is a text file. Expected an ONNX model".to_owned()
+    } else {
+        format!("cannot be loaded as an ONNX model: {why}")
+    }
+}
+
+/// A runnable model and its inputs.
 type Prepared = (Arc<TypedRunnableModel>, Vec<Input>);
 
 fn prepare(bytes: &[u8], profile: &Profile) -> TractResult<Prepared> {
@@ -151,19 +178,19 @@ fn prepare(bytes: &[u8], profile: &Profile) -> TractResult<Prepared> {
         let fact = model.input_fact(i)?;
         let dtype = fact.datum_type.concretize().unwrap_or(DatumType::F32);
         let axes = fact.shape.dims().map(|dim| usize::try_from(dim.concretize()?.as_i64()?).ok());
-        let shape = closed(&axes.collect::<Vec<_>>(), sent(profile, &name)).ok_or_else(|| {
-            TractError::msg(format!("the size of its input `{name}` is left open: export it with a size"))
+        let shape = fixed_shape(&axes.collect::<Vec<_>>(), sent_shape(profile, &name)).ok_or_else(|| {
+            TractError::msg(format!("the input `{name}` has no fixed size. Export the model with fixed sizes"))
         })?;
         model.set_input_fact(i, InferenceFact::dt_shape(dtype, &shape))?;
         inputs.push(Input { name, dtype, shape });
     }
-    // What comes out follows from what goes in; what the file says of it may still be open.
+    // The shape of the output follows from the inputs; the file may leave it open.
     model.set_output_fact(0, InferenceFact::default())?;
     Ok((model.into_optimized()?.into_runnable()?, inputs))
 }
 
-/// What the profile sends under this name: the axes of a picture, or one axis of a length that the robot knows.
-fn sent(profile: &Profile, name: &str) -> Vec<Option<usize>> {
+/// The shape of what the profile sends under this name: an image, or a vector whose length depends on the robot.
+fn sent_shape(profile: &Profile, name: &str) -> Vec<Option<usize>> {
     match profile.cameras.iter().find(|camera| camera.key == name) {
         Some(Camera { width: w, height: h, axes: Axes::Hwc, .. }) => vec![Some(*h), Some(*w), Some(3)],
         Some(Camera { width: w, height: h, axes: Axes::Chw, .. }) => vec![Some(3), Some(*h), Some(*w)],
@@ -171,17 +198,17 @@ fn sent(profile: &Profile, name: &str) -> Vec<Option<usize>> {
     }
 }
 
-/// Axes that a network leaves open, closed: one where more come than are sent, as for a batch; else what is sent.
-fn closed(axes: &[Option<usize>], sent: Vec<Option<usize>>) -> Option<Vec<usize>> {
-    let more = axes.len().saturating_sub(sent.len());
-    let sent = std::iter::repeat_n(Some(1), more).chain(sent);
+/// Fix the sizes that a network leaves open: 1 for leading axes that are not sent, else the size that is sent.
+fn fixed_shape(axes: &[Option<usize>], sent: Vec<Option<usize>>) -> Option<Vec<usize>> {
+    let extra = axes.len().saturating_sub(sent.len());
+    let sent = std::iter::repeat_n(Some(1), extra).chain(sent);
     axes.iter().zip(sent).map(|(axis, sent)| axis.or(sent)).collect()
 }
 
-/// What a library does with a file that somebody else wrote: should it break, that is an error of the file's.
-fn guarded<T>(work: impl FnOnce() -> TractResult<T>) -> Result<T, String> {
+/// Runs a third-party library on a file and converts a panic into an error for that file.
+fn catch_panics<T>(work: impl FnOnce() -> TractResult<T>) -> Result<T, String> {
     match catch_unwind(AssertUnwindSafe(work)) {
         Ok(result) => result.map_err(|e| format!("{e:#}")),
-        Err(_) => Err("the network breaks what runs it".to_owned()),
+        Err(_) => Err("the ONNX library panicked".to_owned()),
     }
 }

@@ -1,18 +1,20 @@
-//! openpi's WebSocket server (`scripts/serve_policy.py`): one binary message each way, msgpack with binary array keys.
+//! openpi's WebSocket server (`scripts/serve_policy.py`): one binary message for each request and reply, msgpack with
+//! binary keys of arrays.
 //!
-//! On connection the server sends its metadata. Any text message is a Python traceback, after which it hangs up. It
-//! keeps no state between questions.
+//! The server sends its metadata on connection. A text message is a Python traceback, after which the server closes the
+//! connection. It keeps no state between requests.
 
 use rmpv::ValueRef;
 use serde_json::Value as Json;
 
-use super::error::ServerError;
-use super::exchange::{Chunk, Query};
-use super::link::Link;
+use super::connection::Connection;
+use super::deadline::Deadline;
+use super::error::PolicyError;
 use super::msgpack::{self, Keys};
-use super::websocket::{Answer, Deadline, Socket};
+use super::websocket::{Reply, Socket};
+use super::{chunk::Chunk, query::Query};
 
-/// A connection to such a server.
+/// A connection to an openpi server.
 #[derive(Debug)]
 pub(crate) struct Openpi {
     socket: Socket,
@@ -20,24 +22,24 @@ pub(crate) struct Openpi {
 }
 
 impl Openpi {
-    pub(crate) fn connect(url: &str, deadline: Deadline) -> Result<Self, ServerError> {
+    pub(crate) fn connect(url: &str, deadline: Deadline) -> Result<Self, PolicyError> {
         let socket = Socket::connect(url, deadline)?;
-        let metadata = match socket.hear("the server's metadata", deadline) {
-            Ok(Answer::Bytes(bytes)) => metadata(&bytes)?,
-            Ok(Answer::Text(text)) => return Err(ServerError::refused(&text)),
-            // An openpi server sends them at once.
-            Err(ServerError::Timeout { .. }) => {
-                return Err(ServerError::OtherDialect {
-                    wanted: "openpi",
-                    found: "the WebSocket there sends no metadata; a vla-eval server does not (dialect vla-eval)"
+        let metadata = match socket.receive("the metadata of the server", deadline) {
+            Ok(Reply::Bytes(bytes)) => metadata(&bytes)?,
+            Ok(Reply::Text(text)) => return Err(PolicyError::reported(&text)),
+            // An openpi server sends them immediately.
+            Err(PolicyError::Timeout { .. }) => {
+                return Err(PolicyError::WrongDialect {
+                    expected: "openpi",
+                    found: "the WebSocket server sends no metadata, which is typical of vla-eval (dialect vla-eval)"
                         .to_owned(),
                 });
             }
             Err(e) => return Err(e),
         };
         if metadata.get("action_space").is_some() && metadata.get("n_external_cameras").is_some() {
-            return Err(ServerError::OtherDialect {
-                wanted: "openpi",
+            return Err(PolicyError::WrongDialect {
+                expected: "openpi",
                 found: "the metadata are those of a RoboArena server (dialect roboarena)".to_owned(),
             });
         }
@@ -45,15 +47,15 @@ impl Openpi {
     }
 }
 
-impl Link for Openpi {
-    fn begin(&mut self, _: &str, _: u64, _: Deadline) -> Result<(), ServerError> {
+impl Connection for Openpi {
+    fn begin(&mut self, _: &str, _: u64, _: Deadline) -> Result<(), PolicyError> {
         Ok(())
     }
 
-    fn ask(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, ServerError> {
-        match self.socket.ask(&question(query), "infer", deadline)? {
-            Answer::Bytes(bytes) => decode(&bytes),
-            Answer::Text(traceback) => Err(ServerError::refused(&traceback)),
+    fn infer(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, PolicyError> {
+        match self.socket.request(&request(query), "infer", deadline)? {
+            Reply::Bytes(bytes) => decode(&bytes),
+            Reply::Text(traceback) => Err(PolicyError::reported(&traceback)),
         }
     }
 
@@ -62,28 +64,28 @@ impl Link for Openpi {
     }
 }
 
-/// A question.
-fn question(query: &Query) -> ValueRef<'_> {
+/// The request for actions.
+fn request(query: &Query) -> ValueRef<'_> {
     let arrays = |arrays| msgpack::arrays(arrays, Keys::Binary);
     let prompt = ("prompt", query.instruction.as_str().into());
     msgpack::map(arrays(&query.images).chain(arrays(&query.states)).chain([prompt]))
 }
 
-/// The actions in an answer.
-pub(crate) fn decode(bytes: &[u8]) -> Result<Chunk, ServerError> {
-    const WHAT: &str = "the answer to infer";
-    let answer = msgpack::decode(WHAT, bytes)?;
-    let actions = msgpack::get(&answer, "actions")
-        .ok_or_else(|| ServerError::undecodable(WHAT, "it has no `actions`".to_owned()))?;
+/// Decode the actions of a reply.
+pub(crate) fn decode(bytes: &[u8]) -> Result<Chunk, PolicyError> {
+    const WHAT: &str = "reply to infer";
+    let reply = msgpack::decode(WHAT, bytes)?;
+    let actions = msgpack::get(&reply, "actions")
+        .ok_or_else(|| PolicyError::invalid_reply(WHAT, "`actions` is missing".to_owned()))?;
     Chunk::of_array(&msgpack::read_array(WHAT, actions)?)
 }
 
-/// What the server says of itself.
-pub(crate) fn metadata(bytes: &[u8]) -> Result<Json, ServerError> {
-    const WHAT: &str = "the server's metadata";
+/// Decode the metadata of a server.
+pub(crate) fn metadata(bytes: &[u8]) -> Result<Json, PolicyError> {
+    const WHAT: &str = "metadata of the server";
     let value = msgpack::decode(WHAT, bytes)?;
     if msgpack::entries(&value).is_none() {
-        return Err(ServerError::undecodable(WHAT, "it is no map".to_owned()));
+        return Err(PolicyError::invalid_reply(WHAT, "not a map".to_owned()));
     }
     Ok(msgpack::to_json(&value))
 }
@@ -96,34 +98,34 @@ mod tests {
     const FOLDER: &str = "openpi";
 
     #[test]
-    fn questions_are_those_of_openpis_own_client_to_the_byte() {
+    fn requests_equal_captured_ones() {
         for (name, instruction) in
             [("c2s_00_obs_libero_4x4.bin", "pick up the black bowl"), ("c2s_02_obs_droid_4x4.bin", "do something")]
         {
             let capture = Capture::read(FOLDER, name);
             let query = query(&capture.msgpack(), instruction);
-            assert_eq!(msgpack::encode(&question(&query)), capture.bytes, "{name}");
+            assert_eq!(msgpack::encode(&request(&query)), capture.bytes, "{name}");
         }
     }
 
     #[test]
-    fn answers_of_openpis_own_server_are_understood() {
+    fn captured_replies_are_decoded() {
         let libero = decode(&Capture::read(FOLDER, "s2c_01_action_libero_10x7_f64.bin").bytes).unwrap();
         assert_eq!((libero.rows().len(), libero.rows()[0].len()), (10, 7));
-        // The stub behind the captured server counts in hundredths.
+        // The stub model of the captured server counts in hundredths.
         assert_eq!(libero.rows()[0][..3], [0.0, 0.01, 0.02]);
         let droid = decode(&Capture::read(FOLDER, "s2c_03_action_droid_10x8.bin").bytes).unwrap();
         assert_eq!((droid.rows().len(), droid.rows()[0].len()), (10, 8));
     }
 
     #[test]
-    fn metadata_are_kept_as_they_are() {
+    fn metadata_become_json() {
         let metadata = metadata(&Capture::read(FOLDER, "s2c_00_metadata.bin").bytes).unwrap();
         assert_eq!(metadata, serde_json::json!({"reset_pose": [0, -1.5, 1.5, 0, 0, 0]}));
     }
 
     #[test]
-    fn whatever_bytes_come_decoding_returns() {
+    fn decoding_never_panics() {
         let seeds =
             ["s2c_00_metadata.bin", "s2c_01_action_libero_10x7_f64.bin"].map(|n| Capture::read(FOLDER, n).bytes);
         crate::tests::fuzz(&seeds, |bytes| {

@@ -1,37 +1,36 @@
-//! Python's pickles, as far as LeRobot's policy server needs them, and no further.
+//! The subset of Python pickles that LeRobot's policy server uses.
 //!
-//! A pickle is a program. This reader runs none of it: names of classes and functions stay names, calls stay lists of
-//! arguments, and what is none of the few shapes that a LeRobot server sends is refused. Memory is bounded by the
-//! pickle's own length: lengths that it claims are held against the bytes that are there, and what it refers to twice is kept
-//! once.
+//! A pickle is a program. This reader does not execute it: classes and functions stay names, and calls stay lists of
+//! arguments. Any instruction that a LeRobot server does not use is an error. The size of the pickle limits the memory:
+//! lengths are checked against the bytes that are left, and a value that is referenced twice is stored once.
 
 use std::rc::Rc;
 
-/// What a pickle says.
+/// A value of a pickle.
 #[derive(Debug, Clone)]
 pub(crate) enum Value {
-    /// Nothing, or a value that no action needs: a truth, a fraction, a very long integer.
+    /// None, or a value that actions do not need: a boolean, a float, a long integer.
     None,
     Int(i64),
     Text(Rc<str>),
     Bytes(Rc<[u8]>),
     List(Rc<Vec<Value>>),
-    /// Keys and values in turns.
+    /// Alternating keys and values.
     Dict(Rc<Vec<Value>>),
-    /// A class or function, by module and name. It is never looked up.
+    /// The module and name of a class or function, never imported.
     Global(Rc<str>),
-    /// A call or an object, as it stands in the pickle: what is called, with what, and its state. It is never made.
+    /// A call or an object: callee, arguments and state. Never executed.
     Call(Rc<(Value, Value, Value)>),
-    /// A reference to something outside (tensors' storages).
-    Outside(Rc<Value>),
+    /// A reference to an external object, such as the storage of a tensor.
+    External(Rc<Value>),
 }
 
-/// Most values that a pickle may make. A chunk of a thousand actions makes thirty for each.
+/// Most values of a pickle. A chunk of a thousand actions has about thirty for each action.
 const MAX_VALUES: usize = 200_000;
-/// Deepest nesting: dropping a value takes a frame of the stack for each level.
+/// Most levels of nesting. Dropping a value uses a stack frame for each level.
 const MAX_DEPTH: u32 = 64;
 
-/// A value and how deep it is.
+/// A value and its depth.
 type Deep = (Value, u32);
 
 struct Machine<'a> {
@@ -39,19 +38,19 @@ struct Machine<'a> {
     stack: Vec<Deep>,
     marks: Vec<usize>,
     memo: Vec<Option<Deep>>,
-    made: usize,
+    count: usize,
 }
 
-/// Reads one pickle, and returns what follows it.
+/// Read one pickle. Returns its value and the bytes after it.
 pub(crate) fn read(bytes: &[u8]) -> Result<(Value, &[u8]), String> {
-    let mut machine = Machine { bytes, stack: Vec::new(), marks: Vec::new(), memo: Vec::new(), made: 0 };
+    let mut machine = Machine { bytes, stack: Vec::new(), marks: Vec::new(), memo: Vec::new(), count: 0 };
     while !machine.step()? {}
     let (value, _) = machine.pop()?;
     Ok((value, machine.bytes))
 }
 
 impl<'a> Machine<'a> {
-    /// Whether that was the end.
+    /// Execute one instruction. Returns whether it was the last one.
     fn step(&mut self) -> Result<bool, String> {
         let opcode = self.take(1)?[0];
         match opcode {
@@ -73,7 +72,7 @@ impl<'a> Machine<'a> {
                 let n = u16::from_le_bytes(self.array()?);
                 self.push(Value::Int(n.into()), 0)?;
             }
-            // LONG1: only torch's magic number and counts beyond 32 bits; those of up to 64 bits are kept.
+            // LONG1: used for torch's magic number and for large counts. Those of up to 64 bits are kept.
             0x8a => {
                 let length = usize::from(self.take(1)?[0]);
                 let digits = self.take(length)?;
@@ -86,7 +85,7 @@ impl<'a> Machine<'a> {
             // BINUNICODE, SHORT_BINUNICODE.
             b'X' | 0x8c => {
                 let bytes = self.counted(opcode == 0x8c)?;
-                let text = std::str::from_utf8(bytes).map_err(|_| "a text that is no UTF-8")?;
+                let text = std::str::from_utf8(bytes).map_err(|_| "a string is not UTF-8")?;
                 self.push(Value::Text(text.into()), 0)?;
             }
             // BINBYTES, SHORT_BINBYTES.
@@ -104,7 +103,7 @@ impl<'a> Machine<'a> {
             }
             0x85..=0x87 => {
                 let length = usize::from(opcode - 0x84);
-                let from = self.stack.len().checked_sub(length).ok_or("a tuple of what is not there")?;
+                let from = self.stack.len().checked_sub(length).ok_or("a tuple has more items than the stack")?;
                 self.above_mark(from)?;
                 let items = self.stack.split_off(from);
                 self.push_list(items)?;
@@ -121,7 +120,7 @@ impl<'a> Machine<'a> {
                     self.since_mark()?
                 };
                 if items.len() % 2 != 0 {
-                    return Err("a dictionary with a key that has no value".to_owned());
+                    return Err("a dictionary has a key without a value".to_owned());
                 }
                 self.extend(items, true)?;
             }
@@ -134,62 +133,64 @@ impl<'a> Machine<'a> {
             0x93 => {
                 let ((name, _), (module, _)) = (self.pop()?, self.pop()?);
                 let (Value::Text(module), Value::Text(name)) = (module, name) else {
-                    return Err("a class without a name".to_owned());
+                    return Err("a class has no name".to_owned());
                 };
                 self.push(Value::Global(format!("{module}.{name}").into()), 0)?;
             }
-            // REDUCE, NEWOBJ: what they would call stays uncalled.
+            // REDUCE, NEWOBJ: recorded, not executed.
             b'R' | 0x81 => {
                 let ((arguments, deep), (callee, deep_too)) = (self.pop()?, self.pop()?);
                 if !matches!(callee, Value::Global(_)) {
-                    return Err("a call of what is no function".to_owned());
+                    return Err("a call of a value that is not a function".to_owned());
                 }
                 self.push(Value::Call(Rc::new((callee, arguments, Value::None))), deep.max(deep_too) + 1)?;
             }
             // BUILD.
             b'b' => {
                 let ((state, deep), (object, deep_too)) = (self.pop()?, self.pop()?);
-                let Value::Call(call) = object else { return Err("a state for what is no object".to_owned()) };
+                let Value::Call(call) = object else {
+                    return Err("a state for a value that is not an object".to_owned());
+                };
                 let call = Rc::new((call.0.clone(), call.1.clone(), state));
                 self.push(Value::Call(call), deep.max(deep_too) + 1)?;
             }
             // BINPERSID.
             b'Q' => {
                 let (id, deep) = self.pop()?;
-                self.push(Value::Outside(Rc::new(id)), deep + 1)?;
+                self.push(Value::External(Rc::new(id)), deep + 1)?;
             }
             // MEMOIZE, BINPUT, LONG_BINPUT.
-            0x94 => self.remember(self.memo.len())?,
+            0x94 => self.memoize(self.memo.len())?,
             b'q' => {
                 let at = self.take(1)?[0];
-                self.remember(at.into())?;
+                self.memoize(at.into())?;
             }
             b'r' => {
                 let at = u32::from_le_bytes(self.array()?);
-                self.remember(at as usize)?;
+                self.memoize(at as usize)?;
             }
             // BINGET, LONG_BINGET.
             b'h' => {
                 let at = self.take(1)?[0];
-                self.recall(at.into())?;
+                self.get_memo(at.into())?;
             }
             b'j' => {
                 let at = u32::from_le_bytes(self.array()?);
-                self.recall(at as usize)?;
+                self.get_memo(at as usize)?;
             }
-            other => return Err(format!("an instruction that no LeRobot server needs (0x{other:02x})")),
+            other => return Err(format!("unsupported instruction 0x{other:02x}")),
         }
         Ok(false)
     }
 
     fn take(&mut self, length: usize) -> Result<&'a [u8], String> {
-        let (taken, rest) = self.bytes.split_at_checked(length).ok_or("a pickle that ends too early")?;
+        let (taken, rest) = self.bytes.split_at_checked(length).ok_or("the pickle is truncated")?;
         self.bytes = rest;
         Ok(taken)
     }
 
     fn array<const N: usize>(&mut self) -> Result<[u8; N], String> {
-        self.take(N)?.try_into().map_err(|_| "a pickle that ends too early".to_owned())
+        self.take(N)?.try_into().map_err(|_| "the pickle is truncated".to_owned())
     }
 
     fn counted(&mut self, short: bool) -> Result<&'a [u8], String> {
@@ -198,16 +199,16 @@ impl<'a> Machine<'a> {
     }
 
     fn line(&mut self) -> Result<&'a str, String> {
-        let end = self.bytes.iter().position(|byte| *byte == b'\n').ok_or("a pickle that ends too early")?;
+        let end = self.bytes.iter().position(|byte| *byte == b'\n').ok_or("the pickle is truncated")?;
         let line = self.take(end)?;
         self.take(1)?;
-        std::str::from_utf8(line).map_err(|_| "a name that is no UTF-8".to_owned())
+        std::str::from_utf8(line).map_err(|_| "a name is not UTF-8".to_owned())
     }
 
     fn push(&mut self, value: Value, depth: u32) -> Result<(), String> {
-        self.made += 1;
-        if self.made > MAX_VALUES || depth > MAX_DEPTH {
-            return Err("more values or deeper ones than any list of actions has".to_owned());
+        self.count += 1;
+        if self.count > MAX_VALUES || depth > MAX_DEPTH {
+            return Err("the pickle has too many values or levels of nesting".to_owned());
         }
         self.stack.push((value, depth));
         Ok(())
@@ -220,30 +221,29 @@ impl<'a> Machine<'a> {
 
     fn above_mark(&self, from: usize) -> Result<(), String> {
         if self.marks.last().is_some_and(|mark| from < *mark) {
-            return Err("a value that is not there".to_owned());
+            return Err("the stack is empty".to_owned());
         }
         Ok(())
     }
 
     fn pop(&mut self) -> Result<Deep, String> {
-        let from = self.stack.len().checked_sub(1).ok_or("a value that is not there")?;
+        let from = self.stack.len().checked_sub(1).ok_or("the stack is empty")?;
         self.above_mark(from)?;
-        self.stack.pop().ok_or_else(|| "a value that is not there".to_owned())
+        self.stack.pop().ok_or_else(|| "the stack is empty".to_owned())
     }
 
     fn since_mark(&mut self) -> Result<Vec<Deep>, String> {
-        let mark = self.marks.pop().filter(|mark| *mark <= self.stack.len()).ok_or("the end of what did not begin")?;
+        let mark = self.marks.pop().filter(|mark| *mark <= self.stack.len()).ok_or("no matching mark")?;
         Ok(self.stack.split_off(mark))
     }
 
-    /// Adds to the list or dictionary on top. One that was remembered meanwhile is replaced in the memo as well, since
-    /// here lists are values.
+    /// Extend the list or dictionary on top of the stack.
     fn extend(&mut self, items: Vec<Deep>, dict: bool) -> Result<(), String> {
         let (top, mut depth) = self.pop()?;
         depth = items.iter().map(|(_, d)| d + 1).fold(depth, u32::max);
-        self.made += items.len();
-        // What is remembered is copied before it grows, and a copy counts.
-        self.made += match &top {
+        self.count += items.len();
+        // A memoised list is copied before it grows, and the copy counts.
+        self.count += match &top {
             Value::List(list) | Value::Dict(list) if Rc::strong_count(list) > 1 => list.len(),
             _ => 0,
         };
@@ -257,17 +257,17 @@ impl<'a> Machine<'a> {
                 Rc::make_mut(&mut entries).extend(items);
                 Value::Dict(entries)
             }
-            _ => return Err("an item of what is no list".to_owned()),
+            _ => return Err("an item for a value that is not a list".to_owned()),
         };
         self.push(value, depth)
     }
 
-    fn remember(&mut self, at: usize) -> Result<(), String> {
-        let top = self.stack.last().cloned().ok_or("a value that is not there")?;
-        // Python numbers them in order. An empty list or dictionary is filled after it is remembered; those that are
-        // filled are never referred to again by a LeRobot server, and a reference finds them empty.
+    fn memoize(&mut self, at: usize) -> Result<(), String> {
+        let top = self.stack.last().cloned().ok_or("the stack is empty")?;
+        // Python numbers the entries in order. A list or dictionary is memoised while it is empty and filled later, which
+        // the memo does not see. A LeRobot server never refers to such an entry again; `get_memo` rejects it.
         if at > self.memo.len() {
-            return Err("a memory out of order".to_owned());
+            return Err("a memo entry is out of order".to_owned());
         }
         if at == self.memo.len() {
             self.memo.push(Some(top));
@@ -277,10 +277,10 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    fn recall(&mut self, at: usize) -> Result<(), String> {
-        let (value, depth) = self.memo.get(at).cloned().flatten().ok_or("a memory of what was not remembered")?;
+    fn get_memo(&mut self, at: usize) -> Result<(), String> {
+        let (value, depth) = self.memo.get(at).cloned().flatten().ok_or("an undefined memo entry")?;
         if matches!(&value, Value::List(items) | Value::Dict(items) if items.is_empty()) {
-            return Err("a reference to a list that may have grown since".to_owned());
+            return Err("a reference to a list that may have been extended".to_owned());
         }
         self.push(value, depth)
     }
@@ -297,7 +297,7 @@ fn long(digits: &[u8]) -> Value {
 }
 
 impl Value {
-    /// The entry of a dictionary.
+    /// The value of a key in a dictionary.
     pub(crate) fn get(&self, key: &str) -> Option<&Value> {
         let Value::Dict(entries) = self else { return None };
         entries
@@ -306,7 +306,7 @@ impl Value {
             .map(|pair| &pair[1])
     }
 
-    /// The arguments of a call of this function or class, and its state.
+    /// The arguments and the state of a call of this function or class.
     pub(crate) fn call(&self, name: &str) -> Option<(&[Value], &Value)> {
         let Value::Call(call) = self else { return None };
         match (&call.0, &call.1) {
@@ -324,7 +324,7 @@ impl Value {
     }
 }
 
-/// Writes a pickle of protocol 3, instruction by instruction.
+/// Writes a pickle of protocol 3.
 #[derive(Debug)]
 pub(crate) struct Writer {
     bytes: Vec<u8>,
@@ -350,7 +350,7 @@ impl Writer {
 
     fn counted(&mut self, opcode: u8, bytes: &[u8]) -> &mut Self {
         self.bytes.push(opcode);
-        // A picture has at most 48 MiB.
+        // An image has at most 48 MiB, which fits.
         self.bytes.extend(u32::try_from(bytes.len()).unwrap_or(u32::MAX).to_le_bytes());
         self.bytes.extend(bytes);
         self
@@ -368,7 +368,7 @@ impl Writer {
         self
     }
 
-    pub(crate) fn yes(&mut self) -> &mut Self {
+    pub(crate) fn bool_true(&mut self) -> &mut Self {
         self.bytes.push(0x88);
         self
     }
@@ -392,7 +392,7 @@ impl Writer {
         self.between(b"}(", content, b'u')
     }
 
-    /// A call, which the server's unpickler makes.
+    /// A call, which the server executes.
     pub(crate) fn call(&mut self, module: &str, name: &str, arguments: impl FnOnce(&mut Self)) -> &mut Self {
         self.bytes.extend(format!("c{module}\n{name}\n").into_bytes());
         self.tuple(arguments);
@@ -406,8 +406,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_hostile_pickle_is_read_as_words_and_nothing_runs() {
-        // What `pickle.dumps` makes of an object whose __reduce__ is (os.system, ("touch robogate-was-here",)).
+    fn a_hostile_pickle_is_not_executed() {
+        // `pickle.dumps` of an object whose __reduce__ returns (os.system, ("touch robogate-was-here",)).
         let hostile = b"\x80\x04\x95\x36\x00\x00\x00\x00\x00\x00\x00\x8c\x05posix\x94\x8c\x06system\x94\x93\x94\x8c\x17touch robogate-was-here\x94\x85\x94R\x94.";
         let (value, rest) = read(hostile).unwrap();
         assert!(rest.is_empty());
@@ -417,15 +417,15 @@ mod tests {
     }
 
     #[test]
-    fn lengths_that_are_only_claimed_are_not_believed() {
+    fn claimed_lengths_are_checked() {
         for bytes in [&b"\x80\x03X\xff\xff\xff\x7f"[..], b"\x80\x03B\xff\xff\xff\xff.", b"\x80\x03r\xff\xff\xff\x7f"] {
             assert!(read(bytes).is_err());
         }
     }
 
     #[test]
-    fn a_pickle_that_grows_by_references_stays_as_small_as_it_is_written() {
-        // A list that holds the last list twice, thirty times over: two to the thirtieth leaves, were it copied.
+    fn references_do_not_copy() {
+        // Each tuple holds the previous one twice: copying would make 2^59 leaves.
         let mut bytes = b"\x80\x04]\x94K\x01a".to_vec();
         bytes.extend(b"\x94");
         for i in 1..60_u8 {
@@ -433,7 +433,7 @@ mod tests {
         }
         bytes.push(b'.');
         assert!(read(&bytes).is_ok());
-        // Deeper than anything real is refused, not followed.
+        // Deep nesting is an error.
         let deep: Vec<u8> = [b'N'].into_iter().chain([0x85; 1000]).chain([b'.']).collect();
         assert!(read(&deep).is_err());
     }

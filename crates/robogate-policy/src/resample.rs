@@ -1,28 +1,28 @@
-//! Pillow's resampling of pictures, to the bit: two passes in fixed point, the filter widened where the picture shrinks.
+//! Resampling of images, bit for bit as in Pillow: two passes in fixed point, with a wider filter for downsampling.
 
 use super::picture::View;
 use super::profile::Filter;
 
-/// Bits after the point of a weight: 8 bits of colour and 2 of overshoot fit beside them.
+/// Fractional bits of a weight. They leave 8 bits for the colour and 2 for overshoot.
 const PRECISION: u32 = 32 - 8 - 2;
 /// One half, for rounding.
 const HALF: i32 = 1 << (PRECISION - 1);
 
-/// How the pixels of one side are made from those of another: each from `count` neighbours.
+/// How each pixel of a resampled row or column follows from `count` neighbours.
 ///
-/// Pillow gives each pixel as many neighbours as its filter meets. Here all have the greatest number of these, with weights
-/// of zero for the others: a loop of always the same length is twice as fast.
+/// In Pillow the number of neighbours differs from pixel to pixel. Here all pixels have the largest number, with some
+/// weights of zero, because a loop of constant length is twice as fast.
 #[derive(Debug)]
 pub(crate) struct Taps {
     count: usize,
-    /// The first neighbour of each pixel.
+    /// First neighbour of each pixel.
     firsts: Vec<usize>,
     /// `count` weights for each pixel.
     weights: Vec<i32>,
 }
 
 impl Taps {
-    /// From a side of this many pixels to one of that many.
+    /// Resampling from `from` pixels to `to` pixels.
     pub(crate) fn new(from: usize, to: usize, filter: Filter) -> Self {
         let (kernel, support): (fn(f64) -> f64, f64) = match filter {
             Filter::Bilinear => (triangle, 1.0),
@@ -49,7 +49,7 @@ impl Taps {
             let one = f64::from(1_u32 << PRECISION);
             let start = first.min(from - count);
             for (weight, share) in weights[first - start..].iter_mut().zip(&shares) {
-                // Half away from zero, as the original rounds.
+                // Pillow also rounds half away from zero.
                 *weight = (share / sum * one).round() as i32;
             }
             firsts.push(start);
@@ -57,7 +57,7 @@ impl Taps {
         Self { count, firsts, weights }
     }
 
-    /// Along the rows of a picture, into an empty buffer.
+    /// Resample along the rows of an image, into an empty buffer.
     pub(crate) fn across(&self, picture: View<'_>, out: &mut Vec<u8>) {
         match self.count {
             2 => self.across_by::<2>(picture, out),
@@ -67,7 +67,7 @@ impl Taps {
         }
     }
 
-    /// The same where the count is known beforehand.
+    /// The same with a constant number of neighbours.
     fn across_by<const COUNT: usize>(&self, picture: View<'_>, out: &mut Vec<u8>) {
         self.pairs(picture, out, |pixels, weights| match (pixels.first_chunk(), weights.first_chunk()) {
             (Some(pixels), Some(weights)) => blend::<[[u64; 3]; COUNT], [i32; COUNT]>(pixels, weights),
@@ -75,17 +75,18 @@ impl Taps {
         });
     }
 
-    /// Two rows at a time: a colour times a weight has 31 bits with its sign, so that one multiplication of 64 bits is two.
+    /// Resample two rows at a time. A colour times a weight has 31 bits with its sign, so that one 64-bit multiplication
+    /// computes two products.
     fn pairs(&self, picture: View<'_>, out: &mut Vec<u8>, blend: impl Fn(&[[u64; 3]], &[i32]) -> [u64; 3]) {
         let (from, to) = (3 * picture.width, 3 * self.firsts.len());
         out.resize(to * picture.height, 0);
         let mut both = vec![[0; 3]; picture.width];
-        let mut nowhere = vec![0; to];
+        let mut discarded = vec![0; to];
         for (rows, outs) in picture.rgb.chunks(2 * from).zip(out.chunks_mut(2 * to)) {
             let (upper, lower) = rows.split_at(from);
             let (upper_out, lower_out) = outs.split_at_mut(to);
-            // The last row of an odd number of them is alone.
-            let (lower, lower_out) = if lower.is_empty() { (upper, &mut *nowhere) } else { (lower, lower_out) };
+            // With an odd number of rows the last one has no partner.
+            let (lower, lower_out) = if lower.is_empty() { (upper, &mut *discarded) } else { (lower, lower_out) };
             let pixels = upper.as_chunks::<3>().0.iter().zip(lower.as_chunks::<3>().0);
             for (both, (upper, lower)) in both.iter_mut().zip(pixels) {
                 *both = [0, 1, 2].map(|c| u64::from(upper[c]) | u64::from(lower[c]) << 32);
@@ -100,7 +101,7 @@ impl Taps {
         }
     }
 
-    /// Along the columns of a picture, into an empty buffer.
+    /// Resample along the columns of an image, into an empty buffer.
     pub(crate) fn down(&self, picture: View<'_>, out: &mut Vec<u8>) {
         let stride = 3 * picture.width;
         out.reserve(stride * self.firsts.len());
@@ -115,12 +116,13 @@ impl Taps {
     }
 }
 
-/// What is added to each sum of 32 bits: half, and so much that a negative one does not borrow from its neighbour.
+/// Start value of each 32-bit sum: one half for rounding, and an offset so that a negative sum does not borrow from its
+/// neighbour.
 const START: u64 = HALF as u64 + ((BELOW as u64) << PRECISION);
-/// So many colours below zero a sum may be; as many above 255 fit too.
+/// Offset of the sums, in colour values. It allows for overshoot below 0 and above 255.
 const BELOW: usize = 256;
 
-/// The colour of a sum's upper ten bits.
+/// The colour for each value of the upper ten bits of a sum.
 static ROUNDED: [u8; 1 << (32 - PRECISION)] = {
     let mut colours = [0; 1 << (32 - PRECISION)];
     let mut i = BELOW;
@@ -131,7 +133,7 @@ static ROUNDED: [u8; 1 << (32 - PRECISION)] = {
     colours
 };
 
-/// Two sums for each colour, one in each half.
+/// The sums of two rows for each colour, one in each half of 64 bits.
 #[inline(always)]
 fn blend<P, W>(pixels: &P, weights: &W) -> [u64; 3]
 where
@@ -140,7 +142,7 @@ where
 {
     let mut sums = [START | START << 32; 3];
     for (pixel, weight) in pixels.as_ref().iter().zip(weights.as_ref()) {
-        // Modulo 2^64, so that a negative weight is its complement.
+        // Arithmetic modulo 2^64, in which a negative weight is its complement.
         let weight = i64::from(*weight) as u64;
         for (sum, both) in sums.iter_mut().zip(pixel) {
             *sum = sum.wrapping_add(both.wrapping_mul(weight));

@@ -1,61 +1,61 @@
-//! Servers that take JSON with arrays in it at `/act`: OpenVLA, OpenVLA-OFT, GR00T N1.5 over HTTP, and the `/act`,
-//! `/reset`, `/health` convention by which Octo is served.
+//! Servers that take JSON with arrays at `/act`: OpenVLA, OpenVLA-OFT, GR00T N1.5 over HTTP, and the `/act`, `/reset`,
+//! `/health` convention of servers for Octo.
 
 use serde_json::Value as Json;
 
-use super::error::ServerError;
-use super::exchange::{Chunk, Query};
+use super::connection::Connection;
+use super::deadline::Deadline;
+use super::error::PolicyError;
 use super::http::{Http, Reply};
 use super::json_numpy;
-use super::link::Link;
-use super::websocket::Deadline;
+use super::{chunk::Chunk, query::Query};
 
-/// What `/act` takes and gives.
+/// Variants of the format of `/act`.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Form {
-    /// `vla-scripts/deploy.py` of OpenVLA: pictures, instruction and the statistics' key; one action.
+pub(crate) enum Api {
+    /// OpenVLA's `vla-scripts/deploy.py`: images, instruction and the key of the statistics; one action.
     OpenVla {
-        /// Which training set's statistics scale the answer.
+        /// Training set whose statistics scale the actions.
         unnorm_key: Option<String>,
     },
-    /// That of OpenVLA-OFT: pictures, vectors and instruction in one map; a list of actions.
+    /// OpenVLA-OFT's `vla-scripts/deploy.py`: images, vectors and instruction in one map; a list of actions.
     OpenVlaOft,
-    /// AutoEval's servers: like OpenVLA's, with `/reset` and `/health`.
+    /// AutoEval's servers: as OpenVLA's, with `/reset` and `/health`.
     Rest {
-        /// Which training set's statistics scale the answer, for servers that take it.
+        /// Training set whose statistics scale the actions, for servers that take it.
         unnorm_key: Option<String>,
     },
-    /// `scripts/inference_service.py --http-server` of GR00T N1.5: an observation of flat keys; a map of arrays.
+    /// GR00T N1.5's `scripts/inference_service.py --http-server`: an observation with flat keys; a map of arrays.
     Gr00tN15 {
-        /// The arrays that make an action, in order.
+        /// Arrays that make up an action, in order.
         action_keys: Vec<String>,
-        /// The instruction's key.
+        /// Key of the instruction.
         language_key: String,
     },
 }
 
-/// Such a server.
+/// A server with one of these formats.
 #[derive(Debug)]
-pub(crate) struct Rest {
+pub(crate) struct RestServer {
     http: Http,
-    form: Form,
+    api: Api,
     declared: Json,
 }
 
-impl Rest {
-    pub(crate) fn connect(url: &str, form: Form, deadline: Deadline) -> Result<Self, ServerError> {
+impl RestServer {
+    pub(crate) fn connect(url: &str, api: Api, deadline: Deadline) -> Result<Self, PolicyError> {
         let http = Http::new(url)?;
-        // OpenVLA's server has no /health; FastAPI's description of the paths says what there is.
-        let declared = match form {
-            Form::Rest { .. } | Form::Gr00tN15 { .. } => {
+        // OpenVLA's server has no /health. FastAPI's description of its paths identifies it.
+        let declared = match api {
+            Api::Rest { .. } | Api::Gr00tN15 { .. } => {
                 let reply = http.get("/health", deadline)?;
                 let health: Json = serde_json::from_slice(&reply.body).unwrap_or_default();
                 if reply.status != 200 || health.get("status").and_then(Json::as_str) != Some("healthy") {
-                    return Err(ServerError::undecodable("the answer to /health", format!("HTTP {}", reply.status)));
+                    return Err(PolicyError::invalid_reply("reply to /health", format!("HTTP {}", reply.status)));
                 }
                 health
             }
-            Form::OpenVla { .. } | Form::OpenVlaOft => {
+            Api::OpenVla { .. } | Api::OpenVlaOft => {
                 let reply = http.get("/openapi.json", deadline)?;
                 let api: Json = serde_json::from_slice(&reply.body).unwrap_or_default();
                 let paths = api.get("paths").and_then(Json::as_object);
@@ -64,33 +64,33 @@ impl Rest {
                         serde_json::json!({"paths": paths.keys().collect::<Vec<_>>()})
                     }
                     _ => {
-                        return Err(ServerError::undecodable(
-                            "the answer to /openapi.json",
+                        return Err(PolicyError::invalid_reply(
+                            "reply to /openapi.json",
                             format!("HTTP {}", reply.status),
                         ));
                     }
                 }
             }
         };
-        Ok(Self { http, form, declared })
+        Ok(Self { http, api, declared })
     }
 }
 
-impl Link for Rest {
-    fn begin(&mut self, _: &str, _: u64, deadline: Deadline) -> Result<(), ServerError> {
-        if !matches!(self.form, Form::Rest { .. }) {
+impl Connection for RestServer {
+    fn begin(&mut self, _: &str, _: u64, deadline: Deadline) -> Result<(), PolicyError> {
+        if !matches!(self.api, Api::Rest { .. }) {
             return Ok(());
         }
         match self.http.post("/reset", "{}", deadline)? {
-            // A server without memory has no /reset.
+            // A server without state has no /reset.
             Reply { status: 200 | 404, .. } => Ok(()),
-            Reply { status, body } => Err(refused(status, &body)),
+            Reply { status, body } => Err(http_error(status, &body)),
         }
     }
 
-    fn ask(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, ServerError> {
-        let reply = self.http.post("/act", &encode(query, &self.form), deadline)?;
-        decode(&reply, &self.form)
+    fn infer(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, PolicyError> {
+        let reply = self.http.post("/act", &encode(query, &self.api), deadline)?;
+        decode(&reply, &self.api)
     }
 
     fn declared(&self) -> &Json {
@@ -98,12 +98,12 @@ impl Link for Rest {
     }
 }
 
-fn refused(status: u16, body: &[u8]) -> ServerError {
-    ServerError::refused(&format!("HTTP {status}: {}", String::from_utf8_lossy(body)))
+fn http_error(status: u16, body: &[u8]) -> PolicyError {
+    PolicyError::reported(&format!("HTTP {status}: {}", String::from_utf8_lossy(body)))
 }
 
-/// A question as JSON.
-fn encode(query: &Query, form: &Form) -> String {
+/// Encode a request.
+fn encode(query: &Query, api: &Api) -> String {
     let mut json =
         String::with_capacity(64 + query.images.iter().map(|(_, array)| array.data().len() * 4 / 3).sum::<usize>());
     let mut first = true;
@@ -112,8 +112,8 @@ fn encode(query: &Query, form: &Form) -> String {
         json_numpy::write_text(json, key);
         json.push_str(": ");
     };
-    match form {
-        Form::Gr00tN15 { language_key, .. } => {
+    match api {
+        Api::Gr00tN15 { language_key, .. } => {
             json.push_str("{\"observation\": ");
             for (key, array) in &query.images {
                 entry(&mut json, &format!("video.{key}"));
@@ -128,7 +128,7 @@ fn encode(query: &Query, form: &Form) -> String {
             json_numpy::write_text(&mut json, &query.instruction);
             json.push_str("]}}");
         }
-        Form::OpenVla { unnorm_key } | Form::Rest { unnorm_key } => {
+        Api::OpenVla { unnorm_key } | Api::Rest { unnorm_key } => {
             for (key, array) in &query.images {
                 entry(&mut json, key);
                 json_numpy::write(&mut json, array, 0);
@@ -145,7 +145,7 @@ fn encode(query: &Query, form: &Form) -> String {
             }
             json.push('}');
         }
-        Form::OpenVlaOft => {
+        Api::OpenVlaOft => {
             for (key, array) in query.images.iter().chain(&query.states) {
                 entry(&mut json, key);
                 json_numpy::write(&mut json, array, 0);
@@ -158,30 +158,30 @@ fn encode(query: &Query, form: &Form) -> String {
     json
 }
 
-/// The actions in an answer.
-fn decode(reply: &Reply, form: &Form) -> Result<Chunk, ServerError> {
-    const WHAT: &str = "the answer to /act";
+/// Decode the actions of a reply.
+fn decode(reply: &Reply, api: &Api) -> Result<Chunk, PolicyError> {
+    const WHAT: &str = "reply to /act";
     if reply.status != 200 {
-        return Err(refused(reply.status, &reply.body));
+        return Err(http_error(reply.status, &reply.body));
     }
-    let json: Json =
-        serde_json::from_slice(&reply.body).map_err(|e| ServerError::undecodable(WHAT, format!("no JSON: {e}")))?;
-    match (&json, form) {
-        // Whatever went wrong, OpenVLA's server says only this, with status 200; the cause is in its log.
+    let json: Json = serde_json::from_slice(&reply.body)
+        .map_err(|e| PolicyError::invalid_reply(WHAT, format!("not valid JSON: {e}")))?;
+    match (&json, api) {
+        // OpenVLA's server reports every error in this way, with status 200.
         (Json::String(text), _) if text == "error" => {
-            Err(ServerError::refused("\"error\", no more; the cause is in the server's log"))
+            Err(PolicyError::reported("the server reported an error without details. See the log of the server"))
         }
-        (Json::String(_), _) => Err(ServerError::undecodable(WHAT, "a text in place of actions".to_owned())),
+        (Json::String(_), _) => Err(PolicyError::invalid_reply(WHAT, "expected actions, got a string".to_owned())),
         (Json::Array(items), _) => {
             let rows = items.iter().map(|item| Ok(json_numpy::read(WHAT, item)?.numbers()));
-            Chunk::of_rows(rows.collect::<Result<_, ServerError>>()?)
+            Chunk::of_rows(rows.collect::<Result<_, PolicyError>>()?)
         }
-        (Json::Object(map), Form::Gr00tN15 { action_keys, .. }) => {
+        (Json::Object(map), Api::Gr00tN15 { action_keys, .. }) => {
             let mut rows: Vec<Vec<f64>> = Vec::new();
             for key in action_keys {
                 let value = map
                     .get(&format!("action.{key}"))
-                    .ok_or_else(|| ServerError::Shape(format!("the answer has no `action.{key}`")))?;
+                    .ok_or_else(|| PolicyError::Shape(format!("the reply has no `action.{key}`")))?;
                 Chunk::join(&mut rows, Chunk::columns(&json_numpy::read(WHAT, value)?, key)?, key)?;
             }
             Chunk::of_rows(rows)
@@ -196,12 +196,12 @@ mod tests {
     use crate::tests::{Capture, fuzz};
     use crate::{Array, Dtype};
 
-    fn openvla() -> Form {
-        Form::OpenVla { unnorm_key: Some("bridge_orig".to_owned()) }
+    fn openvla() -> Api {
+        Api::OpenVla { unnorm_key: Some("bridge_orig".to_owned()) }
     }
 
-    fn gr00t() -> Form {
-        Form::Gr00tN15 {
+    fn gr00t() -> Api {
+        Api::Gr00tN15 {
             action_keys: ["x", "y", "z", "roll", "pitch", "yaw", "gripper"].map(str::to_owned).to_vec(),
             language_key: "annotation.human.action.task_description".to_owned(),
         }
@@ -216,14 +216,14 @@ mod tests {
     }
 
     #[test]
-    fn questions_are_those_that_python_clients_send_to_the_byte() {
+    fn requests_equal_captured_ones() {
         let image = vec![("image".to_owned(), picture(0..))];
         let asked = encode(&query(image, vec![], "Pick up the block"), &openvla());
         assert_eq!(asked.as_bytes(), Capture::read("openvla", "ok.req.body").bytes);
         let black = || picture(std::iter::repeat(0));
         let images = vec![("full_image".to_owned(), black()), ("wrist_image".to_owned(), black())];
         let state = vec![("state".to_owned(), Array::vector(&[0.0; 8], Dtype::F64))];
-        let asked = encode(&query(images, state, "pick up"), &Form::OpenVlaOft);
+        let asked = encode(&query(images, state, "pick up"), &Api::OpenVlaOft);
         assert_eq!(asked.as_bytes(), Capture::read("openvla_oft", "ok.req.json").bytes);
         let capture = Capture::read("gr00t_n15", "http_ok.req.json");
         let captured: Json = serde_json::from_slice(&capture.bytes).unwrap();
@@ -240,23 +240,23 @@ mod tests {
         assert_eq!(encode(&query(images, states, "pick up"), &gr00t()).as_bytes(), capture.bytes);
     }
 
-    fn answer(folder: &str, name: &str, status: u16, form: &Form) -> Result<Chunk, ServerError> {
-        decode(&Reply { status, body: Capture::read(folder, name).bytes }, form)
+    fn answer(folder: &str, name: &str, status: u16, api: &Api) -> Result<Chunk, PolicyError> {
+        decode(&Reply { status, body: Capture::read(folder, name).bytes }, api)
     }
 
     #[test]
-    fn answers_of_the_upstream_servers_are_understood() {
+    fn captured_replies_are_decoded() {
         let chunk = answer("openvla", "ok.rep.body", 200, &openvla()).unwrap();
         assert_eq!((chunk.rows().len(), chunk.rows()[0].len()), (1, 7));
         assert_eq!(chunk.rows()[0][0], 0.01);
-        let chunk = answer("openvla_oft", "ok.rep.json", 200, &Form::OpenVlaOft).unwrap();
+        let chunk = answer("openvla_oft", "ok.rep.json", 200, &Api::OpenVlaOft).unwrap();
         assert_eq!((chunk.rows().len(), chunk.rows()[0].len()), (8, 7));
         let chunk = answer("gr00t_n15", "http_ok.rep.json", 200, &gr00t()).unwrap();
         assert_eq!((chunk.rows().len(), chunk.rows()[0].len()), (16, 7));
     }
 
     #[test]
-    fn an_error_with_status_200_is_an_error() {
+    fn errors_with_status_200_are_errors() {
         for (folder, name, status) in [
             ("openvla", "no_unnorm.rep.body", 200),
             ("openvla_oft", "err.rep.json", 200),
@@ -264,20 +264,20 @@ mod tests {
             ("gr00t_n15", "http_err.rep.json", 500),
         ] {
             let error = answer(folder, name, status, &openvla()).unwrap_err();
-            assert!(matches!(error, ServerError::Refused { .. }), "{name}: {error}");
+            assert!(matches!(error, PolicyError::Reported { .. }), "{name}: {error}");
         }
-        // Sent encoded twice, the answer is encoded twice; nobody here asks so.
+        // A reply that is encoded twice, to a request that was encoded twice.
         assert!(answer("openvla", "double.rep.body", 200, &openvla()).is_err());
     }
 
     #[test]
-    fn whatever_bytes_come_decoding_returns() {
+    fn decoding_never_panics() {
         let seeds = [("openvla", "ok.rep.body"), ("openvla_oft", "ok.rep.json"), ("gr00t_n15", "http_ok.rep.json")];
         let seeds = seeds.map(|(folder, name)| Capture::read(folder, name).bytes);
-        let forms = [openvla(), Form::OpenVlaOft, gr00t()];
+        let apis = [openvla(), Api::OpenVlaOft, gr00t()];
         fuzz(&seeds, |bytes| {
-            for form in &forms {
-                let _ = decode(&Reply { status: 200, body: bytes.to_vec() }, form);
+            for api in &apis {
+                let _ = decode(&Reply { status: 200, body: bytes.to_vec() }, api);
             }
         });
     }

@@ -1,4 +1,4 @@
-//! What the dialects' tests share: captured bytes, and bytes that are wrong.
+//! Helpers for tests of dialects: captured bytes, and mutations of them.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -6,16 +6,16 @@ use std::time::{Duration, Instant};
 use rmpv::ValueRef;
 
 use super::array::Array;
-use super::exchange::Query;
 use super::msgpack;
+use super::query::Query;
 
-/// Bytes that an upstream server or client sent.
+/// Bytes of an upstream server or client.
 pub(crate) struct Capture {
     pub(crate) bytes: Vec<u8>,
 }
 
 impl Capture {
-    /// By dialect and file name.
+    /// Read a file by dialect and name.
     pub(crate) fn read(folder: &str, name: &str) -> Self {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/captures").join(folder).join(name);
         Self { bytes: std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display())) }
@@ -26,9 +26,9 @@ impl Capture {
     }
 }
 
-/// The arrays of a captured question, in its order: those of three axes are pictures.
-pub(crate) fn query(question: &ValueRef<'_>, instruction: &str) -> Query {
-    let arrays: Vec<(String, Array)> = msgpack::entries(question)
+/// The query of a captured request. Arrays with three axes are images.
+pub(crate) fn query(request: &ValueRef<'_>, instruction: &str) -> Query {
+    let arrays: Vec<(String, Array)> = msgpack::entries(request)
         .unwrap()
         .iter()
         .filter_map(|(key, value)| Some((msgpack::name(key)?.to_owned(), msgpack::read_array("capture", value).ok()?)))
@@ -37,8 +37,7 @@ pub(crate) fn query(question: &ValueRef<'_>, instruction: &str) -> Query {
     Query { images, states, instruction: instruction.to_owned(), step: 0, time_s: 0.0 }
 }
 
-/// Feeds a decoder what a captured message becomes by flipped, cut, doubled and inserted bytes, for as many seconds as
-/// `ROBOGATE_FUZZ_SECONDS` says (two without it). It must return, whatever comes; a panic fails the test.
+/// Feed mutated messages to a decoder, for `ROBOGATE_FUZZ_SECONDS` or two seconds. A panic fails the test.
 pub(crate) fn fuzz(seeds: &[Vec<u8>], decode: impl Fn(&[u8])) {
     let seconds = std::env::var("ROBOGATE_FUZZ_SECONDS").ok().and_then(|s| s.parse().ok()).unwrap_or(2.0);
     let end = Instant::now() + Duration::from_secs_f64(seconds);

@@ -1,75 +1,75 @@
-//! Model servers of vla-eval (protocol version 1): WebSocket, msgpack with text keys, each message with a number.
+//! Model servers of vla-eval (protocol version 1): WebSocket, msgpack with string keys, numbered messages.
 //!
-//! The server greets with what its actions mean, keeps its own buffer of actions for each connection, and batches over
-//! connections where it is told to. To `episode_start` it answers only if that fails; answers are found by number.
+//! The server describes its actions in the reply to `hello`. It keeps a buffer of actions for each connection, and can
+//! batch requests of several connections. It answers `episode_start` only on failure. A reply has the number of its
+//! request.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use rmpv::ValueRef;
 use serde_json::Value as Json;
 
-use super::error::ServerError;
-use super::exchange::{Chunk, Query};
-use super::link::Link;
+use super::connection::Connection;
+use super::deadline::Deadline;
+use super::error::PolicyError;
 use super::msgpack::{self, Keys};
 use super::profile::{Arm, Part, Profile, Rotation, Side};
-use super::websocket::{Answer, Deadline, Socket};
+use super::websocket::{Reply, Socket};
+use super::{chunk::Chunk, query::Query};
 
-/// A connection to such a server.
+/// A connection to a vla-eval server.
 #[derive(Debug)]
 pub(crate) struct VlaEval {
     socket: Socket,
     declared: Json,
-    /// The number of the last message sent.
+    /// Number of the last message sent.
     number: u64,
     steps: u64,
     begun: bool,
 }
 
 impl VlaEval {
-    pub(crate) fn connect(url: &str, profile: &Profile, deadline: Deadline) -> Result<Self, ServerError> {
+    pub(crate) fn connect(url: &str, profile: &Profile, deadline: Deadline) -> Result<Self, PolicyError> {
         let socket = Socket::connect(url, deadline)?;
-        let mut link = Self { socket, declared: Json::Null, number: 1, steps: 0, begun: false };
+        let mut connection = Self { socket, declared: Json::Null, number: 1, steps: 0, begun: false };
         let hello = msgpack::map([
             ("harness_version", ValueRef::from(env!("CARGO_PKG_VERSION"))),
             ("protocol_version", 1.into()),
             ("benchmark", "robogate".into()),
         ]);
-        let answer = link.socket.ask(&message("hello", hello, 1, now()), "hello", deadline)?;
-        let Answer::Bytes(bytes) = answer else {
-            return Err(ServerError::undecodable("the answer to hello", "it is text"));
+        let reply = connection.socket.request(&message("hello", hello, 1, now()), "hello", deadline)?;
+        let Reply::Bytes(bytes) = reply else {
+            return Err(PolicyError::invalid_reply("reply to hello", "expected a binary message"));
         };
-        if msgpack::decode("the answer to hello", &bytes).is_ok_and(|value| msgpack::get(&value, "type").is_none()) {
-            return Err(ServerError::OtherDialect {
-                wanted: "vla-eval",
-                found:
-                    "the WebSocket there sends a map without a `type`, as openpi's does on connection (dialect openpi)"
-                        .to_owned(),
+        if msgpack::decode("reply to hello", &bytes).is_ok_and(|value| msgpack::get(&value, "type").is_none()) {
+            return Err(PolicyError::WrongDialect {
+                expected: "vla-eval",
+                found: "the WebSocket server sends a map without `type`, which is typical of openpi (dialect openpi)"
+                    .to_owned(),
             });
         }
-        link.declared = decode(&bytes, 1, "hello", |payload| Ok(msgpack::to_json(payload)))?.ok_or_else(|| {
-            ServerError::undecodable("the answer to hello", "it is the answer to something else".to_owned())
-        })?;
-        compare(&link.declared, profile)?;
-        Ok(link)
+        connection.declared = decode(&bytes, 1, "hello", |payload| Ok(msgpack::to_json(payload)))?
+            .ok_or_else(|| PolicyError::invalid_reply("reply to hello", "the number is that of another request"))?;
+        compare(&connection.declared, profile)?;
+        Ok(connection)
     }
 
-    fn next(&mut self) -> u64 {
+    fn next_number(&mut self) -> u64 {
         self.number += 1;
         self.number
     }
 }
 
-impl Link for VlaEval {
-    fn begin(&mut self, instruction: &str, episode: u64, deadline: Deadline) -> Result<(), ServerError> {
+impl Connection for VlaEval {
+    fn begin(&mut self, instruction: &str, episode: u64, deadline: Deadline) -> Result<(), PolicyError> {
         if std::mem::replace(&mut self.begun, true) {
             let payload = msgpack::map([
                 ("metrics", ValueRef::Map(Vec::new())),
                 ("steps", self.steps.into()),
                 ("elapsed_sec", 0.0.into()),
             ]);
-            let end = message("episode_end", payload, self.next(), now());
-            self.socket.tell(&end, "episode_end", deadline)?;
+            let end = message("episode_end", payload, self.next_number(), now());
+            self.socket.send(&end, "episode_end", deadline)?;
         }
         self.steps = 0;
         let task = msgpack::map([
@@ -78,23 +78,23 @@ impl Link for VlaEval {
             ("task_id", 0.into()),
             ("episode_idx", episode.into()),
         ]);
-        let start = message("episode_start", msgpack::map([("task", task)]), self.next(), now());
-        self.socket.tell(&start, "episode_start", deadline)
+        let start = message("episode_start", msgpack::map([("task", task)]), self.next_number(), now());
+        self.socket.send(&start, "episode_start", deadline)
     }
 
-    fn ask(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, ServerError> {
-        let number = self.next();
+    fn infer(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, PolicyError> {
+        let number = self.next_number();
         self.steps += 1;
-        let question = message("observation", observation(query), number, now());
-        let mut answer = self.socket.ask(&question, "observation", deadline)?;
+        let request = message("observation", observation(query), number, now());
+        let mut reply = self.socket.request(&request, "observation", deadline)?;
         loop {
-            let Answer::Bytes(bytes) = &answer else {
-                return Err(ServerError::undecodable("the answer to an observation", "it is text".to_owned()));
+            let Reply::Bytes(bytes) = &reply else {
+                return Err(PolicyError::invalid_reply("reply to observation", "expected a binary message"));
             };
             if let Some(chunk) = decode(bytes, number, "action", actions)? {
                 return Ok(chunk);
             }
-            answer = self.socket.hear("observation", deadline)?;
+            reply = self.socket.receive("observation", deadline)?;
         }
     }
 
@@ -103,7 +103,7 @@ impl Link for VlaEval {
     }
 }
 
-/// Seconds since 1970, for the server's log.
+/// Seconds since 1970, for the log of the server.
 fn now() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |t| t.as_secs_f64())
 }
@@ -113,7 +113,7 @@ fn message<'a>(kind: &'a str, payload: ValueRef<'a>, number: u64, timestamp: f64
     msgpack::map([("type", kind.into()), ("payload", payload), ("seq", number.into()), ("timestamp", timestamp.into())])
 }
 
-/// The payload of a question. Pictures go as they are: vla-eval's own client packs them as PNG, its server takes both.
+/// The payload of a request. Images are sent uncompressed. vla-eval's own client sends PNG; its server takes both.
 fn observation(query: &Query) -> ValueRef<'_> {
     let arrays = |arrays| msgpack::arrays(arrays, Keys::Text);
     let images = ("images", msgpack::map(arrays(&query.images)));
@@ -121,54 +121,54 @@ fn observation(query: &Query) -> ValueRef<'_> {
     msgpack::map([images, task].into_iter().chain(arrays(&query.states)))
 }
 
-/// The payload of a message of this kind; nothing if it answers something before the message of this number.
+/// Decode the payload of a message of this kind. Returns `None` for the reply to a request before this number.
 fn decode<T>(
     bytes: &[u8],
     number: u64,
     kind: &str,
-    read: impl FnOnce(&ValueRef<'_>) -> Result<T, ServerError>,
-) -> Result<Option<T>, ServerError> {
-    const WHAT: &str = "a vla-eval message";
+    read: impl FnOnce(&ValueRef<'_>) -> Result<T, PolicyError>,
+) -> Result<Option<T>, PolicyError> {
+    const WHAT: &str = "vla-eval message";
     let message = msgpack::decode(WHAT, bytes)?;
-    let missing = |key: &str| ServerError::undecodable(WHAT, format!("its `{key}` is missing or of another type"));
+    let missing = |key: &str| PolicyError::invalid_reply(WHAT, format!("`{key}` is missing or has the wrong type"));
     let got = msgpack::get(&message, "type").and_then(msgpack::name).ok_or_else(|| missing("type"))?;
     let payload = msgpack::get(&message, "payload").ok_or_else(|| missing("payload"))?;
     let seq = msgpack::get(&message, "seq").and_then(ValueRef::as_u64).ok_or_else(|| missing("seq"))?;
-    // An episode that could not begin, or a question that could not be answered.
+    // The episode could not begin, or the request failed.
     if got == "error" {
-        let text = msgpack::get(payload, "error").and_then(msgpack::name).unwrap_or("an error without words");
-        return Err(ServerError::refused(text));
+        let text = msgpack::get(payload, "error").and_then(msgpack::name).unwrap_or("an error without a message");
+        return Err(PolicyError::reported(text));
     }
     if seq < number {
         return Ok(None);
     }
     if seq > number || got != kind {
-        return Err(ServerError::undecodable(
+        return Err(PolicyError::invalid_reply(
             WHAT,
-            format!("a `{got}` of number {seq} in place of `{kind}` of number {number}"),
+            format!("expected `{kind}` with number {number}, got `{got}` with number {seq}"),
         ));
     }
     read(payload).map(Some)
 }
 
-/// The actions in a payload: one, or a chunk.
-fn actions(payload: &ValueRef<'_>) -> Result<Chunk, ServerError> {
-    const WHAT: &str = "an action";
+/// Decode the actions of a payload: one action or a chunk.
+fn actions(payload: &ValueRef<'_>) -> Result<Chunk, PolicyError> {
+    const WHAT: &str = "vla-eval action";
     let actions = msgpack::get(payload, "actions")
-        .ok_or_else(|| ServerError::undecodable(WHAT, "it has no `actions`".to_owned()))?;
+        .ok_or_else(|| PolicyError::invalid_reply(WHAT, "`actions` is missing".to_owned()))?;
     Chunk::of_array(&msgpack::read_array(WHAT, actions)?)
 }
 
-/// Holds what the server says its actions mean against the profile.
-fn compare(declared: &Json, profile: &Profile) -> Result<(), ServerError> {
-    let mismatch = |text: String| Err(ServerError::Mismatch(text));
+/// Check the server's description of its actions against the profile.
+fn compare(declared: &Json, profile: &Profile) -> Result<(), PolicyError> {
+    let mismatch = |text: String| Err(PolicyError::Mismatch(text));
     let form = &profile.action;
     if let Some(spec) = declared.get("action_spec").and_then(Json::as_object).filter(|spec| !spec.is_empty()) {
         let dims = |part: &Json| part.get("dims").and_then(Json::as_u64).unwrap_or(0);
         let sum: u64 = spec.values().map(dims).sum();
         if sum != form.size as u64 {
             return mismatch(format!(
-                "the server's actions have {sum} numbers, the profile's action.size is {}",
+                "the actions of the server have {sum} numbers, but action.size of the profile is {}",
                 form.size
             ));
         }
@@ -177,7 +177,7 @@ fn compare(declared: &Json, profile: &Profile) -> Result<(), ServerError> {
             && (form.arm != Arm::ToolDelta || position == "absolute_xyz")
         {
             return mismatch(format!(
-                "the server's positions are `{position}`, the profile's action.arm is {:?}",
+                "the positions of the server are `{position}`, but action.arm of the profile is {:?}",
                 form.arm
             ));
         }
@@ -188,7 +188,7 @@ fn compare(declared: &Json, profile: &Profile) -> Result<(), ServerError> {
             };
             if rotation != ours {
                 return mismatch(format!(
-                    "the server's rotations are `{rotation}`, the profile's action.rotation is {ours}"
+                    "the rotations of the server are `{rotation}`, but action.rotation of the profile is {ours}"
                 ));
             }
         }
@@ -202,22 +202,22 @@ fn compare(declared: &Json, profile: &Profile) -> Result<(), ServerError> {
             let name = format("gripper").unwrap_or_default();
             if form.gripper_open != Some(open) {
                 return mismatch(format!(
-                    "the server's gripper is `{name}`, the profile's gripper_open says the opposite"
+                    "the gripper of the server is `{name}`, but action.gripper_open of the profile is the opposite"
                 ));
             }
             if let Some(threshold) = form.gripper_threshold.filter(|threshold| !(low..high).contains(threshold)) {
                 return mismatch(format!(
-                    "the server's gripper is `{name}`, the profile's gripper_threshold {threshold} is not between {low} and {high}"
+                    "the gripper of the server is `{name}`, but action.gripper_threshold of the profile is {threshold}. Expected a number from {low} to below {high}"
                 ));
             }
         }
     }
     let wanted = |key: &str| declared.get("observation_params").and_then(|p| p.get(key)).and_then(Json::as_bool);
     if wanted("send_wrist_image") == Some(true) && profile.cameras.len() < 2 {
-        return mismatch("the server wants a wrist camera, the profile has one camera".to_owned());
+        return mismatch("the server requires a wrist camera, but the profile has one camera".to_owned());
     }
     if wanted("send_state") == Some(true) && profile.states.is_empty() {
-        return mismatch("the server wants a state, the profile has none".to_owned());
+        return mismatch("the server requires a state, but the profile has none".to_owned());
     }
     let dims = declared
         .get("observation_spec")
@@ -227,7 +227,10 @@ fn compare(declared: &Json, profile: &Profile) -> Result<(), ServerError> {
     if let (Some(dims @ 1..), Some(state)) = (dims, profile.states.first()) {
         let size = state.size(0) as u64;
         if !state.parts.contains(&Part::JointPositions) && dims != size {
-            return mismatch(format!("the server's state has {dims} numbers, the profile's {} has {size}", state.key));
+            return mismatch(format!(
+                "the state of the server has {dims} numbers, but {} of the profile has {size}",
+                state.key
+            ));
         }
     }
     Ok(())
@@ -250,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_are_those_of_vla_evals_own_client_to_the_byte() {
+    fn messages_equal_captured_ones() {
         let capture = Capture::read(FOLDER, "c2s_05_obs_raw.bin");
         let theirs = capture.msgpack();
         let payload = captured(&theirs, "payload");
@@ -267,11 +270,11 @@ mod tests {
     }
 
     #[test]
-    fn answers_of_vla_evals_own_server_are_understood() {
+    fn captured_replies_are_decoded() {
         let action = Capture::read(FOLDER, "s2c_01_action0.bin").bytes;
         let chunk = decode(&action, 3, "action", actions).unwrap().unwrap();
         assert_eq!((chunk.rows().len(), chunk.rows()[0].len()), (1, 7));
-        // It answers number 3: to whoever asked number 4 it comes late.
+        // It is the reply to number 3, too late for a client that waits for number 4.
         assert_eq!(decode(&action, 4, "action", actions).unwrap(), None);
         assert!(decode(&action, 2, "action", actions).is_err());
         let error = Capture::read(FOLDER, "s2c_07_error_observation_failed.bin").bytes;
@@ -280,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_server_says_its_actions_mean_is_held_against_the_profile() {
+    fn the_description_is_compared_with_the_profile() {
         let hello = Capture::read(FOLDER, "s2c_00_hello_reply.bin").bytes;
         let declared = decode(&hello, 1, "hello", |payload| Ok(msgpack::to_json(payload))).unwrap().unwrap();
         let good = Profile::from_toml(Profile::built_in("smolvla-vla-eval").unwrap()).unwrap();
@@ -291,7 +294,7 @@ mod tests {
             compare(&declared, &profile).unwrap_err().to_string()
         };
         assert!(wrong(&|p| p.action.gripper_open = Some(Side::Above)).contains("the opposite"));
-        assert!(wrong(&|p| p.action.gripper_threshold = Some(2.0)).contains("not between -1 and 1"));
+        assert!(wrong(&|p| p.action.gripper_threshold = Some(2.0)).contains("from -1 to below 1"));
         assert!(wrong(&|p| p.action.rotation = Rotation::Euler).contains("`axis_angle`"));
         assert!(wrong(&|p| p.action.size = 8).contains("have 7 numbers"));
         assert!(wrong(&|p| p.cameras.truncate(1)).contains("wrist camera"));
@@ -299,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_bytes_come_decoding_returns() {
+    fn decoding_never_panics() {
         let profile = Profile::from_toml(Profile::built_in("smolvla-vla-eval").unwrap()).unwrap();
         let seeds = ["s2c_00_hello_reply.bin", "s2c_01_action0.bin", "s2c_07_error_observation_failed.bin"];
         let seeds = seeds.map(|n| Capture::read(FOLDER, n).bytes);

@@ -1,325 +1,254 @@
-//! One question in msgpack, one answer over a WebSocket (RFC 6455), with a keeper who answers pings while nobody asks.
+//! Requests and replies in msgpack over a WebSocket (RFC 6455), with a thread that answers pings between requests.
 //!
-//! Upstream servers ping every 20 s and hang up when nobody answers within 20 more. An evaluator is silent for longer
-//! than that while a simulator is reset, so a thread looks at the socket once a second between questions.
+//! Upstream servers send a ping every 20 s and close the connection if no pong arrives within another 20 s. A reset of
+//! a simulator may take longer than that, so a keep-alive thread polls the socket once a second between requests.
 
-use std::io::{self, Read, Write};
-use std::net::{TcpStream, ToSocketAddrs};
+use std::io;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rmpv::ValueRef;
 use tungstenite::protocol::WebSocketConfig;
 use tungstenite::{Bytes, Error, HandshakeError, Message, WebSocket};
 
-use super::error::ServerError;
+use super::deadline::{Deadline, TimedStream};
+use super::error::PolicyError;
 use super::msgpack;
 
-/// Longest answer. The longest real ones, of a whole chunk for two arms, have tens of kilobytes.
-pub(crate) const MAX_ANSWER: usize = 8 << 20;
-/// How often the keeper looks.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// How long saying goodbye may take.
-const GOODBYE: Duration = Duration::from_millis(200);
+/// Largest reply in bytes. Real ones, with a whole chunk for two arms, have tens of kilobytes.
+pub(crate) const MAX_REPLY: usize = 8 << 20;
+/// Time between two polls of the keep-alive thread.
+const POLL: Duration = Duration::from_secs(1);
+/// Time limit of the closing handshake.
+const CLOSE: Duration = Duration::from_millis(200);
 
-/// A moment by which something must have happened, and how long that was from the start.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Deadline {
-    at: Instant,
-    limit_s: f64,
-}
-
-impl Deadline {
-    /// In so many seconds from now.
-    pub(crate) fn within(limit_s: f64) -> Self {
-        Self { at: Instant::now() + Duration::from_secs_f64(limit_s), limit_s }
-    }
-
-    /// What is left, if anything.
-    pub(crate) fn left(&self) -> Option<Duration> {
-        self.at.checked_duration_since(Instant::now()).filter(|left| !left.is_zero())
-    }
-
-    /// The error that it has passed.
-    pub(crate) fn passed(&self, what: impl Into<String>) -> ServerError {
-        ServerError::Timeout { what: what.into(), limit_s: self.limit_s }
-    }
-}
-
-/// A TCP stream on which no read or write outlasts a deadline, however the bytes drip.
+/// A received message.
 #[derive(Debug)]
-pub(crate) struct Timed {
-    stream: TcpStream,
-    deadline: Deadline,
-}
-
-impl Timed {
-    /// Connects to `host:port`.
-    pub(crate) fn connect(url: &str, address: &str, deadline: Deadline) -> Result<Self, ServerError> {
-        let unreachable = |why: String| ServerError::Unreachable { url: url.to_owned(), why };
-        let addresses = address.to_socket_addrs().map_err(|e| unreachable(e.to_string()))?;
-        let mut last = unreachable("the name has no address".to_owned());
-        for address in addresses {
-            let left = deadline.left().ok_or_else(|| deadline.passed(format!("connecting to {url}")))?;
-            match TcpStream::connect_timeout(&address, left) {
-                Ok(stream) => {
-                    // Small questions go out at once. A stream without the option is slow, not wrong.
-                    let _ = stream.set_nodelay(true);
-                    return Ok(Self { stream, deadline });
-                }
-                Err(e) => last = unreachable(e.to_string()),
-            }
-        }
-        Err(last)
-    }
-
-    fn left(&self) -> io::Result<Duration> {
-        self.deadline.left().ok_or_else(|| io::ErrorKind::WouldBlock.into())
-    }
-}
-
-impl Read for Timed {
-    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        self.stream.set_read_timeout(Some(self.left()?))?;
-        self.stream.read(into)
-    }
-}
-
-impl Write for Timed {
-    fn write(&mut self, from: &[u8]) -> io::Result<usize> {
-        self.stream.set_write_timeout(Some(self.left()?))?;
-        self.stream.write(from)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.stream.flush()
-    }
-}
-
-/// An answer.
-#[derive(Debug)]
-pub(crate) enum Answer {
+pub(crate) enum Reply {
     /// A binary message.
     Bytes(tungstenite::Bytes),
     /// A text message.
     Text(String),
 }
 
-/// A connection.
+/// A connection to a WebSocket server.
 #[derive(Debug)]
 pub(crate) struct Socket {
     shared: Arc<Shared>,
-    keeper: Option<JoinHandle<()>>,
+    keep_alive: Option<JoinHandle<()>>,
 }
 
 #[derive(Debug)]
 struct Shared {
-    line: Mutex<Line>,
-    leave: Mutex<bool>,
-    left: Condvar,
+    stream: Mutex<Stream>,
+    stopped: Mutex<bool>,
+    stop: Condvar,
 }
 
 #[derive(Debug)]
-struct Line {
-    web: WebSocket<Timed>,
-    /// Where the next message is written: memory that has been touched before.
-    spare: Vec<u8>,
-    /// Why it can no longer be used.
-    broken: Option<ServerError>,
+struct Stream {
+    web: WebSocket<TimedStream>,
+    /// Buffer for the next message, reused because touching new memory takes time.
+    buffer: Vec<u8>,
+    /// Why the stream can no longer be used.
+    broken: Option<PolicyError>,
 }
 
-/// What an address of a WebSocket names: `host:port`, and the path.
-pub(crate) fn parse(url: &str) -> Result<String, ServerError> {
-    let wrong = |why: &str| ServerError::Address { url: url.to_owned(), why: why.to_owned() };
-    if url.starts_with("wss://") {
-        return Err(wrong("TLS is not spoken here; put a proxy on this machine and name it as ws://127.0.0.1:PORT"));
-    }
-    let rest = url.strip_prefix("ws://").ok_or_else(|| wrong("it must begin with ws://"))?;
+/// The `host:port` of the address of a WebSocket server.
+pub(crate) fn parse(url: &str) -> Result<String, PolicyError> {
+    let wrong = |why: &str| PolicyError::Address { url: url.to_owned(), why: why.to_owned() };
+    let rest = url.strip_prefix("ws://").ok_or_else(|| wrong("expected ws://HOST:PORT"))?;
     let authority = rest.split(['/', '?', '#']).next().unwrap_or_default();
-    let (host, port) = authority.rsplit_once(':').ok_or_else(|| wrong("the port is missing: ws://HOST:PORT"))?;
+    let (host, port) =
+        authority.rsplit_once(':').ok_or_else(|| wrong("the port is missing. Expected ws://HOST:PORT"))?;
     if host.is_empty() || port.parse::<u16>().is_err() {
-        return Err(wrong("it must be ws://HOST:PORT"));
+        return Err(wrong("expected ws://HOST:PORT"));
     }
     Ok(authority.to_owned())
 }
 
 impl Socket {
-    /// Connects and shakes hands.
-    pub(crate) fn connect(url: &str, deadline: Deadline) -> Result<Self, ServerError> {
+    /// Connect and perform the handshake.
+    pub(crate) fn connect(url: &str, deadline: Deadline) -> Result<Self, PolicyError> {
         let address = parse(url)?;
-        let stream = Timed::connect(url, &address, deadline)?;
-        let limits = WebSocketConfig::default().max_message_size(Some(MAX_ANSWER)).max_frame_size(Some(MAX_ANSWER));
+        let stream = TimedStream::connect(url, &address, deadline)?;
+        let limits = WebSocketConfig::default().max_message_size(Some(MAX_REPLY)).max_frame_size(Some(MAX_REPLY));
         let (web, _) = tungstenite::client::client_with_config(url, stream, Some(limits)).map_err(|e| match e {
             HandshakeError::Interrupted(_) => deadline.passed(format!("the WebSocket handshake with {url}")),
-            HandshakeError::Failure(Error::Io(e)) if is_late(&e) => {
+            HandshakeError::Failure(Error::Io(e)) if is_timeout(&e) => {
                 deadline.passed(format!("the WebSocket handshake with {url}"))
             }
             HandshakeError::Failure(Error::Http(response)) => {
-                ServerError::undecodable("the WebSocket handshake", format!("HTTP {}", response.status()))
+                PolicyError::invalid_reply("WebSocket handshake", format!("HTTP {}", response.status()))
             }
-            HandshakeError::Failure(Error::Url(e)) => ServerError::Address { url: url.to_owned(), why: e.to_string() },
-            HandshakeError::Failure(e) => ServerError::undecodable("the WebSocket handshake", e),
+            HandshakeError::Failure(Error::Url(e)) => PolicyError::Address { url: url.to_owned(), why: e.to_string() },
+            HandshakeError::Failure(e) => PolicyError::invalid_reply("WebSocket handshake", e),
         })?;
-        let line = Mutex::new(Line { web, spare: Vec::new(), broken: None });
-        let shared = Arc::new(Shared { line, leave: Mutex::new(false), left: Condvar::new() });
+        let stream = Mutex::new(Stream { web, buffer: Vec::new(), broken: None });
+        let shared = Arc::new(Shared { stream, stopped: Mutex::new(false), stop: Condvar::new() });
         let kept = Arc::clone(&shared);
-        let keeper = std::thread::Builder::new()
-            .name("websocket-keeper".to_owned())
-            .spawn(move || kept.keep())
-            .map_err(|e| ServerError::Unreachable { url: url.to_owned(), why: e.to_string() })?;
-        Ok(Self { shared, keeper: Some(keeper) })
+        let keep_alive = std::thread::Builder::new()
+            .name("websocket-keep-alive".to_owned())
+            .spawn(move || kept.keep_alive())
+            .map_err(|e| PolicyError::Unreachable { url: url.to_owned(), why: e.to_string() })?;
+        Ok(Self { shared, keep_alive: Some(keep_alive) })
     }
 
-    /// The next message, which comes unasked.
-    pub(crate) fn hear(&self, what: &str, deadline: Deadline) -> Result<Answer, ServerError> {
-        self.shared.lock().exchange(None, what, deadline)
+    /// Receive a message that the server sends without a request.
+    pub(crate) fn receive(&self, operation: &str, deadline: Deadline) -> Result<Reply, PolicyError> {
+        self.shared.lock().exchange(None, operation, deadline)
     }
 
-    /// Says something and waits for the answer.
-    pub(crate) fn ask(&self, question: &ValueRef<'_>, what: &str, deadline: Deadline) -> Result<Answer, ServerError> {
-        self.shared.lock().exchange(Some(question), what, deadline)
+    /// Send a request and wait for the reply.
+    pub(crate) fn request(
+        &self,
+        request: &ValueRef<'_>,
+        operation: &str,
+        deadline: Deadline,
+    ) -> Result<Reply, PolicyError> {
+        self.shared.lock().exchange(Some(request), operation, deadline)
     }
 
-    /// Says something to which no answer comes.
-    pub(crate) fn tell(&self, message: &ValueRef<'_>, what: &str, deadline: Deadline) -> Result<(), ServerError> {
-        self.shared.lock().tell(message, what, deadline)
+    /// Send a message that gets no reply.
+    pub(crate) fn send(&self, message: &ValueRef<'_>, operation: &str, deadline: Deadline) -> Result<(), PolicyError> {
+        self.shared.lock().send(message, operation, deadline)
     }
 }
 
 impl Drop for Socket {
     fn drop(&mut self) {
-        *self.shared.leave.lock().unwrap_or_else(PoisonError::into_inner) = true;
-        self.shared.left.notify_all();
-        if let Some(keeper) = self.keeper.take() {
-            // The keeper does not panic, and if it did there is nothing left to keep.
-            let _ = keeper.join();
+        *self.shared.stopped.lock().unwrap_or_else(PoisonError::into_inner) = true;
+        self.shared.stop.notify_all();
+        if let Some(thread) = self.keep_alive.take() {
+            // The thread does not panic. If it did, the connection would be closed all the same.
+            let _ = thread.join();
         }
-        let mut line = self.shared.lock();
-        if line.broken.is_none() {
-            line.web.get_mut().deadline = Deadline::within(GOODBYE.as_secs_f64());
-            // A server that is gone needs no goodbye.
-            let _ = line.web.close(None).and_then(|()| line.web.flush());
+        let mut stream = self.shared.lock();
+        if stream.broken.is_none() {
+            stream.web.get_mut().deadline = Deadline::within(CLOSE.as_secs_f64());
+            // Errors do not matter: the connection is dropped next.
+            let _ = stream.web.close(None).and_then(|()| stream.web.flush());
         }
     }
 }
 
 impl Shared {
-    fn lock(&self) -> MutexGuard<'_, Line> {
-        self.line.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Stream> {
+        self.stream.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Looks at the line once a second until told to leave.
-    fn keep(&self) {
-        let mut leave = self.leave.lock().unwrap_or_else(PoisonError::into_inner);
-        while !*leave {
-            (leave, _) = self.left.wait_timeout(leave, LOOK_EVERY).unwrap_or_else(PoisonError::into_inner);
-            if *leave {
+    /// Poll the stream once a second until the connection is dropped.
+    fn keep_alive(&self) {
+        let mut stopped = self.stopped.lock().unwrap_or_else(PoisonError::into_inner);
+        while !*stopped {
+            (stopped, _) = self.stop.wait_timeout(stopped, POLL).unwrap_or_else(PoisonError::into_inner);
+            if *stopped {
                 return;
             }
-            drop(leave);
-            // Whoever asks answers pings as well.
-            if let Ok(mut line) = self.line.try_lock() {
-                line.look();
+            drop(stopped);
+            // A running request holds the lock and answers pings itself.
+            if let Ok(mut stream) = self.stream.try_lock() {
+                stream.poll();
             }
-            leave = self.leave.lock().unwrap_or_else(PoisonError::into_inner);
+            stopped = self.stopped.lock().unwrap_or_else(PoisonError::into_inner);
         }
     }
 }
 
-impl Line {
+impl Stream {
     fn exchange(
         &mut self,
-        question: Option<&ValueRef<'_>>,
-        what: &str,
+        request: Option<&ValueRef<'_>>,
+        operation: &str,
         deadline: Deadline,
-    ) -> Result<Answer, ServerError> {
-        if let Some(question) = question {
-            self.tell(question, what, deadline)?;
+    ) -> Result<Reply, PolicyError> {
+        if let Some(request) = request {
+            self.send(request, operation, deadline)?;
         }
         self.usable()?;
-        let answer = self.read(deadline).map_err(|e| named(e, what, deadline));
-        self.broken = answer.as_ref().err().cloned();
-        answer
+        let reply = self.read(deadline).map_err(|e| classify(e, operation, deadline));
+        self.broken = reply.as_ref().err().cloned();
+        reply
     }
 
-    fn tell(&mut self, message: &ValueRef<'_>, what: &str, deadline: Deadline) -> Result<(), ServerError> {
+    fn send(&mut self, message: &ValueRef<'_>, operation: &str, deadline: Deadline) -> Result<(), PolicyError> {
         self.usable()?;
         self.web.get_mut().deadline = deadline;
-        let mut bytes = std::mem::take(&mut self.spare);
+        let mut bytes = std::mem::take(&mut self.buffer);
         bytes.clear();
         msgpack::encode_into(&mut bytes, message);
         let bytes = Bytes::from(bytes);
-        let sent = self.web.send(Message::binary(bytes.clone())).map_err(|e| named(e, what, deadline));
-        // A clone is the same memory. What was sent is gone, so this is the last one, and becomes a vector again as it is.
-        self.spare = bytes.into();
+        let sent = self.web.send(Message::binary(bytes.clone())).map_err(|e| classify(e, operation, deadline));
+        // Clones share memory. The sent one is dropped by now, so that this one becomes a vector without a copy.
+        self.buffer = bytes.into();
         self.broken = sent.as_ref().err().cloned();
         sent
     }
 
-    fn usable(&self) -> Result<(), ServerError> {
+    fn usable(&self) -> Result<(), PolicyError> {
         self.broken.clone().map_or(Ok(()), Err)
     }
 
-    fn read(&mut self, deadline: Deadline) -> Result<Answer, Error> {
+    fn read(&mut self, deadline: Deadline) -> Result<Reply, Error> {
         self.web.get_mut().deadline = deadline;
         loop {
             match self.web.read()? {
-                Message::Binary(bytes) => return Ok(Answer::Bytes(bytes)),
-                Message::Text(text) => return Ok(Answer::Text(text.to_string())),
+                Message::Binary(bytes) => return Ok(Reply::Bytes(bytes)),
+                Message::Text(text) => return Ok(Reply::Text(text.to_string())),
                 Message::Close(frame) => {
                     let _ = self.web.flush();
                     let reason = frame.map(|f| f.reason.to_string()).unwrap_or_default();
                     return Err(Error::Io(io::Error::new(io::ErrorKind::ConnectionAborted, reason)));
                 }
-                // Reading has queued the pong already; the next read or this one sends it.
+                // Reading has queued the pong already.
                 _ => self.web.flush()?,
             }
         }
     }
 
-    /// Answers pings that have come in. Anything else that comes unasked breaks the line.
-    fn look(&mut self) {
+    /// Answer pings that have arrived. Any other message breaks the connection.
+    fn poll(&mut self) {
         if self.broken.is_some() || self.web.get_ref().stream.set_nonblocking(true).is_err() {
             return;
         }
-        let heard = self.read(Deadline::within(LOOK_EVERY.as_secs_f64()));
+        let received = self.read(Deadline::within(POLL.as_secs_f64()));
         let restored = self.web.get_ref().stream.set_nonblocking(false);
-        let when = "while it was not asked";
-        self.broken = match (heard, restored) {
-            (Err(Error::Io(e)), Ok(())) if is_late(&e) => None,
-            (Err(e), Ok(())) => Some(named(e, when, Deadline::within(0.0))),
-            (Ok(Answer::Text(text)), _) => Some(ServerError::refused(&text)),
-            (Ok(Answer::Bytes(_)), _) => {
-                Some(ServerError::undecodable("a message", "it came without a question".to_owned()))
+        let when = "between requests";
+        self.broken = match (received, restored) {
+            (Err(Error::Io(e)), Ok(())) if is_timeout(&e) => None,
+            (Err(e), Ok(())) => Some(classify(e, when, Deadline::within(0.0))),
+            (Ok(Reply::Text(text)), _) => Some(PolicyError::reported(&text)),
+            (Ok(Reply::Bytes(_)), _) => {
+                Some(PolicyError::invalid_reply("WebSocket message", "the server sent it without a request".to_owned()))
             }
-            (_, Err(e)) => Some(ServerError::Closed { when: when.to_owned(), reason: format!(": {e}") }),
+            (_, Err(e)) => Some(PolicyError::Closed { when: when.to_owned(), reason: format!(": {e}") }),
         };
     }
 }
 
-fn is_late(error: &io::Error) -> bool {
+fn is_timeout(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut)
 }
 
-fn named(error: Error, what: &str, deadline: Deadline) -> ServerError {
+fn classify(error: Error, operation: &str, deadline: Deadline) -> PolicyError {
     match error {
-        Error::Io(e) if is_late(&e) => deadline.passed(what),
+        Error::Io(e) if is_timeout(&e) => deadline.passed(operation),
         Error::Io(e) => {
             let text = e.to_string();
             let reason = if text.is_empty() { text } else { format!(": {text}") };
-            ServerError::Closed { when: during(what), reason }
+            PolicyError::Closed { when: during(operation), reason }
         }
         Error::ConnectionClosed
         | Error::AlreadyClosed
         | Error::Protocol(tungstenite::error::ProtocolError::ResetWithoutClosingHandshake) => {
-            ServerError::Closed { when: during(what), reason: String::new() }
+            PolicyError::Closed { when: during(operation), reason: String::new() }
         }
-        Error::Capacity(_) => ServerError::TooLarge { limit: MAX_ANSWER },
-        other => ServerError::undecodable("a WebSocket frame", other),
+        Error::Capacity(_) => PolicyError::TooLarge { limit: MAX_REPLY },
+        other => PolicyError::invalid_reply("WebSocket frame", other),
     }
 }
 
-fn during(what: &str) -> String {
-    if what.starts_with("while ") { what.to_owned() } else { format!("during {what}") }
+fn during(operation: &str) -> String {
+    if operation.starts_with("between ") { operation.to_owned() } else { format!("during {operation}") }
 }

@@ -1,4 +1,4 @@
-//! GR00T, REST and LeRobot servers that answer with captured bytes: whole conversations, and the traps in them.
+//! Conversations with GR00T, REST and LeRobot servers that answer with captured bytes.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 
 use robogate_core::{Action, Command, Policy};
-use robogate_policy::{Profile, ServerPolicy};
+use robogate_policy::{ExternalPolicy, Profile};
 use robogate_zmtp::{Limits, Replier};
 use support::{begin, observation};
 
@@ -20,16 +20,16 @@ fn captured(name: &str) -> Vec<u8> {
     std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/captures").join(name)).unwrap()
 }
 
-fn policy(url: &str, name: &str, change: impl Fn(String) -> String) -> ServerPolicy {
+fn policy(url: &str, name: &str, change: impl Fn(String) -> String) -> ExternalPolicy {
     let text = change(Profile::built_in(name).unwrap().to_owned());
-    ServerPolicy::connect(url, Arc::new(Profile::from_toml(&text).unwrap())).unwrap()
+    ExternalPolicy::connect(url, Arc::new(Profile::from_toml(&text).unwrap())).unwrap()
 }
 
-fn same(text: String) -> String {
+fn unchanged(text: String) -> String {
     text
 }
 
-/// A REP socket that answers by what is in the question.
+/// A REP socket whose replies depend on the endpoint and the bytes of a request.
 fn zeromq(answer: impl Fn(&str, &[u8]) -> Vec<u8> + Send + 'static) -> String {
     let limits = Limits { frames: 4, frame_bytes: 1 << 20, message_bytes: 1 << 20 };
     let replier = Replier::bind(&"tcp://127.0.0.1:0".parse().unwrap(), limits).unwrap();
@@ -44,19 +44,19 @@ fn zeromq(answer: impl Fn(&str, &[u8]) -> Vec<u8> + Send + 'static) -> String {
 }
 
 #[test]
-fn a_gr00t_server_behind_its_wrapper_is_found_out_and_asked_its_way() {
-    let url = zeromq(|endpoint, question| {
+fn the_layout_of_a_gr00t_server_is_found() {
+    let url = zeromq(|endpoint, request| {
         let file = match endpoint {
             "ping" => "00_ping.rep.bin",
             "get_modality_config" => "01_get_modality_config.rep.bin",
             "reset" => "02_reset.rep.bin",
-            // As the wrapper does, it takes flat keys and refuses nested ones in words.
-            _ if question.windows(11).any(|bytes| bytes == b"video.image") => "03_get_action.rep.bin",
+            // The simulation wrapper takes flat keys and rejects nested ones.
+            _ if request.windows(11).any(|bytes| bytes == b"video.image") => "03_get_action.rep.bin",
             _ => "06_err_other_layout.rep.bin",
         };
         captured(&format!("gr00t_n16/libero_panda_sim/{file}"))
     });
-    let mut policy = policy(&url, "gr00t-n1.6-libero", same);
+    let mut policy = policy(&url, "gr00t-n1.6-libero", unchanged);
     assert_eq!(policy.declared()["action"]["delta_indices"][15], 15);
     begin(&mut policy, "pick up the black bowl").unwrap();
     for step in 0..9 {
@@ -66,24 +66,24 @@ fn a_gr00t_server_behind_its_wrapper_is_found_out_and_asked_its_way() {
     }
 }
 
-/// An HTTP server with one answer for each path; it notes what it was asked.
+/// An HTTP server with one reply for each path. Records the requested paths.
 fn http(answer: impl Fn(&str) -> (u16, Vec<u8>) + Send + 'static) -> (String, Arc<Mutex<Vec<String>>>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}", listener.local_addr().unwrap());
-    let asked = Arc::new(Mutex::new(Vec::new()));
-    let notes = Arc::clone(&asked);
+    let paths = Arc::new(Mutex::new(Vec::new()));
+    let recorded = Arc::clone(&paths);
     thread::spawn(move || {
         for stream in listener.incoming() {
-            drop(serve(stream.unwrap(), &answer, &notes));
+            drop(serve(stream.unwrap(), &answer, &recorded));
         }
     });
-    (url, asked)
+    (url, paths)
 }
 
 fn serve(
     mut stream: TcpStream,
     answer: &impl Fn(&str) -> (u16, Vec<u8>),
-    notes: &Mutex<Vec<String>>,
+    recorded: &Mutex<Vec<String>>,
 ) -> std::io::Result<()> {
     let mut reader = BufReader::new(stream.try_clone()?);
     loop {
@@ -104,7 +104,7 @@ fn serve(
             }
         }
         reader.read_exact(&mut vec![0; length])?;
-        notes.lock().unwrap().push(path.clone());
+        recorded.lock().unwrap().push(path.clone());
         let (status, body) = answer(&path);
         write!(stream, "HTTP/1.1 {status} X\r\nContent-Length: {}\r\n\r\n", body.len())?;
         stream.write_all(&body)?;
@@ -112,13 +112,13 @@ fn serve(
 }
 
 #[test]
-fn an_octo_server_is_reset_before_each_episode_and_asked_at_each_step() {
-    let (url, asked) = http(|path| match path {
+fn an_octo_server_is_reset_before_each_episode() {
+    let (url, paths) = http(|path| match path {
         "/health" => (200, br#"{"status":"healthy"}"#.to_vec()),
         "/reset" => (200, br#"{"status":"reset successful"}"#.to_vec()),
         _ => (200, captured("openvla/ok.rep.body")),
     });
-    let mut policy = policy(&url, "octo-small", same);
+    let mut policy = policy(&url, "octo-small", unchanged);
     for _ in 0..2 {
         begin(&mut policy, "pick up the box").unwrap();
         for _ in 0..2 {
@@ -126,23 +126,23 @@ fn an_octo_server_is_reset_before_each_episode_and_asked_at_each_step() {
             assert_eq!(policy.act(&observation(256)).unwrap().gripper, Some(Action::OPEN));
         }
     }
-    let asked = asked.lock().unwrap();
-    assert_eq!(*asked, ["/health", "/reset", "/act", "/act", "/reset", "/act", "/act"]);
+    let paths = paths.lock().unwrap();
+    assert_eq!(*paths, ["/health", "/reset", "/act", "/act", "/reset", "/act", "/act"]);
 }
 
 #[test]
-fn openvlas_error_that_looks_like_success_is_a_fault() {
+fn an_openvla_error_with_status_200_is_a_fault() {
     let (url, _) = http(|path| match path {
         "/openapi.json" => (200, br#"{"paths":{"/act":{}}}"#.to_vec()),
         _ => (200, br#""error""#.to_vec()),
     });
-    let mut policy = policy(&url, "openvla", same);
+    let mut policy = policy(&url, "openvla", unchanged);
     begin(&mut policy, "pick up the box").unwrap();
     let fault = policy.act(&observation(256)).unwrap_err();
-    assert!(fault.detail.starts_with("refused: "), "{}", fault.detail);
+    assert!(fault.detail.starts_with("policy error: "), "{}", fault.detail);
 }
 
-/// A gRPC server of LeRobot's four methods, which answers with this pickle.
+/// A gRPC server with LeRobot's four methods. It answers GetActions with this pickle.
 fn grpc(actions: Vec<u8>) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("grpc://{}", listener.local_addr().unwrap());
@@ -165,11 +165,11 @@ fn grpc(actions: Vec<u8>) -> String {
                     let mut trailers = http::HeaderMap::new();
                     trailers.insert("grpc-status", "0".parse().unwrap());
                     body.send_trailers(trailers).unwrap();
-                    // What the client still sends of its question is let through.
-                    let mut question = request.into_body();
+                    // Read the rest of the request.
+                    let mut request = request.into_body();
                     tokio::spawn(async move {
-                        while let Some(Ok(part)) = question.data().await {
-                            question.flow_control().release_capacity(part.len()).unwrap();
+                        while let Some(Ok(part)) = request.data().await {
+                            request.flow_control().release_capacity(part.len()).unwrap();
                         }
                     });
                 }
@@ -179,7 +179,7 @@ fn grpc(actions: Vec<u8>) -> String {
     url
 }
 
-/// The bytes field of number 1 in a protobuf message.
+/// A protobuf message with a bytes field of number 1.
 fn field(bytes: &[u8]) -> Vec<u8> {
     if bytes.is_empty() {
         return Vec::new();
@@ -193,7 +193,7 @@ fn five(text: String) -> String {
 }
 
 #[test]
-fn a_lerobot_server_is_told_what_to_load_and_its_tensors_are_executed() {
+fn a_lerobot_episode_executes_tensors() {
     let mut policy = policy(&grpc(captured("lerobot/actions.pickle")), "smolvla", five);
     begin(&mut policy, "pick up the black bowl").unwrap();
     let Command::ToolDelta { translation_m, .. } = policy.act(&observation(256)).unwrap().command else { panic!() };
@@ -201,16 +201,16 @@ fn a_lerobot_server_is_told_what_to_load_and_its_tensors_are_executed() {
 }
 
 #[test]
-fn a_hostile_pickle_and_an_answer_without_actions_are_faults() {
+fn a_hostile_pickle_is_a_fault() {
     // `pickle.dumps` of an object whose __reduce__ calls os.system.
     let hostile = b"\x80\x04\x95\x2d\x00\x00\x00\x00\x00\x00\x00\x8c\x05posix\x94\x8c\x06system\x94\x93\x94\x8c\x12touch hostile-here\x94\x85\x94R\x94.";
-    for (actions, words) in
-        [(hostile.to_vec(), "undecodable: "), (Vec::new(), "refused: the server answers with an error: no actions")]
+    for (actions, start) in
+        [(hostile.to_vec(), "invalid reply: "), (Vec::new(), "policy error: the server sent no actions")]
     {
         let mut policy = policy(&grpc(actions), "smolvla", five);
         begin(&mut policy, "pick up the box").unwrap();
         let fault = policy.act(&observation(256)).unwrap_err();
-        assert!(fault.detail.starts_with(words), "{}", fault.detail);
+        assert!(fault.detail.starts_with(start), "{}", fault.detail);
     }
     assert!(!Path::new("hostile-here").exists());
 }

@@ -1,4 +1,4 @@
-//! Networks in ONNX files, held against what ONNX Runtime makes of them (networks/networks.py).
+//! Networks in ONNX files, compared with ONNX Runtime (networks/networks.py).
 
 mod support;
 
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use robogate_core::{Action, Command, Policy};
-use robogate_policy::{Profile, ServerError, ServerPolicy};
+use robogate_policy::{ExternalPolicy, PolicyError, Profile};
 use support::{begin, observation};
 
 const SMALL: &str = include_str!("networks/small.toml");
@@ -15,16 +15,17 @@ fn file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/networks").join(name)
 }
 
-fn load(path: &Path, profile: &str) -> Result<ServerPolicy, ServerError> {
+fn load(path: &Path, profile: &str) -> Result<ExternalPolicy, PolicyError> {
     let profile = Profile::from_toml(profile).expect("a good profile");
-    ServerPolicy::connect(&path.display().to_string(), Arc::new(profile))
+    ExternalPolicy::connect(&path.display().to_string(), Arc::new(profile))
 }
 
-fn refusal(path: &Path, profile: &str) -> String {
+/// The error of loading a network or of its first inference.
+fn error_of(path: &Path, profile: &str) -> String {
     let error = load(path, profile).err().or_else(|| {
         let mut policy = load(path, profile).ok()?;
         policy.begin("pick up the box").ok()?;
-        policy.ask(&observation(96)).err()
+        policy.infer(&observation(96)).err()
     });
     error.expect("it must be refused").to_string()
 }
@@ -38,7 +39,7 @@ fn expected(name: &str) -> Vec<Vec<f64>> {
 fn agrees_with_onnx_runtime(path: &Path, profile: &str, name: &str) {
     let mut policy = load(path, profile).expect("it loads");
     policy.begin("pick up the box").expect("nothing to begin");
-    let chunk = policy.ask(&observation(96)).expect("it answers");
+    let chunk = policy.infer(&observation(96)).expect("it answers");
     let expected = expected(name);
     assert_eq!(chunk.rows().len(), expected.len());
     for (ours, theirs) in chunk.rows().iter().zip(&expected) {
@@ -50,12 +51,12 @@ fn agrees_with_onnx_runtime(path: &Path, profile: &str, name: &str) {
 }
 
 #[test]
-fn a_small_network_answers_as_in_onnx_runtime() {
+fn a_small_network_agrees_with_onnx_runtime() {
     agrees_with_onnx_runtime(&file("small.onnx"), SMALL, "small");
 }
 
 #[test]
-fn the_networks_that_ship_answer_as_in_onnx_runtime() {
+fn shipped_networks_agree_with_onnx_runtime() {
     let learned = Profile::built_in("learned").expect("it is there");
     let policies = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/policies");
     for name in ["learned", "learned-wide"] {
@@ -64,7 +65,7 @@ fn the_networks_that_ship_answer_as_in_onnx_runtime() {
 }
 
 #[test]
-fn an_answer_is_executed_as_joint_positions_and_asked_for_anew_when_used_up() {
+fn chunks_become_joint_positions() {
     let mut policy = load(&file("small.onnx"), SMALL).expect("it loads");
     begin(&mut policy, "pick up the box").expect("nothing to begin");
     let rows = expected("small");
@@ -79,19 +80,27 @@ fn an_answer_is_executed_as_joint_positions_and_asked_for_anew_when_used_up() {
 }
 
 #[test]
-fn the_file_is_known_by_its_hash() {
+fn the_file_is_identified_by_its_hash() {
     let policy = load(&file("small.onnx"), SMALL).expect("it loads");
     let declared = policy.declared().to_string();
     assert!(declared.contains("\"sha256\":\"") && declared.contains("\"front\""), "{declared}");
 }
 
 #[test]
-fn what_does_not_fit_the_network_is_said_before_the_first_episode() {
+fn mismatches_with_the_profile_are_errors() {
     let small = file("small.onnx");
-    for (from, to, says) in [
-        ("key = \"front\"", "key = \"above\"", "the profile sends `above`; the network takes front, state"),
-        ("width = 8\nheight = 8", "width = 16\nheight = 16", "`front` as [16, 16, 3]; the network takes [1, 8, 8, 3]"),
-        (", \"gripper_opening\"]", "]", "`state` as [7]; the network takes [1, 8]"),
+    for (from, to, part) in [
+        (
+            "key = \"front\"",
+            "key = \"above\"",
+            "the profile sends `above`, but the inputs of the network are front, state",
+        ),
+        (
+            "width = 8\nheight = 8",
+            "width = 16\nheight = 16",
+            "`front` with shape [16, 16, 3], but the network takes [1, 8, 8, 3]",
+        ),
+        (", \"gripper_opening\"]", "]", "`state` with shape [7], but the network takes [1, 8]"),
         (
             "size = 8\narm = \"joint_positions\"",
             "size = 7\narm = \"tool_delta\"\nrotation = \"axis_angle\"",
@@ -101,35 +110,44 @@ fn what_does_not_fit_the_network_is_said_before_the_first_episode() {
     ] {
         let profile = SMALL.replace(from, to);
         assert_ne!(profile, SMALL, "{from}");
-        let why = refusal(&small, &profile);
-        assert!(why.contains(says), "{why}\ndoes not say\n{says}");
+        let why = error_of(&small, &profile);
+        assert!(why.contains(part), "expected {part:?} in {why:?}");
     }
 }
 
 #[test]
-fn a_batch_that_is_left_open_is_one() {
+fn an_open_batch_size_becomes_one() {
     agrees_with_onnx_runtime(&file("batch.onnx"), SMALL, "small");
 }
 
 #[test]
-fn another_size_that_is_left_open_is_asked_to_be_closed() {
-    let why = refusal(&file("open.onnx"), SMALL);
-    assert!(why.contains("the size of its input `state` is left open"), "{why}");
+fn other_open_sizes_are_errors() {
+    let why = error_of(&file("open.onnx"), SMALL);
+    assert!(why.contains("the input `state` has no fixed size"), "{why}");
 }
 
 #[test]
-fn an_address_is_not_a_file_and_a_file_is_no_address() {
-    let why = refusal(Path::new("ws://127.0.0.1:1"), SMALL);
-    assert!(why.contains("the profile's dialect is onnx: FILE.onnx"), "{why}");
+fn the_wrong_kind_of_address_is_explained() {
+    let why = error_of(Path::new("ws://127.0.0.1:1"), SMALL);
+    assert!(why.contains("has the dialect onnx and takes a file. Expected FILE.onnx"), "{why}");
     let pi0 = Profile::built_in("pi0-libero").expect("it is there");
-    let why = refusal(&file("small.onnx"), pi0);
-    assert!(why.contains("the profile's dialect is openpi: ws://HOST:PORT"), "{why}");
-    let why = refusal(Path::new("nowhere.onnx"), SMALL);
+    let why = error_of(&file("small.onnx"), pi0);
+    assert!(
+        why.contains(
+            "profile pi0-libero has the dialect openpi and takes the address of a server. Expected ws://HOST:PORT. Hint"
+        ),
+        "{why}"
+    );
+    let why = error_of(Path::new("nowhere.onnx"), SMALL);
     assert!(why.contains("nowhere.onnx") && why.contains("cannot be read"), "{why}");
+    for (path, part) in [("small.toml", "it is a text file"), ("../networks", "it is a folder")] {
+        let why = error_of(&file(path), SMALL);
+        assert!(why.starts_with("invalid policy file: ") && why.contains(part), "{why}");
+    }
 }
 
 #[test]
-fn a_file_that_is_cut_or_changed_is_refused_or_runs_and_never_panics() {
+fn corrupted_files_never_panic() {
     let good = std::fs::read(file("small.onnx")).expect("it lies there");
     let folder = std::env::temp_dir().join(format!("robogate-networks-{}", std::process::id()));
     std::fs::create_dir_all(&folder).expect("room for a file");
@@ -145,7 +163,7 @@ fn a_file_that_is_cut_or_changed_is_refused_or_runs_and_never_panics() {
         std::fs::write(&path, bad).expect("room for a file");
         match load(&path, SMALL) {
             Err(_) => refused += 1,
-            Ok(mut policy) => drop(policy.ask(&observation(96))),
+            Ok(mut policy) => drop(policy.infer(&observation(96))),
         }
     }
     std::fs::remove_dir_all(&folder).expect("it is ours");

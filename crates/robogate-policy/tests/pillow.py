@@ -1,4 +1,4 @@
-"""Writes pillow.txt: what Pillow makes of the picture in src/picture.rs (pillow==13.0.0)."""
+"""Write pillow.txt: hashes of the image in src/picture.rs after resizing with Pillow (pillow==13.0.0)."""
 
 import PIL
 from PIL import Image

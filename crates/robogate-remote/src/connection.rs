@@ -125,7 +125,7 @@ impl Connection {
 
     /// Send these bytes unchecked and return the reply unchecked.
     pub(crate) fn request_raw(&mut self, frames: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, ZmtpError> {
-        self.requester.ask(frames, self.timeouts.step)
+        self.requester.request(frames, self.timeouts.step)
     }
 
     /// Run one action. Returns the result of its control period and the checked observation.
@@ -197,7 +197,7 @@ fn send<T: DeserializeOwned>(
     timeout: Duration,
 ) -> Result<(T, Vec<Vec<u8>>), RequestError> {
     let request = encode(&Request { v: VERSION, op: op.to_owned(), episode, body })?;
-    let mut frames = requester.ask(&[request], timeout)?;
+    let mut frames = requester.request(&[request], timeout)?;
     let header = if frames.is_empty() { Vec::new() } else { frames.remove(0) };
     let reply = read_reply(&header, episode);
     // After an invalid reply the state of the server is unknown: begin again with a new connection.

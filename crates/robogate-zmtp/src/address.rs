@@ -1,4 +1,4 @@
-//! TCP endpoints as ZeroMQ writes them.
+//! TCP endpoints in the notation of ZeroMQ.
 
 use std::fmt;
 use std::net::{IpAddr, SocketAddr, ToSocketAddrs};
@@ -19,12 +19,12 @@ impl Address {
         Self { host: socket.ip().to_string(), port: socket.port() }
     }
 
-    /// Whether only this machine reaches it: `localhost`, or an address of the loopback.
+    /// Whether only this machine can reach the endpoint: `localhost`, or a loopback address.
     pub fn is_loopback(&self) -> bool {
         self.host == "localhost" || self.host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
     }
 
-    /// The sockets that it may mean.
+    /// The socket addresses to which the host name resolves.
     pub(super) fn sockets(&self) -> std::io::Result<Vec<SocketAddr>> {
         (self.host.as_str(), self.port).to_socket_addrs().map(Iterator::collect)
     }
@@ -37,12 +37,12 @@ impl FromStr for Address {
         let wrong = || ZmtpError::Address(text.to_owned());
         let (host, port) = text.strip_prefix("tcp://").and_then(|rest| rest.rsplit_once(':')).ok_or_else(wrong)?;
         let bare = host.strip_prefix('[').and_then(|host| host.strip_suffix(']'));
-        // A colon belongs to an address of version 6, which stands in brackets.
+        // Only an IPv6 address contains a colon, and it must be in brackets.
         if bare.is_none() && host.contains(':') {
             return Err(wrong());
         }
         let host = bare.unwrap_or(host);
-        // Port 0 is any free one, as `*` is for ZeroMQ.
+        // Port 0 means any free port, as `*` does in ZeroMQ.
         let port = if port == "*" { 0 } else { port.parse().map_err(|_| wrong())? };
         if host.is_empty() || host.chars().any(|c| c.is_whitespace() || c.is_control() || c == '/') {
             return Err(wrong());
@@ -66,19 +66,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_reads_as_it_is_written() {
+    fn addresses_round_trip() {
         for text in ["tcp://127.0.0.1:5570", "tcp://localhost:1", "tcp://[::1]:80"] {
             let address: Address = text.parse().unwrap();
             assert_eq!(address.to_string(), text);
             assert!(address.is_loopback());
         }
-        for far in ["tcp://*:5570", "tcp://0.0.0.0:1", "tcp://robot.example:1", "tcp://127.0.0.1.example:1"] {
-            assert!(!far.parse::<Address>().unwrap().is_loopback(), "{far}");
+        for remote in ["tcp://*:5570", "tcp://0.0.0.0:1", "tcp://robot.example:1", "tcp://127.0.0.1.example:1"] {
+            assert!(!remote.parse::<Address>().unwrap().is_loopback(), "{remote}");
         }
     }
 
     #[test]
-    fn what_is_no_tcp_endpoint_is_refused() {
+    fn invalid_endpoints_are_errors() {
         for text in ["", "127.0.0.1:1", "tcp://:1", "tcp://a", "tcp://a:b", "tcp://a:65536", "ipc:///x", "tcp://::1:80"]
         {
             assert!(matches!(text.parse::<Address>(), Err(ZmtpError::Address(_))), "{text}");

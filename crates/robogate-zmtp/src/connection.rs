@@ -1,4 +1,4 @@
-//! One connection, after both sides have greeted.
+//! A connection, from the handshake on.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -7,35 +7,35 @@ use std::time::{Duration, Instant};
 use super::decoder::{greeting, property, push_frame};
 use super::{Decoder, Item, Limits, ZmtpError};
 
-/// Bytes read at once.
+/// Bytes per read.
 const CHUNK: usize = 1 << 16;
 
-/// A time by which something has to be done.
+/// The time by which an operation must be finished.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Deadline {
-    within: Duration,
+    limit: Duration,
     at: Instant,
 }
 
 impl Deadline {
-    pub(super) fn new(within: Duration) -> Self {
+    pub(super) fn new(limit: Duration) -> Self {
         let now = Instant::now();
-        // A deadline beyond the clock's end is a long one.
-        Self { within, at: now.checked_add(within).unwrap_or(now + Duration::from_secs(1 << 30)) }
+        // A deadline that the clock cannot represent becomes one in 34 years.
+        Self { limit, at: now.checked_add(limit).unwrap_or(now + Duration::from_secs(1 << 30)) }
     }
 
-    /// What is left of it.
+    /// Time left, or an error if the deadline has passed.
     pub(super) fn left(&self) -> Result<Duration, ZmtpError> {
         let left = self.at.saturating_duration_since(Instant::now());
         if left.is_zero() { Err(self.passed()) } else { Ok(left) }
     }
 
     pub(super) fn passed(&self) -> ZmtpError {
-        ZmtpError::TimedOut(self.within)
+        ZmtpError::TimedOut(self.limit)
     }
 }
 
-/// A socket's kind, as READY says it.
+/// The type of a socket.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Req,
@@ -43,14 +43,14 @@ pub(super) enum Kind {
 }
 
 impl Kind {
-    fn word(self) -> &'static str {
+    fn as_str(self) -> &'static str {
         match self {
             Self::Req => "REQ",
             Self::Rep => "REP",
         }
     }
 
-    /// The kinds that it may talk to (RFC 28).
+    /// Types of peers to which it may connect (RFC 28).
     fn peers(self) -> [&'static str; 2] {
         match self {
             Self::Req => ["REP", "ROUTER"],
@@ -68,7 +68,7 @@ pub(super) struct Connection {
 }
 
 impl Connection {
-    /// Greets and is greeted.
+    /// Perform the handshake.
     pub(super) fn open(stream: TcpStream, kind: Kind, limits: Limits, deadline: Deadline) -> Result<Self, ZmtpError> {
         stream.set_nodelay(true).map_err(ZmtpError::Io)?;
         let mut connection = Self { stream, decoder: Decoder::new(limits), chunk: vec![0; CHUNK], out: Vec::new() };
@@ -76,29 +76,31 @@ impl Connection {
         connection.flush(deadline)?;
         match connection.next(deadline)? {
             Item::Greeting(_) => {}
-            _ => return Err(ZmtpError::Handshake("it does not greet".to_owned())),
+            _ => return Err(ZmtpError::Handshake("it sent no ZMTP greeting".to_owned())),
         }
         let mut ready = b"\x05READY\x0bSocket-Type\x00\x00\x00\x03".to_vec();
-        ready.extend_from_slice(kind.word().as_bytes());
+        ready.extend_from_slice(kind.as_str().as_bytes());
         push_frame(&mut connection.out, &ready, false, true);
         connection.flush(deadline)?;
         match connection.next(deadline)? {
             Item::Command(name, properties) if name == b"READY" => {
                 let peer = property(&properties, "Socket-Type")?.unwrap_or_default();
                 if kind.peers().iter().all(|known| known.as_bytes() != peer) {
-                    let (peer, kind) = (peer.escape_ascii(), kind.word());
-                    return Err(ZmtpError::Handshake(format!("it is a {peer} socket, which does not talk to {kind}")));
+                    let (peer, kind) = (peer.escape_ascii(), kind.as_str());
+                    return Err(ZmtpError::Handshake(format!(
+                        "it is a {peer} socket, which cannot be the peer of a {kind} socket"
+                    )));
                 }
             }
             Item::Command(name, reason) if name == b"ERROR" => {
-                return Err(ZmtpError::Handshake(format!("it says {}", reason.escape_ascii())));
+                return Err(ZmtpError::Handshake(format!("it reports {}", reason.escape_ascii())));
             }
-            _ => return Err(ZmtpError::Handshake("READY was due".to_owned())),
+            _ => return Err(ZmtpError::Handshake("it sent no READY".to_owned())),
         }
         Ok(connection)
     }
 
-    /// Sends the frames as one message.
+    /// Send an envelope and frames as one message.
     pub(super) fn send<F: AsRef<[u8]>>(
         &mut self,
         envelope: &[Vec<u8>],
@@ -114,7 +116,7 @@ impl Connection {
         self.flush(deadline)
     }
 
-    /// The next message, by the deadline.
+    /// Receive the next message.
     pub(super) fn receive(&mut self, deadline: Deadline) -> Result<Vec<Vec<u8>>, ZmtpError> {
         loop {
             let item = self.next(deadline)?;
@@ -124,26 +126,27 @@ impl Connection {
         }
     }
 
-    /// The next message; `None` where nothing began within `patience`. What has begun is whole within `within`.
+    /// Receive the next message. Returns `None` if no byte arrives within `idle`. A message that has begun must be
+    /// complete within `limit`.
     pub(super) fn receive_if_any(
         &mut self,
-        patience: Duration,
-        within: Duration,
+        idle: Duration,
+        limit: Duration,
     ) -> Result<Option<Vec<Vec<u8>>>, ZmtpError> {
-        if !self.decoder.is_amid() {
-            match self.read(patience) {
+        if !self.decoder.has_pending() {
+            match self.read(idle) {
                 Ok(()) => {}
                 Err(why) if is_timeout(&why) => return Ok(None),
-                Err(why) => return Err(broken(why)),
+                Err(why) => return Err(classify(why)),
             }
         }
-        let deadline = Deadline::new(within);
+        let deadline = Deadline::new(limit);
         let item = self.next(deadline)?;
         self.message(item, deadline)
     }
 
-    /// Hears what the peer said while nobody listened, without waiting. Fails where it is gone, or said something that
-    /// was not asked for.
+    /// Process what has arrived since the last call, without waiting. Fails if the peer closed the connection or sent a
+    /// message without a request.
     pub(super) fn catch_up(&mut self, deadline: Deadline) -> Result<(), ZmtpError> {
         loop {
             self.stream.set_nonblocking(true).map_err(ZmtpError::Io)?;
@@ -154,25 +157,25 @@ impl Connection {
                 Ok(read) => self.decoder.feed(&self.chunk[..read]),
                 Err(why) if is_timeout(&why) => break,
                 Err(why) if why.kind() == ErrorKind::Interrupted => {}
-                Err(why) => return Err(broken(why)),
+                Err(why) => return Err(classify(why)),
             }
             while let Some(item) = self.decoder.next_item()? {
                 if self.message(item, deadline)?.is_some() {
-                    return Err(ZmtpError::Framing("a message that nobody asked for".to_owned()));
+                    return Err(ZmtpError::Framing("a message without a request".to_owned()));
                 }
             }
         }
-        if self.decoder.is_amid() {
-            return Err(ZmtpError::Framing("a message that nobody asked for".to_owned()));
+        if self.decoder.has_pending() {
+            return Err(ZmtpError::Framing("a message without a request".to_owned()));
         }
         Ok(())
     }
 
-    /// The message in an item; commands are answered or passed over.
+    /// Handle an item. Returns the frames of a message; answers or ignores a command.
     fn message(&mut self, item: Item, deadline: Deadline) -> Result<Option<Vec<Vec<u8>>>, ZmtpError> {
         match item {
             Item::Message(frames) => return Ok(Some(frames)),
-            // Two bytes of time to live, then what has to come back.
+            // Two bytes of time to live, then the context, which must be returned.
             Item::Command(name, body) if name == b"PING" => {
                 let mut pong = b"\x04PONG".to_vec();
                 pong.extend_from_slice(body.get(2..).unwrap_or_default());
@@ -195,13 +198,13 @@ impl Connection {
             match self.read(deadline.left()?) {
                 Ok(()) => {}
                 Err(why) if is_timeout(&why) => return Err(deadline.passed()),
-                Err(why) => return Err(broken(why)),
+                Err(why) => return Err(classify(why)),
             }
         }
     }
 
-    fn read(&mut self, patience: Duration) -> std::io::Result<()> {
-        self.stream.set_read_timeout(Some(patience.max(Duration::from_millis(1))))?;
+    fn read(&mut self, timeout: Duration) -> std::io::Result<()> {
+        self.stream.set_read_timeout(Some(timeout.max(Duration::from_millis(1))))?;
         loop {
             match self.stream.read(&mut self.chunk) {
                 Ok(0) => return Err(ErrorKind::UnexpectedEof.into()),
@@ -224,7 +227,7 @@ impl Connection {
                 Ok(written) => sent += written,
                 Err(why) if why.kind() == ErrorKind::Interrupted => {}
                 Err(why) if is_timeout(&why) => return Err(deadline.passed()),
-                Err(why) => return Err(broken(why)),
+                Err(why) => return Err(classify(why)),
             }
         }
         self.out.clear();
@@ -236,7 +239,7 @@ fn is_timeout(why: &std::io::Error) -> bool {
     matches!(why.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut)
 }
 
-fn broken(why: std::io::Error) -> ZmtpError {
+fn classify(why: std::io::Error) -> ZmtpError {
     match why.kind() {
         ErrorKind::UnexpectedEof | ErrorKind::ConnectionReset | ErrorKind::BrokenPipe => ZmtpError::Closed,
         _ => ZmtpError::Io(why),

@@ -1,17 +1,17 @@
-//! From a peer's bytes to what it said. Sees no socket, so that anything can be fed to it.
+//! Decodes the bytes of a peer. Independent of sockets, so that tests can feed any bytes.
 
 use super::{Limits, ZmtpError};
 
-/// Bytes of a greeting.
+/// Length of a greeting in bytes.
 pub(super) const GREETING: usize = 64;
-/// Bytes of a command that are taken: a READY with its few properties has under a hundred.
+/// Largest command, in bytes. A READY with its few properties has less than a hundred.
 const COMMAND_LIMIT: u64 = 4096;
-/// Flags of a frame (RFC 37): more frames follow, the length has 8 bytes, it is a command.
+/// Flags of a frame (RFC 37): more frames follow, the length has 8 bytes, the frame is a command.
 const MORE: u8 = 1;
 const LONG: u8 = 2;
 const COMMAND: u8 = 4;
 
-/// The greeting that this side sends: ZMTP 3.1, mechanism NULL.
+/// The greeting of this side: ZMTP 3.1, mechanism NULL.
 pub(super) fn greeting() -> [u8; GREETING] {
     let mut bytes = [0; GREETING];
     bytes[0] = 0xff;
@@ -22,7 +22,7 @@ pub(super) fn greeting() -> [u8; GREETING] {
     bytes
 }
 
-/// Appends a frame.
+/// Append a frame.
 pub(super) fn push_frame(out: &mut Vec<u8>, body: &[u8], more: bool, command: bool) {
     let flags = if more { MORE } else { 0 } | if command { COMMAND } else { 0 };
     match u8::try_from(body.len()) {
@@ -35,33 +35,33 @@ pub(super) fn push_frame(out: &mut Vec<u8>, body: &[u8], more: bool, command: bo
     out.extend_from_slice(body);
 }
 
-/// What a peer says first.
+/// The first bytes of a peer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Greeting {
-    /// Its version of ZMTP: major, minor.
+    /// Version of ZMTP of the peer: major, minor.
     pub version: (u8, u8),
 }
 
-/// Something that a peer said.
+/// A unit of the protocol.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Item {
-    /// The greeting, once and first.
+    /// The greeting; always the first item, and only once.
     Greeting(Greeting),
-    /// A command: its name, and what follows it.
+    /// A command: name and body.
     Command(Vec<u8>, Vec<u8>),
-    /// A whole message, all of its frames.
+    /// A complete message: its frames.
     Message(Vec<Vec<u8>>),
 }
 
-/// Cuts a stream of bytes into what it says, within limits.
+/// Splits a stream of bytes into items, within limits.
 #[derive(Debug)]
 pub struct Decoder {
     limits: Limits,
     greeted: bool,
     bytes: Vec<u8>,
-    /// What of the bytes has been used.
+    /// Number of bytes that are decoded already.
     used: usize,
-    /// The frames of the message under way, and their bytes together.
+    /// Frames of the incomplete message, and the sum of their sizes.
     frames: Vec<Vec<u8>>,
     size: u64,
 }
@@ -72,7 +72,7 @@ impl Decoder {
         Self { limits, greeted: false, bytes: Vec::new(), used: 0, frames: Vec::new(), size: 0 }
     }
 
-    /// Takes bytes as they came.
+    /// Add received bytes.
     pub fn feed(&mut self, bytes: &[u8]) {
         if self.used > 0 {
             self.bytes.drain(..self.used);
@@ -81,12 +81,12 @@ impl Decoder {
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// Whether something has begun and is not whole yet, or is whole and was not asked for.
-    pub fn is_amid(&self) -> bool {
+    /// Whether bytes of an incomplete item, or items not yet returned, are left.
+    pub fn has_pending(&self) -> bool {
         self.used < self.bytes.len() || !self.frames.is_empty()
     }
 
-    /// The next thing said; `None` until more bytes come. After an error there is no sense in what follows.
+    /// The next item; `None` if more bytes are needed. After an error the decoder must not be used again.
     pub fn next_item(&mut self) -> Result<Option<Item>, ZmtpError> {
         if !self.greeted {
             return self.next_greeting();
@@ -95,7 +95,7 @@ impl Decoder {
             let rest = &self.bytes[self.used..];
             let Some(&flags) = rest.first() else { return Ok(None) };
             if flags & !(MORE | LONG | COMMAND) != 0 || flags & (MORE | COMMAND) == MORE | COMMAND {
-                return Err(ZmtpError::Framing(format!("a frame with flags {flags:#04x}")));
+                return Err(ZmtpError::Framing(format!("a frame has the flags {flags:#04x}")));
             }
             let (length, head) = if flags & LONG == 0 {
                 let Some(&length) = rest.get(1) else { return Ok(None) };
@@ -104,8 +104,8 @@ impl Decoder {
                 let Some(length) = rest.get(1..9).and_then(|bytes| bytes.try_into().ok()) else { return Ok(None) };
                 (u64::from_be_bytes(length), 9)
             };
-            self.hold(flags, length)?;
-            // Within the limits it fits an address.
+            self.check_limits(flags, length)?;
+            // A length within the limits fits into usize.
             let Some(body) = usize::try_from(length).ok().and_then(|length| rest.get(head..head + length)) else {
                 return Ok(None);
             };
@@ -113,7 +113,7 @@ impl Decoder {
             self.used += head + body.len();
             if flags & COMMAND != 0 {
                 if !self.frames.is_empty() {
-                    return Err(ZmtpError::Framing("a command within a message".to_owned()));
+                    return Err(ZmtpError::Framing("a command inside a message".to_owned()));
                 }
                 return command(body).map(Some);
             }
@@ -126,34 +126,34 @@ impl Decoder {
         }
     }
 
-    /// Holds what a frame's head promises to the limits.
-    fn hold(&self, flags: u8, length: u64) -> Result<(), ZmtpError> {
-        let hold = |what, size, limit| {
-            if size > limit { Err(ZmtpError::TooLarge { what, size, limit }) } else { Ok(()) }
+    /// Check the length of a frame against the limits.
+    fn check_limits(&self, flags: u8, length: u64) -> Result<(), ZmtpError> {
+        let check = |what, unit, size, limit| {
+            if size > limit { Err(ZmtpError::TooLarge { what, unit, size, limit }) } else { Ok(()) }
         };
         if flags & COMMAND != 0 {
-            return hold("a command", length, COMMAND_LIMIT);
+            return check("a command", "bytes", length, COMMAND_LIMIT);
         }
-        hold("a frame", length, self.limits.frame_bytes as u64)?;
-        hold("a message", self.size + length, self.limits.message_bytes as u64)?;
-        // One more: the empty frame between envelope and message.
-        hold("frames of a message, one", self.frames.len() as u64, self.limits.frames as u64)
+        check("a frame", "bytes", length, self.limits.frame_bytes as u64)?;
+        check("a message", "bytes", self.size + length, self.limits.message_bytes as u64)?;
+        // The delimiter frame is not counted.
+        check("a message", "frames", self.frames.len() as u64, self.limits.frames as u64)
     }
 
     fn next_greeting(&mut self) -> Result<Option<Item>, ZmtpError> {
         let rest = &self.bytes[self.used..];
         let wrong = |what: &str| Err(ZmtpError::Handshake(what.to_owned()));
         if rest.first().is_some_and(|byte| *byte != 0xff) || rest.get(9).is_some_and(|byte| byte & 1 == 0) {
-            return wrong("it does not greet");
+            return wrong("it sent no ZMTP greeting");
         }
         if let Some(major) = rest.get(10).filter(|major| **major < 3) {
-            return wrong(&format!("it speaks version {major}"));
+            return wrong(&format!("it uses version {major}"));
         }
         let Some(rest) = rest.get(..GREETING) else { return Ok(None) };
         let mechanism = &rest[12..32];
         if mechanism.strip_prefix(b"NULL").is_none_or(|padding| padding.iter().any(|byte| *byte != 0)) {
             let name = mechanism.split(|byte| *byte == 0).next().unwrap_or_default();
-            return wrong(&format!("it wants {}", name.escape_ascii()));
+            return wrong(&format!("it requires the security mechanism {}", name.escape_ascii()));
         }
         let version = (rest[10], rest[11]);
         self.used += GREETING;
@@ -162,7 +162,7 @@ impl Decoder {
     }
 }
 
-/// A command's name, and the rest of it.
+/// Split a command into name and body.
 fn command(mut body: Vec<u8>) -> Result<Item, ZmtpError> {
     let length = body.first().map_or(0, |length| usize::from(*length));
     if length == 0 || body.len() < 1 + length {
@@ -173,9 +173,9 @@ fn command(mut body: Vec<u8>) -> Result<Item, ZmtpError> {
     Ok(Item::Command(body, rest))
 }
 
-/// The value of a property in the list that a READY carries.
+/// The value of a property in the body of READY.
 pub(super) fn property<'a>(mut list: &'a [u8], wanted: &str) -> Result<Option<&'a [u8]>, ZmtpError> {
-    let broken = || ZmtpError::Handshake("its READY is cut off".to_owned());
+    let broken = || ZmtpError::Handshake("its READY is truncated".to_owned());
     let mut found = None;
     while let Some((&length, rest)) = list.split_first() {
         let (name, rest) = rest.split_at_checked(usize::from(length)).ok_or_else(broken)?;

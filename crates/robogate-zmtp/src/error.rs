@@ -1,53 +1,55 @@
-//! What can go wrong between two peers.
+//! Errors of sockets.
 
 use std::io;
 use std::time::Duration;
 
-/// Why there is no message. After any of these the connection is gone.
+/// Why a socket operation failed. The connection is closed after any of these errors.
 #[derive(Debug, thiserror::Error)]
 pub enum ZmtpError {
-    /// Text that names no TCP endpoint.
-    #[error("`{0}` is no address; one looks like tcp://127.0.0.1:5570")]
+    /// The text is not a TCP endpoint.
+    #[error("`{0}` is not a valid address. Expected tcp://HOST:PORT, for example tcp://127.0.0.1:5570")]
     Address(String),
-    /// Nobody listens there, or the name is unknown.
+    /// No process listens on the address, or the host name is unknown.
     #[error("cannot reach {address}: {why}")]
     Unreachable {
         /// The address.
         address: String,
-        /// What the system says.
+        /// Error of the operating system.
         why: io::Error,
     },
-    /// The address cannot be listened on.
+    /// This process cannot listen on the address.
     #[error("cannot listen on {address}: {why}")]
     Unbindable {
         /// The address.
         address: String,
-        /// What the system says.
+        /// Error of the operating system.
         why: io::Error,
     },
     /// The deadline passed.
     #[error("no answer within {} s", .0.as_secs_f64())]
     TimedOut(Duration),
-    /// The peer went away.
-    #[error("the other side closed the connection")]
+    /// The peer closed the connection.
+    #[error("the peer closed the connection")]
     Closed,
-    /// The system reported something else.
-    #[error("the connection broke: {0}")]
+    /// The operating system reported any other error.
+    #[error("connection error: {0}")]
     Io(io::Error),
-    /// The peer speaks something else.
-    #[error("the other side does not speak ZMTP 3 with NULL security: {0}")]
+    /// The peer does not use this protocol.
+    #[error("the peer does not use ZMTP 3 with NULL security: {0}")]
     Handshake(String),
-    /// Bytes that the protocol does not allow there.
-    #[error("the other side broke ZMTP: {0}")]
+    /// The peer sent bytes that the protocol does not allow.
+    #[error("invalid ZMTP from the peer: {0}")]
     Framing(String),
-    /// More than this side takes.
-    #[error("the other side sent {what} of {size}; at most {limit} are taken")]
+    /// The peer sent more than the limits allow.
+    #[error("the peer sent {what} of {size} {unit}; at most {limit} are allowed")]
     TooLarge {
         /// What is too large.
         what: &'static str,
-        /// Its size: bytes, or frames of a message.
+        /// Unit of the sizes.
+        unit: &'static str,
+        /// Its size.
         size: u64,
-        /// What would be taken.
+        /// Largest size that is allowed.
         limit: u64,
     },
 }

@@ -1,6 +1,8 @@
-//! ZMTP 3, the wire protocol of ZeroMQ (RFC 23 and 37), as far as REQ and REP over TCP with the NULL mechanism need it:
-//! [`Requester`] asks, [`Replier`] answers. Blocking, with deadlines of its own, and with bounds on whatever a
-//! peer sends, held before memory is set aside for it.
+//! REQ and REP sockets of ZeroMQ over TCP: the parts of ZMTP 3 (RFC 23 and 37) that they need, with the NULL security
+//! mechanism.
+//!
+//! A [`Requester`] sends requests, a [`Replier`] answers them. Both block, with a deadline for each call. The size of
+//! what a peer sends is checked before memory is allocated for it.
 
 mod address;
 mod connection;
@@ -15,13 +17,13 @@ pub use error::ZmtpError;
 pub use replier::Replier;
 pub use requester::Requester;
 
-/// What a message from a peer may be at most.
+/// Limits on the size of messages from a peer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Frames of a message, the empty one before it not counted.
+    /// Most frames of a message, without the empty delimiter frame.
     pub frames: usize,
-    /// Bytes of a frame.
+    /// Largest frame, in bytes.
     pub frame_bytes: usize,
-    /// Bytes of a message.
+    /// Largest message, in bytes.
     pub message_bytes: usize,
 }

@@ -1,4 +1,4 @@
-//! The side that answers.
+//! The REP side.
 
 use std::net::{TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -8,19 +8,19 @@ use std::time::Duration;
 use super::connection::{Connection, Deadline, Kind};
 use super::{Address, Limits, ZmtpError};
 
-/// How often waiting threads look whether they shall stop.
-const LOOK: Duration = Duration::from_millis(50);
-/// A peer has this long to greet, to finish a message that it began, and to take an answer.
-const WITHIN: Duration = Duration::from_secs(30);
-/// Peers at once; further ones are turned away.
-const PEERS: usize = 32;
+/// How often waiting threads check whether to stop.
+const POLL: Duration = Duration::from_millis(50);
+/// Time that a peer has for the handshake, for completing a message, and for receiving a reply.
+const PEER_TIMEOUT: Duration = Duration::from_secs(30);
+/// Most peers at a time; further connections are closed.
+const MAX_PEERS: usize = 32;
 
-/// A message's frames.
+/// The frames of a message.
 type Frames = Vec<Vec<u8>>;
-/// A question, and where its answer goes.
-type Question = (Frames, Sender<Frames>);
+/// A request, and the channel for its reply.
+type Pending = (Frames, Sender<Frames>);
 
-/// A REP socket: answers one question after the other, whoever asks.
+/// A REP socket. Answers the requests of all peers one at a time.
 #[derive(Debug)]
 pub struct Replier {
     listener: TcpListener,
@@ -29,7 +29,7 @@ pub struct Replier {
 }
 
 impl Replier {
-    /// Listens on this address; port 0 takes a free one. Questions are held to the limits.
+    /// Listen on this address, with limits on the size of requests. Port 0 takes a free port.
     pub fn bind(address: &Address, limits: Limits) -> Result<Self, ZmtpError> {
         let unbindable = |why| ZmtpError::Unbindable { address: address.to_string(), why };
         let sockets = address.sockets().map_err(unbindable)?;
@@ -39,70 +39,75 @@ impl Replier {
         Ok(Self { listener, address, limits })
     }
 
-    /// Where it listens.
+    /// Address on which the socket listens.
     pub fn address(&self) -> &Address {
         &self.address
     }
 
-    /// Answers until `stop` is set. `answer` is called from this thread, one question at a time.
+    /// Answer requests until `stop` is set. Calls `answer` from this thread, for one request at a time.
     ///
-    /// A peer that breaks the protocol or the limits loses its connection; nobody else notices.
+    /// The connection of a peer that breaks the protocol or the limits is closed; other peers are not affected.
     pub fn serve(&self, stop: &AtomicBool, answer: &mut dyn FnMut(Frames) -> Frames) {
         let peers = AtomicUsize::new(0);
-        let (questions, asked) = channel::<Question>();
+        let (requests, pending) = channel::<Pending>();
         std::thread::scope(|scope| {
             let (peers, limits) = (&peers, self.limits);
             scope.spawn(move || {
                 while !stop.load(Ordering::Relaxed) {
                     let Ok((stream, _)) = self.listener.accept() else {
-                        std::thread::sleep(LOOK / 5);
+                        std::thread::sleep(POLL / 5);
                         continue;
                     };
-                    if peers.fetch_add(1, Ordering::Relaxed) >= PEERS {
+                    if peers.fetch_add(1, Ordering::Relaxed) >= MAX_PEERS {
                         peers.fetch_sub(1, Ordering::Relaxed);
                         continue;
                     }
-                    let questions = questions.clone();
+                    let requests = requests.clone();
                     scope.spawn(move || {
-                        // Whatever ended it concerns this peer alone, and there is nobody to tell.
-                        drop(attend(stream, limits, stop, &questions));
+                        // An error concerns this peer only, and its connection is closed.
+                        drop(serve_peer(stream, limits, stop, &requests));
                         peers.fetch_sub(1, Ordering::Relaxed);
                     });
                 }
             });
-            answer_all(stop, &asked, answer);
+            answer_all(stop, &pending, answer);
         });
     }
 }
 
-fn answer_all(stop: &AtomicBool, asked: &Receiver<Question>, answer: &mut dyn FnMut(Frames) -> Frames) {
+fn answer_all(stop: &AtomicBool, pending: &Receiver<Pending>, answer: &mut dyn FnMut(Frames) -> Frames) {
     while !stop.load(Ordering::Relaxed) {
-        match asked.recv_timeout(LOOK) {
-            // A peer that is gone wants no answer.
-            Ok((question, to)) => drop(to.send(answer(question))),
+        match pending.recv_timeout(POLL) {
+            // The peer may have disconnected meanwhile.
+            Ok((request, to)) => drop(to.send(answer(request))),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return,
         }
     }
 }
 
-/// Passes one peer's questions on and the answers back.
-fn attend(stream: TcpStream, limits: Limits, stop: &AtomicBool, questions: &Sender<Question>) -> Result<(), ZmtpError> {
+/// Forward the requests of a peer, and send the replies back.
+fn serve_peer(
+    stream: TcpStream,
+    limits: Limits,
+    stop: &AtomicBool,
+    requests: &Sender<Pending>,
+) -> Result<(), ZmtpError> {
     stream.set_nonblocking(false).map_err(ZmtpError::Io)?;
-    let mut connection = Connection::open(stream, Kind::Rep, limits, Deadline::new(WITHIN))?;
+    let mut connection = Connection::open(stream, Kind::Rep, limits, Deadline::new(PEER_TIMEOUT))?;
     while !stop.load(Ordering::Relaxed) {
-        let Some(mut envelope) = connection.receive_if_any(LOOK, WITHIN)? else { continue };
-        // Up to the first empty frame stands the way back.
+        let Some(mut envelope) = connection.receive_if_any(POLL, PEER_TIMEOUT)? else { continue };
+        // The envelope is everything up to the first empty frame.
         let Some(end) = envelope.iter().position(Vec::is_empty) else {
-            return Err(ZmtpError::Framing("a question without the empty frame before it".to_owned()));
+            return Err(ZmtpError::Framing("a request without the delimiter frame".to_owned()));
         };
-        let question = envelope.split_off(end + 1);
+        let request = envelope.split_off(end + 1);
         let (to, from) = channel();
-        if questions.send((question, to)).is_err() {
+        if requests.send((request, to)).is_err() {
             break;
         }
-        let Ok(answer) = from.recv() else { break };
-        connection.send(&envelope, &answer, Deadline::new(WITHIN))?;
+        let Ok(reply) = from.recv() else { break };
+        connection.send(&envelope, &reply, Deadline::new(PEER_TIMEOUT))?;
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! The side that asks.
+//! The REQ side.
 
 use std::net::TcpStream;
 use std::time::Duration;
@@ -6,10 +6,10 @@ use std::time::Duration;
 use super::connection::{Connection, Deadline, Kind};
 use super::{Address, Limits, ZmtpError};
 
-/// A REQ socket with one peer: one question, one answer.
+/// A REQ socket with one peer. Each request gets one reply.
 ///
-/// It connects when it is first asked. After any error the connection is dropped and the next question opens a fresh
-/// one: an answer that comes late is never taken for that to a later question.
+/// The first request opens the connection. After an error the connection is closed, and the next request opens a new
+/// one, so that a late reply is never taken for the reply to a later request.
 #[derive(Debug)]
 pub struct Requester {
     address: Address,
@@ -18,21 +18,21 @@ pub struct Requester {
 }
 
 impl Requester {
-    /// A requester of this peer, whose answers are held to these limits.
+    /// A requester for this peer, with limits on the size of replies.
     pub fn new(address: Address, limits: Limits) -> Self {
         Self { address, limits, connection: None }
     }
 
-    /// The peer's address.
+    /// Address of the peer.
     pub fn address(&self) -> &Address {
         &self.address
     }
 
-    /// Sends one message and waits for the answer to it. Connecting, sending and waiting have `within` together.
-    pub fn ask<F: AsRef<[u8]>>(&mut self, frames: &[F], within: Duration) -> Result<Vec<Vec<u8>>, ZmtpError> {
-        let deadline = Deadline::new(within);
+    /// Send a request and wait for the reply. The timeout covers connecting, sending and waiting.
+    pub fn request<F: AsRef<[u8]>>(&mut self, frames: &[F], timeout: Duration) -> Result<Vec<Vec<u8>>, ZmtpError> {
+        let deadline = Deadline::new(timeout);
         let mut connection = match self.connection.take() {
-            // Nothing has been asked yet: a peer that went away meanwhile may be back.
+            // No request is pending, so that a peer that restarted can be connected to again.
             Some(mut connection) => match connection.catch_up(deadline) {
                 Ok(()) => connection,
                 Err(_) => self.connect(deadline)?,
@@ -40,16 +40,16 @@ impl Requester {
             None => self.connect(deadline)?,
         };
         connection.send(&[Vec::new()], frames, deadline)?;
-        let mut answer = connection.receive(deadline)?;
-        if answer.first().is_none_or(|delimiter| !delimiter.is_empty()) || answer.len() < 2 {
-            return Err(ZmtpError::Framing("an answer without the empty frame before it".to_owned()));
+        let mut reply = connection.receive(deadline)?;
+        if reply.first().is_none_or(|delimiter| !delimiter.is_empty()) || reply.len() < 2 {
+            return Err(ZmtpError::Framing("a reply without the delimiter frame".to_owned()));
         }
-        answer.remove(0);
+        reply.remove(0);
         self.connection = Some(connection);
-        Ok(answer)
+        Ok(reply)
     }
 
-    /// Closes the connection, if there is one.
+    /// Close the connection, if there is one.
     pub fn disconnect(&mut self) {
         self.connection = None;
     }

@@ -1,9 +1,9 @@
-"""Writes small.onnx, batch.onnx and open.onnx, and expected.json: what ONNX Runtime makes of them and of the policy that RoboGate ships.
+"""Write small.onnx, batch.onnx and open.onnx, and expected.json: the outputs of ONNX Runtime for them and for the policies that RoboGate ships.
 
     pip install --requirement scripts/learned/requirements.txt
     python crates/robogate-policy/tests/networks/networks.py
 
-The observation is that of tests/support, 96 pixels a side: bytes that count up, joints at zero, an opening of 80 mm.
+The observation is that of tests/support, with images of 96 x 96 pixels: bytes that count up, joints at zero, an opening of 80 mm.
 """
 
 import json

@@ -1,11 +1,11 @@
-//! What a policy is shown in these tests.
+//! Observations and tasks for tests.
 
 use robogate_core::{
     ActionSpace, ActionSpec, CameraSpec, GripperKind, Image, Observation, ObservationSpec, Policy, Seed, TaskInstance,
     TaskSpec, VectorSpec, Word, vectors,
 };
 
-/// Two pictures that count up, a tool half a metre ahead that points down, an open hand.
+/// Two images whose bytes count up, a tool that points down at x = 0.5 m, an open gripper.
 pub(crate) fn observation(side: usize) -> Observation {
     let image = |camera: &str| Image {
         camera: camera.to_owned(),

@@ -1,4 +1,4 @@
-//! Servers that speak openpi's dialect and do as a test tells them.
+//! Servers with openpi's dialect for tests.
 
 use std::net::{TcpListener, TcpStream};
 use std::ops::ControlFlow;
@@ -7,7 +7,7 @@ use std::thread;
 use rmpv::Value;
 use tungstenite::{Message, WebSocket, accept};
 
-/// An answer of so many actions of so many numbers.
+/// A reply with this number of actions and numbers per action.
 pub(crate) fn actions(rows: usize, width: usize, number: impl Fn(usize, usize) -> f64) -> Vec<u8> {
     let data =
         (0..rows).flat_map(|i| (0..width).flat_map(move |j| [(i, j)])).flat_map(|(i, j)| number(i, j).to_le_bytes());
@@ -19,11 +19,12 @@ pub(crate) fn actions(rows: usize, width: usize, number: impl Fn(usize, usize) -
         (key("shape"), Value::Array(vec![rows.into(), width.into()])),
     ]);
     let mut bytes = Vec::new();
-    rmpv::encode::write_value(&mut bytes, &Value::Map(vec![("actions".into(), array)])).expect("a vector takes all");
+    rmpv::encode::write_value(&mut bytes, &Value::Map(vec![("actions".into(), array)]))
+        .expect("writing to a vector cannot fail");
     bytes
 }
 
-/// A server that sends metadata and then does as it is told with each connection, until it is told to go.
+/// A server that sends metadata and then runs a conversation on each connection, until one returns `Break`.
 pub(crate) fn serve(
     listener: TcpListener,
     mut converse: impl FnMut(usize, &mut WebSocket<TcpStream>) -> ControlFlow<()> + Send + 'static,
@@ -33,7 +34,7 @@ pub(crate) fn serve(
             let stream = stream.expect("a connection");
             stream.set_nodelay(true).expect("a connection");
             let Ok(mut socket) = accept(stream) else { continue };
-            // Whoever only looks is gone by now.
+            // A probing client may have closed the connection.
             if socket.send(Message::binary(vec![0x80])).is_ok() && converse(number, &mut socket).is_break() {
                 return;
             }

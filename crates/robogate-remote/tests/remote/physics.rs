@@ -137,7 +137,7 @@ impl RemoteTask for Reach {
         state_hash: u64,
     ) -> Result<Step, Fault> {
         let reached = samples.iter().any(|sum| *sum > 0.16);
-        let ending = reached.then(|| Ending { failure: None, time_s: observation.time_s, contact: None });
+        let ending = reached.then_some(Ending { failure: None, time_s: observation.time_s, contact: None });
         Ok(Step {
             observation: observation.clone(),
             measures: Measures::default(),

@@ -1,4 +1,4 @@
-"""libzmq REQ and DEALER sockets that ask the given address; it must answer with the frames in reverse."""
+"""Send requests to the given address with libzmq REQ and DEALER sockets. The replies must have the frames in reverse."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""A libzmq REP socket that sends each message back, its frames in reverse; prints its address first."""
+"""A libzmq REP socket that returns each message with its frames in reverse. Prints its address first."""
 
 import zmq
 

@@ -1,4 +1,6 @@
-//! A policy behind a WebSocket: what goes right, and the name of whatever goes wrong.
+//! Policies behind WebSocket servers: episodes, and the error for each kind of failure.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 #[path = "support/openpi.rs"]
 mod openpi;
@@ -15,19 +17,19 @@ use openpi::{actions, serve};
 use robogate_core::{
     Action, ActionSpace, Command, FaultKind, Observation, Policy, Seed, TaskInstance, TaskSpec, VectorSpec, Word,
 };
-use robogate_policy::{Profile, ServerPolicy};
+use robogate_policy::{ExternalPolicy, Profile};
 use support::{begin, observation, task};
 use tungstenite::{Message, WebSocket, accept};
 
 fn profile(server: &str) -> Profile {
-    let text = Profile::built_in("pi0-libero").expect("it works here").replace("length = 50", "length = 10");
-    Profile::from_toml(&format!("{text}\n[server]\n{server}")).expect("it works here")
+    let text = Profile::built_in("pi0-libero").unwrap().replace("length = 50", "length = 10");
+    Profile::from_toml(&format!("{text}\n[server]\n{server}")).unwrap()
 }
 
-/// A server that does as it is told with each connection.
+/// A server that runs this conversation on each connection.
 fn server(converse: impl Fn(usize, &mut WebSocket<TcpStream>) + Send + 'static) -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("it works here");
-    let url = format!("ws://{}", listener.local_addr().expect("it works here"));
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("ws://{}", listener.local_addr().unwrap());
     serve(listener, move |number, socket| {
         converse(number, socket);
         ControlFlow::Continue(())
@@ -35,35 +37,35 @@ fn server(converse: impl Fn(usize, &mut WebSocket<TcpStream>) + Send + 'static) 
     url
 }
 
-/// Answers each question.
+/// A server that answers each request.
 fn answering(answer: impl Fn(usize) -> Message + Send + 'static) -> String {
     server(move |_, socket| {
-        let mut asked = 0;
+        let mut count = 0;
         while let Ok(message) = socket.read() {
             if message.is_binary() {
-                if socket.send(answer(asked)).is_err() {
+                if socket.send(answer(count)).is_err() {
                     return;
                 }
-                asked += 1;
+                count += 1;
             }
         }
     })
 }
 
-/// What the first action of an episode comes to.
+/// The fault of the first action of an episode.
 fn first_fault(url: &str, server: &str) -> (FaultKind, String) {
-    let mut policy = ServerPolicy::connect(url, Arc::new(profile(server))).expect("it works here");
-    begin(&mut policy, "pick up the box").expect("it works here");
-    let fault = policy.act(&observation(256)).expect_err("it must fail");
+    let mut policy = ExternalPolicy::connect(url, Arc::new(profile(server))).unwrap();
+    begin(&mut policy, "pick up the box").unwrap();
+    let fault = policy.act(&observation(256)).unwrap_err();
     (fault.kind, fault.detail)
 }
 
 #[test]
-fn a_chunk_is_executed_as_far_as_the_profile_says_and_then_asked_for_anew() {
-    let url = answering(|asked| {
-        Message::binary(actions(10, 7, |i, j| if j == 6 { [-1.0, 1.0][asked] } else { 0.1 * i as f64 }))
+fn the_profile_sets_how_many_actions_are_executed() {
+    let url = answering(|count| {
+        Message::binary(actions(10, 7, |i, j| if j == 6 { [-1.0, 1.0][count] } else { 0.1 * i as f64 }))
     });
-    let mut policy = ServerPolicy::connect(&url, Arc::new(profile(""))).unwrap();
+    let mut policy = ExternalPolicy::connect(&url, Arc::new(profile(""))).unwrap();
     begin(&mut policy, "pick up the box").unwrap();
     for step in 0..10 {
         assert_eq!(policy.wants_images(), step % 5 == 0, "step {step}");
@@ -76,35 +78,35 @@ fn a_chunk_is_executed_as_far_as_the_profile_says_and_then_asked_for_anew() {
 }
 
 #[test]
-fn each_way_of_going_wrong_has_its_name_and_is_no_failure() {
+fn errors_are_faults_with_distinct_messages() {
     let text = answering(|_| Message::text("Traceback (most recent call last):\n  ...\nKeyError: 'observation/image'"));
     let nan = answering(|_| Message::binary(actions(10, 7, |i, j| if (i, j) == (3, 2) { f64::NAN } else { 0.0 })));
     let six = answering(|_| Message::binary(actions(10, 6, |_, _| 0.0)));
     let short = answering(|_| Message::binary(actions(9, 7, |_, _| 0.0)));
     let garbage = answering(|_| Message::binary(b"\xc1garbage".to_vec()));
-    let deaf = answering(|_| {
+    let slow = answering(|_| {
         thread::sleep(Duration::from_secs(2));
         Message::binary(actions(10, 7, |_, _| 0.0))
     });
     let dead = server(|_, socket| drop(socket.read()));
     let (bad, away) = (FaultKind::BadAction, FaultKind::Unavailable);
-    for (url, kind, words) in [
-        (text, away, "refused: the server answers with an error: Traceback"),
+    for (url, kind, start) in [
+        (text, away, "policy error: Traceback"),
         (nan, bad, "not finite: number 2 of action 3 is NaN"),
-        (six, bad, "wrong shape: an action has 6 numbers, the profile's action.size is 7"),
-        (short, bad, "wrong shape: 9 actions in an answer, the profile's chunk.length is 10"),
-        (garbage, away, "undecodable: the answer to infer: no msgpack"),
-        (deaf, away, "timeout: infer took longer than 0.5 s"),
-        (dead, away, "died: the server closed the connection during infer"),
+        (six, bad, "wrong shape: an action has 6 numbers, but action.size of the profile is 7"),
+        (short, bad, "wrong shape: the reply has 9 actions, but chunk.length of the profile is 10"),
+        (garbage, away, "invalid reply: reply to infer: not valid msgpack"),
+        (slow, away, "timeout: infer took longer than 0.5 s"),
+        (dead, away, "connection closed: the server closed the connection during infer"),
     ] {
         let (got, detail) = first_fault(&url, "first_answer_s = 0.5");
         assert_eq!(got, kind, "{detail}");
-        assert!(detail.starts_with(words), "{detail}");
+        assert!(detail.starts_with(start), "{detail}");
     }
 }
 
 #[test]
-fn a_frame_that_claims_four_gigabytes_is_refused_before_memory_is_set_aside() {
+fn claimed_frame_sizes_allocate_nothing() {
     let url = server(|_, socket| {
         drop(socket.read());
         let mut header = vec![0x82, 127];
@@ -115,11 +117,11 @@ fn a_frame_that_claims_four_gigabytes_is_refused_before_memory_is_set_aside() {
     });
     let before = resident_kb();
     let (_, detail) = first_fault(&url, "");
-    assert!(detail.starts_with("too large: an answer of more than 8388608 bytes"), "{detail}");
+    assert!(detail.starts_with("too large: the reply has more than 8388608 bytes"), "{detail}");
     assert!(resident_kb() < before + 100_000);
 }
 
-/// Memory of this process; zero where the system does not say.
+/// Memory of this process in kB; zero on systems that do not report it.
 fn resident_kb() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
@@ -127,7 +129,7 @@ fn resident_kb() -> u64 {
 }
 
 #[test]
-fn after_a_fault_the_next_episode_begins_on_a_new_connection() {
+fn a_fault_leads_to_a_new_connection() {
     let url = server(|number, socket| {
         while let Ok(message) = socket.read() {
             if message.is_binary() {
@@ -138,17 +140,17 @@ fn after_a_fault_the_next_episode_begins_on_a_new_connection() {
             }
         }
     });
-    let mut policy = ServerPolicy::connect(&url, Arc::new(profile(""))).unwrap();
+    let mut policy = ExternalPolicy::connect(&url, Arc::new(profile(""))).unwrap();
     begin(&mut policy, "pick up the box").unwrap();
     assert!(policy.act(&observation(256)).is_err());
-    // Within the episode it stays broken: half an episode on another connection would be no evidence.
+    // The rest of the episode fails too: it must not continue on another connection.
     assert!(policy.act(&observation(256)).is_err());
     begin(&mut policy, "pick up the box").unwrap();
     policy.act(&observation(256)).unwrap();
 }
 
 #[test]
-fn pings_are_answered_while_nobody_asks() {
+fn pings_are_answered_between_requests() {
     let url = server(|_, socket| {
         socket.send(Message::Ping(b"still there?".to_vec().into())).unwrap();
         socket.get_mut().set_read_timeout(Some(Duration::from_secs(4))).unwrap();
@@ -159,21 +161,21 @@ fn pings_are_answered_while_nobody_asks() {
             }
         }
     });
-    let mut policy = ServerPolicy::connect(&url, Arc::new(profile("first_answer_s = 3"))).unwrap();
+    let mut policy = ExternalPolicy::connect(&url, Arc::new(profile("first_answer_s = 3"))).unwrap();
     begin(&mut policy, "pick up the box").unwrap();
     thread::sleep(Duration::from_millis(2500));
     policy.act(&observation(256)).unwrap();
 }
 
 #[test]
-fn another_dialect_on_the_port_is_named() {
-    let says = |unasked: &'static [u8], http: &'static str| {
+fn other_dialects_are_identified() {
+    let serve_bytes = |greeting: &'static [u8], http: &'static str| {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("ws://{}", listener.local_addr().unwrap());
         thread::spawn(move || {
             for stream in listener.incoming() {
                 let mut stream = stream.unwrap();
-                drop(stream.write_all(unasked));
+                drop(stream.write_all(greeting));
                 stream.set_read_timeout(Some(Duration::from_secs(2))).unwrap();
                 let mut request = [0; 2048];
                 if matches!(stream.read(&mut request), Ok(1..)) {
@@ -183,19 +185,19 @@ fn another_dialect_on_the_port_is_named() {
         });
         url
     };
-    let zmq = says(&[0xff, 0, 0, 0, 0, 0, 0, 0, 1, 0x7f], "");
-    let fastapi = says(&[], "HTTP/1.1 404 Not Found\r\nContent-Length: 22\r\n\r\n{\"detail\":\"Not Found\"}");
-    let rest = says(&[], "HTTP/1.1 200 OK\r\nContent-Length: 20\r\n\r\n{\"status\":\"healthy\"}");
-    let grpc = says(&[0, 0, 0, 4, 0, 0, 0, 0, 0], "");
+    let zmq = serve_bytes(&[0xff, 0, 0, 0, 0, 0, 0, 0, 1, 0x7f], "");
+    let fastapi = serve_bytes(&[], "HTTP/1.1 404 Not Found\r\nContent-Length: 22\r\n\r\n{\"detail\":\"Not Found\"}");
+    let rest = serve_bytes(&[], "HTTP/1.1 200 OK\r\nContent-Length: 20\r\n\r\n{\"status\":\"healthy\"}");
+    let grpc = serve_bytes(&[0, 0, 0, 4, 0, 0, 0, 0, 0], "");
     for (url, name) in [(zmq, "ZeroMQ"), (fastapi, "openvla"), (rest, "dialect rest"), (grpc, "dialect lerobot")] {
-        let error = ServerPolicy::connect(&url, Arc::new(profile("connect_s = 2"))).unwrap_err().to_string();
-        assert!(error.starts_with("another dialect: the profile says openpi, but"), "{error}");
+        let error = ExternalPolicy::connect(&url, Arc::new(profile("connect_s = 2"))).unwrap_err().to_string();
+        assert!(error.starts_with("wrong dialect: the profile expects openpi, but"), "{error}");
         assert!(error.contains(name), "{error}");
     }
 }
 
 #[test]
-fn a_roboarena_server_is_told_from_an_openpi_one_by_its_metadata() {
+fn roboarena_servers_are_recognised_by_their_metadata() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("ws://{}", listener.local_addr().unwrap());
     thread::spawn(move || {
@@ -204,49 +206,49 @@ fn a_roboarena_server_is_told_from_an_openpi_one_by_its_metadata() {
         socket.send(Message::binary(config.to_vec())).unwrap();
         drop(socket.read());
     });
-    let error = ServerPolicy::connect(&url, Arc::new(profile(""))).unwrap_err().to_string();
+    let error = ExternalPolicy::connect(&url, Arc::new(profile(""))).unwrap_err().to_string();
     assert!(error.contains("RoboArena"), "{error}");
 }
 
 #[test]
-fn nobody_there_is_said_at_once_and_not_waited_for_forever() {
+fn an_unreachable_server_is_reported_quickly() {
     let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let start = Instant::now();
-    let error = ServerPolicy::connect(&format!("ws://{free}"), Arc::new(profile(""))).unwrap_err().to_string();
+    let error = ExternalPolicy::connect(&format!("ws://{free}"), Arc::new(profile(""))).unwrap_err().to_string();
     assert!(error.starts_with("unreachable: "), "{error}");
     assert!(start.elapsed() < Duration::from_secs(5));
 }
 
 #[test]
-fn addresses_are_checked_before_anything_is_sent() {
-    for (url, words) in [
+fn addresses_are_checked_first() {
+    for (url, part) in [
         ("wss://host:8000", "TLS"),
         ("ws://host", "port"),
         ("http://host:1", "ws://HOST:PORT"),
         ("ws://:1", "ws://HOST:PORT"),
         ("nonsense", "ws://HOST:PORT"),
     ] {
-        let error = ServerPolicy::connect(url, Arc::new(profile(""))).unwrap_err().to_string();
-        assert!(error.starts_with("bad address: ") && error.contains(words), "{error}");
+        let error = ExternalPolicy::connect(url, Arc::new(profile(""))).unwrap_err().to_string();
+        assert!(error.starts_with("invalid address: ") && error.contains(part), "{error}");
     }
 }
 
 #[test]
-fn a_camera_that_the_cell_has_not_is_named() {
+fn a_missing_camera_is_named() {
     let url = answering(|_| Message::binary(actions(10, 7, |_, _| 0.0)));
-    let mut policy = ServerPolicy::connect(&url, Arc::new(profile(""))).unwrap();
+    let mut policy = ExternalPolicy::connect(&url, Arc::new(profile(""))).unwrap();
     begin(&mut policy, "pick up the box").unwrap();
     let mut blind = observation(256);
     blind.images.remove(1);
     let fault = policy.act(&blind).unwrap_err();
     assert_eq!(fault.kind, FaultKind::Setup);
-    assert!(fault.detail.contains("asks for the camera `wrist`; the cell has front"), "{}", fault.detail);
+    assert!(fault.detail.contains("requires the camera `wrist`; the cell has front"), "{}", fault.detail);
 }
 
 #[test]
 fn a_task_must_have_what_the_profile_uses() {
     let url = answering(|_| Message::binary(actions(10, 7, |_, _| 0.0)));
-    let policy = ServerPolicy::connect(&url, Arc::new(profile(""))).unwrap();
+    let policy = ExternalPolicy::connect(&url, Arc::new(profile(""))).unwrap();
     assert_eq!(policy.check(&task()), Ok(()));
     let lacks = |change: &dyn Fn(&mut TaskSpec)| {
         let mut task = task();
@@ -256,7 +258,7 @@ fn a_task_must_have_what_the_profile_uses() {
     for (why, part) in [
         (lacks(&|task| drop(task.observation.cameras.pop())), "uses the camera `wrist`; the task has front"),
         (lacks(&|task| drop(task.observation.vectors.pop())), "uses the vector `tool_pose`; the task observes joint_"),
-        (lacks(&|task| drop(task.action.spaces.pop())), "answers tool_delta; the task takes joint_position"),
+        (lacks(&|task| drop(task.action.spaces.pop())), "commands tool_delta; the task takes joint_position"),
         (lacks(&|task| task.action.gripper = None), "commands a gripper; the task has none"),
     ] {
         assert!(why.contains(part), "{why}");
@@ -272,7 +274,7 @@ fn a_vector_action_stays_within_its_bounds() {
                 [chunk]\nexecute = 1\n";
     let url = answering(|_| Message::binary(actions(1, 2, |_, j| if j == 0 { 0.25 } else { 1.5 })));
     let mut policy =
-        ServerPolicy::connect(&url, Arc::new(Profile::from_toml(&format!("{head}{rest}")).unwrap())).unwrap();
+        ExternalPolicy::connect(&url, Arc::new(Profile::from_toml(&format!("{head}{rest}")).unwrap())).unwrap();
     let mut task = task();
     let levels = Word::constant("levels");
     task.observation.vectors = vec![VectorSpec { name: levels, length: 2, unit: "m".to_owned() }];

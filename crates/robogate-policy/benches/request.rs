@@ -1,8 +1,8 @@
-//! What asking a policy server costs beside the model: a whole question with two pictures of 256 x 256 over loopback, to a server
-//! that answers at once.
+//! Overhead of a request to a policy server: two images of 256 x 256 over the loopback interface, to a server that answers
+//! immediately.
 //!
-//! `cargo bench -p robogate-policy [-- QUESTIONS]`
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark prints, and stops where it cannot go on")]
+//! `cargo bench -p robogate-policy [-- REQUESTS]`
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark prints, and fails by panicking")]
 
 use std::net::TcpListener;
 use std::ops::ControlFlow;
@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use openpi::{actions, serve};
-use robogate_policy::{Profile, ServerPolicy};
+use robogate_policy::{ExternalPolicy, Profile};
 use support::{begin, observation};
 use tungstenite::Message;
 
@@ -21,34 +21,34 @@ mod openpi;
 mod support;
 
 fn main() {
-    let questions = std::env::args().skip(1).find_map(|a| a.parse().ok()).unwrap_or(500);
+    let requests = std::env::args().skip(1).find_map(|a| a.parse().ok()).unwrap_or(500);
     let url = server();
     let built_in = Profile::built_in("pi0-libero").unwrap().replace("length = 50", "length = 10");
-    let as_they_are = built_in.replace("224", "256");
-    for (what, text) in [("sent as they are", as_they_are), ("resized to 224 x 224", built_in)] {
-        let mut policy = ServerPolicy::connect(&url, Arc::new(Profile::from_toml(&text).unwrap())).unwrap();
+    let unchanged = built_in.replace("224", "256");
+    for (what, text) in [("unchanged", unchanged), ("resized to 224 x 224", built_in)] {
+        let mut policy = ExternalPolicy::connect(&url, Arc::new(Profile::from_toml(&text).unwrap())).unwrap();
         begin(&mut policy, "pick up the box").unwrap();
         let observation = observation(256);
-        let mut times: Vec<f64> = (0..questions)
+        let mut times: Vec<f64> = (0..requests)
             .map(|_| {
                 let start = Instant::now();
-                policy.ask(&observation).unwrap();
+                policy.infer(&observation).unwrap();
                 1e3 * start.elapsed().as_secs_f64()
             })
             .collect();
         times.sort_by(f64::total_cmp);
-        let share = |q: usize| times[(times.len() - 1) * q / 100];
+        let percentile = |q: usize| times[(times.len() - 1) * q / 100];
         let executed = 5.0;
         println!(
-            "openpi, two pictures {what}: {:.3} ms a question (median), {:.3} ms at the 90th percentile; {:.3} ms a step of {executed}",
-            share(50),
-            share(90),
-            share(50) / executed
+            "openpi, two images {what}: {:.3} ms per request (median), {:.3} ms (90th percentile), {:.3} ms per step if {executed} are executed",
+            percentile(50),
+            percentile(90),
+            percentile(50) / executed
         );
     }
 }
 
-/// Answers ten actions to whatever it is asked.
+/// A server that answers each request with ten actions.
 fn server() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("ws://{}", listener.local_addr().unwrap());
