@@ -9,7 +9,7 @@ use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::record::RowAccessor;
 use robogate_core::{Action, ArmCommand, Fault, GripperCommand, Image, Observation, Policy, Pose, Seed, TaskSpec};
 use robogate_demos::{Dataset, DatasetError, Demonstration, Recorder};
-use robogate_sim::{Engine, MujocoEngine, built_in_robot};
+use robogate_physics::{Engine, MujocoEngine, built_in_robot};
 
 /// An expert that goes on along the first joint.
 struct Onward;

@@ -11,7 +11,7 @@ use std::time::Instant;
 
 use openpi::{actions, serve};
 use robogate_policy::{ExternalPolicy, Profile};
-use support::{observation, task};
+use support::{begin, observation};
 use tungstenite::Message;
 
 #[path = "../tests/support/openpi.rs"]
@@ -27,7 +27,7 @@ fn main() {
     let unchanged = built_in.replace("224", "256");
     for (what, text) in [("unchanged", unchanged), ("resized to 224 x 224", built_in)] {
         let mut policy = ExternalPolicy::connect(&url, Arc::new(Profile::from_toml(&text).unwrap())).unwrap();
-        policy.begin(&task("pick up the box").instruction).unwrap();
+        begin(&mut policy, "pick up the box").unwrap();
         let observation = observation(256);
         let mut times: Vec<f64> = (0..requests)
             .map(|_| {

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use robogate_core::{Action, Fault, Observation, Policy, Seed, TaskSpec};
+use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec};
 use serde_json::Value as Json;
 
 use super::buffers::Buffers;
@@ -14,6 +14,7 @@ use super::deadline::Deadline;
 use super::error::PolicyError;
 use super::profile::Profile;
 use super::query::Query;
+use super::suits;
 
 /// A model behind an inference server, or in a file, as a [`Policy`].
 ///
@@ -33,6 +34,8 @@ pub struct ExternalPolicy {
     step: u64,
     /// Raw actions of the chunk that are not executed yet.
     queue: VecDeque<Vec<f64>>,
+    /// Bounds of each number of a vector action; empty if the task takes none.
+    bounds: Vec<(f64, f64)>,
     buffers: Buffers,
 }
 
@@ -61,6 +64,7 @@ impl ExternalPolicy {
             episode: 0,
             step: 0,
             queue: VecDeque::new(),
+            bounds: Vec::new(),
             buffers: Buffers::default(),
         })
     }
@@ -136,11 +140,17 @@ impl ExternalPolicy {
 }
 
 impl Policy for ExternalPolicy {
-    fn reset(&mut self, task: &TaskSpec, _: Seed) -> Result<(), Fault> {
-        Ok(self.begin(&task.instruction)?)
+    fn check(&self, task: &TaskSpec) -> Result<(), String> {
+        suits::check(&self.profile, task)
     }
 
-    fn looks(&self) -> bool {
+    fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {
+        let bounds = task.action.vector().map(|(low, high)| low.iter().copied().zip(high.iter().copied()).collect());
+        self.bounds = bounds.unwrap_or_default();
+        Ok(self.begin(&instance.instruction)?)
+    }
+
+    fn wants_images(&self) -> bool {
         self.queue.is_empty() && !self.profile.cameras.is_empty()
     }
 
@@ -150,6 +160,11 @@ impl Policy for ExternalPolicy {
             self.queue.extend(chunk.into_rows().into_iter().take(self.profile.chunk.execute));
         }
         let raw = self.queue.pop_front().unwrap_or_default();
-        Ok(self.profile.action.action(&raw, &observation.joint_positions)?)
+        let mut action = self.profile.action.action(&raw, observation.joint_positions())?;
+        if let Command::Vector(numbers) = &mut action.command {
+            // Networks overshoot a little; the task would reject such an action.
+            numbers.iter_mut().zip(&self.bounds).for_each(|(n, (low, high))| *n = n.clamp(*low, *high));
+        }
+        Ok(action)
     }
 }

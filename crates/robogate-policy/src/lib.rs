@@ -32,6 +32,7 @@ mod resample;
 mod rest;
 mod roboarena;
 mod rotation;
+mod suits;
 #[cfg(test)]
 mod tests;
 mod vla_eval;

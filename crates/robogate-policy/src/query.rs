@@ -1,6 +1,6 @@
 //! Converts observations into queries to a model, as its profile says.
 
-use robogate_core::Observation;
+use robogate_core::{Observation, Pose, Word, vectors};
 
 use super::array::{Array, Dtype};
 use super::buffers::Buffers;
@@ -79,6 +79,9 @@ impl Query {
             for part in &state.parts {
                 push(&mut numbers, *part, profile, observation)?;
             }
+            for name in &state.vectors {
+                numbers.extend(vector(observation, *name)?);
+            }
             if numbers.iter().any(|n| !n.is_finite()) {
                 return Err(PolicyError::Observation(format!("the state `{}` is not finite", state.key)));
             }
@@ -95,12 +98,27 @@ impl Query {
     }
 }
 
+/// A vector of the observation.
+fn vector(observation: &Observation, name: Word) -> Result<&[f64], PolicyError> {
+    observation.vector(name.as_str()).ok_or_else(|| missing(name))
+}
+
+/// The error for a vector that the observation lacks.
+fn missing(name: Word) -> PolicyError {
+    PolicyError::Observation(format!(
+        "the profile requires the vector `{name}`, but the observation has none of this name"
+    ))
+}
+
 /// Append the numbers of one part of a state.
 fn push(numbers: &mut Vec<f64>, part: Part, profile: &Profile, observation: &Observation) -> Result<(), PolicyError> {
-    let tool = rotation::model_pose(&observation.tool_pose, profile.tool.shift_m, profile.tool.turn_rad);
+    let tool = match observation.tool_pose() {
+        None if part.vector() == Some(vectors::TOOL_POSE) => return Err(missing(vectors::TOOL_POSE)),
+        pose => rotation::model_pose(&pose.unwrap_or(Pose::IDENTITY), profile.tool.shift_m, profile.tool.turn_rad),
+    };
     let [w, x, y, z] = tool.orientation;
     let opening = || {
-        observation.gripper_opening_m.ok_or_else(|| {
+        observation.gripper_opening_m().ok_or_else(|| {
             PolicyError::Observation(
                 "the profile requires the gripper opening, but this gripper has no fingers".to_owned(),
             )
@@ -119,7 +137,7 @@ fn push(numbers: &mut Vec<f64>, part: Part, profile: &Profile, observation: &Obs
         Part::ToolYaw => numbers.push(rotation::euler(tool.orientation)[2]),
         Part::ToolQuaternionXyzw => numbers.extend([x, y, z, w]),
         Part::ToolQuaternionWxyz => numbers.extend([w, x, y, z]),
-        Part::JointPositions => numbers.extend(&observation.joint_positions),
+        Part::JointPositions => numbers.extend(vector(observation, vectors::JOINT_POSITIONS)?),
         Part::GripperFingers => numbers.extend([0.5 * opening()?, -0.5 * opening()?]),
         Part::GripperOpenness => numbers.push(openness()?),
         Part::GripperClosedness => numbers.push(1.0 - openness()?),
@@ -131,7 +149,7 @@ fn push(numbers: &mut Vec<f64>, part: Part, profile: &Profile, observation: &Obs
 
 #[cfg(test)]
 mod tests {
-    use robogate_core::{Image, Pose};
+    use robogate_core::Image;
 
     use super::*;
 
@@ -139,11 +157,12 @@ mod tests {
         let image = |camera: &str| Image { camera: camera.to_owned(), width: 2, height: 2, rgb: (0..12).collect() };
         Observation {
             time_s: 0.0,
-            joint_positions: (1..=7).map(f64::from).collect(),
-            joint_velocities: vec![0.0; 7],
-            gripper_opening_m: Some(0.06),
-            // A rotation of 90 degrees about z.
-            tool_pose: Pose::upright([0.1, 0.2, 0.3], std::f64::consts::FRAC_PI_2),
+            vectors: vec![
+                (vectors::JOINT_POSITIONS, (1..=7).map(f64::from).collect()),
+                (vectors::GRIPPER_OPENING, vec![0.06]),
+                // A rotation of 90 degrees about z.
+                (vectors::TOOL_POSE, Pose::upright([0.1, 0.2, 0.3], std::f64::consts::FRAC_PI_2).to_array().to_vec()),
+            ],
             images: vec![image("front"), image("wrist")],
         }
     }

@@ -200,15 +200,14 @@ fn compare(declared: &Json, profile: &Profile) -> Result<(), PolicyError> {
         };
         if let Some((low, high, open)) = gripper {
             let name = format("gripper").unwrap_or_default();
-            if form.gripper_open != open {
+            if form.gripper_open != Some(open) {
                 return mismatch(format!(
                     "the gripper of the server is `{name}`, but action.gripper_open of the profile is the opposite"
                 ));
             }
-            if !(low..high).contains(&form.gripper_threshold) {
+            if let Some(threshold) = form.gripper_threshold.filter(|threshold| !(low..high).contains(threshold)) {
                 return mismatch(format!(
-                    "the gripper of the server is `{name}`, but action.gripper_threshold of the profile is {}. Expected a number from {low} to below {high}",
-                    form.gripper_threshold
+                    "the gripper of the server is `{name}`, but action.gripper_threshold of the profile is {threshold}. Expected a number from {low} to below {high}"
                 ));
             }
         }
@@ -294,8 +293,8 @@ mod tests {
             change(&mut profile);
             compare(&declared, &profile).unwrap_err().to_string()
         };
-        assert!(wrong(&|p| p.action.gripper_open = Side::Above).contains("the opposite"));
-        assert!(wrong(&|p| p.action.gripper_threshold = 2.0).contains("from -1 to below 1"));
+        assert!(wrong(&|p| p.action.gripper_open = Some(Side::Above)).contains("the opposite"));
+        assert!(wrong(&|p| p.action.gripper_threshold = Some(2.0)).contains("from -1 to below 1"));
         assert!(wrong(&|p| p.action.rotation = Rotation::Euler).contains("`axis_angle`"));
         assert!(wrong(&|p| p.action.size = 8).contains("have 7 numbers"));
         assert!(wrong(&|p| p.cameras.truncate(1)).contains("wrist camera"));

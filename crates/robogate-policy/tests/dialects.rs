@@ -11,10 +11,10 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::thread;
 
-use robogate_core::{ArmCommand, GripperCommand, Policy, Seed};
+use robogate_core::{Action, Command, Policy};
 use robogate_policy::{ExternalPolicy, Profile};
 use robogate_zmtp::{Limits, Replier};
-use support::{observation, task};
+use support::{begin, observation};
 
 fn captured(name: &str) -> Vec<u8> {
     std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/captures").join(name)).unwrap()
@@ -58,11 +58,11 @@ fn the_layout_of_a_gr00t_server_is_found() {
     });
     let mut policy = policy(&url, "gr00t-n1.6-libero", unchanged);
     assert_eq!(policy.declared()["action"]["delta_indices"][15], 15);
-    policy.reset(&task("pick up the black bowl"), Seed::campaign(1)).unwrap();
+    begin(&mut policy, "pick up the black bowl").unwrap();
     for step in 0..9 {
-        assert_eq!(policy.looks(), step % 8 == 0);
+        assert_eq!(policy.wants_images(), step % 8 == 0);
         let action = policy.act(&observation(256)).unwrap();
-        assert!(matches!(action.arm, ArmCommand::ToolDelta { .. }));
+        assert!(matches!(action.command, Command::ToolDelta { .. }));
     }
 }
 
@@ -120,10 +120,10 @@ fn an_octo_server_is_reset_before_each_episode() {
     });
     let mut policy = policy(&url, "octo-small", unchanged);
     for _ in 0..2 {
-        policy.reset(&task("pick up the box"), Seed::campaign(1)).unwrap();
+        begin(&mut policy, "pick up the box").unwrap();
         for _ in 0..2 {
             // The captured gripper is 0.996: open.
-            assert_eq!(policy.act(&observation(256)).unwrap().gripper, GripperCommand::Open);
+            assert_eq!(policy.act(&observation(256)).unwrap().gripper, Some(Action::OPEN));
         }
     }
     let paths = paths.lock().unwrap();
@@ -137,7 +137,7 @@ fn an_openvla_error_with_status_200_is_a_fault() {
         _ => (200, br#""error""#.to_vec()),
     });
     let mut policy = policy(&url, "openvla", unchanged);
-    policy.reset(&task("pick up the box"), Seed::campaign(1)).unwrap();
+    begin(&mut policy, "pick up the box").unwrap();
     let fault = policy.act(&observation(256)).unwrap_err();
     assert!(fault.detail.starts_with("policy error: "), "{}", fault.detail);
 }
@@ -195,8 +195,8 @@ fn five(text: String) -> String {
 #[test]
 fn a_lerobot_episode_executes_tensors() {
     let mut policy = policy(&grpc(captured("lerobot/actions.pickle")), "smolvla", five);
-    policy.reset(&task("pick up the black bowl"), Seed::campaign(1)).unwrap();
-    let ArmCommand::ToolDelta { translation_m, .. } = policy.act(&observation(256)).unwrap().arm else { panic!() };
+    begin(&mut policy, "pick up the black bowl").unwrap();
+    let Command::ToolDelta { translation_m, .. } = policy.act(&observation(256)).unwrap().command else { panic!() };
     assert!((translation_m[0] - 0.785_620_927_810_669 * 0.02).abs() < 1e-12);
 }
 
@@ -208,7 +208,7 @@ fn a_hostile_pickle_is_a_fault() {
         [(hostile.to_vec(), "invalid reply: "), (Vec::new(), "policy error: the server sent no actions")]
     {
         let mut policy = policy(&grpc(actions), "smolvla", five);
-        policy.reset(&task("pick up the box"), Seed::campaign(1)).unwrap();
+        begin(&mut policy, "pick up the box").unwrap();
         let fault = policy.act(&observation(256)).unwrap_err();
         assert!(fault.detail.starts_with(start), "{}", fault.detail);
     }

@@ -5,9 +5,9 @@ mod support;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use robogate_core::{ArmCommand, GripperCommand, Policy, Seed};
+use robogate_core::{Action, Command, Policy};
 use robogate_policy::{ExternalPolicy, PolicyError, Profile};
-use support::{observation, task};
+use support::{begin, observation};
 
 const SMALL: &str = include_str!("networks/small.toml");
 
@@ -67,15 +67,15 @@ fn shipped_networks_agree_with_onnx_runtime() {
 #[test]
 fn chunks_become_joint_positions() {
     let mut policy = load(&file("small.onnx"), SMALL).expect("it loads");
-    policy.reset(&task("pick up the box"), Seed::campaign(1)).expect("nothing to begin");
+    begin(&mut policy, "pick up the box").expect("nothing to begin");
     let rows = expected("small");
     for tick in 0..4 {
-        assert_eq!(policy.looks(), tick % 2 == 0);
+        assert_eq!(policy.wants_images(), tick % 2 == 0);
         let action = policy.act(&observation(96)).expect("it answers");
-        let ArmCommand::JointPositions(joints) = action.arm else { panic!("{:?}", action.arm) };
+        let Command::JointPosition(joints) = action.command else { panic!("{:?}", action.command) };
         let row = &rows[tick % 2];
         assert!(joints.iter().zip(row).all(|(q, expected)| (q - expected).abs() < 1e-5), "{joints:?}");
-        assert_eq!(action.gripper == GripperCommand::Open, row[7] > 0.0);
+        assert_eq!(action.gripper == Some(Action::OPEN), row[7] > 0.0);
     }
 }
 

@@ -1,9 +1,7 @@
 //! Policies behind servers with upstream code: openpi-client's codec and image tools, vla-eval's model server.
 //!
 //! `ROBOGATE_POLICY_PYTHON` is the path of a Python interpreter with `tests/requirements.txt`; `scripts/test.sh` makes
-//! one. Without it these tests are skipped and print a message.
-
-#![expect(clippy::print_stderr, reason = "a test prints why it is skipped")]
+//! one. Without it these tests are skipped.
 
 mod support;
 
@@ -13,9 +11,9 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
 
-use robogate_core::{ArmCommand, Policy, Seed};
+use robogate_core::{Command as Motion, Policy};
 use robogate_policy::{ExternalPolicy, Profile};
-use support::{observation, task};
+use support::{begin, observation};
 
 /// A process that ends with the test.
 struct Peer {
@@ -26,10 +24,7 @@ struct Peer {
 impl Peer {
     /// Start a script and wait until it prints its address.
     fn start(script: &str) -> Option<Self> {
-        let Some(python) = std::env::var_os("ROBOGATE_POLICY_PYTHON") else {
-            eprintln!("skipped: set ROBOGATE_POLICY_PYTHON to a Python interpreter with openpi-client and vla-eval");
-            return None;
-        };
+        let python = robogate_testing::path("ROBOGATE_POLICY_PYTHON", "a Python with openpi-client and vla-eval")?;
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers").join(script);
         let mut child =
             Command::new(python).arg(script).stdout(Stdio::piped()).spawn().expect("the interpreter starts");
@@ -67,8 +62,8 @@ fn openpi_code_agrees() {
     let mut policy = ExternalPolicy::connect(&peer.url, profile).unwrap();
     assert_eq!(policy.declared()["reset_pose"][1], -1.5);
     for _ in 0..2 {
-        policy.reset(&task("pick up the box"), Seed::campaign(1)).unwrap();
-        let ArmCommand::ToolDelta { translation_m, rotation_rad } = policy.act(&observation(256)).unwrap().arm else {
+        begin(&mut policy, "pick up the box").unwrap();
+        let Motion::ToolDelta { translation_m, rotation_rad } = policy.act(&observation(256)).unwrap().command else {
             panic!("expected a tool delta");
         };
         near(translation_m, ECHOED.0);
@@ -98,9 +93,9 @@ fn vla_eval_code_agrees() {
     let mut policy = connect();
     assert_eq!(policy.declared()["model_server"], "Echo");
     for _ in 0..2 {
-        policy.reset(&task("pick up the box"), Seed::campaign(1)).unwrap();
+        begin(&mut policy, "pick up the box").unwrap();
         for step in 0..2 {
-            let ArmCommand::ToolDelta { translation_m, .. } = policy.act(&observation(256)).unwrap().arm else {
+            let Motion::ToolDelta { translation_m, .. } = policy.act(&observation(256)).unwrap().command else {
                 panic!("expected a tool delta");
             };
             // The second action comes from the server's buffer: one more than the first, clipped to 1. A new episode clears the
@@ -108,7 +103,7 @@ fn vla_eval_code_agrees() {
             near(translation_m, if step == 0 { ECHOED.0 } else { [0.02; 3] });
         }
     }
-    policy.reset(&task("boom"), Seed::campaign(1)).unwrap();
+    begin(&mut policy, "boom").unwrap();
     let fault = policy.act(&observation(256)).unwrap_err();
     assert!(fault.detail.contains("no such task"), "{}", fault.detail);
 }

@@ -14,9 +14,11 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use openpi::{actions, serve};
-use robogate_core::{ArmCommand, FaultKind, GripperCommand, Policy, Seed};
+use robogate_core::{
+    Action, ActionSpace, Command, FaultKind, Observation, Policy, Seed, TaskInstance, TaskSpec, VectorSpec, Word,
+};
 use robogate_policy::{ExternalPolicy, Profile};
-use support::{observation, task};
+use support::{begin, observation, task};
 use tungstenite::{Message, WebSocket, accept};
 
 fn profile(server: &str) -> Profile {
@@ -53,7 +55,7 @@ fn answering(answer: impl Fn(usize) -> Message + Send + 'static) -> String {
 /// The fault of the first action of an episode.
 fn first_fault(url: &str, server: &str) -> (FaultKind, String) {
     let mut policy = ExternalPolicy::connect(url, Arc::new(profile(server))).unwrap();
-    policy.reset(&task("pick up the box"), Seed::campaign(1)).unwrap();
+    begin(&mut policy, "pick up the box").unwrap();
     let fault = policy.act(&observation(256)).unwrap_err();
     (fault.kind, fault.detail)
 }
@@ -64,14 +66,14 @@ fn the_profile_sets_how_many_actions_are_executed() {
         Message::binary(actions(10, 7, |i, j| if j == 6 { [-1.0, 1.0][count] } else { 0.1 * i as f64 }))
     });
     let mut policy = ExternalPolicy::connect(&url, Arc::new(profile(""))).unwrap();
-    policy.reset(&task("pick up the box"), Seed::campaign(1)).unwrap();
+    begin(&mut policy, "pick up the box").unwrap();
     for step in 0..10 {
-        assert_eq!(policy.looks(), step % 5 == 0, "step {step}");
+        assert_eq!(policy.wants_images(), step % 5 == 0, "step {step}");
         let action = policy.act(&observation(256)).unwrap();
-        let ArmCommand::ToolDelta { translation_m, rotation_rad } = action.arm else { panic!() };
+        let Command::ToolDelta { translation_m, rotation_rad } = action.command else { panic!() };
         let raw = 0.1 * f64::from(step % 5);
         assert_eq!((translation_m, rotation_rad), ([raw * 0.02; 3], [raw * 0.05; 3]));
-        assert_eq!(action.gripper, if step < 5 { GripperCommand::Open } else { GripperCommand::Close });
+        assert_eq!(action.gripper, if step < 5 { Some(Action::OPEN) } else { Some(Action::CLOSE) });
     }
 }
 
@@ -139,11 +141,11 @@ fn a_fault_leads_to_a_new_connection() {
         }
     });
     let mut policy = ExternalPolicy::connect(&url, Arc::new(profile(""))).unwrap();
-    policy.reset(&task("pick up the box"), Seed::campaign(1)).unwrap();
+    begin(&mut policy, "pick up the box").unwrap();
     assert!(policy.act(&observation(256)).is_err());
     // The rest of the episode fails too: it must not continue on another connection.
     assert!(policy.act(&observation(256)).is_err());
-    policy.reset(&task("pick up the box"), Seed::campaign(2)).unwrap();
+    begin(&mut policy, "pick up the box").unwrap();
     policy.act(&observation(256)).unwrap();
 }
 
@@ -160,7 +162,7 @@ fn pings_are_answered_between_requests() {
         }
     });
     let mut policy = ExternalPolicy::connect(&url, Arc::new(profile("first_answer_s = 3"))).unwrap();
-    policy.reset(&task("pick up the box"), Seed::campaign(1)).unwrap();
+    begin(&mut policy, "pick up the box").unwrap();
     thread::sleep(Duration::from_millis(2500));
     policy.act(&observation(256)).unwrap();
 }
@@ -235,10 +237,54 @@ fn addresses_are_checked_first() {
 fn a_missing_camera_is_named() {
     let url = answering(|_| Message::binary(actions(10, 7, |_, _| 0.0)));
     let mut policy = ExternalPolicy::connect(&url, Arc::new(profile(""))).unwrap();
-    policy.reset(&task("pick up the box"), Seed::campaign(1)).unwrap();
+    begin(&mut policy, "pick up the box").unwrap();
     let mut blind = observation(256);
     blind.images.remove(1);
     let fault = policy.act(&blind).unwrap_err();
     assert_eq!(fault.kind, FaultKind::Setup);
     assert!(fault.detail.contains("requires the camera `wrist`; the cell has front"), "{}", fault.detail);
+}
+
+#[test]
+fn a_task_must_have_what_the_profile_uses() {
+    let url = answering(|_| Message::binary(actions(10, 7, |_, _| 0.0)));
+    let policy = ExternalPolicy::connect(&url, Arc::new(profile(""))).unwrap();
+    assert_eq!(policy.check(&task()), Ok(()));
+    let lacks = |change: &dyn Fn(&mut TaskSpec)| {
+        let mut task = task();
+        change(&mut task);
+        policy.check(&task).unwrap_err()
+    };
+    for (why, part) in [
+        (lacks(&|task| drop(task.observation.cameras.pop())), "uses the camera `wrist`; the task has front"),
+        (lacks(&|task| drop(task.observation.vectors.pop())), "uses the vector `tool_pose`; the task observes joint_"),
+        (lacks(&|task| drop(task.action.spaces.pop())), "commands tool_delta; the task takes joint_position"),
+        (lacks(&|task| task.action.gripper = None), "commands a gripper; the task has none"),
+    ] {
+        assert!(why.contains(part), "{why}");
+    }
+}
+
+/// A task without a robot: the model sees a named vector and answers the numbers of the task's own action.
+#[test]
+fn a_vector_action_stays_within_its_bounds() {
+    let text = Profile::built_in("pi0-libero").unwrap();
+    let (head, _) = text.split_once("[[camera]]").unwrap();
+    let rest = "[[state]]\nkey = \"state\"\nvectors = [\"levels\"]\n[action]\nsize = 2\narm = \"vector\"\n\
+                [chunk]\nexecute = 1\n";
+    let url = answering(|_| Message::binary(actions(1, 2, |_, j| if j == 0 { 0.25 } else { 1.5 })));
+    let mut policy =
+        ExternalPolicy::connect(&url, Arc::new(Profile::from_toml(&format!("{head}{rest}")).unwrap())).unwrap();
+    let mut task = task();
+    let levels = Word::constant("levels");
+    task.observation.vectors = vec![VectorSpec { name: levels, length: 2, unit: "m".to_owned() }];
+    task.action.gripper = None;
+    let names = ["in", "out"].map(str::to_owned).to_vec();
+    task.action.spaces = vec![ActionSpace::Vector { names, low: vec![0.0; 2], high: vec![1.0; 2] }];
+    policy.check(&task).unwrap();
+    policy.reset(&task, &TaskInstance::default(), Seed::campaign(1)).unwrap();
+    let seen = Observation { time_s: 0.0, vectors: vec![(levels, vec![0.1, 0.2])], images: Vec::new() };
+    let action = policy.act(&seen).unwrap();
+    assert_eq!(action, Action { command: Command::Vector(vec![0.25, 1.0]), gripper: None, phase: None });
+    task.check_action(&action).unwrap();
 }

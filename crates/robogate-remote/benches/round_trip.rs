@@ -3,18 +3,13 @@
 //! `ROBOGATE_BRIDGE_PYTHON=... cargo bench -p robogate-remote` (`bridges/common/setup.sh FOLDER` makes the Python
 //! environment). Fails if the median of a round trip exceeds its limit.
 
-#![expect(
-    clippy::print_stderr,
-    clippy::print_stdout,
-    clippy::unwrap_used,
-    reason = "a benchmark prints, and fails by panicking"
-)]
+#![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a bench prints, and fails by panicking")]
 
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use robogate_core::{Action, ArmCommand, Assignment, GripperCommand, Scenario, Seed, Simulator};
+use robogate_core::{Action, Assignment, Command, Environment, Scenario, Seed};
 use robogate_remote::{Pool, RemoteEnvironment, Timeouts};
 use robogate_zmtp::Address;
 
@@ -43,12 +38,12 @@ fn scenario(index: usize) -> Scenario {
 }
 
 fn action() -> Action {
-    let arm = ArmCommand::JointPositions(vec![0.5, 0.1, 0.3]);
-    Action { arm, gripper: GripperCommand::Open, phase: None }
+    let command = Command::JointPosition(vec![0.5, 0.1, 0.3]);
+    Action { command, gripper: Some(Action::OPEN), phase: None }
 }
 
 /// Durations of [`PERIODS`] calls, sorted.
-fn times(simulator: &mut dyn Simulator, mut call: impl FnMut(&mut dyn Simulator)) -> Vec<Duration> {
+fn times(simulator: &mut dyn Environment, mut call: impl FnMut(&mut dyn Environment)) -> Vec<Duration> {
     let mut times = Vec::with_capacity(PERIODS);
     for k in 0..PERIODS {
         if k % EPISODE == 0 {
@@ -104,7 +99,7 @@ fn main() -> ExitCode {
         slow |= median > limit;
     };
     let steps = {
-        let step = |simulator: &mut dyn Simulator| drop(simulator.step(&action()).unwrap());
+        let step = |simulator: &mut dyn Environment| drop(simulator.step(&action()).unwrap());
         let mut times = Vec::with_capacity(PERIODS);
         for k in 0..PERIODS {
             if k % EPISODE == 0 {

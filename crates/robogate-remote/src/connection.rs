@@ -1,5 +1,6 @@
 //! A connection to one server.
 
+use std::collections::BTreeSet;
 use std::collections::hash_map::RandomState;
 use std::hash::{BuildHasher, Hasher};
 use std::time::Duration;
@@ -13,7 +14,7 @@ use super::error::{RequestError, violation};
 use super::header::{decode, encode};
 use super::limits::{self, VERSION};
 use super::message::{
-    ActionSpace, Empty, Envelope, ErrorKind, ErrorReply, Hello, Period, RenderReply, RenderRequest, Request, StepReply,
+    ActionKind, Empty, Envelope, ErrorKind, ErrorReply, Hello, Period, RenderReply, RenderRequest, Request, StepReply,
     StepRequest,
 };
 
@@ -51,15 +52,38 @@ pub struct Connection {
     pub(crate) episode: u64,
     /// Number of control periods run in it.
     pub(crate) tick: u64,
+    /// Deviations from the declared task that do not make an episode invalid.
+    notes: BTreeSet<String>,
 }
+
+/// Most notes that a connection keeps.
+const NOTES: usize = 64;
 
 impl Connection {
     /// Connect to a server and check its reply to `hello`.
     pub fn open(address: Address, timeouts: Timeouts) -> Result<Self, RequestError> {
+        let connection = Self::open_unchecked(address, timeouts)?;
+        connection.hello.check().map_err(violation)?;
+        Ok(connection)
+    }
+
+    /// Connect to a server whose reply to `hello` may break the protocol.
+    pub(crate) fn open_unchecked(address: Address, timeouts: Timeouts) -> Result<Self, RequestError> {
         let mut requester = Requester::new(address, limits::REPLY);
         let (hello, _): (Hello, _) = send(&mut requester, "hello", 0, Empty {}, timeouts.hello)?;
-        hello.check().map_err(violation)?;
-        Ok(Self { requester, timeouts, hello, episode: 0, tick: 0 })
+        Ok(Self { requester, timeouts, hello, episode: 0, tick: 0, notes: BTreeSet::new() })
+    }
+
+    /// Keep a note on a deviation from the declared task.
+    pub(crate) fn note(&mut self, note: String) {
+        if self.notes.len() < NOTES {
+            self.notes.insert(note);
+        }
+    }
+
+    /// Take the notes that were kept.
+    pub(crate) fn take_notes(&mut self) -> BTreeSet<String> {
+        std::mem::take(&mut self.notes)
     }
 
     /// What the server reports about itself.
@@ -107,7 +131,7 @@ impl Connection {
     /// Run one action. Returns the result of its control period and the checked observation.
     pub(crate) fn run<S: DeserializeOwned>(
         &mut self,
-        action_space: ActionSpace,
+        action_space: ActionKind,
         action: Vec<f64>,
     ) -> Result<(Period<S>, Observation), RequestError> {
         let request = StepRequest { tick: self.tick, action_space, actions: vec![action] };
@@ -117,21 +141,21 @@ impl Connection {
             return Err(violation(format!("the reply has {count} steps for one action")));
         };
         self.tick += 1;
-        let time_s = self.tick as f64 * self.hello.control_period_s;
-        let observation = period.observation.clone().checked(self.hello.joints.len(), time_s).map_err(violation)?;
+        let time_s = self.tick as f64 * self.hello.task.control_period_s;
+        let observation = period.observation.clone().checked(&self.hello.task, time_s).map_err(violation)?;
         Ok((period, observation))
     }
 
     /// Render all cameras of the server in its current state.
     pub fn render(&mut self) -> Result<Vec<Image>, RequestError> {
-        if self.hello.cameras.is_empty() {
+        if self.hello.task.observation.cameras.is_empty() {
             return Err(RequestError::Local(Fault::new(FaultKind::Setup, "this simulator has no cameras")));
         }
         let (reply, frames): (RenderReply, _) = self.request_with_frames("render", RenderRequest { cameras: None })?;
         if reply.tick != self.tick {
             return Err(violation(format!("the images are of tick {}; expected tick {}", reply.tick, self.tick)));
         }
-        let cameras = &self.hello.cameras;
+        let cameras = &self.hello.task.observation.cameras;
         if reply.images.len() != cameras.len() || frames.len() != cameras.len() {
             let (images, sent, expected) = (reply.images.len(), frames.len(), cameras.len());
             return Err(violation(format!("the reply has {images} images in {sent} frames; expected {expected}")));
@@ -177,7 +201,11 @@ fn send<T: DeserializeOwned>(
     let header = if frames.is_empty() { Vec::new() } else { frames.remove(0) };
     let reply = read_reply(&header, episode);
     // After an invalid reply the state of the server is unknown: begin again with a new connection.
-    if matches!(reply, Err(RequestError::Malformed(_) | RequestError::ProtocolViolation(_))) {
+    let usable = !matches!(
+        reply,
+        Err(RequestError::Malformed(_) | RequestError::ProtocolViolation(_) | RequestError::OtherVersion { .. })
+    );
+    if !usable {
         requester.disconnect();
     }
     Ok((reply?, frames))
@@ -187,7 +215,7 @@ fn send<T: DeserializeOwned>(
 pub(crate) fn read_reply<T: DeserializeOwned>(header: &[u8], episode: u64) -> Result<T, RequestError> {
     let envelope: Envelope = decode(header)?;
     if envelope.v != VERSION {
-        return Err(violation(format!("the reply has protocol version {}; expected {VERSION}", envelope.v)));
+        return Err(RequestError::OtherVersion { server: envelope.v });
     }
     // A server that could not decode the request does not know its episode.
     let unknown = episode != 0 && !envelope.ok && envelope.episode == 0;

@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
-use robogate_core::{Action, Fault, FaultKind, Image, Scenario, Simulator, Start, Step};
+use robogate_core::{Action, Environment, Fault, FaultKind, Image, Scenario, Start, Step, TaskSpec};
 
 use super::error::RequestError;
+use super::message::Hello;
 use super::physics::{PhysicsSession, RemoteTask};
 use super::pool::{Lease, Pool};
 use super::scored::ScoredSession;
@@ -27,9 +28,18 @@ impl RemoteEnvironment {
     pub fn new(pool: Arc<Pool>) -> Result<Self, IncompatibleServer> {
         Ok(Self { episodes: Episodes::new(pool, ScoredSession)? })
     }
+
+    /// What the servers report about themselves.
+    pub fn hello(&self) -> &Hello {
+        self.episodes.pool.hello()
+    }
 }
 
-impl Simulator for RemoteEnvironment {
+impl Environment for RemoteEnvironment {
+    fn task(&self) -> &Arc<TaskSpec> {
+        &self.episodes.task
+    }
+
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
         self.episodes.reset(scenario)
     }
@@ -64,7 +74,11 @@ impl<T: RemoteTask> RemotePhysics<T> {
     }
 }
 
-impl<T: RemoteTask> Simulator for RemotePhysics<T> {
+impl<T: RemoteTask> Environment for RemotePhysics<T> {
+    fn task(&self) -> &Arc<TaskSpec> {
+        &self.episodes.task
+    }
+
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
         self.episodes.reset(scenario)
     }
@@ -87,6 +101,7 @@ struct Episodes<S> {
     pool: Arc<Pool>,
     session: S,
     lease: Option<Lease>,
+    task: Arc<TaskSpec>,
     /// Number of control periods until the time limit.
     limit: u64,
 }
@@ -94,7 +109,9 @@ struct Episodes<S> {
 impl<S: Session> Episodes<S> {
     fn new(pool: Arc<Pool>, session: S) -> Result<Self, IncompatibleServer> {
         session.accepts(pool.hello()).map_err(IncompatibleServer)?;
-        Ok(Self { pool, session, lease: None, limit: 0 })
+        let task = session.task(pool.hello());
+        let limit = task.limit_ticks().map_err(|why| IncompatibleServer(why.to_string()))?;
+        Ok(Self { pool, session, lease: None, task, limit: u64::from(limit) })
     }
 
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
@@ -109,7 +126,6 @@ impl<S: Session> Episodes<S> {
             attempts -= 1;
             match reply {
                 Ok(start) => {
-                    self.limit = (start.task.time_limit_s / start.task.control_period_s).round() as u64;
                     self.lease = Some(lease);
                     return Ok(start);
                 }
@@ -124,6 +140,8 @@ impl<S: Session> Episodes<S> {
         let connection = lease.connection.as_mut().ok_or_else(no_episode)?;
         let reply = self.session.step(connection, action);
         let tick = connection.tick;
+        let notes = connection.take_notes();
+        self.pool.report(notes);
         let step = match reply {
             Ok(step) => step,
             Err(why) => return Err(lease.end_with(&why)),

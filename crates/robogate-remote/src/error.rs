@@ -4,6 +4,7 @@ use robogate_core::{Fault, FaultKind};
 use robogate_zmtp::{Address, ZmtpError};
 
 use super::header::MalformedHeader;
+use super::limits::VERSION;
 use super::message::ErrorReply;
 
 /// Why a request has no usable reply.
@@ -18,6 +19,15 @@ pub enum RequestError {
     /// The reply is well formed, but its content breaks the protocol.
     #[error("protocol violation: {0}")]
     ProtocolViolation(String),
+    /// The server speaks another version of the protocol.
+    #[error(
+        "the server speaks protocol version {server}; this robogate speaks version {VERSION}. {}",
+        upgrade(*.server)
+    )]
+    OtherVersion {
+        /// Version of the server.
+        server: u64,
+    },
     /// The server answered with an error.
     #[error("{}", .0.detail)]
     Rejected(ErrorReply),
@@ -39,11 +49,18 @@ impl RequestError {
 
     fn kind(&self) -> FaultKind {
         match self {
-            Self::Connection(_) | Self::Malformed(_) | Self::ProtocolViolation(_) => FaultKind::Unavailable,
+            Self::Connection(_) | Self::Malformed(_) | Self::ProtocolViolation(_) | Self::OtherVersion { .. } => {
+                FaultKind::Unavailable
+            }
             Self::Rejected(reply) => reply.kind.fault(),
             Self::Local(fault) => fault.kind,
         }
     }
+}
+
+/// What to do about a server of another version.
+fn upgrade(server: u64) -> &'static str {
+    if server < VERSION { "Upgrade the server (bridges/common of this release)" } else { "Upgrade robogate" }
 }
 
 /// A protocol violation with this description.

@@ -3,7 +3,7 @@
 use robogate_zmtp::Limits;
 
 /// Version of the protocol.
-pub const VERSION: u64 = 1;
+pub const VERSION: u64 = 2;
 /// Largest header, in bytes.
 pub const HEADER_BYTES: usize = 4 << 20;
 /// Largest width or height of an image, in pixels.
@@ -12,6 +12,10 @@ pub const PIXELS: usize = 4096;
 pub const CAMERAS: usize = 16;
 /// Most joints of an arm.
 pub const JOINTS: usize = 32;
+/// Most numbers of an observed vector.
+pub const NUMBERS: usize = 4096;
+/// Most control periods of an episode.
+pub const TICKS: u32 = 1_000_000;
 /// Most parameters of a scenario.
 pub const PARAMETERS: usize = 256;
 /// Most actions of one `step` request.

@@ -1,14 +1,15 @@
 //! Episodes in a server that computes physics for a task of this process.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use robogate_core::{Action, Fault, Image, Observation, Scenario, Start, Step};
+use robogate_core::{Action, Assignment, Fault, Image, Observation, Scenario, Start, Step, TaskSpec};
 use serde::Serialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
 
 use super::connection::Connection;
 use super::error::{RequestError, violation};
-use super::message::{ActionSpace, Hello, ParameterValue, ResetReply, ResetRequest};
+use super::message::{ActionKind, Hello, ParameterValue, ResetReply, ResetRequest};
 use super::session::{Session, gripper_number, reset_request};
 
 /// A task of this process whose physics is computed by a server.
@@ -22,13 +23,13 @@ pub trait RemoteTask {
     /// Physical state after one time step: contacts, poses, velocities.
     type Sample: DeserializeOwned;
 
+    /// The task: that of every episode.
+    fn task(&self) -> &Arc<TaskSpec>;
+
     /// Check whether a server can run this task.
     fn accepts(&self, hello: &Hello) -> Result<(), String>;
 
-    /// Whether a parameter acts in this process only, so that the server need not know it.
-    fn is_local(&self, parameter: &str) -> bool;
-
-    /// Resolve a scenario into the cell of its episode.
+    /// Resolve a scenario into the cell of its episode. All parameters act through the cell.
     fn resolve(&mut self, scenario: &Scenario) -> Result<Self::Cell, Fault>;
 
     /// Begin the episode. `observation` has the true joint positions, without encoder errors.
@@ -67,12 +68,20 @@ impl<T: RemoteTask> Session for PhysicsSession<T> {
         self.0.accepts(hello)
     }
 
+    fn task(&self, _: &Hello) -> Arc<TaskSpec> {
+        Arc::clone(self.0.task())
+    }
+
     fn reset(&mut self, connection: &mut Connection, scenario: &Scenario) -> Result<Start, RequestError> {
         let Self(task) = self;
         let cell = task.resolve(scenario).map_err(RequestError::Local)?;
-        let request = reset_request(connection.hello(), scenario, |name| task.is_local(name), Some(cell))?;
+        // A server that resolves scenarios itself declares the parameters that it wants to have.
+        let declared = |name: &str| connection.hello().task.parameter(name).is_some();
+        let requested = scenario.requested.iter().filter(|(name, _)| declared(name));
+        let wanted: Assignment = requested.map(|(name, value)| (name.into(), value.clone())).collect();
+        let request = reset_request(scenario, &wanted, Some(cell))?;
         let reply: ResetReply<T::Readback, T::Sample> = connection.begin(request)?;
-        let observation = reply.observation.checked(connection.hello().joints.len(), 0.0).map_err(violation)?;
+        let observation = reply.observation.checked(&connection.hello().task, 0.0).map_err(violation)?;
         let (Some(readback), Some(sample)) = (reply.readback, reply.sample) else {
             return Err(violation("the reply to reset has no `readback` or no `sight`"));
         };
@@ -82,9 +91,9 @@ impl<T: RemoteTask> Session for PhysicsSession<T> {
     fn step(&mut self, connection: &mut Connection, action: &Action) -> Result<Step, RequestError> {
         let Self(task) = self;
         let mut numbers = task.command(action).map_err(RequestError::Local)?;
-        numbers.push(gripper_number(action.gripper));
+        numbers.extend(gripper_number(connection.hello().task.action.gripper, action.gripper));
         let expected = connection.hello().steps_per_period();
-        let (period, observation) = connection.run::<T::Sample>(ActionSpace::JointPosition, numbers)?;
+        let (period, observation) = connection.run::<T::Sample>(ActionKind::JointPosition, numbers)?;
         let samples = period.samples.unwrap_or_default();
         if samples.len() != expected {
             let got = samples.len();

@@ -6,6 +6,7 @@
 //! further consecutive failures for 2 s, 4 s and 8 s. After [`MAX_FAILURES`] failures without a completed episode
 //! between them it is not used again. When no server is left, each further episode is Invalid immediately.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -19,10 +20,13 @@ use super::message::Hello;
 
 /// Number of consecutive failures after which a server is not used again.
 pub const MAX_FAILURES: u32 = 5;
+/// Most deviations that are reported.
+const MAX_NOTES: usize = 100;
 /// Longest time that a worker waits for a free server.
 const MAX_WAIT: Duration = Duration::from_secs(600);
 
-/// Receives one line of text for each server failure: address, cause and consequence.
+/// Receives one line of text for each server failure (address, cause and consequence), and one for each way in which
+/// servers deviate from the task that they declare.
 pub type Listener = Box<dyn Fn(&str) + Send + Sync>;
 
 /// Connections to servers of the same simulator.
@@ -32,6 +36,8 @@ pub struct Pool {
     slots: Mutex<Vec<Slot>>,
     changed: Condvar,
     listener: Listener,
+    /// Deviations that were reported.
+    reported: Mutex<BTreeSet<String>>,
     /// Time for which a server is not used after its first failure.
     backoff: Duration,
 }
@@ -108,7 +114,8 @@ impl Pool {
         }
         let hello = hello.ok_or(PoolError::NoServer)?;
         let (slots, changed) = (Mutex::new(slots), Condvar::new());
-        Ok(Self { hello, timeouts, slots, changed, listener, backoff: Duration::from_secs(1) })
+        let (reported, backoff) = (Mutex::default(), Duration::from_secs(1));
+        Ok(Self { hello, timeouts, slots, changed, listener, reported, backoff })
     }
 
     /// Set the time for which a server is not used after its first failure. Each further failure doubles it.
@@ -131,6 +138,16 @@ impl Pool {
     /// Whether the pool has no servers, which [`Pool::connect`] excludes.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// Report each deviation from the declared task once.
+    pub(crate) fn report(&self, notes: BTreeSet<String>) {
+        for note in notes {
+            let mut reported = self.reported.lock().unwrap_or_else(PoisonError::into_inner);
+            if reported.len() < MAX_NOTES && reported.insert(note.clone()) {
+                (self.listener)(&format!("simulator {}: {note}", self.hello.server.name));
+            }
+        }
     }
 
     fn slots(&self) -> MutexGuard<'_, Vec<Slot>> {
@@ -202,6 +219,11 @@ fn difference(a: &Hello, b: &Hello) -> Option<String> {
         format!("the engines are {:?} and {:?}", a.engine, b.engine)
     } else if a.robot != b.robot {
         format!("the robots are {:?} and {:?}", a.robot, b.robot)
+    } else if a.task.name != b.task.name || a.task.version != b.task.version {
+        let name = |hello: &Hello| format!("`{}` version {}", hello.task.name, hello.task.version);
+        format!("the tasks are {} and {}", name(&a), name(b))
+    } else if a.task != b.task {
+        format!("their declarations of the task `{}` differ", a.task.name)
     } else {
         "their replies to hello differ".to_owned()
     })

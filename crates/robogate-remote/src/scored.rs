@@ -1,15 +1,16 @@
 //! Episodes in a server that has its own task and scores itself.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use robogate_core::{Action, ArmCommand, Assignment, Ending, Fault, FaultKind, Observation, Scenario, Start, Step};
+use robogate_core::{
+    Action, Command, Ending, Fault, FaultKind, Measures, Observation, Scenario, Start, Step, TaskInstance, TaskSpec,
+};
 use serde::de::IgnoredAny;
 
 use super::connection::Connection;
 use super::error::{RequestError, violation};
-use super::message::{
-    ActionSpace, Empty, Hello, ParameterValue, Period, ResetReply, ResetRequest, check_pose, from_wire,
-};
+use super::message::{ActionKind, Empty, Hello, ParameterValue, Period, ResetReply, ResetRequest, from_wire};
 use super::session::{Session, gripper_number, reset_request};
 
 /// A session with a server that has its own task and reports how an episode ended.
@@ -24,16 +25,26 @@ impl Session for ScoredSession {
         Err("it does not score itself: it only computes physics for a task of RoboGate".to_owned())
     }
 
+    fn task(&self, hello: &Hello) -> Arc<TaskSpec> {
+        Arc::new(hello.task.clone())
+    }
+
     fn reset(&mut self, connection: &mut Connection, scenario: &Scenario) -> Result<Start, RequestError> {
-        let request = reset_request::<Empty>(connection.hello(), scenario, |_| false, None)?;
+        check_parameters(&connection.hello().task, scenario).map_err(RequestError::Local)?;
+        let request = reset_request::<Empty>(scenario, &scenario.requested, None)?;
         let reply: ResetReply<Empty, Empty> = connection.begin(request)?;
-        start(connection.hello(), reply, &scenario.requested)
+        let task = &connection.hello().task;
+        let observation = reply.observation.checked(task, 0.0).map_err(violation)?;
+        let Some(applied) = reply.applied else { return Err(violation("the reply to reset has no `applied`")) };
+        let general = || TaskInstance { instruction: task.instruction.clone(), ..TaskInstance::default() };
+        let instance = reply.instance.unwrap_or_else(general);
+        Ok(Start { instance, observation, applied: from_wire(&applied, &scenario.requested) })
     }
 
     fn step(&mut self, connection: &mut Connection, action: &Action) -> Result<Step, RequestError> {
-        let (action_space, numbers) = encode_action(connection.hello(), action).map_err(RequestError::Local)?;
-        let (period, observation) = connection.run::<Empty>(action_space, numbers)?;
-        step(period, observation)
+        let (kind, numbers) = encode_action(&connection.hello().task, action).map_err(RequestError::Local)?;
+        let (period, observation) = connection.run::<Empty>(kind, numbers)?;
+        read_step(connection, period, observation)
     }
 
     fn send_reset(
@@ -47,61 +58,64 @@ impl Session for ScoredSession {
     }
 }
 
-/// An action as the server takes it: the action space, and one number for each of its dimensions.
-fn encode_action(hello: &Hello, action: &Action) -> Result<(ActionSpace, Vec<f64>), Fault> {
-    let bad = |detail: String| Fault::new(FaultKind::BadAction, detail);
-    let (space, mut numbers) = match &action.arm {
-        ArmCommand::JointPositions(joints) => {
-            if joints.len() != hello.joints.len() || joints.iter().any(|q| !q.is_finite()) {
-                let expected = hello.joints.len();
-                return Err(bad(format!("expected {expected} finite joint positions, got {joints:?}")));
+/// Check that the task declares each requested parameter and accepts its value.
+fn check_parameters(task: &TaskSpec, scenario: &Scenario) -> Result<(), Fault> {
+    for (name, value) in scenario.requested.iter() {
+        match task.parameter(name) {
+            None => {
+                let detail = format!("the task `{}` declares no parameter `{name}`", task.name);
+                return Err(Fault::new(FaultKind::NotApplied, detail));
             }
-            (ActionSpace::JointPosition, joints.clone())
+            Some(spec) => spec.accepts(value).map_err(|why| Fault::new(FaultKind::Setup, why))?,
         }
-        ArmCommand::ToolDelta { translation_m, rotation_rad } => {
-            let scale = hello.tool_delta.ok_or_else(|| bad("this simulator takes no tool deltas".to_owned()))?;
-            let translation = translation_m.map(|x| x / scale.translation_m);
-            let rotation = rotation_rad.map(|x| x / scale.rotation_rad);
-            let numbers: Vec<f64> = translation.into_iter().chain(rotation).collect();
+    }
+    Ok(())
+}
+
+/// An action as the server takes it: its kind, and one number for each of its dimensions.
+fn encode_action(task: &TaskSpec, action: &Action) -> Result<(ActionKind, Vec<f64>), Fault> {
+    let bad = |detail: String| Fault::new(FaultKind::BadAction, detail);
+    task.check_action(action).map_err(bad)?;
+    let mut numbers = match (&action.command, task.action.tool_delta()) {
+        (Command::ToolDelta { translation_m, rotation_rad }, Some((metres, radians))) => {
+            let translation = translation_m.map(|x| x / metres);
+            let numbers: Vec<f64> = translation.into_iter().chain(rotation_rad.map(|x| x / radians)).collect();
             // The server would clip it, and the action that was run would not be that of the policy.
-            if numbers.iter().any(|x| !x.is_finite() || x.abs() > 1.0 + 1e-9) {
+            if numbers.iter().any(|x| x.abs() > 1.0 + 1e-9) {
                 return Err(bad(format!(
-                    "the tool delta {translation_m:?} m, {rotation_rad:?} rad is out of range: this simulator takes \
-                     up to {} m and {} rad per control period",
-                    scale.translation_m, scale.rotation_rad
+                    "the tool delta {translation_m:?} m, {rotation_rad:?} rad is out of range: this task takes up to \
+                     {metres} m and {radians} rad per control period"
                 )));
             }
-            (ActionSpace::ToolDelta, numbers)
+            numbers
         }
+        (Command::ToolDelta { .. }, None) => return Err(bad("this task takes no tool deltas".to_owned())),
+        (Command::JointPosition(numbers) | Command::Vector(numbers), _) => numbers.clone(),
     };
-    if !hello.action_spaces.contains(&space) {
-        return Err(bad("this simulator takes no joint positions".to_owned()));
-    }
-    numbers.push(gripper_number(action.gripper));
-    Ok((space, numbers))
+    numbers.extend(gripper_number(task.action.gripper, action.gripper));
+    Ok((ActionKind::of(&action.command), numbers))
 }
 
-fn start(hello: &Hello, reply: ResetReply<Empty, Empty>, requested: &Assignment) -> Result<Start, RequestError> {
-    let observation = reply.observation.checked(hello.joints.len(), 0.0).map_err(violation)?;
-    let (Some(task), Some(applied)) = (reply.task, reply.applied) else {
-        return Err(violation("the reply to reset has no `task` or no `applied`"));
-    };
-    if (task.control_period_s, task.time_limit_s) != (hello.control_period_s, hello.time_limit_s) {
-        return Err(violation("the control period or time limit of the task differs from that in hello"));
+fn read_step(
+    connection: &mut Connection,
+    period: Period<Empty>,
+    observation: Observation,
+) -> Result<Step, RequestError> {
+    let Some(mut reported) = period.measures else { return Err(violation("the step has no `measures`")) };
+    let declared = connection.hello().task.measures.iter();
+    let measures: Measures = declared.map(|spec| (spec.name, reported.remove(spec.name.as_str()).flatten())).collect();
+    for name in reported.into_keys() {
+        connection.note(format!("the measure `{name}` is ignored: the task does not declare it"));
     }
-    check_pose("task.object_pose", &task.object_pose).map_err(violation)?;
-    check_pose("task.target_pose", &task.target_pose).map_err(violation)?;
-    Ok(Start { task, observation, applied: from_wire(&applied, requested) })
-}
-
-fn step(period: Period<Empty>, observation: Observation) -> Result<Step, RequestError> {
-    let Some(measures) = period.measures else { return Err(violation("the step has no `measures`")) };
     let ending = period.ending.map(Ending::from);
-    if let Some(ending) = &ending
-        && !(0.0..=observation.time_s + 1e-6).contains(&ending.time_s)
-    {
-        let (end_s, now_s) = (ending.time_s, observation.time_s);
-        return Err(violation(format!("the episode ended at {end_s} s, but the simulated time is {now_s} s")));
+    if let Some(ending) = &ending {
+        if !(0.0..=observation.time_s + 1e-6).contains(&ending.time_s) {
+            let (end_s, now_s) = (ending.time_s, observation.time_s);
+            return Err(violation(format!("the episode ended at {end_s} s, but the simulated time is {now_s} s")));
+        }
+        if let Some(mode) = ending.failure.filter(|mode| !connection.hello().task.declares(*mode)) {
+            connection.note(format!("an episode ended with the failure `{mode}`, which the task does not declare"));
+        }
     }
     Ok(Step { observation, measures, ending, events: period.events.unwrap_or_default(), state_hash: period.state_hash })
 }

@@ -1,15 +1,15 @@
 //! The server side: an environment of this process, available over the protocol.
 
-use robogate_core::{Action, ArmCommand, Assignment, Fault, GripperCommand, Image, Scenario, Seed, Simulator};
+use robogate_core::{Action, Assignment, Command, Environment, Fault, GripperKind, Image, Scenario, Seed, TaskSpec};
 use serde::Serialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
 
 use super::header::{MalformedHeader, check, decode, encode};
 use super::limits::{self, VERSION};
 use super::message::{
-    ActionSpace, Empty, EndingMessage, Envelope, ErrorKind, ErrorReply, HashReply, Hello, ImageInfo,
-    ObservationMessage, Period, RenderReply, RenderRequest, Reply, Request, ResetReply, ResetRequest, StepReply,
-    StepRequest, from_wire, to_wire,
+    ActionKind, Empty, EndingMessage, Envelope, ErrorKind, ErrorReply, HashReply, Hello, ImageInfo, ObservationMessage,
+    Period, RenderReply, RenderRequest, Reply, Request, ResetReply, ResetRequest, StepReply, StepRequest, from_wire,
+    to_wire,
 };
 
 /// What a [`Server`] makes available: an environment with its own task, or physics alone.
@@ -25,23 +25,25 @@ pub trait Host {
     /// Set up a scenario.
     fn reset(&mut self, scenario: &Scenario) -> Result<ResetReply<Self::Readback, Self::Sample>, Fault>;
 
-    /// Run one control period.
-    fn step(&mut self, arm: ArmCommand, gripper: GripperCommand) -> Result<Period<Self::Sample>, Fault>;
+    /// Run one control period. `action` is one that the task of [`Host::hello`] takes.
+    fn step(&mut self, action: &Action) -> Result<Period<Self::Sample>, Fault>;
 
     /// Render all cameras in the current state.
     fn render(&mut self) -> Result<Vec<Image>, Fault>;
 }
 
-/// A [`Host`] for a [`Simulator`], which has its own task.
+/// A [`Host`] for an [`Environment`] of this process.
 pub struct EnvironmentHost {
     hello: Hello,
-    simulator: Box<dyn Simulator>,
+    environment: Box<dyn Environment>,
 }
 
 impl EnvironmentHost {
-    /// A host for this simulator. `hello` describes it; `scores_itself` is set to true.
-    pub fn new(hello: Hello, simulator: Box<dyn Simulator>) -> Self {
-        Self { hello: Hello { scores_itself: true, ..hello }, simulator }
+    /// A host for this environment. `hello` describes the server; its task is replaced by that of the environment, and
+    /// `scores_itself` is set to true.
+    pub fn new(hello: Hello, environment: Box<dyn Environment>) -> Self {
+        let task = TaskSpec::clone(environment.task());
+        Self { hello: Hello { scores_itself: true, task, ..hello }, environment }
     }
 }
 
@@ -54,22 +56,23 @@ impl Host for EnvironmentHost {
     }
 
     fn reset(&mut self, scenario: &Scenario) -> Result<ResetReply<Empty, Empty>, Fault> {
-        let start = self.simulator.reset(scenario)?;
+        let start = self.environment.reset(scenario)?;
         Ok(ResetReply {
             observation: ObservationMessage::from(&start.observation),
-            task: Some(start.task),
+            instance: Some(start.instance),
             applied: Some(to_wire(&start.applied)),
             readback: None,
             sample: None,
         })
     }
 
-    fn step(&mut self, arm: ArmCommand, gripper: GripperCommand) -> Result<Period<Empty>, Fault> {
-        let step = self.simulator.step(&Action { arm, gripper, phase: None })?;
+    fn step(&mut self, action: &Action) -> Result<Period<Empty>, Fault> {
+        let step = self.environment.step(action)?;
+        let measures = step.measures.iter().map(|(name, value)| (name.to_string(), Some(value)));
         Ok(Period {
             observation: ObservationMessage::from(&step.observation),
             state_hash: step.state_hash,
-            measures: Some(step.measures),
+            measures: Some(measures.collect()),
             ending: step.ending.map(EndingMessage::from),
             events: Some(step.events),
             samples: None,
@@ -78,7 +81,7 @@ impl Host for EnvironmentHost {
     }
 
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
-        self.simulator.render()
+        self.environment.render()
     }
 }
 
@@ -143,9 +146,9 @@ impl<H: Host> Server<H> {
             "hello" => reply(*episode, self.host.hello().clone()),
             "reset" => self.reset(header, *episode),
             "step" => {
-                let (request, joint_numbers) = (read::<StepRequest>(header)?, self.host.hello().joints.len() + 1);
+                let request = read::<StepRequest>(header)?;
                 self.running(*episode)?;
-                self.step(&request, joint_numbers, *episode)
+                self.step(&request, *episode)
             }
             "render" => {
                 self.running(*episode)?;
@@ -188,8 +191,9 @@ impl<H: Host> Server<H> {
             let what = if hello.scores_itself { "has its own task and takes no cell" } else { "needs a cell" };
             return reject(ErrorKind::BadRequest, format!("this server {what}"));
         }
-        if let Some(name) = request.parameters.keys().find(|name| !hello.parameters.contains(name)) {
-            return reject(ErrorKind::NotApplied, format!("this server cannot apply the parameter {name}"));
+        if let Some(name) = request.parameters.keys().find(|name| hello.task.parameter(name).is_none()) {
+            let detail = format!("the task `{}` declares no parameter `{name}`", hello.task.name);
+            return reject(ErrorKind::NotApplied, detail);
         }
         self.running = None;
         let requested = from_wire(&request.parameters, &Assignment::default());
@@ -201,33 +205,22 @@ impl<H: Host> Server<H> {
         Ok(frames)
     }
 
-    fn step(&mut self, request: &StepRequest, joint_numbers: usize, episode: u64) -> Frames {
-        let hello = self.host.hello().clone();
+    fn step(&mut self, request: &StepRequest, episode: u64) -> Frames {
         let mut running = self.running(episode)?;
         if request.tick != running.tick {
             let detail = format!("the request is for tick {}; expected tick {}", request.tick, running.tick);
             return reject(ErrorKind::BadRequest, detail);
         }
-        if !hello.action_spaces.contains(&request.action_space) {
-            return reject(ErrorKind::BadRequest, "this server does not take this action space");
-        }
         if !(1..=limits::ACTIONS).contains(&request.actions.len()) {
             return reject(ErrorKind::BadRequest, format!("a step must have 1 to {} actions", limits::ACTIONS));
         }
-        let expected = match request.action_space {
-            ActionSpace::JointPosition => joint_numbers,
-            ActionSpace::ToolDelta => 7,
-        };
-        if let Some(numbers) = request.actions.iter().find(|numbers| numbers.len() != expected) {
-            let detail = format!("an action must have {expected} numbers, not {}", numbers.len());
-            return reject(ErrorKind::BadAction, detail);
-        }
-        let mut steps = Vec::with_capacity(request.actions.len());
-        for numbers in &request.actions {
-            let Some((gripper, arm)) = numbers.split_last() else { break };
-            let gripper = if *gripper > 0.0 { GripperCommand::Close } else { GripperCommand::Open };
-            let step = self.host.step(decode_arm(&hello, request.action_space, arm), gripper);
-            let step = step.map_err(|fault| {
+        // All actions are checked before one is run: a rejected request has no effect.
+        let task = &self.host.hello().task;
+        let actions = request.actions.iter().map(|numbers| decode_action(task, request.action_space, numbers));
+        let actions: Vec<Action> = actions.collect::<Result<_, _>>()?;
+        let mut steps = Vec::with_capacity(actions.len());
+        for action in &actions {
+            let step = self.host.step(action).map_err(|fault| {
                 // Earlier actions of this request have run, so that the client cannot know the state of the episode.
                 self.running = None;
                 ErrorReply::from(&fault)
@@ -245,7 +238,7 @@ impl<H: Host> Server<H> {
     }
 
     fn render(&mut self, request: &RenderRequest, episode: u64) -> Frames {
-        let cameras = &self.host.hello().cameras;
+        let cameras = &self.host.hello().task.observation.cameras;
         if cameras.is_empty() {
             return reject(ErrorKind::Unsupported, "this simulator has no cameras");
         }
@@ -286,15 +279,40 @@ fn reply(episode: u64, body: impl Serialize) -> Frames {
     }
 }
 
-fn decode_arm(hello: &Hello, space: ActionSpace, arm: &[f64]) -> ArmCommand {
-    match (space, hello.tool_delta) {
-        (ActionSpace::ToolDelta, Some(scale)) => {
-            let at = |i: usize| arm.get(i).map_or(0.0, |x| x.clamp(-1.0, 1.0));
-            ArmCommand::ToolDelta {
-                translation_m: [0, 1, 2].map(|i| at(i) * scale.translation_m),
-                rotation_rad: [3, 4, 5].map(|i| at(i) * scale.rotation_rad),
-            }
-        }
-        _ => ArmCommand::JointPositions(arm.to_vec()),
+/// The action of these numbers.
+fn decode_action(task: &TaskSpec, kind: ActionKind, numbers: &[f64]) -> Result<Action, ErrorReply> {
+    let spec = &task.action;
+    let (length, scale) = match kind {
+        ActionKind::JointPosition => (spec.joints().map(<[String]>::len), None),
+        ActionKind::ToolDelta => (spec.tool_delta().map(|_| 6), spec.tool_delta()),
+        ActionKind::Vector => (spec.vector().map(|(low, _)| low.len()), None),
+    };
+    let Some(length) = length else {
+        let detail = format!("this task does not take {kind}. Expected {}", spec.kinds());
+        return reject(ErrorKind::BadRequest, detail);
+    };
+    let expected = length + usize::from(spec.gripper.is_some());
+    if numbers.len() != expected {
+        let detail = format!("an action of kind {kind} must have {expected} numbers, not {}", numbers.len());
+        return reject(ErrorKind::BadAction, detail);
+    }
+    let (command, gripper) = numbers.split_at(length);
+    let command = match (kind, scale, command) {
+        (ActionKind::ToolDelta, Some((metres, radians)), [x, y, z, a, b, c]) => Command::ToolDelta {
+            translation_m: [x, y, z].map(|n| n.clamp(-1.0, 1.0) * metres),
+            rotation_rad: [a, b, c].map(|n| n.clamp(-1.0, 1.0) * radians),
+        },
+        (ActionKind::Vector, ..) => Command::Vector(command.to_vec()),
+        _ => Command::JointPosition(command.to_vec()),
+    };
+    let gripper = spec.gripper.zip(gripper.first()).map(|(kind, number)| match kind {
+        GripperKind::Binary if *number > 0.0 => Action::CLOSE,
+        GripperKind::Binary => Action::OPEN,
+        GripperKind::Continuous => number.clamp(Action::OPEN, Action::CLOSE),
+    });
+    let action = Action { command, gripper, phase: None };
+    match task.check_action(&action) {
+        Ok(()) => Ok(action),
+        Err(why) => reject(ErrorKind::BadAction, why),
     }
 }

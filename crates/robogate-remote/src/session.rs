@@ -1,8 +1,9 @@
 //! The two kinds of servers, seen from the client.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use robogate_core::{Action, Assignment, Fault, FaultKind, GripperCommand, Scenario, Seed, Start, Step};
+use robogate_core::{Action, Assignment, Fault, FaultKind, GripperKind, Scenario, Seed, Start, Step, TaskSpec};
 use serde::Serialize;
 
 use super::connection::Connection;
@@ -16,6 +17,9 @@ use super::message::{Hello, ParameterValue, ResetRequest, to_wire};
 pub trait Session {
     /// Check whether a server is of this kind, and whether it can run the task.
     fn accepts(&self, hello: &Hello) -> Result<(), String>;
+
+    /// The task of the episodes: that of the server, or that of this process.
+    fn task(&self, hello: &Hello) -> Arc<TaskSpec>;
 
     /// Begin the episode of a scenario.
     fn reset(&mut self, connection: &mut Connection, scenario: &Scenario) -> Result<Start, RequestError>;
@@ -32,35 +36,26 @@ pub trait Session {
     ) -> Result<(), RequestError>;
 }
 
-/// The reset request of a scenario, without the parameters that are `local` to this process.
+/// The reset request of a scenario with these of its parameters.
 pub(crate) fn reset_request<C: Serialize>(
-    hello: &Hello,
     scenario: &Scenario,
-    local: impl Fn(&str) -> bool,
+    parameters: &Assignment,
     cell: Option<C>,
 ) -> Result<ResetRequest<C>, RequestError> {
-    let remote: Assignment = scenario
-        .requested
-        .iter()
-        .filter(|(name, _)| !local(name))
-        .map(|(name, value)| (name.into(), value.clone()))
-        .collect();
-    if let Some((name, _)) = remote.iter().find(|(name, _)| !hello.parameters.iter().any(|known| known == name)) {
-        let detail = format!("this simulator cannot apply the parameter {name}");
-        return Err(RequestError::Local(Fault::new(FaultKind::NotApplied, detail)));
-    }
     let seed = scenario.seed.campaign_number();
     if scenario.seed != Seed::campaign(seed).episode(scenario.index) {
         let detail = "the seed of the scenario does not belong to its index";
         return Err(RequestError::Local(Fault::new(FaultKind::Setup, detail)));
     }
-    Ok(ResetRequest { index: scenario.index, seed, parameters: to_wire(&remote), cell })
+    Ok(ResetRequest { index: scenario.index, seed, parameters: to_wire(parameters), cell })
 }
 
-/// The last number of an action.
-pub(crate) fn gripper_number(gripper: GripperCommand) -> f64 {
-    match gripper {
-        GripperCommand::Open => -1.0,
-        GripperCommand::Close => 1.0,
-    }
+/// The last number of an action, for a task with this gripper.
+pub(crate) fn gripper_number(kind: Option<GripperKind>, command: Option<f64>) -> Option<f64> {
+    let command = command.unwrap_or(Action::OPEN);
+    kind.map(|kind| match kind {
+        GripperKind::Binary if command > 0.0 => Action::CLOSE,
+        GripperKind::Binary => Action::OPEN,
+        GripperKind::Continuous => command,
+    })
 }

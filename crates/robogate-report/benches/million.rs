@@ -3,6 +3,7 @@
 //! Writes a made-up dictionary of the paper's eight parameters (kept where FILE names one), then measures the analysis and
 //! the page, and the most memory that the process held. Ends with 1 where a million rows took 10 s or 1 GB.
 
+#![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::print_stdout, reason = "a benchmark prints what it measured")]
 #![expect(clippy::unwrap_used, reason = "a benchmark that cannot run should stop")]
 
@@ -11,9 +12,10 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Instant;
 
+use robogate_analysis::{Analysis, Source};
 use robogate_core::{Assignment, Episode, FailureMode, Measures, Outcome, ParameterSpace, Scenario, Seed};
 use robogate_dictionary::{DictionaryWriter, Engine, Entry, Label, Provenance, Robot, SCHEMA_VERSION, Tool};
-use robogate_report::{Analysis, Source, html};
+use robogate_report::html;
 
 const SPACE: &str = include_str!("../../../assets/spaces/franka.toml");
 

@@ -25,7 +25,7 @@
 //! Statistics 49 (beta-binomial mixture); Ville (1939).
 
 use crate::interval::{Interval, Trials};
-use crate::special::{ln_beta_cdf, ln_binomial_pmf};
+use robogate_maths::beta::{ln_beta_cdf, ln_binomial_pmf};
 
 /// ln of the evidence against "the rate is at most `p0`".
 ///

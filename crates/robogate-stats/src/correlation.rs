@@ -10,7 +10,8 @@
 //! Sources: Fisher (1915, 1921); Spearman (1904); Cramer (1946); Bergsma (2013) for the bias correction.
 
 use crate::interval::{Confidence, Interval};
-use crate::special::{ln_chi_squared_sf, ln_student_two_sided};
+use robogate_maths::beta::ln_student_two_sided;
+use robogate_maths::gamma::ln_chi_squared_sf;
 
 /// Why there is no correlation.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]

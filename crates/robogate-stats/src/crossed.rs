@@ -11,7 +11,7 @@
 //! variances of crossed designs; Hillis (2007), Statistics in Medicine 26(3), for readers and cases.
 
 use crate::interval::{Confidence, Interval};
-use crate::special::student_quantile;
+use robogate_maths::beta::student_quantile;
 
 /// Why there is no mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]

@@ -16,7 +16,7 @@
 //! Sources: Wilson (1927), JASA 22; Clopper and Pearson (1934), Biometrika 26(4); Brown, Cai and DasGupta
 //! (2001), Statistical Science 16(2), on their coverage.
 
-use crate::special::{beta_quantile, normal_upper_quantile};
+use robogate_maths::{beta::beta_quantile, normal};
 
 /// Why numbers cannot be counts, a level or an interval.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -119,7 +119,7 @@ impl Confidence {
 
     /// Two-sided point of the standard normal distribution: 1.95996 at 95 %.
     pub fn z(self) -> f64 {
-        normal_upper_quantile(self.tail())
+        -normal::quantile(self.tail())
     }
 
     /// The level that each of `comparisons` statements needs for all to hold together (Bonferroni).

@@ -1,8 +1,8 @@
 //! What may be claimed from episodes: numbers in, numbers out.
 //!
 //! Slices of `f64`, `bool` and `usize` go in; estimates come out together with how sure they are, or with the
-//! reason why they cannot be had. Nothing here reads a file, a clock or another crate of this project,
-//! and randomness is a seed that the caller gives.
+//! reason why they cannot be had. Nothing here reads a file or a clock, and randomness is a seed
+//! that the caller gives.
 //!
 //! | question | module |
 //! |---|---|
@@ -15,11 +15,13 @@
 //! | where does one parameter become critical? | [`threshold`], by [`resample`] |
 //! | does the risk score tell failures apart, and is it true? | [`roc`], [`calibration`] |
 //! | which way does it fail, and where does that change? | [`modes`] |
+//! | do several groups share one rate, and which one is an outlier? | [`overdispersion`] |
 //! | are two of them different? | [`compare`], [`multiplicity`], [`crossed`] |
 //! | is it good enough, looked at as often as one likes? | [`anytime`], [`bounded_mean`] |
 //! | what will such a gate do? | [`operating`] |
 //! | may B replace A? | [`non_inferiority`] |
 //! | what holds for the operating space, when the rows were drawn elsewhere? | [`weighted`] |
+//! | how is a figure written for people? | [`format`] |
 
 pub mod anytime;
 pub mod binning;
@@ -28,7 +30,7 @@ pub mod calibration;
 pub mod compare;
 pub mod correlation;
 pub mod crossed;
-pub(crate) mod dense;
+pub mod format;
 pub mod fourier;
 pub mod interval;
 pub mod limit_state;
@@ -37,10 +39,10 @@ pub mod modes;
 pub mod multiplicity;
 pub mod non_inferiority;
 pub mod operating;
+pub mod overdispersion;
 pub mod resample;
 pub mod ridge;
 pub mod roc;
-pub(crate) mod special;
 pub mod threshold;
 pub mod weighted;
 pub mod zone;

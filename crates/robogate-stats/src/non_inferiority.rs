@@ -19,7 +19,7 @@
 
 use crate::compare::{Pairs, at_least, at_most};
 use crate::interval::Trials;
-use crate::special::{ln_binomial_pmf, ln_normal_sf};
+use robogate_maths::{beta::ln_binomial_pmf, normal};
 
 /// A margin that is none.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -67,7 +67,7 @@ pub fn tango(pairs: Pairs, margin: f64) -> Result<f64, NotAMargin> {
     if pairs.n() == 0 {
         return Ok(0.0);
     }
-    Ok(ln_normal_sf(statistic(pairs.first_only, pairs.second_only, pairs.n(), margin)))
+    Ok(normal::ln_sf(statistic(pairs.first_only, pairs.second_only, pairs.n(), margin)))
 }
 
 /// ln of the exact p-value of the same question. 0 (p = 1) without pairs.

@@ -11,7 +11,7 @@
 use crate::anytime::{ln_evidence_above, ln_evidence_below};
 use crate::compare::{at_least, at_most};
 use crate::interval::Trials;
-use crate::special::ln_binomial_pmf;
+use robogate_maths::beta::ln_binomial_pmf;
 
 /// How many trials there will be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -6,9 +6,9 @@
 //! Sources: Efron and Tibshirani (1993), chapters 6 and 13; Devroye (1986), X.4, for inversion from the mode.
 
 use crate::interval::Confidence;
-use crate::special::ln_binomial_pmf;
 use rand_chacha::ChaCha8Rng;
 use rand_core::Rng;
+use robogate_maths::beta::ln_binomial_pmf;
 
 /// Uniform on [0, 1) with 53 bits.
 pub(crate) fn uniform(rng: &mut ChaCha8Rng) -> f64 {

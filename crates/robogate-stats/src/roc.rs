@@ -14,9 +14,9 @@
 //! Processing Letters 21(11); LeDell, Petersen and van der Laan (2015) for the pooled variance over folds.
 
 use crate::interval::{Confidence, Interval, Trials, clopper_pearson};
-use crate::special::ln_two_sided;
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
+use robogate_maths::normal::ln_two_sided;
 
 /// Why a score cannot be judged.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]

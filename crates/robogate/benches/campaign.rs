@@ -13,10 +13,10 @@ use mujoco_rs::prelude::{MjData, MjModel};
 use nalgebra::{Isometry3, Vector3};
 use robogate_campaign::{Crew, Station, Workshop, execute};
 use robogate_core::{Design, Fault, ParameterSpace, Sampler, Scenario, Seed, rollout, samplers};
-use robogate_sim::{
-    Chain, Engine, EngineBuild, FRANKA_SPACE, JointTargets, MujocoEngine, PickPlace, Readback, Robot, Scene, Scripted,
-    Touches, Wrench, built_in_robot,
+use robogate_physics::{
+    Chain, Engine, EngineBuild, JointTargets, MujocoEngine, Readback, Robot, Scene, Touches, Wrench, built_in_robot,
 };
+use robogate_tasks::pick_place::{FRANKA_SPACE, PickPlace, Scripted};
 
 fn main() {
     let episodes = std::env::args().skip(1).find_map(|a| a.parse().ok()).unwrap_or(200);
@@ -166,12 +166,12 @@ impl Engine for Recorder {
         self.inner.opening()
     }
 
-    fn join(&mut self) {
-        self.inner.join();
+    fn attach(&mut self) {
+        self.inner.attach();
     }
 
-    fn part(&mut self) {
-        self.inner.part();
+    fn detach(&mut self) {
+        self.inner.detach();
     }
 
     fn cup_load(&self) -> Option<Wrench> {

@@ -5,37 +5,17 @@ use std::time::Duration;
 
 use anyhow::{anyhow, bail};
 use clap::Args;
-use robogate_core::{
-    Action, ArmCommand, Fault, FaultKind, GripperCommand, Image, Observation, Scenario, Simulator, Start, Step,
-};
+use robogate_core::{Action, Command, Fault, FaultKind, Image, Observation, Scenario, Start, Step, TaskSpec};
 use robogate_dictionary::provenance;
+use robogate_physics::{Chain, Engine, GripperCommand, Robot};
 use robogate_remote::message::{Hello, ObservationMessage, Period, ResetReply};
-use robogate_remote::{Host, Pool, PoolError, RemoteEnvironment, RemotePhysics, RemoteTask, Timeouts};
-use robogate_sim::offsite::{self, Cell, FarPeriod, FarReadback, FarSight, HERE, Offsite};
-use robogate_sim::{CONTROL_PERIOD_S, Chain, Engine, Robot};
+use robogate_remote::{Host, Pool, PoolError, RemoteTask, Timeouts};
+use robogate_tasks::pick_place::CONTROL_PERIOD_S;
+use robogate_tasks::pick_place::remote::{self as cell_remote, Cell, FarPeriod, FarReadback, FarSight, Offsite};
 use robogate_zmtp::Address;
-use serde::{Deserialize, Serialize};
 
 use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
 use crate::terminal::note;
-
-/// How a remote simulator is used in a run. Its address does not influence results and is not recorded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(crate) enum RemoteKind {
-    /// It has its own task and scores itself.
-    #[serde(rename = "judging")]
-    ScoresItself,
-    /// It computes physics for the built-in task.
-    Physics,
-}
-
-impl RemoteKind {
-    /// The kind of this server.
-    pub(crate) fn of(hello: &Hello) -> Self {
-        if hello.scores_itself { Self::ScoresItself } else { Self::Physics }
-    }
-}
 
 /// Remote simulators, on the command line.
 #[derive(Debug, Clone, Args)]
@@ -75,29 +55,38 @@ impl Simulators {
     }
 }
 
-/// Check that a simulator has this robot.
-pub(crate) fn check(hello: &Hello, robot: &Robot, sha256: &str) -> anyhow::Result<()> {
+/// Check that a server has this robot.
+pub(crate) fn check_robot(hello: &Hello, robot: &Robot, sha256: &str) -> anyhow::Result<()> {
     let name = robot.name();
-    match &hello.robot.sha256 {
-        Some(theirs) if theirs != sha256 => {
-            let (short, other) = (sha256.get(..12).unwrap_or(sha256), theirs.get(..12).unwrap_or(theirs));
+    let Some(theirs) = &hello.robot else {
+        bail!("the simulator declares no robot, but pick_place needs {name}");
+    };
+    match &theirs.sha256 {
+        Some(other) if other != sha256 => {
+            let (short, other) = (sha256.get(..12).unwrap_or(sha256), other.get(..12).unwrap_or(other));
             bail!(
                 "the simulator has another robot: its {} has files with the hash {other}..., the {name} of --robot has \
                  {short}...\n  hint: start the simulator with the robot folder that --robot names",
-                hello.robot.name
+                theirs.name
             );
         }
         Some(_) => {}
-        None if hello.robot.name == name => note(format_args!(
+        None if theirs.name == name => note(format_args!(
             "note: the simulator reports no hash of its robot's files; its {name} is assumed to equal --robot {name}"
         )),
-        None => bail!("the simulator has the robot {}, but --robot is {name}", hello.robot.name),
+        None => bail!("the simulator has the robot {}, but --robot is {name}", theirs.name),
     }
-    if hello.joints != robot.settings.arm.joints {
-        let ours = robot.settings.arm.joints.join(", ");
-        bail!("the simulator's arm has the joints {}; --robot {name} has {ours}", hello.joints.join(", "));
+    check_joints(hello, robot).map_err(|why| anyhow!(why))
+}
+
+/// Check that a server's arm has the joints of this robot.
+fn check_joints(hello: &Hello, robot: &Robot) -> Result<(), String> {
+    let ours = &robot.settings.arm.joints;
+    match hello.task.action.joints() {
+        Some(joints) if joints == ours.as_slice() => Ok(()),
+        Some(joints) => Err(format!("its arm has the joints {}; --robot has {}", joints.join(", "), ours.join(", "))),
+        None => Err(format!("it takes no joint positions; expected the joints {}", ours.join(", "))),
     }
-    Ok(())
 }
 
 /// The engine in the provenance. The solver is part of the name: two solvers are two simulators.
@@ -112,53 +101,31 @@ pub(crate) fn engine(hello: &Hello) -> provenance::Engine {
     provenance::Engine { name, version: Some(version), build_sha256: None }
 }
 
-/// A simulator in the servers of this pool, for this robot.
-pub(crate) fn simulator(
-    pool: &Arc<Pool>,
-    robot: &Robot,
-    chain: Chain,
-    sha256: String,
-    picture_px: usize,
-) -> anyhow::Result<Box<dyn Simulator>> {
-    let pool = Arc::clone(pool);
-    Ok(match RemoteKind::of(pool.hello()) {
-        RemoteKind::ScoresItself => Box::new(RemoteEnvironment::new(pool)?),
-        RemoteKind::Physics => {
-            let task = BuiltInTask::new(robot, chain, sha256, picture_px)?;
-            Box::new(RemotePhysics::new(pool, task)?)
-        }
-    })
-}
-
 /// The built-in task, for servers that compute its physics.
-pub(crate) struct BuiltInTask(Offsite);
+pub(crate) struct CellTask(Offsite);
 
-impl BuiltInTask {
+impl CellTask {
     pub(crate) fn new(robot: &Robot, chain: Chain, sha256: String, picture_px: usize) -> anyhow::Result<Self> {
         let offsite = Offsite::new(robot.clone(), chain, Some(sha256), None).map_err(|why| anyhow!(why))?;
         Ok(Self(offsite.with_picture_size(picture_px, picture_px)))
     }
 }
 
-impl RemoteTask for BuiltInTask {
+impl RemoteTask for CellTask {
     type Cell = Cell;
     type Readback = FarReadback;
     type Sample = FarSight;
 
-    fn accepts(&self, hello: &Hello) -> Result<(), String> {
-        if (hello.control_period_s - CONTROL_PERIOD_S).abs() > 1e-9 {
-            let period_s = hello.control_period_s;
-            return Err(format!("its control period is {period_s} s; the task requires {CONTROL_PERIOD_S} s"));
-        }
-        if hello.joints != self.0.robot().settings.arm.joints {
-            let (theirs, ours) = (hello.joints.join(", "), self.0.robot().settings.arm.joints.join(", "));
-            return Err(format!("its arm has the joints {theirs}; --robot has {ours}"));
-        }
-        Ok(())
+    fn task(&self) -> &Arc<TaskSpec> {
+        self.0.task()
     }
 
-    fn is_local(&self, parameter: &str) -> bool {
-        HERE.contains(&parameter)
+    fn accepts(&self, hello: &Hello) -> Result<(), String> {
+        let period_s = hello.task.control_period_s;
+        if (period_s - CONTROL_PERIOD_S).abs() > 1e-9 {
+            return Err(format!("its control period is {period_s} s; the task requires {CONTROL_PERIOD_S} s"));
+        }
+        check_joints(hello, self.0.robot())
     }
 
     fn resolve(&mut self, scenario: &Scenario) -> Result<Cell, Fault> {
@@ -194,13 +161,13 @@ pub(crate) trait PhysicsEngine {
     fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<FarPeriod, Fault>;
 }
 
-impl<E: Engine> PhysicsEngine for offsite::Host<E> {
+impl<E: Engine> PhysicsEngine for cell_remote::Host<E> {
     fn reset(&mut self, scenario: &Scenario) -> Result<(FarReadback, FarSight, Observation), Fault> {
-        offsite::Host::reset(self, scenario)
+        cell_remote::Host::reset(self, scenario)
     }
 
     fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<FarPeriod, Fault> {
-        offsite::Host::step(self, joints, gripper)
+        cell_remote::Host::step(self, joints, gripper)
     }
 }
 
@@ -228,18 +195,19 @@ impl Host for PhysicsHost {
         let (readback, sample, observation) = self.engine.reset(scenario)?;
         Ok(ResetReply {
             observation: ObservationMessage::from(&observation),
-            task: None,
+            instance: None,
             applied: None,
             readback: Some(readback),
             sample: Some(sample),
         })
     }
 
-    fn step(&mut self, arm: ArmCommand, gripper: GripperCommand) -> Result<Period<FarSight>, Fault> {
-        let ArmCommand::JointPositions(joints) = arm else {
+    fn step(&mut self, action: &Action) -> Result<Period<FarSight>, Fault> {
+        let Command::JointPosition(joints) = &action.command else {
             return Err(Fault::new(FaultKind::BadAction, "expected joint positions"));
         };
-        let FarPeriod { observation, state_hash, sights, clearance_m } = self.engine.step(&joints, gripper)?;
+        let FarPeriod { observation, state_hash, sights, clearance_m } =
+            self.engine.step(joints, GripperCommand::of(action))?;
         Ok(Period {
             observation: ObservationMessage::from(&observation),
             state_hash,

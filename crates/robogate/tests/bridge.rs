@@ -86,10 +86,8 @@ fn remote_engines_give_the_rows_of_local_ones() {
 
 #[test]
 fn a_script_drives_the_cell_with_tool_deltas() {
-    let Some(python) = std::env::var_os("ROBOGATE_BRIDGE_PYTHON") else {
-        eprintln!("skipped: set ROBOGATE_BRIDGE_PYTHON to a Python interpreter with pyzmq and msgpack");
-        return;
-    };
+    let wanted = "a Python with pyzmq and msgpack";
+    let Some(python) = robogate_testing::path("ROBOGATE_BRIDGE_PYTHON", wanted) else { return };
     let server = Server::start(&[]);
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let output = Command::new(python)

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ActionForm {
-    /// Number of elements. The last one is for the gripper.
+    /// Number of elements. The last one is for the gripper, unless `arm` is `vector`.
     pub size: usize,
     /// Meaning of the other elements.
     pub arm: Arm,
@@ -22,10 +22,12 @@ pub struct ActionForm {
     /// Largest magnitude of the numbers for the arm, to which they are clipped before scaling; left out, no clipping.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clip: Option<f64>,
-    /// Threshold of the number for the gripper.
-    pub gripper_threshold: f64,
-    /// Side of the threshold on which the gripper opens.
-    pub gripper_open: Side,
+    /// Threshold of the number for the gripper. Required unless `arm` is `vector`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gripper_threshold: Option<f64>,
+    /// Side of the threshold on which the gripper opens. Required unless `arm` is `vector`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gripper_open: Option<Side>,
 }
 
 /// The position scale of the paper (section 7.1).
@@ -48,6 +50,8 @@ pub enum Arm {
     JointPositions,
     /// Change of each joint from its measured position; a value of 1 is `rotation_scale_rad`.
     JointDeltas,
+    /// The task's own action vector, clipped to its bounds, without a number for the gripper.
+    Vector,
 }
 
 /// Representation of rotations.

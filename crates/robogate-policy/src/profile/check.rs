@@ -85,8 +85,8 @@ impl Profile {
     fn check_states(&self) -> Checked {
         for (i, state) in self.states.iter().enumerate() {
             let field = |name: &str| format!("state[{i}].{name}");
-            if state.parts.is_empty() {
-                return invalid(field("parts"), "the list is empty. Expected at least one part");
+            if state.parts.is_empty() && state.vectors.is_empty() {
+                return invalid(field("parts"), "the list is empty. Expected at least one part, or state.vectors");
             }
             if !matches!(state.dtype, Dtype::F32 | Dtype::F64) {
                 return invalid(field("type"), format!("{} is not supported. Expected <f4 or <f8", state.dtype.name()));
@@ -129,15 +129,32 @@ impl Profile {
                 return invalid(field, "contains a number that is not finite");
             }
         }
-        if !self.action.gripper_threshold.is_finite() {
+        if self.action.gripper_threshold.is_some_and(|threshold| !threshold.is_finite()) {
             return invalid("action.gripper_threshold", "is not finite");
         }
         Ok(())
     }
 
+    fn check_gripper(&self) -> Checked {
+        let fields = [
+            ("action.gripper_threshold", self.action.gripper_threshold.is_some()),
+            ("action.gripper_open", self.action.gripper_open.is_some()),
+        ];
+        let vector = self.action.arm == Arm::Vector;
+        match fields.iter().find(|(_, given)| *given == vector) {
+            Some((field, true)) => invalid(*field, "not used with arm = \"vector\". Remove it"),
+            Some((field, false)) => invalid(*field, "missing. Without it the gripper has no commands"),
+            None => Ok(()),
+        }
+    }
+
     fn check_action(&self) -> Checked {
+        self.check_gripper()?;
         match (self.action.arm, self.action.size) {
-            (Arm::ToolDelta, 7) | (Arm::JointPositions | Arm::JointDeltas, 2..=64) => Ok(()),
+            (Arm::ToolDelta, 7) | (Arm::JointPositions | Arm::JointDeltas, 2..=64) | (Arm::Vector, 1..=1024) => Ok(()),
+            (Arm::Vector, size) => {
+                invalid("action.size", format!("{size} is out of range. Expected 1 to 1024 for arm = \"vector\""))
+            }
             (Arm::ToolDelta, size) => invalid(
                 "action.size",
                 format!(

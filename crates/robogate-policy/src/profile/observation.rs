@@ -1,5 +1,6 @@
 //! What a model observes.
 
+use robogate_core::{Word, vectors};
 use serde::{Deserialize, Serialize};
 
 use crate::array::Dtype;
@@ -78,7 +79,11 @@ pub struct State {
     /// Name that the server uses.
     pub key: String,
     /// Parts of the vector, in order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<Part>,
+    /// Names of vectors of the task's observation, appended after the parts, unchanged.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub vectors: Vec<Word>,
     /// Type of its elements: `<f4` or `<f8`.
     #[serde(default = "double", rename = "type")]
     pub dtype: Dtype,
@@ -89,7 +94,7 @@ fn double() -> Dtype {
 }
 
 impl State {
-    /// Number of elements, for an arm with this number of joints.
+    /// Number of elements of its parts, for an arm with this number of joints. `vectors` are not counted.
     pub fn size(&self, joints: usize) -> usize {
         self.parts.iter().map(|part| part.size(joints)).sum()
     }
@@ -143,6 +148,18 @@ impl Part {
             Self::GripperFingers => 2,
             Self::JointPositions => joints,
             _ => 1,
+        }
+    }
+
+    /// Vector of the observation from which it is computed.
+    pub(crate) fn vector(self) -> Option<Word> {
+        match self {
+            Self::Zero => None,
+            Self::JointPositions => Some(vectors::JOINT_POSITIONS),
+            Self::GripperFingers | Self::GripperOpenness | Self::GripperClosedness | Self::GripperOpening => {
+                Some(vectors::GRIPPER_OPENING)
+            }
+            _ => Some(vectors::TOOL_POSE),
         }
     }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-use robogate_core::{Action, ArmCommand, GripperCommand, Scenario, Start, Step, check_applied};
+use robogate_core::{Action, Command, Scenario, Start, Step, check_applied};
 use robogate_zmtp::ZmtpError;
 use serde::de::IgnoredAny;
 
@@ -11,7 +11,7 @@ use super::super::connection::{Connection, Timeouts, read_reply};
 use super::super::error::RequestError;
 use super::super::header::encode;
 use super::super::limits::{HEADER_BYTES, VERSION};
-use super::super::message::{ActionSpace, Empty, ErrorKind, HashReply, ParameterValue, Request, StepRequest};
+use super::super::message::{ActionKind, Empty, ErrorKind, HashReply, ParameterValue, Request, StepRequest};
 use super::super::session::Session;
 use super::Latency;
 
@@ -52,10 +52,11 @@ fn expect_rejected<T>(what: &str, reply: Result<T, RequestError>, kinds: &[Error
 
 impl<'a> Checker<'a> {
     /// All checks, in the order in which they run.
-    pub(super) const CHECKS: [Check<'a>; 13] = [
+    pub(super) const CHECKS: [Check<'a>; 14] = [
         ("handshake", "hello has the same content each time and for each connection", Self::handshake),
         ("applied", "parameters are read back as requested", Self::applied),
         ("unknown_parameter", "an unknown parameter is rejected with not_applied", Self::unknown_parameter),
+        ("declared", "measures and failure modes are those that the task declares", Self::declared),
         ("moves", "joints reach the commanded positions and stay there", Self::moves),
         (
             "deterministic",
@@ -66,7 +67,7 @@ impl<'a> Checker<'a> {
         ("other_tick", "a step for another tick is rejected without side effects", Self::other_tick),
         (
             "bad_action",
-            "an action that is not finite or has the wrong length is rejected without side effects",
+            "an action that is not finite, out of bounds or of the wrong length is rejected without side effects",
             Self::bad_action,
         ),
         ("order", "step and hash are rejected after close", Self::order),
@@ -97,42 +98,48 @@ impl<'a> Checker<'a> {
         self.session.step(&mut self.connection, action)
     }
 
-    fn takes_joint_positions(&self) -> bool {
-        self.connection.hello().action_spaces.contains(&ActionSpace::JointPosition)
-    }
-
-    /// The action of tick `k`: moves the first joint back and forth, or the tool up and down.
+    /// The action of tick `k`, a small motion: of the first joint back and forth, of the tool up and down, or of each
+    /// number of a vector around the middle of its bounds.
     fn action(&self, start: &Start, k: usize) -> Action {
-        let arm = if self.takes_joint_positions() {
-            let mut joints = start.observation.joint_positions.clone();
-            if let Some(first) = joints.first_mut() {
-                *first += 0.02 * (0.4 * k as f64).sin();
+        let spec = &self.connection.hello().task.action;
+        let swing = (0.4 * k as f64).sin();
+        let joints = start.observation.joint_positions();
+        let command = match (spec.joints(), spec.vector(), spec.tool_delta()) {
+            (Some(_), ..) if !joints.is_empty() => {
+                let mut joints = joints.to_vec();
+                joints[0] += 0.02 * swing;
+                Command::JointPosition(joints)
             }
-            ArmCommand::JointPositions(joints)
-        } else {
-            let step = self.connection.hello().tool_delta.map_or(0.0, |scale| 0.5 * scale.translation_m);
-            let up = if k.is_multiple_of(2) { step } else { -step };
-            ArmCommand::ToolDelta { translation_m: [0.0, 0.0, up], rotation_rad: [0.0; 3] }
+            (_, Some((low, high)), _) => {
+                let number = |(low, high): (&f64, &f64)| 0.5 * (low + high) + 0.05 * swing * (high - low);
+                Command::Vector(low.iter().zip(high).map(number).collect())
+            }
+            (_, _, Some((metres, _))) => {
+                let up = if k.is_multiple_of(2) { 0.5 * metres } else { -0.5 * metres };
+                Command::ToolDelta { translation_m: [0.0, 0.0, up], rotation_rad: [0.0; 3] }
+            }
+            (joints, None, None) => Command::JointPosition(vec![0.0; joints.map_or(0, <[String]>::len)]),
         };
-        let gripper = if k > PERIODS / 2 { GripperCommand::Close } else { GripperCommand::Open };
-        Action { arm, gripper, phase: None }
+        let gripper = if k > PERIODS / 2 { Action::CLOSE } else { Action::OPEN };
+        Action { command, gripper: spec.gripper.map(|_| gripper), phase: None }
     }
 
-    /// The numbers of an action that moves nothing.
-    fn hold(&self, start: &Start) -> (ActionSpace, Vec<f64>) {
-        let (space, mut numbers) = if self.takes_joint_positions() {
-            (ActionSpace::JointPosition, start.observation.joint_positions.clone())
-        } else {
-            (ActionSpace::ToolDelta, vec![0.0; 6])
+    /// The kind and the numbers of an action that moves little, with an open gripper.
+    fn hold(&self, start: &Start) -> (ActionKind, Vec<f64>) {
+        let action = self.action(start, 0);
+        let kind = ActionKind::of(&action.command);
+        let mut numbers = match action.command {
+            Command::JointPosition(numbers) | Command::Vector(numbers) => numbers,
+            Command::ToolDelta { .. } => vec![0.0; 6],
         };
-        numbers.push(-1.0);
-        (space, numbers)
+        numbers.extend(action.gripper);
+        (kind, numbers)
     }
 
     fn send_step(
         &mut self,
         tick: u64,
-        action_space: ActionSpace,
+        action_space: ActionKind,
         numbers: Vec<f64>,
     ) -> Result<IgnoredAny, RequestError> {
         self.connection.request("step", StepRequest { tick, action_space, actions: vec![numbers] })
@@ -172,12 +179,19 @@ impl<'a> Checker<'a> {
         expect_rejected("reset with an unknown parameter", reply, &[ErrorKind::NotApplied])
     }
 
+    fn declared(&mut self) -> Outcome {
+        self.run(0)?;
+        let notes: Vec<String> = self.connection.take_notes().into_iter().collect();
+        if notes.is_empty() { Ok(()) } else { Err(notes.join("; ")) }
+    }
+
     fn moves(&mut self) -> Outcome {
-        if !self.takes_joint_positions() {
+        let spec = self.connection.hello().task.action.clone();
+        let start = self.reset(0)?;
+        let home = start.observation.joint_positions().to_vec();
+        if spec.joints().is_none() || home.is_empty() {
             return Ok(());
         }
-        let start = self.reset(0)?;
-        let home = start.observation.joint_positions.clone();
         for (goal, periods) in [(0.0, 10_u32), (0.1, 30)] {
             for k in 1..=periods {
                 let mut joints = home.clone();
@@ -185,13 +199,14 @@ impl<'a> Checker<'a> {
                     // A ramp for two thirds of the periods, then constant.
                     *first += goal * f64::from(k.min(periods * 2 / 3)) / f64::from(periods * 2 / 3);
                 }
-                let arm = ArmCommand::JointPositions(joints.clone());
-                let step = self.step(&Action { arm, gripper: GripperCommand::Open, phase: None }).map_err(describe)?;
+                let command = Command::JointPosition(joints.clone());
+                let gripper = spec.gripper.map(|_| Action::OPEN);
+                let step = self.step(&Action { command, gripper, phase: None }).map_err(describe)?;
                 if step.ending.is_some() {
                     return Err("the episode ended although the arm hardly moved".to_owned());
                 }
                 if k == periods {
-                    let reached = step.observation.joint_positions;
+                    let reached = step.observation.joint_positions();
                     let off = |(is, commanded): (&f64, &f64)| (is - commanded).abs() > JOINT_TOLERANCE;
                     if let Some(i) = reached.iter().zip(&joints).position(off) {
                         let (commanded, is) = (joints[i], reached[i]);
@@ -256,7 +271,7 @@ impl<'a> Checker<'a> {
     fn bad_action(&mut self) -> Outcome {
         let start = self.reset(0)?;
         let (space, numbers) = self.hold(&start);
-        let (mut long, mut nan) = (numbers.clone(), numbers);
+        let (mut long, mut nan, mut far) = (numbers.clone(), numbers.clone(), numbers);
         long.push(0.0);
         if let Some(first) = nan.first_mut() {
             *first = f64::NAN;
@@ -266,7 +281,14 @@ impl<'a> Checker<'a> {
         self.expect_continues(&start)?;
         let kinds = [ErrorKind::BadAction, ErrorKind::BadRequest];
         expect_rejected("action with NaN", self.send_step(1, space, nan), &kinds)?;
-        self.expect_continues(&start)
+        self.expect_continues(&start)?;
+        let Some((_, high)) = self.connection.hello().task.action.vector() else { return Ok(()) };
+        if space == ActionKind::Vector {
+            far[0] = high[0] + 1.0 + high[0].abs();
+            expect_rejected("action out of bounds", self.send_step(2, space, far), &kinds)?;
+            self.expect_continues(&start)?;
+        }
+        Ok(())
     }
 
     fn order(&mut self) -> Outcome {
@@ -327,7 +349,7 @@ impl<'a> Checker<'a> {
     }
 
     fn render(&mut self) -> Outcome {
-        if self.connection.hello().cameras.is_empty() {
+        if self.connection.hello().task.observation.cameras.is_empty() {
             return Ok(());
         }
         let start = self.reset(0)?;
@@ -346,7 +368,7 @@ impl<'a> Checker<'a> {
 
     pub(super) fn latencies(&mut self) -> Result<Vec<Latency>, String> {
         let start = self.reset(0)?;
-        let action = Action { gripper: GripperCommand::Open, ..self.action(&start, 0) };
+        let action = self.action(&start, 0);
         let mut latencies = vec![measure("hash", || {
             self.connection.request::<HashReply>("hash", Empty {}).map(drop).map_err(describe)
         })?];
@@ -355,7 +377,7 @@ impl<'a> Checker<'a> {
             if step.ending.is_some() { self.reset(0).map(drop) } else { Ok(()) }
         })?);
         self.reset(0)?;
-        if !self.connection.hello().cameras.is_empty() {
+        if !self.connection.hello().task.observation.cameras.is_empty() {
             latencies.push(measure("render", || self.connection.render().map(drop).map_err(describe))?);
         }
         Ok(latencies)

@@ -2,9 +2,11 @@
 
 mod checks;
 
+use std::sync::Arc;
 use std::time::Duration;
 
-use robogate_core::Scenario;
+use robogate_core::samplers::LatinHypercube;
+use robogate_core::{Assignment, ParameterSpace, Sampler, Scenario, Seed, TaskSpec};
 use robogate_zmtp::Address;
 
 use super::connection::{Connection, Timeouts};
@@ -53,6 +55,44 @@ impl Report {
     }
 }
 
+/// Scenarios with which a server of this task is tried.
+///
+/// Each declared parameter has its value in `base`, or one sampled from `space`, or its nominal value; a parameter that
+/// has none of these is left out. `base` may only contain values that the task accepts.
+pub fn scenarios(
+    task: &TaskSpec,
+    space: Option<&Arc<ParameterSpace>>,
+    base: &Assignment,
+    count: usize,
+) -> Result<Vec<Scenario>, String> {
+    for (name, value) in base.iter() {
+        let known = || task.parameters.iter().map(|spec| &*spec.name).collect::<Vec<_>>().join(", ");
+        let spec = task.parameter(name);
+        let spec =
+            spec.ok_or_else(|| format!("the task declares no parameter `{name}`. Expected one of: {}", known()))?;
+        spec.accepts(value)?;
+    }
+    let seed = Seed::campaign(1);
+    let design = match space {
+        Some(space) => {
+            let sampled = LatinHypercube::default().design(space, count, seed.stream("bridge check"));
+            Some(sampled.map_err(|why| format!("cannot sample scenarios: {why}"))?)
+        }
+        None => None,
+    };
+    Ok((0..count)
+        .map(|i| {
+            let sampled = design.as_ref().and_then(|design| design.assignment(i)).unwrap_or_default();
+            let value = |name: &str| base.get(name).or_else(|| sampled.get(name)).cloned();
+            let requested = task.parameters.iter().filter_map(|spec| {
+                let value = value(&spec.name).or_else(|| spec.nominal.clone())?;
+                Some((Arc::clone(&spec.name), value))
+            });
+            Scenario { index: i as u64, seed: seed.episode(i as u64), requested: requested.collect() }
+        })
+        .collect())
+}
+
 /// Check the server at `address` against the protocol.
 ///
 /// `scenarios` (at least two) are those with which its parameters are tried. `session` is of the server's kind.
@@ -62,17 +102,21 @@ pub fn check(
     scenarios: &[Scenario],
     session: &mut dyn Session,
 ) -> Result<Report, RequestError> {
-    let connection = Connection::open(address.clone(), timeouts)?;
+    let connection = Connection::open_unchecked(address.clone(), timeouts)?;
     let hello = connection.hello().clone();
+    let declaration =
+        CheckResult { name: "task", requirement: "hello declares a valid task", violation: hello.check().err() };
+    if declaration.violation.is_some() {
+        // Nothing else can be tried without a task.
+        return Ok(Report { hello, results: vec![declaration], latencies: Vec::new() });
+    }
     let mut checker = Checker { connection, scenarios, session };
-    let mut results: Vec<CheckResult> = Checker::CHECKS
-        .into_iter()
-        .map(|(name, requirement, experiment)| CheckResult {
-            name,
-            requirement,
-            violation: experiment(&mut checker).err(),
-        })
-        .collect();
+    let mut results = vec![declaration];
+    results.extend(Checker::CHECKS.into_iter().map(|(name, requirement, experiment)| CheckResult {
+        name,
+        requirement,
+        violation: experiment(&mut checker).err(),
+    }));
     // The latency of invalid replies means nothing.
     let passed = results.iter().all(|result| result.violation.is_none());
     let latencies = if passed { checker.latencies() } else { Ok(Vec::new()) };

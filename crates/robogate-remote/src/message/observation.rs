@@ -1,6 +1,8 @@
 //! Observations on the wire.
 
-use robogate_core::{Observation, Pose};
+use std::collections::BTreeMap;
+
+use robogate_core::{Observation, TaskSpec, vectors};
 use serde::{Deserialize, Serialize};
 
 /// An observation without images.
@@ -8,58 +10,40 @@ use serde::{Deserialize, Serialize};
 pub struct ObservationMessage {
     /// Simulated time since the start of the episode, in seconds.
     pub time_s: f64,
-    /// Joint positions, in radians (metres for a sliding joint).
-    pub joint_positions: Vec<f64>,
-    /// Joint velocities, in the same units per second.
-    pub joint_velocities: Vec<f64>,
-    /// Distance between the fingers, in metres; nothing for a gripper without fingers.
-    pub gripper_opening_m: Option<f64>,
-    /// Pose of the tool centre point in the base frame.
-    pub tool_pose: Pose,
+    /// The vectors that the task declares, by name.
+    pub vectors: BTreeMap<String, Vec<f64>>,
 }
 
 impl From<&Observation> for ObservationMessage {
     fn from(observation: &Observation) -> Self {
-        Self {
-            time_s: observation.time_s,
-            joint_positions: observation.joint_positions.clone(),
-            joint_velocities: observation.joint_velocities.clone(),
-            gripper_opening_m: observation.gripper_opening_m,
-            tool_pose: observation.tool_pose,
-        }
+        let vectors = observation.vectors.iter().map(|(name, numbers)| (name.to_string(), numbers.clone()));
+        Self { time_s: observation.time_s, vectors: vectors.collect() }
     }
 }
 
 impl ObservationMessage {
-    /// Check the number of joints and the time, and convert to an observation.
-    pub(crate) fn checked(self, joints: usize, time_s: f64) -> Result<Observation, String> {
-        let (positions, velocities) = (self.joint_positions.len(), self.joint_velocities.len());
-        if positions != joints || velocities != joints {
-            return Err(format!(
-                "the observation has {positions} joint positions and {velocities} joint velocities; expected {joints} \
-                 of each"
-            ));
-        }
+    /// Check the vectors and the time, and convert to an observation.
+    pub(crate) fn checked(mut self, task: &TaskSpec, time_s: f64) -> Result<Observation, String> {
         if (self.time_s - time_s).abs() > 1e-6 {
             return Err(format!("the observation has the time {} s; expected {time_s} s", self.time_s));
         }
-        check_pose("tool_pose", &self.tool_pose)?;
-        Ok(Observation {
-            time_s,
-            joint_positions: self.joint_positions,
-            joint_velocities: self.joint_velocities,
-            gripper_opening_m: self.gripper_opening_m,
-            tool_pose: self.tool_pose,
-            images: Vec::new(),
-        })
+        let declared = task.observation.vectors.iter();
+        let vectors: Vec<_> =
+            declared.filter_map(|spec| Some((spec.name, self.vectors.remove(spec.name.as_str())?))).collect();
+        if let Some(name) = self.vectors.keys().next() {
+            return Err(format!("the observation has a vector `{name}`, which the task does not declare"));
+        }
+        let observation = Observation { time_s, vectors, images: Vec::new() };
+        task.check_observation(&observation)?;
+        if let Some(&[.., w, x, y, z]) = observation.vector(vectors::TOOL_POSE.as_str()) {
+            let squared = w * w + x * x + y * y + z * z;
+            if (squared - 1.0).abs() > 2e-6 {
+                return Err(format!(
+                    "the orientation in tool_pose is {:?}, which is not a unit quaternion",
+                    [w, x, y, z]
+                ));
+            }
+        }
+        Ok(observation)
     }
-}
-
-/// Check that the orientation of a pose is a unit quaternion.
-pub(crate) fn check_pose(name: &str, pose: &Pose) -> Result<(), String> {
-    let squared: f64 = pose.orientation.iter().map(|x| x * x).sum();
-    if (squared - 1.0).abs() <= 2e-6 {
-        return Ok(());
-    }
-    Err(format!("{name}.orientation is {:?}, which is not a unit quaternion", pose.orientation))
 }

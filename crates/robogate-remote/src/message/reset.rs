@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use robogate_core::TaskSpec;
+use robogate_core::TaskInstance;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -23,16 +23,16 @@ pub struct ResetRequest<C> {
 
 /// Reply to `reset`.
 ///
-/// A server that scores itself sends `task` and `applied`. Any other sends `readback` of type `R` and a sample of type
-/// `S`.
+/// A server that scores itself sends `applied`, and `instance` where the episode has an instruction or details of its
+/// own. Any other sends `readback` of type `R` and a sample of type `S`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(bound(deserialize = "R: DeserializeOwned, S: DeserializeOwned"))]
 pub struct ResetReply<R, S> {
     /// First observation.
     pub observation: ObservationMessage,
-    /// Task description for the policy.
+    /// What is special about this episode; left out, the instruction is that of the task.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub task: Option<TaskSpec>,
+    pub instance: Option<TaskInstance>,
     /// Parameters as read back after they were applied.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub applied: Option<BTreeMap<String, ParameterValue>>,

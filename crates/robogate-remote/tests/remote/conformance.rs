@@ -1,18 +1,17 @@
 //! Conformance tests of servers that keep the protocol, and of servers that do not.
 
 use std::collections::BTreeSet;
-use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
 use robogate_core::{Assignment, FailureMode, Outcome, Scenario, Value, rollout};
-use robogate_remote::conformance::{Report, check};
+use robogate_remote::conformance::{Report, check, scenarios};
 use robogate_remote::header::{decode, encode};
-use robogate_remote::message::{Empty, Envelope, Hello, ParameterValue, Reply, Request, ResetReply};
-use robogate_remote::{Pool, RemoteEnvironment, ScoredSession, Timeouts};
+use robogate_remote::message::{Empty, Envelope, ParameterValue, Reply, Request, ResetReply};
+use robogate_remote::{Connection, Pool, RemoteEnvironment, ScoredSession, Timeouts};
 use robogate_zmtp::Address;
 
-use crate::server::{AnyBody, Running, Tamper, in_steps, op, timeouts, unchanged};
+use crate::server::{AnyBody, Running, Tamper, in_steps, joints, op, timeouts, unchanged};
 use crate::support;
 use crate::toy::{Creep, hello, scenario};
 
@@ -33,7 +32,7 @@ fn a_conforming_server_passes() {
 
 #[test]
 fn planted_violations_are_found() {
-    let cases: [(&[&str], Tamper); 6] = [
+    let cases: [(&[&str], Tamper); 7] = [
         (&["applied"], |_, request, mut reply| {
             if op(request) == "reset"
                 && let Ok(mut body) = decode::<ResetReply<Empty, Empty>>(&reply[0])
@@ -57,7 +56,7 @@ fn planted_violations_are_found() {
                 return Some(reply);
             }
             let drift = 0.01 * n as f64;
-            Some(in_steps::<Empty>(request, reply, |steps| steps.steps[0].observation.joint_positions[2] += drift))
+            Some(in_steps::<Empty>(request, reply, |steps| joints(&mut steps.steps[0])[2] += drift))
         }),
         // It rejects nothing.
         (
@@ -77,9 +76,19 @@ fn planted_violations_are_found() {
             }
             Some(reply)
         }),
+        (&["declared"], |_, request, reply| {
+            if !decode::<Envelope>(&reply[0]).unwrap().ok {
+                return Some(reply);
+            }
+            Some(in_steps::<Empty>(request, reply, |steps| {
+                let measures = steps.steps[0].measures.as_mut().unwrap();
+                measures.insert("mood".to_owned(), Some(1.0));
+            }))
+        }),
         (&["handshake"], |n, request, mut reply| {
             if op(request) == "hello" && n > 1 {
-                let changed = Hello { time_limit_s: 4.0, ..hello() };
+                let mut changed = hello();
+                changed.task.time_limit_s = 4.0;
                 let envelope: Envelope = decode(&reply[0]).unwrap();
                 reply[0] = encode(&Reply { envelope, body: changed }).unwrap();
             }
@@ -96,12 +105,51 @@ fn planted_violations_are_found() {
 }
 
 #[test]
-fn a_python_server_passes_and_repeats_episodes() {
-    let Some(python) = support::python() else { return };
-    let script = support::root().join("bridges/common/tests/toy.py");
-    let peer = support::Peer::start(&python, Path::new(&script), &[]);
+fn an_invalid_task_is_the_only_result() {
+    let tamper: Tamper = |_, request, mut reply| {
+        if op(request) == "hello" {
+            let mut changed = hello();
+            changed.task.parameters.push(changed.task.parameters[0].clone());
+            let envelope: Envelope = decode(&reply[0]).unwrap();
+            reply[0] = encode(&Reply { envelope, body: changed }).unwrap();
+        }
+        Some(reply)
+    };
+    let (report, failed) = run(&Running::start(hello(), tamper));
+    assert_eq!((failed, report.results.len()), (BTreeSet::from(["task"]), 1));
+    assert!(report.results[0].violation.as_ref().unwrap().contains("`mass_kg` is declared twice"));
+}
+
+#[test]
+fn scenarios_combine_given_sampled_and_nominal_values() {
+    let task = hello().task;
+    let mut base = Assignment::default();
+    base.set("shape", Value::Category("sphere".into()));
+    for scenario in scenarios(&task, None, &base, 2).unwrap() {
+        assert_eq!(scenario.requested.number("mass_kg"), Some(1.0));
+        assert_eq!(scenario.requested.category("shape"), Some("sphere"));
+    }
+    let space = Arc::new(task.declared_space().unwrap());
+    let sampled = scenarios(&task, Some(&space), &base, 2).unwrap();
+    assert_ne!(sampled[0].requested.number("mass_kg"), sampled[1].requested.number("mass_kg"));
+    assert_eq!(sampled[0].requested.category("shape"), Some("sphere"));
+    base.set("colour", Value::Integer(1));
+    let why = scenarios(&task, None, &base, 2).unwrap_err();
+    assert!(why.contains("no parameter `colour`. Expected one of: mass_kg, shape"), "{why}");
+}
+
+/// A Python server of the toy simulators, and its address.
+fn python(kind: &str) -> Option<(support::Peer, Address)> {
+    let python = support::python()?;
+    let peer = support::Peer::start(&python, &support::root().join("bridges/common/tests/toy.py"), &["--kind", kind]);
     let line: serde_json::Value = serde_json::from_str(&peer.first_line).unwrap();
-    let address: Address = line["listening"].as_str().unwrap().parse().unwrap();
+    let address = line["listening"].as_str().unwrap().parse().unwrap();
+    Some((peer, address))
+}
+
+#[test]
+fn a_python_server_passes_and_repeats_episodes() {
+    let Some((_peer, address)) = python("gantry") else { return };
     let scenarios: Vec<Scenario> = (0..3)
         .map(|index| {
             let mut scenario = scenario(index);
@@ -120,5 +168,18 @@ fn a_python_server_passes_and_repeats_episodes() {
     let (first, second) = (episode(0), episode(1));
     assert_eq!(episode(0), first);
     assert_ne!(first.trajectory_hash, second.trajectory_hash);
-    assert_eq!(first.outcome, Outcome::Failure(FailureMode::Timeout));
+    assert_eq!(first.outcome, Outcome::Failure(FailureMode::TIMEOUT));
+}
+
+/// A task without a robot: its own failure modes, measures, parameters and a vector as action.
+#[test]
+fn a_python_task_of_its_own_conforms() {
+    let Some((_peer, address)) = python("tank") else { return };
+    let timeouts = Timeouts::from_step(Duration::from_secs(10));
+    let hello = Connection::open(address.clone(), timeouts).unwrap().hello().clone();
+    assert!(hello.robot.is_none() && hello.task.name == "tank");
+    let space = Arc::new(hello.task.declared_space().unwrap());
+    let scenarios = scenarios(&hello.task, Some(&space), &Assignment::default(), 3).unwrap();
+    let report = check(&address, timeouts, &scenarios, &mut ScoredSession).unwrap();
+    assert!(report.passed(), "{:?}", report.results);
 }

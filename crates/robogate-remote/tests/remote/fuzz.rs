@@ -3,8 +3,9 @@
 use std::time::Instant;
 
 use robogate_remote::header::{check, decode, encode};
+use robogate_remote::limits::VERSION;
 use robogate_remote::message::{
-    ActionSpace, Empty, Envelope, Hello, ParameterValue, Request, ResetReply, ResetRequest, StepReply, StepRequest,
+    ActionKind, Empty, Envelope, Hello, ParameterValue, Request, ResetReply, ResetRequest, StepReply, StepRequest,
 };
 use robogate_remote::{EnvironmentHost, Server};
 
@@ -23,7 +24,7 @@ fn every_request_gets_a_reply() {
         cell: None,
     };
     let steps =
-        StepRequest { tick: 0, action_space: ActionSpace::JointPosition, actions: vec![vec![0.1, 0.2, 0.3, 1.0]; 2] };
+        StepRequest { tick: 0, action_space: ActionKind::JointPosition, actions: vec![vec![0.1, 0.2, 0.3, 1.0]; 2] };
     let reset = request("reset", reset);
     let requests = [
         reset.clone(),
@@ -62,7 +63,7 @@ fn decoded_replies_are_finite() {
     let mut random = support::Random(8);
     let mut toy = Server::new(EnvironmentHost::new(hello(), Box::new(Toy::default())));
     let reset = ResetRequest::<Empty> { index: 1, seed: 2, parameters: [].into(), cell: None };
-    let steps = StepRequest { tick: 0, action_space: ActionSpace::JointPosition, actions: vec![vec![0.1; 4]; 3] };
+    let steps = StepRequest { tick: 0, action_space: ActionKind::JointPosition, actions: vec![vec![0.1; 4]; 3] };
     let requests = [request("hello", Empty {}), request("reset", reset), request("step", steps)];
     let replies = requests.map(|request| toy.answer(&[request]).swap_remove(0));
     assert!(replies.iter().all(|reply| decode::<Envelope>(reply).unwrap().ok));
@@ -74,7 +75,7 @@ fn decoded_replies_are_finite() {
             read += u64::from(hello.check().is_ok());
         }
         if let Ok(reply) = decode::<ResetReply<Empty, Empty>>(&bytes) {
-            assert!(reply.observation.joint_positions.iter().all(|q| q.is_finite()));
+            assert!(reply.observation.vectors.values().flatten().all(|q| q.is_finite()));
             read += 1;
         }
         if let Ok(reply) = decode::<StepReply<Empty>>(&bytes) {
@@ -88,5 +89,5 @@ fn decoded_replies_are_finite() {
 }
 
 fn request(op: &str, body: impl serde::Serialize) -> Vec<u8> {
-    encode(&Request { v: 1, op: op.to_owned(), episode: 5, body }).unwrap()
+    encode(&Request { v: VERSION, op: op.to_owned(), episode: 5, body }).unwrap()
 }

@@ -4,15 +4,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use robogate_core::{
-    Action, ArmCommand, Assignment, Ending, Fault, FaultKind, GripperCommand, Image, Measures, Observation, Outcome,
-    Pose, Scenario, Simulator, Start, Step, TaskSpec, Value, rollout,
+    Action, Assignment, Command, Ending, Environment, Fault, FaultKind, Image, Measures, Observation, Outcome,
+    Scenario, Start, Step, TaskInstance, TaskSpec, Value, rollout,
 };
 use robogate_remote::conformance::check;
-use robogate_remote::message::{ActionSpace, Hello, ObservationMessage, Period, ResetReply};
+use robogate_remote::message::{Hello, ObservationMessage, Period, ResetReply};
 use robogate_remote::{Host, PhysicsSession, Pool, RemoteEnvironment, RemotePhysics, RemoteTask, Timeouts};
 
 use crate::server::{Running, in_steps, unchanged};
-use crate::toy::{Creep, PERIOD, hello, scenario};
+use crate::toy::{Creep, PERIOD, hello, joint_positions, scenario, task};
 
 /// Time steps in a control period.
 const STEPS: usize = 5;
@@ -25,15 +25,15 @@ struct ToyPhysics {
 }
 
 fn physics_hello() -> Hello {
-    Hello {
-        time_step_s: PERIOD / STEPS as f64,
-        action_spaces: vec![ActionSpace::JointPosition],
-        tool_delta: None,
-        cameras: Vec::new(),
-        parameters: vec!["mass_kg".to_owned()],
-        scores_itself: false,
-        ..hello()
-    }
+    let mut hello = Hello { time_step_s: Some(PERIOD / STEPS as f64), scores_itself: false, ..hello() };
+    let task = &mut hello.task;
+    task.action.spaces.truncate(1);
+    task.observation.cameras.clear();
+    task.observation.vectors.truncate(1);
+    task.measures.clear();
+    task.failure_modes.clear();
+    task.parameters.retain(|parameter| &*parameter.name == "mass_kg");
+    hello
 }
 
 impl ToyPhysics {
@@ -44,10 +44,7 @@ impl ToyPhysics {
     fn observation(&self) -> ObservationMessage {
         ObservationMessage {
             time_s: f64::from(self.tick) * PERIOD,
-            joint_positions: self.joints.clone(),
-            joint_velocities: vec![0.0; 3],
-            gripper_opening_m: None,
-            tool_pose: Pose::IDENTITY,
+            vectors: [("joint_positions".to_owned(), self.joints.clone())].into(),
         }
     }
 }
@@ -64,14 +61,14 @@ impl Host for ToyPhysics {
         (self.joints, self.tick) = (vec![0.0; 3], 0);
         let mass = scenario.requested.number("mass_kg").unwrap_or(1.0);
         let (readback, sample) = (Some(mass), Some(0.0));
-        Ok(ResetReply { observation: self.observation(), task: None, applied: None, readback, sample })
+        Ok(ResetReply { observation: self.observation(), instance: None, applied: None, readback, sample })
     }
 
-    fn step(&mut self, arm: ArmCommand, _: GripperCommand) -> Result<Period<f64>, Fault> {
-        let ArmCommand::JointPositions(joints) = arm else {
+    fn step(&mut self, action: &Action) -> Result<Period<f64>, Fault> {
+        let Command::JointPosition(joints) = &action.command else {
             return Err(Fault::new(FaultKind::BadAction, "expected joint positions"));
         };
-        self.joints = joints;
+        self.joints.clone_from(joints);
         self.tick += 1;
         Ok(Period {
             observation: self.observation(),
@@ -90,19 +87,28 @@ impl Host for ToyPhysics {
 }
 
 /// Succeeds when the sum of the joint positions exceeds 0.16 rad.
-struct Reach;
+struct Reach(Arc<TaskSpec>);
+
+fn reach() -> Reach {
+    let mut task = task();
+    task.observation.vectors.truncate(1);
+    Reach(Arc::new(task))
+}
 
 impl RemoteTask for Reach {
     type Cell = &'static str;
     type Readback = f64;
     type Sample = f64;
 
-    fn accepts(&self, hello: &Hello) -> Result<(), String> {
-        if hello.joints.len() == 3 { Ok(()) } else { Err("expected three joints".to_owned()) }
+    fn task(&self) -> &Arc<TaskSpec> {
+        &self.0
     }
 
-    fn is_local(&self, parameter: &str) -> bool {
-        parameter == "shape"
+    fn accepts(&self, hello: &Hello) -> Result<(), String> {
+        match hello.task.action.joints() {
+            Some([_, _, _]) => Ok(()),
+            _ => Err("expected three joints".to_owned()),
+        }
     }
 
     fn resolve(&mut self, _: &Scenario) -> Result<&'static str, Fault> {
@@ -113,24 +119,13 @@ impl RemoteTask for Reach {
         let mut applied = Assignment::default();
         applied.set("shape", Value::Category("box".into()));
         applied.set("mass_kg", Value::Number(readback));
-        let task = TaskSpec {
-            instruction: "reach".to_owned(),
-            control_period_s: PERIOD,
-            time_limit_s: 2.0,
-            shape: "box".to_owned(),
-            object_extent_m: [0.05; 3],
-            object_pose: Pose::IDENTITY,
-            target_pose: Pose::IDENTITY,
-            tolerance_m: 0.03,
-            approach_speed_m_s: None,
-        };
-        Ok(Start { task, observation: observation.clone(), applied })
+        Ok(Start { instance: TaskInstance::default(), observation: observation.clone(), applied })
     }
 
     fn command(&mut self, action: &Action) -> Result<Vec<f64>, Fault> {
-        match &action.arm {
-            ArmCommand::JointPositions(joints) => Ok(joints.clone()),
-            ArmCommand::ToolDelta { .. } => Err(Fault::new(FaultKind::BadAction, "expected joint positions")),
+        match &action.command {
+            Command::JointPosition(joints) => Ok(joints.clone()),
+            _ => Err(Fault::new(FaultKind::BadAction, "expected joint positions")),
         }
     }
 
@@ -167,7 +162,7 @@ fn pool(server: &Running) -> Arc<Pool> {
 #[test]
 fn the_task_scores_what_the_server_reports() {
     let server = Running::start_host(ToyPhysics::new, unchanged);
-    let mut simulator = RemotePhysics::new(pool(&server), Reach).unwrap();
+    let mut simulator = RemotePhysics::new(pool(&server), reach()).unwrap();
     for index in 0..3 {
         let episode = rollout(&mut simulator, &mut Creep::default(), &scenario(index));
         assert_eq!(episode.outcome, Outcome::Success);
@@ -181,7 +176,7 @@ fn a_physics_server_conforms() {
     let server = Running::start_host(ToyPhysics::new, unchanged);
     let scenarios: Vec<Scenario> = (0..2).map(scenario).collect();
     let timeouts = Timeouts::from_step(Duration::from_secs(5));
-    let report = check(&server.address, timeouts, &scenarios, &mut PhysicsSession(Reach)).unwrap();
+    let report = check(&server.address, timeouts, &scenarios, &mut PhysicsSession(reach())).unwrap();
     assert!(report.passed(), "{:?}", report.results);
 }
 
@@ -192,10 +187,9 @@ fn a_missing_sample_is_a_violation() {
             reply.steps[0].samples.as_mut().unwrap().pop();
         }))
     });
-    let mut simulator = RemotePhysics::new(pool(&server), Reach).unwrap();
+    let mut simulator = RemotePhysics::new(pool(&server), reach()).unwrap();
     simulator.reset(&scenario(0)).unwrap();
-    let arm = ArmCommand::JointPositions(vec![0.0; 3]);
-    let fault = simulator.step(&Action { arm, gripper: GripperCommand::Open, phase: None }).unwrap_err();
+    let fault = simulator.step(&joint_positions(vec![0.0; 3], Action::OPEN)).unwrap_err();
     assert!(fault.detail.contains("4 entries in `sights`; expected 5"), "{fault}");
 }
 
@@ -204,6 +198,6 @@ fn the_kind_of_server_must_match() {
     let (physics, scored) = (Running::start_host(ToyPhysics::new, unchanged), Running::start(hello(), unchanged));
     let why = RemoteEnvironment::new(pool(&physics)).err().unwrap().to_string();
     assert!(why.contains("does not score itself"), "{why}");
-    let why = RemotePhysics::new(pool(&scored), Reach).err().unwrap().to_string();
+    let why = RemotePhysics::new(pool(&scored), reach()).err().unwrap().to_string();
     assert!(why.contains("scores itself"), "{why}");
 }

@@ -4,13 +4,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use robogate_core::{Action, ArmCommand, Episode, FaultKind, GripperCommand, Outcome, Simulator, Value, rollout};
+use robogate_core::{Action, Command, Environment, Episode, FailureMode, FaultKind, Outcome, Value, rollout};
 use robogate_remote::header::{decode, encode};
-use robogate_remote::message::{Empty, Envelope};
+use robogate_remote::message::{Empty, EndingMessage, Envelope, ErrorKind, ErrorReply};
 use robogate_remote::{Pool, PoolError, RemoteEnvironment};
 use robogate_zmtp::Address;
 
-use crate::server::{Running, Tamper, in_steps, op, timeouts, unchanged};
+use crate::server::{Running, Tamper, in_steps, joints, op, timeouts, unchanged, vector};
 use crate::toy::{Creep, PERIOD, Toy, hello, scenario};
 
 /// The lines that a pool reported about its servers.
@@ -66,7 +66,7 @@ fn remote_episodes_equal_local_ones() {
 }
 
 /// Failures of a server during an episode, and a part of the message by which each is reported.
-const FAILURES: [(&str, Tamper); 13] = [
+const FAILURES: [(&str, Tamper); 14] = [
     ("closed the connection", |n, _, reply| (n < 8).then_some(reply)),
     ("no answer within", |n, _, reply| {
         if n == 8 {
@@ -75,16 +75,21 @@ const FAILURES: [(&str, Tamper); 13] = [
         Some(reply)
     }),
     ("not finite", |_, request, reply| {
-        Some(in_steps::<Empty>(request, reply, |s| s.steps[0].observation.joint_positions[1] = f64::NAN))
+        Some(in_steps::<Empty>(request, reply, |s| joints(&mut s.steps[0])[1] = f64::NAN))
     }),
     ("not finite", |_, request, reply| {
-        Some(in_steps::<Empty>(request, reply, |s| s.steps[0].observation.tool_pose.position[0] = f64::INFINITY))
+        Some(in_steps::<Empty>(request, reply, |s| vector(&mut s.steps[0], "tool_pose")[0] = f64::INFINITY))
     }),
-    ("joint positions", |_, request, reply| {
-        Some(in_steps::<Empty>(request, reply, |s| s.steps[0].observation.joint_positions.push(0.0)))
+    ("`joint_positions` has 4 numbers", |_, request, reply| {
+        Some(in_steps::<Empty>(request, reply, |s| joints(&mut s.steps[0]).push(0.0)))
     }),
     ("not a unit quaternion", |_, request, reply| {
-        Some(in_steps::<Empty>(request, reply, |s| s.steps[0].observation.tool_pose.orientation = [1.0, 0.2, 0.0, 0.0]))
+        Some(in_steps::<Empty>(request, reply, |s| vector(&mut s.steps[0], "tool_pose")[4] = 0.2))
+    }),
+    ("a vector `mood`, which the task does not declare", |_, request, reply| {
+        Some(in_steps::<Empty>(request, reply, |s| {
+            s.steps[0].observation.vectors.insert("mood".to_owned(), vec![1.0]);
+        }))
     }),
     ("expected 0.", |_, request, reply| {
         Some(in_steps::<Empty>(request, reply, |s| s.steps[0].observation.time_s += PERIOD))
@@ -186,8 +191,7 @@ fn bad_scenarios_are_not_server_failures() {
         assert!(fault.kind == FaultKind::Setup && fault.detail.contains("too heavy"), "{fault}");
         assert_eq!(simulator.reset(&unknown).unwrap_err().kind, FaultKind::NotApplied);
         simulator.reset(&scenario(0)).unwrap();
-        let long = ArmCommand::ToolDelta { translation_m: [0.021, 0.0, 0.0], rotation_rad: [0.0; 3] };
-        let fault = simulator.step(&Action { arm: long, gripper: GripperCommand::Open, phase: None }).unwrap_err();
+        let fault = simulator.step(&move_tool(0.021)).unwrap_err();
         assert!(fault.kind == FaultKind::BadAction && fault.detail.contains("up to 0.02 m"), "{fault}");
     }
     assert!(messages.lock().unwrap().is_empty());
@@ -198,9 +202,97 @@ fn tool_deltas_keep_their_size() {
     let server = Running::start(hello(), unchanged);
     let mut simulator = RemoteEnvironment::new(pool(&[&server]).0).unwrap();
     let start = simulator.reset(&scenario(0)).unwrap();
-    let arm = ArmCommand::ToolDelta { translation_m: [0.01, 0.0, 0.0], rotation_rad: [0.0; 3] };
-    let step = simulator.step(&Action { arm, gripper: GripperCommand::Open, phase: None }).unwrap();
-    assert!((step.observation.joint_positions[0] - start.observation.joint_positions[0] - 0.01).abs() < 1e-15);
+    let step = simulator.step(&move_tool(0.01)).unwrap();
+    assert!((step.observation.joint_positions()[0] - start.observation.joint_positions()[0] - 0.01).abs() < 1e-15);
+}
+
+fn move_tool(metres: f64) -> Action {
+    let command = Command::ToolDelta { translation_m: [metres, 0.0, 0.0], rotation_rad: [0.0; 3] };
+    Action { command, gripper: Some(Action::OPEN), phase: None }
+}
+
+/// A server that ends each episode in its second control period, with this value as failure. A name in angle brackets
+/// stands for a value that is not a string.
+fn ending(value: &'static str) -> Tamper {
+    match value {
+        "jammed at 40 N" => {
+            |_, request, reply| Some(with_failure(request, reply, |out| out.extend(b"\xaejammed at 40 N")))
+        }
+        "<number>" => |_, request, reply| Some(with_failure(request, reply, |out| out.push(7))),
+        "<map>" => |_, request, reply| Some(with_failure(request, reply, |out| out.extend(b"\x81\xa1a\xc3"))),
+        "<list>" => |_, request, reply| Some(with_failure(request, reply, |out| out.push(0x90))),
+        _ => |_, request, reply| Some(with_failure(request, reply, |out| out.extend(b"\xa7success"))),
+    }
+}
+
+/// The reply to the second step with an ending whose failure is what `write` appends.
+fn with_failure(request: &[u8], reply: Vec<Vec<u8>>, write: fn(&mut Vec<u8>)) -> Vec<Vec<u8>> {
+    let mark = b"replace-me";
+    let mut reply = in_steps::<Empty>(request, reply, |steps| {
+        let step = &mut steps.steps[0];
+        if step.observation.time_s > 1.5 * PERIOD {
+            let failure = Some(FailureMode::constant("replace-me"));
+            step.ending = Some(EndingMessage { failure, time_s: 2.0 * PERIOD, contact: None });
+        }
+    });
+    let header = &mut reply[0];
+    if let Some(at) = header.windows(mark.len()).position(|window| window == mark) {
+        let rest = header.split_off(at + mark.len());
+        header.truncate(at - 1);
+        write(header);
+        header.extend(rest);
+    }
+    reply
+}
+
+#[test]
+fn any_failure_stays_a_failure() {
+    for (value, name) in [
+        ("jammed at 40 N", "jammed_at_40_N"),
+        ("success", "unknown"),
+        ("<number>", "unknown"),
+        ("<map>", "unknown"),
+        ("<list>", "unknown"),
+    ] {
+        let server = Running::start(hello(), ending(value));
+        let (pool, messages) = pool(&[&server]);
+        for episode in run(&pool, 1, 3) {
+            assert_eq!(episode.outcome, Outcome::Failure(FailureMode::from_foreign(name)), "{value}");
+        }
+        let messages = messages.lock().unwrap();
+        assert!(messages.len() == 1 && messages[0].contains(name), "{messages:?}");
+    }
+}
+
+#[test]
+fn undeclared_measures_are_reported_once() {
+    let server = Running::start(hello(), |_, request, reply| {
+        Some(in_steps::<Empty>(request, reply, |s| {
+            s.steps[0].measures.as_mut().unwrap().insert("mood".to_owned(), Some(1.0));
+        }))
+    });
+    let (pool, messages) = pool(&[&server]);
+    for (index, episode) in (0..).zip(run(&pool, 2, 10)) {
+        assert_eq!(episode, local(index));
+    }
+    let messages = messages.lock().unwrap();
+    assert!(messages.len() == 1 && messages[0].contains("`mood` is ignored"), "{messages:?}");
+}
+
+#[test]
+fn a_server_of_version_1_is_named() {
+    let server = Running::start(hello(), |_, _, mut reply| {
+        let detail = "this server speaks version 1 of the protocol".to_owned();
+        let error = Some(ErrorReply { kind: ErrorKind::BadRequest, detail });
+        reply[0] = encode(&Envelope { v: 1, episode: 0, ok: false, error }).unwrap();
+        Some(reply)
+    });
+    let why = Pool::connect(std::slice::from_ref(&server.address), timeouts(), Box::new(|_| {})).err().unwrap();
+    let why = why.to_string();
+    assert!(why.ends_with(
+        "the server speaks protocol version 1; this robogate speaks version 2. Upgrade the server (bridges/common of \
+         this release)"
+    ), "{why}");
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use robogate_remote::header::{decode, encode};
 use robogate_remote::limits::REQUEST;
-use robogate_remote::message::{Envelope, Hello, Reply, Request, StepReply};
+use robogate_remote::message::{Envelope, Hello, Period, Reply, Request, StepReply};
 use robogate_remote::{EnvironmentHost, Host, Server, Timeouts};
 use robogate_zmtp::{Address, Replier};
 use serde::Serialize;
@@ -91,4 +91,14 @@ pub(crate) fn in_steps<S: Serialize + DeserializeOwned>(
         reply[0] = encode(&Reply { envelope, body: steps }).unwrap();
     }
     reply
+}
+
+/// The joint positions that a control period reports.
+pub(crate) fn joints<S>(period: &mut Period<S>) -> &mut Vec<f64> {
+    vector(period, "joint_positions")
+}
+
+/// A vector that a control period reports.
+pub(crate) fn vector<'a, S>(period: &'a mut Period<S>, name: &str) -> &'a mut Vec<f64> {
+    period.observation.vectors.get_mut(name).unwrap()
 }

@@ -1,33 +1,48 @@
 //! A simulator without physics, and a policy for it.
 
+use std::sync::Arc;
+
 use robogate_core::{
-    Action, ArmCommand, Assignment, Contact, Ending, FailureMode, Fault, FaultKind, GripperCommand, Image, Measures,
-    Observation, Policy, Pose, Scenario, Seed, Simulator, Start, Step, TaskSpec, Value,
+    Action, ActionSpace, ActionSpec, Allowed, Assignment, Better, CameraSpec, Command, Contact, Ending, Environment,
+    FailureMode, FailureModeSpec, Fault, FaultKind, GripperKind, Image, MeasureSpec, Measures, Observation,
+    ObservationSpec, ParameterSpec, Policy, Pose, Scenario, Seed, Severity, Start, Step, TaskInstance, TaskSpec, Value,
+    VectorSpec, Word, vectors,
 };
-use robogate_remote::message::{ActionSpace, Camera, DeltaScale, Engine, Hello, Program, Robot};
+use robogate_remote::message::{Engine, Hello, Program};
 
 /// Control period in seconds.
 pub(crate) const PERIOD: f64 = 0.05;
 /// Number of control periods after which closing the gripper ends an episode.
 const LENGTH: u32 = 12;
 
+const SPILLED: FailureMode = FailureMode::constant("spilled");
+const LEVEL: Word = Word::constant("level_m");
+const FORCE: Word = Word::constant("force_n");
+
 /// Three joints that reach any commanded position immediately. Closing the gripper ends the episode after [`LENGTH`]
 /// control periods, with an outcome that the seed of the scenario decides.
-#[derive(Default)]
 pub(crate) struct Toy {
+    task: Arc<TaskSpec>,
     scenario: Option<Scenario>,
     joints: Vec<f64>,
     tick: u32,
+}
+
+impl Default for Toy {
+    fn default() -> Self {
+        Self { task: Arc::new(task()), scenario: None, joints: vec![0.0; 3], tick: 0 }
+    }
 }
 
 impl Toy {
     fn observation(&self) -> Observation {
         Observation {
             time_s: f64::from(self.tick) * PERIOD,
-            joint_positions: self.joints.clone(),
-            joint_velocities: vec![0.1; 3],
-            gripper_opening_m: Some(0.08),
-            tool_pose: Pose::upright([self.joints[0], 0.1, 0.2], self.joints[1]),
+            vectors: vec![
+                (vectors::JOINT_POSITIONS, self.joints.clone()),
+                (vectors::GRIPPER_OPENING, vec![0.08]),
+                (vectors::TOOL_POSE, Pose::upright([self.joints[0], 0.1, 0.2], self.joints[1]).to_array().to_vec()),
+            ],
             images: Vec::new(),
         }
     }
@@ -37,7 +52,11 @@ impl Toy {
     }
 }
 
-impl Simulator for Toy {
+impl Environment for Toy {
+    fn task(&self) -> &Arc<TaskSpec> {
+        &self.task
+    }
+
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
         if scenario.requested.number("mass_kg").is_some_and(|mass| mass > 100.0) {
             return Err(Fault::new(FaultKind::Setup, "too heavy to lift"));
@@ -46,34 +65,25 @@ impl Simulator for Toy {
         self.joints = vec![stream.uniform(), stream.uniform(), 0.0];
         self.tick = 0;
         self.scenario = Some(scenario.clone());
-        let task = TaskSpec {
-            instruction: "wait".to_owned(),
-            control_period_s: PERIOD,
-            time_limit_s: 2.0,
-            shape: "box".to_owned(),
-            object_extent_m: [0.05; 3],
-            object_pose: Pose::upright([0.5, 0.0, 0.025], 0.3),
-            target_pose: Pose::IDENTITY,
-            tolerance_m: 0.03,
-            approach_speed_m_s: None,
-        };
-        Ok(Start { task, observation: self.observation(), applied: scenario.requested.clone() })
+        let details = serde_json::json!({"pose": [0.5, 0.0, 0.025]});
+        let instance = TaskInstance { instruction: format!("wait for {}", scenario.index), details };
+        Ok(Start { instance, observation: self.observation(), applied: scenario.requested.clone() })
     }
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {
-        match &action.arm {
-            ArmCommand::JointPositions(joints) => self.joints.clone_from(joints),
-            ArmCommand::ToolDelta { translation_m, .. } => self.joints[0] += translation_m[0],
+        match &action.command {
+            Command::JointPosition(joints) => self.joints.clone_from(joints),
+            Command::ToolDelta { translation_m, .. } => self.joints[0] += translation_m[0],
+            Command::Vector(_) => return Err(Fault::new(FaultKind::BadAction, "expected no vector")),
         }
         self.tick += 1;
-        let over = self.tick >= LENGTH && action.gripper == GripperCommand::Close;
-        let failure =
-            (self.scenario.as_ref().unwrap().seed.stream("end").below(2) == 1).then_some(FailureMode::GripLoss);
+        let over = self.tick >= LENGTH && action.gripper == Some(Action::CLOSE);
+        let failure = (self.scenario.as_ref().unwrap().seed.stream("end").below(2) == 1).then_some(SPILLED);
         let contact =
             failure.map(|_| Contact { robot_body: "hand".to_owned(), other_body: "table".to_owned(), force_n: 3.25 });
         Ok(Step {
             observation: self.observation(),
-            measures: Measures { slip_m: Some(self.joints[0] / 3.0), ..Measures::default() },
+            measures: Measures::from_iter([(LEVEL, Some(self.joints[0] / 3.0)), (FORCE, None)]),
             ending: over.then(|| Ending { failure, time_s: f64::from(self.tick) * PERIOD, contact }),
             events: vec![format!("tick {}", self.tick)],
             state_hash: self.hash(),
@@ -86,24 +96,62 @@ impl Simulator for Toy {
     }
 }
 
-pub(crate) fn hello() -> Hello {
-    Hello {
-        server: Program { name: "test".to_owned(), version: "1".to_owned() },
-        engine: Engine { name: "toy".to_owned(), version: "1".to_owned(), solver: None },
-        robot: Robot { name: "toy".to_owned(), sha256: None },
-        time_step_s: PERIOD,
+pub(crate) fn task() -> TaskSpec {
+    let measure = |name: Word, unit: &str| MeasureSpec {
+        name,
+        unit: unit.to_owned(),
+        meaning: String::new(),
+        better: Better::Neither,
+    };
+    let parameter = |name: &str, allowed: Allowed, nominal: Value| ParameterSpec {
+        name: name.into(),
+        unit: String::new(),
+        meaning: String::new(),
+        allowed,
+        nominal: Some(nominal),
+        read_from: String::new(),
+    };
+    let vector = |name: Word, length: usize| VectorSpec { name, length, unit: String::new() };
+    let choices = vec!["box".into(), "sphere".into()];
+    TaskSpec {
+        name: Word::constant("pour"),
+        version: 1,
+        instruction: "wait".to_owned(),
         control_period_s: PERIOD,
         time_limit_s: 2.0,
-        joints: ["a", "b", "c"].map(str::to_owned).to_vec(),
-        action_spaces: vec![ActionSpace::JointPosition, ActionSpace::ToolDelta],
-        tool_delta: Some(DeltaScale { translation_m: 0.02, rotation_rad: 0.05 }),
-        cameras: vec![Camera { name: "front".to_owned(), width: 8, height: 6 }],
-        quaternion_order: "wxyz".to_owned(),
-        image_origin: "top_left".to_owned(),
-        parameters: vec!["mass_kg".to_owned(), "shape".to_owned()],
-        scores_itself: true,
-        deterministic: true,
+        failure_modes: vec![FailureModeSpec {
+            name: SPILLED,
+            meaning: "Something is on the table.".to_owned(),
+            severity: Severity::Critical,
+        }],
+        measures: vec![measure(LEVEL, "m"), measure(FORCE, "N")],
+        phases: Vec::new(),
+        parameters: vec![
+            parameter("mass_kg", Allowed::Continuous { low: 0.0, high: 200.0 }, Value::Number(1.0)),
+            parameter("shape", Allowed::Categorical { choices, open: false }, Value::Category("box".into())),
+        ],
+        observation: ObservationSpec {
+            vectors: vec![
+                vector(vectors::JOINT_POSITIONS, 3),
+                vector(vectors::GRIPPER_OPENING, 1),
+                vector(vectors::TOOL_POSE, 7),
+            ],
+            cameras: vec![CameraSpec { name: "front".to_owned(), width: 8, height: 6 }],
+        },
+        action: ActionSpec {
+            spaces: vec![
+                ActionSpace::JointPosition { joints: ["a", "b", "c"].map(str::to_owned).to_vec() },
+                ActionSpace::ToolDelta { translation_m: 0.02, rotation_rad: 0.05 },
+            ],
+            gripper: Some(GripperKind::Binary),
+        },
+        details: serde_json::Value::Null,
     }
+}
+
+pub(crate) fn hello() -> Hello {
+    let server = Program { name: "test".to_owned(), version: "1".to_owned() };
+    Hello::new(task(), server, Engine { name: "toy".to_owned(), version: "1".to_owned(), solver: None })
 }
 
 /// Moves all joints a little in each control period, and uses images in every third one.
@@ -111,21 +159,29 @@ pub(crate) fn hello() -> Hello {
 pub(crate) struct Creep(u32);
 
 impl Policy for Creep {
-    fn reset(&mut self, _: &TaskSpec, _: Seed) -> Result<(), Fault> {
+    fn check(&self, _: &TaskSpec) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, _: Seed) -> Result<(), Fault> {
         self.0 = 0;
         Ok(())
     }
 
-    fn looks(&self) -> bool {
+    fn wants_images(&self) -> bool {
         self.0.is_multiple_of(3)
     }
 
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
-        assert_eq!(observation.images.len(), usize::from(self.looks()));
+        assert_eq!(observation.images.len(), usize::from(self.wants_images()));
         self.0 += 1;
-        let joints = observation.joint_positions.iter().map(|q| q + 0.01).collect();
-        Ok(Action { arm: ArmCommand::JointPositions(joints), gripper: GripperCommand::Close, phase: None })
+        let joints = observation.joint_positions().iter().map(|q| q + 0.01).collect();
+        Ok(joint_positions(joints, Action::CLOSE))
     }
+}
+
+pub(crate) fn joint_positions(joints: Vec<f64>, gripper: f64) -> Action {
+    Action { command: Command::JointPosition(joints), gripper: Some(gripper), phase: None }
 }
 
 pub(crate) fn scenario(index: u64) -> Scenario {

@@ -4,9 +4,9 @@ use std::fmt::Write;
 
 use robogate_gate::{ConfidenceScore, Evaluation, Mode, Verdict};
 
-use super::{DemandRow, how_judged, sign, value, what_next};
+use super::{RequirementRow, how_judged, sign, value, what_next};
 use crate::page::escape_markdown;
-use crate::words::{count, fixed, percent, percents, sentence};
+use robogate_stats::format::{count, fixed, percent, percent_range, sentence};
 
 /// The evaluation as Markdown.
 pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
@@ -17,7 +17,7 @@ pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
         Verdict::Inconclusive => "\u{2754}",
         Verdict::Invalid => "\u{26a0}\u{fe0f}",
     };
-    let word = evaluation.verdict.word().to_uppercase();
+    let word = evaluation.verdict.as_str().to_uppercase();
     // Writing to a string cannot fail; so throughout this file.
     let _ = writeln!(
         out,
@@ -32,12 +32,12 @@ pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
     } else {
         out.push_str("| | demand | observed | |\n|---|---|---:|---|\n");
     }
-    for row in DemandRow::all(evaluation) {
+    for row in RequirementRow::all(evaluation) {
         let _ = write!(
             out,
             "| {} | {} | {} |",
             sign(row.status),
-            escape_markdown(&row.demand),
+            escape_markdown(&row.requirement),
             escape_markdown(&row.observed)
         );
         if evaluation.requirements.mode == Mode::Confidence {
@@ -78,7 +78,7 @@ pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
                 escape_markdown(&group.group),
                 count(group.successes),
                 count(group.valid),
-                percents(group.interval_95),
+                percent_range(group.interval_95),
                 escape_markdown(&endings.join(", "))
             );
         }
@@ -98,8 +98,8 @@ fn score(out: &mut String, score: &ConfidenceScore) {
             out,
             "| {} | {} | {} | {} | {} | {} |",
             escape_markdown(&term.term.name),
-            term.value.map_or_else(dash, |x| value(metric, x)),
-            term.baseline.map_or_else(String::new, |x| value(metric, x)),
+            term.value.map_or_else(dash, |x| value(metric, "", x)),
+            term.baseline.map_or_else(String::new, |x| value(metric, "", x)),
             term.scored.map_or_else(dash, |x| fixed(x, 3)),
             fixed(term.term.weight, 2),
             term.points.map_or_else(dash, |x| fixed(x, 1))

@@ -4,21 +4,21 @@ mod junit;
 mod leaderboard;
 mod markdown;
 
-use robogate_gate::{Evaluation, Finding, Metric, Mode, Sampling, Status};
+use robogate_gate::{Evaluation, Metric, Mode, RequirementResult, Sampling, Status};
 
 pub use junit::junit;
 pub use leaderboard::{leaderboard_html, leaderboard_markdown};
 pub use markdown::evaluation_markdown;
 
-use crate::words::{count, fixed, percent};
+use robogate_stats::format::{count, fixed, number, percent};
 
-/// One demand in words: what a table of any kind shows.
+/// One requirement in words: what a table of any kind shows.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct DemandRow {
+pub struct RequirementRow {
     /// What follows.
     pub status: Status,
-    /// The demand.
-    pub demand: String,
+    /// The requirement.
+    pub requirement: String,
     /// What was observed.
     pub observed: String,
     /// What is known of the true figure; empty in point mode.
@@ -27,10 +27,10 @@ pub struct DemandRow {
     pub note: String,
 }
 
-impl DemandRow {
-    /// Every demand of an evaluation, the comparison last.
+impl RequirementRow {
+    /// Every requirement of an evaluation, the comparison last.
     pub fn all(evaluation: &Evaluation) -> Vec<Self> {
-        let mut rows: Vec<Self> = evaluation.findings.iter().map(|f| Self::of(f, evaluation)).collect();
+        let mut rows: Vec<Self> = evaluation.results.iter().map(|f| Self::of(f, evaluation)).collect();
         if let Some(c) = &evaluation.comparison {
             let known = if c.difference.is_some() {
                 format!("{} to {}", points(c.interval_95[0]), points(c.interval_95[1]))
@@ -39,7 +39,7 @@ impl DemandRow {
             };
             rows.push(Self {
                 status: c.status,
-                demand: format!("not worse than {} by {}", c.policy, points(c.margin).trim_start_matches('+')),
+                requirement: format!("not worse than {} by {}", c.policy, points(c.margin).trim_start_matches('+')),
                 observed: c.difference.map_or_else(|| "-".to_owned(), points),
                 interval: known,
                 note: format!(
@@ -56,41 +56,44 @@ impl DemandRow {
         rows
     }
 
-    fn of(finding: &Finding, evaluation: &Evaluation) -> Self {
-        let metric = finding.requirement.metric;
-        let word = |x: f64| value(metric, x);
-        let scope = match (&finding.requirement.category, &finding.requirement.group) {
+    fn of(result: &RequirementResult, evaluation: &Evaluation) -> Self {
+        let metric = result.requirement.metric;
+        let text = |x: f64| value(metric, &result.unit, x);
+        let scope = match (&result.requirement.category, &result.requirement.group) {
             (Some(category), Some(group)) => format!(" in {category}/{group}"),
             (Some(scope), None) | (None, Some(scope)) => format!(" in {scope}"),
             (None, None) => String::new(),
         };
-        let demand = format!("{}{scope} {} {}", metric.title(), finding.bound.sense, word(finding.bound.limit));
-        let observed = finding.figure.observed.map_or_else(|| "-".to_owned(), word);
-        let interval = match (finding.interval, metric) {
-            (Some([low, high]), Metric::CycleTimeS) => format!("{} to {}", fixed(low, 2), word(high)),
-            (Some([low, high]), _) => format!("{} to {}", word(low).trim_end_matches(" %"), word(high)),
-            (None, _) => String::new(),
+        let requirement = format!("{}{scope} {} {}", metric.title(), result.bound.sense, text(result.bound.limit));
+        let observed = result.figure.observed.map_or_else(|| "-".to_owned(), text);
+        let interval = match result.interval {
+            Some([low, high]) => {
+                let low = text(low);
+                let unit = if result.unit.is_empty() { "%" } else { &result.unit };
+                format!("{} to {}", low.trim_end_matches(unit).trim_end(), text(high))
+            }
+            None => String::new(),
         };
         let mut notes = Vec::new();
-        match (finding.status, finding.decided_at_episodes) {
-            (Status::NoEvidence, _) => notes.push("no episode says anything about it".to_owned()),
+        match (result.status, result.decided_at_episodes) {
+            (Status::NoEvidence, _) => notes.push("no episode is evidence for or against it".to_owned()),
             (Status::Undecided, Some(at)) => notes.push(how_many(at, evaluation)),
             (Status::Undecided, None) if evaluation.requirements.mode == Mode::Confidence => {
-                notes.push("too near the limit for any sensible number of episodes".to_owned());
+                notes.push("too near the limit to decide with any practical number of episodes".to_owned());
             }
             _ => {}
         }
-        if finding.invalid > 0 && finding.status != Status::NoEvidence {
-            let most = finding.figure.most.map_or_else(|| "any".to_owned(), word);
-            let say = if finding.invalid == 1 { "says" } else { "say" };
+        if result.invalid > 0 && result.status != Status::NoEvidence {
+            let most = result.figure.most.map_or_else(|| "any".to_owned(), text);
+            let say = if result.invalid == 1 { "says" } else { "say" };
             notes.push(format!(
                 "{} of {} {say} nothing: could be {} to {most}",
-                count(finding.invalid),
-                count(finding.valid + finding.invalid),
-                word(finding.figure.least)
+                count(result.invalid),
+                count(result.valid + result.invalid),
+                result.figure.least.map_or_else(|| "any".to_owned(), text)
             ));
         }
-        Self { status: finding.status, demand, observed, interval, note: notes.join("; ") }
+        Self { status: result.status, requirement, observed, interval, note: notes.join("; ") }
     }
 }
 
@@ -135,10 +138,11 @@ pub fn how_judged(evaluation: &Evaluation) -> String {
 }
 
 /// A figure of a metric with its unit.
-pub(crate) fn value(metric: Metric, x: f64) -> String {
+pub(crate) fn value(metric: Metric, unit: &str, x: f64) -> String {
     match metric {
-        Metric::CycleTimeS => format!("{} s", fixed(x, 2)),
-        Metric::CollisionCount => fixed(x, 0),
+        Metric::CycleTime(_) => format!("{} s", fixed(x, 2)),
+        Metric::Measure(..) => format!("{} {unit}", number(x)).trim_end().to_owned(),
+        Metric::FailureCount(_) => fixed(x, 0),
         // A limit of 0.25 % must not be told as 0.2 %.
         _ if (x > 0.0 && x < 0.01) || (x > 0.99 && x < 1.0) => format!("{} %", fixed(100.0 * x, 2)),
         _ => percent(x),

@@ -1,16 +1,19 @@
 //! The smaller figures.
 
-use crate::along::{Along, AlongKind, Cell, CriticalThreshold, Zone};
+use maud::Markup;
+
 use crate::page::heatmap::step;
 use crate::page::svg::{Anchor, Scale, Svg, cut};
-use crate::words::{count, mode, name_with_unit, number, percent, percents, significant};
-use crate::{CalibrationFigures, DangerZones, FailureModes, ModeChanges, Rate, Regression, RocFigures};
+use robogate_analysis::labels::{label_with_unit, mode_label};
+use robogate_analysis::{Along, AlongKind, Cell, CriticalThreshold, Zone};
+use robogate_analysis::{CalibrationFigures, DangerZones, FailureModes, ModeChanges, Rate, Regression, RocFigures};
+use robogate_stats::format::{count, number, percent, percent_range, significant};
 
 /// Success limits of the zones, as the paper has them.
 const ZONES: [f64; 2] = [0.3, 0.7];
 
 /// The success rate on a line from 0 to 100 %, with its interval and the zones.
-pub(crate) fn rate_scale(rate: &Rate, bounds: Option<[f64; 2]>) -> String {
+pub(crate) fn rate_scale(rate: &Rate, bounds: Option<[f64; 2]>) -> Markup {
     let mut svg = Svg::new(360.0, 84.0);
     let x = Scale::linear([0.0, 1.0], [6.0, 354.0]);
     let y = 34.0;
@@ -32,16 +35,16 @@ pub(crate) fn rate_scale(rate: &Rate, bounds: Option<[f64; 2]>) -> String {
         svg.line("bounds", [x.at(low), y + 20.0, x.at(high), y + 20.0]);
     }
     let [low, high] = rate.wilson_95;
-    svg.rect_told("ci", [x.at(low), y - 3.0, (x.at(high) - x.at(low)).max(3.0), 20.0], &percents(rate.wilson_95));
+    svg.rect_told("ci", [x.at(low), y - 3.0, (x.at(high) - x.at(low)).max(3.0), 20.0], &percent_range(rate.wilson_95));
     if let Some(rate) = rate.rate {
         svg.line("mark", [x.at(rate), y - 6.0, x.at(rate), y + 20.0]);
     }
     let label = rate.rate.map_or_else(|| "no valid episode".to_owned(), percent);
-    svg.finish(&format!("Success rate {label}, 95 % interval {}", percents(rate.wilson_95)))
+    svg.finish(&format!("Success rate {label}, 95 % interval {}", percent_range(rate.wilson_95)))
 }
 
 /// Success along one parameter.
-pub(crate) fn along(along: &Along) -> String {
+pub(crate) fn along(along: &Along) -> Markup {
     match along.kind {
         AlongKind::Continuous | AlongKind::ContinuousLog if along.cells.iter().all(|c| c.range.is_some()) => {
             bins(along)
@@ -50,7 +53,7 @@ pub(crate) fn along(along: &Along) -> String {
     }
 }
 
-fn bins(along: &Along) -> String {
+fn bins(along: &Along) -> Markup {
     let mut svg = Svg::new(340.0, 200.0);
     let (low, high) = match (along.cells.first(), along.cells.last()) {
         (Some(first), Some(last)) => (first.range.unwrap_or_default()[0], last.range.unwrap_or_default()[1]),
@@ -82,14 +85,14 @@ fn bins(along: &Along) -> String {
             svg.text("s d", Anchor::End, [x.at(to), 174.0], &significant(to, 2));
         }
     }
-    svg.text("a", Anchor::Middle, [186.0, 193.0], &name_with_unit(&along.parameter));
-    svg.finish(&format!("Success along {}", name_with_unit(&along.parameter)))
+    svg.text("a", Anchor::Middle, [186.0, 193.0], &label_with_unit(&along.parameter));
+    svg.finish(&format!("Success along {}", label_with_unit(&along.parameter)))
 }
 
 /// Most levels that are drawn.
 const MOST_LEVELS: usize = 24;
 
-fn levels(along: &Along) -> String {
+fn levels(along: &Along) -> Markup {
     let cells = &along.cells[..along.cells.len().min(MOST_LEVELS)];
     let height = if cells.len() <= 7 { 26.0 } else { 19.0 };
     let bottom = 10.0 + height * cells.len() as f64;
@@ -113,8 +116,8 @@ fn levels(along: &Along) -> String {
         svg.line("whisker", [x.at(l), y, x.at(h), y]);
         svg.dot("dot", [x.at(rate), y], 3.6, &told(cell));
     }
-    svg.text("a", Anchor::Middle, [213.0, bottom + 33.0], &name_with_unit(&along.parameter));
-    svg.finish(&format!("Success along {}", name_with_unit(&along.parameter)))
+    svg.text("a", Anchor::Middle, [213.0, bottom + 33.0], &label_with_unit(&along.parameter));
+    svg.finish(&format!("Success along {}", label_with_unit(&along.parameter)))
 }
 
 fn told(cell: &Cell) -> String {
@@ -129,7 +132,7 @@ fn told(cell: &Cell) -> String {
         cell.label,
         count(cell.rate.successes),
         count(cell.rate.n),
-        percents(cell.rate.wilson_95)
+        percent_range(cell.rate.wilson_95)
     )
 }
 
@@ -144,12 +147,12 @@ fn rate_axis(svg: &mut Svg, y: Scale, left: f64, right: f64) {
 }
 
 /// Shares of the failure modes.
-pub(crate) fn modes(modes: &FailureModes) -> String {
+pub(crate) fn modes(modes: &FailureModes) -> Markup {
     let mut svg = Svg::new(520.0, 4.0 + 34.0 * modes.modes.len() as f64);
     let x = Scale::linear([0.0, 1.0], [92.0, 376.0]);
     for (i, share) in modes.modes.iter().enumerate() {
         let y = 6.0 + 34.0 * i as f64;
-        svg.text("b", Anchor::End, [84.0, y + 17.0], &mode(&share.mode));
+        svg.text("b", Anchor::End, [84.0, y + 17.0], &mode_label(&share.mode));
         svg.rect("track", [x.at(0.0), y + 4.0, x.at(1.0) - x.at(0.0), 17.0]);
         let Some(part) = share.share else { continue };
         svg.rect(&format!("m{i}"), [x.at(0.0), y + 4.0, x.at(part) - x.at(0.0), 17.0]);
@@ -162,7 +165,7 @@ pub(crate) fn modes(modes: &FailureModes) -> String {
 }
 
 /// How the modes change along a parameter.
-pub(crate) fn mode_changes(parameter: &str, changes: &ModeChanges, modes: &FailureModes) -> String {
+pub(crate) fn mode_changes(parameter: &str, changes: &ModeChanges, modes: &FailureModes) -> Markup {
     let n = changes.bins.len().max(1);
     let mut svg = Svg::new(420.0, 232.0);
     let (left, right, top, bottom) = (42.0, 412.0, 34.0, 184.0);
@@ -174,7 +177,7 @@ pub(crate) fn mode_changes(parameter: &str, changes: &ModeChanges, modes: &Failu
     let mut at = 0.0;
     for (i, of) in modes.modes.iter().enumerate() {
         svg.rect(&format!("m{i}"), [at, 8.0, 11.0, 11.0]);
-        svg.text("s", Anchor::Start, [at + 16.0, 18.0], &mode(&of.mode));
+        svg.text("s", Anchor::Start, [at + 16.0, 18.0], &mode_label(&of.mode));
         at += 28.0 + 6.6 * of.mode.len() as f64;
     }
     for tick in [0.0, 0.5, 1.0] {
@@ -188,8 +191,13 @@ pub(crate) fn mode_changes(parameter: &str, changes: &ModeChanges, modes: &Failu
         for (m, counted) in bin.counts.iter().enumerate().filter(|(_, counted)| **counted > 0) {
             let (from, to) = (below as f64 / all as f64, (below + counted) as f64 / all as f64);
             let word = modes.modes.get(m).map_or("", |m| m.mode.as_str());
-            let told =
-                format!("{} to {}: {} of {all} {}", number(bin.range[0]), number(bin.range[1]), counted, mode(word));
+            let told = format!(
+                "{} to {}: {} of {all} {}",
+                number(bin.range[0]),
+                number(bin.range[1]),
+                counted,
+                mode_label(word)
+            );
             svg.rect_told(&format!("m{m}"), [x + 1.0, y.at(to) + 0.5, w - 2.0, y.at(from) - y.at(to) - 1.0], &told);
             below += counted;
         }
@@ -205,12 +213,12 @@ pub(crate) fn mode_changes(parameter: &str, changes: &ModeChanges, modes: &Failu
             svg.dot("sure", [x + 0.5 * w, bottom + 26.0], 2.6, "the dominant mode is sure");
         }
     }
-    svg.text("a", Anchor::Middle, [0.5 * (left + right), bottom + 44.0], &name_with_unit(parameter));
-    svg.finish(&format!("Failure modes along {}", name_with_unit(parameter)))
+    svg.text("a", Anchor::Middle, [0.5 * (left + right), bottom + 44.0], &label_with_unit(parameter));
+    svg.finish(&format!("Failure modes along {}", label_with_unit(parameter)))
 }
 
 /// The surest danger zones with their intervals.
-pub(crate) fn danger(zones: &DangerZones, most: usize) -> String {
+pub(crate) fn danger(zones: &DangerZones, most: usize) -> Markup {
     let shown = &zones.zones[..zones.zones.len().min(most)];
     let bottom = 8.0 + 24.0 * shown.len() as f64;
     let mut svg = Svg::new(520.0, bottom + 26.0);
@@ -222,7 +230,7 @@ pub(crate) fn danger(zones: &DangerZones, most: usize) -> String {
     }
     for (i, zone) in shown.iter().enumerate() {
         let y = 20.0 + 24.0 * i as f64;
-        let label = cut(&format!("{} {}", crate::words::name(&zone.parameter), zone.cell), 27);
+        let label = cut(&format!("{} {}", robogate_analysis::labels::parameter_label(&zone.parameter), zone.cell), 27);
         svg.text(if zone.sure { "s" } else { "s d" }, Anchor::End, [182.0, y + 4.0], &label);
         let [l, h] = zone.rate.wilson_95;
         svg.line("whisker", [x.at(l), y, x.at(h), y]);
@@ -232,14 +240,14 @@ pub(crate) fn danger(zones: &DangerZones, most: usize) -> String {
             &class,
             [x.at(rate), y],
             4.4,
-            &format!("{label}: {} ({})", percent(rate), percents(zone.rate.wilson_95)),
+            &format!("{label}: {} ({})", percent(rate), percent_range(zone.rate.wilson_95)),
         );
     }
     svg.finish("Bins and levels below 40 % success: rates, with intervals")
 }
 
 /// Coefficients with their intervals.
-pub(crate) fn coefficients(regression: &Regression) -> String {
+pub(crate) fn coefficients(regression: &Regression) -> Markup {
     let shown: Vec<_> = regression
         .terms
         .iter()
@@ -290,7 +298,7 @@ fn square(svg: &mut Svg, across: &str, up: &str) -> (Scale, Scale) {
 }
 
 /// ROC curves.
-pub(crate) fn roc(figures: &RocFigures) -> String {
+pub(crate) fn roc(figures: &RocFigures) -> Markup {
     let mut svg = Svg::new(SQUARE, SQUARE);
     let (x, y) = square(&mut svg, "successes called failures", "failures found");
     for curve in &figures.curves {
@@ -307,7 +315,7 @@ pub(crate) fn roc(figures: &RocFigures) -> String {
 }
 
 /// Stated against observed failure rates.
-pub(crate) fn reliability(figures: &CalibrationFigures) -> String {
+pub(crate) fn reliability(figures: &CalibrationFigures) -> Markup {
     let mut svg = Svg::new(SQUARE, SQUARE);
     let (x, y) = square(&mut svg, "stated chance of failure", "observed failure rate");
     for bin in &figures.bins {
@@ -317,7 +325,7 @@ pub(crate) fn reliability(figures: &CalibrationFigures) -> String {
             "stated {}, observed {} ({}) in {} episodes",
             percent(bin.stated),
             percent(bin.observed),
-            percents(bin.interval_95),
+            percent_range(bin.interval_95),
             count(bin.rows)
         );
         svg.dot("dot", [x.at(bin.stated), y.at(bin.observed)], 4.0, &told);

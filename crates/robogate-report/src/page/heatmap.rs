@@ -1,8 +1,11 @@
 //! The operating envelope: observed rates per cell, and the frontier over them.
 
+use maud::Markup;
+
 use crate::page::svg::{Anchor, Scale, Svg, cut};
-use crate::words::{count, name_with_unit, number, percent, percents, significant};
-use crate::{Axis, Frontier, FrontierPoint, PairMap};
+use robogate_analysis::labels::label_with_unit;
+use robogate_analysis::{Axis, Frontier, FrontierPoint, PairMap};
+use robogate_stats::format::{count, percent, percent_range, significant};
 
 const WIDTH: f64 = 520.0;
 const LEFT: f64 = 62.0;
@@ -17,7 +20,7 @@ pub(crate) fn step(rate: f64) -> usize {
     ((rate * STEPS as f64) as usize).min(STEPS - 1)
 }
 
-pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> String {
+pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> Markup {
     let (nx, ny) = (map.x.cells().max(1), map.y.cells().max(1));
     let w = (WIDTH - LEFT - RIGHT) / nx as f64;
     let h = (400.0 / ny as f64).clamp(22.0, 56.0);
@@ -37,14 +40,14 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> S
         let thin = !cell.zone.is_stated();
         let told = format!(
             "{} {}, {} {}: {} of {} succeeded, {} ({}); {}",
-            name_with_unit(&map.y.parameter),
-            said(&map.y, row),
-            name_with_unit(&map.x.parameter),
-            said(&map.x, column),
+            label_with_unit(&map.y.parameter),
+            map.y.cell_label(row),
+            label_with_unit(&map.x.parameter),
+            map.x.cell_label(column),
             cell.rate.successes,
             cell.rate.n,
             percent(rate),
-            percents(cell.rate.wilson_95),
+            percent_range(cell.rate.wilson_95),
             cell.zone.word()
         );
         let step = step(rate);
@@ -81,8 +84,8 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> S
     legend(&mut svg, bottom + drop + 56.0, drawn_frontier(map, frontier));
     svg.finish(&format!(
         "Success rate by {} and {}: {} cells",
-        name_with_unit(&map.y.parameter),
-        name_with_unit(&map.x.parameter),
+        label_with_unit(&map.y.parameter),
+        label_with_unit(&map.x.parameter),
         map.cells.len()
     ))
 }
@@ -90,15 +93,6 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> S
 /// The frontier, where there is something of it to draw over the map.
 fn drawn_frontier<'a>(map: &PairMap, frontier: Option<&'a Frontier>) -> Option<&'a Frontier> {
     frontier.filter(|f| map.x.levels.is_empty() && map.y.levels.is_empty() && !drawable(f).is_empty())
-}
-
-/// The edges or level of one place along an axis.
-pub(crate) fn said(axis: &Axis, at: usize) -> String {
-    match (axis.levels.get(at), axis.edges.get(at..at + 2)) {
-        (Some(level), _) => level.clone(),
-        (None, Some([low, high])) => format!("{} to {}", number(*low), number(*high)),
-        _ => String::new(),
-    }
 }
 
 fn scale(axis: &Axis, to: [f64; 2]) -> Scale {
@@ -176,9 +170,9 @@ fn ticks(svg: &mut Svg, map: &PairMap, [w, h]: [f64; 2], bottom: f64, drop: f64)
         "a",
         Anchor::Middle,
         [0.5 * (LEFT + WIDTH - RIGHT), bottom + drop + 33.0],
-        &name_with_unit(&map.x.parameter),
+        &label_with_unit(&map.x.parameter),
     );
-    svg.text_up("a", [11.0, 0.5 * (TOP + bottom)], &name_with_unit(&map.y.parameter));
+    svg.text_up("a", [11.0, 0.5 * (TOP + bottom)], &label_with_unit(&map.y.parameter));
 }
 
 /// The mark of a sure zone, in a cell's upper right corner.

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use crate::story::{Block, Figure, Kind, Story, Table, tell, tell_comparison};
-use crate::{Analysis, Comparison};
+use robogate_analysis::{Analysis, Comparison};
 
 /// The analysis as Markdown (GitHub's flavour, for its tables).
 pub fn markdown(analysis: &Analysis) -> String {

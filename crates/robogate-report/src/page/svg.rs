@@ -1,26 +1,8 @@
-//! Drawing by hand: a few shapes, coordinates rounded so that the same data give the same bytes.
+//! Drawings: a few shapes, coordinates rounded so that the same data give the same bytes.
 
-use std::fmt::Write;
+use maud::{Markup, PreEscaped, html};
 
-/// Text with everything that HTML or XML would read as markup escaped; a percent sign stays with its number.
-pub(crate) fn escape(text: &str) -> String {
-    let mut safe = String::with_capacity(text.len());
-    let mut letters = text.chars().peekable();
-    while let Some(letter) = letters.next() {
-        match letter {
-            ' ' if letters.peek() == Some(&'%') => safe.push('\u{a0}'),
-            '&' => safe.push_str("&amp;"),
-            '<' => safe.push_str("&lt;"),
-            '>' => safe.push_str("&gt;"),
-            '"' => safe.push_str("&quot;"),
-            '\'' => safe.push_str("&#39;"),
-            // What XML cannot hold at all.
-            c if c.is_control() && !matches!(c, '\n' | '\t') => safe.push('\u{FFFD}'),
-            c => safe.push(c),
-        }
-    }
-    safe
-}
+use crate::page::prose::prose;
 
 /// A text cut to so many letters.
 pub(crate) fn cut(text: &str, most: usize) -> String {
@@ -34,7 +16,7 @@ pub(crate) fn cut(text: &str, most: usize) -> String {
 pub(crate) struct Svg {
     width: f64,
     height: f64,
-    body: String,
+    body: Markup,
 }
 
 /// How a text stands on its point.
@@ -45,6 +27,16 @@ pub(crate) enum Anchor {
     End,
 }
 
+impl Anchor {
+    fn attribute(self) -> Option<&'static str> {
+        match self {
+            Self::Start => None,
+            Self::Middle => Some("middle"),
+            Self::End => Some("end"),
+        }
+    }
+}
+
 /// A coordinate with one decimal at most.
 fn c(x: f64) -> String {
     let text = format!("{x:.1}");
@@ -52,129 +44,98 @@ fn c(x: f64) -> String {
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
+/// A rectangle, with a text that shows when it is pointed at.
+fn rectangle(class: Option<&str>, [x, y, w, h]: [f64; 4], hint: Option<&str>) -> Markup {
+    html! {
+        rect class=[class] x=(c(x)) y=(c(y)) width=(c(w.max(0.0))) height=(c(h.max(0.0))) {
+            @if let Some(hint) = hint { title { (prose(hint)) } }
+        }
+    }
+}
+
 impl Svg {
     pub(crate) fn new(width: f64, height: f64) -> Self {
-        Self { width, height, body: String::new() }
+        Self { width, height, body: PreEscaped(String::new()) }
     }
 
-    pub(crate) fn rect(&mut self, class: &str, [x, y, w, h]: [f64; 4]) {
-        // Writing to a string cannot fail; so throughout this file.
-        let _ = write!(
-            self.body,
-            "<rect class=\"{class}\" x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"/>",
-            c(x),
-            c(y),
-            c(w.max(0.0)),
-            c(h.max(0.0))
-        );
+    fn push(&mut self, shape: &Markup) {
+        self.body.0.push_str(&shape.0);
     }
 
-    /// A rectangle that tells more when pointed at.
-    pub(crate) fn rect_told(&mut self, class: &str, [x, y, w, h]: [f64; 4], told: &str) {
-        let _ = write!(
-            self.body,
-            "<rect class=\"{class}\" x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"><title>{}</title></rect>",
-            c(x),
-            c(y),
-            c(w.max(0.0)),
-            c(h.max(0.0)),
-            escape(told)
-        );
+    pub(crate) fn rect(&mut self, class: &str, place: [f64; 4]) {
+        self.push(&rectangle(Some(class), place, None));
+    }
+
+    /// A rectangle with a text that shows when it is pointed at.
+    pub(crate) fn rect_told(&mut self, class: &str, place: [f64; 4], hint: &str) {
+        self.push(&rectangle(Some(class), place, Some(hint)));
     }
 
     pub(crate) fn line(&mut self, class: &str, [x1, y1, x2, y2]: [f64; 4]) {
-        let _ = write!(
-            self.body,
-            "<line class=\"{class}\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>",
-            c(x1),
-            c(y1),
-            c(x2),
-            c(y2)
-        );
+        self.push(&html! { line class=(class) x1=(c(x1)) y1=(c(y1)) x2=(c(x2)) y2=(c(y2)) {} });
     }
 
-    pub(crate) fn dot(&mut self, class: &str, [x, y]: [f64; 2], r: f64, told: &str) {
-        let _ = write!(
-            self.body,
-            "<circle class=\"{class}\" cx=\"{}\" cy=\"{}\" r=\"{}\"><title>{}</title></circle>",
-            c(x),
-            c(y),
-            c(r),
-            escape(told)
-        );
+    pub(crate) fn dot(&mut self, class: &str, [x, y]: [f64; 2], r: f64, hint: &str) {
+        self.push(&html! { circle class=(class) cx=(c(x)) cy=(c(y)) r=(c(r)) { title { (prose(hint)) } } });
     }
 
     pub(crate) fn text(&mut self, class: &str, anchor: Anchor, [x, y]: [f64; 2], text: &str) {
-        let anchor = match anchor {
-            Anchor::Start => "",
-            Anchor::Middle => " text-anchor=\"middle\"",
-            Anchor::End => " text-anchor=\"end\"",
-        };
-        let _ =
-            write!(self.body, "<text class=\"{class}\" x=\"{}\" y=\"{}\"{anchor}>{}</text>", c(x), c(y), escape(text));
+        let anchor = anchor.attribute();
+        self.push(&html! { text class=(class) x=(c(x)) y=(c(y)) text-anchor=[anchor] { (prose(text)) } });
     }
 
     /// A text that reads upwards and ends at its point.
-    pub(crate) fn text_up_to(&mut self, class: &str, [x, y]: [f64; 2], text: &str) {
-        let (x, y) = (c(x), c(y));
-        let _ = write!(
-            self.body,
-            "<text class=\"{class}\" text-anchor=\"end\" transform=\"translate({x} {y}) rotate(-90)\">{}</text>",
-            escape(text)
-        );
+    pub(crate) fn text_up_to(&mut self, class: &str, at: [f64; 2], text: &str) {
+        self.upwards(class, Anchor::End, at, text);
     }
 
     /// A text that reads upwards, its middle at its point.
-    pub(crate) fn text_up(&mut self, class: &str, [x, y]: [f64; 2], text: &str) {
-        let (x, y) = (c(x), c(y));
-        let _ = write!(
-            self.body,
-            "<text class=\"{class}\" text-anchor=\"middle\" transform=\"translate({x} {y}) rotate(-90)\">{}</text>",
-            escape(text)
-        );
+    pub(crate) fn text_up(&mut self, class: &str, at: [f64; 2], text: &str) {
+        self.upwards(class, Anchor::Middle, at, text);
+    }
+
+    fn upwards(&mut self, class: &str, anchor: Anchor, [x, y]: [f64; 2], text: &str) {
+        let turned = format!("translate({} {}) rotate(-90)", c(x), c(y));
+        let anchor = anchor.attribute();
+        self.push(&html! { text class=(class) text-anchor=[anchor] transform=(turned) { (prose(text)) } });
     }
 
     pub(crate) fn polyline(&mut self, class: &str, points: &[[f64; 2]]) {
-        self.path("polyline", class, points);
+        if points.len() > 1 {
+            self.push(&html! { polyline class=(class) points=(path(points)) {} });
+        }
     }
 
     pub(crate) fn polygon(&mut self, class: &str, points: &[[f64; 2]]) {
-        self.path("polygon", class, points);
-    }
-
-    fn path(&mut self, element: &str, class: &str, points: &[[f64; 2]]) {
-        if points.len() < 2 {
-            return;
+        if points.len() > 1 {
+            self.push(&html! { polygon class=(class) points=(path(points)) {} });
         }
-        let points: Vec<String> = points.iter().map(|[x, y]| format!("{},{}", c(*x), c(*y))).collect();
-        let _ = write!(self.body, "<{element} class=\"{class}\" points=\"{}\"/>", points.join(" "));
     }
 
     /// What `draw` draws is cut at the rectangle; `id` must be the only one of its name on the page.
-    pub(crate) fn clipped(&mut self, id: &str, [x, y, w, h]: [f64; 4], draw: impl FnOnce(&mut Self)) {
-        let _ = write!(
-            self.body,
-            "<clipPath id=\"{id}\"><rect x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"/></clipPath><g clip-path=\"url(#{id})\">",
-            c(x),
-            c(y),
-            c(w),
-            c(h)
-        );
-        draw(self);
-        self.body.push_str("</g>");
+    pub(crate) fn clipped(&mut self, id: &str, place: [f64; 4], draw: impl FnOnce(&mut Self)) {
+        let mut inner = Self::new(self.width, self.height);
+        draw(&mut inner);
+        self.push(&html! {
+            clipPath id=(id) { (rectangle(None, place, None)) }
+            g clip-path={ "url(#" (id) ")" } { (inner.body) }
+        });
     }
 
-    /// The element, with what it shows for those who cannot see it.
-    pub(crate) fn finish(self, label: &str) -> String {
-        format!(
-            "<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\" style=\"--w:{}\">{}</svg>",
-            c(self.width),
-            c(self.height),
-            escape(label),
-            c(self.width),
-            self.body
-        )
+    /// The element, with a label for readers who cannot see it.
+    pub(crate) fn finish(self, label: &str) -> Markup {
+        let (width, height) = (c(self.width), c(self.height));
+        html! {
+            svg viewBox={ "0 0 " (width) " " (height) } role="img" aria-label=(prose(label)) style={ "--w:" (width) } {
+                (self.body)
+            }
+        }
     }
+}
+
+fn path(points: &[[f64; 2]]) -> String {
+    let points: Vec<String> = points.iter().map(|[x, y]| format!("{},{}", c(*x), c(*y))).collect();
+    points.join(" ")
 }
 
 /// A number's place along an axis.
@@ -211,15 +172,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_from_data_can_become_markup() {
-        assert_eq!(escape("<script>\"&'"), "&lt;script&gt;&quot;&amp;&#39;");
-        assert_eq!(escape("a\u{0}b"), "a\u{FFFD}b");
-    }
-
-    #[test]
     fn coordinates_are_short() {
         assert_eq!(c(1.0), "1");
         assert_eq!(c(-0.04), "0");
         assert_eq!(c(12.34), "12.3");
+    }
+
+    #[test]
+    fn labels_are_escaped() {
+        let mut svg = Svg::new(10.0, 10.0);
+        svg.text("\"><script>", Anchor::End, [1.0, 2.0], "<b>");
+        let text = svg.finish("a\"b").into_string();
+        assert!(!text.contains("<script>") && !text.contains("<b>") && !text.contains("a\"b"), "{text}");
     }
 }

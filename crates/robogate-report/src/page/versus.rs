@@ -1,10 +1,12 @@
 //! Figures that set dictionaries side by side.
 
-use crate::comparison::{DisagreementMap, MassSensitivity, ReachRow, SharedCurve, UniversalZones};
-use crate::page::heatmap::said;
+use maud::Markup;
+
 use crate::page::svg::{Anchor, Scale, Svg, cut};
-use crate::words::{count, mode, name_with_unit, number, percent, percents, points, points_range, significant};
-use crate::{ComparedDictionary, Rate};
+use robogate_analysis::labels::{label_with_unit, mode_label, parameter_label};
+use robogate_analysis::{ComparedDictionary, Rate};
+use robogate_analysis::{DisagreementMap, ReachRow, Sensitivity, SharedCurve, UniversalZones};
+use robogate_stats::format::{count, number, percent, percent_range, points, points_range, significant};
 
 /// Series that have a colour of their own; the next ones begin anew with a hollow dot.
 const COLOURS: usize = 6;
@@ -51,7 +53,7 @@ fn legend_height(names: &[String], [left, right]: [f64; 2]) -> f64 {
 }
 
 /// Success rates with their intervals.
-pub(crate) fn rates(dictionaries: &[ComparedDictionary], names: &[String]) -> String {
+pub(crate) fn rates(dictionaries: &[ComparedDictionary], names: &[String]) -> Markup {
     let mut svg = Svg::new(440.0, 30.0 + 34.0 * dictionaries.len() as f64);
     let x = Scale::linear([0.0, 1.0], [6.0, 424.0]);
     let bottom = 34.0 * dictionaries.len() as f64 + 6.0;
@@ -69,7 +71,7 @@ pub(crate) fn rates(dictionaries: &[ComparedDictionary], names: &[String]) -> St
         let rate = &dictionary.success.rate;
         let told = rate.rate.map_or_else(
             || "no valid episode".to_owned(),
-            |r| format!("{} ({})", percent(r), percents(rate.wilson_95)),
+            |r| format!("{} ({})", percent(r), percent_range(rate.wilson_95)),
         );
         let label =
             format!("{}  {}", cut(&dictionary.name, 26), rate.rate.map_or_else(|| "\u{2013}".to_owned(), percent));
@@ -87,7 +89,7 @@ pub(crate) fn rates(dictionaries: &[ComparedDictionary], names: &[String]) -> St
 }
 
 /// Differences or slopes with their intervals about zero.
-pub(crate) fn forest(rows: &[Row], unit: &str, ends: [&str; 2], label: &str) -> String {
+pub(crate) fn forest(rows: &[Row], unit: &str, ends: [&str; 2], label: &str) -> Markup {
     let far = rows.iter().flat_map(|row| row.interval).chain(rows.iter().map(|row| row.estimate));
     let far = far.filter(|v| v.is_finite()).fold(0.05_f64, |far, v| far.max(v.abs()));
     let bottom = 8.0 + 26.0 * rows.len() as f64;
@@ -121,7 +123,7 @@ pub(crate) fn forest(rows: &[Row], unit: &str, ends: [&str; 2], label: &str) -> 
 }
 
 /// Failure modes, one bar for each dictionary.
-pub(crate) fn modes(dictionaries: &[&ComparedDictionary]) -> String {
+pub(crate) fn modes(dictionaries: &[&ComparedDictionary]) -> Markup {
     let words: Vec<&str> =
         dictionaries.first().map_or_else(Vec::new, |d| d.failure_modes.modes.iter().map(|m| m.mode.as_str()).collect());
     let bottom = 30.0 + 32.0 * dictionaries.len() as f64;
@@ -129,7 +131,7 @@ pub(crate) fn modes(dictionaries: &[&ComparedDictionary]) -> String {
     let mut at = 0.0;
     for (i, word) in words.iter().enumerate() {
         svg.rect(&format!("m{i}"), [at, 4.0, 11.0, 11.0]);
-        svg.text("s", Anchor::Start, [at + 16.0, 14.0], &mode(word));
+        svg.text("s", Anchor::Start, [at + 16.0, 14.0], &mode_label(word));
         at += 30.0 + 6.6 * word.len() as f64;
     }
     let x = Scale::linear([0.0, 1.0], [150.0, 440.0]);
@@ -148,9 +150,9 @@ pub(crate) fn modes(dictionaries: &[&ComparedDictionary]) -> String {
             let told = format!(
                 "{}: {} {} ({})",
                 dictionary.name,
-                mode(&share.mode),
+                mode_label(&share.mode),
                 percent(part),
-                percents(share.interval_95)
+                percent_range(share.interval_95)
             );
             svg.rect_told(&format!("m{i}"), [x.at(from), y, x.at(from + part) - x.at(from) - 0.8, 18.0], &told);
             from += part;
@@ -164,7 +166,7 @@ pub(crate) fn modes(dictionaries: &[&ComparedDictionary]) -> String {
 const MOST_LETTERS: usize = 14;
 
 /// Success along one parameter, every dictionary in the same bins.
-pub(crate) fn curve(curve: &SharedCurve, names: &[String]) -> String {
+pub(crate) fn curve(curve: &SharedCurve, names: &[String]) -> Markup {
     let (left, right) = (42.0, 412.0);
     let top = legend_height(names, [left, right]) + 6.0;
     let bottom = top + 150.0;
@@ -213,7 +215,7 @@ pub(crate) fn curve(curve: &SharedCurve, names: &[String]) -> String {
                 of.successes,
                 of.n,
                 percent(rate),
-                percents(of.wilson_95)
+                percent_range(of.wilson_95)
             );
             dot(&mut svg, series, [at, y.at(rate)], 3.4, &told);
         }
@@ -245,12 +247,12 @@ pub(crate) fn curve(curve: &SharedCurve, names: &[String]) -> String {
             }
         }
     }
-    svg.text("a", Anchor::Middle, [0.5 * (left + right), bottom + drop + 35.0], &name_with_unit(&curve.parameter));
-    svg.finish(&format!("Success along {}", name_with_unit(&curve.parameter)))
+    svg.text("a", Anchor::Middle, [0.5 * (left + right), bottom + drop + 35.0], &label_with_unit(&curve.parameter));
+    svg.finish(&format!("Success along {}", label_with_unit(&curve.parameter)))
 }
 
 /// The surest zones in which all of them fail.
-pub(crate) fn universal(zones: &UniversalZones, names: &[String], most: usize) -> String {
+pub(crate) fn universal(zones: &UniversalZones, names: &[String], most: usize) -> Markup {
     let shown = &zones.zones[..zones.zones.len().min(most)];
     let (left, right) = (214.0, 500.0);
     let top = legend_height(names, [0.0, right]) + 6.0;
@@ -279,7 +281,7 @@ pub(crate) fn universal(zones: &UniversalZones, names: &[String], most: usize) -
             let told = format!(
                 "{name}, {said}: {} ({})",
                 rate.rate.map_or_else(|| "-".to_owned(), percent),
-                percents(rate.wilson_95)
+                percent_range(rate.wilson_95)
             );
             dot(&mut svg, series, [x.at(rate.rate.unwrap_or_default()), y], 3.4, &told);
         }
@@ -288,7 +290,7 @@ pub(crate) fn universal(zones: &UniversalZones, names: &[String], most: usize) -
 }
 
 /// Workspace over reach against success.
-pub(crate) fn reach(rows: &[ReachRow], names: &[String]) -> String {
+pub(crate) fn reach(rows: &[ReachRow], names: &[String]) -> Markup {
     let known: Vec<(&ReachRow, f64)> = rows.iter().filter_map(|row| Some((row, row.ratio?))).collect();
     let far = known.iter().map(|(_, ratio)| *ratio).fold(1.0_f64, f64::max) * 1.1;
     let top = legend_height(names, [46.0, 512.0]) + 8.0;
@@ -322,10 +324,10 @@ pub(crate) fn reach(rows: &[ReachRow], names: &[String]) -> String {
     svg.finish("Workspace over reach against success rate")
 }
 
-/// Slopes of the log-odds over ln(mass).
-pub(crate) fn mass(mass: &MassSensitivity) -> String {
-    let rows: Vec<Row> = mass
-        .of
+/// Slopes of the log-odds over the logarithm of a parameter.
+pub(crate) fn sensitivity(sensitivity: &Sensitivity) -> Markup {
+    let rows: Vec<Row> = sensitivity
+        .effects
         .iter()
         .enumerate()
         .filter_map(|(series, effect)| {
@@ -335,23 +337,25 @@ pub(crate) fn mass(mass: &MassSensitivity) -> String {
             let sure = ends[0] > 0.0 || ends[1] < 0.0;
             Some(Row {
                 label: effect.name.clone(),
-                estimate: slope.per_log_mass,
+                estimate: slope.per_log_unit,
                 interval: ends,
                 sure,
                 series: Some(series),
             })
         })
         .collect();
+    let label = parameter_label(&sensitivity.parameter);
+    let ends = [format!("\u{2190} {label} hurts"), format!("{label} helps \u{2192}")];
     forest(
         &rows,
         "",
-        ["\u{2190} weight hurts", "weight helps \u{2192}"],
-        "Slope of the log-odds of success over ln(mass)",
+        ends.each_ref().map(String::as_str),
+        &format!("Slope of the log-odds of success over ln({label})"),
     )
 }
 
 /// Where two dictionaries end differently.
-pub(crate) fn disagreement(map: &DisagreementMap, names: [&str; 2]) -> String {
+pub(crate) fn disagreement(map: &DisagreementMap, names: [&str; 2]) -> Markup {
     const LEFT: f64 = 62.0;
     let (nx, ny) = (map.x.cells().max(1), map.y.cells().max(1));
     let w = (520.0 - LEFT - 14.0) / nx as f64;
@@ -370,14 +374,14 @@ pub(crate) fn disagreement(map: &DisagreementMap, names: [&str; 2]) -> String {
         let gap = (cell.first_only as f64 - cell.second_only as f64) / cell.disagree.n.max(1) as f64;
         let told = format!(
             "{} {}, {} {}: {} of {} differ, {} ({}); only {} in {}, only {} in {}, gap {} points",
-            name_with_unit(&map.y.parameter),
-            said(&map.y, row),
-            name_with_unit(&map.x.parameter),
-            said(&map.x, column),
+            label_with_unit(&map.y.parameter),
+            map.y.cell_label(row),
+            label_with_unit(&map.x.parameter),
+            map.x.cell_label(column),
             cell.disagree.successes,
             cell.disagree.n,
             percent(share),
-            percents(cell.disagree.wilson_95),
+            percent_range(cell.disagree.wilson_95),
             names[0],
             cell.first_only,
             names[1],
@@ -427,7 +431,7 @@ fn shade(gap: f64) -> usize {
 }
 
 fn sides(svg: &mut Svg, map: &DisagreementMap, [left, w, h, bottom]: [f64; 4]) {
-    let ticks = |axis: &crate::Axis| -> Vec<(f64, String)> {
+    let ticks = |axis: &robogate_analysis::Axis| -> Vec<(f64, String)> {
         if axis.levels.is_empty() {
             axis.edges.iter().enumerate().map(|(i, edge)| (i as f64, significant(*edge, 2))).collect()
         } else {
@@ -442,8 +446,8 @@ fn sides(svg: &mut Svg, map: &DisagreementMap, [left, w, h, bottom]: [f64; 4]) {
     for (at, text) in ticks(&map.y).into_iter().step_by(every(h, 18.0)) {
         svg.text("s", Anchor::End, [left - 7.0, bottom - h * at + 4.0], &text);
     }
-    svg.text("a", Anchor::Middle, [0.5 * (left + 506.0), bottom + 33.0], &name_with_unit(&map.x.parameter));
-    svg.text_up("a", [11.0, 0.5 * (8.0 + bottom)], &name_with_unit(&map.y.parameter));
+    svg.text("a", Anchor::Middle, [0.5 * (left + 506.0), bottom + 33.0], &label_with_unit(&map.x.parameter));
+    svg.text_up("a", [11.0, 0.5 * (8.0 + bottom)], &label_with_unit(&map.y.parameter));
 }
 
 /// The interval of a paired gap as a caption.

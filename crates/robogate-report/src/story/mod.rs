@@ -4,6 +4,8 @@ mod sections;
 mod tables;
 mod versus;
 
+use maud::Markup;
+
 pub(crate) use sections::tell;
 pub(crate) use versus::tell as tell_comparison;
 
@@ -21,7 +23,7 @@ pub(crate) struct Story {
     pub(crate) rate_of: String,
     pub(crate) interval: String,
     /// The rate on its scale.
-    pub(crate) scale: String,
+    pub(crate) scale: Markup,
     pub(crate) answer: String,
     /// Three columns of sentences under the answer.
     pub(crate) columns: Vec<(&'static str, Vec<String>)>,
@@ -65,7 +67,7 @@ pub(crate) enum Block {
 /// A drawing, what it shows, and the same in figures.
 pub(crate) struct Figure {
     pub(crate) title: String,
-    pub(crate) svg: String,
+    pub(crate) svg: Markup,
     /// Whether it is a map of cells, whose letters grow on a phone.
     pub(crate) is_map: bool,
     pub(crate) caption: String,

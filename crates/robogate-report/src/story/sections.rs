@@ -1,10 +1,13 @@
 //! The sections in their order: the answer first, then the evidence.
 
 use super::{Block, Figure, Section, Story, Table, tables};
-use crate::along::{Along, CriticalThreshold};
 use crate::page::{charts, drawable, heatmap};
-use crate::words::{count, counted, fixed, listed, mode, name, number, percent, percents, range, sentence, with_unit};
-use crate::{Analysis, Envelope, Finding, Frontier, Regression};
+use crate::text::{Headline, limits as limits_of};
+use robogate_analysis::TaskAnalysis;
+use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
+use robogate_analysis::{Along, CriticalThreshold};
+use robogate_analysis::{Analysis, Envelope, Finding, Frontier, Regression};
+use robogate_stats::format::{count, counted, fixed, list, number, percent, percent_range, range, sentence};
 
 /// Parameters that are drawn on the page; the rest stands in the tables.
 const MOST_FIGURES: usize = 16;
@@ -26,7 +29,7 @@ pub(crate) fn tell(analysis: &Analysis) -> Story {
         (1.., Some(worst), Some(best)) => Some([worst, best]),
         _ => None,
     };
-    let headline = &analysis.headline;
+    let headline = Headline::of(analysis);
     Story {
         kind: "failure report",
         title: format!("{robot}, {policy}"),
@@ -38,13 +41,17 @@ pub(crate) fn tell(analysis: &Analysis) -> Story {
         ),
         rate: success.rate.rate.map_or_else(|| "\u{2013}".to_owned(), percent),
         rate_of: format!("success, {}", analysis.population.brief()),
-        interval: format!("95 % interval {} \u{b7} n = {}", percents(success.rate.wilson_95), count(success.rate.n)),
+        interval: format!(
+            "95 % interval {} \u{b7} n = {}",
+            percent_range(success.rate.wilson_95),
+            count(success.rate.n)
+        ),
         scale: charts::rate_scale(&success.rate, bounds),
-        answer: headline.answer.clone(),
+        answer: headline.answer,
         columns: vec![
-            ("Where it fails", headline.where_it_fails.clone()),
-            ("What to do", headline.what_to_do.clone()),
-            ("How sure", headline.how_sure.clone()),
+            ("Where it fails", headline.where_it_fails),
+            ("What to do", headline.what_to_do),
+            ("How sure", headline.how_sure),
         ]
         .into_iter()
         .filter(|(_, lines)| !lines.is_empty())
@@ -87,7 +94,7 @@ fn one_envelope(blocks: &mut Vec<Block>, envelope: &Envelope, at: usize) {
     let frontier = envelope.frontier.estimated();
     match &envelope.map {
         Finding::Estimated(map) => {
-            let (y, x) = (name(&map.y.parameter), name(&map.x.parameter));
+            let (y, x) = (parameter_label(&map.y.parameter), parameter_label(&map.x.parameter));
             let zones = map.zones;
             let mut reading = vec![format!(
                 "Of {} cells {} are surely safe (70 % or more), {} surely in danger (30 % or less), {} surely between; {} are \
@@ -122,7 +129,7 @@ fn one_envelope(blocks: &mut Vec<Block>, envelope: &Envelope, at: usize) {
                     "Do not rely on this frontier: where the model states 40 to 60 % success, {} was observed ({} in {}). \
                      The cells of the map are what happened.",
                     frontier.near.rate.map_or_else(|| "-".to_owned(), percent),
-                    percents(frontier.near.wilson_95),
+                    percent_range(frontier.near.wilson_95),
                     counted(frontier.near.n, "episode")
                 )));
             }
@@ -135,7 +142,7 @@ fn one_envelope(blocks: &mut Vec<Block>, envelope: &Envelope, at: usize) {
 }
 
 fn read_frontier(frontier: &Frontier) -> Vec<String> {
-    let (x, y) = (name(&frontier.x), name(&frontier.y));
+    let (x, y) = (parameter_label(&frontier.x), parameter_label(&frontier.y));
     let mut lines = Vec::new();
     match frontier.valid_for {
         _ if drawable(frontier).is_empty() => {
@@ -154,12 +161,12 @@ fn read_frontier(frontier: &Frontier) -> Vec<String> {
                 lines.push(format!(
                     "Where the model states 40 to 60 %, {} was observed ({}).",
                     frontier.near.rate.map_or_else(|| "-".to_owned(), percent),
-                    percents(frontier.near.wilson_95)
+                    percent_range(frontier.near.wilson_95)
                 ));
             }
             lines.push(format!(
                 "It lies within what was observed for {y} {}; beyond, it is extrapolation.",
-                with_unit(&range(valid), &frontier.y)
+                value_with_unit(&range(valid), &frontier.y)
             ));
         }
         None => lines.push(format!(
@@ -170,7 +177,7 @@ fn read_frontier(frontier: &Frontier) -> Vec<String> {
     if let Some(pole) = frontier.pole {
         lines.push(format!(
             "It runs to infinity (its pole) at {y} {}; near there no {x} parts success from failure.",
-            with_unit(&number(pole), &frontier.y)
+            value_with_unit(&number(pole), &frontier.y)
         ));
     }
     lines
@@ -216,7 +223,7 @@ fn caption(along: &Along) -> String {
         Finding::Estimated(CriticalThreshold::Crosses { at, rising, .. }) => format!(
             "Success {} through 50 % at {}.",
             if *rising { "rises" } else { "falls" },
-            with_unit(&number(*at), &along.parameter)
+            value_with_unit(&number(*at), &along.parameter)
         ),
         Finding::Estimated(CriticalThreshold::CrossesMoreThanOnce { .. }) => {
             "Success crosses 50 % more than once: no single threshold exists.".to_owned()
@@ -227,7 +234,7 @@ fn caption(along: &Along) -> String {
             if *crossing_share > 0.05 { " as observed, though not surely" } else { "" }
         ),
         Finding::CannotBeEstimated { because } => match along.kind {
-            crate::AlongKind::Categorical => match along.correlation.estimated() {
+            robogate_analysis::AlongKind::Categorical => match along.correlation.estimated() {
                 Some(found) => format!("Cramer's V {}.", fixed(found.strength(), 3)),
                 None => String::new(),
             },
@@ -244,7 +251,9 @@ fn failures(analysis: &Analysis) -> Section {
         blocks.push(cannot("A distribution of failure modes", "nothing failed"));
     } else {
         let reading = match &modes.dominant {
-            Finding::Estimated(dominant) => format!("{} is surely the most frequent mode.", sentence(&mode(dominant))),
+            Finding::Estimated(dominant) => {
+                format!("{} is surely the most frequent mode.", sentence(&mode_label(dominant)))
+            }
             Finding::CannotBeEstimated { because } => format!("No mode is surely the most frequent: {because}."),
         };
         blocks.push(Block::Figure(Figure {
@@ -297,13 +306,13 @@ fn failures(analysis: &Analysis) -> Section {
 
 fn changes_along(along: &Along) -> Vec<String> {
     let Some(changes) = along.transitions.estimated() else { return Vec::new() };
-    let told = |c: &crate::ModeChange| {
+    let told = |c: &robogate_analysis::ModeChange| {
         let place = if (c.between[1] - c.between[0]).abs() <= 0.0 {
-            format!("at {}", with_unit(&number(c.between[0]), &along.parameter))
+            format!("at {}", value_with_unit(&number(c.between[0]), &along.parameter))
         } else {
-            format!("between {}", with_unit(&range(c.between).replace(" to ", " and "), &along.parameter))
+            format!("between {}", value_with_unit(&range(c.between).replace(" to ", " and "), &along.parameter))
         };
-        format!("Along {}, {} gives way to {} {place}.", along.label, mode(&c.from), mode(&c.to))
+        format!("Along {}, {} gives way to {} {place}.", along.label, mode_label(&c.from), mode_label(&c.to))
     };
     changes.changes.iter().map(told).collect()
 }
@@ -350,8 +359,7 @@ fn risk(analysis: &Analysis) -> Section {
         Finding::CannotBeEstimated { because } => blocks.push(cannot("A risk model", because)),
         Finding::Estimated(risk) => {
             let form = if risk.paper_features {
-                "The paper's nine features: five continuous parameters, obstacles, a shape penalty, a placement penalty and \
-                 the intercept."
+                TaskAnalysis::of(&analysis.subject.task).risk_about
             } else {
                 "A model of the paper's form over the parameters that there are; these are not the paper's nine features."
             };
@@ -423,6 +431,7 @@ fn strongest(regression: &Regression) -> Option<String> {
 }
 
 fn interactions(analysis: &Analysis) -> Section {
+    let model = TaskAnalysis::of(&analysis.subject.task).interactions;
     let blocks = match &analysis.interactions {
         Finding::CannotBeEstimated { because } => vec![cannot("The paper's model with interactions", because)],
         Finding::Estimated(regression) => {
@@ -431,11 +440,7 @@ fn interactions(analysis: &Analysis) -> Section {
                 svg: charts::coefficients(regression),
                 is_map: false,
                 caption: "Change of the log-odds of success per standard deviation, with 95 % intervals.".to_owned(),
-                reading: vec![
-                    "Six main effects and three products of standardised columns; with the intercept they are the paper's \
-                     ten features. The paper names these terms and does not say which form its products have."
-                        .to_owned(),
-                ],
+                reading: model.map(|model| model.note.to_owned()).into_iter().collect(),
                 table: tables::regression("Coefficients of the model with interactions", regression),
             })];
             blocks.extend(regression.cautions.iter().cloned().map(Block::Caution));
@@ -468,7 +473,7 @@ fn drawn(analysis: &Analysis) -> Section {
         blocks.push(Block::Caution(format!(
             "{} among the rows of the headline are no evidence. Faults over all stages: {}.",
             sentence(&counted(success.bounds.invalid, "invalid episode")),
-            listed(&faults)
+            list(&faults)
         )));
     }
     blocks.push(Block::Folded(tables::ranges(&analysis.drawn)));
@@ -540,6 +545,6 @@ fn limits(analysis: &Analysis) -> Section {
         id: "limits",
         title: "What these figures do not say".to_owned(),
         population: None,
-        blocks: vec![Block::List(analysis.limits.clone())],
+        blocks: vec![Block::List(limits_of(analysis))],
     }
 }

@@ -2,14 +2,14 @@
 
 use super::Kind::{Code, Number, Short, Text, Zone as ZoneWord};
 use super::Table;
-use crate::page::said;
-use crate::words::{
-    count, fixed, mode, name, number, p_value, percent, percent_or_dash, percents, quoted, range, significant,
-    with_unit,
-};
-use crate::{
+use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
+use robogate_analysis::shell_word;
+use robogate_analysis::{
     Along, CalibrationFigures, CriticalThreshold, DangerZones, FailureModes, Finding, Frontier, HowDrawn, ModeChanges,
     PairMap, Population, Regression, ReplayGroup, RiskModel, RocFigures, Success,
+};
+use robogate_stats::format::{
+    count, fixed, number, p_value, percent, percent_or_dash, percent_range, range, significant,
 };
 
 /// Most rows of one table on the page, whatever the data.
@@ -28,8 +28,8 @@ pub(crate) fn stages(success: &Success) -> Table {
             count(stage.episodes),
             count(stage.invalid),
             percent_or_dash(stage.rate.rate),
-            percents(stage.rate.wilson_95),
-            percents(stage.rate.clopper_pearson_95),
+            percent_range(stage.rate.wilson_95),
+            percent_range(stage.rate.clopper_pearson_95),
             weights,
             count(stage.effective_sample_size.round() as u64),
             stage.population.brief().to_owned(),
@@ -56,7 +56,7 @@ pub(crate) fn by_weights(success: &Success) -> Option<Table> {
         rows.push(vec![
             "all rows".to_owned(),
             percent(found.estimate.rate),
-            percents(found.estimate.interval_95),
+            percent_range(found.estimate.interval_95),
             count(found.rows),
             count(found.estimate.effective_sample_size.round() as u64),
             Population::Reweighted.brief().to_owned(),
@@ -67,7 +67,7 @@ pub(crate) fn by_weights(success: &Success) -> Option<Table> {
             rows.push(vec![
                 format!("{} stage", stage.stage),
                 percent(found.rate),
-                percents(found.interval_95),
+                percent_range(found.interval_95),
                 count(stage.rate.n),
                 count(found.effective_sample_size.round() as u64),
                 Population::FocusedRegion.brief().to_owned(),
@@ -92,8 +92,8 @@ pub(crate) fn cells(along: &Along) -> Table {
             count(cell.rate.n),
             count(cell.rate.successes),
             percent_or_dash(cell.rate.rate),
-            percents(cell.rate.wilson_95),
-            percents(cell.rate.clopper_pearson_95),
+            percent_range(cell.rate.wilson_95),
+            percent_range(cell.rate.clopper_pearson_95),
             cell.zone.word().to_owned(),
         ]
     });
@@ -117,15 +117,15 @@ pub(crate) fn map(map: &PairMap) -> Table {
     let nx = map.x.cells().max(1);
     let rows = map.cells.iter().enumerate().map(|(i, cell)| {
         vec![
-            said(&map.y, i / nx),
-            said(&map.x, i % nx),
+            map.y.cell_label(i / nx),
+            map.x.cell_label(i % nx),
             count(cell.rate.n),
             percent_or_dash(cell.rate.rate),
-            percents(cell.rate.wilson_95),
+            percent_range(cell.rate.wilson_95),
             cell.zone.word().to_owned(),
         ]
     });
-    let (y, x) = (name(&map.y.parameter), name(&map.x.parameter));
+    let (y, x) = (parameter_label(&map.y.parameter), parameter_label(&map.x.parameter));
     let columns = [
         (y.as_str(), Short),
         (x.as_str(), Short),
@@ -148,7 +148,7 @@ pub(crate) fn curve(frontier: &Frontier) -> Table {
             if point.observed { "yes" } else { "extrapolated" }.to_owned(),
         ]
     });
-    let (y, x) = (name(&frontier.y), format!("{}*", name(&frontier.x)));
+    let (y, x) = (parameter_label(&frontier.y), format!("{}*", parameter_label(&frontier.x)));
     let columns = [
         (y.as_str(), Number),
         (x.as_str(), Number),
@@ -195,8 +195,8 @@ pub(crate) fn regression(title: &str, regression: &Regression) -> Table {
 }
 
 pub(crate) fn thresholds(along: &[Along]) -> Table {
-    let rows = along.iter().filter(|a| !matches!(a.kind, crate::AlongKind::Categorical)).map(|a| {
-        let unit = |x: f64| with_unit(&number(x), &a.parameter);
+    let rows = along.iter().filter(|a| !matches!(a.kind, robogate_analysis::AlongKind::Categorical)).map(|a| {
+        let unit = |x: f64| value_with_unit(&number(x), &a.parameter);
         let (at, ci, se, what) = match &a.threshold {
             Finding::Estimated(CriticalThreshold::Crosses { at, rising, low, high, se, crossing_share }) => {
                 let end = |x: &Option<f64>| x.map_or_else(|| "beyond".to_owned(), number);
@@ -237,7 +237,7 @@ pub(crate) fn thresholds(along: &[Along]) -> Table {
         };
         let r = a.correlation.estimated();
         let (r, spearman, p) = match r {
-            Some(crate::Correlation::Number { point_biserial, ln_p, spearman, .. }) => (
+            Some(robogate_analysis::Correlation::Number { point_biserial, ln_p, spearman, .. }) => (
                 fixed(*point_biserial, 3),
                 spearman.map_or_else(|| "-".to_owned(), |s| fixed(s, 3)),
                 ln_p.map_or_else(|| "-".to_owned(), p_value),
@@ -264,9 +264,9 @@ pub(crate) fn thresholds(along: &[Along]) -> Table {
 pub(crate) fn categories(along: &[Along]) -> Option<Table> {
     let rows: Vec<Vec<String>> = along
         .iter()
-        .filter(|a| matches!(a.kind, crate::AlongKind::Categorical))
+        .filter(|a| matches!(a.kind, robogate_analysis::AlongKind::Categorical))
         .map(|a| match &a.correlation {
-            Finding::Estimated(crate::Correlation::Category { cramers_v, ln_p, smallest_expected }) => {
+            Finding::Estimated(robogate_analysis::Correlation::Category { cramers_v, ln_p, smallest_expected }) => {
                 let rough = if *smallest_expected < 5.0 { " (rough: a level is rare)" } else { "" };
                 vec![a.label.clone(), fixed(*cramers_v, 3), format!("{}{rough}", p_value(*ln_p))]
             }
@@ -284,7 +284,7 @@ pub(crate) fn failure_modes(modes: &FailureModes) -> Table {
     let rows = modes
         .modes
         .iter()
-        .map(|m| vec![mode(&m.mode), count(m.failures), percent_or_dash(m.share), percents(m.interval_95)]);
+        .map(|m| vec![mode_label(&m.mode), count(m.failures), percent_or_dash(m.share), percent_range(m.interval_95)]);
     let columns = [("mode", Text), ("failures", Number), ("share", Number), ("95 %, jointly", Number)];
     Table::new("Failures by mode", &columns, rows.collect())
 }
@@ -293,12 +293,12 @@ pub(crate) fn mode_changes(label: &str, changes: &ModeChanges, modes: &FailureMo
     let rows = changes.bins.iter().map(|bin| {
         let mut row = vec![range(bin.range), count(bin.counts.iter().sum())];
         row.extend(bin.counts.iter().map(|n| count(*n)));
-        row.push(bin.dominant.as_deref().map_or_else(|| "-".to_owned(), mode));
+        row.push(bin.dominant.as_deref().map_or_else(|| "-".to_owned(), mode_label));
         row.push(percent_or_dash(bin.share));
         row.push(if bin.sure { "sure" } else { "not sure" }.to_owned());
         row
     });
-    let heads: Vec<String> = modes.modes.iter().map(|m| mode(&m.mode)).collect();
+    let heads: Vec<String> = modes.modes.iter().map(|m| mode_label(&m.mode)).collect();
     let mut columns = vec![(label, Short), ("failures", Number)];
     columns.extend(heads.iter().map(|h| (h.as_str(), Number)));
     columns.extend([("dominant", Text), ("share", Number), ("ahead of the second", Short)]);
@@ -308,10 +308,10 @@ pub(crate) fn mode_changes(label: &str, changes: &ModeChanges, modes: &FailureMo
 pub(crate) fn danger(zones: &DangerZones) -> Table {
     let rows = zones.zones.iter().map(|zone| {
         vec![
-            name(&zone.parameter),
-            with_unit(&zone.cell, &zone.parameter),
+            parameter_label(&zone.parameter),
+            value_with_unit(&zone.cell, &zone.parameter),
             percent_or_dash(zone.rate.rate),
-            percents(zone.rate.wilson_95),
+            percent_range(zone.rate.wilson_95),
             count(zone.rate.n),
             p_value(zone.ln_p),
             if zone.holm_p > 0.0 { p_value(zone.holm_p.ln()) } else { "0".to_owned() },
@@ -372,7 +372,7 @@ pub(crate) fn reliability(figures: &CalibrationFigures) -> Table {
     let rows = figures
         .bins
         .iter()
-        .map(|bin| vec![count(bin.rows), percent(bin.stated), percent(bin.observed), percents(bin.interval_95)]);
+        .map(|bin| vec![count(bin.rows), percent(bin.stated), percent(bin.observed), percent_range(bin.interval_95)]);
     let columns = [("n", Number), ("stated", Number), ("observed", Number), ("Wilson 95 %", Number)];
     Table::new("Stated and observed failure rates", &columns, rows.collect())
 }
@@ -381,7 +381,9 @@ pub(crate) fn penalties(risk: &RiskModel) -> Option<Table> {
     let rows: Vec<Vec<String>> = risk
         .penalties
         .iter()
-        .flat_map(|p| p.levels.iter().map(|l| vec![name(&p.parameter), l.level.clone(), fixed(l.penalty, 4)]))
+        .flat_map(|p| {
+            p.levels.iter().map(|l| vec![parameter_label(&p.parameter), l.level.clone(), fixed(l.penalty, 4)])
+        })
         .collect();
     let columns = [("parameter", Text), ("level", Text), ("penalty", Number)];
     (!rows.is_empty()).then(|| Table::new("Penalties of the levels", &columns, rows).at_most(MOST))
@@ -401,7 +403,7 @@ pub(crate) fn ranges(drawn: &HowDrawn) -> Table {
 }
 
 fn with_unit_head(parameter: &str) -> String {
-    crate::words::name_with_unit(parameter)
+    robogate_analysis::labels::label_with_unit(parameter)
 }
 
 pub(crate) fn replays(group: &ReplayGroup, command: Option<&str>) -> Table {
@@ -410,11 +412,11 @@ pub(crate) fn replays(group: &ReplayGroup, command: Option<&str>) -> Table {
             .parameters
             .iter()
             .take(12)
-            .map(|(parameter, value)| format!("{} {}", name(parameter), with_unit(value, parameter)))
+            .map(|(parameter, value)| format!("{} {}", parameter_label(parameter), value_with_unit(value, parameter)))
             .collect();
         vec![
             match command {
-                Some(folder) => format!("robogate replay {} {}", quoted(folder), episode.index),
+                Some(folder) => format!("robogate replay {} {}", shell_word(folder), episode.index),
                 None => episode.index.to_string(),
             },
             episode.outcome.replace('_', " "),

@@ -2,12 +2,14 @@
 
 use super::Kind::{Code, Number, Short, Text};
 use super::{Block, Figure, Section, Story, Table};
-use crate::comparison::{Comparison, PairedComparison};
 use crate::page::versus::{self, Row};
-use crate::rate::Finding;
-use crate::words::{
-    count, counted, fixed, listed, mode, name, name_with_unit, number, p_value, percent, percent_or_dash, percents,
-    points, points_range, sentence,
+use crate::text::{ComparisonHeadline, comparison_limits};
+use robogate_analysis::Finding;
+use robogate_analysis::labels::{label_with_unit, mode_label, parameter_label, value_with_unit};
+use robogate_analysis::{Comparison, PairedComparison};
+use robogate_stats::format::{
+    count, counted, fixed, list, number, p_value, percent, percent_or_dash, percent_range, points, points_range, range,
+    sentence,
 };
 
 /// Zones that are drawn; the table has more.
@@ -17,6 +19,7 @@ const MOST: usize = 60;
 
 /// Tells a comparison.
 pub(crate) fn tell(of: &Comparison) -> Story {
+    let headline = ComparisonHeadline::of(of);
     let names: Vec<String> = of.dictionaries.iter().map(|d| d.name.clone()).collect();
     let widest = of
         .paired
@@ -26,12 +29,12 @@ pub(crate) fn tell(of: &Comparison) -> Story {
         .reduce(|best, next| if next.0.abs() > best.0.abs() { next } else { best });
     let mut sections = vec![rates(of)];
     sections.extend(of.paired.iter().enumerate().map(|(i, pair)| paired(pair, i)));
-    sections.extend([failures(of), along(of), universal(of), mass(of), reach(of), sources(of), limits(of)]);
+    sections.extend([failures(of), along(of), universal(of), sensitivity(of), reach(of), sources(of), limits(of)]);
     Story {
         kind: "comparison",
         title: match names.as_slice() {
             [first, second] => format!("{first} against {second}"),
-            names => listed(names),
+            names => list(names),
         },
         subtitle: format!(
             "{} dictionaries, {} episodes \u{b7} compared {}",
@@ -57,11 +60,11 @@ pub(crate) fn tell(of: &Comparison) -> Story {
             None => "no interval".to_owned(),
         },
         scale: versus::rates(&of.dictionaries, &of.compared),
-        answer: of.headline.answer.clone(),
+        answer: headline.answer,
         columns: vec![
-            ("What differs", of.headline.what_differs.clone()),
-            ("What they share", of.headline.what_is_common.clone()),
-            ("How sure", of.headline.how_sure.clone()),
+            ("What differs", headline.what_differs),
+            ("What they share", headline.what_is_common),
+            ("How sure", headline.how_sure),
         ],
         sections,
     }
@@ -75,11 +78,11 @@ fn rates(of: &Comparison) -> Section {
             count(d.success.rate.n),
             count(d.success.rate.successes),
             percent_or_dash(d.success.rate.rate),
-            percents(d.success.rate.wilson_95),
-            percents(d.success.rate.clopper_pearson_95),
+            percent_range(d.success.rate.wilson_95),
+            percent_range(d.success.rate.clopper_pearson_95),
             weighted.map_or_else(
                 || "-".to_owned(),
-                |w| format!("{} ({})", percent(w.estimate.rate), percents(w.estimate.interval_95)),
+                |w| format!("{} ({})", percent(w.estimate.rate), percent_range(w.estimate.interval_95)),
             ),
             count(d.success.bounds.invalid),
             match &d.left_out {
@@ -173,10 +176,10 @@ fn paired(pair: &PairedComparison, at: usize) -> Section {
         "{} succeeds in {} ({}), {} in {} ({}). Both solve {}, only {} {}, only {} {}, neither {}.",
         pair.first,
         percent_or_dash(pair.first_rate.rate),
-        percents(pair.first_rate.wilson_95),
+        percent_range(pair.first_rate.wilson_95),
         pair.second,
         percent_or_dash(pair.second_rate.rate),
-        percents(pair.second_rate.wilson_95),
+        percent_range(pair.second_rate.wilson_95),
         count(pair.both),
         pair.first,
         count(pair.first_only),
@@ -224,17 +227,17 @@ fn paired(pair: &PairedComparison, at: usize) -> Section {
             let nx = map.x.cells().max(1);
             let rows = map.cells.iter().enumerate().map(|(i, cell)| {
                 vec![
-                    crate::page::said(&map.y, i / nx),
-                    crate::page::said(&map.x, i % nx),
+                    map.y.cell_label(i / nx),
+                    map.x.cell_label(i % nx),
                     count(cell.disagree.n),
                     percent_or_dash(cell.disagree.rate),
-                    percents(cell.disagree.wilson_95),
+                    percent_range(cell.disagree.wilson_95),
                     count(cell.first_only),
                     count(cell.second_only),
                     p_value(cell.holm_p.max(f64::MIN_POSITIVE).ln()),
                 ]
             });
-            let (y, x) = (name(&map.y.parameter), name(&map.x.parameter));
+            let (y, x) = (parameter_label(&map.y.parameter), parameter_label(&map.x.parameter));
             let heads = [format!("only {}", pair.first), format!("only {}", pair.second)];
             let columns = [
                 (y.as_str(), Short),
@@ -249,8 +252,8 @@ fn paired(pair: &PairedComparison, at: usize) -> Section {
             blocks.push(Block::Figure(Figure {
                 title: format!(
                     "Where they end differently: {} \u{d7} {}",
-                    name(&map.y.parameter),
-                    name(&map.x.parameter)
+                    parameter_label(&map.y.parameter),
+                    parameter_label(&map.x.parameter)
                 ),
                 svg: versus::disagreement(map, [&pair.first, &pair.second]),
                 is_map: true,
@@ -267,7 +270,7 @@ fn paired(pair: &PairedComparison, at: usize) -> Section {
         }
     }
     let mut columns = vec![("", Short)];
-    let words: Vec<String> = pair.outcomes.outcomes.iter().map(|word| mode(word)).collect();
+    let words: Vec<String> = pair.outcomes.outcomes.iter().map(|word| mode_label(word)).collect();
     columns.extend(words.iter().map(|word| (word.as_str(), Number)));
     let rows = words
         .iter()
@@ -279,8 +282,8 @@ fn paired(pair: &PairedComparison, at: usize) -> Section {
         let rows = pair.flips.iter().map(|flip| {
             vec![
                 count(flip.index),
-                mode(&flip.first),
-                mode(&flip.second),
+                mode_label(&flip.first),
+                mode_label(&flip.second),
                 if flip.replay.is_empty() { "-".to_owned() } else { flip.replay.join(" ; ") },
                 flip.describe(),
             ]
@@ -309,7 +312,7 @@ fn paired(pair: &PairedComparison, at: usize) -> Section {
 
 fn failures(of: &Comparison) -> Section {
     let mut blocks = Vec::new();
-    let failed: Vec<&crate::ComparedDictionary> =
+    let failed: Vec<&robogate_analysis::ComparedDictionary> =
         of.dictionaries.iter().filter(|d| d.failure_modes.failures > 0).collect();
     if failed.is_empty() {
         blocks.push(Block::Text("Nothing failed.".to_owned()));
@@ -318,10 +321,10 @@ fn failures(of: &Comparison) -> Section {
             d.failure_modes.modes.iter().map(|m| {
                 vec![
                     d.name.clone(),
-                    mode(&m.mode),
+                    mode_label(&m.mode),
                     count(m.failures),
                     percent_or_dash(m.share),
-                    percents(m.interval_95),
+                    percent_range(m.interval_95),
                     if d.left_out.is_some() { d.population.brief().to_owned() } else { "-".to_owned() },
                 ]
             })
@@ -342,7 +345,7 @@ fn failures(of: &Comparison) -> Section {
             reading: failed
                 .iter()
                 .map(|d| match &d.failure_modes.dominant {
-                    Finding::Estimated(word) => format!("{} fails mostly by {}.", d.name, mode(word)),
+                    Finding::Estimated(word) => format!("{} fails mostly by {}.", d.name, mode_label(word)),
                     Finding::CannotBeEstimated { because } => {
                         format!("{}: which mode leads cannot be said because {because}.", d.name)
                     }
@@ -364,12 +367,12 @@ fn along(of: &Comparison) -> Section {
                 let rates = cell
                     .rates
                     .iter()
-                    .flat_map(|rate| [percent_or_dash(rate.rate), percents(rate.wilson_95), count(rate.n)]);
+                    .flat_map(|rate| [percent_or_dash(rate.rate), percent_range(rate.wilson_95), count(rate.n)]);
                 std::iter::once(cell.label.clone()).chain(rates).collect()
             });
             let heads: Vec<[String; 3]> =
                 of.compared.iter().map(|name| [name.clone(), "95 %".to_owned(), "n".to_owned()]).collect();
-            let label = name_with_unit(&curve.parameter);
+            let label = label_with_unit(&curve.parameter);
             let mut columns = vec![(label.as_str(), Short)];
             columns.extend(heads.iter().flatten().map(|head| (head.as_str(), Number)));
             Figure {
@@ -386,7 +389,7 @@ fn along(of: &Comparison) -> Section {
     if !of.parameters.not_shared.is_empty() {
         let rows = of.parameters.not_shared.iter().map(|parameter| {
             let of = if parameter.of.is_empty() { "-".to_owned() } else { parameter.of.join(", ") };
-            vec![name_with_unit(&parameter.parameter), of, parameter.because.clone()]
+            vec![label_with_unit(&parameter.parameter), of, parameter.because.clone()]
         });
         let columns = [("parameter", Text), ("of", Text), ("why it is left out", Text)];
         blocks.push(Block::Table(Table::new("Not shared", &columns, rows.collect()).at_most(MOST)));
@@ -408,10 +411,9 @@ fn universal(of: &Comparison) -> Section {
     let mut blocks = vec![Block::Text(format!(
         "Cells in which every dictionary is below {limit} success: bins and levels of each shared parameter{}. A cell is \
          sure where each of them is shown to be below (intersection-union of exact tests), Holm over the {} looked at.{thin}",
-        zones
-            .pair
-            .as_ref()
-            .map_or_else(String::new, |[up, across]| { format!(", and cells of {} with {}", name(up), name(across)) }),
+        zones.pair.as_ref().map_or_else(String::new, |[up, across]| {
+            format!(", and cells of {} with {}", parameter_label(up), parameter_label(across))
+        }),
         count(zones.looked_at)
     ))];
     if zones.looked_at == 0 {
@@ -420,7 +422,8 @@ fn universal(of: &Comparison) -> Section {
         blocks.push(Block::Text(format!("In no cell was every one of them observed below {limit}.")));
     } else {
         let rows = zones.zones.iter().map(|zone| {
-            let rates = zone.rates.iter().map(|r| format!("{} ({})", percent_or_dash(r.rate), percents(r.wilson_95)));
+            let rates =
+                zone.rates.iter().map(|r| format!("{} ({})", percent_or_dash(r.rate), percent_range(r.wilson_95)));
             std::iter::once(zone.describe())
                 .chain(rates)
                 .chain([p_value(zone.p.max(f64::MIN_POSITIVE).ln()), p_value(zone.holm_p.max(f64::MIN_POSITIVE).ln())])
@@ -443,30 +446,33 @@ fn universal(of: &Comparison) -> Section {
     Section { id: "universal", title: "Where all of them fail".to_owned(), population: speaks(of), blocks }
 }
 
-fn mass(of: &Comparison) -> Section {
+fn sensitivity(of: &Comparison) -> Section {
     let mut blocks = Vec::new();
-    match &of.mass {
-        Finding::Estimated(mass) => {
-            let rows = mass.of.iter().map(|effect| {
+    let title = match of.sensitivity.estimated() {
+        Some(found) => format!("What {} does", parameter_label(&found.parameter)),
+        None => "What one parameter does".to_owned(),
+    };
+    match &of.sensitivity {
+        Finding::Estimated(found) => {
+            let label = parameter_label(&found.parameter);
+            let values = |both: [f64; 2]| value_with_unit(&range(both), &found.parameter);
+            let rows = found.effects.iter().map(|effect| {
                 let slope = effect.slope.estimated();
                 let end = |end: Option<f64>| end.map_or_else(|| "open".to_owned(), |end| fixed(end, 2));
                 vec![
                     effect.name.clone(),
-                    slope.map_or_else(|| "-".to_owned(), |s| fixed(s.per_log_mass, 3)),
+                    slope.map_or_else(|| "-".to_owned(), |s| fixed(s.per_log_unit, 3)),
                     slope.map_or_else(
                         || "-".to_owned(),
                         |s| format!("{} to {}", end(s.interval_95[0]), end(s.interval_95[1])),
                     ),
                     slope.map_or_else(|| "-".to_owned(), |s| format!("\u{d7} {}", number(s.odds_per_doubling))),
                     slope.map_or_else(|| "-".to_owned(), |s| p_value(s.ln_p)),
-                    format!("{} ({})", percent_or_dash(effect.light.rate), percents(effect.light.wilson_95)),
-                    format!("{} ({})", percent_or_dash(effect.heavy.rate), percents(effect.heavy.wilson_95)),
+                    format!("{} ({})", percent_or_dash(effect.low.rate), percent_range(effect.low.wilson_95)),
+                    format!("{} ({})", percent_or_dash(effect.high.rate), percent_range(effect.high.wilson_95)),
                 ]
             });
-            let heads = [
-                format!("success at {} to {} kg", number(mass.light_kg[0]), number(mass.light_kg[1])),
-                format!("at {} to {} kg", number(mass.heavy_kg[0]), number(mass.heavy_kg[1])),
-            ];
+            let heads = [format!("success at {}", values(found.low)), format!("at {}", values(found.high))];
             let columns = [
                 ("dictionary", Text),
                 ("slope", Number),
@@ -476,36 +482,37 @@ fn mass(of: &Comparison) -> Section {
                 (heads[0].as_str(), Number),
                 (heads[1].as_str(), Number),
             ];
-            let reading = mass.of.iter().map(|effect| match &effect.slope {
+            let reading = found.effects.iter().map(|effect| match &effect.slope {
                 Finding::Estimated(slope) => format!(
-                    "{}: twice the mass multiplies the odds of success by {}{}.",
+                    "{}: twice the {label} multiplies the odds of success by {}{}.",
                     effect.name,
                     number(slope.odds_per_doubling),
-                    if slope.penalised { " (Firth's fit: mass alone tells success from failure)" } else { "" }
+                    if slope.penalised {
+                        format!(" (Firth's fit: {label} alone tells success from failure)")
+                    } else {
+                        String::new()
+                    }
                 ),
                 Finding::CannotBeEstimated { because } => {
                     format!("{}: cannot be estimated because {because}.", effect.name)
                 }
             });
             blocks.push(Block::Figure(Figure {
-                title: format!(
-                    "Slope of the log-odds over ln(mass), {} to {} kg",
-                    number(mass.range_kg[0]),
-                    number(mass.range_kg[1])
-                ),
-                svg: versus::mass(mass),
+                title: format!("Slope of the log-odds over ln({label}), {}", values(found.range)),
+                svg: versus::sensitivity(found),
                 is_map: false,
-                caption: "Logistic regression of success on ln(mass) alone, over the masses that all of them cover."
-                    .to_owned(),
+                caption: format!(
+                    "Logistic regression of success on ln({label}) alone, over the values that all of them cover."
+                ),
                 reading: reading.collect(),
-                table: Table::new("Mass", &columns, rows.collect()),
+                table: Table::new(sentence(&label), &columns, rows.collect()),
             }));
         }
         Finding::CannotBeEstimated { because } => {
-            blocks.push(Block::Text(format!("What mass does cannot be compared because {because}.")));
+            blocks.push(Block::Text(format!("It cannot be compared because {because}.")));
         }
     }
-    Section { id: "mass", title: "What mass does".to_owned(), population: speaks(of), blocks }
+    Section { id: "sensitivity", title, population: speaks(of), blocks }
 }
 
 fn reach(of: &Comparison) -> Section {
@@ -517,7 +524,7 @@ fn reach(of: &Comparison) -> Section {
             metres(row.workspace_m),
             row.ratio.map_or_else(|| "unknown".to_owned(), number),
             percent_or_dash(row.rate.rate),
-            percents(row.rate.wilson_95),
+            percent_range(row.rate.wilson_95),
             if row.given {
                 "given by the user"
             } else if row.ratio.is_some() {
@@ -588,6 +595,6 @@ fn sources(of: &Comparison) -> Section {
 }
 
 fn limits(of: &Comparison) -> Section {
-    let blocks = vec![Block::List(of.limits.clone())];
+    let blocks = vec![Block::List(comparison_limits(of))];
     Section { id: "limits", title: "What these figures do not say".to_owned(), population: None, blocks }
 }

@@ -2,15 +2,18 @@
 
 use std::fmt::Write;
 
-use super::{Arm, ArmFigures, Figures, LearnerFigures, MeanFigure, Measure, Score, Study, Verdict};
-use crate::words::{count, fixed, listed, name, percent, percents, range, with_unit};
+use super::answer;
 
-/// The page.
-pub(super) fn page(study: &Study) -> String {
+use robogate_analysis::labels::{parameter_label, value_with_unit};
+use robogate_analysis::study::{Arm, ArmFigures, Figures, LearnerFigures, MeanFigure, Measure, Score, Study, Verdict};
+use robogate_stats::format::{count, fixed, list, percent, percent_range, range, sentence};
+
+/// A study as a Markdown page.
+pub fn page(study: &Study) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail; so throughout this file.
     let _ = write!(out, "# Is boundary focusing worth it?\n\n{}\n\n", subject(study));
-    for sentence in &study.answer {
+    for sentence in &answer(study) {
         let _ = writeln!(out, "- **{sentence}**");
     }
     out.push('\n');
@@ -62,7 +65,7 @@ fn data(out: &mut String, study: &Study) {
     }
     let test = &study.test;
     let of_rate = match test.rate.rate {
-        Some(rate) => format!("{} ({})", percent(rate), percents(test.rate.wilson_95)),
+        Some(rate) => format!("{} ({})", percent(rate), percent_range(test.rate.wilson_95)),
         None => "-".to_owned(),
     };
     let _ = writeln!(
@@ -84,13 +87,15 @@ fn region(study: &Study) -> String {
     let ranges: Vec<String> = study
         .region
         .iter()
-        .map(|of| with_unit(&format!("{} {}", name(&of.parameter), range([of.low, of.high])), &of.parameter))
+        .map(|of| {
+            value_with_unit(&format!("{} {}", parameter_label(&of.parameter), range([of.low, of.high])), &of.parameter)
+        })
         .collect();
-    listed(&ranges)
+    list(&ranges)
 }
 
 fn judged(out: &mut String, learner: &LearnerFigures) {
-    let _ = write!(out, "### {}\n\n{}.\n\n", title(learner), sentence(learner.learner.about()));
+    let _ = write!(out, "### {}\n\n{}.\n\n", title(learner), sentence(&learner.about));
     *out += "| Design | Boundary error | Log loss | Brier score | AUC |\n| --- | ---: | ---: | ---: | ---: |\n";
     let mut missing = Vec::new();
     for ArmFigures { arm, figures } in &learner.arms {
@@ -112,11 +117,7 @@ fn judged(out: &mut String, learner: &LearnerFigures) {
 }
 
 fn title(learner: &LearnerFigures) -> String {
-    sentence(learner.learner.name())
-}
-
-fn sentence(text: &str) -> String {
-    crate::words::sentence(text)
+    sentence(&learner.name)
 }
 
 fn cell(score: &Score) -> String {
@@ -174,7 +175,7 @@ fn paper(out: &mut String, study: &Study) {
             let _ = writeln!(
                 out,
                 "| {} | {} | {} | {of_own} | {} | {of_test} |",
-                learner.learner.name(),
+                learner.name,
                 arm.name(),
                 fixed(own, 3),
                 fixed(test(figures), 3)
@@ -206,7 +207,7 @@ fn repeats(out: &mut String, study: &Study) {
                 let _ = writeln!(
                     out,
                     "| {} | {} | {} | {} | {} | {} | {} ({} to {}) |",
-                    learner.learner.name(),
+                    learner.name,
                     arm.name(),
                     r + 1,
                     of(Measure::BoundaryError),
@@ -223,7 +224,7 @@ fn repeats(out: &mut String, study: &Study) {
 }
 
 fn method(out: &mut String, study: &Study) {
-    let parameters: Vec<String> = study.subject.parameters.iter().map(|p| name(p)).collect();
+    let parameters: Vec<String> = study.subject.parameters.iter().map(|p| parameter_label(p)).collect();
     *out += "## What was measured\n\n";
     let _ = writeln!(
         out,
@@ -233,7 +234,7 @@ fn method(out: &mut String, study: &Study) {
          min(p, 1 \u{2212} p), which no design changes, plus the mean of |2p \u{2212} 1| over what lies on the wrong side. \
          Differences between designs are differences of the second part alone; where p is near 0 or 1 almost everywhere \
          that is the share of the space on the wrong side of the boundary.",
-        listed(&parameters)
+        list(&parameters)
     );
     *out += "- **Log loss, Brier score**: of the stated chance of success. **AUC**: with DeLong's interval.\n\
              - **Designs**: *uniform* is one Latin hypercube over the operating space. *Two-stage* spends half the budget so, \

@@ -23,11 +23,11 @@ mod newton;
 mod separation;
 
 use crate::interval::{Confidence, Interval};
-use crate::special::ln_two_sided;
 use data::Standardized;
 pub use data::{Data, Dropped};
 use newton::Solution;
 pub(crate) use newton::logistic_and_log;
+use robogate_maths::normal::ln_two_sided;
 pub use separation::{Separation, SeparationKind};
 
 /// Why there is no fit.

@@ -6,13 +6,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-/// The Python interpreter. Prints a message if there is none.
+/// The interpreter. Where there is none, the test is reported as skipped.
 pub(crate) fn python() -> Option<PathBuf> {
-    let python = std::env::var_os("ROBOGATE_BRIDGE_PYTHON").map(PathBuf::from);
-    if python.is_none() {
-        eprintln!("skipped: set ROBOGATE_BRIDGE_PYTHON to a Python interpreter with pyzmq and msgpack");
-    }
-    python
+    robogate_testing::path("ROBOGATE_BRIDGE_PYTHON", "a Python with pyzmq and msgpack")
 }
 
 /// Root folder of the repository.

@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use robogate_report::{
-    Along, Analysis, CriticalThreshold, Envelope, Finding, PairMap, Population, Regression, ReportError, RiskModel,
+use robogate_analysis::{
+    Along, Analysis, AnalysisError, CriticalThreshold, Envelope, Finding, PairMap, Population, Regression, RiskModel,
     Source, Zone,
 };
+use robogate_report::{Headline, analysis_json, limits};
 
 use crate::commands::report::evidence;
 use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
@@ -30,7 +31,7 @@ impl Analyze {
         let source = Source::open(&self.dictionary).or_usage()?;
         let analysis = analyse(&source, &self.dictionary, &pairs(&self.pair))?;
         if self.json {
-            line(analysis.to_json());
+            line(analysis_json(&analysis));
         } else {
             print(&analysis);
         }
@@ -46,7 +47,7 @@ pub(crate) fn pairs(names: &[String]) -> Vec<(String, String)> {
 /// The analysis, its errors with their exit codes.
 pub(crate) fn analyse(source: &Source, path: &Path, pairs: &[(String, String)]) -> Result<Analysis, Exit> {
     Analysis::of(source, path, pairs).map_err(|error| {
-        let code = if matches!(error, ReportError::Io { .. }) { INFRASTRUCTURE } else { USAGE };
+        let code = if matches!(error, AnalysisError::Io { .. }) { INFRASTRUCTURE } else { USAGE };
         Exit { code, error: error.into() }
     })
 }
@@ -70,7 +71,7 @@ fn print(analysis: &Analysis) {
     replay(analysis);
     line("");
     line(bold("What these figures do not say"));
-    analysis.limits.iter().for_each(|limit| wrapped(limit));
+    limits(analysis).iter().for_each(|limit| wrapped(limit));
 }
 
 pub(crate) fn heading(title: impl std::fmt::Display) {
@@ -97,8 +98,8 @@ fn answer(analysis: &Analysis) {
         grouped(subject.episodes)
     ));
     line("");
-    line(bold(&analysis.headline.answer));
-    let headline = &analysis.headline;
+    let headline = Headline::of(analysis);
+    line(bold(&headline.answer));
     for (title, lines) in [
         ("Where it fails", &headline.where_it_fails),
         ("What to do", &headline.what_to_do),
@@ -190,7 +191,7 @@ fn pair(envelope: &Envelope) {
 
 fn cells(map: &PairMap) {
     let nx = map.x.cells();
-    let label = |axis: &robogate_report::Axis, at: usize| match (axis.levels.get(at), axis.edges.get(at)) {
+    let label = |axis: &robogate_analysis::Axis, at: usize| match (axis.levels.get(at), axis.edges.get(at)) {
         (Some(level), _) => level.chars().take(11).collect(),
         (None, Some(edge)) => format!("{edge:.3}"),
         _ => String::new(),
@@ -223,10 +224,10 @@ fn cells(map: &PairMap) {
 
 fn parameter(along: &Along) {
     let correlation = match along.correlation.estimated() {
-        Some(robogate_report::Correlation::Number { point_biserial, .. }) => {
+        Some(robogate_analysis::Correlation::Number { point_biserial, .. }) => {
             format!("correlation {point_biserial:+.3}")
         }
-        Some(robogate_report::Correlation::Category { cramers_v, .. }) => format!("Cramer's V {cramers_v:.3}"),
+        Some(robogate_analysis::Correlation::Category { cramers_v, .. }) => format!("Cramer's V {cramers_v:.3}"),
         None => format!("no correlation: {}", along.correlation.because().unwrap_or_default()),
     };
     heading(format_args!("Success along {} ({correlation})", along.parameter));

@@ -3,19 +3,15 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::Context;
 use clap::{Args, Subcommand};
-use robogate_core::{Assignment, Sampler, Scenario, Seed, samplers::LatinHypercube};
-use robogate_remote::conformance::{Report, check};
+use robogate_remote::conformance::{Report, check, scenarios};
 use robogate_remote::{Connection, PhysicsSession, RequestError, ScoredSession};
-use robogate_sim::SuctionLaw;
-use robogate_sim::offsite::HERE;
 use robogate_zmtp::Address;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
+use crate::subject::{EnvironmentArguments, assignment, named_space};
 use crate::terminal::{bold, line, note};
-use crate::world::WorldArguments;
 
 /// Run the conformance tests against a simulator server.
 #[derive(Debug, Args)]
@@ -38,12 +34,15 @@ enum What {
 struct BridgeCheck {
     /// Address of the server: tcp://HOST:PORT
     address: Address,
-    /// Parameter space from which the scenarios are sampled, limited to the parameters that the server knows; default:
-    /// that of the robot
+    /// Sample the scenarios from this parameter space, limited to the parameters that the server declares; default: the
+    /// server's own space, else the declared nominal values
     #[arg(long, value_name = "NAME|FILE")]
     space: Option<String>,
+    /// Set a parameter in every scenario; repeat for several
+    #[arg(long, value_name = "NAME=VALUE")]
+    set: Vec<String>,
     #[command(flatten)]
-    world: WorldArguments,
+    environment: EnvironmentArguments,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -61,34 +60,23 @@ impl Bridge {
 
 impl BridgeCheck {
     fn execute(&self) -> Result<u8, Exit> {
-        let timeouts = self.world.simulators.timeouts();
+        let timeouts = self.environment.simulators.timeouts();
         let failed = |why: RequestError| anyhow::Error::new(why).context(self.address.to_string());
         let hello = Connection::open(self.address.clone(), timeouts).map_err(failed).or_broken()?.hello().clone();
-        let cell = self.world.cell(SuctionLaw::Vacuum)?;
-        let space = Arc::new(cell.space(self.space.as_deref()).or_usage()?);
-        let seed = Seed::campaign(1);
-        let design = LatinHypercube::default()
-            .design(&space, SCENARIOS, seed.stream("bridge check"))
-            .context("cannot sample scenarios")
-            .or_usage()?;
-        let known =
-            |name: &str| hello.parameters.iter().any(|p| p == name) || (!hello.scores_itself && HERE.contains(&name));
-        let scenarios: Vec<Scenario> = (0..SCENARIOS)
-            .filter_map(|i| {
-                let sampled = design.assignment(i)?;
-                let requested: Assignment = sampled
-                    .iter()
-                    .filter(|(name, _)| known(name))
-                    .map(|(name, value)| (name.into(), value.clone()))
-                    .collect();
-                Some(Scenario { index: i as u64, seed: seed.episode(i as u64), requested })
-            })
-            .collect();
+        let task = hello.task.clone();
+        let space = match (&self.space, &hello.space) {
+            (Some(wanted), _) => Some(named_space(wanted).or_usage()?),
+            (None, Some(space)) => Some(space.clone()),
+            (None, None) => None,
+        };
+        let base = assignment(&self.set).or_usage()?;
+        let scenarios =
+            scenarios(&task, space.map(Arc::new).as_ref(), &base, SCENARIOS).map_err(anyhow::Error::msg).or_usage()?;
         note(format_args!("checking {} ...", self.address));
         let report = if hello.scores_itself {
             check(&self.address, timeouts, &scenarios, &mut ScoredSession)
         } else {
-            let mut session = PhysicsSession(cell.remote_task().or_usage()?);
+            let mut session = PhysicsSession(self.environment.cell()?.remote_task().or_usage()?);
             check(&self.address, timeouts, &scenarios, &mut session)
         };
         let report = report.map_err(failed).or_broken()?;
@@ -138,12 +126,13 @@ fn print(report: &Report, tried: &[&str]) {
         "{} {}: {} {}{solver}",
         hello.server.name, hello.server.version, hello.engine.name, hello.engine.version
     ));
+    let robot = hello.robot.as_ref().map_or_else(|| "no robot".to_owned(), |robot| format!("robot {}", robot.name));
     line(format_args!(
-        "  robot {}, {} joints, time step {} ms, {}",
-        hello.robot.name,
-        hello.joints.len(),
-        1e3 * hello.time_step_s,
-        if hello.scores_itself { "own task, scores itself" } else { "physics only, for RoboGate's task" }
+        "  task {}, {robot}, actions {}, control period {} ms, {}",
+        hello.task.name,
+        hello.task.action.kinds(),
+        1e3 * hello.task.control_period_s,
+        if hello.scores_itself { "scores itself" } else { "physics only, for RoboGate's task" }
     ));
     let tried = if tried.is_empty() { "none".to_owned() } else { tried.join(", ") };
     line(format_args!("  parameters tried: {tried}"));

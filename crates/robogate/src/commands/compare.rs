@@ -4,10 +4,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
-use robogate_report::{
-    Comparison, ComparisonError, ComparisonOptions, Finding, PairedComparison, ReportError, SharedCurve, Source,
-    comparison_html, comparison_markdown,
+use robogate_analysis::labels::{parameter_label, value_with_unit};
+use robogate_analysis::{
+    AnalysisError, Comparison, ComparisonError, ComparisonOptions, Finding, PairedComparison, SharedCurve, Source,
 };
+use robogate_report::{ComparisonHeadline, comparison_html, comparison_json, comparison_limits, comparison_markdown};
 
 use crate::commands::analyze::{heading, interval, p_value, rate_of};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
@@ -79,7 +80,7 @@ impl Compare {
             }
         }
         if self.json {
-            line(comparison.to_json());
+            line(comparison_json(&comparison));
         } else {
             print(&comparison);
         }
@@ -107,7 +108,7 @@ impl Compare {
 }
 
 fn exit(error: ComparisonError) -> Exit {
-    let broken = matches!(error, ComparisonError::Report(ReportError::Io { .. }));
+    let broken = matches!(error, ComparisonError::Analysis(AnalysisError::Io { .. }));
     Exit { code: if broken { INFRASTRUCTURE } else { USAGE }, error: error.into() }
 }
 
@@ -141,10 +142,9 @@ fn print(of: &Comparison) {
     line(format_args!("{} compares {}", bold("RoboGate"), names.join(", ")));
     line("");
     line(bold("The answer"));
-    wrapped(&of.headline.answer);
-    for (title, lines) in
-        [("What differs", &of.headline.what_differs), ("What they share", &of.headline.what_is_common)]
-    {
+    let headline = ComparisonHeadline::of(of);
+    wrapped(&headline.answer);
+    for (title, lines) in [("What differs", &headline.what_differs), ("What they share", &headline.what_is_common)] {
         if !lines.is_empty() {
             heading(title);
             lines.iter().for_each(|text| wrapped(text));
@@ -157,10 +157,10 @@ fn print(of: &Comparison) {
     of.along.iter().for_each(|curve| along(curve, &of.compared));
     not_shared(of);
     universal(of);
-    mass(of);
+    sensitivity(of);
     reach(of);
     heading("What these figures do not say");
-    of.limits.iter().for_each(|limit| wrapped(limit));
+    comparison_limits(of).iter().for_each(|limit| wrapped(limit));
 }
 
 fn rates(of: &Comparison) {
@@ -287,7 +287,7 @@ fn disagreement(pair: &PairedComparison) {
     };
     line("");
     line(format_args!("  scenarios that flip, in percent: {} upwards, {} across", map.y.parameter, map.x.parameter));
-    let from = |axis: &robogate_report::Axis, at: usize| match (axis.levels.get(at), axis.edges.get(at)) {
+    let from = |axis: &robogate_analysis::Axis, at: usize| match (axis.levels.get(at), axis.edges.get(at)) {
         (Some(level), _) => level.chars().take(8).collect(),
         (None, Some(edge)) => format!("{edge:.3}"),
         _ => String::new(),
@@ -421,23 +421,25 @@ fn universal(of: &Comparison) {
     }
 }
 
-fn mass(of: &Comparison) {
-    heading("What mass does: slope of the log-odds of success over ln(mass)");
-    let mass = match &of.mass {
-        Finding::Estimated(mass) => mass,
+fn sensitivity(of: &Comparison) {
+    let found = match &of.sensitivity {
+        Finding::Estimated(found) => found,
         Finding::CannotBeEstimated { because } => {
+            heading("What one parameter does");
             wrapped(&format!("It cannot be compared because {because}."));
             return;
         }
     };
-    for effect in &mass.of {
+    let label = parameter_label(&found.parameter);
+    heading(format_args!("What {label} does: slope of the log-odds of success over ln({label})"));
+    for effect in &found.effects {
         match &effect.slope {
             Finding::Estimated(slope) => {
                 let end = |end: Option<f64>| end.map_or_else(|| "open".to_owned(), |end| format!("{end:.2}"));
                 line(format_args!(
-                    "  {} {:>7.3}  95 % {:>6} to {:>6}  odds x {:.3} where mass doubles  p {:>8}{}",
+                    "  {} {:>7.3}  95 % {:>6} to {:>6}  odds x {:.3} where {label} doubles  p {:>8}{}",
                     fit(&effect.name, 20),
-                    slope.per_log_mass,
+                    slope.per_log_unit,
                     end(slope.interval_95[0]),
                     end(slope.interval_95[1]),
                     slope.odds_per_doubling,
@@ -449,11 +451,10 @@ fn mass(of: &Comparison) {
                 wrapped(&format!("{}: cannot be estimated because {because}.", effect.name));
             }
         }
-        for (which, [low, high], rate) in
-            [("light", mass.light_kg, &effect.light), ("heavy", mass.heavy_kg, &effect.heavy)]
-        {
+        for (which, [low, high], rate) in [("lowest", found.low, &effect.low), ("highest", found.high, &effect.high)] {
             line(dim(format_args!(
-                "    {which} {low:.3} to {high:.3} kg {:>8} {} {:>8}",
+                "    {which:<7} {} {:>8} {} {:>8}",
+                value_with_unit(&format!("{low:.3} to {high:.3}"), &found.parameter),
                 rate_of(rate.rate),
                 interval(rate.wilson_95),
                 grouped(rate.n)

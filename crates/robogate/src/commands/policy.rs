@@ -5,16 +5,16 @@ use std::time::Instant;
 
 use anyhow::anyhow;
 use clap::{Args, Subcommand};
-use robogate_campaign::{Station, Workshop};
-use robogate_core::{Assignment, FaultKind, GripperCommand, Image, Observation, Scenario, Seed, Simulator};
+use robogate_campaign::{Worker, WorkerFactory};
+use robogate_core::{Action, Assignment, Environment, FaultKind, Image, Observation, Scenario, Seed};
+use robogate_physics::SuctionLaw;
 use robogate_policy::{Arm, Chunk, ExternalPolicy, PolicyError, Profile, Side};
-use robogate_sim::SuctionLaw;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::guest::{policy_error, profile};
+use crate::policy_source::{policy_error, profile};
+use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{bold, foreign, line, note};
-use crate::world::{Cell, WorldArguments};
 
 /// List the profiles of policies, or check a policy.
 #[derive(Debug, Args)]
@@ -50,7 +50,7 @@ struct Check {
     #[arg(long, alias = "questions", value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..))]
     requests: u32,
     #[command(flatten)]
-    world: WorldArguments,
+    environment: EnvironmentArguments,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -114,13 +114,13 @@ struct Findings {
 impl Check {
     fn execute(&self) -> Result<u8, Exit> {
         let profile = Arc::new(profile(&self.profile).or_usage()?);
-        let cell = self.world.cell(SuctionLaw::Vacuum)?;
-        let cell = profile.rendered_px.into_iter().fold(cell, Cell::with_pictures_of);
+        let subject = Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, None)?;
+        let subject = profile.rendered_px.into_iter().fold(subject, Subject::with_pictures_of);
         let mut found = Findings { properties: Vec::new(), problems: Vec::new() };
         let mut policy = ExternalPolicy::connect(&self.url, Arc::clone(&profile)).map_err(policy_error)?;
         found.properties.push(("metadata", foreign(policy.declared())));
-        let mut station = cell.station().or_broken()?;
-        match self.infer(&profile, &mut policy, &mut station, &mut found) {
+        let mut worker = subject.worker().or_broken()?;
+        match self.infer(&profile, &mut policy, &mut worker, &mut found) {
             Ok(()) => {}
             // These errors are results of the check.
             Err(error @ (PolicyError::Shape(_) | PolicyError::NotFinite { .. } | PolicyError::Reported { .. })) => {
@@ -128,7 +128,7 @@ impl Check {
             }
             Err(error) => return Err(policy_error(error)),
         }
-        check_motion(&profile, &mut *station.simulator, &mut found)?;
+        check_motion(&profile, &mut *worker.environment, &mut found)?;
         if self.json {
             let properties: serde_json::Map<_, _> =
                 found.properties.iter().map(|(name, value)| ((*name).to_owned(), json!(value))).collect();
@@ -157,14 +157,14 @@ impl Check {
         &self,
         profile: &Profile,
         policy: &mut ExternalPolicy,
-        station: &mut Station,
+        worker: &mut Worker,
         found: &mut Findings,
     ) -> Result<(), PolicyError> {
         let cannot = |why: String| PolicyError::Observation(why);
-        let start = station.simulator.reset(&nominal()).map_err(|fault| cannot(fault.to_string()))?;
+        let start = worker.environment.reset(&nominal()).map_err(|fault| cannot(fault.to_string()))?;
         let mut observation = start.observation;
         if !profile.cameras.is_empty() {
-            observation.images = match station.simulator.render() {
+            observation.images = match worker.environment.render() {
                 Ok(images) => images,
                 Err(fault) if fault.kind == FaultKind::Setup => {
                     note(format_args!("note: the images are grey, because the cameras cannot be rendered: {fault}"));
@@ -173,12 +173,12 @@ impl Check {
                 Err(fault) => return Err(cannot(fault.to_string())),
             };
         }
-        policy.begin(&start.task.instruction)?;
+        policy.begin(&start.instance.instruction)?;
         let (first, first_s) = timed(policy, &observation)?;
         let mut later = Vec::new();
         let mut different = 0;
         for _ in 1..self.requests {
-            policy.begin(&start.task.instruction)?;
+            policy.begin(&start.instance.instruction)?;
             let (chunk, seconds) = timed(policy, &observation)?;
             different += u32::from(chunk != first);
             later.push(seconds);
@@ -237,15 +237,15 @@ fn check_actions(profile: &Profile, chunk: &Chunk, observation: &Observation, fo
     let grippers: Vec<f64> = arms().map(|(gripper, _)| *gripper).collect();
     let low = grippers.iter().copied().fold(f64::INFINITY, f64::min);
     let high = grippers.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    found.properties.push(("gripper values", format!("{low:.3} to {high:.3}, threshold {}", form.gripper_threshold)));
-    let joints = &observation.joint_positions;
+    let Some(threshold) = form.gripper_threshold else { return };
+    found.properties.push(("gripper values", format!("{low:.3} to {high:.3}, threshold {threshold}")));
+    let joints = observation.joint_positions();
     let first = chunk.rows().first().map(|row| form.action(row, joints));
-    if matches!(&first, Some(Ok(action)) if action.gripper == GripperCommand::Close) {
+    if matches!(&first, Some(Ok(action)) if action.gripper == Some(Action::CLOSE)) {
         found.problems.push(format!(
             "the first action closes the gripper ({}) although it is open and far from the object. Check \
-             action.gripper_open and action.gripper_threshold = {}",
+             action.gripper_open and action.gripper_threshold = {threshold}",
             grippers.first().copied().unwrap_or_default(),
-            form.gripper_threshold
         ));
     }
     if let Some(Err(error)) = first {
@@ -254,21 +254,22 @@ fn check_actions(profile: &Profile, chunk: &Chunk, observation: &Observation, fo
 }
 
 /// Check the effect of the profile's actions in the cell: translations along each axis, opening and closing the gripper.
-fn check_motion(profile: &Profile, simulator: &mut dyn Simulator, found: &mut Findings) -> Result<(), Exit> {
+fn check_motion(profile: &Profile, environment: &mut dyn Environment, found: &mut Findings) -> Result<(), Exit> {
     const TICKS: u32 = 10;
     let form = &profile.action;
-    let (open, close) = match form.gripper_open {
-        Side::Above => (form.gripper_threshold + 1.0, form.gripper_threshold - 1.0),
-        Side::Below => (form.gripper_threshold - 1.0, form.gripper_threshold + 1.0),
+    let (Some(threshold), Some(side)) = (form.gripper_threshold, form.gripper_open) else { return Ok(()) };
+    let (open, close) = match side {
+        Side::Above => (threshold + 1.0, threshold - 1.0),
+        Side::Below => (threshold - 1.0, threshold + 1.0),
     };
     let mut run = |arm: &dyn Fn(&Observation) -> Vec<f64>, gripper: f64, ticks: u32| -> Result<_, Exit> {
-        let before = simulator.reset(&nominal()).or_broken()?.observation;
+        let before = environment.reset(&nominal()).or_broken()?.observation;
         let mut after = before.clone();
         for _ in 0..ticks {
             let mut raw = arm(&before);
             raw.push(gripper);
-            let action = form.action(&raw, &after.joint_positions).map_err(policy_error)?;
-            let step = simulator.step(&action).or_broken()?;
+            let action = form.action(&raw, after.joint_positions()).map_err(policy_error)?;
+            let step = environment.step(&action).or_broken()?;
             after = step.observation;
             // Closing the gripper on nothing ends the episode.
             if step.ending.is_some() {
@@ -283,8 +284,7 @@ fn check_motion(profile: &Profile, simulator: &mut dyn Simulator, found: &mut Fi
         {
             let one = |_: &Observation| (0..6).map(|i| f64::from(i == axis)).collect();
             let (before, after) = run(&one, open, TICKS)?;
-            let moved: Vec<f64> =
-                after.tool_pose.position.iter().zip(before.tool_pose.position).map(|(a, b)| a - b).collect();
+            let moved: Vec<f64> = position(&after).iter().zip(position(&before)).map(|(a, b)| a - b).collect();
             let commanded = f64::from(TICKS) * form.clip.unwrap_or(1.0).min(1.0) * form.position_scale_m;
             let mm: Vec<String> = moved.iter().map(|m| format!("{:+.1}", 1e3 * m)).collect();
             found
@@ -300,10 +300,10 @@ fn check_motion(profile: &Profile, simulator: &mut dyn Simulator, found: &mut Fi
         }
     }
     let hold = |observation: &Observation| match form.arm {
-        Arm::JointPositions => observation.joint_positions.clone(),
+        Arm::JointPositions => observation.joint_positions().to_vec(),
         _ => vec![0.0; form.size - 1],
     };
-    let opening = |observation: &Observation| observation.gripper_opening_m;
+    let opening = Observation::gripper_opening_m;
     if let (Some(opened), Some(closed)) = (opening(&run(&hold, open, 40)?.1), opening(&run(&hold, close, 40)?.1)) {
         found.properties.push((
             "gripper opens to",
@@ -314,6 +314,11 @@ fn check_motion(profile: &Profile, simulator: &mut dyn Simulator, found: &mut Fi
         }
     }
     Ok(())
+}
+
+/// Position of the tool, in metres.
+fn position(observation: &Observation) -> [f64; 3] {
+    observation.tool_pose().map_or([f64::NAN; 3], |pose| pose.position)
 }
 
 fn nominal() -> Scenario {

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use robogate_report::{Analysis, Source, html, markdown};
+use robogate_analysis::{Analysis, Source};
+use robogate_report::{analysis_json, html, markdown};
 
 use crate::commands::analyze::{analyse, pairs};
 use crate::exit::{DONE, Exit, INVALID, OrExit};
@@ -46,7 +47,7 @@ impl Report {
         let (text, ending) = match self.format {
             Form::Html => (html(&analysis), "html"),
             Form::Md => (markdown(&analysis), "md"),
-            Form::Json => (analysis.to_json(), "json"),
+            Form::Json => (analysis_json(&analysis), "json"),
         };
         match &self.out {
             Some(out) if out.as_os_str() == "-" => line(text.trim_end()),

@@ -5,18 +5,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::anyhow;
 use clap::Args;
+use robogate_physics::SuctionLaw;
 use robogate_remote::limits::REQUEST;
 use robogate_remote::{EnvironmentHost, Host, Server};
-use robogate_sim::SuctionLaw;
 use robogate_zmtp::{Address, Replier, ZmtpError};
 use serde_json::json;
 
 use crate::commands::run::stop_at_once;
 use crate::exit::{DONE, Exit, OrExit, USAGE};
+use crate::subject::{EnvironmentArguments, EnvironmentSource};
 use crate::terminal::{line, note};
-use crate::world::WorldArguments;
 
-/// Serve the cell to other programs over the bridge protocol (bridges/PROTOCOL.md).
+/// Serve a built-in environment to other programs over the bridge protocol (bridges/PROTOCOL.md).
 ///
 /// Prints the address as one line of JSON, then answers requests until Ctrl-C. A server runs one episode at a time:
 /// start one for each client.
@@ -32,7 +32,7 @@ pub(crate) struct Serve {
     #[arg(long)]
     physics_only: bool,
     #[command(flatten)]
-    world: WorldArguments,
+    environment: EnvironmentArguments,
 }
 
 impl Serve {
@@ -45,14 +45,17 @@ impl Serve {
             );
             return Err(why).or_usage();
         }
-        let cell = self.world.cell(SuctionLaw::Vacuum)?;
+        let source = self.environment.environment(SuctionLaw::Vacuum)?;
         if self.physics_only {
-            let host = cell.physics_host().or_usage()?;
-            return self.answer(Server::new(host));
+            let EnvironmentSource::Cell(cell) = &source else {
+                return Err(anyhow!("--physics-only applies to the built-in cell\n  hint: leave out --task"))
+                    .or_usage();
+            };
+            return self.answer(Server::new(cell.physics_host().or_usage()?));
         }
-        let hello = cell.hello().or_usage()?;
-        let simulator = cell.simulator().or_broken()?;
-        self.answer(Server::new(EnvironmentHost::new(hello, simulator)))
+        let hello = source.hello().or_usage()?;
+        let environment = source.environment().or_broken()?;
+        self.answer(Server::new(EnvironmentHost::new(hello, environment)))
     }
 
     fn answer<H: Host>(&self, mut server: Server<H>) -> Result<u8, Exit> {
@@ -72,7 +75,7 @@ impl Serve {
         let hello = server.hello();
         note(format_args!(
             "serving {} in {} {} on {}; press Ctrl-C to stop",
-            hello.robot.name,
+            hello.task.name,
             hello.engine.name,
             hello.engine.version,
             replier.address()
