@@ -219,6 +219,8 @@ mod tests {
             ("clip = 1.0", "clip = -1.0", "action.clip: -1 is out of range"),
             ("position_scale_m = 0.02", "position_scale_m = nan", "action.position_scale_m: NaN"),
             ("name = \"pi0-libero\"", "name = \"a b\"", "name: `a b` is not a valid name"),
+            ("gripper_open = \"below\"", "", "action.gripper_open: missing"),
+            ("arm = \"tool_delta\"", "arm = \"vector\"", "action.gripper_threshold: not used with arm = \"vector\""),
             ("\"below\"", "\"beneath\"", "TOML parse error at line"),
             ("clip = 1.0", "clap = 1.0", "unknown field `clap`"),
             ("name = \"openpi\"", "name = \"openqi\"", "openqi"),
