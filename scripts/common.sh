@@ -1,3 +1,4 @@
+# shellcheck shell=bash
 # Shared by scripts and .ci/run: source it from the root of the repository.
 
 # rust-toolchain.toml pins a release. Where the default toolchain is that release under another name, use it: nothing has to be

@@ -1,6 +1,6 @@
 """Runs the unittest suite in a folder, and records the skipped tests as the Rust tests do.
 
-Usage: run_unittests.py FOLDER [UNITTEST ARGUMENTS...]
+Usage: run_unittests.py FOLDER [ARGUMENTS OF UNITTEST DISCOVERY...]
 
 Each skipped test is appended to the file that ROBOGATE_SKIPPED_FILE names. With ROBOGATE_TESTS_STRICT=1 a skipped test is an
 error.
@@ -11,11 +11,8 @@ import sys
 import unittest
 
 folder, arguments = sys.argv[1], sys.argv[2:]
-if arguments:
-    sys.path.insert(0, folder)
-    program = unittest.main(module=None, argv=["unittest", *arguments], exit=False)
-else:
-    program = unittest.main(module=None, argv=["unittest", "discover", "--start-directory", folder], exit=False)
+discover = ["unittest", "discover", "--start-directory", folder]
+program = unittest.main(module=None, argv=[*discover, *arguments], exit=False)
 result = program.result
 lines = [f"skipped: {test.id()}: {reason}\n" for test, reason in result.skipped]
 if path := os.environ.get("ROBOGATE_SKIPPED_FILE"):

@@ -8,7 +8,7 @@
 //! - [`clopper_pearson`]: Beta quantiles B(α/2; k, n-k+1) and B(1-α/2; k+1, n-k), 0 at k = 0 and 1 at k = n.
 //!   Coverage is at least the level for every n and p; the interval is wide when n is small.
 //!
-//! No trials give the whole of [0, 1]: no evidence is not zero.
+//! Without trials the interval is [0, 1]: no evidence is not zero.
 //!
 //! Limit: both hold for independent draws from the population of interest and for an n fixed in advance. A
 //! Latin hypercube is dependent (usually conservative here), a boundary-focused design is not
@@ -30,7 +30,7 @@ pub enum IntervalError {
         n: u64,
     },
     /// A confidence level that is not strictly between 0 and 1.
-    #[error("confidence level {level} is not strictly between 0 and 1; hint: write 95 % as 0.95")]
+    #[error("the confidence level {level} is out of range. Expected a number in (0, 1). Hint: write 95 % as 0.95")]
     LevelOutsideUnit {
         /// Level as given.
         level: f64,

@@ -1,8 +1,8 @@
 //! Bootstrap on counts, and percentiles.
 //!
-//! Drawing n rows with replacement changes a statistic of binned data only through the cell counts, and those
-//! are multinomial with the observed shares. Drawing the counts directly is the same bootstrap at a cost that does not
-//! depend on n. Each count is a conditional binomial, drawn by inversion from zero or outward from the mode.
+//! Sampling n rows with replacement changes a statistic of binned data only through the cell counts, and those
+//! are multinomial with the observed shares. Sampling the counts directly is the same bootstrap at a cost that does not
+//! depend on n. Each count is a conditional binomial, sampled by inversion from zero or outward from the mode.
 //! Sources: Efron and Tibshirani (1993), chapters 6 and 13; Devroye (1986), X.4, for inversion from the mode.
 
 use crate::interval::Confidence;

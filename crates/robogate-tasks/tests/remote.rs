@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use robogate_core::samplers::LatinHypercube;
 use robogate_core::{
-    Action, Fault, FaultKind, Outcome, ParameterSpace, Sampler, Scenario, Seed, Simulator, Start, Step, rollout,
+    Action, Environment, Fault, FaultKind, Outcome, ParameterSpace, Sampler, Scenario, Seed, Start, Step, rollout,
 };
 use robogate_physics::{Engine, MujocoEngine, RapierEngine, built_in_robot};
 use robogate_tasks::pick_place::remote::{FarPeriod, Host, Offsite};
@@ -27,7 +27,7 @@ impl<E: Engine> Far<E> {
     }
 }
 
-impl<E: Engine> Simulator for Far<E> {
+impl<E: Engine> Environment for Far<E> {
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
         self.offsite.brief(scenario)?;
         let (held, sight, observation) = self.host.reset(scenario)?;

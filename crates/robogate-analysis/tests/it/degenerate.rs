@@ -31,7 +31,7 @@ fn only_invalid_episodes_are_no_zero() {
 fn one_row_and_three_rows_are_too_few_and_say_so() {
     for n in [1, 3] {
         let analysis =
-            of(with_outcomes(n, |i| if i == 0 { Outcome::Success } else { Outcome::Failure(FailureMode::Timeout) }));
+            of(with_outcomes(n, |i| if i == 0 { Outcome::Success } else { Outcome::Failure(FailureMode::TIMEOUT) }));
         assert_eq!(analysis.success.rate.n, n);
         assert!(analysis.along[0].threshold.because().unwrap().contains("too few"));
         let risk = analysis.risk.estimated();
@@ -48,7 +48,7 @@ fn one_class_only_has_no_model_and_no_threshold() {
     assert!(all.envelopes[0].frontier.because().unwrap().contains("same outcome"));
     assert!(all.along[0].correlation.because().unwrap().contains("every episode succeeded"));
     assert!(all.success.rate.wilson_95[0] < 1.0);
-    let none = of(with_outcomes(200, |_| Outcome::Failure(FailureMode::GraspMiss)));
+    let none = of(with_outcomes(200, |_| Outcome::Failure(FailureMode::constant("grasp_miss"))));
     assert!(none.along[0].correlation.because().unwrap().contains("every episode failed"));
     assert_eq!(none.failure_modes.dominant.estimated().unwrap(), "grasp_miss");
 }
@@ -76,7 +76,7 @@ fn separation_is_named_in_words() {
     let entries = (0..300).map(|i| {
         let requested = point(&space, i);
         let heavy = requested.number("mass_kg").unwrap() > 1.0;
-        let went = if heavy { Outcome::Failure(FailureMode::GripLoss) } else { Outcome::Success };
+        let went = if heavy { Outcome::Failure(FailureMode::constant("grip_loss")) } else { Outcome::Success };
         entry(i, requested, went)
     });
     let analysis = of(entries.collect());
@@ -145,7 +145,7 @@ fn whole_numbers_at_the_end_of_what_there_is_do_no_harm() {
         requested
     };
     let entries = (0..100).map(|i| {
-        let went = if i % 5 < 2 { Outcome::Success } else { Outcome::Failure(FailureMode::Timeout) };
+        let went = if i % 5 < 2 { Outcome::Success } else { Outcome::Failure(FailureMode::TIMEOUT) };
         entry(i, set(i), went)
     });
     let analysis = analysed(&space, entries.collect());

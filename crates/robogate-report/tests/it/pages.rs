@@ -66,7 +66,8 @@ fn many_parameters_and_words_do_not_make_it_large() {
         let went = if i % 3 == 0 {
             robogate_core::Outcome::Success
         } else {
-            robogate_core::Outcome::Failure(robogate_core::FailureMode::ALL[(i % 4) as usize])
+            let modes = ["grasp_miss", "grip_loss", "collision", "timeout"];
+            robogate_core::Outcome::Failure(robogate_core::FailureMode::constant(modes[(i % 4) as usize]))
         };
         crate::synthetic::entry(i, crate::synthetic::point(&space, i), went)
     });
