@@ -17,10 +17,13 @@ impl ActionForm {
         let Some((gripper, arm)) = raw.split_last() else {
             return Err(PolicyError::Shape("the action has no numbers".to_owned()));
         };
-        let open = match (self.gripper_open, self.gripper_threshold) {
-            (Some(Side::Above), Some(threshold)) => *gripper > threshold,
-            (Some(Side::Below), Some(threshold)) => *gripper < threshold,
-            _ => return Err(PolicyError::Shape("the profile does not say how the gripper opens".to_owned())),
+        let (Some(threshold), Some(side)) = (self.gripper_threshold, self.gripper_open) else {
+            let why = "the profile lacks action.gripper_threshold or action.gripper_open";
+            return Err(PolicyError::Shape(why.to_owned()));
+        };
+        let open = match side {
+            Side::Above => *gripper > threshold,
+            Side::Below => *gripper < threshold,
         };
         let gripper = Some(if open { Action::OPEN } else { Action::CLOSE });
         let clip = |n: f64| self.clip.map_or(n, |limit| n.clamp(-limit, limit));
@@ -61,8 +64,8 @@ mod tests {
     fn numbers_are_clipped_and_scaled() {
         let mut form = Profile::from_toml(Profile::built_in("pi0-libero").unwrap()).unwrap().action;
         let action = form.action(&[0.5, -3.0, 0.0, 0.0, 0.0, 1.0, 0.2], &[]).unwrap();
-        let command = Command::ToolDelta { translation_m: [0.01, -0.02, 0.0], rotation_rad: [0.0, 0.0, 0.05] };
-        assert_eq!((action.command, action.gripper), (command, Some(Action::CLOSE)));
+        let delta = Command::ToolDelta { translation_m: [0.01, -0.02, 0.0], rotation_rad: [0.0, 0.0, 0.05] };
+        assert_eq!((action.command, action.gripper), (delta, Some(Action::CLOSE)));
         form.gripper_open = Some(Side::Above);
         assert_eq!(form.action(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.2], &[]).unwrap().gripper, Some(Action::OPEN));
         form.arm = Arm::JointDeltas;

@@ -34,7 +34,7 @@ pub struct ExternalPolicy {
     step: u64,
     /// Raw actions of the chunk that are not executed yet.
     queue: VecDeque<Vec<f64>>,
-    /// Smallest and largest value of each number of a vector action, if the task takes one.
+    /// Bounds of each number of a vector action; empty if the task takes none.
     bounds: Vec<(f64, f64)>,
     buffers: Buffers,
 }

@@ -1,6 +1,6 @@
 //! Converts observations into queries to a model, as its profile says.
 
-use robogate_core::{Observation, Pose, vectors};
+use robogate_core::{Observation, Pose, Word, vectors};
 
 use super::array::{Array, Dtype};
 use super::buffers::Buffers;
@@ -80,7 +80,7 @@ impl Query {
                 push(&mut numbers, *part, profile, observation)?;
             }
             for name in &state.vectors {
-                numbers.extend(observation.vector(name.as_str()).ok_or_else(|| missing(name.as_str()))?);
+                numbers.extend(vector(observation, *name)?);
             }
             if numbers.iter().any(|n| !n.is_finite()) {
                 return Err(PolicyError::Observation(format!("the state `{}` is not finite", state.key)));
@@ -98,18 +98,24 @@ impl Query {
     }
 }
 
+/// A vector of the observation.
+fn vector(observation: &Observation, name: Word) -> Result<&[f64], PolicyError> {
+    observation.vector(name.as_str()).ok_or_else(|| missing(name))
+}
+
 /// The error for a vector that the observation lacks.
-fn missing(vector: &str) -> PolicyError {
-    PolicyError::Observation(format!("the profile requires the vector `{vector}`, which is not in the observation"))
+fn missing(name: Word) -> PolicyError {
+    PolicyError::Observation(format!(
+        "the profile requires the vector `{name}`, but the observation has none of this name"
+    ))
 }
 
 /// Append the numbers of one part of a state.
 fn push(numbers: &mut Vec<f64>, part: Part, profile: &Profile, observation: &Observation) -> Result<(), PolicyError> {
-    let pose = match observation.tool_pose() {
-        None if part.vector() == Some(vectors::TOOL_POSE) => return Err(missing(vectors::TOOL_POSE.as_str())),
-        pose => pose.unwrap_or(Pose::IDENTITY),
+    let tool = match observation.tool_pose() {
+        None if part.vector() == Some(vectors::TOOL_POSE) => return Err(missing(vectors::TOOL_POSE)),
+        pose => rotation::model_pose(&pose.unwrap_or(Pose::IDENTITY), profile.tool.shift_m, profile.tool.turn_rad),
     };
-    let tool = rotation::model_pose(&pose, profile.tool.shift_m, profile.tool.turn_rad);
     let [w, x, y, z] = tool.orientation;
     let opening = || {
         observation.gripper_opening_m().ok_or_else(|| {
@@ -131,10 +137,7 @@ fn push(numbers: &mut Vec<f64>, part: Part, profile: &Profile, observation: &Obs
         Part::ToolYaw => numbers.push(rotation::euler(tool.orientation)[2]),
         Part::ToolQuaternionXyzw => numbers.extend([x, y, z, w]),
         Part::ToolQuaternionWxyz => numbers.extend([w, x, y, z]),
-        Part::JointPositions => {
-            let name = vectors::JOINT_POSITIONS.as_str();
-            numbers.extend(observation.vector(name).ok_or_else(|| missing(name))?);
-        }
+        Part::JointPositions => numbers.extend(vector(observation, vectors::JOINT_POSITIONS)?),
         Part::GripperFingers => numbers.extend([0.5 * opening()?, -0.5 * opening()?]),
         Part::GripperOpenness => numbers.push(openness()?),
         Part::GripperClosedness => numbers.push(1.0 - openness()?),

@@ -1,10 +1,10 @@
-//! Whether a profile's model can drive a task.
+//! Checks that a model can drive a task, as its profile says.
 
 use robogate_core::TaskSpec;
 
 use super::profile::{Arm, Profile};
 
-/// Check that the task has what the model uses. The error says what it lacks.
+/// Check that the task has what the model requires. The error says what is missing.
 pub(crate) fn check(profile: &Profile, task: &TaskSpec) -> Result<(), String> {
     check_observation(profile, task)?;
     check_action(profile, task)
@@ -38,7 +38,7 @@ fn check_action(profile: &Profile, task: &TaskSpec) -> Result<(), String> {
         Arm::Vector => ("vector", spec.vector().map(|(low, _)| low.len())),
     };
     match numbers {
-        None => return Err(format!("profile `{name}` answers {kind}; the task takes {}", spec.kinds())),
+        None => return Err(format!("profile `{name}` commands {kind}; the task takes {}", spec.kinds())),
         Some(expected) if expected != form.size => {
             let size = form.size;
             return Err(format!(

@@ -5,7 +5,7 @@ mod support;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use robogate_core::{Action, Command as Motion, Policy};
+use robogate_core::{Action, Command, Policy};
 use robogate_policy::{ExternalPolicy, PolicyError, Profile};
 use support::{begin, observation};
 
@@ -72,7 +72,7 @@ fn chunks_become_joint_positions() {
     for tick in 0..4 {
         assert_eq!(policy.wants_images(), tick % 2 == 0);
         let action = policy.act(&observation(96)).expect("it answers");
-        let Motion::JointPosition(joints) = action.command else { panic!("{:?}", action.command) };
+        let Command::JointPosition(joints) = action.command else { panic!("{:?}", action.command) };
         let row = &rows[tick % 2];
         assert!(joints.iter().zip(row).all(|(q, expected)| (q - expected).abs() < 1e-5), "{joints:?}");
         assert_eq!(action.gripper == Some(Action::OPEN), row[7] > 0.0);

@@ -1,9 +1,7 @@
 //! Policies behind servers with upstream code: openpi-client's codec and image tools, vla-eval's model server.
 //!
 //! `ROBOGATE_POLICY_PYTHON` is the path of a Python interpreter with `tests/requirements.txt`; `scripts/test.sh` makes
-//! one. Without it these tests are skipped and print a message.
-
-#![expect(clippy::print_stderr, reason = "a test prints why it is skipped")]
+//! one. Without it these tests are skipped.
 
 mod support;
 
@@ -26,10 +24,7 @@ struct Peer {
 impl Peer {
     /// Start a script and wait until it prints its address.
     fn start(script: &str) -> Option<Self> {
-        let Some(python) = std::env::var_os("ROBOGATE_POLICY_PYTHON") else {
-            eprintln!("skipped: set ROBOGATE_POLICY_PYTHON to a Python interpreter with openpi-client and vla-eval");
-            return None;
-        };
+        let python = robogate_testing::path("ROBOGATE_POLICY_PYTHON", "a Python with openpi-client and vla-eval")?;
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers").join(script);
         let mut child =
             Command::new(python).arg(script).stdout(Stdio::piped()).spawn().expect("the interpreter starts");

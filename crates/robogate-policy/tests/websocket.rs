@@ -258,7 +258,7 @@ fn a_task_must_have_what_the_profile_uses() {
     for (why, part) in [
         (lacks(&|task| drop(task.observation.cameras.pop())), "uses the camera `wrist`; the task has front"),
         (lacks(&|task| drop(task.observation.vectors.pop())), "uses the vector `tool_pose`; the task observes joint_"),
-        (lacks(&|task| drop(task.action.spaces.pop())), "answers tool_delta; the task takes joint_position"),
+        (lacks(&|task| drop(task.action.spaces.pop())), "commands tool_delta; the task takes joint_position"),
         (lacks(&|task| task.action.gripper = None), "commands a gripper; the task has none"),
     ] {
         assert!(why.contains(part), "{why}");

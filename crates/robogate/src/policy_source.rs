@@ -1,4 +1,4 @@
-//! Where a policy comes from, as the command names it and a run records it.
+//! Policies on the command line and in the record of a run.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -6,7 +6,7 @@ use std::sync::Arc;
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use robogate_core::{Fault, Policy};
-use robogate_policy::{Profile, ServerError, ServerPolicy};
+use robogate_policy::{ExternalPolicy, PolicyError, Profile};
 use robogate_tasks::Random;
 use serde::{Deserialize, Serialize};
 
@@ -16,9 +16,9 @@ use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub(crate) enum PolicySource {
-    /// Behind a server or in a file.
-    External(ExternalPolicy),
-    /// Built in.
+    /// An external policy.
+    External(ExternalSource),
+    /// A built-in policy.
     BuiltIn(BuiltInPolicy),
 }
 
@@ -26,24 +26,24 @@ pub(crate) enum PolicySource {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum BuiltInPolicy {
-    /// Draws its actions at random.
+    /// Random actions: the baseline of a ranking.
     Random,
 }
 
-/// A learned policy behind a server, or in a file.
+/// A learned policy behind an inference server, or in a file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct ExternalPolicy {
-    /// Its server's address, or its file.
+pub(crate) struct ExternalSource {
+    /// Address of the server, or path of the file.
     server: String,
-    /// Observation and action mapping, in full.
+    /// Observation and action mapping of the policy.
     profile: Arc<Profile>,
-    /// What the server reported about itself when the run began.
+    /// What the policy reported about itself on the first connection.
     declared: serde_json::Value,
 }
 
 impl PolicySource {
-    /// Its name in records.
+    /// Name in records.
     pub(crate) fn name(&self) -> &str {
         match self {
             Self::External(served) => &served.profile.name,
@@ -51,7 +51,7 @@ impl PolicySource {
         }
     }
 
-    /// Its observation and action mapping, where it has one.
+    /// Profile of an external policy.
     pub(crate) fn profile(&self) -> Option<&Profile> {
         match self {
             Self::External(served) => Some(&served.profile),
@@ -59,33 +59,33 @@ impl PolicySource {
         }
     }
 
-    /// The same policy, with what its server reports now.
+    /// The same policy, with a new description of itself.
     pub(crate) fn asked_again(&self) -> Result<Self, Exit> {
         match self {
             Self::External(served) => {
-                ExternalPolicy::ask(&served.server, Arc::clone(&served.profile)).map(Self::External)
+                ExternalSource::ask(&served.server, Arc::clone(&served.profile)).map(Self::External)
             }
             Self::BuiltIn(own) => Ok(Self::BuiltIn(*own)),
         }
     }
 
-    /// A new instance, for a worker of its own.
+    /// A policy for one worker.
     pub(crate) fn policy(&self) -> Result<Box<dyn Policy>, Fault> {
         Ok(match self {
-            Self::External(served) => Box::new(ServerPolicy::connect(&served.server, Arc::clone(&served.profile))?),
+            Self::External(served) => Box::new(ExternalPolicy::connect(&served.server, Arc::clone(&served.profile))?),
             Self::BuiltIn(BuiltInPolicy::Random) => Box::new(Random::new()),
         })
     }
 }
 
-impl ExternalPolicy {
-    /// Connects to a server and records what it reports about itself.
+impl ExternalSource {
+    /// Connect to a policy and record what it reports about itself.
     fn ask(server: &str, profile: Arc<Profile>) -> Result<Self, Exit> {
-        // A run is resumed and replayed from other folders, too.
+        // A run may be resumed and replayed from another folder.
         let is_file = profile.dialect.is_file() && !server.contains("://");
         let full = if is_file { std::path::absolute(server).ok() } else { None };
         let server = full.map_or_else(|| server.to_owned(), |path| path.display().to_string());
-        let policy = ServerPolicy::connect(&server, Arc::clone(&profile)).map_err(refused)?;
+        let policy = ExternalPolicy::connect(&server, Arc::clone(&profile)).map_err(policy_error)?;
         Ok(Self { server, profile, declared: policy.declared().clone() })
     }
 }
@@ -98,37 +98,49 @@ pub(crate) struct PolicyArguments {
     #[arg(long, value_name = "URL|FILE|random|scripted")]
     policy: Option<String>,
     /// Choose the observation and action mapping of that policy: a built-in profile (see `robogate policy profiles`), or
-    /// a file of your own (TOML)
+    /// a TOML file
     #[arg(long, value_name = "NAME|FILE", requires = "policy")]
     profile: Option<String>,
 }
 
 impl PolicyArguments {
-    /// The policy that they name; `None` for the scripted controller.
+    /// Connect to the policy of these arguments; `None` for the scripted controller.
     pub(crate) fn source(&self) -> Result<Option<PolicySource>, Exit> {
         match (self.policy.as_deref(), &self.profile) {
             (None, _) | (Some("scripted"), None) => Ok(None),
             (Some("random"), None) => Ok(Some(PolicySource::BuiltIn(BuiltInPolicy::Random))),
             (Some(name @ ("random" | "scripted")), Some(_)) => {
-                Err(anyhow!("--policy {name} takes no profile\n  hint: leave out --profile")).or_usage()
+                Err(anyhow!("--profile cannot be used with --policy {name}\n  hint: leave out --profile")).or_usage()
             }
-            (Some(server), Some(wanted)) => {
-                ExternalPolicy::ask(server, Arc::new(profile(wanted).or_usage()?)).map(|served| Some(PolicySource::External(served)))
-            }
-            (Some(server), None) => {
-                Err(anyhow!("--policy {server}: an external policy needs a profile\n  hint: add --profile NAME (see `robogate policy profiles`)")).or_usage()
-            }
+            (Some(server), Some(wanted)) => ExternalSource::ask(server, Arc::new(profile(wanted).or_usage()?))
+                .map(|served| Some(PolicySource::External(served))),
+            (Some(policy), None) => Err(without_profile(policy)).or_usage(),
         }
     }
 }
 
-/// A profile by its name or its file.
+/// The error for a policy without a profile.
+fn without_profile(policy: &str) -> anyhow::Error {
+    if policy.contains("://") || Path::new(policy).exists() {
+        anyhow!(
+            "--policy {policy}: --profile is missing. It describes the observations and actions of the model\n  hint: \
+             `robogate policy profiles` lists the built-in profiles"
+        )
+    } else {
+        anyhow!(
+            "--policy {policy}: not a policy. Expected the address of a server such as ws://127.0.0.1:8000, the path of \
+             an ONNX file, `random` or `scripted`"
+        )
+    }
+}
+
+/// A profile by its name or the path of its file.
 pub(crate) fn profile(wanted: &str) -> anyhow::Result<Profile> {
     match Profile::built_in(wanted) {
         Some(text) => Profile::from_toml(text).with_context(|| format!("profile {wanted}")),
         None if !Path::new(wanted).exists() && !wanted.contains(['/', '.']) => {
             let known = Profile::built_in_names().collect::<Vec<_>>().join(", ");
-            bail!("--profile {wanted}: unknown profile. Expected a file, or one of: {known}")
+            bail!("--profile {wanted}: unknown profile. Expected the path of a TOML file or one of: {known}")
         }
         None => {
             let text = std::fs::read_to_string(wanted).with_context(|| format!("cannot read {wanted}"))?;
@@ -137,8 +149,8 @@ pub(crate) fn profile(wanted: &str) -> anyhow::Result<Profile> {
     }
 }
 
-/// A server's error with its exit code: usage where the settings are wrong, else infrastructure.
-pub(crate) fn refused(error: ServerError) -> Exit {
-    let code = if error.is_in_the_settings() { USAGE } else { INFRASTRUCTURE };
+/// An error of a policy with its exit code: wrong settings are a usage error, all others infrastructure.
+pub(crate) fn policy_error(error: PolicyError) -> Exit {
+    let code = if error.is_usage_error() { USAGE } else { INFRASTRUCTURE };
     Exit { code, error: error.into() }
 }

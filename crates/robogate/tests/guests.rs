@@ -72,9 +72,9 @@ fn wrong_policies_are_explained() {
     let dir = workplace();
     let bad: [(&[&str], &[&str]); 7] = [
         (&["--policy", "small.onnx"], &["--profile is missing", "robogate policy profiles"]),
-        (&["--policy", "octo"], &["octo: not a policy", "an ONNX file, or `random`"]),
-        (&["--policy", "scripted"], &["Leave out --policy"]),
-        (&["--policy", "small.onnx", "--profile", "octo"], &["unknown profile `octo`", "octo-small"]),
+        (&["--policy", "octo"], &["octo: not a policy", "an ONNX file, `random` or `scripted`"]),
+        (&["--policy", "scripted", "--profile", "learned"], &["--profile cannot be used with --policy scripted"]),
+        (&["--policy", "small.onnx", "--profile", "octo"], &["--profile octo: unknown profile", "octo-small"]),
         (&["--policy", "random", "--profile", "learned"], &["--profile cannot be used with --policy random"]),
         (&["--policy", "missing.onnx", "--profile", "small.toml"], &["missing.onnx", "cannot be read"]),
         (

@@ -50,7 +50,7 @@ pub enum Arm {
     JointPositions,
     /// Change of each joint from its measured position; a value of 1 is `rotation_scale_rad`.
     JointDeltas,
-    /// The numbers of the task's own action vector, clipped to its bounds. There is no number for a gripper.
+    /// The task's own action vector, clipped to its bounds, without a number for the gripper.
     Vector,
 }
 

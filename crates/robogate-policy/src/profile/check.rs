@@ -86,7 +86,7 @@ impl Profile {
         for (i, state) in self.states.iter().enumerate() {
             let field = |name: &str| format!("state[{i}].{name}");
             if state.parts.is_empty() && state.vectors.is_empty() {
-                return invalid(field("parts"), "the list is empty. Expected at least one part");
+                return invalid(field("parts"), "the list is empty. Expected at least one part, or state.vectors");
             }
             if !matches!(state.dtype, Dtype::F32 | Dtype::F64) {
                 return invalid(field("type"), format!("{} is not supported. Expected <f4 or <f8", state.dtype.name()));
@@ -135,18 +135,26 @@ impl Profile {
         Ok(())
     }
 
-    fn check_action(&self) -> Checked {
-        let vector = self.action.arm == Arm::Vector;
-        let given = [
+    fn check_gripper(&self) -> Checked {
+        let fields = [
             ("action.gripper_threshold", self.action.gripper_threshold.is_some()),
             ("action.gripper_open", self.action.gripper_open.is_some()),
         ];
-        if let Some((field, _)) = given.into_iter().find(|(_, given)| *given == vector) {
-            return invalid(field, if vector { "not used with arm = \"vector\". Remove it" } else { "missing" });
+        let vector = self.action.arm == Arm::Vector;
+        match fields.iter().find(|(_, given)| *given == vector) {
+            Some((field, true)) => invalid(*field, "not used with arm = \"vector\". Remove it"),
+            Some((field, false)) => invalid(*field, "missing. Without it the gripper has no commands"),
+            None => Ok(()),
         }
+    }
+
+    fn check_action(&self) -> Checked {
+        self.check_gripper()?;
         match (self.action.arm, self.action.size) {
             (Arm::ToolDelta, 7) | (Arm::JointPositions | Arm::JointDeltas, 2..=64) | (Arm::Vector, 1..=1024) => Ok(()),
-            (Arm::Vector, size) => invalid("action.size", format!("{size} is out of range. Expected 1 to 1024")),
+            (Arm::Vector, size) => {
+                invalid("action.size", format!("{size} is out of range. Expected 1 to 1024 for arm = \"vector\""))
+            }
             (Arm::ToolDelta, size) => invalid(
                 "action.size",
                 format!(
@@ -211,6 +219,8 @@ mod tests {
             ("clip = 1.0", "clip = -1.0", "action.clip: -1 is out of range"),
             ("position_scale_m = 0.02", "position_scale_m = nan", "action.position_scale_m: NaN"),
             ("name = \"pi0-libero\"", "name = \"a b\"", "name: `a b` is not a valid name"),
+            ("gripper_open = \"below\"", "", "action.gripper_open: missing"),
+            ("arm = \"tool_delta\"", "arm = \"vector\"", "action.gripper_threshold: not used with arm = \"vector\""),
             ("\"below\"", "\"beneath\"", "TOML parse error at line"),
             ("clip = 1.0", "clap = 1.0", "unknown field `clap`"),
             ("name = \"openpi\"", "name = \"openqi\"", "openqi"),

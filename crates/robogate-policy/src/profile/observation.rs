@@ -81,7 +81,7 @@ pub struct State {
     /// Parts of the vector, in order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<Part>,
-    /// Names of observed vectors of the task, appended unchanged after the parts.
+    /// Names of vectors of the task's observation, appended after the parts, unchanged.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub vectors: Vec<Word>,
     /// Type of its elements: `<f4` or `<f8`.
@@ -94,7 +94,7 @@ fn double() -> Dtype {
 }
 
 impl State {
-    /// Number of elements of the parts, for an arm with this number of joints.
+    /// Number of elements of its parts, for an arm with this number of joints. `vectors` are not counted.
     pub fn size(&self, joints: usize) -> usize {
         self.parts.iter().map(|part| part.size(joints)).sum()
     }
@@ -151,7 +151,7 @@ impl Part {
         }
     }
 
-    /// The observed vector from which the part is computed.
+    /// Vector of the observation from which it is computed.
     pub(crate) fn vector(self) -> Option<Word> {
         match self {
             Self::Zero => None,

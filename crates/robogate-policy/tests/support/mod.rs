@@ -57,7 +57,7 @@ pub(crate) fn task() -> TaskSpec {
     }
 }
 
-/// Begin an episode of the task with this instruction.
+/// Starts an episode of the task with this instruction.
 pub(crate) fn begin(policy: &mut dyn Policy, instruction: &str) -> Result<(), robogate_core::Fault> {
     let instance = TaskInstance { instruction: instruction.to_owned(), ..TaskInstance::default() };
     policy.reset(&task(), &instance, Seed::campaign(1))
