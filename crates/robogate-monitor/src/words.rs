@@ -1,5 +1,6 @@
 //! An alarm in words: what changed, since when, how sure, and what to look at.
 
+use robogate_stats::format::{count, percent};
 use robogate_stats::{Confidence, Trials, wilson};
 
 use crate::alarm::{Alarm, Happening, Level, Metric, Rule, Since};
@@ -10,24 +11,6 @@ use crate::fleet::outliers;
 use crate::history::Symbols;
 use crate::recipe::{Recipe, Standing, happening_id};
 use crate::settings::Settings;
-
-/// A share as a percentage with one decimal.
-fn percent(share: f64) -> String {
-    format!("{:.1} %", 100.0 * share)
-}
-
-/// A whole number with its thousands apart.
-fn grouped(number: f64) -> String {
-    let digits = format!("{number:.0}");
-    let mut text = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i) % 3 == 0 {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
-}
 
 fn rate(trials: Trials) -> String {
     let interval = wilson(trials, Confidence::P95);
@@ -99,10 +82,10 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
     let since = found.and_then(|found| since(&found, &kept));
     let after = kept.get(..found.map_or(kept.len(), |f| f.likeliest + 1)).unwrap_or(&kept);
     let what = what(recipe, metric, after, &cycle.robot, settings);
-    let promise = grouped(settings.promise(level));
+    let promise = count(settings.promise(level).round_ties_even() as u64);
     let how_sure = format!(
         "The evidence reached {}; without a change, the first {} of any kind comes after {promise} cycles or more in the mean.",
-        grouped(settings.limit(metric, level)),
+        count(settings.limit(metric, level).round_ties_even() as u64),
         match level {
             Level::Warning => "warning",
             Level::Critical => "critical alarm",
@@ -130,7 +113,7 @@ pub(crate) fn cleared(
 ) -> Alarm {
     let what = format!(
         "No further evidence for {} cycles; the alarm of cycle {} is over (evidence reached its limit {} times).",
-        grouped(settings.clear_after_cycles as f64),
+        count(settings.clear_after_cycles),
         stood.raised,
         stood.times
     );

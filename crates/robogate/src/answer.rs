@@ -1,7 +1,7 @@
 //! The gate's answer and its plan in the terminal.
 
 use robogate_gate::{Evaluation, GatePlan, Metric, Mode, Sampling, Sense, Status, Verdict};
-use robogate_report::{DemandRow, how_judged, sign, what_next};
+use robogate_report::{RequirementRow, how_judged, sign, what_next};
 
 use crate::terminal::{Styled, bold, dim, grouped, line, percent, styled};
 
@@ -11,18 +11,18 @@ pub(crate) fn print(evaluation: &Evaluation) {
     line(format_args!("  {}  {}", banner(evaluation.verdict), evaluation.because));
     line(dim(format_args!("  {} on {}, {}", evaluation.policy, evaluation.robot, evaluation.population)));
     line("");
-    let rows = DemandRow::all(evaluation);
-    let wide = |cell: fn(&DemandRow) -> &str, head: &str| {
+    let rows = RequirementRow::all(evaluation);
+    let wide = |cell: fn(&RequirementRow) -> &str, head: &str| {
         rows.iter().map(|row| cell(row).chars().count()).max().unwrap_or(0).max(head.chars().count())
     };
-    let heads = ["demand", "observed", "true figure is in"];
-    let widths = [wide(|r| &r.demand, heads[0]), wide(|r| &r.observed, heads[1]), wide(|r| &r.interval, heads[2])];
+    let heads = ["requirement", "observed", "interval of the true figure"];
+    let widths = [wide(|r| &r.requirement, heads[0]), wide(|r| &r.observed, heads[1]), wide(|r| &r.interval, heads[2])];
     let point = evaluation.requirements.mode == Mode::Point;
     let [a, b, c] = widths;
     let third = if point { "" } else { heads[2] };
     line(dim(format_args!("     {:<a$}  {:>b$}  {:>c$}", heads[0], heads[1], third)));
     for row in &rows {
-        let text = format!("{:<a$}  {:>b$}  {:>c$}", row.demand, row.observed, row.interval);
+        let text = format!("{:<a$}  {:>b$}  {:>c$}", row.requirement, row.observed, row.interval);
         line(format_args!(
             "  {}  {text}  {}",
             colour(row.status, sign(row.status)),

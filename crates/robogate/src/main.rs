@@ -39,9 +39,9 @@ enum Verb {
     Replay(commands::replay::Replay),
     /// Take pictures of a scenario with the cell's cameras
     Snapshot(commands::snapshot::Snapshot),
-    /// Say where the policy fails, how the parameters act, and how sure that is
+    /// Analyze a run or a dictionary: where the policy fails, effects of the parameters, confidence intervals
     Analyze(commands::analyze::Analyze),
-    /// Say how robots, policies or simulators differ, and where all of them fail
+    /// Compare robots, policies or simulators, and find where all of them fail
     Compare(commands::compare::Compare),
     /// Write a run or a dictionary as one page: HTML, Markdown or JSON
     Report(commands::report::Report),

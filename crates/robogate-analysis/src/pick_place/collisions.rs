@@ -4,14 +4,14 @@ use robogate_core::FailureMode;
 use robogate_stats::format::number;
 
 use crate::replay::{ReplayGroup, ReplayReason, episode, lowest};
-use crate::rows::{Rows, Seen};
+use crate::table::{Ending, EpisodeTable};
 
 /// The episodes of every stage that ended in a collision, the largest contact force first; `None` without one.
-pub(super) fn hardest(rows: &Rows) -> Option<ReplayGroup> {
+pub(super) fn hardest(table: &EpisodeTable) -> Option<ReplayGroup> {
     let collision = FailureMode::ALL.iter().position(|m| *m == FailureMode::Collision).unwrap_or_default() as u8;
-    let force = |row: usize| rows.peak_force_n[row].filter(|f| f.is_finite());
-    let hardest = lowest(rows.len(), |row| match rows.outcome[row] {
-        Seen::Failure(mode) if mode == collision => force(row).map(|f| -f),
+    let force = |row: usize| table.peak_force_n[row].filter(|f| f.is_finite());
+    let hardest = lowest(table.len(), |row| match table.outcome[row] {
+        Ending::Failure(mode) if mode == collision => force(row).map(|f| -f),
         _ => None,
     });
     let figure = |row: usize| force(row).map_or_else(String::new, |f| format!("{} N", number(f)));
@@ -19,6 +19,6 @@ pub(super) fn hardest(rows: &Rows) -> Option<ReplayGroup> {
         reason: ReplayReason::Task,
         title: "Hardest collisions".to_owned(),
         why: "Largest contact force among episodes of every stage that ended in a collision.".to_owned(),
-        episodes: hardest.into_iter().map(|row| episode(rows, row, figure(row))).collect(),
+        episodes: hardest.into_iter().map(|row| episode(table, row, figure(row))).collect(),
     })
 }
