@@ -20,7 +20,7 @@
 //! | what will such a gate do? | [`operating`] |
 //! | may B replace A? | [`non_inferiority`] |
 //! | what holds for the operating space, when the rows were drawn elsewhere? | [`weighted`] |
-//! | how is a figure written for people? | [`format`] |
+//! | how is a figure written for people? | [`mod@format`] |
 
 pub mod anytime;
 pub mod binning;

@@ -23,7 +23,7 @@ pub struct Scoring {
 /// One term of a scoring model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ScoringTerm {
-    /// The parameter; the penalties of a categorical one are in [`RiskModel::penalties`].
+    /// The parameter; the penalties of a categorical one are in the `penalties` of the risk model.
     pub parameter: String,
     /// Log-odds per unit, or per unit of penalty.
     pub coefficient: f64,
