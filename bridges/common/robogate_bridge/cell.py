@@ -4,19 +4,10 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 from .errors import Problem
+from .parameters import PARAMETERS
 
 CONTROL_PERIOD_S = 0.05
 TIME_LIMIT_S = 15.0
-
-# The parameters that come to such a server resolved, in its cell: all of RoboGate's world but a suction cup's.
-PARAMETERS = [
-    "friction", "mass_kg", "com_offset", "size_m", "ik_noise_rad", "obstacles", "shape", "placement",
-    "approach_speed_m_s", "table_friction", "position_jitter_m", "gravity_scale", "offset_x_m", "offset_y_m",
-    "obstacle_gap_m", "occluders", "disturbance_speed_m_s", "disturbance_start_s", "disturbance_x_m",
-    "disturbance_y_m", "disturbance_heading_rad", "disturbance_travel_m", "lighting_lux", "camera_roll_rad",
-    "camera_pitch_rad", "table_material", "background_color", "object_color", "object_transparency",
-]  # fmt: skip
-
 
 
 def physics_hello(server, engine, robot, time_step_s):

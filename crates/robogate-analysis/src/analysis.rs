@@ -79,7 +79,7 @@ impl Subject {
         Self {
             path: path.display().to_string(),
             replayable: source.folder().is_some() && provenance.source.is_none(),
-            task: TaskAnalysis::of_dictionary(provenance).task.to_owned(),
+            task: provenance.task.name.as_str().to_owned(),
             robot: provenance.robot.name.clone(),
             policy: provenance.policy.clone(),
             engine: match &provenance.engine.version {

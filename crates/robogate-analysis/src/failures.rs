@@ -1,6 +1,5 @@
 //! Failures by mode.
 
-use robogate_core::FailureMode;
 use robogate_stats::Confidence;
 use robogate_stats::format::{counted, list};
 use robogate_stats::modes::{Joint, distribution, dominance};
@@ -30,6 +29,9 @@ pub struct FailureModes {
 pub struct ModeShare {
     /// The mode.
     pub mode: String,
+    /// Whether the task declares it; an undeclared mode comes from the data alone.
+    #[serde(default = "declared")]
+    pub declared: bool,
     /// Failures of this mode.
     pub failures: u64,
     /// Share of all failures; absent where nothing failed.
@@ -38,13 +40,19 @@ pub struct ModeShare {
     pub interval_95: [f64; 2],
 }
 
+/// Documents of earlier versions contain declared modes only.
+fn declared() -> bool {
+    true
+}
+
 impl FailureModes {
     pub(crate) fn of(table: &EpisodeTable, base: &Sample) -> Self {
-        let mut counts = vec![0; FailureMode::ALL.len()];
+        let mut counts = vec![0; table.modes.len()];
         base.failures(table).1.into_iter().for_each(|mode| counts[mode] += 1);
         let failures = counts.iter().sum();
         let shares = distribution(&counts, Joint::Simultaneous, Confidence::P95);
-        let not_recorded: Vec<String> = table.not_recorded.iter().map(|mode| mode.word().to_owned()).collect();
+        let not_recorded: Vec<String> = table.not_recorded.iter().map(|mode| mode.as_str().to_owned()).collect();
+        let mode_name = |mode: usize| table.mode(mode).to_owned();
         let dominant = match dominance(&counts) {
             Some(_) if !not_recorded.is_empty() => Finding::not(unrecorded(&not_recorded)),
             None => Finding::not("nothing failed"),
@@ -57,6 +65,7 @@ impl FailureModes {
         };
         let modes = shares.into_iter().enumerate().map(|(mode, share)| ModeShare {
             mode: mode_name(mode),
+            declared: mode < table.declared,
             failures: share.count,
             share: share.share,
             interval_95: ends(share.interval),
@@ -69,9 +78,4 @@ impl FailureModes {
 pub fn unrecorded(modes: &[String]) -> String {
     let modes: Vec<String> = modes.iter().map(|mode| mode_label(mode)).collect();
     format!("the source does not record {}: a failure that is counted as a timeout may be one of them", list(&modes))
-}
-
-/// The name of a mode by its position.
-pub(crate) fn mode_name(mode: usize) -> String {
-    FailureMode::ALL[mode].word().to_owned()
 }

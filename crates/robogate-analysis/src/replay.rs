@@ -4,7 +4,6 @@ use robogate_stats::format::{fixed, percent};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::failures::mode_name;
 use crate::models::Scored;
 use crate::table::{Ending, EpisodeTable, Sample};
 use crate::task::TaskAnalysis;
@@ -130,11 +129,7 @@ pub(crate) fn lowest(n: usize, value: impl Fn(usize) -> Option<f64>) -> Vec<usiz
 }
 
 pub(crate) fn episode(table: &EpisodeTable, row: usize, figure: String) -> ReplayEpisode {
-    let outcome = match table.outcome[row] {
-        Ending::Success => "success".to_owned(),
-        Ending::Failure(mode) => mode_name(usize::from(mode)),
-        Ending::Invalid => "invalid".to_owned(),
-    };
+    let outcome = table.outcome_name(table.outcome[row]);
     let time = table.time_s[row].map_or_else(String::new, |t| format!(" at {} s", fixed(t, 2)));
     ReplayEpisode {
         index: table.index[row],

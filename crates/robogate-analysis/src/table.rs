@@ -1,6 +1,6 @@
 //! The columns of a dictionary in memory, and the rows that a figure is computed from.
 
-use robogate_core::{Domain, FailureMode};
+use robogate_core::{Domain, FailureMode, Word};
 use robogate_dictionary::{Column, Dictionary, DictionaryError, results};
 
 /// The columns that the analysis reads, one value per episode: about 120 bytes a row.
@@ -11,8 +11,13 @@ pub(crate) struct EpisodeTable {
     pub(crate) stages: Vec<Stage>,
     pub(crate) weight: Vec<f64>,
     pub(crate) outcome: Vec<Ending>,
+    /// The failure modes of the task, then those that it does not declare and that occurred.
+    pub(crate) modes: Vec<FailureMode>,
+    /// How many of these the task declares.
+    pub(crate) declared: usize,
     pub(crate) parameters: Vec<ParameterColumn>,
-    pub(crate) peak_force_n: Vec<Option<f64>>,
+    /// The measures of the task by name.
+    pub(crate) measures: Vec<(Word, Vec<Option<f64>>)>,
     pub(crate) time_s: Vec<Option<f64>>,
     /// Faults of invalid episodes, with their counts.
     pub(crate) faults: Vec<(String, u64)>,
@@ -24,8 +29,8 @@ pub(crate) struct EpisodeTable {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Ending {
     Success,
-    /// Position in [`FailureMode::ALL`].
-    Failure(u8),
+    /// Position in [`EpisodeTable::modes`].
+    Failure(u16),
     Invalid,
 }
 
@@ -61,7 +66,10 @@ impl EpisodeTable {
         let (stage_names, stage) = categories(dictionary, "stage")?;
         let (design_names, design) = categories(dictionary, "design")?;
         let (outcomes, outcome_codes) = categories(dictionary, "outcome")?;
-        let endings: Vec<Ending> = outcomes.iter().map(|outcome| ending(outcome)).collect();
+        let task = &dictionary.provenance().task;
+        let mut modes: Vec<FailureMode> = task.modes().collect();
+        let declared = modes.len();
+        let endings: Vec<Ending> = outcomes.iter().map(|outcome| ending(outcome, &mut modes)).collect();
         let outcome: Vec<Ending> =
             outcome_codes.iter().map(|code| at(&endings, *code).unwrap_or(Ending::Invalid)).collect();
         let stages = stages(&stage_names, &stage, &design_names, &design, &weight);
@@ -78,8 +86,9 @@ impl EpisodeTable {
         }
         let provenance = dictionary.provenance();
         let source = provenance.source.iter().flat_map(|source| &source.not_recorded);
-        let not_recorded =
-            source.filter_map(|name| FailureMode::ALL.into_iter().find(|mode| mode.word() == name)).collect();
+        let not_recorded = source.filter_map(|name| modes.iter().copied().find(|mode| mode.as_str() == name)).collect();
+        let measure = |name: Word| Ok((name, dictionary.numbers(name.as_str())?));
+        let measures = task.measures.iter().map(|spec| measure(spec.name)).collect::<Result<_, DictionaryError>>()?;
         // Identifiers of imported rows are not parameters of the scenario.
         let identifiers = [results::SOURCE_ROW, results::SOURCE_SEED];
         let parameters = provenance.space.parameters().iter().filter(|p| !identifiers.contains(&&*p.name));
@@ -91,7 +100,9 @@ impl EpisodeTable {
             weight,
             outcome,
             parameters,
-            peak_force_n: dictionary.numbers("peak_contact_force_n")?,
+            modes,
+            declared,
+            measures,
             time_s: dictionary.numbers("cycle_time_s")?,
             faults,
             not_recorded,
@@ -100,6 +111,25 @@ impl EpisodeTable {
 
     pub(crate) fn len(&self) -> usize {
         self.outcome.len()
+    }
+
+    /// A measure of the task, one value for each row.
+    pub(crate) fn measure(&self, name: &str) -> Option<&[Option<f64>]> {
+        self.measures.iter().find(|(known, _)| *known == name).map(|(_, values)| &**values)
+    }
+
+    /// The name of the failure mode at a position of [`Self::modes`].
+    pub(crate) fn mode(&self, at: usize) -> &'static str {
+        self.modes.get(at).copied().unwrap_or(FailureMode::UNKNOWN).as_str()
+    }
+
+    /// The outcome of an episode, as the dictionary names it.
+    pub(crate) fn outcome_name(&self, ending: Ending) -> &'static str {
+        match ending {
+            Ending::Success => "success",
+            Ending::Failure(mode) => self.mode(usize::from(mode)),
+            Ending::Invalid => "invalid",
+        }
     }
 
     /// The valid rows whose stage is focused, or is not.
@@ -199,14 +229,20 @@ impl ParameterColumn {
     }
 }
 
-fn ending(outcome: &str) -> Ending {
+/// How the episodes with this outcome ended. A failure mode that the task does not declare is added to `modes`.
+fn ending(outcome: &str, modes: &mut Vec<FailureMode>) -> Ending {
     match outcome {
-        "success" => Ending::Success,
-        _ => match FailureMode::ALL.iter().position(|mode| mode.word() == outcome) {
-            Some(mode) => Ending::Failure(mode as u8),
-            None => Ending::Invalid,
-        },
+        "success" => return Ending::Success,
+        "invalid" => return Ending::Invalid,
+        _ => {}
     }
+    let mode = FailureMode::from_foreign(outcome);
+    let at = modes.iter().position(|known| *known == mode).unwrap_or_else(|| {
+        modes.push(mode);
+        modes.len() - 1
+    });
+    // A file has far fewer modes than rows.
+    Ending::Failure(u16::try_from(at).unwrap_or(u16::MAX))
 }
 
 fn at<T: Copy>(table: &[T], code: Option<u32>) -> Option<T> {

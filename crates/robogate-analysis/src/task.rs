@@ -60,9 +60,9 @@ impl TaskAnalysis {
         PLUG_INS.into_iter().find(|plug_in| plug_in.task == task).unwrap_or(&NO_PLUG_IN)
     }
 
-    /// The plug-in for the task of a dictionary. Up to schema 1 a dictionary names no task: it is pick-and-place.
-    pub(crate) fn of_dictionary(_: &Provenance) -> &'static Self {
-        Self::of(PICK_PLACE.task)
+    /// The plug-in for the task of a dictionary.
+    pub(crate) fn of_dictionary(provenance: &Provenance) -> &'static Self {
+        Self::of(provenance.task.name.as_str())
     }
 }
 

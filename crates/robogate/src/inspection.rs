@@ -1,6 +1,7 @@
 //! What an inspection of a robot found, for people and as JSON.
 
-use robogate_sim::{Inspection, Measured, RobotSettings, inspect};
+use robogate_physics::RobotSettings;
+use robogate_tasks::pick_place::{Inspection, Measured, inspect};
 use serde_json::json;
 
 use crate::commands::robots::{facts, in_words};
@@ -36,7 +37,7 @@ pub(crate) fn show(robot: &str, json: bool) -> u8 {
     if problems.is_empty() { DONE } else { USAGE }
 }
 
-fn summary(settings: &RobotSettings, measured: &Measured) {
+fn summary(settings: &RobotSettings, Measured { robot: measured, reaches_target }: &Measured) {
     let RobotSettings { arm, gripper, .. } = settings;
     let total: f64 = measured.masses_kg.iter().map(|(_, mass)| mass).sum();
     let masses: Vec<String> = measured.masses_kg.iter().map(|(body, mass)| format!("{body} {mass:.3}")).collect();
@@ -50,9 +51,9 @@ fn summary(settings: &RobotSettings, measured: &Measured) {
     line(format_args!(
         "workspace  {} of the places over the table within reach of a tool that points down; the target {}",
         percent(measured.workspace_share),
-        if measured.reaches_target { "too" } else { "not" }
+        if *reaches_target { "too" } else { "not" }
     ));
-    if !measured.reaches_target {
+    if !reaches_target {
         line("           where it does not reach the target no episode of the task can succeed");
     }
     match measured.tracking_error_rad {

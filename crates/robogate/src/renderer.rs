@@ -3,9 +3,9 @@
 use anyhow::bail;
 use clap::ValueEnum;
 #[cfg(feature = "mujoco")]
-use robogate_sim::MujocoEngine;
+use robogate_camera::Renderer;
 #[cfg(feature = "mujoco")]
-use robogate_sim::camera::Renderer;
+use robogate_physics::MujocoEngine;
 use serde::{Deserialize, Serialize};
 
 /// A renderer on the command line.
@@ -38,6 +38,12 @@ pub(crate) enum Drawn {
 }
 
 impl Drawn {
+    /// Its name on the command line.
+    pub(crate) fn name(&self) -> &'static str {
+        let Self::Egl { .. } = self;
+        "egl"
+    }
+
     /// Refuses what it cannot draw.
     pub(crate) fn check(&self, engine: &str, far: bool) -> anyhow::Result<()> {
         let Self::Egl { .. } = self;
@@ -71,8 +77,7 @@ impl Drawn {
 
 #[cfg(feature = "egl")]
 fn egl(engine: &MujocoEngine) -> anyhow::Result<(Box<dyn Renderer<MujocoEngine>>, String)> {
-    let renderer =
-        robogate_sim::camera::EglRenderer::new(engine).map_err(|why| anyhow::anyhow!("--renderer egl: {why}"))?;
+    let renderer = robogate_camera::EglRenderer::new(engine).map_err(|why| anyhow::anyhow!("--renderer egl: {why}"))?;
     let device = renderer.device().to_owned();
     Ok((Box::new(renderer), device))
 }

@@ -1,4 +1,4 @@
-//! What is generated: the JSON Schemas and the command reference. This test fails where a file is stale;
+//! What is generated: the JSON Schemas, the command reference and the bridges' list of parameters. This test fails where a file is stale;
 //! `ROBOGATE_GENERATE=1 cargo test -p robogate --test generated` writes them.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -27,7 +27,7 @@ fn the_schemas_are_those_of_the_code() {
         ("parameter-space", schema_for!(robogate_core::ParameterSpace)),
         ("suite", schema_for!(robogate_core::Suite)),
         ("plan", schema_for!(robogate_campaign::Plan)),
-        ("robot", schema_for!(robogate_sim::RobotSettings)),
+        ("robot", schema_for!(robogate_physics::RobotSettings)),
         ("run-settings", schema_for!(robogate_campaign::Settings)),
         ("summary", schema_for!(robogate_campaign::Summary)),
         ("boundary", schema_for!(robogate_campaign::BoundaryReport)),
@@ -75,6 +75,18 @@ fn the_command_reference_is_what_help_says() {
         }
     }
     check("docs/command.md", &page);
+}
+
+#[test]
+fn the_bridges_parameters_are_those_of_the_table() {
+    use robogate_tasks::pick_place::{ActsOn, parameters};
+
+    let engine = parameters().iter().filter(|row| row.acts_on == ActsOn::Engine);
+    let names: String = engine.map(|row| format!("    \"{}\",\n", row.name)).collect();
+    let module = format!(
+        "\"\"\"The parameters of RoboGate's cell that an engine applies. Generated from the parameter table.\"\"\"\n\nPARAMETERS = [\n{names}]\n"
+    );
+    check("bridges/common/robogate_bridge/parameters.py", &module);
 }
 
 /// The verbs that a help text lists.

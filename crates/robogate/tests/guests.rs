@@ -12,7 +12,7 @@ use tempfile::TempDir;
 const PLAN: &str = "seed = 5\n[uniform]\nepisodes = 6\n";
 
 fn networks() -> std::path::PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../robogate-bridge/tests/networks")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../robogate-policy/tests/networks")
 }
 
 fn robogate(dir: &Path, arguments: &[&str]) -> Output {

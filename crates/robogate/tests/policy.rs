@@ -1,7 +1,7 @@
 //! Policies behind servers, as the command's user meets them: `policy check`, `run --policy`, `resume`.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-#[path = "../../robogate-bridge/tests/policy_support/openpi.rs"]
+#[path = "../../robogate-policy/tests/support/openpi.rs"]
 mod openpi;
 
 use std::fs;
@@ -141,7 +141,7 @@ fn what_server_and_profile_do_not_agree_on_is_said_by_name() {
     thread::spawn(move || {
         for stream in roboarena.incoming() {
             let Ok(mut socket) = accept(stream.unwrap()) else { continue };
-            let config = include_bytes!("../../robogate-bridge/tests/captures/roboarena/s2c_00_config_metadata.bin");
+            let config = include_bytes!("../../robogate-policy/tests/captures/roboarena/s2c_00_config_metadata.bin");
             drop(socket.send(Message::binary(config.to_vec())));
         }
     });

@@ -1,6 +1,5 @@
 //! How the dominant failure mode changes with one parameter.
 
-use robogate_core::FailureMode;
 use robogate_stats::Confidence;
 use robogate_stats::binning::Edges;
 use robogate_stats::format::counted;
@@ -9,7 +8,6 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{BINS, integer_edges};
-use crate::failures::mode_name;
 use crate::labels::parameter_label;
 use crate::rate::{Finding, ends};
 use crate::table::{EpisodeTable, ParameterColumn, Sample};
@@ -60,8 +58,8 @@ pub(super) fn mode_changes(table: &EpisodeTable, base: &Sample, parameter: &Para
     let values: Vec<f64> = failed.iter().map(|i| parameter.values[*i]).collect();
     let bins = (failed.len() / 30).clamp(2, BINS);
     let edges = integer_edges(parameter).map_or_else(|| Edges::equal_count(&values, bins), Ok);
-    let found =
-        edges.and_then(|edges| transitions(&values, &modes_of, FailureMode::ALL.len(), &edges, Confidence::P95));
+    let mode_name = |mode: usize| table.mode(mode).to_owned();
+    let found = edges.and_then(|edges| transitions(&values, &modes_of, table.modes.len(), &edges, Confidence::P95));
     match found {
         Ok(Transitions { bins, transitions, .. }) => Finding::Estimated(ModeChanges {
             bins: bins

@@ -1,6 +1,5 @@
 //! Collisions worth replaying: those with the largest contact force.
 
-use robogate_core::FailureMode;
 use robogate_stats::format::number;
 
 use crate::replay::{ReplayGroup, ReplayReason, episode, lowest};
@@ -8,10 +7,11 @@ use crate::table::{Ending, EpisodeTable};
 
 /// The episodes of every stage that ended in a collision, the largest contact force first; `None` without one.
 pub(super) fn hardest(table: &EpisodeTable) -> Option<ReplayGroup> {
-    let collision = FailureMode::ALL.iter().position(|m| *m == FailureMode::Collision).unwrap_or_default() as u8;
-    let force = |row: usize| table.peak_force_n[row].filter(|f| f.is_finite());
+    let collision = table.modes.iter().position(|mode| mode.as_str() == "collision")?;
+    let forces = table.measure("peak_contact_force_n")?;
+    let force = |row: usize| forces[row].filter(|f| f.is_finite());
     let hardest = lowest(table.len(), |row| match table.outcome[row] {
-        Ending::Failure(mode) if mode == collision => force(row).map(|f| -f),
+        Ending::Failure(mode) if usize::from(mode) == collision => force(row).map(|f| -f),
         _ => None,
     });
     let figure = |row: usize| force(row).map_or_else(String::new, |f| format!("{} N", number(f)));

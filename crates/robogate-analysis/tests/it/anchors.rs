@@ -1,16 +1,13 @@
 //! Published figures that can be checked: the released UR5e dictionary.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use robogate_analysis::{Analysis, CriticalThreshold, Population, Source};
 
 /// The released file, where the data folder is there.
 fn ur5e() -> Option<PathBuf> {
-    let Some(data) = std::env::var_os("ROBOGATE_SHARED_DATA") else {
-        println!("skipped: ROBOGATE_SHARED_DATA does not name the folder of the released data");
-        return None;
-    };
-    Some(Path::new(&data).join("published/ur5e_failure_dictionary.json"))
+    let data = robogate_testing::path("ROBOGATE_SHARED_DATA", "the folder of the released data")?;
+    Some(data.join("published/ur5e_failure_dictionary.json"))
 }
 
 #[test]

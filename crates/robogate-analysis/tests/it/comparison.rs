@@ -52,7 +52,9 @@ fn same_rows_twice_are_rejected() {
 fn holm_never_lowers_a_p_value() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
-    let worse = |i: u64, by_law| if i.is_multiple_of(4) { Outcome::Failure(FailureMode::Collision) } else { by_law };
+    let worse = |i: u64, by_law| {
+        if i.is_multiple_of(4) { Outcome::Failure(FailureMode::constant("collision")) } else { by_law }
+    };
     let all = [
         saved(&dir, "a", &space, law(&space, 600)),
         saved(&dir, "b", &space, changed(&space, 600, worse)),
@@ -83,7 +85,7 @@ fn same_scenarios_are_always_paired() {
     let space = boxes();
     // A few scenarios flip, nearly all one way: too few for independent runs, enough for pairs.
     let worse = |i: u64, by_law| match by_law {
-        Outcome::Success if i.is_multiple_of(25) => Outcome::Failure(FailureMode::Collision),
+        Outcome::Success if i.is_multiple_of(25) => Outcome::Failure(FailureMode::constant("collision")),
         other => other,
     };
     let all = [saved(&dir, "a", &space, law(&space, 600)), saved(&dir, "b", &space, changed(&space, 600, worse))];
@@ -104,7 +106,7 @@ fn shared_bins_cover_the_shared_range() {
                 [[parameter]]\nname = \"grip_threshold_m\"\nkind = \"continuous\"\nlow = 0.0\nhigh = 1.0\n";
     let other = ParameterSpace::from_toml(toml).unwrap();
     let entries = (0..400).map(|i| {
-        entry(i, point(&other, i), if i % 3 == 0 { Outcome::Success } else { Outcome::Failure(FailureMode::Timeout) })
+        entry(i, point(&other, i), if i % 3 == 0 { Outcome::Success } else { Outcome::Failure(FailureMode::TIMEOUT) })
     });
     let all = [saved(&dir, "a", &wide, law(&wide, 400)), saved(&dir, "b", &other, entries.collect())];
     let of = compared(&all);
@@ -152,7 +154,7 @@ fn universal_zones_need_enough_episodes() {
         move |i: u64| {
             let requested = point(&space, i);
             let fails = requested.number("obstacles").unwrap() >= least;
-            let went = if fails { Outcome::Failure(FailureMode::Collision) } else { Outcome::Success };
+            let went = if fails { Outcome::Failure(FailureMode::constant("collision")) } else { Outcome::Success };
             entry(i, requested, went)
         }
     };
@@ -179,7 +181,7 @@ fn universal_zones_need_enough_episodes() {
 fn slope_of_mass_follows_the_law() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
-    let coin = |i: u64, _| if unit(i, 55) < 0.5 { Outcome::Success } else { Outcome::Failure(FailureMode::Timeout) };
+    let coin = |i: u64, _| if unit(i, 55) < 0.5 { Outcome::Success } else { Outcome::Failure(FailureMode::TIMEOUT) };
     let all =
         [saved(&dir, "law", &space, law(&space, 2_000)), saved(&dir, "coin", &space, changed(&space, 2_000, coin))];
     let of = compared(&all);
@@ -212,12 +214,12 @@ fn invalid_pairs_bound_the_difference() {
     let space = boxes();
     let first = |i: u64, _| match i {
         0..60 => Outcome::Success,
-        60..100 => Outcome::Failure(FailureMode::GraspMiss),
+        60..100 => Outcome::Failure(FailureMode::constant("grasp_miss")),
         _ => Outcome::Invalid(Fault::new(FaultKind::Diverged, "made up")),
     };
     let second = |i: u64, _| match i {
         0..40 | 60..65 | 100.. => Outcome::Success,
-        _ => Outcome::Failure(FailureMode::GripLoss),
+        _ => Outcome::Failure(FailureMode::constant("grip_loss")),
     };
     let all =
         [saved(&dir, "a", &space, changed(&space, 104, first)), saved(&dir, "b", &space, changed(&space, 104, second))];

@@ -31,7 +31,7 @@ fn invalid_episodes_are_not_zero() {
 fn few_rows_give_reasons() {
     for n in [1, 3] {
         let analysis =
-            of(with_outcomes(n, |i| if i == 0 { Outcome::Success } else { Outcome::Failure(FailureMode::Timeout) }));
+            of(with_outcomes(n, |i| if i == 0 { Outcome::Success } else { Outcome::Failure(FailureMode::TIMEOUT) }));
         assert_eq!(analysis.success.rate.n, n);
         assert!(analysis.marginal_effects[0].threshold.because().unwrap().contains("too few"));
         let risk = analysis.risk.estimated();
@@ -48,7 +48,7 @@ fn one_outcome_has_no_model() {
     assert!(all.envelopes[0].frontier.because().unwrap().contains("same outcome"));
     assert!(all.marginal_effects[0].correlation.because().unwrap().contains("every episode succeeded"));
     assert!(all.success.rate.wilson_95[0] < 1.0);
-    let none = of(with_outcomes(200, |_| Outcome::Failure(FailureMode::GraspMiss)));
+    let none = of(with_outcomes(200, |_| Outcome::Failure(FailureMode::constant("grasp_miss"))));
     assert!(none.marginal_effects[0].correlation.because().unwrap().contains("every episode failed"));
     assert_eq!(none.failure_modes.dominant.estimated().unwrap(), "grasp_miss");
 }
@@ -76,7 +76,7 @@ fn separation_is_reported() {
     let entries = (0..300).map(|i| {
         let requested = point(&space, i);
         let heavy = requested.number("mass_kg").unwrap() > 1.0;
-        let went = if heavy { Outcome::Failure(FailureMode::GripLoss) } else { Outcome::Success };
+        let went = if heavy { Outcome::Failure(FailureMode::constant("grip_loss")) } else { Outcome::Success };
         entry(i, requested, went)
     });
     let analysis = of(entries.collect());
@@ -145,7 +145,7 @@ fn extreme_integers_are_handled() {
         requested
     };
     let entries = (0..100).map(|i| {
-        let went = if i % 5 < 2 { Outcome::Success } else { Outcome::Failure(FailureMode::Timeout) };
+        let went = if i % 5 < 2 { Outcome::Success } else { Outcome::Failure(FailureMode::TIMEOUT) };
         entry(i, set(i), went)
     });
     let analysis = analysed(&space, entries.collect());

@@ -30,7 +30,7 @@ pub(crate) fn drawn(space: &ParameterSpace, seed: u64, n: u64, focused: u64, law
         };
         let requested = space.parameters().iter().zip(&at).map(value).collect();
         let success = unit(of, 99) < law(&at);
-        let outcome = if success { Outcome::Success } else { Outcome::Failure(FailureMode::GripLoss) };
+        let outcome = if success { Outcome::Success } else { Outcome::Failure(FailureMode::constant("grip_loss")) };
         let mut entry = entry(index, requested, outcome);
         if is_focused {
             entry.stage = "boundary".to_owned();

@@ -5,10 +5,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use robogate_core::{
-    Assignment, Episode, FailureMode, Fault, FaultKind, Measures, Outcome, ParameterSpace, Scenario, Seed,
+    Assignment, Episode, FailureMode, Fault, FaultKind, Outcome, ParameterSpace, Scenario, Seed, Word,
 };
 use robogate_dictionary::{
-    DictionaryError, Engine, Entry, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, write_parquet,
+    DictionaryError, Engine, Entry, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, v1, write_parquet,
 };
 
 const SEED: u64 = 7;
@@ -50,6 +50,7 @@ pub(crate) fn provenance(space: ParameterSpace) -> Provenance {
         tool: Tool { name: "robogate".to_owned(), version: "0.0.0".to_owned() },
         schema_version: SCHEMA_VERSION,
         engine: Engine { name: "none".to_owned(), version: None, build_sha256: None },
+        task: Arc::new(v1::task()),
         robot: Robot { name: "testbot".to_owned(), sha256: None, dimensions: None },
         policy: "scripted".to_owned(),
         world: serde_json::Value::Null,
@@ -81,7 +82,7 @@ pub(crate) fn point(space: &ParameterSpace, i: u64) -> Assignment {
 }
 
 pub(crate) fn entry(i: u64, requested: Assignment, outcome: Outcome) -> Entry {
-    let force = matches!(outcome, Outcome::Failure(FailureMode::Collision)).then(|| 10.0 + 90.0 * unit(i, 98));
+    let force = (outcome == Outcome::Failure(FailureMode::constant("collision"))).then(|| 10.0 + 90.0 * unit(i, 98));
     Entry {
         stage: "uniform".to_owned(),
         design: "uniform".to_owned(),
@@ -94,7 +95,7 @@ pub(crate) fn entry(i: u64, requested: Assignment, outcome: Outcome) -> Entry {
             time_s: 1.0 + unit(i, 97),
             phase: None,
             contact: None,
-            measures: Measures { peak_contact_force_n: force, ..Measures::default() },
+            measures: [(Word::constant("peak_contact_force_n"), force)].into_iter().collect(),
             ticks: 10,
             trajectory_hash: i,
         },
@@ -109,11 +110,11 @@ pub(crate) fn outcome(i: u64, requested: &Assignment) -> Outcome {
     if unit(i, 99) < p {
         Outcome::Success
     } else if unit(i, 96) < 0.2 {
-        Outcome::Failure(FailureMode::Collision)
+        Outcome::Failure(FailureMode::constant("collision"))
     } else if mass > 1.0 {
-        Outcome::Failure(FailureMode::GripLoss)
+        Outcome::Failure(FailureMode::constant("grip_loss"))
     } else {
-        Outcome::Failure(FailureMode::GraspMiss)
+        Outcome::Failure(FailureMode::constant("grasp_miss"))
     }
 }
 

@@ -29,7 +29,7 @@ struct Problem {
 pub fn junit(evaluation: &Evaluation) -> String {
     let rows = RequirementRow::all(evaluation);
     let ids: Vec<String> = evaluation
-        .findings
+        .results
         .iter()
         .map(|f| format!("{} {} {}", f.id, f.bound.sense, f.bound.limit))
         .chain(evaluation.comparison.iter().map(|_| "non-inferiority".to_owned()))
@@ -86,7 +86,7 @@ fn problem(row: &RequirementRow) -> Option<Problem> {
 fn properties(evaluation: &Evaluation) -> Markup {
     let counts = evaluation.counts;
     let all = [
-        ("verdict", evaluation.verdict.word().to_owned()),
+        ("verdict", evaluation.verdict.as_str().to_owned()),
         ("because", evaluation.because.clone()),
         ("policy", evaluation.policy.clone()),
         ("robot", evaluation.robot.clone()),

@@ -17,7 +17,7 @@ pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
         Verdict::Inconclusive => "\u{2754}",
         Verdict::Invalid => "\u{26a0}\u{fe0f}",
     };
-    let verdict = evaluation.verdict.word().to_uppercase();
+    let verdict = evaluation.verdict.as_str().to_uppercase();
     // Writing to a string cannot fail; so throughout this file.
     let _ = writeln!(
         out,
@@ -98,8 +98,8 @@ fn score(out: &mut String, score: &ConfidenceScore) {
             out,
             "| {} | {} | {} | {} | {} | {} |",
             escape_markdown(&term.term.name),
-            term.value.map_or_else(dash, |x| value(metric, x)),
-            term.baseline.map_or_else(String::new, |x| value(metric, x)),
+            term.value.map_or_else(dash, |x| value(metric, "", x)),
+            term.baseline.map_or_else(String::new, |x| value(metric, "", x)),
             term.scored.map_or_else(dash, |x| fixed(x, 3)),
             fixed(term.term.weight, 2),
             term.points.map_or_else(dash, |x| fixed(x, 1))

@@ -4,13 +4,13 @@ mod junit;
 mod leaderboard;
 mod markdown;
 
-use robogate_gate::{Evaluation, Finding, Metric, Mode, Sampling, Status};
+use robogate_gate::{Evaluation, Metric, Mode, RequirementResult, Sampling, Status};
 
 pub use junit::junit;
 pub use leaderboard::{leaderboard_html, leaderboard_markdown};
 pub use markdown::evaluation_markdown;
 
-use robogate_stats::format::{self, count, fixed, percent};
+use robogate_stats::format::{self, count, fixed, number, percent};
 
 /// One requirement as a row of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -30,7 +30,7 @@ pub struct RequirementRow {
 impl RequirementRow {
     /// Every requirement of an evaluation, the comparison last.
     pub fn all(evaluation: &Evaluation) -> Vec<Self> {
-        let mut rows: Vec<Self> = evaluation.findings.iter().map(|f| Self::of(f, evaluation)).collect();
+        let mut rows: Vec<Self> = evaluation.results.iter().map(|f| Self::of(f, evaluation)).collect();
         if let Some(c) = &evaluation.comparison {
             let interval = if c.difference.is_some() {
                 format!("{} to {}", points(c.interval_95[0]), points(c.interval_95[1]))
@@ -60,23 +60,26 @@ impl RequirementRow {
         rows
     }
 
-    fn of(finding: &Finding, evaluation: &Evaluation) -> Self {
-        let metric = finding.requirement.metric;
-        let text = |x: f64| value(metric, x);
-        let scope = match (&finding.requirement.category, &finding.requirement.group) {
+    fn of(result: &RequirementResult, evaluation: &Evaluation) -> Self {
+        let metric = result.requirement.metric;
+        let text = |x: f64| value(metric, &result.unit, x);
+        let scope = match (&result.requirement.category, &result.requirement.group) {
             (Some(category), Some(group)) => format!(" in {category}/{group}"),
             (Some(scope), None) | (None, Some(scope)) => format!(" in {scope}"),
             (None, None) => String::new(),
         };
-        let requirement = format!("{}{scope} {} {}", metric.title(), finding.bound.sense, text(finding.bound.limit));
-        let observed = finding.figure.observed.map_or_else(|| "-".to_owned(), text);
-        let interval = match (finding.interval, metric) {
-            (Some([low, high]), Metric::CycleTimeS) => format!("{} to {}", fixed(low, 2), text(high)),
-            (Some([low, high]), _) => format!("{} to {}", text(low).trim_end_matches(" %"), text(high)),
-            (None, _) => String::new(),
+        let requirement = format!("{}{scope} {} {}", metric.title(), result.bound.sense, text(result.bound.limit));
+        let observed = result.figure.observed.map_or_else(|| "-".to_owned(), text);
+        let interval = match result.interval {
+            Some([low, high]) => {
+                let low = text(low);
+                let unit = if result.unit.is_empty() { "%" } else { &result.unit };
+                format!("{} to {}", low.trim_end_matches(unit).trim_end(), text(high))
+            }
+            None => String::new(),
         };
         let mut notes = Vec::new();
-        match (finding.status, finding.decided_at_episodes) {
+        match (result.status, result.decided_at_episodes) {
             (Status::NoEvidence, _) => notes.push("no episode gives evidence".to_owned()),
             (Status::Undecided, Some(at)) => notes.push(how_many(at, evaluation)),
             (Status::Undecided, None) if evaluation.requirements.mode == Mode::Confidence => {
@@ -84,16 +87,16 @@ impl RequirementRow {
             }
             _ => {}
         }
-        if finding.invalid > 0 && finding.status != Status::NoEvidence {
-            let most = finding.figure.most.map_or_else(|| "any".to_owned(), text);
+        if result.invalid > 0 && result.status != Status::NoEvidence {
+            let most = result.figure.most.map_or_else(|| "any".to_owned(), text);
             notes.push(format!(
                 "{} of {} episodes are invalid: the figure could be {} to {most}",
-                count(finding.invalid),
-                count(finding.valid + finding.invalid),
-                text(finding.figure.least)
+                count(result.invalid),
+                count(result.valid + result.invalid),
+                result.figure.least.map_or_else(|| "any".to_owned(), text)
             ));
         }
-        Self { status: finding.status, requirement, observed, interval, note: notes.join("; ") }
+        Self { status: result.status, requirement, observed, interval, note: notes.join("; ") }
     }
 }
 
@@ -142,10 +145,11 @@ pub fn how_judged(evaluation: &Evaluation) -> String {
 }
 
 /// A figure of a metric with its unit.
-pub(crate) fn value(metric: Metric, x: f64) -> String {
+pub(crate) fn value(metric: Metric, unit: &str, x: f64) -> String {
     match metric {
-        Metric::CycleTimeS => format!("{} s", fixed(x, 2)),
-        Metric::CollisionCount => fixed(x, 0),
+        Metric::CycleTime(_) => format!("{} s", fixed(x, 2)),
+        Metric::Measure(..) => format!("{} {unit}", number(x)).trim_end().to_owned(),
+        Metric::FailureCount(_) => fixed(x, 0),
         // One decimal would write a limit of 0.25 % as 0.2 %.
         _ if (x > 0.0 && x < 0.01) || (x > 0.99 && x < 1.0) => format!("{} %", fixed(100.0 * x, 2)),
         _ => percent(x),

@@ -19,7 +19,7 @@ fn headline_names_a_difference() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
     let worse = |i: u64, by_law| match by_law {
-        Outcome::Success if i.is_multiple_of(25) => Outcome::Failure(FailureMode::Collision),
+        Outcome::Success if i.is_multiple_of(25) => Outcome::Failure(FailureMode::constant("collision")),
         other => other,
     };
     let all = [saved(&dir, "a", &space, law(&space, 600)), saved(&dir, "b", &space, changed(&space, 600, worse))];
@@ -53,7 +53,9 @@ fn too_little_evidence_is_stated() {
 fn page_is_self_contained_and_deterministic() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
-    let worse = |i: u64, by_law| if i.is_multiple_of(4) { Outcome::Failure(FailureMode::Collision) } else { by_law };
+    let worse = |i: u64, by_law| {
+        if i.is_multiple_of(4) { Outcome::Failure(FailureMode::constant("collision")) } else { by_law }
+    };
     let all = [
         saved(&dir, "<b>a", &space, changed(&space, 900, |_, by_law| by_law)),
         saved(&dir, "b", &space, changed(&space, 900, worse)),

@@ -37,7 +37,7 @@ fn faults_are_named() {
 #[test]
 fn few_rows_have_a_page() {
     for n in [1, 3] {
-        written_of(n, |i| if i == 0 { Outcome::Success } else { Outcome::Failure(FailureMode::Timeout) });
+        written_of(n, |i| if i == 0 { Outcome::Success } else { Outcome::Failure(FailureMode::TIMEOUT) });
     }
 }
 
@@ -45,14 +45,14 @@ fn few_rows_have_a_page() {
 fn one_outcome_is_no_proof() {
     let text = written_of(200, |_| Outcome::Success);
     assert!(text.contains("No failure was observed. This bounds the failure rate"));
-    written_of(200, |_| Outcome::Failure(FailureMode::GraspMiss));
+    written_of(200, |_| Outcome::Failure(FailureMode::constant("grasp_miss")));
 }
 
 #[test]
 fn separation_is_explained() {
     let went = |i: u64| {
         let heavy = crate::synthetic::point(&space(&["box", "sphere"]), i).number("mass_kg").unwrap() > 1.0;
-        if heavy { Outcome::Failure(FailureMode::GripLoss) } else { Outcome::Success }
+        if heavy { Outcome::Failure(FailureMode::constant("grip_loss")) } else { Outcome::Success }
     };
     assert!(written_of(300, went).contains("Firth"));
 }

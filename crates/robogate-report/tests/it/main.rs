@@ -1,5 +1,6 @@
 //! Claims about pages and documents, from the outside.
 
+#![expect(clippy::disallowed_methods, reason = "tests find their settings in the environment")]
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests too")]
 
 mod comparison;

@@ -66,7 +66,8 @@ fn wide_spaces_keep_pages_small() {
         let went = if i % 3 == 0 {
             robogate_core::Outcome::Success
         } else {
-            robogate_core::Outcome::Failure(robogate_core::FailureMode::ALL[(i % 4) as usize])
+            let modes = ["grasp_miss", "grip_loss", "collision", "timeout"];
+            robogate_core::Outcome::Failure(robogate_core::FailureMode::constant(modes[(i % 4) as usize]))
         };
         crate::synthetic::entry(i, crate::synthetic::point(&space, i), went)
     });

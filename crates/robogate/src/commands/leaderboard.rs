@@ -47,13 +47,15 @@ enum Form {
 
 impl Rank {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let requirements = Requirements::open(&self.requirements).or_usage()?;
         let mut entries = Vec::new();
         for run in &self.runs {
             let (name, path) = named(run);
             let source = Source::open(&path).or_usage()?;
             entries.push((name, Record::of(source.dictionary()).or_broken()?));
         }
+        let first =
+            entries.first().ok_or_else(|| anyhow::anyhow!("a leaderboard needs at least one run")).or_usage()?;
+        let requirements = Requirements::open(&self.requirements, &first.1.task).or_usage()?;
         let baseline = match (&self.baseline, entries.first()) {
             (Some(file), _) => Some(Baseline::open(file).or_usage()?),
             (None, Some((_, first))) => built_in_baseline(first),

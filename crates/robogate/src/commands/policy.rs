@@ -5,16 +5,16 @@ use std::time::Instant;
 
 use anyhow::anyhow;
 use clap::{Args, Subcommand};
-use robogate_bridge::policy::{Arm, Chunk, Profile, ServerError, ServerPolicy, Side};
-use robogate_campaign::{Station, Workshop};
-use robogate_core::{Assignment, FaultKind, GripperCommand, Image, Observation, Scenario, Seed, Simulator};
-use robogate_sim::SuctionLaw;
+use robogate_campaign::{Worker, WorkerFactory};
+use robogate_core::{Action, Assignment, Environment, FaultKind, Image, Observation, Scenario, Seed};
+use robogate_physics::SuctionLaw;
+use robogate_policy::{Arm, Chunk, Profile, ServerError, ServerPolicy, Side};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::guest::{profile, refused};
+use crate::policy_source::{profile, refused};
+use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{bold, foreign, line, note};
-use crate::world::{Cell, WorldArguments};
 
 /// List the profiles of policies, or probe one.
 #[derive(Debug, Args)]
@@ -49,7 +49,7 @@ struct Check {
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..))]
     questions: u32,
     #[command(flatten)]
-    world: WorldArguments,
+    environment: EnvironmentArguments,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -105,13 +105,13 @@ struct Findings {
 impl Check {
     fn execute(&self) -> Result<u8, Exit> {
         let profile = Arc::new(profile(&self.profile).or_usage()?);
-        let cell = self.world.cell(SuctionLaw::Vacuum)?;
-        let cell = profile.rendered_px.into_iter().fold(cell, Cell::with_pictures_of);
+        let subject = Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, None)?;
+        let subject = profile.rendered_px.into_iter().fold(subject, Subject::with_pictures_of);
         let mut found = Findings { figures: Vec::new(), complaints: Vec::new() };
         let mut policy = ServerPolicy::connect(&self.url, Arc::clone(&profile)).map_err(refused)?;
         found.figures.push(("says of itself", foreign(policy.declared())));
-        let mut station = cell.station().or_broken()?;
-        match self.ask(&profile, &mut policy, &mut station, &mut found) {
+        let mut worker = subject.worker().or_broken()?;
+        match self.ask(&profile, &mut policy, &mut worker, &mut found) {
             Ok(()) => {}
             // What the server cannot do is what was asked.
             Err(error @ (ServerError::Shape(_) | ServerError::NotFinite { .. } | ServerError::Refused { .. })) => {
@@ -119,7 +119,7 @@ impl Check {
             }
             Err(error) => return Err(refused(error)),
         }
-        moves(&profile, &mut *station.simulator, &mut found)?;
+        moves(&profile, &mut *worker.environment, &mut found)?;
         if self.json {
             let figures: serde_json::Map<_, _> =
                 found.figures.iter().map(|(name, value)| ((*name).to_owned(), json!(value))).collect();
@@ -148,14 +148,14 @@ impl Check {
         &self,
         profile: &Profile,
         policy: &mut ServerPolicy,
-        station: &mut Station,
+        worker: &mut Worker,
         found: &mut Findings,
     ) -> Result<(), ServerError> {
         let cannot = |why: String| ServerError::Observation(why);
-        let start = station.simulator.reset(&nominal()).map_err(|fault| cannot(fault.to_string()))?;
+        let start = worker.environment.reset(&nominal()).map_err(|fault| cannot(fault.to_string()))?;
         let mut observation = start.observation;
         if !profile.cameras.is_empty() {
-            observation.images = match station.simulator.render() {
+            observation.images = match worker.environment.render() {
                 Ok(images) => images,
                 Err(fault) if fault.kind == FaultKind::Setup => {
                     note(format_args!("the pictures are grey: {fault}"));
@@ -164,12 +164,12 @@ impl Check {
                 Err(fault) => return Err(cannot(fault.to_string())),
             };
         }
-        policy.begin(&start.task.instruction)?;
+        policy.begin(&start.instance.instruction)?;
         let (first, first_s) = timed(policy, &observation)?;
         let mut later = Vec::new();
         let mut different = 0;
         for _ in 1..self.questions {
-            policy.begin(&start.task.instruction)?;
+            policy.begin(&start.instance.instruction)?;
             let (chunk, seconds) = timed(policy, &observation)?;
             different += u32::from(chunk != first);
             later.push(seconds);
@@ -228,15 +228,15 @@ fn meaning(profile: &Profile, chunk: &Chunk, observation: &Observation, found: &
     let grippers: Vec<f64> = arms().map(|(gripper, _)| *gripper).collect();
     let low = grippers.iter().copied().fold(f64::INFINITY, f64::min);
     let high = grippers.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    found.figures.push(("gripper numbers", format!("{low:.3} to {high:.3}, threshold {}", form.gripper_threshold)));
-    let joints = &observation.joint_positions;
+    let Some(threshold) = form.gripper_threshold else { return };
+    found.figures.push(("gripper numbers", format!("{low:.3} to {high:.3}, threshold {threshold}")));
+    let joints = observation.joint_positions();
     let first = chunk.rows().first().map(|row| form.action(row, joints));
-    if matches!(&first, Some(Ok(action)) if action.gripper == GripperCommand::Close) {
+    if matches!(&first, Some(Ok(action)) if action.gripper == Some(Action::CLOSE)) {
         found.complaints.push(format!(
             "with the gripper open and far from the object the first action closes it ({}): is action.gripper_open the right \
-             side of action.gripper_threshold = {}?",
+             side of action.gripper_threshold = {threshold}?",
             grippers.first().copied().unwrap_or_default(),
-            form.gripper_threshold
         ));
     }
     if let Some(Err(error)) = first {
@@ -245,21 +245,22 @@ fn meaning(profile: &Profile, chunk: &Chunk, observation: &Observation, found: &
 }
 
 /// Whether the profile's actions do in this cell what they say: each way along its axis, open opens, close closes.
-fn moves(profile: &Profile, simulator: &mut dyn Simulator, found: &mut Findings) -> Result<(), Exit> {
+fn moves(profile: &Profile, environment: &mut dyn Environment, found: &mut Findings) -> Result<(), Exit> {
     const TICKS: u32 = 10;
     let form = &profile.action;
-    let (open, close) = match form.gripper_open {
-        Side::Above => (form.gripper_threshold + 1.0, form.gripper_threshold - 1.0),
-        Side::Below => (form.gripper_threshold - 1.0, form.gripper_threshold + 1.0),
+    let (Some(threshold), Some(side)) = (form.gripper_threshold, form.gripper_open) else { return Ok(()) };
+    let (open, close) = match side {
+        Side::Above => (threshold + 1.0, threshold - 1.0),
+        Side::Below => (threshold - 1.0, threshold + 1.0),
     };
     let mut run = |arm: &dyn Fn(&Observation) -> Vec<f64>, gripper: f64, ticks: u32| -> Result<_, Exit> {
-        let before = simulator.reset(&nominal()).or_broken()?.observation;
+        let before = environment.reset(&nominal()).or_broken()?.observation;
         let mut after = before.clone();
         for _ in 0..ticks {
             let mut raw = arm(&before);
             raw.push(gripper);
-            let action = form.action(&raw, &after.joint_positions).map_err(refused)?;
-            let step = simulator.step(&action).or_broken()?;
+            let action = form.action(&raw, after.joint_positions()).map_err(refused)?;
+            let step = environment.step(&action).or_broken()?;
             after = step.observation;
             // Closing on nothing ends an episode.
             if step.ending.is_some() {
@@ -274,8 +275,7 @@ fn moves(profile: &Profile, simulator: &mut dyn Simulator, found: &mut Findings)
         {
             let one = |_: &Observation| (0..6).map(|i| f64::from(i == axis)).collect();
             let (before, after) = run(&one, open, TICKS)?;
-            let way: Vec<f64> =
-                after.tool_pose.position.iter().zip(before.tool_pose.position).map(|(a, b)| a - b).collect();
+            let way: Vec<f64> = position(&after).iter().zip(position(&before)).map(|(a, b)| a - b).collect();
             let told = f64::from(TICKS) * form.clip.unwrap_or(1.0).min(1.0) * form.position_scale_m;
             let mm: Vec<String> = way.iter().map(|m| format!("{:+.1}", 1e3 * m)).collect();
             found.figures.push((name, format!("{} mm in {TICKS} steps, told {:.1}", mm.join(", "), 1e3 * told)));
@@ -288,10 +288,10 @@ fn moves(profile: &Profile, simulator: &mut dyn Simulator, found: &mut Findings)
         }
     }
     let hold = |observation: &Observation| match form.arm {
-        Arm::JointPositions => observation.joint_positions.clone(),
+        Arm::JointPositions => observation.joint_positions().to_vec(),
         _ => vec![0.0; form.size - 1],
     };
-    let opening = |observation: &Observation| observation.gripper_opening_m;
+    let opening = Observation::gripper_opening_m;
     if let (Some(opened), Some(closed)) = (opening(&run(&hold, open, 40)?.1), opening(&run(&hold, close, 40)?.1)) {
         found.figures.push((
             "gripper opens to",
@@ -302,6 +302,11 @@ fn moves(profile: &Profile, simulator: &mut dyn Simulator, found: &mut Findings)
         }
     }
     Ok(())
+}
+
+/// Where the tool is, in metres.
+fn position(observation: &Observation) -> [f64; 3] {
+    observation.tool_pose().map_or([f64::NAN; 3], |pose| pose.position)
 }
 
 fn nominal() -> Scenario {

@@ -1,7 +1,7 @@
 //! `robogate robots`: which robots there are, and what is wrong with one.
 
 use clap::{Args, Subcommand};
-use robogate_sim::{Gripper, RobotSettings, built_in_robot, built_in_robots};
+use robogate_physics::{Gripper, RobotSettings, built_in_robot, built_in_robots};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, OrExit};

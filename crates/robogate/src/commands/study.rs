@@ -8,19 +8,19 @@ use clap::Args;
 use robogate_analysis::study::{LearnerFigures, Measure, Repeat, Score, Study as Outcome, Verdict};
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{
-    Bins, BoundaryReport, BoundaryStage, Completion, Crew, Event, Plan, PooledWeights, Preset, UniformStage,
+    Bins, BoundaryReport, BoundaryStage, Completion, Event, Executor, Plan, PooledWeights, Preset, UniformStage,
 };
 use robogate_core::{ParameterSpace, Seed};
 use robogate_dictionary::{Dictionary, Provenance};
+use robogate_physics::SuctionLaw;
 use robogate_report::{study_answer, study_json, study_markdown};
-use robogate_sim::SuctionLaw;
 use serde::{Deserialize, Serialize};
 
-use crate::commands::run::{How, exit, provenance};
+use crate::commands::run::{How, exit};
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
 use crate::progress::Progress;
+use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{bold, dim, grouped, line, note, percent, wrapped};
-use crate::world::WorldArguments;
 
 /// What the study does; written first, never changed.
 const SETTINGS: &str = "study.json";
@@ -52,7 +52,7 @@ pub(crate) struct Study {
     #[arg(long, value_name = "NAME|FILE")]
     space: Option<String>,
     #[command(flatten)]
-    world: WorldArguments,
+    environment: EnvironmentArguments,
     #[command(flatten)]
     how: How,
     /// The study's folder
@@ -96,8 +96,8 @@ struct Arms {
 impl Study {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         // As in a plan of one's own: a cup holds what it can hold.
-        let cell = self.world.cell(SuctionLaw::Vacuum)?;
-        let space = cell.space(self.space.as_deref()).or_usage()?;
+        let subject = Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, None)?;
+        let space = subject.space(self.space.as_deref()).or_usage()?;
         let plan = match &self.plan {
             Some(file) => Plan::load(file).or_usage()?,
             None => {
@@ -108,14 +108,14 @@ impl Study {
         };
         plan.check(&space).or_usage()?;
         let region = prior_region(&plan, &space)?;
-        let provenance = provenance(&cell, space.clone())?;
+        let provenance = subject.provenance(space.clone())?;
         let Self { budget, repeats, test, seed, .. } = *self;
         let settings = Settings { version: 1, budget, repeats, test, seed, plan: plan.clone(), provenance };
         begin(&self.out, &settings)?;
         let campaigns = self.campaigns(&plan, &space, &region);
         let episodes = grouped(test + 3 * budget * repeats);
         note(format_args!(
-            "RoboGate {}: is boundary focusing worth it? {} in {}, {episodes} episodes in all, into {}",
+            "RoboGate {}: comparing sampling designs on {} in {}, {episodes} episodes in all, into {}",
             env!("CARGO_PKG_VERSION"),
             settings.provenance.robot.name,
             settings.provenance.engine.name,
@@ -124,10 +124,10 @@ impl Study {
         if repeats == 1 {
             note("warning: one repeat gives no intervals, and so no verdict");
         }
-        self.how.with_crew(&cell, |crew| match self.conduct(crew, &settings, &campaigns)? {
+        self.how.with_pool(&subject, |pool| match self.conduct(pool, &settings, &campaigns)? {
             Some(study) => self.tell(&study),
             None => {
-                note("what was run is recorded; the same command goes on");
+                note("the finished episodes are recorded; the same command continues");
                 Ok(INTERRUPTED)
             }
         })
@@ -175,11 +175,11 @@ impl Study {
     /// Runs what is not there yet and judges it; `None` where it was interrupted.
     fn conduct(
         &self,
-        crew: &Crew<'_>,
+        executor: &dyn Executor,
         settings: &Settings,
         (test, repeats): &(Campaign, Vec<Arms>),
     ) -> Result<Option<Outcome>, Exit> {
-        let run = |campaign: &Campaign| self.run(crew, settings, campaign);
+        let run = |campaign: &Campaign| self.run(executor, settings, campaign);
         let Some((judge, _)) = run(test)? else { return Ok(None) };
         let mut data = Vec::new();
         for arms in repeats {
@@ -207,7 +207,7 @@ impl Study {
     }
 
     /// Runs a campaign, or the rest of it; `None` where it was interrupted.
-    fn run(&self, crew: &Crew<'_>, settings: &Settings, campaign: &Campaign) -> Result<Option<Finished>, Exit> {
+    fn run(&self, executor: &dyn Executor, settings: &Settings, campaign: &Campaign) -> Result<Option<Finished>, Exit> {
         let dir = self.out.join(&campaign.folder);
         let provenance = Provenance { space: campaign.space.clone(), ..settings.provenance.clone() };
         let mut progress = Progress::new();
@@ -222,9 +222,9 @@ impl Study {
             if recorded.plan != campaign.plan || recorded.provenance.space != campaign.space {
                 return Err(anyhow!("{} holds another campaign than the study's", dir.display())).or_usage();
             }
-            robogate_campaign::resume(&dir, &provenance, crew, &mut hear)
+            robogate_campaign::resume(&dir, &provenance, executor, &mut hear)
         } else {
-            robogate_campaign::start(&dir, &campaign.plan, provenance, crew, &mut hear)
+            robogate_campaign::start(&dir, &campaign.plan, provenance, executor, &mut hear)
         };
         match completion.map_err(exit)? {
             Completion::Finished { boundary, .. } => {

@@ -1,12 +1,10 @@
 //! Outcomes of one dataset by outcomes of another.
 
-use robogate_core::FailureMode;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::rows::PairedRows;
-use crate::failures::mode_name;
-use crate::table::Ending;
+use crate::table::EpisodeTable;
 
 /// Outcomes of the first (rows) by outcomes of the second (columns).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -17,43 +15,35 @@ pub struct CrossTable {
     pub counts: Vec<Vec<u64>>,
 }
 
-/// Success, every failure mode, invalid.
-const OUTCOMES: usize = FailureMode::ALL.len() + 2;
-
 impl CrossTable {
     /// The table of paired rows, without outcomes that neither dataset has.
     pub(super) fn of(pairs: &PairedRows<'_>) -> Self {
-        let mut counts = vec![vec![0; OUTCOMES]; OUTCOMES];
+        let (first, second) = (&pairs.first.table, &pairs.second.table);
+        let outcomes = outcomes(first, second);
+        // Two datasets may number undeclared modes differently, so outcomes are matched by name.
+        let position = |name: &str| outcomes.iter().position(|known| *known == name).unwrap_or_default();
+        let mut counts = vec![vec![0; outcomes.len()]; outcomes.len()];
         for at in &pairs.rows {
             let (one, two) = pairs.endings(*at);
-            counts[position(one)][position(two)] += 1;
+            counts[position(first.outcome_name(one))][position(second.outcome_name(two))] += 1;
         }
         let occurs = |i: &usize| counts[*i].iter().any(|n| *n > 0) || counts.iter().any(|row| row[*i] > 0);
-        let kept: Vec<usize> = (0..OUTCOMES).filter(occurs).collect();
+        let kept: Vec<usize> = (0..outcomes.len()).filter(occurs).collect();
         Self {
-            outcomes: kept.iter().map(|i| name(*i)).collect(),
+            outcomes: kept.iter().map(|i| outcomes[*i].to_owned()).collect(),
             counts: kept.iter().map(|i| kept.iter().map(|j| counts[*i][*j]).collect()).collect(),
         }
     }
 }
 
-/// The name of an outcome, as in the dictionary.
-pub(super) fn outcome_name(ending: Ending) -> String {
-    name(position(ending))
-}
-
-fn position(ending: Ending) -> usize {
-    match ending {
-        Ending::Success => 0,
-        Ending::Failure(mode) => 1 + usize::from(mode),
-        Ending::Invalid => OUTCOMES - 1,
+/// Success, the failure modes of both datasets, invalid.
+fn outcomes(first: &EpisodeTable, second: &EpisodeTable) -> Vec<&'static str> {
+    let mut names = vec!["success"];
+    for mode in first.modes.iter().chain(&second.modes) {
+        if !names.contains(&mode.as_str()) {
+            names.push(mode.as_str());
+        }
     }
-}
-
-fn name(position: usize) -> String {
-    match position {
-        0 => "success".to_owned(),
-        i if i == OUTCOMES - 1 => "invalid".to_owned(),
-        i => mode_name(i - 1),
-    }
+    names.push("invalid");
+    names
 }

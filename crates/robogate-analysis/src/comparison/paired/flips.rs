@@ -3,7 +3,6 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::cross_table::outcome_name;
 use super::rows::PairedRows;
 use crate::labels::{parameter_label, value_with_unit};
 use crate::table::Ending;
@@ -53,8 +52,8 @@ pub(super) fn flips(pairs: &PairedRows<'_>, max: usize) -> Vec<Flip> {
         let index = table.index[at.0];
         found.push(Flip {
             index,
-            first: outcome_name(one),
-            second: outcome_name(two),
+            first: pairs.first.table.outcome_name(one).to_owned(),
+            second: pairs.second.table.outcome_name(two).to_owned(),
             parameters: table.parameters.iter().map(|p| (p.name.clone(), p.show(p.values[at.0]))).collect(),
             replay: [pairs.first, pairs.second].into_iter().filter_map(|dataset| dataset.replay(index)).collect(),
         });

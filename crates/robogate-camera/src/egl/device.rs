@@ -1,0 +1,182 @@
+//! An OpenGL context without a window, on the first EGL device that has one.
+
+use std::env;
+use std::ffi::{CStr, c_char, c_uint, c_void};
+
+use khronos_egl as egl;
+
+/// Names the device by its number, as MuJoCo's Python does; without it the first that works is taken.
+const DEVICE_VARIABLE: &str = "MUJOCO_EGL_DEVICE_ID";
+
+/// `EGL_PLATFORM_DEVICE_EXT` (EGL_EXT_platform_device).
+const PLATFORM_DEVICE: egl::Enum = 0x313F;
+/// `EGL_PLATFORM_SURFACELESS_MESA` (EGL_MESA_platform_surfaceless).
+const PLATFORM_SURFACELESS: egl::Enum = 0x31DD;
+
+/// `GL_RENDERER`, `GL_VERSION` and `GL_EXTENSIONS`.
+const RENDERER: c_uint = 0x1F01;
+const VERSION: c_uint = 0x1F02;
+const EXTENSIONS: c_uint = 0x1F03;
+
+/// Without these MuJoCo ends the process.
+const NEEDED: [&str; 2] = ["GL_ARB_framebuffer_object", "GL_ARB_vertex_buffer_object"];
+
+type QueryDevices = unsafe extern "system" fn(egl::Int, *mut *mut c_void, *mut egl::Int) -> egl::Boolean;
+type GetString = unsafe extern "system" fn(c_uint) -> *const c_char;
+
+/// EGL and an OpenGL context of its own.
+pub(crate) struct Gl {
+    egl: egl::DynamicInstance<egl::EGL1_5>,
+    display: egl::Display,
+    context: egl::Context,
+    surface: egl::Surface,
+    name: String,
+}
+
+impl Gl {
+    /// A context on the first device that gives one.
+    #[expect(clippy::disallowed_methods, reason = "EGL and its users choose the device by environment variables")]
+    pub(crate) fn new() -> Result<Self, String> {
+        if env::var("MUJOCO_GL").is_ok_and(|wanted| wanted == "osmesa") {
+            return Err("MUJOCO_GL=osmesa makes MuJoCo look for another library: unset it".to_owned());
+        }
+        // SAFETY: the system's EGL library is what its name says.
+        #[expect(unsafe_code, reason = "a library is loaded")]
+        let egl = unsafe { egl::DynamicInstance::<egl::EGL1_5>::load_required() }.map_err(|error| {
+            format!(
+                "there is no EGL 1.5 here ({error})\n  hint: on Debian and Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri"
+            )
+        })?;
+        let wanted = match env::var(DEVICE_VARIABLE) {
+            Ok(number) if !number.is_empty() => {
+                Some(number.parse::<usize>().map_err(|_| format!("{DEVICE_VARIABLE}={number} is no device's number"))?)
+            }
+            _ => None,
+        };
+        let displays = displays(&egl, wanted);
+        let mut why = match wanted {
+            Some(number) => format!("EGL has no device {number}, which {DEVICE_VARIABLE} names"),
+            None => "EGL has no device".to_owned(),
+        };
+        for display in displays {
+            match context(&egl, display) {
+                Ok((context, surface)) => {
+                    let mut gl = Self { egl, display, context, surface, name: String::new() };
+                    gl.make_current()?;
+                    gl.name = gl.describe()?;
+                    return Ok(gl);
+                }
+                Err(error) => why = error.to_string(),
+            }
+        }
+        Err(format!(
+            "no EGL device draws with OpenGL here: {why}\n  hint: Mesa draws without a GPU; on Debian and Ubuntu: apt-get install \
+             libegl1 libgl1 libgl1-mesa-dri"
+        ))
+    }
+
+    /// Makes this thread draw here.
+    pub(crate) fn make_current(&self) -> Result<(), String> {
+        self.egl
+            .make_current(self.display, Some(self.surface), Some(self.surface), Some(self.context))
+            .map_err(|error| format!("EGL does not give the context to this thread: {error}"))
+    }
+
+    /// The renderer and its version.
+    pub(crate) fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn describe(&self) -> Result<String, String> {
+        let entry = self.egl.get_proc_address("glGetString").ok_or("this OpenGL does not say what it is")?;
+        // SAFETY: this is the signature of `glGetString`, and the context is current.
+        #[expect(unsafe_code, reason = "OpenGL's own entry is called")]
+        let get = unsafe { std::mem::transmute::<extern "system" fn(), GetString>(entry) };
+        let text = |what: c_uint| {
+            // SAFETY: the context is current; what OpenGL returns is null, or a string that stays where it is.
+            #[expect(unsafe_code, reason = "OpenGL's own entry is called")]
+            unsafe {
+                let text = get(what);
+                (!text.is_null()).then(|| CStr::from_ptr(text).to_string_lossy().into_owned())
+            }
+        };
+        let extensions = text(EXTENSIONS).unwrap_or_default();
+        if let Some(missing) = NEEDED.iter().find(|name| !extensions.split(' ').any(|known| known == **name)) {
+            return Err(format!("this OpenGL lacks {missing}, which MuJoCo draws with"));
+        }
+        let named = |what| text(what).unwrap_or_else(|| "unknown".to_owned());
+        Ok(format!("{}; OpenGL {}", named(RENDERER), named(VERSION)))
+    }
+}
+
+impl Drop for Gl {
+    fn drop(&mut self) {
+        // The display is shared by the whole process and stays. What fails here has no one left to hear of it.
+        if self.egl.get_current_context() == Some(self.context) {
+            let _ = self.egl.make_current(self.display, None, None, None);
+        }
+        let _ = self.egl.destroy_surface(self.display, self.surface);
+        let _ = self.egl.destroy_context(self.display, self.context);
+    }
+}
+
+/// The displays to try: every device in EGL's order, or the one that is wanted; without any, what Mesa has for none.
+fn displays(egl: &egl::DynamicInstance<egl::EGL1_5>, wanted: Option<usize>) -> Vec<egl::Display> {
+    let platform = |platform: egl::Enum, native: *mut c_void| {
+        // SAFETY: a device comes from EGL's own list; the surfaceless platform takes none.
+        #[expect(unsafe_code, reason = "EGL takes a device as a bare pointer")]
+        unsafe { egl.get_platform_display(platform, native, &[egl::ATTRIB_NONE]) }.ok()
+    };
+    let mut devices = [std::ptr::null_mut(); 32];
+    let mut count = 0;
+    if let Some(entry) = egl.get_proc_address("eglQueryDevicesEXT") {
+        // SAFETY: this is the signature of `eglQueryDevicesEXT` (EGL_EXT_device_enumeration), which writes no more
+        // devices than it is told there is room for.
+        #[expect(unsafe_code, reason = "an extension's entry is called")]
+        unsafe {
+            let query = std::mem::transmute::<extern "system" fn(), QueryDevices>(entry);
+            if query(devices.len() as egl::Int, devices.as_mut_ptr(), &raw mut count) != egl::TRUE {
+                count = 0;
+            }
+        }
+    }
+    let count = usize::try_from(count).unwrap_or(0).min(devices.len());
+    let mut found: Vec<_> = devices[..count]
+        .iter()
+        .enumerate()
+        .filter(|(number, _)| wanted.is_none_or(|wanted| wanted == *number))
+        .filter_map(|(_, device)| platform(PLATFORM_DEVICE, *device))
+        .collect();
+    if wanted.is_none() {
+        found.extend(platform(PLATFORM_SURFACELESS, std::ptr::null_mut()));
+    }
+    found
+}
+
+/// OpenGL on a display, and a surface that is never drawn on: pictures are made in MuJoCo's own buffers.
+fn context(
+    egl: &egl::DynamicInstance<egl::EGL1_5>,
+    display: egl::Display,
+) -> Result<(egl::Context, egl::Surface), egl::Error> {
+    egl.initialize(display)?;
+    egl.bind_api(egl::OPENGL_API)?;
+    let wanted = [
+        (egl::SURFACE_TYPE, egl::PBUFFER_BIT),
+        (egl::RENDERABLE_TYPE, egl::OPENGL_BIT),
+        (egl::RED_SIZE, 8),
+        (egl::GREEN_SIZE, 8),
+        (egl::BLUE_SIZE, 8),
+    ];
+    let attributes: Vec<egl::Int> =
+        wanted.iter().flat_map(|(name, value)| [*name, *value]).chain([egl::NONE]).collect();
+    let config = egl.choose_first_config(display, &attributes)?.ok_or(egl::Error::BadConfig)?;
+    let context = egl.create_context(display, config, None, &[egl::NONE])?;
+    let size = [egl::WIDTH, 8, egl::HEIGHT, 8, egl::NONE];
+    match egl.create_pbuffer_surface(display, config, &size) {
+        Ok(surface) => Ok((context, surface)),
+        Err(error) => {
+            let _ = egl.destroy_context(display, context);
+            Err(error)
+        }
+    }
+}

@@ -1,0 +1,200 @@
+//! What a robot looks like, and where its links are.
+
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use robogate_physics::description::{Description, LinkLook, Solid};
+use robogate_physics::{Robot, RobotError, RobotSource};
+
+use crate::Posture;
+use crate::body::Form;
+use crate::finish::{Finish, Pattern};
+use crate::mesh::Mesh;
+use crate::outfits::{self, Outfit};
+
+/// Geometry groups up to this one are drawn, as MuJoCo's viewer does; collision shapes that stand in for something finer
+/// are in others.
+pub(crate) const SHOWN_GROUPS: i32 = 2;
+
+/// A robot before the cameras.
+#[derive(Debug)]
+pub(crate) struct RobotLooks {
+    pub(crate) pieces: Vec<Piece>,
+    /// Whether the pieces are RoboGate's and not the model's own geometry.
+    #[cfg(feature = "egl")]
+    pub(crate) dressed: bool,
+    /// The model's bodies by name, each with the link that it is part of and its pose there.
+    #[cfg(feature = "egl")]
+    pub(crate) bodies: Vec<(String, usize, Isometry3<f64>)>,
+    links: Vec<Option<Hinge>>,
+    /// The link with the tool centre point, and its pose there.
+    tool: (usize, Isometry3<f64>),
+}
+
+/// A solid of a link.
+#[derive(Debug)]
+pub(crate) struct Piece {
+    pub(crate) link: usize,
+    pub(crate) form: Form,
+    pub(crate) finish: Finish,
+    /// Its pose in the link's frame.
+    pub(crate) place: Isometry3<f64>,
+}
+
+/// How a link moves against its parent.
+#[derive(Debug)]
+struct Hinge {
+    parent: usize,
+    in_parent: Isometry3<f64>,
+    from_joint: Isometry3<f64>,
+    slides: bool,
+    drive: Drive,
+}
+
+/// What says where a joint is.
+#[derive(Debug, Clone, Copy)]
+enum Drive {
+    /// A joint of the arm, by its number.
+    Arm(usize),
+    /// A finger's distance from the closed position.
+    Finger,
+    /// `factor x` another link's joint `+ offset`.
+    Follows { link: usize, factor: f64, offset: f64 },
+    /// Nothing: it stays at 0.
+    Nothing,
+}
+
+impl RobotLooks {
+    pub(crate) fn new(robot: &Robot) -> Result<Self, String> {
+        let description = Description::read(robot).map_err(|error| match error {
+            RobotError::Invalid { problems, .. } => {
+                problems.first().map_or_else(|| "its model is not understood".to_owned(), |first| first.what.clone())
+            }
+            other => other.to_string(),
+        })?;
+        let hinges = description.links.iter().map(|link| {
+            link.joint.as_ref().map(|joint| Hinge {
+                parent: joint.parent,
+                in_parent: joint.in_parent,
+                from_joint: joint.in_link.inverse(),
+                slides: joint.slides,
+                drive: drive(&joint.name, robot, &description),
+            })
+        });
+        let links = hinges.collect();
+        let all = || description.links.iter().enumerate().flat_map(|(i, link)| link.looks.iter().map(move |l| (i, l)));
+        let shown: Vec<_> = all().filter(|(_, look)| look.group <= SHOWN_GROUPS).collect();
+        let drawn = if shown.is_empty() { all().collect() } else { shown };
+        let built_in = matches!(robot.source, RobotSource::BuiltIn { .. });
+        let outfit = if built_in { outfits::of(robot.name()) } else { None };
+        #[cfg(feature = "egl")]
+        let dressed = outfit.is_some();
+        let mut pieces: Vec<Piece> = match outfit {
+            Some(Outfit::Whole(parts)) => parts.iter().filter_map(|part| part.on(&description)).collect(),
+            Some(Outfit::Housings) => drawn.into_iter().flat_map(|(link, look)| outfits::housing(link, look)).collect(),
+            None => drawn.into_iter().filter_map(|(link, look)| Piece::new(link, look)).collect(),
+        };
+        if pieces.is_empty() {
+            return Err("its model has nothing that can be seen".to_owned());
+        }
+        pieces.push(outfits::pedestal());
+        Ok(Self {
+            pieces,
+            #[cfg(feature = "egl")]
+            dressed,
+            #[cfg(feature = "egl")]
+            bodies: description.bodies,
+            links,
+            tool: description.tcp,
+        })
+    }
+
+    /// The links' poses.
+    pub(crate) fn links(&self, posture: &Posture) -> Vec<Isometry3<f64>> {
+        let mut poses: Vec<Isometry3<f64>> = Vec::with_capacity(self.links.len());
+        for hinge in &self.links {
+            let pose = hinge.as_ref().map_or_else(Isometry3::identity, |hinge| {
+                let q = self.position(hinge.drive, posture);
+                let motion = if hinge.slides {
+                    Isometry3::translation(q, 0.0, 0.0)
+                } else {
+                    let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), q);
+                    Isometry3::from_parts(Translation3::identity(), turn)
+                };
+                // Parents come before their children.
+                poses.get(hinge.parent).copied().unwrap_or_default() * hinge.in_parent * motion * hinge.from_joint
+            });
+            poses.push(pose);
+        }
+        poses
+    }
+
+    /// The tool centre point's pose.
+    pub(crate) fn tool(&self, posture: &Posture) -> Isometry3<f64> {
+        self.links(posture).get(self.tool.0).copied().unwrap_or_default() * self.tool.1
+    }
+
+    fn position(&self, drive: Drive, posture: &Posture) -> f64 {
+        match drive {
+            Drive::Arm(i) => posture.joints.get(i).copied().unwrap_or_default(),
+            Drive::Finger => 0.5 * posture.opening_m.unwrap_or_default(),
+            Drive::Follows { link, factor, offset } => {
+                let led = match self.links.get(link).and_then(Option::as_ref).map(|hinge| hinge.drive) {
+                    Some(drive @ (Drive::Arm(_) | Drive::Finger)) => self.position(drive, posture),
+                    _ => 0.0,
+                };
+                factor * led + offset
+            }
+            Drive::Nothing => 0.0,
+        }
+    }
+}
+
+/// What drives the joint of that name.
+fn drive(joint: &str, robot: &Robot, description: &Description) -> Drive {
+    let settings = &robot.settings;
+    if let Some(i) = settings.arm.joints.iter().position(|name| name == joint) {
+        return Drive::Arm(i);
+    }
+    if settings.gripper.jaw().is_some_and(|jaw| jaw.finger_joints.iter().any(|name| name == joint)) {
+        return Drive::Finger;
+    }
+    let coupling = description.couplings.iter().find(|coupling| coupling.second == joint);
+    coupling
+        .and_then(|coupling| {
+            let link = description.link_of(&coupling.first)?;
+            Some(Drive::Follows { link, factor: coupling.factor, offset: coupling.offset })
+        })
+        .unwrap_or(Drive::Nothing)
+}
+
+impl Piece {
+    /// A look of the model as it is; `None` for a mesh without triangles.
+    pub(crate) fn new(link: usize, look: &LinkLook) -> Option<Self> {
+        let mut place = look.pose;
+        let form = match &look.solid {
+            Solid::Box { half } => Form::Box { half: half.map(|x| x as f32) },
+            Solid::Sphere { radius } => Form::Sphere { radius: *radius as f32 },
+            Solid::Capsule { radius, half_height } => {
+                Form::Capsule { radius: *radius as f32, half_height: *half_height as f32 }
+            }
+            Solid::Cylinder { radius, half_height } => {
+                Form::Cylinder { radius: *radius as f32, half_height: *half_height as f32 }
+            }
+            Solid::Hull { points } => {
+                let corners = points.chunks_exact(3).map(|t| [t[0].coords, t[1].coords, t[2].coords]);
+                let (mesh, middle) = Mesh::new(&corners.collect::<Vec<_>>())?;
+                place *= Translation3::from(middle);
+                Form::Mesh(Arc::new(mesh))
+            }
+        };
+        // Where the model says nothing: light grey, as MuJoCo has it.
+        let [red, green, blue, opacity] = look.rgba.unwrap_or([0.5, 0.5, 0.5, 1.0]);
+        if opacity <= 0.0 {
+            return None;
+        }
+        let byte = |x: f64| (255.0 * x.clamp(0.0, 1.0)).round() as u8;
+        let finish = Finish::new([byte(red), byte(green), byte(blue)], 0.5).with(Pattern::Grain);
+        Some(Self { link, form, finish, place })
+    }
+}

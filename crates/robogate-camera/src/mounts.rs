@@ -1,0 +1,62 @@
+//! Where the two cameras sit, whoever takes their pictures.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use robogate_physics::{Gripper, WORKSPACE_CENTRE};
+
+use crate::Pinhole;
+
+/// Nominal pose of the front camera: it stands beyond the table and looks back at the workspace. Its position and the
+/// point that it looks at, in metres in the base frame.
+pub const FRONT_CAMERA: ([f64; 3], [f64; 3]) = ([1.25, 0.0, 0.55], [0.5, 0.0, 0.05]);
+
+/// Fields of view of the front and the wrist camera, in radians.
+const FIELD_OF_VIEW_RAD: [f64; 2] = [70.0 * RADIANS, 75.0 * RADIANS];
+const RADIANS: f64 = std::f64::consts::PI / 180.0;
+
+/// The cameras' mounts: the front one stands in the room, the wrist one is held by the hand.
+#[derive(Debug)]
+pub(crate) struct Mounts {
+    /// The wrist camera in the frame of the tool centre point, as it is meant to be.
+    wrist: Isometry3<f64>,
+}
+
+impl Mounts {
+    /// Those of this gripper; `waiting` is the tool centre point's pose while the arm waits.
+    pub(crate) fn new(gripper: &Gripper, waiting: &Isometry3<f64>) -> Self {
+        let behind = match gripper {
+            Gripper::ParallelJaw(jaw) => jaw.palm_m + 0.035,
+            Gripper::Suction(_) => 0.09,
+        };
+        // Beside the hand, across the tool's y axis, along which the fingers close; the hand is below in the picture.
+        let mounted = |side: f64| {
+            let from = Point3::new(side * 0.1, 0.0, -behind);
+            Pinhole::looking(from, Point3::new(0.0, 0.0, 0.02), &(Vector3::x() * side))
+        };
+        // On the side from which it looks towards the workspace, and not back at the robot, while the arm waits.
+        let [x, y] = WORKSPACE_CENTRE;
+        let ahead = Vector3::new(x, y, 0.0) - waiting.translation.vector;
+        let sight = waiting.rotation * (mounted(1.0).rotation * Vector3::z());
+        let side = if sight.xy().dot(&ahead.xy()) >= 0.0 { 1.0 } else { -1.0 };
+        Self { wrist: mounted(side) }
+    }
+
+    /// The cameras, front and wrist: the front one stands at `front`, and the wrist one is turned off its place as
+    /// the front one is off its own; `tool` is the tool centre point's pose.
+    pub(crate) fn pinholes(
+        &self,
+        front: &Isometry3<f64>,
+        tool: &Isometry3<f64>,
+        [width, height]: [usize; 2],
+    ) -> [Pinhole; 2] {
+        let [roll, pitch] = Pinhole::turn_between(&front_pose(), front);
+        let wrist = tool * Pinhole::turned(&self.wrist, roll, pitch);
+        let camera = |pose, field_of_view_rad| Pinhole { pose, field_of_view_rad, width, height };
+        [camera(*front, FIELD_OF_VIEW_RAD[0]), camera(wrist, FIELD_OF_VIEW_RAD[1])]
+    }
+}
+
+/// The front camera's pose as it is meant to be.
+pub(crate) fn front_pose() -> Isometry3<f64> {
+    let (from, at) = FRONT_CAMERA;
+    Pinhole::looking(Point3::from(from), Point3::from(at), &Vector3::z())
+}

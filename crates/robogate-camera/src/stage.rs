@@ -1,0 +1,159 @@
+//! A scene as the cameras have it.
+
+use nalgebra::{Isometry3, Vector3};
+use robogate_physics::{FixtureKind, Primitive, Scene, Visual, WORKSPACE_CENTRE};
+
+use crate::Posture;
+use crate::body::{Body, Form};
+use crate::caster::{Picture, Room};
+use crate::finish::{Finish, Pattern};
+use crate::light::{Light, color, linear};
+use crate::looks::RobotLooks;
+use crate::pinhole::Pinhole;
+use crate::shadow::Shadows;
+use crate::table;
+
+/// The room's floor, in metres: the table is as high.
+const FLOOR: f32 = -0.75;
+
+/// Colours of the obstacles in turn: none that an object or the target is likely to have.
+const OBSTACLES: [[u8; 3]; 5] = [[92, 112, 140], [150, 140, 120], [84, 100, 104], [168, 160, 150], [110, 100, 126]];
+
+/// A scene before the cameras.
+#[derive(Debug)]
+pub(crate) struct Stage {
+    /// The front camera's pose.
+    pub(crate) front: Isometry3<f64>,
+    /// How many fixtures there are.
+    pub(crate) fixtures: usize,
+    pub(crate) light: Light,
+    pub(crate) room: Room,
+    pub(crate) props: Vec<Prop>,
+}
+
+/// A solid and what it moves with.
+#[derive(Debug)]
+pub(crate) struct Prop {
+    form: Form,
+    pub(crate) finish: Finish,
+    pub(crate) with: With,
+    /// Its pose there.
+    place: Isometry3<f64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum With {
+    /// A fixture, by its place in the scene.
+    Fixture(usize),
+    /// The table, which casts no shadow on anything that is seen.
+    Table(usize),
+    Object,
+}
+
+impl Stage {
+    pub(crate) fn new(scene: &Scene, front: Isometry3<f64>) -> Self {
+        let visual = &scene.visual;
+        let mut props = Vec::new();
+        let mut obstacles = OBSTACLES.iter().cycle();
+        for (i, fixture) in scene.fixtures.iter().enumerate() {
+            let (with, finish) = match fixture.kind {
+                FixtureKind::Table => {
+                    let table = fixture.part.pose.translation.vector;
+                    let marker = scene.marker.map(|[x, y]| [(x - table.x) as f32, (y - table.y) as f32]);
+                    let pattern = Pattern::Table { material: visual.table_material, marker };
+                    (With::Table(i), Finish::new([128; 3], table::gloss(visual.table_material)).with(pattern))
+                }
+                FixtureKind::Obstacle => {
+                    let own = obstacles.next().copied().unwrap_or_default();
+                    (With::Fixture(i), Finish::new(own, 0.3).with(Pattern::Grain))
+                }
+                FixtureKind::Occluder => (With::Fixture(i), Finish::new([122, 134, 140], 0.4)),
+                FixtureKind::Disturbance => (With::Fixture(i), Finish::new([236, 184, 22], 0.3).with(Pattern::Hazard)),
+            };
+            props.push(Prop { form: form(&fixture.part.primitive), finish, with, place: Isometry3::identity() });
+        }
+        for part in &scene.object.parts {
+            let mut finish = Finish::new(visual.object_color.0, 0.55);
+            finish.transparency = visual.object_transparency;
+            props.push(Prop { form: form(&part.primitive), finish, with: With::Object, place: part.pose });
+        }
+        Self {
+            front: Pinhole::turned(&front, visual.camera_roll_rad, visual.camera_pitch_rad),
+            fixtures: scene.fixtures.len(),
+            light: Light::new(visual.lighting_lux),
+            room: Room { wall: linear(visual.background_color), floor: FLOOR },
+            props,
+        }
+    }
+
+    /// How it looks, read back from lamp, surfaces and camera; `nominal` is where the front camera is meant to be.
+    pub(crate) fn visual(&self, nominal: &Isometry3<f64>) -> Option<Visual> {
+        // A quaternion of doubles holds no more digits.
+        let rounded = |x: f64| (x * 1e12).round() / 1e12;
+        let [camera_roll_rad, camera_pitch_rad] = Pinhole::turn_between(nominal, &self.front).map(rounded);
+        let table_material = self.props.iter().find_map(|prop| match prop.finish.pattern {
+            Pattern::Table { material, .. } => Some(material),
+            _ => None,
+        })?;
+        let object = &self.props.iter().find(|prop| prop.with == With::Object)?.finish;
+        Some(Visual {
+            lighting_lux: self.light.lux,
+            camera_roll_rad,
+            camera_pitch_rad,
+            table_material,
+            background_color: color(&self.room.wall),
+            object_color: color(&object.albedo),
+            object_transparency: object.transparency,
+        })
+    }
+
+    /// Lets `draw` take pictures of the scene in this posture.
+    pub(crate) fn with_bodies<T>(
+        &self,
+        robot: &RobotLooks,
+        posture: &Posture,
+        exhaustive: bool,
+        draw: impl FnOnce(&Picture<'_>) -> T,
+    ) -> T {
+        let mut bodies = Vec::with_capacity(self.props.len() + robot.pieces.len());
+        let mut object = Vec::with_capacity(bodies.capacity());
+        let mut casts = Vec::with_capacity(bodies.capacity());
+        for prop in &self.props {
+            let frame = match prop.with {
+                With::Fixture(i) | With::Table(i) => posture.fixtures.get(i),
+                With::Object => Some(&posture.object),
+            };
+            let Some(frame) = frame else { continue };
+            bodies.push(Body::new(&prop.form, &prop.finish, &(frame * prop.place)));
+            object.push(prop.with == With::Object);
+            casts.push(!matches!(prop.with, With::Table(_)));
+        }
+        let links = robot.links(posture);
+        for piece in &robot.pieces {
+            let Some(link) = links.get(piece.link) else { continue };
+            bodies.push(Body::new(&piece.form, &piece.finish, &(link * piece.place)));
+            object.push(false);
+            casts.push(true);
+        }
+        let [x, y] = WORKSPACE_CENTRE.map(|x| x as f32);
+        let shadows = Shadows::new(&bodies, |i| casts[i], &self.light, Vector3::new(x - 0.1, y, 0.0), exhaustive);
+        draw(&Picture {
+            bodies: &bodies,
+            shadows: &shadows,
+            light: &self.light,
+            room: &self.room,
+            object: &object,
+            exhaustive,
+        })
+    }
+}
+
+fn form(primitive: &Primitive) -> Form {
+    match *primitive {
+        Primitive::Box { half } => Form::Box { half: half.map(|x| x as f32) },
+        Primitive::Cylinder { radius, half_height } => {
+            Form::Cylinder { radius: radius as f32, half_height: half_height as f32 }
+        }
+        Primitive::Sphere { radius } => Form::Sphere { radius: radius as f32 },
+    }
+}

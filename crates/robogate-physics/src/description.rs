@@ -1,0 +1,525 @@
+//! A robot's model as plain data, read from its MJCF without MuJoCo.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use mjcf_rs::body::{Geom, GeomType, InertiaSpec, Joint, JointType};
+use mjcf_rs::equality::Equality;
+use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
+
+use crate::robot::RobotSource;
+use crate::{Chain, ChainJoint, Problem, Robot, RobotError};
+
+/// A tree of rigid bodies. A body without a joint is part of its parent.
+#[derive(Debug, Clone)]
+pub struct Description {
+    /// The links, parents before children. The first is the base.
+    pub links: Vec<Link>,
+    /// Pairs of joints where one follows the other.
+    pub couplings: Vec<Coupling>,
+    /// The kinematic chain from the base to the tool.
+    pub chain: Chain,
+    /// The link that carries the tool centre point, and its pose there.
+    pub tcp: (usize, Isometry3<f64>),
+    /// The MJCF bodies: name, index of the link that holds the body, and pose in that link.
+    pub bodies: Vec<(String, usize, Isometry3<f64>)>,
+}
+
+/// One rigid body.
+#[derive(Debug, Clone)]
+pub struct Link {
+    /// How it moves against its parent; `None` for the base.
+    pub joint: Option<LinkJoint>,
+    /// Mass in kilograms.
+    pub mass: f64,
+    /// Centre of mass in the link's frame, in metres.
+    pub centre: Vector3<f64>,
+    /// Inertia about the centre of mass in the link's frame, in kg m^2.
+    pub inertia: Matrix3<f64>,
+    /// Collision shapes.
+    pub shapes: Vec<LinkShape>,
+    /// Visual shapes.
+    pub looks: Vec<LinkLook>,
+}
+
+/// How a link moves against its parent.
+#[derive(Debug, Clone)]
+pub struct LinkJoint {
+    /// Name of the joint.
+    pub name: String,
+    /// Index of the parent link.
+    pub parent: usize,
+    /// The joint's frame in the parent's frame at joint position 0. The joint moves about or along its own x axis.
+    pub in_parent: Isometry3<f64>,
+    /// The joint's frame in the link's frame.
+    pub in_link: Isometry3<f64>,
+    /// Whether it is a sliding joint; otherwise it is a hinge.
+    pub slides: bool,
+    /// Smallest and largest position, in metres or radians; `None` without limits.
+    pub range: Option<[f64; 2]>,
+    /// Reflected inertia of the drive, in kg m^2 or kg.
+    pub armature: f64,
+    /// Viscous damping, in N m s/rad or N s/m.
+    pub damping: f64,
+}
+
+/// A collision shape of a link: a convex solid.
+#[derive(Debug, Clone)]
+pub struct LinkShape {
+    /// The solid.
+    pub solid: Solid,
+    /// Its pose in the link's frame.
+    pub pose: Isometry3<f64>,
+    /// Name of the MJCF body that it belongs to.
+    pub body: String,
+}
+
+/// A visual shape of a link.
+#[derive(Debug, Clone)]
+pub struct LinkLook {
+    /// The solid. The points of a mesh are the corners of its triangles, three for each; none if its file has no faces.
+    pub solid: Solid,
+    /// Its pose in the link's frame.
+    pub pose: Isometry3<f64>,
+    /// Red, green, blue and opacity from 0 to 1, if the model gives them.
+    pub rgba: Option<[f64; 4]>,
+    /// Name of the MJCF geometry.
+    pub name: Option<String>,
+    /// The MJCF geometry group.
+    pub group: i32,
+}
+
+/// A convex solid, centred at its own origin, axes along z. Lengths are in metres.
+#[derive(Debug, Clone)]
+pub enum Solid {
+    /// A box.
+    Box {
+        /// Half extents along x, y, z.
+        half: [f64; 3],
+    },
+    /// A cylinder.
+    Cylinder {
+        /// Radius.
+        radius: f64,
+        /// Half the height.
+        half_height: f64,
+    },
+    /// A cylinder with a half ball at each end.
+    Capsule {
+        /// Radius.
+        radius: f64,
+        /// Half the height of the cylinder, without the half balls.
+        half_height: f64,
+    },
+    /// A ball.
+    Sphere {
+        /// Radius.
+        radius: f64,
+    },
+    /// The convex hull of points.
+    Hull {
+        /// The points.
+        points: Vec<Point3<f64>>,
+    },
+}
+
+/// A linear coupling of two joints: `second = factor x first + offset`.
+#[derive(Debug, Clone)]
+pub struct Coupling {
+    /// Name of the leading joint.
+    pub first: String,
+    /// Name of the following joint.
+    pub second: String,
+    /// Factor.
+    pub factor: f64,
+    /// Offset, in radians or metres.
+    pub offset: f64,
+}
+
+impl Description {
+    /// Reads the robot's model and checks it against its settings.
+    ///
+    /// # Errors
+    /// If the model is not MJCF, uses elements that this reader does not know, or does not match `robot.toml`.
+    pub fn read(robot: &Robot) -> Result<Self, RobotError> {
+        let (path, folder, text) = match &robot.source {
+            RobotSource::BuiltIn { model, .. } => {
+                (PathBuf::from(&robot.settings.model), PathBuf::new(), (*model).to_owned())
+            }
+            RobotSource::Folder(folder) => {
+                let path = folder.join(&robot.settings.model);
+                let text = fs::read_to_string(&path)
+                    .map_err(|e| RobotError::Read { path: path.clone(), why: e.to_string() })?;
+                (path, folder.clone(), text)
+            }
+        };
+        let hint = "Rapier and the cameras read a subset of MJCF without MuJoCo. Try --engine mujoco";
+        let invalid = |why: String| RobotError::Invalid { path: path.clone(), problems: vec![Problem::new(why, hint)] };
+        let model = mjcf_rs::Model::from_str(&text, &folder).map_err(|e| invalid(e.to_string()))?;
+        Reader { model: &model, folder: &folder }.read(robot).map_err(invalid)
+    }
+
+    /// Index of the link that the joint of that name moves.
+    pub fn link_of(&self, joint: &str) -> Option<usize> {
+        self.links.iter().position(|link| link.joint.as_ref().is_some_and(|j| j.name == joint))
+    }
+}
+
+struct Reader<'a> {
+    model: &'a mjcf_rs::Model,
+    folder: &'a Path,
+}
+
+impl Reader<'_> {
+    fn read(&self, robot: &Robot) -> Result<Description, String> {
+        let base = Link {
+            joint: None,
+            mass: 0.0,
+            centre: Vector3::zeros(),
+            inertia: Matrix3::zeros(),
+            shapes: Vec::new(),
+            looks: Vec::new(),
+        };
+        let mut links = vec![base];
+        // For each MJCF body the link that it is part of, and its pose there at joint positions 0.
+        let mut places: Vec<(usize, Isometry3<f64>)> = Vec::with_capacity(self.model.bodies.len());
+        for (id, entry) in self.model.bodies.iter().enumerate() {
+            let body = &entry.body;
+            let name = body.name.clone().unwrap_or_else(|| format!("body {id}"));
+            let (parent, way) = match entry.parent {
+                Some(parent) => {
+                    let (link, way) = *places.get(parent).ok_or("a body comes before its parent")?;
+                    (link, way * isometry(&body.pose))
+                }
+                None => (0, Isometry3::identity()),
+            };
+            let place = match body.joints.as_slice() {
+                [] => (parent, way),
+                [joint] => {
+                    links.push(Link {
+                        joint: Some(self.joint(joint, parent, &way, &name)?),
+                        mass: 0.0,
+                        centre: Vector3::zeros(),
+                        inertia: Matrix3::zeros(),
+                        shapes: Vec::new(),
+                        looks: Vec::new(),
+                    });
+                    (links.len() - 1, Isometry3::identity())
+                }
+                _ => return Err(format!("body `{name}` has several joints; give each a body of its own")),
+            };
+            places.push(place);
+            let (link, within) = (&mut links[place.0], place.1);
+            for geom in &body.geoms {
+                // What neither touches nor is touched is there to be seen.
+                if geom.contype != 0 || geom.conaffinity != 0 {
+                    let (solid, at) = self.solid(geom)?;
+                    link.shapes.push(LinkShape { solid, pose: within * at, body: name.clone() });
+                }
+                // What cannot be drawn is not missed by physics: it is left out.
+                link.looks.extend(self.look(geom, &within).ok());
+            }
+            if let Some(inertial) = &body.inertial {
+                let frame = within * isometry(&inertial.pose);
+                let about = match inertial.inertia {
+                    InertiaSpec::Diagonal(d) => Matrix3::from_diagonal(&Vector3::from(d)),
+                    InertiaSpec::Full([xx, yy, zz, xy, xz, yz]) => Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz),
+                };
+                let turn = frame.rotation.to_rotation_matrix();
+                link.add(inertial.mass, frame.translation.vector, turn * about * turn.inverse());
+            } else if !body.joints.is_empty() {
+                return Err(format!("body `{name}` moves and has no <inertial>, which Rapier needs"));
+            }
+        }
+        let site = |wanted: &str| {
+            if let Some(site) = robot.settings.sites.iter().find(|site| site.name == wanted) {
+                let body = self.model.body_id_by_name(&site.body);
+                let body = body.ok_or_else(|| format!("[[site]] `{wanted}`: there is no body `{}`", site.body))?;
+                let (link, within) = places[body];
+                let [roll, pitch, yaw] = site.rpy_rad;
+                let turn = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
+                return Ok((
+                    link,
+                    within * Isometry3::from_parts(Translation3::from(Vector3::from(site.position_m)), turn),
+                ));
+            }
+            let (body, site) = self
+                .model
+                .site_by_name(wanted)
+                .ok_or_else(|| format!("there is no site `{wanted}`, which robot.toml names"))?;
+            let (link, within) = places[body];
+            Ok::<_, String>((link, within * isometry(&self.model.bodies[body].body.sites[site].pose)))
+        };
+        let tcp = site(&robot.settings.arm.tcp_site)?;
+        let flange = site(&robot.settings.arm.flange_site)?;
+        let chain = chain(&links, robot, tcp, flange)?;
+        let named = self.model.bodies.iter().zip(&places);
+        let bodies =
+            named.filter_map(|(entry, (link, within))| Some((entry.body.name.clone()?, *link, *within))).collect();
+        Ok(Description { chain, couplings: self.couplings()?, links, tcp, bodies })
+    }
+
+    fn joint(&self, joint: &Joint, parent: usize, way: &Isometry3<f64>, body: &str) -> Result<LinkJoint, String> {
+        let name = joint.name.clone().unwrap_or_else(|| format!("the joint of body `{body}`"));
+        let slides = match joint.type_ {
+            JointType::Hinge => false,
+            JointType::Slide => true,
+            JointType::Ball | JointType::Free => return Err(format!("`{name}` is neither hinge nor slide")),
+        };
+        let axis = Unit::try_new(Vector3::from(joint.axis), 1e-12).ok_or_else(|| format!("`{name}` has no axis"))?;
+        let turn = UnitQuaternion::rotation_between_axis(&Vector3::x_axis(), &axis)
+            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI));
+        let in_link = Isometry3::from_parts(Translation3::from(Vector3::from(joint.pos)), turn);
+        let limited = joint.limited.resolve(self.model.compiler.autolimits, joint.range.is_some());
+        Ok(LinkJoint {
+            name,
+            parent,
+            in_parent: way * in_link,
+            in_link,
+            slides,
+            range: joint.range.filter(|_| limited),
+            armature: joint.armature,
+            damping: joint.damping,
+        })
+    }
+
+    fn solid(&self, geom: &Geom) -> Result<(Solid, Isometry3<f64>), String> {
+        let name = geom.name.as_deref().unwrap_or("without a name");
+        let [a, b, c] = geom.size;
+        let at = isometry(&geom.pose);
+        if let Some([x1, y1, z1, x2, y2, z2]) = geom.fromto {
+            let (from, to) = (Vector3::new(x1, y1, z1), Vector3::new(x2, y2, z2));
+            let along = to - from;
+            let turn = UnitQuaternion::rotation_between(&Vector3::z(), &along)
+                .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+            let at = Isometry3::from_parts(Translation3::from(0.5 * (from + to)), turn);
+            let half_height = 0.5 * along.norm();
+            return match geom.type_ {
+                GeomType::Capsule => Ok((Solid::Capsule { radius: a, half_height }, at)),
+                GeomType::Cylinder => Ok((Solid::Cylinder { radius: a, half_height }, at)),
+                GeomType::Box => Ok((Solid::Box { half: [a, a, half_height] }, at)),
+                _ => Err(format!("shape `{name}`: fromto is for capsules, cylinders and boxes")),
+            };
+        }
+        let solid = match geom.type_ {
+            GeomType::Box => Solid::Box { half: [a, b, c] },
+            GeomType::Sphere => Solid::Sphere { radius: a },
+            GeomType::Capsule => Solid::Capsule { radius: a, half_height: b },
+            GeomType::Cylinder => Solid::Cylinder { radius: a, half_height: b },
+            GeomType::Mesh => Solid::Hull { points: self.hull(geom, name)? },
+            GeomType::Plane | GeomType::Hfield | GeomType::Ellipsoid | GeomType::Sdf => {
+                return Err(format!("shape `{name}` is none of box, sphere, capsule, cylinder and mesh"));
+            }
+        };
+        Ok((solid, at))
+    }
+
+    fn look(&self, geom: &Geom, within: &Isometry3<f64>) -> Result<LinkLook, String> {
+        let (mut solid, at) = self.solid(geom)?;
+        if let Solid::Hull { points } = &mut solid {
+            let faces = self.faces(geom)?;
+            let corners: Option<Vec<_>> = faces.iter().map(|i| points.get(*i).copied()).collect();
+            *points = corners.ok_or("a mesh has a face without its vertices")?;
+        }
+        let material = geom.material.as_deref().and_then(|name| self.model.assets.material(name)?.rgba);
+        Ok(LinkLook {
+            solid,
+            pose: within * at,
+            rgba: geom.rgba.or(material),
+            name: geom.name.clone(),
+            group: geom.group,
+        })
+    }
+
+    /// The corners of a mesh's triangles, by the numbers of its vertices.
+    fn faces(&self, geom: &Geom) -> Result<Vec<usize>, String> {
+        let wanted = geom.mesh.as_deref().unwrap_or_default();
+        let mesh = self.model.assets.mesh(wanted).ok_or_else(|| format!("there is no mesh `{wanted}`"))?;
+        if mesh.inline_vertices.is_some() {
+            return Ok(mesh.inline_faces.iter().flatten().map(|i| *i as usize).collect());
+        }
+        let path = self.model.resolve_mesh_file(mesh, self.folder).ok_or("a mesh has no file")?;
+        let bytes = fs::read(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+        Ok(faces(&bytes).unwrap_or_default())
+    }
+
+    /// The vertices of a mesh, of which Rapier takes the convex hull, as MuJoCo does.
+    fn hull(&self, geom: &Geom, name: &str) -> Result<Vec<Point3<f64>>, String> {
+        let wanted = geom.mesh.as_deref().ok_or_else(|| format!("shape `{name}` names no mesh"))?;
+        let mesh = self.model.assets.mesh(wanted).ok_or_else(|| format!("there is no mesh `{wanted}`"))?;
+        let flat = if let Some(vertices) = &mesh.inline_vertices {
+            vertices.clone()
+        } else {
+            let path = self
+                .model
+                .resolve_mesh_file(mesh, self.folder)
+                .ok_or_else(|| format!("mesh `{wanted}` has neither file nor vertices"))?;
+            let bytes = fs::read(&path).map_err(|e| format!("mesh `{wanted}`: {}: {e}", path.display()))?;
+            vertices(&bytes).ok_or_else(|| format!("mesh `{wanted}`: {} is neither STL nor OBJ", path.display()))?
+        };
+        let place = isometry(&mesh.refpose);
+        let points: Vec<_> = flat
+            .chunks_exact(3)
+            .map(|v| place.inverse_transform_point(&Point3::new(v[0], v[1], v[2])))
+            .map(|p| Point3::new(p.x * mesh.scale[0], p.y * mesh.scale[1], p.z * mesh.scale[2]))
+            .collect();
+        if points.len() < 4 || points.iter().any(|p| !p.coords.iter().all(|x| x.is_finite())) {
+            return Err(format!("mesh `{wanted}` has no four finite vertices"));
+        }
+        Ok(points)
+    }
+
+    fn couplings(&self) -> Result<Vec<Coupling>, String> {
+        let mut couplings = Vec::new();
+        for equality in &self.model.equality {
+            match equality {
+                Equality::Joint(joint) if joint.common.active => {
+                    let [offset, factor, square, cube, fourth] = joint.polycoef;
+                    let Some(second) = joint.joint2.clone().filter(|_| [square, cube, fourth] == [0.0; 3]) else {
+                        return Err(format!("the coupling of joint `{}` is not linear", joint.joint1));
+                    };
+                    // MJCF: joint1 follows joint2.
+                    couplings.push(Coupling { first: second, second: joint.joint1.clone(), factor, offset });
+                }
+                Equality::Joint(_) => {}
+                _ => return Err("an <equality> other than between two joints is not supported by Rapier".to_owned()),
+            }
+        }
+        Ok(couplings)
+    }
+}
+
+impl Link {
+    /// Adds a part's mass, centre and inertia about that centre, in the link's frame.
+    fn add(&mut self, mass: f64, centre: Vector3<f64>, inertia: Matrix3<f64>) {
+        let total = self.mass + mass;
+        if total <= 0.0 {
+            return;
+        }
+        let both = (self.mass * self.centre + mass * centre) / total;
+        let shifted = |m: f64, c: Vector3<f64>| {
+            let d = c - both;
+            m * (Matrix3::identity() * d.norm_squared() - d * d.transpose())
+        };
+        self.inertia = self.inertia + shifted(self.mass, self.centre) + inertia + shifted(mass, centre);
+        (self.mass, self.centre) = (total, both);
+    }
+}
+
+/// Converts a pose of the MJCF reader, which Rapier shares, to nalgebra's type.
+pub(crate) fn isometry(pose: &mjcf_rs::Pose) -> Isometry3<f64> {
+    let (t, r) = (pose.translation, pose.rotation);
+    let turn = UnitQuaternion::new_normalize(Quaternion::new(r.w, r.x, r.y, r.z));
+    Isometry3::from_parts(Translation3::new(t.x, t.y, t.z), turn)
+}
+
+/// The serial chain of the arm's joints, tool and flange at its end.
+fn chain(
+    links: &[Link],
+    robot: &Robot,
+    tcp: (usize, Isometry3<f64>),
+    flange: (usize, Isometry3<f64>),
+) -> Result<Chain, String> {
+    let arm = &robot.settings.arm;
+    let mut way = vec![tcp.0];
+    while let Some(joint) = links[way[way.len() - 1]].joint.as_ref() {
+        way.push(joint.parent);
+    }
+    way.pop();
+    way.reverse();
+    let names: Vec<&str> = way.iter().filter_map(|l| links[*l].joint.as_ref()).map(|j| j.name.as_str()).collect();
+    if names != arm.joints {
+        return Err(format!(
+            "between base and `{}` lie the joints {}; arm.joints has {}: list every joint of the arm, base to tip",
+            arm.tcp_site,
+            names.join(", "),
+            arm.joints.join(", ")
+        ));
+    }
+    if flange.0 != tcp.0 {
+        return Err(format!("site `{}` does not hang on the arm's last joint", arm.flange_site));
+    }
+    let mut joints = Vec::new();
+    // From a link's frame back to its joint's, in which the next placement is counted.
+    let mut back = Isometry3::identity();
+    for joint in way.iter().filter_map(|l| links[*l].joint.as_ref()) {
+        if joint.slides {
+            return Err(format!("joint `{}` is no hinge: arms with sliding joints are not supported", joint.name));
+        }
+        let range = joint.range.ok_or_else(|| format!("joint `{}` has no limits: give it a range", joint.name))?;
+        joints.push(ChainJoint { placement: back * joint.in_parent, axis: Vector3::x_axis(), range });
+        back = joint.in_link.inverse();
+    }
+    Ok(Chain { joints, flange: back * flange.1, tcp: back * tcp.1 })
+}
+
+/// The vertices of an STL (binary or text) or OBJ file, x y z in turn.
+fn vertices(bytes: &[u8]) -> Option<Vec<f64>> {
+    let count = bytes.get(80..84).map(|n| u32::from_le_bytes([n[0], n[1], n[2], n[3]]) as usize);
+    if let Some(triangles) = count
+        && triangles > 0
+        && bytes.len() == 84 + 50 * triangles
+    {
+        let number = |b: &[u8]| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+        return Some(bytes[84..].chunks_exact(50).flat_map(|t| t[12..48].chunks_exact(4).map(number)).collect());
+    }
+    let text = std::str::from_utf8(bytes).ok()?;
+    let mut found = Vec::new();
+    for line in text.lines() {
+        let mut words = line.split_whitespace();
+        if matches!(words.next(), Some("v" | "vertex")) {
+            for _ in 0..3 {
+                found.push(words.next()?.parse().ok()?);
+            }
+        }
+    }
+    (!found.is_empty()).then_some(found)
+}
+
+/// The corners of the triangles of an STL or OBJ file, by the numbers of their vertices: three for each.
+fn faces(bytes: &[u8]) -> Option<Vec<usize>> {
+    let text = std::str::from_utf8(bytes).ok().filter(|text| text.lines().any(|line| line.starts_with("f ")));
+    let Some(text) = text else {
+        // In STL each triangle has vertices of its own.
+        return Some((0..vertices(bytes)?.len() / 3).collect());
+    };
+    let count = text.lines().filter(|line| line.starts_with("v ")).count() as i64;
+    let mut found = Vec::new();
+    for line in text.lines().filter(|line| line.starts_with("f ")) {
+        let corner = |word: &str| {
+            let number: i64 = word.split('/').next()?.parse().ok()?;
+            // Negative numbers count back from the last vertex.
+            usize::try_from(if number < 0 { count + number } else { number - 1 }).ok()
+        };
+        let corners = line.split_whitespace().skip(1).map(corner).collect::<Option<Vec<_>>>()?;
+        for pair in corners.get(1..)?.windows(2) {
+            found.extend([corners[0], pair[0], pair[1]]);
+        }
+    }
+    Some(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn meshes_are_read_as_stl_and_obj() {
+        let mut stl = vec![0; 84];
+        stl[80] = 1;
+        let triangle: [f32; 12] = [0.0, 0.0, 1.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0];
+        stl.extend(triangle.iter().flat_map(|x| x.to_le_bytes()));
+        stl.extend([0, 0]);
+        let nine: Vec<f64> = (1..10).map(f64::from).collect();
+        assert_eq!(vertices(&stl).unwrap(), nine);
+        assert_eq!(vertices(b"v 1 2 3\nvn 0 0 1\nv 4 5 6\nv 7 8 9\nf 1 2 3\n").unwrap(), nine);
+        assert_eq!(
+            vertices(b"solid\nfacet normal 0 0 1\nouter loop\nvertex 1 2 3\nvertex 4 5 6\nvertex 7 8 9\n").unwrap(),
+            nine
+        );
+        assert_eq!(faces(b"v 1 2 3\nv 4 5 6\nv 7 8 9\nv 0 0 0\nf 1/1/1 2/2 3 -1\n").unwrap(), [0, 1, 2, 0, 2, 3]);
+        assert_eq!(faces(&stl).unwrap(), [0, 1, 2]);
+        assert!(faces(b"v 1 2 3\nf 1 0 1\n").is_none());
+        assert!(vertices(b"\xff\xfe").is_none() && vertices(b"v 1 2").is_none() && vertices(b"").is_none());
+    }
+}

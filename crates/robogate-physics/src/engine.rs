@@ -1,0 +1,175 @@
+//! The interface of a rigid-body engine. It knows no task.
+
+use nalgebra::{Isometry3, Vector3};
+use robogate_core::Fault;
+
+use crate::{Chain, Motion, Primitive, Robot, Scene};
+
+/// A rigid-body engine that holds one robot and, after [`Engine::load`], one scene.
+pub trait Engine {
+    /// Identifies the engine and its version.
+    fn build(&self) -> EngineBuild;
+
+    /// The robot that the engine was made for.
+    fn robot(&self) -> &Robot;
+
+    /// The robot's kinematics, as the engine holds them.
+    fn chain(&self) -> &Chain;
+
+    /// The time step in seconds.
+    fn time_step(&self) -> f64;
+
+    /// Builds the scene and puts the arm at `joints` (rad), at rest, the gripper open.
+    fn load(&mut self, scene: &Scene, joints: &[f64]) -> Result<(), Fault>;
+
+    /// Reads from the engine's own state what it holds of the scene.
+    fn read_back(&self) -> Result<Readback, Fault>;
+
+    /// Advances one time step towards these targets.
+    fn advance(&mut self, targets: &JointTargets);
+
+    /// Checks that the state is finite and that the engine has issued no warning since the last load.
+    fn health(&self) -> Result<(), Fault>;
+
+    /// True joint positions of the arm, in radians.
+    fn joint_positions(&self) -> Vec<f64>;
+
+    /// True joint velocities of the arm, in rad/s.
+    fn joint_velocities(&self) -> Vec<f64>;
+
+    /// Opening between the pads, in metres; `None` for a gripper without fingers.
+    fn opening(&self) -> Option<f64>;
+
+    /// Attaches the object to the gripper's cup at their current relative pose, by a stiff joint. [`Engine::load`]
+    /// detaches them.
+    ///
+    /// [`crate::suction`] decides when this happens and when it ends. Does nothing if the gripper has no cup.
+    fn attach(&mut self);
+
+    /// Detaches the object from the cup.
+    fn detach(&mut self);
+
+    /// The wrench of the cup on the object in the last step: joint force and contact force together. `None` while
+    /// they are detached.
+    fn cup_load(&self) -> Option<Wrench>;
+
+    /// Pose of the tool centre point.
+    fn tcp(&self) -> Isometry3<f64>;
+
+    /// Pose of the object's frame.
+    fn object(&self) -> Isometry3<f64>;
+
+    /// Current pose of a fixture, by its index in the scene.
+    fn fixture(&self, fixture: usize) -> Isometry3<f64>;
+
+    /// Velocity of the object's frame (m/s) and its angular velocity (rad/s).
+    fn object_velocity(&self) -> (Vector3<f64>, Vector3<f64>);
+
+    /// Contacts of the last step.
+    fn touches(&self) -> &Touches;
+
+    /// Smallest distance between the robot and any fixture, in metres, if it is below `bound`.
+    fn clearance_below(&mut self, bound: f64) -> Option<f64>;
+
+    /// Name of a robot body, by the index in [`Touches`].
+    fn robot_body(&self, body: usize) -> String;
+
+    /// Passes the bits of every position and velocity to `sink`.
+    fn state_bits(&self, sink: &mut dyn FnMut(u64));
+}
+
+/// Identifies an engine's build: results depend on it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EngineBuild {
+    /// The engine's name in commands.
+    pub name: &'static str,
+    /// Its version.
+    pub version: String,
+    /// The shared library that it runs from, if there is one.
+    pub library: Option<std::path::PathBuf>,
+}
+
+/// Targets of the robot's drives at the end of a time step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JointTargets {
+    /// Arm joint positions, in radians.
+    pub positions: Vec<f64>,
+    /// Arm joint velocities, in rad/s.
+    pub velocities: Vec<f64>,
+    /// Distance of each finger from the closed position, in metres. A gripper without fingers ignores it.
+    pub finger: f64,
+}
+
+/// A force and a torque, about the tool centre point and along its axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Wrench {
+    /// Force in newtons.
+    pub force: Vector3<f64>,
+    /// Torque in newton metres.
+    pub torque: Vector3<f64>,
+}
+
+impl Wrench {
+    /// Zero force and zero torque.
+    pub const ZERO: Self = Self { force: Vector3::new(0.0, 0.0, 0.0), torque: Vector3::new(0.0, 0.0, 0.0) };
+}
+
+/// Physical quantities of the scene as an engine holds them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Readback {
+    /// Friction coefficient that acts between the object and everything but the table.
+    pub friction: f64,
+    /// Friction coefficient that acts between the object and the table.
+    pub table_friction: f64,
+    /// Gravity, in m/s^2, downwards.
+    pub gravity: f64,
+    /// Mass of the object in kilograms.
+    pub mass_kg: f64,
+    /// Centre of mass in the object's frame, in metres.
+    pub centre_of_mass: Vector3<f64>,
+    /// The object's parts.
+    pub parts: Vec<Primitive>,
+    /// The object's pose.
+    pub object: Isometry3<f64>,
+    /// The fixtures, in any order.
+    pub fixtures: Vec<FixtureRead>,
+}
+
+/// A fixture as an engine holds it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FixtureRead {
+    /// Its index in the scene.
+    pub fixture: usize,
+    /// Its shape; `None` if it is not a primitive.
+    pub primitive: Option<Primitive>,
+    /// Its pose.
+    pub pose: Isometry3<f64>,
+    /// Its motion, if it moves.
+    pub motion: Option<Motion>,
+}
+
+/// Contacts of one time step. Forces are normal forces in newtons.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Touches {
+    /// Force of each finger on the object; `None` without contact.
+    pub fingers: [Option<f64>; 2],
+    /// Whether any other part of the robot touches the object.
+    pub body_on_object: bool,
+    /// Whether the object touches a fixture.
+    pub object_on_fixture: bool,
+    /// The strongest contact of the robot with a fixture.
+    pub collision: Option<Collision>,
+    /// The largest contact force on any body of the robot.
+    pub peak_force: Option<f64>,
+}
+
+/// A contact of the robot with a fixture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Collision {
+    /// The robot's body, for [`Engine::robot_body`].
+    pub robot_body: usize,
+    /// The fixture's index in the scene.
+    pub fixture: usize,
+    /// Normal force in newtons.
+    pub force: f64,
+}

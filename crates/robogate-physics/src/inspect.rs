@@ -1,0 +1,323 @@
+//! Inspection of a robot before anything runs with it: all problems at once, and what the robot can do.
+
+use std::f64::consts::{FRAC_PI_4, PI};
+use std::path::Path;
+
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use robogate_core::Seed;
+use serde::Serialize;
+
+use crate::{
+    Chain, Engine, Fixture, GRAVITY, JointTargets, MassProperties, MujocoEngine, Object, Part, Primitive, Problem,
+    Robot, RobotError, RobotSettings, Scene, Visual, WORKSPACE_CENTRE, built_in_robot, is_folder,
+};
+
+/// Number of random postures from which the reach is measured.
+const POSTURES: usize = 20_000;
+
+/// A stated reach is accepted up to this multiple of the reach of random postures, which miss the last few percent.
+const REACH_MARGIN: f64 = 1.1;
+
+/// Spacing of the grid of tool positions over the table, in metres.
+const GRID_M: f64 = 0.05;
+
+/// Bodies that penetrate each other deeper than this are in contact, in metres. Shapes of neighbours overlap by less.
+const DEEP_M: f64 = 1e-3;
+
+/// How long the arm holds its position before and after it moves, in seconds.
+const HOLD_S: f64 = 1.0;
+/// Duration of the trial's motion out and back, in seconds.
+const MOTION_S: f64 = 2.0;
+/// Amplitude of each joint's motion in the trial, in radians.
+const MOTION_RAD: f64 = 0.1;
+/// Largest allowed tracking error of a joint, in radians.
+const FOLLOWS_RAD: f64 = 0.05;
+/// Largest allowed speed of a joint that should be at rest, in rad/s.
+const STILL_RAD_S: f64 = 0.05;
+/// Largest allowed error of the opening between the fingers, in metres.
+const FINGERS_M: f64 = 2e-3;
+
+/// The result of an inspection.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Inspection {
+    /// All problems; empty if the robot can be used.
+    pub problems: Vec<Problem>,
+    /// The settings, if they could be read.
+    pub settings: Option<RobotSettings>,
+    /// The measurements, if the robot could be loaded.
+    pub measured: Option<Measured>,
+}
+
+/// Measurements of a robot that loads.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Measured {
+    /// Mass of each moving body that has one, base to tip, in kilograms.
+    pub masses_kg: Vec<(String, f64)>,
+    /// Largest distance of the flange from the first joint's axis over many random postures, in metres.
+    pub flange_reach_m: f64,
+    /// The same for the tool centre point.
+    pub tool_reach_m: f64,
+    /// Fraction of the positions over the table that the tool reaches pointing down, low and high above the table:
+    /// 0.30 to 0.70 m in front of the base, 0.30 m to the right to 0.40 m to the left.
+    pub workspace_share: f64,
+    /// For each position that the caller asked for, whether the tool reaches it in the same way.
+    #[serde(skip)]
+    pub reaches: Vec<bool>,
+    /// Largest tracking error of any joint in a short trial of holding and moving, in radians; `None` without a trial.
+    pub tracking_error_rad: Option<f64>,
+}
+
+/// Inspects a robot: a built-in one by its name, any other by its folder. `positions` (x, y in metres on the table) are
+/// places of which the caller wants to know whether the tool reaches them.
+pub fn inspect(robot: &str, positions: &[[f64; 2]]) -> Inspection {
+    let folder = Path::new(robot);
+    let read = if is_folder(robot) { Robot::read(folder) } else { built_in_robot(robot).map(|r| (r, Vec::new())) };
+    let (robot, mut problems) = match read {
+        Ok(read) => read,
+        Err(error) => return Inspection { problems: error.into_problems(), settings: None, measured: None },
+    };
+    let settings = Some(robot.settings.clone());
+    let measured = if problems.is_empty() {
+        match MujocoEngine::new(robot, MujocoEngine::TIME_STEP_S) {
+            Ok(mut engine) => Some(measure(&mut engine, positions, &mut problems)),
+            Err(error) => {
+                problems.extend(error.into_problems());
+                None
+            }
+        }
+    } else {
+        if folder.join(&robot.settings.model).is_file() {
+            problems.extend(MujocoEngine::problems(&robot));
+        }
+        None
+    };
+    Inspection { problems, settings, measured }
+}
+
+impl RobotError {
+    /// Converts the error to problems.
+    fn into_problems(self) -> Vec<Problem> {
+        match self {
+            Self::Invalid { problems, .. } => problems,
+            other => vec![Problem::new(other.to_string(), "name a folder with a robot.toml and the model beside it")],
+        }
+    }
+}
+
+fn measure(engine: &mut MujocoEngine, positions: &[[f64; 2]], problems: &mut Vec<Problem>) -> Measured {
+    let (chain, settings) = (engine.chain().clone(), engine.robot().settings.clone());
+    let [flange_reach_m, tool_reach_m] = reach(&chain);
+    let stated = settings.arm.reach_m;
+    if stated > REACH_MARGIN * tool_reach_m {
+        problems.push(Problem::new(
+            format!(
+                "arm.reach_m = {stated}, but of {POSTURES} random postures none brings the tool farther than {tool_reach_m:.3} m from the first joint's axis"
+            ),
+            "state the reach in metres, and look at the joints' ranges and the links' offsets in the model",
+        ));
+    }
+    tool_direction(&chain, &settings, problems);
+    let (workspace_share, reaches) = workspace(&chain, &settings.arm.home_rad, positions);
+    if workspace_share <= 0.0 {
+        problems.push(Problem::new(
+            "the tool reaches no place over the table pointing down",
+            "the base stands at the origin and the table in front of it, at +x and z = 0: look at where the model puts the base, at the tool's z axis, and at the joints' ranges",
+        ));
+    }
+    let tracking_error_rad = trial(engine, &settings, problems);
+    Measured { masses_kg: engine.masses(), flange_reach_m, tool_reach_m, workspace_share, reaches, tracking_error_rad }
+}
+
+/// Largest distances of flange and tool from the first joint's axis, in metres.
+fn reach(chain: &Chain) -> [f64; 2] {
+    let mut stream = Seed::campaign(0).stream("reach");
+    let mut farthest = [0.0_f64; 2];
+    let Some(first) = chain.joints.first() else { return farthest };
+    for _ in 0..POSTURES {
+        let q: Vec<f64> = chain.joints.iter().map(|joint| stream.between(joint.range[0], joint.range[1])).collect();
+        for (farthest, at) in farthest.iter_mut().zip([chain.flange_at(&q), chain.tcp_at(&q)]) {
+            let local = first.placement.inverse_transform_point(&Point3::from(at.translation.vector)).coords;
+            *farthest = farthest.max(local.cross(&first.axis).norm());
+        }
+    }
+    farthest
+}
+
+fn tool_direction(chain: &Chain, settings: &RobotSettings, problems: &mut Vec<Problem>) {
+    let home = &settings.arm.home_rad;
+    let (flange, tcp) = (chain.flange_at(home), chain.tcp_at(home));
+    let site = &settings.arm.tcp_site;
+    let z = tcp * Vector3::z();
+    if (flange.inverse() * tcp).translation.vector.norm() > 1e-3
+        && z.dot(&(tcp.translation.vector - flange.translation.vector)) < 0.0
+    {
+        problems.push(Problem::new(
+            format!("the z axis of site `{site}` points from the tool back to the flange"),
+            "turn the site so that its z points out of the tool (rpy_rad = [3.141593, 0, 0] turns it over)",
+        ));
+    }
+    let angle = (-z.z).clamp(-1.0, 1.0).acos();
+    if angle > FRAC_PI_4 {
+        problems.push(Problem::new(
+            format!("at home the z axis of site `{site}` points {:.0} degrees off straight down", angle.to_degrees()),
+            "choose an arm.home_rad from which the tool looks down on the table, or turn the site: its z must point out of the tool",
+        ));
+    }
+}
+
+/// The fraction of positions over the table that the tool reaches, and whether it reaches each of `positions`.
+fn workspace(chain: &Chain, home: &[f64], positions: &[[f64; 2]]) -> (f64, Vec<bool>) {
+    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
+    let at_home = chain.tcp_at(home);
+    let x = at_home.rotation * Vector3::x();
+    // The tool is turned with the arm's base, which keeps the wrist as it is.
+    let heading = x.y.atan2(x.x) - at_home.translation.y.atan2(at_home.translation.x);
+    let reached = |[x, y]: [f64; 2]| {
+        [GRID_M, 5.0 * GRID_M].iter().all(|z| {
+            let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading + y.atan2(x));
+            chain.reach(&Isometry3::from_parts(Translation3::new(x, y, *z), yaw * down), home).is_ok()
+        })
+    };
+    let places: Vec<bool> = (6..=14)
+        .flat_map(|x| (-6..=8).map(move |y| [GRID_M * f64::from(x), GRID_M * f64::from(y)]))
+        .map(reached)
+        .collect();
+    let share = places.iter().filter(|reached| **reached).count() as f64 / places.len() as f64;
+    (share, positions.iter().copied().map(reached).collect())
+}
+
+/// The scene of the trial: a table with a box of 5 cm at the workspace centre.
+fn trial_scene() -> Scene {
+    let [x, y] = WORKSPACE_CENTRE;
+    let parts = vec![Part { primitive: Primitive::Box { half: [0.025; 3] }, pose: Isometry3::identity() }];
+    Scene {
+        object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts },
+        object_pose: Isometry3::translation(x, y, 0.025),
+        friction: 0.8,
+        table_friction: None,
+        fixtures: vec![Fixture::table()],
+        gravity: GRAVITY,
+        marker: None,
+        visual: Visual::default(),
+    }
+}
+
+/// Holds at home, moves a little and holds again, then closes the gripper on nothing.
+fn trial(engine: &mut MujocoEngine, settings: &RobotSettings, problems: &mut Vec<Problem>) -> Option<f64> {
+    let arm = &settings.arm;
+    let home = &arm.home_rad;
+    let scene = trial_scene();
+    if let Err(fault) = engine.load(&scene, home) {
+        problems.push(Problem::new(
+            fault.to_string(),
+            "the robot loads alone but not in a scene: look for names in its model that the scene also uses",
+        ));
+        return None;
+    }
+    let before = problems.len();
+    home_is_free(engine, &scene, problems);
+    if problems.len() > before {
+        // In contact the arm's motion says nothing about its servos.
+        return None;
+    }
+
+    let ranges: Vec<[f64; 2]> = engine.chain().joints.iter().map(|joint| joint.range).collect();
+    let amplitudes: Vec<f64> = (0..home.len())
+        .map(|i| {
+            // Out and back as a cosine: no faster and no more accelerated than the joint may be.
+            let rate = 2.0 * PI / MOTION_S;
+            let amplitude = MOTION_RAD
+                .min(arm.velocity_limit_rad_s[i] / rate)
+                .min(arm.acceleration_limit_rad_s2[i] / (rate * rate));
+            if home[i] + amplitude <= ranges[i][1] { amplitude } else { -amplitude.min(home[i] - ranges[i][0]) }
+        })
+        .collect();
+    let open = settings.gripper.jaw().map_or(0.0, |jaw| 0.5 * jaw.opening_m);
+    let mut targets = JointTargets { positions: home.clone(), velocities: vec![0.0; home.len()], finger: open };
+    let mut worst = vec![0.0_f64; home.len()];
+    let step = engine.time_step();
+    let steps = |seconds: f64| (seconds / step).round() as usize;
+    for k in 0..steps(2.0 * HOLD_S + MOTION_S) {
+        let time = (k as f64 * step - HOLD_S).clamp(0.0, MOTION_S);
+        let angle = 2.0 * PI * time / MOTION_S;
+        let rate = if (0.0..MOTION_S).contains(&(k as f64 * step - HOLD_S)) { 2.0 * PI / MOTION_S } else { 0.0 };
+        for (i, amplitude) in amplitudes.iter().enumerate() {
+            targets.positions[i] = home[i] + 0.5 * amplitude * (1.0 - angle.cos());
+            targets.velocities[i] = 0.5 * amplitude * rate * angle.sin();
+        }
+        engine.advance(&targets);
+        if let Err(fault) = engine.health() {
+            problems.push(Problem::new(
+                format!("the arm does not hold still at home: {fault}"),
+                "the servo is unstable at a time step of 2 ms: lower arm.stiffness_nm_rad, raise arm.damping_nms_rad, or give the joints armature (the motors' inertia) in the model",
+            ));
+            return None;
+        }
+        for ((worst, q), target) in worst.iter_mut().zip(engine.joint_positions()).zip(&targets.positions) {
+            *worst = worst.max((q - target).abs());
+        }
+    }
+    for ((name, worst), speed) in arm.joints.iter().zip(&worst).zip(engine.joint_velocities()) {
+        if *worst > FOLLOWS_RAD {
+            problems.push(Problem::new(
+                format!(
+                    "joint `{name}` is up to {worst:.3} rad from where it was told to be, holding and moving slowly"
+                ),
+                "raise arm.stiffness_nm_rad or arm.torque_limit_nm of this joint, or look for what it runs into",
+            ));
+        }
+        if speed.abs() > STILL_RAD_S {
+            problems.push(Problem::new(
+                format!("joint `{name}` swings on at {:.2} rad/s when it should hold still", speed.abs()),
+                "raise arm.damping_nms_rad of this joint, or lower its stiffness",
+            ));
+        }
+    }
+    if let Some(jaw) = settings.gripper.jaw() {
+        let reached = |engine: &MujocoEngine| engine.opening().unwrap_or(f64::NAN);
+        let opened = reached(engine);
+        let finger_step = jaw.finger_speed_m_s * step;
+        for _ in 0..steps(0.5 + 0.5 * jaw.opening_m / jaw.finger_speed_m_s) {
+            targets.finger = (targets.finger - finger_step).max(0.0);
+            engine.advance(&targets);
+        }
+        for (told, wanted, came) in [("open", jaw.opening_m, opened), ("close", 0.0, reached(engine))] {
+            if (came - wanted).abs() > FINGERS_M || came.is_nan() {
+                problems.push(Problem::new(
+                    format!(
+                        "told to {told}, the fingers stop {:.1} mm apart and not {:.1} mm",
+                        1e3 * came,
+                        1e3 * wanted
+                    ),
+                    "0 must be closed for both finger joints and gripper.opening_m the sum of their ranges; look at what couples them (equality, tendon) and at gripper.stiffness_n_m and damping_ns_m",
+                ));
+            }
+        }
+    }
+    Some(worst.into_iter().fold(0.0, f64::max))
+}
+
+/// Whether the robot at home touches neither the cell nor itself.
+fn home_is_free(engine: &mut MujocoEngine, scene: &Scene, problems: &mut Vec<Problem>) {
+    let touches = engine.touches();
+    let on_object = touches.body_on_object || touches.fingers.iter().any(Option::is_some);
+    if let Some(collision) = touches.collision {
+        let (body, fixture) = (engine.robot_body(collision.robot_body), &scene.fixtures[collision.fixture].name);
+        problems.push(Problem::new(
+            format!("at home `{body}` touches the {fixture}"),
+            "choose another arm.home_rad; the table's top is z = 0 and begins 0.15 m in front of the base",
+        ));
+    }
+    if on_object {
+        problems.push(Problem::new(
+            "at home the robot touches an object that stands 0.5 m in front of the base",
+            "choose an arm.home_rad with the tool higher up",
+        ));
+    }
+    for (a, b, depth) in engine.self_contacts(DEEP_M) {
+        problems.push(Problem::new(
+            format!("at home `{a}` and `{b}` stand {:.1} mm deep in each other", 1e3 * depth),
+            "choose another arm.home_rad, or, where their shapes overlap by design, say so in the model: <contact><exclude body1=\"..\" body2=\"..\"/>",
+        ));
+    }
+}

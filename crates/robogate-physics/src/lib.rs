@@ -1,0 +1,60 @@
+//! Physics of a robot cell: robots, engines, servo, kinematics and suction, without a task.
+//!
+//! A [`Robot`] is a folder with an MJCF or URDF model and a `robot.toml`. A [`Scene`] describes in plain data what
+//! stands in the cell. An [`Engine`] gives robot and scene their physics; MuJoCo and Rapier are features of this crate.
+//! A [`Plant`] is an engine together with the drives that follow joint commands and the cup that holds an object.
+
+pub mod description;
+mod engine;
+#[cfg(any(feature = "mujoco", feature = "rapier"))]
+mod friction;
+mod gripper_command;
+#[cfg(feature = "mujoco")]
+mod inspect;
+mod kinematics;
+mod mass;
+#[cfg(feature = "mujoco")]
+mod model;
+mod motion;
+#[cfg(feature = "mujoco")]
+pub mod mujoco;
+mod plant;
+mod primitive;
+#[cfg(feature = "rapier")]
+mod rapier;
+mod robot;
+#[cfg(feature = "mujoco")]
+mod robot_model;
+mod scene;
+mod servo;
+mod steering;
+pub mod suction;
+pub mod trajectory;
+mod visual;
+
+pub use engine::{Collision, Engine, EngineBuild, FixtureRead, JointTargets, Readback, Touches, Wrench};
+pub use gripper_command::GripperCommand;
+#[cfg(feature = "mujoco")]
+pub use inspect::{Inspection, Measured, inspect};
+pub use kinematics::{Chain, ChainJoint, Unreachable};
+pub use mass::MassProperties;
+#[cfg(feature = "mujoco")]
+pub use model::MujocoModel;
+pub use motion::Motion;
+#[cfg(feature = "mujoco")]
+pub use mujoco::MujocoEngine;
+pub use plant::{ArmState, GripperState, Plant, StepView, grip_force};
+pub use primitive::{Part, Primitive};
+#[cfg(feature = "rapier")]
+pub use rapier::RapierEngine;
+pub use robot::{
+    Arm, Gripper, ParallelJaw, Problem, Robot, RobotError, RobotFile, RobotSettings, RobotSource, Site, SuctionCup,
+    built_in_robot, built_in_robots, is_folder,
+};
+pub use scene::{
+    Fixture, FixtureKind, GRAVITY, Object, Scene, TABLE_CENTRE, TABLE_HALF, WORKSPACE_CENTRE, isometry, pose,
+};
+pub use servo::Servo;
+pub use steering::Steering;
+pub use suction::SuctionLaw;
+pub use visual::{Color, TableMaterial, Visual};

@@ -1,0 +1,233 @@
+//! The driven plant: an engine with the drives that follow commands and the cup that holds an object.
+//!
+//! It draws nothing at random and judges nothing.
+
+use nalgebra::{Isometry3, Vector3};
+use robogate_core::Fault;
+
+use crate::suction::{self, Change, Suction};
+use crate::{Engine, Gripper, GripperCommand, JointTargets, Part, Scene, Servo, SuctionLaw, Touches};
+
+/// What an observer sees after one time step.
+#[derive(Debug)]
+pub struct StepView<'a> {
+    /// Fraction of the control period that has passed, from above 0 to 1.
+    pub fraction: f64,
+    /// State of the gripper.
+    pub gripper: GripperState,
+    /// Contacts of this step.
+    pub touches: &'a Touches,
+    /// Pose of the object.
+    pub object: Isometry3<f64>,
+    /// Linear (m/s) and angular (rad/s) velocity of the object's frame.
+    pub velocity: (Vector3<f64>, Vector3<f64>),
+    /// Pose of the tool centre point.
+    pub tcp: Isometry3<f64>,
+}
+
+/// What can be seen of a gripper besides its contacts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum GripperState {
+    /// Fingers: the opening between the pads, in metres.
+    Fingers(f64),
+    /// A suction cup: whether it holds the object.
+    Cup(bool),
+}
+
+impl<'a> StepView<'a> {
+    fn of(engine: &'a impl Engine, holding: bool, fraction: f64) -> Self {
+        Self {
+            fraction,
+            gripper: engine.opening().map_or(GripperState::Cup(holding), GripperState::Fingers),
+            touches: engine.touches(),
+            object: engine.object(),
+            velocity: engine.object_velocity(),
+            tcp: engine.tcp(),
+        }
+    }
+}
+
+/// An engine, driven by joint commands at a control rate.
+pub struct Plant<E> {
+    /// The engine.
+    pub engine: E,
+    control_period_s: f64,
+    grip_force_n: f64,
+    suction_law: SuctionLaw,
+    steps_per_period: usize,
+    drives: Option<Drives>,
+}
+
+/// State of the drives that the engine does not hold.
+struct Drives {
+    servo: Servo,
+    targets: JointTargets,
+    /// The suction cup, where the gripper has one.
+    suction: Option<Suction>,
+    /// Parts of the object, which the cup looks at.
+    parts: Vec<Part>,
+}
+
+impl<E: Engine> Plant<E> {
+    /// A plant on this engine with this control period in seconds. `grip_force_n` replaces the robot's own setting.
+    ///
+    /// # Errors
+    /// If the control period is not an integer multiple of the engine's time step, or the gripper cannot hold the
+    /// grip force.
+    pub fn new(engine: E, control_period_s: f64, grip_force_n: Option<f64>) -> Result<Self, String> {
+        let steps = control_period_s / engine.time_step();
+        if !(1.0..=1e4).contains(&steps) || (steps - steps.round()).abs() > 1e-6 {
+            let step = engine.time_step();
+            return Err(format!(
+                "the control period of {control_period_s} s is not an integer multiple of the time step of {step} s"
+            ));
+        }
+        let grip_force_n = grip_force(&engine.robot().settings.gripper, grip_force_n)?;
+        let steps_per_period = steps.round() as usize;
+        let suction_law = SuctionLaw::Vacuum;
+        Ok(Self { engine, control_period_s, grip_force_n, suction_law, steps_per_period, drives: None })
+    }
+
+    /// The same plant with a suction cup that holds by this law.
+    #[must_use]
+    pub fn with_suction(mut self, law: SuctionLaw) -> Self {
+        self.suction_law = law;
+        self
+    }
+
+    /// Grip force in newtons: of each pad, or of the cup along its axis.
+    pub fn grip_force_n(&self) -> f64 {
+        self.grip_force_n
+    }
+
+    /// Number of engine time steps in a control period.
+    pub fn steps_per_period(&self) -> usize {
+        self.steps_per_period
+    }
+
+    /// The distance within which the suction cup takes hold, in metres; `None` without a cup or before
+    /// [`Plant::load`].
+    pub fn grip_threshold_m(&self) -> Option<f64> {
+        self.drives.as_ref()?.suction.as_ref().map(Suction::threshold_m)
+    }
+
+    /// Sets the scene up: the arm at home and at rest, the gripper open. A suction cup takes hold within
+    /// `grip_threshold_m` of the object; fingers ignore it.
+    pub fn load(&mut self, scene: &Scene, grip_threshold_m: f64) -> Result<(), Fault> {
+        self.drives = None;
+        let settings = &self.engine.robot().settings;
+        let gripper = &settings.gripper;
+        let home = settings.arm.home_rad.clone();
+        let finger = gripper.jaw().map_or(0.0, |jaw| 0.5 * jaw.opening_m);
+        let step = self.engine.time_step();
+        let suction = gripper
+            .cup()
+            .map(|cup| Suction::new(self.suction_law, cup.clone(), grip_threshold_m, scene.friction, step));
+        self.engine.load(scene, &home)?;
+        self.drives = Some(Drives {
+            servo: Servo::at_rest(&home, self.control_period_s),
+            targets: JointTargets { velocities: vec![0.0; home.len()], positions: home, finger },
+            suction,
+            parts: scene.object.parts.clone(),
+        });
+        Ok(())
+    }
+
+    /// Runs one control period towards these joint positions (rad). `observe` sees each of its time steps.
+    pub fn run(
+        &mut self,
+        command: &[f64],
+        gripper: GripperCommand,
+        observe: &mut dyn FnMut(&StepView<'_>),
+    ) -> Result<(), Fault> {
+        let Some(mut drives) = self.drives.take() else { return Ok(()) };
+        let settings = &self.engine.robot().settings;
+        drives.servo.command(command, &settings.arm, self.engine.chain());
+        let jaw = settings.gripper.jaw().map(|jaw| {
+            // Closing drives past the closed position: what stops the fingers is the object or each other.
+            let goal = match gripper {
+                GripperCommand::Open => 0.5 * jaw.opening_m,
+                GripperCommand::Close => -0.5 * jaw.opening_m,
+            };
+            // The fingers press with the grip force: their target leads them by no more than the distance over
+            // which the servo's spring builds up that force.
+            (goal, self.grip_force_n / jaw.stiffness_n_m, jaw.finger_speed_m_s * self.engine.time_step())
+        });
+        for k in 1..=self.steps_per_period {
+            let fraction = k as f64 / self.steps_per_period as f64;
+            let targets = &mut drives.targets;
+            drives.servo.targets(fraction, &mut targets.positions, &mut targets.velocities);
+            if let (Some((goal, lead, step)), Some(opening)) = (jaw, self.engine.opening()) {
+                let finger = 0.5 * opening;
+                let next = targets.finger + (goal - targets.finger).clamp(-step, step);
+                targets.finger = next.clamp(finger - lead, finger + lead);
+            }
+            self.engine.advance(targets);
+            if let Some(suction) = &mut drives.suction {
+                let (engine, parts) = (&self.engine, &drives.parts);
+                let view = |cup: &_| suction::look(cup, &engine.tcp(), parts, &engine.object());
+                match suction.step(gripper, view, engine.cup_load()) {
+                    Some(Change::Attach) => self.engine.attach(),
+                    Some(Change::Detach) => self.engine.detach(),
+                    None => {}
+                }
+            }
+            observe(&StepView::of(&self.engine, drives.suction.as_ref().is_some_and(Suction::holding), fraction));
+        }
+        self.drives = Some(drives);
+        self.engine.health()
+    }
+
+    /// The true state of arm and gripper.
+    pub fn arm_state(&self) -> ArmState {
+        ArmState {
+            joint_positions: self.engine.joint_positions(),
+            joint_velocities: self.engine.joint_velocities(),
+            opening_m: self.engine.opening(),
+        }
+    }
+
+    /// A hash of the engine's full state.
+    pub fn state_hash(&self) -> u64 {
+        // FNV-1a over 64-bit words.
+        let mut hash = 0xcbf2_9ce4_8422_2325_u64;
+        self.engine.state_bits(&mut |bits| hash = (hash ^ bits).wrapping_mul(0x0000_0100_0000_01b3).rotate_left(5));
+        hash
+    }
+}
+
+/// True state of an arm and its gripper, without encoder errors.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ArmState {
+    /// Joint positions in radians.
+    pub joint_positions: Vec<f64>,
+    /// Joint velocities in rad/s.
+    pub joint_velocities: Vec<f64>,
+    /// Opening between the pads, in metres; `None` without fingers.
+    pub opening_m: Option<f64>,
+}
+
+/// The grip force in newtons: the gripper's setting, or `wanted` if the gripper can hold that.
+///
+/// # Errors
+/// If `wanted` is outside the gripper's limit, or the gripper has no fingers.
+pub fn grip_force(gripper: &Gripper, wanted: Option<f64>) -> Result<f64, String> {
+    match gripper {
+        Gripper::ParallelJaw(jaw) => {
+            let force = wanted.unwrap_or(jaw.force_n);
+            if !(force > 0.0 && force <= jaw.force_limit_n) {
+                let limit = jaw.force_limit_n;
+                return Err(format!(
+                    "the grip force of {force} N is out of range. Expected above 0 and at most {limit} N, the gripper's limit"
+                ));
+            }
+            Ok(force)
+        }
+        Gripper::Suction(cup) => match wanted {
+            Some(force) => {
+                Err(format!("a grip force of {force} N needs fingers, but this gripper is {}", gripper.description()))
+            }
+            None => Ok(cup.force_n()),
+        },
+    }
+}

@@ -1,0 +1,107 @@
+//! The scene that an engine loads: plain data, without a task.
+
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use robogate_core::Pose;
+use serde::{Deserialize, Serialize};
+
+use crate::{MassProperties, Motion, Part, Primitive, Visual};
+
+/// Gravity on Earth, in m/s^2.
+pub const GRAVITY: f64 = 9.81;
+
+/// Centre of the workspace on the table, in metres in front of the base.
+pub const WORKSPACE_CENTRE: [f64; 2] = [0.5, 0.0];
+
+/// Centre of the table, in metres (x, y).
+pub const TABLE_CENTRE: [f64; 2] = [0.55, 0.0];
+
+/// Half extents of the table, in metres (x, y).
+pub const TABLE_HALF: [f64; 2] = [0.4, 0.7];
+
+/// A scenario's world, before an engine gives it physics.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scene {
+    /// The object: the one body that moves freely.
+    pub object: Object,
+    /// Pose of the object at the start.
+    pub object_pose: Isometry3<f64>,
+    /// Coulomb friction coefficient of the object against everything.
+    pub friction: f64,
+    /// Coulomb friction coefficient of the object against the table, where it differs.
+    pub table_friction: Option<f64>,
+    /// The table first, then all other bodies that the robot must not touch.
+    pub fixtures: Vec<Fixture>,
+    /// Gravity, in m/s^2.
+    pub gravity: f64,
+    /// Centre (x, y) in metres of a ring that is painted on the table; physics does not feel it.
+    pub marker: Option<[f64; 2]>,
+    /// Appearance of the scene.
+    pub visual: Visual,
+}
+
+/// A rigid body that moves freely: its parts about its own origin, and its mass.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Object {
+    /// The parts.
+    pub parts: Vec<Part>,
+    /// Mass, centre of mass and inertia.
+    pub mass: MassProperties,
+}
+
+/// A body that stands still or follows a prescribed motion. If the robot touches it, that is a collision.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fixture {
+    /// Its name in contact reports.
+    pub name: String,
+    /// Its role in the scene.
+    pub kind: FixtureKind,
+    /// Its shape, and its pose in the base frame at the start.
+    pub part: Part,
+    /// Its motion, if it moves. An engine drives it, and it pushes the object.
+    pub motion: Option<Motion>,
+}
+
+/// The role of a fixture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FixtureKind {
+    /// The table.
+    Table,
+    /// An obstacle on the table.
+    Obstacle,
+    /// A panel in the front camera's view.
+    Occluder,
+    /// A body that crosses the workspace.
+    Disturbance,
+}
+
+impl Fixture {
+    /// The table in front of the robot's base. Its top is the plane z = 0.
+    pub fn table() -> Self {
+        let primitive = Primitive::Box { half: [TABLE_HALF[0], TABLE_HALF[1], 0.02] };
+        let pose = Isometry3::translation(TABLE_CENTRE[0], TABLE_CENTRE[1], -0.02);
+        let part = Part { primitive, pose };
+        Self { name: "table".to_owned(), kind: FixtureKind::Table, part, motion: None }
+    }
+
+    /// A lower bound of the distance from a ball (centre and radius in metres) to the fixture when it stands at
+    /// `pose`, in metres. It is negative where they overlap.
+    pub fn distance_bound_at(&self, pose: &Isometry3<f64>, centre: [f64; 3], radius: f64) -> f64 {
+        let local = pose.inverse_transform_point(&Point3::from(centre));
+        let beyond = local.coords.abs() - Vector3::from(self.part.primitive.half_extent());
+        beyond.sup(&Vector3::zeros()).norm() - radius
+    }
+}
+
+/// A position (m) and a unit quaternion (w, x, y, z) as an isometry.
+pub fn isometry(position: &[f64; 3], orientation: &[f64; 4]) -> Isometry3<f64> {
+    let [w, x, y, z] = *orientation;
+    let rotation = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
+    Isometry3::from_parts(Translation3::from(Vector3::from(*position)), rotation)
+}
+
+/// An isometry as plain numbers.
+pub fn pose(isometry: &Isometry3<f64>) -> Pose {
+    let rotation = &isometry.rotation;
+    Pose { position: isometry.translation.vector.into(), orientation: [rotation.w, rotation.i, rotation.j, rotation.k] }
+}

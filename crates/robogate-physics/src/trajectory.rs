@@ -1,0 +1,118 @@
+//! Joint trajectories from rest to rest, within the joints' limits.
+
+use nalgebra::{Isometry3, Translation3};
+
+use crate::{Arm, Chain, Unreachable};
+
+/// Fraction of a joint's speed and acceleration limits that a plan uses.
+const LIMIT_SHARE: f64 = 0.7;
+
+/// Peak speed and acceleration of the minimum-jerk profile over unit distance and time (Flash and Hogan 1985:
+/// s = 10 u^3 - 15 u^4 + 6 u^5).
+const PEAK_SPEED: f64 = 1.875;
+const PEAK_ACCELERATION: f64 = 5.773_502_691_896_258;
+
+/// A straight path that would take longer counts as unreachable, in seconds.
+const SLOWEST_S: f64 = 60.0;
+
+fn min_jerk(u: f64) -> f64 {
+    u * u * u * (10.0 + u * (-15.0 + u * 6.0))
+}
+
+/// Duration in seconds of a minimum-jerk motion over `distance` within these limits.
+fn duration(distance: f64, speed: f64, acceleration: f64) -> f64 {
+    (PEAK_SPEED * distance / speed).max((PEAK_ACCELERATION * distance / acceleration).sqrt())
+}
+
+/// Duration of the slowest joint's motion from `from` to `to`, in seconds.
+fn joint_duration(from: &[f64], to: &[f64], arm: &Arm) -> f64 {
+    (0..from.len())
+        .map(|i| {
+            let distance = (to[i] - from[i]).abs();
+            duration(
+                distance,
+                LIMIT_SHARE * arm.velocity_limit_rad_s[i],
+                LIMIT_SHARE * arm.acceleration_limit_rad_s2[i],
+            )
+        })
+        .fold(0.0, f64::max)
+}
+
+/// A straight path in joint space: joint positions (rad) at every control tick, the last one at `to`. `period` is the
+/// control period in seconds.
+pub fn joint_path(from: &[f64], to: &[f64], arm: &Arm, period: f64) -> Vec<Vec<f64>> {
+    let ticks = (joint_duration(from, to, arm) / period).ceil().max(1.0) as usize;
+    (1..=ticks)
+        .map(|k| {
+            let s = min_jerk(k as f64 / ticks as f64);
+            from.iter().zip(to).map(|(a, b)| a + s * (b - a)).collect()
+        })
+        .collect()
+}
+
+/// Limits on the tool's motion.
+#[derive(Debug, Clone, Copy)]
+pub struct ToolLimit {
+    /// Speed, in m/s.
+    pub speed: f64,
+    /// Acceleration, in m/s^2.
+    pub acceleration: f64,
+}
+
+/// A straight path of the tool centre point from its pose at `from` (rad) to `to`, rotating evenly on the path: joint
+/// positions (rad) at every control tick. A redundant arm keeps near `rest`.
+///
+/// # Errors
+/// If a pose on the path is out of reach, or a joint would have to jump.
+pub fn straight_path(
+    chain: &Chain,
+    from: &[f64],
+    to: &Isometry3<f64>,
+    rest: &[f64],
+    arm: &Arm,
+    limit: ToolLimit,
+    period: f64,
+) -> Result<Vec<Vec<f64>>, Unreachable> {
+    let start = chain.tcp_at(from);
+    let distance = (to.translation.vector - start.translation.vector).norm();
+    let mut seconds = duration(distance, limit.speed, limit.acceleration);
+    loop {
+        let ticks = (seconds / period).ceil().max(1.0) as usize;
+        let mut path: Vec<Vec<f64>> = Vec::with_capacity(ticks);
+        for k in 1..=ticks {
+            let s = min_jerk(k as f64 / ticks as f64);
+            let at = start.translation.vector.lerp(&to.translation.vector, s);
+            let goal = Isometry3::from_parts(Translation3::from(at), start.rotation.slerp(&to.rotation, s));
+            let near = path.last().map_or(from, Vec::as_slice);
+            path.push(chain.inverse(&goal, near, rest)?);
+        }
+        // If a joint exceeds its limits in this posture, the whole path takes longer.
+        let slower = overload(from, &path, arm, period);
+        if slower <= 1.0 {
+            return Ok(path);
+        }
+        seconds *= slower.max(1.05);
+        if seconds > SLOWEST_S {
+            // A joint that jumps between postures exceeds its limits for any duration.
+            let at = to.translation.vector.into();
+            return Err(Unreachable { position: at, position_error_m: 0.0, angle_error_rad: 0.0 });
+        }
+    }
+}
+
+/// Factor by which the path must be stretched in time to keep every joint's limits; below 1 it keeps them already.
+fn overload(from: &[f64], path: &[Vec<f64>], arm: &Arm, period: f64) -> f64 {
+    let mut worst: f64 = 0.0;
+    for i in 0..from.len() {
+        let mut before = (from[i], 0.0);
+        for q in path.iter().map(|point| point[i]).chain(path.last().map(|point| point[i])) {
+            let speed = (q - before.0) / period;
+            let acceleration = (speed - before.1) / period;
+            worst = worst
+                .max(speed.abs() / arm.velocity_limit_rad_s[i])
+                .max((acceleration.abs() / arm.acceleration_limit_rad_s2[i]).sqrt());
+            before = (q, speed);
+        }
+    }
+    worst
+}

@@ -1,0 +1,154 @@
+//! Inspection of robots: everything that may be wrong with one.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use robogate_physics::{Inspection, Problem, built_in_robots, inspect};
+
+const MODEL: &str = include_str!("../../../assets/robots/franka/franka.xml");
+const SETTINGS: &str = include_str!("../../../assets/robots/franka/robot.toml");
+
+fn folder(name: &str, files: &[(&str, &str)]) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("inspection").join(name);
+    let _ = fs::remove_dir_all(&folder);
+    for (file, content) in files {
+        let path = folder.join(file);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, content).unwrap();
+    }
+    folder
+}
+
+fn look(folder: &Path) -> Inspection {
+    inspect(folder.to_str().unwrap(), &[])
+}
+
+/// Replaces `from`, which is there.
+fn change(text: &str, from: &str, to: &str) -> String {
+    assert!(text.contains(from), "{from}");
+    text.replace(from, to)
+}
+
+#[test]
+fn every_built_in_robot_passes_its_inspection() {
+    for name in built_in_robots() {
+        let inspection = inspect(name, &[[0.4, 0.0], [3.0, 0.0]]);
+        assert!(inspection.problems.is_empty(), "{name}: {:#?}", inspection.problems);
+        let measured = inspection.measured.unwrap();
+        assert_eq!(measured.reaches, [true, false], "{name}");
+        assert!(measured.tracking_error_rad.unwrap() < 0.01 && measured.workspace_share > 0.2, "{name}: {measured:?}");
+    }
+}
+
+/// Asserts that the inspection says each of these, with a hint each.
+fn assert_says(name: &str, model: &str, settings: &str, parts: &[&str]) {
+    let inspection = look(&folder(name, &[("franka.xml", model), ("robot.toml", settings)]));
+    for part in parts {
+        let found = inspection.problems.iter().find(|problem| problem.what.contains(part));
+        let found = found.unwrap_or_else(|| panic!("{name} does not say {part:?}: {:#?}", inspection.problems));
+        assert!(!found.hint.is_empty(), "{name}: no hint for {part:?}");
+    }
+    assert_eq!(inspection.problems.len(), parts.len(), "{name}: {:#?}", inspection.problems);
+}
+
+#[test]
+fn a_robot_that_nothing_touches_is_refused() {
+    let untouchable =
+        change(MODEL, "<default class=\"arm\">", "<default class=\"arm\"><geom contype=\"0\" conaffinity=\"0\"/>");
+    let untouchable = change(&untouchable, "<geom rgba=\"0.93 0.93 0.95 1\"/>", "");
+    let untouchable = change(
+        &untouchable,
+        "<geom rgba=\"0.35 0.35 0.38 1\"/>",
+        "<geom rgba=\"0.35 0.35 0.38 1\" contype=\"0\" conaffinity=\"0\"/>",
+    );
+    assert_says("untouchable", &untouchable, SETTINGS, &["pass through everything"]);
+    let bare = change(
+        MODEL,
+        "<geom rgba=\"0.35 0.35 0.38 1\"/>",
+        "<geom rgba=\"0.35 0.35 0.38 1\" contype=\"0\" conaffinity=\"0\"/>",
+    );
+    assert_says("bare-fingers", &bare, SETTINGS, &["`left_finger`", "`right_finger`"]);
+}
+
+#[test]
+fn a_built_in_robots_name_is_that_robot_whatever_folders_lie_about() {
+    assert!(!robogate_physics::is_folder("ur5e"));
+    assert!(robogate_physics::is_folder(&std::env::temp_dir().to_string_lossy()));
+}
+
+#[test]
+fn all_that_is_wrong_is_said_at_once() {
+    let mut model = change(MODEL, "name=\"joint3\" range=\"-2.8973 2.8973\"", "name=\"joint3\"");
+    model = change(&model, "name=\"joint5\" range=\"-2.8973 2.8973\"", "name=\"joint5\"");
+    model = change(
+        &model,
+        "<worldbody>",
+        "<asset><mesh name=\"a\" file=\"a.stl\"/><mesh name=\"b\" file=\"b.stl\"/></asset><worldbody>",
+    );
+    model = change(
+        &model,
+        "<geom name=\"link4\" type=\"capsule\" fromto=\"0 0 -0.05 0 0 0.05\" size=\"0.055\"/>",
+        "<geom type=\"mesh\" mesh=\"a\"/>",
+    );
+    let mut settings = change(SETTINGS, "[87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0]", "[87.0, 87.0]");
+    settings = change(&settings, "tcp_site = \"tcp\"", "tcp_site = \"tip\"");
+    settings = change(&settings, "1.570796, 0.785398]", "9.0, 0.785398]");
+    settings = change(&settings, "opening_m = 0.08", "opening_m = 0.5");
+    settings = change(&settings, "payload_kg = 3.0", "payload_kg = 0.0");
+    assert_says(
+        "wrong",
+        &model,
+        &settings,
+        &[
+            "arm.torque_limit_nm has 2 entries, arm.joints has 7",
+            "arm.payload_kg = 0",
+            "there is no site `tip`",
+            "mesh `a`: there is no file",
+            "mesh `b`: there is no file",
+            "joint `joint3` has no limits",
+            "joint `joint5` has no limits",
+            "joint `joint6`: arm.home_rad has 9",
+            "gripper.opening_m = 0.5",
+        ],
+    );
+}
+
+#[test]
+fn what_only_a_trial_shows_is_said_too() {
+    let into_table = change(
+        SETTINGS,
+        "[0.0, -0.785398, 0.0, -2.356194, 0.0, 1.570796, 0.785398]",
+        "[0.0, 0.9, 0.0, -1.9, 0.0, 2.8, 0.785398]",
+    );
+    let inspection = look(&folder("table", &[("franka.xml", MODEL), ("robot.toml", &into_table)]));
+    assert!(inspection.problems.iter().any(|p| p.what.contains("touches the table")), "{:#?}", inspection.problems);
+    let thick = change(MODEL, "size=\"0.035\"", "size=\"0.12\"");
+    let inspection = look(&folder("thick", &[("franka.xml", &thick), ("robot.toml", SETTINGS)]));
+    let deep = |p: &Problem| p.what.contains("`link5` and `link7`") && p.what.contains("deep in each other");
+    assert!(inspection.problems.iter().any(deep), "{:#?}", inspection.problems);
+    let over = change(
+        MODEL,
+        "<site name=\"tcp\" pos=\"0 0 0.1034\"/>",
+        "<site name=\"tcp\" pos=\"0 0 0.1034\" euler=\"3.141593 0 0\"/>",
+    );
+    assert_says("over", &over, SETTINGS, &["points from the tool back to the flange", "180 degrees off straight down"]);
+    assert_says("far", MODEL, &change(SETTINGS, "reach_m = 0.855", "reach_m = 85.5"), &["arm.reach_m = 85.5"]);
+    let weak = change(SETTINGS, "torque_limit_nm = [87.0,", "torque_limit_nm = [0.01,");
+    assert_says("weak", MODEL, &weak, &["joint `joint1` is up to"]);
+}
+
+#[test]
+fn a_folder_without_what_it_needs_says_what_that_is() {
+    for (name, files, part) in [
+        ("empty", vec![("readme.txt", "")], "robot.toml"),
+        ("no-model", vec![("robot.toml", SETTINGS)], "franka.xml"),
+        ("no-toml", vec![("robot.toml", "name = ")], "robot.toml"),
+        ("no-xml", vec![("robot.toml", SETTINGS), ("franka.xml", "<mujoco>")], ""),
+    ] {
+        let inspection = look(&folder(name, &files));
+        assert_eq!(inspection.problems.len(), 1, "{name}: {:#?}", inspection.problems);
+        assert!(inspection.problems[0].what.contains(part) || name == "no-toml", "{:#?}", inspection.problems);
+    }
+    assert!(inspect("no such robot", &[]).problems[0].what.contains("no robot `no such robot`"));
+}

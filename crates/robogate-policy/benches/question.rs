@@ -1,0 +1,65 @@
+//! What asking a policy server costs beside the model: a whole question with two pictures of 256 x 256 over loopback, to a server
+//! that answers at once.
+//!
+//! `cargo bench -p robogate-policy [-- QUESTIONS]`
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark prints, and stops where it cannot go on")]
+
+use std::net::TcpListener;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::time::Instant;
+
+use openpi::{actions, serve};
+use robogate_policy::{Profile, ServerPolicy};
+use support::{begin, observation};
+use tungstenite::Message;
+
+#[path = "../tests/support/openpi.rs"]
+mod openpi;
+
+#[path = "../tests/support/mod.rs"]
+mod support;
+
+fn main() {
+    let questions = std::env::args().skip(1).find_map(|a| a.parse().ok()).unwrap_or(500);
+    let url = server();
+    let built_in = Profile::built_in("pi0-libero").unwrap().replace("length = 50", "length = 10");
+    let as_they_are = built_in.replace("224", "256");
+    for (what, text) in [("sent as they are", as_they_are), ("resized to 224 x 224", built_in)] {
+        let mut policy = ServerPolicy::connect(&url, Arc::new(Profile::from_toml(&text).unwrap())).unwrap();
+        begin(&mut policy, "pick up the box").unwrap();
+        let observation = observation(256);
+        let mut times: Vec<f64> = (0..questions)
+            .map(|_| {
+                let start = Instant::now();
+                policy.ask(&observation).unwrap();
+                1e3 * start.elapsed().as_secs_f64()
+            })
+            .collect();
+        times.sort_by(f64::total_cmp);
+        let share = |q: usize| times[(times.len() - 1) * q / 100];
+        let executed = 5.0;
+        println!(
+            "openpi, two pictures {what}: {:.3} ms a question (median), {:.3} ms at the 90th percentile; {:.3} ms a step of {executed}",
+            share(50),
+            share(90),
+            share(50) / executed
+        );
+    }
+}
+
+/// Answers ten actions to whatever it is asked.
+fn server() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("ws://{}", listener.local_addr().unwrap());
+    let answer = actions(10, 7, |_, _| 0.0);
+    serve(listener, move |_, socket| {
+        while let Ok(message) = socket.read() {
+            if message.is_binary() {
+                socket.send(Message::binary(answer.clone())).unwrap();
+            }
+        }
+        ControlFlow::Continue(())
+    });
+    url
+}

@@ -1,0 +1,85 @@
+//! The resolved cell: a scenario after every random draw.
+
+use robogate_core::{Fault, FaultKind, Pose, Scenario};
+use robogate_physics::{Robot, Scene};
+
+use super::scene::{TARGET, scene};
+use super::spec::Briefing;
+use super::{Placement, SceneParameters};
+
+/// Time between two actions, in seconds (paper, section 4.1).
+pub const CONTROL_PERIOD_S: f64 = 0.05;
+/// An episode's time limit, in seconds (paper, section 4.1).
+pub const TIME_LIMIT_S: f64 = 15.0;
+/// Success is within this distance of the target, in metres (paper, section 4.3).
+pub(crate) const TOLERANCE_M: f64 = 0.03;
+
+/// Everything about an episode that is settled before it starts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ResolvedCell {
+    pub(crate) parameters: SceneParameters,
+    /// Placement of the object that the policy is told.
+    placement: Placement,
+    pub(crate) scene: Scene,
+    /// Where the object's centre must come to rest, in metres.
+    pub(crate) target: [f64; 3],
+    /// Bias of each joint's encoder: measured minus true position, in radians.
+    pub(crate) bias: Vec<f64>,
+    pub(crate) draws: Draws,
+}
+
+/// The episode's random draws that parameters scale, before they are scaled.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Draws {
+    /// From the unit disc: the direction and fraction of the position jitter.
+    pub(crate) jitter: [f64; 2],
+    /// From -1 to 1 for each joint: the fraction of the largest encoder bias.
+    pub(crate) encoders: Vec<f64>,
+}
+
+impl ResolvedCell {
+    /// The cell of a scenario for this robot. It depends on nothing else.
+    pub fn new(scenario: &Scenario, robot: &Robot) -> Result<Self, Fault> {
+        let setup = |why: String| Fault::new(FaultKind::Setup, why);
+        let gripper = &robot.settings.gripper;
+        let parameters =
+            SceneParameters::from_assignment(&scenario.requested, Some(gripper)).map_err(|e| setup(e.to_string()))?;
+        let placement = Placement::from_name(&parameters.placement)
+            .ok_or_else(|| setup(format!("unknown placement `{}`", parameters.placement)))?;
+        let placement = placement.moved(parameters.offset_m);
+        let mut jitter = scenario.seed.stream("position-jitter");
+        let fraction = jitter.uniform().sqrt();
+        let off = parameters.position_jitter_m * fraction;
+        let (sin, cos) = jitter.between(0.0, std::f64::consts::TAU).sin_cos();
+        let standing = placement.moved([off * cos, off * sin]);
+        let mut obstacles = scenario.seed.stream("obstacles");
+        let scene = scene(&parameters, &standing, &mut obstacles).map_err(setup)?;
+        let target = [TARGET[0], TARGET[1], 0.5 * parameters.size_m];
+        let joints = &robot.settings.arm.joints;
+        let encoders = |bound: f64| {
+            let mut stream = scenario.seed.stream("encoder-bias");
+            joints.iter().map(|_| stream.between(-bound, bound)).collect()
+        };
+        let bias = encoders(parameters.ik_noise_rad);
+        let draws = Draws { jitter: [fraction * cos, fraction * sin], encoders: encoders(1.0) };
+        Ok(Self { parameters, placement, scene, target, bias, draws })
+    }
+
+    /// The scene that an engine loads.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// What the policy is told.
+    pub fn briefing(&self) -> Briefing {
+        let size = self.parameters.size_m;
+        Briefing {
+            shape: self.parameters.shape.as_str().to_owned(),
+            object_extent_m: [size; 3],
+            object_pose: self.placement.pose(size),
+            target_pose: Pose::upright(self.target, 0.0),
+            tolerance_m: TOLERANCE_M,
+            approach_speed_m_s: self.parameters.approach_speed_m_s,
+        }
+    }
+}

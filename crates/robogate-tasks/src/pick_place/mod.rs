@@ -1,0 +1,42 @@
+//! Pick and place: take an object from the table and put it at a target.
+//!
+//! [`PickPlace`] makes an engine, a robot and this task a [`robogate_core::Environment`]. [`Scripted`] is the controller of
+//! the paper's baseline. [`remote`] runs the task in an engine of another process.
+
+mod cell;
+pub mod claims;
+mod disturbance;
+#[cfg(feature = "mujoco")]
+mod inspect;
+mod judge;
+mod object;
+mod occluder;
+mod parameters;
+mod placement;
+mod referee;
+pub mod remote;
+mod scene;
+mod scripted;
+mod simulator;
+mod spaces;
+pub mod spec;
+mod suite;
+
+/// The task's name.
+pub const NAME: &str = "pick_place";
+
+/// What the task is, in a few words.
+pub const SUMMARY: &str = "pick a part from a table with a robot arm and place it at a target";
+
+pub use cell::{CONTROL_PERIOD_S, ResolvedCell, TIME_LIMIT_S};
+pub use disturbance::Disturbance;
+#[cfg(feature = "mujoco")]
+pub use inspect::{Inspection, Measured, inspect};
+pub use object::Shape;
+pub use parameters::{ActsOn, ParameterError, ParameterRow, SceneParameters, parameters};
+pub use placement::Placement;
+pub use scene::scene;
+pub use scripted::Scripted;
+pub use simulator::PickPlace;
+pub use spaces::{FRANKA_SPACE, built_in_space, built_in_spaces, default_space};
+pub use suite::{SuiteMisfit, check_suite};

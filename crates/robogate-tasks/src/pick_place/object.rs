@@ -1,0 +1,156 @@
+//! The object shapes, made of primitives.
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use robogate_physics::{MassProperties, Object, Part, Primitive};
+
+/// The object shapes. Each fits a cube of the object's size and is grasped across its y axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shape {
+    /// A cube.
+    Box,
+    /// An upright cylinder as high as wide.
+    Cylinder,
+    /// A ball.
+    Sphere,
+    /// An L that stands on its long leg: a foot of full length and half height, and a stem above its rear half.
+    L,
+    /// A lump: two slabs rotated against each other by 15 degrees, and a ball at their side.
+    Irregular,
+}
+
+impl Shape {
+    /// Every shape.
+    pub const ALL: [Self; 5] = [Self::Box, Self::Cylinder, Self::Sphere, Self::L, Self::Irregular];
+
+    /// The shape's name in parameter spaces.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Box => "box",
+            Self::Cylinder => "cylinder",
+            Self::Sphere => "sphere",
+            Self::L => "L_shape",
+            Self::Irregular => "irregular",
+        }
+    }
+
+    /// The shape of that name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|shape| shape.as_str() == name)
+    }
+
+    /// The rotation about the vertical after which a grasp across y meets the same shape again, in radians.
+    pub fn grasp_symmetry(self) -> f64 {
+        use std::f64::consts::{FRAC_PI_2, PI};
+        match self {
+            Self::Box | Self::Cylinder | Self::Sphere => FRAC_PI_2,
+            Self::L | Self::Irregular => PI,
+        }
+    }
+
+    /// Centre of the highest face of an object of this size (m), relative to the object's centre, in metres: a cup that
+    /// comes from above meets this face.
+    pub fn top(self, size: f64) -> [f64; 2] {
+        let height = |part: &Part| part.pose.translation.z + part.primitive.half_extent()[2];
+        let highest = self.parts(size).into_iter().max_by(|a, b| height(a).total_cmp(&height(b)));
+        highest.map_or([0.0; 2], |part| [part.pose.translation.x, part.pose.translation.y])
+    }
+
+    /// Direction from the centre to the ballast of a shifted centre of mass: the +x face, across the direction in which
+    /// the fingers close, so that the weight twists the object in the grip. A ball rests with its heavy side down, so
+    /// its ballast is at the bottom.
+    fn ballast(self) -> Vector3<f64> {
+        match self {
+            Self::Sphere => -Vector3::z(),
+            Self::Box | Self::Cylinder | Self::L | Self::Irregular => Vector3::x(),
+        }
+    }
+
+    fn parts(self, size: f64) -> Vec<Part> {
+        let at = |x: f64, y: f64, z: f64, yaw_deg: f64, primitive| Part {
+            primitive,
+            pose: Isometry3::from_parts(
+                Translation3::new(x * size, y * size, z * size),
+                UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_deg.to_radians()),
+            ),
+        };
+        let cuboid = |x: f64, y: f64, z: f64| Primitive::Box { half: [x * size, y * size, z * size] };
+        match self {
+            Self::Box => vec![at(0.0, 0.0, 0.0, 0.0, cuboid(0.5, 0.5, 0.5))],
+            Self::Cylinder => {
+                let primitive = Primitive::Cylinder { radius: 0.5 * size, half_height: 0.5 * size };
+                vec![at(0.0, 0.0, 0.0, 0.0, primitive)]
+            }
+            Self::Sphere => vec![at(0.0, 0.0, 0.0, 0.0, Primitive::Sphere { radius: 0.5 * size })],
+            Self::L => {
+                vec![
+                    at(0.0, 0.0, -0.25, 0.0, cuboid(0.5, 0.5, 0.25)),
+                    at(-0.25, 0.0, 0.25, 0.0, cuboid(0.25, 0.5, 0.25)),
+                ]
+            }
+            Self::Irregular => vec![
+                at(0.0, 0.0, -0.25, 0.0, cuboid(0.5, 0.38, 0.25)),
+                at(0.02, 0.03, 0.25, 15.0, cuboid(0.36, 0.38, 0.25)),
+                at(0.27, -0.2, 0.0, 0.0, Primitive::Sphere { radius: 0.22 * size }),
+            ],
+        }
+    }
+
+    /// An object of this shape, size (m), mass (kg) and centre-of-mass offset.
+    ///
+    /// `com_offset` is the fraction of the mass that is a point at the centre of one face (+x; the bottom of a ball).
+    /// The rest is homogeneous. The centre of mass so moves by that fraction of its distance to the face.
+    pub fn object(self, size_m: f64, mass_kg: f64, com_offset: f64) -> Object {
+        let parts = self.parts(size_m);
+        let mass = MassProperties::with_ballast(&parts, mass_kg, com_offset, self.ballast() * (0.5 * size_m));
+        Object { parts, mass }
+    }
+
+    /// The centre-of-mass offset of an object of this size (m) whose centre of mass is at `centre` (m, in the object's
+    /// frame): the inverse of [`Shape::object`], for reading an engine's state back.
+    pub fn com_offset_of(self, size_m: f64, centre: &Vector3<f64>) -> f64 {
+        let direction = self.ballast();
+        let homogeneous = self.object(size_m, 1.0, 0.0).mass.centre.dot(&direction);
+        (centre.dot(&direction) - homogeneous) / (0.5 * size_m - homogeneous)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_shape_fits_its_cube() {
+        for shape in Shape::ALL {
+            for part in shape.object(0.1, 1.0, 0.0).parts {
+                let turn = part.pose.rotation.to_rotation_matrix().into_inner().abs();
+                let reach = match part.primitive {
+                    Primitive::Sphere { radius } => Vector3::repeat(radius),
+                    other => turn * Vector3::from(other.half_extent()),
+                };
+                let reach = reach + part.pose.translation.vector.abs();
+                assert!(reach.max() <= 0.05 + 1e-12, "{shape:?} reaches {reach}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_offset_moves_the_centre_of_mass_by_its_share_of_the_way_to_the_face() {
+        let cube = Shape::Box.object(0.06, 0.5, 0.4);
+        assert!((cube.mass.centre - Vector3::new(0.4 * 0.03, 0.0, 0.0)).norm() < 1e-15);
+        for shape in Shape::ALL {
+            let object = shape.object(0.06, 0.5, 0.3);
+            assert!((shape.com_offset_of(0.06, &object.mass.centre) - 0.3).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn inertia_obeys_the_triangle_inequality_for_every_offset() {
+        for shape in Shape::ALL {
+            for offset in [0.0, 0.1, 0.4] {
+                let eigen = shape.object(0.05, 1.0, offset).mass.inertia.symmetric_eigenvalues();
+                let (sum, max) = (eigen.sum(), eigen.max());
+                assert!(eigen.min() > 0.0 && sum - max >= max * (1.0 - 1e-12), "{shape:?} {offset}: {eigen}");
+            }
+        }
+    }
+}

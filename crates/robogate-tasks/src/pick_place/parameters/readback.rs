@@ -1,0 +1,269 @@
+//! How applied values are read: from what acts in the episode, never from the request.
+//!
+//! Where a parameter scales a random draw (encoder bias, position jitter), the reader divides what acts by the draw. The
+//! request is used for two things only: to interpret what is read (of which shape a size is the size), and to round a
+//! length to the request where the two differ by less than positions can resolve.
+
+use nalgebra::{Isometry3, Vector2};
+use robogate_physics::{FixtureKind, FixtureRead, GRAVITY, Primitive, Readback, Visual, isometry};
+
+use crate::pick_place::cell::{ResolvedCell, TOLERANCE_M};
+use crate::pick_place::scene::TARGET;
+use crate::pick_place::spec::Briefing;
+use crate::pick_place::{Disturbance, Placement, Shape};
+
+/// Poses within this distance (m) and angle (rad) are equal. Engines may hold poses in single precision.
+const POSE_TOLERANCE: f64 = 1e-6;
+
+/// Biases within this distance are equal, in radians.
+const BIAS_TOLERANCE: f64 = 1e-9;
+
+/// Everything that acts in an episode once it is set up.
+pub(crate) struct ReadbackContext<'a> {
+    /// The resolved cell: its encoder biases are those that the episode uses.
+    pub(crate) cell: &'a ResolvedCell,
+    /// State of the engine.
+    pub(crate) engine: &'a Readback,
+    /// State of the cameras.
+    pub(crate) visual: &'a Visual,
+    /// Threshold of the suction cup in metres; `None` without a cup.
+    pub(crate) grip_threshold_m: Option<f64>,
+    /// What the policy is told.
+    pub(crate) briefing: &'a Briefing,
+}
+
+impl ReadbackContext<'_> {
+    /// The fixtures of this kind that the engine holds exactly where and as the cell has them.
+    fn fixtures(&self, kind: FixtureKind) -> impl Iterator<Item = &FixtureRead> {
+        self.engine.fixtures.iter().filter(move |read| {
+            self.cell.scene.fixtures.get(read.fixture).is_some_and(|fixture| {
+                fixture.kind == kind
+                    && read.primitive.is_some_and(|primitive| same_primitive(&fixture.part.primitive, &primitive))
+                    && same_pose(&fixture.part.pose, &read.pose)
+            })
+        })
+    }
+
+    /// The object's position relative to the requested placement without offset and jitter, in metres (x, y).
+    fn displacement(&self) -> Vector2<f64> {
+        let nominal = Placement::from_name(&self.cell.parameters.placement);
+        let nominal = nominal.map_or([f64::NAN; 2], |placement| placement.position);
+        self.engine.object.translation.vector.xy() - Vector2::from(nominal)
+    }
+
+    /// The offset that the position jitter gives the object, in metres (x, y).
+    fn jitter(&self) -> Vector2<f64> {
+        Vector2::from(self.cell.draws.jitter) * self.cell.parameters.position_jitter_m
+    }
+
+    /// Whether the engine has the object where this placement puts it, with offset and jitter.
+    fn stands_at(&self, placement: &Placement) -> bool {
+        let placement = placement.moved(self.cell.parameters.offset_m).moved(self.jitter().into());
+        let pose = placement.pose(self.cell.parameters.size_m);
+        same_pose(&isometry(&pose.position, &pose.orientation), &self.engine.object)
+    }
+}
+
+fn same_pose(a: &Isometry3<f64>, b: &Isometry3<f64>) -> bool {
+    let off = a.inverse() * b;
+    off.translation.vector.norm() < POSE_TOLERANCE && off.rotation.angle() < POSE_TOLERANCE
+}
+
+/// An engine may hold its shapes in single precision.
+fn same_primitive(a: &Primitive, b: &Primitive) -> bool {
+    std::mem::discriminant(a) == std::mem::discriminant(b)
+        && a.half_extent().iter().zip(b.half_extent()).all(|(a, b)| (a - b).abs() < 1e-7)
+}
+
+/// The size at which the requested shape has the engine's first part.
+pub(super) fn size(context: &ReadbackContext<'_>) -> f64 {
+    let unit = context.cell.parameters.shape.object(1.0, 1.0, 0.0);
+    let extent = |part: &Primitive| part.half_extent()[0];
+    context.engine.parts.first().map_or(f64::NAN, extent) / extent(&unit.parts[0].primitive)
+}
+
+pub(super) fn com_offset(context: &ReadbackContext<'_>) -> f64 {
+    context.cell.parameters.shape.com_offset_of(size(context), &context.engine.centre_of_mass)
+}
+
+/// The shape whose parts the engine holds.
+pub(super) fn shape(context: &ReadbackContext<'_>) -> String {
+    let read = &context.engine.parts;
+    let same = |shape: &Shape| {
+        let parts = shape.object(context.cell.parameters.size_m, 1.0, 0.0).parts;
+        parts.len() == read.len() && parts.iter().zip(read).all(|(part, read)| same_primitive(&part.primitive, read))
+    };
+    Shape::ALL.into_iter().find(same).map_or_else(|| format!("{read:?}"), |shape| shape.as_str().to_owned())
+}
+
+pub(super) fn gravity_scale(context: &ReadbackContext<'_>) -> f64 {
+    context.engine.gravity / GRAVITY
+}
+
+/// The placement where the engine has the object, or its position.
+pub(super) fn placement(context: &ReadbackContext<'_>) -> String {
+    let requested = context.cell.parameters.placement.as_str();
+    let stands = |name: &&str| Placement::from_name(name).is_some_and(|placement| context.stands_at(&placement));
+    let found = std::iter::once(requested).chain(Placement::NAMES).find(stands);
+    found.map_or_else(|| format!("{:.6?}", context.engine.object.translation.vector.as_slice()), str::to_owned)
+}
+
+/// The offset of the object from its placement, in metres.
+pub(super) fn offset(context: &ReadbackContext<'_>) -> [f64; 2] {
+    (context.displacement() - context.jitter()).into()
+}
+
+/// The radius of the disc from which the object's displacement was drawn; `NaN` if the displacement has another
+/// direction, or the object another height or yaw.
+pub(super) fn position_jitter(context: &ReadbackContext<'_>) -> f64 {
+    let parameters = &context.cell.parameters;
+    let draw = Vector2::from(context.cell.draws.jitter);
+    let displacement = context.displacement() - Vector2::from(parameters.offset_m);
+    let radius = displacement.dot(&draw) / draw.norm_squared();
+    let requested = parameters.position_jitter_m;
+    if (radius - requested).abs() * draw.norm() < POSE_TOLERANCE {
+        let placement = Placement::from_name(&parameters.placement);
+        let stands = placement.is_some_and(|placement| context.stands_at(&placement));
+        return if stands { requested } else { f64::NAN };
+    }
+    if (displacement - draw * radius).norm() < POSE_TOLERANCE { radius } else { f64::NAN }
+}
+
+/// The bound of the encoder biases that the episode uses; `NaN` if they are not this episode's draws.
+pub(super) fn encoder_bias(context: &ReadbackContext<'_>) -> f64 {
+    let (biases, draws) = (&context.cell.bias, &context.cell.draws.encoders);
+    let product: f64 = biases.iter().zip(draws).map(|(bias, draw)| bias * draw).sum();
+    let bound = product / draws.iter().map(|draw| draw * draw).sum::<f64>();
+    let drawn = biases.iter().zip(draws).all(|(bias, draw)| (bias - bound * draw).abs() <= BIAS_TOLERANCE);
+    if drawn && biases.len() == draws.len() { bound } else { f64::NAN }
+}
+
+pub(super) fn obstacles(context: &ReadbackContext<'_>) -> usize {
+    context.fixtures(FixtureKind::Obstacle).count()
+}
+
+pub(super) fn occluders(context: &ReadbackContext<'_>) -> usize {
+    context.fixtures(FixtureKind::Occluder).count()
+}
+
+/// The requested gap if all obstacles of the engine keep it, otherwise the smallest free space that there is.
+pub(super) fn obstacle_gap(context: &ReadbackContext<'_>) -> f64 {
+    let object = context.engine.object.translation.vector.xy();
+    let half_diagonal = 0.5 * size(context) * std::f64::consts::SQRT_2;
+    let areas = [(object, half_diagonal), (Vector2::from(TARGET), half_diagonal + TOLERANCE_M)];
+    let scene = &context.cell.scene;
+    let obstacles =
+        context.engine.fixtures.iter().filter(|read| {
+            scene.fixtures.get(read.fixture).is_some_and(|fixture| fixture.kind == FixtureKind::Obstacle)
+        });
+    let gaps = obstacles.flat_map(|read| {
+        let at = read.pose.translation.vector.xy();
+        let radius = read.primitive.map_or(f64::NAN, footprint);
+        areas.map(|(centre, area)| (at - centre).norm() - area - radius)
+    });
+    let requested = context.cell.parameters.obstacle_gap_m;
+    let keeps = |gap: &f64| *gap >= requested - POSE_TOLERANCE;
+    gaps.filter(|gap| !keeps(gap)).reduce(f64::min).unwrap_or(requested)
+}
+
+/// Radius of the circle around a primitive's footprint, in metres.
+fn footprint(primitive: Primitive) -> f64 {
+    match primitive {
+        Primitive::Box { half: [x, y, _] } => x.hypot(y),
+        Primitive::Cylinder { radius, .. } | Primitive::Sphere { radius } => radius,
+    }
+}
+
+/// The disturbance that the engine moves.
+pub(super) fn disturbance(context: &ReadbackContext<'_>) -> Disturbance {
+    let mover = context.fixtures(FixtureKind::Disturbance).find_map(|read| Some((&read.pose, read.motion.as_ref()?)));
+    context.cell.parameters.disturbance.read(mover)
+}
+
+#[cfg(test)]
+mod tests {
+    use robogate_core::{Assignment, Fault, FaultKind, Scenario, Seed, Value, check_applied};
+    use robogate_physics::built_in_robot;
+
+    use super::*;
+
+    /// An engine that holds exactly the cell's scene.
+    fn faithful(cell: &ResolvedCell) -> Readback {
+        let scene = &cell.scene;
+        let fixtures = scene.fixtures.iter().enumerate().map(|(i, fixture)| FixtureRead {
+            fixture: i,
+            primitive: Some(fixture.part.primitive),
+            pose: fixture.part.pose,
+            motion: fixture.motion,
+        });
+        Readback {
+            friction: scene.friction,
+            table_friction: scene.table_friction.unwrap_or(scene.friction),
+            gravity: scene.gravity,
+            mass_kg: scene.object.mass.mass_kg,
+            centre_of_mass: scene.object.mass.centre,
+            parts: scene.object.parts.iter().map(|part| part.primitive).collect(),
+            object: scene.object_pose,
+            fixtures: fixtures.collect(),
+        }
+    }
+
+    /// Requests one parameter, lets `change` tamper with what acts, and checks what is read.
+    fn check(
+        robot: &str,
+        (name, value): (&str, Value),
+        change: impl FnOnce(&mut ResolvedCell, &mut Briefing, &mut Option<f64>),
+    ) -> Result<(), Fault> {
+        let requested: Assignment = [(name.into(), value)].into_iter().collect();
+        let scenario = Scenario { index: 3, seed: Seed::campaign(1).episode(3), requested };
+        let mut cell = ResolvedCell::new(&scenario, &built_in_robot(robot).unwrap()).unwrap();
+        let mut briefing = cell.briefing();
+        let mut grip_threshold_m = Some(cell.parameters.grip_threshold_m);
+        change(&mut cell, &mut briefing, &mut grip_threshold_m);
+        let (engine, visual) = (faithful(&cell), cell.scene.visual);
+        let context =
+            ReadbackContext { cell: &cell, engine: &engine, visual: &visual, grip_threshold_m, briefing: &briefing };
+        check_applied(&scenario.requested, &context.applied(&scenario.requested))
+    }
+
+    fn assert_not_applied(checked: Result<(), Fault>) {
+        assert_eq!(checked.unwrap_err().kind, FaultKind::NotApplied);
+    }
+
+    #[test]
+    fn encoder_noise_is_read_from_the_biases() {
+        let noise = || ("ik_noise_rad", Value::Number(0.02));
+        check("franka", noise(), |_, _, _| {}).unwrap();
+        assert_not_applied(check("franka", noise(), |cell, _, _| cell.bias.fill(0.0)));
+        assert_not_applied(check("franka", noise(), |cell, _, _| cell.bias.iter_mut().for_each(|bias| *bias *= 1.01)));
+        assert_not_applied(check("franka", noise(), |cell, _, _| cell.bias.swap(0, 1)));
+        assert_not_applied(check("franka", noise(), |cell, _, _| cell.bias.truncate(6)));
+    }
+
+    #[test]
+    fn the_approach_speed_is_read_from_the_briefing() {
+        let speed = || ("approach_speed_m_s", Value::Number(0.2));
+        check("franka", speed(), |_, _, _| {}).unwrap();
+        assert_not_applied(check("franka", speed(), |_, briefing, _| briefing.approach_speed_m_s = None));
+        assert_not_applied(check("franka", speed(), |_, briefing, _| briefing.approach_speed_m_s = Some(0.21)));
+    }
+
+    #[test]
+    fn the_grip_threshold_is_read_from_the_cup() {
+        let threshold = || ("grip_threshold_m", Value::Number(0.015));
+        check("ur5e", threshold(), |_, _, _| {}).unwrap();
+        assert_not_applied(check("ur5e", threshold(), |_, _, cup| *cup = Some(0.01)));
+        assert_not_applied(check("ur5e", threshold(), |_, _, cup| *cup = None));
+    }
+
+    #[test]
+    fn jitter_that_was_never_resolved_is_noticed() {
+        let jitter = || ("position_jitter_m", Value::Number(0.03));
+        check("franka", jitter(), |_, _, _| {}).unwrap();
+        let forgotten = |cell: &mut ResolvedCell, _: &mut Briefing, _: &mut Option<f64>| {
+            let pose = Placement::from_name("center_0").unwrap().pose(cell.parameters.size_m);
+            cell.scene.object_pose = isometry(&pose.position, &pose.orientation);
+        };
+        assert_not_applied(check("franka", jitter(), forgotten));
+    }
+}

@@ -1,0 +1,325 @@
+//! The outcome of an episode, from contacts and motion alone.
+//!
+//! The referee sees what any onlooker of the cell could: who touches whom with what force, how fast the object moves,
+//! whether the gripper was told to close. It knows nothing of the policy's phases, so that any policy is
+//! judged alike. The first decisive event ends the episode:
+//!
+//! | event | when |
+//! |---|---|
+//! | collision | a robot body touches a fixture |
+//! | grasp_miss | fingers: told to close, they have come to rest, and not both press on the object with at least a fifth of the grip force |
+//! | grasp_miss | suction: told to grip, the tool has been at rest for 0.2 s and nothing hangs at the cup |
+//! | grip_loss | the object was held, the gripper not told to open, and for 50 ms no finger touches the object, or the cup has lost it; or it was let go with its middle more than 5 cm above where it should rest, and has come to rest |
+//! | success | let go, at rest for 0.2 s within the tolerance of the target, touched by nothing of the robot |
+//!
+//! A timeout is the rollout's: the time limit passed and nothing of this had happened.
+
+use nalgebra::{Isometry3, Vector3};
+use robogate_core::{Contact, Ending, FailureMode, Measures};
+use robogate_physics::{Collision, GripperCommand, GripperState, Touches};
+
+use super::spec::{COLLISION, GRASP_MISS, GRIP_LOSS, MIN_CLEARANCE, PEAK_CONTACT_FORCE, SLIP, TARGET_DISTANCE};
+
+/// The gripper is at rest when its opening changed less than this in [`SETTLE_S`], in metres.
+const SETTLED_M: f64 = 2e-4;
+/// A tool with a cup is at rest when it moved less than this, in metres: a cup may be told to grip on its way ...
+const TOOL_SETTLED_M: f64 = 2e-3;
+/// ... in this time, in seconds: longer than a vacuum takes to build up.
+const TOOL_SETTLE_S: f64 = 0.2;
+/// How long the gripper must have been at rest, in seconds.
+const SETTLE_S: f64 = 0.1;
+/// Each finger holds the object with at least this share of the grip force; less is a touch.
+const HOLD_SHARE: f64 = 0.2;
+/// How long no finger must touch a held object for it to count as lost, in seconds.
+const LOSS_S: f64 = 0.05;
+/// The object is at rest below this speed, in m/s ...
+const REST_SPEED: f64 = 0.01;
+/// ... and this angular speed, in rad/s ...
+const REST_TURN: f64 = 0.2;
+/// ... for this long, in seconds.
+const REST_S: f64 = 0.2;
+/// Letting go higher than this above the surface is dropping, in metres.
+const DROP_M: f64 = 0.05;
+
+/// What the referee sees of one time step.
+pub(crate) struct Sight<'a> {
+    /// Simulated time after the step, in seconds.
+    pub(crate) time: f64,
+    /// What the gripper was told.
+    pub(crate) gripper: GripperCommand,
+    /// State of the gripper.
+    pub(crate) hand: GripperState,
+    /// Who touched whom.
+    pub(crate) touches: &'a Touches,
+    /// The object's pose.
+    pub(crate) object: Isometry3<f64>,
+    /// The object's velocity and angular velocity.
+    pub(crate) velocity: (Vector3<f64>, Vector3<f64>),
+    /// The tool centre point's pose.
+    pub(crate) tcp: Isometry3<f64>,
+}
+
+impl Sight<'_> {
+    /// Whether what holds has the object: a finger that touches it, or the cup.
+    fn in_touch(&self) -> bool {
+        match self.hand {
+            GripperState::Fingers(_) => self.touches.fingers.iter().any(Option::is_some),
+            GripperState::Cup(holding) => holding,
+        }
+    }
+
+    /// What must come to rest for a grasp to be done, how little it may still move (m) and for how long (s).
+    fn stir(&self) -> (Vector3<f64>, f64, f64) {
+        match self.hand {
+            GripperState::Fingers(opening) => (Vector3::new(opening, 0.0, 0.0), SETTLED_M, SETTLE_S),
+            GripperState::Cup(_) => (self.tcp.translation.vector, TOOL_SETTLED_M, TOOL_SETTLE_S),
+        }
+    }
+}
+
+/// The hold on the object, as far as it has come.
+#[derive(Debug, Clone, PartialEq)]
+enum Grip {
+    /// Not closed on anything yet.
+    Free,
+    /// Told to close; what has to come to rest was last seen to move at this time.
+    Closing { at: Vector3<f64>, moved_at: f64 },
+    /// The object is held. Its pose in the hand when it first was; since when nothing has it.
+    Held { in_hand: Isometry3<f64>, untouched_since: Option<f64> },
+    /// Told to open, from this height of the object above its rest on the table.
+    Released { height: f64, calm_since: Option<f64> },
+}
+
+/// What was measured so far; `None` where there was nothing to measure.
+#[derive(Debug, Clone, Copy, Default)]
+struct Measured {
+    peak_contact_force_n: Option<f64>,
+    slip_m: Option<f64>,
+    min_clearance_m: Option<f64>,
+    target_distance_m: Option<f64>,
+}
+
+/// Watches an episode.
+#[derive(Debug, Clone)]
+pub(crate) struct Referee {
+    target: [f64; 3],
+    tolerance: f64,
+    grip_force: f64,
+    grip: Grip,
+    collision: Option<(f64, Collision)>,
+    ending: Option<(Option<FailureMode>, f64)>,
+    measured: Measured,
+    events: Vec<String>,
+    lifted: bool,
+}
+
+impl Referee {
+    /// A referee for an object that shall come to rest within `tolerance` of `target` (m), held with
+    /// `grip_force` (N).
+    pub(crate) fn new(target: [f64; 3], tolerance: f64, grip_force: f64) -> Self {
+        Self {
+            target,
+            tolerance,
+            grip_force,
+            grip: Grip::Free,
+            collision: None,
+            ending: None,
+            measured: Measured::default(),
+            events: Vec::new(),
+            lifted: false,
+        }
+    }
+
+    /// Whether the decisive event has been seen.
+    pub(crate) fn decided(&self) -> bool {
+        self.ending.is_some()
+    }
+
+    /// What was measured so far.
+    pub(crate) fn measures(&self) -> Measures {
+        let Measured { peak_contact_force_n, slip_m, min_clearance_m, target_distance_m } = self.measured;
+        [
+            (PEAK_CONTACT_FORCE, peak_contact_force_n),
+            (SLIP, slip_m),
+            (MIN_CLEARANCE, min_clearance_m),
+            (TARGET_DISTANCE, target_distance_m),
+        ]
+        .into_iter()
+        .collect()
+    }
+
+    /// The smallest clearance so far, in metres.
+    pub(crate) fn min_clearance(&self) -> Option<f64> {
+        self.measured.min_clearance_m
+    }
+
+    /// Takes what happened since it was last asked.
+    pub(crate) fn take_events(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.events)
+    }
+
+    /// Takes note of a clearance.
+    pub(crate) fn note_clearance(&mut self, clearance: f64) {
+        let smallest = self.measured.min_clearance_m.get_or_insert(f64::INFINITY);
+        *smallest = smallest.min(clearance.max(0.0));
+    }
+
+    /// The decisive event, with names for the bodies of a collision.
+    pub(crate) fn ending(&self, name: impl FnOnce(&Collision) -> (String, String)) -> Option<Ending> {
+        let (failure, time_s) = self.ending?;
+        let contact = self.collision.filter(|_| failure == Some(COLLISION)).map(|(_, collision)| {
+            let (robot_body, other_body) = name(&collision);
+            Contact { robot_body, other_body, force_n: collision.force }
+        });
+        Some(Ending { failure, time_s, contact })
+    }
+
+    /// Looks at one time step.
+    pub(crate) fn observe(&mut self, sight: &Sight<'_>) {
+        self.measure(sight);
+        if self.ending.is_some() {
+            return;
+        }
+        if self.collision.is_some() {
+            self.end(Some(COLLISION), sight.time);
+            return;
+        }
+        match (sight.gripper, &mut self.grip) {
+            (GripperCommand::Close, Grip::Free) => {
+                self.grip = Grip::Closing { at: sight.stir().0, moved_at: sight.time };
+                let what = if let GripperState::Cup(_) = sight.hand { "suction on" } else { "gripper closes" };
+                self.events.push(what.to_owned());
+            }
+            (GripperCommand::Close, Grip::Closing { at, moved_at }) => {
+                let (now, still, long) = sight.stir();
+                if sight.hand == GripperState::Cup(true) {
+                    self.settle(sight);
+                } else if (*at - now).norm() > still {
+                    (*at, *moved_at) = (now, sight.time);
+                } else if sight.time - *moved_at >= long {
+                    self.settle(sight);
+                }
+            }
+            (GripperCommand::Close, Grip::Held { untouched_since, .. }) => {
+                if sight.in_touch() {
+                    *untouched_since = None;
+                } else {
+                    let since = *untouched_since.get_or_insert(sight.time);
+                    if sight.time - since >= LOSS_S {
+                        self.events.push("object lost".to_owned());
+                        self.end(Some(GRIP_LOSS), sight.time);
+                    }
+                }
+            }
+            // Closing on nothing after the object was let go (on the way home, say) undoes nothing; taking hold
+            // of it again does.
+            (GripperCommand::Close, Grip::Released { .. }) => {
+                if sight.in_touch() {
+                    self.grip = Grip::Closing { at: sight.stir().0, moved_at: sight.time };
+                } else {
+                    self.watch_released(sight);
+                }
+            }
+            (GripperCommand::Open, Grip::Held { .. }) => {
+                let height = sight.object.translation.z - self.target[2];
+                let what = if let GripperState::Cup(_) = sight.hand { "suction off" } else { "gripper opens" };
+                self.events.push(format!("{what}, object {:.0} mm above the table", 1e3 * height.max(0.0)));
+                self.grip = Grip::Released { height, calm_since: None };
+            }
+            (GripperCommand::Open, Grip::Closing { .. }) => self.grip = Grip::Free,
+            (GripperCommand::Open, Grip::Released { .. }) => self.watch_released(sight),
+            (GripperCommand::Open, Grip::Free) => {}
+        }
+    }
+
+    /// The gripper has come to rest: on the object, or on nothing.
+    fn settle(&mut self, sight: &Sight<'_>) {
+        let (held, what) = match sight.hand {
+            GripperState::Fingers(opening) => {
+                let enough = |force: &Option<f64>| force.is_some_and(|force| force >= HOLD_SHARE * self.grip_force);
+                let held = sight.touches.fingers.iter().all(enough);
+                let [left, right] = sight.touches.fingers.map(Option::unwrap_or_default);
+                let width = 1e3 * opening;
+                let what = if held {
+                    format!("object held, {width:.1} mm wide, pads press {left:.1} N and {right:.1} N")
+                } else {
+                    format!("closed to {width:.1} mm without the object between both fingers")
+                };
+                (held, what)
+            }
+            GripperState::Cup(true) => (true, "object hangs at the cup".to_owned()),
+            GripperState::Cup(false) => (false, "suction on and nothing at the cup".to_owned()),
+        };
+        self.events.push(what);
+        if held {
+            let in_hand = sight.tcp.inverse() * sight.object;
+            self.measured.slip_m = Some(0.0);
+            self.grip = Grip::Held { in_hand, untouched_since: None };
+        } else {
+            self.end(Some(GRASP_MISS), sight.time);
+        }
+    }
+
+    fn watch_released(&mut self, sight: &Sight<'_>) {
+        let Grip::Released { height, calm_since } = &mut self.grip else { return };
+        let touched = sight.touches.body_on_object || sight.in_touch();
+        let (linear, angular) = sight.velocity;
+        let calm =
+            !touched && sight.touches.object_on_fixture && linear.norm() < REST_SPEED && angular.norm() < REST_TURN;
+        if !calm {
+            *calm_since = None;
+            return;
+        }
+        let since = *calm_since.get_or_insert(sight.time);
+        if sight.time - since < REST_S {
+            return;
+        }
+        if *height > DROP_M {
+            self.events.push("object had been let go in the air".to_owned());
+            self.end(Some(GRIP_LOSS), sight.time);
+        } else if self.distance(&sight.object) <= self.tolerance {
+            let off = 1e3 * self.distance(&sight.object);
+            self.events.push(format!("object at rest, {off:.1} mm from the target"));
+            self.end(None, sight.time);
+        }
+    }
+
+    fn measure(&mut self, sight: &Sight<'_>) {
+        self.measured.target_distance_m = Some(self.distance(&sight.object));
+        if let Some(force) = sight.touches.peak_force {
+            let peak = self.measured.peak_contact_force_n.get_or_insert(0.0);
+            *peak = peak.max(force);
+        }
+        let touched = sight.in_touch();
+        if let (Grip::Held { in_hand, .. }, Some(slip)) = (&self.grip, &mut self.measured.slip_m)
+            && touched
+            && self.ending.is_none()
+        {
+            let moved = (sight.tcp.inverse() * sight.object).translation.vector - in_hand.translation.vector;
+            *slip = slip.max(moved.norm());
+            if !self.lifted && !sight.touches.object_on_fixture {
+                self.lifted = true;
+                self.events.push("object off the table".to_owned());
+            }
+        }
+        // The first collision counts; its force is the largest of that contact until the period ends.
+        match (&mut self.collision, sight.touches.collision) {
+            (None, Some(found)) if self.ending.is_none() => {
+                self.collision = Some((sight.time, found));
+                self.measured.min_clearance_m = Some(0.0);
+            }
+            (Some((_, first)), Some(now)) if (first.robot_body, first.fixture) == (now.robot_body, now.fixture) => {
+                first.force = first.force.max(now.force);
+            }
+            _ => {}
+        }
+    }
+
+    fn distance(&self, object: &Isometry3<f64>) -> f64 {
+        (object.translation.x - self.target[0]).hypot(object.translation.y - self.target[1])
+    }
+
+    fn end(&mut self, failure: Option<FailureMode>, time: f64) {
+        self.ending = Some((failure, time));
+    }
+}

@@ -1,0 +1,305 @@
+//! The scripted controller: the paper's baseline (section 4.1).
+//!
+//! Six phases, planned at the start from what a cell's engineer knows: the object's nominal pose and
+//! dimensions, the target, the robot. A phase ends when its path has been commanded and the measured pose
+//! of the tool is within 5 mm and 0.05 rad of its end (and the gripper at rest, where it moves). The
+//! controller does not know what the encoders read too much, nor where the object really is.
+//!
+//! A tool that is pushed more than 10 mm off its path stops where it is and waits, as a robot with a
+//! contact guard does: it does not lean on what stands in its way.
+
+use std::f64::consts::PI;
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec, Word};
+use robogate_physics::trajectory::{ToolLimit, joint_path, straight_path};
+use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
+
+use super::Shape;
+use super::cell::CONTROL_PERIOD_S;
+use super::spec::{Briefing, phases};
+
+/// A phase ends within this distance of its goal, in metres ...
+const POSITION_TOLERANCE_M: f64 = 0.005;
+/// ... and this angle, in radians (paper, section 4.1).
+const ANGLE_TOLERANCE_RAD: f64 = 0.05;
+/// Pushed off its path by more than this, the tool stops, in metres.
+const GUARD_M: f64 = 0.01;
+/// Height of the tool above the table on its ways across, in metres: what it carries passes over the
+/// highest obstacle.
+const TRANSIT_HEIGHT_M: f64 = 0.25;
+/// Room left between fingertips and table when grasping, in metres.
+const TIP_ROOM_M: f64 = 0.004;
+/// Room left between palm and object when grasping, in metres.
+const PALM_ROOM_M: f64 = 0.002;
+/// Room left between a cup and the top of the object, in metres: well within what cups take hold across.
+const CUP_ROOM_M: f64 = 0.002;
+/// The object is let go this far above the table, in metres.
+const RELEASE_ROOM_M: f64 = 0.003;
+/// The gripper is at rest when its opening changed less than this in a control period, in metres.
+const GRIPPER_SETTLED_M: f64 = 1e-4;
+/// ... for this many control periods: it needs a moment to start, and a moment to build up its force.
+const SETTLE_TICKS: usize = 4;
+/// Free ways.
+const FREE: ToolLimit = ToolLimit { speed: 0.5, acceleration: 2.0 };
+/// Ways with the object in hand: gentle, so that its weight and not the motion decides whether it slips.
+const CARRY: ToolLimit = ToolLimit { speed: 0.6, acceleration: 1.2 };
+
+/// The scripted controller.
+#[derive(Debug, Clone)]
+pub struct Scripted {
+    robot: Robot,
+    chain: Chain,
+    /// The plan of the episode under way, phase by phase.
+    plan: Vec<Stage>,
+    current: usize,
+    tick: usize,
+    last_opening: Option<f64>,
+    /// The last two commands, older first.
+    commanded: Option<[Vec<f64>; 2]>,
+    /// Where the guard stopped the arm.
+    stopped: Option<Vec<f64>>,
+    /// For how many control periods the gripper has been at rest.
+    rest: usize,
+}
+
+/// One phase of a plan.
+#[derive(Debug, Clone)]
+struct Stage {
+    phase: Word,
+    /// Joint positions at every control tick; held at the last one until the phase ends.
+    path: Vec<Vec<f64>>,
+    gripper: GripperCommand,
+    /// Whether the gripper must be at rest for the phase to end.
+    settles: bool,
+}
+
+impl Scripted {
+    /// The controller for a robot with these kinematics.
+    pub fn new(robot: Robot, chain: Chain) -> Self {
+        Self {
+            robot,
+            chain,
+            plan: Vec::new(),
+            current: 0,
+            tick: 0,
+            last_opening: None,
+            commanded: None,
+            stopped: None,
+            rest: 0,
+        }
+    }
+
+    /// Height of the tool centre point above the table at the grasp. Fingers: the object's middle, but never so low
+    /// that the fingertips touch the table, nor so deep that the palm touches the object. A cup: just above the
+    /// object.
+    fn grasp_height(&self, extent: &[f64; 3]) -> f64 {
+        match &self.robot.settings.gripper {
+            Gripper::ParallelJaw(jaw) => {
+                (0.5 * extent[2]).max(extent[2] - (jaw.palm_m - PALM_ROOM_M)).max(jaw.tip_m + TIP_ROOM_M)
+            }
+            Gripper::Suction(_) => extent[2] + CUP_ROOM_M,
+        }
+    }
+
+    /// From the object's middle to where the gripper takes it, horizontally and in the object's frame, in metres.
+    fn grasp_offset(&self, task: &Briefing) -> Vector3<f64> {
+        match (&self.robot.settings.gripper, Shape::from_name(&task.shape)) {
+            (Gripper::Suction(_), Some(shape)) => {
+                let [x, y] = shape.top(task.object_extent_m[0]);
+                Vector3::new(x, y, 0.0)
+            }
+            _ => Vector3::zeros(),
+        }
+    }
+
+    /// The tool above `at`, pointing down, fingers closing along the direction `yaw` + 90 degrees.
+    fn above(at: &[f64; 3], height: f64, yaw: f64) -> Isometry3<f64> {
+        let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+        Isometry3::from_parts(Translation3::new(at[0], at[1], height), turn * down)
+    }
+
+    /// The tool's directions to choose from at the object, which is turned by `yaw`. Fingers: those in which the object
+    /// looks the same. A cup looks the same in every one: it is turned with the arm's base, which spares the wrist.
+    fn directions(&self, task: &Briefing, at: &[f64; 3], yaw: f64) -> Vec<f64> {
+        let home = &self.robot.settings.arm.home_rad;
+        match &self.robot.settings.gripper {
+            Gripper::ParallelJaw(_) => {
+                let symmetry = Shape::from_name(&task.shape).map_or(PI, Shape::grasp_symmetry);
+                let turns = (2.0 * PI / symmetry).round() as usize;
+                (0..turns).map(|k| yaw + k as f64 * symmetry).collect()
+            }
+            Gripper::Suction(_) => {
+                let x = self.chain.tcp_at(home).rotation * Vector3::x();
+                vec![self.carry_yaw(home, x.y.atan2(x.x), at)]
+            }
+        }
+    }
+
+    /// The grasp direction that bends the wrist least, and the joint positions above the object with it.
+    fn choose_grasp(&self, task: &Briefing, at: &[f64; 3], yaw: f64) -> Result<(f64, Vec<f64>), Unreachable> {
+        let home = &self.robot.settings.arm.home_rad;
+        let mut best: Option<(f64, f64, Vec<f64>)> = None;
+        let mut failure = None;
+        for yaw in self.directions(task, at, yaw) {
+            let goal = Self::above(at, TRANSIT_HEIGHT_M, yaw);
+            match self.chain.reach(&goal, home) {
+                Ok(q) => {
+                    let bend = q.iter().zip(home).map(|(q, home)| (q - home).abs()).fold(0.0, f64::max);
+                    if best.as_ref().is_none_or(|(least, ..)| bend < *least) {
+                        best = Some((bend, yaw, q));
+                    }
+                }
+                Err(unreachable) => failure = Some(unreachable),
+            }
+        }
+        match (best, failure) {
+            (Some((_, yaw, q)), _) => Ok((yaw, q)),
+            (None, Some(unreachable)) => Err(unreachable),
+            (None, None) => unreachable!("an object has at least one grasp direction"),
+        }
+    }
+
+    fn plan(&self, task: &Briefing) -> Result<Vec<Stage>, (Vec<Stage>, Unreachable)> {
+        let mut plan = Vec::new();
+        match self.fill(task, &mut plan) {
+            Ok(()) => Ok(plan),
+            Err(unreachable) => Err((plan, unreachable)),
+        }
+    }
+
+    fn fill(&self, task: &Briefing, plan: &mut Vec<Stage>) -> Result<(), Unreachable> {
+        use GripperCommand::{Close, Open};
+        let arm = &self.robot.settings.arm;
+        let (home, period) = (&arm.home_rad, CONTROL_PERIOD_S);
+        let straight = |from: &[f64], to, limit| straight_path(&self.chain, from, &to, home, arm, limit, period);
+        let stage = |phase, path, gripper, settles| Stage { phase, path, gripper, settles };
+
+        let [w, x, y, z] = task.object_pose.orientation;
+        let object_yaw = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z)).euler_angles().2;
+        let turned = |yaw| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * self.grasp_offset(task);
+        let from_middle =
+            |middle: &[f64; 3], offset: Vector3<f64>| [middle[0] + offset.x, middle[1] + offset.y, middle[2]];
+        let object = &from_middle(&task.object_pose.position, turned(object_yaw));
+        let (yaw, above) = self.choose_grasp(task, object, object_yaw)?;
+        plan.push(stage(phases::APPROACH_ABOVE, joint_path(home, &above, arm, period), Open, false));
+
+        let height = self.grasp_height(&task.object_extent_m);
+        let speed = task.approach_speed_m_s.unwrap_or(FREE.speed);
+        let path = straight(&above, Self::above(object, height, yaw), ToolLimit { speed, ..FREE })?;
+        let down = end_of(&path, &above);
+        plan.push(stage(phases::DESCEND, path, Open, false));
+        plan.push(stage(phases::GRASP, vec![down.clone()], Close, true));
+
+        let path = straight(&down, Self::above(object, TRANSIT_HEIGHT_M, yaw), CARRY)?;
+        let up = end_of(&path, &down);
+        plan.push(stage(phases::LIFT, path, Close, false));
+
+        // Across with the grasp's own direction turned the least way to one that suits the target.
+        let goal = &task.target_pose.position;
+        let placed = self.carry_yaw(&up, yaw, goal);
+        let target = &from_middle(goal, turned(object_yaw + placed - yaw));
+        let yaw = placed;
+        let mut path = straight(&up, Self::above(target, TRANSIT_HEIGHT_M, yaw), CARRY)?;
+        let across = end_of(&path, &up);
+        let place = height + RELEASE_ROOM_M;
+        let lowered = straight(&across, Self::above(target, place, yaw), CARRY)?;
+        let lowered_end = end_of(&lowered, &across);
+        path.extend(lowered);
+        plan.push(stage(phases::MOVE_TO_TARGET, path, Close, false));
+
+        plan.push(stage(phases::RELEASE, vec![lowered_end.clone()], Open, true));
+        let away = straight(&lowered_end, Self::above(target, TRANSIT_HEIGHT_M, yaw), FREE)?;
+        plan.push(stage(phases::RELEASE, away, Open, false));
+        Ok(())
+    }
+
+    /// Whether the tool is off the path that its last commands put it on. The servo trails the commands by
+    /// half a control period: it should be half way between the last two.
+    fn pushed_off(&self, measured: &[f64]) -> bool {
+        let Some([before, last]) = &self.commanded else { return false };
+        let middle: Vec<f64> = before.iter().zip(last).map(|(a, b)| 0.5 * (a + b)).collect();
+        let off = self.chain.tcp_at(&middle).translation.vector - self.chain.tcp_at(measured).translation.vector;
+        off.norm() > GUARD_M
+    }
+
+    /// The tool's direction at the target: turned with the arm's base, which keeps the wrist as it is.
+    fn carry_yaw(&self, joints: &[f64], yaw: f64, target: &[f64; 3]) -> f64 {
+        let from = self.chain.tcp_at(joints).translation.vector;
+        yaw + target[1].atan2(target[0]) - from.y.atan2(from.x)
+    }
+}
+
+/// Where a path ends; where it starts if it has no way.
+fn end_of(path: &[Vec<f64>], start: &[f64]) -> Vec<f64> {
+    path.last().map_or_else(|| start.to_vec(), Clone::clone)
+}
+
+impl Policy for Scripted {
+    fn check(&self, task: &TaskSpec) -> Result<(), String> {
+        let joints = task.action.joints();
+        if task.name != super::NAME || joints != Some(&*self.robot.settings.arm.joints) {
+            return Err(format!(
+                "the scripted controller drives pick_place on {}, not {}",
+                self.robot.name(),
+                task.name
+            ));
+        }
+        Ok(())
+    }
+
+    fn reset(&mut self, _: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {
+        let task = &Briefing::of(instance)?;
+        // Out of reach, the controller does what it can and then waits: that is its failure (a timeout), not
+        // the simulator's.
+        self.plan = self.plan(task).unwrap_or_else(|(begun, _)| begun);
+        if self.plan.is_empty() {
+            let path = vec![self.robot.settings.arm.home_rad.clone()];
+            self.plan.push(Stage {
+                phase: phases::APPROACH_ABOVE,
+                path,
+                gripper: GripperCommand::Open,
+                settles: false,
+            });
+        }
+        (self.current, self.tick, self.last_opening, self.rest) = (0, 0, None, 0);
+        (self.commanded, self.stopped) = (None, None);
+        Ok(())
+    }
+
+    fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
+        let opening = observation.gripper_opening_m();
+        let measured = observation.joint_positions();
+        let moved = match (self.last_opening, opening) {
+            (Some(before), Some(now)) => (before - now).abs(),
+            _ => 0.0,
+        };
+        self.rest = if moved < GRIPPER_SETTLED_M { self.rest + 1 } else { 0 };
+        self.last_opening = opening;
+        if self.pushed_off(measured) {
+            self.stopped.get_or_insert_with(|| measured.to_vec());
+        }
+        let stage = &self.plan[self.current];
+        if self.stopped.is_none() && self.tick >= stage.path.len() && self.current + 1 < self.plan.len() {
+            let end = &stage.path[stage.path.len() - 1];
+            let goal = self.chain.tcp_at(end);
+            let off = goal.inverse() * self.chain.tcp_at(measured);
+            let there =
+                off.translation.vector.norm() <= POSITION_TOLERANCE_M && off.rotation.angle() <= ANGLE_TOLERANCE_RAD;
+            if there && (!stage.settles || self.rest.min(self.tick) >= SETTLE_TICKS) {
+                (self.current, self.tick) = (self.current + 1, 0);
+            }
+        }
+        let stage = &self.plan[self.current];
+        let joints = self.stopped.as_ref().unwrap_or(&stage.path[self.tick.min(stage.path.len() - 1)]).clone();
+        self.tick += 1;
+        let last = self.commanded.take().map_or_else(|| measured.to_vec(), |[_, last]| last);
+        self.commanded = Some([last, joints.clone()]);
+        Ok(Action {
+            command: Command::JointPosition(joints),
+            gripper: Some(stage.gripper.number()),
+            phase: Some(stage.phase),
+        })
+    }
+}

@@ -1,0 +1,150 @@
+//! Engine, robot and task as one environment.
+
+use std::sync::Arc;
+
+use robogate_camera::{Cameras, Posture, Renderer};
+use robogate_core::{Action, CameraSpec, Environment, Fault, FaultKind, Image, Scenario, Start, Step, TaskSpec};
+use robogate_physics::{Engine, GripperCommand, Plant, SuctionLaw, Visual};
+
+use super::cell::{CONTROL_PERIOD_S, ResolvedCell};
+use super::judge::{Acting, Judge};
+use super::spec::spec;
+
+/// Pick an object from the table and place it at the target.
+pub struct PickPlace<E> {
+    task: Arc<TaskSpec>,
+    plant: Plant<E>,
+    judge: Judge,
+    /// Or why there are none.
+    cameras: Result<Cameras, String>,
+    /// In place of the cameras.
+    renderer: Option<Box<dyn Renderer<E>>>,
+}
+
+impl<E: Engine> PickPlace<E> {
+    /// The task on this engine; `grip_force_n` replaces the robot's own setting. A suction cup holds by vacuum
+    /// ([`Self::with_suction`]).
+    ///
+    /// Fails where the control period is not an integer number of the engine's time steps, or where the gripper cannot
+    /// hold with this force.
+    pub fn new(engine: E, grip_force_n: Option<f64>) -> Result<Self, String> {
+        let plant = Plant::new(engine, CONTROL_PERIOD_S, grip_force_n)?;
+        let judge = Judge::new(plant.engine.robot().clone(), plant.engine.chain().clone(), plant.grip_force_n());
+        let cameras = Cameras::new(plant.engine.robot());
+        let task = Arc::new(spec(plant.engine.robot(), camera_specs(&cameras)));
+        Ok(Self { task, plant, judge, cameras, renderer: None })
+    }
+
+    /// The same task, a suction cup holding by this law.
+    #[must_use]
+    pub fn with_suction(mut self, law: SuctionLaw) -> Self {
+        self.plant = self.plant.with_suction(law);
+        self
+    }
+
+    /// The same task, the cameras' pictures of this size in pixels.
+    #[must_use]
+    pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
+        self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
+        self.task = Arc::new(spec(self.plant.engine.robot(), camera_specs(&self.cameras)));
+        if let Some(renderer) = &mut self.renderer {
+            renderer.resize(width, height);
+        }
+        self
+    }
+
+    /// The same task, its pictures taken by `renderer`.
+    #[must_use]
+    pub fn with_renderer(mut self, renderer: Box<dyn Renderer<E>>) -> Self {
+        self.renderer = Some(renderer);
+        self
+    }
+
+    /// The engine, for looking at the world.
+    pub fn engine(&self) -> &E {
+        &self.plant.engine
+    }
+
+    fn run(&mut self, action: &Action) -> Result<Step, Fault> {
+        let Self { plant, judge, .. } = self;
+        let command = judge.command(action)?;
+        plant.run(&command, GripperCommand::of(action), &mut |view| judge.observe(view))?;
+        let clearance = plant.engine.clearance_below(judge.clearance_bound());
+        judge.finish(plant.arm_state(), clearance, plant.state_hash(), |body| plant.engine.robot_body(body))
+    }
+}
+
+impl<E: Engine> Environment for PickPlace<E> {
+    fn task(&self) -> &Arc<TaskSpec> {
+        &self.task
+    }
+
+    fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
+        let Self { plant, judge, cameras, renderer, .. } = self;
+        match (renderer.as_mut(), cameras.as_mut()) {
+            (Some(renderer), _) => renderer.clear(),
+            (None, Ok(cameras)) => cameras.clear(),
+            (None, Err(_)) => {}
+        }
+        let cell = judge.resolve(scenario)?;
+        plant.load(&cell.scene, cell.parameters.grip_threshold_m)?;
+        let visual = match renderer {
+            Some(renderer) => renderer.set_up(&plant.engine, &cell.scene),
+            None => show(cameras, &cell),
+        };
+        let engine = plant.engine.read_back()?;
+        let acting = Acting { engine: &engine, visual: &visual, grip_threshold_m: plant.grip_threshold_m() };
+        judge.start(scenario, cell, acting, plant.engine.touches(), plant.arm_state())
+    }
+
+    fn step(&mut self, action: &Action) -> Result<Step, Fault> {
+        let step = self.run(action);
+        if step.is_err() {
+            self.judge.abandon();
+        }
+        step
+    }
+    fn render(&mut self) -> Result<Vec<Image>, Fault> {
+        let engine = &self.plant.engine;
+        if let Some(renderer) = &mut self.renderer {
+            return renderer.render(engine);
+        }
+        render(&self.cameras, |fixtures| Posture {
+            joints: engine.joint_positions(),
+            opening_m: engine.opening(),
+            object: engine.object(),
+            fixtures: (0..fixtures).map(|i| engine.fixture(i)).collect(),
+        })
+    }
+}
+
+/// The cameras as the task declares them: none where the robot cannot be rendered.
+pub(crate) fn camera_specs(cameras: &Result<Cameras, String>) -> Vec<CameraSpec> {
+    let specs = |cameras: &Cameras| {
+        let (width, height) = cameras.size();
+        cameras.names().map(|name| CameraSpec { name: name.to_owned(), width, height }).collect()
+    };
+    cameras.as_ref().map(specs).unwrap_or_default()
+}
+
+/// Puts a cell before the cameras. How it looks is read from them, where the robot's model allows any.
+pub(crate) fn show(cameras: &mut Result<Cameras, String>, cell: &ResolvedCell) -> Visual {
+    match cameras {
+        Ok(cameras) => {
+            cameras.set_up(&cell.scene);
+            cameras.visual().unwrap_or(cell.scene.visual)
+        }
+        Err(_) => cell.scene.visual,
+    }
+}
+
+/// What the cameras show; `posture` says where everything is, of so many fixtures.
+pub(crate) fn render(
+    cameras: &Result<Cameras, String>,
+    posture: impl FnOnce(usize) -> Posture,
+) -> Result<Vec<Image>, Fault> {
+    let setup = |why: String| Fault::new(FaultKind::Setup, why);
+    let cameras = cameras.as_ref().map_err(|why| setup(format!("this robot cannot be drawn: {why}")))?;
+    let fixtures = cameras.fixtures().ok_or_else(|| setup("no scenario is set up".to_owned()))?;
+    Ok(cameras.render(&posture(fixtures)))
+}

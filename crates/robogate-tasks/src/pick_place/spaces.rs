@@ -1,0 +1,31 @@
+//! The parameter spaces that come with RoboGate, as data.
+
+use robogate_physics::Gripper;
+
+/// The paper's Franka parameter space, as TOML.
+pub const FRANKA_SPACE: &str = include_str!("../../../../assets/spaces/franka.toml");
+
+const SPACES: [(&str, &str); 4] = [
+    ("franka", FRANKA_SPACE),
+    ("ur", include_str!("../../../../assets/spaces/ur.toml")),
+    ("learned", include_str!("../../../../assets/spaces/learned.toml")),
+    ("ur-wide", include_str!("../../../../assets/spaces/ur-wide.toml")),
+];
+
+/// The names of the parameter spaces that come with RoboGate.
+pub fn built_in_spaces() -> impl Iterator<Item = &'static str> {
+    SPACES.iter().map(|(name, _)| *name)
+}
+
+/// The built-in parameter space of that name, as TOML.
+pub fn built_in_space(name: &str) -> Option<&'static str> {
+    SPACES.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
+}
+
+/// The name of the space that a robot with this gripper is run over unless another is asked for.
+pub fn default_space(gripper: &Gripper) -> &'static str {
+    match gripper {
+        Gripper::ParallelJaw(_) => "franka",
+        Gripper::Suction(_) => "ur",
+    }
+}

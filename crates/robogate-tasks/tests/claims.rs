@@ -1,0 +1,394 @@
+//! The physics claims, each held to every engine, with as many episodes as a test run has patience for;
+//! `robogate check physics` runs them at full length.
+#![expect(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test fails by panicking, and its figures are worth reading"
+)]
+
+mod common;
+
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
+use std::sync::Arc;
+
+use common::On;
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use robogate_core::{Assignment, FailureMode, Outcome, ParameterSpace, Scenario, Seed, Suite, Value, rollout};
+use robogate_physics::{FixtureKind, JointTargets, Scene, built_in_robot};
+use robogate_tasks::pick_place::claims::{self, Finding, Workbench};
+use robogate_tasks::pick_place::{self, Placement, SceneParameters, Shape, built_in_space};
+
+/// Makes of each claim one test for every engine: what is claimed here is claimed of all of them.
+macro_rules! of_every_engine {
+    ($($(#[$doc:meta])* fn $claim:ident($on:ident: On) $body:block)*) => {
+        $($(#[$doc])* fn $claim($on: On) $body)*
+
+        #[cfg(feature = "mujoco")]
+        mod mujoco {
+            $(#[test] fn $claim() { super::$claim(super::On::Mujoco) })*
+        }
+
+        #[cfg(feature = "rapier")]
+        mod rapier {
+            $(#[test] fn $claim() { super::$claim(super::On::Rapier) })*
+        }
+    };
+}
+
+fn confirm(finding: Result<Finding, String>) {
+    let finding = finding.unwrap();
+    println!("{}\n  {}", finding.claim, finding.figures.join("\n  "));
+    assert!(finding.holds, "{finding:#?}");
+}
+
+fn space(name: &str) -> Arc<ParameterSpace> {
+    Arc::new(ParameterSpace::from_toml(built_in_space(name).unwrap()).unwrap())
+}
+
+fn scenario(parameters: &[(&str, Value)]) -> Scenario {
+    let requested: Assignment = parameters.iter().map(|(name, value)| ((*name).into(), value.clone())).collect();
+    Scenario { index: 0, seed: Seed::campaign(1).episode(0), requested }
+}
+
+fn scene(on: On, robot: &str, parameters: &[(&str, Value)]) -> Scene {
+    let gripper = &on.robot(robot).robot.settings.gripper;
+    let parameters = SceneParameters::from_assignment(&scenario(parameters).requested, Some(gripper)).unwrap();
+    let placement = Placement::from_name(&parameters.placement).unwrap();
+    pick_place::scene(&parameters, &placement, &mut Seed::campaign(1).episode(0).stream("obstacles")).unwrap()
+}
+
+fn assert_same(a: &Isometry3<f64>, b: &Isometry3<f64>) {
+    let off = a.inverse() * b;
+    assert!(off.translation.vector.norm() < 1e-6, "{} m apart", off.translation.vector.norm());
+    assert!(off.rotation.angle() < 1e-6, "{} rad apart", off.rotation.angle());
+}
+
+fn turned(axis: &nalgebra::Unit<Vector3<f64>>, angle: f64) -> Isometry3<f64> {
+    Isometry3::from_parts(Translation3::identity(), UnitQuaternion::from_axis_angle(axis, angle))
+}
+
+/// The flange by modified (Craig) parameters (a, alpha, d) of joints 1 to 7 and the flange: Franka Control Interface
+/// documentation, "Denavit-Hartenberg parameters". T = Rx(alpha) Tx(a) Rz(theta) Tz(d).
+fn franka_flange(q: &[f64]) -> Isometry3<f64> {
+    let rows = [
+        (0.0, 0.0, 0.333),
+        (0.0, -FRAC_PI_2, 0.0),
+        (0.0, FRAC_PI_2, 0.316),
+        (0.0825, FRAC_PI_2, 0.0),
+        (-0.0825, -FRAC_PI_2, 0.384),
+        (0.0, FRAC_PI_2, 0.0),
+        (0.088, FRAC_PI_2, 0.0),
+        (0.0, 0.0, 0.107),
+    ];
+    rows.into_iter().zip(q.iter().copied().chain([0.0])).fold(Isometry3::identity(), |frame, ((a, alpha, d), theta)| {
+        frame
+            * turned(&Vector3::x_axis(), alpha)
+            * Isometry3::translation(a, 0.0, 0.0)
+            * turned(&Vector3::z_axis(), theta)
+            * Isometry3::translation(0.0, 0.0, d)
+    })
+}
+
+/// The flange by standard parameters (a, alpha, d): Universal Robots, "DH parameters for calculations of kinematics and
+/// dynamics", UR5e; the base turned by half a turn as the ROS description has it. T = Rz(theta) Tz(d) Tx(a) Rx(alpha).
+fn ur5e_flange(q: &[f64]) -> Isometry3<f64> {
+    let rows = [
+        (0.0, FRAC_PI_2, 0.1625),
+        (-0.425, 0.0, 0.0),
+        (-0.3922, 0.0, 0.0),
+        (0.0, FRAC_PI_2, 0.1333),
+        (0.0, -FRAC_PI_2, 0.0997),
+        (0.0, 0.0, 0.0996),
+    ];
+    let base = turned(&Vector3::z_axis(), std::f64::consts::PI);
+    rows.into_iter().zip(q).fold(base, |frame, ((a, alpha, d), theta)| {
+        frame
+            * turned(&Vector3::z_axis(), *theta)
+            * Isometry3::translation(a, 0.0, d)
+            * turned(&Vector3::x_axis(), alpha)
+    })
+}
+
+/// The engine's chain, and the world that it puts there, at random joint positions.
+fn moves_as(on: On, robot: &str, flange: fn(&[f64]) -> Isometry3<f64>, tool: Isometry3<f64>) {
+    let mut engine = on.robot(robot).engine();
+    let scene = scene(on, robot, &[]);
+    for index in 0..1000 {
+        let mut stream = Seed::campaign(11).episode(index).stream("joints");
+        let joints = &engine.chain().joints;
+        let q: Vec<f64> = joints.iter().map(|joint| stream.between(joint.range[0], joint.range[1])).collect();
+        assert_same(&engine.chain().flange_at(&q), &flange(&q));
+        assert_same(&engine.chain().tcp_at(&q), &(flange(&q) * tool));
+        if index < 50 {
+            engine.load(&scene, &q).unwrap();
+            assert_same(&engine.tcp(), &(flange(&q) * tool));
+            assert!(engine.joint_positions().iter().zip(&q).all(|(there, q)| (there - q).abs() < 1e-9));
+        }
+    }
+}
+
+/// A box that crosses the workspace and stands still in the middle of it.
+fn crossing() -> [(&'static str, Value); 6] {
+    [
+        ("disturbance_speed_m_s", Value::Number(0.2)),
+        ("disturbance_start_s", Value::Number(0.5)),
+        ("disturbance_x_m", Value::Number(0.5)),
+        ("disturbance_y_m", Value::Number(-0.4)),
+        ("disturbance_heading_rad", Value::Number(FRAC_PI_2)),
+        ("disturbance_travel_m", Value::Number(0.5)),
+    ]
+}
+
+/// What is asked of the world comes back from the engine as it was asked.
+fn is_read_back(on: On, robot: &str, parameters: &[(&str, Value)]) {
+    let station = on.robot(robot);
+    let (mut simulator, _) = station.bench(&station.setup()).unwrap();
+    let start = simulator.reset(&scenario(parameters)).unwrap();
+    for (name, asked) in parameters {
+        match (asked, start.applied.number(name)) {
+            (Value::Number(asked), Some(got)) => assert!((asked - got).abs() < 1e-9, "{name}: {asked} became {got}"),
+            _ => {
+                let got = start.applied.iter().find(|(there, _)| **there == **name).map(|(_, value)| value.clone());
+                assert_eq!(got.as_ref(), Some(asked), "{name}");
+            }
+        }
+    }
+}
+
+of_every_engine! {
+    fn the_franka_moves_as_its_manufacturers_table_says(on: On) {
+        // The hand is turned by -45 degrees about the flange's z, the tool centre point 0.1034 m beyond it.
+        let hand = Isometry3::translation(0.0, 0.0, 0.1034) * turned(&Vector3::z_axis(), -FRAC_PI_4);
+        moves_as(on, "franka", franka_flange, hand);
+    }
+
+    fn the_ur5e_moves_as_its_manufacturers_table_says(on: On) {
+        moves_as(on, "ur5e", ur5e_flange, Isometry3::translation(0.0, 0.0, 0.12));
+    }
+
+    fn the_lowest_friction_that_holds_is_coulombs(on: On) {
+        confirm(claims::coulomb(&on.franka(), &[3.0]));
+    }
+
+    fn an_object_wider_than_the_opening_is_never_picked(on: On) {
+        confirm(claims::opening(&on.franka(), on.episodes(28)));
+    }
+
+    fn the_easy_region_is_easy(on: On) {
+        confirm(claims::easy_region(&on.franka(), on.episodes(140)));
+    }
+
+    fn what_is_round_stays_in_the_hand(on: On) {
+        confirm(claims::no_creep(&on.franka(), on.episodes(56)));
+    }
+
+    fn halving_the_time_step_changes_few_outcomes(on: On) {
+        confirm(claims::time_step(&on.franka(), &space("franka"), on.episodes(200)));
+    }
+
+    fn an_episode_has_the_same_bits_in_any_order(on: On) {
+        confirm(claims::repeatable(&on.franka(), &space("franka"), on.episodes(40)));
+    }
+
+    fn joint_limits_are_kept(on: On) {
+        confirm(claims::joint_limits(&on.franka(), on.episodes(28)));
+    }
+
+    fn an_object_off_its_placement_is_picked_less_often(on: On) {
+        confirm(claims::position_jitter(&on.franka(), on.episodes(28)));
+        confirm(claims::position_jitter(&on.ur5e(), on.episodes(28)));
+    }
+
+    /// What hangs still pulls with its weight, m g, and bends the lip by m g times the way of its centre of mass
+    /// to the side; lifted with acceleration a it pulls with m (g + a).
+    fn what_hangs_at_a_cup_pulls_with_its_weight(on: On) {
+        let mut engine = on.ur5e().engine();
+        for (mass, com_offset) in [(0.4, 0.0), (1.3, 0.0), (1.3, 0.3), (3.0, 0.2)] {
+            let size = 0.06;
+            let scene = scene(on, "ur5e", &[
+                ("mass_kg", Value::Number(mass)),
+                ("size_m", Value::Number(size)),
+                ("com_offset", Value::Number(com_offset)),
+                ("shape", Value::Category("box".into())),
+            ]);
+            let home = engine.robot().settings.arm.home_rad.clone();
+            let mut at = engine.chain().tcp_at(&home);
+            at.translation.vector = scene.object_pose.translation.vector + Vector3::new(0.0, 0.0, 0.5 * size + 0.001);
+            let mut joints = engine.chain().inverse(&at, &home, &home).unwrap();
+            engine.load(&scene, &joints).unwrap();
+            engine.attach();
+            // Half a second of rest, half a second of constant acceleration, as much of braking, and rest.
+            let acceleration = 0.8;
+            let dt = engine.time_step();
+            let height = |t: f64| {
+                let (up, down) = (t.clamp(0.0, 0.5), (t - 0.5).clamp(0.0, 0.5));
+                0.5 * acceleration * (up * up - down * down) + acceleration * 0.5 * down
+            };
+            let mut pulls = Vec::new();
+            for k in 1..=(3.0 / dt).round() as usize {
+                let time = k as f64 * dt;
+                let mut goal = at;
+                goal.translation.vector.z += height(time - 0.5);
+                let next = engine.chain().inverse(&goal, &joints, &home).unwrap();
+                let velocities = next.iter().zip(&joints).map(|(next, last)| (next - last) / dt).collect();
+                joints.clone_from(&next);
+                engine.advance(&JointTargets { positions: next, velocities, finger: 0.0 });
+                pulls.push((time, engine.cup_load().unwrap()));
+            }
+            engine.health().unwrap();
+            let mean = |from: f64, to: f64| {
+                let of: Vec<_> = pulls.iter().filter(|(time, _)| (from..to).contains(time)).map(|(_, load)| load).collect();
+                let n = of.len() as f64;
+                (of.iter().map(|load| load.force).sum::<Vector3<f64>>() / n,
+                 of.iter().map(|load| load.torque).sum::<Vector3<f64>>() / n)
+            };
+            let (still, bent) = mean(2.5, 3.0);
+            let (lifted, _) = mean(0.65, 0.95);
+            let [weight, heavier] = [mass * 9.81, mass * (9.81 + acceleration)];
+            let lever = (engine.object().rotation * scene.object.mass.centre).xy().norm();
+            println!("{on:?} {mass} kg: still {:.4} of m g, lifted {:.4} of m (g + a), bent by {:.4} N m of {:.4}",
+                -still.z / weight, -lifted.z / heavier, bent.norm(), weight * lever);
+            assert!((-still.z / weight - 1.0).abs() < 0.002 && still.xy().norm() < 0.01 * weight, "{still}");
+            assert!((-lifted.z / heavier - 1.0).abs() < 0.01, "{lifted}");
+            assert!((bent.norm() - weight * lever).abs() < 0.01 * weight * size, "{bent}");
+        }
+    }
+
+    fn a_vacuum_cup_lifts_what_its_pressure_and_area_allow(on: On) {
+        confirm(claims::vacuum_limit(&on.ur5e()));
+    }
+
+    fn doubling_the_cups_area_doubles_the_mass_it_holds(on: On) {
+        confirm(claims::cup_area(&on.ur5e()));
+    }
+
+    fn doubling_gravity_halves_the_mass_a_cup_holds_but_for_the_lifts_own_acceleration(on: On) {
+        confirm(claims::gravity(&on.ur5e()));
+    }
+
+    fn a_surface_gripper_never_reports_grip_loss(on: On) {
+        confirm(claims::surface_keeps(&on.ur5e(), &space("ur"), on.episodes(80)));
+    }
+
+    fn the_easy_region_is_easy_for_a_cup(on: On) {
+        confirm(claims::easy_region(&on.ur5e(), on.episodes(56)));
+    }
+
+    fn a_cups_episode_has_the_same_bits_in_any_order(on: On) {
+        confirm(claims::repeatable(&on.ur5e(), &space("ur-wide"), on.episodes(30)));
+    }
+
+    /// The target and every placement but those on the near side lie beyond a UR3e's half metre.
+    fn a_ur3e_cannot_reach_what_lies_beyond_its_reach(on: On) {
+        let station = on.robot("ur3e");
+        let (mut simulator, mut policy) = station.bench(&station.setup()).unwrap();
+        for name in ["edge_0", "edge_90", "left_0"] {
+            let [x, y] = Placement::from_name(name).unwrap().position;
+            assert!(x.hypot(y) > station.robot.settings.arm.reach_m, "{name}");
+            let scenario = scenario(&[("placement", Value::Category(name.into()))]);
+            let episode = rollout(&mut *simulator, &mut *policy, &scenario);
+            assert_eq!(episode.outcome, Outcome::Failure(FailureMode::TIMEOUT), "{name}");
+            assert_eq!(episode.measures.get("slip_m"), None, "{name} was held");
+        }
+    }
+
+    /// A table that is slippery while the pads are not changes nothing but how the object stands.
+    fn what_was_asked_is_what_the_engine_holds(on: On) {
+        for shape in Shape::ALL {
+            is_read_back(on, "franka", &[
+                ("friction", Value::Number(0.7)),
+                ("mass_kg", Value::Number(0.9)),
+                ("com_offset", Value::Number(0.2)),
+                ("size_m", Value::Number(0.045)),
+                ("shape", Value::Category(shape.as_str().into())),
+                ("obstacles", Value::Integer(4)),
+                ("occluders", Value::Integer(2)),
+                ("placement", Value::Category("left_45".into())),
+            ]);
+        }
+        let parameters = [("gravity_scale", 0.38), ("table_friction", 0.2), ("friction", 0.9), ("position_jitter_m", 0.03)];
+        is_read_back(on, "ur5e", &parameters.map(|(name, value)| (name, Value::Number(value))));
+        is_read_back(on, "franka", &crossing());
+    }
+
+    fn a_fixture_that_moves_is_where_its_path_says_and_pushes_the_object_there(on: On) {
+        let mut engine = on.franka().engine();
+        let scene = scene(on, "franka", &crossing());
+        let home = engine.robot().settings.arm.home_rad.clone();
+        engine.load(&scene, &home).unwrap();
+        let moving = engine.read_back().unwrap().fixtures.iter().filter(|fixture| fixture.motion.is_some()).count();
+        assert_eq!(moving, 1);
+        let targets = JointTargets { positions: home.clone(), velocities: vec![0.0; home.len()], finger: 0.04 };
+        let mover = scene.fixtures.iter().position(|fixture| fixture.kind == FixtureKind::Disturbance).unwrap();
+        let start = engine.object().translation.vector;
+        let mut pushed_at = None;
+        let dt = engine.time_step();
+        for step in 1..=(4.0 / dt).round() as usize {
+            engine.advance(&targets);
+            let time = step as f64 * dt;
+            let way = 0.2 * (time.clamp(0.5, 3.0) - 0.5);
+            let at = engine.fixture(mover).translation.vector;
+            assert!((at.xy() - Vector3::new(0.5, -0.4 + way, 0.0).xy()).norm() < 1e-9, "{time}: {at}");
+            if (engine.object().translation.vector - start).norm() > 1e-3 {
+                pushed_at.get_or_insert(time);
+            }
+        }
+        // Faces meet when the box has come 0.4 m less half of each: 0.345 m, 1.725 s after 0.5 s.
+        let pushed_at = pushed_at.unwrap();
+        assert!((2.2..2.3).contains(&pushed_at), "{pushed_at}");
+        // At its halt its face stands at y = 0.13, and the object's middle half its edge beyond.
+        let end = engine.object().translation.vector;
+        assert!((end.y - 0.155).abs() < 0.004 && (end.x - start.x).abs() < 0.01, "{end}");
+        engine.health().unwrap();
+    }
+
+    /// A box that slides on the table after a push decelerates by mu g, mu being the table's own coefficient.
+    fn the_tables_friction_stops_the_object(on: On) {
+        for (friction, table_friction) in [(0.9, 0.2), (0.1, 0.2)] {
+            let mut engine = on.franka().engine();
+            let mut parameters = crossing().to_vec();
+            parameters[0].1 = Value::Number(0.8);
+            parameters.push(("friction", Value::Number(friction)));
+            parameters.push(("table_friction", Value::Number(table_friction)));
+            let scene = scene(on, "franka", &parameters);
+            let home = engine.robot().settings.arm.home_rad.clone();
+            engine.load(&scene, &home).unwrap();
+            let targets = JointTargets { positions: home.clone(), velocities: vec![0.0; home.len()], finger: 0.04 };
+            let dt = engine.time_step();
+            let mut sliding = Vec::new();
+            for step in 1..=(4.0 / dt).round() as usize {
+                engine.advance(&targets);
+                // The pusher stops after 0.5 s of waiting and 0.5 m.
+                let (time, speed) = (step as f64 * dt, engine.object_velocity().0.norm());
+                if time > 0.5 + 0.5 / 0.8 + 0.01 && speed > 0.1 {
+                    sliding.push((time, speed));
+                }
+            }
+            let [(t1, v1), (t2, v2)] = [sliding[0], sliding[sliding.len() - 1]];
+            let (deceleration, law) = ((v1 - v2) / (t2 - t1), table_friction * 9.81);
+            println!("{on:?} {friction}, {table_friction} on the table: {deceleration:.3} m/s^2 of {law:.3} m/s^2");
+            assert!((deceleration / law - 1.0).abs() < 0.03, "{on:?}: {deceleration} of {law} m/s^2");
+        }
+    }
+
+    /// One round of the 68.
+    fn the_industrial_suite_is_solved(on: On) {
+        let suite = Suite::from_toml(include_str!("../../../assets/suites/industrial-68.toml")).unwrap();
+        let station = on.franka();
+        let (mut simulator, mut policy) = station.bench(&station.setup()).unwrap();
+        let failed: Vec<_> = (0..68)
+            .map(|i| rollout(&mut *simulator, &mut *policy, &suite.scenario(Seed::campaign(2026), i)))
+            .filter(|episode| episode.outcome != Outcome::Success)
+            .map(|e| (suite.case(e.scenario.index).id.clone(), e.outcome, e.phase, e.time_s, e.contact))
+            .collect();
+        assert!(failed.is_empty(), "{failed:#?}");
+    }
+}
+
+#[test]
+fn a_parameter_that_the_gripper_does_not_have_is_refused_by_name() {
+    let gripper = |robot| built_in_robot(robot).unwrap().settings.gripper;
+    SceneParameters::check_space(&space("ur-wide"), Some(&gripper("ur5e"))).unwrap();
+    let error = SceneParameters::check_space(&space("ur"), Some(&gripper("franka"))).unwrap_err().to_string();
+    assert!(error.contains("grip_threshold_m") && error.contains("parallel jaw"), "{error}");
+}

@@ -1,0 +1,97 @@
+//! Robots under each of the engines.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![allow(dead_code, reason = "each test binary uses its part")]
+
+use std::path::Path;
+
+#[cfg(feature = "mujoco")]
+use robogate_physics::MujocoEngine;
+#[cfg(feature = "rapier")]
+use robogate_physics::RapierEngine;
+use robogate_physics::{Engine, Robot, SuctionLaw};
+use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
+use robogate_tasks::pick_place::{PickPlace, Scripted};
+
+/// An engine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum On {
+    #[cfg(feature = "mujoco")]
+    Mujoco,
+    #[cfg(feature = "rapier")]
+    Rapier,
+}
+
+impl On {
+    /// A robot of the repository in this engine, by the name of its folder.
+    pub(crate) fn robot(self, name: &str) -> Station {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/robots").join(name);
+        Station { on: self, robot: Robot::from_folder(&folder).unwrap() }
+    }
+
+    pub(crate) fn franka(self) -> Station {
+        self.robot("franka")
+    }
+
+    pub(crate) fn ur5e(self) -> Station {
+        self.robot("ur5e")
+    }
+
+    /// So many episodes where the engine is fast, and fewer where it is slow.
+    pub(crate) fn episodes(self, fast: usize) -> usize {
+        match self {
+            #[cfg(feature = "mujoco")]
+            Self::Mujoco => fast,
+            #[cfg(feature = "rapier")]
+            Self::Rapier => fast / 4,
+        }
+    }
+
+    pub(crate) fn time_step(self) -> f64 {
+        match self {
+            #[cfg(feature = "mujoco")]
+            Self::Mujoco => MujocoEngine::TIME_STEP_S,
+            #[cfg(feature = "rapier")]
+            Self::Rapier => RapierEngine::TIME_STEP_S,
+        }
+    }
+}
+
+/// A robot in an engine.
+pub(crate) struct Station {
+    pub(crate) on: On,
+    pub(crate) robot: Robot,
+}
+
+impl Station {
+    /// The engine alone.
+    pub(crate) fn engine(&self) -> Box<dyn Engine> {
+        let (robot, step) = (self.robot.clone(), self.on.time_step());
+        match self.on {
+            #[cfg(feature = "mujoco")]
+            On::Mujoco => Box::new(MujocoEngine::new(robot, step).unwrap()),
+            #[cfg(feature = "rapier")]
+            On::Rapier => Box::new(RapierEngine::new(robot, step).unwrap()),
+        }
+    }
+}
+
+impl Workbench for Station {
+    fn setup(&self) -> Setup {
+        Setup { robot: self.robot.clone(), time_step_s: self.on.time_step(), suction: SuctionLaw::Vacuum }
+    }
+
+    fn bench(&self, setup: &Setup) -> Result<Bench, String> {
+        let (robot, step) = (setup.robot.clone(), setup.time_step_s);
+        match self.on {
+            #[cfg(feature = "mujoco")]
+            On::Mujoco => bench(MujocoEngine::new(robot, step).map_err(|e| e.to_string())?, setup),
+            #[cfg(feature = "rapier")]
+            On::Rapier => bench(RapierEngine::new(robot, step).map_err(|e| e.to_string())?, setup),
+        }
+    }
+}
+
+fn bench<E: Engine + 'static>(engine: E, setup: &Setup) -> Result<Bench, String> {
+    let policy = Scripted::new(setup.robot.clone(), engine.chain().clone());
+    Ok((Box::new(PickPlace::new(engine, None)?.with_suction(setup.suction)), Box::new(policy)))
+}
