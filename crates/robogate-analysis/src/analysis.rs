@@ -1,4 +1,4 @@
-//! The analysis of one dictionary: every figure with what it speaks of.
+//! The analysis of one dictionary. Every figure names the population that it applies to.
 
 use std::path::Path;
 
@@ -6,45 +6,46 @@ use robogate_dictionary::Provenance;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::along::{Along, along};
 use crate::claims::{Claims, claims};
-use crate::drawn::{HowDrawn, drawn};
-use crate::failures::{DangerZones, FailureModes};
+use crate::danger::DangerZones;
+use crate::failures::FailureModes;
+use crate::marginal::{MarginalEffect, marginal_effect};
 use crate::models::{Frontier, Regression, RiskModel, frontier, interactions, risk};
-use crate::pairs::{self, PairMap, default_pair};
-use crate::replay::{ReplayGroup, worth_replaying};
-use crate::rows::{Rows, Sample};
+use crate::pairs::{self, PairMap, check as check_pair, default_pair};
+use crate::replay::{ReplayGroup, replay_groups};
+use crate::sampling::{Sampling, sampling};
+use crate::table::{EpisodeTable, Sample};
 use crate::task::TaskAnalysis;
 use crate::{AnalysisError, Finding, Population, Source, Success};
 
 /// The analysis of one dictionary.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Analysis {
-    /// The version of this form.
+    /// The version of this document.
     pub version: u32,
     /// What was analysed.
     pub subject: Subject,
     /// What the headline may state.
     pub claims: Claims,
-    /// What every figure below speaks of, unless it says otherwise.
+    /// The population that every figure below applies to, unless it names another one.
     pub population: Population,
     /// How often the policy succeeds.
     pub success: Success,
     /// Success over two parameters at once, with the frontier between success and failure.
     pub envelopes: Vec<Envelope>,
-    /// Success along each parameter.
-    pub along: Vec<Along>,
+    /// The marginal effect of each parameter.
+    pub marginal_effects: Vec<MarginalEffect>,
     /// How the policy fails.
     pub failure_modes: FailureModes,
-    /// Where it surely fails most of the time.
+    /// Where it significantly fails most of the time.
     pub danger_zones: DangerZones,
     /// The published model of the task, standardised, with interactions.
     pub interactions: Finding<Regression>,
     /// The paper's risk model.
     pub risk: Finding<RiskModel>,
-    /// How the points were drawn.
-    pub drawn: HowDrawn,
-    /// Episodes worth seeing again.
+    /// How the points were sampled.
+    pub sampling: Sampling,
+    /// Episodes worth replaying.
     pub replay: Vec<ReplayGroup>,
     /// Where the rows come from.
     pub provenance: Provenance,
@@ -53,7 +54,7 @@ pub struct Analysis {
 /// What was analysed.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Subject {
-    /// The run's folder or the file, as it was named.
+    /// The run's folder or the file, as given.
     pub path: String,
     /// Whether it is a run's folder, so that its episodes can be replayed.
     pub replayable: bool,
@@ -101,24 +102,25 @@ pub struct Envelope {
 }
 
 impl Analysis {
-    /// The version of this form that is written here.
+    /// The version of the document that this build writes.
     pub const VERSION: u32 = 2;
 
-    /// Analyses a source that was opened from `path`. `pairs` names what is mapped beside the usual pair.
+    /// Analyses a source that was opened from `path`. `pairs` names the pairs that are mapped beside the default one.
     ///
     /// # Errors
-    /// A column that cannot be read, or a pair that is not there.
-    pub fn of(source: &Source, path: &Path, named: &[(String, String)]) -> Result<Self, AnalysisError> {
+    /// A column that cannot be read, or a pair of parameters that does not exist.
+    pub fn of(source: &Source, path: &Path, pairs: &[(String, String)]) -> Result<Self, AnalysisError> {
         let dictionary = source.dictionary();
-        let rows = Rows::read(dictionary)?;
-        let (base, focused, population) = populations(&rows);
-        for (first, second) in named {
-            pairs::check(&base, first, second)?;
+        let table = EpisodeTable::read(dictionary)?;
+        let (base, focused, population) = populations(&table);
+        for (first, second) in pairs {
+            check_pair(&base, first, second)?;
         }
-        let along: Vec<Along> = base.parameters.iter().map(|parameter| along(&rows, &base, parameter)).collect();
+        let marginal_effects: Vec<MarginalEffect> =
+            base.parameters.iter().map(|parameter| marginal_effect(&table, &base, parameter)).collect();
         let task = TaskAnalysis::of_dictionary(dictionary.provenance());
-        let mut wanted: Vec<(String, String)> = default_pair(&base, &along, task).into_iter().collect();
-        for pair in named {
+        let mut wanted: Vec<(String, String)> = default_pair(&base, &marginal_effects, task).into_iter().collect();
+        for pair in pairs {
             if !wanted.contains(pair) {
                 wanted.push(pair.clone());
             }
@@ -134,15 +136,15 @@ impl Analysis {
             subject: Subject::of(source, path),
             claims: Claims::default(),
             population,
-            success: Success::of(&rows, &base, focused.as_ref(), population),
+            success: Success::of(&table, &base, focused.as_ref(), population),
             envelopes,
-            failure_modes: FailureModes::of(&rows, &base),
-            danger_zones: DangerZones::of(&along),
-            along,
+            failure_modes: FailureModes::of(&table, &base),
+            danger_zones: DangerZones::of(&marginal_effects),
+            marginal_effects,
             interactions: interactions(&base, task),
             risk,
-            drawn: drawn(source, &rows),
-            replay: worth_replaying(&rows, &base, scored.as_ref(), task),
+            sampling: sampling(source, &table),
+            replay: replay_groups(&table, &base, scored.as_ref(), task),
             provenance,
         };
         analysis.claims = claims(&analysis);
@@ -151,7 +153,7 @@ impl Analysis {
 
     /// The parameters that the space samples jointly with others, in the order of the space.
     pub fn jointly_sampled(&self) -> Vec<String> {
-        let names = self.along.iter().map(|along| &along.parameter);
+        let names = self.marginal_effects.iter().map(|effect| &effect.parameter);
         names.filter(|parameter| self.is_jointly_sampled(parameter)).cloned().collect()
     }
 
@@ -162,14 +164,14 @@ impl Analysis {
     }
 }
 
-/// The rows that figures are made from, the focused ones beside them, and what the first speak of.
-pub(crate) fn populations(rows: &Rows) -> (Sample, Option<Sample>, Population) {
-    let operating = rows.sample(false);
-    let focused = rows.sample(true);
+/// The rows that figures are computed from, the focused rows beside them, and the population of the first.
+pub(crate) fn populations(table: &EpisodeTable) -> (Sample, Option<Sample>, Population) {
+    let operating = table.sample(false);
+    let focused = table.sample(true);
     if operating.len() == 0 && focused.len() > 0 {
         return (focused, None, Population::FocusedDesign);
     }
-    let any = |name: &str| rows.stages.iter().any(|stage| !stage.focused && stage.name == name);
+    let any = |name: &str| table.stages.iter().any(|stage| !stage.focused && stage.name == name);
     let population = if any("imported") {
         Population::AsImported
     } else if any("suite") {
@@ -184,7 +186,7 @@ fn envelope(base: &Sample, up: &str, across: &str) -> Option<Envelope> {
     let (up, across) = (base.parameter(up)?, base.parameter(across)?);
     let map = match pairs::map(base, up, across) {
         Some(map) => Finding::Estimated(map),
-        None => Finding::not("one of the two parameters cannot be cut into cells"),
+        None => Finding::not("one of the two parameters has too many levels for a map"),
     };
     Some(Envelope { map, frontier: frontier(base, up, across) })
 }

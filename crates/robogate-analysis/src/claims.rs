@@ -3,20 +3,20 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::along::{Along, AlongKind, Cell, Correlation, CriticalThreshold, Zone};
+use crate::marginal::{Cell, Correlation, CriticalThreshold, MarginalEffect, ParameterType, Zone};
 use crate::replay::ReplayReason;
 use crate::{Analysis, Population};
 
-/// Failure regions and advice at most, of each kind.
-const MOST_REGIONS: usize = 3;
-/// Pieces of advice at most that name a parameter.
-const MOST_ADVICE: usize = 2;
-/// A crossing of 50 % is advised on where at least this share of the bootstrap replicates cross.
-const SURE_CROSSING: f64 = 0.95;
-/// Invalid episodes are named first where they are more than one in so many of the valid ones.
-const MANY_INVALID: u64 = 50;
+/// Failure regions that are named.
+const MAX_REGIONS: usize = 3;
+/// Pieces of advice that name a parameter.
+const MAX_ADVICE: usize = 2;
+/// Share of the bootstrap replicates that must cross 50 % for a threshold to be named in advice.
+const MIN_CROSSING_SHARE: f64 = 0.95;
+/// Invalid episodes come first in the advice if there is more than one of them for this many valid ones.
+const VALID_PER_INVALID: u64 = 50;
 /// Valid episodes that a cell must have to be named in advice.
-const FEWEST: u64 = 20;
+const MIN_EPISODES: u64 = 20;
 
 /// What the headline may state.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -56,9 +56,9 @@ pub struct RatedCell {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Advice {
-    /// No episode is valid: find out why.
+    /// No episode is valid: find the cause.
     ExplainInvalid,
-    /// More than 2 % of the evidence is invalid: look into it first.
+    /// More than 2 % of the episodes are invalid: investigate them first.
     ReduceInvalid {
         /// Invalid episodes.
         invalid: u64,
@@ -81,20 +81,20 @@ pub enum Advice {
         /// Its cell with the lowest.
         worst: RatedCell,
     },
-    /// These parameters are sampled jointly, so that none of them is advised on alone.
+    /// These parameters are sampled jointly, so none of them is advised on alone.
     Joint {
         /// The parameters.
         parameters: Vec<String>,
     },
-    /// The cells of a map that are safe: operate there. None of them: rely on none.
+    /// Operate in the safe cells of a map; rely on none of its cells if none is safe.
     Operate {
         /// The parameters of the map: upwards and across.
         parameters: [String; 2],
         /// How many of its cells are safe.
         safe_cells: u64,
     },
-    /// Watch the failures that the risk model did not expect.
-    Watch {
+    /// Replay the failures that the risk model did not expect.
+    Replay {
         /// The first of them.
         episode: u64,
     },
@@ -105,21 +105,22 @@ pub(crate) fn claims(analysis: &Analysis) -> Claims {
 }
 
 /// How strongly a parameter is correlated with success; 0 where that cannot be estimated.
-fn strength(along: &Along) -> f64 {
-    along.correlation.estimated().map_or(0.0, |c| c.strength())
+fn strength(effect: &MarginalEffect) -> f64 {
+    effect.correlation.estimated().map_or(0.0, |c| c.strength())
 }
 
 /// For each parameter the region around its worst cell.
 fn failure_regions(analysis: &Analysis) -> Vec<FailureRegion> {
     let overall = analysis.success.rate.rate.unwrap_or(0.0);
     let mut found: Vec<(f64, FailureRegion)> = Vec::new();
-    for along in &analysis.along {
+    for effect in &analysis.marginal_effects {
         let zones = &analysis.danger_zones.zones;
         let fails = |cell: &Cell| {
-            let zone = |z: &&crate::DangerZone| z.sure && z.parameter == along.parameter && z.cell == cell.label;
+            let zone =
+                |z: &&crate::DangerZone| z.significant && z.parameter == effect.parameter && z.cell == cell.label;
             cell.rate.wilson_95[1] < overall && zones.iter().any(|z| zone(&z))
         };
-        let cells = &along.cells;
+        let cells = &effect.cells;
         let low = |i: &usize| cells[*i].rate.rate.unwrap_or(1.0);
         let Some(worst) = (0..cells.len()).filter(|i| fails(&cells[*i])).min_by(|a, b| low(a).total_cmp(&low(b)))
         else {
@@ -127,7 +128,7 @@ fn failure_regions(analysis: &Analysis) -> Vec<FailureRegion> {
         };
         let (mut from, mut to) = (worst, worst);
         // Categories have no neighbours.
-        if !matches!(along.kind, AlongKind::Categorical) {
+        if !matches!(effect.kind, ParameterType::Categorical) {
             while from > 0 && fails(&cells[from - 1]) {
                 from -= 1;
             }
@@ -142,16 +143,16 @@ fn failure_regions(analysis: &Analysis) -> Vec<FailureRegion> {
             _ => None,
         };
         let region = FailureRegion {
-            parameter: along.parameter.clone(),
+            parameter: effect.parameter.clone(),
             cells: [from, to].map(|i| cells[i].label.clone()),
             range,
             rate: successes as f64 / n.max(1) as f64,
             n,
         };
-        found.push((strength(along), region));
+        found.push((strength(effect), region));
     }
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
-    found.into_iter().take(MOST_REGIONS).map(|(_, region)| region).collect()
+    found.into_iter().take(MAX_REGIONS).map(|(_, region)| region).collect()
 }
 
 fn advice(analysis: &Analysis) -> Vec<Advice> {
@@ -161,7 +162,7 @@ fn advice(analysis: &Analysis) -> Vec<Advice> {
     }
     let mut advice = Vec::new();
     let invalid = analysis.success.bounds.invalid;
-    if invalid * MANY_INVALID > rate.n {
+    if invalid * VALID_PER_INVALID > rate.n {
         advice.push(Advice::ReduceInvalid { invalid });
     }
     let limits = thresholds(analysis);
@@ -183,7 +184,7 @@ fn advice(analysis: &Analysis) -> Vec<Advice> {
     }
     let unexpected = analysis.replay.iter().find(|group| group.reason == ReplayReason::UnexpectedFailure);
     if let (Some(first), true) = (unexpected.and_then(|g| g.episodes.first()), analysis.subject.replayable) {
-        advice.push(Advice::Watch { episode: first.index });
+        advice.push(Advice::Replay { episode: first.index });
     }
     advice
 }
@@ -191,33 +192,33 @@ fn advice(analysis: &Analysis) -> Vec<Advice> {
 /// The strongest critical thresholds.
 fn thresholds(analysis: &Analysis) -> Vec<Advice> {
     let mut found: Vec<(f64, Advice)> = analysis
-        .along
+        .marginal_effects
         .iter()
-        .filter(|along| !analysis.is_jointly_sampled(&along.parameter))
-        .filter_map(|along| match along.threshold.estimated()? {
-            CriticalThreshold::Crosses { at, rising, crossing_share, .. } if *crossing_share >= SURE_CROSSING => {
-                let parameter = along.parameter.clone();
-                Some((strength(along), Advice::Keep { parameter, above: *rising, threshold: *at }))
+        .filter(|effect| !analysis.is_jointly_sampled(&effect.parameter))
+        .filter_map(|effect| match effect.threshold.estimated()? {
+            CriticalThreshold::Crosses { at, rising, crossing_share, .. } if *crossing_share >= MIN_CROSSING_SHARE => {
+                let parameter = effect.parameter.clone();
+                Some((strength(effect), Advice::Keep { parameter, above: *rising, threshold: *at }))
             }
             _ => None,
         })
         .collect();
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
-    found.into_iter().take(MOST_ADVICE).map(|(_, advice)| advice).collect()
+    found.into_iter().take(MAX_ADVICE).map(|(_, advice)| advice).collect()
 }
 
 /// The parameters that matter most, with their best and worst cells.
 fn ranges(analysis: &Analysis) -> Vec<Advice> {
-    let advised = |along: &&Along| matters(along) && !analysis.is_jointly_sampled(&along.parameter);
-    let mut ranked: Vec<&Along> = analysis.along.iter().filter(advised).collect();
+    let advised = |effect: &&MarginalEffect| matters(effect) && !analysis.is_jointly_sampled(&effect.parameter);
+    let mut ranked: Vec<&MarginalEffect> = analysis.marginal_effects.iter().filter(advised).collect();
     ranked.sort_by(|a, b| strength(b).total_cmp(&strength(a)));
     ranked
         .into_iter()
-        .take(MOST_ADVICE)
-        .filter_map(|along| {
+        .take(MAX_ADVICE)
+        .filter_map(|effect| {
             let rated = |pick: fn(f64, f64) -> bool| {
                 let mut best: Option<RatedCell> = None;
-                for cell in along.cells.iter().filter(|c| c.rate.n >= FEWEST) {
+                for cell in effect.cells.iter().filter(|c| c.rate.n >= MIN_EPISODES) {
                     if let Some(rate) = cell.rate.rate.filter(|r| best.as_ref().is_none_or(|b| pick(*r, b.rate))) {
                         best = Some(RatedCell { cell: cell.label.clone(), rate });
                     }
@@ -225,14 +226,14 @@ fn ranges(analysis: &Analysis) -> Vec<Advice> {
                 best
             };
             let (best, worst) = (rated(|a, b| a > b)?, rated(|a, b| a < b)?);
-            Some(Advice::Narrow { parameter: along.parameter.clone(), best, worst })
+            Some(Advice::Narrow { parameter: effect.parameter.clone(), best, worst })
         })
         .collect()
 }
 
-/// Whether a parameter is correlated with success: a p-value far below what many looks would give by chance.
-fn matters(along: &Along) -> bool {
-    let ln_p = match along.correlation.estimated() {
+/// Whether a parameter is correlated with success: the p-value is below 0.001, so that many parameters give few false ones.
+fn matters(effect: &MarginalEffect) -> bool {
+    let ln_p = match effect.correlation.estimated() {
         Some(Correlation::Number { ln_p, .. }) => *ln_p,
         Some(Correlation::Category { ln_p, .. }) => Some(*ln_p),
         None => None,

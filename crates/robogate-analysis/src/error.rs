@@ -1,4 +1,4 @@
-//! Why there is no analysis.
+//! Errors of an analysis.
 
 use std::path::{Path, PathBuf};
 
@@ -10,44 +10,50 @@ pub enum AnalysisError {
     /// The dictionary cannot be read.
     #[error(transparent)]
     Dictionary(#[from] DictionaryError),
-    /// Not a dictionary of any form that is understood.
-    #[error("{}: {reason}\nhint: give a run's folder, a dictionary (Parquet) or a published JSON dictionary", path.display())]
+    /// Not a dictionary in any supported form.
+    #[error(
+        "{}: {reason}\nhint: expected a run's folder, a dictionary (Parquet) or a published JSON dictionary",
+        path.display()
+    )]
     NotADictionary {
         /// The path as given.
         path: PathBuf,
         /// What is wrong with it.
         reason: String,
     },
-    /// A folder that holds no finished run.
-    #[error("{}: no dictionary.parquet in this folder\nhint: a run that is not finished goes on with `robogate resume {0}`", path.display())]
+    /// A folder without a finished run.
+    #[error(
+        "{}: the folder has no dictionary.parquet\nhint: resume an interrupted run with `robogate resume {0}`",
+        path.display()
+    )]
     NoDictionaryInFolder {
         /// The folder.
         path: PathBuf,
     },
-    /// The system refused a file.
+    /// The system refused to read or write a file.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What was tried.
+        /// The operation that failed.
         action: &'static str,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// Dictionaries that do not make one experiment.
-    #[error("these dictionaries make no study: {reason}")]
+    /// Dictionaries that do not form a study.
+    #[error("these dictionaries do not form a study: {reason}")]
     NoStudy {
-        /// What does not fit.
+        /// What does not match.
         reason: String,
     },
     /// A pair of parameters that cannot be mapped.
-    #[error("`{name}` cannot be one of a pair: {reason}\nhint: the parameters are {known}")]
+    #[error("`{name}` is not a valid parameter of a pair: {reason}\nhint: expected two of {known}")]
     Pair {
         /// The name as given.
         name: String,
         /// What is wrong with it.
         reason: &'static str,
-        /// The names there are.
+        /// The names of the parameters.
         known: String,
     },
 }

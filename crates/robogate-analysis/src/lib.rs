@@ -13,43 +13,47 @@
 //! | dictionaries of several designs and a test set | [`study::Study`] |
 //! | the name of a task | [`TaskAnalysis`]: what that task adds to the generic analysis |
 
-mod along;
 mod analysis;
 mod claims;
 mod comparison;
-mod drawn;
+mod danger;
 mod error;
 mod failures;
 pub mod labels;
+mod marginal;
 mod models;
 mod pairs;
 mod pick_place;
 mod rate;
 mod replay;
-mod rows;
+mod sampling;
 mod source;
 pub mod study;
 mod success;
+mod table;
 mod task;
 
-pub use along::{Along, AlongKind, Cell, Correlation, CriticalThreshold, ModeBin, ModeChange, ModeChanges, Zone};
 pub use analysis::{Analysis, Envelope, Subject};
 pub use claims::{Advice, Claims, FailureRegion, RatedCell};
 pub use comparison::{
-    ComparedDictionary, Comparison, ComparisonError, ComparisonOptions, CrossTable, DisagreementCell, DisagreementMap,
+    ComparedDataset, Comparison, ComparisonError, ComparisonOptions, CrossTable, DisagreementCell, DisagreementMap,
     Effect, Flip, NotShared, PairedComparison, PairedInvalid, RateDifference, ReachRow, Sensitivity, SharedCell,
     SharedCurve, SharedParameters, Slope, UniversalZone, UniversalZones, ZoneSide,
 };
-pub use drawn::{DrawnRange, HowDrawn};
+pub use danger::{DANGER_LIMIT, DangerZone, DangerZones};
 pub use error::AnalysisError;
-pub use failures::{DANGER_LIMIT, DangerZone, DangerZones, FailureModes, ModeShare, unrecorded};
+pub use failures::{FailureModes, ModeShare, unrecorded};
+pub use marginal::{
+    Cell, Correlation, CriticalThreshold, MarginalEffect, ModeBin, ModeChange, ModeChanges, ParameterType, Zone,
+};
 pub use models::{
     CalibrationFigures, Coefficient, Estimate, Frontier, FrontierPoint, Penalty, PenaltyLevel, Regression,
     ReliabilityBin, RiskModel, RocCurve, RocFigures, Scoring, ScoringTerm,
 };
 pub use pairs::{Axis, PairCell, PairMap, ZoneCounts};
 pub use rate::{Finding, Population, Rate};
-pub use replay::{ReplayGroup, ReplayReason, WorthReplaying, shell_word};
+pub use replay::{ReplayEpisode, ReplayGroup, ReplayReason, shell_word};
+pub use sampling::{SampledRange, Sampling};
 pub use source::Source;
 pub use success::{FaultCount, InvalidBounds, Reweighted, StageSuccess, Success, WeightedRate};
 pub use task::{InteractionModel, TaskAnalysis};

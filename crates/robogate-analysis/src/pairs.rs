@@ -1,4 +1,4 @@
-//! Success over two parameters at once: the operating envelope.
+//! Success by two parameters: the operating envelope.
 
 use robogate_stats::Trials;
 use robogate_stats::binning::{Edges, per_pair};
@@ -7,46 +7,46 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::AnalysisError;
-use crate::along::{Along, Zone};
+use crate::marginal::{MarginalEffect, Zone};
 use crate::rate::Rate;
-use crate::rows::{ParameterColumn, ParameterKind, Sample};
+use crate::table::{ParameterColumn, ParameterKind, Sample};
 use crate::task::TaskAnalysis;
 
-/// Most bins along a side.
-const MOST: usize = 10;
+/// Bins of one axis.
+const MAX_BINS: usize = 10;
 /// Episodes that a cell should hold on average.
-const WANTED: usize = 25;
+const EPISODES_PER_CELL: usize = 25;
 
-/// Rates per cell of two parameters.
+/// Success rates per cell of two parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct PairMap {
-    /// The parameter across.
+    /// The horizontal parameter.
     pub x: Axis,
-    /// The parameter upwards.
+    /// The vertical parameter.
     pub y: Axis,
-    /// The cells, row by row from the lowest y, x running fastest.
+    /// The cells, row by row from the lowest y; x varies fastest.
     pub cells: Vec<PairCell>,
     /// Rows outside both ranges.
     pub outside: u64,
-    /// How many cells each zone has, the level shared over the whole map.
+    /// Cells of each zone, at a confidence shared over the whole map.
     pub zones: ZoneCounts,
 }
 
-/// One side of a map.
+/// One axis of a map.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Axis {
     /// The parameter.
     pub parameter: String,
-    /// Edges of its bins; of a category none.
+    /// Edges of its bins; empty for a categorical parameter.
     pub edges: Vec<f64>,
-    /// Its levels, where it is a category or a whole number.
+    /// Its levels, if it is categorical or an integer with few levels.
     pub levels: Vec<String>,
-    /// Whether it was drawn, and is cut, evenly in its logarithm.
+    /// Whether its bins have equal width on a logarithmic scale.
     pub log: bool,
 }
 
 impl Axis {
-    /// How many bins or levels there are.
+    /// Number of bins or levels.
     pub fn cells(&self) -> usize {
         if self.levels.is_empty() { self.edges.len().saturating_sub(1) } else { self.levels.len() }
     }
@@ -66,33 +66,33 @@ impl Axis {
 pub struct PairCell {
     /// Its rate.
     pub rate: Rate,
-    /// What may be said of it.
+    /// Its zone.
     pub zone: Zone,
 }
 
-/// How many cells each zone has.
+/// Cells of each zone.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct ZoneCounts {
-    /// Cells surely from 70 %.
+    /// Cells significantly at or above 70 %.
     pub safe: u64,
-    /// Cells surely between.
+    /// Cells significantly between.
     pub boundary: u64,
-    /// Cells surely to 30 %.
+    /// Cells significantly at or below 30 %.
     pub danger: u64,
-    /// Cells with episodes enough whose interval reaches over a limit.
+    /// Cells with enough episodes whose interval includes a limit.
     #[serde(default)]
     pub undecided: u64,
-    /// Cells with too few episodes to say anything sure.
-    pub too_thin: u64,
+    /// Cells with too few episodes for any zone.
+    pub too_few_episodes: u64,
 }
 
 /// The pair that is mapped by default: the one that the task names, else the two numeric parameters that are most strongly
 /// correlated with success. The frontier is solved for the first.
-pub(crate) fn default_pair(base: &Sample, along: &[Along], task: &TaskAnalysis) -> Option<(String, String)> {
+pub(crate) fn default_pair(base: &Sample, effects: &[MarginalEffect], task: &TaskAnalysis) -> Option<(String, String)> {
     if let Some([up, across]) = task.envelope.filter(|pair| pair.iter().all(|name| base.parameter(name).is_some())) {
         return Some((up.to_owned(), across.to_owned()));
     }
-    let mut ranked: Vec<(f64, &Along)> = along
+    let mut ranked: Vec<(f64, &MarginalEffect)> = effects
         .iter()
         .filter(|a| base.parameter(&a.parameter).is_some_and(ParameterColumn::is_numeric))
         .map(|a| (a.correlation.estimated().map_or(0.0, |c| c.strength()), a))
@@ -104,27 +104,27 @@ pub(crate) fn default_pair(base: &Sample, along: &[Along], task: &TaskAnalysis) 
     }
 }
 
-/// Checks that two names can be mapped.
+/// Checks that two parameters can be mapped.
 pub(crate) fn check(base: &Sample, first: &str, second: &str) -> Result<(), AnalysisError> {
     let known = || base.parameters.iter().map(|p| p.name.as_str()).collect::<Vec<_>>().join(", ");
     for name in [first, second] {
         if base.parameter(name).is_none() {
-            let reason = "there is no such parameter";
+            let reason = "no parameter has this name";
             return Err(AnalysisError::Pair { name: name.to_owned(), reason, known: known() });
         }
     }
     if first == second {
-        let reason = "it is there twice";
+        let reason = "a pair needs two different parameters";
         return Err(AnalysisError::Pair { name: first.to_owned(), reason, known: known() });
     }
     Ok(())
 }
 
-/// The map of two parameters: `up` is drawn upwards, `across` across.
+/// The map of two parameters: `up` on the vertical axis, `across` on the horizontal one.
 pub(crate) fn map(base: &Sample, up: &ParameterColumn, across: &ParameterColumn) -> Option<PairMap> {
-    // As many cells as let each hold enough episodes to say something.
-    let side = (base.len() as f64 / WANTED as f64).sqrt() as usize;
-    let bins = side.clamp(3, MOST);
+    // As many cells as leave enough episodes for each.
+    let side = (base.len() as f64 / EPISODES_PER_CELL as f64).sqrt() as usize;
+    let bins = side.clamp(3, MAX_BINS);
     let (y_axis, y_edges) = axis(up, bins)?;
     let (x_axis, x_edges) = axis(across, bins)?;
     let counted = per_pair(&up.values, &y_edges, &across.values, &x_edges, &base.success).ok()?;
@@ -136,7 +136,7 @@ pub(crate) fn map(base: &Sample, up: &ParameterColumn, across: &ParameterColumn)
             Zone::Boundary => counts.boundary += 1,
             Zone::Danger => counts.danger += 1,
             Zone::Undecided => counts.undecided += 1,
-            Zone::TooThin => counts.too_thin += 1,
+            Zone::TooFewEpisodes => counts.too_few_episodes += 1,
         }
     }
     let cell = |(trials, zone): (&Trials, Zone)| PairCell { rate: Rate::of(*trials), zone };
@@ -149,14 +149,14 @@ pub(crate) fn map(base: &Sample, up: &ParameterColumn, across: &ParameterColumn)
     })
 }
 
-/// Bins that hold equal shares of what is drawn: even in the parameter's own scale.
+/// Bins of equal probability under the operating distribution: of equal width on the parameter's own scale.
 fn axis(parameter: &ParameterColumn, bins: usize) -> Option<(Axis, Edges)> {
     let name = parameter.name.clone();
     let levels_of = |levels: Vec<String>, first: f64| {
         let edges = Edges::new((0..=levels.len()).map(|i| first - 0.5 + i as f64).collect()).ok()?;
         Some((Axis { parameter: name.clone(), edges: Vec::new(), levels, log: false }, edges))
     };
-    let cut = |low: f64, high: f64, log: bool| {
+    let binned = |low: f64, high: f64, log: bool| {
         let at = |i: usize| {
             let u = i as f64 / bins as f64;
             match i {
@@ -170,12 +170,12 @@ fn axis(parameter: &ParameterColumn, bins: usize) -> Option<(Axis, Edges)> {
         Some((Axis { parameter: name.clone(), edges: edges.as_slice().to_vec(), levels: Vec::new(), log }, edges))
     };
     match &parameter.kind {
-        ParameterKind::Continuous { low, high, log } => cut(*low, *high, *log),
+        ParameterKind::Continuous { low, high, log } => binned(*low, *high, *log),
         ParameterKind::Integer { low, high } if high - low < 16 => {
             levels_of((*low..=*high).map(|level| level.to_string()).collect(), *low as f64)
         }
-        ParameterKind::Integer { low, high } => cut(*low as f64 - 0.5, *high as f64 + 0.5, false),
-        ParameterKind::Categorical { words } if words.len() <= 40 => levels_of(words.clone(), 0.0),
+        ParameterKind::Integer { low, high } => binned(*low as f64 - 0.5, *high as f64 + 0.5, false),
+        ParameterKind::Categorical { levels } if levels.len() <= 40 => levels_of(levels.clone(), 0.0),
         ParameterKind::Categorical { .. } => None,
     }
 }

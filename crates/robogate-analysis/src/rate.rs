@@ -1,68 +1,66 @@
-//! A success rate with what it speaks of, and findings that may not be there.
+//! Success rates, the populations that they estimate, and findings that may be absent.
 
 use robogate_stats::{Confidence, Interval, Trials, clopper_pearson, wilson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What a figure speaks of.
+/// The population that a figure estimates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Population {
-    /// The operating space, every parameter drawn as its space says.
+    /// The operating space, each parameter sampled as the space declares.
     OperatingSpace,
-    /// Whatever distribution the imported rows were drawn from; it is taken to be the operating one.
+    /// The unknown distribution of the imported rows; it is taken to be the operating one.
     AsImported,
-    /// The scenarios of a suite, which were chosen and not drawn.
+    /// The scenarios of a suite, which were chosen and not sampled.
     Suite,
-    /// A focused design as it was drawn: not the operating space.
+    /// A focused design as it was sampled: not the operating space.
     FocusedDesign,
-    /// The part of the operating space that the focused design was drawn in, by stored weights.
+    /// The part of the operating space inside the region of the focused design, by stored weights.
     FocusedRegion,
     /// The operating space, from all rows by their weights.
     Reweighted,
 }
 
 impl Population {
-    /// The population in words, as the object of "speaks of".
+    /// The population in a sentence, as the object of "applies to".
     pub fn describe(self) -> &'static str {
         match self {
-            Self::OperatingSpace => "the operating space, each parameter drawn evenly over its range in its own scale",
-            Self::AsImported => {
-                "the distribution that the imported rows were drawn from; how they were drawn is not known here"
+            Self::OperatingSpace => {
+                "the operating space, each parameter sampled uniformly over its range on its own scale"
             }
-            Self::Suite => "the scenarios of the suite, which were chosen: no operating rate",
+            Self::AsImported => "the distribution of the imported rows; how they were sampled is not known",
+            Self::Suite => "the scenarios of the suite, which were chosen: not an operating rate",
             Self::FocusedDesign => {
-                "the focused design alone, crowded where success turns into failure: no operating rate"
+                "the focused design only, which samples near the failure boundary: not an operating rate"
             }
-            Self::FocusedRegion => {
-                "the part of the operating space inside the focused design's region, by stored weights"
-            }
-            Self::Reweighted => "the operating space, from all rows: focused rows enter by their stored weights",
+            Self::FocusedRegion => "the part of the operating space inside the focused region, by stored weights",
+            Self::Reweighted => "the operating space, from all rows: focused rows count by their stored weights",
         }
     }
 
-    /// The population in a few words, as part of a caption.
+    /// The population in a few words, for a caption.
     pub fn brief(self) -> &'static str {
         match self {
             Self::OperatingSpace => "operating space",
             Self::AsImported => "as imported",
             Self::Suite => "scenarios of the suite, not the operating space",
-            Self::FocusedDesign => "focused design alone, not the operating space",
+            Self::FocusedDesign => "focused design only, not the operating space",
             Self::FocusedRegion => "operating space inside the focused region, reweighted",
             Self::Reweighted => "operating space, all rows reweighted",
         }
     }
 }
 
-/// A finding, or the reason why there is none. Never a number that means nothing.
+/// An estimate, or the reason why there is none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Finding<T> {
     /// It could be estimated.
     Estimated(T),
-    /// It could not.
+    /// It could not be estimated.
     CannotBeEstimated {
-        /// Why, as the end of a sentence that begins with "cannot be estimated because".
+        /// The reason, as the end of a sentence that begins with "cannot be estimated because".
         because: String,
     },
 }
@@ -72,7 +70,7 @@ impl<T> Finding<T> {
         Self::CannotBeEstimated { because: because.into() }
     }
 
-    /// The finding, if there is one.
+    /// The estimate, if there is one.
     pub fn estimated(&self) -> Option<&T> {
         match self {
             Self::Estimated(found) => Some(found),
@@ -80,7 +78,7 @@ impl<T> Finding<T> {
         }
     }
 
-    /// Why there is none.
+    /// The reason why there is none.
     pub fn because(&self) -> Option<&str> {
         match self {
             Self::Estimated(_) => None,
@@ -98,18 +96,18 @@ impl<T, E: std::fmt::Display> From<Result<T, E>> for Finding<T> {
     }
 }
 
-/// Successes among valid episodes, with both intervals.
+/// Successes among valid episodes, with two intervals.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Rate {
     /// Valid episodes.
     pub n: u64,
     /// Successes among them.
     pub successes: u64,
-    /// Their share; absent where there is no valid episode.
+    /// Their share; absent without a valid episode.
     pub rate: Option<f64>,
-    /// Wilson's 95 % interval; [0, 1] where there is no valid episode.
+    /// Wilson's 95 % interval; [0, 1] without a valid episode.
     pub wilson_95: [f64; 2],
-    /// The exact (Clopper-Pearson) 95 % interval; [0, 1] where there is no valid episode.
+    /// The exact (Clopper-Pearson) 95 % interval; [0, 1] without a valid episode.
     pub clopper_pearson_95: [f64; 2],
 }
 

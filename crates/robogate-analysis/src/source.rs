@@ -1,4 +1,4 @@
-//! From a path to an open dictionary, whatever form it has.
+//! Opening a dictionary, in any of its forms.
 
 use std::fs::{self, File};
 use std::io::Read;
@@ -12,27 +12,27 @@ use crate::AnalysisError;
 
 /// The dictionary in a run's folder.
 const DICTIONARY: &str = "dictionary.parquet";
-/// What a run's first stage found, beside it.
+/// The boundary report of a run's first stage, beside it.
 const BOUNDARY: &str = "boundary.json";
 
-/// An open dictionary and what stands beside it.
+/// An open dictionary and the boundary report beside it.
 #[derive(Debug)]
 pub struct Source {
     dictionary: Dictionary,
     folder: Option<PathBuf>,
     boundary: Option<BoundaryFile>,
-    /// Removed when this goes away.
+    /// Removed when the source is dropped.
     _scratch: Option<Scratch>,
 }
 
-/// What is read of a run's `boundary.json`: where the second stage was drawn from.
+/// What is read of a run's `boundary.json`: the ranges of the second stage.
 #[derive(Debug, Clone, Deserialize)]
 pub(crate) struct BoundaryFile {
     pub(crate) parameters: Vec<BoundarySpan>,
     pub(crate) volume: BoundaryVolume,
 }
 
-/// The range one parameter was drawn from in the second stage.
+/// The range of one parameter in the second stage.
 #[derive(Debug, Clone, Deserialize)]
 pub(crate) struct BoundarySpan {
     pub(crate) parameter: String,
@@ -50,14 +50,14 @@ impl Source {
     /// Opens a run's folder, a Parquet dictionary, or a published JSON dictionary (imported into a scratch file).
     ///
     /// # Errors
-    /// What is wrong with the path, with a hint at what would be right.
+    /// What is wrong with the path, with a hint.
     pub fn open(path: &Path) -> Result<Self, AnalysisError> {
         if path.is_dir() {
             let file = path.join(DICTIONARY);
             if !file.exists() {
                 return Err(AnalysisError::NoDictionaryInFolder { path: path.to_owned() });
             }
-            // A boundary report in another form only takes a table out of the page.
+            // Without a readable boundary report the page lacks one table.
             let boundary = fs::read(path.join(BOUNDARY)).ok().and_then(|text| serde_json::from_slice(&text).ok());
             let dictionary = Dictionary::open(&file)?;
             return Ok(Self { dictionary, folder: Some(path.to_owned()), boundary, _scratch: None });
@@ -74,9 +74,11 @@ impl Source {
             }
             Some(_) => Err(AnalysisError::NotADictionary {
                 path: path.to_owned(),
-                reason: "it is neither Parquet nor JSON".to_owned(),
+                reason: "the file is neither Parquet nor JSON".to_owned(),
             }),
-            None => Err(AnalysisError::NotADictionary { path: path.to_owned(), reason: "it is empty".to_owned() }),
+            None => {
+                Err(AnalysisError::NotADictionary { path: path.to_owned(), reason: "the file is empty".to_owned() })
+            }
         }
     }
 
@@ -85,7 +87,7 @@ impl Source {
         &self.dictionary
     }
 
-    /// The run's folder, where it was one.
+    /// The run's folder, if the path was one.
     pub fn folder(&self) -> Option<&Path> {
         self.folder.as_deref()
     }
@@ -101,7 +103,7 @@ fn first_byte(path: &Path) -> Result<Option<u8>, AnalysisError> {
     Ok((read == 1).then_some(first[0]))
 }
 
-/// A file of our own under the system's temporary folder.
+/// A file in the system's temporary folder, removed on drop.
 #[derive(Debug)]
 struct Scratch(PathBuf);
 
@@ -109,14 +111,14 @@ impl Scratch {
     fn new() -> Self {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        let name = format!("robogate-report-{}-{number}.parquet", std::process::id());
+        let name = format!("robogate-analysis-{}-{number}.parquet", std::process::id());
         Self(std::env::temp_dir().join(name))
     }
 }
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        // Whatever is left is the system's to clean.
+        // If this fails, the system cleans its temporary folder.
         let _ = fs::remove_file(&self.0);
     }
 }

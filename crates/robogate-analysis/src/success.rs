@@ -7,97 +7,97 @@ use serde::{Deserialize, Serialize};
 
 use crate::rate::ends;
 use crate::rate::{Finding, Population, Rate};
-use crate::rows::{ParameterKind, Rows, Sample, Seen};
+use crate::table::{Ending, EpisodeTable, ParameterKind, Sample};
 
 /// How often the policy succeeds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Success {
-    /// What the headline speaks of.
+    /// The population of the headline rate.
     pub population: Population,
     /// The success rate that every other figure refers to.
     pub rate: Rate,
-    /// What the rate could have been had the invalid episodes been evidence.
+    /// Bounds of the rate, whatever the outcome of the invalid episodes would have been.
     pub bounds: InvalidBounds,
     /// Each stage by itself.
     pub stages: Vec<StageSuccess>,
-    /// The operating space from all rows, where there are focused ones beside the others.
+    /// The rate over the operating space from all rows, if there are focused rows beside the others.
     pub reweighted: Option<Finding<Reweighted>>,
 }
 
-/// Invalid episodes, counted and bounded.
+/// Invalid episodes: their number, and what they could change.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct InvalidBounds {
-    /// Invalid episodes among those of the headline's population.
+    /// Invalid episodes in the population of the headline.
     pub invalid: u64,
-    /// The rate had every one of them failed; absent where there is no episode.
+    /// The rate if all of them had failed; absent without an episode.
     pub worst_case: Option<f64>,
-    /// The rate had every one of them succeeded; absent where there is no episode.
+    /// The rate if all of them had succeeded; absent without an episode.
     pub best_case: Option<f64>,
-    /// Faults over all stages and how often each struck.
+    /// Faults of all stages, with their counts.
     pub faults: Vec<FaultCount>,
 }
 
-/// How often one class of fault struck.
+/// The count of one class of fault.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct FaultCount {
     /// The class of fault.
     pub fault: String,
-    /// How often.
+    /// Episodes with this fault.
     pub episodes: u64,
 }
 
-/// One stage by itself.
+/// One stage.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StageSuccess {
     /// The stage's name.
     pub stage: String,
-    /// What drew its points.
+    /// The samplers of its points.
     pub designs: Vec<String>,
-    /// What its rate speaks of.
+    /// The population of its rate.
     pub population: Population,
-    /// Its episodes, invalid ones included.
+    /// Its episodes, including invalid ones.
     pub episodes: u64,
     /// Invalid episodes among them.
     pub invalid: u64,
-    /// Its rate over valid episodes, every one counted once.
+    /// Its rate over valid episodes, unweighted.
     pub rate: Rate,
     /// Smallest and largest stored weight; absent without valid episodes.
     pub weights: Option<[f64; 2]>,
     /// Kish's effective sample size of its weights.
     pub effective_sample_size: f64,
-    /// A focused stage's rate by its weights (Hajek): it speaks of the operating space inside the stage's region.
-    pub by_weights: Option<WeightedRate>,
+    /// The weighted rate of a focused stage (Hajek): it applies to the operating space inside the region of the stage.
+    pub weighted: Option<WeightedRate>,
 }
 
-/// A rate by weights.
+/// A weighted rate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct WeightedRate {
     /// The rate.
     pub rate: f64,
-    /// Its standard error; absent where every outcome is the same.
+    /// Its standard error; absent if every outcome is the same.
     pub se: Option<f64>,
-    /// 95 % interval: Wilson's at an effective count.
+    /// 95 % interval: Wilson's at the effective sample size.
     pub interval_95: [f64; 2],
     /// Kish's effective sample size.
     pub effective_sample_size: f64,
 }
 
-/// The operating space from all rows.
+/// The rate over the operating space from all rows.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Reweighted {
     /// Hajek's estimate over all valid rows.
     pub estimate: WeightedRate,
-    /// Valid rows that it is made from.
+    /// Valid rows that it is computed from.
     pub rows: u64,
     /// Share of the operating distribution inside the focused region.
     pub region_share: f64,
-    /// How the weights were put together.
+    /// How the weights were combined.
     pub method: String,
 }
 
 impl Success {
-    pub(crate) fn of(rows: &Rows, base: &Sample, focused: Option<&Sample>, population: Population) -> Self {
-        let mut stages: Vec<StageSuccess> = (0..rows.stages.len()).map(|i| stage(rows, i)).collect();
+    pub(crate) fn of(table: &EpisodeTable, base: &Sample, focused: Option<&Sample>, population: Population) -> Self {
+        let mut stages: Vec<StageSuccess> = (0..table.stages.len()).map(|i| stage(table, i)).collect();
         stages.retain(|stage| stage.episodes > 0);
         let base_is_focused = population == Population::FocusedDesign;
         let of_base = |s: &&StageSuccess| (s.population == Population::FocusedDesign) == base_is_focused;
@@ -112,24 +112,24 @@ impl Success {
                 invalid,
                 worst_case: of_all(rate.successes),
                 best_case: of_all(rate.successes + invalid),
-                faults: rows
+                faults: table
                     .faults
                     .iter()
                     .map(|(fault, episodes)| FaultCount { fault: fault.clone(), episodes: *episodes })
                     .collect(),
             },
             stages,
-            reweighted: focused.map(|focused| reweighted(rows, base, focused)),
+            reweighted: focused.map(|focused| reweighted(table, base, focused)),
         }
     }
 }
 
-fn stage(rows: &Rows, at: usize) -> StageSuccess {
-    let of = &rows.stages[at];
-    let mine: Vec<usize> = (0..rows.len()).filter(|row| usize::from(rows.stage[*row]) == at).collect();
-    let valid: Vec<usize> = mine.iter().copied().filter(|row| rows.outcome[*row] != Seen::Invalid).collect();
-    let success: Vec<bool> = valid.iter().map(|row| rows.outcome[*row] == Seen::Success).collect();
-    let weights: Vec<f64> = valid.iter().map(|row| rows.weight[*row]).collect();
+fn stage(table: &EpisodeTable, at: usize) -> StageSuccess {
+    let of = &table.stages[at];
+    let mine: Vec<usize> = (0..table.len()).filter(|row| usize::from(table.stage[*row]) == at).collect();
+    let valid: Vec<usize> = mine.iter().copied().filter(|row| table.outcome[*row] != Ending::Invalid).collect();
+    let success: Vec<bool> = valid.iter().map(|row| table.outcome[*row] == Ending::Success).collect();
+    let weights: Vec<f64> = valid.iter().map(|row| table.weight[*row]).collect();
     let low = weights.iter().copied().fold(f64::INFINITY, f64::min);
     let high = weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     StageSuccess {
@@ -149,7 +149,7 @@ fn stage(rows: &Rows, at: usize) -> StageSuccess {
         rate: Rate::of(Trials::count(success.iter().copied())),
         weights: (low <= high).then_some([low, high]),
         effective_sample_size: effective_sample_size(&weights),
-        by_weights: of.focused.then(|| weighted(&success, &weights).ok()).flatten(),
+        weighted: of.focused.then(|| weighted(&success, &weights).ok()).flatten(),
     }
 }
 
@@ -159,23 +159,22 @@ fn weighted(success: &[bool], weights: &[f64]) -> Result<WeightedRate, String> {
     Ok(WeightedRate { rate, se: found.se, interval_95: ends(found.interval), effective_sample_size: found.effective })
 }
 
-/// Puts both designs together by post-stratification on the focused region R.
+/// Combines both designs by post-stratification on the focused region R.
 ///
-/// The stored weights p/q of the focused rows describe the operating density inside R and say nothing of what lies
-/// outside, so that simply adding the two sets would count R twice. Here the rows outside R (all of them of
-/// the uniform design) share the mass 1 - P(R) evenly; inside R the mass P(R) is parted between the two designs in
-/// proportion to their effective sample sizes, evenly within the uniform rows and by stored weight within the focused
-/// ones. R is the box of the focused rows; P(R) its share of the operating distribution, whose parameters are
+/// The stored weights p/q of the focused rows describe the operating density inside R and nothing outside it, so
+/// concatenating the two sets would count R twice. Here the rows outside R (all of them of the uniform design) share the
+/// mass 1 - P(R) equally. Inside R the mass P(R) is divided between the two designs in proportion to their effective
+/// sample sizes: equally among the uniform rows, by stored weight among the focused ones. R is the box of the focused rows; P(R) its share of the operating distribution, whose parameters are
 /// independent.
-fn reweighted(rows: &Rows, base: &Sample, focused: &Sample) -> Finding<Reweighted> {
-    match combined_weights(rows, base, focused) {
+fn reweighted(table: &EpisodeTable, base: &Sample, focused: &Sample) -> Finding<Reweighted> {
+    match combined_weights(table, base, focused) {
         Ok((success, weights, region_share)) => match weighted(&success, &weights) {
             Ok(estimate) => Finding::Estimated(Reweighted {
                 estimate,
                 rows: success.len() as u64,
                 region_share,
-                method: "post-stratified on the box of the focused rows: outside it the uniform rows alone, inside it \
-                         both designs in proportion to their effective sizes, focused rows by their stored weights"
+                method: "post-stratified on the bounding box of the focused rows: outside it the uniform rows only, inside it both \
+                         designs in proportion to their effective sample sizes, focused rows by their stored weights"
                     .to_owned(),
             }),
             Err(because) => Finding::not(because),
@@ -185,9 +184,13 @@ fn reweighted(rows: &Rows, base: &Sample, focused: &Sample) -> Finding<Reweighte
 }
 
 /// Outcomes and weights of the base rows followed by the focused ones, and P(R).
-fn combined_weights(rows: &Rows, base: &Sample, focused: &Sample) -> Result<(Vec<bool>, Vec<f64>, f64), &'static str> {
+fn combined_weights(
+    table: &EpisodeTable,
+    base: &Sample,
+    focused: &Sample,
+) -> Result<(Vec<bool>, Vec<f64>, f64), &'static str> {
     if focused.len() == 0 || base.len() == 0 {
-        return Err("one of the two designs has no valid row");
+        return Err("one of the two designs has no valid episode");
     }
     let mut share = 1.0;
     let mut inside = vec![true; base.len()];
@@ -207,11 +210,11 @@ fn combined_weights(rows: &Rows, base: &Sample, focused: &Sample) -> Result<(Vec
                 share *= (high - low + 1.0) / (h - l + 1) as f64;
                 Box::new(move |v| low <= v && v <= high)
             }
-            ParameterKind::Categorical { words } => {
-                let mut there = vec![false; words.len()];
-                of_focused.codes().iter().for_each(|code| there[*code] = true);
-                share *= there.iter().filter(|t| **t).count() as f64 / words.len() as f64;
-                Box::new(move |v| there[v as usize])
+            ParameterKind::Categorical { levels } => {
+                let mut present = vec![false; levels.len()];
+                of_focused.codes().iter().for_each(|code| present[*code] = true);
+                share *= present.iter().filter(|p| **p).count() as f64 / levels.len() as f64;
+                Box::new(move |v| present[v as usize])
             }
         };
         inside.iter_mut().zip(&of_base.values).for_each(|(inside, v)| *inside &= in_box(*v));
@@ -222,10 +225,10 @@ fn combined_weights(rows: &Rows, base: &Sample, focused: &Sample) -> Result<(Vec
     if share < 1.0 && outer <= 0.0 {
         return Err("no row of the uniform design lies outside the focused region");
     }
-    let stored: Vec<f64> = focused.rows.iter().map(|row| rows.weight[*row as usize]).collect();
+    let stored: Vec<f64> = focused.rows.iter().map(|row| table.weight[*row as usize]).collect();
     let total: f64 = stored.iter().sum();
     if total <= 0.0 || !total.is_finite() {
-        return Err("the stored weights of the focused rows add up to no number above 0");
+        return Err("the sum of the stored weights of the focused rows is not positive");
     }
     let effective = effective_sample_size(&stored);
     let to_focused = effective / (effective + inner);

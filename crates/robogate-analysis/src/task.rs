@@ -4,7 +4,7 @@ use robogate_dictionary::Provenance;
 
 use crate::pick_place::PICK_PLACE;
 use crate::replay::ReplayGroup;
-use crate::rows::Rows;
+use crate::table::EpisodeTable;
 
 /// The analysis plug-in of one task. Everything in it is optional: a task without a plug-in is analysed all the same.
 #[derive(Debug)]
@@ -22,7 +22,7 @@ pub struct TaskAnalysis {
     /// The parameter whose effect on each of several compared dictionaries is fitted over its logarithm.
     pub sensitivity: Option<&'static str>,
     /// Episodes that this task finds worth replaying.
-    pub(crate) replay: fn(&Rows) -> Option<ReplayGroup>,
+    pub(crate) replay: fn(&EpisodeTable) -> Option<ReplayGroup>,
 }
 
 /// A logistic model of success: main effects and products of two of them, all standardised.

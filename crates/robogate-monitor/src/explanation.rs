@@ -1,5 +1,6 @@
 //! The texts of an alarm: what changed, since when, with what guarantee, and the likely causes.
 
+use robogate_stats::format::{count, number, percent};
 use robogate_stats::overdispersion::outliers;
 use robogate_stats::{Confidence, Trials, wilson};
 
@@ -11,31 +12,6 @@ use crate::history::Symbols;
 use crate::modes::OTHER_MODE;
 use crate::recipe::{Recipe, Standing, happening_id};
 use crate::settings::Settings;
-
-/// A number with at most three significant digits.
-fn number(x: f64) -> String {
-    let digits = 2 - x.abs().log10().floor().clamp(-6.0, 2.0) as i32;
-    let text = format!("{x:.*}", digits as usize);
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
-}
-
-/// A share as a percentage with one decimal.
-fn percent(share: f64) -> String {
-    format!("{:.1} %", 100.0 * share)
-}
-
-/// An integer with thousands separators.
-fn grouped(number: f64) -> String {
-    let digits = format!("{number:.0}");
-    let mut text = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i) % 3 == 0 {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
-}
 
 fn rate(trials: Trials) -> String {
     let interval = wilson(trials, Confidence::P95);
@@ -107,10 +83,10 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
     let since = found.and_then(|found| since(&found, &kept));
     let after = kept.get(..found.map_or(kept.len(), |f| f.likeliest + 1)).unwrap_or(&kept);
     let what = what(recipe, metric, after, &cycle.robot, settings);
-    let promise = grouped(settings.promise(level));
+    let promise = count(settings.promise(level).round_ties_even() as u64);
     let how_sure = format!(
         "The evidence reached its limit of {}. Without a change, the mean number of cycles until the first {} of any metric is at least {promise}.",
-        grouped(settings.limit(metric, level)),
+        count(settings.limit(metric, level).round_ties_even() as u64),
         match level {
             Level::Warning => "warning",
             Level::Critical => "critical alarm",
@@ -138,7 +114,7 @@ pub(crate) fn cleared(
 ) -> Alarm {
     let what = format!(
         "No further evidence for {} cycles: the alarm of cycle {} is cleared (the evidence reached its limit {} times).",
-        grouped(settings.clear_after_cycles as f64),
+        count(settings.clear_after_cycles),
         stood.raised,
         stood.times
     );

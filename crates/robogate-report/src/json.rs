@@ -1,4 +1,4 @@
-//! JSON documents: the figures, and what they say in words.
+//! JSON documents: the figures, and the sentences that summarise them.
 
 use robogate_analysis::study::Study;
 use robogate_analysis::{Analysis, Comparison};
@@ -8,54 +8,54 @@ use serde::Serialize;
 use crate::study::answer;
 use crate::text::{ComparisonHeadline, Headline, comparison_limits, limits};
 
-/// The document of an analysis.
+/// The JSON document of an analysis.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
-pub struct AnalysisDocument<'a> {
+pub struct AnalysisReport<'a> {
     /// The figures.
     #[serde(flatten)]
     pub analysis: &'a Analysis,
-    /// The answer in plain words.
+    /// The headline in sentences.
     pub headline: Headline,
-    /// What these figures do not say.
+    /// The limits of the figures, in sentences.
     pub limits: Vec<String>,
 }
 
-/// The document of a comparison.
+/// The JSON document of a comparison.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
-pub struct ComparisonDocument<'a> {
+pub struct ComparisonReport<'a> {
     /// The figures.
     #[serde(flatten)]
     pub comparison: &'a Comparison,
-    /// The answer in plain words.
+    /// The headline in sentences.
     pub headline: ComparisonHeadline,
-    /// What these figures do not say.
+    /// The limits of the figures, in sentences.
     pub limits: Vec<String>,
 }
 
-/// The document of a study.
+/// The JSON document of a study.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
-pub struct StudyDocument<'a> {
+pub struct StudyReport<'a> {
     /// The figures.
     #[serde(flatten)]
     pub study: &'a Study,
-    /// The answer in words.
+    /// The answer in sentences.
     pub answer: Vec<String>,
 }
 
 /// An analysis as one versioned JSON document: the same bytes for the same rows.
 pub fn analysis_json(analysis: &Analysis) -> String {
-    text(&AnalysisDocument { analysis, headline: Headline::of(analysis), limits: limits(analysis) })
+    text(&AnalysisReport { analysis, headline: Headline::of(analysis), limits: limits(analysis) })
 }
 
 /// A comparison as one versioned JSON document, in the same way.
 pub fn comparison_json(comparison: &Comparison) -> String {
     let headline = ComparisonHeadline::of(comparison);
-    text(&ComparisonDocument { comparison, headline, limits: comparison_limits(comparison) })
+    text(&ComparisonReport { comparison, headline, limits: comparison_limits(comparison) })
 }
 
 /// A study as one versioned JSON document, in the same way.
 pub fn study_json(study: &Study) -> String {
-    text(&StudyDocument { study, answer: answer(study) })
+    text(&StudyReport { study, answer: answer(study) })
 }
 
 fn text(document: &impl Serialize) -> String {

@@ -21,7 +21,7 @@
 //! | how often does such a gate pass or fail? | [`operating`] |
 //! | may B replace A? | [`non_inferiority`] |
 //! | what is the estimate for the operating space if the rows were sampled elsewhere? | [`weighted`] |
-//! | how is a figure written for people? | [`format`] |
+//! | how is a figure written for people? | [`mod@format`] |
 
 pub mod anytime;
 pub mod binning;

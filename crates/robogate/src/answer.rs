@@ -16,7 +16,7 @@ pub(crate) fn print(evaluation: &Evaluation) {
     let wide = |cell: fn(&RequirementRow) -> &str, head: &str| {
         rows.iter().map(|row| cell(row).chars().count()).max().unwrap_or(0).max(head.chars().count())
     };
-    let heads = ["demand", "observed", "true figure is in"];
+    let heads = ["requirement", "observed", "interval of the true figure"];
     let widths = [wide(|r| &r.requirement, heads[0]), wide(|r| &r.observed, heads[1]), wide(|r| &r.interval, heads[2])];
     let point = evaluation.requirements.mode == Mode::Point;
     let [a, b, c] = widths;

@@ -41,9 +41,9 @@ enum Verb {
     Replay(commands::replay::Replay),
     /// Render a scenario with the cameras of the cell
     Snapshot(commands::snapshot::Snapshot),
-    /// Report where the policy fails and how the parameters act, with uncertainty
+    /// Analyze a run or a dictionary: where the policy fails, effects of the parameters, confidence intervals
     Analyze(commands::analyze::Analyze),
-    /// Compare robots, policies or simulators
+    /// Compare robots, policies or simulators, and find where all of them fail
     Compare(commands::compare::Compare),
     /// Write a run or a dictionary as one page: HTML, Markdown or JSON
     Report(commands::report::Report),

@@ -1,4 +1,4 @@
-//! Differences of success rates, every two of them: paired where both ran the same scenarios.
+//! Differences of success rates between each two datasets: paired if both ran the same scenarios.
 
 use robogate_stats::compare::{mcnemar_exact, newcombe, newcombe_paired, z_test};
 use robogate_stats::multiplicity::holm;
@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::AnalysisError;
-use crate::comparison::entrant::Entrant;
+use crate::comparison::dataset::Dataset;
 use crate::comparison::paired;
 use crate::rate::ends;
 
@@ -18,34 +18,33 @@ pub struct RateDifference {
     pub first: String,
     /// Name of the second.
     pub second: String,
-    /// First rate less second; of a paired difference over the scenarios with evidence from both.
+    /// First rate minus second; for a paired difference over the scenarios that are valid in both.
     pub difference: f64,
-    /// Newcombe's 95 % interval for it, paired or of independent runs.
+    /// Newcombe's 95 % interval of the difference, paired or for independent runs.
     pub interval_95: [f64; 2],
-    /// Scenarios with evidence from both, where both ran the same ones and the difference is paired; absent where it
-    /// is one of independent runs.
+    /// Scenarios that are valid in both, if the difference is paired; absent for independent runs.
     #[serde(default)]
     pub valid_pairs: Option<u64>,
-    /// Pooled z statistic; absent where both always or never succeeded, and of a paired difference.
+    /// Pooled z statistic; absent if both always or never succeeded, and for a paired difference.
     pub z: Option<f64>,
-    /// ln of the two-sided p-value: McNemar's exact one of a paired difference, else the z-test's; absent where there
-    /// is no test.
+    /// ln of the two-sided p-value: of McNemar's exact test for a paired difference, else of the z-test; absent without a
+    /// test.
     pub ln_p: Option<f64>,
-    /// The p-value adjusted by Holm over all pairs; 1 where there is no test.
+    /// The p-value, adjusted by Holm over all pairs; 1 without a test.
     pub holm_p: f64,
 }
 
 impl RateDifference {
-    /// The test that was used, in a word.
+    /// The name of the test.
     pub fn test(&self) -> &'static str {
         if self.valid_pairs.is_some() { "McNemar" } else { "z" }
     }
 }
 
-pub(crate) fn differences(entrants: &[&Entrant<'_>]) -> Result<Vec<RateDifference>, AnalysisError> {
+pub(crate) fn differences(datasets: &[&Dataset<'_>]) -> Result<Vec<RateDifference>, AnalysisError> {
     let mut found = Vec::new();
-    for (i, first) in entrants.iter().enumerate() {
-        for second in &entrants[i + 1..] {
+    for (i, first) in datasets.iter().enumerate() {
+        for second in &datasets[i + 1..] {
             found.push(between(first, second)?);
         }
     }
@@ -55,7 +54,7 @@ pub(crate) fn differences(entrants: &[&Entrant<'_>]) -> Result<Vec<RateDifferenc
     Ok(found)
 }
 
-fn between(first: &Entrant<'_>, second: &Entrant<'_>) -> Result<RateDifference, AnalysisError> {
+fn between(first: &Dataset<'_>, second: &Dataset<'_>) -> Result<RateDifference, AnalysisError> {
     let pairs = paired::same_scenarios(first, second)?.filter(|pairs| pairs.n() > 0);
     let (difference, z, ln_p) = if let Some(pairs) = pairs {
         (newcombe_paired(pairs, Confidence::P95), None, Some(mcnemar_exact(pairs)))
@@ -67,7 +66,7 @@ fn between(first: &Entrant<'_>, second: &Entrant<'_>) -> Result<RateDifference, 
     Ok(RateDifference {
         first: first.name.clone(),
         second: second.name.clone(),
-        // Both were tried: what was not is not compared.
+        // Only datasets with valid episodes are compared, so there is an estimate.
         difference: difference.estimate.unwrap_or_default(),
         interval_95: ends(difference.interval),
         valid_pairs: pairs.map(|pairs| pairs.n()),

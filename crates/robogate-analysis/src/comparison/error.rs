@@ -1,4 +1,4 @@
-//! Why there is no comparison.
+//! Errors of a comparison.
 
 use std::path::PathBuf;
 
@@ -10,68 +10,68 @@ pub enum ComparisonError {
     /// One of the dictionaries cannot be read.
     #[error(transparent)]
     Analysis(#[from] AnalysisError),
-    /// Nothing to compare with.
-    #[error(
-        "a comparison needs at least two dictionaries (found {found})\nhint: `robogate analyze` looks at a single one"
-    )]
+    /// Fewer than two dictionaries.
+    #[error("expected at least two dictionaries, found {found}\nhint: analyze a single one with `robogate analyze`")]
     TooFew {
-        /// How many there are.
+        /// The number of dictionaries.
         found: usize,
     },
-    /// A dictionary beside itself.
-    #[error("{} and {} hold the same rows\nhint: a dictionary compared with itself says nothing; name another one", first.display(), second.display())]
+    /// The same rows twice.
+    #[error("{} and {} have the same rows\nhint: remove one of them", first.display(), second.display())]
     SameTwice {
         /// The first path.
         first: PathBuf,
         /// The second path.
         second: PathBuf,
     },
-    /// Not one name for each dictionary.
-    #[error("{given} names for {dictionaries} dictionaries\nhint: give one name for each, in their order, or none")]
+    /// The number of names differs from the number of dictionaries.
+    #[error(
+        "--names: found {given} names for {datasets} dictionaries\nhint: give one name for each, in their order, or none"
+    )]
     Names {
         /// Names given.
         given: usize,
         /// Dictionaries given.
-        dictionaries: usize,
+        datasets: usize,
     },
-    /// Two dictionaries of one name.
-    #[error("two dictionaries cannot both be named `{name}`")]
+    /// Two dictionaries with one name.
+    #[error("--names: `{name}` is given twice; expected a different name for each dictionary")]
     NameTwice {
         /// The name.
         name: String,
     },
     /// A name that no dictionary has.
-    #[error("there is no dictionary named `{name}`\nhint: the names are {known}")]
+    #[error("no dictionary is named `{name}`; expected one of: {known}")]
     NoSuchName {
         /// The name as given.
         name: String,
-        /// The names there are.
+        /// The names of the dictionaries.
         known: String,
     },
     /// A setting outside its range.
-    #[error("{what} is {value}, but must be {must}")]
+    #[error("{setting} is out of range: {value}; expected {expected}")]
     Setting {
         /// The setting.
-        what: &'static str,
+        setting: &'static str,
         /// Its value.
         value: f64,
-        /// What it must be.
-        must: &'static str,
+        /// Its range.
+        expected: &'static str,
     },
-    /// A pair of parameters that cannot be looked at together.
-    #[error("`{name}` cannot be one of a pair: {reason}\nhint: the shared parameters are {known}")]
+    /// A pair of parameters that cannot be compared together.
+    #[error("`{name}` is not a valid parameter of a pair: {reason}\nhint: expected two of {known}")]
     Pair {
         /// The name as given.
         name: String,
         /// What is wrong with it.
         reason: String,
-        /// The names there are.
+        /// The names of the shared parameters.
         known: String,
     },
     /// Two dictionaries that did not run the same scenarios.
     #[error(
-        "`{first}` and `{second}` did not run the same scenarios: {difference}\nhint: runs pair where plan, space and \
-         --seed are the same; without --paired they are compared as independent"
+        "`{first}` and `{second}` did not run the same scenarios: {difference}\nhint: runs are paired if they have the same \
+         plan, space and --seed; without --paired they are compared as independent runs"
     )]
     NotTheSameDesign {
         /// Name of the first.

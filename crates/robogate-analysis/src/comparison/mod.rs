@@ -1,115 +1,118 @@
-//! Dictionaries side by side: robots, policies, simulators.
+//! Comparison of datasets: robots, policies, simulators.
 
 mod axis;
-mod curves;
+mod dataset;
 mod differences;
-mod entrant;
 mod error;
+mod marginal;
 mod paired;
 mod reach;
 mod sensitivity;
+mod universal;
 
 use std::path::PathBuf;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use curves::{SharedCell, SharedCurve, UniversalZone, UniversalZones, ZoneSide};
 pub use differences::RateDifference;
 pub use error::ComparisonError;
+pub use marginal::{SharedCell, SharedCurve};
 pub use paired::{CrossTable, DisagreementCell, DisagreementMap, Flip, PairedComparison, PairedInvalid};
 pub use reach::ReachRow;
 pub use sensitivity::{Effect, Sensitivity, Slope};
+pub use universal::{UniversalZone, UniversalZones, ZoneSide};
 
 use crate::analysis::Subject;
 use crate::comparison::axis::SharedAxis;
-use crate::comparison::entrant::Entrant;
-use crate::failures::{DANGER_LIMIT, FailureModes};
+use crate::comparison::dataset::Dataset;
+use crate::danger::DANGER_LIMIT;
+use crate::failures::FailureModes;
 use crate::rate::Finding;
 use crate::task::TaskAnalysis;
 use crate::{AnalysisError, Population, Source, Success};
 
-/// Several dictionaries side by side. Only estimates of an operating space are compared; a dictionary that cannot be
-/// is shown and says why.
+/// Comparison of several datasets. Only estimates of an operating space are compared; a dataset that cannot be compared is
+/// listed with the reason.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Comparison {
-    /// The version of this form.
+    /// The version of this document.
     pub version: u32,
-    /// The dictionaries, in the order given.
-    pub dictionaries: Vec<ComparedDictionary>,
-    /// Names of those whose figures are compared, in their order: the order of every list of rates below.
+    /// The datasets, in the order given.
+    pub datasets: Vec<ComparedDataset>,
+    /// Names of the datasets that are compared, in their order, which is the order of every list of rates below.
     pub compared: Vec<String>,
-    /// What all of them vary, and what only some do.
+    /// The parameters that all of them vary, and those that only some do.
     pub parameters: SharedParameters,
-    /// Differences of success rates, every two of them, paired where both ran the same scenarios; empty where `paired`
-    /// holds them.
+    /// Differences of success rates between each two datasets, paired if both ran the same scenarios; empty if `paired` has
+    /// them.
     pub differences: Vec<RateDifference>,
-    /// The same scenarios, run twice; empty unless asked for.
+    /// Paired comparisons of the same scenarios; empty unless requested.
     pub paired: Vec<PairedComparison>,
-    /// Success along each shared parameter, in the same bins.
-    pub along: Vec<SharedCurve>,
+    /// The marginal effect of each shared parameter, in the same bins for every dataset.
+    pub marginal_effects: Vec<SharedCurve>,
     /// Where all of them fail most of the time.
     pub universal_zones: UniversalZones,
-    /// What the parameter that the task names does to each.
+    /// The effect of the parameter that the task declares.
     pub sensitivity: Finding<Sensitivity>,
-    /// The workspace in each robot's reach.
+    /// Workspace and reach of each robot.
     pub reach: Vec<ReachRow>,
 }
 
-/// One dictionary of a comparison.
+/// One dataset of a comparison.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct ComparedDictionary {
+pub struct ComparedDataset {
     /// Its name in this comparison.
     pub name: String,
-    /// What it holds.
+    /// Where it comes from.
     pub subject: Subject,
-    /// What its figures speak of.
+    /// The population of its figures.
     pub population: Population,
-    /// Why it is not compared; absent where it is.
-    pub left_out: Option<String>,
+    /// Why it is not compared; absent if it is.
+    pub excluded_because: Option<String>,
     /// How often it succeeds.
     pub success: Success,
     /// How it fails.
     pub failure_modes: FailureModes,
 }
 
-/// What the dictionaries vary.
+/// The parameters of the datasets.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct SharedParameters {
-    /// Parameters that all compared dictionaries have in common.
+    /// Parameters that all compared datasets share.
     pub shared: Vec<String>,
-    /// Parameters that they do not.
+    /// Parameters that they do not share.
     pub not_shared: Vec<NotShared>,
 }
 
-/// A parameter that is not common to all.
+/// A parameter that not all datasets share.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct NotShared {
     /// The parameter.
     pub parameter: String,
-    /// The compared dictionaries that have it.
-    pub of: Vec<String>,
+    /// The compared datasets that have it.
+    pub datasets: Vec<String>,
     /// Why it is not shared.
     pub because: String,
 }
 
-/// How to compare.
+/// Options of a comparison.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ComparisonOptions {
-    /// Names of the dictionaries in their order; none: whatever tells them apart.
+    /// Names of the datasets in their order; empty: chosen from their provenance.
     pub names: Vec<String>,
-    /// The success rate below which a cell is a danger.
+    /// The success rate below which a cell is a danger zone.
     pub danger_limit: f64,
-    /// The two parameters whose cells are looked at together; none: the task's pair, where it is shared.
+    /// The two parameters whose cells are compared; none: the task's pair, if it is shared.
     pub pair: Option<(String, String)>,
-    /// A robot's reach in metres by the dictionary's name.
+    /// Reach of robots in metres, by the name of the dataset.
     pub reach_m: Vec<(String, f64)>,
-    /// Distance from base to workspace in metres, for dictionaries that do not carry it.
+    /// Distance from base to workspace in metres, for datasets that do not record it.
     pub workspace_m: Option<f64>,
-    /// Whether to pair scenario with scenario.
+    /// Whether to pair the runs scenario by scenario.
     pub paired: bool,
-    /// Flips listed for each direction.
-    pub most_flips: usize,
+    /// Number of flips that are listed for each direction.
+    pub max_flips: usize,
 }
 
 impl Default for ComparisonOptions {
@@ -121,32 +124,31 @@ impl Default for ComparisonOptions {
             reach_m: Vec::new(),
             workspace_m: None,
             paired: false,
-            most_flips: 10,
+            max_flips: 10,
         }
     }
 }
 
 impl Comparison {
-    /// The version of this form that is written here.
+    /// The version of the document that this build writes.
     pub const VERSION: u32 = 2;
 
     /// Compares sources, each with the path that it was opened from.
     ///
     /// # Errors
-    /// Fewer than two of them, one of them twice, an option that names what is not there, or `paired` without the
-    /// same scenarios.
+    /// Fewer than two sources, the same rows twice, an invalid option, or `paired` without the same scenarios.
     pub fn of(sources: &[(Source, PathBuf)], options: &ComparisonOptions) -> Result<Self, ComparisonError> {
-        entrant::check_distinct(sources)?;
-        let names = entrant::names(sources, &options.names)?;
+        dataset::check_distinct(sources)?;
+        let names = dataset::names(sources, &options.names)?;
         check(options, &names)?;
-        let all = sources.iter().zip(names).map(|((source, path), name)| Entrant::read(source, path, name));
-        let all: Vec<Entrant<'_>> = all.collect::<Result<_, AnalysisError>>()?;
-        let compared: Vec<&Entrant<'_>> = all.iter().filter(|entrant| entrant.why_not_compared().is_none()).collect();
+        let all = sources.iter().zip(names).map(|((source, path), name)| Dataset::read(source, path, name));
+        let all: Vec<Dataset<'_>> = all.collect::<Result<_, AnalysisError>>()?;
+        let compared: Vec<&Dataset<'_>> = all.iter().filter(|dataset| dataset.excluded_because().is_none()).collect();
         let (parameters, axes) = shared(&compared);
         let task = task(&compared);
         let pair = pair(&compared, &axes, options, task)?;
-        let smallest = compared.iter().map(|entrant| entrant.base.len()).min().unwrap_or(0);
-        // As many cells as let each hold about 25 episodes of the smallest dictionary.
+        let smallest = compared.iter().map(|dataset| dataset.base.len()).min().unwrap_or(0);
+        // As many cells as leave about 25 episodes of the smallest dataset for each.
         let side = ((smallest / 25) as f64).sqrt() as usize;
         let coarse = pair.as_ref().and_then(|(up, across)| {
             let axis = |parameter: &str| SharedAxis::of(&compared, parameter, side.clamp(2, 5)).ok();
@@ -154,56 +156,56 @@ impl Comparison {
         });
         let names_of_pair = pair.as_ref().map(|(up, across)| (up.as_str(), across.as_str()));
         let paired = if options.paired {
-            paired::paired(&all.iter().collect::<Vec<_>>(), names_of_pair, options.most_flips)?
+            paired::paired(&all.iter().collect::<Vec<_>>(), names_of_pair, options.max_flips)?
         } else {
             Vec::new()
         };
         Ok(Self {
             version: Self::VERSION,
-            compared: compared.iter().map(|entrant| entrant.name.clone()).collect(),
+            compared: compared.iter().map(|dataset| dataset.name.clone()).collect(),
             parameters,
             differences: if options.paired { Vec::new() } else { differences::differences(&compared)? },
             paired,
-            along: axes.iter().map(|axis| curves::curve(&compared, axis)).collect(),
+            marginal_effects: axes.iter().map(|axis| marginal::curve(&compared, axis)).collect(),
             universal_zones: if compared.len() < 2 {
-                curves::universal(&[], &[], None, options.danger_limit)
+                universal::universal(&[], &[], None, options.danger_limit)
             } else {
                 let coarse = coarse.as_ref().map(|(up, across)| (up, across));
-                curves::universal(&compared, &axes, coarse, options.danger_limit)
+                universal::universal(&compared, &axes, coarse, options.danger_limit)
             },
             sensitivity: sensitivity::sensitivity(&compared, &axes, task.sensitivity),
             reach: reach::reach(&compared, &options.reach_m, options.workspace_m),
-            dictionaries: all.iter().map(dictionary).collect(),
+            datasets: all.iter().map(compared_dataset).collect(),
         })
     }
 
-    /// Whether at least two of them could be compared.
+    /// Whether at least two datasets could be compared.
     pub fn has_evidence(&self) -> bool {
         if self.paired.is_empty() { self.compared.len() >= 2 } else { self.paired.iter().any(|of| of.valid_pairs > 0) }
     }
 }
 
-fn dictionary(entrant: &Entrant<'_>) -> ComparedDictionary {
-    ComparedDictionary {
-        name: entrant.name.clone(),
-        subject: Subject::of(entrant.source, entrant.path),
-        population: entrant.population,
-        left_out: entrant.why_not_compared().map(str::to_owned),
-        success: Success::of(&entrant.rows, &entrant.base, entrant.focused.as_ref(), entrant.population),
-        failure_modes: FailureModes::of(&entrant.rows, &entrant.base),
+fn compared_dataset(dataset: &Dataset<'_>) -> ComparedDataset {
+    ComparedDataset {
+        name: dataset.name.clone(),
+        subject: Subject::of(dataset.source, dataset.path),
+        population: dataset.population,
+        excluded_because: dataset.excluded_because().map(str::to_owned),
+        success: Success::of(&dataset.table, &dataset.base, dataset.focused.as_ref(), dataset.population),
+        failure_modes: FailureModes::of(&dataset.table, &dataset.base),
     }
 }
 
 fn check(options: &ComparisonOptions, names: &[String]) -> Result<(), ComparisonError> {
     let limit = options.danger_limit;
     if !(limit > 0.0 && limit < 1.0) {
-        let must = "above 0 and below 1 (0.4 for 40 %)";
-        return Err(ComparisonError::Setting { what: "the danger limit", value: limit, must });
+        let expected = "a success rate in (0, 1), such as 0.4 for 40 %";
+        return Err(ComparisonError::Setting { setting: "the danger limit", value: limit, expected });
     }
-    let lengths = options.reach_m.iter().map(|(_, reach)| ("a reach", *reach));
-    for (what, value) in lengths.chain(options.workspace_m.map(|workspace| ("the workspace's distance", workspace))) {
+    let lengths = options.reach_m.iter().map(|(_, reach)| ("the reach", *reach));
+    for (setting, value) in lengths.chain(options.workspace_m.map(|workspace| ("the workspace distance", workspace))) {
         if !(value > 0.0 && value.is_finite()) {
-            return Err(ComparisonError::Setting { what, value, must: "above 0 metres" });
+            return Err(ComparisonError::Setting { setting, value, expected: "a positive length in metres" });
         }
     }
     match options.reach_m.iter().find(|(name, _)| !names.contains(name)) {
@@ -212,44 +214,44 @@ fn check(options: &ComparisonOptions, names: &[String]) -> Result<(), Comparison
     }
 }
 
-/// What is shared, cut alike for all, and what is not.
-fn shared(entrants: &[&Entrant<'_>]) -> (SharedParameters, Vec<SharedAxis>) {
-    let smallest = entrants.iter().map(|entrant| entrant.base.len()).min().unwrap_or(0);
-    let bins = (smallest / 25).clamp(3, crate::along::BINS);
-    let mut every: Vec<&str> = Vec::new();
-    for column in entrants.iter().flat_map(|entrant| &entrant.base.parameters) {
-        if !every.contains(&column.name.as_str()) {
-            every.push(&column.name);
+/// The parameters that are shared, binned alike for all datasets, and those that are not.
+fn shared(datasets: &[&Dataset<'_>]) -> (SharedParameters, Vec<SharedAxis>) {
+    let smallest = datasets.iter().map(|dataset| dataset.base.len()).min().unwrap_or(0);
+    let bins = (smallest / 25).clamp(3, crate::marginal::BINS);
+    let mut all: Vec<&str> = Vec::new();
+    for column in datasets.iter().flat_map(|dataset| &dataset.base.parameters) {
+        if !all.contains(&column.name.as_str()) {
+            all.push(&column.name);
         }
     }
     let mut parameters = SharedParameters { shared: Vec::new(), not_shared: Vec::new() };
     let mut axes = Vec::new();
-    for parameter in every {
-        match SharedAxis::of(entrants, parameter, bins) {
+    for parameter in all {
+        match SharedAxis::of(datasets, parameter, bins) {
             Ok(axis) => {
                 parameters.shared.push(parameter.to_owned());
                 axes.push(axis);
             }
             Err(because) => {
-                let has = entrants.iter().filter(|entrant| entrant.parameter(parameter).is_some());
-                let of = has.map(|entrant| entrant.name.clone()).collect();
-                parameters.not_shared.push(NotShared { parameter: parameter.to_owned(), of, because });
+                let has = datasets.iter().filter(|dataset| dataset.parameter(parameter).is_some());
+                let datasets = has.map(|dataset| dataset.name.clone()).collect();
+                parameters.not_shared.push(NotShared { parameter: parameter.to_owned(), datasets, because });
             }
         }
     }
     (parameters, axes)
 }
 
-/// The plug-in of the task that all of them ran; of none where they differ in it.
-fn task(entrants: &[&Entrant<'_>]) -> &'static TaskAnalysis {
-    let mut names = entrants.iter().map(|entrant| TaskAnalysis::of_dictionary(entrant.provenance()).task);
+/// The plug-in of the task that all of them ran; an empty one if the tasks differ.
+fn task(datasets: &[&Dataset<'_>]) -> &'static TaskAnalysis {
+    let mut names = datasets.iter().map(|dataset| TaskAnalysis::of_dictionary(dataset.provenance()).task);
     let first = names.next().unwrap_or_default();
     TaskAnalysis::of(if names.all(|name| name == first) { first } else { "" })
 }
 
-/// The pair that is looked at together: the one named, else the task's, else the first two numbers.
+/// The pair that is compared: the one requested, else the task's, else the first two numeric parameters.
 fn pair(
-    entrants: &[&Entrant<'_>],
+    datasets: &[&Dataset<'_>],
     axes: &[SharedAxis],
     options: &ComparisonOptions,
     task: &TaskAnalysis,
@@ -260,7 +262,7 @@ fn pair(
         if let Some([up, across]) = task.envelope.filter(|pair| pair.iter().all(|name| shared.contains(name))) {
             return Ok(Some(both(up, across)));
         }
-        let number = |name: &&&str| entrants.iter().all(|e| e.parameter(name).is_some_and(|p| p.is_numeric()));
+        let number = |name: &&&str| datasets.iter().all(|e| e.parameter(name).is_some_and(|p| p.is_numeric()));
         let numbers: Vec<&&str> = shared.iter().filter(number).collect();
         return Ok(match numbers.as_slice() {
             [up, across, ..] => Some(both(up, across)),
@@ -269,10 +271,10 @@ fn pair(
     };
     for name in [up, across] {
         if !shared.contains(&name.as_str()) {
-            let because = SharedAxis::of(entrants, name, 3).err();
+            let because = SharedAxis::of(datasets, name, 3).err();
             return Err(ComparisonError::Pair {
                 name: name.clone(),
-                reason: because.unwrap_or_else(|| "it is not shared".to_owned()),
+                reason: because.unwrap_or_else(|| "the datasets do not share it".to_owned()),
                 known: shared.join(", "),
             });
         }
@@ -280,7 +282,7 @@ fn pair(
     if up == across {
         return Err(ComparisonError::Pair {
             name: up.clone(),
-            reason: "it is there twice".to_owned(),
+            reason: "a pair needs two different parameters".to_owned(),
             known: shared.join(", "),
         });
     }

@@ -1,4 +1,4 @@
-//! What one parameter does to each compared dictionary: the slope of the log-odds of success over its logarithm.
+//! The effect of one parameter on each compared dataset: the slope of the log-odds of success over its logarithm.
 
 use robogate_stats::Confidence;
 use robogate_stats::logistic::{Data, Estimator, Options, Profile, RegressionError, firth_profile, fit};
@@ -7,12 +7,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::comparison::axis::SharedAxis;
-use crate::comparison::entrant::Entrant;
+use crate::comparison::dataset::Dataset;
 use crate::labels::parameter_label;
 use crate::models::why;
 use crate::rate::{Finding, Rate, ends};
 
-/// What one parameter does to each compared dictionary, over the range that all of them cover.
+/// The effect of one parameter on each compared dataset, over the range that all of them cover.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Sensitivity {
     /// The parameter.
@@ -23,19 +23,19 @@ pub struct Sensitivity {
     pub low: [f64; 2],
     /// The highest bin.
     pub high: [f64; 2],
-    /// The effect on each compared dictionary, in their order.
+    /// The effect on each compared dataset, in their order.
     pub effects: Vec<Effect>,
-    /// Names of the dictionaries in which larger values significantly lower success: all of them where every 95 % interval
+    /// Names of the datasets in which larger values significantly lower success: all of them if every 95 % interval
     /// lies below 0 (intersection-union), else those whose p-value is at most 0.05 after Holm's adjustment.
     pub lowers_success_of: Vec<String>,
 }
 
-/// What the parameter does to one dictionary.
+/// The effect of the parameter on one dataset.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Effect {
     /// Its name.
     pub name: String,
-    /// Slope of the log-odds of success per unit of the parameter's natural logarithm: below 0, larger values hurt.
+    /// Slope of the log-odds of success per unit of the parameter's natural logarithm: below 0, larger values lower success.
     pub slope: Finding<Slope>,
     /// Success in the lowest bin.
     pub low: Rate,
@@ -48,10 +48,10 @@ pub struct Effect {
 pub struct Slope {
     /// Change of the log-odds per unit of the natural logarithm.
     pub per_log_unit: f64,
-    /// 95 % interval: Wald's, or of the penalised profile where success and failure are separated; an end that
-    /// lies beyond what was followed is absent.
+    /// 95 % interval: Wald's, or that of the penalised profile if success and failure are separated; an unbounded end is
+    /// absent.
     pub interval_95: [Option<f64>; 2],
-    /// By what the odds of success are multiplied where the parameter doubles.
+    /// Factor of the odds of success when the parameter doubles.
     pub odds_per_doubling: f64,
     /// ln of the two-sided p-value that the parameter has no effect.
     pub ln_p: f64,
@@ -61,29 +61,29 @@ pub struct Slope {
 
 /// Fits the effect of `parameter`, the one that the task names.
 pub(crate) fn sensitivity(
-    entrants: &[&Entrant<'_>],
+    datasets: &[&Dataset<'_>],
     axes: &[SharedAxis],
     parameter: Option<&str>,
 ) -> Finding<Sensitivity> {
     let Some(parameter) = parameter else {
-        return Finding::not("the task names no parameter for it");
+        return Finding::not("the task declares no parameter for it");
     };
     let Some(axis) = axes.iter().find(|axis| axis.axis.parameter == parameter) else {
-        return Finding::not(format!("{parameter} is not a parameter of all of them"));
+        return Finding::not(format!("not every dataset has {parameter}"));
     };
     let cells = axis.cells();
     let (Some(low), Some(high)) = (axis.range(0), axis.range(cells.saturating_sub(1))) else {
-        return Finding::not(format!("{parameter} has no range"));
+        return Finding::not(format!("{parameter} has no numeric range"));
     };
     let range = [low[0], high[1]];
     if range[0] <= 0.0 {
-        return Finding::not(format!("{parameter} is not above 0 everywhere and has no logarithm"));
+        return Finding::not(format!("{parameter} is not positive everywhere"));
     }
-    let effects = entrants.iter().map(|entrant| {
-        let trials = axis.trials(entrant);
+    let effects = datasets.iter().map(|dataset| {
+        let trials = axis.trials(dataset);
         Effect {
-            name: entrant.name.clone(),
-            slope: slope(entrant, parameter, range),
+            name: dataset.name.clone(),
+            slope: slope(dataset, parameter, range),
             low: Rate::of(trials[0]),
             high: Rate::of(trials[cells - 1]),
         }
@@ -106,12 +106,14 @@ fn lowers_success_of(effects: &[Effect]) -> Vec<String> {
     lowers.map(|((effect, _), _)| effect.name.clone()).collect()
 }
 
-fn slope(entrant: &Entrant<'_>, parameter: &str, [low, high]: [f64; 2]) -> Finding<Slope> {
-    let Some(column) = entrant.parameter(parameter) else { return Finding::not(format!("it has no {parameter}")) };
+fn slope(dataset: &Dataset<'_>, parameter: &str, [low, high]: [f64; 2]) -> Finding<Slope> {
+    let Some(column) = dataset.parameter(parameter) else {
+        return Finding::not(format!("the dataset has no {parameter}"));
+    };
     let inside = |value: &f64| (low..=high).contains(value);
     let logs: Vec<f64> = column.values.iter().copied().filter(inside).map(f64::ln).collect();
     let success: Vec<bool> =
-        column.values.iter().zip(&entrant.base.success).filter(|(value, _)| inside(value)).map(|(_, s)| *s).collect();
+        column.values.iter().zip(&dataset.base.success).filter(|(value, _)| inside(value)).map(|(_, s)| *s).collect();
     slope_of(&logs, &success, &parameter_label(parameter))
 }
 

@@ -1,4 +1,4 @@
-//! The closed-form frontier of two parameters: where success is as likely as failure.
+//! The closed-form frontier of two parameters: where the model predicts 50 % success.
 
 use robogate_stats::limit_state::{CompatibleSet, LimitState, SuccessSide};
 use robogate_stats::logistic::{Options, interaction};
@@ -8,37 +8,37 @@ use serde::{Deserialize, Serialize};
 
 use super::{Regression, why_no_frontier};
 use crate::labels::{label_and_unit, parameter_label};
-use crate::rows::{ParameterColumn, Sample};
+use crate::table::{ParameterColumn, Sample};
 use crate::{Finding, Rate};
 use robogate_stats::format::significant;
 
-/// Points along the curve.
+/// Points of the curve.
 const POINTS: usize = 41;
-/// Stated success that counts as near the frontier.
+/// Predicted success rates that count as near the frontier.
 const NEAR: [f64; 2] = [0.4, 0.6];
 
 /// The frontier x*(y) = (-b0 - b2 y) / (b1 + b3 y) of logit P(success) = b0 + b1 x + b2 y + b3 x y.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Frontier {
-    /// The parameter that it is solved for.
+    /// The parameter that the frontier is solved for.
     pub x: String,
-    /// The parameter that it depends on.
+    /// The parameter that the frontier depends on.
     pub y: String,
     /// The regression, in the parameters' own units.
     pub regression: Regression,
     /// b0 to b3.
     pub coefficients: [f64; 4],
-    /// The closed form with its figures.
+    /// The formula with its coefficients.
     pub closed_form: String,
-    /// The y at which it runs to infinity.
+    /// The y at which the frontier diverges.
     pub pole: Option<f64>,
-    /// The y between which the frontier lies within the observed ranges; absent where it never does.
+    /// The range of y in which the frontier lies within the observed ranges; absent if it never does.
     pub valid_for: Option<[f64; 2]>,
-    /// Whether larger x is the side of success in the middle of that range.
+    /// Whether success is more likely above the frontier, in the middle of that range.
     pub success_above: Option<bool>,
-    /// What was observed where the model states a success of 40 to 60 %: whether it is right near its own frontier.
+    /// The observed success rate where the model predicts 40 to 60 %: a check of the model near its own frontier.
     pub near: Rate,
-    /// Whether the observed rate there is surely outside 40 to 60 %, so that the frontier is not to be trusted.
+    /// Whether that rate is significantly outside 40 to 60 %: the frontier is then not reliable.
     pub contradicted: bool,
     /// The curve with its pointwise 95 % bands.
     pub curve: Vec<FrontierPoint>,
@@ -55,9 +55,9 @@ pub struct FrontierPoint {
     pub se: f64,
     /// x ± 1.96 se.
     pub band_95: [f64; 2],
-    /// The exact (Fieller) interval; absent where it is not bounded, which is the case near the pole.
+    /// The exact (Fieller) interval; absent where it is unbounded, as near the pole.
     pub exact_95: Option<[f64; 2]>,
-    /// Whether the point lies within the observed ranges; else it is extrapolated.
+    /// Whether the point lies within the observed ranges; else it is an extrapolation.
     pub observed: bool,
 }
 
@@ -65,7 +65,7 @@ pub(crate) fn frontier(base: &Sample, x: &ParameterColumn, y: &ParameterColumn) 
     for parameter in [x, y] {
         if !parameter.is_numeric() {
             return Finding::not(format!(
-                "{} is a category, and a frontier needs two numbers",
+                "{} is categorical, and a frontier needs two numeric parameters",
                 parameter_label(&parameter.name)
             ));
         }

@@ -6,20 +6,20 @@ use robogate_stats::logistic::{Data, Options, Scale, fit, interaction, standardi
 use super::{Regression, why};
 use crate::Finding;
 use crate::labels::parameter_label;
-use crate::rows::Sample;
+use crate::table::Sample;
 use crate::task::{InteractionModel, TaskAnalysis};
 
 /// Fits the interaction model that the task publishes.
 pub(crate) fn interactions(base: &Sample, task: &TaskAnalysis) -> Finding<Regression> {
     let Some(model) = &task.interactions else {
-        return Finding::not("no such model is published for this task");
+        return Finding::not("no model with interactions is published for this task");
     };
     if let Some(missing) = missing(base, model) {
-        return Finding::not(format!("the dictionary has no {missing}, which the paper's model is made of"));
+        return Finding::not(format!("the dataset has no {missing}, which the paper's model needs"));
     }
     let columns: Vec<&[f64]> =
         model.main.iter().filter_map(|m| base.parameter(m)).map(|p| p.values.as_slice()).collect();
-    // A constant column stays as it is: the fit will name it.
+    // A constant column stays as it is: the fit reports it.
     let scaled: Vec<Vec<f64>> = columns.iter().map(|c| standardized(c).unwrap_or_else(|| c.to_vec())).collect();
     let products: Vec<Vec<f64>> = model.products.iter().map(|(a, b)| interaction(&scaled[*a], &scaled[*b])).collect();
     let all: Vec<&[f64]> = scaled.iter().chain(&products).map(Vec::as_slice).collect();

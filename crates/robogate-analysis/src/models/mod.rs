@@ -1,4 +1,4 @@
-//! The paper's models by name.
+//! Fitted models: the frontier, the interaction model and the risk model.
 
 mod frontier;
 mod interactions;
@@ -22,22 +22,22 @@ pub(crate) use risk::{Scored, risk};
 /// A logistic regression.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Regression {
-    /// The outcome whose log-odds it gives: `success` or `failure`.
+    /// The outcome whose log-odds it predicts: `success` or `failure`.
     pub outcome: String,
     /// Rows that it was fitted to.
     pub rows: u64,
-    /// How it was fitted: `maximum_likelihood`, or `firth` where separation leaves no maximum.
+    /// The estimator: `maximum_likelihood`, or `firth` if separation leaves no maximum.
     pub estimator: String,
-    /// Whether coefficients are per standard deviation of their column (else per unit).
+    /// Whether coefficients are per standard deviation of their column; else they are per unit.
     pub standardized: bool,
-    /// The intercept first, then every column that was put in.
+    /// The intercept, then every column.
     pub terms: Vec<Coefficient>,
     /// -2 ln L.
     pub deviance: f64,
-    /// -2 ln L of the intercept alone.
+    /// -2 ln L of the intercept-only model.
     pub null_deviance: f64,
-    /// What a reader must know beside the coefficients, in words.
-    pub cautions: Vec<String>,
+    /// Warnings that belong to the coefficients, in sentences.
+    pub warnings: Vec<String>,
 }
 
 /// One column of a regression.
@@ -46,7 +46,7 @@ pub struct Coefficient {
     /// The column.
     pub term: String,
     /// Its coefficient, or why it has none.
-    pub found: crate::Finding<Estimate>,
+    pub estimate: crate::Finding<Estimate>,
 }
 
 /// A coefficient with its uncertainty.
@@ -56,9 +56,9 @@ pub struct Estimate {
     pub coefficient: f64,
     /// Standard error.
     pub se: f64,
-    /// Coefficient over standard error.
+    /// Coefficient divided by its standard error.
     pub z: f64,
-    /// ln of the two-sided p-value: readable however small that is.
+    /// ln of the two-sided p-value, which may be too small for an `f64`.
     pub ln_p: f64,
     /// Wald's 95 % interval.
     pub interval_95: [f64; 2],
@@ -71,10 +71,10 @@ impl Regression {
             Estimate { coefficient: c.estimate, se: c.se, z: c.z, ln_p: c.ln_p.max(f64::MIN), interval_95: [low, high] }
         };
         let intercept =
-            Coefficient { term: "intercept".to_owned(), found: crate::Finding::Estimated(estimate(&fit.intercept)) };
+            Coefficient { term: "intercept".to_owned(), estimate: crate::Finding::Estimated(estimate(&fit.intercept)) };
         let others = fit.terms.iter().zip(names).map(|(term, name)| Coefficient {
             term: name.clone(),
-            found: match term {
+            estimate: match term {
                 Term::Estimated(c) => crate::Finding::Estimated(estimate(c)),
                 Term::Dropped(why) => crate::Finding::not(dropped(why, names)),
             },
@@ -91,7 +91,7 @@ impl Regression {
             terms: std::iter::once(intercept).chain(others).collect(),
             deviance: fit.deviance(),
             null_deviance: -2.0 * fit.null_log_likelihood,
-            cautions: fit.cautions.iter().map(|c| caution(c, outcome, names)).collect(),
+            warnings: fit.cautions.iter().map(|c| caution(c, outcome, names)).collect(),
         }
     }
 }
@@ -99,10 +99,10 @@ impl Regression {
 fn dropped(why: &Dropped, names: &[String]) -> String {
     match why {
         Dropped::Constant => "it has the same value in every row".to_owned(),
-        Dropped::CollinearWith(with) if with.is_empty() => "it is constant but for rounding".to_owned(),
+        Dropped::CollinearWith(with) if with.is_empty() => "it is constant except for rounding".to_owned(),
         Dropped::CollinearWith(with) => {
             let with: Vec<String> = with.iter().filter_map(|i| names.get(*i)).cloned().collect();
-            format!("it follows exactly from {}", robogate_stats::format::list(&with))
+            format!("it is a linear combination of {}", robogate_stats::format::list(&with))
         }
     }
 }
@@ -111,8 +111,8 @@ fn caution(caution: &Caution, outcome: &str, names: &[String]) -> String {
     match caution {
         Caution::Separated(separation) => separated(separation, outcome, names),
         Caution::FewEvents { events, coefficients } => format!(
-            "The rarer outcome has {events} rows for {coefficients} coefficients, fewer than ten for each: they are \
-             uncertain and leaning away from zero."
+            "The rarer outcome has {events} rows for {coefficients} coefficients, fewer than ten for each: the coefficients \
+             are uncertain and biased away from zero."
         ),
     }
 }
@@ -131,20 +131,20 @@ fn separated(separation: &Separation, outcome: &str, names: &[String]) -> String
         .collect();
     let by = if by.is_empty() { "the intercept alone".to_owned() } else { robogate_stats::format::list(&by) };
     format!(
-        "{kind} separation: {by} tell {outcome} without an error in {} rows, so no maximum likelihood estimate exists. \
-         The figures are those of Firth's penalised fit; Wald intervals are rough here.",
+        "{kind} separation: {by} predict {outcome} without an error in {} rows, so no maximum likelihood estimate exists. \
+         The figures are those of Firth's penalised fit, and the Wald intervals are approximate.",
         separation.rows
     )
 }
 
-/// Why there is no regression, in words.
+/// Why there is no regression, as the end of a sentence.
 pub(crate) fn why(error: &RegressionError, names: &[String]) -> String {
     match error {
         RegressionError::NoRows => "there is no valid episode".to_owned(),
         RegressionError::OneClass { rows, .. } => {
-            format!("all {rows} episodes have the same outcome, so that nothing tells one from the other")
+            format!("all {rows} episodes have the same outcome")
         }
-        RegressionError::NotSettled { .. } => "the fit did not settle; columns may be nearly collinear".to_owned(),
+        RegressionError::NotSettled { .. } => "the fit did not converge; columns may be nearly collinear".to_owned(),
         RegressionError::Separated(separation) => separated(separation, "the outcome", names),
         other => other.to_string(),
     }
@@ -154,7 +154,10 @@ pub(crate) fn why_no_frontier(error: &LimitStateError, names: &[String]) -> Stri
     match error {
         LimitStateError::Regression(error) => why(error, names),
         LimitStateError::MissingTerm { term } => {
-            format!("{} is constant or follows from the others", names.get(*term).map_or("a column", String::as_str))
+            format!(
+                "{} is constant or a linear combination of the others",
+                names.get(*term).map_or("a column", String::as_str)
+            )
         }
         other => other.to_string(),
     }

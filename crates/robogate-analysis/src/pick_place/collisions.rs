@@ -3,15 +3,15 @@
 use robogate_stats::format::number;
 
 use crate::replay::{ReplayGroup, ReplayReason, episode, lowest};
-use crate::rows::{Rows, Seen};
+use crate::table::{Ending, EpisodeTable};
 
 /// The episodes of every stage that ended in a collision, the largest contact force first; `None` without one.
-pub(super) fn hardest(rows: &Rows) -> Option<ReplayGroup> {
-    let collision = rows.modes.iter().position(|mode| mode.as_str() == "collision")?;
-    let forces = rows.measure("peak_contact_force_n")?;
+pub(super) fn hardest(table: &EpisodeTable) -> Option<ReplayGroup> {
+    let collision = table.modes.iter().position(|mode| mode.as_str() == "collision")?;
+    let forces = table.measure("peak_contact_force_n")?;
     let force = |row: usize| forces[row].filter(|f| f.is_finite());
-    let hardest = lowest(rows.len(), |row| match rows.outcome[row] {
-        Seen::Failure(mode) if usize::from(mode) == collision => force(row).map(|f| -f),
+    let hardest = lowest(table.len(), |row| match table.outcome[row] {
+        Ending::Failure(mode) if usize::from(mode) == collision => force(row).map(|f| -f),
         _ => None,
     });
     let figure = |row: usize| force(row).map_or_else(String::new, |f| format!("{} N", number(f)));
@@ -19,6 +19,6 @@ pub(super) fn hardest(rows: &Rows) -> Option<ReplayGroup> {
         reason: ReplayReason::Task,
         title: "Hardest collisions".to_owned(),
         why: "Largest contact force among episodes of every stage that ended in a collision.".to_owned(),
-        episodes: hardest.into_iter().map(|row| episode(rows, row, figure(row))).collect(),
+        episodes: hardest.into_iter().map(|row| episode(table, row, figure(row))).collect(),
     })
 }

@@ -1,4 +1,4 @@
-//! The learners of the study: each gets rows and gives the log-odds of success of rows, seen and unseen.
+//! The learners of the study. Each is fitted to training rows and predicts the log-odds of success of training and test rows.
 
 use robogate_stats::fourier::Fourier;
 use robogate_stats::logistic::{Data, Options, RegressionError, fit, interaction};
@@ -7,20 +7,20 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::models::missing;
-use crate::rows::{ParameterColumn, ParameterKind, Sample};
+use crate::table::{ParameterColumn, ParameterKind, Sample};
 use crate::task::{InteractionModel, TaskAnalysis};
 
-/// Frequencies of the flexible learner: twice as many columns.
+/// Frequencies of the flexible learner; each gives two columns.
 const FREQUENCIES: usize = 96;
-/// Its length scales, in units of the square root of the number of parameters: the typical distance of two points
-/// is the square root of two.
+/// Its length scales, in units of the square root of the number of parameters. The typical distance of two points is the
+/// square root of two in these units.
 const LENGTH_SCALES: [f64; 3] = [0.35, 0.7, 1.4];
 /// Its prior variances.
 const PRIOR_VARIANCES: [f64; 5] = [1.0, 5.0, 25.0, 125.0, 625.0];
-/// The frequencies are the same in every fit.
+/// Seed of the frequencies, which are the same in every fit.
 const SEED: u64 = 2007;
 
-/// What is fitted.
+/// A learner of the study.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Learner {
@@ -28,21 +28,21 @@ pub enum Learner {
     Paper,
     /// A logistic model of every parameter, in its own scale, with a column for each category.
     MainEffects,
-    /// Bayesian logistic regression on the same columns and on random Fourier features of them, length scale and
-    /// prior chosen by evidence.
+    /// Bayesian logistic regression on the same columns and on random Fourier features of them; evidence selects length
+    /// scale and prior variance.
     Flexible,
 }
 
 /// Log-odds of success.
 pub(super) struct Scores {
-    /// Of the rows that the model was fitted to.
+    /// Predictions for the rows that the model was fitted to.
     pub(super) own: Vec<f64>,
-    /// Of the test rows.
+    /// Predictions for the test rows.
     pub(super) test: Vec<f64>,
 }
 
 impl Learner {
-    /// All, the simplest first.
+    /// All learners, the simplest first.
     pub const ALL: [Self; 3] = [Self::Paper, Self::MainEffects, Self::Flexible];
 
     /// Its name for people.
@@ -54,22 +54,22 @@ impl Learner {
         }
     }
 
-    /// What it is, for people.
+    /// Its description for people.
     pub(super) fn about(self, task: &TaskAnalysis) -> &'static str {
         match self {
-            Self::Paper => task.interactions.map_or("none is published for this task", |model| model.about),
+            Self::Paper => task.interactions.map_or("no model is published for this task", |model| model.about),
             Self::MainEffects => {
-                "a logistic model of every parameter in its own scale (the logarithm where it is drawn so), with a \
+                "a logistic model of every parameter in its own scale (logarithmic if it is sampled so), with a \
                  column for each category"
             }
             Self::Flexible => {
-                "Bayesian logistic regression on the same columns and 192 random Fourier features of them; length \
-                 scale and prior variance by evidence"
+                "Bayesian logistic regression on the same columns and 192 random Fourier features of them; evidence \
+                 selects length scale and prior variance"
             }
         }
     }
 
-    /// Fits `train` and scores it and `test`. What the columns look like follows from the test set's space alone.
+    /// Fits `train` and predicts it and `test`. The columns depend on the space of the test set only.
     pub(super) fn scores(
         self,
         train: &Sample,
@@ -81,7 +81,7 @@ impl Learner {
             Self::Paper => {
                 let model = task.interactions.as_ref().ok_or("no model is published for this task")?;
                 if let Some(missing) = missing(test, model) {
-                    return Err(format!("there is no {missing}, which the paper's model is made of"));
+                    return Err(format!("the dataset has no {missing}, which the paper's model needs"));
                 }
                 let scaling: Vec<(f64, f64)> =
                     model.main.iter().filter_map(|m| train.parameter(m)).map(|p| moments(&p.values)).collect();
@@ -93,7 +93,7 @@ impl Learner {
     }
 }
 
-/// Maximum likelihood, or Firth's where the data are separated.
+/// Fits by maximum likelihood, or by Firth's method if the data are separated.
 fn plain(
     train: &Sample,
     weights: Option<&[f64]>,
@@ -102,8 +102,8 @@ fn plain(
 ) -> Result<Scores, String> {
     let (own, other) = (columns(train), columns(test));
     let views: Vec<&[f64]> = own.iter().map(Vec::as_slice).collect();
-    let data = Data::new(&views, &train.success, weights).map_err(said)?;
-    let found = fit(data, Options::default()).map_err(said)?;
+    let data = Data::new(&views, &train.success, weights).map_err(reason)?;
+    let found = fit(data, Options::default()).map_err(reason)?;
     let beta = found.raw_coefficients();
     Ok(Scores { own: linear(beta, &own, train.len()), test: linear(beta, &other, test.len()) })
 }
@@ -114,9 +114,9 @@ fn flexible(train: &Sample, weights: Option<&[f64]>, test: &Sample) -> Result<Sc
     let root = (test.parameters.len() as f64).sqrt();
     let columns = |coordinates: &[Vec<f64>], length: f64| {
         let views: Vec<&[f64]> = coordinates.iter().map(Vec::as_slice).collect();
-        // Their number is that of the frequencies' dimensions.
+        // There are as many coordinates as the frequencies have dimensions.
         let mut columns = fourier.columns(&views, length * root).unwrap_or_default();
-        // Together the linear columns have the length that the features have.
+        // Scaled so that the linear columns together have the norm of the features.
         columns.extend(coordinates.iter().map(|c| c.iter().map(|x| x / root).collect::<Vec<f64>>()));
         columns
     };
@@ -124,24 +124,24 @@ fn flexible(train: &Sample, weights: Option<&[f64]>, test: &Sample) -> Result<Sc
     for length in LENGTH_SCALES {
         let columns = columns(&own, length);
         let views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
-        let data = Data::new(&views, &train.success, weights).map_err(said)?;
-        let found = ridge::by_evidence(data, &PRIOR_VARIANCES).map_err(said)?;
+        let data = Data::new(&views, &train.success, weights).map_err(reason)?;
+        let found = ridge::by_evidence(data, &PRIOR_VARIANCES).map_err(reason)?;
         if let Some(found) = found
             && best.as_ref().is_none_or(|(_, b)| found.log_evidence > b.log_evidence)
         {
             best = Some((length, found));
         }
     }
-    let (length, model) = best.ok_or("there is nothing to choose from")?;
+    let (length, model) = best.ok_or("no length scale could be fitted")?;
     let score = |coordinates: &[Vec<f64>]| {
         let columns = columns(coordinates, length);
         let views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
-        model.log_odds(&views).ok_or("the columns do not fit")
+        model.log_odds(&views).ok_or("the columns do not match the model")
     };
     Ok(Scores { own: score(&own)?, test: score(&other)? })
 }
 
-fn said(error: RegressionError) -> String {
+fn reason(error: RegressionError) -> String {
     match error {
         RegressionError::OneClass { rows, .. } => format!("all {rows} training episodes have the same outcome"),
         other => other.to_string(),
@@ -164,7 +164,7 @@ fn moments(values: &[f64]) -> (f64, f64) {
     (mean, if deviation > 1e-12 * mean.abs().max(1e-300) { deviation } else { 1.0 })
 }
 
-/// The paper's features, standardised as the training rows were.
+/// The features of the published model, standardised by the moments of the training rows.
 fn interactions(sample: &Sample, model: &InteractionModel, scaling: &[(f64, f64)]) -> Vec<Vec<f64>> {
     let mut columns: Vec<Vec<f64>> = model
         .main
@@ -179,15 +179,16 @@ fn interactions(sample: &Sample, model: &InteractionModel, scaling: &[(f64, f64)
     columns
 }
 
-/// A column for each number and one for each level of a category from `first_level` on. The flexible learner takes
-/// all levels, so that two of them are as far apart as two draws of a number are on average; a plain fit all but one.
+/// One column for each numeric parameter and one for each level of a categorical one from `first_level` on. The flexible
+/// learner takes all levels, so that two levels are as far apart as two samples of a number on average; a plain fit takes all
+/// but one.
 fn coordinates(sample: &Sample, test: &Sample, first_level: usize) -> Vec<Vec<f64>> {
     let mut columns = Vec::new();
     for of in &test.parameters {
         let Some(column) = sample.parameter(&of.name) else { continue };
         match &of.kind {
-            ParameterKind::Categorical { words } => {
-                columns.extend((first_level..words.len()).map(|level| is(column, level)));
+            ParameterKind::Categorical { levels } => {
+                columns.extend((first_level..levels.len()).map(|level| is(column, level)));
             }
             _ => columns.push(scaled(column, &of.kind)),
         }
@@ -199,7 +200,8 @@ fn is(column: &ParameterColumn, level: usize) -> Vec<f64> {
     column.values.iter().map(|v| f64::from(u8::from(*v as usize == level))).collect()
 }
 
-/// A number about the middle of its range, in units of the standard deviation that it has when drawn evenly in its scale.
+/// A numeric parameter relative to the middle of its range, in units of its standard deviation under uniform sampling on its
+/// own scale.
 fn scaled(column: &ParameterColumn, kind: &ParameterKind) -> Vec<f64> {
     let unit = |x: f64| match kind {
         ParameterKind::Continuous { low, high, log: true } => (x / low).ln() / (high / low).ln(),

@@ -19,7 +19,7 @@ fn paired() -> ComparisonOptions {
 }
 
 #[test]
-fn runs_that_differ_in_their_renderer_alone_are_named_by_it() {
+fn runs_are_named_by_renderer() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
     let drawn = |file: &str, world: serde_json::Value, n: u64| {
@@ -28,7 +28,7 @@ fn runs_that_differ_in_their_renderer_alone_are_named_by_it() {
         write_parquet(&path, &provenance, law(&space, n).into_iter().map(Ok::<_, DictionaryError>)).unwrap();
         (Source::open(&path).unwrap(), path)
     };
-    let names = |a, b| compared(&[a, b]).dictionaries.iter().map(|d| d.name.clone()).collect::<Vec<_>>();
+    let names = |a, b| compared(&[a, b]).datasets.iter().map(|d| d.name.clone()).collect::<Vec<_>>();
     let plain = || serde_json::json!({ "engine": "mujoco" });
     let egl = serde_json::json!({ "engine": "mujoco", "renderer": { "name": "egl", "device": "llvmpipe" } });
     assert_eq!(names(drawn("a", plain(), 50), drawn("b", egl, 60)), ["embedded", "egl"]);
@@ -36,7 +36,7 @@ fn runs_that_differ_in_their_renderer_alone_are_named_by_it() {
 }
 
 #[test]
-fn one_dictionary_or_the_same_one_twice_is_no_comparison() {
+fn same_rows_twice_are_rejected() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
     let one = saved(&dir, "one", &space, law(&space, 50));
@@ -49,7 +49,7 @@ fn one_dictionary_or_the_same_one_twice_is_no_comparison() {
 }
 
 #[test]
-fn a_difference_is_the_one_of_the_counts_and_holm_never_shrinks_it() {
+fn holm_never_lowers_a_p_value() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
     let worse = |i: u64, by_law| {
@@ -67,7 +67,7 @@ fn a_difference_is_the_one_of_the_counts_and_holm_never_shrinks_it() {
     let pairs: Vec<bool> = of.differences.iter().map(|d| d.valid_pairs.is_some()).collect();
     assert_eq!(pairs, [true, false, false]);
     for d in &of.differences[1..] {
-        let rate = |name: &str| of.dictionaries.iter().find(|x| x.name == name).unwrap().success.rate.rate.unwrap();
+        let rate = |name: &str| of.datasets.iter().find(|x| x.name == name).unwrap().success.rate.rate.unwrap();
         assert!((d.difference - (rate(&d.first) - rate(&d.second))).abs() < 1e-12);
         assert!(d.interval_95[0] < d.difference && d.difference < d.interval_95[1]);
         assert!(d.holm_p >= d.ln_p.unwrap().exp());
@@ -75,12 +75,12 @@ fn a_difference_is_the_one_of_the_counts_and_holm_never_shrinks_it() {
     assert!(of.differences[0].holm_p < 0.05, "{:?}", of.differences[0]);
     assert!(of.differences[1].holm_p > 0.5, "{:?}", of.differences[1]);
     // The twelve invalid episodes of the first are in no rate.
-    assert_eq!(of.dictionaries[0].success.rate.n, 588);
-    assert_eq!(of.dictionaries[0].success.bounds.invalid, 12);
+    assert_eq!(of.datasets[0].success.rate.n, 588);
+    assert_eq!(of.datasets[0].success.bounds.invalid, 12);
 }
 
 #[test]
-fn the_same_scenarios_have_one_answer_with_and_without_paired() {
+fn same_scenarios_are_always_paired() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
     // A few scenarios flip, nearly all one way: too few for independent runs, enough for pairs.
@@ -93,13 +93,13 @@ fn the_same_scenarios_have_one_answer_with_and_without_paired() {
     let by_pairs = &Comparison::of(&all, &paired()).unwrap().paired[0];
     let d = &plain.differences[0];
     assert_eq!(d.valid_pairs, Some(by_pairs.valid_pairs));
-    assert_eq!((Some(d.difference), d.interval_95), (by_pairs.gap, by_pairs.gap_95));
+    assert_eq!((Some(d.difference), d.interval_95), (by_pairs.difference, by_pairs.difference_95));
     assert_eq!((d.ln_p, d.holm_p), (Some(by_pairs.ln_p), by_pairs.holm_p));
     assert!(d.holm_p < 0.05, "{d:?}");
 }
 
 #[test]
-fn all_dictionaries_have_the_same_bins_over_what_they_share() {
+fn shared_bins_cover_the_shared_range() {
     let dir = TempDir::new().unwrap();
     let wide = boxes();
     let toml = "name = \"other\"\n[[parameter]]\nname = \"mass_kg\"\nkind = \"continuous\"\nlow = 0.5\nhigh = 4.0\n\
@@ -113,7 +113,7 @@ fn all_dictionaries_have_the_same_bins_over_what_they_share() {
     assert_eq!(of.parameters.shared, ["mass_kg"]);
     let names: Vec<&str> = of.parameters.not_shared.iter().map(|p| p.parameter.as_str()).collect();
     assert_eq!(names, ["friction", "obstacles", "shape", "grip_threshold_m"]);
-    let curve = &of.along[0];
+    let curve = &of.marginal_effects[0];
     assert!(curve.remark.is_some());
     let ends = (curve.cells.first().unwrap().range.unwrap()[0], curve.cells.last().unwrap().range.unwrap()[1]);
     assert_eq!(ends, (0.5, 2.0));
@@ -131,21 +131,21 @@ fn all_dictionaries_have_the_same_bins_over_what_they_share() {
 }
 
 #[test]
-fn dictionaries_that_share_nothing_still_have_rates_and_no_curve() {
+fn unrelated_datasets_have_rates_only() {
     let dir = TempDir::new().unwrap();
     let wide = boxes();
     let toml = "name = \"other\"\n[[parameter]]\nname = \"x\"\nkind = \"continuous\"\nlow = 0.5\nhigh = 4.0\n";
     let other = ParameterSpace::from_toml(toml).unwrap();
     let entries = (0..60).map(|i| entry(i, point(&other, i), Outcome::Success)).collect();
     let of = compared(&[saved(&dir, "a", &wide, law(&wide, 60)), saved(&dir, "b", &other, entries)]);
-    assert!(of.along.is_empty() && of.parameters.shared.is_empty());
-    assert_eq!(of.universal_zones.looked_at, 0);
+    assert!(of.marginal_effects.is_empty() && of.parameters.shared.is_empty());
+    assert_eq!(of.universal_zones.tested, 0);
     assert!(matches!(of.sensitivity, Finding::CannotBeEstimated { .. }));
     assert!(of.has_evidence());
 }
 
 #[test]
-fn a_universal_zone_is_where_all_fail_and_a_thin_cell_is_none() {
+fn universal_zones_need_enough_episodes() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
     // Three obstacles defeat both; two defeat the first alone.
@@ -163,14 +163,14 @@ fn a_universal_zone_is_where_all_fail_and_a_thin_cell_is_none() {
         saved(&dir, "b", &space, (0..300).map(fails_from(3.0)).collect()),
     ];
     let of = compared(&all);
-    let sure: Vec<String> = of.universal_zones.zones.iter().filter(|z| z.sure).map(|z| z.describe()).collect();
+    let sure: Vec<String> = of.universal_zones.zones.iter().filter(|z| z.significant).map(|z| z.describe()).collect();
     assert_eq!(sure, ["obstacles 3"]);
     let thin = [
         saved(&dir, "c", &space, (0..400).map(fails_from(2.0)).collect()),
         saved(&dir, "d", &space, (0..9).map(fails_from(0.0)).collect()),
     ];
     let of = compared(&thin);
-    assert!(of.universal_zones.too_thin > 0);
+    assert!(of.universal_zones.too_few_episodes > 0);
     assert!(
         of.universal_zones.zones.iter().all(|zone| zone.rates.iter().all(|r| r.n >= of.universal_zones.smallest_n))
     );
@@ -178,7 +178,7 @@ fn a_universal_zone_is_where_all_fail_and_a_thin_cell_is_none() {
 }
 
 #[test]
-fn mass_hurts_as_the_law_says_and_not_where_it_does_nothing() {
+fn slope_of_mass_follows_the_law() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
     let coin = |i: u64, _| if unit(i, 55) < 0.5 { Outcome::Success } else { Outcome::Failure(FailureMode::TIMEOUT) };
@@ -193,7 +193,7 @@ fn mass_hurts_as_the_law_says_and_not_where_it_does_nothing() {
 }
 
 #[test]
-fn reach_is_what_the_record_or_the_user_says() {
+fn reach_comes_from_provenance_or_options() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
     let all = [saved(&dir, "a", &space, law(&space, 60)), saved(&dir, "b", &space, law(&space, 70))];
@@ -209,7 +209,7 @@ fn reach_is_what_the_record_or_the_user_says() {
 }
 
 #[test]
-fn pairs_are_counted_one_by_one_and_invalid_ones_bound_the_gap() {
+fn invalid_pairs_bound_the_difference() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
     let first = |i: u64, _| match i {
@@ -227,23 +227,23 @@ fn pairs_are_counted_one_by_one_and_invalid_ones_bound_the_gap() {
     let pair = &of.paired[0];
     assert_eq!((pair.scenarios, pair.valid_pairs), (104, 100));
     assert_eq!((pair.both, pair.first_only, pair.second_only, pair.neither), (40, 20, 5, 35));
-    assert!((pair.gap.unwrap() - 0.15).abs() < 1e-12);
+    assert!((pair.difference.unwrap() - 0.15).abs() < 1e-12);
     // Twice the chance of at most 5 heads in 25 tosses: 2 (1 + 25 + 300 + 2,300 + 12,650 + 53,130) / 2^25.
     assert!((pair.ln_p.exp() - 136_812.0 / 33_554_432.0).abs() < 1e-12, "{}", pair.ln_p.exp());
     assert_eq!((pair.invalid.first, pair.invalid.second, pair.invalid.either), (4, 0, 4));
     // The four could each have been a failure (15 - 4) or a success (15 + 0) against the second's success.
-    let [low, high] = pair.invalid.gap_bounds.unwrap();
+    let [low, high] = pair.invalid.difference_bounds.unwrap();
     assert!((low - 11.0 / 104.0).abs() < 1e-12 && (high - 15.0 / 104.0).abs() < 1e-12, "{low} {high}");
     assert_eq!(pair.outcomes.outcomes, ["success", "grasp_miss", "grip_loss", "invalid"]);
     assert_eq!(pair.outcomes.counts.iter().flatten().sum::<u64>(), 104);
     assert_eq!(pair.flips.len(), 15);
     let map = pair.disagreement.estimated().unwrap();
-    assert_eq!(map.cells.iter().map(|cell| cell.disagree.n).sum::<u64>(), 100);
+    assert_eq!(map.cells.iter().map(|cell| cell.differ.n).sum::<u64>(), 100);
     assert_eq!(map.cells.iter().map(|cell| cell.first_only).sum::<u64>(), 20);
 }
 
 #[test]
-fn other_scenarios_are_refused_with_the_first_row_that_differs() {
+fn first_different_scenario_is_named() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
     let mut moved = law(&space, 80);
@@ -257,7 +257,7 @@ fn other_scenarios_are_refused_with_the_first_row_that_differs() {
 }
 
 #[test]
-fn a_dictionary_without_evidence_is_named_and_the_rest_is_still_compared() {
+fn datasets_without_evidence_are_excluded() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
     let broken = |_, _| Outcome::Invalid(Fault::new(FaultKind::Diverged, "made up"));
@@ -272,11 +272,11 @@ fn a_dictionary_without_evidence_is_named_and_the_rest_is_still_compared() {
     let of = compared(&all);
     assert!(of.has_evidence());
     assert_eq!(of.compared, ["good", "other"]);
-    assert!(of.dictionaries[1].left_out.is_some() && of.dictionaries[2].left_out.is_some());
+    assert!(of.datasets[1].excluded_because.is_some() && of.datasets[2].excluded_because.is_some());
 }
 
 #[test]
-fn focused_rows_alone_are_shown_and_not_compared() {
+fn focused_datasets_are_excluded() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
     let mut focused = law(&space, 100);
@@ -284,5 +284,5 @@ fn focused_rows_alone_are_shown_and_not_compared() {
     let all = [saved(&dir, "even", &space, law(&space, 80)), saved(&dir, "focused", &space, focused)];
     let of = compared(&all);
     assert_eq!(of.compared, ["even"]);
-    assert!(of.dictionaries[1].left_out.as_deref().unwrap().contains("focused design alone"));
+    assert!(of.datasets[1].excluded_because.as_deref().unwrap().contains("focused design only"));
 }

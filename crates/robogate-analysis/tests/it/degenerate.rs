@@ -11,7 +11,7 @@ fn of(entries: Vec<robogate_dictionary::Entry>) -> Analysis {
 }
 
 #[test]
-fn an_empty_dictionary_says_nothing_about_the_policy() {
+fn empty_dictionary_has_no_rate() {
     let analysis = of(Vec::new());
     assert_eq!(analysis.success.rate.rate, None);
     assert!((analysis.success.rate.wilson_95[1] - 1.0).abs() < 1e-12);
@@ -19,7 +19,7 @@ fn an_empty_dictionary_says_nothing_about_the_policy() {
 }
 
 #[test]
-fn only_invalid_episodes_are_no_zero() {
+fn invalid_episodes_are_not_zero() {
     let analysis = of(with_outcomes(30, |_| Outcome::Invalid(Fault::new(FaultKind::Unavailable, "gone"))));
     assert_eq!(analysis.success.rate.rate, None);
     let bounds = &analysis.success.bounds;
@@ -28,33 +28,33 @@ fn only_invalid_episodes_are_no_zero() {
 }
 
 #[test]
-fn one_row_and_three_rows_are_too_few_and_say_so() {
+fn few_rows_give_reasons() {
     for n in [1, 3] {
         let analysis =
             of(with_outcomes(n, |i| if i == 0 { Outcome::Success } else { Outcome::Failure(FailureMode::TIMEOUT) }));
         assert_eq!(analysis.success.rate.n, n);
-        assert!(analysis.along[0].threshold.because().unwrap().contains("too few"));
+        assert!(analysis.marginal_effects[0].threshold.because().unwrap().contains("too few"));
         let risk = analysis.risk.estimated();
         // Three rows are separated by anything; what is said then is Firth's and says so.
-        assert!(risk.is_none_or(|risk| !risk.regression.cautions.is_empty()));
+        assert!(risk.is_none_or(|risk| !risk.regression.warnings.is_empty()));
         assert!(risk.is_none_or(|risk| risk.calibration_cross_validated.because().is_some()));
     }
 }
 
 #[test]
-fn one_class_only_has_no_model_and_no_threshold() {
+fn one_outcome_has_no_model() {
     let all = of(with_outcomes(200, |_| Outcome::Success));
     assert!(all.risk.because().unwrap().contains("same outcome"));
     assert!(all.envelopes[0].frontier.because().unwrap().contains("same outcome"));
-    assert!(all.along[0].correlation.because().unwrap().contains("every episode succeeded"));
+    assert!(all.marginal_effects[0].correlation.because().unwrap().contains("every episode succeeded"));
     assert!(all.success.rate.wilson_95[0] < 1.0);
     let none = of(with_outcomes(200, |_| Outcome::Failure(FailureMode::constant("grasp_miss"))));
-    assert!(none.along[0].correlation.because().unwrap().contains("every episode failed"));
+    assert!(none.marginal_effects[0].correlation.because().unwrap().contains("every episode failed"));
     assert_eq!(none.failure_modes.dominant.estimated().unwrap(), "grasp_miss");
 }
 
 #[test]
-fn a_constant_parameter_is_named() {
+fn constant_parameter_is_named() {
     let space = space(&["box", "sphere"]);
     let entries = (0..400).map(|i| {
         let mut requested = point(&space, i);
@@ -63,15 +63,15 @@ fn a_constant_parameter_is_named() {
         entry(i, requested, went)
     });
     let analysis = of(entries.collect());
-    assert!(analysis.along[1].correlation.because().unwrap().contains("mass has the same value"));
+    assert!(analysis.marginal_effects[1].correlation.because().unwrap().contains("mass has the same value"));
     assert!(analysis.envelopes[0].frontier.because().is_some());
     let risk = analysis.risk.estimated().unwrap();
     let mass = risk.regression.terms.iter().find(|t| t.term == "mass").unwrap();
-    assert!(mass.found.because().unwrap().contains("same value in every row"));
+    assert!(mass.estimate.because().unwrap().contains("same value in every row"));
 }
 
 #[test]
-fn separation_is_named_in_words() {
+fn separation_is_reported() {
     let space = space(&["box", "sphere"]);
     let entries = (0..300).map(|i| {
         let requested = point(&space, i);
@@ -82,18 +82,18 @@ fn separation_is_named_in_words() {
     let analysis = of(entries.collect());
     let risk = analysis.risk.estimated().unwrap();
     assert_eq!(risk.regression.estimator, "firth");
-    assert!(risk.regression.cautions[0].contains("Complete separation"), "{:?}", risk.regression.cautions);
+    assert!(risk.regression.warnings[0].contains("Complete separation"), "{:?}", risk.regression.warnings);
 }
 
 #[test]
-fn a_model_that_needs_a_missing_column_says_which() {
+fn missing_columns_are_named() {
     let analysis = analysed(&space(&["box"]), law(&space(&["box"]), 300));
     let because = analysis.interactions.because().unwrap();
     assert!(because.contains("COM offset") && because.contains("IK noise"), "{because}");
 }
 
 #[test]
-fn what_is_no_dictionary_is_refused_with_a_hint() {
+fn other_files_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let file = |name: &str, text: &str| {
         let path = dir.path().join(name);
@@ -114,7 +114,7 @@ fn what_is_no_dictionary_is_refused_with_a_hint() {
 }
 
 #[test]
-fn a_pair_that_is_not_there_is_refused_with_the_names_there_are() {
+fn unknown_pair_lists_parameters() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("d.parquet");
     crate::synthetic::write(&path, &space(&["box"]), law(&space(&["box"]), 50));
@@ -122,11 +122,11 @@ fn a_pair_that_is_not_there_is_refused_with_the_names_there_are() {
     let pair = |a: &str, b: &str| Analysis::of(&source, &path, &[(a.to_owned(), b.to_owned())]);
     assert!(pair("friction", "colour").unwrap_err().to_string().contains("mass_kg"));
     assert!(pair("friction", "friction").is_err());
-    assert!(pair("shape", "obstacles").unwrap().envelopes[1].frontier.because().unwrap().contains("category"));
+    assert!(pair("shape", "obstacles").unwrap().envelopes[1].frontier.because().unwrap().contains("categorical"));
 }
 
 #[test]
-fn whole_numbers_at_the_end_of_what_there_is_do_no_harm() {
+fn extreme_integers_are_handled() {
     let text = format!(
         "name = \"far\"\n[[parameter]]\nname = \"n\"\nkind = \"integer\"\nlow = {}\nhigh = {}\n\
          [[parameter]]\nname = \"m\"\nkind = \"integer\"\nlow = {}\nhigh = {}\n\
@@ -153,14 +153,14 @@ fn whole_numbers_at_the_end_of_what_there_is_do_no_harm() {
 }
 
 #[test]
-fn rows_of_which_only_success_is_known_have_no_parameter_and_no_failure_mode() {
+fn rows_with_success_only_are_analysed() {
     let dir = tempfile::tempdir().unwrap();
     let (csv, path) = (dir.path().join("results.csv"), dir.path().join("results.parquet"));
     let rows: String = (0..100).map(|i| format!("{},{i}\n", u8::from(i % 3 > 0))).collect();
     std::fs::write(&csv, format!("success,seed\n{rows}")).unwrap();
     robogate_dictionary::results::import(&csv, &path, None, &robogate_dictionary::results::Mapping::default()).unwrap();
     let analysis = Analysis::of(&Source::open(&path).unwrap(), &path, &[]).unwrap();
-    assert!(analysis.along.is_empty());
+    assert!(analysis.marginal_effects.is_empty());
     assert!(analysis.risk.because().unwrap().contains("no parameter"));
     assert!(analysis.failure_modes.dominant.because().unwrap().contains("does not record grasp miss"));
 }

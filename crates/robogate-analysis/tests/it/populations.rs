@@ -32,19 +32,19 @@ fn focused(n: u64, from: u64) -> Vec<robogate_dictionary::Entry> {
 }
 
 #[test]
-fn the_headline_is_the_uniform_stage_alone() {
+fn headline_uses_the_uniform_stage() {
     let space = space(&["box"]);
     let alone = analysed(&space, law(&space, 2_000));
     let both = analysed(&space, law(&space, 2_000).into_iter().chain(focused(2_000, 2_000)).collect());
     assert_eq!(both.success.rate, alone.success.rate);
-    assert_eq!(both.along, alone.along);
+    assert_eq!(both.marginal_effects, alone.marginal_effects);
     assert_eq!(both.population, Population::OperatingSpace);
     let stage = both.success.stages.iter().find(|s| s.stage == "boundary").unwrap();
     assert_eq!(stage.population, Population::FocusedDesign);
 }
 
 #[test]
-fn reweighting_recovers_the_operating_rate_and_sharpens_it() {
+fn reweighting_recovers_the_operating_rate() {
     let space = space(&["box"]);
     let truth = truth();
     let both = analysed(&space, law(&space, 2_000).into_iter().chain(focused(4_000, 2_000)).collect());
@@ -59,14 +59,14 @@ fn reweighting_recovers_the_operating_rate_and_sharpens_it() {
 }
 
 #[test]
-fn focused_rows_alone_say_that_they_are_no_operating_rate() {
+fn focused_rows_are_no_operating_rate() {
     let space = space(&["box"]);
     let analysis = analysed(&space, focused(500, 0));
     assert_eq!(analysis.population, Population::FocusedDesign);
 }
 
 #[test]
-fn invalid_episodes_are_counted_and_bounded() {
+fn invalid_episodes_bound_the_rate() {
     let space = space(&["box"]);
     let analysis = analysed(&space, law(&space, 1_000));
     let bounds = &analysis.success.bounds;
@@ -77,7 +77,7 @@ fn invalid_episodes_are_counted_and_bounded() {
 }
 
 #[test]
-fn the_frontier_of_the_law_is_found() {
+fn frontier_follows_the_law() {
     // -1 + 6 mu - 2 m = 0 at mu = (1 + 2 m) / 6.
     let space = space(&["box"]);
     let analysis = analysed(&space, law(&space, 20_000));
@@ -90,7 +90,7 @@ fn the_frontier_of_the_law_is_found() {
 }
 
 #[test]
-fn the_scenarios_of_a_suite_never_pass_for_the_operating_space() {
+fn suite_is_no_operating_space() {
     let space = space(&["box"]);
     let of_a_suite = |mut entry: robogate_dictionary::Entry| {
         "suite".clone_into(&mut entry.stage);

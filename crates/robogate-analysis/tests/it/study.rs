@@ -12,7 +12,7 @@ fn of(study: &Study, learner: Learner, arm: Arm) -> &Figures {
 }
 
 #[test]
-fn a_design_that_never_saw_a_part_of_the_space_places_the_boundary_worse() {
+fn incomplete_design_is_worse() {
     // Without obstacles all goes well; the focused designs know only what happens with them, near the frontier.
     let law: Law = |at| {
         if at[2] < 0.25 {
@@ -29,14 +29,14 @@ fn a_design_that_never_saw_a_part_of_the_space_places_the_boundary_worse() {
     };
     let study = study(law, near, near, 3, 240);
     let score = of(&study, Learner::Flexible, Arm::PureBoundary).score(Measure::BoundaryError).unwrap();
-    let difference = score.less_uniform.as_ref().unwrap();
+    let difference = score.difference_to_uniform.as_ref().unwrap();
     assert_eq!(score.verdict, Some(Verdict::Worse), "{score:?}");
     // What it cannot know: a quarter of the space, of which six tenths look like failure.
     assert!((0.05..0.2).contains(&difference.mean), "{difference:?}");
 }
 
 #[test]
-fn where_one_sharp_threshold_is_all_there_is_focusing_on_it_pays() {
+fn focusing_helps_with_one_threshold() {
     let law: Law = |at| if at[0] > 0.6 { 1.0 } else { 0.0 };
     let near: Focus = |at| at[0] = 0.56 + 0.08 * at[0];
     let of_repeats = |repeats| {
@@ -47,12 +47,12 @@ fn where_one_sharp_threshold_is_all_there_is_focusing_on_it_pays() {
     assert_eq!(score.verdict, Some(Verdict::Better), "{score:?}");
     // Its own interval leaves 0 out with five repeats too; that of nine comparisons together does not.
     let fewer = of_repeats(5);
-    assert!(fewer.less_uniform.as_ref().unwrap().interval_95.unwrap()[1] < 0.0);
-    assert_eq!(fewer.verdict, Some(Verdict::NotShown), "{fewer:?}");
+    assert!(fewer.difference_to_uniform.as_ref().unwrap().interval_95.unwrap()[1] < 0.0);
+    assert_eq!(fewer.verdict, Some(Verdict::NotSignificant), "{fewer:?}");
 }
 
 #[test]
-fn the_auc_in_sample_rises_with_easy_rows_and_the_one_on_the_test_set_does_not() {
+fn easy_rows_raise_only_in_sample_auc() {
     // A model of main effects is true here, so both designs fit it; the second stage adds rows at both far ends.
     let law: Law = |at| 1.0 / (1.0 + (-5.0 * (at[0] - at[1])).exp());
     let easy: Focus = |at| {
@@ -68,24 +68,24 @@ fn the_auc_in_sample_rises_with_easy_rows_and_the_one_on_the_test_set_does_not()
 }
 
 #[test]
-fn the_papers_model_says_what_it_misses_and_one_repeat_has_no_interval() {
+fn one_repeat_has_no_interval() {
     let law: Law = |at| at[0];
     let study = study(law, even, even, 1, 80);
     assert!(study.figures(Learner::Paper, Arm::Uniform).is_none());
     let score = of(&study, Learner::MainEffects, Arm::TwoStage).score(Measure::Auc).unwrap();
-    let difference = score.less_uniform.as_ref().unwrap();
-    assert_eq!((difference.interval_95, score.verdict), (None, Some(Verdict::NotShown)));
+    let difference = score.difference_to_uniform.as_ref().unwrap();
+    assert_eq!((difference.interval_95, score.verdict), (None, Some(Verdict::NotSignificant)));
     assert_eq!(study, crate::designs::study(law, even, even, 1, 80), "the same dictionaries give another study");
 }
 
 #[test]
-fn one_outcome_alone_is_said_and_nothing_is_made_up() {
+fn one_outcome_gives_no_figures() {
     let study = study(|_| 1.0, even, even, 2, 40);
     assert!(study.learners.iter().flat_map(|l| &l.arms).all(|arm| arm.figures.because().is_some()));
 }
 
 #[test]
-fn dictionaries_of_other_parameters_or_weights_are_refused() {
+fn mismatched_dictionaries_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let [here, other] = [space(&["box", "sphere"]), space(&["box", "ball"])];
     let law: Law = |at| at[0];
@@ -95,7 +95,7 @@ fn dictionaries_of_other_parameters_or_weights_are_refused() {
         let repeat = Repeat { uniform, two_stage: &test, two_stage_weights: vec![1.0; weights], pure_boundary: &test };
         Study::of(&test, &[repeat]).unwrap_err()
     };
-    for (error, part) in [(judged(&foreign, 50), "`shape`"), (judged(&test, 49), "49 weights for 50 rows")] {
+    for (error, part) in [(judged(&foreign, 50), "`shape`"), (judged(&test, 49), "49 weights for the 50 rows")] {
         assert!(matches!(error, AnalysisError::NoStudy { .. }) && error.to_string().contains(part), "{error}");
     }
 }

@@ -1,22 +1,22 @@
-//! The gate's answer as JUnit XML, which every CI shows.
+//! Gate evaluations as JUnit XML, which CI systems display.
 //!
-//! One test suite has a case for each demand, another one for each scenario group. A violated demand is a failure; an
-//! undecided one, or one without evidence, is an error: the gate could not answer. A group by itself fails nothing: what
-//! is demanded of a group is a demand. So the file has neither failure nor error exactly where the gate passes.
+//! One test suite has a case for each requirement, another one for each scenario group. A violated requirement is a failure.
+//! An undecided requirement, or one without evidence, is an error. Groups never fail: a requirement may be set for a group. The
+//! file has neither a failure nor an error exactly if the gate passes.
 //!
-//! Elements are those of JUnit's XML. Every one has an end tag, so that the template gives well-formed XML.
+//! Every element has an end tag, so the template writes well-formed XML.
 
 use maud::{Markup, PreEscaped, html};
 use robogate_gate::{Evaluation, GroupResult, Status, Verdict};
 use robogate_stats::format::{count, percent, percent_range};
 
 use super::RequirementRow;
-use crate::page::prose;
+use crate::html::prose;
 
-/// What stands above the XML.
+/// The XML declaration.
 const DECLARATION: PreEscaped<&str> = PreEscaped("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n");
 
-/// What is wrong with a test case.
+/// The failure or error of a test case.
 struct Problem {
     /// Whether it is a failure, else an error.
     failure: bool,
@@ -36,26 +36,26 @@ pub fn junit(evaluation: &Evaluation) -> String {
         .collect();
     let failures = rows.iter().filter(|row| row.status == Status::Violated).count();
     let mut errors = rows.iter().filter(|row| matches!(row.status, Status::Undecided | Status::NoEvidence)).count();
-    // Without one episode there may be no demand to report the answer with.
-    let nothing = (evaluation.verdict == Verdict::Invalid).then(|| Problem {
+    // Without an episode there may be no requirement to report the verdict with.
+    let no_evidence = (evaluation.verdict == Verdict::Invalid).then(|| Problem {
         failure: false,
         kind: "invalid",
         message: evaluation.because.clone(),
         details: String::new(),
     });
-    errors += usize::from(nothing.is_some());
-    let demands = rows.len() + usize::from(nothing.is_some());
-    let tests = demands + evaluation.groups.len();
+    errors += usize::from(no_evidence.is_some());
+    let requirements = rows.len() + usize::from(no_evidence.is_some());
+    let tests = requirements + evaluation.groups.len();
     let page = html! {
         (DECLARATION)
         testsuites name="robogate" tests=(tests) failures=(failures) errors=(errors) skipped="0" {
             "\n"
-            testsuite name={ "gate " (prose(&evaluation.requirements.name)) } tests=(demands) failures=(failures)
+            testsuite name={ "gate " (prose(&evaluation.requirements.name)) } tests=(requirements) failures=(failures)
                 errors=(errors) skipped="0"
             {
                 "\n"
                 (properties(evaluation))
-                @if nothing.is_some() { (case("robogate.gate", "evidence", nothing.as_ref())) }
+                @if no_evidence.is_some() { (case("robogate.gate", "evidence", no_evidence.as_ref())) }
                 @for (id, row) in ids.iter().zip(&rows) { (case("robogate.requirement", id, problem(row).as_ref())) }
             }
             "\n"
@@ -124,7 +124,7 @@ fn group(group: &GroupResult) -> Markup {
         count(group.successes),
         count(group.valid),
         percent_range(group.interval_95),
-        if endings.is_empty() { "nothing else happened".to_owned() } else { endings.join(", ") }
+        if endings.is_empty() { "no failure".to_owned() } else { endings.join(", ") }
     );
     html! {
         testcase classname={ "robogate.group." (prose(&group.category)) } name=(prose(&group.group)) time="0" {

@@ -5,11 +5,12 @@ use std::fmt::Write;
 use maud::{Markup, html};
 use robogate_gate::{Leaderboard, Standing};
 
-use crate::page::{escape_markdown, frame, prose};
+use crate::html::{frame, prose};
+use crate::markdown::escape_markdown;
 use robogate_analysis::labels::mode_label;
 use robogate_stats::format::{count, fixed, percent, percent_range};
 
-/// What the columns say, one policy a line.
+/// The columns of one policy.
 struct Line {
     rank: String,
     name: String,
@@ -38,7 +39,7 @@ impl Line {
             score: standing.score.points.map_or_else(dash, |points| fixed(points, 1)),
             interval: standing
                 .score_95
-                .map_or_else(|| "no spread".to_owned(), |[l, h]| format!("{} to {}", fixed(l, 1), fixed(h, 1))),
+                .map_or_else(|| "no interval".to_owned(), |[l, h]| format!("{} to {}", fixed(l, 1), fixed(h, 1))),
             success: format!("{rate} ({} of {})", count(standing.successes), count(standing.valid)),
             success_interval: percent_range(standing.success_95),
             failures: if failures.is_empty() { dash() } else { failures.join(", ") },
@@ -52,9 +53,9 @@ impl Line {
     }
 }
 
-/// What happened beside success.
-const OTHERWISE: &str = "otherwise";
-const HEADS: [&str; 6] = ["rank (95 %)", "policy", "score", "95 % of draws", "success", "exact 95 % interval"];
+/// The head of the last column.
+const FAILURES: &str = "failures";
+const HEADS: [&str; 6] = ["rank (95 %)", "policy", "score", "95 % (bootstrap)", "success", "exact 95 % interval"];
 
 fn terms(board: &Leaderboard) -> Vec<String> {
     board.standings.first().map_or_else(Vec::new, |first| {
@@ -64,9 +65,9 @@ fn terms(board: &Leaderboard) -> Vec<String> {
 
 fn caution(board: &Leaderboard) -> String {
     format!(
-        "{} The score summarises observed figures. Its interval and that of the rank come from {} draws of the scenarios, \
-         with replacement within each category, the same for every policy; \"no spread\" means that resampling cannot tell, not \
-         that there is no doubt.",
+        "{} The score summarises observed figures. Its interval and that of the rank come from {} bootstrap replicates of the \
+         scenarios, within each category and the same for every policy. \"no interval\": all replicates are equal, which does not \
+         mean that the score is exact.",
         board.population.estimand(),
         count(board.draws)
     )
@@ -76,7 +77,7 @@ fn caution(board: &Leaderboard) -> String {
 pub fn leaderboard_markdown(board: &Leaderboard) -> String {
     let mut heads: Vec<String> = HEADS.iter().map(|head| (*head).to_owned()).collect();
     heads.extend(terms(board));
-    heads.push(OTHERWISE.to_owned());
+    heads.push(FAILURES.to_owned());
     let mut out = format!("# Leaderboard\n\n{}\n\n", escape_markdown(&board.population.to_string()));
     // Writing to a string cannot fail; so throughout this file.
     let _ = writeln!(
@@ -109,13 +110,13 @@ pub fn leaderboard_html(board: &Leaderboard) -> String {
             section {
                 div.scroll {
                     table {
-                        thead { tr { @for head in HEADS.into_iter().chain([OTHERWISE]) { th scope="col" { (prose(head)) } } } }
+                        thead { tr { @for head in HEADS.into_iter().chain([FAILURES]) { th scope="col" { (prose(head)) } } } }
                         tbody { @for (standing, line) in board.standings.iter().zip(&lines) { (row(standing, line)) } }
                     }
                 }
             }
             section {
-                header { h2 { "What each score is made of" } }
+                header { h2 { "Terms of each score" } }
                 div.scroll {
                     table {
                         thead {
@@ -154,11 +155,11 @@ fn row(standing: &Standing, line: &Line) -> Markup {
 
 fn title(board: &Leaderboard) -> String {
     match board.standings.as_slice() {
-        [only] => format!("{} alone", only.name),
+        [only] => format!("{}, the only policy", only.name),
         [first, ..] if first.score.points.is_some() => {
             format!("{} leads {} policies", first.name, board.standings.len())
         }
-        _ => "Nothing to rank".to_owned(),
+        _ => "No policy can be ranked".to_owned(),
     }
 }
 

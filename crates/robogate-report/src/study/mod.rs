@@ -1,4 +1,4 @@
-//! The study of boundary focusing as text.
+//! The study of boundary focusing in sentences and as Markdown.
 
 mod answer;
 mod markdown;

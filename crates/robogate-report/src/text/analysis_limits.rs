@@ -1,98 +1,104 @@
-//! What an analysis does not say.
+//! The limits of an analysis in sentences.
 
-use super::analysis::labels;
 use robogate_analysis::{Analysis, Population};
-use robogate_stats::format::{count, counted, percent};
+use robogate_stats::format::{count, counted, percent_or_dash};
 
-/// What an analysis does not say, in sentences.
+use super::labels;
+
+/// The limits of an analysis, in sentences.
 pub fn limits(analysis: &Analysis) -> Vec<String> {
-    let together = analysis.jointly_sampled();
-    let mut limits = Vec::new();
+    let joint = analysis.jointly_sampled();
     let success = &analysis.success;
-    limits.push(match analysis.population {
-        Population::AsImported => "How the imported rows were drawn is not known here. The ranges are the observed ones, \
-             every row counts once, and each rate speaks of whatever distribution the rows came from."
-            .to_owned(),
-        Population::Suite => "The scenarios of a suite were chosen, each as often as any other. No rate here is one of an operating \
-             space, and what a bin, a map or a model shows along one parameter is also the doing of all the others in which \
-             the scenarios differ."
-            .to_owned(),
-        Population::FocusedDesign => "Every row comes from a focused design, crowded where success turns into failure. \
-             No rate here is one of the operating space."
-            .to_owned(),
-        _ if !together.is_empty() => format!(
-            "The operating space is the one that was asked for: {} drawn together by rank, every other parameter on its own, \
-             each even in its own scale. A real cell draws its parts otherwise, and where its parts differ the rate differs.",
-            labels(&together)
+    let mut limits = vec![
+        population(analysis, &joint),
+        format!(
+            "The episodes are simulated ({}). Effects that the simulator does not model (lighting, wear, cables, people) are not \
+             included, and no figure was compared with a real robot.",
+            analysis.subject.engine
         ),
-        _ => "The operating space is the one that was asked for: each parameter on its own, even in its own scale. A real \
-             cell draws its parts otherwise, and where its parts differ the rate differs."
-            .to_owned(),
-    });
-    limits.push(format!(
-        "The episodes are simulated ({}). What the simulator does not model (lighting, wear, cables, people) took no part, \
-         and no figure here was checked against a real robot.",
-        analysis.subject.engine
-    ));
-    if success.stages.iter().any(|s| s.population == Population::FocusedDesign)
-        && analysis.population != Population::FocusedDesign
-    {
+    ];
+    let focused = |population| population == Population::FocusedDesign;
+    if success.stages.iter().any(|s| focused(s.population)) && !focused(analysis.population) {
         limits.push(
-            "The focused stage looks where the boundary was expected from the first stage; what lies outside its region it \
-             has not seen. Its plain success rate says nothing about operation, and its episodes take part in no bin, \
-             threshold or model here; they enter the reweighted rate alone."
+            "The focused stage samples near the boundary that the first stage estimated, and nowhere else. Its plain success rate \
+             is not an operating rate. Its episodes count in the reweighted rate only, not in any bin, threshold or model."
                 .to_owned(),
         );
     }
     if success.bounds.invalid > 0 {
         limits.push(format!(
-            "{} of these rows are invalid and in no rate. Had all of them failed, the rate would be {}; had all \
-             succeeded, {}.",
-            counted(success.bounds.invalid, "episode"),
-            success.bounds.worst_case.map_or_else(|| "-".to_owned(), percent),
-            success.bounds.best_case.map_or_else(|| "-".to_owned(), percent)
+            "{} are left out of every rate. If all of them had failed, the rate would be {}; if all had succeeded, {}.",
+            counted(success.bounds.invalid, "invalid episode"),
+            percent_or_dash(success.bounds.worst_case),
+            percent_or_dash(success.bounds.best_case)
         ));
     }
     limits.push(
-        "Intervals are for independent episodes and a number of them fixed in advance. Points of a Latin hypercube are \
-         dependent, for which these intervals are usually too wide; looking again and again while episodes \
-         come in makes them too narrow."
+        "Intervals assume independent episodes and a number of episodes that was fixed in advance. For the points of a Latin \
+         hypercube they are usually too wide. They are too narrow if the results are checked repeatedly while episodes are added."
             .to_owned(),
     );
     limits.push(
-        "A rate in a bin is an average over all other parameters as they were drawn. A threshold along one parameter moves \
-         when the others are drawn otherwise."
+        "The rate of a bin is an average over all other parameters as they were sampled. With another distribution of these \
+         parameters, rates and thresholds change."
             .to_owned(),
     );
     if analysis.envelopes.iter().any(|e| e.frontier.estimated().is_some()) {
         limits.push(
-            "The frontier is that of a logistic model with four coefficients. Where the real boundary has a corner, the \
-             curve cuts it; the observed rates beside it show where. Its band holds point by point, if the \
-             model is right; outside the range of validity it is extrapolation."
+            "The frontier comes from a logistic model with four coefficients, which cannot follow a corner of the real boundary: \
+             compare it with the observed rates. Its band holds pointwise and if the model is correct. Outside the range of \
+             validity the frontier is an extrapolation."
                 .to_owned(),
         );
     }
     if analysis.risk.estimated().is_some() {
         limits.push(
-            "The risk model is linear in each parameter. Its AUC belongs to these rows: an AUC of another design or another \
-             dictionary is no comparison. The in-sample figures flatter it; the cross-validated ones count. The \
-             paper does not define its shape and placement penalties; here they are failure rates learnt \
-             from the training rows."
+            "The risk model is linear in each parameter. Its AUC applies to these rows and must not be compared with the AUC of \
+             another design or dataset. The in-sample figures are biased upwards: use the cross-validated ones. The paper does not \
+             define its penalties; here they are failure rates estimated from the training rows."
                 .to_owned(),
         );
     }
     limits.push(format!(
-        "Bins below 40 % are sure one with another (Holm over {} bins and levels), yet only for the bins that were cut. Where \
-         none is surely below, that is no proof of safety.",
-        count(analysis.danger_zones.looked_at)
+        "The significance of bins below 40 % holds for all {} tested bins and levels together (Holm), and for these bins only. If \
+         no bin is significant, this does not prove safety.",
+        count(analysis.danger_zones.tested)
     ));
-    let drawn = if !together.is_empty() {
-        "Some parameters were drawn together, as the space says, so a rate along one of them holds what the other does too"
-    } else {
-        "Parameters were drawn independently, so here that is cause; on a line where they move together it need not be"
-    };
-    limits.push(format!(
-        "Correlations, coefficients and thresholds say what goes together with failure in this simulator. {drawn}."
-    ));
+    limits.push(causes(!joint.is_empty()));
     limits
+}
+
+fn population(analysis: &Analysis, joint: &[String]) -> String {
+    let real = "A real cell has another distribution of parts, and hence another rate.";
+    match analysis.population {
+        Population::AsImported => "How the imported rows were sampled is not known. The ranges are the observed ones, every row counts \
+                                   once, and each rate applies to the unknown distribution of the rows."
+            .to_owned(),
+        Population::Suite => "The scenarios of a suite are chosen, and each counts equally. No rate here applies to an operating \
+                              space. Scenarios differ in several parameters at once, so the effect of one parameter may be caused \
+                              by the others."
+            .to_owned(),
+        Population::FocusedDesign => "Every row comes from a focused design, which samples near the failure boundary. No rate here applies \
+                                      to the operating space."
+            .to_owned(),
+        _ if !joint.is_empty() => format!(
+            "The operating space is the requested one: {} are sampled jointly (rank correlation), every other parameter \
+             independently, each uniformly on its own scale. {real}",
+            labels(joint)
+        ),
+        _ => format!(
+            "The operating space is the requested one: each parameter is sampled independently and uniformly on its own scale. \
+             {real}"
+        ),
+    }
+}
+
+fn causes(joint: bool) -> String {
+    let sampling = if joint {
+        "Some parameters were sampled jointly, so the effect of one of them includes those of the others"
+    } else {
+        "Parameters were sampled independently, so these effects are causal in the simulator; on a real line parameters may be \
+         correlated"
+    };
+    format!("Correlations, coefficients and thresholds describe failure in this simulator. {sampling}.")
 }

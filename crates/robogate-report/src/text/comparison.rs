@@ -1,22 +1,33 @@
-//! The headline of a comparison in sentences, and what the comparison does not say.
+//! The headline of a comparison in sentences.
 
 use robogate_analysis::labels::{mode_label, parameter_label};
-use robogate_analysis::{Comparison, PairedComparison, Population};
-use robogate_stats::format::{count, counted, list, percent, percent_range, points, points_range, sentence};
+use robogate_analysis::{Comparison, PairedComparison};
+use robogate_stats::format::{
+    count, counted, list, percent, percent_or_dash, percent_range, points, points_range, sentence,
+};
 use schemars::JsonSchema;
 use serde::Serialize;
 
-/// The answer in plain words.
+use super::labels;
+
+/// Level of significance, after Holm's adjustment.
+const LEVEL: f64 = 0.05;
+/// Differences that are listed in the headline.
+const MAX_DIFFERENCES: usize = 6;
+/// Paired comparisons that are listed in the headline.
+const MAX_PAIRED: usize = 4;
+
+/// The headline of a comparison.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct ComparisonHeadline {
-    /// One or two sentences.
+    /// The answer in one or two sentences.
     pub answer: String,
-    /// What tells them apart.
+    /// The differences.
     pub what_differs: Vec<String>,
-    /// What they have in common.
-    pub what_is_common: Vec<String>,
-    /// What stands behind it.
-    pub how_sure: Vec<String>,
+    /// What the datasets have in common.
+    pub what_they_share: Vec<String>,
+    /// The rates with their intervals and bounds.
+    pub uncertainty: Vec<String>,
 }
 
 impl ComparisonHeadline {
@@ -25,71 +36,75 @@ impl ComparisonHeadline {
         Self {
             answer: answer(comparison),
             what_differs: what_differs(comparison),
-            what_is_common: what_is_common(comparison),
-            how_sure: how_sure(comparison),
+            what_they_share: what_they_share(comparison),
+            uncertainty: uncertainty(comparison),
         }
     }
 }
 
+/// The parameters in which the operating spaces differ.
+pub(super) fn different_parameters(of: &Comparison) -> Vec<String> {
+    let partly = of.marginal_effects.iter().filter(|curve| curve.remark.is_some()).map(|curve| &curve.parameter);
+    partly.chain(of.parameters.not_shared.iter().map(|of| &of.parameter)).cloned().collect()
+}
+
 fn answer(of: &Comparison) -> String {
     if !of.has_evidence() {
-        return "Nothing can be said: fewer than two of the dictionaries hold evidence that may be compared."
-            .to_owned();
+        return "No comparison is possible: fewer than two of the datasets have rates that can be compared.".to_owned();
     }
-    if let Some(widest) = widest(&of.paired) {
-        let Some(gap) = widest.gap else { return "No scenario has evidence from both.".to_owned() };
-        let flips = widest.first_only + widest.second_only;
-        let sure = if widest.holm_p <= 0.05 { "surely differ" } else { "cannot be told apart" };
-        return format!(
-            "On the same {} {} succeeds in {} and {} in {}: they {sure} ({} points, {}). {} flip.",
-            counted(widest.valid_pairs, "scenario"),
-            widest.first,
-            widest.first_rate.rate.map_or_else(|| "-".to_owned(), percent),
-            widest.second,
-            widest.second_rate.rate.map_or_else(|| "-".to_owned(), percent),
-            points(gap),
-            points_range(widest.gap_95),
-            count(flips)
-        );
+    match largest(&of.paired) {
+        Some(pair) => paired_answer(pair),
+        None => independent_answer(of),
     }
+}
+
+fn paired_answer(pair: &PairedComparison) -> String {
+    let Some(difference) = pair.difference else { return "No scenario is valid in both datasets.".to_owned() };
+    let verdict =
+        if pair.holm_p <= LEVEL { "The difference is significant" } else { "The difference is not significant" };
+    format!(
+        "On the same {}, {} succeeds in {} and {} in {}. {verdict} ({} points, {}). {} differ in their outcome.",
+        counted(pair.valid_pairs, "scenario"),
+        pair.first,
+        percent_or_dash(pair.first_rate.rate),
+        pair.second,
+        percent_or_dash(pair.second_rate.rate),
+        points(difference),
+        points_range(pair.difference_95),
+        counted(pair.first_only + pair.second_only, "scenario")
+    )
+}
+
+fn independent_answer(of: &Comparison) -> String {
     let mut ranked: Vec<(f64, &str)> = of
-        .dictionaries
+        .datasets
         .iter()
-        .filter(|dictionary| dictionary.left_out.is_none())
-        .filter_map(|dictionary| Some((dictionary.success.rate.rate?, dictionary.name.as_str())))
+        .filter(|dataset| dataset.excluded_because.is_none())
+        .filter_map(|dataset| Some((dataset.success.rate.rate?, dataset.name.as_str())))
         .collect();
     ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
     let order: Vec<String> = ranked.iter().map(|(rate, name)| format!("{name} {}", percent(*rate))).collect();
-    let sure = of.differences.iter().filter(|difference| difference.holm_p <= 0.05).count();
-    let pairs = of.differences.len();
-    let told = match (sure, pairs) {
-        (0, 1) => "The two cannot be told apart".to_owned(),
-        (1, 1) => "The two surely differ".to_owned(),
-        (0, _) => "No two of them can be told apart".to_owned(),
-        (sure, pairs) if sure == pairs => "Every two of them surely differ".to_owned(),
-        (sure, pairs) => format!("{sure} of {pairs} pairs surely differ"),
+    let significant = of.differences.iter().filter(|difference| difference.holm_p <= LEVEL).count();
+    let verdict = match (significant, of.differences.len()) {
+        (0, 1) => "The difference is not significant".to_owned(),
+        (1, 1) => "The difference is significant".to_owned(),
+        (0, _) => "No difference is significant".to_owned(),
+        (some, all) if some == all => "All differences are significant".to_owned(),
+        (some, all) => format!("{some} of {all} differences are significant"),
     };
-    let unlike = unlike(of);
-    let spaces = if unlike.is_empty() {
+    let parameters = different_parameters(of);
+    let spaces = if parameters.is_empty() {
         String::new()
     } else {
-        format!(" Their operating spaces differ in {}: so does what these rates speak of.", list(&unlike))
+        format!(" The operating spaces differ in {}, so the rates apply to different populations.", labels(&parameters))
     };
-    format!("Success: {}. {told}.{spaces}", order.join(", "))
+    format!("Success: {}. {verdict}.{spaces}", order.join(", "))
 }
 
-/// The parameters in which the operating spaces differ.
-fn unlike(of: &Comparison) -> Vec<String> {
-    let covered = of.along.iter().filter(|curve| curve.remark.is_some()).map(|curve| &curve.parameter);
-    covered
-        .chain(of.parameters.not_shared.iter().map(|of| &of.parameter))
-        .map(|parameter| parameter_label(parameter))
-        .collect()
-}
-
-fn widest(paired: &[PairedComparison]) -> Option<&PairedComparison> {
+/// The paired comparison with the largest difference; of equal ones the first.
+fn largest(paired: &[PairedComparison]) -> Option<&PairedComparison> {
     paired.iter().max_by(|a, b| {
-        let size = |of: &PairedComparison| of.gap.map_or(-1.0, f64::abs);
+        let size = |of: &PairedComparison| of.difference.map_or(-1.0, f64::abs);
         size(a).total_cmp(&size(b)).then(std::cmp::Ordering::Greater)
     })
 }
@@ -98,12 +113,12 @@ fn what_differs(of: &Comparison) -> Vec<String> {
     let mut lines: Vec<String> = of
         .differences
         .iter()
-        .take(6)
+        .take(MAX_DIFFERENCES)
         .map(|d| {
-            let sure = if d.holm_p <= 0.05 { "" } else { ", not sure" };
+            let verdict = if d.holm_p <= LEVEL { "" } else { ", not significant" };
             let paired = d.valid_pairs.map_or_else(String::new, |n| format!(" on the same {}", counted(n, "scenario")));
             format!(
-                "{} against {}{paired}: {} points ({}){sure}.",
+                "{} compared with {}{paired}: {} points ({}){verdict}.",
                 d.first,
                 d.second,
                 points(d.difference),
@@ -111,154 +126,107 @@ fn what_differs(of: &Comparison) -> Vec<String> {
             )
         })
         .collect();
-    for pair in of.paired.iter().take(4) {
+    for pair in of.paired.iter().take(MAX_PAIRED) {
         lines.push(format!(
-            "{} scenarios only {} solves, {} only {}.",
-            count(pair.first_only),
+            "Only {} solves {}, and only {} solves {}.",
             pair.first,
-            count(pair.second_only),
-            pair.second
+            counted(pair.first_only, "scenario"),
+            pair.second,
+            count(pair.second_only)
         ));
     }
     let modes: Vec<String> = of
-        .dictionaries
+        .datasets
         .iter()
-        .filter_map(|d| Some(format!("{} by {}", d.name, mode_label(d.failure_modes.dominant.estimated()?))))
+        .filter_map(|d| Some(format!("{} ({})", mode_label(d.failure_modes.dominant.estimated()?), d.name)))
         .collect();
     if !modes.is_empty() {
-        lines.push(format!("Fails mostly: {}.", list(&modes)));
+        lines.push(format!("Dominant failure modes: {}.", list(&modes)));
     }
     lines.extend(lowers_success(of).into_iter().filter(|(all, _)| !all).map(|(_, line)| line));
     lines
 }
 
-fn what_is_common(of: &Comparison) -> Vec<String> {
+fn what_they_share(of: &Comparison) -> Vec<String> {
     if of.compared.len() < 2 {
-        return vec!["There are no two of them to look at.".to_owned()];
+        return vec!["Fewer than two datasets can be compared.".to_owned()];
     }
-    let mut lines = Vec::new();
-    let zones = &of.universal_zones;
-    let sure: Vec<_> = zones.zones.iter().filter(|zone| zone.sure).collect();
-    let limit = format!("{:.0} %", 100.0 * zones.limit);
-    match sure.as_slice() {
-        [] if zones.looked_at == 0 => {
-            lines.push("Where all of them fail cannot be said: no cell holds enough episodes of each.".to_owned());
-        }
-        [] => lines.push(format!(
-            "In none of {} is it sure that all of them are below {limit}.",
-            counted(zones.looked_at, "cell")
-        )),
-        [first, ..] => lines.push(format!(
-            "All of them are surely below {limit} in {} of {} looked at, first of all at {}.",
-            counted(sure.len() as u64, "cell"),
-            count(zones.looked_at),
-            first.describe()
-        )),
-    }
+    let mut lines = vec![universal_zones(of)];
     lines.extend(lowers_success(of).into_iter().filter(|(all, _)| *all).map(|(_, line)| line));
-    let shared = of.parameters.shared.len() as u64;
+    let shared = of.parameters.shared.as_slice();
     lines.push(match shared {
-        0 => "They share no parameter, so that only rates and failure modes can be compared.".to_owned(),
-        _ => {
-            let names: Vec<String> = of.parameters.shared.iter().map(|p| parameter_label(p)).collect();
-            format!("{} shared: {}.", counted(shared, "parameter"), list(&names))
-        }
+        [] => "They share no parameter, so only rates and failure modes can be compared.".to_owned(),
+        _ => format!("{} shared: {}.", counted(shared.len() as u64, "parameter"), labels(shared)),
     });
     lines
 }
 
-/// Whose success larger values of the task's parameter lower, and whether that is every one of them.
-fn lowers_success(of: &Comparison) -> Option<(bool, String)> {
-    let sensitivity = of.sensitivity.estimated()?;
-    let parameter = sentence(&parameter_label(&sensitivity.parameter));
-    match sensitivity.lowers_success_of.as_slice() {
-        [] => None,
-        all if all.len() == sensitivity.effects.len() => {
-            Some((true, format!("{parameter} surely hurts every one of them.")))
+fn universal_zones(of: &Comparison) -> String {
+    let zones = &of.universal_zones;
+    let significant: Vec<_> = zones.zones.iter().filter(|zone| zone.significant).collect();
+    let limit = format!("{:.0} %", 100.0 * zones.limit);
+    match significant.as_slice() {
+        [] if zones.tested == 0 => {
+            "No cell has enough episodes of every dataset to find where all of them fail.".to_owned()
         }
-        some => Some((false, format!("{parameter} surely hurts {}; of the others that is not sure.", list(some)))),
+        [] => format!(
+            "In none of {} is the success of all of them significantly below {limit}.",
+            counted(zones.tested, "cell")
+        ),
+        [first, ..] => format!(
+            "In {} of {} tested, the success of all of them is significantly below {limit}, most clearly at {}.",
+            counted(significant.len() as u64, "cell"),
+            count(zones.tested),
+            first.describe()
+        ),
     }
 }
 
-fn how_sure(of: &Comparison) -> Vec<String> {
+/// The datasets whose success falls with larger values of the task's parameter, and whether these are all.
+fn lowers_success(of: &Comparison) -> Option<(bool, String)> {
+    let sensitivity = of.sensitivity.estimated()?;
+    let parameter = parameter_label(&sensitivity.parameter);
+    match sensitivity.lowers_success_of.as_slice() {
+        [] => None,
+        all if all.len() == sensitivity.effects.len() => {
+            Some((true, format!("{} significantly lowers the success of all of them.", sentence(&parameter))))
+        }
+        some => Some((
+            false,
+            format!(
+                "{} significantly lowers the success of {}, but not of the others.",
+                sentence(&parameter),
+                list(some)
+            ),
+        )),
+    }
+}
+
+fn uncertainty(of: &Comparison) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
-    for dictionary in &of.dictionaries {
-        let rate = &dictionary.success.rate;
-        match &dictionary.left_out {
-            Some(because) => lines.push(format!("{} is not compared: {because}.", dictionary.name)),
+    for dataset in &of.datasets {
+        let rate = &dataset.success.rate;
+        match &dataset.excluded_because {
+            Some(because) => lines.push(format!("{} is not compared: {because}.", dataset.name)),
             None => lines.push(format!(
                 "{}: {} ({}) in {}.",
-                dictionary.name,
-                rate.rate.map_or_else(|| "-".to_owned(), percent),
+                dataset.name,
+                percent_or_dash(rate.rate),
                 percent_range(rate.wilson_95),
                 counted(rate.n, "valid episode")
             )),
         }
     }
     for pair in &of.paired {
-        if let Some(bounds) = pair.invalid.gap_bounds {
+        if let Some(bounds) = pair.invalid.difference_bounds {
             lines.push(format!(
-                "{} without evidence from both could move the gap between {} and {} to anything from {} points.",
+                "{} not valid in both could put the difference of {} and {} anywhere within {} points.",
                 counted(pair.invalid.either, "scenario"),
                 pair.first,
                 pair.second,
                 points_range(bounds)
             ));
         }
-    }
-    lines
-}
-
-/// What a comparison does not say, in sentences.
-pub fn comparison_limits(of: &Comparison) -> Vec<String> {
-    let mut lines = Vec::new();
-    for dictionary in &of.dictionaries {
-        if let Some(because) = &dictionary.left_out {
-            lines.push(format!("{} is shown and not compared: {because}.", dictionary.name));
-        }
-        let bounds = &dictionary.success.bounds;
-        if let (1.., Some(worst), Some(best)) = (bounds.invalid, bounds.worst_case, bounds.best_case) {
-            lines.push(format!(
-                "{} of {} are invalid and in no rate; whatever they had been, its rate would lie between {} and {}.",
-                counted(bounds.invalid, "episode"),
-                dictionary.name,
-                percent(worst),
-                percent(best)
-            ));
-        }
-    }
-    if of.dictionaries.iter().any(|d| d.left_out.is_none() && d.population == Population::AsImported) {
-        lines.push(
-            "Imported rows are taken as a draw from their operating space; how they were drawn is not known here."
-                .to_owned(),
-        );
-    }
-    let unlike = unlike(of);
-    if !unlike.is_empty() {
-        lines.push(format!(
-            "Their operating spaces differ in {}: a difference of success rates is also one of spaces.",
-            list(&unlike)
-        ));
-    }
-    for of in of.differences.iter().filter(|of| of.valid_pairs.is_some()) {
-        lines.push(format!(
-            "{} and {} ran the same scenarios: their difference is that of the pairs. --paired shows which of them flip.",
-            of.first, of.second
-        ));
-    }
-    lines.push(
-        "A curve shows one parameter while the others vary as each dictionary drew them; it is no effect of that \
-         parameter alone where spaces differ."
-            .to_owned(),
-    );
-    lines.push(
-        "Universal zones are cells of a grid: they say nothing within a cell, nor of the robots that were not compared."
-            .to_owned(),
-    );
-    if of.reach.iter().any(|row| row.ratio.is_some()) {
-        lines.push(
-            "Reach goes with whatever else sets these robots apart; a few of them show no law of reach.".to_owned(),
-        );
     }
     lines
 }

@@ -25,7 +25,7 @@ fn written_of(n: u64, outcome_of: impl Fn(u64) -> Outcome) -> String {
 
 #[test]
 fn empty_dictionary_has_a_page() {
-    assert!(written_of(0, |_| Outcome::Success).contains("nothing can be said about this policy"));
+    assert!(written_of(0, |_| Outcome::Success).contains("there is no evidence about this policy"));
 }
 
 #[test]
@@ -44,7 +44,7 @@ fn few_rows_have_a_page() {
 #[test]
 fn one_outcome_is_no_proof() {
     let text = written_of(200, |_| Outcome::Success);
-    assert!(text.contains("No failure was seen; that bounds the failure rate"));
+    assert!(text.contains("No failure was observed. This bounds the failure rate"));
     written_of(200, |_| Outcome::Failure(FailureMode::constant("grasp_miss")));
 }
 
@@ -66,5 +66,5 @@ fn unrecorded_failure_modes_are_explained() {
     results::import(&csv, &path, None, &Mapping::default()).unwrap();
     let analysis = Analysis::of(&Source::open(&path).unwrap(), Path::new("results.parquet"), &[]).unwrap();
     let text = written(&analysis);
-    assert!(text.contains("How it fails cannot be said") && !text.contains("What to do"));
+    assert!(text.contains("The failure modes are uncertain") && !text.contains("What to do"));
 }

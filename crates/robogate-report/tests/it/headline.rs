@@ -4,7 +4,7 @@ use robogate_report::{Headline, limits};
 
 use crate::synthetic::{analysed, law, space};
 
-/// The headline and the first limit of 500 episodes that all belong to one stage.
+/// The headline and the first limit of 500 episodes of one stage.
 fn of_stage(stage: &str) -> (Headline, String) {
     let space = space(&["box"]);
     let mut entries = law(&space, 500);
@@ -16,14 +16,14 @@ fn of_stage(stage: &str) -> (Headline, String) {
 #[test]
 fn focused_rows_are_no_operating_rate() {
     let (headline, limit) = of_stage("boundary");
-    assert!(headline.answer.contains("no operating rate"));
-    assert!(limit.contains("No rate here is one of the operating space"));
+    assert!(headline.answer.contains("not an operating rate"));
+    assert!(limit.contains("No rate here applies to the operating space"));
 }
 
 #[test]
 fn suite_scenarios_are_no_operating_rate() {
     let (headline, limit) = of_stage("suite");
-    assert!(headline.answer.contains("no operating rate"));
-    assert!(limit.contains("No rate here is one of an operating space"));
-    assert!(headline.what_to_do.iter().all(|line| !line.contains("operate there")));
+    assert!(headline.answer.contains("not an operating rate"));
+    assert!(limit.contains("No rate here applies to an operating space"));
+    assert!(headline.what_to_do.iter().all(|line| !line.contains("Operate in")));
 }

@@ -25,14 +25,14 @@ fn answer_names_the_worse_design() {
     let answer = study_answer(&study);
     assert!(answer.iter().any(|s| s.contains("pure boundary") && s.contains("worse")), "{answer:?}");
     let page = study_markdown(&study);
-    assert!(page.contains("AUC in sample") && page.contains("compares nothing"));
+    assert!(page.contains("AUC in sample") && page.contains("Do not compare the in-sample AUC"));
 }
 
 #[test]
 fn missing_model_is_explained() {
     let study = study(|at| at[0], even, even, 1, 80);
     let page = study_markdown(&study);
-    assert!(page.contains("which the paper's model is made of"), "{page}");
+    assert!(page.contains("which the paper's model needs"), "{page}");
     let json: serde_json::Value = serde_json::from_str(&study_json(&study)).unwrap();
     assert_eq!(json["version"], Study::VERSION);
 }

@@ -101,7 +101,7 @@ fn print(board: &Leaderboard) {
     line("");
     let wide = board.standings.iter().map(|s| s.name.chars().count()).max().unwrap_or(6).max(6);
     line(dim(format_args!(
-        "  rank (95 %)   {:<wide$}  score  {:<24}  95 % of draws   success (exact 95 % interval)",
+        "  rank (95 %)   {:<wide$}  score  {:<24}  95 % (bootstrap) success (exact 95 % interval)",
         "policy", ""
     )));
     for s in &board.standings {
@@ -111,7 +111,7 @@ fn print(board: &Leaderboard) {
             (None, _) => "-".to_owned(),
         };
         let score = s.score.points.map_or_else(|| "-".to_owned(), |p| format!("{p:.1}"));
-        let drawn = s.score_95.map_or_else(|| "no spread".to_owned(), |[l, h]| format!("{l:.1} to {h:.1}"));
+        let interval = s.score_95.map_or_else(|| "no interval".to_owned(), |[l, h]| format!("{l:.1} to {h:.1}"));
         let success = if s.valid > 0 {
             let [low, high] = s.success_95;
             format!(
@@ -126,7 +126,7 @@ fn print(board: &Leaderboard) {
             "no valid episode".to_owned()
         };
         let bar = bar(s.score.points.unwrap_or(0.0) / 100.0, 24);
-        line(format_args!("  {rank:<12}  {:<wide$}  {score:>5}  {bar}  {drawn:<14}  {success}", s.name));
+        line(format_args!("  {rank:<12}  {:<wide$}  {score:>5}  {bar}  {interval:<14}  {success}", s.name));
         if !s.endings.is_empty() {
             let endings: Vec<String> =
                 s.endings.iter().map(|e| format!("{} {}", e.ending.replace('_', " "), e.episodes)).collect();
@@ -135,7 +135,9 @@ fn print(board: &Leaderboard) {
     }
     line("");
     line(dim(
-        "  The score summarises observed figures (the paper's appendix E). Draws: scenarios anew, within each category, the same",
+        "  The score summarises observed figures (the paper's appendix E). Bootstrap: scenarios within each category, the same",
     ));
-    line(dim("  for every policy. \"no spread\": resampling cannot tell; it does not mean that there is no doubt."));
+    line(dim(
+        "  for every policy. \"no interval\": all replicates are equal, which does not mean that the score is exact.",
+    ));
 }

@@ -336,20 +336,19 @@ fn print(study: &Outcome) {
     line("");
     let test = &study.test;
     wrapped(&format!(
-        "Judged on {} uniform test episodes, {} of them successes; stating the commoner outcome errs in {}.",
+        "Evaluated on {} uniform test episodes with {} success; always predicting the more frequent outcome has an error of {}.",
         grouped(test.rate.n),
         test.rate.rate.map_or_else(|| "-".to_owned(), percent),
-        percent(test.error_of_the_commoner)
+        percent(test.majority_error)
     ));
     for learner in &study.learners {
         table(learner);
     }
     line("");
     wrapped(
-        "▲ better, ▼ worse than uniform, by a 95 % interval over repeats and test episodes whose level is shared over all designs \
-         and learners (Bonferroni); no mark: no difference shown, or fewer than 3 repeats. \
-         The last column is the paper's comparison, each AUC on the rows that its model was fitted to: other rows for each \
-         design, hence no comparison.",
+        "▲ significantly better, ▼ significantly worse than uniform, with 95 % confidence for all designs and learners together \
+         (Bonferroni); no mark: no significant difference, or fewer than 3 repeats. The last column is the paper's comparison: the \
+         AUC in sample, which must not be compared between designs because their rows differ.",
     );
 }
 
@@ -358,11 +357,15 @@ fn table(learner: &LearnerFigures) {
     line(bold(format_args!("Learner: {}", learner.name)));
     line(dim(format_args!(
         "  {:<20} {:>7}  {:<26} {:>8}  {:>8}  {:>8}  {:>9}",
-        "design", "error", "less uniform, in points", "log loss", "Brier", "AUC", "in sample"
+        "design", "error", "minus uniform, in points", "log loss", "Brier", "AUC", "in sample"
     )));
     for arm in &learner.arms {
         let Some(figures) = arm.figures.estimated() else {
-            wrapped(&format!("{:<20} cannot be judged: {}", arm.arm.name(), arm.figures.because().unwrap_or_default()));
+            wrapped(&format!(
+                "{:<20} cannot be estimated because {}",
+                arm.arm.name(),
+                arm.figures.because().unwrap_or_default()
+            ));
             continue;
         };
         let cell = |measure: Measure| {
@@ -386,12 +389,12 @@ fn mark(score: &Score) -> char {
     match score.verdict {
         Some(Verdict::Better) => '▲',
         Some(Verdict::Worse) => '▼',
-        Some(Verdict::NotShown) | None => ' ',
+        Some(Verdict::NotSignificant) | None => ' ',
     }
 }
 
 fn difference(score: &Score) -> String {
-    let Some(difference) = &score.less_uniform else { return String::new() };
+    let Some(difference) = &score.difference_to_uniform else { return String::new() };
     let interval = match difference.interval_95 {
         Some([low, high]) => format!("{:+.1} to {:+.1}", 100.0 * low, 100.0 * high),
         None => "no interval".to_owned(),

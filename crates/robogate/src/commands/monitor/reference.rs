@@ -81,7 +81,7 @@ impl ReferenceOf {
         match &analysis.risk {
             Finding::Estimated(model) => {
                 note(format_args!("  risk model of {} parameters", model.scoring.terms.len()));
-                model.regression.cautions.iter().for_each(|caution| note(format_args!("  {caution}")));
+                model.regression.warnings.iter().for_each(|warning| note(format_args!("  {warning}")));
             }
             Finding::CannotBeEstimated { because } => note(format_args!("  no risk model because {because}")),
         }
@@ -118,7 +118,7 @@ fn risk(model: &RiskModel) -> Risk {
         intercept: scoring.intercept,
         terms: scoring.terms.iter().map(term).collect(),
         covariance: scoring.covariance.clone(),
-        most_variance: scoring.most_variance,
+        most_variance: scoring.max_variance,
     }
 }
 
