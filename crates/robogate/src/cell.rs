@@ -23,6 +23,7 @@ use sha2::{Digest, Sha256};
 use crate::registry::{ENGINES, EngineEntry};
 use crate::remote::{self as servers, CellTask, PhysicsHost};
 use crate::renderer::Drawn;
+use crate::subject::named_space;
 
 /// The settings of the cell, as a run records them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -156,9 +157,13 @@ impl Cell {
     /// Rejects a suite with a parameter that the gripper or the servers do not have.
     pub(crate) fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
         self.check_known(suite.space()).with_context(|| format!("suite {}", suite.name()))?;
-        match check_suite(suite, Some(&self.robot.settings.gripper)).first() {
-            Some(misfit) => bail!("suite {}: {misfit}", suite.name()),
-            None => Ok(()),
+        match &*check_suite(suite, Some(&self.robot.settings.gripper)) {
+            [] => Ok(()),
+            [misfit] => bail!("suite {}: {misfit}", suite.name()),
+            misfits => {
+                let lines: Vec<String> = misfits.iter().map(|misfit| format!("\n  {misfit}")).collect();
+                bail!("suite {}: {} problems{}", suite.name(), misfits.len(), lines.concat())
+            }
         }
     }
 
@@ -251,6 +256,7 @@ impl Cell {
         Ok(Hello {
             robot: Some(message::Robot { name: robot.name, sha256: robot.sha256 }),
             time_step_s: Some(self.settings.time_step_s),
+            space: Some(named_space(self.default_space())?),
             ..Hello::new(task, program, engine)
         })
     }
@@ -265,6 +271,7 @@ impl Cell {
         }
         let mut hello = self.hello()?;
         hello.scores_itself = false;
+        hello.space = None;
         hello.task.action.spaces.truncate(1);
         hello.task.observation.cameras.clear();
         hello.task.parameters.retain(|parameter| !remote::is_local(&parameter.name));

@@ -460,11 +460,12 @@ impl EnvironmentSource {
         let robot = |name: String, sha256| provenance::Robot { name, sha256, dimensions: None };
         Ok(match self {
             Self::Cell(cell) => cell.provenance()?,
-            Self::SelfContained(task) => (cell::engine(task.engine())?, robot("none".to_owned(), None)),
+            Self::SelfContained(task) => (cell::engine(task.engine())?, robot(task.name().to_owned(), None)),
             Self::Remote(source) => {
                 let hello = source.pool.hello();
                 let known = hello.robot.clone();
-                let (name, sha256) = known.map_or(("none".to_owned(), None), |robot| (robot.name, robot.sha256));
+                let unnamed = || (hello.task.name.to_string(), None);
+                let (name, sha256) = known.map_or_else(unnamed, |robot| (robot.name, robot.sha256));
                 (remote::engine(hello), robot(name, sha256))
             }
         })

@@ -75,7 +75,7 @@ fn remote_engines_give_the_rows_of_local_ones() {
         let pool = format!("{},{}", one.address, other.address);
         assert_eq!(run(name, &["--simulator", &pool]), local, "{name}");
         let folder = at(name).to_str().unwrap().to_owned();
-        assert_exit(&["replay", &folder, "3", "--simulator", &one.address], 0, &["same as recorded"]);
+        assert_exit(&["replay", &folder, "3", "--simulator", &one.address], 0, &["identical to the recorded episode"]);
         assert_exit(&["replay", &folder, "3"], 2, &["--simulator"]);
         assert_exit(&["bridge", "check", &one.address], 0, &["pass", "median"]);
     }

@@ -53,7 +53,12 @@ fn a_run_is_replayed_from_another_folder() {
     run(dir.path(), &["--policy", "small.onnx", "--profile", "small.toml", "--out", "r"]);
     let elsewhere = TempDir::new().unwrap();
     let r = dir.path().join("r");
-    assert_exit(elsewhere.path(), &["replay", r.to_str().unwrap(), "0"], 0, &["same as recorded, bit for bit"]);
+    assert_exit(
+        elsewhere.path(),
+        &["replay", r.to_str().unwrap(), "0"],
+        0,
+        &["identical to the recorded episode, bit for bit"],
+    );
 }
 
 #[test]
@@ -64,7 +69,7 @@ fn the_random_policy_does_not_depend_on_threads() {
     let hash = |summary: &Value| summary["dataset_hash"].as_str().map(str::to_owned);
     assert!(hash(&one).is_some(), "{one}");
     assert_eq!(hash(&one), hash(&two));
-    assert_exit(dir.path(), &["replay", "one", "3"], 0, &["same as recorded, bit for bit"]);
+    assert_exit(dir.path(), &["replay", "one", "3"], 0, &["identical to the recorded episode, bit for bit"]);
 }
 
 #[test]

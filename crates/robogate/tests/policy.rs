@@ -98,7 +98,7 @@ fn a_policy_server_is_checked_run_and_replayed() {
     assert_exit(&start, 0, &["pi0-libero policy"]);
     // It drives the hand into the table.
     assert_eq!(outcomes(&run), ["collision"; 3]);
-    assert_exit(&["replay", &run, "1"], 0, &["same as recorded"]);
+    assert_exit(&["replay", &run, "1"], 0, &["identical to the recorded episode"]);
 }
 
 #[test]

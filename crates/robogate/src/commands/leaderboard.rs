@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use robogate_analysis::Source;
-use robogate_gate::{Baseline, Leaderboard, Record, Requirements};
+use robogate_core::TaskSpec;
+use robogate_gate::{Baseline, GateError, Leaderboard, Record, Requirements};
 use robogate_report::{leaderboard_html, leaderboard_markdown};
 
 use crate::commands::gate::built_in_baseline;
@@ -18,9 +19,9 @@ pub(crate) struct Rank {
     /// Runs' folders or dictionaries; NAME=PATH gives one a name of its own
     #[arg(required = true, value_name = "RUN")]
     runs: Vec<String>,
-    /// Whose score: a built-in set of requirements or a file (TOML)
-    #[arg(long, value_name = "NAME|FILE", default_value = "paper")]
-    requirements: String,
+    /// The requirements whose score ranks: a built-in set or a file (TOML); default: paper for pick_place, else default
+    #[arg(long, value_name = "NAME|FILE")]
+    requirements: Option<String>,
     /// The baseline that the score refers to; default: the one that comes with the suite and the robot
     #[arg(long, value_name = "FILE")]
     baseline: Option<PathBuf>,
@@ -55,7 +56,7 @@ impl Rank {
         }
         let first =
             entries.first().ok_or_else(|| anyhow::anyhow!("a leaderboard needs at least one run")).or_usage()?;
-        let requirements = Requirements::open(&self.requirements, &first.1.task).or_usage()?;
+        let requirements = self.requirements_for(&first.1.task).or_usage()?;
         let baseline = match (&self.baseline, entries.first()) {
             (Some(file), _) => Some(Baseline::open(file).or_usage()?),
             (None, Some((_, first))) => built_in_baseline(first),
@@ -81,6 +82,17 @@ impl Rank {
             (None, None) => print(&board),
         }
         Ok(if board.standings.iter().any(|s| s.valid > 0) { DONE } else { INVALID })
+    }
+
+    fn requirements_for(&self, task: &TaskSpec) -> Result<Requirements, GateError> {
+        if let Some(name) = &self.requirements {
+            return Requirements::open(name, task);
+        }
+        let paper = Requirements::open("paper", task)?;
+        match paper.task.as_deref().is_none_or(|name| task.name == name) {
+            true => Ok(paper),
+            false => Requirements::open("default", task),
+        }
     }
 }
 

@@ -287,7 +287,9 @@ pub(crate) fn exit(error: RunError) -> Exit {
 
 /// Says what is about to run.
 pub(crate) fn introduce(provenance: &Provenance, seed: u64) {
-    let robot = if provenance.robot.name == "none" { String::new() } else { format!(" on {}", provenance.robot.name) };
+    let (task, robot) = (provenance.task.name, &provenance.robot.name);
+    // An environment without a robot of its own is named after its task.
+    let robot = if task == *robot.as_str() { String::new() } else { format!(" on {robot}") };
     note(format_args!(
         "RoboGate {}: {}{robot} in {} {}, {} policy, seed {seed}",
         env!("CARGO_PKG_VERSION"),
