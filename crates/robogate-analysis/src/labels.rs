@@ -1,7 +1,8 @@
 //! Names of parameters and failure modes as people read them.
 
 /// Units that a parameter's name may end in, and how they are written.
-const UNITS: [(&str, &str); 10] = [
+const UNITS: [(&str, &str); 14] = [
+    ("_nms_rad", "N·m·s/rad"),
     ("_m_s2", "m/s²"),
     ("_rad_s", "rad/s"),
     ("_m_s", "m/s"),
@@ -10,7 +11,10 @@ const UNITS: [(&str, &str); 10] = [
     ("_rad", "rad"),
     ("_deg", "°"),
     ("_m", "m"),
+    ("_nm", "N·m"),
     ("_n", "N"),
+    ("_lux", "lx"),
+    ("_hz", "Hz"),
     ("_s", "s"),
 ];
 
