@@ -1,7 +1,8 @@
 //! Failures by mode.
 
+use robogate_core::FailureMode;
 use robogate_stats::Confidence;
-use robogate_stats::format::{counted, list};
+use robogate_stats::format::{count, counted, list};
 use robogate_stats::modes::{Joint, distribution, dominance};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -19,7 +20,7 @@ pub struct FailureModes {
     pub modes: Vec<ModeShare>,
     /// The most frequent mode, if it is significantly more frequent than the second.
     pub dominant: Finding<String>,
-    /// Modes that the source of imported rows does not record: a failure that is counted as a timeout may be one of them.
+    /// Modes that the source of imported rows does not record: any failure may be one of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_recorded: Vec<String>,
 }
@@ -40,6 +41,13 @@ pub struct ModeShare {
     pub interval_95: [f64; 2],
 }
 
+impl ModeShare {
+    /// Whether these are the failures without a recorded mode.
+    pub fn is_unknown(&self) -> bool {
+        self.mode == FailureMode::UNKNOWN.as_str()
+    }
+}
+
 /// Documents of earlier versions contain declared modes only.
 fn declared() -> bool {
     true
@@ -51,11 +59,18 @@ impl FailureModes {
         base.failures(table).1.into_iter().for_each(|mode| counts[mode] += 1);
         let failures = counts.iter().sum();
         let shares = distribution(&counts, Joint::Simultaneous, Confidence::P95);
-        let not_recorded: Vec<String> = table.not_recorded.iter().map(|mode| mode.as_str().to_owned()).collect();
+        let not_recorded = table.not_recorded.clone();
         let mode_name = |mode: usize| table.mode(mode).to_owned();
-        let dominant = match dominance(&counts) {
+        let unknown = table.modes.iter().position(|mode| *mode == FailureMode::UNKNOWN);
+        let unknown_failures = unknown.map_or(0, |at| counts[at]);
+        let dominant = match dominance(&with_unknown_as_second(counts, unknown)) {
             Some(_) if !not_recorded.is_empty() => Finding::not(unrecorded(&not_recorded)),
             None => Finding::not("nothing failed"),
+            Some(found) if Some(found.mode) == unknown => Finding::not(format!(
+                "the mode of {} of {} is unknown",
+                count(unknown_failures),
+                counted(failures, "failure")
+            )),
             Some(found) if found.count == failures => Finding::Estimated(mode_name(found.mode)),
             Some(found) if found.ln_p.is_some_and(|p| p < 0.05_f64.ln()) => Finding::Estimated(mode_name(found.mode)),
             Some(_) => Finding::not(format!(
@@ -74,8 +89,32 @@ impl FailureModes {
     }
 }
 
+/// Counts in which the failures of unknown mode have the second most frequent mode: the least favourable case for the
+/// most frequent one.
+fn with_unknown_as_second(mut counts: Vec<u64>, unknown: Option<usize>) -> Vec<u64> {
+    let Some(unknown) = unknown else { return counts };
+    let mut known: Vec<usize> = (0..counts.len()).filter(|mode| *mode != unknown && counts[*mode] > 0).collect();
+    known.sort_by_key(|mode| std::cmp::Reverse(counts[*mode]));
+    if let Some(second) = known.get(1) {
+        counts[*second] += std::mem::take(&mut counts[unknown]);
+    }
+    counts
+}
+
 /// Why modes that a source does not record make the others uncertain, as the end of a sentence.
 pub fn unrecorded(modes: &[String]) -> String {
     let modes: Vec<String> = modes.iter().map(|mode| mode_label(mode)).collect();
-    format!("the source does not record {}: a failure that is counted as a timeout may be one of them", list(&modes))
+    format!("the source does not record {}: any failure may be one of them", list(&modes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unknown_modes_count_against_dominance() {
+        assert_eq!(with_unknown_as_second(vec![9, 5, 1, 4], Some(3)), [9, 9, 1, 0]);
+        assert_eq!(with_unknown_as_second(vec![9, 0, 4], Some(2)), [9, 0, 4]);
+        assert_eq!(with_unknown_as_second(vec![9, 4], None), [9, 4]);
+    }
 }

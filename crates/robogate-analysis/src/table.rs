@@ -3,6 +3,9 @@
 use robogate_core::{Domain, FailureMode, Word};
 use robogate_dictionary::{Column, Dictionary, DictionaryError, results};
 
+/// The column of cycle times.
+const TIME: &str = "cycle_time_s";
+
 /// The columns that the analysis reads, one value per episode: about 120 bytes a row.
 pub(crate) struct EpisodeTable {
     pub(crate) index: Vec<u64>,
@@ -22,7 +25,7 @@ pub(crate) struct EpisodeTable {
     /// Faults of invalid episodes, with their counts.
     pub(crate) faults: Vec<(String, u64)>,
     /// Failure modes that the source of imported rows does not record.
-    pub(crate) not_recorded: Vec<FailureMode>,
+    pub(crate) not_recorded: Vec<String>,
 }
 
 /// How an episode ended.
@@ -86,7 +89,8 @@ impl EpisodeTable {
         }
         let provenance = dictionary.provenance();
         let source = provenance.source.iter().flat_map(|source| &source.not_recorded);
-        let not_recorded = source.filter_map(|name| modes.iter().copied().find(|mode| mode.as_str() == name)).collect();
+        // The other names are failure modes, which the task of such a source does not declare.
+        let not_recorded = source.filter(|name| *name != TIME).cloned().collect();
         let measure = |name: Word| Ok((name, dictionary.numbers(name.as_str())?));
         let measures = task.measures.iter().map(|spec| measure(spec.name)).collect::<Result<_, DictionaryError>>()?;
         // Identifiers of imported rows are not parameters of the scenario.
@@ -103,7 +107,7 @@ impl EpisodeTable {
             modes,
             declared,
             measures,
-            time_s: dictionary.numbers("cycle_time_s")?,
+            time_s: dictionary.numbers(TIME)?,
             faults,
             not_recorded,
         })

@@ -1,6 +1,6 @@
 //! Claims about analyses, from the outside.
 
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests are tests too")]
+#![expect(clippy::unwrap_used, reason = "helpers of tests are tests too")]
 
 mod anchors;
 mod comparison;

@@ -6,6 +6,7 @@ mod failures;
 mod heatmap;
 mod marginal;
 mod models;
+mod modes;
 mod rate;
 mod svg;
 

@@ -81,14 +81,18 @@ fn where_it_fails(analysis: &Analysis) -> Vec<String> {
 }
 
 fn main_modes(modes: &[ModeShare]) -> String {
-    let mut by: Vec<_> = modes.iter().filter(|m| m.failures > 0).collect();
+    let occurred = modes.iter().filter(|m| m.failures > 0);
+    let (unknown, mut by): (Vec<_>, Vec<_>) = occurred.partition(|m| m.is_unknown());
+    if by.is_empty() {
+        return "No failure mode is recorded.".to_owned();
+    }
     by.sort_by_key(|m| std::cmp::Reverse(m.failures));
     let shares: Vec<String> = by
         .iter()
         .take(2)
         .map(|m| format!("{} ({})", mode_label(&m.mode), percent(m.share.unwrap_or_default())))
         .collect();
-    let mostly = if by.len() > 2 { "mostly by" } else { "by" };
+    let mostly = if by.len() > 2 || !unknown.is_empty() { "mostly by" } else { "by" };
     format!("It fails {mostly} {}.", list(&shares))
 }
 

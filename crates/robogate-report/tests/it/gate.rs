@@ -49,7 +49,7 @@ fn junit_counts_what_it_holds() {
 #[test]
 fn markdown_states_the_verdict() {
     let text = evaluation_markdown(&evaluation());
-    assert!(text.contains("RoboGate: FAIL") && text.contains("collision rate at most"), "{text}");
+    assert!(text.contains("RoboGate: FAIL") && text.contains("rate of collision at most"), "{text}");
 }
 
 #[test]

@@ -1,7 +1,9 @@
 //! Failure modes: their shares, and how the dominant one changes.
 
 use robogate_analysis::labels::{mode_label, value_with_unit};
-use robogate_analysis::{Analysis, FailureModes, Finding, MarginalEffect, ModeChange, ModeChanges, ParameterType};
+use robogate_analysis::{
+    Analysis, FailureModes, Finding, MarginalEffect, ModeChange, ModeChanges, ModeShare, ParameterType,
+};
 use robogate_stats::format::{count, counted, number, percent_or_dash, percent_range, range, sentence};
 
 use super::{Block, Figure, Section, Table, population};
@@ -99,9 +101,15 @@ fn modes_table(modes: &FailureModes) -> Table {
     let rows = modes
         .modes
         .iter()
-        .map(|m| vec![mode_label(&m.mode), count(m.failures), percent_or_dash(m.share), percent_range(m.interval_95)]);
+        .map(|m| vec![declared_label(m), count(m.failures), percent_or_dash(m.share), percent_range(m.interval_95)]);
     let columns = [("mode", Text), ("failures", Number), ("share", Number), ("simultaneous 95 %", Number)];
     Table::new("Failures by mode", &columns, rows.collect())
+}
+
+/// The label of a mode, marked if the task does not declare it.
+fn declared_label(share: &ModeShare) -> String {
+    let label = mode_label(&share.mode);
+    if share.declared || share.is_unknown() { label } else { format!("{label} (undeclared)") }
 }
 
 /// The label of a bin: the level of an integer parameter, else its edges.
