@@ -295,7 +295,7 @@ fn snapshots_are_pngs_that_are_the_same_each_time_and_overwrite_nothing() {
 fn wrong_snapshots_are_usage_errors() {
     assert_usage(&["snapshot", "--suite", "industrial-68", "--case", "nothing"], &["has no scenario `nothing`"]);
     assert_usage(&["snapshot", "--suite", "nothing"], &["unknown suite `nothing`"]);
-    assert_usage(&["snapshot", "--set", "lighting_lux"], &["write NAME=VALUE"]);
+    assert_usage(&["snapshot", "--set", "lighting_lux"], &["expected NAME=VALUE"]);
     assert_usage(&["snapshot", "--set", "lighting=500"], &["lighting"]);
     assert_usage(&["snapshot", "--set", "table_material=marble"], &["marble", "wood"]);
     assert_usage(&["snapshot", "--at=-1"], &["--at -1", "0 s or later"]);

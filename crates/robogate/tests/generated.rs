@@ -26,6 +26,7 @@ fn the_schemas_are_those_of_the_code() {
     for (name, schema) in [
         ("parameter-space", schema_for!(robogate_core::ParameterSpace)),
         ("suite", schema_for!(robogate_core::Suite)),
+        ("task", schema_for!(robogate_core::TaskSpec)),
         ("plan", schema_for!(robogate_campaign::Plan)),
         ("robot", schema_for!(robogate_physics::RobotSettings)),
         ("run-settings", schema_for!(robogate_campaign::Settings)),
@@ -75,18 +76,6 @@ fn the_command_reference_is_what_help_says() {
         }
     }
     check("docs/command.md", &page);
-}
-
-#[test]
-fn the_bridges_parameters_are_those_of_the_table() {
-    use robogate_tasks::pick_place::{ActsOn, parameters};
-
-    let engine = parameters().iter().filter(|row| row.acts_on == ActsOn::Engine);
-    let names: String = engine.map(|row| format!("    \"{}\",\n", row.name)).collect();
-    let module = format!(
-        "\"\"\"The parameters of RoboGate's cell that an engine applies. Generated from the parameter table.\"\"\"\n\nPARAMETERS = [\n{names}]\n"
-    );
-    check("bridges/common/robogate_bridge/parameters.py", &module);
 }
 
 /// The verbs that a help text lists.

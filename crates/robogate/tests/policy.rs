@@ -109,14 +109,14 @@ fn mismatches_with_the_profile_are_named() {
     // A tool delta has seven numbers.
     let six = profile(&dir, "pi0-libero", &[("size = 7", "size = 6")]);
     assert_exit(&["policy", "check", &url, "--profile", &six], 2, &["action.size: 6, but arm = \"tool_delta\" has 7"]);
-    // Six numbers may be five joints and a gripper, but the server sends seven.
+    // Eight numbers are seven joints and a gripper, but the server sends seven.
     let [ten, once] = TEN;
-    let joints = ("size = 7\narm = \"tool_delta\"", "size = 6\narm = \"joint_positions\"");
-    let six = profile(&dir, "pi0-libero", &[ten, once, joints]);
-    let words = "an action has 7 numbers, but action.size of the profile is 6";
-    assert_exit(&["policy", "check", &url, "--profile", &six], 1, &["problem:", words]);
+    let joints = ("size = 7\narm = \"tool_delta\"", "size = 8\narm = \"joint_positions\"");
+    let eight = profile(&dir, "pi0-libero", &[ten, once, joints]);
+    let words = "an action has 7 numbers, but action.size of the profile is 8";
+    assert_exit(&["policy", "check", &url, "--profile", &eight], 1, &["problem:", words]);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
-    let start = ["run", "--policy", &url, "--profile", &six, "-n", "3", "--threads", "1", "--out", &run];
+    let start = ["run", "--policy", &url, "--profile", &eight, "-n", "3", "--threads", "1", "--out", &run];
     assert_exit(&start, 4, &[]);
     assert_eq!(outcomes(&run), ["invalid"; 3]);
 
@@ -165,7 +165,9 @@ fn a_run_is_resumed_after_a_server_stopped() {
     assert_exit(&["resume", &run, "--threads", "1"], 0, &[]);
     let outcomes = outcomes(&run);
     let invalid: Vec<usize> = (0..outcomes.len()).filter(|i| outcomes[*i] == "invalid").collect();
-    // Resume does not repeat invalid episodes.
-    assert_eq!((outcomes.len(), invalid.len()), (24, 10));
+    // Resume does not repeat invalid episodes. The thread may finish one more and wait with it, and begin another, before it
+    // learns that ten were lost.
+    assert_eq!(outcomes.len(), 24);
+    assert!((10..=12).contains(&invalid.len()), "{outcomes:?}");
     assert!(invalid[0] > 0 && invalid.windows(2).all(|pair| pair[1] == pair[0] + 1), "{outcomes:?}");
 }

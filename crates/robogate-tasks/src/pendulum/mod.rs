@@ -103,6 +103,6 @@ impl SelfContained for Pendulum {
     }
 
     fn controller(&self) -> Box<dyn Policy> {
-        Box::new(SwingUp::default())
+        Box::new(SwingUp)
     }
 }
