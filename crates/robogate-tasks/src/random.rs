@@ -1,20 +1,20 @@
-//! A policy that knows nothing: the floor of a ranking.
+//! A random policy: the lower bound of a ranking.
 
 use robogate_core::{Action, ArmCommand, Fault, GripperCommand, Observation, Policy, Seed, Stream, TaskSpec};
 
-/// What a one stands for along and about each axis, in metres and radians (paper, section 7.1).
+/// Largest translation and rotation of an action along and about each axis, in metres and radians (paper, section 7.1).
 const TRANSLATION_M: f64 = 0.02;
 const ROTATION_RAD: f64 = 0.05;
 
-/// Draws every number of a seven-number action evenly from -1 to 1: six of a tool delta, and the gripper's, which opens
-/// above zero. What it draws depends on the episode's seed alone.
+/// Draws the seven numbers of an action uniformly from -1 to 1: six of a tool delta, and one for the gripper, which opens
+/// above 0. The draws depend on the episode's seed only.
 #[derive(Debug, Clone)]
 pub struct Random {
     stream: Stream,
 }
 
 impl Random {
-    /// A policy that draws anew in each episode.
+    /// A random policy. Each episode has its own draws.
     pub fn new() -> Self {
         Self { stream: stream(Seed::campaign(0)) }
     }
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn it_fills_its_range_evenly_and_opens_half_the_time() {
+    fn draws_are_uniform() {
         let actions = episode(Seed::campaign(3).episode(1));
         let x: Vec<f64> = actions
             .iter()
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn an_episode_is_a_function_of_its_seed() {
+    fn draws_depend_on_the_seed() {
         let seed = |n| Seed::campaign(3).episode(n);
         assert_eq!(episode(seed(1)), episode(seed(1)));
         assert_ne!(episode(seed(1)), episode(seed(2)));

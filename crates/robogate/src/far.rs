@@ -14,7 +14,7 @@ use robogate_core::{
 use robogate_dictionary::provenance;
 use robogate_physics::{Chain, Engine, Robot};
 use robogate_tasks::pick_place::CONTROL_PERIOD_S;
-use robogate_tasks::pick_place::remote::{self, Cell, FarPeriod, FarReadback, FarSight, Offsite};
+use robogate_tasks::pick_place::remote::{self, Cell, RemotePeriod, RemotePickPlace, RemoteReadback, RemoteSight};
 use serde::{Deserialize, Serialize};
 
 use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
@@ -123,19 +123,19 @@ pub(crate) fn simulator(
 }
 
 /// Our world for servers that do not judge.
-pub(crate) struct OurWorld(Offsite);
+pub(crate) struct OurWorld(RemotePickPlace);
 
 impl OurWorld {
     pub(crate) fn new(robot: &Robot, chain: Chain, sha256: String, picture_px: usize) -> anyhow::Result<Self> {
-        let offsite = Offsite::new(robot.clone(), chain, Some(sha256), None).map_err(|why| anyhow!(why))?;
+        let offsite = RemotePickPlace::new(robot.clone(), chain, Some(sha256), None).map_err(|why| anyhow!(why))?;
         Ok(Self(offsite.with_picture_size(picture_px, picture_px)))
     }
 }
 
 impl World for OurWorld {
     type Cell = Cell;
-    type Readback = FarReadback;
-    type Sight = FarSight;
+    type Readback = RemoteReadback;
+    type Sight = RemoteSight;
 
     fn accepts(&self, hello: &Hello) -> Result<(), String> {
         if (hello.control_period_s - CONTROL_PERIOD_S).abs() > 1e-9 {
@@ -152,10 +152,10 @@ impl World for OurWorld {
     }
 
     fn brief(&mut self, scenario: &Scenario) -> Result<Cell, Fault> {
-        self.0.brief(scenario)
+        self.0.resolve(scenario)
     }
 
-    fn start(&mut self, held: FarReadback, sight: &FarSight, observation: &Observation) -> Result<Start, Fault> {
+    fn start(&mut self, held: RemoteReadback, sight: &RemoteSight, observation: &Observation) -> Result<Start, Fault> {
         self.0.start(held, sight, observation)
     }
 
@@ -165,7 +165,7 @@ impl World for OurWorld {
 
     fn finish(
         &mut self,
-        sights: &[FarSight],
+        sights: &[RemoteSight],
         observation: &Observation,
         clearance_m: Option<f64>,
         state_hash: u64,
@@ -180,17 +180,17 @@ impl World for OurWorld {
 
 /// An engine of ours that is told and reports, whichever it is.
 pub(crate) trait Told {
-    fn reset(&mut self, scenario: &Scenario) -> Result<(FarReadback, FarSight, Observation), Fault>;
-    fn step(&mut self, joints: &[f64], told: GripperCommand) -> Result<FarPeriod, Fault>;
+    fn reset(&mut self, scenario: &Scenario) -> Result<(RemoteReadback, RemoteSight, Observation), Fault>;
+    fn step(&mut self, joints: &[f64], told: GripperCommand) -> Result<RemotePeriod, Fault>;
 }
 
-impl<E: Engine> Told for remote::Host<E> {
-    fn reset(&mut self, scenario: &Scenario) -> Result<(FarReadback, FarSight, Observation), Fault> {
-        remote::Host::reset(self, scenario)
+impl<E: Engine> Told for remote::PhysicsHost<E> {
+    fn reset(&mut self, scenario: &Scenario) -> Result<(RemoteReadback, RemoteSight, Observation), Fault> {
+        remote::PhysicsHost::reset(self, scenario)
     }
 
-    fn step(&mut self, joints: &[f64], told: GripperCommand) -> Result<FarPeriod, Fault> {
-        remote::Host::step(self, joints, told)
+    fn step(&mut self, joints: &[f64], told: GripperCommand) -> Result<RemotePeriod, Fault> {
+        remote::PhysicsHost::step(self, joints, told)
     }
 }
 
@@ -207,14 +207,14 @@ impl PhysicsHost {
 }
 
 impl Host for PhysicsHost {
-    type Readback = FarReadback;
-    type Sight = FarSight;
+    type Readback = RemoteReadback;
+    type Sight = RemoteSight;
 
     fn hello(&self) -> &Hello {
         &self.hello
     }
 
-    fn reset(&mut self, scenario: &Scenario) -> Result<Begun<FarReadback, FarSight>, Fault> {
+    fn reset(&mut self, scenario: &Scenario) -> Result<Begun<RemoteReadback, RemoteSight>, Fault> {
         let (held, sight, observation) = self.engine.reset(scenario)?;
         Ok(Begun {
             observation: Seen::from(&observation),
@@ -225,11 +225,11 @@ impl Host for PhysicsHost {
         })
     }
 
-    fn step(&mut self, arm: ArmCommand, gripper: GripperCommand) -> Result<Period<FarSight>, Fault> {
+    fn step(&mut self, arm: ArmCommand, gripper: GripperCommand) -> Result<Period<RemoteSight>, Fault> {
         let ArmCommand::JointPositions(joints) = arm else {
             return Err(Fault::new(FaultKind::BadAction, "joint positions were due"));
         };
-        let FarPeriod { observation, state_hash, sights, clearance_m } = self.engine.step(&joints, gripper)?;
+        let RemotePeriod { observation, state_hash, sights, clearance_m } = self.engine.step(&joints, gripper)?;
         Ok(Period {
             observation: Seen::from(&observation),
             state_hash,

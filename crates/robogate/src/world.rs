@@ -430,9 +430,13 @@ impl Cell {
         }
         let host: Box<dyn Told> = match self.world.engine.as_str() {
             #[cfg(feature = "rapier")]
-            "rapier" => Box::new(remote::Host::new(RapierEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?),
+            "rapier" => {
+                Box::new(remote::PhysicsHost::new(RapierEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?)
+            }
             #[cfg(feature = "mujoco")]
-            "mujoco" => Box::new(remote::Host::new(MujocoEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?),
+            "mujoco" => {
+                Box::new(remote::PhysicsHost::new(MujocoEngine::new(robot, step)?, None).map_err(|why| anyhow!(why))?)
+            }
             other => bail!("there is no engine `{other}` in this build"),
         };
         Ok(far::PhysicsHost::new(hello, host))
