@@ -91,10 +91,13 @@ fn every_number_is_read_over_its_range() {
     }
 }
 
+/// A change of a scene.
+type Change = fn(&mut Scene);
+
 /// An engine that loads another scene than it was given.
 struct Tampered {
     engine: Box<dyn Engine>,
-    change: fn(&mut Scene),
+    change: Change,
 }
 
 impl Engine for Tampered {
@@ -191,7 +194,7 @@ impl Engine for Tampered {
 
 #[test]
 fn a_tampered_scene_is_not_applied() {
-    let cases: [(&str, Value, fn(&mut Scene)); 12] = [
+    let cases: [(&str, Value, Change); 12] = [
         ("friction", Value::Number(0.6), |scene| scene.friction *= 1.01),
         ("table_friction", Value::Number(0.3), |scene| scene.table_friction = None),
         ("mass_kg", Value::Number(0.5), |scene| scene.object.mass.mass_kg += 0.01),

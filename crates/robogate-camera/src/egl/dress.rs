@@ -9,6 +9,7 @@ use nalgebra::{Isometry3, Vector3};
 use robogate_physics::mujoco::{PREFIX, wxyz};
 use robogate_physics::{FixtureKind, MujocoEngine, Primitive, Scene, TABLE_HALF, WORKSPACE_CENTRE};
 
+use crate::FRONT_CAMERA;
 use crate::body::Form;
 use crate::finish::{Finish, Pattern};
 use crate::light::{Light, MIDDLE_ALBEDO, exposed};
