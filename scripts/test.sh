@@ -1,90 +1,119 @@
 #!/usr/bin/env bash
-# Sets up and runs all tests: cargo test, with a Python beside it in which the dictionary is read by
-# pyarrow, pandas and DuckDB, and evidence by securesystemslib, another with libzmq for the bridge, and one with Newton and one with USD. Where such a Python cannot be set
-# up, its tests are skipped and say so.
-# Arguments go to cargo test.
+# Installs what the tests need and runs all tests: Rust (with cargo-nextest where it is installed), documentation examples, and
+# the Python suites of bridges/. A failure does not stop the run; the end lists what failed and what was skipped, and why.
+#
+# Usage: scripts/test.sh [ARGUMENTS...]; arguments go to the Rust tests alone, for example `-p robogate-stats` or a part of a name.
+#
+# ROBOGATE_TESTS_STRICT=1 makes a skipped test a failure; ROBOGATE_TESTS_OPTIONAL lists tools that may be missing even then.
+# The Python environments lie in the build folder. Their tests can use others: ROBOGATE_TEST_PYTHON, ROBOGATE_BRIDGE_PYTHON,
+# ROBOGATE_POLICY_PYTHON.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+. scripts/common.sh
 
-# The monitor is tested against a real MQTT broker and in a real browser.
-for tool in mosquitto chromium; do
-    PATH=$PATH:/usr/sbin command -v "$tool" > /dev/null && continue
-    if [ "$(id -u)" -eq 0 ] && command -v apt-get > /dev/null; then
-        { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$tool"; } > /dev/null || true
-    fi
-    PATH=$PATH:/usr/sbin command -v "$tool" > /dev/null || echo "note: no $tool; the tests that need it are skipped" >&2
-done
-
-# MuJoCo's own renderer draws by EGL; Mesa has it without a GPU.
-mesa=(libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri)
-if ! ldconfig -p | grep -q 'libEGL\.so\.1' || ! ldconfig -p | grep -q 'libGL\.so\.1' || ! compgen -G '/usr/lib/*/dri/swrast_dri.so' > /dev/null; then
-    if [ "$(id -u)" -eq 0 ] && command -v apt-get > /dev/null; then
-        { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${mesa[@]}"; } > /dev/null || true
-    fi
-    ldconfig -p | grep -q 'libEGL\.so\.1' || echo "note: no EGL; the tests of MuJoCo's own renderer are skipped" >&2
+target=${CARGO_TARGET_DIR:-target}
+mkdir -p "$target"
+target=$(cd "$target" && pwd)
+if [ -z "${ROBOGATE_SKIPPED_FILE:-}" ]; then
+    ROBOGATE_SKIPPED_FILE=$(mktemp)
+    trap 'rm -f "$ROBOGATE_SKIPPED_FILE"' EXIT
 fi
+export ROBOGATE_SKIPPED_FILE
 
-requirements=(crates/robogate-dictionary/tests/requirements.txt crates/robogate-gate/tests/evidence-requirements.txt)
-venv=${CARGO_TARGET_DIR:-target}/readers-venv
-if [ -z "${ROBOGATE_TEST_PYTHON:-}" ]; then
+# A suite that cannot run: skipped SUITE REASON.
+skipped() {
+    echo "skipped: $1: $2" | tee -a "$ROBOGATE_SKIPPED_FILE" >&2
+    if strict; then
+        failed+=("$1 (skipped: $2)")
+    fi
+}
+
+# The monitor is tested against a real MQTT broker and in a real browser; MuJoCo's own renderer draws by EGL, which Mesa has
+# without a GPU.
+programs() {
+    local missing=() program
+    for program in mosquitto chromium; do
+        PATH=$PATH:/usr/sbin command -v "$program" > /dev/null || missing+=("$program")
+    done
+    if ! ldconfig -p | grep -q 'libEGL\.so\.1' || ! ldconfig -p | grep -q 'libGL\.so\.1' || ! compgen -G '/usr/lib/*/dri/swrast_dri.so' > /dev/null; then
+        missing+=(libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri)
+    fi
+    if [ "${#missing[@]}" -gt 0 ]; then
+        debian "${missing[@]}"
+    fi
+}
+
+# A Python environment in the build folder, made once for its requirements: environment NAME REQUIREMENTS...
+environment() {
+    local venv=$target/$1
+    shift
     # The marker is written last: an interrupted set-up is done again.
-    if ! cat "${requirements[@]}" | cmp -s - "$venv/installed.txt"; then
+    if ! cat "$@" | cmp -s - "$venv/installed.txt"; then
         rm -rf "$venv"
-        if python3 -m venv "$venv" &&
-            "$venv/bin/pip" install --quiet --disable-pip-version-check "${requirements[@]/#/--requirement=}"; then
-            cat "${requirements[@]}" > "$venv/installed.txt"
-        else
-            echo "note: no Python with pyarrow, pandas, duckdb and securesystemslib; the tests that need them are skipped" >&2
-        fi
+        python3 -m venv "$venv" &&
+            "$venv/bin/pip" install --quiet --disable-pip-version-check "${@/#/--requirement=}" &&
+            cat "$@" > "$venv/installed.txt"
     fi
-    if [ -f "$venv/installed.txt" ]; then
-        ROBOGATE_TEST_PYTHON=$(cd "$venv/bin" && pwd)/python
-        export ROBOGATE_TEST_PYTHON
+}
+
+# Sets VARIABLE to the Python of an environment, unless the caller set it: python VARIABLE NAME REQUIREMENTS...
+python() {
+    local variable=$1
+    shift
+    if [ -n "${!variable:-}" ]; then
+        return
     fi
-fi
-if [ -z "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
-    bridges=${CARGO_TARGET_DIR:-target}/bridges-venv
-    if bridges/common/setup.sh "$bridges"; then
-        ROBOGATE_BRIDGE_PYTHON=$(cd "$bridges/bin" && pwd)/python
-        export ROBOGATE_BRIDGE_PYTHON
+    if environment "$@"; then
+        export "$variable=$target/$1/bin/python"
     else
-        echo "note: no Python with pyzmq and msgpack; the bridge's tests that need it are skipped" >&2
+        echo "note: the Python environment for $variable cannot be made" >&2
+    fi
+}
+
+# cargo-nextest where it is installed, else cargo test: rust ARGUMENTS...
+rust() {
+    case " $* " in
+        *" -p "* | *" --package "*) ;;
+        *) set -- --workspace "$@" ;;
+    esac
+    if command -v cargo-nextest > /dev/null; then
+        cargo nextest run --no-fail-fast --locked "$@"
+    else
+        cargo test --no-fail-fast --locked --lib --bins --tests --examples "$@"
+    fi
+}
+
+programs
+python ROBOGATE_TEST_PYTHON readers-venv crates/robogate-dictionary/tests/requirements.txt crates/robogate-gate/tests/evidence-requirements.txt
+python ROBOGATE_POLICY_PYTHON policies-venv crates/robogate-policy/tests/requirements.txt
+python ROBOGATE_BRIDGE_PYTHON bridges-venv bridges/common/requirements.txt
+
+step "Rust tests" rust "$@"
+if [ $# -eq 0 ]; then
+    # A feature of its own: the tests of MuJoCo's own renderer, with the same dependencies as above.
+    step "tests of the EGL renderer" rust --features robogate/egl --test egl
+    step "documentation examples" cargo test --doc --no-fail-fast --workspace --locked
+    if [ -n "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
+        step "bridges/common" env PYTHONPATH=bridges/common "$ROBOGATE_BRIDGE_PYTHON" scripts/run_unittests.py bridges/common/tests
+    else
+        skipped bridges/common "no Python with pyzmq and msgpack"
+    fi
+    # Newton compiles its kernels once and keeps them in its environment.
+    if bridges/common/setup.sh "$target/newton-venv" bridges/newton/requirements.txt; then
+        step "bridges/newton" env ROBOGATE_NEWTON_VENV="$target/newton-venv" bridges/newton/test.sh
+    else
+        skipped bridges/newton "no Python with Newton"
+    fi
+    # Isaac Sim itself is replaced by fakes of its classes.
+    if bridges/common/setup.sh "$target/isaac-venv" bridges/isaac_sim/tests/requirements.txt; then
+        step "bridges/isaac_sim" env ROBOGATE_ISAAC_TEST_VENV="$target/isaac-venv" bridges/isaac_sim/test.sh
+    else
+        skipped bridges/isaac_sim "no Python with USD"
     fi
 fi
-if [ -n "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
-    PYTHONPATH=bridges/common "$ROBOGATE_BRIDGE_PYTHON" -m unittest discover -s bridges/common/tests
+
+if [ -s "$ROBOGATE_SKIPPED_FILE" ]; then
+    printf '\n%d skipped:\n' "$(wc -l < "$ROBOGATE_SKIPPED_FILE")"
+    cat "$ROBOGATE_SKIPPED_FILE"
 fi
-# The cell in Newton: a Python of its own, and kernels that are compiled once. Nothing of Rust waits for it.
-newton=${CARGO_TARGET_DIR:-target}/newton-venv
-if bridges/common/setup.sh "$newton" bridges/newton/requirements.txt; then
-    ROBOGATE_NEWTON_VENV=$(cd "$newton" && pwd) bridges/newton/test.sh
-else
-    echo "note: no Python with Newton; the tests of bridges/newton are skipped" >&2
-fi
-# The cell in Isaac Sim, as far as it can be tested without.
-isaac=${CARGO_TARGET_DIR:-target}/isaac-venv
-if bridges/common/setup.sh "$isaac" bridges/isaac_sim/tests/requirements.txt; then
-    ROBOGATE_ISAAC_TEST_VENV=$isaac bridges/isaac_sim/test.sh
-else
-    echo "note: no Python with USD; the tests of bridges/isaac_sim are skipped" >&2
-fi
-if [ -z "${ROBOGATE_POLICY_PYTHON:-}" ]; then
-    wanted=crates/robogate-bridge/tests/policy-requirements.txt
-    policies=${CARGO_TARGET_DIR:-target}/policies-venv
-    if ! cmp -s "$wanted" "$policies/installed.txt"; then
-        rm -rf "$policies"
-        if python3 -m venv "$policies" &&
-            "$policies/bin/pip" install --quiet --disable-pip-version-check --requirement "$wanted"; then
-            cp "$wanted" "$policies/installed.txt"
-        else
-            echo "note: no Python with openpi-client and vla-eval; the policies' tests that need it are skipped" >&2
-        fi
-    fi
-    if [ -f "$policies/installed.txt" ]; then
-        ROBOGATE_POLICY_PYTHON=$(cd "$policies/bin" && pwd)/python
-        export ROBOGATE_POLICY_PYTHON
-    fi
-fi
-cargo test --workspace --locked "$@"
-# MuJoCo's own renderer is a feature of its own: what it adds, with the same dependencies as above.
-exec cargo test --workspace --locked --features robogate/egl --test egl
+finish

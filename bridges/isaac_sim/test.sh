@@ -5,4 +5,4 @@ here=$(cd "$(dirname "$0")" && pwd)
 venv=${ROBOGATE_ISAAC_TEST_VENV:-$here/.venv}
 "$here/../common/setup.sh" "$venv" "$here/tests/requirements.txt" >&2
 export PYTHONPATH=$here${PYTHONPATH:+:$PYTHONPATH}
-exec "$venv/bin/python" -m unittest discover --start-directory "$here/tests" "$@"
+exec "$venv/bin/python" "$here/../../scripts/run_unittests.py" "$here/tests" "$@"

@@ -7,4 +7,4 @@ export ROBOGATE_NEWTON_VENV=${ROBOGATE_NEWTON_VENV:-$here/.venv}
 # As start.sh has it: the server that a test starts finds the kernels that the tests compiled.
 export WARP_CACHE_PATH=${WARP_CACHE_PATH:-$ROBOGATE_NEWTON_VENV/kernels}
 export PYTHONPATH=$here${PYTHONPATH:+:$PYTHONPATH}
-exec "$ROBOGATE_NEWTON_VENV/bin/python" -m unittest discover --start-directory "$here/tests" "$@"
+exec "$ROBOGATE_NEWTON_VENV/bin/python" "$here/../../scripts/run_unittests.py" "$here/tests" "$@"

@@ -1,13 +1,13 @@
-"""Puts a simulator behind RoboGate's bridge protocol (bridges/PROTOCOL.md), or drives one that is.
+"""Makes a simulator available over RoboGate's bridge protocol (bridges/PROTOCOL.md), and drives such simulators.
 
-A simulator is a class with the methods of `Simulator`; `serve` does the rest: the socket, the bounds, the checks of
-everything that goes in and out, the typed errors. `Client` asks a server, `robogate serve` among them.
+A simulator is a class with the methods of `Simulator`. `serve` does the rest: the socket, the limits, the checks of all requests
+and replies, and the typed errors. `Client` sends requests to a server, such as `robogate serve`.
 """
 
-from .cell import CONTROL_PERIOD_S, Contact, Motion, Part, Touches, combined, physics_hello, turned, unit
+from .cell import CONTROL_PERIOD_S, Contact, Motion, Part, Touches, arm_observation, combined, physics_hello, turned, unit
 from .client import Client, Refused, Unanswered
 from .errors import Problem
-from .identity import robot_sha256
+from .identity import robot_sha256, state_hash
 from .server import Action, Image, Scenario, Server, Simulator, serve
 from .servo import Fingers, Servo
 
@@ -28,11 +28,13 @@ __all__ = [
     "Simulator",
     "Touches",
     "Unanswered",
+    "arm_observation",
     "combined",
     "physics_hello",
     "robot_sha256",
     "serve",
+    "state_hash",
     "turned",
     "unit",
 ]
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -4,28 +4,52 @@ from dataclasses import dataclass, fields
 from math import inf, sqrt
 
 from .errors import Problem
-from .parameters import PARAMETERS
 
 CONTROL_PERIOD_S = 0.05
 TIME_LIMIT_S = 15.0
 
 
 def physics_hello(server, engine, robot, time_step_s):
-    """The `hello` of physics for RoboGate's cell: `server` and `engine` name themselves, `robot` has a name, a hash and joints."""
+    """The reply to `hello` of a server that computes physics for RoboGate's pick-and-place cell.
+
+    `server` and `engine` are the maps of the protocol. `robot` has a name, a hash and joints. No parameters are declared: all
+    of them act through the cell, which has the values after all random draws.
+    """
     return {
         "server": server,
         "engine": engine,
         "robot": {"name": robot.name, "sha256": robot.sha256},
         "time_step_s": time_step_s,
-        "control_period_s": CONTROL_PERIOD_S,
-        "time_limit_s": TIME_LIMIT_S,
-        "joints": robot.joints,
-        "action_spaces": ["joint_position"],
-        "tool_delta": None,
-        "cameras": [],
-        "parameters": PARAMETERS,
-        "judges": False,
+        "task": {
+            "name": "pick_place",
+            "instruction": "compute the physics of a pick-and-place cell",
+            "control_period_s": CONTROL_PERIOD_S,
+            "time_limit_s": TIME_LIMIT_S,
+            "observation": {
+                "vectors": [
+                    {"name": "joint_positions", "length": len(robot.joints), "unit": "rad"},
+                    {"name": "joint_velocities", "length": len(robot.joints), "unit": "rad/s"},
+                    {"name": "gripper_opening", "length": 1, "unit": "m"},
+                    {"name": "tool_pose", "length": 7},
+                ]
+            },
+            "action": {"spaces": [{"kind": "joint_position", "joints": list(robot.joints)}], "gripper": "binary"},
+        },
+        "scores_itself": False,
         "deterministic": True,
+    }
+
+
+def arm_observation(time_s, joint_positions, joint_velocities, opening_m, tool_pose):
+    """An observation of an arm with a parallel gripper; `tool_pose` is a pose."""
+    return {
+        "time_s": time_s,
+        "vectors": {
+            "joint_positions": joint_positions,
+            "joint_velocities": joint_velocities,
+            "gripper_opening": [opening_m],
+            "tool_pose": [*tool_pose["position"], *tool_pose["orientation"]],
+        },
     }
 
 

@@ -1,4 +1,4 @@
-"""Asks a server of the bridge protocol."""
+"""A client of the bridge protocol."""
 
 import secrets
 
@@ -17,7 +17,7 @@ class Refused(Exception):
 
 
 class Unanswered(Exception):
-    """The server did not answer in time, or not with what was asked for."""
+    """The server did not answer in time, or its reply is not one to the request."""
 
 
 class Client:
@@ -35,12 +35,12 @@ class Client:
         return self._ask("hello", 0)[0]
 
     def reset(self, parameters=None, seed=0, index=0, cell=None):
-        """Begins an episode."""
+        """Begin an episode."""
         self.episode, self.tick = secrets.randbits(63) + 1, 0
         return self._ask("reset", self.episode, index=index, seed=seed, parameters=parameters or {}, cell=cell)[0]
 
     def step(self, actions, action_space="tool_delta"):
-        """Runs the actions, one for each control period; the list of steps, shorter where the episode ended."""
+        """Run the actions, one for each control period. Returns the steps: fewer than actions if the episode ended."""
         if actions and not isinstance(actions[0], (list, tuple)):
             actions = [actions]
         rows = [[float(x) for x in action] for action in actions]
@@ -49,7 +49,7 @@ class Client:
         return reply["steps"]
 
     def render(self, cameras=None):
-        """Pictures by camera: width, height and bytes."""
+        """Images by camera: width, height and bytes."""
         more = {} if cameras is None else {"cameras": list(cameras)}
         reply, frames = self._ask("render", self.episode, **more)
         return {
@@ -85,9 +85,13 @@ class Client:
         except codec.Malformed as why:
             self._drop()
             raise Unanswered(f"{self._address}: {why}") from why
-        if reply.get("v") != codec.VERSION or reply.get("episode") != episode:
+        if reply.get("v") != codec.VERSION:
             self._drop()
-            raise Unanswered(f"{self._address} answered for another version or episode")
+            theirs = reply.get("v")
+            raise Unanswered(f"{self._address} speaks protocol version {theirs}; this client speaks {codec.VERSION}")
+        if reply.get("episode") != episode:
+            self._drop()
+            raise Unanswered(f"{self._address} answered for another episode")
         if reply.get("ok") is not True:
             error = reply.get("error") or {}
             raise Refused(error.get("kind", "internal"), error.get("detail", "without a reason"))

@@ -4,7 +4,7 @@ from math import isfinite
 
 import msgpack
 
-VERSION = 1
+VERSION = 2
 MAX_HEADER = 4 << 20
 MAX_MESSAGE = 64 << 20
 MAX_NESTING = 16
@@ -14,13 +14,15 @@ MAX_ACTIONS = 256
 MAX_JOINTS = 32
 MAX_CAMERAS = 16
 MAX_PARAMETERS = 256
+MAX_NUMBERS = 4096
+MAX_TICKS = 1_000_000
 MAX_SIGHTS = 4096
 MAX_PIXELS = 4096
 MAX_NUMBER = 2**64 - 1
 
 
 class Malformed(ValueError):
-    """Bytes that are no header."""
+    """Bytes that are not a valid header."""
 
 
 def encode(header):
@@ -32,7 +34,7 @@ def encode(header):
 
 
 def decode(data):
-    """The header in these bytes, held to the bounds."""
+    """The header in these bytes, checked against the limits."""
     if len(data) > MAX_HEADER:
         raise Malformed(f"the header has {len(data)} bytes, {MAX_HEADER} are allowed")
     try:
@@ -47,9 +49,9 @@ def decode(data):
             max_map_len=MAX_ENTRIES,
         )
     except Exception as why:  # msgpack has no common ancestor for its errors
-        raise Malformed(f"the header is no MessagePack within the bounds: {why}") from why
+        raise Malformed(f"the header is not MessagePack within the limits: {why}") from why
     if not isinstance(header, dict):
-        raise Malformed("the header is no map")
+        raise Malformed("the header is not a map")
     _look(header, 1, "")
     return header
 
@@ -63,7 +65,7 @@ def _look(value, depth, where):
             raise Malformed(f"{where} is nested too deep, {MAX_NESTING} levels are allowed")
         for key, item in value.items():
             if not isinstance(key, str):
-                raise Malformed(f"a key of {where or 'the header'} is no string")
+                raise Malformed(f"a key of {where or 'the header'} is not a string")
             if not isinstance(item, (str, int)):
                 _look(item, depth + 1, f"{where}.{key}" if where else key)
     elif isinstance(value, list):

@@ -1,6 +1,7 @@
-"""The identity of a robot: a hash over its files."""
+"""Hashes: of a robot's files, and of a simulator's state."""
 
 import hashlib
+import struct
 from pathlib import Path
 
 
@@ -15,3 +16,9 @@ def robot_sha256(folder):
             digest.update(len(part).to_bytes(8, "little"))
             digest.update(part)
     return digest.hexdigest()
+
+
+def state_hash(*numbers):
+    """A 64-bit hash over these numbers, which are the full state of a simulator."""
+    state = struct.pack(f"<{len(numbers)}d", *numbers)
+    return int.from_bytes(hashlib.blake2b(state, digest_size=8).digest(), "little")

@@ -1,41 +1,59 @@
-"""The server loop: one question, one answer, and nothing that a client sends ends it."""
+"""The server loop: each request gets one reply, and no request ends the server."""
 
 import ipaddress
 import json
+import random
 import signal
 import sys
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import zmq
 
-from . import codec, shape
+from . import codec, declaration, shape
 from .errors import FATAL, Problem
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """What a reset asks for. All that is random must depend on `seed` and `index` alone."""
+    """What to set up. All randomness must depend on `seed` and `index` alone."""
 
     index: int
     seed: int
+    # The requested parameters.
     parameters: dict[str, float | int | str]
-    cell: dict[str, Any] | None
+    # The cell, for a server that only computes physics.
+    cell: dict[str, Any] | None = None
+    # Every declared parameter: as requested, otherwise its nominal value, if it has one.
+    values: dict[str, float | int | str] = field(default_factory=dict)
+
+    def random(self):
+        """A random number generator for this episode."""
+        return random.Random(f"{self.seed}/{self.index}")
 
 
 @dataclass(frozen=True)
 class Action:
-    """One control period's action: `arm` is joint positions (rad), or six numbers from -1 to 1 for `tool_delta`."""
+    """The action of one control period.
+
+    `space` is one of the task's action spaces. `numbers` are joint positions (rad or m), six numbers from -1 to 1 for
+    `tool_delta`, or the numbers of the task's own vector. `gripper` is from -1 (open) to 1 (close); None without a gripper.
+    """
 
     space: str
-    arm: list[float]
-    close: bool
+    numbers: list[float]
+    gripper: float | None = None
+
+    @property
+    def close(self):
+        """Whether a binary gripper closes."""
+        return self.gripper is not None and self.gripper > 0.0
 
 
 @dataclass(frozen=True)
 class Image:
-    """A camera's picture: `rgb` holds 3 x width x height bytes, row by row from the top left."""
+    """An image of a camera: `rgb` has 3 x width x height bytes, row by row from the top left."""
 
     camera: str
     width: int
@@ -44,39 +62,44 @@ class Image:
 
 
 class Simulator(Protocol):
-    """What a server puts behind the protocol. Answers are the maps of bridges/PROTOCOL.md; NumPy arrays will do for lists.
+    """What a server makes available. Return values are the maps of bridges/PROTOCOL.md; NumPy arrays are accepted as lists.
 
-    Raise `Problem` for what the protocol has a kind for; anything else that is raised becomes `internal`.
+    Raise `Problem` for an error of a kind that the protocol knows. Any other exception becomes `internal`. `render` and `close`
+    may be left out where they are not needed.
     """
 
     def hello(self) -> dict:
-        """All keys of the reply to `hello`, but `quaternion_order` and `image_origin`, which are fixed."""
+        """The reply to `hello`, without `quaternion_order` and `image_origin`, which are fixed."""
 
     def reset(self, scenario: Scenario) -> dict:
-        """Sets the scenario up. `observation` and, judging, `task` and `applied`; otherwise `readback` and `sight`."""
+        """Set up the scenario. Return `observation`, and `applied` and optionally `instance`; a server that does not score
+        itself returns `readback` and `sight` instead of these."""
 
     def step(self, action: Action) -> dict:
-        """Runs one control period; one entry of the reply's `steps`."""
+        """Run one control period. Return one entry of the reply's `steps`; `state_hash` may be left out."""
 
     def state_hash(self) -> int:
-        """A hash over the full state, below 2^64."""
+        """A hash over the full state, below 2^64: `robogate_bridge.state_hash` computes one."""
 
     def render(self, cameras: list[str]) -> list[Image]:
-        """What these cameras show, in this order. Only called where `hello` names cameras."""
+        """The images of these cameras, in this order. Only called where the task declares cameras."""
 
     def close(self) -> None:
         """The episode is over."""
 
 
 class Server:
-    """Answers requests. `answer` takes the frames of one request and gives those of its reply, whatever they are."""
+    """Answers requests. `answer` takes the frames of any request and returns those of its reply."""
 
     def __init__(self, simulator: Simulator):
         self._simulator = simulator
-        self._hello = shape.hello(simulator.hello())
-        self._joints = len(self._hello["joints"])
-        self._period = self._hello["control_period_s"]
-        self._sights = round(self._period / self._hello["time_step_s"])
+        self._hello = declaration.hello(simulator.hello())
+        self._task = self._hello["task"]
+        self._parameters = {spec["name"]: spec for spec in self._task["parameters"]}
+        self._spaces = {space["kind"]: space for space in self._task["action"]["spaces"]}
+        self._period = self._task["control_period_s"]
+        step = self._hello["time_step_s"]
+        self._sights = 0 if step is None else round(self._period / step)
         self._episode: int | None = None
         self._tick = 0
 
@@ -89,11 +112,12 @@ class Server:
                 request = codec.decode(frames[0])
                 episode = _u64(request, "episode")
                 if request.get("v") != codec.VERSION:
-                    raise Problem("bad_request", f"this server speaks version {codec.VERSION} of the protocol")
+                    detail = f"this server speaks protocol version {codec.VERSION}, the request has version {request.get('v')}"
+                    raise Problem("bad_request", detail)
                 operation = self._operations.get(request.get("op"))
                 if operation is None:
                     known = ", ".join(self._operations)
-                    raise Problem("bad_request", f"there is no op {request.get('op')!r}; there are {known}")
+                    raise Problem("bad_request", f"unknown operation {request.get('op')!r}. Expected one of: {known}")
                 fields, images = operation(self, request, episode)
                 header = codec.encode({"v": codec.VERSION, "episode": episode, "ok": True, **fields})
                 return [header, *images]
@@ -115,12 +139,16 @@ class Server:
         return self._hello, []
 
     def _do_reset(self, request, episode):
-        scenario = Scenario(_u64(request, "index"), _u64(request, "seed"), self._parameters(request), self._cell(request))
+        requested = self._requested(request)
+        nominal = {name: spec["nominal"] for name, spec in self._parameters.items() if "nominal" in spec}
+        scenario = Scenario(
+            _u64(request, "index"), _u64(request, "seed"), requested, self._cell(request), nominal | requested
+        )
         self._over()
         answer = self._simulator.reset(scenario)
-        fields = {"observation": shape.observation(shape.entry(answer, "observation", "reset"), self._joints, 0.0)}
-        if self._hello["judges"]:
-            fields["task"] = shape.task(shape.entry(answer, "task", "reset"))
+        fields = {"observation": shape.observation(shape.entry(answer, "observation", "reset"), self._task, 0.0)}
+        if self._hello["scores_itself"]:
+            fields["instance"] = shape.instance(answer.get("instance"), self._task)
             fields["applied"] = shape.applied(shape.entry(answer, "applied", "reset"))
         else:
             fields["readback"] = shape.readback(shape.entry(answer, "readback", "reset"))
@@ -129,25 +157,25 @@ class Server:
         return fields, []
 
     def _do_step(self, request, episode):
-        self._under_way(episode)
+        self._running(episode)
         if _u64(request, "tick") != self._tick:
-            raise Problem("bad_request", f"tick {request['tick']} was asked for, {self._tick} is due")
+            raise Problem("bad_request", f"the request is for tick {request['tick']}; expected tick {self._tick}")
         steps = []
         for action in self._actions(request):
             self._tick += 1
             answer = self._simulator.step(action)
             where = f"steps[{len(steps)}]"
-            steps.append(
-                shape.step(answer, self._joints, self._tick * self._period, self._hello["judges"], self._sights, where)
-            )
+            result = shape.step(answer, self._hello, self._tick * self._period, self._sights, where)
+            digest = answer["state_hash"] if "state_hash" in answer else self._simulator.state_hash()
+            steps.append(result | {"state_hash": shape.integer(digest, f"{where}.state_hash")})
             if steps[-1].get("ending") is not None:
                 self._over()
                 break
         return {"steps": steps}, []
 
     def _do_render(self, request, episode):
-        self._under_way(episode)
-        known = {camera["name"]: camera for camera in self._hello["cameras"]}
+        self._running(episode)
+        known = {camera["name"]: camera for camera in self._task["observation"]["cameras"]}
         if not known:
             raise Problem("unsupported", "this simulator has no cameras")
         wanted = request.get("cameras")
@@ -158,19 +186,19 @@ class Server:
         for name, image in zip(wanted, self._simulator.render(wanted), strict=True):
             size = (image.width, image.height)
             if image.camera != name or size != (known[name]["width"], known[name]["height"]):
-                raise shape.wrong(f"the picture of {name}", "of the size that hello said")
+                raise shape.wrong(f"the image of {name}", "of the size that the task declares")
             if len(image.rgb) != 3 * image.width * image.height:
-                raise shape.wrong(f"the picture of {name}", f"{3 * image.width * image.height} bytes")
+                raise shape.wrong(f"the image of {name}", f"{3 * image.width * image.height} bytes")
             frames.append(image.rgb)
             images.append({"camera": name, "width": size[0], "height": size[1], "frame": len(frames)})
         return {"tick": self._tick, "images": images}, frames
 
     def _do_hash(self, request, episode):
-        self._under_way(episode)
-        return {"tick": self._tick, "state_hash": shape.whole(self._simulator.state_hash(), "state_hash")}, []
+        self._running(episode)
+        return {"tick": self._tick, "state_hash": shape.integer(self._simulator.state_hash(), "state_hash")}, []
 
     def _do_close(self, request, episode):
-        self._under_way(episode)
+        self._running(episode)
         self._over()
         return {}, []
 
@@ -183,33 +211,36 @@ class Server:
         "close": _do_close,
     }
 
-    def _under_way(self, episode):
+    def _running(self, episode):
         if self._episode is None:
-            raise Problem("bad_request", "no episode is under way")
+            raise Problem("bad_request", "no episode is running")
         if episode != self._episode:
-            raise Problem("bad_request", f"episode {episode} is not the one under way")
+            raise Problem("bad_request", f"episode {episode} is not running")
 
     def _over(self):
         if self._episode is not None:
             self._episode = None
-            self._simulator.close()
+            if hasattr(self._simulator, "close"):
+                self._simulator.close()
 
-    def _parameters(self, request):
+    def _requested(self, request):
         parameters = request.get("parameters")
         if not isinstance(parameters, dict) or len(parameters) > codec.MAX_PARAMETERS:
             raise Problem("bad_request", f"parameters must be a map of up to {codec.MAX_PARAMETERS} entries")
         for name, value in parameters.items():
             if isinstance(value, bool) or not isinstance(value, (float, int, str)):
                 raise Problem("bad_request", f"parameter {name} must be a number or a string")
-            if name not in self._hello["parameters"]:
-                raise Problem("not_applied", f"this server cannot apply the parameter {name}")
+            if name not in self._parameters:
+                raise Problem("not_applied", f"the task {self._task['name']} declares no parameter {name}")
+            if (expected := declaration.refusal(self._parameters[name], value)) is not None:
+                raise Problem("setup", f"parameter {name} = {value}: expected {expected}")
         return parameters
 
     def _cell(self, request):
         cell = request.get("cell")
-        if self._hello["judges"]:
+        if self._hello["scores_itself"]:
             if cell is not None:
-                raise Problem("bad_request", "this server has a world of its own and takes no cell")
+                raise Problem("bad_request", "this server has its own task and takes no cell")
         elif not isinstance(cell, dict):
             raise Problem("bad_request", "this server needs a cell")
         elif cell.get("control_period_s") != self._period:
@@ -217,40 +248,55 @@ class Server:
         return cell
 
     def _actions(self, request):
-        space, actions = request.get("action_space"), request.get("actions")
-        if space not in self._hello["action_spaces"]:
-            raise Problem("bad_request", f"action_space must be one of {', '.join(self._hello['action_spaces'])}")
+        kind, actions = request.get("action_space"), request.get("actions")
+        if not isinstance(kind, str) or kind not in self._spaces:
+            raise Problem("bad_request", f"action_space must be one of {', '.join(self._spaces)}")
         if not isinstance(actions, list) or not 1 <= len(actions) <= codec.MAX_ACTIONS:
             raise Problem("bad_request", f"actions must be a list of 1 to {codec.MAX_ACTIONS}")
-        due = 7 if space == "tool_delta" else self._joints + 1
+        space, gripper = self._spaces[kind], self._task["action"].get("gripper")
+        count = {"joint_position": len(space.get("joints", [])), "tool_delta": 6, "vector": len(space.get("names", []))}[kind]
+        expected = count + (gripper is not None)
         out = []
         for action in actions:
-            # Finite they are: the header was looked at.
-            if not isinstance(action, list) or len(action) != due or not all(type(x) in (float, int) for x in action):
-                raise Problem("bad_action", f"an action in {space} has {due} numbers, got {str(action)[:200]}")
-            arm = [float(x) for x in action[:-1]]
-            if space == "tool_delta":
-                arm = [min(max(x, -1.0), 1.0) for x in arm]
-            out.append(Action(space, arm, action[-1] > 0))
+            # They are finite: the header was checked.
+            if not isinstance(action, list) or len(action) != expected or not all(type(x) in (float, int) for x in action):
+                raise Problem("bad_action", f"an action of {kind} has {expected} numbers, got {str(action)[:200]}")
+            numbers = [float(x) for x in action[:count]]
+            if kind == "tool_delta":
+                numbers = [min(max(x, -1.0), 1.0) for x in numbers]
+            elif kind == "vector":
+                _bounded(numbers, space)
+            out.append(Action(kind, numbers, None if gripper is None else min(max(float(action[-1]), -1.0), 1.0)))
         return out
+
+
+def _bounded(numbers, space):
+    for name, x, low, high in zip(space["names"], numbers, space["low"], space["high"]):
+        # Beyond a bound by rounding is within it.
+        room = 1e-6 * (high - low)
+        if not low - room <= x <= high + room:
+            raise Problem("bad_action", f"{name} is {x}; expected {low} to {high}")
 
 
 def _u64(request, key):
     value = request.get(key)
     if type(value) is not int or not 0 <= value <= codec.MAX_NUMBER:
-        raise Problem("bad_request", f"{key} must be a whole number from 0 to 2^64 - 1")
+        raise Problem("bad_request", f"{key} must be an integer from 0 to 2^64 - 1")
     return value
 
 
 def serve(simulator: Simulator, bind: str = "tcp://127.0.0.1:5570", allow_remote: bool = False) -> None:
-    """Serves until it is interrupted. `tcp://127.0.0.1:*` takes a free port.
+    """Serve until interrupted. `tcp://127.0.0.1:*` takes a free port.
 
-    The address that it listens on is printed as one line of JSON, `{"listening": "tcp://..."}`. An address that
-    other machines reach needs `allow_remote`: the protocol has no authentication.
+    Prints the address as one line of JSON, `{"listening": "tcp://..."}`. An address that other machines can reach requires
+    `allow_remote`: the protocol has no authentication.
     """
     if not allow_remote and not loopback(bind):
-        raise SystemExit(f"{bind} is reached by other machines and the protocol has no authentication: use allow_remote")
-    server = Server(simulator)
+        raise SystemExit(f"{bind}: other machines can reach this address, and the protocol has no authentication. Use allow_remote")
+    try:
+        server = Server(simulator)
+    except Problem as problem:
+        raise SystemExit(f"error: {problem.detail}") from None
     context = zmq.Context()
     socket = context.socket(zmq.REP)
     socket.setsockopt(zmq.LINGER, 200)
@@ -265,6 +311,9 @@ def serve(simulator: Simulator, bind: str = "tcp://127.0.0.1:5570", allow_remote
             raise SystemExit(f"cannot listen on {bind}: {why.strerror}") from None
         print(json.dumps({"listening": socket.getsockopt(zmq.LAST_ENDPOINT).decode().rstrip("\0")}), flush=True)
         while True:
+            # A signal that arrives just before the socket blocks is only noticed when it returns.
+            if not socket.poll(500):
+                continue
             socket.send_multipart(server.answer(socket.recv_multipart()), copy=False)
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)

@@ -1,12 +1,13 @@
-"""Shapes of the protocol: each function takes what a simulator answered and returns it in plain numbers, or says what
-is wrong. A number that is not finite is `diverged`; anything else is `internal`: the simulator's own mistake."""
+"""Checks of what a simulator returns. Each function returns the value in plain numbers, or says what is wrong with it.
+
+A number that is not finite is `diverged`. Anything else that is wrong is `internal`: a mistake in the simulator's code.
+"""
 
 from math import isfinite
 
 from . import codec
 from .errors import Problem
 
-FAILURES = ("grasp_miss", "grip_loss", "collision", "timeout")
 KINDS = ("box", "cylinder", "sphere")
 
 
@@ -18,7 +19,7 @@ def entry(value, key, where):
     try:
         return value[key]
     except (KeyError, TypeError, IndexError):
-        raise wrong(f"{where}.{key}", "there") from None
+        raise wrong(f"{where}.{key}", "present") from None
 
 
 def number(value, where):
@@ -53,26 +54,37 @@ def flag(value, where):
     return bool(value)
 
 
-def word(value, where, choices=None):
+def text(value, where, choices=None):
     if not isinstance(value, str) or len(value.encode()) > codec.MAX_STRING or (choices and value not in choices):
-        raise wrong(where, f"one of {', '.join(choices)}" if choices else "a string")
+        raise wrong(where, f"one of {', '.join(choices)}" if choices else "a string of at most 4096 bytes")
     return value
 
 
-def words(value, where, most=codec.MAX_ENTRIES):
+def texts(value, where, most=codec.MAX_ENTRIES):
     if not isinstance(value, (list, tuple)) or len(value) > most:
         raise wrong(where, f"a list of up to {most} strings")
-    return [word(item, f"{where}[{i}]") for i, item in enumerate(value)]
+    return [text(item, f"{where}[{i}]") for i, item in enumerate(value)]
 
 
-def whole(value, where, low=0, high=codec.MAX_NUMBER):
+def integer(value, where, low=0, high=codec.MAX_NUMBER):
     try:
         n = int(value)
     except (TypeError, ValueError, OverflowError):
-        raise wrong(where, "a whole number") from None
+        raise wrong(where, "an integer") from None
     if n != value or not low <= n <= high:
-        raise wrong(where, f"a whole number from {low} to {high}, not {value!r}")
+        raise wrong(where, f"an integer from {low} to {high}, not {value!r}")
     return n
+
+
+def plain(value, where):
+    """Data of any form that a header may contain."""
+    if value is None or isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, dict):
+        return {text(key, where): plain(item, f"{where}.{key}") for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item, f"{where}[{i}]") for i, item in enumerate(value)]
+    return value if isinstance(value, int) else number(value, where)
 
 
 def pose(value, where):
@@ -84,76 +96,28 @@ def pose(value, where):
     return {"position": position, "orientation": orientation}
 
 
-def observation(value, joints, time_s, where="observation"):
-    time = number(entry(value, "time_s", where), f"{where}.time_s")
+def observation(value, task, time_s, where="observation"):
+    """An observation; `time_s` may be left out."""
+    time = number(value.get("time_s", time_s), f"{where}.time_s")
     if abs(time - time_s) > 1e-6:
         raise wrong(f"{where}.time_s", f"{time_s}, not {time}")
-    return {
-        "time_s": time,
-        "joint_positions": numbers(entry(value, "joint_positions", where), joints, f"{where}.joint_positions"),
-        "joint_velocities": numbers(entry(value, "joint_velocities", where), joints, f"{where}.joint_velocities"),
-        "gripper_opening_m": optional(entry(value, "gripper_opening_m", where), f"{where}.gripper_opening_m"),
-        "tool_pose": pose(entry(value, "tool_pose", where), f"{where}.tool_pose"),
+    given = entry(value, "vectors", where)
+    declared = {spec["name"]: spec["length"] for spec in task["observation"]["vectors"]}
+    for name in given:
+        if name not in declared:
+            raise wrong(f"{where}.vectors", f"those that the task declares; it does not declare {name!r}")
+    vectors = {
+        name: numbers(entry(given, name, f"{where}.vectors"), length, f"{where}.vectors.{name}")
+        for name, length in declared.items()
     }
-
-
-def hello(value):
-    w = "hello"
-    joints = words(entry(value, "joints", w), "hello.joints", codec.MAX_JOINTS)
-    judges = flag(entry(value, "judges", w), "hello.judges")
-    spaces = words(entry(value, "action_spaces", w), "hello.action_spaces", 2)
-    if not joints or not spaces or any(space not in ("joint_position", "tool_delta") for space in spaces):
-        raise wrong(w, "with joints, and with action_spaces out of joint_position and tool_delta")
-    if not judges and spaces != ["joint_position"]:
-        raise wrong("hello.action_spaces", "joint_position alone, as the server does not judge")
-    delta = value.get("tool_delta")
-    if ("tool_delta" in spaces) != (delta is not None):
-        raise wrong("hello.tool_delta", "there exactly where tool_delta is an action space")
-    if delta is not None:
-        delta = {key: number(entry(delta, key, "hello.tool_delta"), f"hello.tool_delta.{key}")
-                 for key in ("translation_m", "rotation_rad")}
-    engine, robot = entry(value, "engine", w), entry(value, "robot", w)
-    cameras = [
-        {
-            "name": word(entry(camera, "name", "hello.cameras"), "hello.cameras.name"),
-            "width": whole(entry(camera, "width", "hello.cameras"), "hello.cameras.width", 1, codec.MAX_PIXELS),
-            "height": whole(entry(camera, "height", "hello.cameras"), "hello.cameras.height", 1, codec.MAX_PIXELS),
-        }
-        for camera in value.get("cameras", [])
-    ]
-    if len(cameras) > codec.MAX_CAMERAS:
-        raise wrong("hello.cameras", f"{codec.MAX_CAMERAS} at most")
-    out = {
-        "server": {k: word(entry(value["server"], k, "hello.server"), f"hello.server.{k}") for k in ("name", "version")},
-        "engine": {
-            "name": word(entry(engine, "name", "hello.engine"), "hello.engine.name"),
-            "version": word(entry(engine, "version", "hello.engine"), "hello.engine.version"),
-            "solver": None if engine.get("solver") is None else word(engine["solver"], "hello.engine.solver"),
-        },
-        "robot": {
-            "name": word(entry(robot, "name", "hello.robot"), "hello.robot.name"),
-            "sha256": None if robot.get("sha256") is None else word(robot["sha256"], "hello.robot.sha256"),
-        },
-        "joints": joints,
-        "action_spaces": spaces,
-        "tool_delta": delta,
-        "cameras": cameras,
-        "quaternion_order": "wxyz",
-        "image_origin": "top_left",
-        "parameters": words(entry(value, "parameters", w), "hello.parameters", codec.MAX_PARAMETERS),
-        "judges": judges,
-        "deterministic": flag(entry(value, "deterministic", w), "hello.deterministic"),
-    }
-    for key in ("time_step_s", "control_period_s", "time_limit_s"):
-        out[key] = number(entry(value, key, w), f"hello.{key}")
-    steps = out["control_period_s"] / out["time_step_s"] if out["time_step_s"] > 0 else 0
-    if steps < 1 or abs(steps - round(steps)) > 1e-6:
-        raise wrong("hello.control_period_s", "a whole number of time steps")
-    return out
+    w, x, y, z = vectors["tool_pose"][3:] if "tool_pose" in vectors else (1.0, 0.0, 0.0, 0.0)
+    if abs(w * w + x * x + y * y + z * z - 1.0) > 2e-6:
+        raise wrong(f"{where}.vectors.tool_pose", f"x, y, z and a unit quaternion (w, x, y, z), not {[w, x, y, z]}")
+    return {"time_s": time, "vectors": vectors}
 
 
 def primitive(value, where):
-    kind = word(entry(value, "kind", where), f"{where}.kind", KINDS)
+    kind = text(entry(value, "kind", where), f"{where}.kind", KINDS)
     keys = {"box": (), "cylinder": ("radius", "half_height"), "sphere": ("radius",)}[kind]
     out = {"kind": kind} | {key: number(entry(value, key, where), f"{where}.{key}") for key in keys}
     if kind == "box":
@@ -185,7 +149,7 @@ def readback(value):
         at = f"{w}.fixtures[{i}]"
         shape = fixture.get("primitive")
         out["fixtures"].append({
-            "fixture": whole(entry(fixture, "fixture", at), f"{at}.fixture"),
+            "fixture": integer(entry(fixture, "fixture", at), f"{at}.fixture"),
             "primitive": None if shape is None else primitive(shape, f"{at}.primitive"),
             "pose": pose(entry(fixture, "pose", at), f"{at}.pose"),
             "motion": motion(fixture.get("motion"), f"{at}.motion"),
@@ -201,8 +165,8 @@ def sight(value, where="sight"):
     if collision is not None:
         at = f"{where}.collision"
         collision = {
-            "robot_body": word(entry(collision, "robot_body", at), f"{at}.robot_body"),
-            "fixture": whole(entry(collision, "fixture", at), f"{at}.fixture"),
+            "robot_body": text(entry(collision, "robot_body", at), f"{at}.robot_body"),
+            "fixture": integer(entry(collision, "fixture", at), f"{at}.fixture"),
             "force_n": number(entry(collision, "force_n", at), f"{at}.force_n"),
         }
     velocity = entry(value, "object_velocity", where)
@@ -223,15 +187,12 @@ def sight(value, where="sight"):
     }
 
 
-def task(value):
-    w = "task"
-    out = {key: word(entry(value, key, w), f"{w}.{key}") for key in ("instruction", "shape")}
-    for key in ("control_period_s", "time_limit_s", "tolerance_m"):
-        out[key] = number(entry(value, key, w), f"{w}.{key}")
-    out["object_extent_m"] = numbers(entry(value, "object_extent_m", w), 3, f"{w}.object_extent_m")
-    for key in ("object_pose", "target_pose"):
-        out[key] = pose(entry(value, key, w), f"{w}.{key}")
-    out["approach_speed_m_s"] = optional(value.get("approach_speed_m_s"), f"{w}.approach_speed_m_s")
+def instance(value, task):
+    """What is special about an episode; the instruction is that of the task where it is left out."""
+    value = value or {}
+    out = {"instruction": text(value.get("instruction", task["instruction"]), "instance.instruction")}
+    if value.get("details") is not None:
+        out["details"] = plain(value["details"], "instance.details")
     return out
 
 
@@ -242,41 +203,42 @@ def applied(value):
     for name, item in value.items():
         if isinstance(item, bool):
             raise wrong(f"applied.{name}", "a number or a string")
-        out[word(name, "applied")] = item if isinstance(item, (str, int)) else number(item, f"applied.{name}")
+        out[text(name, "applied")] = item if isinstance(item, (str, int)) else number(item, f"applied.{name}")
     return out
 
 
-def ending(value, where):
+def measures(value, where):
+    if not isinstance(value, dict):
+        raise wrong(where, "a map from name to number or None")
+    return {text(name, where): optional(item, f"{where}.{name}") for name, item in value.items()}
+
+
+def ending(value, time_s, where):
+    """How the episode ended. `failure` is None for a success; anything else is a failure, declared or not."""
     if value is None:
         return None
-    failure, contact = entry(value, "failure", where), entry(value, "contact", where)
+    failure, contact = entry(value, "failure", where), value.get("contact")
     if contact is not None:
         at = f"{where}.contact"
         contact = {
-            "robot_body": word(entry(contact, "robot_body", at), f"{at}.robot_body"),
-            "other_body": word(entry(contact, "other_body", at), f"{at}.other_body"),
+            "robot_body": text(entry(contact, "robot_body", at), f"{at}.robot_body"),
+            "other_body": text(entry(contact, "other_body", at), f"{at}.other_body"),
             "force_n": number(entry(contact, "force_n", at), f"{at}.force_n"),
         }
     return {
-        "failure": None if failure is None else word(failure, f"{where}.failure", FAILURES),
-        "time_s": number(entry(value, "time_s", where), f"{where}.time_s"),
+        "failure": None if failure is None else str(failure)[:200],
+        "time_s": number(value.get("time_s", time_s), f"{where}.time_s"),
         "contact": contact,
     }
 
 
-def step(value, joints, time_s, judges, sights, where):
-    out = {
-        "observation": observation(entry(value, "observation", where), joints, time_s, f"{where}.observation"),
-        "state_hash": whole(entry(value, "state_hash", where), f"{where}.state_hash"),
-    }
-    if judges:
-        measures = entry(value, "measures", where)
-        out["measures"] = {
-            key: optional(measures.get(key), f"{where}.measures.{key}")
-            for key in ("peak_contact_force_n", "slip_m", "min_clearance_m", "target_distance_m")
-        }
-        out["ending"] = ending(entry(value, "ending", where), f"{where}.ending")
-        out["events"] = words(value.get("events", []), f"{where}.events")
+def step(value, hello, time_s, sights, where):
+    """One entry of the reply to `step`, without its `state_hash`."""
+    out = {"observation": observation(entry(value, "observation", where), hello["task"], time_s, f"{where}.observation")}
+    if hello["scores_itself"]:
+        out["measures"] = measures(value.get("measures", {}), f"{where}.measures")
+        out["ending"] = ending(value.get("ending"), time_s, f"{where}.ending")
+        out["events"] = texts(value.get("events", []), f"{where}.events")
     else:
         seen = entry(value, "sights", where)
         if len(seen) != sights:

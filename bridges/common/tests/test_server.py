@@ -1,7 +1,11 @@
-"""The server's claims: it answers everything, believes nothing, and passes on only what keeps the protocol."""
+"""Tests of the server: it answers every request, checks everything, and sends only what keeps the protocol."""
 
+import importlib.util
+import json
 import math
+import os
 import random
+import subprocess
 import sys
 import unittest
 from pathlib import Path
@@ -10,9 +14,11 @@ import msgpack
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from robogate_bridge import Contact, Fingers, Problem, Server, Servo, codec
+from robogate_bridge import Client, Contact, Fingers, Problem, Server, Servo, codec
 from robogate_bridge.server import loopback
-from toy import Gantry, Still
+from toy import Gantry, Still, Tank
+
+ROOT = Path(__file__).resolve().parents[3]
 
 CELL = {
     "control_period_s": 0.05,
@@ -44,7 +50,7 @@ CELL = {
 
 
 def ask(server, op, episode=7, **fields):
-    frames = server.answer([codec.encode({"v": 1, "op": op, "episode": episode, **fields})])
+    frames = server.answer([codec.encode({"v": codec.VERSION, "op": op, "episode": episode, **fields})])
     return codec.decode(frames[0]) | {"frames": frames[1:]}
 
 
@@ -68,42 +74,43 @@ class TheContact(unittest.TestCase):
 
 
 class TheServer(unittest.TestCase):
-    def refuses(self, reply, kind):
+    def rejects(self, reply, kind):
         self.assertFalse(reply["ok"], reply)
         self.assertEqual(reply["error"]["kind"], kind, reply)
 
-    def test_carries_an_episode_to_its_end_and_no_further(self):
+    def test_an_ending_stops_the_episode(self):
         server = Server(Gantry())
         reply = ask(server, "reset", index=3, seed=1, parameters={"offset_x_m": 0.01, "mass_kg": 1})
         self.assertEqual(reply["applied"]["mass_kg"], 1.0)
-        position = reply["observation"]["tool_pose"]["position"]
+        position = reply["observation"]["vectors"]["tool_pose"][:3]
+        self.assertEqual(reply["instance"]["instruction"], "carry the box to the target")
         self.assertEqual(position, Gantry.START)
         to_object = [0.51, 0.0, 0.025, -1.0]
         actions = [to_object, to_object[:3] + [1.0], [0.4, 0.4, 0.1, 1.0], [0.4, 0.4, 0.1, -1.0], [0.0] * 4]
         reply = ask(server, "step", tick=0, action_space="joint_position", actions=actions)
         self.assertEqual(len(reply["steps"]), 4)
         self.assertEqual(reply["steps"][-1]["ending"], {"failure": None, "time_s": 0.2, "contact": None})
-        self.refuses(ask(server, "step", tick=4, action_space="joint_position", actions=[[0.0] * 4]), "bad_request")
+        self.rejects(ask(server, "step", tick=4, action_space="joint_position", actions=[[0.0] * 4]), "bad_request")
 
-    def test_cuts_tool_deltas_to_one_and_scales_them(self):
+    def test_tool_deltas_are_clipped_and_scaled(self):
         server = begun()
         reply = ask(server, "step", tick=0, action_space="tool_delta", actions=[[0.5, -9.0, 0, 0, 0, 0, -1]])
-        x, y, z = reply["steps"][0]["observation"]["tool_pose"]["position"]
+        x, y, z = reply["steps"][0]["observation"]["vectors"]["tool_pose"][:3]
         self.assertAlmostEqual(x, 0.51)
         self.assertAlmostEqual(y, -0.02)
         self.assertAlmostEqual(z, 0.3)
 
-    def test_answers_for_the_episode_and_tick_under_way_alone(self):
+    def test_other_episodes_and_ticks_are_rejected(self):
         server = begun()
         action = {"action_space": "joint_position", "actions": [[0.5, 0, 0.3, -1]]}
-        self.refuses(ask(server, "step", episode=8, tick=0, **action), "bad_request")
-        self.refuses(ask(server, "step", tick=1, **action), "bad_request")
+        self.rejects(ask(server, "step", episode=8, tick=0, **action), "bad_request")
+        self.rejects(ask(server, "step", tick=1, **action), "bad_request")
         self.assertTrue(ask(server, "step", tick=0, **action)["ok"])
-        self.refuses(ask(server, "step", tick=0, **action), "bad_request")
+        self.rejects(ask(server, "step", tick=0, **action), "bad_request")
         self.assertTrue(ask(server, "close")["ok"])
-        self.refuses(ask(server, "hash"), "bad_request")
+        self.rejects(ask(server, "hash"), "bad_request")
 
-    def test_refuses_actions_and_parameters_that_are_none(self):
+    def test_invalid_actions_and_parameters_are_rejected(self):
         server = begun()
         for space, action in [
             ("joint_position", [0.0] * 3),
@@ -111,49 +118,49 @@ class TheServer(unittest.TestCase):
             ("tool_delta", [0.0] * 8),
             ("tool_delta", [True] * 7),
         ]:
-            self.refuses(ask(server, "step", tick=0, action_space=space, actions=[action]), "bad_action")
-        nan = msgpack.packb({"v": 1, "op": "step", "episode": 7, "actions": [[math.nan]]})
-        self.refuses(codec.decode(server.answer([nan])[0]), "bad_request")
-        self.refuses(ask(server, "reset", index=0, seed=0, parameters={"friction": 1.0}), "not_applied")
-        self.refuses(ask(server, "reset", index=0, seed=0, parameters={"mass_kg": 0.0}), "setup")
-        self.refuses(ask(server, "reset", index=-1, seed=0, parameters={}), "bad_request")
+            self.rejects(ask(server, "step", tick=0, action_space=space, actions=[action]), "bad_action")
+        nan = msgpack.packb({"v": codec.VERSION, "op": "step", "episode": 7, "actions": [[math.nan]]})
+        self.rejects(codec.decode(server.answer([nan])[0]), "bad_request")
+        self.rejects(ask(server, "reset", index=0, seed=0, parameters={"friction": 1.0}), "not_applied")
+        self.rejects(ask(server, "reset", index=0, seed=0, parameters={"mass_kg": 0.0}), "setup")
+        self.rejects(ask(server, "reset", index=-1, seed=0, parameters={}), "bad_request")
 
-    def test_shows_pictures_of_the_size_that_it_said(self):
+    def test_images_have_the_declared_size(self):
         reply = ask(begun(), "render")
         self.assertEqual(reply["images"], [{"camera": "front", "width": 256, "height": 256, "frame": 1}])
         self.assertEqual([len(frame) for frame in reply["frames"]], [3 * 256 * 256])
-        self.refuses(ask(begun(), "render", cameras=["behind"]), "bad_request")
+        self.rejects(ask(begun(), "render", cameras=["behind"]), "bad_request")
 
-    def test_passes_on_no_answer_that_breaks_the_protocol(self):
-        lies = {
-            "diverged": lambda o: o["joint_positions"].__setitem__(1, math.nan),
-            "internal": lambda o: o["joint_positions"].append(0.0),
+    def test_invalid_answers_are_not_sent(self):
+        changes = {
+            "diverged": lambda joints: joints.__setitem__(1, math.nan),
+            "internal": lambda joints: joints.append(0.0),
         }
-        for kind, lie in lies.items():
+        for kind, change in changes.items():
 
-            class Liar(Gantry):
+            class Broken(Gantry):
                 def observation(self):
-                    o = super().observation() | {"joint_positions": list(self.hand)}
+                    observation = super().observation()
                     if self.ticks == 1:
-                        lie(o)
-                    return o
+                        change(observation["vectors"]["joint_positions"])
+                    return observation
 
-            server = begun(Liar())
+            server = begun(Broken())
             reply = ask(server, "step", tick=0, action_space="tool_delta", actions=[[0.0] * 7])
-            self.refuses(reply, kind)
-            self.refuses(ask(server, "hash"), "bad_request")
+            self.rejects(reply, kind)
+            self.rejects(ask(server, "hash"), "bad_request")
             self.assertTrue(ask(server, "reset", index=0, seed=1, parameters={})["ok"])
 
-    def test_reports_every_time_step_where_it_does_not_judge(self):
+    def test_physics_servers_report_every_time_step(self):
         server = begun(Still(), cell=CELL)
         reply = ask(server, "step", tick=0, action_space="joint_position", actions=[[0.01, 1.0], [0.01, 1.0]])
         self.assertEqual([len(step["sights"]) for step in reply["steps"]], [5, 5])
-        self.refuses(ask(server, "reset", index=0, seed=1, parameters={}), "bad_request")
+        self.rejects(ask(server, "reset", index=0, seed=1, parameters={}), "bad_request")
 
-    def test_answers_whatever_it_is_sent(self):
+    def test_every_request_gets_a_reply(self):
         server = begun()
         stream = random.Random(1)
-        whole = codec.encode({"v": 1, "op": "step", "episode": 7, "tick": 0, "action_space": "tool_delta",
+        whole = codec.encode({"v": codec.VERSION, "op": "step", "episode": 7, "tick": 0, "action_space": "tool_delta",
                               "actions": [[0.0] * 7]})
         for _ in range(20_000):
             data = bytearray(whole)
@@ -164,18 +171,142 @@ class TheServer(unittest.TestCase):
                 server = begun()
         deep = b"\x91" * 5000 + b"\x90"
         for data in (b"", deep, b"\x81\xa1v" + deep, b"\xdf\xff\xff\xff\xff", bytes(codec.MAX_HEADER + 1)):
-            self.refuses(codec.decode(server.answer([data])[0]), "bad_request")
-        self.refuses(codec.decode(server.answer([whole, b""])[0]), "bad_request")
+            self.rejects(codec.decode(server.answer([data])[0]), "bad_request")
+        self.rejects(codec.decode(server.answer([whole, b""])[0]), "bad_request")
 
-    def test_knows_which_addresses_others_reach(self):
+    def test_loopback_addresses_are_recognised(self):
         for address in ("tcp://127.0.0.1:5570", "tcp://localhost:1", "tcp://[::1]:*"):
             self.assertTrue(loopback(address), address)
         for address in ("tcp://0.0.0.0:1", "tcp://*:1", "tcp://eth0:1", "tcp://192.168.1.2:1"):
             self.assertFalse(loopback(address), address)
 
-    def test_knows_its_kinds_of_problem(self):
+    def test_unknown_kinds_of_problem_are_rejected(self):
         with self.assertRaises(ValueError):
             Problem("oops", "")
+
+
+class DeclaredTasks(unittest.TestCase):
+    """A task without a robot, with failure modes, measures, parameters and a vector of its own."""
+
+    def ask_tank(self, **parameters):
+        server = Server(Tank())
+        return server, ask(server, "reset", index=0, seed=1, parameters=parameters)
+
+    def test_defaults_are_filled_in(self):
+        task = ask(Server(Tank()), "hello")["task"]
+        self.assertEqual(task["failure_modes"][0], {"name": "overflow", "meaning": "", "severity": "major"})
+        self.assertEqual(task["measures"][0]["better"], "neither")
+        self.assertNotIn("gripper", task["action"])
+
+    def test_an_episode_runs_to_its_own_failure(self):
+        server, reply = self.ask_tank(goal_m=0.5, liquid="oil")
+        self.assertEqual(reply["instance"]["instruction"], "fill the tank with oil")
+        self.assertEqual(reply["observation"], {"time_s": 0.0, "vectors": {"levels": [0.0, 0.5]}})
+        # 21 periods of full inflow raise the level above 1 m.
+        reply = ask(server, "step", tick=0, action_space="vector", actions=[[1.0, 0.0]] * 8)
+        self.assertEqual(len(reply["steps"]), 8)
+        self.assertIsNone(reply["steps"][-1]["measures"]["spilled_l"])
+        reply = ask(server, "step", tick=8, action_space="vector", actions=[[1.0, 0.0]] * 20)
+        self.assertEqual(reply["steps"][-1]["ending"]["failure"], "overflow")
+        server, _ = self.ask_tank(goal_m=0.5)
+        reply = ask(server, "step", tick=0, action_space="vector", actions=[[1.0, 0.0]] * 10 + [[0.0, 0.0]] * 9)
+        ending = reply["steps"][-1]["ending"]
+        self.assertEqual((ending["failure"], len(reply["steps"])), (None, 14))
+        self.assertAlmostEqual(ending["time_s"], 1.4)
+
+    def test_values_and_actions_are_checked(self):
+        for parameters, kind in [
+            ({"goal_m": 0.9}, "setup"),
+            ({"goal_m": 0.5, "leaks": 1.5}, "setup"),
+            ({"goal_m": 0.5, "liquid": "milk"}, "setup"),
+            ({"goal_m": 0.5, "colour": "red"}, "not_applied"),
+            ({}, "setup"),
+        ]:
+            _, reply = self.ask_tank(**parameters)
+            self.assertEqual(reply["error"]["kind"], kind, reply)
+        server, _ = self.ask_tank(goal_m=0.5)
+        for action in ([1.0], [1.0, 0.6], [1.0, 0.0, -1.0]):
+            reply = ask(server, "step", tick=0, action_space="vector", actions=[action])
+            self.assertEqual(reply["error"]["kind"], "bad_action", action)
+
+    def test_any_failure_is_sent(self):
+        for failure, sent in [("jammed at 40 N", "jammed at 40 N"), (7, "7"), (["a"], "['a']"), (False, "False")]:
+
+            class Jams(Tank):
+                def step(self, action):
+                    return super().step(action) | {"ending": {"failure": failure}}
+
+            server = Server(Jams())
+            ask(server, "reset", index=0, seed=1, parameters={"goal_m": 0.5})
+            reply = ask(server, "step", tick=0, action_space="vector", actions=[[1.0, 0.0]])
+            self.assertEqual(reply["steps"][0]["ending"]["failure"], sent)
+
+    def test_invalid_declarations_are_named(self):
+        def changed(change):
+            class Changed(Tank):
+                def hello(self):
+                    hello = super().hello()
+                    change(hello, hello["task"])
+                    return hello
+
+            with self.assertRaises(Problem) as caught:
+                Server(Changed())
+            return caught.exception.detail
+
+        for part, change in [
+            ("without the key 'judges'", lambda hello, task: hello.update(judges=True)),
+            ("without the key 'meassures'", lambda hello, task: task.update(meassures=[])),
+            ("without 'dry' twice", lambda hello, task: task["failure_modes"].append("dry")),
+            ("another name than success", lambda hello, task: task["failure_modes"].append("success")),
+            ("hello.task.time_limit_s", lambda hello, task: task.update(time_limit_s=0.0)),
+            ("nominal must be an integer from 0 to 3", lambda hello, task: task["parameters"][1].update(nominal=4)),
+            ("action.spaces[0].high", lambda hello, task: task["action"]["spaces"][0].update(high=[1])),
+        ]:
+            self.assertIn(part, changed(change))
+
+    def test_version_1_is_rejected_by_name(self):
+        reply = codec.decode(Server(Tank()).answer([codec.encode({"v": 1, "op": "hello", "episode": 0})])[0])
+        self.assertEqual((reply["v"], reply["error"]["kind"]), (2, "bad_request"))
+        self.assertIn("speaks protocol version 2, the request has version 1", reply["error"]["detail"])
+
+
+class TheExamples(unittest.TestCase):
+    def test_the_task_server_scores_a_controller(self):
+        spec = importlib.util.spec_from_file_location("task_server", ROOT / "examples/task_server.py")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        outcomes = []
+        for controller in (lambda s, c, v: 5.0 if v >= 0.0 else -5.0, lambda s, c, v: -20.0 * s - 6.0 * v):
+            server = Server(module.Pendulum())
+            reply = ask(server, "reset", index=0, seed=1, parameters={"start": "tilted", "mass_kg": 0.2})
+            observation, ending, tick = reply["observation"], None, 0
+            while ending is None and tick < 200:
+                (s, c), (v,) = observation["vectors"]["direction"], observation["vectors"]["speed"]
+                action = [min(max(controller(s, c, v), -5.0), 5.0)]
+                (step,) = ask(server, "step", tick=tick, action_space="vector", actions=[action])["steps"]
+                observation, ending, tick = step["observation"], step["ending"], tick + 1
+            outcomes.append(ending["failure"])
+        self.assertEqual(outcomes, ["overspeed", None])
+
+    def test_drive_needs_no_installed_package(self):
+        done = subprocess.run(
+            [sys.executable, ROOT / "bridges/examples/drive.py", "--help"], capture_output=True, text=True, env={}
+        )
+        self.assertEqual(done.returncode, 0, done.stderr)
+
+    def test_a_server_is_reached_over_a_socket(self):
+        environment = os.environ | {"PYTHONPATH": str(ROOT / "bridges/common")}
+        script = ROOT / "bridges/common/tests/toy.py"
+        with subprocess.Popen([sys.executable, script, "--kind", "tank"], stdout=subprocess.PIPE, env=environment) as peer:
+            try:
+                with Client(json.loads(peer.stdout.readline())["listening"]) as client:
+                    self.assertEqual(client.hello()["task"]["name"], "tank")
+                    client.reset({"goal_m": 0.5})
+                    (step,) = client.step([[1.0, 0.0]], "vector")
+                    self.assertAlmostEqual(step["measures"]["level_m"], 0.05)
+            finally:
+                peer.terminate()
+                peer.wait(timeout=10)
 
 
 class TheServo(unittest.TestCase):
@@ -183,7 +314,7 @@ class TheServo(unittest.TestCase):
 
     robot = CELL["robot"]
 
-    def test_trails_a_command_by_half_a_period(self):
+    def test_targets_trail_by_half_a_period(self):
         servo = Servo(self.robot, 0.05)
         servo.command([0.02])
         (q,), (v,) = servo.targets(1.0)
@@ -194,7 +325,7 @@ class TheServo(unittest.TestCase):
         self.assertAlmostEqual(q, 0.02)
         self.assertAlmostEqual(v, 0.0)
 
-    def test_keeps_acceleration_speed_and_range(self):
+    def test_limits_are_kept(self):
         servo = Servo(self.robot, 0.05)
         last, before = 0.0, 0.0
         for _ in range(60):

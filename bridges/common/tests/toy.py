@@ -1,23 +1,27 @@
-"""Two simulators that can be reckoned by hand, for tests of the protocol. No physics: never evidence of anything.
+"""Simulators whose results can be computed by hand, for tests of the protocol. They have no physics and are never evidence.
 
-`Gantry` judges: three sliding joints carry a hand straight to where it is sent; the object goes along while it is gripped.
-`Still` does not judge: its arm is where it was sent to, its object lies where the cell has it.
+`Gantry` scores itself: three sliding joints carry a hand straight to where it is sent; the object goes along while it is gripped.
+`Tank` scores itself and has no robot: two valves fill a tank. `Still` computes physics only: its arm is where it was sent, and
+its object lies where the cell has it.
 """
 
 import argparse
-import struct
-import zlib
 
-from robogate_bridge import Image, Problem, Servo, serve
+from robogate_bridge import Image, Problem, Servo, arm_observation, serve, state_hash
 
 PERIOD = 0.05
 DOWN = [0.0, 1.0, 0.0, 0.0]
 UP = [1.0, 0.0, 0.0, 0.0]
 
 
-def state_hash(*numbers):
-    data = struct.pack(f"<{len(numbers)}d", *numbers)
-    return zlib.crc32(data) << 32 | zlib.adler32(data)
+def arm(joints):
+    """What an arm with these joints observes."""
+    return [
+        {"name": "joint_positions", "length": len(joints), "unit": "m"},
+        {"name": "joint_velocities", "length": len(joints), "unit": "m/s"},
+        {"name": "gripper_opening", "length": 1, "unit": "m"},
+        {"name": "tool_pose", "length": 7},
+    ]
 
 
 class Gantry:
@@ -32,47 +36,50 @@ class Gantry:
     def hello(self):
         return {
             "server": {"name": "toy", "version": "1"},
-            "engine": {"name": "gantry", "version": "1", "solver": None},
-            "robot": {"name": "gantry", "sha256": None},
+            "engine": {"name": "gantry", "version": "1"},
+            "robot": {"name": "gantry"},
             "time_step_s": PERIOD,
-            "control_period_s": PERIOD,
-            "time_limit_s": 10.0,
-            "joints": ["x", "y", "z"],
-            "action_spaces": ["joint_position", "tool_delta"],
-            "tool_delta": {"translation_m": 0.02, "rotation_rad": 0.05},
-            "cameras": [{"name": "front", "width": self.size, "height": self.size}],
-            "parameters": ["offset_x_m", "mass_kg"],
-            "judges": True,
+            "task": {
+                "name": "carry",
+                "instruction": "carry the box to the target",
+                "control_period_s": PERIOD,
+                "time_limit_s": 10.0,
+                "failure_modes": [{"name": "missed", "meaning": "The box was let go beside the target."}],
+                "measures": [{"name": "target_distance_m", "unit": "m", "better": "lower"}],
+                "parameters": [
+                    {"name": "offset_x_m", "unit": "m", "kind": "continuous", "low": -0.1, "high": 0.1, "nominal": 0.0},
+                    {"name": "mass_kg", "unit": "kg", "kind": "continuous", "low": 0.01, "high": 5.0, "nominal": 0.3},
+                ],
+                "observation": {
+                    "vectors": arm("xyz"),
+                    "cameras": [{"name": "front", "width": self.size, "height": self.size}],
+                },
+                "action": {
+                    "spaces": [
+                        {"kind": "joint_position", "joints": ["x", "y", "z"]},
+                        {"kind": "tool_delta", "translation_m": 0.02, "rotation_rad": 0.05},
+                    ],
+                    "gripper": "binary",
+                },
+            },
+            "scores_itself": True,
             "deterministic": True,
         }
 
     def reset(self, scenario):
-        asked = scenario.parameters
-        self.mass = float(asked.get("mass_kg", 0.3))
-        if self.mass <= 0.0:
-            raise Problem("setup", f"an object of {self.mass} kg")
+        self.mass = float(scenario.values["mass_kg"])
         # All that is random depends on seed and index.
-        jitter = 1e-3 * (zlib.crc32(f"{scenario.seed}/{scenario.index}".encode()) / 2**32 - 0.5)
-        self.object = [0.5 + float(asked.get("offset_x_m", 0.0)), jitter, 0.025]
+        jitter = 1e-3 * (scenario.random().random() - 0.5)
+        self.object = [0.5 + float(scenario.values["offset_x_m"]), jitter, 0.025]
         self.hand, self.before, self.ticks, self.held = list(self.START), list(self.START), 0, False
         held = {"mass_kg": self.mass, "offset_x_m": self.object[0] - 0.5}
-        task = {
-            "instruction": "carry the box to the target",
-            "control_period_s": PERIOD,
-            "time_limit_s": 10.0,
-            "shape": "box",
-            "object_extent_m": [0.05] * 3,
-            "object_pose": {"position": [self.object[0], 0.0, 0.025], "orientation": UP},
-            "target_pose": {"position": self.TARGET, "orientation": UP},
-            "tolerance_m": 0.03,
-            "approach_speed_m_s": None,
-        }
-        applied = {name: held[name] for name in asked}
-        return {"observation": self.observation(), "task": task, "applied": applied}
+        instance = {"details": {"object": [self.object[0], 0.0, 0.025], "target": self.TARGET}}
+        applied = {name: held[name] for name in scenario.parameters}
+        return {"observation": self.observation(), "instance": instance, "applied": applied}
 
     def step(self, action):
-        move = action.arm if action.space == "joint_position" else None
-        goal = move or [x + 0.02 * d for x, d in zip(self.hand, action.arm)]
+        move = action.numbers if action.space == "joint_position" else None
+        goal = move or [x + 0.02 * d for x, d in zip(self.hand, action.numbers)]
         self.before, self.hand = self.hand, [float(x) for x in goal]
         self.ticks += 1
         near = sum((a - b) ** 2 for a, b in zip(self.before, self.object)) < 0.01**2
@@ -83,25 +90,19 @@ class Gantry:
         off = ((self.object[0] - self.TARGET[0]) ** 2 + (self.object[1] - self.TARGET[1]) ** 2) ** 0.5
         ending = None
         if released:
-            failure = None if off <= 0.03 else "grip_loss"
-            ending = {"failure": failure, "time_s": self.ticks * PERIOD, "contact": None}
-        measures = {"slip_m": None, "peak_contact_force_n": None, "min_clearance_m": None, "target_distance_m": off}
+            ending = {"failure": None if off <= 0.03 else "missed"}
         return {
             "observation": self.observation(),
             "state_hash": self.state_hash(),
-            "measures": measures,
+            "measures": {"target_distance_m": off},
             "ending": ending,
             "events": ["let go"] if released else [],
         }
 
     def observation(self):
-        return {
-            "time_s": self.ticks * PERIOD,
-            "joint_positions": self.hand,
-            "joint_velocities": [(a - b) / PERIOD for a, b in zip(self.hand, self.before)],
-            "gripper_opening_m": 0.05 if self.held else 0.08,
-            "tool_pose": {"position": self.hand, "orientation": DOWN},
-        }
+        velocities = [(a - b) / PERIOD for a, b in zip(self.hand, self.before)]
+        opening, tool = 0.05 if self.held else 0.08, {"position": self.hand, "orientation": DOWN}
+        return arm_observation(self.ticks * PERIOD, list(self.hand), velocities, opening, tool)
 
     def state_hash(self):
         return state_hash(self.ticks, *self.hand, *self.object, self.held)
@@ -110,22 +111,87 @@ class Gantry:
         colour = bytes([self.ticks % 256]) * (3 * self.size * self.size)
         return [Image(name, self.size, self.size, colour) for name in cameras]
 
-    def close(self):
-        pass
+
+class Tank:
+    """Fill the tank to a level and keep it there for half a second. A negative level never happens."""
+
+    def hello(self):
+        me = {"name": "tank", "version": "1"}
+        parameters = [
+            {"name": "goal_m", "unit": "m", "kind": "continuous", "low": 0.2, "high": 0.8},
+            {"name": "leaks", "kind": "integer", "low": 0, "high": 3, "nominal": 0},
+            {"name": "liquid", "kind": "categorical", "choices": ["water", "oil"], "nominal": "water"},
+        ]
+        task = {
+            "name": "tank",
+            "version": 3,
+            "instruction": "fill the tank",
+            "control_period_s": 0.1,
+            "time_limit_s": 20.0,
+            "failure_modes": ["overflow", {"name": "dry", "severity": "minor"}],
+            "measures": ["spilled_l", {"name": "level_m", "unit": "m"}],
+            "phases": ["fill", "hold"],
+            "parameters": parameters,
+            "observation": {"vectors": [{"name": "levels", "length": 2, "unit": "m"}]},
+            "action": {"spaces": [{"kind": "vector", "names": ["in", "out"], "low": [0, 0], "high": [1, 0.5]}]},
+        }
+        space = {"name": "tank", "parameter": [{"name": "goal_m", "kind": "continuous", "low": 0.3, "high": 0.6}]}
+        return {
+            "server": me, "engine": me, "task": task, "space": space, "scores_itself": True, "deterministic": True,
+        }  # fmt: skip
+
+    def reset(self, scenario):
+        if "goal_m" not in scenario.parameters:
+            raise Problem("setup", "goal_m is required: it has no nominal value")
+        self.values, self.level, self.ticks, self.held = scenario.values, 0.0, 0, 0
+        instruction = f"fill the tank with {self.values['liquid']}"
+        applied = {name: self.values[name] for name in scenario.parameters}
+        return {"observation": self.observation(), "instance": {"instruction": instruction}, "applied": applied}
+
+    def step(self, action):
+        flow_in, flow_out = action.numbers
+        self.level = max(0.0, self.level + 0.05 * (flow_in - flow_out) - 0.005 * self.values["leaks"])
+        self.ticks += 1
+        self.held = self.held + 1 if abs(self.level - self.values["goal_m"]) < 0.05 else 0
+        ending = None
+        if self.level > 1.0:
+            ending = {"failure": "overflow"}
+        elif self.held == 5:
+            ending = {"failure": None}
+        # What is spilled is measured once something was.
+        spilled = self.level - 1.0 if self.level > 1.0 else None
+        return {
+            "observation": self.observation(),
+            "measures": {"spilled_l": spilled, "level_m": self.level},
+            "ending": ending,
+        }
+
+    def observation(self):
+        return {"vectors": {"levels": [self.level, self.values["goal_m"]]}}
+
+    def state_hash(self):
+        return state_hash(self.level, self.ticks, self.held)
 
 
 class Still:
     """A sliding joint in x, a step of 10 ms, an object that lies."""
 
     def hello(self):
-        return Gantry().hello() | {
+        me = {"name": "still", "version": "1"}
+        return {
+            "server": me,
+            "engine": me,
+            "robot": {"name": "still"},
             "time_step_s": 0.01,
-            "joints": ["x"],
-            "action_spaces": ["joint_position"],
-            "tool_delta": None,
-            "cameras": [],
-            "parameters": ["friction"],
-            "judges": False,
+            "task": {
+                "name": "pick_place",
+                "control_period_s": PERIOD,
+                "time_limit_s": 10.0,
+                "observation": {"vectors": arm("x")},
+                "action": {"spaces": [{"kind": "joint_position", "joints": ["x"]}], "gripper": "binary"},
+            },
+            "scores_itself": False,
+            "deterministic": True,
         }
 
     def reset(self, scenario):
@@ -146,7 +212,7 @@ class Still:
         return {"observation": self.observation(), "readback": readback, "sight": self.sight()}
 
     def step(self, action):
-        self.servo.command(action.arm)
+        self.servo.command(action.numbers)
         sights = []
         for k in range(1, 6):
             (self.x,), (self.v,) = self.servo.targets(k / 5)
@@ -163,13 +229,7 @@ class Still:
         return {"position": [self.x, 0.0, 0.3], "orientation": DOWN}
 
     def observation(self):
-        return {
-            "time_s": self.ticks * PERIOD,
-            "joint_positions": [self.x],
-            "joint_velocities": [self.v],
-            "gripper_opening_m": 0.08,
-            "tool_pose": self.tool(),
-        }
+        return arm_observation(self.ticks * PERIOD, [self.x], [self.v], 0.08, self.tool())
 
     def sight(self):
         return {
@@ -187,13 +247,12 @@ class Still:
     def state_hash(self):
         return state_hash(self.ticks, self.x, self.v)
 
-    def close(self):
-        pass
 
+SIMULATORS = {"gantry": Gantry, "tank": Tank, "still": Still}
 
 if __name__ == "__main__":
     arguments = argparse.ArgumentParser()
     arguments.add_argument("--bind", default="tcp://127.0.0.1:*")
-    arguments.add_argument("--kind", choices=["gantry", "still"], default="gantry")
+    arguments.add_argument("--kind", choices=sorted(SIMULATORS), default="gantry")
     chosen = arguments.parse_args()
-    serve(Gantry() if chosen.kind == "gantry" else Still(), chosen.bind)
+    serve(SIMULATORS[chosen.kind](), chosen.bind)

@@ -1,4 +1,4 @@
-"""The cell in Isaac Sim as a simulator of the bridge: physics alone, judged by RoboGate."""
+"""The cell in Isaac Sim as a simulator of the bridge: it computes physics, and RoboGate scores the episode."""
 
 import struct
 from hashlib import blake2b
@@ -10,6 +10,7 @@ from robogate_bridge import (
     Problem,
     Servo,
     Touches,
+    arm_observation,
     combined,
     physics_hello,
     turned,
@@ -62,7 +63,7 @@ class Isaac:
         return {"observation": self._observation(), "readback": self._readback(), "sight": self._sight(Touches())}
 
     def step(self, action):
-        self._servo.command(action.arm)
+        self._servo.command(action.numbers)
         sights = []
         for k in range(1, self._steps + 1):
             positions, velocities = self._servo.targets(k / self._steps)
@@ -104,13 +105,8 @@ class Isaac:
     def _observation(self):
         positions, velocities = self._runtime.joints()
         arm = len(self._robot.joints)
-        return {
-            "time_s": self._ticks * CONTROL_PERIOD_S,
-            "joint_positions": positions[:arm],
-            "joint_velocities": velocities[:arm],
-            "gripper_opening_m": self._opening(),
-            "tool_pose": self._tool_pose(),
-        }
+        time_s, opening = self._ticks * CONTROL_PERIOD_S, self._opening()
+        return arm_observation(time_s, positions[:arm], velocities[:arm], opening, self._tool_pose())
 
     def _sight(self, touches):
         pose, (u, v, w), (a, b, c) = self._runtime.object()

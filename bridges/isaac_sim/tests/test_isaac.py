@@ -84,12 +84,12 @@ def cell():
 def begun(world=None):
     simulator = Isaac(FRANKA, Runtime, version())
     server = Server(simulator)
-    reply = ask(server, "reset", index=0, seed=1, parameters={"friction": 0.4}, cell=world or cell())
+    reply = ask(server, "reset", index=0, seed=1, parameters={}, cell=world or cell())
     return server, reply
 
 
 def ask(server, op, **fields):
-    return codec.decode(server.answer([codec.encode({"v": 1, "op": op, "episode": 7, **fields})])[0])
+    return codec.decode(server.answer([codec.encode({"v": codec.VERSION, "op": op, "episode": 7, **fields})])[0])
 
 
 class TheStage(unittest.TestCase):
@@ -178,19 +178,19 @@ class TheServer(unittest.TestCase):
             self.assertEqual(got["primitive"], want["primitive"])
             np.testing.assert_allclose(got["pose"]["orientation"], want["pose"]["orientation"], atol=1e-9)
             np.testing.assert_allclose(got["pose"]["position"], want["pose"]["position"], atol=1e-9)
-        np.testing.assert_allclose(reply["observation"]["joint_positions"], HOME, atol=1e-6)
-        self.assertAlmostEqual(reply["observation"]["gripper_opening_m"], 0.08, places=6)
+        np.testing.assert_allclose(reply["observation"]["vectors"]["joint_positions"], HOME, atol=1e-6)
+        self.assertAlmostEqual(reply["observation"]["vectors"]["gripper_opening"][0], 0.08, places=6)
 
     def test_drives_the_arm_and_reports_every_time_step(self):
         server, reply = begun()
-        first = reply["observation"]["tool_pose"]["position"]
+        first = reply["observation"]["vectors"]["tool_pose"][:3]
         goal = [q + 0.01 for q in HOME]
         reply = ask(server, "step", tick=0, action_space="joint_position", actions=[[*goal, -1.0]] * 4)
         self.assertTrue(reply["ok"], reply)
         self.assertEqual([len(step["sights"]) for step in reply["steps"]], [20] * 4)
-        last = reply["steps"][-1]["observation"]
+        last = reply["steps"][-1]["observation"]["vectors"]
         np.testing.assert_allclose(last["joint_positions"], goal, atol=1e-6)
-        self.assertGreater(np.linalg.norm(np.subtract(last["tool_pose"]["position"], first)), 1e-3)
+        self.assertGreater(np.linalg.norm(np.subtract(last["tool_pose"][:3], first)), 1e-3)
         # The weight, of both points of contact, never falls on the robot; what only slides presses nothing.
         sight = reply["steps"][-1]["sights"][-1]
         self.assertTrue(sight["object_on_fixture"])

@@ -1,7 +1,7 @@
-"""The cell in Newton as a simulator of the bridge: physics alone, judged by RoboGate."""
+"""The cell in Newton as a simulator of the bridge: it computes physics, and RoboGate scores the episode."""
 
 import newton
-from robogate_bridge import CONTROL_PERIOD_S, Action, Fingers, Problem, Scenario, Servo, physics_hello
+from robogate_bridge import CONTROL_PERIOD_S, Action, Fingers, Problem, Scenario, Servo, arm_observation, physics_hello
 
 from . import __version__
 from .geometry import Geometry
@@ -26,7 +26,7 @@ class Newton:
     def try_out(self, cell):
         """Runs one control period: Newton compiles what it needs, and what it cannot do shows."""
         self.reset(Scenario(index=0, seed=0, parameters={}, cell=cell))
-        self.step(Action("joint_position", cell["robot"]["home_rad"], close=True))
+        self.step(Action("joint_position", cell["robot"]["home_rad"], gripper=1.0))
         self.close()
 
     def hello(self):
@@ -52,7 +52,7 @@ class Newton:
 
     def step(self, action):
         engine = self._engine
-        self._servo.command(action.arm)
+        self._servo.command(action.numbers)
         sights = []
         for k in range(1, self._steps + 1):
             positions, velocities = self._servo.targets(k / self._steps)
@@ -75,10 +75,5 @@ class Newton:
 
     def _observation(self):
         engine = self._engine
-        return {
-            "time_s": self._ticks * CONTROL_PERIOD_S,
-            "joint_positions": engine.joint_positions(),
-            "joint_velocities": engine.joint_velocities(),
-            "gripper_opening_m": engine.opening(),
-            "tool_pose": engine.tool_pose(),
-        }
+        time_s, positions, velocities = self._ticks * CONTROL_PERIOD_S, engine.joint_positions(), engine.joint_velocities()
+        return arm_observation(time_s, positions, velocities, engine.opening(), engine.tool_pose())

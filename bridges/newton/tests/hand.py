@@ -52,7 +52,7 @@ class Hand:
 
     def run(self, joints=None):
         arm = list(self.joints if joints is None else joints)
-        self.steps.append(self.simulator.step(Action("joint_position", arm, self.closed)))
+        self.steps.append(self.simulator.step(Action("joint_position", arm, 1.0 if self.closed else -1.0)))
         self.observation = self.steps[-1]["observation"]
 
     def wait(self, seconds):

@@ -84,15 +84,15 @@ class ThePhysics(unittest.TestCase):
                 hand = begun(solver)
                 hand.go([0.45, 0.2, 0.3], 1.0)
                 hand.wait(0.5)
-                at, turn = CHAIN.tool(hand.observation["joint_positions"])
-                pose = hand.observation["tool_pose"]
-                np.testing.assert_allclose(pose["position"], at, atol=2e-6)
-                w, x, y, z = pose["orientation"]
+                at, turn = CHAIN.tool(hand.observation["vectors"]["joint_positions"])
+                pose = hand.observation["vectors"]["tool_pose"]
+                np.testing.assert_allclose(pose[:3], at, atol=2e-6)
+                w, x, y, z = pose[3:]
                 np.testing.assert_allclose(
                     [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], turn[:, 0], atol=5e-6
                 )
                 # And the drives bring the arm where it was sent.
-                np.testing.assert_allclose(hand.observation["joint_positions"], hand.joints, atol=1e-3)
+                np.testing.assert_allclose(hand.observation["vectors"]["joint_positions"], hand.joints, atol=1e-3)
 
     def test_reads_back_what_was_asked_for(self):
         motion = {"velocity_m_s": [0.0, 0.2, 0.0], "starts_s": 0.5, "ends_s": 2.0}
@@ -299,7 +299,7 @@ class TheServer(unittest.TestCase):
                 server = Server(SIMULATORS[solver])
 
                 def ask(op, server=server, **fields):
-                    request = codec.encode({"v": 1, "op": op, "episode": 1, **fields})
+                    request = codec.encode({"v": codec.VERSION, "op": op, "episode": 1, **fields})
                     return codec.decode(server.answer([request])[0])
 
                 self.assertTrue(ask("reset", index=0, seed=0, parameters={}, cell=cell)["ok"])

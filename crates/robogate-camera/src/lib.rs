@@ -116,6 +116,17 @@ impl Cameras {
         self
     }
 
+    /// The names of the cameras, in the order of the images.
+    pub fn names(&self) -> impl Iterator<Item = &'static str> {
+        CAMERAS.into_iter()
+    }
+
+    /// Width and height of the images, in pixels.
+    pub fn size(&self) -> (usize, usize) {
+        let [width, height] = self.size;
+        (width, height)
+    }
+
     /// Sets a scene up.
     pub fn set_up(&mut self, scene: &Scene) {
         self.scene = Some(Stage::new(scene, front_pose()));

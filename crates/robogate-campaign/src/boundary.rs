@@ -15,7 +15,7 @@ use robogate_core::{Assignment, Domain, Parameter, ParameterSpace};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{AlongParameter, Bin, Bins, BoundaryStage, Emphasis, Plan, PlanError, Range};
+use crate::{Bin, Bins, BoundaryStage, Emphasis, MarginalEffect, Plan, PlanError, Range};
 
 /// What the first stage says about the boundary, and what the second one does with it. Together with the
 /// parameter space it is all that the second stage's points depend on besides plan and seed.
@@ -35,12 +35,13 @@ pub struct BoundaryReport {
     pub emphasis: Option<EmphasisFound>,
 }
 
-/// The boundary along one continuous parameter.
+/// The boundary of one continuous parameter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ParameterBoundary {
     /// The bins and what was counted in them.
     #[serde(flatten)]
-    pub along: AlongParameter,
+    #[serde(alias = "along")]
+    pub effect: MarginalEffect,
     /// Which bins lie in the band, counted from 0.
     pub in_band: Vec<usize>,
     /// From the lower end of the first bin in the band to the upper end of the last, if there is any.
@@ -102,7 +103,7 @@ impl BoundaryReport {
     /// Finds the boundary in what the first stage counted.
     pub fn find(stage: &BoundaryStage, space: &ParameterSpace, bins: &Bins) -> Result<Self, PlanError> {
         let parameters: Vec<ParameterBoundary> =
-            bins.along().into_iter().map(|along| boundary_along(stage, space, along)).collect();
+            bins.marginal_effects().into_iter().map(|effect| parameter_boundary(stage, space, effect)).collect();
         let restricted = stage
             .restrict
             .iter()
@@ -135,14 +136,14 @@ impl BoundaryReport {
 
     /// Whether no bin of any parameter holds a valid episode.
     pub fn is_without_evidence(&self) -> bool {
-        self.parameters.iter().flat_map(|parameter| &parameter.along.bins).all(|bin| bin.valid == 0)
+        self.parameters.iter().flat_map(|parameter| &parameter.effect.bins).all(|bin| bin.valid == 0)
     }
 
     /// The spaces that the second stage draws from. `space` is the operating space.
     pub fn focus(&self, space: &ParameterSpace) -> Result<Focus, PlanError> {
         let narrow = |parameter: &Parameter| match &parameter.domain {
             Domain::Continuous { scale, .. } => {
-                let found = self.parameters.iter().find(|p| *p.along.parameter == *parameter.name);
+                let found = self.parameters.iter().find(|p| *p.effect.parameter == *parameter.name);
                 found.map(|p| Domain::Continuous { low: p.drawn[0], high: p.drawn[1], scale: *scale })
             }
             Domain::Integer { .. } => {
@@ -187,17 +188,17 @@ fn beyond(emphasis: &Emphasis, volume: &ParameterSpace) -> Vec<String> {
     emphasis.conditions.iter().filter(misses).map(|c| c.parameter.clone()).collect()
 }
 
-fn boundary_along(stage: &BoundaryStage, space: &ParameterSpace, along: AlongParameter) -> ParameterBoundary {
+fn parameter_boundary(stage: &BoundaryStage, space: &ParameterSpace, effect: MarginalEffect) -> ParameterBoundary {
     let [low, high] = stage.band;
     // No rate where there is no evidence, hence not in the band.
     let is_boundary = |bin: &Bin| bin.success_rate.is_some_and(|rate| low <= rate && rate <= high);
-    let in_band: Vec<usize> = (0..along.bins.len()).filter(|i| is_boundary(&along.bins[*i])).collect();
+    let in_band: Vec<usize> = (0..effect.bins.len()).filter(|i| is_boundary(&effect.bins[*i])).collect();
     let span = match (in_band.first(), in_band.last()) {
-        (Some(first), Some(last)) => Some([along.bins[*first].low, along.bins[*last].high]),
+        (Some(first), Some(last)) => Some([effect.bins[*first].low, effect.bins[*last].high]),
         _ => None,
     };
     let fallback = || {
-        let range: &Range = stage.fallback.iter().find(|range| range.parameter == along.parameter)?;
+        let range: &Range = stage.fallback.iter().find(|range| range.parameter == effect.parameter)?;
         match range.within(domain(space, &range.parameter)?)? {
             Domain::Continuous { low, high, .. } => Some([low, high]),
             _ => None,
@@ -208,12 +209,12 @@ fn boundary_along(stage: &BoundaryStage, space: &ParameterSpace, along: AlongPar
         None => match fallback() {
             Some(range) => (range, DrawnFrom::Fallback),
             None => {
-                let ends = [along.bins.first().map_or(0.0, |b| b.low), along.bins.last().map_or(0.0, |b| b.high)];
+                let ends = [effect.bins.first().map_or(0.0, |b| b.low), effect.bins.last().map_or(0.0, |b| b.high)];
                 (ends, DrawnFrom::WholeRange)
             }
         },
     };
-    ParameterBoundary { along, in_band, span, drawn, drawn_from }
+    ParameterBoundary { effect, in_band, span, drawn, drawn_from }
 }
 
 fn domain<'a>(space: &'a ParameterSpace, parameter: &str) -> Option<&'a Domain> {

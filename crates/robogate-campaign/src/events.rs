@@ -85,7 +85,7 @@ impl Event {
         Self::Episode {
             stage,
             index: episode.scenario.index,
-            outcome: episode.outcome.word().to_owned(),
+            outcome: episode.outcome.as_str().to_owned(),
             fault: match &episode.outcome {
                 Outcome::Invalid(fault) => Some(fault.to_string()),
                 _ => None,

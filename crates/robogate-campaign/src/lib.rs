@@ -18,12 +18,12 @@
 //! In place of both stages a plan may name a suite ([`Plan::of_suite`]): every scenario once in each round, and
 //! [`start_in_rounds`] asks after each whether that is enough.
 //!
-//! Simulators and policies come from a [`Workshop`]: this crate knows none by name. What happens is
-//! told in one stream of [`Event`]s.
+//! Episodes are run by an [`Executor`], whose workers come from a [`WorkerFactory`]: this crate knows no environment and
+//! no policy by name. What happens is reported in one stream of [`Event`]s.
 
 pub mod boundary;
 mod events;
-mod execute;
+mod executor;
 pub mod folder;
 mod plan;
 mod run;
@@ -31,12 +31,13 @@ mod stage;
 mod suite;
 mod summary;
 mod tally;
+mod threads;
 
 pub use boundary::{
     BoundaryReport, DrawnFrom, EmphasisFound, Focus, ParameterBoundary, PooledWeights, Region, Restricted,
 };
 pub use events::{Event, Warning};
-pub use execute::{Crew, ExecuteError, Station, Workshop, execute};
+pub use executor::{ExecuteError, Executor, Worker, WorkerFactory};
 pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, Range, UniformStage};
 pub use run::{Completion, RunError, Settings, recorded, resume, resume_in_rounds, settings, start, start_in_rounds};
 pub use stage::{Points, Stage};
@@ -44,4 +45,5 @@ pub use suite::{
     BUILT_IN_SUITES, GroupSummary, INDUSTRIAL_68, Round, SuiteStage, SuiteSummary, built_in_suite, suite_sha256,
 };
 pub use summary::{Estimate, FaultCount, ModeCount, Population, StageSummary, Summary};
-pub use tally::{AlongParameter, Bin, Bins, OutcomeCounts};
+pub use tally::{Bin, Bins, MarginalEffect, OutcomeCounts};
+pub use threads::ThreadPool;

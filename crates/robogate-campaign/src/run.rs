@@ -17,7 +17,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use robogate_core::{DesignError, Episode, Fault, Outcome, ParameterSpace};
+use robogate_core::{DesignError, Episode, Outcome, ParameterSpace};
 use robogate_dictionary::{Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Provenance};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -26,8 +26,8 @@ use serde_json::Value;
 use crate::folder::{self, BOUNDARY, DICTIONARY, Folder, JOURNAL, PLAN, SUMMARY};
 use crate::summary::Summing;
 use crate::{
-    Bins, BoundaryReport, Crew, Event, ExecuteError, OutcomeCounts, Plan, PlanError, Points, Round, Stage, SuiteStage,
-    Summary, Warning, execute,
+    Bins, BoundaryReport, Event, ExecuteError, Executor, OutcomeCounts, Plan, PlanError, Points, Round, Stage,
+    SuiteStage, Summary, Warning,
 };
 
 /// What stands in `plan.json`: everything that a run's results depend on.
@@ -43,7 +43,7 @@ pub struct Settings {
 
 impl Settings {
     /// The version of this form that is written here, and the newest that is read.
-    pub const VERSION: u32 = 1;
+    pub const VERSION: u32 = 2;
 }
 
 /// How a run came to its end.
@@ -72,10 +72,10 @@ pub fn start(
     dir: &Path,
     plan: &Plan,
     provenance: Provenance,
-    crew: &Crew<'_>,
+    executor: &dyn Executor,
     events: &mut dyn FnMut(&Event),
 ) -> Result<Completion, RunError> {
-    start_in_rounds(dir, plan, provenance, crew, events, &mut |_| ControlFlow::Continue(()))
+    start_in_rounds(dir, plan, provenance, executor, events, &mut |_| ControlFlow::Continue(()))
 }
 
 /// [`start`] of a plan that runs a suite, with somebody who is shown each round and may say that it was the last.
@@ -89,7 +89,7 @@ pub fn start_in_rounds(
     dir: &Path,
     plan: &Plan,
     provenance: Provenance,
-    crew: &Crew<'_>,
+    executor: &dyn Executor,
     events: &mut dyn FnMut(&Event),
     after_round: &mut AfterRound<'_>,
 ) -> Result<Completion, RunError> {
@@ -107,7 +107,7 @@ pub fn start_in_rounds(
     let provenance = Provenance { plan: written, seed: plan.seed, ..provenance };
     let settings = Settings { version: Settings::VERSION, plan: plan.clone(), provenance };
     folder.write(PLAN, &settings)?;
-    Run::new(folder, settings, crew, events, after_round)?.run()
+    Run::new(folder, settings, executor, events, after_round)?.run()
 }
 
 /// Goes on with the campaign in `dir` and ends with the same bytes in every file as if it had never been
@@ -118,10 +118,10 @@ pub fn start_in_rounds(
 pub fn resume(
     dir: &Path,
     provenance: &Provenance,
-    crew: &Crew<'_>,
+    executor: &dyn Executor,
     events: &mut dyn FnMut(&Event),
 ) -> Result<Completion, RunError> {
-    resume_in_rounds(dir, provenance, crew, events, &mut |_| ControlFlow::Continue(()))
+    resume_in_rounds(dir, provenance, executor, events, &mut |_| ControlFlow::Continue(()))
 }
 
 /// [`resume`] of what [`start_in_rounds`] began: `after_round` is shown every round again, from the first on. It is
@@ -129,7 +129,7 @@ pub fn resume(
 pub fn resume_in_rounds(
     dir: &Path,
     provenance: &Provenance,
-    crew: &Crew<'_>,
+    executor: &dyn Executor,
     events: &mut dyn FnMut(&Event),
     after_round: &mut AfterRound<'_>,
 ) -> Result<Completion, RunError> {
@@ -144,10 +144,10 @@ pub fn resume_in_rounds(
     }
     same_origin(&settings.provenance, provenance)?;
     settings.plan.check(&settings.provenance.space)?;
-    Run::new(folder, settings, crew, events, after_round)?.run()
+    Run::new(folder, settings, executor, events, after_round)?.run()
 }
 
-/// What the run in `dir` was begun with: what must be known to make a workshop for [`resume`] or a replay.
+/// What the run in `dir` was begun with: what must be known to make workers for [`resume`] or a replay.
 pub fn settings(dir: &Path) -> Result<Settings, RunError> {
     if !dir.join(PLAN).is_file() {
         return Err(RunError::NotARun { dir: dir.to_owned() });
@@ -229,8 +229,12 @@ fn same_origin(recorded: &Provenance, present: &Provenance) -> Result<(), RunErr
             return Err(RunError::Mismatch { what: what.to_owned(), recorded, present });
         }
     }
-    if let Some((what, recorded, present)) = difference("world".to_owned(), &recorded.world, &present.world) {
-        return Err(RunError::Mismatch { what, recorded, present });
+    let task = |p: &Provenance| serde_json::to_value(&*p.task).unwrap_or_default();
+    let worlds = [("world", recorded.world.clone(), present.world.clone()), ("task", task(recorded), task(present))];
+    for (name, recorded, present) in worlds {
+        if let Some((what, recorded, present)) = difference(name.to_owned(), &recorded, &present) {
+            return Err(RunError::Mismatch { what, recorded, present });
+        }
     }
     if recorded.space != present.space {
         let name = |space: &ParameterSpace| format!("`{}`", space.name());
@@ -265,7 +269,7 @@ struct Run<'a> {
     journal: Journal,
     /// What the first stage's episodes say along each continuous parameter.
     bins: Bins,
-    crew: &'a Crew<'a>,
+    executor: &'a dyn Executor,
     events: &'a mut dyn FnMut(&Event),
     after_round: &'a mut AfterRound<'a>,
     /// How many episodes this process ran, and why the first is invalid, as long as none was valid.
@@ -283,7 +287,7 @@ impl<'a> Run<'a> {
     fn new(
         folder: Folder,
         settings: Settings,
-        crew: &'a Crew<'a>,
+        executor: &'a dyn Executor,
         events: &'a mut dyn FnMut(&Event),
         after_round: &'a mut AfterRound<'a>,
     ) -> Result<Self, RunError> {
@@ -300,12 +304,12 @@ impl<'a> Run<'a> {
         }
         let space = Arc::new(settings.provenance.space.clone());
         let bins = Bins::of(&settings.plan, &space)?;
-        events(&Event::Started { episodes, already_done: journal.len(), threads: crew.threads.get() });
+        events(&Event::Started { episodes, already_done: journal.len(), threads: executor.parallelism() });
         if cut > 0 {
             events(&Event::warning(Warning::RecordCut { bytes: cut }));
         }
         let invalid_so_far = Some((0, String::new()));
-        Ok(Self { folder, settings, space, journal, bins, crew, events, after_round, invalid_so_far })
+        Ok(Self { folder, settings, space, journal, bins, executor, events, after_round, invalid_so_far })
     }
 
     fn run(mut self) -> Result<Completion, RunError> {
@@ -366,7 +370,7 @@ impl<'a> Run<'a> {
     fn stage(&mut self, points: &Points) -> Result<Progress, RunError> {
         let stage = points.stage();
         let (mut outcomes, pending) = self.already_done(points)?;
-        (self.events)(&Event::StageStarted { stage, episodes: points.len(), already_done: outcomes });
+        (self.events)(&Event::StageStarted { stage, episodes: points.len(), already_done: outcomes.clone() });
         if self.run_pending(points, &pending, &mut outcomes)? == Progress::Stopped {
             return Ok(Progress::Stopped);
         }
@@ -380,7 +384,7 @@ impl<'a> Run<'a> {
         let points = Points::suite(suite, self.settings.plan.seed);
         let stage = points.stage();
         let (mut outcomes, pending) = self.already_done(&points)?;
-        (self.events)(&Event::StageStarted { stage, episodes: points.len(), already_done: outcomes });
+        (self.events)(&Event::StageStarted { stage, episodes: points.len(), already_done: outcomes.clone() });
         let mut rounds = 0;
         for number in 0..suite.rounds {
             let indices = suite.indices(number);
@@ -409,8 +413,18 @@ impl<'a> Run<'a> {
     ) -> Result<Progress, RunError> {
         let due = outcomes.total() + pending.len() as u64;
         let scenario = |i: usize| points.scenario(*pending.get(i)?);
-        let crew = self.crew;
-        execute(crew, &scenario, &mut |episode| self.record(points, episode, outcomes))?;
+        let executor = self.executor;
+        let mut problem = None;
+        executor.execute(&scenario, &mut |episode| match self.record(points, episode, outcomes) {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(error) => {
+                problem = Some(error);
+                ControlFlow::Break(())
+            }
+        })?;
+        if let Some(error) = problem {
+            return Err(error);
+        }
         Ok(if outcomes.total() < due { Progress::Stopped } else { Progress::Complete })
     }
 
@@ -454,7 +468,7 @@ impl<'a> Run<'a> {
         let weight =
             points.weight(index).ok_or_else(|| RunError::ForeignEpisode { path: self.folder.path(JOURNAL), index })?;
         let (stage, design) = (points.stage(), points.sampler().to_owned());
-        let entry = Entry { stage: stage.word().to_owned(), design, weight, label: points.label(index), episode };
+        let entry = Entry { stage: stage.as_str().to_owned(), design, weight, label: points.label(index), episode };
         self.journal.append(&entry)?;
         self.count(stage, &entry.episode, outcomes);
         (self.events)(&Event::episode(stage, &entry.episode));
@@ -494,7 +508,7 @@ impl<'a> Run<'a> {
     fn finish(&mut self, rounds: u64) -> Result<Summary, RunError> {
         let plan = &self.settings.plan;
         let mut writer = DictionaryWriter::create(&self.folder.path(DICTIONARY), &self.settings.provenance)?;
-        let mut summing = Summing::new(plan, &self.space)?;
+        let mut summing = Summing::new(plan, &self.settings.provenance.task, &self.space)?;
         for entry in self.journal.ordered() {
             let entry = entry?;
             let stage = match &plan.suite {
@@ -602,12 +616,9 @@ pub enum RunError {
         /// Episodes of the whole campaign.
         episodes: u64,
     },
-    /// Simulator and policy could not be set up.
-    #[error("cannot set up simulator and policy: {0}")]
-    Station(Fault),
-    /// The operating system gives no thread.
-    #[error("cannot start a thread: {0}\nhint: try fewer threads")]
-    Thread(io::Error),
+    /// Not all episodes could be run.
+    #[error(transparent)]
+    Execute(#[from] ExecuteError),
     /// The plan is none, or does not fit the space.
     #[error(transparent)]
     Plan(#[from] PlanError),
@@ -622,16 +633,6 @@ pub enum RunError {
 impl RunError {
     pub(crate) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Io { path: path.to_owned(), action, source }
-    }
-}
-
-impl From<ExecuteError<Self>> for RunError {
-    fn from(error: ExecuteError<Self>) -> Self {
-        match error {
-            ExecuteError::Station(fault) => Self::Station(fault),
-            ExecuteError::Thread(source) => Self::Thread(source),
-            ExecuteError::Receiver(error) => error,
-        }
     }
 }
 

@@ -24,8 +24,8 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// Its word in the dictionary and reports.
-    pub fn word(self) -> &'static str {
+    /// Its name in the dictionary and reports.
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Uniform => "uniform",
             Self::Boundary => "boundary",
@@ -36,7 +36,7 @@ impl Stage {
 
 impl fmt::Display for Stage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.word())
+        f.write_str(self.as_str())
     }
 }
 

@@ -144,9 +144,9 @@ impl Groups {
             category,
             group,
             scenarios,
-            outcomes,
             success_rate: outcomes.success_rate(),
             interval_95: outcomes.interval_95(),
+            outcomes,
         };
         SuiteSummary {
             name: stage.suite.name().to_owned(),

@@ -1,16 +1,17 @@
-//! What came of a campaign, in figures that each say what they speak of.
+//! Campaign summary. Each figure names the population that it estimates.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use robogate_core::{FailureMode, FaultKind, Outcome, ParameterSpace};
+use robogate_core::{FailureMode, FaultKind, Outcome, ParameterSpace, TaskSpec};
 use robogate_dictionary::Entry;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::suite::Groups;
-use crate::{AlongParameter, Bins, OutcomeCounts, Plan, PlanError, Stage, SuiteSummary};
+use crate::{Bins, MarginalEffect, OutcomeCounts, Plan, PlanError, Stage, SuiteSummary};
 
-/// What came of a campaign.
+/// Campaign summary.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Summary {
     /// The version of this form.
@@ -34,13 +35,13 @@ pub struct Summary {
 
 impl Summary {
     /// The version of this form that is written here, and the newest that is read.
-    pub const VERSION: u32 = 1;
+    pub const VERSION: u32 = 2;
 }
 
 /// A success rate and how far it can be trusted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Estimate {
-    /// What it speaks of.
+    /// The population that it estimates.
     pub population: Population,
     /// The stages whose episodes it is made from.
     pub stages: Vec<Stage>,
@@ -52,7 +53,7 @@ pub struct Estimate {
     pub interval_95: [f64; 2],
 }
 
-/// What a figure speaks of.
+/// The population that a figure estimates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Population {
@@ -82,7 +83,7 @@ impl Population {
 pub struct StageSummary {
     /// The stage.
     pub stage: Stage,
-    /// What its rates speak of.
+    /// The population that its rates estimate.
     pub population: Population,
     /// The same in words.
     pub note: String,
@@ -90,7 +91,7 @@ pub struct StageSummary {
     pub episodes: u64,
     /// How many of them are evidence.
     pub valid: u64,
-    /// How many are not, because something under the policy broke.
+    /// How many are not, because the infrastructure failed.
     pub invalid: u64,
     /// How many of the valid ones succeeded.
     pub successes: u64,
@@ -102,23 +103,32 @@ pub struct StageSummary {
     pub failure_modes: Vec<ModeCount>,
     /// Why episodes are invalid.
     pub faults: Vec<FaultCount>,
-    /// Success along each continuous parameter; of the uniform stage only.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub along: Vec<AlongParameter>,
+    /// The marginal effect of each continuous parameter; of the uniform stage only.
+    #[serde(default, skip_serializing_if = "Vec::is_empty", alias = "along")]
+    pub marginal_effects: Vec<MarginalEffect>,
 }
 
 /// How often the policy failed in one way.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ModeCount {
-    /// The failure mode (`grasp_miss`, `grip_loss`, `collision`, `timeout`).
-    pub mode: String,
+    /// The failure mode.
+    #[schemars(with = "String")]
+    pub mode: FailureMode,
+    /// Whether the task declares it; else the failure is of unknown kind.
+    #[serde(default = "declared")]
+    pub declared: bool,
     /// How often.
     pub episodes: u64,
     /// Its share of the failures; absent where nothing failed.
     pub share_of_failures: Option<f64>,
 }
 
-/// How often one class of fault struck.
+/// Summaries of earlier versions know declared modes alone.
+fn declared() -> bool {
+    true
+}
+
+/// How often one class of fault occurred.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct FaultCount {
     /// The class of fault (`diverged`, `setup`, `not_applied`, `bad_action`, `unavailable`).
@@ -136,10 +146,11 @@ pub(crate) struct Summing {
     groups: Option<Groups>,
     faults: BTreeMap<(Stage, FaultKind), u64>,
     bins: Bins,
+    task: Arc<TaskSpec>,
 }
 
 impl Summing {
-    pub(crate) fn new(plan: &Plan, space: &ParameterSpace) -> Result<Self, PlanError> {
+    pub(crate) fn new(plan: &Plan, task: &Arc<TaskSpec>, space: &ParameterSpace) -> Result<Self, PlanError> {
         Ok(Self {
             uniform: OutcomeCounts::default(),
             boundary: OutcomeCounts::default(),
@@ -147,6 +158,7 @@ impl Summing {
             groups: plan.suite.as_ref().map(|stage| Groups::new(&stage.suite)),
             faults: BTreeMap::new(),
             bins: Bins::of(plan, space)?,
+            task: Arc::clone(task),
         })
     }
 
@@ -188,7 +200,7 @@ impl Summing {
             estimate: Estimate {
                 population,
                 stages: vec![first],
-                note: format!("speaks of {}; from the {first} stage alone", population.describe()),
+                note: format!("estimates {}; from the {first} stage alone", population.describe()),
                 success_rate: counts.success_rate(),
                 interval_95: counts.interval_95(),
             },
@@ -213,30 +225,29 @@ impl Summing {
             Stage::Suite => Population::Suite,
         };
         let failures = counts.valid() - counts.success;
-        let mode = |mode| {
-            let episodes = counts.failures(mode);
+        let mode = |(mode, episodes)| {
             let share_of_failures = (failures > 0).then(|| episodes as f64 / failures as f64);
-            ModeCount { mode: mode.word().to_owned(), episodes, share_of_failures }
+            ModeCount { mode, declared: self.task.declares(mode), episodes, share_of_failures }
         };
         StageSummary {
             stage,
             population,
-            note: format!("speaks of {}", population.describe()),
+            note: format!("estimates {}", population.describe()),
             episodes: counts.total(),
             valid: counts.valid(),
             invalid: counts.invalid,
             successes: counts.success,
             success_rate: counts.success_rate(),
             interval_95: counts.interval_95(),
-            failure_modes: FailureMode::ALL.into_iter().map(mode).collect(),
+            failure_modes: counts.modes(&self.task).map(mode).collect(),
             faults: self
                 .faults
                 .iter()
                 .filter(|((of, _), _)| *of == stage)
                 .map(|((_, fault), episodes)| FaultCount { fault: fault.to_string(), episodes: *episodes })
                 .collect(),
-            along: match stage {
-                Stage::Uniform => self.bins.along(),
+            marginal_effects: match stage {
+                Stage::Uniform => self.bins.marginal_effects(),
                 Stage::Boundary | Stage::Suite => Vec::new(),
             },
         }

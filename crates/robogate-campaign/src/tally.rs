@@ -1,13 +1,14 @@
-//! Counts of how episodes went, in all and along each continuous parameter.
+//! Counts of outcomes, in all and in bins of each continuous parameter.
 //!
 //! A tally keeps counts alone: its size does not depend on the number of episodes, and the order in which they are
 //! added does not matter. Intervals are Wilson's at 95 %; they take episodes for
 //! independent draws, which is conservative for a Latin hypercube where the outcome varies
 //! smoothly. Invalid episodes are counted, and count in no rate.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use robogate_core::{Assignment, Domain, FailureMode, Outcome, ParameterSpace, Scale};
+use robogate_core::{Assignment, Domain, FailureMode, Outcome, ParameterSpace, Scale, TaskSpec};
 use robogate_stats::binning::Edges;
 use robogate_stats::{Confidence, Trials, wilson};
 use schemars::JsonSchema;
@@ -15,20 +16,15 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Plan, PlanError};
 
-/// How many episodes went which way.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+/// How many episodes ended in which way.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct OutcomeCounts {
     /// The task was done.
     pub success: u64,
-    /// The gripper closed without the object.
-    pub grasp_miss: u64,
-    /// The object was lost between grasp and release.
-    pub grip_loss: u64,
-    /// The robot touched something that is not the object.
-    pub collision: u64,
-    /// The time limit passed.
-    pub timeout: u64,
-    /// No evidence: something under the policy broke.
+    /// Failures by mode, those that happened.
+    #[serde(flatten)]
+    pub failures: BTreeMap<FailureMode, u64>,
+    /// No evidence: the infrastructure failed.
     pub invalid: u64,
 }
 
@@ -37,27 +33,25 @@ impl OutcomeCounts {
     pub fn add(&mut self, outcome: &Outcome) {
         *match outcome {
             Outcome::Success => &mut self.success,
-            Outcome::Failure(FailureMode::GraspMiss) => &mut self.grasp_miss,
-            Outcome::Failure(FailureMode::GripLoss) => &mut self.grip_loss,
-            Outcome::Failure(FailureMode::Collision) => &mut self.collision,
-            Outcome::Failure(FailureMode::Timeout) => &mut self.timeout,
+            Outcome::Failure(mode) => self.failures.entry(*mode).or_default(),
             Outcome::Invalid(_) => &mut self.invalid,
         } += 1;
     }
 
     /// How many failed in this way.
     pub fn failures(&self, mode: FailureMode) -> u64 {
-        match mode {
-            FailureMode::GraspMiss => self.grasp_miss,
-            FailureMode::GripLoss => self.grip_loss,
-            FailureMode::Collision => self.collision,
-            FailureMode::Timeout => self.timeout,
-        }
+        self.failures.get(&mode).copied().unwrap_or_default()
+    }
+
+    /// The modes of `task` in its order, then those that it does not declare, each with its count.
+    pub fn modes<'a>(&'a self, task: &'a TaskSpec) -> impl Iterator<Item = (FailureMode, u64)> + 'a {
+        let undeclared = self.failures.keys().copied().filter(|mode| !task.declares(*mode));
+        task.modes().chain(undeclared).map(|mode| (mode, self.failures(mode)))
     }
 
     /// How many are evidence: all but the invalid ones.
     pub fn valid(&self) -> u64 {
-        self.success + FailureMode::ALL.iter().map(|mode| self.failures(*mode)).sum::<u64>()
+        self.success + self.failures.values().sum::<u64>()
     }
 
     /// How many there are.
@@ -89,10 +83,10 @@ fn interval_95(successes: u64, valid: u64) -> [f64; 2] {
 
 /// Successes in bins of equal width along each continuous parameter.
 #[derive(Debug, Clone)]
-pub struct Bins(Vec<Along>);
+pub struct Bins(Vec<Marginal>);
 
 #[derive(Debug, Clone)]
-struct Along {
+struct Marginal {
     parameter: Arc<str>,
     scale: Scale,
     edges: Edges,
@@ -113,7 +107,7 @@ impl Bins {
                 let edge = |i| if i == bins { high } else { low + (high - low) * (i as f64 / bins as f64) };
                 let edges = Edges::new((0..=bins).map(edge).collect())
                     .map_err(|_| PlanError::TooNarrow { parameter: parameter.name.to_string(), bins })?;
-                Ok(Along { parameter: Arc::clone(&parameter.name), scale, edges, counts: vec![(0, 0); bins] })
+                Ok(Marginal { parameter: Arc::clone(&parameter.name), scale, edges, counts: vec![(0, 0); bins] })
             })
             .collect::<Result<_, _>>()
             .map(Self)
@@ -141,10 +135,10 @@ impl Bins {
     }
 
     /// What was counted, with rates and intervals, in the order of the space.
-    pub fn along(&self) -> Vec<AlongParameter> {
+    pub fn marginal_effects(&self) -> Vec<MarginalEffect> {
         self.0
             .iter()
-            .map(|along| AlongParameter {
+            .map(|along| MarginalEffect {
                 parameter: along.parameter.to_string(),
                 scale: along.scale,
                 bins: along
@@ -166,9 +160,9 @@ impl Bins {
     }
 }
 
-/// Success along one continuous parameter, whatever the others were.
+/// Success in bins of one continuous parameter, averaged over the others.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct AlongParameter {
+pub struct MarginalEffect {
     /// The parameter's name.
     pub parameter: String,
     /// The scale in which it was drawn; its bins are linear all the same.

@@ -1,8 +1,12 @@
-//! Gaussian copulas: uniform numbers that hang together.
+//! Gaussian copulas: correlated uniform numbers.
 
-use crate::cholesky::cholesky;
-use crate::normal::{cdf, quantile};
+use robogate_maths::dense::Cholesky;
+use robogate_maths::normal::{cdf, quantile};
+
 use crate::{ParameterSpace, SpaceError};
+
+/// A correlation matrix with a smaller pivot is not safely positive definite.
+pub(crate) const SMALLEST_PIVOT: f64 = 1e-6;
 
 /// The correlated parameters of a space and the correlations of their normal scores.
 #[derive(Debug, Clone)]
@@ -12,7 +16,7 @@ pub(crate) struct Copula {
     /// Correlations of normal scores, row by row.
     target: Vec<f64>,
     /// L with target = L L'.
-    factor: Vec<f64>,
+    factor: Cholesky,
 }
 
 impl Copula {
@@ -28,7 +32,7 @@ impl Copula {
             return Ok(None);
         }
         let target = between(&columns, &pairs);
-        let factor = cholesky(&target, columns.len()).map_err(|at| {
+        let factor = Cholesky::new(&target, columns.len(), SMALLEST_PIVOT).map_err(|at| {
             let names = columns[..=at].iter().filter_map(|c| space.parameters().get(*c));
             let names: Vec<String> = names.map(|p| format!("`{}`", p.name)).collect();
             SpaceError::CorrelationsContradict { parameters: names.join(", ") }
@@ -39,11 +43,12 @@ impl Copula {
     /// Turns a point of independent coordinates in [0, 1) into one of correlated coordinates, each still uniform.
     pub(crate) fn join(&self, point: &mut [f64]) {
         let d = self.columns.len();
+        let factor = self.factor.lower();
         // 0 has no normal score; the smallest number drawn beside it has 2^-53.
         let z: Vec<f64> = self.columns.iter().map(|c| quantile(point[*c].max(0.5_f64.powi(54)))).collect();
         // The first is its own.
         for i in 1..d {
-            let y: f64 = self.factor[i * d..=i * d + i].iter().zip(&z).map(|(l, z)| l * z).sum();
+            let y: f64 = factor[i * d..=i * d + i].iter().zip(&z).map(|(l, z)| l * z).sum();
             point[self.columns[i]] = cdf(y).min(1.0 - f64::EPSILON / 2.0);
         }
     }

@@ -1,10 +1,13 @@
-//! How an episode went.
+//! How an episode ended.
 
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How an episode went. A fault is not a failure: it says nothing about the policy.
+use crate::{Word, WordError};
+
+/// How an episode ended. A fault is not a failure: it says nothing about the policy.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
@@ -12,48 +15,103 @@ pub enum Outcome {
     Success,
     /// The policy failed, in this way.
     Failure(FailureMode),
-    /// Nothing can be said about the policy: something under it broke.
+    /// No evidence about the policy: the infrastructure failed.
     Invalid(Fault),
 }
 
 impl Outcome {
-    /// `success`, the failure mode, or `invalid`: the word in the dictionary's `outcome` column.
-    pub fn word(&self) -> &'static str {
+    /// `success`, the failure mode, or `invalid`: the text in the dictionary's `outcome` column.
+    pub fn as_str(&self) -> &'static str {
         match self {
             Self::Success => "success",
-            Self::Failure(mode) => mode.word(),
+            Self::Failure(mode) => mode.as_str(),
             Self::Invalid(_) => "invalid",
         }
     }
 }
 
-/// How a policy fails. The four modes of the paper (section 3.2).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum FailureMode {
-    /// The gripper closed without the object.
-    GraspMiss,
-    /// The object was lost between grasp and release.
-    GripLoss,
-    /// A robot link or finger touched something that is not the object.
-    Collision,
-    /// The time limit passed before the task was done.
-    Timeout,
-}
+/// How a policy failed: a word that the task declares, or one that it does not.
+///
+/// Any word is a failure mode, except those that mean something else in an `outcome` column: `success`, `invalid` and
+/// `none`. A mode that the task did not declare counts as a failure like any other, and reports mark it.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(try_from = "Word", into = "Word")]
+#[schemars(with = "Word")]
+pub struct FailureMode(Word);
 
 impl FailureMode {
-    /// Every mode, in the order in which reports list them.
-    pub const ALL: [Self; 4] = [Self::GraspMiss, Self::GripLoss, Self::Collision, Self::Timeout];
+    /// The time limit passed before the episode ended. Every task has this mode.
+    pub const TIMEOUT: Self = Self(Word::constant("timeout"));
 
-    /// The mode's word in data and reports.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::GraspMiss => "grasp_miss",
-            Self::GripLoss => "grip_loss",
-            Self::Collision => "collision",
-            Self::Timeout => "timeout",
+    /// A failure that nothing usable was said about.
+    pub const UNKNOWN: Self = Self(Word::constant("unknown"));
+
+    const RESERVED: [&'static str; 3] = ["success", "invalid", "none"];
+
+    /// The failure mode of this name.
+    pub fn new(name: &str) -> Result<Self, FailureModeError> {
+        Self::try_from(Word::new(name)?)
+    }
+
+    /// A failure mode that is known when the program is compiled.
+    pub const fn constant(name: &'static str) -> Self {
+        Self(Word::constant(name))
+    }
+
+    /// The failure mode for the word of an environment or file that is not ours: always a failure, by the nearest
+    /// possible name, [`Self::UNKNOWN`] where nothing is left of it.
+    pub fn from_foreign(name: &str) -> Self {
+        Word::nearest(name).and_then(|word| Self::try_from(word).ok()).unwrap_or(Self::UNKNOWN)
+    }
+
+    /// Its name in data and reports.
+    pub const fn as_str(self) -> &'static str {
+        self.0.as_str()
+    }
+}
+
+impl fmt::Display for FailureMode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl fmt::Debug for FailureMode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "FailureMode({})", self.0)
+    }
+}
+
+impl TryFrom<Word> for FailureMode {
+    type Error = FailureModeError;
+
+    fn try_from(name: Word) -> Result<Self, FailureModeError> {
+        // Whatever its case: an `Invalid` beside `invalid` would be taken for it by a reader that ignores case.
+        match Self::RESERVED.iter().any(|reserved| reserved.eq_ignore_ascii_case(name.as_str())) {
+            true => Err(FailureModeError::Reserved { name }),
+            false => Ok(Self(name)),
         }
     }
+}
+
+impl From<FailureMode> for Word {
+    fn from(mode: FailureMode) -> Self {
+        mode.0
+    }
+}
+
+/// Why a name cannot be a failure mode.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum FailureModeError {
+    /// It is not a word.
+    #[error(transparent)]
+    Word(#[from] WordError),
+    /// It already means something else.
+    #[error("`{name}` cannot be a failure mode: `success`, `invalid` and `none` have a meaning of their own")]
+    Reserved {
+        /// The name.
+        name: Word,
+    },
 }
 
 /// Why an episode is no evidence.
@@ -77,15 +135,15 @@ impl Fault {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FaultKind {
-    /// The simulator's state is not finite, or its engine reported that it diverged.
+    /// The environment's state is not finite, or its engine reported that it diverged.
     Diverged,
     /// The scenario could not be set up (an object that starts in contact, an unknown parameter).
     Setup,
-    /// A parameter read back from the simulator is not the one that was asked for.
+    /// A parameter read back from the environment differs from the requested one.
     NotApplied,
-    /// The policy answered with something that is no action (wrong length, not finite).
+    /// The policy's answer is not an action of the task (wrong length, not finite, out of bounds).
     BadAction,
-    /// The policy or simulator went away or did not answer in time.
+    /// The policy or environment went away or did not answer in time.
     Unavailable,
 }
 
@@ -98,5 +156,20 @@ impl fmt::Display for FaultKind {
             Self::BadAction => "bad_action",
             Self::Unavailable => "unavailable",
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reserved_names_stay_failures() {
+        for name in ["success", "Invalid", "none", "", "\u{7}", " "] {
+            assert!(FailureMode::new(name).is_err(), "{name:?}");
+            assert_eq!(FailureMode::from_foreign(name), FailureMode::UNKNOWN, "{name:?}");
+        }
+        assert_eq!(FailureMode::from_foreign("jammed").as_str(), "jammed");
+        assert_eq!(FailureMode::from_foreign("jammed at 40 N").as_str(), "jammed_at_40_N");
     }
 }

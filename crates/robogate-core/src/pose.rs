@@ -21,3 +21,16 @@ impl Pose {
         Self { position, orientation: [half.cos(), 0.0, 0.0, half.sin()] }
     }
 }
+
+impl Pose {
+    /// x, y, z in metres, then the quaternion w, x, y, z.
+    pub fn to_array(&self) -> [f64; 7] {
+        let ([x, y, z], [w, i, j, k]) = (self.position, self.orientation);
+        [x, y, z, w, i, j, k]
+    }
+
+    /// The inverse of [`Self::to_array`].
+    pub fn from_array([x, y, z, w, i, j, k]: [f64; 7]) -> Self {
+        Self { position: [x, y, z], orientation: [w, i, j, k] }
+    }
+}

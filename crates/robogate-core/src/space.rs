@@ -161,6 +161,15 @@ impl Domain {
         }
     }
 
+    /// Both ends of a range, or every word: an environment that accepts these accepts all.
+    pub fn extremes(&self) -> Vec<Value> {
+        match self {
+            Self::Continuous { low, high, .. } => vec![Value::Number(*low), Value::Number(*high)],
+            Self::Integer { low, high } => vec![Value::Integer(*low), Value::Integer(*high)],
+            Self::Categorical { choices } => choices.iter().cloned().map(Value::Category).collect(),
+        }
+    }
+
     /// How many values a discrete domain has; `None` for a continuous one.
     pub fn levels(&self) -> Option<usize> {
         match self {

@@ -1,21 +1,49 @@
 //! The loop between simulator and policy, with a world of one number.
 
+use std::sync::Arc;
+
 use robogate_core::{
-    Action, ArmCommand, Assignment, Contact, Ending, Episode, FailureMode, Fault, FaultKind, GripperCommand, Measures,
-    Observation, Outcome, Phase, Policy, Pose, Scenario, Seed, Simulator, Start, Step, TaskSpec, Value, rollout,
-    rollout_with,
+    Action, ActionSpace, ActionSpec, Assignment, Command, Contact, Ending, Environment, Episode, FailureMode, Fault,
+    FaultKind, Measures, Observation, ObservationSpec, Outcome, Policy, Scenario, Seed, Start, Step, TaskInstance,
+    TaskSpec, Value, VectorSpec, Word, rollout, rollout_with,
 };
 
-/// A number that grows by what the policy asks for.
+const POSITION: Word = Word::constant("position");
+const COLLISION: FailureMode = FailureMode::constant("collision");
+
+/// The task of a line: reach its end.
+fn task(period_s: f64, limit_s: f64) -> Arc<TaskSpec> {
+    Arc::new(TaskSpec {
+        name: Word::constant("line"),
+        version: 1,
+        instruction: "go".to_owned(),
+        control_period_s: period_s,
+        time_limit_s: limit_s,
+        failure_modes: Vec::new(),
+        measures: Vec::new(),
+        phases: Vec::new(),
+        parameters: Vec::new(),
+        observation: ObservationSpec {
+            vectors: vec![VectorSpec { name: POSITION, length: 1, unit: "m".to_owned() }],
+            cameras: Vec::new(),
+        },
+        action: ActionSpec {
+            spaces: vec![ActionSpace::Vector { names: vec!["position".to_owned()], low: vec![-1e4], high: vec![1e4] }],
+            gripper: None,
+        },
+        details: serde_json::Value::Null,
+    })
+}
+
+/// A number that the policy sets.
 struct Line {
+    task: Arc<TaskSpec>,
     /// What happens in the step of this number, from 1.
     endings: Vec<(u32, Option<FailureMode>)>,
     breaks_at: Option<u32>,
     refuses: bool,
     /// Changes what was asked for before it is read back.
     alter: fn(&mut Assignment),
-    period_s: f64,
-    limit_s: f64,
     position: f64,
     steps: u32,
 }
@@ -27,8 +55,7 @@ impl Default for Line {
             breaks_at: None,
             refuses: false,
             alter: |_| {},
-            period_s: 0.1,
-            limit_s: 1.0,
+            task: task(0.1, 1.0),
             position: 0.0,
             steps: 0,
         }
@@ -38,17 +65,18 @@ impl Default for Line {
 impl Line {
     fn observation(&self) -> Observation {
         Observation {
-            time_s: f64::from(self.steps) * self.period_s,
-            joint_positions: vec![self.position],
-            joint_velocities: vec![0.0],
-            gripper_opening_m: None,
-            tool_pose: Pose::IDENTITY,
+            time_s: f64::from(self.steps) * self.task.control_period_s,
+            vectors: vec![(POSITION, vec![self.position])],
             images: Vec::new(),
         }
     }
 }
 
-impl Simulator for Line {
+impl Environment for Line {
+    fn task(&self) -> &Arc<TaskSpec> {
+        &self.task
+    }
+
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
         if self.refuses {
             return Err(Fault::new(FaultKind::Setup, "object starts in contact"));
@@ -57,19 +85,8 @@ impl Simulator for Line {
         self.position = scenario.requested.number("start").unwrap_or(0.0);
         let mut applied = scenario.requested.clone();
         (self.alter)(&mut applied);
-        let nowhere = Pose::upright([0.0; 3], 0.0);
-        let task = TaskSpec {
-            instruction: "go".to_owned(),
-            control_period_s: self.period_s,
-            time_limit_s: self.limit_s,
-            shape: "box".to_owned(),
-            object_extent_m: [0.05; 3],
-            object_pose: nowhere,
-            target_pose: nowhere,
-            tolerance_m: 0.05,
-            approach_speed_m_s: None,
-        };
-        Ok(Start { task, observation: self.observation(), applied })
+        let instance = TaskInstance::default();
+        Ok(Start { instance, observation: self.observation(), applied })
     }
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {
@@ -77,14 +94,14 @@ impl Simulator for Line {
         if self.breaks_at == Some(self.steps) {
             return Err(Fault::new(FaultKind::Diverged, "position is NaN"));
         }
-        let ArmCommand::JointPositions(target) = &action.arm else {
+        let Command::Vector(target) = &action.command else {
             return Err(Fault::new(FaultKind::BadAction, "one position was due"));
         };
         self.position = target[0];
         let ending = self.endings.iter().find(|(at, _)| *at == self.steps).map(|(_, failure)| Ending {
             failure: *failure,
             // Within the period, as a real simulator would say it.
-            time_s: (f64::from(self.steps) - 0.5) * self.period_s,
+            time_s: (f64::from(self.steps) - 0.5) * self.task.control_period_s,
             contact: failure.is_some().then(|| Contact {
                 robot_body: "hand".to_owned(),
                 other_body: "table".to_owned(),
@@ -93,7 +110,7 @@ impl Simulator for Line {
         });
         Ok(Step {
             observation: self.observation(),
-            measures: Measures { slip_m: Some(self.position), ..Measures::default() },
+            measures: [(POSITION, Some(self.position))].into_iter().collect(),
             ending,
             events: Vec::new(),
             state_hash: self.position.to_bits(),
@@ -111,7 +128,11 @@ struct Walker {
 }
 
 impl Policy for Walker {
-    fn reset(&mut self, _: &TaskSpec, seed: Seed) -> Result<(), Fault> {
+    fn check(&self, task: &TaskSpec) -> Result<(), String> {
+        task.action.vector().map(drop).ok_or_else(|| "no vector".to_owned())
+    }
+
+    fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, seed: Seed) -> Result<(), Fault> {
         if self.faults_on_reset {
             return Err(Fault::new(FaultKind::Unavailable, "no answer in 5 s"));
         }
@@ -127,9 +148,9 @@ impl Policy for Walker {
         }
         let stride = self.stream.as_mut().map_or(0.0, robogate_core::Stream::uniform);
         Ok(Action {
-            arm: ArmCommand::JointPositions(vec![observation.joint_positions[0] + stride]),
-            gripper: GripperCommand::Open,
-            phase: Some(if self.acts < 3 { Phase::ApproachAbove } else { Phase::Descend }),
+            command: Command::Vector(vec![observation.vector("position").unwrap_or_default()[0] + stride]),
+            gripper: None,
+            phase: Some(if self.acts < 3 { Word::constant("start") } else { Word::constant("stride") }),
         })
     }
 }
@@ -149,64 +170,64 @@ fn invalid(episode: &Episode) -> &Fault {
 }
 
 #[test]
-fn a_task_that_never_ends_is_a_timeout_after_exactly_limit_over_period_ticks() {
+fn time_limit_is_exact() {
     // 0.1 added ten times, or 30 / 0.02, is not exact in binary; the number of ticks is.
     for (limit_s, period_s, ticks) in
         [(1.0, 0.1, 10), (30.0, 0.02, 1_500), (0.3, 0.1, 3), (0.7, 0.1, 7), (5.0, 1.0 / 30.0, 150)]
     {
-        let episode = run(Line { limit_s, period_s, ..Line::default() });
-        assert_eq!(episode.outcome, Outcome::Failure(FailureMode::Timeout));
+        let episode = run(Line { task: task(period_s, limit_s), ..Line::default() });
+        assert_eq!(episode.outcome, Outcome::Failure(FailureMode::TIMEOUT));
         assert_eq!(episode.ticks, ticks, "{limit_s} / {period_s}");
         assert!((episode.time_s - limit_s).abs() < 1e-9);
     }
 }
 
 #[test]
-fn a_task_without_a_number_of_ticks_is_invalid_and_not_a_timeout() {
+fn impossible_time_limit_is_invalid() {
     for (limit_s, period_s) in [(1.0, 0.0), (f64::NAN, 0.1), (f64::INFINITY, 0.1), (0.0, 0.1), (1.0, -0.1), (1e12, 0.1)]
     {
-        let episode = run(Line { limit_s, period_s, ..Line::default() });
+        let episode = run(Line { task: task(period_s, limit_s), ..Line::default() });
         assert_eq!(invalid(&episode).kind, FaultKind::Setup, "{limit_s} / {period_s}");
         assert_eq!(episode.ticks, 0);
     }
 }
 
 #[test]
-fn an_ending_in_the_last_tick_is_no_timeout() {
+fn ending_in_last_tick_counts() {
     let episode = run(Line { endings: vec![(10, None)], ..Line::default() });
     assert_eq!((episode.outcome, episode.ticks), (Outcome::Success, 10));
     let episode = run(Line { endings: vec![(11, None)], ..Line::default() });
-    assert_eq!((episode.outcome, episode.ticks), (Outcome::Failure(FailureMode::Timeout), 10));
+    assert_eq!((episode.outcome, episode.ticks), (Outcome::Failure(FailureMode::TIMEOUT), 10));
 }
 
 #[test]
-fn the_first_ending_wins_and_nothing_runs_after_it() {
-    let endings = vec![(4, Some(FailureMode::Collision)), (5, None)];
+fn first_ending_wins() {
+    let endings = vec![(4, Some(COLLISION)), (5, None)];
     let mut line = Line { endings, ..Line::default() };
     let mut walker = Walker::default();
     let episode = rollout(&mut line, &mut walker, &scenario(0));
-    assert_eq!(episode.outcome, Outcome::Failure(FailureMode::Collision));
+    assert_eq!(episode.outcome, Outcome::Failure(COLLISION));
     assert_eq!((episode.ticks, line.steps, walker.acts), (4, 4, 4));
     assert!((episode.time_s - 0.35).abs() < 1e-12, "when it happened, not when the period was over");
     assert_eq!(episode.contact.unwrap().other_body, "table");
-    assert_eq!(episode.phase, Some(Phase::Descend));
+    assert_eq!(episode.phase, Some(Word::constant("stride")));
 }
 
 #[test]
-fn success_is_what_the_simulator_says_and_not_the_policy() {
+fn environment_decides_success() {
     let episode = run(Line { endings: vec![(2, None)], ..Line::default() });
     assert_eq!(episode.outcome, Outcome::Success);
     assert_eq!(episode.contact, None);
-    assert_eq!(episode.phase, Some(Phase::ApproachAbove));
+    assert_eq!(episode.phase, Some(Word::constant("start")));
 }
 
 #[test]
-fn a_fault_of_the_policy_is_invalid_and_never_a_failure() {
+fn policy_fault_is_invalid() {
     let mut walker = Walker { faults_at: Some(3), ..Walker::default() };
     let episode = rollout(&mut Line::default(), &mut walker, &scenario(0));
     assert_eq!(invalid(&episode), &Fault::new(FaultKind::BadAction, "7 joints wanted, 6 given"));
     assert_eq!(episode.ticks, 2, "what ran before is kept");
-    assert!(episode.measures.slip_m.is_some());
+    assert!(episode.measures.get("position").is_some());
     let mut walker = Walker { faults_on_reset: true, ..Walker::default() };
     let episode = rollout(&mut Line::default(), &mut walker, &scenario(0));
     assert_eq!(invalid(&episode).kind, FaultKind::Unavailable);
@@ -215,7 +236,7 @@ fn a_fault_of_the_policy_is_invalid_and_never_a_failure() {
 }
 
 #[test]
-fn a_fault_of_the_simulator_is_invalid_and_never_a_failure() {
+fn environment_fault_is_invalid() {
     let episode = run(Line { breaks_at: Some(6), ..Line::default() });
     assert_eq!(invalid(&episode).kind, FaultKind::Diverged);
     assert_eq!(episode.ticks, 5);
@@ -226,19 +247,19 @@ fn a_fault_of_the_simulator_is_invalid_and_never_a_failure() {
 }
 
 #[test]
-fn a_fault_in_the_step_that_would_have_ended_it_is_a_fault() {
+fn fault_beats_ending() {
     let episode = run(Line { breaks_at: Some(4), endings: vec![(4, None)], ..Line::default() });
     assert_eq!(invalid(&episode).kind, FaultKind::Diverged);
 }
 
 #[test]
-fn a_parameter_that_was_not_applied_makes_the_episode_invalid() {
+fn unapplied_parameter_is_invalid() {
     type Alteration = fn(&mut Assignment);
     let alterations: [(Alteration, &str); 4] = [
-        (|a| a.set("start", Value::Number(0.250_001)), "asked for start = 0.25, the simulator has 0.250001"),
-        (|a| a.set("start", Value::Category("0.25".into())), "asked for start = 0.25, the simulator has 0.25"),
-        (|a| a.set("shape", Value::Category("sphere".into())), "asked for shape = box, the simulator has sphere"),
-        (|a| *a = Assignment::default(), "asked for start = 0.25, the simulator has nothing"),
+        (|a| a.set("start", Value::Number(0.250_001)), "requested start = 0.25, the environment has 0.250001"),
+        (|a| a.set("start", Value::Category("0.25".into())), "requested start = 0.25, the environment has 0.25"),
+        (|a| a.set("shape", Value::Category("sphere".into())), "requested shape = box, the environment has sphere"),
+        (|a| *a = Assignment::default(), "requested start = 0.25, the environment has nothing"),
     ];
     for (alter, detail) in alterations {
         let mut walker = Walker::default();
@@ -249,7 +270,7 @@ fn a_parameter_that_was_not_applied_makes_the_episode_invalid() {
 }
 
 #[test]
-fn a_number_that_is_not_finite_counts_as_not_applied() {
+fn non_finite_parameter_is_unapplied() {
     type Alteration = fn(&mut Assignment);
     let alterations: [Alteration; 2] =
         [|a| a.set("start", Value::Number(f64::NAN)), |a| a.set("start", Value::Number(f64::INFINITY))];
@@ -259,7 +280,7 @@ fn a_number_that_is_not_finite_counts_as_not_applied() {
 }
 
 #[test]
-fn single_precision_and_further_parameters_count_as_applied() {
+fn single_precision_is_applied() {
     let mut request = scenario(0);
     request.requested.set("mass_kg", Value::Number(0.1));
     request.requested.set("offset_x_m", Value::Number(0.003));
@@ -276,7 +297,7 @@ fn single_precision_and_further_parameters_count_as_applied() {
 }
 
 #[test]
-fn the_same_inputs_give_the_same_trajectory_and_another_seed_another() {
+fn same_inputs_same_trajectory() {
     let mut used = Line::default();
     let mut walker = Walker::default();
     let first = rollout(&mut used, &mut walker, &scenario(7));
@@ -290,24 +311,65 @@ fn the_same_inputs_give_the_same_trajectory_and_another_seed_another() {
 }
 
 #[test]
-fn the_trajectory_hash_depends_on_order_and_length() {
-    let hash = |limit_s| run(Line { limit_s, ..Line::default() }).trajectory_hash;
+fn hash_depends_on_length() {
+    let hash = |limit_s| run(Line { task: task(0.1, limit_s), ..Line::default() }).trajectory_hash;
     assert_ne!(hash(0.5), hash(0.6));
     assert_ne!(hash(0.1), hash(0.2));
 }
 
 #[test]
-fn an_onlooker_sees_each_tick_in_order_and_changes_nothing() {
+fn observer_changes_nothing() {
     let mut seen = Vec::new();
     let line = || Line { endings: vec![(4, None)], ..Line::default() };
     let episode = rollout_with(&mut line(), &mut Walker::default(), &scenario(3), &mut |tick| {
-        let target = tick.step.observation.joint_positions.clone();
-        assert_eq!(tick.action.arm, ArmCommand::JointPositions(target));
+        let target = tick.step.observation.vector("position").unwrap();
+        assert_eq!(tick.action.command, Command::Vector(target.to_vec()));
         assert!(tick.observation.time_s < tick.step.observation.time_s);
-        assert_eq!(tick.step.observation.joint_positions[0].to_bits(), tick.step.state_hash);
+        assert_eq!(target[0].to_bits(), tick.step.state_hash);
         seen.push(tick.step.observation.time_s);
     });
     assert_eq!(seen.len(), 4);
     assert!(seen.is_sorted());
     assert_eq!(episode, rollout(&mut line(), &mut Walker::default(), &scenario(3)));
+}
+
+#[test]
+fn undeclared_ending_is_a_failure() {
+    let jam = FailureMode::from_foreign("jammed");
+    let episode = run(Line { endings: vec![(3, Some(jam))], ..Line::default() });
+    assert_eq!(episode.outcome, Outcome::Failure(jam));
+    assert!(!task(0.1, 1.0).declares(jam));
+}
+
+/// Answers with one action again and again.
+struct Stubborn(Action);
+
+impl Policy for Stubborn {
+    fn check(&self, _: &TaskSpec) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, _: Seed) -> Result<(), Fault> {
+        Ok(())
+    }
+
+    fn act(&mut self, _: &Observation) -> Result<Action, Fault> {
+        Ok(self.0.clone())
+    }
+}
+
+#[test]
+fn action_outside_the_spec_is_a_fault() {
+    let commands = [
+        Command::Vector(vec![]),
+        Command::Vector(vec![f64::NAN]),
+        Command::Vector(vec![2e4]),
+        Command::JointPosition(vec![0.0]),
+    ];
+    for command in commands {
+        let action = Action { command: command.clone(), gripper: None, phase: None };
+        let episode = rollout(&mut Line::default(), &mut Stubborn(action), &scenario(0));
+        assert_eq!(invalid(&episode).kind, FaultKind::BadAction, "{command:?}");
+        assert_eq!(episode.ticks, 0);
+    }
 }

@@ -1,4 +1,5 @@
 //! What every sampler promises, and what each one promises alone.
+#![expect(clippy::disallowed_methods, reason = "tests measure times")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on panics")]
 
 use std::sync::Arc;

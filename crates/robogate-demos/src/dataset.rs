@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 
 use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
-use robogate_core::{GripperCommand, Pose};
+use robogate_core::Pose;
+use robogate_physics::GripperCommand;
 use serde_json::{Value, json};
 
 use crate::moments::Moments;

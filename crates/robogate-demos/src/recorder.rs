@@ -2,9 +2,10 @@
 
 use nalgebra::{Isometry3, Translation3};
 use robogate_core::{
-    Action, ArmCommand, Fault, FaultKind, GripperCommand, Image, Observation, Policy, Pose, Seed, TaskSpec,
+    Action, Command, Fault, FaultKind, Image, Observation, Policy, Pose, Seed, TaskInstance, TaskSpec, vectors,
 };
-use robogate_physics::Chain;
+use robogate_physics::{Chain, GripperCommand};
+use robogate_tasks::pick_place::spec::Briefing;
 
 use crate::Push;
 
@@ -102,35 +103,48 @@ impl<P: Policy> Recorder<P> {
         let mut seen = Observation { images: Vec::new(), ..observation.clone() };
         if !self.sent.is_empty() {
             let share = 1.0 / self.sent.len() as f64;
+            let mut joints = observation.joint_positions().to_vec();
             for (expert, made) in &self.sent {
-                for ((q, expert), made) in seen.joint_positions.iter_mut().zip(expert).zip(made) {
+                for ((q, expert), made) in joints.iter_mut().zip(expert).zip(made) {
                     *q += share * (expert - made);
                 }
             }
-            seen.tool_pose = pose(&self.chain.tcp_at(&seen.joint_positions));
+            let tool = pose(&self.chain.tcp_at(&joints)).to_array().to_vec();
+            for (name, values) in &mut seen.vectors {
+                match *name {
+                    vectors::JOINT_POSITIONS => values.clone_from(&joints),
+                    vectors::TOOL_POSE => values.clone_from(&tool),
+                    _ => {}
+                }
+            }
         }
         seen
     }
 }
 
 impl<P: Policy> Policy for Recorder<P> {
-    fn reset(&mut self, task: &TaskSpec, seed: Seed) -> Result<(), Fault> {
-        self.push = Push::new(self.sigma_m, seed);
-        self.period_s = task.control_period_s;
-        let [x, y, z] = task.object_pose.position;
-        self.told = [x, y, z, task.object_extent_m[0]];
-        self.sent.clear();
-        self.demonstration = Demonstration { task: task.instruction.clone(), frames: Vec::new() };
-        self.expert.reset(task, seed)
+    fn check(&self, task: &TaskSpec) -> Result<(), String> {
+        self.expert.check(task)
     }
 
-    fn looks(&self) -> bool {
+    fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, seed: Seed) -> Result<(), Fault> {
+        self.push = Push::new(self.sigma_m, seed);
+        self.period_s = task.control_period_s;
+        let briefing = Briefing::of(instance)?;
+        let [x, y, z] = briefing.object_pose.position;
+        self.told = [x, y, z, briefing.object_extent_m[0]];
+        self.sent.clear();
+        self.demonstration = Demonstration { task: instance.instruction.clone(), frames: Vec::new() };
+        self.expert.reset(task, instance, seed)
+    }
+
+    fn wants_images(&self) -> bool {
         true
     }
 
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
         let action = self.expert.act(&self.undisturbed(observation))?;
-        let ArmCommand::JointPositions(wanted) = &action.arm else {
+        let Command::JointPosition(wanted) = &action.command else {
             return Err(Fault::new(FaultKind::BadAction, "demonstrations are of an expert that sends joint positions"));
         };
         let goal = self.chain.tcp_at(wanted);
@@ -143,27 +157,27 @@ impl<P: Policy> Policy for Recorder<P> {
         };
         let before = match self.sent.last() {
             Some((expert, _)) => self.chain.tcp_at(expert),
-            None => self.chain.tcp_at(&observation.joint_positions),
+            None => self.chain.tcp_at(observation.joint_positions()),
         };
         let way = goal.translation.vector - before.translation.vector;
         let turn = (goal.rotation * before.rotation.inverse()).scaled_axis();
         self.demonstration.frames.push(Frame {
             time_s: observation.time_s,
-            joints: observation.joint_positions.clone(),
-            tool: observation.tool_pose,
-            opening_m: observation.gripper_opening_m,
+            joints: observation.joint_positions().to_vec(),
+            tool: observation.tool_pose().unwrap_or(Pose::IDENTITY),
+            opening_m: observation.gripper_opening_m(),
             pictures: observation.images.iter().map(Picture::of).collect::<Result<_, _>>()?,
             wanted: wanted.clone(),
             wanted_tool: pose(&goal),
             wanted_delta: [way.x, way.y, way.z, turn.x, turn.y, turn.z],
-            gripper: action.gripper,
+            gripper: GripperCommand::of(&action),
             told: self.told,
         });
         if self.sent.len() == 2 {
             self.sent.remove(0);
         }
         self.sent.push((wanted.clone(), made.clone()));
-        Ok(Action { arm: ArmCommand::JointPositions(made), ..action })
+        Ok(Action { command: Command::JointPosition(made), ..action })
     }
 }
 

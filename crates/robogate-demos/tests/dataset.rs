@@ -7,54 +7,61 @@ use std::fs::{self, File};
 
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::record::RowAccessor;
-use robogate_core::{Action, ArmCommand, Fault, GripperCommand, Image, Observation, Policy, Pose, Seed, TaskSpec};
+use robogate_core::{Action, Command, Fault, Image, Observation, Policy, Pose, Seed, TaskInstance, TaskSpec, vectors};
 use robogate_demos::{Dataset, DatasetError, Demonstration, Recorder};
 use robogate_physics::{Engine, MujocoEngine, built_in_robot};
+use robogate_tasks::pick_place::spec::{Briefing, spec};
 
 /// An expert that goes on along the first joint.
 struct Onward;
 
 impl Policy for Onward {
-    fn reset(&mut self, _: &TaskSpec, _: Seed) -> Result<(), Fault> {
+    fn check(&self, _: &TaskSpec) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, _: Seed) -> Result<(), Fault> {
         Ok(())
     }
 
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
-        let mut joints = observation.joint_positions.clone();
+        let mut joints = observation.joint_positions().to_vec();
         joints[0] += 0.01;
-        Ok(Action { arm: ArmCommand::JointPositions(joints), gripper: GripperCommand::Open, phase: None })
+        Ok(Action { command: Command::JointPosition(joints), gripper: Some(Action::OPEN), phase: None })
     }
 }
 
 const READY: [f64; 7] = [0.0, -FRAC_PI_4, 0.0, -3.0 * FRAC_PI_4, 0.0, FRAC_PI_2, FRAC_PI_4];
 
-fn task() -> TaskSpec {
-    TaskSpec {
-        instruction: "pick up the box and place it at the target".to_owned(),
-        control_period_s: 0.05,
-        time_limit_s: 15.0,
+fn instance() -> TaskInstance {
+    let briefing = Briefing {
         shape: "box".to_owned(),
         object_extent_m: [0.05; 3],
         object_pose: Pose::upright([0.5, 0.0, 0.025], 0.0),
         target_pose: Pose::upright([0.4, 0.4, 0.0], 0.0),
         tolerance_m: 0.03,
         approach_speed_m_s: None,
-    }
+    };
+    briefing.instance()
 }
 
 fn demonstration(frames: usize, sigma_m: f64) -> (Demonstration, Vec<Action>) {
     let robot = built_in_robot("franka").unwrap();
+    let task = spec(&robot, Vec::new());
     let chain = MujocoEngine::new(robot, 0.002).unwrap().chain().clone();
     let mut recorder = Recorder::new(Onward, chain.clone(), READY.to_vec(), sigma_m);
-    recorder.reset(&task(), Seed::campaign(3).episode(1)).unwrap();
+    recorder.reset(&task, &instance(), Seed::campaign(3).episode(1)).unwrap();
     let tool = chain.tcp_at(&READY);
     let q = tool.rotation.quaternion();
+    let pose = Pose { position: tool.translation.vector.into(), orientation: [q.w, q.i, q.j, q.k] };
     let observation = Observation {
         time_s: 0.0,
-        joint_positions: READY.to_vec(),
-        joint_velocities: vec![0.0; 7],
-        gripper_opening_m: Some(0.08),
-        tool_pose: Pose { position: tool.translation.vector.into(), orientation: [q.w, q.i, q.j, q.k] },
+        vectors: vec![
+            (vectors::JOINT_POSITIONS, READY.to_vec()),
+            (vectors::JOINT_VELOCITIES, vec![0.0; 7]),
+            (vectors::GRIPPER_OPENING, vec![0.08]),
+            (vectors::TOOL_POSE, pose.to_array().to_vec()),
+        ],
         images: ["front", "wrist"]
             .map(|camera| Image {
                 camera: camera.to_owned(),
@@ -110,7 +117,7 @@ fn the_label_is_what_the_expert_wanted_and_not_what_the_push_made_of_it() {
     let (demonstration, actions) = demonstration(40, 0.02);
     let mut strayed = 0.0_f64;
     for (frame, action) in demonstration.frames.iter().zip(actions) {
-        let ArmCommand::JointPositions(made) = action.arm else { panic!("joint positions") };
+        let Command::JointPosition(made) = action.command else { panic!("joint positions") };
         strayed = strayed.max(made.iter().zip(&frame.wanted).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max));
         // The expert goes on by 0.01 rad from where it is shown the arm; it never sees where the push made it go.
         assert!((frame.wanted[6] - READY[6]).abs() < 0.2);

@@ -2,6 +2,7 @@
 //!
 //! `cargo bench -p robogate-dictionary [-- ROWS]` prints one line for each operation. Peak memory is
 //! that of the process so far, so it may only rise; flat lines are bounded memory.
+#![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a program that prints what it measures")]
 
 use std::fs;
@@ -10,10 +11,10 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use robogate_core::{Contact, Episode, FailureMode, Measures, Outcome, ParameterSpace, Phase, Scenario, Seed};
+use robogate_core::{Contact, Episode, Outcome, ParameterSpace, Scenario, Seed, TaskSpec};
 use robogate_dictionary::{
     Dictionary, Engine, Entry, Journal, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, dataset_hash, export,
-    published, write_parquet,
+    published, v1, write_parquet,
 };
 
 fn main() {
@@ -27,7 +28,8 @@ fn main() {
 fn measure(rows: u64, folder: &Path) {
     let (journal_path, parquet, json) = (folder.join("j"), folder.join("d.parquet"), folder.join("p.json"));
     let space = space();
-    let entry = |index| entry(&space, index);
+    let task = Arc::new(v1::task());
+    let entry = |index| entry(&task, &space, index);
     let size = |path: &Path| fs::metadata(path).unwrap().len() as f64 / rows as f64;
     println!("{rows} rows of {} parameters", space.len());
 
@@ -40,14 +42,14 @@ fn measure(rows: u64, folder: &Path) {
     let mut journal = journal.unwrap();
     report("journal, ordered", rows, || assert_eq!(journal.ordered().map(Result::unwrap).count() as u64, rows));
     report("journal to Parquet", rows, || {
-        drop(write_parquet(&parquet, &provenance(&space), journal.ordered()).unwrap())
+        drop(write_parquet(&parquet, &provenance(&task, &space), journal.ordered()).unwrap())
     });
     println!("  a row is {:.0} bytes in the journal, {:.0} in Parquet", size(&journal_path), size(&parquet));
 
     let dictionary = Dictionary::open(&parquet).unwrap();
     report("Parquet, entries", rows, || assert_eq!(dictionary.entries().map(Result::unwrap).count() as u64, rows));
     report("Parquet, one column", rows, || drop(dictionary.column("friction").unwrap()));
-    report("dataset hash", rows, || drop(dataset_hash(dictionary.entries()).unwrap()));
+    report("dataset hash", rows, || drop(dataset_hash(Arc::clone(&task), dictionary.entries()).unwrap()));
     report("to CSV", rows, || assert_eq!(export::csv(&dictionary, sink()).unwrap(), rows));
     report("to JSON Lines", rows, || assert_eq!(export::json_lines(&dictionary, sink()).unwrap(), rows));
     report("to published JSON", rows, || {
@@ -75,8 +77,9 @@ fn space() -> ParameterSpace {
     ParameterSpace::from_toml(include_str!("../../../assets/spaces/franka.toml")).unwrap()
 }
 
-fn provenance(space: &ParameterSpace) -> Provenance {
+fn provenance(task: &Arc<TaskSpec>, space: &ParameterSpace) -> Provenance {
     Provenance {
+        task: Arc::clone(task),
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
         engine: Engine { name: "none".to_owned(), version: None, build_sha256: None },
@@ -91,14 +94,14 @@ fn provenance(space: &ParameterSpace) -> Provenance {
     }
 }
 
-fn entry(space: &ParameterSpace, index: u64) -> Entry {
+fn entry(task: &TaskSpec, space: &ParameterSpace, index: u64) -> Entry {
     let seed = Seed::campaign(1).episode(index);
     let mut stream = seed.stream("bench");
     let value = |parameter: &robogate_core::Parameter, u| parameter.domain.decode(parameter.domain.from_unit(u));
     let parameters = space.parameters().iter();
     let requested: robogate_core::Assignment =
         parameters.map(|parameter| (Arc::clone(&parameter.name), value(parameter, stream.uniform()))).collect();
-    let collision = index.is_multiple_of(5);
+    let failure = task.modes().next().filter(|_| index.is_multiple_of(5));
     Entry {
         stage: "uniform".to_owned(),
         design: "latin_hypercube".to_owned(),
@@ -107,20 +110,15 @@ fn entry(space: &ParameterSpace, index: u64) -> Entry {
         episode: Episode {
             applied: requested.clone(),
             scenario: Scenario { index, seed, requested },
-            outcome: if collision { Outcome::Failure(FailureMode::Collision) } else { Outcome::Success },
+            outcome: failure.map_or(Outcome::Success, Outcome::Failure),
             time_s: stream.between(2.0, 15.0),
-            phase: Some(Phase::ALL[(index % 6) as usize]),
-            contact: collision.then(|| Contact {
+            phase: task.phases.get((index % 6) as usize).copied(),
+            contact: failure.map(|_| Contact {
                 robot_body: "link5".to_owned(),
                 other_body: "table".to_owned(),
                 force_n: stream.uniform(),
             }),
-            measures: Measures {
-                peak_contact_force_n: Some(stream.uniform()),
-                slip_m: Some(stream.uniform()),
-                min_clearance_m: Some(stream.uniform()),
-                target_distance_m: Some(stream.uniform()),
-            },
+            measures: task.measures.iter().map(|measure| (measure.name, Some(stream.uniform()))).collect(),
             ticks: 100 + (index % 100) as u32,
             trajectory_hash: stream.bits(),
         },

@@ -1,4 +1,4 @@
-//! A file that is there whole or not at all.
+//! A file that is complete or absent.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -9,8 +9,7 @@ use crate::journal::sync_folder;
 
 /// A file written beside its place and moved there once it is complete.
 ///
-/// Its name while it is written is fixed (`.NAME.part`), so that what a killed process left is
-/// overwritten by the next one instead of piling up.
+/// Its name while it is written is fixed (`.NAME.part`): what a killed process left is overwritten by the next one.
 #[derive(Debug)]
 pub(crate) struct AtomicFile {
     /// `None` once it is in its place.
@@ -32,7 +31,7 @@ impl AtomicFile {
         if fs::metadata(path).is_ok_and(|there| !there.is_file()) {
             return Err(DictionaryError::io(path, "create")(io::Error::new(
                 io::ErrorKind::InvalidInput,
-                "there is something that is no file",
+                "the path exists and is not a regular file",
             )));
         }
         let mut partial = std::ffi::OsString::from(".");

@@ -2,13 +2,17 @@
 //!
 //! One encoding, little-endian and self-delimiting, in two strictnesses. The *exact* form gives back
 //! the same entry to the bit (the journal). The *canonical* form is one for all entries that say the
-//! same (the dataset hash): assignments stand in order of name, a whole number is the same as integer
-//! and as real number, and a measure that is no finite number counts as missing, as it does in Parquet.
+//! same (the dataset hash): assignments stand in order of name, an integer is the same as integer
+//! and as real number, and a measure that is not finite counts as missing, as it does in Parquet.
+//!
+//! The canonical form writes failure modes and phases by their place in the task, where they have one, and the task's
+//! measures in its order. So the hashes of earlier versions, which knew one task, remain valid.
 
 use std::sync::Arc;
 
 use robogate_core::{
-    Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Measures, Outcome, Phase, Scenario, Seed, Value,
+    Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Measures, Outcome, Scenario, Seed, TaskSpec, Value,
+    Word,
 };
 
 use crate::{Entry, Label};
@@ -45,17 +49,18 @@ pub(crate) fn number_as_integer(x: f64) -> Option<i64> {
 
 /// Appends the exact form of `entry`.
 pub(crate) fn encode(entry: &Entry, out: &mut Vec<u8>) {
-    Encoder { out, canonical: false }.entry(entry);
+    Encoder { out, canonical: None }.entry(entry);
 }
 
-/// Appends the canonical form of `entry`.
-pub(crate) fn encode_canonical(entry: &Entry, out: &mut Vec<u8>) {
-    Encoder { out, canonical: true }.entry(entry);
+/// Appends the canonical form of `entry`, an episode of `task`.
+pub(crate) fn encode_canonical(entry: &Entry, task: &TaskSpec, out: &mut Vec<u8>) {
+    Encoder { out, canonical: Some(task) }.entry(entry);
 }
 
 struct Encoder<'a> {
     out: &'a mut Vec<u8>,
-    canonical: bool,
+    /// The task, in the canonical form.
+    canonical: Option<&'a TaskSpec>,
 }
 
 impl Encoder<'_> {
@@ -71,7 +76,7 @@ impl Encoder<'_> {
         self.assignment(applied);
         match outcome {
             Outcome::Success => self.u8(0),
-            Outcome::Failure(mode) => self.u8(1 + place(&FailureMode::ALL, mode)),
+            Outcome::Failure(mode) => self.failure_mode(*mode),
             Outcome::Invalid(Fault { kind, detail }) => {
                 self.u8(INVALID);
                 self.u8(fault_code(*kind));
@@ -79,9 +84,9 @@ impl Encoder<'_> {
             }
         }
         self.f64(*time_s);
-        self.u8(phase.map_or(0, |phase| 1 + place(&Phase::ALL, &phase)));
-        // One byte says what is there: without a label it is the byte that it was before there were labels, so
-        // that records and hashes of unlabelled episodes stay what they were.
+        self.phase(*phase);
+        // One byte marks what follows. Without a label it is the byte that schema 1.0 wrote: records and hashes of
+        // unlabelled episodes are unchanged.
         self.u8(u8::from(contact.is_some()) * CONTACT + u8::from(!label.is_empty()) * LABEL);
         if let Some(Contact { robot_body, other_body, force_n }) = contact {
             self.text(robot_body);
@@ -97,9 +102,45 @@ impl Encoder<'_> {
                 }
             }
         }
-        let Measures { peak_contact_force_n, slip_m, min_clearance_m, target_distance_m } = measures;
-        for measure in [peak_contact_force_n, slip_m, min_clearance_m, target_distance_m] {
-            match measure.filter(|x| !self.canonical || x.is_finite()) {
+        self.measures(measures);
+        self.u32(*ticks);
+        self.u64(*trajectory_hash);
+    }
+
+    fn failure_mode(&mut self, mode: FailureMode) {
+        let place = self.canonical.and_then(|task| task.modes().position(|known| known == mode));
+        match place {
+            Some(place) if place < usize::from(INVALID) - 1 => self.u8(1 + place as u8),
+            _ => {
+                self.u8(BY_NAME);
+                self.text(mode.as_str());
+            }
+        }
+    }
+
+    fn phase(&mut self, phase: Option<Word>) {
+        let Some(phase) = phase else { return self.u8(0) };
+        let place = self.canonical.and_then(|task| task.phases.iter().position(|known| *known == phase));
+        match place {
+            Some(place) if place + 1 < usize::from(PHASE_BY_NAME) => self.u8(1 + place as u8),
+            _ => {
+                self.u8(PHASE_BY_NAME);
+                self.text(phase.as_str());
+            }
+        }
+    }
+
+    fn measures(&mut self, measures: &Measures) {
+        let Some(task) = self.canonical else {
+            self.u32(measures.len() as u32);
+            for (name, value) in measures.iter() {
+                self.text(name.as_str());
+                self.f64(value);
+            }
+            return;
+        };
+        for measure in &task.measures {
+            match measures.get(measure.name.as_str()).filter(|x| x.is_finite()) {
                 None => self.u8(0),
                 Some(x) => {
                     self.u8(1);
@@ -107,13 +148,11 @@ impl Encoder<'_> {
                 }
             }
         }
-        self.u32(*ticks);
-        self.u64(*trajectory_hash);
     }
 
     fn assignment(&mut self, assignment: &Assignment) {
         let mut pairs: Vec<(&str, &Value)> = assignment.iter().collect();
-        if self.canonical {
+        if self.canonical.is_some() {
             pairs.sort_by_key(|(name, _)| *name);
         }
         self.u32(pairs.len() as u32);
@@ -124,7 +163,7 @@ impl Encoder<'_> {
                     self.u8(NUMBER);
                     self.f64(*x);
                 }
-                Value::Integer(n) => match integer_as_number(*n).filter(|_| self.canonical) {
+                Value::Integer(n) => match integer_as_number(*n).filter(|_| self.canonical.is_some()) {
                     Some(x) => {
                         self.u8(NUMBER);
                         self.f64(x);
@@ -148,7 +187,7 @@ impl Encoder<'_> {
     }
 
     fn f64(&mut self, x: f64) {
-        let x = if self.canonical && !x.is_finite() { f64::NAN } else { x };
+        let x = if self.canonical.is_some() && !x.is_finite() { f64::NAN } else { x };
         self.u64(x.to_bits());
     }
 
@@ -165,7 +204,12 @@ impl Encoder<'_> {
     }
 }
 
+/// The code of an invalid episode; the first four modes of a task have the codes below it.
 const INVALID: u8 = 5;
+/// The code of a failure mode that is written by its name.
+const BY_NAME: u8 = 6;
+/// The same for a phase.
+const PHASE_BY_NAME: u8 = u8::MAX;
 
 const CONTACT: u8 = 1;
 const LABEL: u8 = 2;
@@ -174,16 +218,12 @@ const NUMBER: u8 = b'n';
 const INTEGER: u8 = b'i';
 const CATEGORY: u8 = b'c';
 
-fn place<T: PartialEq>(all: &[T], one: &T) -> u8 {
-    all.iter().position(|other| other == one).map_or(u8::MAX, |i| i as u8)
-}
-
 /// The shared names and words of a data set: without it each row would own some twenty strings.
 #[derive(Debug, Default)]
 pub(crate) struct Interner(Vec<Arc<str>>);
 
 impl Interner {
-    /// Beyond this many, words are no longer few: looking them up would cost more than it saves.
+    /// Beyond this number, looking words up costs more than sharing them saves.
     const LIMIT: usize = 256;
 
     pub(crate) fn get(&mut self, text: &str) -> Arc<str> {
@@ -198,7 +238,7 @@ impl Interner {
     }
 }
 
-/// Reads the exact form back. The error says what does not fit.
+/// Reads the exact form back. The error says what is wrong.
 pub(crate) fn decode(bytes: &[u8], words: &mut Interner) -> Result<Entry, String> {
     let mut decoder = Decoder { rest: bytes, words };
     let entry = decoder.entry()?;
@@ -233,16 +273,18 @@ impl<'a> Decoder<'a> {
                 let kind = *pick(&FAULT_KINDS, self.u8()?, "class of fault")?;
                 Outcome::Invalid(Fault::new(kind, self.text()?))
             }
-            code => Outcome::Failure(*pick(&FailureMode::ALL, code - 1, "outcome")?),
+            BY_NAME => Outcome::Failure(FailureMode::new(self.text()?).map_err(|why| why.to_string())?),
+            code => return Err(format!("{code} is not the code of an outcome")),
         };
         let time_s = self.f64()?;
         let phase = match self.u8()? {
             0 => None,
-            code => Some(*pick(&Phase::ALL, code - 1, "phase")?),
+            PHASE_BY_NAME => Some(self.name()?),
+            code => return Err(format!("{code} is not the code of a phase")),
         };
         let there = match self.u8()? {
             there if there & !(CONTACT | LABEL) == 0 => there,
-            code => return Err(format!("{code} says of neither a contact nor a label whether it is there")),
+            code => return Err(format!("{code} is not a valid mark for contact and label")),
         };
         let contact = if there & CONTACT != 0 {
             let (robot_body, other_body) = (self.text()?.to_owned(), self.text()?.to_owned());
@@ -255,12 +297,9 @@ impl<'a> Decoder<'a> {
         } else {
             Label::default()
         };
-        let measures = Measures {
-            peak_contact_force_n: self.measure()?,
-            slip_m: self.measure()?,
-            min_clearance_m: self.measure()?,
-            target_distance_m: self.measure()?,
-        };
+        let count = u32::from_le_bytes(self.array()?);
+        let measures =
+            (0..count).map(|_| Ok((self.name()?, Some(self.f64()?)))).collect::<Result<Measures, String>>()?;
         let ticks = u32::from_le_bytes(self.array()?);
         let trajectory_hash = self.u64()?;
         let episode = Episode { scenario, applied, outcome, time_s, phase, contact, measures, ticks, trajectory_hash };
@@ -276,15 +315,15 @@ impl<'a> Decoder<'a> {
                     NUMBER => Value::Number(self.f64()?),
                     INTEGER => Value::Integer(self.u64()?.cast_signed()),
                     CATEGORY => Value::Category(self.word()?),
-                    code => return Err(format!("{code} is no kind of value")),
+                    code => return Err(format!("{code} is not a kind of value")),
                 };
                 Ok((name, value))
             })
             .collect()
     }
 
-    fn measure(&mut self) -> Result<Option<f64>, String> {
-        if self.flag()? { self.f64().map(Some) } else { Ok(None) }
+    fn name(&mut self) -> Result<Word, String> {
+        Word::new(self.text()?).map_err(|why| why.to_string())
     }
 
     fn optional_text(&mut self) -> Result<Option<String>, String> {
@@ -334,5 +373,5 @@ impl<'a> Decoder<'a> {
 }
 
 fn pick<'a, T>(all: &'a [T], code: u8, what: &str) -> Result<&'a T, String> {
-    all.get(usize::from(code)).ok_or_else(|| format!("{code} is the code of no {what}"))
+    all.get(usize::from(code)).ok_or_else(|| format!("{code} is not the code of a {what}"))
 }

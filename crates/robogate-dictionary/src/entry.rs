@@ -4,25 +4,25 @@ use robogate_core::{Episode, Seed};
 
 use crate::DictionaryError;
 
-/// One episode and how it came to be drawn.
+/// One episode and how its scenario was sampled.
 ///
 /// Its index and its campaign's seed are those of its scenario.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Entry {
     /// The stage of the campaign that ran it (`uniform`, `boundary`, ...).
     pub stage: String,
-    /// What drew its point (`latin_hypercube`, `sobol`, ...).
+    /// What sampled its point (`latin_hypercube`, `sobol`, ...).
     pub design: String,
-    /// Importance weight p(x)/q(x) of the operating density over the density it was drawn from:
-    /// what makes a boundary-focused row speak of the operating distribution. Finite, not negative.
+    /// Importance weight p(x)/q(x): operating density over the density that the point was sampled from. With it a
+    /// boundary-focused row estimates rates of the operating distribution. Finite, not negative.
     pub weight: f64,
-    /// Which scenario of a suite it is; empty where the point was drawn from a space.
+    /// Which scenario of a suite it is; empty where the point was sampled from a space.
     pub label: Label,
-    /// What was asked for and what happened.
+    /// The request and the result.
     pub episode: Episode,
 }
 
-/// Which scenario of a suite an episode is of. Each word is absent where nobody gave one.
+/// Which scenario of a suite an episode belongs to. A word that was not given is absent.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
 pub struct Label {
     /// The scenario's id in its suite.
@@ -34,7 +34,7 @@ pub struct Label {
 }
 
 impl Label {
-    /// Whether there is no word in it.
+    /// Whether it has no words.
     pub fn is_empty(&self) -> bool {
         let Self { case, category, group } = self;
         [case, category, group].into_iter().all(Option::is_none)
@@ -47,8 +47,8 @@ impl Entry {
         self.episode.scenario.index
     }
 
-    /// Refuses what no record can hold: a weight that is none, or a seed that is not that of the
-    /// episode's own index (the record keeps the campaign's number and the index, nothing else).
+    /// Refuses what no record can hold: an invalid weight, or a seed of another index. The record keeps the campaign's
+    /// number and the index.
     pub(crate) fn check(&self) -> Result<(), DictionaryError> {
         let index = self.index();
         if !self.weight.is_finite() || self.weight < 0.0 {

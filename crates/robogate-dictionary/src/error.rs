@@ -8,7 +8,7 @@ use robogate_core::SpaceError;
 
 use crate::{SCHEMA_VERSION, SchemaVersion};
 
-/// Where in a table something is: a row counted from 0, as indices are.
+/// A row of a table, counted from 0 as indices are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Row(pub u64);
 
@@ -21,26 +21,26 @@ impl fmt::Display for Row {
 /// Why a record could not be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum DictionaryError {
-    /// The operating system refused.
+    /// The operating system refused an operation.
     #[error("cannot {action} {}: {source}{}", path.display(), io_hint(source))]
     Io {
         /// The file.
         path: PathBuf,
         /// What was tried.
         action: &'static str,
-        /// What it answered.
+        /// Its answer.
         source: io::Error,
     },
-    /// Not a dictionary, or no longer one.
-    #[error("{} is not a readable dictionary: {reason}", path.display())]
+    /// The file is not a dictionary, or is truncated.
+    #[error("{}: not a readable dictionary: {reason}", path.display())]
     NotADictionary {
         /// The file.
         path: PathBuf,
         /// What is wrong with it, with a hint.
         reason: String,
     },
-    /// A part of a dictionary does not hold what was written to it.
-    #[error("{}: {place} is damaged: {reason}\nhint: restore the file from a copy, or write it again from the journal of its campaign", path.display())]
+    /// A part of a dictionary changed after it was written.
+    #[error("{}: {place} is damaged: {reason}\nhint: restore the file from a backup, or run its campaign again", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -50,33 +50,31 @@ pub enum DictionaryError {
         reason: String,
     },
     /// Written by a later version of the tool.
-    #[error("{} has schema version {found}, and this robogate reads {known} at most\nhint: upgrade robogate; nothing was changed", path.display(), known = SCHEMA_VERSION)]
+    #[error("{}: schema version {found} is newer than {known}, the newest that this version of robogate reads\nhint: upgrade robogate; the file was not changed", path.display(), known = SCHEMA_VERSION)]
     NewerSchema {
         /// The file.
         path: PathBuf,
         /// Its version.
         found: SchemaVersion,
     },
-    /// A parameter under the name of a column that means something else.
-    #[error(
-        "parameter `{parameter}` has the name of a column of the dictionary\nhint: rename it in the parameter space"
-    )]
+    /// A parameter or measure has the name of another column.
+    #[error("`{column}` is the name of another column of the dictionary\nhint: rename the parameter or measure")]
     ColumnClash {
         /// The name.
-        parameter: String,
+        column: String,
     },
-    /// No column of that name.
-    #[error("{} has no column `{column}`\nhint: its columns are {columns}", path.display())]
+    /// The requested column does not exist.
+    #[error("{}: no column `{column}`. Expected one of {columns}", path.display())]
     NoSuchColumn {
         /// The file.
         path: PathBuf,
-        /// The name asked for.
+        /// The requested name.
         column: String,
-        /// The names there are.
+        /// The names of all columns.
         columns: String,
     },
-    /// A column holds something else than was asked for.
-    #[error("{}: column `{column}` holds {found}, not {wanted}", path.display())]
+    /// A column holds another kind of value than was requested.
+    #[error("{}: column `{column}` holds {found}. Expected {wanted}", path.display())]
     ColumnKind {
         /// The file.
         path: PathBuf,
@@ -84,7 +82,7 @@ pub enum DictionaryError {
         column: String,
         /// What it holds.
         found: &'static str,
-        /// What was asked for.
+        /// What was requested.
         wanted: &'static str,
     },
     /// A value that its column cannot hold, or that contradicts another.
@@ -111,8 +109,8 @@ pub enum DictionaryError {
         /// What is wrong with it.
         reason: String,
     },
-    /// A weight that is none.
-    #[error("episode {index} has the importance weight {weight}\nhint: a weight is a finite number, 0 or more")]
+    /// A weight that is negative or not finite.
+    #[error("episode {index}: importance weight {weight} is out of range. Expected a finite number, 0 or more")]
     Weight {
         /// The episode's index.
         index: u64,
@@ -120,13 +118,15 @@ pub enum DictionaryError {
         weight: f64,
     },
     /// The seed of another episode.
-    #[error("episode {index} does not carry its own seed\nhint: it must be that of its campaign at its index")]
+    #[error("episode {index}: its seed is not the one that its campaign gives to this index")]
     ForeignSeed {
         /// The episode's index.
         index: u64,
     },
     /// Two episodes of different campaigns in one dictionary.
-    #[error("episode {index} is of the campaign with seed {found}, the dictionary of {expected}")]
+    #[error(
+        "episode {index} belongs to a campaign with seed {found}. Expected seed {expected}, that of the dictionary"
+    )]
     ForeignCampaign {
         /// The episode's index.
         index: u64,
@@ -135,24 +135,24 @@ pub enum DictionaryError {
         /// The dictionary's.
         expected: u64,
     },
-    /// The same episode twice, or one before its turn.
-    #[error("episode {index} follows episode {previous}\nhint: a dictionary holds each index once, in rising order")]
+    /// An index that does not rise.
+    #[error("episode {index} follows episode {previous}. Expected each index once, in rising order")]
     Order {
         /// The episode's index.
         index: u64,
         /// The one before it.
         previous: u64,
     },
-    /// Not a journal.
-    #[error("{} is not a journal of episodes: {reason}", path.display())]
+    /// The file is not a journal that can be read.
+    #[error("{}: not a readable journal: {reason}", path.display())]
     NotAJournal {
         /// The file.
         path: PathBuf,
         /// What is wrong.
         reason: String,
     },
-    /// A record before the journal's end does not hold what was written to it.
-    #[error("{}: the record at byte {offset} is damaged: {reason}\nhint: to keep the {intact} episodes before it and run the others again, cut the file there (truncate -s {offset})", path.display())]
+    /// A record before the journal's end changed after it was written.
+    #[error("{}: the record at byte {offset} is damaged: {reason}\nhint: to keep the {intact} episodes before it and run the others again, truncate the file there (truncate -s {offset})", path.display())]
     DamagedJournal {
         /// The file.
         path: PathBuf,
@@ -163,8 +163,8 @@ pub enum DictionaryError {
         /// What is wrong.
         reason: String,
     },
-    /// The journal holds that episode already.
-    #[error("{} holds episode {index} already", path.display())]
+    /// The journal already holds this episode.
+    #[error("{} already holds episode {index}", path.display())]
     Duplicate {
         /// The journal.
         path: PathBuf,
@@ -172,18 +172,18 @@ pub enum DictionaryError {
         index: u64,
     },
     /// Another process writes to the journal.
-    #[error("{} is in use by another process\nhint: a campaign is run or resumed by one process at a time", path.display())]
+    #[error("{} is in use by another process\nhint: only one process at a time can run or resume a campaign", path.display())]
     Locked {
         /// The journal.
         path: PathBuf,
     },
     /// An earlier write failed and could not be undone.
-    #[error("{}: no further episode can be recorded after a failed write\nhint: make room, then resume the campaign", path.display())]
+    #[error("{}: no more episodes can be recorded after a failed write\nhint: free disk space, then resume the campaign", path.display())]
     Broken {
         /// The journal.
         path: PathBuf,
     },
-    /// Not JSON, or not of the published form.
+    /// The file is not valid JSON, or not of the published form.
     #[error("{}: {source}", path.display())]
     Json {
         /// The file.
@@ -191,7 +191,7 @@ pub enum DictionaryError {
         /// What and where (line and column).
         source: serde_json::Error,
     },
-    /// A whole of a published file contradicts its rows.
+    /// The totals of a published file contradict its rows.
     #[error("{}: {reason}", path.display())]
     Published {
         /// The file.
@@ -207,7 +207,7 @@ pub enum DictionaryError {
         /// What is wrong and where, with a hint.
         reason: String,
     },
-    /// A mapping of columns that is none.
+    /// A mapping of columns that is not valid.
     #[error("{origin}: {reason}")]
     Mapping {
         /// The mapping file, or the option.
@@ -215,7 +215,7 @@ pub enum DictionaryError {
         /// What is wrong and where, with a hint.
         reason: String,
     },
-    /// The parameter space is none.
+    /// The parameter space is not valid.
     #[error(transparent)]
     Space(#[from] SpaceError),
 }
@@ -227,15 +227,15 @@ impl DictionaryError {
 
     pub(crate) fn json(path: &Path, source: serde_json::Error) -> Self {
         match source.io_error_kind() {
-            // A refusal by our own meter keeps its words.
+            // An error of the meter keeps its text.
             Some(io::ErrorKind::InvalidData) => {
                 Self::Results { path: path.to_owned(), reason: io::Error::from(source).to_string() }
             }
             Some(kind) => Self::io(path, "read")(kind.into()),
-            // What Python's json module writes for a missing number, and no other JSON reader takes.
+            // Python's json module writes NaN for a missing number; other readers of JSON do not accept it.
             None if source.to_string().starts_with("expected value") => Self::Results {
                 path: path.to_owned(),
-                reason: format!("{source}\nhint: JSON has no NaN or Infinity; write null where they stand"),
+                reason: format!("{source}\nhint: JSON has no NaN or Infinity; write null in their place"),
             },
             None => Self::Json { path: path.to_owned(), source },
         }
@@ -253,10 +253,10 @@ impl DictionaryError {
 fn io_hint(source: &io::Error) -> &'static str {
     match source.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "\nhint: make room on that disk, then go on; what was recorded before is intact"
+            "\nhint: free disk space, then try again; everything recorded before is intact"
         }
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
-            "\nhint: choose a folder that you may write to"
+            "\nhint: choose a folder with write permission"
         }
         io::ErrorKind::NotFound => "\nhint: check the path",
         _ => "",

@@ -1,8 +1,8 @@
 //! The dictionary in other forms: CSV, JSON Lines, and the published JSON.
 //!
-//! CSV and JSON Lines hold the same rows under the same column names as Parquet. A missing value is an
-//! empty field in CSV and `null` in JSON; there is no NaN in either. Every form is a stream of one row
-//! group at a time.
+//! CSV and JSON Lines hold the same rows under the same column names as Parquet. A missing value is an empty field in CSV
+//! and `null` in JSON; neither has NaN. Both can be imported again without loss ([`crate::results`]). Every form is
+//! written as a stream of one row group at a time.
 
 use std::fmt::Write as _;
 use std::io::{self, Write};
@@ -25,7 +25,7 @@ pub enum Format {
     Published,
 }
 
-/// Exports the dictionary to the file `path`, which is there whole or not at all. Returns the number of
+/// Exports the dictionary to the file `path`, which is complete or absent. Returns the number of
 /// rows in it.
 pub fn write_file(dictionary: &Dictionary, format: Format, path: &Path) -> Result<u64, DictionaryError> {
     let mut file = AtomicFile::create(path)?;
@@ -34,7 +34,7 @@ pub fn write_file(dictionary: &Dictionary, format: Format, path: &Path) -> Resul
         Format::JsonLines => json_lines(dictionary, &mut file),
         Format::Published => published::export(dictionary, &mut file),
     };
-    // The writers below know no path.
+    // The writers below do not know the path.
     let rows = rows.map_err(|error| match error {
         DictionaryError::Io { action: WRITE, source, .. } => DictionaryError::io(path, WRITE)(source),
         other => other,
@@ -59,6 +59,7 @@ pub fn csv(dictionary: &Dictionary, out: impl Write) -> Result<u64, DictionaryEr
         quote(&mut header, name);
     }
     header.push_str("\r\n");
+    let parameters = dictionary.columns().parameters();
     rows(dictionary, out, header, |cells, text| {
         for (i, cell) in cells.iter().enumerate() {
             separate(text, i);
@@ -69,6 +70,8 @@ pub fn csv(dictionary: &Dictionary, out: impl Write) -> Result<u64, DictionaryEr
                 Cell::Number(x) => write!(text, "{x:?}"),
                 Cell::Integer(n) => write!(text, "{n}"),
                 Cell::Count(n) => write!(text, "{n}"),
+                // Only quotes tell a category of digits from a number.
+                Cell::Text(word) if parameters.contains(&i) && number(word).is_some() => write!(text, "\"{word}\""),
                 Cell::Text(word) => {
                     quote(text, word);
                     Ok(())
@@ -82,8 +85,7 @@ pub fn csv(dictionary: &Dictionary, out: impl Write) -> Result<u64, DictionaryEr
 
 /// Writes the dictionary as JSON Lines: one object for each row. Returns the number of rows.
 ///
-/// Whole numbers are written in full: a reader that keeps all numbers as doubles loses the last digits
-/// of a `seed` above 2^53.
+/// Integers are written in full: a reader that keeps all numbers as doubles loses the last digits of a `seed` above 2^53.
 pub fn json_lines(dictionary: &Dictionary, out: impl Write) -> Result<u64, DictionaryError> {
     let columns = dictionary.columns();
     rows(dictionary, out, String::new(), |cells, text| {
@@ -94,7 +96,7 @@ pub fn json_lines(dictionary: &Dictionary, out: impl Write) -> Result<u64, Dicti
     })
 }
 
-/// Text is handed on in pieces of this size, so that `out` need not be buffered.
+/// Text is written in pieces of this size: `out` needs no buffer.
 const PIECE: usize = 1 << 16;
 
 fn rows(
@@ -125,7 +127,7 @@ fn separate(text: &mut String, i: usize) {
     }
 }
 
-/// An empty text is quoted too: without quotes it would be a missing one.
+/// Appends a text. An empty one is quoted, too: without quotes it would be a missing value.
 fn quote(text: &mut String, field: &str) {
     if field.is_empty() || field.contains([',', '"', '\r', '\n']) {
         text.push('"');
@@ -134,6 +136,25 @@ fn quote(text: &mut String, field: &str) {
     } else {
         text.push_str(field);
     }
+}
+
+/// What a field of CSV without quotes is, where it is a number.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Number {
+    Integer(i64),
+    Real(f64),
+}
+
+/// A text as the number that this module writes so; `inf`, `nan` and `+1` are words.
+pub(crate) fn number(text: &str) -> Option<Number> {
+    let digits = text.strip_prefix('-').unwrap_or(text);
+    if !digits.starts_with(|c: char| c.is_ascii_digit()) {
+        return None;
+    }
+    if let Ok(n) = text.parse() {
+        return Some(Number::Integer(n));
+    }
+    text.parse().ok().filter(|x: &f64| x.is_finite()).map(Number::Real)
 }
 
 struct JsonRow<'a> {

@@ -1,4 +1,4 @@
-//! What the fields of another tool's rows hold: from it comes the parameter space of an import.
+//! What the fields of another tool's rows hold. The parameter space of an import is made of it.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -9,8 +9,8 @@ use robogate_core::{Domain, Scale};
 use crate::DictionaryError;
 use crate::raw::{MOST_FIELDS, RawRow, Scalar};
 
-/// A word field with more distinct words than this is text about the row and no parameter of it.
-const MOST_WORDS: usize = 1000;
+/// A field with more distinct words than this is text about each row and not a category.
+pub(crate) const MOST_WORDS: usize = 1000;
 
 /// The fields of all rows so far, in the order in which they came up.
 #[derive(Debug, Default)]
@@ -28,21 +28,21 @@ impl Fields {
         match self.field(row.number, name) {
             Some(field) => {
                 let fits = field.take(row.number, value);
-                fits.then_some(()).ok_or_else(|| row.wrong(path, name, "is of another kind than in the rows before"))
+                fits.then_some(()).ok_or_else(|| row.wrong(path, name, "is of another kind than the values before it"))
             }
             None => {
-                let reason = format!("is in one field more than the {MOST_FIELDS} that a file can have");
+                let reason = format!("is in a field beyond the {MOST_FIELDS} that a file can have");
                 Err(row.wrong(path, name, reason))
             }
         }
     }
 
-    /// The same for a field that nobody asked for: one of two kinds, or one too many, is no parameter.
+    /// The same for a field that is not required: one of two kinds, or one too many, does not become a parameter.
     pub(crate) fn take_if_it_fits(&mut self, row: &RawRow, name: &Arc<str>, value: &Scalar) {
         if let Some(field) = self.field(row.number, name)
             && !field.take(row.number, value)
         {
-            field.kind = FieldKind::Other("its rows are of several kinds");
+            field.kind = FieldKind::Other("its values are of several kinds");
         }
     }
 
@@ -64,13 +64,13 @@ impl Fields {
     }
 }
 
-/// A field that is no outcome: what values it has in which rows.
+/// A field that is not an outcome: what values it has in which rows.
 #[derive(Debug)]
 pub(crate) struct Field {
     pub(crate) name: Arc<str>,
-    /// The first row that lacks it.
+    /// The first row without a value.
     missing: Option<u64>,
-    /// Rows from the first on that have it.
+    /// The row after the last one with a value.
     seen: u64,
     kind: FieldKind,
 }
@@ -79,13 +79,13 @@ pub(crate) struct Field {
 enum FieldKind {
     /// No value yet.
     Nothing,
-    /// Only whole numbers so far.
+    /// Only integers so far.
     Integers { low: i64, high: i64 },
     /// Real numbers.
     Numbers { low: f64, high: f64 },
     /// Words.
     Words(BTreeSet<String>),
-    /// Something that is no parameter, and why.
+    /// Something that cannot be a parameter, and why.
     Other(&'static str),
 }
 
@@ -95,12 +95,12 @@ impl FieldKind {
             Scalar::Integer(n) => Self::Integers { low: *n, high: *n },
             Scalar::Number(x) => Self::Numbers { low: *x, high: *x },
             Scalar::Text(text) => Self::Words(BTreeSet::from([text.clone()])),
-            Scalar::Bool(_) => Self::Other("it is true or false"),
-            Scalar::Null | Scalar::Nested => Self::Other("it is an array or object"),
+            Scalar::Bool(_) => Self::Other("it holds true or false"),
+            Scalar::Null | Scalar::Nested => Self::Other("it holds arrays or objects"),
         }
     }
 
-    /// Takes one more value in; `false` where it is of another kind than those before.
+    /// Takes in one more value; `false` where it is of another kind than those before.
     fn take(&mut self, value: &Scalar) -> bool {
         match (&mut *self, value) {
             (Self::Nothing, value) => {
@@ -129,7 +129,7 @@ impl FieldKind {
                     words.insert(text.clone());
                 }
                 if words.len() > MOST_WORDS {
-                    *self = Self::Other("it has more words than a category can have");
+                    *self = Self::Other("it has too many distinct words for a category");
                 }
                 true
             }
@@ -147,12 +147,12 @@ impl Field {
         self.kind.take(value)
     }
 
-    /// The first of `rows` rows that lacks it.
+    /// The first of `rows` rows that has no value.
     pub(crate) fn missing_of(&self, rows: u64) -> Option<u64> {
         self.missing.or((self.seen < rows).then_some(self.seen))
     }
 
-    /// The observed range as a parameter's, or why it is no parameter.
+    /// The observed range as that of a parameter, or why it cannot be one.
     pub(crate) fn domain(&self) -> Result<Domain, &'static str> {
         self.domain_as(&self.name)
     }
@@ -163,11 +163,8 @@ impl Field {
         match &self.kind {
             FieldKind::Nothing => Err("it has no value"),
             FieldKind::Other(why) => Err(why),
-            _ if !column => Err("its name cannot be a column's"),
-            FieldKind::Integers { low, high } if high.abs_diff(*low) < 1 << 32 => {
-                Ok(Domain::Integer { low: *low, high: *high })
-            }
-            FieldKind::Integers { low, high } => Ok(continuous(*low as f64, *high as f64)),
+            _ if !column => Err("its name has other characters than letters, digits and underscores"),
+            FieldKind::Integers { low, high } => Ok(integers(*low, *high)),
             FieldKind::Numbers { low, high } => Ok(continuous(*low, *high)),
             FieldKind::Words(words) => {
                 Ok(Domain::Categorical { choices: words.iter().map(|word| word.as_str().into()).collect() })
@@ -176,8 +173,13 @@ impl Field {
     }
 }
 
-/// A range that holds what was observed; a single value is widened by the least that a double can.
-fn continuous(low: f64, high: f64) -> Domain {
+/// The range of observed integers; a wide one is continuous, as an integer parameter spans less than 2^32.
+pub(crate) fn integers(low: i64, high: i64) -> Domain {
+    if high.abs_diff(low) < 1 << 32 { Domain::Integer { low, high } } else { continuous(low as f64, high as f64) }
+}
+
+/// The range of observed numbers; a single value is widened by the least that a double can.
+pub(crate) fn continuous(low: f64, high: f64) -> Domain {
     let high = if low < high { high } else { low.next_up() };
     Domain::Continuous { low, high, scale: Scale::Linear }
 }

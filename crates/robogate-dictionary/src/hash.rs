@@ -2,35 +2,37 @@
 
 use std::borrow::Borrow;
 use std::fmt::Write;
+use std::sync::Arc;
 
+use robogate_core::TaskSpec;
 use sha2::{Digest, Sha256};
 
 use crate::{DictionaryError, Entry, codec};
 
-/// SHA-256 over the canonical form of every entry, in order: the identity of a data set, whatever
-/// file it is in.
+/// SHA-256 over the canonical form of every entry, in order: the identity of a dataset in any file.
 ///
-/// The bytes of a Parquet file depend on its writer's version and settings; these do not. Two
-/// campaigns agree on it exactly if they agree on every value of every row. Not told apart are what
-/// Parquet does not tell apart either: the order of the parameters, a whole number as integer or as
-/// real number, and a measure that is missing or not finite.
+/// The bytes of a Parquet file depend on its writer's version and settings; this hash does not. Two campaigns have the
+/// same hash exactly if they agree on every value of every row. It does not distinguish what Parquet does not
+/// distinguish: the order of the parameters, an integer as integer or as real number, and a measure that is missing or
+/// not finite.
 #[derive(Debug, Clone)]
 pub struct DatasetHash {
+    task: Arc<TaskSpec>,
     state: Sha256,
     row: Vec<u8>,
 }
 
 impl DatasetHash {
-    /// Of no entries yet.
-    pub fn new() -> Self {
+    /// Of no entries yet; those that follow are episodes of `task`.
+    pub fn new(task: Arc<TaskSpec>) -> Self {
         // The canonical form is part of the hash: a change to it must not look like other data.
-        Self { state: Sha256::new_with_prefix(b"robogate dataset 1\n"), row: Vec::new() }
+        Self { task, state: Sha256::new_with_prefix(b"robogate dataset 1\n"), row: Vec::new() }
     }
 
     /// Adds the next entry.
     pub fn update(&mut self, entry: &Entry) {
         self.row.clear();
-        codec::encode_canonical(entry, &mut self.row);
+        codec::encode_canonical(entry, &self.task, &mut self.row);
         self.state.update(&self.row);
     }
 
@@ -40,17 +42,12 @@ impl DatasetHash {
     }
 }
 
-impl Default for DatasetHash {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-/// The [`DatasetHash`] over entries that may fail to be read; the first error ends it.
+/// The [`DatasetHash`] over entries of one task that may fail to be read; the first error ends it.
 pub fn dataset_hash<E: Borrow<Entry>>(
+    task: Arc<TaskSpec>,
     entries: impl IntoIterator<Item = Result<E, DictionaryError>>,
 ) -> Result<String, DictionaryError> {
-    let mut hash = DatasetHash::new();
+    let mut hash = DatasetHash::new(task);
     for entry in entries {
         hash.update(entry?.borrow());
     }

@@ -1,10 +1,9 @@
 //! The crash-safe record that a running campaign appends to.
 //!
-//! A header of 16 bytes, then one frame for each episode: the length of its body, the CRC-32 of the
-//! body, the CRC-32 of these two, and the body. A frame is written with one `write`, so a process
-//! that is killed leaves at most one frame unfinished, and that one is at the end. The checksum of
-//! the frame's head tells an unfinished frame (its head is right, the file ends too early) from a
-//! damaged one.
+//! A header of 16 bytes, then one frame for each episode: the length of its body, the CRC-32 of the body, the CRC-32 of
+//! these two, and the body. A frame is written with one `write`: a killed process leaves at most one unfinished frame, at
+//! the end. The checksum of the frame's head tells an unfinished frame (its head is right, the file ends too early) from
+//! a damaged one.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
@@ -14,7 +13,9 @@ use crate::codec::{self, Interner};
 use crate::{DictionaryError, Entry};
 
 const MAGIC: [u8; 8] = *b"RGJOURNL";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
+/// The version of RoboGate 0.1, which numbered the failure modes and measures of its one task.
+const BEFORE_TASKS: u32 = 1;
 const HEADER: u64 = 16;
 const HEAD: usize = 12;
 
@@ -25,16 +26,14 @@ pub struct Recovery {
     pub dropped_bytes: u64,
 }
 
-/// The append-only record of a running campaign: 16 bytes of memory for each episode, whatever the
-/// order in which they come.
+/// The append-only record of a running campaign. It takes 16 bytes of memory for each episode, in any order.
 ///
 /// One process at a time: the file is locked as long as the journal is open.
 #[derive(Debug)]
 pub struct Journal {
     file: File,
     path: PathBuf,
-    /// (index, offset of the frame), by rising index. Episodes come nearly in order, so that most
-    /// insertions are at the end.
+    /// (index, offset of the frame), by rising index. Episodes come nearly in order: most insertions are at the end.
     places: Vec<(u64, u64)>,
     /// Where the last whole frame ends.
     end: u64,
@@ -45,7 +44,7 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Creates the journal `path`, which must not be there yet.
+    /// Creates the journal `path`, which must not exist yet.
     pub fn create(path: &Path) -> Result<Self, DictionaryError> {
         let file = OpenOptions::new()
             .read(true)
@@ -55,15 +54,15 @@ impl Journal {
             .map_err(DictionaryError::io(path, "create"))?;
         let mut journal = Self::over(file, path)?;
         journal.write_header()?;
-        // The name of a new file is in its folder: without this a power failure could take it away.
+        // The name of a new file is in its folder: without this a power failure could remove it.
         sync_folder(path).map_err(DictionaryError::io(path, "flush the folder of"))?;
         Ok(journal)
     }
 
     /// Opens the journal `path`; a record that was being written when its writer died is cut off.
     ///
-    /// A record that is damaged before the end is an error that names its offset: the episodes after
-    /// it would otherwise be lost in silence.
+    /// A record that is damaged before the end is an error with its offset: without it the episodes behind it would be lost
+    /// silently.
     pub fn open(path: &Path) -> Result<(Self, Recovery), DictionaryError> {
         let file = OpenOptions::new().read(true).append(true).open(path).map_err(DictionaryError::io(path, "open"))?;
         let mut journal = Self::over(file, path)?;
@@ -98,7 +97,7 @@ impl Journal {
     }
 
     fn write_header(&mut self) -> Result<(), DictionaryError> {
-        let header = header();
+        let header = header_of(VERSION);
         self.file.write_all(&header).map_err(DictionaryError::io(&self.path, "write"))?;
         self.end = HEADER;
         Ok(())
@@ -126,20 +125,23 @@ impl Journal {
         let refuse = |reason: String| Err(DictionaryError::NotAJournal { path: self.path.clone(), reason });
         let mut found = Vec::new();
         reader.take(HEADER).read_to_end(&mut found).map_err(DictionaryError::io(&self.path, "read"))?;
-        let expected = header();
+        let expected = header_of(VERSION);
         if found == expected {
             return Ok(true);
         }
         if expected.starts_with(&found) {
             return Ok(false);
         }
-        match (found.first_chunk(), found.get(8..12).and_then(|v| v.first_chunk())) {
-            (Some(&MAGIC), Some(version)) if u32::from_le_bytes(*version) > VERSION => refuse(format!(
-                "it is of version {}, and this robogate reads {VERSION} at most\nhint: upgrade robogate",
-                u32::from_le_bytes(*version)
+        let version = found.get(8..12).and_then(|bytes| bytes.first_chunk()).map(|bytes| u32::from_le_bytes(*bytes));
+        match (found.first_chunk(), version) {
+            (Some(&MAGIC), Some(version)) if version > VERSION => refuse(format!(
+                "version {version} is newer than {VERSION}, the newest that this version of robogate reads\nhint: upgrade robogate"
             )),
+            (Some(&MAGIC), Some(BEFORE_TASKS)) if found == header_of(BEFORE_TASKS) => refuse(
+                "this run was begun with robogate 0.1\nhint: finish it with that version, or begin it anew".to_owned(),
+            ),
             (Some(&MAGIC), _) => refuse("its header is damaged".to_owned()),
-            _ => refuse("it does not begin as one\nhint: check the path".to_owned()),
+            _ => refuse("it does not begin with the header of a journal\nhint: check the path".to_owned()),
         }
     }
 
@@ -174,7 +176,7 @@ impl Journal {
             return Err(self.damaged(self.end, "it is too short for an episode"));
         };
         if !self.place(index, self.end) {
-            return Err(self.damaged(self.end, &format!("episode {index} is in the journal already")));
+            return Err(self.damaged(self.end, &format!("the journal already holds episode {index}")));
         }
         Ok(Some(HEAD as u64 + u64::from(size)))
     }
@@ -184,7 +186,7 @@ impl Journal {
         DictionaryError::DamagedJournal { path: self.path.clone(), offset, intact, reason: reason.to_owned() }
     }
 
-    /// Notes where episode `index` is; `false` where it has a place already.
+    /// Notes where episode `index` is; `false` where it already has a place.
     fn place(&mut self, index: u64, offset: u64) -> bool {
         match self.places.last() {
             Some((last, _)) if *last >= index => match self.places.binary_search_by_key(&index, |(i, _)| *i) {
@@ -203,8 +205,8 @@ impl Journal {
 
     /// Appends one entry with one `write`: a process that dies loses at most this one.
     ///
-    /// An error (a full disk) leaves the journal as it was before: what is in it stays readable, and
-    /// an append that comes after room was made succeeds.
+    /// An error (a full disk) leaves the journal as it was: its episodes stay readable, and an append succeeds once there is
+    /// disk space.
     pub fn append(&mut self, entry: &Entry) -> Result<(), DictionaryError> {
         entry.check()?;
         let index = entry.index();
@@ -238,7 +240,7 @@ impl Journal {
         Ok(())
     }
 
-    /// Forces what was appended onto the disk: for the ends of stages, against a power failure.
+    /// Flushes what was appended to the disk: at the ends of stages, against a power failure.
     pub fn sync(&mut self) -> Result<(), DictionaryError> {
         self.file.sync_data().map_err(DictionaryError::io(&self.path, "flush"))
     }
@@ -268,7 +270,7 @@ impl Journal {
         self.places.iter().map(|(index, _)| *index)
     }
 
-    /// The entry of the episode `index`, if it is there.
+    /// The entry of the episode `index`, if the journal holds it.
     pub fn read(&mut self, index: u64) -> Result<Option<Entry>, DictionaryError> {
         self.offset(index).map(|offset| self.read_at(offset)).transpose()
     }
@@ -302,16 +304,16 @@ impl Journal {
 
 impl Drop for Journal {
     fn drop(&mut self) {
-        // Closing alone would leave it locked for as long as a child that was just forked, and has not
-        // yet executed its program, holds a copy of the handle.
+        // Closing alone would leave it locked while a forked child that has not yet executed its program holds a copy of the
+        // handle.
         let _ = self.file.unlock();
     }
 }
 
-fn header() -> [u8; HEADER as usize] {
+fn header_of(version: u32) -> [u8; HEADER as usize] {
     let mut header = [0; HEADER as usize];
     header[..8].copy_from_slice(&MAGIC);
-    header[8..12].copy_from_slice(&VERSION.to_le_bytes());
+    header[8..12].copy_from_slice(&version.to_le_bytes());
     let crc = crc32fast::hash(&header[..12]);
     header[12..].copy_from_slice(&crc.to_le_bytes());
     header
@@ -326,7 +328,7 @@ fn make_head(size: u32, crc: u32) -> [u8; HEAD] {
     head
 }
 
-/// Size and checksum of the body, where the head is one.
+/// Size and checksum of the body, where the head matches its checksum.
 fn parse_head(head: &[u8; HEAD]) -> Option<(u32, u32)> {
     let word = |at: usize| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
     (crc32fast::hash(&head[..8]) == word(8)).then(|| (word(0), word(4)))
@@ -343,7 +345,7 @@ fn only_zeros(reader: &mut impl Read) -> io::Result<bool> {
     }
 }
 
-/// Forces the folder that holds `path` onto the disk, where folders can be opened.
+/// Flushes the folder of `path` to the disk, where folders can be opened.
 pub(crate) fn sync_folder(path: &Path) -> io::Result<()> {
     if cfg!(not(unix)) {
         return Ok(());
@@ -353,7 +355,7 @@ pub(crate) fn sync_folder(path: &Path) -> io::Result<()> {
         _ => Path::new("."),
     };
     match fs::File::open(folder)?.sync_all() {
-        // Some file systems cannot; the file itself is there all the same.
+        // Some file systems cannot; the file itself is written all the same.
         Err(e) if e.kind() == io::ErrorKind::InvalidInput => Ok(()),
         other => other,
     }

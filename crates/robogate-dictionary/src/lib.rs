@@ -1,14 +1,13 @@
 //! The failure dictionary: the record of every episode.
 //!
-//! While a campaign runs, each [`Entry`] goes into a [`Journal`], which survives a `kill -9`. At the
-//! end the entries, in order of their index, become one Parquet file ([`write_parquet`]), which
-//! [`Dictionary`] reads. Beside the rows the file has its [`Provenance`]; the two together hold no
-//! clock and no thread count, so that the same settings give the same bytes. [`dataset_hash`] is the
-//! identity of the rows, whatever file they are in.
+//! While a campaign runs, each [`Entry`] is appended to a [`Journal`], which survives a `kill -9`. At the end the entries,
+//! in order of their index, become one Parquet file ([`write_parquet`]), which [`Dictionary`] reads. The file also holds
+//! the [`Provenance`] with the task. Neither holds a clock or a thread count: the same settings give the same bytes.
+//! [`dataset_hash`] identifies the rows in any file.
 //!
-//! [`published`] speaks the JSON of the dictionaries released with the paper, [`results`] reads the
-//! per-episode results of other tools, [`export`] writes CSV and JSON Lines. [`fixed_columns`] says what
-//! each column means.
+//! [`published`] reads and writes the JSON of the dictionaries released with the paper, [`results`] reads the per-episode
+//! results of other tools, [`export`] writes CSV and JSON Lines. [`fixed_columns`] documents each column. Beside these the
+//! measures of the task and the parameters of the space are columns.
 
 mod atomic;
 mod codec;
@@ -18,6 +17,7 @@ mod error;
 pub mod export;
 mod fields;
 mod hash;
+mod identity;
 mod journal;
 mod parquet;
 pub mod provenance;
@@ -25,14 +25,14 @@ pub mod published;
 mod raw;
 pub mod results;
 mod schema;
-mod suite;
+pub mod v1;
 
 pub use columns::{FixedColumn, Kind, fixed_columns};
 pub use entry::{Entry, Label};
 pub use error::{DictionaryError, Row};
 pub use hash::{DatasetHash, dataset_hash, hex};
+pub use identity::{TaskIdentity, suite_sha256};
 pub use journal::{Journal, Recovery};
 pub use parquet::{Column, Dictionary, DictionaryWriter, Entries, Written, write_parquet};
 pub use provenance::{Dimensions, Engine, Platform, Provenance, Robot, Source, Tool, robot_sha256};
 pub use schema::{SCHEMA_VERSION, SchemaVersion};
-pub use suite::suite_sha256;

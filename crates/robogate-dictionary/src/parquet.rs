@@ -1,10 +1,9 @@
 //! The Parquet record.
 //!
-//! Row groups of [`ROWS_PER_GROUP`] rows, snappy, no page index, a `created_by` that names this tool:
-//! the same provenance and entries give the same bytes. Beside the schema version and the provenance,
-//! the footer carries the dataset hash and a CRC-32 for each column chunk. A chunk is decoded only
-//! from bytes that match theirs, so that a damaged file is refused where it is damaged instead of
-//! being read as other data.
+//! Row groups of [`ROWS_PER_GROUP`] rows, snappy, no page index, a `created_by` that names this tool: the same provenance
+//! and entries give the same bytes. The footer holds the schema version, the provenance, the dataset hash and a CRC-32 for
+//! each column chunk. A chunk is decoded only from bytes that match its CRC: damage is an error with its place, never other
+//! data.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -30,10 +29,10 @@ use crate::codec::Interner;
 use crate::columns::{Cell, ColumnSpec, Columns, Kind, WrongCell};
 use crate::{DatasetHash, DictionaryError, Entry, Provenance, Row, SCHEMA_VERSION, SchemaVersion};
 
-/// Rows of a row group: what a reader or writer holds in memory, a few megabytes.
+/// Rows of a row group. A reader or writer holds one in memory, a few megabytes.
 const ROWS_PER_GROUP: usize = 1 << 14;
 
-/// The most rows of a row group that is read: a bound on memory whatever a file claims.
+/// The most rows of a row group that is read: a bound on memory for any file.
 const MOST_ROWS_PER_GROUP: usize = 1 << 20;
 
 const KEY_VERSION: &str = "robogate.schema_version";
@@ -41,12 +40,12 @@ const KEY_PROVENANCE: &str = "robogate.provenance";
 const KEY_DATASET: &str = "robogate.dataset_hash";
 const KEY_CHECKSUMS: &str = "robogate.checksums";
 
-/// What was written.
+/// The result of writing a dictionary.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Written {
     /// How many rows.
     pub rows: u64,
-    /// The content hash of the rows ([`crate::dataset_hash`]), which the file carries too.
+    /// The content hash of the rows ([`crate::dataset_hash`]), which is also in the file.
     pub dataset_hash: String,
 }
 
@@ -63,8 +62,8 @@ pub fn write_parquet(
     writer.finish()
 }
 
-/// Writes a dictionary row by row: memory is bounded by one row group, and the file is at `path`
-/// only once it is complete. Dropped before [`Self::finish`], it leaves nothing behind.
+/// Writes a dictionary row by row: memory is bounded by one row group, and the file appears at `path` only once it is
+/// complete. A writer that is dropped before [`Self::finish`] leaves nothing behind.
 pub struct DictionaryWriter {
     writer: SerializedFileWriter<Sink>,
     path: PathBuf,
@@ -86,9 +85,9 @@ impl fmt::Debug for DictionaryWriter {
 }
 
 impl DictionaryWriter {
-    /// Begins a dictionary that will be at `path`, in this crate's schema version.
+    /// Starts a dictionary that will be at `path`, in this crate's schema version.
     pub fn create(path: &Path, provenance: &Provenance) -> Result<Self, DictionaryError> {
-        let columns = Columns::of(&provenance.space, SCHEMA_VERSION)?;
+        let columns = Columns::of(&provenance.task, &provenance.space, SCHEMA_VERSION)?;
         let provenance = Provenance { schema_version: SCHEMA_VERSION, ..provenance.clone() };
         let json = provenance.to_json();
         let checksums = vec![hex_crc(json.as_bytes())];
@@ -106,7 +105,7 @@ impl DictionaryWriter {
             rows_in_group: 0,
             rows: 0,
             last_index: None,
-            hash: DatasetHash::new(),
+            hash: DatasetHash::new(Arc::clone(&provenance.task)),
             checksums,
         })
     }
@@ -182,7 +181,9 @@ impl DictionaryWriter {
                     let start = usize::try_from(start.checked_sub(base)?).ok()?;
                     sink.recent.get(start..start.checked_add(length)?)
                 })
-                .ok_or_else(|| ParquetError::General("a column chunk is not where its metadata says".to_owned()))?;
+                .ok_or_else(|| {
+                    ParquetError::General("a column chunk is not at the place in its metadata".to_owned())
+                })?;
             self.checksums.push(hex_crc(bytes));
         }
         sink.recent.clear();
@@ -191,9 +192,9 @@ impl DictionaryWriter {
     }
 }
 
-/// What a Parquet writer writes to: the file, and the bytes of the row group at hand for their checksum.
+/// Destination of the Parquet writer: the file, and the bytes of the current row group for their checksum.
 struct Sink {
-    /// `None` once the file is in its place.
+    /// `None` once the file is complete.
     file: Option<AtomicFile>,
     written: u64,
     recent: Vec<u8>,
@@ -212,7 +213,7 @@ impl Write for Sink {
     }
 }
 
-/// The values of one column in the row group at hand.
+/// The values of one column in the current row group.
 struct Chunk {
     /// For each row 1 where there is a value, 0 where it is missing: Parquet's definition level.
     present: Vec<i16>,
@@ -239,7 +240,7 @@ impl Chunk {
         match (&mut self.values, cell) {
             (Values::Numbers(values), Cell::Number(x)) => values.push(*x),
             (Values::Longs(values), Cell::Integer(n)) => values.push(*n),
-            // Parquet keeps unsigned numbers as the signed ones of the same bits.
+            // Parquet stores unsigned numbers as the signed ones of the same bits.
             (Values::Longs(values), Cell::Count(n)) => values.push(n.cast_signed()),
             (Values::Texts(values), Cell::Text(text)) => values.push(ByteArray::from(text.as_bytes().to_vec())),
             _ => return self.present.push(0),
@@ -306,7 +307,7 @@ fn hex_crc(bytes: &[u8]) -> String {
     format!("{:08x}", crc32fast::hash(bytes))
 }
 
-/// Start and length of a column chunk in its file, where they can be any.
+/// Start and length of a column chunk in its file, where they are not negative.
 fn byte_range(column: &ColumnChunkMetaData) -> Option<(u64, usize)> {
     let start = column.dictionary_page_offset().unwrap_or_else(|| column.data_page_offset());
     Some((u64::try_from(start).ok()?, usize::try_from(column.compressed_size()).ok()?))
@@ -357,7 +358,7 @@ impl Dictionary {
             return Err(DictionaryError::not_a_dictionary(
                 path,
                 format!(
-                    "it is a Parquet file without `{KEY_VERSION}`\nhint: only `robogate run` and `robogate import` write dictionaries"
+                    "it is a Parquet file without `{KEY_VERSION}`. Expected one that `robogate run` or `robogate import` wrote"
                 ),
             ));
         };
@@ -366,7 +367,7 @@ impl Dictionary {
             return Err(DictionaryError::NewerSchema { path: path.to_owned(), found: version });
         }
         if !version.is_readable() {
-            let reason = format!("its schema version {version} is older than any that was released");
+            let reason = format!("its schema version {version} was never released");
             return Err(DictionaryError::not_a_dictionary(path, reason));
         }
         let json = value(KEY_PROVENANCE).unwrap_or_default();
@@ -376,7 +377,7 @@ impl Dictionary {
         }
         let provenance: Provenance =
             serde_json::from_str(json).map_err(|e| damaged(path, "the provenance", e.to_string()))?;
-        let columns = Columns::of(&provenance.space, version)?;
+        let columns = Columns::of(&provenance.task, &provenance.space, version)?;
         let leaves = find_leaves(&metadata, &columns, path)?;
         let checksums = checksums
             .map(|crc| u32::from_str_radix(crc, 16))
@@ -439,8 +440,7 @@ impl Dictionary {
 
     /// Every entry in order, one row group in memory at a time.
     ///
-    /// After the last entry comes an error where they are not the ones that the stored dataset hash
-    /// was taken of.
+    /// After the last entry comes an error where their hash differs from the stored dataset hash.
     pub fn entries(&self) -> Entries<'_> {
         Entries {
             dictionary: self,
@@ -451,7 +451,7 @@ impl Dictionary {
             row: 0,
             last_index: None,
             words: Interner::default(),
-            hash: DatasetHash::new(),
+            hash: DatasetHash::new(Arc::clone(&self.provenance.task)),
             done: false,
         }
     }
@@ -474,7 +474,7 @@ impl Dictionary {
         Ok(column)
     }
 
-    /// One whole column as real numbers; whole numbers are converted, words refused.
+    /// One whole column as real numbers; integers are converted, words are an error.
     pub fn numbers(&self, name: &str) -> Result<Vec<Option<f64>>, DictionaryError> {
         match self.column(name)? {
             Column::Numbers(values) => Ok(values),
@@ -561,7 +561,7 @@ impl Dictionary {
     }
 }
 
-/// The two ends of a Parquet file: what tells another format or a truncated file before anything is parsed.
+/// Checks the two ends of a Parquet file: they tell another format or a truncated file before parsing.
 fn check_ends(file: &mut File, path: &Path) -> Result<(), DictionaryError> {
     let read = |file: &mut File, from| -> io::Result<[u8; 4]> {
         let mut magic = [0; 4];
@@ -575,12 +575,12 @@ fn check_ends(file: &mut File, path: &Path) -> Result<(), DictionaryError> {
         return Err(DictionaryError::not_a_dictionary(path, reason));
     }
     if read(file, SeekFrom::Start(0)).map_err(DictionaryError::io(path, "read"))? != *b"PAR1" {
-        let reason = "it does not begin as a Parquet file\nhint: `robogate import` reads the published JSON";
+        let reason = "it does not begin as a Parquet file\nhint: read results of other tools with `robogate import`";
         return Err(DictionaryError::not_a_dictionary(path, reason));
     }
     if read(file, SeekFrom::End(-4)).map_err(DictionaryError::io(path, "read"))? != *b"PAR1" {
         let reason = format!(
-            "it begins as a Parquet file but does not end as one at byte {length}: it is truncated\nhint: restore it from a copy, or write it again from the journal of its campaign"
+            "it begins as a Parquet file but does not end as one at byte {length}: it is truncated\nhint: restore it from a backup, or run its campaign again"
         );
         return Err(DictionaryError::not_a_dictionary(path, reason));
     }
@@ -615,7 +615,7 @@ fn count_rows(metadata: &ParquetMetaData, checksums: usize) -> Result<u64, Strin
     }
     if u64::try_from(metadata.file_metadata().num_rows()) != Ok(rows) {
         let claimed = metadata.file_metadata().num_rows();
-        return Err(format!("it claims {claimed} rows, its row groups have {rows}"));
+        return Err(format!("its footer says {claimed} rows, its row groups have {rows}"));
     }
     let chunks: usize = metadata.row_groups().iter().map(|group| group.num_columns()).sum();
     if chunks != checksums {
@@ -628,13 +628,12 @@ fn damaged(path: &Path, place: &str, reason: String) -> DictionaryError {
     DictionaryError::Damaged { path: path.to_owned(), place: place.to_owned(), reason }
 }
 
-/// Runs a part of the Parquet library on content that may be anything. A panic in there is a refusal
-/// of the file, not the end of the process.
+/// Runs the Parquet library on a file and converts a panic into an error for that file.
 pub(crate) fn guarded<T>(read: impl FnOnce() -> Result<T, ParquetError>) -> Result<T, String> {
     match std::panic::catch_unwind(std::panic::AssertUnwindSafe(read)) {
         Ok(Ok(value)) => Ok(value),
         Ok(Err(error)) => Err(error.to_string()),
-        Err(_) => Err("the Parquet library gave up on it".to_owned()),
+        Err(_) => Err("the Parquet library failed on it".to_owned()),
     }
 }
 
@@ -686,11 +685,11 @@ impl ChunkReader for ChunkBytes {
 pub enum Column {
     /// Real numbers.
     Numbers(Vec<Option<f64>>),
-    /// Signed whole numbers.
+    /// Signed integers.
     Integers(Vec<Option<i64>>),
-    /// Whole numbers from 0.
+    /// Integers from 0.
     Counts(Vec<Option<u64>>),
-    /// Words: each row has the position of its word in `words`, which stand in order of appearance.
+    /// Words: each row has the position of its word in `words`, which are in order of appearance.
     Categories {
         /// The distinct words.
         words: Vec<String>,
@@ -794,7 +793,7 @@ pub struct Entries<'a> {
     dictionary: &'a Dictionary,
     /// The next row group.
     group: usize,
-    /// The columns of the row group at hand.
+    /// The columns of the current row group.
     data: Vec<Column>,
     /// The next row in it.
     at: usize,
@@ -833,12 +832,12 @@ impl Entries<'_> {
     }
 
     fn check_hash(&mut self) -> Result<(), DictionaryError> {
-        let found = std::mem::take(&mut self.hash).finish();
+        let found = self.hash.clone().finish();
         let dictionary = self.dictionary;
         if found == dictionary.dataset_hash {
             return Ok(());
         }
-        let reason = format!("its rows have the dataset hash {found}, it says {}", dictionary.dataset_hash);
+        let reason = format!("its rows have the dataset hash {found}. Expected {}", dictionary.dataset_hash);
         Err(damaged(&dictionary.path, "the dataset", reason))
     }
 

@@ -1,16 +1,18 @@
 //! Where a dictionary comes from.
 
-use robogate_core::ParameterSpace;
+use std::sync::Arc;
+
+use robogate_core::{ParameterSpace, TaskSpec};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::{SCHEMA_VERSION, SchemaVersion, hex};
 
-/// Where a dictionary comes from: everything that its rows depend on, and nothing else.
+/// Where a dictionary comes from: everything that its rows depend on.
 ///
-/// There is no clock in it, no thread count, no path: two runs with the same settings on the same
-/// platform have the same provenance to the byte ([`Self::to_json`]).
+/// It holds no clock, thread count or path: two runs with the same settings on the same platform have the same
+/// provenance to the byte ([`Self::to_json`]).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Provenance {
     /// What wrote it.
@@ -19,11 +21,14 @@ pub struct Provenance {
     pub schema_version: SchemaVersion,
     /// What stepped the physics.
     pub engine: Engine,
+    /// The task, as the environment declared it. Its measures are columns of the rows.
+    #[serde(default = "before_tasks")]
+    pub task: Arc<TaskSpec>,
     /// The robot that was judged.
     pub robot: Robot,
     /// The policy that drove it.
     pub policy: String,
-    /// The settings of the world (time step, grip force) in the simulator's own form.
+    /// The settings of the world (its time step, for example) in the environment's own form.
     #[serde(default, skip_serializing_if = "serde_json::Value::is_null")]
     pub world: serde_json::Value,
     /// The parameter space: its parameters are columns of the rows, in this order.
@@ -46,6 +51,11 @@ impl Provenance {
         // A tree of strings, numbers and maps with string keys cannot fail to serialise.
         serde_json::to_string(self).unwrap_or_default()
     }
+}
+
+/// The task of a dictionary that does not say it.
+fn before_tasks() -> Arc<TaskSpec> {
+    Arc::new(crate::v1::task())
 }
 
 /// The tool that wrote a dictionary.
@@ -139,10 +149,10 @@ pub struct Source {
     pub format: String,
     /// SHA-256 (hex) of its bytes.
     pub sha256: String,
-    /// What the import had to decide or leave out, in sentences.
+    /// What the import decided or left out, in sentences.
     pub notes: Vec<String>,
-    /// What the source does not record, so that no rate of it may be claimed: the words of failure modes
-    /// (`collision`: a failure there may have been one) and `cycle_time_s`.
+    /// What the source does not record, so that no rate of it can be estimated: names of failure modes (with `jammed` here,
+    /// any failure may have been one) and `cycle_time_s`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_recorded: Vec<String>,
 }

@@ -1,4 +1,4 @@
-//! Rows of other tools, before anything is known of what their fields mean.
+//! Rows of other tools, before the meaning of their fields is known.
 
 use std::cell::Cell;
 use std::fs::File;
@@ -14,8 +14,11 @@ use crate::codec::Interner;
 use crate::hash::hex;
 use crate::{DictionaryError, Row};
 
-/// More fields than this are no row of parameters; each would become two columns.
+/// The most fields of a row: each can become two columns.
 pub(crate) const MOST_FIELDS: usize = 1000;
+
+/// The most failure modes of a file: more are descriptions of single episodes.
+pub(crate) const MOST_MODES: usize = 1000;
 
 /// One value of a row.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,12 +36,12 @@ impl Scalar {
     /// As an error message shows it.
     pub(crate) fn show(&self) -> String {
         match self {
-            Self::Null => "the missing value".to_owned(),
+            Self::Null => "a missing value".to_owned(),
             Self::Bool(value) => value.to_string(),
             Self::Integer(n) => n.to_string(),
             Self::Number(x) => x.to_string(),
             Self::Text(text) => format!("`{text}`"),
-            Self::Nested => "the array or object".to_owned(),
+            Self::Nested => "an array or object".to_owned(),
         }
     }
 }
@@ -67,11 +70,11 @@ impl RawRow {
     }
 }
 
-/// The most bytes of JSON between two rows: what may have to be held at once, whatever the file's size.
+/// The most bytes of JSON between two rows: a bound on memory for a file of any size.
 pub(crate) const MOST_JSON: u64 = 16 << 20;
 
-/// A file that is hashed as it is read, and that ends in an error where a reader takes in more than
-/// `most` bytes without coming to a row: a bound on memory for formats whose pieces have none.
+/// A file that is hashed as it is read. Reading fails where more than `most` bytes pass without a row: a bound on memory
+/// for formats that have none.
 #[derive(Debug)]
 pub(crate) struct Metered {
     inner: File,
@@ -85,7 +88,7 @@ pub(crate) struct Metered {
 pub(crate) struct Meter(Rc<Cell<u64>>);
 
 impl Meter {
-    /// A row was read: what came before it is no longer held.
+    /// A row was read, and the bytes before it were released.
     pub(crate) fn reset(&self) {
         self.0.set(0);
     }
@@ -115,7 +118,7 @@ impl Read for Metered {
         self.meter.0.set(since);
         if since > self.most {
             let reason = format!(
-                "{} MiB without a row\nhint: larger pieces are refused to bound memory; one row must be far smaller",
+                "{} MiB without a row. Expected smaller rows: a larger piece is refused to bound memory",
                 self.most >> 20
             );
             return Err(io::Error::new(io::ErrorKind::InvalidData, reason));
@@ -178,7 +181,7 @@ impl<'de> Visitor<'de> for AnyScalar {
     }
 
     fn visit_u64<E: Error>(self, n: u64) -> Result<Scalar, E> {
-        // Beyond 2^63 it is some identifier or a huge measure; as a number it keeps its size.
+        // Beyond 2^63 it is an identifier or a huge measure; as a real number it keeps its size.
         Ok(i64::try_from(n).map_or(Scalar::Number(n as f64), Scalar::Integer))
     }
 

@@ -8,15 +8,18 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
 /// The version that this crate writes, and the newest that it knows.
-pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 1, minor: 1 };
+pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 2, minor: 0 };
+
+/// The oldest version that this crate reads. Version 2 added the task and took nothing away.
+pub(crate) const OLDEST: SchemaVersion = SchemaVersion { major: 1, minor: 0 };
 
 /// The version that added the columns of a suite's scenarios (`case`, `category`, `group`).
 pub(crate) const LABELLED: SchemaVersion = SchemaVersion { major: 1, minor: 1 };
 
 /// A version of the dictionary's schema, written `major.minor`.
 ///
-/// A minor version adds columns: older and newer ones of the same major are readable. A major
-/// version changes what a column means, so a newer one is refused.
+/// A minor version adds columns: older and newer ones of the same major are readable. A major version changes which
+/// columns there are or what they mean, so a newer one is refused. Every older one can be read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct SchemaVersion {
@@ -29,11 +32,11 @@ pub struct SchemaVersion {
 impl SchemaVersion {
     /// Whether a file of this version can be read here.
     pub fn is_readable(self) -> bool {
-        self.major == SCHEMA_VERSION.major
+        OLDEST <= self && self.major <= SCHEMA_VERSION.major
     }
 
     /// Whether rows may be added to a file of this version here. Not where it is newer by a minor
-    /// version: its added columns would stay empty, and nobody could tell why.
+    /// version: its added columns would stay empty without a reason.
     pub fn is_writable(self) -> bool {
         self.is_readable() && self <= SCHEMA_VERSION
     }

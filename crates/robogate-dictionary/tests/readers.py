@@ -20,7 +20,7 @@ names, rows = rows[0], rows[1:]
 
 table = pyarrow.parquet.read_table(path)
 metadata = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
-assert metadata["robogate.schema_version"] == "1.1", metadata
+assert metadata["robogate.schema_version"] == "2.0", metadata
 assert metadata["robogate.dataset_hash"] == dataset_hash
 provenance = json.loads(metadata["robogate.provenance"])
 assert provenance["robot"]["name"] == "franka", provenance
@@ -30,7 +30,7 @@ assert types["index"] == types["seed"] == types["ticks"] == "uint64", types
 assert types["obstacles"] == types["applied_obstacles"] == "int64", types
 assert types["mass_kg"] == types["cycle_time_s"] == types["weight"] == "double", types
 assert types["outcome"] == types["shape"] == types["trajectory_hash"] == "string", types
-assert not table.schema.field("outcome").nullable and table.schema.field("slip_m").nullable
+assert not table.schema.field("outcome").nullable and table.schema.field("depth_m").nullable
 
 
 def same(value, text):

@@ -61,8 +61,9 @@ impl Baseline {
         if valid == 0 {
             return Err(GateError::EmptyBaseline);
         }
-        let figures = Metric::ALL.into_iter().filter_map(|metric| {
-            let (_, _, extremes) = figure(metric, rounds.trials(), None);
+        let figures = Metric::of_task(&record.task).into_iter().filter_map(|metric| {
+            let (_, _, extremes) =
+                figure(metric, rounds.trials(), [Some(0.0).filter(|_| metric == Metric::MEAN_CYCLE_TIME), None]);
             extremes.observed.map(|value| BaselineFigure { metric, value })
         });
         Ok(Self {
@@ -110,7 +111,12 @@ impl Baseline {
             return Err(GateError::NewerBaseline { found: format, known: Self::FORMAT });
         }
         let baseline: Self = serde_json::from_str(text).map_err(syntax)?;
-        if baseline.valid == 0 || baseline.figures.iter().any(|f| !f.value.is_finite() || f.value < 0.0) {
+        if baseline.valid == 0
+            || baseline
+                .figures
+                .iter()
+                .any(|f| !f.value.is_finite() || (f.value < 0.0 && !matches!(f.metric, Metric::Measure(..))))
+        {
             return Err(GateError::EmptyBaseline);
         }
         Ok(baseline)

@@ -93,7 +93,7 @@ pub enum GateError {
         /// Which requirement or term.
         what: String,
         /// The figure.
-        metric: &'static str,
+        metric: String,
     },
     /// A baseline of something else.
     #[error(
@@ -176,19 +176,29 @@ pub enum GateError {
         /// The first without.
         index: u64,
     },
-    /// An episode longer than what was said to bound it.
+    /// A value outside the range that the test of a mean was given.
     #[error(
-        "requirement `{id}`: episode {index} lasted {time_s} s, more than the ceiling of {ceiling_s} s\nhint: set `ceiling_s` to the time limit of the episodes"
+        "requirement `{id}`: episode {index} has the value {value}, outside {low} to {high}\nhint: set `floor` and `ceiling` to bounds of every value (for `cycle_time_s`, `ceiling` is the time limit of the episodes)"
     )]
-    AboveCeiling {
+    OutOfRange {
         /// Which.
         id: String,
         /// The episode's index.
         index: u64,
-        /// How long it lasted, in seconds.
-        time_s: f64,
-        /// The ceiling, in seconds.
-        ceiling_s: f64,
+        /// Its value.
+        value: f64,
+        /// The lower bound.
+        low: f64,
+        /// The upper bound.
+        high: f64,
+    },
+    /// A metric that the task does not have.
+    #[error("requirements `{requirements}`: {reason}")]
+    NotOfTask {
+        /// The set of requirements.
+        requirements: String,
+        /// What is missing, and what there is.
+        reason: String,
     },
     /// Weights that are none.
     #[error("`score`: {reason}")]

@@ -7,15 +7,16 @@
 //!
 //! Where each "met" shall be quotable by itself, [`Family::Holm`] adjusts these too.
 
-use robogate_dictionary::Label;
+use robogate_core::TaskSpec;
+use robogate_dictionary::{Label, TaskIdentity};
 use robogate_stats::multiplicity::holm;
 use robogate_stats::{Confidence, Trials, clopper_pearson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::comparison::{Against, Comparison};
-use crate::demand_test::{How, test};
 use crate::figure::{Extremes, figure};
+use crate::requirement_test::{How, test};
 use crate::rounds::Rounds;
 use crate::scope::{Scope, expand};
 use crate::{
@@ -49,7 +50,7 @@ pub enum Status {
 
 impl Status {
     /// The status in data and reports.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Met => "met",
             Self::Violated => "violated",
@@ -78,12 +79,15 @@ pub struct Counts {
 
 /// One demand and what the evidence says about it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct Finding {
+pub struct RequirementResult {
     /// Its name in reports: metric and scope.
     pub id: String,
     /// The demand.
     pub requirement: Requirement,
-    /// The demand with its limit as a number.
+    /// The unit of its metric; empty for rates and counts.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub unit: String,
+    /// The requirement with its limit as a number.
     pub bound: Bound,
     /// Episodes in its scope that say something about the metric.
     pub valid: u64,
@@ -92,7 +96,7 @@ pub struct Finding {
     /// The figure.
     pub figure: Extremes,
     /// The true figure lies above the lower and below the upper end, each at the requirements' confidence, whatever the
-    /// invalid episodes could have been; absent in point mode.
+    /// invalid episodes could have been; absent in point mode and for quantiles.
     pub interval: Option<[f64; 2]>,
     /// p-value against "it is not met", for the worst that invalid episodes could have been; absent in point mode.
     pub p_met: Option<f64>,
@@ -142,6 +146,8 @@ pub struct Evaluation {
     pub verdict: Verdict,
     /// Why, in a sentence.
     pub because: String,
+    /// The task.
+    pub task: TaskIdentity,
     /// The robot.
     pub robot: String,
     /// The policy.
@@ -161,7 +167,8 @@ pub struct Evaluation {
     /// What relative demands referred to.
     pub baseline: Option<Baseline>,
     /// What the evidence says about each demand.
-    pub findings: Vec<Finding>,
+    #[serde(alias = "findings")]
+    pub results: Vec<RequirementResult>,
     /// Whether it may replace another policy, where that was asked.
     pub comparison: Option<Comparison>,
     /// Success by scenario group.
@@ -188,7 +195,7 @@ pub struct Question<'a> {
 
 impl Evaluation {
     /// The version of the form.
-    pub const FORMAT: u32 = 1;
+    pub const FORMAT: u32 = 2;
 
     /// As a file holds it: the same evaluation gives the same bytes.
     pub fn to_json(&self) -> String {
@@ -206,6 +213,7 @@ impl Question<'_> {
     pub fn evaluate(&self, record: &Record) -> Result<Evaluation, GateError> {
         let requirements = self.requirements;
         requirements.check()?;
+        let record = &*requirements.fit(record)?;
         if let Some(baseline) = self.baseline {
             baseline.check(&record.population)?;
         }
@@ -222,15 +230,15 @@ impl Question<'_> {
             focused: record.focused,
         };
         let comparison = self.against.as_ref().map(|against| against.compare(record, sampling)).transpose()?;
-        let mut findings = Vec::new();
+        let mut results = Vec::new();
         for requirement in &requirements.requirement {
             for one in expand(requirement, rounds.trials().map(|trial| &trial.label))? {
-                findings.push(one);
+                results.push(one);
             }
         }
         let alpha = requirements.alpha();
         // A comparison is one demand more.
-        let family = findings.len() + usize::from(comparison.is_some());
+        let family = results.len() + usize::from(comparison.is_some());
         let how = How {
             sampling,
             alpha,
@@ -238,18 +246,19 @@ impl Question<'_> {
             suite: rounds.suite,
             steps: counts.rounds.unwrap_or(episodes),
         };
-        let mut findings = findings
+        let mut results = results
             .into_iter()
-            .map(|requirement| self.finding(requirement, &rounds, counts, how))
-            .collect::<Result<Vec<Finding>, GateError>>()?;
+            .map(|requirement| self.result(requirement, &record.task, &rounds, counts, how))
+            .collect::<Result<Vec<RequirementResult>, GateError>>()?;
         let mut comparison = comparison;
-        self.decide(&mut findings, comparison.as_mut(), alpha);
-        let (verdict, because) = conclude(counts, &findings, comparison.as_ref());
-        let decided_at_episodes = when(verdict, &findings);
+        self.decide(&mut results, comparison.as_mut(), alpha);
+        let (verdict, because) = conclude(counts, &results, comparison.as_ref());
+        let decided_at_episodes = when(verdict, &results);
         Ok(Evaluation {
             format: Evaluation::FORMAT,
             verdict,
             because,
+            task: TaskIdentity::of(&record.task),
             robot: record.robot.clone(),
             policy: record.policy.clone(),
             dataset_sha256: record.dataset_sha256.clone(),
@@ -259,7 +268,7 @@ impl Question<'_> {
             counts,
             requirements: requirements.clone(),
             baseline: self.baseline.cloned(),
-            findings,
+            results,
             comparison,
             groups: groups(rounds.trials()),
             score: ConfidenceScore::of(&requirements.score, self.baseline, rounds.rounds.iter().flatten().copied()),
@@ -267,13 +276,14 @@ impl Question<'_> {
         })
     }
 
-    fn finding(
+    fn result(
         &self,
         requirement: Requirement,
+        task: &TaskSpec,
         rounds: &Rounds<'_>,
         counts: Counts,
         how: How,
-    ) -> Result<Finding, GateError> {
+    ) -> Result<RequirementResult, GateError> {
         let mode = self.requirements.mode;
         let id = requirement.id();
         let bound = requirement.bound(mode, self.baseline)?;
@@ -287,9 +297,10 @@ impl Question<'_> {
         if counts.episodes > 0 && all.clone().next().is_none() {
             return Err(GateError::NoSuchScope { id, scope: scope.to_string(), known: known(rounds.trials()) });
         }
-        let (valid, invalid, figure) = figure(requirement.metric, all, requirement.ceiling_s);
-        let mut finding = Finding {
+        let (valid, invalid, figure) = figure(requirement.metric, all, requirement.range());
+        let mut result = RequirementResult {
             id,
+            unit: requirement.metric.unit(task),
             requirement,
             bound,
             valid,
@@ -302,38 +313,38 @@ impl Question<'_> {
             decided_at_episodes: None,
         };
         if valid == 0 {
-            return Ok(finding);
+            return Ok(result);
         }
         match mode {
             Mode::Point => {
-                let at = |x: Option<f64>| x.is_some_and(|x| bound.holds(x));
-                let ends = [at(Some(figure.least)), at(figure.most)];
-                finding.status = match ends {
+                let ends = [figure.least.unwrap_or(f64::NEG_INFINITY), figure.most.unwrap_or(f64::INFINITY)]
+                    .map(|end| bound.holds(end));
+                result.status = match ends {
                     [true, true] => Status::Met,
                     [false, false] => Status::Violated,
                     _ => Status::Undecided,
                 };
             }
             Mode::Confidence => {
-                let tested = test(&finding.requirement, bound, &scoped, how)?;
-                finding.interval = Some(tested.interval);
-                finding.p_met = Some(tested.p_met);
-                finding.p_violated = Some(tested.p_violated);
+                let tested = test(&result.requirement, bound, &scoped, how)?;
+                result.interval = tested.interval;
+                result.p_met = Some(tested.p_met);
+                result.p_violated = Some(tested.p_violated);
                 let per_step = counts.episodes as f64 / how.steps.max(1) as f64;
-                finding.decided_at_episodes =
+                result.decided_at_episodes =
                     tested.decided_at_steps.map(|steps| (steps as f64 * per_step).round() as u64);
             }
         }
-        Ok(finding)
+        Ok(result)
     }
 
     /// From p-values to answers, over the whole family.
-    fn decide(&self, findings: &mut [Finding], comparison: Option<&mut Comparison>, alpha: f64) {
+    fn decide(&self, results: &mut [RequirementResult], comparison: Option<&mut Comparison>, alpha: f64) {
         let other = comparison.as_ref().map(|c| (c.p_met, c.p_violated));
         let point = self.requirements.mode == Mode::Point;
-        let met: Vec<f64> = findings.iter().map(|f| f.p_met.unwrap_or(1.0)).chain(other.map(|o| o.0)).collect();
+        let met: Vec<f64> = results.iter().map(|f| f.p_met.unwrap_or(1.0)).chain(other.map(|o| o.0)).collect();
         let violated: Vec<f64> =
-            findings.iter().map(|f| f.p_violated.unwrap_or(1.0)).chain(other.map(|o| o.1)).collect();
+            results.iter().map(|f| f.p_violated.unwrap_or(1.0)).chain(other.map(|o| o.1)).collect();
         // These are p-values by construction; were one not, nothing would be rejected.
         let adjusted = |p: &[f64]| holm(p).unwrap_or_else(|_| vec![1.0; p.len()]);
         let met = if self.requirements.family == Family::Holm { adjusted(&met) } else { met };
@@ -349,13 +360,13 @@ impl Question<'_> {
                 Status::Undecided
             }
         };
-        let last = findings.len();
-        for (i, finding) in findings.iter_mut().enumerate() {
-            if !point && finding.status != Status::NoEvidence {
-                finding.status = status(i);
+        let last = results.len();
+        for (i, result) in results.iter_mut().enumerate() {
+            if !point && result.status != Status::NoEvidence {
+                result.status = status(i);
             }
-            if finding.status != Status::Undecided {
-                finding.decided_at_episodes = None;
+            if result.status != Status::Undecided {
+                result.decided_at_episodes = None;
             }
         }
         if let Some(comparison) = comparison
@@ -366,7 +377,7 @@ impl Question<'_> {
     }
 }
 
-fn conclude(counts: Counts, findings: &[Finding], comparison: Option<&Comparison>) -> (Verdict, String) {
+fn conclude(counts: Counts, results: &[RequirementResult], comparison: Option<&Comparison>) -> (Verdict, String) {
     if counts.episodes == 0 {
         let because = if counts.left_over > 0 {
             format!("{} episodes are no whole round of the suite", counts.left_over)
@@ -378,7 +389,7 @@ fn conclude(counts: Counts, findings: &[Finding], comparison: Option<&Comparison
     if counts.valid == 0 {
         return (Verdict::Invalid, format!("all {} episodes are invalid", counts.invalid));
     }
-    let all: Vec<(&str, Status)> = findings
+    let all: Vec<(&str, Status)> = results
         .iter()
         .map(|f| (f.id.as_str(), f.status))
         .chain(comparison.map(|c| (Comparison::ID, c.status)))
@@ -398,14 +409,14 @@ fn conclude(counts: Counts, findings: &[Finding], comparison: Option<&Comparison
 }
 
 /// When the gate would answer: at the first violation in sight, or once the last demand is met.
-fn when(verdict: Verdict, findings: &[Finding]) -> Option<u64> {
+fn when(verdict: Verdict, results: &[RequirementResult]) -> Option<u64> {
     if verdict != Verdict::Inconclusive {
         return None;
     }
     let towards_fail =
-        |f: &&Finding| f.status == Status::Undecided && f.figure.observed.is_some_and(|x| !f.bound.holds(x));
-    let failing = findings.iter().filter(towards_fail).filter_map(|f| f.decided_at_episodes).min();
-    let open: Vec<&Finding> = findings.iter().filter(|f| f.status != Status::Met).collect();
+        |f: &&RequirementResult| f.status == Status::Undecided && f.figure.observed.is_some_and(|x| !f.bound.holds(x));
+    let failing = results.iter().filter(towards_fail).filter_map(|f| f.decided_at_episodes).min();
+    let open: Vec<&RequirementResult> = results.iter().filter(|f| f.status != Status::Met).collect();
     failing.or_else(|| {
         let all: Option<Vec<u64>> = open.iter().map(|f| f.decided_at_episodes).collect();
         all?.into_iter().max()
@@ -465,7 +476,7 @@ fn group(label: &Label, trials: &[&Trial]) -> GroupResult {
 /// How trials ended that did not succeed, the commonest first.
 pub(crate) fn endings(trials: &[&Trial]) -> Vec<EndingCount> {
     let mut endings: Vec<EndingCount> = Vec::new();
-    for word in trials.iter().filter(|trial| trial.ending != Ending::Success).map(|trial| trial.ending.word()) {
+    for word in trials.iter().filter(|trial| trial.ending != Ending::Success).map(|trial| trial.ending.as_str()) {
         match endings.iter_mut().find(|known| known.ending == word) {
             Some(known) => known.episodes += 1,
             None => endings.push(EndingCount { ending: word.to_owned(), episodes: 1 }),

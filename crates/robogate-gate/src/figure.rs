@@ -1,37 +1,32 @@
 //! A metric over some trials, and what it could have been.
 
-use robogate_core::FailureMode;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Ending, Metric, Trial};
+use crate::{Bound, Ending, Metric, Sense, Trial};
 
 /// A figure over the valid episodes, and what it could have been.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Extremes {
     /// The figure; absent without an episode that says something about it.
     pub observed: Option<f64>,
-    /// The least it could be, whatever the invalid episodes could have been.
-    pub least: f64,
+    /// The least it could be, whatever the invalid episodes could have been; absent where nothing bounds it.
+    pub least: Option<f64>,
     /// The most it could be; absent where nothing bounds it.
     pub most: Option<f64>,
 }
 
 /// What one trial says about an event: it happened, it did not, or it is not known.
-pub(crate) fn happened(metric: Metric, trial: &Trial) -> Option<bool> {
+pub(crate) fn happened(metric: Metric, bound: Bound, trial: &Trial) -> Option<bool> {
     let mode = match metric {
-        Metric::SuccessRate => {
-            return trial.ending.is_valid().then_some(trial.ending == Ending::Success);
-        }
-        Metric::CycleTimeS => return None,
-        Metric::CollisionRate | Metric::CollisionCount => FailureMode::Collision,
-        Metric::DropRate => FailureMode::GripLoss,
-        Metric::GraspMissRate => FailureMode::GraspMiss,
-        Metric::TimeoutRate => FailureMode::Timeout,
+        Metric::Success => return trial.ending.is_valid().then_some(trial.ending == Ending::Success),
+        Metric::Failure(mode) | Metric::FailureCount(mode) => mode,
+        // The value lies beyond the limit.
+        Metric::CycleTime(_) | Metric::Measure(..) => return value(metric, trial).map(|x| !bound.holds(x)),
     };
     match &trial.ending {
         Ending::Failure(Some(found)) if *found == mode => Some(true),
-        // Who does not look for collisions sees none.
+        // A source that does not look for collisions records none.
         _ if trial.unseen.contains(&mode) => None,
         Ending::Success | Ending::Failure(Some(_)) => Some(false),
         // In which way it failed is not known: it may have been this one.
@@ -39,9 +34,14 @@ pub(crate) fn happened(metric: Metric, trial: &Trial) -> Option<bool> {
     }
 }
 
-/// The duration that a trial vouches for.
-pub(crate) fn duration(trial: &Trial) -> Option<f64> {
-    trial.time_s.filter(|_| trial.ending.is_valid())
+/// The duration or measure of a valid trial; `None` where it has none.
+pub(crate) fn value(metric: Metric, trial: &Trial) -> Option<f64> {
+    let value = match metric {
+        Metric::CycleTime(_) => trial.time_s,
+        Metric::Measure(name, _) => trial.measures.get(name.as_str()).filter(|x| x.is_finite()),
+        Metric::Success | Metric::Failure(_) | Metric::FailureCount(_) => None,
+    };
+    value.filter(|_| trial.ending.is_valid())
 }
 
 /// How often an event happened.
@@ -66,55 +66,86 @@ impl Tally {
     }
 }
 
-/// A metric over some trials: how many say something about it, how many do not, and the figure.
+/// A metric over some trials: how many say something about it, how many do not, and the figure. Its values lie in
+/// `range`, as far as that is known.
 pub(crate) fn figure<'a>(
     metric: Metric,
     trials: impl Iterator<Item = &'a Trial>,
-    ceiling: Option<f64>,
+    range: [Option<f64>; 2],
 ) -> (u64, u64, Extremes) {
-    if metric == Metric::CycleTimeS {
-        return mean_duration(trials, ceiling);
+    if let Some(q) = metric.quantile() {
+        return quantile(metric, q, trials);
+    }
+    if metric.is_mean() {
+        return mean(metric, trials, range);
     }
     let mut tally = Tally::default();
-    trials.for_each(|trial| tally.add(happened(metric, trial)));
+    // The bound of an event is not looked at.
+    let bound = Bound { sense: Sense::AtMost, limit: 0.0 };
+    trials.for_each(|trial| tally.add(happened(metric, bound, trial)));
     let Tally { yes, no, unknown } = tally;
     let known = yes + no;
     let (yes, all) = (yes as f64, tally.n() as f64);
-    let figure = if metric == Metric::CollisionCount {
-        Extremes { observed: (known > 0).then_some(yes), least: yes, most: Some(yes + unknown as f64) }
+    let figure = if let Metric::FailureCount(_) = metric {
+        Extremes { observed: (known > 0).then_some(yes), least: Some(yes), most: Some(yes + unknown as f64) }
     } else if all > 0.0 {
         Extremes {
             observed: (known > 0).then(|| yes / known as f64),
-            least: yes / all,
+            least: Some(yes / all),
             most: Some((yes + unknown as f64) / all),
         }
     } else {
-        Extremes { observed: None, least: 0.0, most: Some(1.0) }
+        Extremes { observed: None, least: Some(0.0), most: Some(1.0) }
     };
     (known, unknown, figure)
 }
 
-fn mean_duration<'a>(trials: impl Iterator<Item = &'a Trial>, ceiling: Option<f64>) -> (u64, u64, Extremes) {
+fn mean<'a>(
+    metric: Metric,
+    trials: impl Iterator<Item = &'a Trial>,
+    [floor, ceiling]: [Option<f64>; 2],
+) -> (u64, u64, Extremes) {
     let (mut known, mut unknown, mut sum) = (0_u64, 0_u64, 0.0);
     for trial in trials {
-        match duration(trial) {
-            Some(time) => {
+        match value(metric, trial) {
+            Some(value) => {
                 known += 1;
-                sum += time;
+                sum += value;
             }
             None => unknown += 1,
         }
     }
     let all = (known + unknown) as f64;
-    let most = if unknown == 0 { Some(0.0) } else { ceiling.map(|c| c * unknown as f64) };
+    let end = |end: Option<f64>| if unknown == 0 { Some(0.0) } else { end.map(|end| end * unknown as f64) };
     let figure = if all > 0.0 {
         Extremes {
             observed: (known > 0).then(|| sum / known as f64),
-            least: sum / all,
-            most: most.map(|more| (sum + more) / all),
+            least: end(floor).map(|more| (sum + more) / all),
+            most: end(ceiling).map(|more| (sum + more) / all),
         }
     } else {
-        Extremes { observed: None, least: 0.0, most: ceiling }
+        Extremes { observed: None, least: floor, most: ceiling }
     };
     (known, unknown, figure)
+}
+
+/// The smallest value that at least a share `q` of all does not exceed.
+fn quantile<'a>(metric: Metric, q: f64, trials: impl Iterator<Item = &'a Trial>) -> (u64, u64, Extremes) {
+    let (mut values, mut unknown) = (Vec::new(), 0_usize);
+    for trial in trials {
+        match value(metric, trial) {
+            Some(value) => values.push(value),
+            None => unknown += 1,
+        }
+    }
+    values.sort_by(f64::total_cmp);
+    let all = values.len() + unknown;
+    let place = |n: usize| ((q * n as f64 - 1e-9).ceil() as usize).clamp(1, n.max(1)) - 1;
+    let extremes = Extremes {
+        observed: values.get(place(values.len())).copied(),
+        // The unknown ones below all others, or above them.
+        least: place(all).checked_sub(unknown).and_then(|at| values.get(at)).copied(),
+        most: values.get(place(all)).copied(),
+    };
+    (values.len() as u64, unknown as u64, extremes)
 }

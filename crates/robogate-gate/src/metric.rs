@@ -1,76 +1,262 @@
-//! What a requirement speaks of.
+//! What a requirement is about.
 
+use std::borrow::Cow;
 use std::fmt;
+use std::str::FromStr;
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use robogate_core::{FailureMode, TaskSpec, Word};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// A figure of a set of episodes (the paper's table 1, and what stands beside it).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
+/// A figure of a set of episodes. In files it is a text:
+///
+/// | text | figure |
+/// |---|---|
+/// | `success` | share of episodes that succeed |
+/// | `failure:<mode>` | share of episodes that fail in this way |
+/// | `failure_count:<mode>` | number of episodes that fail in this way, for point comparisons only |
+/// | `cycle_time_s`, `cycle_time_s:p95` | mean or quantile of the duration, however the episode ended, in simulated seconds |
+/// | `measure:<name>`, `measure:<name>:p95` | mean or quantile of a measure of the task |
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Metric {
-    /// Successes among episodes (the paper's grasp success rate).
-    SuccessRate,
-    /// Mean duration of an episode, however it ended, in simulated seconds.
-    CycleTimeS,
-    /// Episodes that ended in a collision: a count, for point comparisons only.
-    CollisionCount,
-    /// Share of episodes that ended in a collision.
-    CollisionRate,
-    /// Share of episodes in which the object was lost after the grasp (grip loss).
-    DropRate,
-    /// Share of episodes in which the gripper closed without the object.
-    GraspMissRate,
-    /// Share of episodes that ran out of time.
-    TimeoutRate,
+    /// Share of episodes that succeed.
+    Success,
+    /// Duration of an episode, however it ended, in simulated seconds.
+    CycleTime(Statistic),
+    /// Number of episodes that fail in this way.
+    FailureCount(FailureMode),
+    /// Share of episodes that fail in this way.
+    Failure(FailureMode),
+    /// A measure of the task, in its unit.
+    Measure(Word, Statistic),
+}
+
+/// What is made of the values of all episodes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Statistic {
+    /// Their mean.
+    Mean,
+    /// The smallest value that at least so many thousandths of them do not exceed, 1 to 999.
+    Quantile(u16),
 }
 
 impl Metric {
-    /// Every metric.
-    pub const ALL: [Self; 7] = [
-        Self::SuccessRate,
-        Self::CycleTimeS,
-        Self::CollisionCount,
-        Self::CollisionRate,
-        Self::DropRate,
-        Self::GraspMissRate,
-        Self::TimeoutRate,
-    ];
+    /// The mean duration.
+    pub const MEAN_CYCLE_TIME: Self = Self::CycleTime(Statistic::Mean);
 
-    /// The metric's word in data.
-    pub fn word(self) -> &'static str {
+    /// Every metric of a task that has one figure, in the order of reports.
+    pub fn of_task(task: &TaskSpec) -> Vec<Self> {
+        let measures = task.measures.iter().map(|measure| Self::Measure(measure.name, Statistic::Mean));
+        [Self::Success, Self::MEAN_CYCLE_TIME]
+            .into_iter()
+            .chain(task.modes().map(Self::FailureCount))
+            .chain(task.modes().map(Self::Failure))
+            .chain(measures)
+            .collect()
+    }
+
+    /// Whether the task has what this is about; the error lists what it has.
+    pub fn check(self, task: &TaskSpec) -> Result<(), String> {
+        let list = |names: Vec<&str>| if names.is_empty() { "none".to_owned() } else { names.join(", ") };
         match self {
-            Self::SuccessRate => "success_rate",
-            Self::CycleTimeS => "cycle_time_s",
-            Self::CollisionCount => "collision_count",
-            Self::CollisionRate => "collision_rate",
-            Self::DropRate => "drop_rate",
-            Self::GraspMissRate => "grasp_miss_rate",
-            Self::TimeoutRate => "timeout_rate",
+            Self::Failure(mode) | Self::FailureCount(mode) if !task.declares(mode) => Err(format!(
+                "the task {} has no failure mode `{mode}`\nhint: its failure modes are {}",
+                task.name,
+                list(task.modes().map(FailureMode::as_str).collect())
+            )),
+            Self::Measure(name, _) if task.measure(name.as_str()).is_none() => Err(format!(
+                "the task {} has no measure `{name}`\nhint: its measures are {}",
+                task.name,
+                list(task.measures.iter().map(|measure| measure.name.as_str()).collect())
+            )),
+            _ => Ok(()),
         }
     }
 
     /// The metric in words, for people.
-    pub fn title(self) -> &'static str {
+    pub fn title(self) -> String {
         match self {
-            Self::SuccessRate => "success rate",
-            Self::CycleTimeS => "mean cycle time",
-            Self::CollisionCount => "collisions",
-            Self::CollisionRate => "collision rate",
-            Self::DropRate => "drop rate",
-            Self::GraspMissRate => "grasp miss rate",
-            Self::TimeoutRate => "timeout rate",
+            Self::Success => "success rate".to_owned(),
+            Self::CycleTime(statistic) => format!("{statistic} of cycle time"),
+            Self::FailureCount(mode) => format!("failures by {mode}"),
+            Self::Failure(mode) => format!("rate of {mode}"),
+            Self::Measure(name, statistic) => format!("{statistic} of {name}"),
         }
     }
 
-    /// Whether it is the chance of something in an episode.
+    /// The unit of its figure; empty for rates and counts.
+    pub fn unit(self, task: &TaskSpec) -> String {
+        match self {
+            Self::CycleTime(_) => "s".to_owned(),
+            Self::Measure(name, _) => {
+                task.measure(name.as_str()).map_or_else(String::new, |measure| measure.unit.clone())
+            }
+            Self::Success | Self::Failure(_) | Self::FailureCount(_) => String::new(),
+        }
+    }
+
+    /// Whether it is the probability of something in an episode.
     pub fn is_rate(self) -> bool {
-        !matches!(self, Self::CycleTimeS | Self::CollisionCount)
+        matches!(self, Self::Success | Self::Failure(_))
+    }
+
+    /// The share of episodes that may lie beyond the limit, where it is a quantile: q of them at or below it.
+    pub(crate) fn quantile(self) -> Option<f64> {
+        match self {
+            Self::CycleTime(Statistic::Quantile(q)) | Self::Measure(_, Statistic::Quantile(q)) => {
+                Some(f64::from(q) / 1000.0)
+            }
+            _ => None,
+        }
+    }
+
+    /// Whether it is a mean of values that have a unit.
+    pub(crate) fn is_mean(self) -> bool {
+        matches!(self, Self::CycleTime(Statistic::Mean) | Self::Measure(_, Statistic::Mean))
+    }
+}
+
+impl fmt::Display for Statistic {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Mean => f.write_str("mean"),
+            Self::Quantile(q) => write!(f, "{} % quantile", f64::from(*q) / 10.0),
+        }
     }
 }
 
 impl fmt::Display for Metric {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.word())
+        let statistic = match self {
+            Self::Success => return f.write_str("success"),
+            Self::FailureCount(mode) => return write!(f, "failure_count:{mode}"),
+            Self::Failure(mode) => return write!(f, "failure:{mode}"),
+            Self::CycleTime(statistic) => {
+                f.write_str("cycle_time_s")?;
+                statistic
+            }
+            Self::Measure(name, statistic) => {
+                write!(f, "measure:{name}")?;
+                statistic
+            }
+        };
+        match statistic {
+            Statistic::Mean => Ok(()),
+            Statistic::Quantile(q) => write!(f, ":p{}", f64::from(*q) / 10.0),
+        }
+    }
+}
+
+/// Names of metrics in files of version 0.1, and what they are now.
+const OLD_SPELLINGS: [(&str, &str); 6] = [
+    ("success_rate", "success"),
+    ("collision_count", "failure_count:collision"),
+    ("collision_rate", "failure:collision"),
+    ("drop_rate", "failure:grip_loss"),
+    ("grasp_miss_rate", "failure:grasp_miss"),
+    ("timeout_rate", "failure:timeout"),
+];
+
+impl FromStr for Metric {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let text = OLD_SPELLINGS.iter().find(|(old, _)| *old == text).map_or(text, |(_, new)| new);
+        let wrong = || {
+            format!(
+                "`{text}` is not a metric; expected success, failure:<mode>, failure_count:<mode>, cycle_time_s or \
+                 measure:<name>, the last two with :p95 for a quantile"
+            )
+        };
+        let (kind, rest) = text.split_once(':').map_or((text, None), |(kind, rest)| (kind, Some(rest)));
+        let mode = |name: &str| FailureMode::new(name).map_err(|why| why.to_string());
+        match (kind, rest) {
+            ("success", None) => Ok(Self::Success),
+            ("failure", Some(name)) => mode(name).map(Self::Failure),
+            ("failure_count", Some(name)) => mode(name).map(Self::FailureCount),
+            ("cycle_time_s", None) => Ok(Self::MEAN_CYCLE_TIME),
+            ("cycle_time_s", Some(quantile)) => parse_quantile(quantile).map(Self::CycleTime).ok_or_else(wrong),
+            ("measure", Some(rest)) => {
+                let (name, statistic) = match rest.split_once(':') {
+                    Some((name, quantile)) => (name, parse_quantile(quantile).ok_or_else(wrong)?),
+                    None => (rest, Statistic::Mean),
+                };
+                Word::new(name).map(|name| Self::Measure(name, statistic)).map_err(|why| why.to_string())
+            }
+            _ => Err(wrong()),
+        }
+    }
+}
+
+/// `p95` or `p99.5`.
+fn parse_quantile(text: &str) -> Option<Statistic> {
+    let percent: f64 = text.strip_prefix('p')?.parse().ok()?;
+    let thousandths = (10.0 * percent).round();
+    let whole = (10.0 * percent - thousandths).abs() < 1e-9 && (1.0..=999.0).contains(&thousandths);
+    whole.then_some(Statistic::Quantile(thousandths as u16))
+}
+
+impl Serialize for Metric {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for Metric {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = Cow::<str>::deserialize(deserializer)?;
+        text.parse().map_err(serde::de::Error::custom)
+    }
+}
+
+impl JsonSchema for Metric {
+    fn schema_name() -> Cow<'static, str> {
+        "Metric".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "type": "string",
+            "description": "success, failure:<mode>, failure_count:<mode>, cycle_time_s or measure:<name>; the last two \
+                            are means, or quantiles with :p95 at the end. Failure modes and measures are the task's.",
+            "examples": ["success", "failure:timeout", "cycle_time_s", "cycle_time_s:p95", "measure:force_n:p99.5"],
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_read_back() {
+        for text in
+            ["success", "failure:jam", "failure_count:jam", "cycle_time_s", "cycle_time_s:p95", "measure:force_n:p99.5"]
+        {
+            assert_eq!(text.parse::<Metric>().unwrap().to_string(), text);
+        }
+    }
+
+    #[test]
+    fn old_spellings_are_read() {
+        for (old, new) in OLD_SPELLINGS {
+            assert_eq!(old.parse::<Metric>().unwrap().to_string(), new);
+        }
+    }
+
+    #[test]
+    fn nonsense_is_rejected() {
+        for text in [
+            "",
+            "success:p95",
+            "failure",
+            "failure:success",
+            "cycle_time_s:p0",
+            "cycle_time_s:p100",
+            "measure:",
+            "measure:x:p9.55",
+        ] {
+            assert!(text.parse::<Metric>().is_err(), "{text}");
+        }
     }
 }

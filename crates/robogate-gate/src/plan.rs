@@ -5,6 +5,7 @@
 //! the binomial law alone. Each demand is looked at by itself: a gate with several passes no more often than its least
 //! likely one.
 
+use robogate_core::Measures;
 use robogate_dictionary::Label;
 use robogate_stats::Trials;
 use robogate_stats::bounded_mean::BoundedMean;
@@ -35,12 +36,12 @@ pub struct GatePlan {
     /// Rounds at most.
     pub rounds: u64,
     /// Each demand.
-    pub demands: Vec<DemandPlan>,
+    pub demands: Vec<RequirementPlan>,
 }
 
 /// What the gate will find about one demand.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct DemandPlan {
+pub struct RequirementPlan {
     /// Its name.
     pub id: String,
     /// The demand.
@@ -111,7 +112,7 @@ impl GatePlan {
                 };
                 demand(requirement, bound, requirements.mode, alpha, beta, per_round, schedule, baseline)
             })
-            .collect::<Result<Vec<DemandPlan>, GateError>>()?;
+            .collect::<Result<Vec<RequirementPlan>, GateError>>()?;
         let per_round = trials.len() as u64;
         for demand in &demands {
             if requirements.mode == Mode::Confidence && demand.fewest_rounds.is_none_or(|fewest| fewest > rounds) {
@@ -132,6 +133,7 @@ fn blank(label: Label) -> Trial {
         requested: robogate_core::Assignment::default(),
         ending: Ending::Failure(None),
         time_s: None,
+        measures: Measures::default(),
         unseen: Vec::new(),
     }
 }
@@ -146,15 +148,21 @@ fn demand(
     per_round: u64,
     schedule: Schedule,
     baseline: Option<&Baseline>,
-) -> Result<DemandPlan, GateError> {
+) -> Result<RequirementPlan, GateError> {
     let id = requirement.id();
     let metric = requirement.metric;
-    let mut plan = DemandPlan { id, requirement, bound, per_round, fewest_rounds: None, at: Vec::new() };
-    if metric == Metric::CycleTimeS {
+    let mut plan = RequirementPlan { id, requirement, bound, per_round, fewest_rounds: None, at: Vec::new() };
+    if metric.is_mean() {
         plan.fewest_rounds = fewest_steady(&plan, alpha, baseline);
         return Ok(plan);
     }
-    let good = if bound.sense == Sense::AtLeast { bound.limit } else { 1.0 - bound.limit };
+    // Of a quantile, so large a share of the values must keep the limit.
+    let good = match (metric.quantile(), bound.sense) {
+        (Some(q), Sense::AtMost) => q,
+        (Some(q), Sense::AtLeast) => 1.0 - q,
+        (None, Sense::AtLeast) => bound.limit,
+        (None, Sense::AtMost) => 1.0 - bound.limit,
+    };
     let test = RateTest { at_least: good, alpha, beta };
     if mode == Mode::Confidence {
         plan.fewest_rounds = test.fewest(schedule, MOST_EPISODES).map(|n| n.div_ceil(per_round));
@@ -164,7 +172,7 @@ fn demand(
         Schedule::Rounds { per_round, rounds } => per_round * rounds,
     };
     // A count allows so many among n; its share stands in for the rate.
-    let allowed = if metric == Metric::CollisionCount { bound.limit / n as f64 } else { 1.0 - good };
+    let allowed = if let Metric::FailureCount(_) = metric { bound.limit / n as f64 } else { 1.0 - good };
     // Where nothing bad is allowed, the multiples are of one event in n.
     let unit = if allowed > 0.0 { allowed } else { 1.0 / n as f64 };
     for bad in MULTIPLES.into_iter().map(|m| m * unit).filter(|bad| *bad <= 1.0) {
@@ -179,7 +187,7 @@ fn demand(
                 (met, 1.0 - met, 0.0, n as f64)
             }
         };
-        let rate = if bound.sense == Sense::AtLeast { p } else { bad };
+        let rate = if metric.quantile().is_none() && bound.sense == Sense::AtLeast { p } else { bad };
         plan.at.push(Operating { rate, met, violated, open, episodes });
     }
     Ok(plan)
@@ -195,13 +203,16 @@ fn point(allowed: f64, n: u64, p: f64) -> f64 {
 
 /// Rounds after which a demand on the duration is met at the earliest, every episode as long as the baseline's mean (half
 /// the limit, where there is none).
-fn fewest_steady(plan: &DemandPlan, alpha: f64, baseline: Option<&Baseline>) -> Option<u64> {
-    let ceiling = plan.requirement.ceiling_s?;
-    let limit = plan.bound.limit;
+fn fewest_steady(plan: &RequirementPlan, alpha: f64, baseline: Option<&Baseline>) -> Option<u64> {
+    let [floor, ceiling] = plan.requirement.range();
+    let floor = floor?;
+    let (ceiling, limit) = (ceiling? - floor, plan.bound.limit - floor);
     let time = match plan.bound.sense {
-        Sense::AtMost => {
-            baseline.and_then(|b| b.figure(Metric::CycleTimeS)).filter(|t| *t < limit).unwrap_or(0.5 * limit)
-        }
+        Sense::AtMost => baseline
+            .and_then(|b| b.figure(plan.requirement.metric))
+            .map(|t| t - floor)
+            .filter(|t| *t < limit)
+            .unwrap_or(0.5 * limit),
         Sense::AtLeast => 0.5 * (limit + ceiling),
     };
     (1..=200).find(|rounds| {

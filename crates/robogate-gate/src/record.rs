@@ -2,8 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::sync::Arc;
 
-use robogate_core::{FailureMode, Suite, Value};
+use robogate_core::{FailureMode, Suite, TaskSpec, Value};
 use robogate_dictionary::results::{SOURCE_ROW, SOURCE_SEED};
 use robogate_dictionary::{Dictionary, Entry, Label, Provenance, hex, suite_sha256};
 use schemars::JsonSchema;
@@ -76,6 +77,8 @@ impl fmt::Display for Population {
 pub struct Record {
     /// What they speak of.
     pub population: Population,
+    /// The task.
+    pub task: Arc<TaskSpec>,
     /// The robot.
     pub robot: String,
     /// The policy.
@@ -110,6 +113,7 @@ impl Record {
         let (population, planned) = population(provenance, &[])?;
         Ok(Self {
             population,
+            task: Arc::clone(&provenance.task),
             robot: provenance.robot.name.clone(),
             policy: provenance.policy.clone(),
             dataset_sha256: String::new(),
@@ -127,14 +131,24 @@ impl Record {
         if stopped { Sampling::Sequential } else { stated }
     }
 
+    /// The same record, where no episode says whether it failed in one of these ways.
+    #[must_use]
+    pub(crate) fn without(&self, modes: &[FailureMode]) -> Self {
+        let mut record = self.clone();
+        record.trials.iter_mut().for_each(|trial| trial.unseen.extend_from_slice(modes));
+        record
+    }
+
     fn collect(
         provenance: &Provenance,
         dataset_sha256: &str,
         entries: impl Iterator<Item = Result<Entry, GateError>>,
     ) -> Result<Self, GateError> {
         let not_recorded = provenance.source.iter().flat_map(|source| &source.not_recorded);
-        let unseen: Vec<FailureMode> =
-            not_recorded.filter_map(|word| FailureMode::ALL.into_iter().find(|mode| mode.word() == word)).collect();
+        let unseen: Vec<FailureMode> = not_recorded
+            .filter_map(|name| FailureMode::new(name).ok())
+            .filter(|mode| provenance.task.declares(*mode))
+            .collect();
         let mut rows = Vec::new();
         let mut uneven = BTreeMap::new();
         for entry in entries {
@@ -142,7 +156,7 @@ impl Record {
             let named = ["uniform", "imported", "suite"].contains(&entry.stage.as_str());
             let focused = entry.stage == "boundary" || (!named && (entry.weight - 1.0).abs() > 0.0);
             *uneven.entry(entry.stage.clone()).or_insert(false) |= focused;
-            rows.push((entry.stage.clone(), Trial::of(&entry, &unseen)));
+            rows.push((entry.stage.clone(), Trial::of(&entry, &unseen, provenance.schema_version)));
         }
         let all = rows.len();
         let trials: Vec<Trial> = rows
@@ -158,6 +172,7 @@ impl Record {
             population,
             planned,
             imported,
+            task: Arc::clone(&provenance.task),
             robot: provenance.robot.name.clone(),
             policy: provenance.policy.clone(),
             dataset_sha256: dataset_sha256.to_owned(),

@@ -5,7 +5,7 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Baseline, GateError, Metric, Mode};
+use crate::{Baseline, GateError, Metric, Mode, Statistic};
 
 /// One demand on one metric.
 ///
@@ -34,9 +34,12 @@ pub struct Requirement {
     /// The demand stands for each category or group by itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub each: Option<Each>,
-    /// For `cycle_time_s`: no episode can last longer than this, in seconds (the cell's time limit).
+    /// For means: no value can be above this (of `cycle_time_s` the time limit of the task, in seconds).
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "ceiling_s")]
+    pub ceiling: Option<f64>,
+    /// For means of measures: no value can be below this; 0 where it is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub ceiling_s: Option<f64>,
+    pub floor: Option<f64>,
 }
 
 /// For what a demand stands by itself.
@@ -96,7 +99,7 @@ impl Requirement {
             (None, None) => match self.each {
                 Some(Each::Category) => format!("{}[each category]", self.metric),
                 Some(Each::Group) => format!("{}[each group]", self.metric),
-                None => self.metric.word().to_owned(),
+                None => self.metric.to_string(),
             },
         }
     }
@@ -108,27 +111,52 @@ impl Requirement {
         if self.at_least.is_some() == at_most {
             return wrong("it needs either `at_least` or a limit above (`at_most`, `at_most_times_baseline`)");
         }
-        if [self.at_least, self.at_most, self.at_most_times_baseline, self.ceiling_s]
+        if [self.at_least, self.at_most, self.at_most_times_baseline, self.ceiling]
             .iter()
             .flatten()
-            .any(|limit| !limit.is_finite() || *limit < 0.0)
+            .any(|limit| !limit.is_finite() || (*limit < 0.0 && !matches!(self.metric, Metric::Measure(..))))
         {
             return wrong("its limits must be finite numbers, 0 or more");
         }
         if self.each.is_some() && (self.category.is_some() || self.group.is_some()) {
             return wrong("`each` stands in place of `category` and `group`");
         }
-        if self.ceiling_s.is_some() != (self.metric == Metric::CycleTimeS) {
-            return wrong("`ceiling_s` belongs to `cycle_time_s`, which needs it: the time limit of an episode");
+        if self.ceiling.is_some() && !self.metric.is_mean() {
+            return wrong("`ceiling` applies to means alone: of `cycle_time_s` and of measures");
         }
-        if self.metric == Metric::CollisionCount && mode == Mode::Confidence {
+        if self.ceiling.is_none()
+            && self.metric.is_mean()
+            && (mode == Mode::Confidence || self.metric == Metric::MEAN_CYCLE_TIME)
+        {
+            return wrong(
+                "the test of a mean needs `ceiling`, which no value exceeds (the time limit, for `cycle_time_s`)",
+            );
+        }
+        if self.floor.is_some() && !matches!(self.metric, Metric::Measure(_, Statistic::Mean)) {
+            return wrong("`floor` applies to means of measures alone");
+        }
+        let [floor, ceiling] = self.range();
+        if floor.zip(ceiling).is_some_and(|(floor, ceiling)| floor >= ceiling) {
+            return wrong("`floor` must be below `ceiling`");
+        }
+        if matches!(self.metric, Metric::FailureCount(_)) && mode == Mode::Confidence {
             return Err(GateError::Unmeetable {
                 id: self.id(),
                 demand: self.demand(),
-                reason: "a count grows with the number of episodes, and that none will ever happen is shown by no number\nhint: demand `collision_rate` with `at_most = 0.01`".to_owned(),
+                reason: "a count grows with the number of episodes, and that none will ever happen is shown by no number\nhint: require `failure:<mode>` with `at_most = 0.01`".to_owned(),
             });
         }
         Ok(())
+    }
+
+    /// The ends between which all values of a mean lie, as far as they are known.
+    pub(crate) fn range(&self) -> [Option<f64>; 2] {
+        match self.metric {
+            Metric::CycleTime(_) => [Some(0.0), self.ceiling],
+            // Without a ceiling nothing is known of a measure's range, and 0 is not assumed.
+            Metric::Measure(..) => [self.floor.or(self.ceiling.map(|_| 0.0)), self.ceiling],
+            Metric::Success | Metric::Failure(_) | Metric::FailureCount(_) => [None, None],
+        }
     }
 
     fn demand(&self) -> String {
@@ -151,7 +179,7 @@ impl Requirement {
                 let baseline = baseline.ok_or_else(|| GateError::NoBaseline { what: what() })?;
                 let figure = baseline
                     .figure(self.metric)
-                    .ok_or_else(|| GateError::NotInBaseline { what: what(), metric: self.metric.word() })?;
+                    .ok_or_else(|| GateError::NotInBaseline { what: what(), metric: self.metric.to_string() })?;
                 Bound { sense: Sense::AtMost, limit: (times * figure).max(self.at_most.unwrap_or(0.0)) }
             }
             (None, None) => Bound { sense: Sense::AtMost, limit: self.at_most.unwrap_or(0.0) },
@@ -187,19 +215,17 @@ impl Requirement {
                 }
             }
         }
-        if self.metric == Metric::CycleTimeS {
-            let ceiling = self.ceiling_s.unwrap_or(f64::INFINITY);
+        if let (true, [Some(floor), ceiling]) = (self.metric.is_mean(), self.range()) {
+            let ceiling = ceiling.unwrap_or(f64::INFINITY);
+            let always = |end: &str| {
+                let reason = format!("`{sense} {limit}` requires nothing: no value lies beyond `{end}`");
+                Err(GateError::Requirement { id: self.id(), reason })
+            };
             match sense {
-                Sense::AtMost if limit <= 0.0 => return refuse("an episode takes time"),
-                Sense::AtLeast if limit >= ceiling => return refuse("`ceiling_s` is not above it"),
-                Sense::AtMost if limit >= ceiling => {
-                    return Err(GateError::Requirement {
-                        id: self.id(),
-                        reason: format!(
-                            "`at most {limit}` demands nothing where no episode lasts longer than `ceiling_s`, {ceiling}"
-                        ),
-                    });
-                }
+                Sense::AtMost if limit <= floor => return refuse("no value is below it\nhint: raise the limit"),
+                Sense::AtLeast if limit >= ceiling => return refuse("`ceiling` is not above it"),
+                Sense::AtMost if limit >= ceiling => return always("ceiling"),
+                Sense::AtLeast if limit <= floor && self.floor.is_some() => return always("floor"),
                 Sense::AtLeast | Sense::AtMost => {}
             }
         }

@@ -1,12 +1,14 @@
 //! What is demanded, as a file.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use robogate_core::{Severity, TaskSpec};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{GateError, Requirement, ScoreTerm, score};
+use crate::{GateError, Metric, Record, Requirement, ScoreTerm, Scoring, score};
 
 /// The most rounds that a budget may have: what is more is a slip of the finger.
 const MOST_ROUNDS: u32 = 10_000;
@@ -17,7 +19,10 @@ const MOST_ROUNDS: u32 = 10_000;
 pub struct Requirements {
     /// Its name.
     pub name: String,
-    /// How a metric is held against its limit.
+    /// The task that it is for; where it is left out, any task that has its failure modes and measures.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub task: Option<String>,
+    /// How a metric is compared with its limit.
     pub mode: Mode,
     /// In confidence mode: how sure a pass and a fail must each be. 0.95 means that each is wrong at most once in twenty.
     #[serde(default = "default_confidence")]
@@ -77,9 +82,12 @@ fn default_confidence() -> f64 {
     0.95
 }
 
+/// The set that is used where none is named.
+const DEFAULT: &str = "default";
+
 /// The sets that come with RoboGate: name and TOML.
 const BUILT_IN: [(&str, &str); 2] = [
-    ("default", include_str!("../../../assets/gates/default.toml")),
+    (DEFAULT, include_str!("../../../assets/gates/default.toml")),
     ("paper", include_str!("../../../assets/gates/paper.toml")),
 ];
 
@@ -87,18 +95,79 @@ impl Requirements {
     /// The names of the sets that come with RoboGate.
     pub const NAMES: [&'static str; 2] = [BUILT_IN[0].0, BUILT_IN[1].0];
 
-    /// A set that comes with RoboGate, or a TOML file.
+    /// A set that comes with RoboGate, or a TOML file, for `task`. The set `default` of a task that brings none requires a
+    /// success rate of 92 %, and at most 1 % of each critical failure mode.
     ///
     /// # Errors
     /// What is wrong with the file, and where.
-    pub fn open(name_or_path: &str) -> Result<Self, GateError> {
+    pub fn open(name_or_path: &str, task: &TaskSpec) -> Result<Self, GateError> {
         if let Some((_, text)) = BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
-            return Self::from_toml(text);
+            let set = Self::from_toml(text)?;
+            let fits = set.task.as_deref().is_none_or(|name| task.name == name);
+            return if fits || name_or_path != DEFAULT { Ok(set) } else { Ok(Self::derived(task)) };
         }
         let path = Path::new(name_or_path);
         let text =
             std::fs::read_to_string(path).map_err(|source| GateError::Unreadable { path: path.to_owned(), source })?;
         Self::from_toml(&text).map_err(|error| GateError::InFile { path: path.to_owned(), error: Box::new(error) })
+    }
+
+    /// What is required where nothing else is said.
+    fn derived(task: &TaskSpec) -> Self {
+        let requirement = |metric, at_least, at_most| Requirement {
+            metric,
+            at_least,
+            at_most,
+            at_most_times_baseline: None,
+            category: None,
+            group: None,
+            each: None,
+            ceiling: None,
+            floor: None,
+        };
+        let critical = task.failure_modes.iter().filter(|mode| mode.severity == Severity::Critical);
+        let failures = critical.map(|mode| requirement(Metric::Failure(mode.name), None, Some(0.01)));
+        Self {
+            name: DEFAULT.to_owned(),
+            task: Some(task.name.as_str().to_owned()),
+            mode: Mode::Confidence,
+            confidence: default_confidence(),
+            family: Family::default(),
+            budget: Budget::default(),
+            requirement: std::iter::once(requirement(Metric::Success, Some(0.92), None)).chain(failures).collect(),
+            score: vec![ScoreTerm {
+                name: "Success".to_owned(),
+                metric: Metric::Success,
+                category: None,
+                weight: 1.0,
+                scoring: Scoring::Linear { full_at: 1.0 },
+            }],
+        }
+    }
+
+    /// The record as these requirements may be asked of it.
+    ///
+    /// An import declares the failure modes that were found in it: of any other, it is not known whether it was recorded.
+    ///
+    /// # Errors
+    /// Requirements for another task, or with a failure mode or measure that the task does not have.
+    pub(crate) fn fit<'a>(&self, record: &'a Record) -> Result<Cow<'a, Record>, GateError> {
+        let task = &record.task;
+        let wrong = |reason: String| GateError::NotOfTask { requirements: self.name.clone(), reason };
+        if let Some(name) = self.task.as_deref().filter(|name| task.name != *name && !record.imported) {
+            let hint = "hint: use --requirements default, or a file of your own";
+            return Err(wrong(format!("they are for the task {name}; these episodes are of {}\n{hint}", task.name)));
+        }
+        let metrics = self.requirement.iter().map(|r| r.metric).chain(self.score.iter().map(|term| term.metric));
+        let mut unseen = Vec::new();
+        for metric in metrics {
+            match (metric.check(task), metric) {
+                (Ok(()), _) => {}
+                (Err(_), Metric::Failure(mode) | Metric::FailureCount(mode)) if record.imported => unseen.push(mode),
+                (Err(reason), _) => return Err(wrong(reason)),
+            }
+        }
+        Ok(if unseen.is_empty() { Cow::Borrowed(record) } else { Cow::Owned(record.without(&unseen)) })
     }
 
     /// Reads TOML.

@@ -72,13 +72,18 @@ impl Scoring {
 
     /// The least and most that it can be for a figure between `least` and `most`.
     fn range(self, extremes: &Extremes, b: Option<f64>) -> Option<Interval> {
-        let low = self.of(extremes.least, b)?;
+        let low = match extremes.least {
+            Some(least) => self.of(least, b)?,
+            None => 0.0,
+        };
         let high = match extremes.most {
             Some(most) => self.of(most, b)?,
             // Only a duration has no end, and without end it scores nothing.
             None => 0.0,
         };
-        let inside = b.is_some_and(|b| extremes.least <= b && extremes.most.is_none_or(|most| b <= most));
+        let inside = b.is_some_and(|b| {
+            extremes.least.is_none_or(|least| least <= b) && extremes.most.is_none_or(|most| b <= most)
+        });
         let peak = if self == Self::BaselineDeviation && inside { 1.0 } else { low.max(high) };
         Some(Interval { low: low.min(high), high: peak })
     }
@@ -145,7 +150,8 @@ impl ConfidenceScore {
         let mut bounds = [0.0; 2];
         let scored = terms.iter().map(|term| {
             let scope = Scope { category: term.category.as_deref(), group: None };
-            let (_, _, extremes) = figure(term.metric, trials.clone().filter(|trial| scope.holds(trial)), None);
+            let range = [Some(0.0).filter(|_| term.metric == Metric::MEAN_CYCLE_TIME), None];
+            let (_, _, extremes) = figure(term.metric, trials.clone().filter(|trial| scope.holds(trial)), range);
             let b = if term.scoring.needs_baseline() { baseline.and_then(|b| b.figure(term.metric)) } else { None };
             let full = 100.0 * term.weight;
             let range = term.scoring.range(&extremes, b).unwrap_or(Interval::UNIT);

@@ -1,7 +1,7 @@
 //! What the gate needs of a row.
 
-use robogate_core::{Assignment, FailureMode, Fault, Outcome};
-use robogate_dictionary::{Entry, Label};
+use robogate_core::{Assignment, FailureMode, Fault, Measures, Outcome};
+use robogate_dictionary::{Entry, Label, SchemaVersion};
 
 /// How an episode ended, as far as the gate asks.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -16,10 +16,10 @@ pub enum Ending {
 
 impl Ending {
     /// `success`, the failure mode, `failure` or `invalid`.
-    pub fn word(&self) -> &'static str {
+    pub fn as_str(&self) -> &'static str {
         match self {
             Self::Success => "success",
-            Self::Failure(Some(mode)) => mode.word(),
+            Self::Failure(Some(mode)) => mode.as_str(),
             Self::Failure(None) => "failure",
             Self::Invalid(_) => "invalid",
         }
@@ -35,7 +35,7 @@ impl From<&Outcome> for Ending {
     fn from(outcome: &Outcome) -> Self {
         match outcome {
             Outcome::Success => Self::Success,
-            Outcome::Failure(mode) => Self::Failure(Some(*mode)),
+            Outcome::Failure(mode) => Self::Failure(Some(*mode).filter(|mode| *mode != FailureMode::UNKNOWN)),
             Outcome::Invalid(fault) => Self::Invalid(fault.clone()),
         }
     }
@@ -50,23 +50,27 @@ pub struct Trial {
     pub seed: u64,
     /// Its place in a suite; empty where it was drawn from a parameter space.
     pub label: Label,
-    /// The parameters asked for.
+    /// The requested parameters.
     pub requested: Assignment,
     /// How it ended.
     pub ending: Ending,
     /// How long it took, in simulated seconds; `None` where that was not recorded.
     pub time_s: Option<f64>,
+    /// What was measured.
+    pub measures: Measures,
     /// What its source does not record: any episode, a success too, may have been one of these.
     pub unseen: Vec<FailureMode>,
 }
 
 impl Trial {
-    /// The trial of a row whose source does not record these modes of failure.
-    pub fn of(entry: &Entry, unseen: &[FailureMode]) -> Self {
+    /// The trial of a row whose source does not record these modes of failure. Imports of version 0.1 hold a failure of
+    /// unknown kind as a timeout.
+    pub fn of(entry: &Entry, unseen: &[FailureMode], version: SchemaVersion) -> Self {
         let trial = Self::from(entry);
         let ending = match trial.ending {
-            // An import has a failure of no known kind as a timeout.
-            Ending::Failure(Some(FailureMode::Timeout)) if !unseen.is_empty() => Ending::Failure(None),
+            Ending::Failure(Some(FailureMode::TIMEOUT)) if !unseen.is_empty() && version.major < 2 => {
+                Ending::Failure(None)
+            }
             ending => ending,
         };
         Self { ending, unseen: unseen.to_vec(), ..trial }
@@ -83,6 +87,7 @@ impl From<&Entry> for Trial {
             requested: episode.scenario.requested.clone(),
             ending: Ending::from(&episode.outcome),
             time_s: Some(episode.time_s).filter(|t| t.is_finite() && *t >= 0.0),
+            measures: episode.measures.clone(),
             unseen: Vec::new(),
         }
     }

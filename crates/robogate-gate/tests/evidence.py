@@ -8,14 +8,10 @@ import json
 import pathlib
 import sys
 
-try:
-    from cryptography.hazmat.primitives import serialization
-    from securesystemslib.dsse import Envelope
-    from securesystemslib.exceptions import VerificationError
-    from securesystemslib.signer import SSlibKey
-except ImportError as error:
-    print(f"skipped: {error}")
-    sys.exit(0)
+from cryptography.hazmat.primitives import serialization
+from securesystemslib.dsse import Envelope
+from securesystemslib.exceptions import VerificationError
+from securesystemslib.signer import SSlibKey
 
 private, public, folder = (pathlib.Path(path) for path in sys.argv[1:])
 secret = serialization.load_pem_private_key(private.read_bytes(), password=None)

@@ -4,6 +4,7 @@
 //!
 //! The service is a process of its own, held on one core by `taskset`, with its store in FOLDER (default: the system's folder for
 //! temporary files) on a real disk; this process is the sender. Each answer is waited for: what was answered is on disk.
+#![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::unwrap_used, reason = "a measurement that fails ends")]
 #![expect(clippy::print_stdout, reason = "it prints what it measured")]
 
@@ -15,7 +16,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use robogate_core::{Seed, Stream};
-use robogate_monitor::service::{Desk, Intake, ServiceSettings, Store, serve};
+use robogate_monitor::service::{Intake, ServiceEngine, ServiceSettings, Store, serve};
 use robogate_monitor::{Cycle, Monitor, Settings};
 
 /// Cycles sent in batches, and in one batch.
@@ -67,10 +68,10 @@ fn child(path: &Path) {
     let store = Store::open(path, settings.store).unwrap();
     let intake = Intake::open(store, Monitor::new(settings.detectors).unwrap(), settings.late_after_s).unwrap();
     println!("opened {}", start.elapsed().as_secs_f64());
-    let desk = Desk::open(intake, |_| {});
+    let engine = ServiceEngine::open(intake, |_| {});
     let (_stop, stopped) = tokio::sync::oneshot::channel();
     let listening = |address| println!("address {address}");
-    serve("127.0.0.1:0".parse().unwrap(), None, http, desk.handle(), listening, stopped).unwrap();
+    serve("127.0.0.1:0".parse().unwrap(), None, http, engine.handle(), listening, stopped).unwrap();
 }
 
 struct Server {

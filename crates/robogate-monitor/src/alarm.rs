@@ -1,24 +1,24 @@
-//! What the monitor says when something changed.
+//! Alarms: what changed, how bad it is, and since when.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How bad it is.
+/// The severity of an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Level {
-    /// Look at it soon.
+    /// Investigate soon.
     Warning,
-    /// Look at it now.
+    /// Investigate now.
     Critical,
 }
 
 impl Level {
-    /// Both, the milder first.
+    /// Both levels, the less severe first.
     pub const ALL: [Self; 2] = [Self::Warning, Self::Critical];
 
-    /// Its word in data and messages.
-    pub fn word(self) -> &'static str {
+    /// The level in data and messages.
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Warning => "warning",
             Self::Critical => "critical",
@@ -26,13 +26,13 @@ impl Level {
     }
 }
 
-/// What is watched.
+/// A quantity that the monitor watches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Metric {
     /// The rate of failures.
     Success,
-    /// The rate of drops.
+    /// The rate of dropped parts.
     Drop,
     /// The rate of collisions.
     Collision,
@@ -42,7 +42,7 @@ pub enum Metric {
     CycleTimeSpread,
     /// The shares of the failure modes among failures.
     FailureModes,
-    /// The rate of cycles outside what was validated.
+    /// The rate of cycles outside the validated region.
     Outside,
     /// The failure rate that the risk model expects.
     Risk,
@@ -64,8 +64,8 @@ impl Metric {
         Self::Robot,
     ];
 
-    /// Its word in data.
-    pub fn word(self) -> &'static str {
+    /// The metric in data.
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Success => "success",
             Self::Drop => "drop",
@@ -79,7 +79,7 @@ impl Metric {
         }
     }
 
-    /// What it is, for people.
+    /// The metric in text for people.
     pub fn label(self) -> &'static str {
         match self {
             Self::Success => "failure rate",
@@ -88,70 +88,70 @@ impl Metric {
             Self::CycleTime => "cycle time",
             Self::CycleTimeSpread => "spread of the cycle time",
             Self::FailureModes => "mix of failure modes",
-            Self::Outside => "cycles outside what was validated",
+            Self::Outside => "cycles outside the validated region",
             Self::Risk => "expected failure rate",
             Self::Robot => "failure rate of one robot",
         }
     }
 }
 
-/// Who raised it.
+/// The rule that raised an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Rule {
-    /// The moving window of the paper, which promises nothing.
+    /// The moving window of the paper. Its false-alarm rate is not bounded.
     Paper,
-    /// The e-detector, whose mean run length to a false alarm is promised.
+    /// The e-detector. Its mean run length to a false alarm has a lower bound.
     Detector,
 }
 
-/// What happened to an alarm.
+/// Whether an alarm was raised or cleared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Happening {
-    /// It was raised, and stands.
+    /// The alarm was raised and is active.
     Raised,
-    /// It stands no more: the window recovered, or the detector was quiet for long enough.
+    /// The alarm is no longer active: the window recovered, or the detector found no further evidence for long enough.
     Cleared,
 }
 
 /// An alarm raised or cleared: one JSON object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Alarm {
-    /// Names this happening; the same cycles give the same id.
+    /// Identifies this change of an alarm. The same cycles give the same id.
     pub id: String,
-    /// Raised or cleared.
+    /// Whether the alarm was raised or cleared.
     pub happening: Happening,
-    /// How bad it is.
+    /// The severity.
     pub level: Level,
-    /// Who says so.
+    /// The rule that raised it.
     pub rule: Rule,
     /// The recipe.
     pub recipe: String,
-    /// What changed.
+    /// The metric that changed.
     pub metric: Metric,
-    /// The number of the cycle within its recipe, from 1, at which this happened.
+    /// The cycle at which this happened, numbered within its recipe from 1.
     pub cycle: u64,
     /// The id of that cycle.
     pub cycle_id: String,
     /// The robot of that cycle.
     pub robot: String,
-    /// When, by the sender's clock, in seconds since 1970-01-01 UTC.
+    /// The time of that cycle on the sender's clock, in seconds since 1970-01-01 UTC.
     pub time_s: f64,
     /// What changed, in one sentence.
     pub what: String,
-    /// How sure it is, in one sentence.
+    /// The statistical guarantee, in one sentence.
     pub how_sure: String,
-    /// Since when; absent when cleared and for the paper's rule.
+    /// When the change began. Absent for a cleared alarm and for the paper's rule.
     pub since: Option<Since>,
-    /// What to look at first.
+    /// Likely causes, the first ones first.
     pub look_at: Vec<String>,
 }
 
-/// When a change began: cycles of the recipe that report the metric, and the sender's clock.
+/// When a change began, counted over the cycles of the recipe that report the metric.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Since {
-    /// The likeliest first cycle, numbered within the recipe.
+    /// The most likely first cycle of the change, numbered within the recipe.
     pub cycle: u64,
     /// Its time, in seconds since 1970-01-01 UTC.
     pub time_s: f64,
@@ -159,6 +159,6 @@ pub struct Since {
     pub cycles_95: [u64; 2],
     /// Times at the ends of that interval.
     pub times_95_s: [f64; 2],
-    /// Whether the interval reaches back to the oldest cycle that is kept, so that it may have begun before.
+    /// Whether the interval reaches the oldest stored cycle. The change may have begun before it.
     pub or_before: bool,
 }

@@ -1,76 +1,88 @@
-//! What is normal: counts, never bare rates, so that the evidence behind them can be asked how sure it is.
+//! The normal behaviour of a recipe, as counts. Counts, unlike rates, give confidence intervals.
 
 use robogate_stats::{Confidence, Trials, clopper_pearson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::alarm::Metric;
-use crate::cycle::MODES;
+use crate::cycle::{LONGEST_NAME, is_name};
 use crate::detector::Factors;
 use crate::factors::{self, Binned};
+use crate::modes::{MOST_MODES, ModeCounts, ModeList, OTHER_MODE};
 use crate::settings::Settings;
 
 /// Bins of the cycle time.
 const BINS: usize = 20;
+const LEARNING: &str = "its baseline is still being learnt";
+const ROOM: &str = "the baseline has too few cycles, or too many failures, to detect a change";
 
-/// What is normal for a recipe, as counts from the gate's evidence or from cycles before.
+/// The normal behaviour of a recipe, as counts from a gate's run or from earlier cycles.
 ///
-/// What is absent is learnt from the recipe's first cycles.
+/// Missing parts are learnt from the recipe's first cycles.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Baseline {
     /// Successes among cycles.
     pub success: Option<Count>,
-    /// Drops among cycles.
+    /// Cycles with a dropped part, among cycles.
     pub drop: Option<Count>,
-    /// Collisions among cycles.
+    /// Cycles with a collision, among cycles.
     pub collision: Option<Count>,
-    /// Failures by mode: grasp_miss, grip_loss, collision, timeout, other.
-    pub failure_modes: Option<[u64; MODES.len()]>,
+    /// Failures by mode.
+    #[schemars(with = "Option<std::collections::BTreeMap<String, u64>>")]
+    pub failure_modes: Option<ModeCounts>,
     /// Cycle times of successful cycles, in seconds, in any order.
     pub cycle_times_s: Option<Vec<f64>>,
 }
 
-/// How often something happened, out of how many cycles.
+/// Events among cycles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Count {
-    /// How often.
+    /// Events.
     pub count: u64,
-    /// Out of how many.
+    /// Cycles.
     pub of: u64,
 }
 
 impl Count {
-    /// As trials; `None` where the count exceeds the cycles.
+    /// The count as trials; `None` if the count exceeds the cycles.
     pub fn trials(self) -> Option<Trials> {
         Trials::new(self.count, self.of).ok()
     }
 }
 
-/// Why a baseline cannot be one.
+/// A problem of a baseline.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum BaselineError {
-    /// A count that exceeds its cycles, or no cycles.
-    #[error("baseline of `{metric}`: {count} of {of} is no rate; hint: `of` counts all cycles and is above 0")]
+    /// A count that exceeds its cycles, or zero cycles.
+    #[error(
+        "baseline of `{metric}`: {count} of {of} is not a valid count. Expected `count` from 0 to `of`, and `of` above 0"
+    )]
     Count {
         /// The metric.
         metric: &'static str,
-        /// As given.
+        /// The events given.
         count: u64,
-        /// As given.
+        /// The cycles given.
         of: u64,
     },
-    /// A cycle time that is none.
-    #[error("baseline: cycle time {0} s is not a finite number from 0")]
+    /// A failure mode that is not a name.
+    #[error("baseline: the failure mode `{0}` must have 1 to {LONGEST_NAME} bytes and no control characters")]
+    Mode(String),
+    /// Too many failure modes.
+    #[error("baseline: {0} failure modes. Expected at most {MOST_MODES}")]
+    Modes(usize),
+    /// A negative or non-finite cycle time.
+    #[error("baseline: the cycle time {0} s is not valid. Expected a finite number of at least 0")]
     CycleTime(f64),
 }
 
 impl Baseline {
-    /// Refuses what cannot be a baseline.
+    /// Checks the counts, names and times.
     ///
     /// # Errors
-    /// The first figure that is wrong.
+    /// The first problem.
     pub fn check(&self) -> Result<(), BaselineError> {
         for (metric, count) in [("success", self.success), ("drop", self.drop), ("collision", self.collision)] {
             if let Some(Count { count, of }) = count
@@ -79,28 +91,37 @@ impl Baseline {
                 return Err(BaselineError::Count { metric, count, of });
             }
         }
+        if let Some(counts) = &self.failure_modes {
+            if let Some(mode) = counts.names().find(|mode| !is_name(mode)) {
+                return Err(BaselineError::Mode(mode.to_owned()));
+            }
+            // One place is kept for modes that are not in the baseline.
+            let modes = counts.names().filter(|mode| *mode != OTHER_MODE).count();
+            if modes >= MOST_MODES {
+                return Err(BaselineError::Modes(modes));
+            }
+        }
         match self.cycle_times_s.iter().flatten().find(|t| !t.is_finite() || **t < 0.0) {
             Some(time) => Err(BaselineError::CycleTime(*time)),
             None => Ok(()),
         }
     }
 
-    /// The observed success rate; `None` while it is not known.
+    /// The observed success rate; `None` if it is not known yet.
     pub fn success_rate(&self) -> Option<f64> {
         self.success?.trials()?.rate()
     }
 
-    /// The cycle times in bins; `None` while they are not known, are too few or never vary.
+    /// The cycle times in bins; `None` if they are not known yet, too few, or all equal.
     pub fn binned(&self) -> Option<Binned> {
         Binned::of(self.cycle_times_s.as_deref()?, BINS)
     }
 
-    /// The factors of a metric's detector, or why there are none.
+    /// The factors of a metric's detector, or why the detector cannot run.
     pub fn factors(&self, metric: Metric, settings: &Settings) -> Result<Factors, &'static str> {
         let alpha = settings.alpha();
-        const ROOM: &str = "the baseline is too small, or too poor, for a change to be told from it";
         let event = |count: Option<Count>, failures: bool| {
-            let trials = count.and_then(Count::trials).ok_or("it is still being learnt")?;
+            let trials = count.and_then(Count::trials).ok_or(LEARNING)?;
             factors::event(bound(trials, failures, alpha)).ok_or(ROOM)
         };
         match metric {
@@ -108,26 +129,32 @@ impl Baseline {
             Metric::Drop => event(self.drop, false),
             Metric::Collision => event(self.collision, false),
             Metric::CycleTime | Metric::CycleTimeSpread => {
-                self.cycle_times_s.as_ref().ok_or("it is still being learnt")?;
-                let binned = self.binned().ok_or("the cycle times of the baseline are too few, or never vary")?;
+                self.cycle_times_s.as_ref().ok_or(LEARNING)?;
+                let binned = self.binned().ok_or("the baseline has too few cycle times, or all are equal")?;
                 let found = if metric == Metric::CycleTime { binned.location(alpha) } else { binned.spread(alpha) };
                 found.ok_or(ROOM)
             }
             Metric::FailureModes => {
-                let counts = self.failure_modes.ok_or("it is still being learnt")?;
-                let n: u64 = counts.iter().sum();
-                let share =
-                    |count: &u64| Trials::new(*count, n).map_or(1.0, |t| bound(t, false, alpha / MODES.len() as f64));
-                factors::shares(&counts.each_ref().map(share)).ok_or(ROOM)
+                let mut modes = ModeList::default();
+                modes.include(self.failure_modes.as_ref());
+                self.mode_factors(&modes, settings)
             }
             Metric::Outside => {
-                factors::event(settings.outside_share).ok_or("`outside_share` leaves no room for a change")
+                factors::event(settings.outside_share).ok_or("`outside_share` must be above 0 and below 1")
             }
             Metric::Risk => {
-                let success = self.success.and_then(Count::trials).ok_or("it is still being learnt")?;
+                let success = self.success.and_then(Count::trials).ok_or(LEARNING)?;
                 factors::risk(bound(success, true, alpha)).ok_or(ROOM)
             }
         }
+    }
+
+    /// The factors of the mix of failure modes, whose symbols are the codes of `modes`.
+    pub(crate) fn mode_factors(&self, modes: &ModeList, settings: &Settings) -> Result<Factors, &'static str> {
+        let counts = self.failure_modes.as_ref().ok_or(LEARNING)?;
+        let (n, alpha) = (counts.total(), settings.alpha() / modes.len() as f64);
+        let share = |mode: &str| Trials::new(counts.of(mode), n).map_or(1.0, |trials| bound(trials, false, alpha));
+        factors::shares(&modes.names().map(share).collect::<Vec<_>>()).ok_or(ROOM)
     }
 }
 

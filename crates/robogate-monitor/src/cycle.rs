@@ -1,45 +1,44 @@
-//! One cycle of a robot, as it reports it.
+//! One cycle of a robot, as the robot reports it.
 
 use std::collections::BTreeMap;
 
-use robogate_core::FailureMode;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::modes::OTHER_MODE;
 
 /// Longest id, robot, recipe, failure mode or parameter name, in bytes.
 pub const LONGEST_NAME: usize = 128;
 /// Most parameters of one cycle.
 pub const MOST_PARAMETERS: usize = 64;
-/// Kinds of failure that the mix is watched over: the paper's four modes, and whatever else.
-pub const MODES: [&str; 5] = ["grasp_miss", "grip_loss", "collision", "timeout", "other"];
 
 /// One cycle, as the robot (or the cell's controller) reports it: one JSON object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Cycle {
-    /// Names this cycle among all robots. A cycle whose id is known already is not counted again.
+    /// Identifies this cycle among all robots. A cycle with a known id is not counted again.
     pub id: String,
     /// The robot.
     pub robot: String,
-    /// What the robot was doing: product, program, gripper. Cycles are compared within one recipe only.
+    /// What the robot did: product, program, gripper. Cycles are compared within one recipe only.
     pub recipe: String,
-    /// When the cycle ended by the sender's clock, in seconds since 1970-01-01 UTC.
+    /// The end of the cycle on the sender's clock, in seconds since 1970-01-01 UTC.
     pub time_s: f64,
-    /// Whether the task was done.
+    /// Whether the task succeeded.
     pub success: bool,
-    /// How it failed: `grasp_miss`, `grip_loss`, `collision`, `timeout` or another word. Not with a success.
+    /// The failure mode, any word: the task names its failure modes (`jammed`, `timeout`). Not with a success.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub failure_mode: Option<String>,
-    /// Whether the object was dropped; absent where nothing tells.
+    /// Whether a part was dropped; absent where the cell cannot tell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drop: Option<bool>,
-    /// Whether the robot collided; absent where nothing tells.
+    /// Whether the robot collided; absent where the cell cannot tell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub collision: Option<bool>,
-    /// How long the cycle took, in seconds.
+    /// The duration of the cycle, in seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cycle_time_s: Option<f64>,
-    /// What the cell knows of this cycle, by the names of the parameter space (`mass_kg`, `friction`, `shape`, ...).
+    /// Parameters of this cycle that the cell measures, by the names of the parameter space (`mass_kg`, `friction`).
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub parameters: BTreeMap<String, ParameterValue>,
 }
@@ -48,51 +47,55 @@ pub struct Cycle {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum ParameterValue {
-    /// A number, in the unit that the parameter's name ends with.
+    /// A number, in the unit of the parameter's name.
     Number(f64),
-    /// A word.
+    /// A category.
     Word(String),
 }
 
-/// Why a cycle is malformed.
+/// A problem of a cycle.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CycleError {
-    /// A name that is empty, too long or holds control characters.
+    /// A name that is empty, too long or contains control characters.
     #[error("`{field}` must have 1 to {LONGEST_NAME} bytes and no control characters")]
     Name {
         /// The field.
         field: &'static str,
     },
-    /// A number out of its range.
+    /// A number outside its range.
     #[error("`{field}` is {value}, but must be {range}")]
     Number {
         /// The field.
         field: String,
-        /// What was sent.
+        /// The value sent.
         value: f64,
-        /// What it must be.
+        /// The expected range.
         range: &'static str,
     },
-    /// A success that names how it failed.
+    /// A success with a failure mode.
     #[error("`failure_mode` is `{mode}` although `success` is true")]
     SuccessfulFailure {
         /// The mode sent.
         mode: String,
     },
     /// Too many parameters.
-    #[error("{0} parameters, but at most {MOST_PARAMETERS} are taken")]
+    #[error("{0} parameters. Expected at most {MOST_PARAMETERS}")]
     Parameters(usize),
 }
 
+/// Whether a text can name an id, robot, recipe, failure mode or parameter.
+pub(crate) fn is_name(name: &str) -> bool {
+    !name.is_empty() && name.len() <= LONGEST_NAME && !name.chars().any(char::is_control)
+}
+
 impl Cycle {
-    /// Refuses what cannot be a cycle.
+    /// Checks all fields.
     ///
     /// # Errors
-    /// The first field that is wrong, and what it must be.
+    /// The first problem, with the expected value.
     pub fn check(&self) -> Result<(), CycleError> {
-        let good = |name: &str| !name.is_empty() && name.len() <= LONGEST_NAME && !name.chars().any(char::is_control);
         for (field, name) in [("id", &self.id), ("robot", &self.robot), ("recipe", &self.recipe)] {
-            if !good(name) {
+            if !is_name(name) {
                 return Err(CycleError::Name { field });
             }
         }
@@ -109,7 +112,7 @@ impl Cycle {
             if self.success {
                 return Err(CycleError::SuccessfulFailure { mode: mode.clone() });
             }
-            if !good(mode) {
+            if !is_name(mode) {
                 return Err(CycleError::Name { field: "failure_mode" });
             }
         }
@@ -118,24 +121,20 @@ impl Cycle {
         }
         for (name, value) in &self.parameters {
             match value {
-                _ if !good(name) => return Err(CycleError::Name { field: "parameters" }),
+                _ if !is_name(name) => return Err(CycleError::Name { field: "parameters" }),
                 ParameterValue::Number(x) if !x.is_finite() => {
                     return Err(CycleError::Number { field: name.clone(), value: *x, range: "finite" });
                 }
-                ParameterValue::Word(word) if !good(word) => return Err(CycleError::Name { field: "parameters" }),
+                ParameterValue::Word(word) if !is_name(word) => return Err(CycleError::Name { field: "parameters" }),
                 _ => {}
             }
         }
         Ok(())
     }
 
-    /// The place of its failure mode in [`MODES`]; `None` for a success.
-    pub fn mode(&self) -> Option<u8> {
-        let word = self.failure_mode.as_deref();
-        (!self.success).then(|| {
-            let known = FailureMode::ALL.iter().position(|mode| Some(mode.word()) == word);
-            known.unwrap_or(FailureMode::ALL.len()) as u8
-        })
+    /// The failure mode, [`OTHER_MODE`] where the sender reports none; `None` for a success.
+    pub fn mode(&self) -> Option<&str> {
+        (!self.success).then(|| self.failure_mode.as_deref().unwrap_or(OTHER_MODE))
     }
 }
 
@@ -150,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cycle_needs_five_fields_and_takes_no_unknown_one() {
+    fn five_fields_are_required() {
         let least = r#"{"id":"a","robot":"r","recipe":"x","time_s":1.5,"success":true}"#;
         assert_eq!(cycle(least).unwrap().mode(), None);
         assert!(cycle(r#"{"id":"a","robot":"r","recipe":"x","success":true}"#).unwrap_err().contains("time_s"));
@@ -158,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn a_malformed_cycle_is_told_what_is_wrong() {
+    fn malformed_cycles_name_the_problem() {
         let with = |more: &str| {
             cycle(&format!(r#"{{"id":"a","robot":"r","recipe":"x","time_s":1,"success":true{more}}}"#)).unwrap_err()
         };
@@ -170,14 +169,12 @@ mod tests {
     }
 
     #[test]
-    fn modes_are_the_papers_four_and_other() {
-        assert!(FailureMode::ALL.iter().zip(MODES).all(|(mode, word)| mode.word() == word));
+    fn any_word_is_a_failure_mode() {
         let failed = |mode: &str| {
             let json = format!(r#"{{"id":"a","robot":"r","recipe":"x","time_s":1,"success":false{mode}}}"#);
-            cycle(&json).unwrap().mode()
+            cycle(&json).unwrap()
         };
-        assert_eq!(failed(r#","failure_mode":"collision""#), Some(2));
-        assert_eq!(failed(r#","failure_mode":"spilled""#), Some(4));
-        assert_eq!(failed(""), Some(4));
+        assert_eq!(failed(r#","failure_mode":"spilled""#).mode(), Some("spilled"));
+        assert_eq!(failed("").mode(), Some(OTHER_MODE));
     }
 }

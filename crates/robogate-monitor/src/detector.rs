@@ -1,26 +1,25 @@
-//! The mixture Shiryaev-Roberts e-detector: evidence that something changed, at some time that nobody knows.
+//! The mixture Shiryaev-Roberts e-detector: evidence for a change at an unknown time.
 //!
-//! What is watched is a stream of symbols (failed or not; the bin of a cycle time; a failure mode). An alternative k
-//! turns a symbol x into a factor e_k(x) ≥ 0 whose expectation is at most 1 while nothing has changed, whatever came
-//! before. The statistic of each alternative is
+//! The input is a stream of symbols (failed or not; the bin of a cycle time; a failure mode). An alternative k
+//! maps a symbol x to a factor e_k(x) ≥ 0 whose expectation, given the past, is at most 1 while nothing has changed. The statistic of each alternative is
 //!
 //! M_k ← (1 + M_k) e_k(x),   M_k = 0 at the start,   M = Σ w_k M_k with Σ w_k = 1,
 //!
-//! the sum, over every time at which the change may have begun, of the evidence gathered since. Without a change M_t - t is
-//! a supermartingale, so that the mean number of symbols until M ≥ A is at least A: the promise needs no simulation
+//! the sum, over every possible start of the change, of the evidence since then. Without a change M_t - t is
+//! a supermartingale, so the mean number of symbols until M ≥ A is at least A. This bound needs no simulation
 //! and no large-sample argument. It holds for any number of detectors together: see [`crate::Shares`].
 //!
 //! Numbers: M stays between the smallest factor and A times the largest, because an alarm restarts it at 0 and 1 + M ≥ 1;
 //! it can neither overflow nor vanish. One update costs one multiplication and two additions for each alternative and
 //! allocates nothing.
 //!
-//! Limit: the promise is about the mean, and as good as "the expectation is at most 1": each builder says what it assumes.
+//! Limit: the bound is on the mean, and it assumes that the expectation is at most 1. Each builder states its assumption.
 //! Sources: Shiryaev (1963), Theory Probab. Appl. 8; Roberts (1966), Technometrics 8; Shin, Ramdas and Rinaldo (2024), "E-detectors: a
 //! nonparametric framework for sequential change detection", New England J. Stat. Data Sci. 2.
 
 use serde::{Deserialize, Serialize};
 
-/// The factors of a detector: for each alternative its weight, and what each symbol multiplies its evidence by.
+/// The factors of a detector: the weight of each alternative, and the factor that each symbol multiplies its evidence by.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Factors {
     weights: Vec<f64>,
@@ -29,7 +28,7 @@ pub struct Factors {
 }
 
 impl Factors {
-    /// Makes the table from (weight, factor of each symbol) for each alternative. Weights are scaled to sum to one.
+    /// Builds the table from (weight, factor of each symbol) for each alternative. Weights are scaled to sum to one.
     ///
     /// `None` without an alternative or a symbol, with tables of unequal length, or with a number that is negative or not finite.
     pub fn new(alternatives: &[(f64, Vec<f64>)]) -> Option<Self> {
@@ -44,12 +43,12 @@ impl Factors {
         Some(Self { weights: alternatives.iter().map(|(w, _)| w / total).collect(), factors: factors.collect() })
     }
 
-    /// How many alternatives there are.
+    /// The number of alternatives.
     pub fn alternatives(&self) -> usize {
         self.weights.len()
     }
 
-    /// How many symbols there are.
+    /// The number of symbols.
     pub fn symbols(&self) -> usize {
         self.factors.len() / self.weights.len()
     }
@@ -61,8 +60,8 @@ impl Factors {
         self.factors.get(at..at + k).unwrap_or_default()
     }
 
-    /// The largest expectation of any alternative's factor when symbols have these probabilities: at most 1 is what the
-    /// promise rests on.
+    /// The largest expectation of any alternative's factor under these probabilities of the symbols. The bound on false alarms
+    /// requires at most 1.
     pub fn largest_expectation(&self, probabilities: &[f64]) -> f64 {
         let mean = |k: usize| -> f64 {
             let factor = |s: usize| self.factors.get(s * self.weights.len() + k).copied().unwrap_or(0.0);
@@ -72,23 +71,23 @@ impl Factors {
     }
 }
 
-/// The evidence for a change, for each alternative: all that a detector must remember.
+/// The evidence for a change, for each alternative: the whole state of a detector.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Evidence(Vec<f64>);
 
 impl Evidence {
-    /// No evidence yet.
+    /// Zero evidence.
     pub fn none(factors: &Factors) -> Self {
         Self(vec![0.0; factors.alternatives()])
     }
 
-    /// Whether it belongs to these factors.
+    /// Whether the evidence fits these factors.
     pub fn fits(&self, factors: &Factors) -> bool {
         self.0.len() == factors.alternatives() && self.0.iter().all(|m| m.is_finite() && *m >= 0.0)
     }
 
-    /// Takes in one symbol and returns M. A symbol that the factors do not know changes nothing.
+    /// Updates the evidence with one symbol and returns M. A symbol beyond the last changes nothing.
     pub fn update(&mut self, factors: &Factors, symbol: u8) -> f64 {
         let mut mixture = 0.0;
         let known = factors.of(symbol);
@@ -102,12 +101,12 @@ impl Evidence {
         mixture
     }
 
-    /// M as it stands.
+    /// The current M.
     pub fn value(&self, factors: &Factors) -> f64 {
         self.0.iter().zip(&factors.weights).map(|(m, w)| m * w).sum()
     }
 
-    /// Starts again from nothing.
+    /// Resets the evidence to zero.
     pub fn restart(&mut self) {
         self.0.fill(0.0);
     }
@@ -116,22 +115,22 @@ impl Evidence {
 /// When a change began, counted in symbols back from the newest (0: with the newest itself).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ChangePoint {
-    /// The likeliest beginning.
+    /// The most likely start.
     pub likeliest: usize,
-    /// The latest beginning of the 95 % interval.
+    /// The latest start in the 95 % interval.
     pub latest: usize,
-    /// The earliest beginning of the 95 % interval.
+    /// The earliest start in the 95 % interval.
     pub earliest: usize,
-    /// Whether the interval reaches the oldest symbol that was kept: it may have begun before.
+    /// Whether the interval reaches the oldest stored symbol. The change may have begun before it.
     pub or_before: bool,
     /// The alternative that explains the symbols best.
     pub alternative: usize,
 }
 
-/// Estimates when a change began from the symbols kept, newest first.
+/// Estimates when a change began from the stored symbols, newest first.
 ///
-/// Each beginning s gets the weight Σ_k w_k Π_{i ≥ s} e_k(x_i): its posterior under a uniform prior over what was kept. The
-/// interval leaves out 2.5 % on each side. `None` without symbols. This is called at an alarm, not per cycle, and allocates.
+/// Each start s gets the weight Σ_k w_k Π_{i ≥ s} e_k(x_i): its posterior under a uniform prior over the stored symbols. The
+/// interval leaves out 2.5 % on each side. `None` without symbols. Called at an alarm, not per cycle; it allocates.
 pub fn change_point(factors: &Factors, newest_first: impl Iterator<Item = u8>) -> Option<ChangePoint> {
     let mut logs = vec![0.0_f64; factors.alternatives()];
     let mut weights = Vec::new();

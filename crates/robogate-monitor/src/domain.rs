@@ -1,16 +1,16 @@
-//! What was validated: whether a cycle's parameters lie inside, and what the risk model expects of them.
+//! The validated region: whether a cycle's parameters lie inside it, and the failure probability that the risk model predicts.
 //!
-//! Two questions about a cycle that reports its parameters, both answered while the robot still succeeds:
+//! Both questions can be answered while the robot still succeeds:
 //!
-//! - **Is it inside the envelope?** Each reported parameter is held against the range, or the words, that were evaluated. Where the
-//!   risk model can be asked, their combination is too: the variance of the model's log-odds, x' V x, must not exceed the
-//!   largest one among the episodes that it was fitted to. Beyond it the model extrapolates although each parameter
-//!   alone is inside its range.
-//! - **How likely is a failure?** p = 1 / (1 + exp(-x' b)), with the coefficients b of the logistic risk model and a category's
-//!   penalty in place of its word. Asked only where every parameter of the model is reported.
+//! - **Is it inside the envelope?** Each reported parameter is compared with the evaluated range or categories. If the cycle reports every
+//!   parameter of the risk model, their combination is checked too: the variance of the model's log-odds, x' V x, must not exceed the
+//!   largest one among the episodes that the model was fitted to. Beyond it the model extrapolates although each parameter
+//!   is inside its own range.
+//! - **How likely is a failure?** p = 1 / (1 + exp(-x' b)), with the coefficients b of the logistic risk model. A category is
+//!   replaced by its penalty. The cycle must report every parameter of the model.
 //!
-//! Limit: an envelope of ranges is a box, and x' V x is an ellipsoid around the mean; neither knows of a hole inside. The risk model is
-//! the analysis' own, with the limits that it states. A parameter that the envelope does not name is not judged.
+//! Limit: an envelope of ranges is a box, and x' V x is an ellipsoid around the mean; neither detects a hole inside. The risk model has
+//! the limits that the analysis states. A parameter that the envelope does not name is not checked.
 //! Source for x' V x as the domain of a regression: Montgomery, Peck and Vining, Introduction to Linear Regression Analysis, "hidden
 //! extrapolation".
 
@@ -21,24 +21,24 @@ use serde::{Deserialize, Serialize};
 
 use crate::cycle::{Cycle, MOST_PARAMETERS, ParameterValue};
 
-/// What was validated.
+/// The validated region of a run.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Domain {
-    /// What each parameter was evaluated at.
+    /// The evaluated values of each parameter.
     pub envelope: BTreeMap<String, Validated>,
-    /// The model of P(failure); absent where the evidence allows none.
+    /// The model of P(failure); absent if the run does not allow one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub risk: Option<Risk>,
 }
 
-/// What one parameter was evaluated at.
+/// The evaluated values of one parameter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Validated {
-    /// From low to high, both included, in the unit that the parameter's name ends with.
+    /// From low to high, both included, in the unit of the parameter's name.
     Range([f64; 2]),
-    /// One of these words.
+    /// One of these categories.
     Words(Vec<String>),
 }
 
@@ -46,9 +46,9 @@ pub enum Validated {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Risk {
-    /// Log-odds of a failure where every term is 0.
+    /// Log-odds of a failure when every term is 0.
     pub intercept: f64,
-    /// Its parameters.
+    /// The parameters.
     pub terms: Vec<RiskTerm>,
     /// Covariance of the intercept and the coefficients, row by row.
     pub covariance: Vec<f64>,
@@ -64,49 +64,51 @@ pub struct RiskTerm {
     pub parameter: String,
     /// Log-odds of a failure per unit, or per unit of penalty.
     pub coefficient: f64,
-    /// Of a word: the penalty that stands for each.
+    /// The penalty of each category, for a categorical parameter.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub penalties: Option<BTreeMap<String, f64>>,
 }
 
-/// Why a domain cannot be one.
+/// A problem of a validated region.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DomainError {
-    /// A range that is none.
-    #[error("the envelope of `{0}` is neither a range of finite numbers, low first, nor a list of words")]
+    /// An invalid range.
+    #[error(
+        "the envelope of `{0}` is not valid. Expected a range of two finite numbers, low first, or a list of categories"
+    )]
     Envelope(String),
     /// More parameters than a cycle can report.
-    #[error("{0} parameters, but a cycle reports at most {MOST_PARAMETERS}")]
+    #[error("{0} parameters. Expected at most {MOST_PARAMETERS}, the most that a cycle reports")]
     Parameters(usize),
-    /// A covariance of another size.
-    #[error("the covariance of the risk model has {found} numbers, but {expected} belong to its terms")]
+    /// A covariance matrix of the wrong size.
+    #[error("the covariance of the risk model has {found} numbers. Expected {expected} for its terms")]
     Covariance {
-        /// What it has.
+        /// The size found.
         found: usize,
         /// (terms + 1)².
         expected: usize,
     },
     /// A number that is not finite.
-    #[error("the risk model holds a number that is not finite")]
+    #[error("the risk model contains a number that is not finite")]
     NotFinite,
 }
 
-/// What is said of one cycle.
+/// The result for one cycle.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Judged {
-    /// Whether it lies outside what was validated; `None` where it reports nothing that was.
+    /// Whether the cycle lies outside the validated region; `None` if it reports no parameter of the envelope.
     pub outside: Option<bool>,
-    /// Whether it does so by the combination of its parameters alone.
+    /// Whether only the combination of its parameters lies outside.
     pub by_combination: bool,
-    /// P(failure); `None` where a parameter of the model is missing, or there is no model.
+    /// P(failure); `None` without a model, or if a parameter of the model is missing.
     pub risk: Option<f64>,
 }
 
 impl Domain {
-    /// Refuses what cannot be a domain.
+    /// Checks ranges and sizes.
     ///
     /// # Errors
-    /// The first thing that is wrong.
+    /// The first problem.
     pub fn check(&self) -> Result<(), DomainError> {
         for (name, validated) in &self.envelope {
             let good = match validated {
@@ -134,7 +136,7 @@ impl Domain {
         if all.all(|x| x.is_finite()) { Ok(()) } else { Err(DomainError::NotFinite) }
     }
 
-    /// Judges a cycle. Each parameter of the envelope that lies outside is handed over with its place there.
+    /// Judges a cycle. Calls `outside` with the place in the envelope, and the value, of each parameter that lies outside.
     pub fn judge(&self, cycle: &Cycle, mut outside: impl FnMut(usize, &ParameterValue)) -> Judged {
         let (mut reported, mut beyond) = (false, false);
         for (place, (name, validated)) in self.envelope.iter().enumerate() {
@@ -156,7 +158,7 @@ impl Domain {
 }
 
 impl Validated {
-    /// Whether a value was evaluated. A word for a number, or a number for a word, was not.
+    /// Whether a value was evaluated. A category in place of a number, or the reverse, was not.
     pub fn holds(&self, value: &ParameterValue) -> bool {
         match (self, value) {
             (Self::Range([low, high]), ParameterValue::Number(x)) => low <= x && x <= high,
@@ -167,7 +169,7 @@ impl Validated {
 }
 
 impl Risk {
-    /// P(failure), and whether the model extrapolates; `None` where a parameter is missing or has no number.
+    /// P(failure), and whether the model extrapolates; `None` if a parameter is missing or unknown.
     fn of(&self, cycle: &Cycle) -> Option<(f64, bool)> {
         let mut x = [0.0; MOST_PARAMETERS + 1];
         let x = x.get_mut(..=self.terms.len())?;
@@ -185,7 +187,7 @@ impl Risk {
         let rows = self.covariance.chunks_exact(x.len()).zip(x.iter());
         let variance: f64 = rows.map(|(row, a)| a * row.iter().zip(x.iter()).map(|(v, b)| v * b).sum::<f64>()).sum();
         let risk = 1.0 / (1.0 + (-log_odds).exp());
-        // The episodes at the edge themselves must not fall out by rounding.
+        // Rounding must not put the episodes at the edge outside.
         let inside = variance <= self.most_variance * (1.0 + 1e-9);
         Some((if risk.is_finite() { risk } else { 1.0 }, !inside))
     }
@@ -225,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_outside_is_named_and_both_ends_are_inside() {
+    fn parameters_outside_are_named() {
         // In the order of the names: friction, mass_kg, shape.
         assert_eq!(judged(r#"{"mass_kg": 0.81, "friction": 0.2, "shape": "can"}"#).1, [1]);
         assert_eq!(judged(r#"{"mass_kg": 0.8, "friction": 0.1999, "shape": "tube"}"#).1, [0, 2]);
@@ -233,14 +235,14 @@ mod tests {
     }
 
     #[test]
-    fn a_combination_beyond_the_fitted_ones_is_outside_although_each_parameter_is_inside() {
+    fn unusual_combinations_are_outside() {
         let (found, outside) = judged(r#"{"mass_kg": 0.8, "friction": 1.0, "shape": "box"}"#);
         // 1 + 0.64 + 1 + 2 · 0.9 · 0.8 = 4.08 > 2.5.
         assert_eq!((found.outside, found.by_combination, outside.len()), (Some(true), true, 0));
     }
 
     #[test]
-    fn what_is_not_reported_is_not_judged() {
+    fn missing_parameters_are_not_judged() {
         let (found, _) = judged(r#"{"mass_kg": 0.3}"#);
         assert_eq!((found.outside, found.risk), (Some(false), None));
         let (found, _) = judged(r#"{"humidity": 0.3}"#);
@@ -248,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn a_domain_that_cannot_be_is_refused() {
+    fn invalid_domains_are_refused() {
         let with = |change: &dyn Fn(&mut Domain)| {
             let mut domain = domain();
             change(&mut domain);

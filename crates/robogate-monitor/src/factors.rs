@@ -1,33 +1,33 @@
 //! The factors of each metric's detector, and what each assumes.
 //!
-//! All take the baseline as the bound on the safe side that its evidence allows, never as a point. Each keeps its promise
-//! for every truth inside the bound; the chance that the bound itself is wrong is the one that the settings name.
+//! Each uses a confidence bound of the baseline, not its point estimate. The bound on false alarms holds for every true value
+//! inside that confidence bound; `baseline_confidence` sets how often the confidence bound is right.
 
 use crate::detector::Factors;
 
-/// By how much the odds of an event grow, and the weight of each alternative.
+/// Odds ratios of the alternatives, each with its weight.
 ///
-/// From 1.4 (a failure rate of 5 % becomes 6.9 %) to 30 (a drop in a thousand becomes three in a hundred).
+/// From 1.4 (a failure rate of 5 % becomes 6.9 %) to 30 (one drop in a thousand becomes three in a hundred).
 const ODDS: [(f64, f64); 8] =
     [(1.4, 0.18), (1.8, 0.18), (2.3, 0.18), (3.0, 0.18), (4.0, 0.13), (6.0, 0.08), (12.0, 0.04), (30.0, 0.03)];
 
 /// Shares of the largest bet that keeps a factor from becoming negative.
 const BETS: [f64; 6] = [0.08, 0.16, 0.3, 0.45, 0.65, 0.9];
 
-/// Factors for an event (a failure, a drop, a collision) whose probability is at most `bound` before the change. Symbols: 0 it did
-/// not happen, 1 it did.
+/// Factors for an event (a failure, a drop, a collision) whose probability is at most `bound` before the change. Symbols: 0 without
+/// the event, 1 with it.
 ///
 /// The factor is the likelihood ratio of q > bound against the bound. It grows with the event, so its expectation is at most 1 for
 /// every probability up to the bound. Assumed: given the past, the event has at most this probability.
-/// `None` where the bound leaves no room (0 or below, 1 or above, not a number).
+/// `None` unless the bound lies strictly between 0 and 1.
 pub fn event(bound: f64) -> Option<Factors> {
     Factors::new(&odds(bound)?.map(|(weight, no, yes)| (weight, vec![no, yes])))
 }
 
-/// Factors for shares of kinds (failure modes): each is at most its `bounds` before the change. Symbols: the kind's number.
+/// Factors for the shares of categories (failure modes): each is at most its `bounds` before the change. Symbols: the category's code.
 ///
-/// For each kind the alternatives of [`event`]: if the mix changes, some share grows. Kinds whose bound leaves no room have no
-/// alternatives; `None` where no kind has one.
+/// Each category has the alternatives of [`event`]: if the mix changes, some share grows. A category whose bound is 0 or 1 has no
+/// alternatives; `None` if no category has any.
 pub fn shares(bounds: &[f64]) -> Option<Factors> {
     let one = |(kind, bound): (usize, &f64)| {
         let table = |(weight, no, yes): (f64, f64, f64)| {
@@ -53,9 +53,9 @@ fn odds(bound: f64) -> Option<[(f64, f64, f64); 8]> {
     })
 }
 
-/// Factors for a score between 0 and 1 whose mean is at most `bound` before the change: 1 + λ (score - bound), a bet.
+/// Factors for a score between 0 and 1 whose mean is at most `bound` before the change: 1 + λ (score - bound), a bet on the mean.
 ///
-/// `scores` holds the score of each symbol. Nothing is assumed of the distribution but the mean, given the past.
+/// `scores` contains the score of each symbol. The only assumption is the bound of the mean, given the past.
 fn bets(scores: &[f64], bound: f64) -> Vec<(f64, Vec<f64>)> {
     if bound.is_nan() || bound <= 0.0 || bound >= 0.98 {
         return Vec::new();
@@ -64,12 +64,12 @@ fn bets(scores: &[f64], bound: f64) -> Vec<(f64, Vec<f64>)> {
     BETS.map(bet).to_vec()
 }
 
-/// Steps that a risk is counted in.
+/// Number of risk steps.
 const RISK_STEPS: u8 = 128;
 
-/// The step of a risk: the steps are narrow where risks are small, √p in 128 parts.
+/// The step of a risk: √p in 128 equal parts, so that steps are narrow for small risks.
 pub(crate) fn risk_step(risk: f64) -> u8 {
-    // The highest step holds 1 itself; a cast of what is no number gives 0.
+    // The highest step includes 1; a cast of NaN gives 0.
     ((risk.sqrt() * f64::from(RISK_STEPS)) as u8).min(RISK_STEPS - 1)
 }
 
@@ -86,21 +86,19 @@ pub fn risk(bound: f64) -> Option<Factors> {
     Factors::new(&bets(&scores, bound))
 }
 
-/// A distribution of cycle times, as counts in bins, and how far the truth may be from it.
+/// A distribution of cycle times in bins.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Binned {
     /// Inner edges, increasing: bin 0 lies below the first, the last bin from the last edge on.
     pub edges: Vec<f64>,
     /// Share of the baseline in each bin.
     pub shares: Vec<f64>,
-    /// How many cycles the baseline holds.
+    /// Number of cycles of the baseline.
     pub n: usize,
 }
 
 impl Binned {
-    /// Bins of about equal count. `None` where there are fewer than 20 values or all are equal.
-    ///
-    /// Values are finite.
+    /// Makes bins of about equal count from finite values. `None` with fewer than 20 values or if all are equal.
     pub fn of(values: &[f64], bins: usize) -> Option<Self> {
         if values.len() < 20 {
             return None;
@@ -147,7 +145,7 @@ impl Binned {
     /// Factors for a shift of the location, slower or faster. Symbols: the bin. The first half of the alternatives are slower.
     ///
     /// The score is the rank in the baseline, and its mean is bounded by the baseline's own plus ε = √(ln(2/α) / 2n): the
-    /// Dvoretzky-Kiefer-Wolfowitz inequality bounds every half-line at once, hence every monotone score. No shape is assumed.
+    /// Dvoretzky-Kiefer-Wolfowitz inequality bounds every half-line at once, hence every monotone score. No shape of the distribution is assumed.
     pub fn location(&self, alpha: f64) -> Option<Factors> {
         let margin = ((2.0 / alpha).ln() / (2.0 * self.n as f64)).sqrt();
         let up = self.ranks();
@@ -160,7 +158,7 @@ impl Binned {
     /// Factors for a wider spread. Symbols: the bin.
     ///
     /// The score is the distance of the rank from the middle, |2u - 1|. Its upper sets are two half-lines, so that the margin is
-    /// twice that of Dvoretzky, Kiefer and Wolfowitz. It also grows when the location moves far. `None` where the baseline is too small to bound it below 1.
+    /// twice that of Dvoretzky, Kiefer and Wolfowitz. It also grows when the location moves far. `None` if the baseline is too small to bound it below 1.
     pub fn spread(&self, alpha: f64) -> Option<Factors> {
         let margin = 2.0 * ((2.0 / alpha).ln() / (2.0 * self.n as f64)).sqrt();
         let scores: Vec<f64> = self.ranks().iter().map(|rank| (2.0 * rank - 1.0).abs()).collect();
@@ -173,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_alternative_expects_to_gain_where_nothing_changed() {
+    fn expected_factors_are_at_most_one() {
         for bound in [0.001, 0.05, 0.3, 0.9] {
             let factors = event(bound).unwrap();
             for truth in [0.0, 0.2 * bound, bound] {
@@ -187,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bound_that_leaves_no_room_gives_no_detector() {
+    fn useless_bounds_give_no_detector() {
         for bound in [0.0, 1.0, -0.1, 2.0, f64::NAN] {
             assert_eq!(event(bound), None);
         }
@@ -196,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn cycle_times_of_the_baseline_are_no_evidence_and_slower_ones_are() {
+    fn only_changed_cycle_times_are_evidence() {
         let times: Vec<f64> = (0..1000).map(|i| 4.0 + f64::from(i % 97) / 97.0).collect();
         let binned = Binned::of(&times, 20).unwrap();
         assert!((binned.shares.iter().sum::<f64>() - 1.0).abs() < 1e-12);
@@ -214,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mean_risk_within_the_bound_is_no_evidence_and_one_beyond_is() {
+    fn only_higher_risk_is_evidence() {
         let factors = risk(0.05).unwrap();
         let alternating = |a: f64, b: f64| {
             let mut shares = vec![0.0; RISK_STEPS.into()];
@@ -229,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn cycle_times_that_never_vary_or_are_few_have_no_bins() {
+    fn few_or_equal_times_have_no_bins() {
         assert_eq!(Binned::of(&[4.0; 100], 20), None);
         assert_eq!(Binned::of(&[1.0, 2.0, 3.0], 20), None);
     }

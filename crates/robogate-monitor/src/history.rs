@@ -1,4 +1,4 @@
-//! The last cycles of a recipe, as symbols: what is needed to say since when.
+//! The last cycles of a recipe as symbols, from which the start of a change is estimated.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,25 +7,25 @@ use crate::cycle::Cycle;
 use crate::domain::Judged;
 use crate::factors;
 
-/// A symbol that was not reported.
+/// The code of a value that was not reported.
 pub(crate) const ABSENT: u8 = u8::MAX;
 
-/// One cycle as the detectors see it.
+/// One cycle as symbols.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Symbols {
-    /// Sender's time, in seconds.
+    /// Time on the sender's clock, in seconds.
     pub(crate) time_s: f64,
-    /// Cycle time of a successful cycle, in seconds; below 0 where there is none.
+    /// Cycle time of a successful cycle, in seconds; below 0 if there is none.
     pub(crate) cycle_time_s: f32,
-    /// Failed, drop, collision, bin of the cycle time, failure mode, outside, step of the risk.
+    /// Codes of: failed, drop, collision, bin of the cycle time, failure mode, outside, step of the risk.
     pub(crate) codes: [u8; 7],
-    /// The robot's place in its recipe.
+    /// The robot's index in its recipe.
     pub(crate) robot: u16,
 }
 
 impl Symbols {
-    /// A cycle's symbols. `bin` puts a cycle time into its bin, where the bins are known.
-    pub(crate) fn of(cycle: &Cycle, robot: u16, judged: Judged, bin: impl Fn(f64) -> u8) -> Self {
+    /// A cycle's symbols: `mode` is the code of its failure mode, and `bin` returns the bin of a cycle time.
+    pub(crate) fn of(cycle: &Cycle, robot: u16, judged: Judged, mode: Option<u8>, bin: impl Fn(f64) -> u8) -> Self {
         let flag = |flag: Option<bool>| flag.map_or(ABSENT, u8::from);
         let cycle_time = cycle.cycle_time_s.filter(|_| cycle.success);
         Self {
@@ -36,7 +36,7 @@ impl Symbols {
                 flag(cycle.drop),
                 flag(cycle.collision),
                 cycle_time.map_or(ABSENT, bin),
-                cycle.mode().unwrap_or(ABSENT),
+                mode.unwrap_or(ABSENT),
                 flag(judged.outside),
                 judged.risk.map_or(ABSENT, factors::risk_step),
             ],
@@ -44,7 +44,7 @@ impl Symbols {
         }
     }
 
-    /// The symbol that a metric's detector reads; `None` where it was not reported.
+    /// The symbol of a metric's detector; `None` if it was not reported.
     pub(crate) fn code(&self, metric: Metric) -> Option<u8> {
         let [failed, drop, collision, bin, mode, outside, risk] = self.codes;
         let code = match metric {
@@ -60,7 +60,7 @@ impl Symbols {
     }
 }
 
-/// The last cycles, in a ring that never grows.
+/// The last cycles, in a ring buffer of fixed capacity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct History {
     capacity: usize,
@@ -69,18 +69,18 @@ pub(crate) struct History {
 }
 
 impl History {
-    /// Room for this many cycles, taken at once.
+    /// An empty ring; its memory is allocated at once.
     pub(crate) fn new(capacity: usize) -> Self {
         Self { capacity: capacity.max(1), next: 0, ring: Vec::with_capacity(capacity.max(1)) }
     }
 
-    /// Whether it is a ring of this many cycles.
+    /// Whether the stored ring is consistent and has this capacity.
     pub(crate) fn fits(&self, capacity: usize) -> bool {
         let whole = self.ring.len() == self.capacity || self.next == self.ring.len();
         self.capacity == capacity.max(1) && self.ring.len() <= self.capacity && self.next < self.capacity && whole
     }
 
-    /// Adds a cycle; the oldest gives way.
+    /// Adds a cycle in place of the oldest one.
     pub(crate) fn push(&mut self, symbols: Symbols) {
         if self.ring.len() < self.capacity {
             self.ring.push(symbols);

@@ -1,20 +1,21 @@
-//! What a recipe's first cycles teach, where its baseline says nothing.
+//! Learns the missing parts of a recipe's baseline from its first cycles.
 
 use serde::{Deserialize, Serialize};
 
 use crate::alarm::Metric;
 use crate::baseline::{Baseline, Count};
-use crate::cycle::MODES;
-use crate::history::Symbols;
+use crate::history::{ABSENT, Symbols};
+use crate::modes::ModeList;
 use crate::settings::Settings;
 
-/// Counts on their way to a baseline.
+/// Counts for the parts of the baseline that are not complete.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct Learning {
     successes: Tally,
     drops: Tally,
     collisions: Tally,
-    modes: [u64; MODES.len()],
+    /// Failures by the code of their mode.
+    modes: Vec<u64>,
     cycle_times_s: Vec<f64>,
 }
 
@@ -33,11 +34,12 @@ impl Tally {
 }
 
 impl Learning {
-    /// Takes in one cycle. Calls `learnt` for each metric whose part of the baseline is now complete.
+    /// Adds one cycle. Calls `learnt` for each metric whose part of the baseline is now complete.
     pub(crate) fn update(
         &mut self,
         symbols: &Symbols,
         baseline: &mut Baseline,
+        modes: &ModeList,
         settings: &Settings,
         mut learnt: impl FnMut(Metric),
     ) {
@@ -55,12 +57,13 @@ impl Learning {
                 }
             }
         }
-        if baseline.failure_modes.is_none()
-            && let Some(count) = self.modes.get_mut(usize::from(mode))
-        {
-            *count += 1;
+        if baseline.failure_modes.is_none() && mode != ABSENT {
+            self.modes.resize(modes.len(), 0);
+            if let Some(count) = self.modes.get_mut(usize::from(mode)) {
+                *count += 1;
+            }
             if self.modes.iter().sum::<u64>() >= u64::from(settings.learn_failures) {
-                baseline.failure_modes = Some(self.modes);
+                baseline.failure_modes = Some(modes.names().zip(self.modes.drain(..)).collect());
                 learnt(Metric::FailureModes);
             }
         }

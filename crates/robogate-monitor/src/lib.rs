@@ -1,10 +1,10 @@
-//! After deployment: whether a robot still does what the gate saw, with alarms whose false-alarm rate is promised.
+//! After deployment: detects when a robot no longer behaves as the gate saw it, with a bounded false-alarm rate.
 //!
-//! Cycles go in one by one; an [`Alarm`] comes out where something changed. Beside the paper's moving window ([`paper`]) each
-//! metric of each recipe has a mixture Shiryaev-Roberts e-detector ([`detector`]), whose mean number of cycles until a false
-//! alarm is at least what was asked for, over all metrics and recipes together.
+//! Cycles go in one by one; an [`Alarm`] comes out when something changed. Besides the paper's moving window ([`paper`]), each
+//! metric of each recipe has a mixture Shiryaev-Roberts e-detector ([`detector`]). The mean number of cycles until a false
+//! alarm is at least the requested one, over all metrics and recipes together.
 //!
-//! The library has no clock, file, socket or thread and allocates nothing per cycle, so that it runs on the robot itself:
+//! The library has no clock, file, socket or thread and allocates no memory per cycle, so it can run on the robot's controller:
 //!
 //! ```
 //! use robogate_monitor::{Baseline, Count, Cycle, Monitor, Settings};
@@ -26,7 +26,7 @@
 //! for i in 0..1_000 {
 //!     cycle.time_s += 4.0;
 //!     cycle.success = i < 500 || i % 4 != 0; // one in four fails from cycle 501 on
-//!     monitor.observe(&cycle, &mut |alarm| println!("{}: {}", alarm.level.word(), alarm.what))?;
+//!     monitor.observe(&cycle, &mut |alarm| println!("{}: {}", alarm.level.as_str(), alarm.what))?;
 //! }
 //! assert!(monitor.recipe("bracket").is_some_and(|recipe| recipe.level().is_some()));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -35,12 +35,12 @@
 //! | question | module |
 //! |---|---|
 //! | what does a robot report? | [`Cycle`] |
-//! | what is normal? | [`Baseline`] |
+//! | what is the normal behaviour? | [`Baseline`] |
 //! | did something change, and since when? | [`detector`], with the [`factors`] of each metric |
 //! | what does the paper's rule say? | [`paper`] |
-//! | was it ever evaluated, and what does the risk model expect? | [`domain`] |
-//! | does one robot stand out? | [`fleet`] |
-//! | how often would it cry wolf, how late would it see? | [`simulate`] |
+//! | was it validated, and what does the risk model predict? | [`domain`] |
+//! | does one robot differ from its peers? | [`robogate_stats::overdispersion`] |
+//! | how often are false alarms, how late is a detection? | [`simulate`] |
 //!
 //! The feature `service` adds the service around it: feeds, store, outputs and page.
 
@@ -49,23 +49,25 @@ mod baseline;
 mod cycle;
 pub mod detector;
 pub mod domain;
+mod explanation;
 pub mod factors;
-pub mod fleet;
 mod history;
 mod learning;
+mod modes;
 mod monitor;
 pub mod paper;
 mod recipe;
 mod reference;
 #[cfg(feature = "service")]
+#[expect(clippy::disallowed_methods, reason = "a service has deadlines and waits; the monitor itself has no clock")]
 pub mod service;
 mod settings;
 pub mod simulate;
-mod words;
 
 pub use alarm::{Alarm, Happening, Level, Metric, Rule, Since};
 pub use baseline::{Baseline, BaselineError, Count};
-pub use cycle::{Cycle, CycleError, LONGEST_NAME, MODES, MOST_PARAMETERS, ParameterValue};
+pub use cycle::{Cycle, CycleError, LONGEST_NAME, MOST_PARAMETERS, ParameterValue};
+pub use modes::{MOST_MODES, ModeCounts, OTHER_MODE};
 pub use monitor::{Monitor, TooManyRecipes};
 pub use recipe::{DetectorView, OutsideTally, Recipe, RecipeState, RobotTally, Standing};
 pub use reference::{Reference, ReferenceError};

@@ -1,4 +1,4 @@
-//! All recipes together.
+//! The monitor of all recipes.
 
 use std::collections::BTreeMap;
 
@@ -10,42 +10,42 @@ use crate::settings::{Settings, SettingsError};
 
 /// The monitor: cycles in, alarms out.
 ///
-/// It has no clock, no file and no randomness: the same settings and cycles give the same alarms, bit for bit.
+/// It has no clock, no file and no randomness. The same settings and cycles give the same alarms, bit for bit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Monitor {
     settings: Settings,
     recipes: BTreeMap<String, Recipe>,
 }
 
-/// Why a cycle was not taken.
+/// A cycle was refused because its recipe is new and the limit is reached.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("recipe `{recipe}` is one more than the {most} that are watched; hint: `most_recipes`")]
+#[error("recipe `{recipe}` is new, and {most} recipes are watched already. Hint: increase `most_recipes`")]
 pub struct TooManyRecipes {
     /// The recipe refused.
     pub recipe: String,
-    /// Most recipes.
+    /// The limit.
     pub most: u32,
 }
 
 impl Monitor {
-    /// A monitor that has heard nothing.
+    /// A monitor without cycles.
     ///
     /// # Errors
-    /// Settings that cannot be.
+    /// Invalid settings.
     pub fn new(settings: Settings) -> Result<Self, SettingsError> {
         settings.check()?;
         Ok(Self { settings, recipes: BTreeMap::new() })
     }
 
-    /// Gives a recipe back what it remembered: see [`Recipe::restore`].
+    /// Restores the state of a recipe: see [`Recipe::restore`].
     pub fn restore(&mut self, name: &str, state: RecipeState) {
         self.recipes.insert(name.to_owned(), Recipe::restore(name, state, &self.settings));
     }
 
-    /// Whether a cycle of this recipe would be taken after `others` more that are new.
+    /// Checks that a cycle of this recipe can be taken after `others` further new recipes.
     ///
     /// # Errors
-    /// The recipe is new and there is no room for it.
+    /// The recipe is new and the limit is reached.
     pub fn has_room(&self, recipe: &str, others: usize) -> Result<(), TooManyRecipes> {
         let most = self.settings.most_recipes;
         if self.recipes.len() + others < most as usize || self.recipes.contains_key(recipe) {
@@ -55,31 +55,31 @@ impl Monitor {
         }
     }
 
-    /// Takes in one cycle, in the order of arrival; what happens to alarms is handed to `said`, and what is said of its
-    /// parameters returned.
+    /// Processes one cycle, in the order of arrival. Passes raised and cleared alarms to `emit` and returns how the
+    /// parameters compare with the validated region.
     ///
-    /// The cycle is one that passed [`Cycle::check`]. Allocates nothing but at an alarm, for a recipe or robot never heard
-    /// before, and where learning ends.
+    /// The cycle has passed [`Cycle::check`]. Memory is allocated only at an alarm, for a new recipe, robot or failure mode,
+    /// and when learning ends.
     ///
     /// # Errors
-    /// The recipe is new and there is no room for it.
-    pub fn observe(&mut self, cycle: &Cycle, said: &mut dyn FnMut(Alarm)) -> Result<Judged, TooManyRecipes> {
+    /// The recipe is new and the limit is reached.
+    pub fn observe(&mut self, cycle: &Cycle, emit: &mut dyn FnMut(Alarm)) -> Result<Judged, TooManyRecipes> {
         if let Some(recipe) = self.recipes.get_mut(cycle.recipe.as_str()) {
-            return Ok(recipe.observe(cycle, &self.settings, said));
+            return Ok(recipe.observe(cycle, &self.settings, emit));
         }
         self.has_room(&cycle.recipe, 0)?;
         let mut recipe = Recipe::new(&cycle.recipe, &self.settings);
-        let judged = recipe.observe(cycle, &self.settings, said);
+        let judged = recipe.observe(cycle, &self.settings, emit);
         self.recipes.insert(cycle.recipe.clone(), recipe);
         Ok(judged)
     }
 
-    /// How many recipes there are.
+    /// The number of recipes.
     pub fn len(&self) -> usize {
         self.recipes.len()
     }
 
-    /// Whether nothing was heard yet.
+    /// Whether there is no recipe yet.
     pub fn is_empty(&self) -> bool {
         self.recipes.is_empty()
     }
@@ -94,7 +94,7 @@ impl Monitor {
         self.recipes.get(name)
     }
 
-    /// A recipe, to restart it.
+    /// A recipe, mutable, to restart it.
     pub fn recipe_mut(&mut self, name: &str) -> Option<&mut Recipe> {
         self.recipes.get_mut(name)
     }

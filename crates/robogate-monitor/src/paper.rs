@@ -2,25 +2,25 @@
 //! and a CRITICAL at 10 %.
 //!
 //! The paper does not say whether the decline is absolute (0.95 to 0.90) or relative (0.95 to 0.9025), nor what it is measured
-//! from. Here it is measured from the baseline's observed rate, [`Decline`] names which, and a decline of exactly the
-//! threshold counts. The limits are turned into whole numbers of failures once, so that no rounding decides an alarm.
+//! from. Here it is measured from the observed rate of the baseline, [`Decline`] selects absolute or relative, and a decline of exactly the
+//! threshold counts. The limits are converted to integer numbers of failures once, so that rounding decides no alarm.
 //!
-//! Limit: at a true rate of 0.95 the absolute rule warns about every 1,150 cycles. It promises nothing; the detectors beside
-//! it do. Before the window is full it says nothing.
+//! Limit: at a true rate of 0.95 the absolute rule warns about every 1,150 cycles. Its false-alarm rate is not bounded; that of the
+//! detectors is. Before the window is full it raises no alarm.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::alarm::Level;
 
-/// How a decline is counted.
+/// The kind of decline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Decline {
-    /// In points: 0.95 - 0.90 is a decline of 0.05.
+    /// In percentage points: 0.95 - 0.90 is a decline of 0.05.
     #[default]
     Absolute,
-    /// In shares of the baseline: 1 - 0.9025 / 0.95 is a decline of 0.05.
+    /// Relative to the baseline: 1 - 0.9025 / 0.95 is a decline of 0.05.
     Relative,
 }
 
@@ -30,11 +30,11 @@ pub enum Decline {
 pub struct PaperRule {
     /// Cycles of the moving window.
     pub window: u32,
-    /// Decline at which it warns.
+    /// Decline that raises a warning.
     pub warning: f64,
-    /// Decline at which it is critical.
+    /// Decline that raises a critical alarm.
     pub critical: f64,
-    /// How the decline is counted.
+    /// The kind of decline.
     pub decline: Decline,
 }
 
@@ -45,7 +45,8 @@ impl Default for PaperRule {
 }
 
 impl PaperRule {
-    /// The fewest failures in a full window that reach `decline` from `baseline`; more than the window where none do.
+    /// The smallest number of failures in a full window that is a decline of `decline` from `baseline`; above the window's
+    /// length if there is none.
     pub fn failures_at(&self, baseline: f64, decline: f64) -> u32 {
         let lost = match self.decline {
             Decline::Absolute => decline,
@@ -81,7 +82,7 @@ impl PaperWindow {
         }
     }
 
-    /// Takes in one cycle and says where the rule stands.
+    /// Adds one cycle and returns the level of the rule.
     pub fn update(&mut self, success: bool) -> Option<Level> {
         if let Some(oldest) = self.failed.get_mut(self.next) {
             self.failures = self.failures.saturating_sub(u32::from(self.full && *oldest));
@@ -96,7 +97,7 @@ impl PaperWindow {
         self.level()
     }
 
-    /// Where the rule stands; `None` below a warning or before the window is full.
+    /// The level of the rule; `None` below a warning or before the window is full.
     pub fn level(&self) -> Option<Level> {
         match self.failures {
             _ if !self.full => None,
@@ -112,7 +113,7 @@ impl PaperWindow {
         (n - u64::from(self.failures), n)
     }
 
-    /// Failures in a full window at which it warns, and at which it is critical.
+    /// Failures in a full window that raise a warning and a critical alarm.
     pub fn limits(&self) -> (u32, u32) {
         (self.warning_at, self.critical_at)
     }

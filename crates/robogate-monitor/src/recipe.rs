@@ -1,4 +1,4 @@
-//! One recipe: the paper's window, a detector for each metric, and what they have said.
+//! One recipe: the paper's window, a detector for each metric, and their alarms.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -12,14 +12,15 @@ use crate::baseline::Baseline;
 use crate::cycle::{Cycle, ParameterValue};
 use crate::detector::{Evidence, Factors};
 use crate::domain::{Domain, Judged, Validated};
+use crate::explanation;
 use crate::factors::Binned;
 use crate::history::{History, Symbols};
 use crate::learning::Learning;
+use crate::modes::ModeList;
 use crate::paper::PaperWindow;
 use crate::settings::Settings;
-use crate::words;
 
-/// One recipe, as it stands.
+/// One recipe with its detectors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recipe {
     pub(crate) factors: [Option<Factors>; Metric::ALL.len()],
@@ -28,49 +29,52 @@ pub struct Recipe {
     pub(crate) state: RecipeState,
 }
 
-/// All that a recipe must remember: the same state and the same cycles give the same alarms, bit for bit.
+/// The state of a recipe. The same state and the same cycles give the same alarms, bit for bit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RecipeState {
-    /// Names the baseline and the domain that the settings gave.
+    /// A hash of the baseline and the validated region in the settings.
     pub(crate) given: u64,
     pub(crate) baseline: Baseline,
     pub(crate) learning: Learning,
+    #[serde(default = "ModeList::unnamed")]
+    pub(crate) modes: ModeList,
     pub(crate) evidence: [Option<[Evidence; 2]>; Metric::ALL.len()],
-    /// The cycle after which each detector began.
+    /// The cycle after which each detector started.
     pub(crate) began: [u64; Metric::ALL.len()],
     pub(crate) standing: [[Option<Standing>; 2]; Metric::ALL.len()],
     pub(crate) paper: Option<PaperWindow>,
-    pub(crate) paper_said: Option<Level>,
+    #[serde(rename = "paper_said")]
+    pub(crate) paper_level: Option<Level>,
     pub(crate) cycles: u64,
     pub(crate) successes: u64,
     pub(crate) raised: u64,
     pub(crate) history: History,
-    /// One for each parameter of the envelope in its order, and one for their combination.
+    /// One tally for each parameter of the envelope, in its order, and one for combinations.
     pub(crate) outside: Vec<OutsideTally>,
     pub(crate) robots: BTreeMap<String, RobotState>,
 }
 
-/// An alarm that stands.
+/// An active alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Standing {
     /// The recipe's cycle at which it was raised.
     pub raised: u64,
-    /// The last cycle at which the evidence reached its limit again.
+    /// The last cycle at which the evidence reached its limit.
     pub last: u64,
-    /// How often it did, the first time included.
+    /// How often the evidence reached its limit.
     pub times: u64,
 }
 
-/// How often one parameter lay outside what was validated.
+/// Cycles in which one parameter lay outside the validated region.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct OutsideTally {
-    /// Cycles since the detectors began.
+    /// Such cycles since the detectors started.
     pub cycles: u64,
     /// The last of them, numbered within the recipe.
     pub last: u64,
     /// The lowest and highest number.
     pub numbers: Option<[f64; 2]>,
-    /// The first word.
+    /// The first category.
     pub word: Option<String>,
 }
 
@@ -96,7 +100,7 @@ impl RobotState {
     }
 }
 
-/// What one robot did in one recipe.
+/// Cycles of one robot in one recipe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct RobotTally {
     /// Successful cycles.
@@ -105,45 +109,45 @@ pub struct RobotTally {
     pub cycles: u64,
 }
 
-/// Where one detector stands.
+/// The state of one detector.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DetectorView {
-    /// What it watches.
+    /// The metric.
     pub metric: Metric,
-    /// Evidence and limit for a warning and a critical alarm; why there are none otherwise.
+    /// Evidence and limit for a warning and a critical alarm, or why the detector does not run.
     pub levels: Result<[(f64, f64); 2], &'static str>,
-    /// What stands, for each level.
+    /// The active alarm of each level.
     pub standing: [Option<Standing>; 2],
 }
 
-/// All that is remembered of one robot in one recipe.
+/// The state of one robot in one recipe.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct RobotState {
     pub(crate) tally: RobotTally,
-    /// Its place in the order in which robots were first heard.
+    /// Its index in the order of the robots' first cycles.
     pub(crate) place: u16,
     pub(crate) evidence: Option<[Evidence; 2]>,
     pub(crate) standing: [Option<Standing>; 2],
 }
 
-/// The place of robots that are not told apart.
+/// The index of robots beyond the limit.
 const NO_PLACE: u16 = u16::MAX;
 
-/// What a symbol did to a detector's alarm.
-enum Turn {
+/// A change of a detector's alarm.
+enum Transition {
     Raised,
     Cleared(Standing),
 }
 
-/// Lets a detector hear a symbol at one level.
-fn turn(
+/// Updates a detector with a symbol, at one level.
+fn update(
     (factors, evidence): (&Factors, &mut Evidence),
     code: u8,
     limit: f64,
     standing: &mut Option<Standing>,
     now: u64,
     clear_after: u64,
-) -> Option<Turn> {
+) -> Option<Transition> {
     if evidence.update(factors, code) >= limit {
         evidence.restart();
         if let Some(standing) = standing {
@@ -152,25 +156,26 @@ fn turn(
             return None;
         }
         *standing = Some(Standing { raised: now, last: now, times: 1 });
-        return Some(Turn::Raised);
+        return Some(Transition::Raised);
     }
     let stood = standing.filter(|stood| now.saturating_sub(stood.last) >= clear_after)?;
     *standing = None;
-    Some(Turn::Cleared(stood))
+    Some(Transition::Cleared(stood))
 }
 
 impl Recipe {
-    /// A recipe that nothing was heard of.
+    /// A recipe without cycles.
     pub fn new(name: &str, settings: &Settings) -> Self {
-        let state = RecipeState {
+        let mut state = RecipeState {
             given: given(name, settings),
             baseline: settings.baseline_of(name).clone(),
             learning: Learning::default(),
+            modes: ModeList::default(),
             evidence: Default::default(),
             began: Default::default(),
             standing: Default::default(),
             paper: None,
-            paper_said: None,
+            paper_level: None,
             cycles: 0,
             successes: 0,
             raised: 0,
@@ -178,12 +183,13 @@ impl Recipe {
             outside: Vec::new(),
             robots: BTreeMap::new(),
         };
+        state.modes.include(state.baseline.failure_modes.as_ref());
         Self::restore(name, state, settings)
     }
 
-    /// A recipe from what it remembered.
+    /// Restores a recipe from its state.
     ///
-    /// Where the settings now give another baseline or domain, what was learnt and all evidence start again from nothing; so
+    /// If the settings now give another baseline or validated region, learning and all evidence start again from zero. So
     /// does evidence that does not fit the settings. Counts stay.
     pub fn restore(name: &str, mut state: RecipeState, settings: &Settings) -> Self {
         let given = given(name, settings);
@@ -191,9 +197,10 @@ impl Recipe {
             state.given = given;
             state.baseline = settings.baseline_of(name).clone();
             state.learning = Learning::default();
+            state.modes.include(state.baseline.failure_modes.as_ref());
             state.evidence = Default::default();
             state.standing = Default::default();
-            (state.paper, state.paper_said) = (None, None);
+            (state.paper, state.paper_level) = (None, None);
             state.robots.values_mut().for_each(RobotState::forget);
         }
         if !state.history.fits(settings.history_cycles as usize) {
@@ -215,12 +222,12 @@ impl Recipe {
         recipe
     }
 
-    /// All that it must remember.
+    /// The state, which [`Self::restore`] takes.
     pub fn state(&self) -> &RecipeState {
         &self.state
     }
 
-    /// Builds a metric's detector, where the baseline allows one.
+    /// Builds a metric's detector, if the baseline allows one.
     fn begin(&mut self, metric: Metric, settings: &Settings) {
         let i = metric as usize;
         if metric == Metric::CycleTime {
@@ -245,28 +252,37 @@ impl Recipe {
 
     fn new_factors(&self, metric: Metric, settings: &Settings) -> Result<Factors, &'static str> {
         match (metric, &self.domain) {
-            (Metric::Outside | Metric::Risk, None) => Err("no reference says what was validated"),
-            (Metric::Risk, Some(domain)) if domain.risk.is_none() => Err("the reference holds no risk model"),
+            (Metric::Outside | Metric::Risk, None) => Err("there is no reference with a validated region"),
+            (Metric::Risk, Some(domain)) if domain.risk.is_none() => Err("the reference has no risk model"),
+            (Metric::FailureModes, _) => self.state.baseline.mode_factors(&self.state.modes, settings),
             _ => self.state.baseline.factors(metric, settings),
         }
     }
 
-    /// Takes in one cycle; what happens to alarms is handed to `said`, and what is said of its parameters returned.
+    /// Processes one cycle. Passes raised and cleared alarms to `emit` and returns how the parameters compare with the
+    /// validated region.
     ///
-    /// Allocates nothing but at an alarm, for a robot never heard before, and where learning ends.
-    pub fn observe(&mut self, cycle: &Cycle, settings: &Settings, said: &mut dyn FnMut(Alarm)) -> Judged {
+    /// Memory is allocated only at an alarm, for a new robot or failure mode, and when learning ends.
+    pub fn observe(&mut self, cycle: &Cycle, settings: &Settings, emit: &mut dyn FnMut(Alarm)) -> Judged {
         self.state.cycles += 1;
         let judged = self.judge(cycle);
         let robot = self.count_robot(cycle, settings);
         let binned = self.binned.as_ref();
-        let symbols = Symbols::of(cycle, robot, judged, |t| binned.map_or(crate::history::ABSENT, |b| b.bin(t)));
+        let mode = cycle.mode().map(|mode| {
+            // While the mix is being learnt, every new mode gets a code of its own.
+            if self.state.baseline.failure_modes.is_none() {
+                self.state.modes.add(mode);
+            }
+            self.state.modes.code(mode)
+        });
+        let symbols = Symbols::of(cycle, robot, judged, mode, |t| binned.map_or(crate::history::ABSENT, |b| b.bin(t)));
         self.state.successes += u64::from(cycle.success);
         self.state.history.push(symbols);
-        self.hear_paper(cycle, settings, said);
+        self.update_paper(cycle, settings, emit);
         for metric in Metric::ALL {
             match symbols.code(metric) {
-                Some(code) if metric == Metric::Robot => self.hear_robot(code, cycle, settings, said),
-                Some(code) => self.hear(metric, code, cycle, settings, said),
+                Some(code) if metric == Metric::Robot => self.update_robot(code, cycle, settings, emit),
+                Some(code) => self.update_metric(metric, code, cycle, settings, emit),
                 None => {}
             }
         }
@@ -290,7 +306,7 @@ impl Recipe {
         judged
     }
 
-    /// Counts the robot's cycle and returns its place.
+    /// Counts the robot's cycle and returns its index.
     fn count_robot(&mut self, cycle: &Cycle, settings: &Settings) -> u16 {
         let robots = &mut self.state.robots;
         if !robots.contains_key(cycle.robot.as_str()) && robots.len() < settings.most_robots as usize {
@@ -304,10 +320,10 @@ impl Recipe {
         robot.place
     }
 
-    /// Lets the robot's own detector hear its cycle, where there are others beside it.
+    /// Updates the robot's own detector, if the recipe has several robots.
     ///
     /// A robot's evidence grows with its own cycles only, so all robots of all recipes have one share of the false alarms.
-    fn hear_robot(&mut self, code: u8, cycle: &Cycle, settings: &Settings, said: &mut dyn FnMut(Alarm)) {
+    fn update_robot(&mut self, code: u8, cycle: &Cycle, settings: &Settings, emit: &mut dyn FnMut(Alarm)) {
         let metric = Metric::Robot;
         let (now, several) = (self.state.cycles, self.state.robots.len() > 1);
         for level in Level::ALL {
@@ -316,58 +332,67 @@ impl Recipe {
             let none = || [Evidence::none(factors), Evidence::none(factors)];
             let evidence = &mut robot.evidence.get_or_insert_with(none)[level as usize];
             let (standing, limit) = (&mut robot.standing[level as usize], settings.limit(metric, level));
-            let turned = turn((factors, evidence), code, limit, standing, now, settings.clear_after_cycles);
-            self.tell(turned, metric, level, cycle, settings, said);
+            let transition = update((factors, evidence), code, limit, standing, now, settings.clear_after_cycles);
+            self.emit_transition(transition, metric, level, cycle, settings, emit);
         }
     }
 
-    fn tell(
+    fn emit_transition(
         &mut self,
-        turned: Option<Turn>,
+        transition: Option<Transition>,
         metric: Metric,
         level: Level,
         cycle: &Cycle,
         settings: &Settings,
-        said: &mut dyn FnMut(Alarm),
+        emit: &mut dyn FnMut(Alarm),
     ) {
-        match turned {
-            Some(Turn::Raised) => {
+        match transition {
+            Some(Transition::Raised) => {
                 self.state.raised += 1;
-                said(words::raised(self, metric, level, cycle, settings));
+                emit(explanation::raised(self, metric, level, cycle, settings));
             }
-            Some(Turn::Cleared(stood)) => said(words::cleared(self, metric, level, cycle, settings, stood)),
+            Some(Transition::Cleared(stood)) => emit(explanation::cleared(self, metric, level, cycle, settings, stood)),
             None => {}
         }
     }
 
-    fn hear_paper(&mut self, cycle: &Cycle, settings: &Settings, said: &mut dyn FnMut(Alarm)) {
+    fn update_paper(&mut self, cycle: &Cycle, settings: &Settings, emit: &mut dyn FnMut(Alarm)) {
         let Some(window) = &mut self.state.paper else { return };
         let level = window.update(cycle.success);
-        let before = std::mem::replace(&mut self.state.paper_said, level);
+        let before = std::mem::replace(&mut self.state.paper_level, level);
         let (happening, of) = match (before, level) {
             (before, Some(now)) if before < Some(now) => (Happening::Raised, now),
             (Some(was), now) if now < Some(was) => (Happening::Cleared, was),
             _ => return,
         };
         self.state.raised += u64::from(happening == Happening::Raised);
-        said(words::paper(self, cycle, settings, happening, of));
+        emit(explanation::paper(self, cycle, settings, happening, of));
     }
 
-    fn hear(&mut self, metric: Metric, code: u8, cycle: &Cycle, settings: &Settings, said: &mut dyn FnMut(Alarm)) {
+    fn update_metric(
+        &mut self,
+        metric: Metric,
+        code: u8,
+        cycle: &Cycle,
+        settings: &Settings,
+        emit: &mut dyn FnMut(Alarm),
+    ) {
         let (i, now) = (metric as usize, self.state.cycles);
         for level in Level::ALL {
             let (Some(factors), Some(evidence)) = (&self.factors[i], &mut self.state.evidence[i]) else { return };
             let (standing, limit) = (&mut self.state.standing[i][level as usize], settings.limit(metric, level));
-            let heard = (factors, &mut evidence[level as usize]);
-            let turned = turn(heard, code, limit, standing, now, settings.clear_after_cycles);
-            self.tell(turned, metric, level, cycle, settings, said);
+            let detector = (factors, &mut evidence[level as usize]);
+            let transition = update(detector, code, limit, standing, now, settings.clear_after_cycles);
+            self.emit_transition(transition, metric, level, cycle, settings, emit);
         }
     }
 
     fn learn(&mut self, symbols: &Symbols, settings: &Settings) {
         let mut learnt = [false; Metric::ALL.len()];
         let state = &mut self.state;
-        state.learning.update(symbols, &mut state.baseline, settings, |metric| learnt[metric as usize] = true);
+        state
+            .learning
+            .update(symbols, &mut state.baseline, &state.modes, settings, |metric| learnt[metric as usize] = true);
         for metric in Metric::ALL.into_iter().filter(|metric| learnt[*metric as usize]) {
             self.begin(metric, settings);
             if metric == Metric::Success {
@@ -379,7 +404,7 @@ impl Recipe {
         }
     }
 
-    /// Forgets the evidence and the standing alarms, after the cause was mended. The baseline stays.
+    /// Discards the evidence and the active alarms, after the cause was repaired. The baseline stays.
     pub fn restart(&mut self) {
         self.state.evidence.iter_mut().flatten().flatten().for_each(Evidence::restart);
         self.state.standing = Default::default();
@@ -388,15 +413,15 @@ impl Recipe {
         self.state.robots.values_mut().for_each(RobotState::forget);
     }
 
-    /// Each parameter of the envelope with what was validated and what lay outside since the detectors began; then, without
-    /// a name, combinations beyond the fitted ones.
+    /// Each parameter of the envelope with its validated values and the cycles outside since the detectors started; then, without
+    /// a name, combinations outside.
     pub fn outside(&self) -> impl Iterator<Item = (Option<(&str, &Validated)>, &OutsideTally)> {
         let named = self.domain.iter().flat_map(|domain| &domain.envelope);
         let named = named.map(|(name, validated)| Some((name.as_str(), validated)));
         named.chain(std::iter::once(None)).zip(&self.state.outside)
     }
 
-    /// What is normal for it, learnt parts included.
+    /// The baseline, including the learnt parts.
     pub fn baseline(&self) -> &Baseline {
         &self.state.baseline
     }
@@ -406,15 +431,15 @@ impl Recipe {
         Trials::new(self.state.successes, self.state.cycles).unwrap_or(Trials::NONE)
     }
 
-    /// Successes and cycles in the paper's window; nothing while its baseline is being learnt.
+    /// Successes and cycles in the paper's window; none while the baseline is being learnt.
     pub fn window(&self) -> Trials {
         let (successes, n) = self.state.paper.as_ref().map_or((0, 0), PaperWindow::counts);
         Trials::new(successes, n).unwrap_or(Trials::NONE)
     }
 
-    /// Where the paper's rule stands.
+    /// The level of the paper's rule.
     pub fn paper_level(&self) -> Option<Level> {
-        self.state.paper_said
+        self.state.paper_level
     }
 
     /// Alarms raised so far.
@@ -422,12 +447,12 @@ impl Recipe {
         self.state.raised
     }
 
-    /// What each robot did in it, by name.
+    /// The cycles of each robot, by name.
     pub fn robots(&self) -> impl Iterator<Item = (&str, RobotTally)> {
         self.state.robots.iter().map(|(name, robot)| (name.as_str(), robot.tally))
     }
 
-    /// Where each detector stands.
+    /// The state of each detector.
     pub fn detectors(&self, settings: &Settings) -> [DetectorView; Metric::ALL.len()] {
         Metric::ALL.map(|metric| {
             let i = metric as usize;
@@ -438,19 +463,19 @@ impl Recipe {
                 (Some(factors), Some(evidence)) => {
                     Ok(Level::ALL.map(|level| (evidence[level as usize].value(factors), settings.limit(metric, level))))
                 }
-                _ => Err(self.new_factors(metric, settings).err().unwrap_or("it has not begun")),
+                _ => Err(self.new_factors(metric, settings).err().unwrap_or("the detector has not started")),
             };
             DetectorView { metric, levels, standing: self.state.standing[i] }
         })
     }
 
-    /// The highest evidence of any robot, and the alarm of a robot that stands longest.
+    /// The highest evidence of any robot, and the oldest active alarm of a robot.
     fn robot_detector(&self, settings: &Settings) -> DetectorView {
         let metric = Metric::Robot;
         let robots = || self.state.robots.values();
         let levels = match &self.factors[metric as usize] {
-            _ if self.state.robots.len() < 2 => Err("there is one robot"),
-            None => Err(self.new_factors(metric, settings).err().unwrap_or("it has not begun")),
+            _ if self.state.robots.len() < 2 => Err("the recipe has one robot only"),
+            None => Err(self.new_factors(metric, settings).err().unwrap_or("the detector has not started")),
             Some(factors) => Ok(Level::ALL.map(|level| {
                 let evidence =
                     robots().filter_map(|robot| Some(robot.evidence.as_ref()?[level as usize].value(factors)));
@@ -464,23 +489,23 @@ impl Recipe {
         DetectorView { metric, levels, standing: Level::ALL.map(first) }
     }
 
-    /// The gravest level that stands, of any rule.
+    /// The most severe active level, of any rule.
     pub fn level(&self) -> Option<Level> {
         let robots = self.state.robots.values().map(|robot| &robot.standing);
         let all = || self.state.standing.iter().chain(robots.clone());
         let stands = |level: Level| all().any(|both| both[level as usize].is_some());
         let detectors = Level::ALL.into_iter().rev().find(|level| stands(*level));
-        detectors.max(self.state.paper_said)
+        detectors.max(self.state.paper_level)
     }
 }
 
-/// Names what the settings give a recipe: FNV-1a over its numbers and its text. No secret hangs on it.
+/// A hash of the settings of a recipe: FNV-1a over its numbers and its text. It protects no secret.
 fn given(name: &str, settings: &Settings) -> u64 {
     struct Fnv(u64);
     impl Fnv {
         fn add(&mut self, word: u64) {
             self.0 = (self.0 ^ word).wrapping_mul(0x0000_0100_0000_01b3);
-            // High bits come down, so that every bit of a word tells.
+            // Mix the high bits into the low ones.
             self.0 ^= self.0 >> 29;
         }
     }
@@ -498,7 +523,7 @@ fn given(name: &str, settings: &Settings) -> u64 {
     hash.0
 }
 
-/// The id of a happening.
+/// The id of a raised or cleared alarm.
 pub(crate) fn happening_id(
     recipe: &Recipe,
     cycle: &Cycle,
@@ -515,5 +540,55 @@ pub(crate) fn happening_id(
         Happening::Raised => "raised",
         Happening::Cleared => "cleared",
     };
-    format!("{}/{}/{rule}/{}/{}/{happening}", cycle.recipe, recipe.state.cycles, metric.word(), level.word())
+    format!("{}/{}/{rule}/{}/{}/{happening}", cycle.recipe, recipe.state.cycles, metric.as_str(), level.as_str())
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, json};
+
+    use super::*;
+    use crate::{Count, OTHER_MODE};
+
+    /// A failed cycle.
+    fn failed(mode: &str) -> Cycle {
+        let text = json!({
+            "id": "c", "robot": "r", "recipe": "x", "time_s": 1.0, "success": false, "failure_mode": mode
+        });
+        serde_json::from_value(text).unwrap()
+    }
+
+    #[test]
+    fn states_without_mode_names_can_be_read() {
+        let success = Some(Count { count: 950, of: 1_000 });
+        let counts = ["grasp_miss", "grip_loss", "collision", "timeout", OTHER_MODE].into_iter().zip([9, 8, 7, 6, 5]);
+        let baseline = Baseline { success, failure_modes: Some(counts.collect()), ..Baseline::default() };
+        let settings = Settings { baseline, ..Settings::default() };
+        let mut recipe = Recipe::new("x", &settings);
+        recipe.observe(&failed("timeout"), &settings, &mut |_| {});
+        let mut old = serde_json::to_value(recipe.state()).unwrap();
+        // As version 0.1 wrote it: no list of modes, and counts in a fixed order.
+        old.as_object_mut().unwrap().remove("modes");
+        old["baseline"]["failure_modes"] = json!([9, 8, 7, 6, 5]);
+        old["learning"]["modes"] = json!([0, 0, 0, 0, 0]);
+        let state: RecipeState = serde_json::from_value(old).unwrap();
+        let mut restored = Recipe::restore("x", state, &settings);
+        assert_eq!(restored.baseline(), recipe.baseline());
+        assert_eq!(restored.state().modes.name(3), "timeout");
+        restored.observe(&failed("spilled"), &settings, &mut |_| {});
+        let written: Value = serde_json::to_value(restored.state()).unwrap();
+        assert_eq!(written["modes"], json!(["grasp_miss", "grip_loss", "collision", "timeout", "other"]));
+    }
+
+    #[test]
+    fn new_modes_are_learnt_by_name() {
+        let settings = Settings { learn_failures: 4, ..Settings::default() };
+        let mut recipe = Recipe::new("x", &settings);
+        for mode in ["jammed", "spilled", "jammed", "jammed", "burnt"] {
+            recipe.observe(&failed(mode), &settings, &mut |_| {});
+        }
+        let learnt = recipe.baseline().failure_modes.clone().unwrap();
+        assert_eq!((learnt.of("jammed"), learnt.of("spilled"), learnt.total()), (3, 1, 4));
+        assert_eq!(recipe.state().modes.code("burnt"), recipe.state().modes.code(OTHER_MODE));
+    }
 }

@@ -1,4 +1,4 @@
-//! What a run of the gate leaves for the monitor: its baseline, and what was validated. `robogate monitor reference` writes it.
+//! The reference file: baseline, envelope and risk model of a run. `robogate monitor reference` writes it.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use crate::baseline::{Baseline, BaselineError};
 use crate::domain::{Domain, DomainError};
 use crate::settings::Settings;
 
-/// One file: what was evaluated, and how it went.
+/// Baseline and validated region of one run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Reference {
@@ -19,26 +19,26 @@ pub struct Reference {
     pub robot: String,
     /// The policy.
     pub policy: String,
-    /// What drew the episodes, in words: the rate is that of this population.
+    /// The population that the success rate estimates.
     pub population: String,
     /// The content hash of the rows.
     pub dataset_sha256: String,
-    /// Successes and failure modes, as counts. Cycle times are left to be learnt: those of a simulator are not the cell's.
+    /// Successes and failure modes, as counts. Cycle times are learnt from the robot, because those of a simulator differ.
     pub baseline: Baseline,
-    /// The envelope, and the risk model where the rows allow one.
+    /// The envelope, and the risk model if the run allows one.
     pub domain: Domain,
 }
 
-/// Why a reference is none.
+/// A problem of a reference file.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ReferenceError {
-    /// It was written by another version.
-    #[error("the reference has the version {0}, but this RoboGate reads {version}", version = Reference::VERSION)]
+    /// The file has another version.
+    #[error("the reference has version {0}. Expected version {version}", version = Reference::VERSION)]
     Version(u32),
-    /// Its baseline is none.
+    /// The baseline is invalid.
     #[error(transparent)]
     Baseline(#[from] BaselineError),
-    /// Its domain is none.
+    /// The validated region is invalid.
     #[error(transparent)]
     Domain(#[from] DomainError),
 }
@@ -47,10 +47,10 @@ impl Reference {
     /// The version that is written and read here.
     pub const VERSION: u32 = 1;
 
-    /// Refuses what cannot be a reference.
+    /// Checks the version and all parts.
     ///
     /// # Errors
-    /// The first thing that is wrong.
+    /// The first problem.
     pub fn check(&self) -> Result<(), ReferenceError> {
         if self.version != Self::VERSION {
             return Err(ReferenceError::Version(self.version));
@@ -61,8 +61,8 @@ impl Reference {
 }
 
 impl Settings {
-    /// Takes a reference for a recipe, or for all that have none of their own. What the settings say of a baseline goes
-    /// before what the reference says.
+    /// Applies a reference to a recipe, or to all recipes without a reference of their own. A baseline in the settings takes
+    /// precedence over the reference.
     pub fn refer(&mut self, recipe: Option<&str>, reference: Reference) {
         let domain = Arc::new(reference.domain);
         let baseline = match recipe {
@@ -80,7 +80,7 @@ impl Settings {
         baseline.success = baseline.success.or(success);
         baseline.drop = baseline.drop.or(drop);
         baseline.collision = baseline.collision.or(collision);
-        baseline.failure_modes = baseline.failure_modes.or(failure_modes);
+        baseline.failure_modes = baseline.failure_modes.take().or(failure_modes);
         baseline.cycle_times_s = baseline.cycle_times_s.take().or(cycle_times_s);
     }
 }
@@ -91,7 +91,7 @@ mod tests {
     use crate::Count;
 
     #[test]
-    fn a_recipes_own_reference_goes_before_the_common_one_and_the_settings_before_both() {
+    fn settings_precede_references() {
         let of = |count| Reference {
             version: 1,
             robot: "r".to_owned(),

@@ -11,45 +11,45 @@ use crate::baseline::{Baseline, BaselineError};
 use crate::domain::{Domain, DomainError};
 use crate::paper::PaperRule;
 
-/// Bounds that a baseline gives: failures, drops, collisions, the cycle time's location and spread, the modes.
+/// Number of bounds that a baseline gives: failures, drops, collisions, the cycle time's location and spread, the modes.
 const BOUNDS: f64 = 6.0;
 
-/// The settings of the monitor. What is absent has its default.
+/// The settings of the monitor. Missing settings have their defaults.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
     /// The paper's moving window.
     pub paper: PaperRule,
-    /// Mean number of cycles until a false warning, at least: of all metrics together, whatever the number of recipes.
+    /// Lower bound of the mean number of cycles until a false warning, over all metrics and recipes together.
     pub warning_cycles: f64,
     /// The same for a false critical alarm.
     pub critical_cycles: f64,
-    /// How the false alarms are shared among the metrics.
+    /// The share of each metric in the false alarms.
     pub shares: Shares,
-    /// Confidence with which all bounds of one recipe's baseline hold together.
+    /// Confidence that all bounds of one recipe's baseline hold together.
     pub baseline_confidence: f64,
-    /// Cycles from which a recipe learns what its baseline does not say.
+    /// Cycles from which a recipe learns the missing parts of its baseline.
     pub learn_cycles: u32,
-    /// Failures from which it learns the mix of failure modes.
+    /// Failures from which a recipe learns the mix of failure modes.
     pub learn_failures: u32,
-    /// Cycles without further evidence after which a standing alarm is cleared.
+    /// Cycles without further evidence after which an active alarm is cleared.
     pub clear_after_cycles: u64,
-    /// Cycles of each recipe kept to estimate when a change began.
+    /// Stored cycles of each recipe, from which the start of a change is estimated.
     pub history_cycles: u32,
-    /// Most recipes; a cycle of another one is refused.
+    /// Limit of recipes; a cycle of a further recipe is refused.
     pub most_recipes: u32,
-    /// Most robots of one recipe that are told apart.
+    /// Limit of robots per recipe that are watched separately.
     pub most_robots: u32,
-    /// The baseline of recipes that have none of their own.
+    /// The baseline of recipes without one of their own.
     pub baseline: Baseline,
     /// Baselines by recipe.
     pub recipes: BTreeMap<String, Baseline>,
-    /// Share of cycles that may lie outside what was validated before that is a change.
+    /// Accepted share of cycles outside the validated region.
     pub outside_share: f64,
-    /// What was validated, for recipes that have no domain of their own. It comes from a reference, not from the settings file.
+    /// The validated region of recipes without one of their own. It comes from a reference, not from the settings file.
     #[serde(skip)]
     pub domain: Option<Arc<Domain>>,
-    /// What was validated, by recipe.
+    /// Validated regions by recipe.
     #[serde(skip)]
     pub domains: BTreeMap<String, Arc<Domain>>,
 }
@@ -77,18 +77,18 @@ impl Default for Settings {
     }
 }
 
-/// How the false alarms are shared among the metrics.
+/// The share of each metric in the false alarms.
 ///
-/// A metric with the share v alarms when its statistic M reaches A / v. Each M grows by at most one for each cycle while nothing
-/// changes, and only with the cycles of its own recipe; so Σ v M, over all metrics and recipes, is at most the number of cycles
-/// heard, in the mean. The mean number of cycles until the first false alarm of any metric in any recipe is therefore
-/// at least A. Recipes cost nothing: the more there are, the fewer cycles each has; nor do the robots of a recipe.
+/// A metric with the share v raises an alarm when its statistic M reaches A / v. While nothing changes, the mean of each M grows by at most
+/// one per cycle, and only with the cycles of its own recipe. The mean of Σ v M, over all metrics and recipes, is therefore at most the
+/// number of cycles, and the mean number of cycles until the first false alarm of any metric in any recipe is at least A. More recipes
+/// or robots do not weaken this bound: each has fewer cycles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Shares {
     /// Of the failure rate.
     pub success: f64,
-    /// Of the drop rate.
+    /// Of the rate of dropped parts.
     pub drop: f64,
     /// Of the collision rate.
     pub collision: f64,
@@ -98,9 +98,9 @@ pub struct Shares {
     pub cycle_time_spread: f64,
     /// Of the mix of failure modes.
     pub failure_modes: f64,
-    /// Of the cycles outside what was validated.
+    /// Of the cycles outside the validated region.
     pub outside: f64,
-    /// Of the failure rate that the risk model expects.
+    /// Of the failure rate that the risk model predicts.
     pub risk: f64,
     /// Of the failure rate of one robot, all robots together.
     pub robot: f64,
@@ -139,45 +139,45 @@ impl Shares {
     }
 }
 
-/// Why settings cannot be.
+/// A problem of the settings.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SettingsError {
-    /// A number out of its range.
+    /// A number outside its range.
     #[error("`{setting}` is {value}, but must be {range}")]
     Range {
         /// The setting.
         setting: &'static str,
-        /// As given.
+        /// The value given.
         value: f64,
-        /// What it must be.
+        /// The expected range.
         range: &'static str,
     },
     /// Shares that do not sum to at most one.
-    #[error("`shares` sum to {0}, but the promise holds for at most 1 together")]
+    #[error("`shares` sum to {0}. Expected at most 1: the bound on false alarms holds for all metrics together")]
     Shares(f64),
-    /// A baseline that cannot be one.
+    /// An invalid baseline.
     #[error("recipe `{recipe}`: {error}")]
     Baseline {
         /// The recipe; `*` for the common baseline.
         recipe: String,
-        /// What is wrong.
+        /// The problem.
         error: BaselineError,
     },
-    /// A domain that cannot be one.
+    /// An invalid validated region.
     #[error("recipe `{recipe}`: {error}")]
     Domain {
         /// The recipe; `*` for the common domain.
         recipe: String,
-        /// What is wrong.
+        /// The problem.
         error: DomainError,
     },
 }
 
 impl Settings {
-    /// Refuses settings that cannot be.
+    /// Checks all settings.
     ///
     /// # Errors
-    /// The first setting that is wrong.
+    /// The first problem.
     pub fn check(&self) -> Result<(), SettingsError> {
         let within = |setting, value: f64, low: f64, high: f64, range| {
             if value >= low && value <= high { Ok(()) } else { Err(SettingsError::Range { setting, value, range }) }
@@ -212,7 +212,7 @@ impl Settings {
         Ok(())
     }
 
-    /// The promised mean number of cycles until a false alarm of this level.
+    /// Lower bound of the mean number of cycles until a false alarm of this level.
     pub fn promise(&self, level: Level) -> f64 {
         match level {
             Level::Warning => self.warning_cycles,
@@ -220,17 +220,17 @@ impl Settings {
         }
     }
 
-    /// What a metric's statistic must reach for an alarm; infinite where the metric has no share.
+    /// The limit at which a metric's statistic raises an alarm; infinite for a metric without a share.
     pub fn limit(&self, metric: Metric, level: Level) -> f64 {
         self.promise(level) / self.shares.of(metric)
     }
 
-    /// The chance that one bound of a baseline is wrong, so that all of them hold together with the confidence set.
+    /// The error probability of one bound of a baseline, by Bonferroni over all bounds.
     pub fn alpha(&self) -> f64 {
         (1.0 - self.baseline_confidence) / BOUNDS
     }
 
-    /// What was validated for a recipe.
+    /// The validated region of a recipe.
     pub fn domain_of(&self, recipe: &str) -> Option<&Arc<Domain>> {
         self.domains.get(recipe).or(self.domain.as_ref())
     }

@@ -1,8 +1,8 @@
-//! How often the monitor would cry wolf, and how late it would see a drop: by simulation, for the user's rates.
+//! False-alarm rates and detection delays of the monitor, simulated for the user's rates.
 //!
-//! Streams of independent cycles are drawn from a named seed, so that the same question gives the same figures.
-//! A detector's false alarms are counted over one long stream without a change; the first alarm of a stream that drops to another
-//! rate after a stretch without a change gives its delay. Standard errors stand beside the means.
+//! Streams of independent cycles are sampled from a seed, so the same question gives the same figures.
+//! False alarms are counted over one long stream without a change. The delay is the time to the first alarm in a stream whose rate drops
+//! after a period without a change. Each mean has its standard error.
 
 use robogate_core::Seed;
 use schemars::JsonSchema;
@@ -29,24 +29,24 @@ pub struct Question {
     pub seed: u64,
 }
 
-/// What one rule does.
+/// The figures of one rule.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Figures {
     /// `paper` or `detector`.
     pub rule: String,
     /// The level.
     pub level: Level,
-    /// The promised mean number of cycles to a false alarm; absent for a rule that promises none.
+    /// Lower bound of the mean number of cycles to a false alarm; absent for a rule without a bound.
     pub promised_cycles: Option<f64>,
     /// Mean number of cycles from the start to the first false alarm.
     pub cycles_to_false_alarm: Mean,
-    /// False alarms in a day: each time that the rule would be raised anew, without a change.
+    /// False alarms per day: how often the rule would be raised anew, without a change.
     pub false_alarms_per_day: f64,
-    /// Delay of each drop.
+    /// The delay of each drop.
     pub delays: Vec<Delay>,
 }
 
-/// How late a drop is seen.
+/// The detection delay of a drop.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Delay {
     /// Success rate after the drop.
@@ -58,11 +58,11 @@ pub struct Delay {
 /// A mean of simulated streams.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Mean {
-    /// The mean; a lower bound where some streams were cut.
+    /// The mean; a lower bound if some streams were cut.
     pub mean: f64,
     /// Its standard error.
     pub se: f64,
-    /// Streams that were cut before an alarm, and count with their length.
+    /// Streams that ended before an alarm; they count with their length.
     pub cut: u32,
 }
 
@@ -83,18 +83,18 @@ const LONGEST: u32 = 2_000_000;
 
 /// One rule on one stream of successes.
 trait Runner {
-    /// Forgets everything.
+    /// Resets the rule.
     fn fresh(&mut self);
-    /// Takes in one cycle.
+    /// Adds one cycle.
     fn update(&mut self, success: bool) -> Now;
 }
 
-/// Where a rule is after a cycle.
+/// The state of a rule after a cycle.
 #[derive(Clone, Copy)]
 struct Now {
-    /// It calls for an alarm at this cycle, whether or not one stands already.
+    /// The rule calls for an alarm at this cycle, whether or not one is active.
     calls: bool,
-    /// An alarm is raised that did not stand before.
+    /// A new alarm is raised.
     raised: bool,
 }
 
@@ -103,7 +103,7 @@ struct Detector<'a> {
     evidence: Evidence,
     limit: f64,
     clear_after: u64,
-    /// Cycles since it last called, while its alarm stands.
+    /// Cycles since the last call, while the alarm is active.
     standing: Option<u64>,
 }
 
@@ -150,7 +150,7 @@ impl Runner for Paper {
 
 /// Answers the question for the paper's rule and the detector of the failure rate, at both levels.
 ///
-/// The detector's limit is the one it has in the family of all metrics. `None` where the baseline allows no detector.
+/// The detector has the limit that it has among all metrics. `None` if the baseline allows no detector.
 pub fn simulate(question: &Question, settings: &Settings, baseline: &Baseline) -> Option<Vec<Figures>> {
     let factors = baseline.factors(Metric::Success, settings).ok()?;
     let rate = baseline.success_rate()?;

@@ -9,10 +9,13 @@ pub mod description;
 mod engine;
 #[cfg(any(feature = "mujoco", feature = "rapier"))]
 mod friction;
+mod gripper_command;
 #[cfg(feature = "mujoco")]
 mod inspect;
 mod kinematics;
 mod mass;
+#[cfg(feature = "mujoco")]
+mod model;
 mod motion;
 #[cfg(feature = "mujoco")]
 pub mod mujoco;
@@ -31,10 +34,13 @@ pub mod trajectory;
 mod visual;
 
 pub use engine::{Collision, Engine, EngineBuild, FixtureRead, JointTargets, Readback, Touches, Wrench};
+pub use gripper_command::GripperCommand;
 #[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, inspect};
 pub use kinematics::{Chain, ChainJoint, Unreachable};
 pub use mass::MassProperties;
+#[cfg(feature = "mujoco")]
+pub use model::MujocoModel;
 pub use motion::Motion;
 #[cfg(feature = "mujoco")]
 pub use mujoco::MujocoEngine;

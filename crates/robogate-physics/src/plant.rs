@@ -3,10 +3,10 @@
 //! It draws nothing at random and judges nothing.
 
 use nalgebra::{Isometry3, Vector3};
-use robogate_core::{Fault, GripperCommand};
+use robogate_core::Fault;
 
 use crate::suction::{self, Change, Suction};
-use crate::{Engine, Gripper, JointTargets, Part, Scene, Servo, SuctionLaw, Touches};
+use crate::{Engine, Gripper, GripperCommand, JointTargets, Part, Scene, Servo, SuctionLaw, Touches};
 
 /// What an observer sees after one time step.
 #[derive(Debug)]

@@ -1,7 +1,7 @@
 //! From a policy's arm command to joint positions.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{ArmCommand, Fault, FaultKind};
+use robogate_core::{Command, Fault, FaultKind};
 
 use crate::Chain;
 
@@ -30,13 +30,13 @@ impl Steering {
     /// A fault of kind `BadAction` if the command has the wrong length or is not finite.
     pub fn joints(
         &mut self,
-        command: &ArmCommand,
+        command: &Command,
         measured: &[f64],
         chain: &Chain,
         rest: &[f64],
     ) -> Result<Vec<f64>, Fault> {
         let joints = match command {
-            ArmCommand::JointPositions(wanted) => {
+            Command::JointPosition(wanted) => {
                 if wanted.len() != chain.joints.len() || wanted.iter().any(|q| !q.is_finite()) {
                     let count = chain.joints.len();
                     let why = format!("the action has the joint positions {wanted:?}. Expected {count} finite numbers");
@@ -44,7 +44,7 @@ impl Steering {
                 }
                 wanted.clone()
             }
-            ArmCommand::ToolDelta { translation_m, rotation_rad } => {
+            Command::ToolDelta { translation_m, rotation_rad } => {
                 if translation_m.iter().chain(rotation_rad).any(|x| !x.is_finite()) {
                     let why = format!(
                         "the action moves the tool by {translation_m:?} m and {rotation_rad:?} rad. Expected finite numbers"
@@ -59,6 +59,10 @@ impl Steering {
                     rotation * start.rotation,
                 );
                 chain.inverse(&goal, &from, rest).unwrap_or(from)
+            }
+            Command::Vector(_) => {
+                let why = "the action is a vector. Expected joint_position or tool_delta";
+                return Err(Fault::new(FaultKind::BadAction, why));
             }
         };
         self.sent = Some(joints.clone());

@@ -31,10 +31,9 @@ use std::fmt;
 use std::str::FromStr;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use robogate_core::GripperCommand;
 use serde::{Deserialize, Serialize};
 
-use crate::{Part, Primitive, SuctionCup, Wrench};
+use crate::{GripperCommand, Part, Primitive, SuctionCup, Wrench};
 
 /// Number of points of the lip that look at the surface.
 pub const RIM_POINTS: usize = 16;

@@ -2,10 +2,10 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use nalgebra::Isometry3;
-use robogate_core::{ArmCommand, Fault, FaultKind, GripperCommand};
+use robogate_core::{Command, Fault, FaultKind};
 use robogate_physics::{
-    Engine, Fixture, GRAVITY, MassProperties, MujocoEngine, Object, Part, Plant, Primitive, Scene, Steering, Visual,
-    built_in_robot,
+    Engine, Fixture, GRAVITY, GripperCommand, MassProperties, MujocoEngine, Object, Part, Plant, Primitive, Scene,
+    Steering, Visual, built_in_robot,
 };
 
 /// A Franka at home beside a table with a small box.
@@ -39,24 +39,24 @@ impl World {
         self.plant.engine.tcp()
     }
 
-    fn step(&mut self, command: &ArmCommand) -> Result<(), Fault> {
+    fn step(&mut self, command: &Command) -> Result<(), Fault> {
         let engine = &self.plant.engine;
         let (measured, home) = (engine.joint_positions(), &engine.robot().settings.arm.home_rad);
         let joints = self.steering.joints(command, &measured, engine.chain(), home)?;
         self.plant.run(&joints, GripperCommand::Open, &mut |_| {})
     }
 
-    fn go(&mut self, command: &ArmCommand, ticks: usize) -> Isometry3<f64> {
+    fn go(&mut self, command: &Command, ticks: usize) -> Isometry3<f64> {
         (0..ticks).for_each(|_| self.step(command).unwrap());
         self.tool()
     }
 }
 
-fn delta(translation_m: [f64; 3], rotation_rad: [f64; 3]) -> ArmCommand {
-    ArmCommand::ToolDelta { translation_m, rotation_rad }
+fn delta(translation_m: [f64; 3], rotation_rad: [f64; 3]) -> Command {
+    Command::ToolDelta { translation_m, rotation_rad }
 }
 
-const STAY: ArmCommand = ArmCommand::ToolDelta { translation_m: [0.0; 3], rotation_rad: [0.0; 3] };
+const STAY: Command = Command::ToolDelta { translation_m: [0.0; 3], rotation_rad: [0.0; 3] };
 
 #[test]
 fn tool_deltas_add_up() {

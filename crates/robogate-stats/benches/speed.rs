@@ -2,6 +2,7 @@
 //! `ROBOGATE_BENCH_PYTHON=venv/bin/python cargo bench -p robogate-stats [-- ROWS]`, the packages as in
 //! `tests/reference/requirements.txt`. Without that Python only our own times are printed.
 
+#![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock and finds its Python in the environment")]
 #![expect(clippy::print_stdout, reason = "a benchmark prints what it measured")]
 #![expect(clippy::unwrap_used, reason = "a benchmark that cannot run should stop")]
 

@@ -1,6 +1,6 @@
-//! A success rate against a fixed one, looked at as often as one likes.
+//! Tests of a success rate that stay valid for any number of looks.
 //!
-//! Against "the rate is at most p₀" stands each larger rate q alike. After k successes in n trials the evidence is the mean
+//! The hypothesis "the rate is at most p₀" is compared with each larger rate q, with equal weights. After k successes in n trials the evidence is the mean
 //! likelihood ratio
 //!
 //! ```text
@@ -8,14 +8,14 @@
 //!       = F(k; n+1, p₀) / ((n+1) (1-p₀) f(k; n, p₀))
 //! ```
 //!
-//! with the binomial distribution function F and mass f. Whatever the true rate up to p₀, E is a non-negative
-//! supermartingale that begins at 1: the chance that it ever reaches 1/α is at most α (Ville). So one may stop whenever it
-//! has, and min(1, 1/max E) is a p-value at every moment.
+//! with the binomial distribution function F and mass f. For every true rate up to p₀, E is a non-negative
+//! supermartingale that starts at 1: the probability that it ever reaches 1/α is at most α (Ville). The test may therefore stop as soon as
+//! it does, and min(1, 1/max E) is a p-value at every moment.
 //!
-//! **Rounds of unlike scenarios.** Where every round runs the same scenarios, the rate in question is their mean, and a
-//! scenario has a rate of its own. For each q the ratio of one trial is 1 + λ(x - p₀) with λ = (q-p₀)/(p₀(1-p₀)), and over
+//! **Rounds of different scenarios.** If every round runs the same scenarios, the tested rate is their mean, and each
+//! scenario may have its own rate. For each q the ratio of one trial is 1 + λ(x - p₀) with λ = (q-p₀)/(p₀(1-p₀)), and over
 //! a round the means 1 + λ(pᵢ - p₀) multiply to at most 1 where the pᵢ average at most p₀ (the geometric mean is never
-//! above the arithmetic). So all of this holds for the mean, **if one looks at the end of whole rounds**.
+//! above the arithmetic). So all of this holds for the mean, **if the looks are at the end of complete rounds**.
 //!
 //! E falls in p₀ wherever it is at least e, so the p₀ that are not rejected form an interval ([`Bounds`]) for every
 //! level above 1 - 1/e.
@@ -25,11 +25,11 @@
 //! Statistics 49 (beta-binomial mixture); Ville (1939).
 
 use crate::interval::{Interval, Trials};
-use crate::special::{ln_beta_cdf, ln_binomial_pmf};
+use robogate_maths::beta::{ln_beta_cdf, ln_binomial_pmf};
 
 /// ln of the evidence against "the rate is at most `p0`".
 ///
-/// 0 without trials; at `p0` = 0 any success is infinite evidence, and against `p0` = 1 there is none.
+/// 0 without trials; at `p0` = 0 any success is infinite evidence, and there is never evidence against `p0` = 1.
 pub fn ln_evidence_above(trials: Trials, p0: f64) -> f64 {
     let (k, n) = (trials.successes() as f64, trials.n() as f64);
     if p0.is_nan() || p0 >= 1.0 || n <= 0.0 {
@@ -79,7 +79,7 @@ impl Bounds {
     }
 }
 
-/// The largest p₀ with evidence of at least 1/tail against "at most p₀"; 0 where there is none.
+/// The largest p₀ with evidence of at least 1/tail against "at most p₀"; 0 without such evidence.
 fn lower_end(trials: Trials, tail: f64) -> f64 {
     let Some(rate) = trials.rate() else { return 0.0 };
     if trials.successes() == 0 {

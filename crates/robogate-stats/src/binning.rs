@@ -1,6 +1,6 @@
 //! Success counts per bin, per category and per pair of parameters.
 //!
-//! A bin holds edge ≤ value < next edge; the last one holds its upper edge too (as numpy.histogram does).
+//! A bin contains edge ≤ value < next edge; the last one contains its upper edge too (as numpy.histogram does).
 //! Limit: values outside the edges are counted apart, never put into the nearest bin.
 
 use crate::interval::Trials;
@@ -9,7 +9,7 @@ use crate::interval::Trials;
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum BinningError {
     /// Two inputs differ in length.
-    #[error("{found} values where {expected} were expected")]
+    #[error("{found} values. Expected {expected}")]
     Length {
         /// Length of the first input.
         expected: usize,
@@ -17,7 +17,7 @@ pub enum BinningError {
         found: usize,
     },
     /// A value is NaN or infinite.
-    #[error("row {row}: {value} is not a finite number")]
+    #[error("row {row}: {value} is not valid. Expected a finite number")]
     NotFinite {
         /// Index of the row.
         row: usize,
@@ -25,16 +25,16 @@ pub enum BinningError {
         value: f64,
     },
     /// No values, or all the same: there is nothing to cut.
-    #[error("fewer than two distinct values, so nothing can be cut into bins")]
+    #[error("fewer than two distinct values cannot be cut into bins")]
     OneValue,
-    /// Zero bins were asked for.
-    #[error("zero bins")]
+    /// Zero bins were requested.
+    #[error("the number of bins is 0. Expected at least 1")]
     NoBins,
     /// Edges that are not finite and strictly increasing, or fewer than two.
-    #[error("edges must be at least two finite numbers in strictly increasing order")]
+    #[error("the edges are not valid. Expected at least two finite numbers in strictly increasing order")]
     BadEdges,
     /// A category code at or above the number of categories.
-    #[error("row {row}: category {code} of {categories}")]
+    #[error("row {row}: category {code} is out of range. Expected a code below {categories}")]
     UnknownCategory {
         /// Index of the row.
         row: usize,
@@ -151,7 +151,7 @@ fn tally(outcomes: &[bool], cells: usize, cell_of: impl Fn(usize) -> Option<usiz
         }
     }
     Cells {
-        // k ≤ n by the way they were counted.
+        // k ≤ n by construction.
         cells: counts.into_iter().map(|(k, n)| Trials::new(k, n).unwrap_or(Trials::NONE)).collect(),
         outside,
     }

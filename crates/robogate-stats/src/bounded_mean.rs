@@ -1,13 +1,13 @@
-//! The mean of a bounded quantity, without a law for it, looked at as often as one likes.
+//! Tests of the mean of a bounded quantity that make no assumption about its distribution and stay valid for any number of looks.
 //!
 //! Values lie from 0 to a known ceiling. Against "the mean is at least m" a gambler stakes the same share c of what may be
 //! lost on every value x being below m: the capital is multiplied by 1 + c (m - x)/(u - m), u the ceiling. If the mean is
 //! m or more, no stake can be expected to grow, so the mean capital of several gamblers reaches 1/α at any time
 //! with probability at most α. The shares form a geometric grid from 0.99 down, because the best one depends on a spread that
-//! nobody knows beforehand.
+//! is unknown in advance.
 //!
-//! The stakes are constant, so what [`crate::anytime`] says of rounds of unlike scenarios holds here: the mean in question
-//! is that over the scenarios, and one looks at the end of whole rounds. The capital grows in m, so the m that are not
+//! The stakes are constant, so the argument of [`crate::anytime`] about rounds of different scenarios holds here: the tested mean
+//! is that over the scenarios, and looks are at the end of complete rounds. The capital grows in m, so the m that are not
 //! rejected form an interval.
 //!
 //! Limit: the ceiling is a fact (a time limit), not the largest value seen; a needlessly high one costs episodes.
@@ -19,9 +19,9 @@ use crate::interval::Interval;
 /// Shares of what may be lost: 0.99 halved again and again.
 const STAKES: u32 = 12;
 
-/// A value outside what was said to bound it.
+/// A value outside its stated bounds.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("value {index} is {value}, not within 0 to {ceiling}")]
+#[error("value {index} is {value}. Expected a number from 0 to {ceiling}")]
 pub struct OutOfBounds {
     /// Position in the input.
     pub index: usize,
@@ -40,7 +40,7 @@ pub struct BoundedMean<'a> {
 }
 
 impl<'a> BoundedMean<'a> {
-    /// `looks` are the numbers of values after which somebody looked, rising; one look at them all is a sample of fixed
+    /// `looks` are the numbers of values at each look, in increasing order; one look at them all is a sample of fixed
     /// size.
     ///
     /// # Errors

@@ -1,13 +1,13 @@
-//! Whether stated probabilities come true.
+//! Calibration: whether predicted probabilities match observed rates.
 //!
 //! - Brier score: mean of (p - y)².
-//! - Log loss: mean of -ln P(outcome seen); infinite where a certain statement was wrong, and then said so.
+//! - Log loss: mean of -ln P(outcome seen); infinite if an outcome with probability 0 occurred; the result states this.
 //! - Reliability: rows in bins of p; in each, mean p against the observed rate with its Wilson interval.
 //! - Expected calibration error: Σ share of the bin · |observed - mean p|. Biased upwards when bins are thin, and it
 //!   depends on the bins, so their number is part of the figure.
 //!
 //! Weights, where given, make every mean a weighted mean; bin intervals then use Kish's effective counts.
-//! Limit: a good score in sample promises nothing out of sample.
+//! Limit: a good score in sample does not imply a good score out of sample.
 //! Sources: Brier (1950); Good (1952); Murphy and Winkler (1977); Naeini, Cooper and Hauskrecht (2015).
 
 use crate::interval::{Confidence, Interval, wilson_real};
@@ -17,7 +17,7 @@ use crate::weighted::is_weight;
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum CalibrationError {
     /// Lengths differ.
-    #[error("{found} values where the outcomes have {expected}")]
+    #[error("{found} values. Expected {expected}, one for each outcome")]
     Length {
         /// Rows of the outcomes.
         expected: usize,
@@ -25,15 +25,15 @@ pub enum CalibrationError {
         found: usize,
     },
     /// A stated probability is outside [0, 1] or NaN.
-    #[error("row {row}: {value} is not a probability")]
+    #[error("row {row}: {value} is not a probability. Expected a number from 0 to 1")]
     NotAProbability {
         /// Index of the row.
         row: usize,
         /// Value found.
         value: f64,
     },
-    /// A weight is negative, NaN, or of a magnitude whose square is no number.
-    #[error("weight of row {row} is {value}, neither 0 nor a number from 1e-150 to 1e150")]
+    /// A weight is negative, NaN, or so large or small that its square over- or underflows.
+    #[error("the weight of row {row} is {value}. Expected 0 or a number from 1e-150 to 1e150")]
     BadWeight {
         /// Index of the row.
         row: usize,
@@ -41,10 +41,10 @@ pub enum CalibrationError {
         value: f64,
     },
     /// No row has positive weight.
-    #[error("no rows, so nothing can be judged")]
+    #[error("there are no rows to judge")]
     NoRows,
     /// Reliability needs at least one bin.
-    #[error("zero bins")]
+    #[error("the number of bins is 0. Expected at least 1")]
     NoBins,
 }
 

@@ -13,7 +13,7 @@
 //! Sources: Newcombe (1998), Statistics in Medicine 17, 873-890 (unpaired) and 2635-2650 (paired); McNemar (1947).
 
 use crate::interval::{Confidence, Interval, Trials, wilson};
-use crate::special::{ln_beta_cdf, ln_two_sided};
+use robogate_maths::{beta::ln_beta_cdf, normal::ln_two_sided};
 
 /// Result of a test on a normal statistic.
 #[derive(Debug, Clone, Copy, PartialEq)]

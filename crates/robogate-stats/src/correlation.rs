@@ -1,22 +1,23 @@
-//! How strongly two quantities go together.
+//! Correlation of two quantities.
 //!
 //! - [`pearson`]: linear correlation r; with a success column of 0 and 1 it is the point-biserial one
 //!   ([`point_biserial`]). p from Student's t with n - 2 degrees of freedom, interval by Fisher's transform atanh r ± z/sqrt(n-3).
 //! - [`spearman`]: Pearson of midranks; monotone association, ties kept. Its t approximation is good from ten rows.
 //! - [`cramers_v`]: categories. V = sqrt(χ²/(n (min(r, c) - 1))), |φ| for a 2 × 2 table; with the bias-corrected form.
 //!
-//! Limit: a zero correlation is not independence (an island of success has r near 0), and p-values of thousands of rows
-//! make every trifle significant: read the size, not the p.
+//! Limit: a zero correlation is not independence (an island of success has r near 0), and with thousands of rows
+//! very small effects are significant: look at the effect size, not only at p.
 //! Sources: Fisher (1915, 1921); Spearman (1904); Cramer (1946); Bergsma (2013) for the bias correction.
 
 use crate::interval::{Confidence, Interval};
-use crate::special::{ln_chi_squared_sf, ln_student_two_sided};
+use robogate_maths::beta::ln_student_two_sided;
+use robogate_maths::gamma::ln_chi_squared_sf;
 
 /// Why there is no correlation.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum CorrelationError {
     /// Lengths differ.
-    #[error("{found} values against {expected}")]
+    #[error("the inputs have {expected} and {found} values. Expected the same length")]
     Length {
         /// Length of the first input.
         expected: usize,
@@ -24,7 +25,7 @@ pub enum CorrelationError {
         found: usize,
     },
     /// A value is NaN or infinite.
-    #[error("row {row}: {value} is not a finite number")]
+    #[error("row {row}: {value} is not valid. Expected a finite number")]
     NotFinite {
         /// Index of the row.
         row: usize,
@@ -32,13 +33,13 @@ pub enum CorrelationError {
         value: f64,
     },
     /// Fewer than two rows.
-    #[error("{rows} rows: a correlation needs two at least")]
+    #[error("{rows} rows are too few for a correlation. Expected at least 2")]
     TooFewRows {
         /// Rows found.
         rows: usize,
     },
-    /// One side has a single value, so it cannot go together with anything.
-    #[error("the {side} input has one value only; its correlation is not defined")]
+    /// All values of one input are equal.
+    #[error("all values of the {side} input are equal, so its correlation is not defined")]
     Constant {
         /// "first" or "second".
         side: &'static str,
@@ -160,7 +161,7 @@ pub struct Association {
     pub v: f64,
     /// V less its bias under independence (Bergsma).
     pub v_corrected: f64,
-    /// φ with its sign, for a 2 × 2 table: positive where the codes go together.
+    /// φ with its sign, for a 2 × 2 table: positive if the codes are positively correlated.
     pub phi: Option<f64>,
     /// Pearson's χ², without continuity correction.
     pub chi_squared: f64,

@@ -1,26 +1,26 @@
 //! The mean of a quantity over repeats of an experiment that were all judged on the same rows.
 //!
-//! `x[r][i]`, repeat r at test row i, has chance from both sides: another repeat would have been trained on other data,
+//! `x[r][i]`, repeat r at test row i, varies from two sources: another repeat would have been trained on other data,
 //! and other rows would have been judged. With v_r the variance of the repeats' means over their number and v_i that of
 //! the rows' means over theirs, the variance of the grand mean is taken as v_r + v_i, which counts what the two have
-//! in common twice and so leans to the safe side. The interval is Student's with Satterthwaite's degrees of freedom,
+//! in common twice which is conservative. The interval is Student's with Satterthwaite's degrees of freedom,
 //! (v_r + v_i)² / (v_r²/(k - 1) + v_i²/(n - 1)).
 //!
-//! Limit: with few repeats the interval is wide, and rightly so; with one there is none.
+//! Limit: with few repeats the interval is wide; with one repeat there is no interval.
 //! Sources: Satterthwaite (1946), Biometrics Bulletin 2(6); Owen (2007), Annals of Applied Statistics 1(2), for
 //! variances of crossed designs; Hillis (2007), Statistics in Medicine 26(3), for readers and cases.
 
 use crate::interval::{Confidence, Interval};
-use crate::special::student_quantile;
+use robogate_maths::beta::student_quantile;
 
 /// Why there is no mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum CrossedError {
     /// No repeat, or no row.
-    #[error("nothing was measured")]
+    #[error("there are no measurements")]
     Empty,
     /// Repeats judged on different numbers of rows.
-    #[error("repeat {repeat} has {found} rows where the first has {expected}")]
+    #[error("repeat {repeat} has {found} rows. Expected {expected}, as in the first repeat")]
     Length {
         /// The repeat, from 0.
         repeat: usize,

@@ -1,4 +1,4 @@
-//! Random Fourier features: columns whose products are a Gaussian kernel.
+//! Random Fourier features: columns whose products approximate a Gaussian kernel.
 //!
 //! With m frequencies w drawn from N(0, 1/l²) in each coordinate, the 2m columns cos(w·x)/sqrt(m) and
 //! sin(w·x)/sqrt(m) have φ(x)·φ(y) = (1/m) Σ cos(w·(x - y)), whose expectation is exp(-|x - y|²/(2 l²)); its standard

@@ -8,7 +8,7 @@
 //! - [`clopper_pearson`]: Beta quantiles B(α/2; k, n-k+1) and B(1-α/2; k+1, n-k), 0 at k = 0 and 1 at k = n.
 //!   Coverage is at least the level for every n and p; the interval is wide when n is small.
 //!
-//! No trials give the whole of [0, 1]: no evidence is not zero.
+//! Without trials the interval is [0, 1]: no evidence is not zero.
 //!
 //! Limit: both hold for independent draws from the population of interest and for an n fixed in advance. A
 //! Latin hypercube is dependent (usually conservative here), a boundary-focused design is not
@@ -16,7 +16,7 @@
 //! Sources: Wilson (1927), JASA 22; Clopper and Pearson (1934), Biometrika 26(4); Brown, Cai and DasGupta
 //! (2001), Statistical Science 16(2), on their coverage.
 
-use crate::special::{beta_quantile, normal_upper_quantile};
+use robogate_maths::{beta::beta_quantile, normal};
 
 /// Why numbers cannot be counts, a level or an interval.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -30,7 +30,7 @@ pub enum IntervalError {
         n: u64,
     },
     /// A confidence level that is not strictly between 0 and 1.
-    #[error("confidence level {level} is not strictly between 0 and 1; hint: write 95 % as 0.95")]
+    #[error("the confidence level {level} is out of range. Expected a number in (0, 1). Hint: write 95 % as 0.95")]
     LevelOutsideUnit {
         /// Level as given.
         level: f64,
@@ -119,7 +119,7 @@ impl Confidence {
 
     /// Two-sided point of the standard normal distribution: 1.95996 at 95 %.
     pub fn z(self) -> f64 {
-        normal_upper_quantile(self.tail())
+        -normal::quantile(self.tail())
     }
 
     /// The level that each of `comparisons` statements needs for all to hold together (Bonferroni).

@@ -8,7 +8,7 @@
 //! with a pole at y = -β₁/β₃. Delta method: se(x*) = se(η)/|β₁ + β₃ y|, where se(η) is that of the linear predictor
 //! at (x*, y). The band x* ± z se is symmetric and fails near the pole; [`FrontierPoint::set`] is the exact set
 //! (Fieller): every x whose linear predictor is compatible with t at this y, which opens to a half-line or
-//! more exactly when the slope in x cannot be told from zero.
+//! more exactly when the slope in x does not differ significantly from zero.
 //!
 //! Guarantee: both are pointwise in y, not simultaneous over the curve.
 //! Limit: the frontier is that of the model; beyond the observed range of x or y, or past the pole, it is
@@ -80,7 +80,7 @@ pub enum LimitStateError {
         term: usize,
     },
     /// The target rate is not strictly between 0 and 1.
-    #[error("target rate {target} is not strictly between 0 and 1")]
+    #[error("the target rate {target} is out of range. Expected a number in (0, 1)")]
     Target {
         /// Value found.
         target: f64,

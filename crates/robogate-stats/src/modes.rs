@@ -1,14 +1,14 @@
-//! Which way it fails, and where that changes.
+//! Shares of failure modes, the dominant mode, and where it changes.
 //!
 //! - [`distribution`]: share of each failure mode with its interval: Wilson per mode, or Wilson at a level shared over
 //!   the modes, which is Goodman's simultaneous interval (all shares hold together).
-//! - [`dominance`]: is the most frequent mode really ahead of the second? Exact sign test on their two counts,
+//! - [`dominance`]: is the most frequent mode significantly ahead of the second? Exact sign test on their two counts,
 //!   Bonferroni over the modes it could have been compared with.
-//! - [`transitions`]: bins along a parameter in which a mode dominates surely (p-values of all bins adjusted by
-//!   Holm), and the places where the sure mode changes.
+//! - [`transitions`]: bins along a parameter in which a mode dominates significantly (p-values of all bins adjusted by
+//!   Holm), and the places where the dominant mode changes.
 //!
-//! Limit: shares are of the failures that the design produced; a focused design fails in its own way. Bins that are
-//! not sure belong to no mode; between two different sure bins the change may be anywhere in the gap.
+//! Limit: shares are of the failures that the design produced; a focused design has its own mix. Bins without
+//! a significant mode belong to no mode; between two bins with different modes the change may be anywhere in the gap.
 //! Sources: Goodman (1965), Technometrics 7; Holm (1979); robogate paper, table of transitions.
 
 use crate::binning::{BinningError, Edges};
@@ -30,7 +30,7 @@ pub enum Joint {
 pub struct ModeShare {
     /// Failures of this mode.
     pub count: u64,
-    /// Share of all failures; `None` where there is none.
+    /// Share of all failures; `None` without failures.
     pub share: Option<f64>,
     /// Interval of the share.
     pub interval: Interval,
@@ -97,7 +97,7 @@ pub struct ModeBin {
     pub sure: bool,
 }
 
-/// A change of the surely dominant mode.
+/// A change of the significantly dominant mode.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Transition {
     /// Mode before.
@@ -202,7 +202,7 @@ mod tests {
 
     #[test]
     fn the_published_mixed_bin_is_not_a_sure_mode() {
-        // grip_loss 33.1 % of 1,067 failures, between two bins of timeout: surely ahead only if far ahead of the second.
+        // grip_loss 33.1 % of 1,067 failures, between two bins of timeout: significantly ahead only if far ahead of the second.
         let close = dominance(&[340, 353, 214, 160]).unwrap();
         assert_eq!(close.mode, 1);
         assert!(close.ln_p.unwrap().exp() > 0.05);

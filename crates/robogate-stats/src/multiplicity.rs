@@ -1,15 +1,15 @@
-//! Many questions of one data set.
+//! Corrections for several tests on one data set.
 //!
 //! - [`holm`]: step-down adjusted p-values. The chance of any false rejection stays at most α under any dependence.
 //! - [`intersection_union`]: "it holds in all of them" is shown at level α when each is shown at level α, so the
 //!   p-value of the joint claim is the largest. No further adjustment within; between several joint claims use Holm.
 //!
-//! Limit: p-values must be valid one by one, and the family is what was asked, not what looked interesting.
+//! Limit: p-values must be valid one by one, and the family must be fixed before the data are seen.
 //! Sources: Holm (1979), Scandinavian Journal of Statistics 6; Berger (1982), Technometrics 24.
 
 /// Something that is no p-value.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("p-value {index} is {value}, not within 0 to 1")]
+#[error("p-value {index} is {value}. Expected a number from 0 to 1")]
 pub struct NotAPValue {
     /// Position in the input.
     pub index: usize,

@@ -1,13 +1,13 @@
 //! May B replace A? Both ran the same scenarios; B may be worse by less than a margin δ.
 //!
-//! Of n pairs, c succeeded with B only and b with A only. Against "p_B - p_A ≤ -δ" stands Tango's score statistic
+//! Of n pairs, c succeeded with B only and b with A only. Tango's score statistic tests "p_B - p_A ≤ -δ"
 //!
 //! ```text
 //! Z = (c - b + nδ) / sqrt(n (2q - δ(1+δ)))
 //! 2n q² + (-b - c - (2n - c + b)δ) q + bδ(1+δ) = 0     (larger root)
 //! ```
 //!
-//! where q is the likeliest chance of "A only" if B is worse by exactly δ. Its normal p-value ([`tango`]) is an
+//! where q is the most likely probability of "A only" if B is worse by exactly δ. Its normal p-value ([`tango`]) is an
 //! approximation, and where discordant pairs are few the true level can lie above the nominal one. [`exact`] takes the
 //! same statistic as an order of the tables and the largest probability, over every q, of one at least as extreme: its level
 //! holds at every n.
@@ -19,11 +19,11 @@
 
 use crate::compare::{Pairs, at_least, at_most};
 use crate::interval::Trials;
-use crate::special::{ln_binomial_pmf, ln_normal_sf};
+use robogate_maths::{beta::ln_binomial_pmf, normal};
 
-/// A margin that is none.
+/// A margin out of range.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("margin {margin} is not strictly between 0 and 1; hint: write 5 percentage points as 0.05")]
+#[error("the margin {margin} is out of range. Expected a number in (0, 1). Hint: write 5 percentage points as 0.05")]
 pub struct NotAMargin {
     /// The margin, as given.
     pub margin: f64,
@@ -67,7 +67,7 @@ pub fn tango(pairs: Pairs, margin: f64) -> Result<f64, NotAMargin> {
     if pairs.n() == 0 {
         return Ok(0.0);
     }
-    Ok(ln_normal_sf(statistic(pairs.first_only, pairs.second_only, pairs.n(), margin)))
+    Ok(normal::ln_sf(statistic(pairs.first_only, pairs.second_only, pairs.n(), margin)))
 }
 
 /// ln of the exact p-value of the same question. 0 (p = 1) without pairs.

@@ -1,17 +1,17 @@
-//! What a gate on one rate will do, before anything runs.
+//! Operating characteristics of a gate on one rate, computed before anything runs.
 //!
-//! A demand "at least p₀" is met once it is shown at error α, and violated once the contrary is shown at error β. With a
+//! A requirement "at least p₀" is met once it is shown at error α, and violated once the contrary is shown at error β. With a
 //! fixed number of trials both are exact binomial tests at its end; in rounds both are the tests of
 //! [`crate::anytime`] after each round, and the first that answers ends it. The probabilities follow exactly, by carrying
 //! the distribution of the number of successes from round to round.
 //!
-//! Limit: every trial has the same chance p. Rounds of unlike scenarios with that mean vary less, so the figures are those
-//! of the noisiest suite.
+//! Limit: every trial has the same chance p. Rounds of different scenarios with that mean vary less, so the figures are those
+//! of the suite with the largest variance.
 
 use crate::anytime::{ln_evidence_above, ln_evidence_below};
 use crate::compare::{at_least, at_most};
 use crate::interval::Trials;
-use crate::special::ln_binomial_pmf;
+use robogate_maths::beta::ln_binomial_pmf;
 
 /// How many trials there will be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -160,7 +160,7 @@ mod tests {
     const ROUNDS: Schedule = Schedule::Rounds { per_round: 68, rounds: 20 };
 
     #[test]
-    fn the_probabilities_sum_to_one_whatever_the_rate() {
+    fn probabilities_sum_to_one() {
         for schedule in [ROUNDS, Schedule::Fixed { n: 500 }] {
             for i in 0..=20 {
                 let c = characteristic(GATE, schedule, f64::from(i) / 20.0);

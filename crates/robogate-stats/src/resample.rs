@@ -1,14 +1,14 @@
 //! Bootstrap on counts, and percentiles.
 //!
-//! Drawing n rows with replacement changes a statistic of binned data only through the cell counts, and those
-//! are multinomial with the observed shares. Drawing the counts directly is the same bootstrap at a cost that does not
-//! depend on n. Each count is a conditional binomial, drawn by inversion from zero or outward from the mode.
+//! Sampling n rows with replacement changes a statistic of binned data only through the cell counts, and those
+//! are multinomial with the observed shares. Sampling the counts directly is the same bootstrap at a cost that does not
+//! depend on n. Each count is a conditional binomial, sampled by inversion from zero or outward from the mode.
 //! Sources: Efron and Tibshirani (1993), chapters 6 and 13; Devroye (1986), X.4, for inversion from the mode.
 
 use crate::interval::Confidence;
-use crate::special::ln_binomial_pmf;
 use rand_chacha::ChaCha8Rng;
 use rand_core::Rng;
+use robogate_maths::beta::ln_binomial_pmf;
 
 /// Uniform on [0, 1) with 53 bits.
 pub(crate) fn uniform(rng: &mut ChaCha8Rng) -> f64 {

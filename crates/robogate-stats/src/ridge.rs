@@ -11,8 +11,8 @@
 //!
 //! Sources: MacKay (1992), Neural Computation 4(5), for evidence and moderated output; Bishop (2006), 4.4 and 4.5.
 
-use crate::dense::{Cholesky, dot};
 use crate::logistic::{Data, RegressionError, logistic_and_log};
+use robogate_maths::dense::{Cholesky, dot};
 
 /// Rows handled together.
 const BLOCK: usize = 128;
@@ -115,7 +115,7 @@ fn from(data: Data<'_>, prior_variance: f64, start: Vec<f64>) -> Result<RidgeFit
     let mut here = evaluate(data, &beta, precision);
     for iterations in 1..=PATIENCE {
         let unsettled = RegressionError::NotSettled { iterations };
-        let Some(factor) = Cholesky::new(&here.curvature, q, PIVOT) else { return Err(unsettled) };
+        let Ok(factor) = Cholesky::new(&here.curvature, q, PIVOT) else { return Err(unsettled) };
         let mut step = here.gradient.clone();
         factor.solve(&mut step);
         let slack = 1e-13 * here.objective.abs();
@@ -133,7 +133,7 @@ fn from(data: Data<'_>, prior_variance: f64, start: Vec<f64>) -> Result<RidgeFit
         (beta, here) = (trial, there);
         let scale = beta.iter().fold(1.0_f64, |m, b| m.max(b.abs()));
         if step.iter().all(|s| s.abs() <= 1e-8 * scale) {
-            let Some(curvature) = Cholesky::new(&here.curvature, q, PIVOT) else { return Err(unsettled) };
+            let Ok(curvature) = Cholesky::new(&here.curvature, q, PIVOT) else { return Err(unsettled) };
             let log_evidence = here.objective - 0.5 * (q - 1) as f64 * prior_variance.ln() - 0.5 * curvature.ln_det();
             let log_likelihood = here.log_likelihood;
             return Ok(RidgeFit {

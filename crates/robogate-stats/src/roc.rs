@@ -1,4 +1,4 @@
-//! How well a score tells successes from failures.
+//! How well a score separates successes from failures.
 //!
 //! AUC = P(score of a success > score of a failure) + ½ P(equal), from midranks in O(n log n). Its variance is
 //! DeLong's: with vᵢ the share of failures that success i beats and uⱼ the share of successes that beat
@@ -8,21 +8,21 @@
 //! min(m, n) disjoint pairs, which are independent trials of the event behind the AUC (Clopper-Pearson).
 //!
 //! Limits: at an area of 0.76 the 95 % interval covers 95.1 % with 100 and 300 rows in the classes, 94.0 % with 40 and 40, 92.4 %
-//! with 15 and 200 (`tests/coverage.rs`). An AUC speaks of the population its rows were drawn from. AUCs of two designs, or in sample against
+//! with 15 and 200 (`tests/coverage.rs`). An AUC applies to the population that its rows were sampled from. AUCs of two designs, or in sample against
 //! out of sample, are not comparable; [`compare`] is for two scores on the same rows.
 //! Sources: DeLong, DeLong and Clarke-Pearson (1988), Biometrics 44; Sun and Xu (2014), IEEE Signal
 //! Processing Letters 21(11); LeDell, Petersen and van der Laan (2015) for the pooled variance over folds.
 
 use crate::interval::{Confidence, Interval, Trials, clopper_pearson};
-use crate::special::ln_two_sided;
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
+use robogate_maths::normal::ln_two_sided;
 
 /// Why a score cannot be judged.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum RocError {
     /// Scores, outcomes or folds differ in length.
-    #[error("{found} values where the outcomes have {expected}")]
+    #[error("{found} values. Expected {expected}, one for each outcome")]
     Length {
         /// Rows of the outcomes.
         expected: usize,
@@ -35,8 +35,8 @@ pub enum RocError {
         /// Index of the row.
         row: usize,
     },
-    /// Every outcome is the same, or there is none.
-    #[error("{successes} successes and {failures} failures: an AUC needs both")]
+    /// Every outcome is the same, or there are no rows.
+    #[error("there are {successes} successes and {failures} failures. An AUC needs both")]
     OneClass {
         /// Rows that succeeded.
         successes: usize,
@@ -63,7 +63,7 @@ pub struct Auc {
     pub auc: f64,
     /// DeLong's standard error; `None` where a class has fewer than two rows.
     pub se: Option<f64>,
-    /// Interval at the level asked for.
+    /// Interval at the requested level.
     pub interval: Interval,
     /// How the interval was made.
     pub method: AucMethod,

@@ -6,7 +6,7 @@
 //! ([`crate::resample`]): percentile interval and standard error, direction and positions held as observed. A replicate
 //! that does not cross counts as "beyond the range" on its side, so an interval can be open.
 //!
-//! "More than once" is a statement, not noise: bins whose Wilson interval, at a level shared over all bins
+//! "More than once" is a significant result: bins whose Wilson interval, at a level shared over all bins
 //! (Bonferroni), lies on one side of the level must change sides twice.
 //!
 //! Weights enter as sums per bin; the bootstrap draws counts of up to 16 weight classes per cell. That is the
@@ -91,7 +91,7 @@ pub enum Threshold {
     DoesNotCross {
         /// Side.
         stays: StaysAt,
-        /// Share of replicates that do cross: how sure this is not.
+        /// Share of replicates that do cross: the uncertainty of this result.
         crossing_share: f64,
     },
 }
@@ -126,8 +126,8 @@ pub enum ThresholdError {
     /// Lengths or values do not fit.
     #[error(transparent)]
     Binning(#[from] BinningError),
-    /// A weight is negative, NaN, or of a magnitude whose square is no number.
-    #[error("weight of row {row} is {value}, neither 0 nor a number from 1e-150 to 1e150")]
+    /// A weight is negative, NaN, or so large or small that its square over- or underflows.
+    #[error("the weight of row {row} is {value}. Expected 0 or a number from 1e-150 to 1e150")]
     BadWeight {
         /// Index of the row.
         row: usize,
@@ -135,13 +135,13 @@ pub enum ThresholdError {
         value: f64,
     },
     /// The level is not strictly between 0 and 1.
-    #[error("level {level} is not strictly between 0 and 1")]
+    #[error("the level {level} is out of range. Expected a number in (0, 1)")]
     BadLevel {
         /// Value found.
         level: f64,
     },
     /// Fewer than two bins hold rows.
-    #[error("{filled} of the bins hold rows; a crossing needs two")]
+    #[error("{filled} bins contain rows. A crossing needs at least 2")]
     TooFewBins {
         /// Bins with rows of positive weight.
         filled: usize,
@@ -242,7 +242,7 @@ pub fn threshold(
     Ok(ThresholdResult { threshold: found, bins })
 }
 
-/// Ranges between bins that lie surely on different sides of the level.
+/// Ranges between bins that lie significantly on different sides of the level.
 fn sure_changes(bins: &[ThresholdBin], level: f64) -> Vec<Interval> {
     let mut changes = Vec::new();
     let mut last: Option<(f64, bool)> = None;

@@ -1,6 +1,6 @@
-//! Estimates for a population from rows that were not drawn from it evenly.
+//! Estimates for a population from rows that were sampled with unequal probabilities.
 //!
-//! wᵢ is how much of the operating distribution row i speaks for: operating density over design density, up to a
+//! wᵢ is the weight of row i: operating density over design density, up to a
 //! constant.
 //!
 //! - [`hajek`]: m = Σ w y / Σ w, with the linearised variance n/(n-1) · Σ w²(y - m)² / (Σ w)². The constant in w
@@ -9,8 +9,8 @@
 //!   may leave [0, 1] and varies more where Σ w does.
 //! - Effective sample size (Kish): (Σ w)² / Σ w².
 //!
-//! The interval is Wilson's at an effective count: the smaller of Kish's and m(1-m)/variance, so that outcomes
-//! which go with heavy weights are not counted twice. With no success or no failure, Kish's alone.
+//! The interval is Wilson's at an effective count: the smaller of Kish's and m(1-m)/variance, so outcomes
+//! that are correlated with large weights are not counted twice. With no success or no failure, Kish's alone.
 //! Limit: parts of the operating space where the design density is zero are not represented by any weight.
 //! Sources: Hajek (1971); Horvitz and Thompson (1952), JASA 47; Kish (1965); Korn and Graubard (1998) for
 //! binomial intervals at effective counts.
@@ -21,15 +21,15 @@ use crate::interval::{Confidence, Interval, wilson_real};
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum WeightError {
     /// Lengths differ.
-    #[error("{found} weights where the outcomes have {expected}")]
+    #[error("{found} weights. Expected {expected}, one for each outcome")]
     Length {
         /// Rows of the outcomes.
         expected: usize,
         /// Weights found.
         found: usize,
     },
-    /// A weight is negative, NaN, or of a magnitude whose square is no number.
-    #[error("weight of row {row} is {value}, neither 0 nor a number from 1e-150 to 1e150")]
+    /// A weight is negative, NaN, or so large or small that its square over- or underflows.
+    #[error("the weight of row {row} is {value}. Expected 0 or a number from 1e-150 to 1e150")]
     BadWeight {
         /// Index of the row.
         row: usize,
@@ -37,7 +37,7 @@ pub enum WeightError {
         value: f64,
     },
     /// The population size is not a positive number.
-    #[error("population of {population}")]
+    #[error("the population is {population}. Expected a number of at least 1")]
     BadPopulation {
         /// Value found.
         population: f64,
@@ -52,7 +52,7 @@ pub struct WeightedRate {
     /// Standard error; `None` below two rows of positive weight, or where every outcome is the same (a zero would
     /// claim certainty).
     pub se: Option<f64>,
-    /// Interval at the level asked for; [0, 1] where no row has weight.
+    /// Interval at the requested level; [0, 1] if no row has weight.
     pub interval: Interval,
     /// Kish's effective sample size.
     pub effective: f64,

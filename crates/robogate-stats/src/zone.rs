@@ -1,4 +1,4 @@
-//! Safe, boundary or danger: what a cell's count allows to be said.
+//! Classifies a cell as safe, boundary or danger from its count.
 //!
 //! The paper calls a cell safe above 70 % success, danger below 30 %, boundary between. Here a zone is stated only
 //! where the cell's whole interval lies in it; otherwise the cell is too thin, and what the interval does exclude is kept.
@@ -28,7 +28,7 @@ impl ZoneLimits {
     }
 }
 
-/// What may be said of a cell.
+/// The classification of a cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Zone {
     /// The whole interval is at or above the upper limit.

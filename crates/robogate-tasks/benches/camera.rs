@@ -1,7 +1,9 @@
 //! Cost of a picture.
 //!
 //! `cargo bench -p robogate-tasks --bench camera [-- FOLDER]` prints processor milliseconds a picture (mean of front and wrist, 256 x 256
-//! pixels, with shadows and smooth edges), and the ratio to the time without acceleration structures. With a folder it writes the pictures there as PPM.
+//! pixels, with shadows and smooth edges), and the ratio to the time without acceleration structures. With a folder it
+//! writes the pictures there as PPM.
+#![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a program that prints what it measures")]
 
 use std::time::SystemTime;

@@ -1,12 +1,13 @@
 //! Cost of an episode in each engine, as a ratio in one run.
 //!
 //! `cargo bench -p robogate-tasks --bench engines [-- EPISODES]`
+#![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark prints, and stops where it cannot go on")]
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use robogate_core::{ParameterSpace, Policy, Sampler, Scenario, Seed, Simulator, rollout, samplers};
+use robogate_core::{Environment, ParameterSpace, Policy, Sampler, Scenario, Seed, rollout, samplers};
 use robogate_physics::{Engine, MujocoEngine, RapierEngine, Robot, built_in_robot};
 use robogate_tasks::pick_place::{FRANKA_SPACE, PickPlace, Scripted};
 
@@ -41,7 +42,7 @@ fn robot() -> Robot {
     built_in_robot("franka").unwrap()
 }
 
-fn bench<E: Engine + 'static>(engine: E) -> (Box<dyn Simulator>, Box<dyn Policy>) {
+fn bench<E: Engine + 'static>(engine: E) -> (Box<dyn Environment>, Box<dyn Policy>) {
     let policy = Scripted::new(robot(), engine.chain().clone());
     (Box::new(PickPlace::new(engine, None).unwrap()), Box::new(policy))
 }

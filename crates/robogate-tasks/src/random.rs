@@ -1,22 +1,50 @@
 //! A random policy: the lower bound of a ranking.
 
-use robogate_core::{Action, ArmCommand, Fault, GripperCommand, Observation, Policy, Seed, Stream, TaskSpec};
+use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, Stream, TaskInstance, TaskSpec};
 
-/// Largest translation and rotation of an action along and about each axis, in metres and radians (paper, section 7.1).
-const TRANSLATION_M: f64 = 0.02;
-const ROTATION_RAD: f64 = 0.05;
-
-/// Draws the seven numbers of an action uniformly from -1 to 1: six of a tool delta, and one for the gripper, which opens
-/// above 0. The draws depend on the episode's seed only.
+/// Draws every number of an action uniformly within the bounds of the task: those of a vector, or the six of a tool delta,
+/// and one for the gripper, which opens above 0. The draws depend on the episode's seed only.
 #[derive(Debug, Clone)]
 pub struct Random {
     stream: Stream,
+    bounds: Bounds,
+    /// Whether the task has a gripper.
+    gripper: bool,
+}
+
+/// The actions to draw from.
+#[derive(Debug, Clone, PartialEq)]
+enum Bounds {
+    /// Numbers between these.
+    Vector { low: Vec<f64>, high: Vec<f64> },
+    /// Motions of the tool up to these, in metres and radians.
+    ToolDelta { translation_m: f64, rotation_rad: f64 },
+}
+
+impl Bounds {
+    fn of(task: &TaskSpec) -> Result<Self, String> {
+        if let Some((low, high)) = task.action.vector() {
+            return Ok(Self::Vector { low: low.to_vec(), high: high.to_vec() });
+        }
+        let (translation_m, rotation_rad) = task.action.tool_delta().ok_or_else(|| {
+            format!(
+                "the random policy needs bounded actions: vector or tool_delta; {} takes {}",
+                task.name,
+                task.action.kinds()
+            )
+        })?;
+        Ok(Self::ToolDelta { translation_m, rotation_rad })
+    }
 }
 
 impl Random {
     /// A random policy. Each episode has its own draws.
     pub fn new() -> Self {
-        Self { stream: stream(Seed::campaign(0)) }
+        Self {
+            stream: stream(Seed::campaign(0)),
+            bounds: Bounds::Vector { low: Vec::new(), high: Vec::new() },
+            gripper: false,
+        }
     }
 }
 
@@ -27,17 +55,32 @@ impl Default for Random {
 }
 
 impl Policy for Random {
-    fn reset(&mut self, _: &TaskSpec, seed: Seed) -> Result<(), Fault> {
+    fn check(&self, task: &TaskSpec) -> Result<(), String> {
+        Bounds::of(task).map(drop)
+    }
+
+    fn reset(&mut self, task: &TaskSpec, _: &TaskInstance, seed: Seed) -> Result<(), Fault> {
+        self.bounds = Bounds::of(task).map_err(|why| Fault::new(robogate_core::FaultKind::BadAction, why))?;
+        self.gripper = task.action.gripper.is_some();
         self.stream = stream(seed);
         Ok(())
     }
 
     fn act(&mut self, _: &Observation) -> Result<Action, Fault> {
-        let mut draw = |scale: f64| scale * (2.0 * self.stream.uniform() - 1.0);
-        let translation_m = std::array::from_fn(|_| draw(TRANSLATION_M));
-        let rotation_rad = std::array::from_fn(|_| draw(ROTATION_RAD));
-        let gripper = if draw(1.0) > 0.0 { GripperCommand::Open } else { GripperCommand::Close };
-        Ok(Action { arm: ArmCommand::ToolDelta { translation_m, rotation_rad }, gripper, phase: None })
+        let stream = &mut self.stream;
+        let mut draw = |scale: f64| scale * (2.0 * stream.uniform() - 1.0);
+        let command = match &self.bounds {
+            Bounds::Vector { low, high } => {
+                let middle = |(low, high): (&f64, &f64)| 0.5 * (low + high) + draw(0.5 * (high - low));
+                Command::Vector(low.iter().zip(high).map(middle).collect())
+            }
+            Bounds::ToolDelta { translation_m, rotation_rad } => Command::ToolDelta {
+                translation_m: std::array::from_fn(|_| draw(*translation_m)),
+                rotation_rad: std::array::from_fn(|_| draw(*rotation_rad)),
+            },
+        };
+        let gripper = self.gripper.then(|| if draw(1.0) > 0.0 { Action::OPEN } else { Action::CLOSE });
+        Ok(Action { command, gripper, phase: None })
     }
 }
 
@@ -47,56 +90,60 @@ fn stream(seed: Seed) -> Stream {
 
 #[cfg(test)]
 mod tests {
-    use robogate_core::Pose;
+    use robogate_physics::built_in_robot;
 
     use super::*;
+    use crate::pick_place::spec::{TOOL_DELTA, spec};
 
-    fn episode(seed: Seed) -> Vec<Action> {
-        let task = TaskSpec {
-            instruction: String::new(),
-            control_period_s: 0.05,
-            time_limit_s: 10.0,
-            shape: "box".to_owned(),
-            object_extent_m: [0.05; 3],
-            object_pose: Pose::IDENTITY,
-            target_pose: Pose::IDENTITY,
-            tolerance_m: 0.05,
-            approach_speed_m_s: None,
-        };
-        let observation = Observation {
-            time_s: 0.0,
-            joint_positions: vec![0.0; 7],
-            joint_velocities: vec![0.0; 7],
-            gripper_opening_m: Some(0.08),
-            tool_pose: Pose::IDENTITY,
-            images: Vec::new(),
-        };
+    fn episode(task: &TaskSpec, seed: Seed) -> Vec<Action> {
         let mut policy = Random::new();
-        policy.reset(&task, seed).unwrap();
-        (0..500).map(|_| policy.act(&observation).unwrap()).collect()
+        policy.reset(task, &TaskInstance::default(), seed).unwrap();
+        (0..500).map(|_| policy.act(&Observation::default()).unwrap()).collect()
+    }
+
+    fn arm() -> TaskSpec {
+        spec(&built_in_robot("franka").unwrap(), Vec::new())
     }
 
     #[test]
-    fn draws_are_uniform() {
-        let actions = episode(Seed::campaign(3).episode(1));
+    fn tool_deltas_fill_their_range() {
+        let actions = episode(&arm(), Seed::campaign(3).episode(1));
         let x: Vec<f64> = actions
             .iter()
-            .map(|action| match action.arm {
-                ArmCommand::ToolDelta { translation_m: [x, ..], .. } => x / TRANSLATION_M,
-                ArmCommand::JointPositions(_) => f64::NAN,
+            .map(|action| match action.command {
+                Command::ToolDelta { translation_m: [x, ..], .. } => x / TOOL_DELTA.0,
+                _ => f64::NAN,
             })
             .collect();
         let (mean, square) = (x.iter().sum::<f64>() / 500.0, x.iter().map(|x| x * x).sum::<f64>() / 500.0);
         // Four standard errors of the mean (1/sqrt(3)) and of the mean square (1/3 with deviation 0.298).
         assert!(mean.abs() < 0.103 && (square - 1.0 / 3.0).abs() < 0.053, "{mean} {square}");
-        let open = actions.iter().filter(|action| action.gripper == GripperCommand::Open).count();
+        let open = actions.iter().filter(|action| action.gripper == Some(Action::OPEN)).count();
         assert!((205..=295).contains(&open), "{open}");
+    }
+
+    #[test]
+    fn vectors_keep_their_bounds() {
+        let mut task = arm();
+        let (low, high) = (vec![-1.0, 2.0], vec![1.0, 5.0]);
+        let names = vec!["a".to_owned(), "b".to_owned()];
+        task.action.spaces = vec![robogate_core::ActionSpace::Vector { names, low, high }];
+        task.action.gripper = None;
+        let actions = episode(&task, Seed::campaign(3).episode(1));
+        assert!(actions.iter().all(|action| task.check_action(action).is_ok()));
+    }
+
+    #[test]
+    fn unbounded_actions_are_refused() {
+        let mut task = arm();
+        task.action.spaces.truncate(1);
+        assert!(Random::new().check(&task).unwrap_err().contains("joint_position"));
     }
 
     #[test]
     fn draws_depend_on_the_seed() {
         let seed = |n| Seed::campaign(3).episode(n);
-        assert_eq!(episode(seed(1)), episode(seed(1)));
-        assert_ne!(episode(seed(1)), episode(seed(2)));
+        assert_eq!(episode(&arm(), seed(1)), episode(&arm(), seed(1)));
+        assert_ne!(episode(&arm(), seed(1)), episode(&arm(), seed(2)));
     }
 }

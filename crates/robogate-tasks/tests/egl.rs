@@ -28,13 +28,12 @@ fn embedded(robot: &str) -> PickPlace<MujocoEngine> {
 }
 
 /// The same cell with MuJoCo's renderer, if there is a device for it.
-#[expect(clippy::print_stderr, reason = "a skipped test must say so")]
 fn egl(robot: &str) -> Option<PickPlace<MujocoEngine>> {
     let engine = MujocoEngine::new(built_in_robot(robot).unwrap(), MujocoEngine::TIME_STEP_S).unwrap();
     match EglRenderer::new(&engine) {
         Ok(renderer) => Some(PickPlace::new(engine, None).unwrap().with_renderer(Box::new(renderer))),
         Err(why) => {
-            eprintln!("skipped: {why}");
+            robogate_testing::skip("egl", &why.to_string());
             None
         }
     }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use robogate_camera::{Cameras, Pinhole, Posture};
-use robogate_core::{Assignment, Image, Outcome, Scenario, Seed, Simulator, rollout};
+use robogate_core::{Assignment, Environment, Image, Outcome, Scenario, Seed, rollout};
 use robogate_physics::{Engine, MujocoEngine, Robot, built_in_robot, built_in_robots};
 use robogate_tasks::pick_place::{Inspection, PickPlace, Placement, SceneParameters, Scripted, inspect, scene};
 

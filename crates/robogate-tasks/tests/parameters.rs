@@ -5,12 +5,12 @@ mod common;
 
 use common::EngineKind;
 use nalgebra::{Isometry3, Vector3};
-use robogate_core::{Assignment, Fault, FaultKind, Scenario, Seed, Simulator, Value, check_applied};
+use robogate_core::{Allowed, Assignment, Environment, Fault, FaultKind, Scenario, Seed, Value, check_applied};
 use robogate_physics::{
     Chain, Engine, EngineBuild, FixtureKind, JointTargets, Primitive, Readback, Robot, Scene, Touches, Wrench,
 };
 use robogate_tasks::pick_place::claims::Workbench;
-use robogate_tasks::pick_place::{ActsOn, ParameterKind, ParameterRow, PickPlace, parameters};
+use robogate_tasks::pick_place::{ActsOn, ParameterRow, PickPlace, parameters};
 
 fn engines() -> Vec<EngineKind> {
     vec![
@@ -29,13 +29,13 @@ fn robot_for(row: &ParameterRow) -> &'static str {
 /// A value that is not the nominal one.
 fn unusual(row: &ParameterRow) -> Value {
     let inside = |low: f64, high: f64| low + 0.37 * (high - low);
-    match row.kind() {
-        ParameterKind::Number { low, high } => Value::Number(inside(low, high)),
-        ParameterKind::Integer { low, high } => Value::Integer(inside(low as f64, high as f64) as i64),
-        ParameterKind::Word { choices, open } => {
+    match row.allowed() {
+        Allowed::Continuous { low, high } => Value::Number(inside(low, high)),
+        Allowed::Integer { low, high } => Value::Integer(inside(low as f64, high as f64) as i64),
+        Allowed::Categorical { choices, open } => {
             let nominal = row.nominal().unwrap().to_string();
-            match choices.into_iter().find(|choice| *choice != nominal) {
-                Some(choice) => Value::Category(choice.into()),
+            match choices.into_iter().find(|choice| **choice != *nominal) {
+                Some(choice) => Value::Category(choice),
                 None => {
                     assert!(open, "{} has one choice only", row.name);
                     Value::Category("#12ab34".into())
@@ -81,7 +81,7 @@ fn every_number_is_read_over_its_range() {
     for row in parameters() {
         let cell = on.robot(robot_for(row));
         let (mut simulator, _) = cell.bench(&cell.setup()).unwrap();
-        let ParameterKind::Number { low, high } = row.kind() else { continue };
+        let Allowed::Continuous { low, high } = row.allowed() else { continue };
         for share in [0.0, 0.11, 0.5, 0.8] {
             let scenario = scenario(row, Value::Number(low + share * (high - low)));
             // Not every offset leaves the object on the table, and not every gap leaves room.

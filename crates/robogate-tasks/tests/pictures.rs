@@ -3,7 +3,7 @@
 
 use nalgebra::Point3;
 use robogate_camera::{Cameras, Posture};
-use robogate_core::{Assignment, Image, Scenario, Seed, Simulator, Value};
+use robogate_core::{Assignment, Environment, Image, Scenario, Seed, Value};
 use robogate_physics::{Engine, MujocoEngine, RapierEngine, Robot, built_in_robot, built_in_robots};
 use robogate_tasks::pick_place::PickPlace;
 

@@ -7,8 +7,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use common::EngineKind;
 use robogate_core::{
-    Action, Assignment, Domain, Episode, Fault, FaultKind, Observation, Outcome, Policy, Scenario, Seed, Spread, Suite,
-    TaskSpec, Value, rollout,
+    Action, Assignment, Command, Domain, Episode, Fault, FaultKind, Observation, Outcome, Policy, Scenario, Seed,
+    Spread, Suite, TaskInstance, TaskSpec, Value, rollout,
 };
 use robogate_physics::{TableMaterial, built_in_robot};
 use robogate_tasks::pick_place::claims::{Bench, Workbench};
@@ -170,9 +170,13 @@ fn visual_parameters_do_not_change_physics() {
 struct Late<P>(P, f64, usize);
 
 impl Policy for Late<Box<dyn Policy>> {
-    fn reset(&mut self, task: &TaskSpec, seed: Seed) -> Result<(), Fault> {
+    fn check(&self, task: &TaskSpec) -> Result<(), String> {
+        self.0.check(task)
+    }
+
+    fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, seed: Seed) -> Result<(), Fault> {
         self.2 = (self.1 / task.control_period_s).round() as usize;
-        self.0.reset(task, seed)
+        self.0.reset(task, instance, seed)
     }
 
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
@@ -181,8 +185,8 @@ impl Policy for Late<Box<dyn Policy>> {
         }
         self.2 -= 1;
         Ok(Action {
-            arm: robogate_core::ArmCommand::JointPositions(observation.joint_positions.clone()),
-            gripper: robogate_core::GripperCommand::Open,
+            command: Command::JointPosition(observation.joint_positions().to_vec()),
+            gripper: Some(Action::OPEN),
             phase: None,
         })
     }

@@ -4,6 +4,7 @@
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark prints, and stops where it cannot go on")]
 
 use std::num::NonZeroUsize;
+use std::ops::ControlFlow;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -11,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use mujoco_rs::prelude::{MjData, MjModel};
 use nalgebra::{Isometry3, Vector3};
-use robogate_campaign::{Crew, Station, Workshop, execute};
+use robogate_campaign::{Executor, ThreadPool, Worker, WorkerFactory};
 use robogate_core::{Design, Fault, ParameterSpace, Sampler, Scenario, Seed, rollout, samplers};
 use robogate_physics::{
     Chain, Engine, EngineBuild, JointTargets, MujocoEngine, Readback, Robot, Scene, Touches, Wrench, built_in_robot,
@@ -65,17 +66,18 @@ fn scenario(design: &Design, i: usize) -> Scenario {
 
 struct Franka;
 
-impl Workshop for Franka {
-    fn station(&self) -> Result<Station, Fault> {
+impl WorkerFactory for Franka {
+    fn worker(&self) -> Result<Worker, Fault> {
         let engine = MujocoEngine::new(robot(), MujocoEngine::TIME_STEP_S).unwrap();
         let policy = Scripted::new(robot(), engine.chain().clone());
-        Ok(Station { simulator: Box::new(PickPlace::new(engine, None).unwrap()), policy: Box::new(policy) })
+        Ok(Worker { environment: Box::new(PickPlace::new(engine, None).unwrap()), policy: Box::new(policy) })
     }
 }
 
 fn campaign(design: &Design, threads: usize) {
-    let crew = Crew { workshop: &Franka, threads: NonZeroUsize::new(threads).unwrap(), stop: &AtomicBool::new(false) };
-    execute(&crew, &|i| (i < design.len()).then(|| scenario(design, i)), &mut |_| Ok::<(), Fault>(())).unwrap();
+    let pool =
+        ThreadPool { factory: &Franka, threads: NonZeroUsize::new(threads).unwrap(), stop: &AtomicBool::new(false) };
+    pool.execute(&|i| (i < design.len()).then(|| scenario(design, i)), &mut |_| ControlFlow::Continue(())).unwrap();
 }
 
 /// What an engine was told in one episode.

@@ -1,7 +1,8 @@
 //! The gate's answer and its plan in the terminal.
 
 use robogate_gate::{Evaluation, GatePlan, Metric, Mode, Sampling, Sense, Status, Verdict};
-use robogate_report::{DemandRow, how_judged, sign, what_next};
+use robogate_report::{RequirementRow, how_judged, sign, what_next};
+use robogate_stats::format::number;
 
 use crate::terminal::{Styled, bold, dim, grouped, line, percent, styled};
 
@@ -11,22 +12,22 @@ pub(crate) fn print(evaluation: &Evaluation) {
     line(format_args!("  {}  {}", banner(evaluation.verdict), evaluation.because));
     line(dim(format_args!("  {} on {}, {}", evaluation.policy, evaluation.robot, evaluation.population)));
     line("");
-    let rows = DemandRow::all(evaluation);
-    let wide = |cell: fn(&DemandRow) -> &str, head: &str| {
+    let rows = RequirementRow::all(evaluation);
+    let wide = |cell: fn(&RequirementRow) -> &str, head: &str| {
         rows.iter().map(|row| cell(row).chars().count()).max().unwrap_or(0).max(head.chars().count())
     };
-    let heads = ["demand", "observed", "true figure is in"];
-    let widths = [wide(|r| &r.demand, heads[0]), wide(|r| &r.observed, heads[1]), wide(|r| &r.interval, heads[2])];
+    let heads = ["requirement", "observed", "interval of the true figure"];
+    let widths = [wide(|r| &r.requirement, heads[0]), wide(|r| &r.observed, heads[1]), wide(|r| &r.interval, heads[2])];
     let point = evaluation.requirements.mode == Mode::Point;
     let [a, b, c] = widths;
     let third = if point { "" } else { heads[2] };
     line(dim(format_args!("     {:<a$}  {:>b$}  {:>c$}", heads[0], heads[1], third)));
     for row in &rows {
-        let text = format!("{:<a$}  {:>b$}  {:>c$}", row.demand, row.observed, row.interval);
+        let text = format!("{:<a$}  {:>b$}  {:>c$}", row.requirement, row.observed, row.interval);
         line(format_args!(
             "  {}  {text}  {}",
             colour(row.status, sign(row.status)),
-            colour(row.status, row.status.word())
+            colour(row.status, row.status.as_str())
         ));
         if !row.note.is_empty() {
             line(dim(format_args!("     {}", row.note)));
@@ -124,11 +125,11 @@ pub(crate) fn print_plan(plan: &GatePlan) {
     line(bold(format_args!("Gate `{}`: {how}", plan.requirements.name)));
     if plan.requirements.mode == Mode::Confidence {
         line(dim(format_args!(
-            "Each demand by itself at {} confidence; every scenario with the same chance. A gate passes no more often than its least likely demand.",
+            "Each requirement alone, at {} confidence, with equal success rates in all scenarios. The gate passes at most as often as its least likely requirement.",
             percent(plan.requirements.confidence)
         )));
     } else {
-        line(dim("Point comparisons, each by itself; every scenario with the same chance."));
+        line(dim("Point comparisons, each requirement alone, with equal success rates in all scenarios."));
     }
     for demand in &plan.demands {
         let limit = value(demand.requirement.metric, demand.bound.limit);
@@ -137,8 +138,8 @@ pub(crate) fn print_plan(plan: &GatePlan) {
         line(bold(format_args!("{}{scope} {} {limit}", demand.requirement.metric.title(), demand.bound.sense)));
         if let Some(fewest) = demand.fewest_rounds {
             let round = if fewest == 1 { "round" } else { "rounds" };
-            let without = if demand.requirement.metric == Metric::CycleTimeS {
-                "with every episode as long as the baseline's mean"
+            let without = if matches!(demand.requirement.metric, Metric::CycleTime(_) | Metric::Measure(..)) {
+                "with every episode like the baseline's mean"
             } else {
                 "without a single bad episode"
             };
@@ -148,7 +149,7 @@ pub(crate) fn print_plan(plan: &GatePlan) {
             ));
         }
         if demand.at.is_empty() {
-            line(dim("  no table: nobody knows the law of durations beforehand"));
+            line(dim("  no table: the test makes no assumption about the distribution of the values"));
             continue;
         }
         line(dim("    true rate     pass     fail     open   episodes"));
@@ -166,7 +167,7 @@ pub(crate) fn print_plan(plan: &GatePlan) {
             };
             line(format_args!(
                 "    {:>9} {:>8} {:>8} {:>8} {:>10}  {}",
-                value(Metric::SuccessRate, at.rate),
+                value(Metric::Success, at.rate),
                 percent(at.met),
                 percent(at.violated),
                 percent(at.open),
@@ -179,8 +180,9 @@ pub(crate) fn print_plan(plan: &GatePlan) {
 
 fn value(metric: Metric, x: f64) -> String {
     match metric {
-        Metric::CycleTimeS => format!("{x:.2} s"),
-        Metric::CollisionCount => format!("{x:.0}"),
+        Metric::CycleTime(_) => format!("{x:.2} s"),
+        Metric::Measure(..) => number(x),
+        Metric::FailureCount(_) => format!("{x:.0}"),
         _ => format!("{:.2} %", 100.0 * x),
     }
 }
@@ -192,7 +194,7 @@ fn banner(verdict: Verdict) -> Styled<String> {
         Verdict::Inconclusive => "1;30;43",
         Verdict::Invalid => "1;97;45",
     };
-    styled(style, format!(" {} ", verdict.word().to_uppercase()))
+    styled(style, format!(" {} ", verdict.as_str().to_uppercase()))
 }
 
 fn colour(status: Status, text: &str) -> Styled<&str> {

@@ -1,19 +1,8 @@
-//! Exit codes: an API that scripts and CI rely on.
+//! Errors with the exit code of the command that they end.
 
 use std::fmt;
 
-/// Pass, or done.
-pub(crate) const DONE: u8 = 0;
-/// A requirement or claim fails.
-pub(crate) const FAIL: u8 = 1;
-/// Wrong usage or configuration.
-pub(crate) const USAGE: u8 = 2;
-/// The evidence is invalid, or nothing was evaluated.
-pub(crate) const INVALID: u8 = 4;
-/// Something under RoboGate broke, or the work is incomplete.
-pub(crate) const INFRASTRUCTURE: u8 = 5;
-/// Interrupted; `robogate resume` goes on.
-pub(crate) const INTERRUPTED: u8 = 130;
+pub(crate) use robogate::exit_codes::{FAIL, INFRASTRUCTURE, INTERRUPTED, INVALID, PASS as DONE, USAGE};
 
 /// An error on its way out, with the exit code that its cause has.
 #[derive(Debug)]

@@ -1,24 +1,26 @@
 //! The command: one file per verb.
 
 mod answer;
+mod cell;
 mod commands;
 mod exit;
-mod far;
-mod guest;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod picture;
+mod policy_source;
 mod progress;
+mod registry;
+mod remote;
 mod renderer;
+mod subject;
 mod summary;
 mod terminal;
-mod world;
 
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-/// The gate between a trained manipulation policy and a real robot cell.
+/// Deployment gate for robot manipulation policies.
 ///
 /// Exit codes: 0 pass or done, 1 fail, 2 usage or configuration, 3 inconclusive, 4 invalid evidence or nothing
 /// evaluated, 5 infrastructure or incomplete, 130 interrupted (resumable).
@@ -33,51 +35,53 @@ struct Arguments {
 enum Verb {
     /// Find where the policy fails: a campaign over the operating space, then near the failure boundary
     Run(commands::run::Run),
-    /// Go on with an interrupted campaign
+    /// Resume an interrupted campaign
     Resume(commands::resume::Resume),
-    /// Run one episode of a campaign again, bit for bit, and tell its story
+    /// Replay one episode bit for bit and print its timeline
     Replay(commands::replay::Replay),
-    /// Take pictures of a scenario with the cell's cameras
+    /// Render a scenario with the cameras of the cell
     Snapshot(commands::snapshot::Snapshot),
-    /// Say where the policy fails, how the parameters act, and how sure that is
+    /// Analyze a run or a dictionary: where the policy fails, effects of the parameters, confidence intervals
     Analyze(commands::analyze::Analyze),
-    /// Say how robots, policies or simulators differ, and where all of them fail
+    /// Compare robots, policies or simulators, and find where all of them fail
     Compare(commands::compare::Compare),
     /// Write a run or a dictionary as one page: HTML, Markdown or JSON
     Report(commands::report::Report),
-    /// Answer: may this policy run? Run a suite until that is certain, or judge what was run
+    /// Decide whether the policy may run: run a suite until the answer is certain enough, or judge a finished run
     Gate(commands::gate::Gate),
-    /// Keep a run's figures, for others to be held against
+    /// Store a run's figures as a baseline for other runs
     Baseline(commands::baseline::BaselineOf),
     /// Rank policies that ran the same scenarios
     Leaderboard(commands::leaderboard::Rank),
     /// Write a failure dictionary as CSV, JSON Lines or the published JSON
     Export(commands::export::Export),
-    /// Read what another tool measured into Parquet
+    /// Import the results of another tool as a dictionary
     Import(commands::import::Import),
-    /// Ask by experiment whether boundary focusing is worth it
+    /// Compare boundary-focused and uniform sampling by experiment
     Study(commands::study::Study),
     /// Record demonstrations of the scripted controller, with pictures, as a LeRobot dataset (v3.0)
     Demos(commands::demos::Demos),
     /// List, show and check suites: the scenarios on which a policy is judged
     Suites(commands::suites::Suites),
-    /// List the profiles of policy servers, or probe a server
+    /// List the profiles of policies, or check a policy server
     Policy(commands::policy::Policies),
-    /// List the robots, or say what is wrong with one
+    /// List the tasks, engines, robots, policies, spaces and suites of this build
+    List(commands::list::List),
+    /// List the robots, or check one
     Robots(commands::robots::Robots),
-    /// Judge a run and put all that the verdict depends on into a folder that someone else can check
+    /// Write a folder with everything that a verdict depends on, for others to check
     Evidence(commands::evidence::Evidence),
-    /// Check a folder of evidence: every file, the signatures, and the verdict anew from the rows
+    /// Verify a folder of evidence: files, signatures, and the verdict recomputed from the rows
     Verify(commands::verify::Verify),
-    /// Make and name the keys that sign evidence
+    /// Create and identify the keys that sign evidence
     Keys(commands::keys::Keys),
-    /// Watch a deployed robot: drift of its cycles, with alarms whose false-alarm rate is promised
+    /// Monitor deployed robots for drift, with a guaranteed false-alarm rate
     Monitor(commands::monitor::Monitor),
-    /// Put the cell behind a socket, for a policy or a script of your own
+    /// Serve a built-in environment over the bridge protocol
     Serve(commands::serve::Serve),
-    /// Hold simulators behind a socket to the bridge protocol
+    /// Run the conformance tests against a simulator server
     Bridge(commands::bridge::Bridge),
-    /// Check claims by experiment
+    /// Check physics claims by experiment
     Check(commands::check::Check),
 }
 
@@ -100,6 +104,7 @@ fn main() -> ExitCode {
         Verb::Demos(demos) => demos.execute(),
         Verb::Suites(suites) => suites.execute(),
         Verb::Policy(policy) => policy.execute(),
+        Verb::List(list) => list.execute(),
         Verb::Robots(robots) => robots.execute(),
         Verb::Evidence(evidence) => evidence.execute(),
         Verb::Verify(verify) => verify.execute(),

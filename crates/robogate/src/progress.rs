@@ -26,7 +26,7 @@ impl Progress {
                 terminal::note(format_args!("{done} of {all} episodes are recorded already"));
             }
             Event::StageStarted { stage, episodes, already_done } => {
-                self.counts = *already_done;
+                self.counts = already_done.clone();
                 self.bar = ProgressBar::with_draw_target(Some(*episodes), ProgressDrawTarget::stderr());
                 self.bar.set_style(style());
                 self.bar.set_prefix(match stage {
@@ -79,8 +79,8 @@ impl Progress {
             Some(rate) => format!("success {}", terminal::percent(rate)),
             None => "no valid episode yet".to_owned(),
         };
-        for (mode, word) in FailureMode::ALL.into_iter().zip(["miss", "loss", "collision", "timeout"]) {
-            text += &format!(" · {word} {}", self.counts.failures(mode));
+        for (mode, count) in &self.counts.failures {
+            text += &format!(" · {mode} {count}");
         }
         if self.counts.invalid > 0 {
             text += &format!(" · INVALID {}", self.counts.invalid);
@@ -89,14 +89,12 @@ impl Progress {
     }
 }
 
-/// The outcome of a word, as far as counting goes.
-fn outcome_of(word: &str) -> Outcome {
-    if word == "success" {
-        return Outcome::Success;
-    }
-    match FailureMode::ALL.into_iter().find(|mode| mode.word() == word) {
-        Some(mode) => Outcome::Failure(mode),
-        None => Outcome::Invalid(robogate_core::Fault::new(robogate_core::FaultKind::Unavailable, "")),
+/// The outcome of this name, as far as counting goes.
+fn outcome_of(name: &str) -> Outcome {
+    match name {
+        "success" => Outcome::Success,
+        "invalid" => Outcome::Invalid(robogate_core::Fault::new(robogate_core::FaultKind::Unavailable, "")),
+        mode => Outcome::Failure(FailureMode::from_foreign(mode)),
     }
 }
 

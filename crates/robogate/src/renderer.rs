@@ -38,6 +38,12 @@ pub(crate) enum Drawn {
 }
 
 impl Drawn {
+    /// Its name on the command line.
+    pub(crate) fn name(&self) -> &'static str {
+        let Self::Egl { .. } = self;
+        "egl"
+    }
+
     /// Refuses what it cannot draw.
     pub(crate) fn check(&self, engine: &str, far: bool) -> anyhow::Result<()> {
         let Self::Egl { .. } = self;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{
-    AlongParameter, BoundaryReport, DrawnFrom, OutcomeCounts, Population, Stage, StageSummary, SuiteSummary, Summary,
+    BoundaryReport, DrawnFrom, MarginalEffect, OutcomeCounts, Population, Stage, StageSummary, SuiteSummary, Summary,
 };
 use serde_json::json;
 
@@ -31,11 +31,8 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
         failures(stage);
     }
     if let Some(uniform) = summary.stages.iter().find(|stage| stage.stage == Stage::Uniform) {
-        for parameter in ["friction", "mass_kg"] {
-            if let Some(along) = uniform.along.iter().find(|along| along.parameter == parameter) {
-                success_along(along);
-            }
-        }
+        // The report has all of them.
+        uniform.marginal_effects.iter().take(2).for_each(marginal_effect);
     }
     if let Some(suite) = &summary.suite {
         groups(suite);
@@ -94,7 +91,7 @@ fn failures(stage: &StageSummary) {
         let share = mode.share_of_failures.unwrap_or(0.0);
         line(format_args!(
             "  {:<12} {:>7} {:>8}  {}",
-            mode.mode,
+            mode.mode.as_str(),
             grouped(mode.episodes),
             percent(share),
             bar(share, 24)
@@ -119,16 +116,16 @@ fn groups(suite: &SuiteSummary) {
     }
 }
 
-fn success_along(along: &AlongParameter) {
+fn marginal_effect(effect: &MarginalEffect) {
     line("");
-    line(bold(format_args!("Success along {}, uniform stage", along.parameter)));
-    for bin in &along.bins {
+    line(bold(format_args!("Success by {}, uniform stage", effect.parameter)));
+    for bin in &effect.bins {
         let range = format!("{:>6.3} to {:>6.3}", bin.low, bin.high);
         match bin.success_rate {
             Some(rate) => {
                 let text = format!("{:>8}  {}  {:>6}", percent(rate), bar(rate, 24), grouped(bin.valid));
                 if bin.valid < FEW {
-                    line(dim(format_args!("  {range} {text} episodes: too few to say")));
+                    line(dim(format_args!("  {range} {text} episodes: too few")));
                 } else {
                     line(format_args!("  {range} {text} episodes"));
                 }
@@ -149,11 +146,11 @@ fn found(report: &BoundaryReport) {
     for parameter in &report.parameters {
         let [from, to] = parameter.drawn;
         let how = match parameter.drawn_from {
-            DrawnFrom::Bins => format!("{} of {} bins", parameter.in_band.len(), parameter.along.bins.len()),
+            DrawnFrom::Bins => format!("{} of {} bins", parameter.in_band.len(), parameter.effect.bins.len()),
             DrawnFrom::Fallback => "no bin in the band: fallback range".to_owned(),
             DrawnFrom::WholeRange => "no bin in the band: whole range".to_owned(),
         };
-        line(format_args!("  {:<14} {from:>7.4} to {to:>7.4}  {how}", parameter.along.parameter));
+        line(format_args!("  {:<14} {from:>7.4} to {to:>7.4}  {how}", parameter.effect.parameter));
     }
     for restricted in &report.restricted {
         line(format_args!(
@@ -196,6 +193,6 @@ fn files(dir: &Path, summary: &Summary) {
     line(format_args!("  {} episodes, dataset {}", grouped(summary.episodes), &summary.dataset_hash));
     line(format_args!("{} {}", bold("Report"), dir.join(PAGE).display()));
     line(bold("Next"));
-    line(format_args!("  robogate replay {} 0        the story of one episode", dir.display()));
-    line(format_args!("  robogate export {} out.csv  the rows for a spreadsheet", dir.display()));
+    line(format_args!("  robogate replay {} 0        replay one episode", dir.display()));
+    line(format_args!("  robogate export {} out.csv  export the rows for a spreadsheet", dir.display()));
 }

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::fmt::{self, Display};
 use std::io::{self, IsTerminal, Write};
 
-pub(crate) use robogate_report::count as grouped;
+pub(crate) use robogate_stats::format::{count as grouped, percent};
 
 use crate::exit::Exit;
 
@@ -121,11 +121,6 @@ pub(crate) fn bar(share: f64, width: usize) -> String {
     let text = format!("{}{}", "█".repeat(eighths / 8), EIGHTHS[eighths % 8]);
     let used = eighths.div_ceil(8);
     format!("{text}{}", " ".repeat(width - used))
-}
-
-/// A share as a percentage with one decimal.
-pub(crate) fn percent(share: f64) -> String {
-    format!("{:.1} %", 100.0 * share)
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The cell behind a socket, as its users meet it: `robogate serve`, `--simulator`, `robogate bridge check`.
+//! Remote simulators on the command line: `robogate serve`, `--simulator`, `robogate bridge check`.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -20,7 +20,7 @@ fn assert_exit(arguments: &[&str], code: i32, parts: &[&str]) {
     let output = robogate(arguments);
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", text(&output));
     for part in parts {
-        assert!(text(&output).contains(part), "{arguments:?} does not say {part:?}: {}", text(&output));
+        assert!(text(&output).contains(part), "{arguments:?}: expected {part:?} in {}", text(&output));
     }
 }
 
@@ -38,10 +38,10 @@ impl Server {
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
-        let mut said = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut said).unwrap();
-        let said: serde_json::Value = serde_json::from_str(&said).unwrap();
-        Self { child, address: said["listening"].as_str().unwrap().to_owned() }
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let line: serde_json::Value = serde_json::from_str(&line).unwrap();
+        Self { child, address: line["listening"].as_str().unwrap().to_owned() }
     }
 }
 
@@ -52,7 +52,7 @@ impl Drop for Server {
     }
 }
 
-/// A run's rows as CSV.
+/// The rows of a run as CSV.
 fn rows(dir: &Path) -> String {
     let out = dir.join("rows.csv");
     assert_exit(&["export", dir.to_str().unwrap(), out.to_str().unwrap()], 0, &[]);
@@ -60,7 +60,7 @@ fn rows(dir: &Path) -> String {
 }
 
 #[test]
-fn an_engine_behind_the_bridge_gives_the_rows_of_the_engine_inside_judged_there_or_here() {
+fn remote_engines_give_the_rows_of_local_ones() {
     let dir = TempDir::new().unwrap();
     let at = |name: &str| dir.path().join(name);
     let run = |name: &str, more: &[&str]| {
@@ -69,27 +69,25 @@ fn an_engine_behind_the_bridge_gives_the_rows_of_the_engine_inside_judged_there_
         assert_exit(&arguments, 0, &[]);
         rows(&out)
     };
-    let inside = run("inside", &[]);
-    for (name, more) in [("judging", &[][..]), ("physics", &["--physics-only"])] {
+    let local = run("local", &[]);
+    for (name, more) in [("scored", &[][..]), ("physics", &["--physics-only"])] {
         let (one, other) = (Server::start(more), Server::start(more));
         let pool = format!("{},{}", one.address, other.address);
-        assert_eq!(run(name, &["--simulator", &pool]), inside, "{name}");
+        assert_eq!(run(name, &["--simulator", &pool]), local, "{name}");
         let folder = at(name).to_str().unwrap().to_owned();
-        assert_exit(&["replay", &folder, "3", "--simulator", &one.address], 0, &["same as recorded"]);
+        assert_exit(&["replay", &folder, "3", "--simulator", &one.address], 0, &["identical to the recorded episode"]);
         assert_exit(&["replay", &folder, "3"], 2, &["--simulator"]);
-        assert_exit(&["bridge", "check", &one.address], 0, &["holds", "median"]);
+        assert_exit(&["bridge", "check", &one.address], 0, &["pass", "median"]);
     }
-    let here = at("inside").to_str().unwrap().to_owned();
+    let folder = at("local").to_str().unwrap().to_owned();
     let server = Server::start(&[]);
-    assert_exit(&["replay", &here, "3", "--simulator", &server.address], 2, &["without --simulator"]);
+    assert_exit(&["replay", &folder, "3", "--simulator", &server.address], 2, &["without --simulator"]);
 }
 
 #[test]
-fn a_script_drives_the_cell_with_deltas_of_the_tool() {
-    let Some(python) = std::env::var_os("ROBOGATE_BRIDGE_PYTHON") else {
-        eprintln!("skipped: ROBOGATE_BRIDGE_PYTHON names no Python with pyzmq and msgpack");
-        return;
-    };
+fn a_script_drives_the_cell_with_tool_deltas() {
+    let wanted = "a Python with pyzmq and msgpack";
+    let Some(python) = robogate_testing::path("ROBOGATE_BRIDGE_PYTHON", wanted) else { return };
     let server = Server::start(&[]);
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let output = Command::new(python)
@@ -103,7 +101,7 @@ fn a_script_drives_the_cell_with_deltas_of_the_tool() {
 }
 
 #[test]
-fn what_cannot_work_is_said_before_anything_runs() {
+fn wrong_usage_is_reported_before_a_run() {
     assert_exit(&["serve", "--bind", "tcp://0.0.0.0:*"], 2, &["other machines", "--allow-remote"]);
     assert_exit(&["serve", "--bind", "127.0.0.1:1"], 2, &["tcp://127.0.0.1:5570"]);
     assert_exit(&["serve", "--robot", "ur5e", "--physics-only"], 2, &["suction"]);

@@ -111,7 +111,7 @@ fn ctrl_c_stops_with_130_and_resume_goes_on() {
 }
 
 #[test]
-fn a_replay_has_the_recorded_bits_and_a_story() {
+fn replays_are_identical() {
     let dir = TempDir::new().unwrap();
     let out = path(&dir, "run");
     let output = robogate(&["run", "-n", "12", "--json", "--out", &out]);
@@ -121,9 +121,9 @@ fn a_replay_has_the_recorded_bits_and_a_story() {
     for index in 0..12 {
         let output = robogate(&["replay", &out, &index.to_string(), "--json"]);
         assert_done(&output);
-        let story: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-        assert_eq!(story["same_as_recorded"], true);
-        assert_eq!(story["story"][0]["phase"], "APPROACH_ABOVE");
+        let replay: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(replay["same_as_recorded"], true);
+        assert_eq!(replay["timeline"][0]["phase"], "APPROACH_ABOVE");
     }
     assert_usage(&["replay", &out, "12"], &["episode 12", "12"]);
     for name in ["rows.csv", "rows.jsonl", "rows.json"] {
@@ -136,7 +136,7 @@ fn a_replay_has_the_recorded_bits_and_a_story() {
 }
 
 #[test]
-fn what_is_wrong_is_said_with_exit_code_2_and_nothing_is_started() {
+fn wrong_arguments_are_usage_errors() {
     let dir = TempDir::new().unwrap();
     let out = path(&dir, "run");
     let run = |key: &str, value: &str, parts: &[&str]| assert_usage(&["run", "--out", &out, key, value], parts);
@@ -147,7 +147,7 @@ fn what_is_wrong_is_said_with_exit_code_2_and_nothing_is_started() {
     };
     run("-n", "0", &["at least one episode"]);
     run("--robot", "r2d2", &["unknown robot `r2d2`", "franka"]);
-    run("--engine", "ode", &["no engine `ode`", "mujoco"]);
+    run("--engine", "ode", &["no such engine", "mujoco"]);
     assert_usage(&["run", "--out", &out, "--engine", "rapier", "--renderer", "egl"], &["--engine mujoco", "rapier"]);
     #[cfg(not(feature = "egl"))]
     run("--renderer", "egl", &["no EGL renderer", "--features egl"]);
@@ -233,7 +233,7 @@ fn a_suite_is_run_with_the_same_rows_for_one_and_two_threads_and_each_says_which
 }
 
 #[test]
-fn a_wrong_suite_is_told_in_full_with_exit_code_2() {
+fn wrong_suites_are_usage_errors() {
     let dir = TempDir::new().unwrap();
     let suite = path(&dir, "wrong.toml");
     let write = |scenarios: &str| {
@@ -248,7 +248,7 @@ fn a_wrong_suite_is_told_in_full_with_exit_code_2() {
     assert_usage(&["run", "--suite", &suite], &["`friction` = 20 is out of range", "unknown parameter `glare`"]);
     write("{ id = \"a\" }, { id = \"a\" }");
     assert_usage(&["suites", "check", &suite], &["scenario id `a` is there twice"]);
-    assert_usage(&["run", "--suite", "industrial-67"], &["there is no suite `industrial-67`", "industrial-68"]);
+    assert_usage(&["run", "--suite", "industrial-67"], &["unknown suite `industrial-67`", "industrial-68"]);
     assert_usage(&["run", "--suite", "industrial-68", "-n", "10"], &["cannot be used with"]);
     assert_usage(&["run", "--rounds", "10"], &["--suite"]);
 }
@@ -292,9 +292,9 @@ fn snapshots_are_pngs_that_are_the_same_each_time_and_overwrite_nothing() {
 }
 
 #[test]
-fn snapshots_of_what_there_is_not_are_refused_with_exit_code_2() {
+fn wrong_snapshots_are_usage_errors() {
     assert_usage(&["snapshot", "--suite", "industrial-68", "--case", "nothing"], &["has no scenario `nothing`"]);
-    assert_usage(&["snapshot", "--suite", "nothing"], &["there is no suite `nothing`"]);
+    assert_usage(&["snapshot", "--suite", "nothing"], &["unknown suite `nothing`"]);
     assert_usage(&["snapshot", "--set", "lighting_lux"], &["write NAME=VALUE"]);
     assert_usage(&["snapshot", "--set", "lighting=500"], &["lighting"]);
     assert_usage(&["snapshot", "--set", "table_material=marble"], &["marble", "wood"]);

@@ -36,7 +36,7 @@ fn the_schemas_are_those_of_the_code() {
         ("alarm", schema_for!(robogate_monitor::Alarm)),
         ("monitor-reference", schema_for!(robogate_monitor::Reference)),
         ("monitor-settings", schema_for!(robogate_monitor::service::ServiceSettings)),
-        ("study", schema_for!(robogate_report::study::Study)),
+        ("study", schema_for!(robogate_report::StudyReport<'static>)),
         ("requirements", schema_for!(robogate_gate::Requirements)),
         ("baseline", schema_for!(robogate_gate::Baseline)),
         ("gate-question", schema_for!(robogate_gate::Asked)),

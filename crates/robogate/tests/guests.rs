@@ -1,5 +1,5 @@
-//! Policies in place of the scripted controller, as their user meets them: networks in files, the random one, and
-//! demonstrations of what they fail at.
+//! Policies in place of the scripted controller on the command line: networks in files, the random policy, and
+//! demonstrations of failed episodes.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -12,7 +12,7 @@ use tempfile::TempDir;
 const PLAN: &str = "seed = 5\n[uniform]\nepisodes = 6\n";
 
 fn networks() -> std::path::PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../robogate-bridge/tests/networks")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../robogate-policy/tests/networks")
 }
 
 fn robogate(dir: &Path, arguments: &[&str]) -> Output {
@@ -24,7 +24,7 @@ fn assert_exit(dir: &Path, arguments: &[&str], code: i32, parts: &[&str]) -> Str
     let text = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {text}");
     for part in parts {
-        assert!(text.contains(part), "{arguments:?} does not say {part:?}: {text}");
+        assert!(text.contains(part), "{arguments:?}: expected {part:?} in {text}");
     }
     String::from_utf8(output.stdout).unwrap()
 }
@@ -48,41 +48,52 @@ fn run(dir: &Path, more: &[&str]) -> Value {
 }
 
 #[test]
-fn a_network_in_a_file_is_found_again_from_another_folder() {
+fn a_run_is_replayed_from_another_folder() {
     let dir = workplace();
     run(dir.path(), &["--policy", "small.onnx", "--profile", "small.toml", "--out", "r"]);
     let elsewhere = TempDir::new().unwrap();
     let r = dir.path().join("r");
-    assert_exit(elsewhere.path(), &["replay", r.to_str().unwrap(), "0"], 0, &["same as recorded, bit for bit"]);
+    assert_exit(
+        elsewhere.path(),
+        &["replay", r.to_str().unwrap(), "0"],
+        0,
+        &["identical to the recorded episode, bit for bit"],
+    );
 }
 
 #[test]
-fn the_random_policy_does_the_same_on_any_number_of_threads_and_never_picks() {
+fn the_random_policy_does_not_depend_on_threads() {
     let dir = workplace();
     let one = run(dir.path(), &["--policy", "random", "--threads", "1", "--out", "one"]);
     let two = run(dir.path(), &["--policy", "random", "--threads", "2", "--out", "two"]);
     let hash = |summary: &Value| summary["dataset_hash"].as_str().map(str::to_owned);
     assert!(hash(&one).is_some(), "{one}");
     assert_eq!(hash(&one), hash(&two));
-    assert_exit(dir.path(), &["replay", "one", "3"], 0, &["same as recorded, bit for bit"]);
+    assert_exit(dir.path(), &["replay", "one", "3"], 0, &["identical to the recorded episode, bit for bit"]);
 }
 
 #[test]
-fn a_policy_without_its_profile_is_a_mistake_of_usage() {
+fn wrong_policies_are_explained() {
     let dir = workplace();
-    let bad: [(&[&str], &[&str]); 4] = [
-        (&["--policy", "small.onnx"], &["--profile says what it sees"]),
-        (&["--policy", "random", "--profile", "learned"], &["random has no profile"]),
+    let bad: [(&[&str], &[&str]); 7] = [
+        (&["--policy", "small.onnx"], &["--profile is missing", "robogate policy profiles"]),
+        (&["--policy", "octo"], &["octo: not a policy", "an ONNX file, `random` or `scripted`"]),
+        (&["--policy", "scripted", "--profile", "learned"], &["--profile cannot be used with --policy scripted"]),
+        (&["--policy", "small.onnx", "--profile", "octo"], &["--profile octo: unknown profile", "octo-small"]),
+        (&["--policy", "random", "--profile", "learned"], &["--profile cannot be used with --policy random"]),
         (&["--policy", "missing.onnx", "--profile", "small.toml"], &["missing.onnx", "cannot be read"]),
-        (&["--policy", "plan.toml", "--profile", "small.toml"], &["no ONNX file that can be run"]),
+        (
+            &["--policy", "plan.toml", "--profile", "small.toml"],
+            &["plan.toml: it is a text file. Expected an ONNX model"],
+        ),
     ];
-    for (more, says) in bad {
-        assert_exit(dir.path(), &[&RUN, more].concat(), 2, says);
+    for (more, parts) in bad {
+        assert_exit(dir.path(), &[&RUN, more].concat(), 2, parts);
     }
 }
 
 #[test]
-fn what_a_policy_failed_at_is_demonstrated() {
+fn failed_episodes_are_demonstrated() {
     let dir = workplace();
     run(dir.path(), &["--policy", "random", "--out", "r"]);
     let demos = ["demos", "--failed-in", "r", "-n", "8", "--size", "16", "--push", "0", "--out", "d", "--json"];
@@ -97,7 +108,7 @@ fn what_a_policy_failed_at_is_demonstrated() {
 }
 
 #[test]
-fn the_networks_that_ship_pick_and_place() {
+fn shipped_networks_pick_and_place() {
     let dir = workplace();
     let policies = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/policies");
     for name in ["learned", "learned-wide"] {

@@ -58,7 +58,7 @@ fn cycle(i: u32, mass: f64, success: bool) -> Value {
 }
 
 #[test]
-fn the_references_risk_is_that_of_the_rows_and_none_of_them_lies_outside() {
+fn a_reference_contains_its_own_rows() {
     let dir = tempfile::tempdir().unwrap();
     let (_, reference) = reference(&dir);
     let (mut risk, mut failures) = (0.0, 0.0);
@@ -77,7 +77,7 @@ fn the_references_risk_is_that_of_the_rows_and_none_of_them_lies_outside() {
 }
 
 #[test]
-fn a_feed_that_ends_in_a_critical_alarm_has_the_exit_code_1_and_a_quiet_one_0() {
+fn exit_code_reports_a_critical_alarm() {
     let dir = tempfile::tempdir().unwrap();
     let (reference, _) = reference(&dir);
     let feed = path(&dir, "cycles.jsonl");
@@ -93,7 +93,7 @@ fn a_feed_that_ends_in_a_critical_alarm_has_the_exit_code_1_and_a_quiet_one_0() 
     write(Some(2.5));
     let loud = robogate(&["monitor", "serve", &feed, "--reference", &format!("bracket={reference}")]);
     assert_eq!(loud.status.code(), Some(1), "{}", text(&loud.stderr));
-    assert!(text(&loud.stderr).contains("300 outside what was validated"), "{}", text(&loud.stderr));
+    assert!(text(&loud.stderr).contains("300 outside the validated region"), "{}", text(&loud.stderr));
     let alarms: Vec<Value> = text(&loud.stdout).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let critical = alarms.iter().find(|alarm| alarm["level"] == "critical").unwrap();
     assert_eq!((&critical["metric"], &critical["recipe"]), (&json!("outside"), &json!("bracket")));
@@ -101,7 +101,7 @@ fn a_feed_that_ends_in_a_critical_alarm_has_the_exit_code_1_and_a_quiet_one_0() 
 }
 
 #[test]
-fn a_feed_without_a_cycle_and_what_cannot_be_settings_are_told_apart_from_success() {
+fn empty_feeds_and_bad_settings_are_errors() {
     let dir = tempfile::tempdir().unwrap();
     let (empty, settings) = (path(&dir, "empty.jsonl"), path(&dir, "monitor.toml"));
     fs::write(&empty, "\nno cycle\n").unwrap();
@@ -134,7 +134,7 @@ fn a_feed_without_a_cycle_and_what_cannot_be_settings_are_told_apart_from_succes
 }
 
 #[test]
-fn a_pipe_is_heard_line_by_line_and_a_line_too_long_is_refused() {
+fn pipes_are_read_line_by_line() {
     let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
         .args(["monitor", "serve", "-"])
         .stdin(Stdio::piped())
@@ -163,7 +163,7 @@ fn a_pipe_is_heard_line_by_line_and_a_line_too_long_is_refused() {
 }
 
 #[test]
-fn the_simulation_is_a_document_with_the_papers_rule_beside_the_promise() {
+fn simulation_prints_a_json_document() {
     let output = robogate(&["monitor", "simulate", "--streams", "20", "--json", "--cycle-s", "10"]);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     let document: Value = serde_json::from_slice(&output.stdout).unwrap();

@@ -1,7 +1,7 @@
-//! Policies behind servers, as the command's user meets them: `policy check`, `run --policy`, `resume`.
+//! External policies on the command line: `policy check`, `run --policy`, `resume`.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-#[path = "../../robogate-bridge/tests/policy_support/openpi.rs"]
+#[path = "../../robogate-policy/tests/support/openpi.rs"]
 mod openpi;
 
 use std::fs;
@@ -28,11 +28,11 @@ fn assert_exit(arguments: &[&str], code: i32, parts: &[&str]) {
     let output = robogate(arguments);
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", text(&output));
     for part in parts {
-        assert!(text(&output).contains(part), "{arguments:?} does not say {part:?}: {}", text(&output));
+        assert!(text(&output).contains(part), "{arguments:?}: expected {part:?} in {}", text(&output));
     }
 }
 
-/// A built-in profile, changed and in a file.
+/// Write a built-in profile with changes to a file.
 fn profile(dir: &TempDir, name: &str, changes: &[(&str, &str)]) -> String {
     let mut toml = String::from_utf8(robogate(&["policy", "profiles", name]).stdout).unwrap();
     for (from, to) in changes {
@@ -44,7 +44,7 @@ fn profile(dir: &TempDir, name: &str, changes: &[(&str, &str)]) -> String {
     file.to_str().unwrap().to_owned()
 }
 
-/// Ten actions an answer, all of them executed; one attempt to connect.
+/// Ten actions per reply, all of them executed; one connection attempt.
 const TEN: [(&str, &str); 2] =
     [("length = 50\nexecute = 5", "length = 10\nexecute = 10"), ("[action]", "[server]\nattempts = 1\n\n[action]")];
 
@@ -54,16 +54,16 @@ fn listener() -> (TcpListener, String) {
     (listener, url)
 }
 
-/// Answers this many questions by going straight down with an open hand, and is gone.
-fn go_down(listener: TcpListener, mut questions: usize) {
+/// Answer this number of requests with actions straight down and an open gripper, then stop.
+fn go_down(listener: TcpListener, mut requests: usize) {
     let answer = actions(10, 7, |_, j| [0.0, 0.0, -0.5, 0.0, 0.0, 0.0, -1.0][j]);
     serve(listener, move |_, socket| {
         while let Ok(message) = socket.read() {
             if message.is_binary() {
-                if questions == 0 {
+                if requests == 0 {
                     return ControlFlow::Break(());
                 }
-                questions -= 1;
+                requests -= 1;
                 socket.send(Message::binary(answer.clone())).unwrap();
             }
         }
@@ -82,39 +82,39 @@ fn outcomes(run: &str) -> Vec<String> {
 }
 
 #[test]
-fn a_policy_behind_a_server_is_checked_run_recorded_and_replayed() {
+fn a_policy_server_is_checked_run_and_replayed() {
     let dir = TempDir::new().unwrap();
     let profile = profile(&dir, "pi0-libero", &TEN);
     let (listener, url) = listener();
     go_down(listener, usize::MAX);
-    let check = ["policy", "check", &url, "--profile", &profile, "--questions", "2"];
+    let check = ["policy", "check", &url, "--profile", &profile, "--requests", "2"];
     assert_exit(
         &check,
         0,
-        &["10 actions of 7 numbers", "the same question gets the same answer", "nothing looks wrong"],
+        &["10 actions of 7 numbers", "the same observation gives the same actions", "no problems found"],
     );
     let run = dir.path().join("run").to_str().unwrap().to_owned();
     let start = ["run", "--policy", &url, "--profile", &profile, "-n", "3", "--threads", "1", "--out", &run];
     assert_exit(&start, 0, &["pi0-libero policy"]);
     // It drives the hand into the table.
     assert_eq!(outcomes(&run), ["collision"; 3]);
-    assert_exit(&["replay", &run, "1"], 0, &["same as recorded"]);
+    assert_exit(&["replay", &run, "1"], 0, &["identical to the recorded episode"]);
 }
 
 #[test]
-fn what_server_and_profile_do_not_agree_on_is_said_by_name() {
+fn mismatches_with_the_profile_are_named() {
     let dir = TempDir::new().unwrap();
     let (openpi, url) = listener();
     go_down(openpi, usize::MAX);
-    // Six numbers are no way and turn of the tool and a gripper.
+    // A tool delta has seven numbers.
     let six = profile(&dir, "pi0-libero", &[("size = 7", "size = 6")]);
     assert_exit(&["policy", "check", &url, "--profile", &six], 2, &["action.size: 6, but arm = \"tool_delta\" has 7"]);
-    // They may be five joints and a gripper; then the server says otherwise.
+    // Six numbers may be five joints and a gripper, but the server sends seven.
     let [ten, once] = TEN;
     let joints = ("size = 7\narm = \"tool_delta\"", "size = 6\narm = \"joint_positions\"");
     let six = profile(&dir, "pi0-libero", &[ten, once, joints]);
-    let words = "an action has 7 numbers, the profile's action.size is 6";
-    assert_exit(&["policy", "check", &url, "--profile", &six], 1, &["looks wrong:", words]);
+    let words = "an action has 7 numbers, but action.size of the profile is 6";
+    assert_exit(&["policy", "check", &url, "--profile", &six], 1, &["problem:", words]);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
     let start = ["run", "--policy", &url, "--profile", &six, "-n", "3", "--threads", "1", "--out", &run];
     assert_exit(&start, 4, &[]);
@@ -133,7 +133,7 @@ fn what_server_and_profile_do_not_agree_on_is_said_by_name() {
     });
     let profile_of = |changes: &[(&str, &str)]| profile(&dir, "droid-roboarena", changes);
     let ten = profile(&dir, "pi0-libero", &TEN);
-    let words = ["another dialect: the profile says openpi, but", "like OpenVLA's"];
+    let words = ["wrong dialect: the profile expects openpi, but", "such as OpenVLA's"];
     assert_exit(&["policy", "check", &url, "--profile", &ten], 2, &words);
     assert_exit(&["run", "--policy", &url, "--profile", &ten, "-n", "3"], 2, &words);
 
@@ -141,17 +141,17 @@ fn what_server_and_profile_do_not_agree_on_is_said_by_name() {
     thread::spawn(move || {
         for stream in roboarena.incoming() {
             let Ok(mut socket) = accept(stream.unwrap()) else { continue };
-            let config = include_bytes!("../../robogate-bridge/tests/captures/roboarena/s2c_00_config_metadata.bin");
+            let config = include_bytes!("../../robogate-policy/tests/captures/roboarena/s2c_00_config_metadata.bin");
             drop(socket.send(Message::binary(config.to_vec())));
         }
     });
     let large = profile_of(&[("width = 224", "width = 256"), ("height = 224", "height = 256")]);
-    let words = ["mismatch: the server wants pictures of 224 x 224, the profile's", "is 256 x 256"];
+    let words = ["profile mismatch: the server requires images of 224 x 224, but", "is 256 x 256"];
     assert_exit(&["policy", "check", &url, "--profile", &large], 2, &words);
 }
 
 #[test]
-fn a_server_that_dies_costs_invalid_episodes_and_resume_finds_the_policy_in_the_record() {
+fn a_run_is_resumed_after_a_server_stopped() {
     let dir = TempDir::new().unwrap();
     let profile = profile(&dir, "pi0-libero", &TEN);
     let (listener, url) = listener();
@@ -165,7 +165,7 @@ fn a_server_that_dies_costs_invalid_episodes_and_resume_finds_the_policy_in_the_
     assert_exit(&["resume", &run, "--threads", "1"], 0, &[]);
     let outcomes = outcomes(&run);
     let invalid: Vec<usize> = (0..outcomes.len()).filter(|i| outcomes[*i] == "invalid").collect();
-    // Once lost, an episode stays lost: what was seen of the policy then is no evidence of it.
+    // Resume does not repeat invalid episodes.
     assert_eq!((outcomes.len(), invalid.len()), (24, 10));
     assert!(invalid[0] > 0 && invalid.windows(2).all(|pair| pair[1] == pair[0] + 1), "{outcomes:?}");
 }

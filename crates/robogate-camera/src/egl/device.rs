@@ -36,6 +36,7 @@ pub(crate) struct Gl {
 
 impl Gl {
     /// A context on the first device that supports OpenGL.
+    #[expect(clippy::disallowed_methods, reason = "EGL and its users choose the device by environment variables")]
     pub(crate) fn new() -> Result<Self, String> {
         if env::var("MUJOCO_GL").is_ok_and(|wanted| wanted == "osmesa") {
             return Err("MUJOCO_GL=osmesa selects another library. Unset it to use EGL".to_owned());

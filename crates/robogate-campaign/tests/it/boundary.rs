@@ -45,7 +45,7 @@ fn at(x: f64, y: f64) -> Assignment {
 }
 
 fn failure() -> Outcome {
-    Outcome::Failure(FailureMode::Timeout)
+    Outcome::Failure(FailureMode::TIMEOUT)
 }
 
 fn invalid() -> Outcome {
@@ -78,14 +78,14 @@ fn the_span_goes_from_the_first_to_the_last_bin_in_the_band() {
     let x = &report.parameters[0];
     assert_eq!(x.in_band, [3, 4, 5, 6, 7]);
     assert_eq!((x.span, x.drawn, x.drawn_from), (Some([3.0, 8.0]), [3.0, 8.0], DrawnFrom::Bins));
-    assert_eq!((x.along.bins[4].valid, x.along.bins[4].successes, x.along.bins[4].success_rate), (10, 4, Some(0.4)));
+    assert_eq!((x.effect.bins[4].valid, x.effect.bins[4].successes, x.effect.bins[4].success_rate), (10, 4, Some(0.4)));
     // Wilson at 95 % for 4 of 10, from R: prop.test(4, 10, correct = FALSE).
-    let [low, high] = x.along.bins[4].interval_95;
+    let [low, high] = x.effect.bins[4].interval_95;
     assert!((low - 0.168_180_3).abs() < 1e-6 && (high - 0.687_326_2).abs() < 1e-6, "{low} {high}");
     // Only the first bin of y has evidence: 45 of 100.
     let y = &report.parameters[1];
     assert_eq!((y.in_band.as_slice(), y.span), ([0].as_slice(), Some([1.0, 11.0])));
-    assert!(y.along.bins[1..].iter().all(|bin| bin.success_rate.is_none() && bin.interval_95 == [0.0, 1.0]));
+    assert!(y.effect.bins[1..].iter().all(|bin| bin.success_rate.is_none() && bin.interval_95 == [0.0, 1.0]));
     // x: 5 of 10; y: ln 11 / ln 101; k: all.
     let expected = 0.5 * 11_f64.ln() / 101_f64.ln();
     assert!((report.volume.share_of_operating_space - expected).abs() < 1e-15);
@@ -103,7 +103,7 @@ fn bins_between_two_in_the_band_are_drawn_from_too() {
 #[test]
 fn bins_are_linear_on_a_log_scale_and_the_narrowed_space_stays_logarithmic() {
     let report = find(&plan(""), &counted([5; 10]));
-    assert_eq!((report.parameters[1].along.bins[0].low, report.parameters[1].along.bins[0].high), (1.0, 11.0));
+    assert_eq!((report.parameters[1].effect.bins[0].low, report.parameters[1].effect.bins[0].high), (1.0, 11.0));
     let focus = report.focus(&space()).unwrap();
     let Domain::Continuous { low: 1.0, high: 11.0, scale: robogate_core::Scale::Log } =
         focus.volume.parameters()[1].domain
@@ -149,7 +149,7 @@ fn the_ends_of_the_range_belong_to_the_first_and_the_last_bin() {
     bins.add(&at(0.0, 1.0), &Outcome::Success);
     bins.add(&at(10.0, 101.0), &Outcome::Success);
     bins.add(&at(3.0, 11.0), &Outcome::Success);
-    let valid: Vec<u64> = bins.along()[0].bins.iter().map(|bin| bin.valid).collect();
+    let valid: Vec<u64> = bins.marginal_effects()[0].bins.iter().map(|bin| bin.valid).collect();
     assert_eq!(valid, [1, 0, 0, 1, 0, 0, 0, 0, 0, 1]);
 }
 
@@ -231,7 +231,7 @@ fn the_emphasis_gets_exactly_its_share_and_every_point_is_where_it_must_be() {
                 assert!(of("friction") < 0.3 && of("mass_kg") >= 0.5, "{scenario:?}");
             }
             for parameter in &report.parameters {
-                let value = of(&parameter.along.parameter);
+                let value = of(&parameter.effect.parameter);
                 assert!(parameter.drawn[0] <= value && value <= parameter.drawn[1], "{scenario:?}");
             }
             assert!((1.0..=5.0).contains(&of("obstacles")), "{scenario:?}");

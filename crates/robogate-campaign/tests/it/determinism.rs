@@ -10,7 +10,7 @@ use robogate_campaign::{Completion, Event, RunError, Stage, recorded, resume as 
 use robogate_core::{Seed, rollout};
 use robogate_dictionary::Dictionary;
 
-use crate::world::{self, Synthetic, files, plan, provenance, resume, start, stop_after, summary, with_crew};
+use crate::world::{self, Synthetic, files, plan, provenance, resume, start, stop_after, summary, with_pool};
 
 #[test]
 fn one_and_two_threads_give_the_same_bytes_in_every_file() {
@@ -36,8 +36,8 @@ fn every_sampler_runs_both_stages_and_resumes_to_the_same_bytes() {
         let done = start(&whole, &plan, &Synthetic::default(), 2).unwrap();
         assert_eq!(summary(&done).sampler, sampler);
         let mut stop = stop_after(90);
-        with_crew(&Synthetic::default(), 2, &mut stop, |crew, events| {
-            start_run(&pieces, &plan, provenance(), crew, events)
+        with_pool(&Synthetic::default(), 2, &mut stop, |pool, events| {
+            start_run(&pieces, &plan, provenance(), pool, events)
         })
         .unwrap();
         resume(&pieces, &Synthetic::default(), 1).unwrap();
@@ -68,22 +68,22 @@ fn twenty_interruptions_and_torn_journals_end_with_the_same_bytes() {
     let mut chance = Seed::campaign(99).stream("interruptions");
     for attempt in 0..20 {
         let dir = base.path().join(format!("{attempt}"));
-        let workshop = Synthetic::default();
+        let factory = Synthetic::default();
         let mut stop = stop_after(1 + chance.below(330) as u64);
         let threads = 1 + chance.below(3);
         let first =
-            with_crew(&workshop, threads, &mut stop, |crew, events| start_run(&dir, &plan, provenance(), crew, events));
+            with_pool(&factory, threads, &mut stop, |pool, events| start_run(&dir, &plan, provenance(), pool, events));
         let Completion::Interrupted { done, episodes: 360 } = first.unwrap() else { panic!() };
         tear(&dir, &mut chance);
         // A second interruption, now and then before the first episode.
         let mut stop = stop_after(chance.below(40) as u64);
-        let second = with_crew(&workshop, 1 + chance.below(3), &mut stop, |crew, events| {
-            resume_run(&dir, &provenance(), crew, events)
+        let second = with_pool(&factory, 1 + chance.below(3), &mut stop, |pool, events| {
+            resume_run(&dir, &provenance(), pool, events)
         });
         assert!(done < 360 && matches!(second, Ok(Completion::Interrupted { .. }) | Ok(Completion::Finished { .. })));
         if let Ok(Completion::Interrupted { .. }) = second {
             tear(&dir, &mut chance);
-            resume(&dir, &workshop, 2).unwrap();
+            resume(&dir, &factory, 2).unwrap();
         }
         assert!(files(&dir) == expected, "attempt {attempt}");
     }
@@ -109,7 +109,7 @@ fn a_run_killed_between_its_last_episode_and_its_last_file_is_finished_without_a
         }
     };
     let plan = plan(60, 30);
-    with_crew(&Synthetic::default(), 1, &mut keep, |crew, events| start_run(&dir, &plan, provenance(), crew, events))
+    with_pool(&Synthetic::default(), 1, &mut keep, |pool, events| start_run(&dir, &plan, provenance(), pool, events))
         .unwrap();
     let finished = files(&dir);
     for lost in [&["summary.json"][..], &[], &["summary.json", "dictionary.parquet"], &["boundary.json"]] {
@@ -118,7 +118,7 @@ fn a_run_killed_between_its_last_episode_and_its_last_file_is_finished_without_a
             fs::remove_file(dir.join(name)).unwrap();
             fs::write(dir.join(format!(".{name}.part")), "half").unwrap();
         }
-        resume(&dir, &Synthetic { most_stations: 0, ..Synthetic::default() }, 1).unwrap();
+        resume(&dir, &Synthetic { most_workers: 0, ..Synthetic::default() }, 1).unwrap();
         assert_eq!(files(&dir), finished, "{lost:?}");
     }
 }
@@ -129,9 +129,9 @@ fn resuming_a_finished_run_changes_nothing_and_needs_no_station() {
     let first = start(base.path(), &plan(40, 20), &Synthetic::default(), 2).unwrap();
     let before = files(base.path());
     let mut events = Vec::new();
-    let workshop = Synthetic { most_stations: 0, ..Synthetic::default() };
-    let again = with_crew(&workshop, 1, &mut |event, _| events.push(event.clone()), |crew, events| {
-        resume_run(base.path(), &provenance(), crew, events)
+    let factory = Synthetic { most_workers: 0, ..Synthetic::default() };
+    let again = with_pool(&factory, 1, &mut |event, _| events.push(event.clone()), |pool, events| {
+        resume_run(base.path(), &provenance(), pool, events)
     });
     assert_eq!(again.unwrap(), first);
     assert_eq!(files(base.path()), before);
@@ -144,8 +144,8 @@ fn an_episode_of_the_record_replays_to_the_bit() {
     start(base.path(), &plan(50, 30), &Synthetic::default(), 2).unwrap();
     for index in [0, 49, 50, 79] {
         let entry = recorded(base.path(), index).unwrap();
-        let mut station = robogate_campaign::Workshop::station(&Synthetic::default()).unwrap();
-        let again = rollout(&mut *station.simulator, &mut *station.policy, &entry.episode.scenario);
+        let mut worker = robogate_campaign::WorkerFactory::worker(&Synthetic::default()).unwrap();
+        let again = rollout(&mut *worker.environment, &mut *worker.policy, &entry.episode.scenario);
         assert_eq!(again, entry.episode);
     }
     assert!(matches!(recorded(base.path(), 80), Err(RunError::NoSuchEpisode { index: 80, episodes: 80, .. })));
@@ -177,12 +177,12 @@ const CHILD: &str = "ROBOGATE_CAMPAIGN_TEST_CHILD";
 #[ignore = "the child process of other tests"]
 fn child() {
     let Ok(dir) = std::env::var(CHILD) else { return };
-    let workshop = Synthetic { tick: Duration::from_micros(300), ..Synthetic::default() };
+    let factory = Synthetic { tick: Duration::from_micros(300), ..Synthetic::default() };
     let dir = Path::new(&dir);
     let done = if dir.join("plan.json").exists() {
-        resume(dir, &workshop, 2)
+        resume(dir, &factory, 2)
     } else {
-        start(dir, &plan(300, 150), &workshop, 2)
+        start(dir, &plan(300, 150), &factory, 2)
     };
     if let Err(error) = done {
         println!("child: {error}");
@@ -279,14 +279,14 @@ fn the_order_of_results_is_not_the_order_of_indices() {
     // Otherwise the tests above would prove little.
     let base = tempfile::tempdir().unwrap();
     let mut indices = Vec::new();
-    let workshop = Synthetic { tick: Duration::from_micros(100), ..Synthetic::default() };
+    let factory = Synthetic { tick: Duration::from_micros(100), ..Synthetic::default() };
     let mut watch = |event: &Event, _: &_| {
         if let Event::Episode { index, .. } = event {
             indices.push(*index);
         }
     };
-    with_crew(&workshop, 3, &mut watch, |crew, events| {
-        start_run(base.path(), &world::plan(200, 0), provenance(), crew, events)
+    with_pool(&factory, 3, &mut watch, |pool, events| {
+        start_run(base.path(), &world::plan(200, 0), provenance(), pool, events)
     })
     .unwrap();
     assert!(!indices.is_sorted());

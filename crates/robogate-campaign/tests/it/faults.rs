@@ -1,9 +1,9 @@
 //! What breaks under a campaign costs what broke and no more.
 
-use robogate_campaign::{Completion, Event, RunError, Warning, recorded, start as start_run};
+use robogate_campaign::{Completion, Event, ExecuteError, RunError, Warning, recorded, start as start_run};
 use robogate_core::{FaultKind, Outcome};
 
-use crate::world::{Synthetic, Trouble, files, plan, provenance, resume, start, stop_after, summary, with_crew};
+use crate::world::{Synthetic, Trouble, files, plan, provenance, resume, start, stop_after, summary, with_pool};
 
 fn some_panic(index: u64) -> Trouble {
     if index % 10 == 3 { Trouble::Panic } else { Trouble::None }
@@ -12,14 +12,14 @@ fn some_panic(index: u64) -> Trouble {
 #[test]
 fn a_panicking_simulator_costs_invalid_episodes_only() {
     let base = tempfile::tempdir().unwrap();
-    let workshop = Synthetic { trouble: some_panic, ..Synthetic::default() };
-    let done = start(&base.path().join("1"), &plan(100, 50), &workshop, 1).unwrap();
+    let factory = Synthetic { trouble: some_panic, ..Synthetic::default() };
+    let done = start(&base.path().join("1"), &plan(100, 50), &factory, 1).unwrap();
     let (uniform, boundary) = (&summary(&done).stages[0], &summary(&done).stages[1]);
     assert_eq!((uniform.episodes, uniform.valid, uniform.invalid), (100, 90, 10));
     assert_eq!((boundary.episodes, boundary.valid, boundary.invalid), (50, 45, 5));
     assert_eq!((uniform.faults[0].fault.as_str(), uniform.faults[0].episodes), ("unavailable", 10));
-    // One station for each stage, and one for each panic.
-    assert_eq!(workshop.stations.into_inner(), 2 + 15);
+    // One worker for each stage, and one for each panic.
+    assert_eq!(factory.workers.into_inner(), 2 + 15);
     // The rate is over the valid ones, and says so.
     assert_eq!(uniform.success_rate, Some(uniform.successes as f64 / 90.0));
     let entry = recorded(&base.path().join("1"), 13).unwrap();
@@ -39,9 +39,12 @@ fn a_panicking_simulator_costs_invalid_episodes_only() {
 fn without_a_station_nothing_is_recorded_and_the_run_can_be_resumed() {
     let base = tempfile::tempdir().unwrap();
     let dir = base.path().join("run");
-    let none = Synthetic { most_stations: 0, ..Synthetic::default() };
+    let none = Synthetic { most_workers: 0, ..Synthetic::default() };
     let error = start(&dir, &plan(40, 20), &none, 2).unwrap_err();
-    assert!(matches!(&error, RunError::Station(fault) if fault.detail == "no more stations"), "{error}");
+    assert!(
+        matches!(&error, RunError::Execute(ExecuteError::Worker(fault)) if fault.detail == "no more workers"),
+        "{error}"
+    );
     resume(&dir, &Synthetic::default(), 1).unwrap();
     start(&base.path().join("undisturbed"), &plan(40, 20), &Synthetic::default(), 1).unwrap();
     assert_eq!(files(&dir), files(&base.path().join("undisturbed")));
@@ -51,8 +54,8 @@ fn without_a_station_nothing_is_recorded_and_the_run_can_be_resumed() {
 fn a_station_that_cannot_be_made_again_ends_the_run_and_keeps_what_there_is() {
     let base = tempfile::tempdir().unwrap();
     let dir = base.path().join("run");
-    let one = Synthetic { trouble: some_panic, most_stations: 1, ..Synthetic::default() };
-    assert!(matches!(start(&dir, &plan(40, 20), &one, 1), Err(RunError::Station(_))));
+    let one = Synthetic { trouble: some_panic, most_workers: 1, ..Synthetic::default() };
+    assert!(matches!(start(&dir, &plan(40, 20), &one, 1), Err(RunError::Execute(ExecuteError::Worker(_)))));
     // 0 to 2 succeeded, 3 panicked and is on record.
     assert!(matches!(recorded(&dir, 3).unwrap().episode.outcome, Outcome::Invalid(_)));
     assert!(matches!(recorded(&dir, 4), Err(RunError::NoSuchEpisode { index: 4, .. })));
@@ -65,7 +68,7 @@ fn all_invalid(_: u64) -> Trouble {
 #[test]
 fn a_campaign_without_evidence_goes_on_says_so_and_claims_nothing() {
     let base = tempfile::tempdir().unwrap();
-    let workshop = Synthetic { trouble: all_invalid, ..Synthetic::default() };
+    let factory = Synthetic { trouble: all_invalid, ..Synthetic::default() };
     let mut warnings = Vec::new();
     let mut watch = |event: &Event, _: &_| {
         if let Event::Warning { warning, message } = event {
@@ -73,8 +76,8 @@ fn a_campaign_without_evidence_goes_on_says_so_and_claims_nothing() {
             warnings.push(warning.clone());
         }
     };
-    let done = with_crew(&workshop, 1, &mut watch, |crew, events| {
-        start_run(base.path(), &plan(120, 20), provenance(), crew, events)
+    let done = with_pool(&factory, 1, &mut watch, |pool, events| {
+        start_run(base.path(), &plan(120, 20), provenance(), pool, events)
     })
     .unwrap();
     let first = "setup: episode 0 cannot be set up".to_owned();
@@ -88,12 +91,12 @@ fn a_campaign_without_evidence_goes_on_says_so_and_claims_nothing() {
 #[test]
 fn a_small_campaign_without_evidence_says_so_as_well() {
     let base = tempfile::tempdir().unwrap();
-    let workshop = Synthetic { trouble: all_invalid, ..Synthetic::default() };
+    let factory = Synthetic { trouble: all_invalid, ..Synthetic::default() };
     let mut warnings = 0;
     let mut watch = |event: &Event, _: &_| {
         warnings += u32::from(matches!(event, Event::Warning { warning: Warning::AllInvalid { episodes: 5, .. }, .. }));
     };
-    with_crew(&workshop, 2, &mut watch, |crew, events| start_run(base.path(), &plan(5, 0), provenance(), crew, events))
+    with_pool(&factory, 2, &mut watch, |pool, events| start_run(base.path(), &plan(5, 0), provenance(), pool, events))
         .unwrap();
     assert_eq!(warnings, 1);
 }
@@ -109,8 +112,8 @@ fn a_stop_before_the_first_episode_and_one_after_the_last_are_both_kept() {
             stop(event, flag);
             last = Some(event.clone());
         };
-        let done = with_crew(&Synthetic::default(), 1, &mut watch, |crew, events| {
-            start_run(&dir, &plan(20, 10), provenance(), crew, events)
+        let done = with_pool(&Synthetic::default(), 1, &mut watch, |pool, events| {
+            start_run(&dir, &plan(20, 10), provenance(), pool, events)
         });
         let Completion::Interrupted { done, episodes: 30 } = done.unwrap() else { panic!() };
         assert_eq!(last, Some(Event::Interrupted { done, episodes: 30 }));
@@ -118,8 +121,8 @@ fn a_stop_before_the_first_episode_and_one_after_the_last_are_both_kept() {
         assert!((episodes..=episodes + 3 * episodes.min(1)).contains(&done), "{done} for {episodes}");
     }
     let mut stop = stop_after(30);
-    let done = with_crew(&Synthetic::default(), 1, &mut stop, |crew, events| {
-        start_run(&base.path().join("30"), &plan(20, 10), provenance(), crew, events)
+    let done = with_pool(&Synthetic::default(), 1, &mut stop, |pool, events| {
+        start_run(&base.path().join("30"), &plan(20, 10), provenance(), pool, events)
     });
     assert!(matches!(done.unwrap(), Completion::Finished { .. }));
 }
@@ -134,12 +137,12 @@ fn the_stream_of_events_tells_the_whole_story_in_order_and_survives_json() {
         story.push(event.clone());
     };
     let plan = plan(20, 10);
-    with_crew(&Synthetic::default(), 1, &mut watch, |crew, events| {
-        start_run(base.path(), &plan, provenance(), crew, events)
+    with_pool(&Synthetic::default(), 1, &mut watch, |pool, events| {
+        start_run(base.path(), &plan, provenance(), pool, events)
     })
     .unwrap();
-    with_crew(&Synthetic::default(), 1, &mut |event, _| story.push(event.clone()), |crew, events| {
-        robogate_campaign::resume(base.path(), &provenance(), crew, events)
+    with_pool(&Synthetic::default(), 1, &mut |event, _| story.push(event.clone()), |pool, events| {
+        robogate_campaign::resume(base.path(), &provenance(), pool, events)
     })
     .unwrap();
     let json: Vec<serde_json::Value> = story.iter().map(|event| serde_json::to_value(event).unwrap()).collect();
@@ -186,14 +189,14 @@ fn the_summary_says_of_what_each_rate_speaks() {
     let [uniform, boundary] = &summary.stages[..] else { panic!() };
     assert_eq!(summary.estimate.success_rate, uniform.success_rate);
     assert_eq!(uniform.valid, uniform.successes + uniform.failure_modes.iter().map(|m| m.episodes).sum::<u64>());
-    let names: Vec<&str> = uniform.along.iter().map(|along| along.parameter.as_str()).collect();
+    let names: Vec<&str> = uniform.marginal_effects.iter().map(|effect| effect.parameter.as_str()).collect();
     assert_eq!(names, ["friction", "mass_kg", "size_m"]);
-    for along in &uniform.along {
-        assert_eq!(along.bins.len(), 10);
-        assert_eq!(along.bins.iter().map(|bin| bin.valid).sum::<u64>(), uniform.valid);
-        assert_eq!(along.bins.iter().map(|bin| bin.successes).sum::<u64>(), uniform.successes);
+    for effect in &uniform.marginal_effects {
+        assert_eq!(effect.bins.len(), 10);
+        assert_eq!(effect.bins.iter().map(|bin| bin.valid).sum::<u64>(), uniform.valid);
+        assert_eq!(effect.bins.iter().map(|bin| bin.successes).sum::<u64>(), uniform.successes);
     }
-    assert!(boundary.along.is_empty());
+    assert!(boundary.marginal_effects.is_empty());
     let file: robogate_campaign::Summary =
         serde_json::from_slice(&std::fs::read(base.path().join("summary.json")).unwrap()).unwrap();
     assert_eq!(file, *summary);

@@ -5,12 +5,12 @@ use std::fs;
 use robogate_campaign::{RunError, settings};
 use robogate_dictionary::{DictionaryError, Provenance};
 
-use crate::world::{Synthetic, files, plan, provenance, resume, start, stop_after, with_crew};
+use crate::world::{Synthetic, files, plan, provenance, resume, start, stop_after, with_pool};
 
 fn interrupted(dir: &std::path::Path) {
     let mut stop = stop_after(10);
-    with_crew(&Synthetic::default(), 1, &mut stop, |crew, events| {
-        robogate_campaign::start(dir, &plan(20, 10), provenance(), crew, events)
+    with_pool(&Synthetic::default(), 1, &mut stop, |pool, events| {
+        robogate_campaign::start(dir, &plan(20, 10), provenance(), pool, events)
     })
     .unwrap();
 }
@@ -87,8 +87,8 @@ fn something_else_than_at_the_beginning_is_refused_by_name() {
     for (name, change) in changes {
         let mut present = provenance();
         change(&mut present);
-        let resumed = with_crew(&Synthetic::default(), 1, &mut |_, _| {}, |crew, events| {
-            robogate_campaign::resume(base.path(), &present, crew, events)
+        let resumed = with_pool(&Synthetic::default(), 1, &mut |_, _| {}, |pool, events| {
+            robogate_campaign::resume(base.path(), &present, pool, events)
         });
         let error = resumed.unwrap_err();
         assert!(matches!(&error, RunError::Mismatch { what, .. } if what == name), "{error}");
@@ -112,10 +112,10 @@ fn a_file_of_a_later_version_is_refused_and_not_touched() {
     interrupted(base.path());
     let path = base.path().join("plan.json");
     let text = fs::read_to_string(&path).unwrap();
-    fs::write(&path, text.replacen("\"version\": 1", "\"version\": 2", 1)).unwrap();
+    fs::write(&path, text.replacen("\"version\": 2", "\"version\": 3", 1)).unwrap();
     let before = files(base.path());
     let error = resume(base.path(), &Synthetic::default(), 1).unwrap_err();
-    assert!(matches!(error, RunError::NewerVersion { found: 2, known: 1, .. }), "{error}");
+    assert!(matches!(error, RunError::NewerVersion { found: 3, known: 2, .. }), "{error}");
     fs::write(&path, text.replacen("\"seed\": 7", "\"seed\": 8", 1)).unwrap();
     let error = resume(base.path(), &Synthetic::default(), 1).unwrap_err();
     assert!(error.to_string().contains("contradict"), "{error}");
@@ -133,8 +133,8 @@ fn the_journal_of_another_run_is_refused() {
     let mut other = plan(20, 10);
     other.seed = 8;
     let mut stop = stop_after(5);
-    with_crew(&Synthetic::default(), 1, &mut stop, |crew, events| {
-        robogate_campaign::start(&theirs, &other, provenance(), crew, events)
+    with_pool(&Synthetic::default(), 1, &mut stop, |pool, events| {
+        robogate_campaign::start(&theirs, &other, provenance(), pool, events)
     })
     .unwrap();
     fs::copy(theirs.join("journal.rgj"), ours.join("journal.rgj")).unwrap();

@@ -11,18 +11,18 @@ use crate::world::{Synthetic, plan, start};
 fn the_machinery_costs_microseconds_per_episode() {
     for (n, threads) in [(3_000, 1), (30_000, 1), (30_000, 2), (300_000, 2)] {
         let base = tempfile::tempdir().unwrap();
-        let workshop = Synthetic::default();
+        let factory = Synthetic::default();
         let begin = Instant::now();
-        start(&base.path().join("run"), &plan(n - n / 3, n / 3), &workshop, threads).unwrap();
+        start(&base.path().join("run"), &plan(n - n / 3, n / 3), &factory, threads).unwrap();
         let whole = begin.elapsed().as_secs_f64();
         // The same number of episodes in a bare loop.
         let space = std::sync::Arc::new(crate::world::space());
         let points = robogate_campaign::Points::uniform(&plan(n, 0), &space).unwrap();
-        let mut station = robogate_campaign::Workshop::station(&workshop).unwrap();
+        let mut worker = robogate_campaign::WorkerFactory::worker(&factory).unwrap();
         let begin = Instant::now();
         for index in points.indices() {
             let scenario = points.scenario(index).unwrap();
-            let episode = robogate_core::rollout(&mut *station.simulator, &mut *station.policy, &scenario);
+            let episode = robogate_core::rollout(&mut *worker.environment, &mut *worker.policy, &scenario);
             std::hint::black_box(&episode);
         }
         let bare = begin.elapsed().as_secs_f64();

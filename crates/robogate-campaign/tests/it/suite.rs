@@ -10,7 +10,7 @@ use robogate_campaign::{
 use robogate_core::Suite;
 use robogate_dictionary::{Dictionary, Entry, Provenance};
 
-use crate::world::{Synthetic, files, provenance, stop_after, summary, with_crew};
+use crate::world::{Synthetic, files, provenance, stop_after, summary, with_pool};
 
 const SUITE: &str = r#"
     schema = 1
@@ -40,8 +40,8 @@ fn origin() -> Provenance {
 fn run(dir: &Path, rounds: u64, last: u64, threads: usize) -> (Completion, Vec<u64>) {
     let plan = Plan::of_suite(suite(), rounds, 7);
     let mut seen = Vec::new();
-    let completion = with_crew(&Synthetic::default(), threads, &mut |_, _| {}, |crew, events| {
-        start_in_rounds(dir, &plan, origin(), crew, events, &mut |round| {
+    let completion = with_pool(&Synthetic::default(), threads, &mut |_, _| {}, |pool, events| {
+        start_in_rounds(dir, &plan, origin(), pool, events, &mut |round| {
             assert_eq!(round.entries.len(), 3);
             seen.push(round.number);
             if round.number == last { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -107,15 +107,15 @@ fn an_interrupted_run_is_shown_all_its_rounds_again_and_ends_with_the_same_bytes
         if number == 8 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let mut first = Vec::new();
-    let stopped = with_crew(&Synthetic::default(), 2, &mut stop_after(11), |crew, events| {
-        start_in_rounds(&pieces, &plan, origin(), crew, events, &mut |round| until_8(&mut first, round.number))
+    let stopped = with_pool(&Synthetic::default(), 2, &mut stop_after(11), |pool, events| {
+        start_in_rounds(&pieces, &plan, origin(), pool, events, &mut |round| until_8(&mut first, round.number))
     });
     assert!(matches!(stopped.unwrap(), Completion::Interrupted { .. }));
     assert!(!first.is_empty() && first.len() < 9, "{first:?}");
     assert_eq!(recorded(&pieces, 4).unwrap().label.case.as_deref(), Some("plain-2"));
     let mut again = Vec::new();
-    with_crew(&Synthetic::default(), 1, &mut |_, _| {}, |crew, events| {
-        resume_in_rounds(&pieces, &origin(), crew, events, &mut |round| until_8(&mut again, round.number))
+    with_pool(&Synthetic::default(), 1, &mut |_, _| {}, |pool, events| {
+        resume_in_rounds(&pieces, &origin(), pool, events, &mut |round| until_8(&mut again, round.number))
     })
     .unwrap();
     assert_eq!(again, (0..=8).collect::<Vec<_>>());

@@ -4,13 +4,15 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::num::NonZeroUsize;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use robogate_campaign::{Completion, Crew, Event, Plan, RunError, Station, Workshop};
+use robogate_campaign::{Completion, Event, Executor, Plan, RunError, ThreadPool, Worker, WorkerFactory};
 use robogate_core::{
-    Action, ArmCommand, Contact, Ending, FailureMode, Fault, FaultKind, GripperCommand, Measures, Observation,
-    ParameterSpace, Phase, Policy, Pose, Scenario, Seed, Simulator, Start, Step, TaskSpec,
+    Action, ActionSpace, ActionSpec, Command, Contact, Ending, Environment, FailureMode, FailureModeSpec, Fault,
+    FaultKind, MeasureSpec, Observation, ObservationSpec, ParameterSpace, Policy, Scenario, Seed, Severity, Start,
+    Step, TaskInstance, TaskSpec, Word,
 };
 use robogate_dictionary::{Engine, Platform, Provenance, Robot, SCHEMA_VERSION, Tool};
 
@@ -79,6 +81,7 @@ pub(crate) fn provenance() -> Provenance {
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
         engine: Engine { name: "synthetic".to_owned(), version: Some("1".to_owned()), build_sha256: None },
+        task: task(),
         robot: Robot { name: "none".to_owned(), sha256: Some("ab".repeat(32)), dimensions: None },
         policy: "waits".to_owned(),
         world: serde_json::json!({ "time_step_s": 0.002 }),
@@ -88,6 +91,36 @@ pub(crate) fn provenance() -> Provenance {
         platform: Some(Platform::here()),
         source: None,
     }
+}
+
+const DISTANCE: Word = Word::constant("target_distance_m");
+
+/// The task of the synthetic world. It does not declare that the part is lost.
+pub(crate) fn task() -> Arc<TaskSpec> {
+    let mode =
+        |name| FailureModeSpec { name: FailureMode::constant(name), meaning: String::new(), severity: Severity::Major };
+    Arc::new(TaskSpec {
+        name: Word::constant("synthetic"),
+        version: 1,
+        instruction: "wait".to_owned(),
+        control_period_s: PERIOD,
+        time_limit_s: 0.5,
+        failure_modes: vec![mode("grasp_miss"), mode("collision")],
+        measures: vec![MeasureSpec {
+            name: DISTANCE,
+            unit: "m".to_owned(),
+            meaning: String::new(),
+            better: robogate_core::Better::Lower,
+        }],
+        phases: Vec::new(),
+        parameters: Vec::new(),
+        observation: ObservationSpec::default(),
+        action: ActionSpec {
+            spaces: vec![ActionSpace::Vector { names: vec!["nothing".to_owned()], low: vec![-1.0], high: vec![1.0] }],
+            gripper: None,
+        },
+        details: serde_json::Value::Null,
+    })
 }
 
 /// What goes wrong in an episode, by its index.
@@ -100,33 +133,34 @@ pub(crate) enum Trouble {
 
 pub(crate) type Troubles = fn(u64) -> Trouble;
 
-/// Makes synthetic stations.
+/// Makes synthetic workers.
 pub(crate) struct Synthetic {
     pub(crate) trouble: Troubles,
     /// How long a control tick takes in the real world.
     pub(crate) tick: Duration,
-    pub(crate) stations: AtomicU64,
-    /// How many stations can be made.
-    pub(crate) most_stations: u64,
+    pub(crate) workers: AtomicU64,
+    /// How many workers can be made.
+    pub(crate) most_workers: u64,
 }
 
 impl Default for Synthetic {
     fn default() -> Self {
-        Self { trouble: |_| Trouble::None, tick: Duration::ZERO, stations: AtomicU64::new(0), most_stations: u64::MAX }
+        Self { trouble: |_| Trouble::None, tick: Duration::ZERO, workers: AtomicU64::new(0), most_workers: u64::MAX }
     }
 }
 
-impl Workshop for Synthetic {
-    fn station(&self) -> Result<Station, Fault> {
-        if self.stations.fetch_add(1, Ordering::Relaxed) >= self.most_stations {
-            return Err(Fault::new(FaultKind::Unavailable, "no more stations"));
+impl WorkerFactory for Synthetic {
+    fn worker(&self) -> Result<Worker, Fault> {
+        if self.workers.fetch_add(1, Ordering::Relaxed) >= self.most_workers {
+            return Err(Fault::new(FaultKind::Unavailable, "no more workers"));
         }
-        let world = World { trouble: self.trouble, tick: self.tick, scenario: None, ticks: 0 };
-        Ok(Station { simulator: Box::new(world), policy: Box::new(Waits) })
+        let world = World { task: task(), trouble: self.trouble, tick: self.tick, scenario: None, ticks: 0 };
+        Ok(Worker { environment: Box::new(world), policy: Box::new(Waits) })
     }
 }
 
 struct World {
+    task: Arc<TaskSpec>,
     trouble: Troubles,
     tick: Duration,
     scenario: Option<Scenario>,
@@ -138,14 +172,7 @@ const PERIOD: f64 = 0.05;
 impl World {
     fn observation(&self) -> Observation {
         let time_s = f64::from(self.ticks) * PERIOD;
-        Observation {
-            time_s,
-            joint_positions: vec![0.0],
-            joint_velocities: vec![0.0],
-            gripper_opening_m: None,
-            tool_pose: robogate_core::Pose::IDENTITY,
-            images: Vec::new(),
-        }
+        Observation { time_s, vectors: Vec::new(), images: Vec::new() }
     }
 }
 
@@ -154,39 +181,35 @@ fn ending(scenario: &Scenario) -> Option<Option<FailureMode>> {
     let of = |name: &str| scenario.requested.number(name).unwrap();
     let mut chance = scenario.seed.stream("outcome");
     if chance.uniform() < 0.02 * of("obstacles") {
-        return Some(Some(FailureMode::Collision));
+        return Some(Some(FailureMode::constant("collision")));
     }
     if chance.uniform() < 0.02 / of("size_m") * 0.2 {
-        return Some(Some(FailureMode::GraspMiss));
+        return Some(Some(FailureMode::constant("grasp_miss")));
     }
     let grip = (of("friction") / of("mass_kg")).ln();
     if chance.uniform() < 1.0 / (1.0 + (2.0 * (grip + 0.5)).exp()) {
-        return Some(Some(FailureMode::GripLoss));
+        return Some(Some(FailureMode::constant("grip_loss")));
     }
     // One in fifty goes on until the time limit.
     (chance.uniform() > 0.02).then_some(None)
 }
 
-impl Simulator for World {
+impl Environment for World {
+    fn task(&self) -> &Arc<TaskSpec> {
+        &self.task
+    }
+
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
         self.scenario = Some(scenario.clone());
         self.ticks = 0;
         if let Trouble::Invalid = (self.trouble)(scenario.index) {
             return Err(Fault::new(FaultKind::Setup, format!("episode {} cannot be set up", scenario.index)));
         }
-        let pose = Pose::upright([0.5, 0.0, 0.0], 0.0);
-        let task = TaskSpec {
-            instruction: "wait".to_owned(),
-            control_period_s: PERIOD,
-            time_limit_s: 0.5,
-            shape: "box".to_owned(),
-            object_extent_m: [0.05; 3],
-            object_pose: pose,
-            target_pose: pose,
-            tolerance_m: 0.03,
-            approach_speed_m_s: None,
-        };
-        Ok(Start { task, observation: self.observation(), applied: scenario.requested.clone() })
+        Ok(Start {
+            instance: TaskInstance::default(),
+            observation: self.observation(),
+            applied: scenario.requested.clone(),
+        })
     }
 
     fn step(&mut self, _: &Action) -> Result<Step, Fault> {
@@ -209,7 +232,7 @@ impl Simulator for World {
                 force_n: state.between(0.0, 30.0),
             }),
         });
-        let measures = Measures { target_distance_m: Some(state.uniform()), ..Measures::default() };
+        let measures = [(DISTANCE, Some(state.uniform()))].into_iter().collect();
         let state_hash = state.bits().wrapping_add(u64::from(self.ticks));
         Ok(Step { observation: self.observation(), measures, ending, events: Vec::new(), state_hash })
     }
@@ -218,40 +241,45 @@ impl Simulator for World {
 struct Waits;
 
 impl Policy for Waits {
-    fn reset(&mut self, _: &TaskSpec, _: Seed) -> Result<(), Fault> {
+    fn check(&self, _: &TaskSpec) -> Result<(), String> {
         Ok(())
     }
 
-    fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
-        Ok(Action {
-            arm: ArmCommand::JointPositions(observation.joint_positions.clone()),
-            gripper: GripperCommand::Open,
-            phase: Some(Phase::Grasp),
-        })
+    fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, _: Seed) -> Result<(), Fault> {
+        Ok(())
+    }
+
+    fn act(&mut self, _: &Observation) -> Result<Action, Fault> {
+        Ok(Action { command: Command::Vector(vec![0.0]), gripper: None, phase: Some(Word::constant("wait")) })
     }
 }
 
 /// Runs with so many threads; `watch` sees the events and may set the flag.
-pub(crate) fn with_crew<T>(
-    workshop: &dyn Workshop,
+pub(crate) fn with_pool<T>(
+    factory: &dyn WorkerFactory,
     threads: usize,
     watch: &mut dyn FnMut(&Event, &AtomicBool),
-    go: impl FnOnce(&Crew<'_>, &mut dyn FnMut(&Event)) -> T,
+    go: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> T,
 ) -> T {
     let stop = AtomicBool::new(false);
-    let crew = Crew { workshop, threads: NonZeroUsize::new(threads).unwrap(), stop: &stop };
-    go(&crew, &mut |event| watch(event, &stop))
+    let pool = ThreadPool { factory, threads: NonZeroUsize::new(threads).unwrap(), stop: &stop };
+    go(&pool, &mut |event| watch(event, &stop))
 }
 
-pub(crate) fn start(dir: &Path, plan: &Plan, workshop: &dyn Workshop, threads: usize) -> Result<Completion, RunError> {
-    with_crew(workshop, threads, &mut |_, _| {}, |crew, events| {
-        robogate_campaign::start(dir, plan, provenance(), crew, events)
+pub(crate) fn start(
+    dir: &Path,
+    plan: &Plan,
+    factory: &dyn WorkerFactory,
+    threads: usize,
+) -> Result<Completion, RunError> {
+    with_pool(factory, threads, &mut |_, _| {}, |pool, events| {
+        robogate_campaign::start(dir, plan, provenance(), pool, events)
     })
 }
 
-pub(crate) fn resume(dir: &Path, workshop: &dyn Workshop, threads: usize) -> Result<Completion, RunError> {
-    with_crew(workshop, threads, &mut |_, _| {}, |crew, events| {
-        robogate_campaign::resume(dir, &provenance(), crew, events)
+pub(crate) fn resume(dir: &Path, factory: &dyn WorkerFactory, threads: usize) -> Result<Completion, RunError> {
+    with_pool(factory, threads, &mut |_, _| {}, |pool, events| {
+        robogate_campaign::resume(dir, &provenance(), pool, events)
     })
 }
 

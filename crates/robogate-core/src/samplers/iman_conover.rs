@@ -1,8 +1,10 @@
-//! Latin hypercubes whose columns hang together.
+//! Correlated Latin hypercube sampling (Iman and Conover 1982).
+
+use robogate_maths::dense::Cholesky;
+use robogate_maths::normal::quantile;
 
 use super::latin_hypercube::ranks;
-use crate::cholesky::cholesky;
-use crate::normal::quantile;
+use crate::copula::SMALLEST_PIVOT;
 
 /// Reorders the columns, each a permutation of 0..n, so that their rank correlations come near to those of a Gaussian copula
 /// with the correlations `target`, a positive definite matrix, row by row.
@@ -23,9 +25,9 @@ pub(super) fn correlate(columns: &mut Vec<Vec<u32>>, target: &[f64]) {
     let mut wanted = target.to_vec();
     let mut off = f64::INFINITY;
     for _ in 0..ROUNDS {
-        let Ok(factor) = cholesky(&wanted, d) else { return };
-        let present = cholesky(&correlations(columns, &scores), d).ok();
-        let candidate = pass(columns, &scores, present.as_deref(), &factor);
+        let Ok(factor) = Cholesky::new(&wanted, d, SMALLEST_PIVOT) else { return };
+        let present = Cholesky::new(&correlations(columns, &scores), d, SMALLEST_PIVOT).ok();
+        let candidate = pass(columns, &scores, present.as_ref().map(Cholesky::lower), factor.lower());
         let found = of_ranks(&candidate);
         let farther = found.iter().zip(target).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         if farther >= off {
@@ -91,7 +93,8 @@ mod tests {
         let target: Vec<f64> = serde_json::from_value(case["target"].clone()).unwrap();
         let columns = table("columns");
         let scores: Vec<f64> = (1..=40).map(|rank| quantile(f64::from(rank) / 41.0)).collect();
-        let present = cholesky(&correlations(&columns, &scores), 3).unwrap();
-        assert_eq!(pass(&columns, &scores, Some(&present), &cholesky(&target, 3).unwrap()), table("after"));
+        let factor = |matrix: &[f64]| Cholesky::new(matrix, 3, SMALLEST_PIVOT).unwrap().lower().to_vec();
+        let present = factor(&correlations(&columns, &scores));
+        assert_eq!(pass(&columns, &scores, Some(&present), &factor(&target)), table("after"));
     }
 }

@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
+use robogate_maths::dense::Cholesky;
+
 use super::{balance::Shares, iman_conover::correlate, maximin::spread};
-use crate::cholesky::cholesky;
-use crate::copula::Copula;
+use crate::copula::{Copula, SMALLEST_PIVOT};
 use crate::{Design, DesignError, ParameterSpace, Sampler, Stream};
 
 /// Most points of one design: up to here a point's distance from the edge of its stratum exceeds every
@@ -137,7 +138,8 @@ fn decorrelate(columns: &mut Vec<Vec<u32>>) {
     let Some(n) = columns.first().map(Vec::len).filter(|n| *n > 1) else { return };
     let mut correlations = correlations(columns);
     for _ in 0..ROUNDS {
-        let Ok(factor) = cholesky(&correlations, d) else { return };
+        let Ok(factor) = Cholesky::new(&correlations, d, SMALLEST_PIVOT) else { return };
+        let factor = factor.lower();
         let mean = (n as f64 - 1.0) / 2.0;
         // Solved column by column, in place: y_j = (x_j - sum over k < j of L_jk y_k) / L_jj.
         let mut solved: Vec<Vec<f64>> = Vec::with_capacity(d);

@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 
 use self::file::SuiteFile;
 pub use self::problem::{SuiteError, SuiteProblem};
-use crate::{Assignment, Domain, ParameterSpace, Scenario, Seed, Value};
+use crate::samplers::LatinHypercube;
+use crate::{Assignment, Domain, ParameterSpace, Sampler, Scenario, Seed, Value};
 
 /// A list of scenarios in groups, each with a value or a small range for every parameter of the suite.
 ///
@@ -75,6 +76,33 @@ pub enum Spread {
 }
 
 impl Suite {
+    /// A suite of `scenarios` points of `space`, drawn by a Latin hypercube with this seed. It has one group.
+    pub fn sampled(space: &Arc<ParameterSpace>, scenarios: usize, seed: u64) -> Result<Self, SuiteError> {
+        let stream = Seed::campaign(seed).stream("sampled suite");
+        let wrong = |why: String| SuiteError::Syntax(why);
+        let design =
+            LatinHypercube::default().design(space, scenarios, stream).map_err(|why| wrong(why.to_string()))?;
+        let points = (0..design.len()).filter_map(|i| design.assignment(i));
+        let points: Vec<serde_json::Value> = (1..)
+            .zip(points)
+            .map(|(number, point)| {
+                let mut scenario = serde_json::Map::new();
+                scenario.insert("id".to_owned(), format!("sampled-{number:03}").into());
+                scenario.extend(point.iter().map(|(name, value)| (name.to_owned(), serde_json::json!(value))));
+                serde_json::Value::Object(scenario)
+            })
+            .collect();
+        let name = crate::Word::nearest(space.name()).map_or("space", crate::Word::as_str);
+        let file = serde_json::json!({
+            "schema": 1,
+            "name": format!("{name}-{seed}"),
+            "version": "1.0.0",
+            "description": format!("{scenarios} scenarios sampled from the parameter space `{}` with seed {seed}.", space.name()),
+            "group": [{ "name": "sampled", "category": "sampled", "scenarios": points }],
+        });
+        serde_json::from_value(file).map_err(|why| wrong(why.to_string()))
+    }
+
     /// The version of the file's form that is written here, and the newest that is read.
     pub const SCHEMA: u32 = 1;
 

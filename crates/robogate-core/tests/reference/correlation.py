@@ -1,4 +1,4 @@
-"""Writes correlation.json: what SciPy and NumPy say about normal scores, Gaussian copulas and Iman and Conover's method.
+"""Writes correlation.json: what SciPy and NumPy say about Gaussian copulas and Iman and Conover's method.
 
     python3 -m venv venv && venv/bin/pip install numpy==2.4.6 scipy==1.17.1 && venv/bin/python correlation.py
 """
@@ -10,7 +10,7 @@ import pathlib
 import numpy as np
 import scipy.integrate as si
 import scipy.stats as st
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
 OUT = {}
 
@@ -18,10 +18,6 @@ OUT = {}
 def lst(a):
     return [float(v) for v in np.asarray(a).ravel()]
 
-
-# ---------------------------------------------------------------- the normal distribution
-u = np.concatenate([np.array([2.0**-53, 1e-12, 1e-5, 0.01, 0.075, 0.5, 0.9, 0.9999]), (np.arange(20) + 0.5) / 20])
-OUT["normal"] = {"u": lst(u), "quantile": lst(ndtri(u)), "cdf_of_quantile": lst(ndtr(ndtri(u)))}
 
 # ---------------------------------------------------------------- Spearman's rho of a Gaussian copula
 # rho_S = 12 int int C(u, v) du dv - 3 = 12 E[Phi(X) Phi(Y)] - 3, by quadrature over the normal density, independently of

@@ -1,5 +1,6 @@
 //! To the published JSON.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 
 use robogate_core::{Assignment, Domain, FailureMode, Outcome, ParameterSpace, Scale, Value};
@@ -8,7 +9,7 @@ use serde::ser::{SerializeMap, Serializer};
 use serde_json::{Map, Value as Json, json};
 
 use super::{
-    ANALYTIC, COLLISION, CYCLE_TIME, DROP, FAILURE_TYPE, GRASP_MISS, SAMPLE, SUCCESS, TARGET_DISTANCE, name_there,
+    ANALYTIC, CYCLE_TIME, FAILURE_TYPE, FLAGS, Flag, SAMPLE, SUCCESS, TARGET_DISTANCE, TARGET_DISTANCE_HERE, name_there,
 };
 use crate::columns::failure_type;
 use crate::export::write_error;
@@ -16,9 +17,8 @@ use crate::{Dictionary, DictionaryError, Entry};
 
 /// Writes the dictionary in the published schema, one row a line. Returns the number of rows.
 ///
-/// The schema has no place for an episode that is no evidence: invalid ones are left out, and
-/// `metadata` says how many they were. It says too that `zone` and `fail_prob` are not there, which
-/// come from a formula and not from episodes. Parameters are the requested ones.
+/// The schema has no place for invalid episodes: they are left out, and `metadata` gives their number. `metadata` also
+/// says that `zone` and `fail_prob` are left out. Parameters are the requested ones.
 pub fn export(dictionary: &Dictionary, mut out: impl Write) -> Result<u64, DictionaryError> {
     let mut counts = Counts::default();
     for entry in dictionary.entries() {
@@ -30,6 +30,8 @@ pub fn export(dictionary: &Dictionary, mut out: impl Write) -> Result<u64, Dicti
     text.extend_from_slice(b",\n\"summary\": ");
     to_json(&mut text, &counts.summary())?;
     text.extend_from_slice(b",\n\"experiments\": [");
+    let task = &dictionary.provenance().task;
+    let flags: Vec<&Flag> = FLAGS.iter().filter(|flag| task.declares(flag.mode)).collect();
     let mut rows = 0;
     for entry in dictionary.entries() {
         let entry = entry?;
@@ -37,7 +39,7 @@ pub fn export(dictionary: &Dictionary, mut out: impl Write) -> Result<u64, Dicti
             continue;
         }
         text.extend_from_slice(if rows == 0 { b"\n" } else { b",\n" });
-        to_json(&mut text, &PublishedRow(&entry))?;
+        to_json(&mut text, &PublishedRow { entry: &entry, flags: &flags })?;
         rows += 1;
         if text.len() > 1 << 16 {
             out.write_all(&text).map_err(write_error)?;
@@ -57,7 +59,7 @@ fn to_json(text: &mut Vec<u8>, value: &impl Serialize) -> Result<(), DictionaryE
 #[derive(Default)]
 struct Counts {
     successes: u64,
-    failures: [u64; 4],
+    failures: BTreeMap<FailureMode, u64>,
     invalid: u64,
 }
 
@@ -66,28 +68,24 @@ impl Counts {
         match outcome {
             Outcome::Success => self.successes += 1,
             Outcome::Invalid(_) => self.invalid += 1,
-            Outcome::Failure(mode) => {
-                if let Some(at) = FailureMode::ALL.iter().position(|known| known == mode) {
-                    self.failures[at] += 1;
-                }
-            }
+            Outcome::Failure(mode) => *self.failures.entry(*mode).or_default() += 1,
         }
     }
 
     fn total(&self) -> u64 {
-        self.successes + self.failures.iter().sum::<u64>()
+        self.successes + self.failures.values().sum::<u64>()
     }
 
     fn summary(&self) -> Json {
-        let types = FailureMode::ALL.iter().zip(self.failures).filter(|(_, n)| *n > 0);
-        let types: Map<String, Json> = types.map(|(mode, n)| (mode.word().to_owned(), n.into())).collect();
+        let types: Map<String, Json> =
+            self.failures.iter().map(|(mode, n)| (mode.as_str().to_owned(), (*n).into())).collect();
         let mut summary = json!({
             "total": self.total(),
             "success_count": self.successes,
             "failure_count": self.total() - self.successes,
             "failure_types": types,
         });
-        // The rate of nothing is no number.
+        // No episodes have no rate.
         if self.total() > 0 {
             summary["success_rate"] = (self.successes as f64 / self.total() as f64).into();
         }
@@ -108,9 +106,9 @@ fn metadata(dictionary: &Dictionary, counts: &Counts) -> Json {
         "dataset_hash": dictionary.dataset_hash(),
         "invalid_episodes_left_out": counts.invalid,
         "fields_left_out": ANALYTIC,
-        "note": "Parameters are those requested. zone and fail_prob come from an analytic formula in the published \
-                 dictionaries, not from episodes, and are not there. Rows of a boundary-focused stage do not speak of \
-                 the whole space: their importance weights are in the Parquet dictionary.",
+        "note": "Parameters are the requested ones. zone and fail_prob are left out: in the published dictionaries an \
+                 analytic formula gives them. Rows of a boundary-focused stage do not represent the whole space: \
+                 their importance weights are in the Parquet dictionary.",
     })
 }
 
@@ -132,24 +130,27 @@ fn parameter_space(space: &ParameterSpace) -> Json {
     Json::Object(parameters.collect())
 }
 
-struct PublishedRow<'a>(&'a Entry);
+struct PublishedRow<'a> {
+    entry: &'a Entry,
+    /// The flags of failure modes that the task has.
+    flags: &'a [&'a Flag],
+}
 
 impl Serialize for PublishedRow<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let episode = &self.0.episode;
-        let failed = |mode| episode.outcome == Outcome::Failure(mode);
+        let episode = &self.entry.episode;
         let mut row = serializer.serialize_map(None)?;
         parameters(&mut row, &episode.scenario.requested)?;
         row.serialize_entry(SUCCESS, &(episode.outcome == Outcome::Success))?;
         row.serialize_entry(FAILURE_TYPE, &failure_type(&episode.outcome))?;
         row.serialize_entry(CYCLE_TIME, &episode.time_s)?;
-        row.serialize_entry(COLLISION, &failed(FailureMode::Collision))?;
-        row.serialize_entry(DROP, &failed(FailureMode::GripLoss))?;
-        row.serialize_entry(GRASP_MISS, &failed(FailureMode::GraspMiss))?;
-        if let Some(distance) = episode.measures.target_distance_m {
+        for flag in self.flags {
+            row.serialize_entry(flag.column, &(episode.outcome == Outcome::Failure(flag.mode)))?;
+        }
+        if let Some(distance) = episode.measures.get(TARGET_DISTANCE_HERE.as_str()) {
             row.serialize_entry(TARGET_DISTANCE, &distance)?;
         }
-        row.serialize_entry(SAMPLE, &self.0.index())?;
+        row.serialize_entry(SAMPLE, &self.entry.index())?;
         row.end()
     }
 }

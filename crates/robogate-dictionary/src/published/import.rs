@@ -1,31 +1,32 @@
 //! From the published JSON.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
 use robogate_core::{
-    Assignment, Domain, Episode, FailureMode, Measures, Outcome, Parameter, ParameterSpace, Scenario, Seed, Value,
+    Assignment, Domain, Episode, FailureMode, Outcome, Parameter, ParameterSpace, Scenario, Seed, Value,
 };
 use serde_json::json;
 
 use super::rows::{self, Frame};
 use super::{
-    ANALYTIC, COLLISION, CYCLE_TIME, DROP, FAILURE_TYPE, GRASP_MISS, PREFIX, SAMPLE, SUCCESS, TARGET_DISTANCE,
+    ANALYTIC, CYCLE_TIME, FAILURE_TYPE, FLAGS, PREFIX, SAMPLE, SUCCESS, TARGET_DISTANCE, TARGET_DISTANCE_HERE,
     name_here,
 };
 use crate::codec::{EXACT_INTEGER, Interner};
-use crate::columns::{Columns, failure_type};
+use crate::columns::Columns;
 use crate::fields::Fields;
-use crate::raw::{RawRow, Scalar};
+use crate::raw::{MOST_MODES, RawRow, Scalar};
 use crate::{
     DictionaryError, DictionaryWriter, Engine, Entry, Label, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool,
-    Written,
+    Written, v1,
 };
 
-/// What an import made.
+/// The result of an import.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Imported {
-    /// The provenance that was written: its `source` has what had to be decided or left out.
+    /// The provenance that was written; its `source` lists what was decided or left out.
     pub provenance: Provenance,
     /// The rows.
     pub written: Written,
@@ -33,9 +34,9 @@ pub struct Imported {
 
 /// Imports the published file `from` as the dictionary `to`.
 ///
-/// The file is read twice: once to derive the parameter space from it (observed ranges and words) and
-/// to check every row, once to write. Nothing is written where a row is wrong. Each row has weight 1:
-/// the distribution it was drawn from is taken to be the one its rates speak of.
+/// The file is read twice: once to derive the parameter space (observed ranges and words) and to check every row, once to
+/// write. Nothing is written where a row is wrong. Each row has weight 1: rates apply to the distribution that the rows
+/// were sampled from.
 pub fn import(from: &Path, to: &Path) -> Result<Imported, DictionaryError> {
     let mut survey = Survey::default();
     let frame = rows::read(from, &mut |row| survey.row(from, row))?;
@@ -57,7 +58,7 @@ pub fn import(from: &Path, to: &Path) -> Result<Imported, DictionaryError> {
 struct Survey {
     rows: u64,
     successes: u64,
-    failures: [u64; 4],
+    failures: BTreeMap<FailureMode, u64>,
     flagged_later: u64,
     fields: Fields,
     /// The last sample index; `None` once they do not rise, or one is missing.
@@ -73,10 +74,15 @@ impl Survey {
         match outcome {
             Outcome::Success => self.successes += 1,
             Outcome::Failure(mode) => {
-                let at = FailureMode::ALL.iter().position(|known| *known == mode).unwrap_or(0);
-                self.failures[at] += 1;
-                let flags = [COLLISION, DROP, GRASP_MISS];
-                let raised = flags.iter().filter(|flag| row.get(flag) == Some(&Scalar::Bool(true))).count();
+                *self.failures.entry(mode).or_default() += 1;
+                if self.failures.len() > MOST_MODES {
+                    return Err(row.wrong(
+                        path,
+                        FAILURE_TYPE,
+                        format!("is one failure mode too many. Expected at most {MOST_MODES} in a file"),
+                    ));
+                }
+                let raised = FLAGS.iter().filter(|flag| row.get(flag.column) == Some(&Scalar::Bool(true))).count();
                 let own = usize::from(flag_of(mode).is_some_and(|flag| row.get(flag).is_some()));
                 self.flagged_later += u64::from(raised > own);
             }
@@ -103,11 +109,11 @@ impl Survey {
         self.last_sample = sample;
     }
 
-    /// What the file says about its rows as a whole must be so.
+    /// The totals of the file must be those of its rows.
     fn check_frame(&self, path: &Path, frame: &Frame) -> Result<(), DictionaryError> {
         let refuse = |reason: String| Err(DictionaryError::Published { path: path.to_owned(), reason });
         if self.rows == 0 {
-            return refuse("its `experiments` are empty: there is no space to derive from them".to_owned());
+            return refuse("its `experiments` are empty. Expected at least one row".to_owned());
         }
         let failures = self.rows - self.successes;
         let whole = [
@@ -117,10 +123,12 @@ impl Survey {
             ("summary.failure_count", &frame.summary["failure_count"], failures),
         ];
         let types = &frame.summary["failure_types"];
-        let by_mode = FailureMode::ALL.iter().zip(self.failures).map(|(mode, n)| (mode.word(), &types[mode.word()], n));
+        let count = |name: &str| self.failures.iter().find(|(mode, _)| mode.as_str() == name).map_or(0, |(_, n)| *n);
+        let by_mode =
+            types.as_object().into_iter().flatten().map(|(name, claimed)| (name.as_str(), claimed, count(name)));
         for (name, claimed, found) in whole.into_iter().chain(by_mode) {
             if claimed.as_u64().is_some_and(|claimed| claimed != found) {
-                return refuse(format!("its `{name}` says {claimed}, its rows have {found}"));
+                return refuse(format!("its `{name}` is {claimed}, but its rows have {found}"));
             }
         }
         Ok(())
@@ -140,7 +148,7 @@ impl Survey {
             let domain = match field.domain() {
                 Ok(domain) => domain,
                 Err(why) => {
-                    notes.push(format!("field `{}` is left out: {why}", field.name));
+                    notes.push(format!("Field `{}` is ignored: {why}.", field.name));
                     continue;
                 }
             };
@@ -149,44 +157,44 @@ impl Survey {
                     path: path.to_owned(),
                     row: Row(row),
                     column: field.name.to_string(),
-                    value: "the missing value".to_owned(),
-                    reason: "is there in other rows\nhint: every row must have every parameter".to_owned(),
+                    value: "a missing value".to_owned(),
+                    reason: "cannot be used. Expected a value in every row, as other rows have it".to_owned(),
                 });
             }
             let here = free_name(&field.name);
             if here != name_here(&field.name) {
-                notes.push(format!("field `{}` is the parameter `{here}`: its name is another column's", field.name));
+                notes.push(format!("Field `{}` is the parameter `{here}`: another column has its name.", field.name));
             }
             parameters.push(Parameter { name: here.into(), domain });
             fields.push(field.name);
         }
         for name in left_out {
-            notes.push(format!("field `{name}` is left out: a formula gave it, not an episode"));
+            notes.push(format!("Field `{name}` is ignored: it comes from a formula and not from an episode."));
         }
         let space = ParameterSpace::new("imported", parameters)?;
         if !self.samples_rise {
-            notes.push(format!("`{SAMPLE}` is missing in a row or does not rise: the index is the row's number"));
+            notes.push(format!("`{SAMPLE}` is missing in a row or does not rise: the index is the row's number."));
         }
         if self.flagged_later > 0 {
             let n = self.flagged_later;
-            notes.push(format!("{n} failures have the flag of another failure too: only `{FAILURE_TYPE}` is kept"));
+            notes.push(format!("Failures with the flag of another failure: {n}. Only `{FAILURE_TYPE}` is kept."));
         }
         let seed = frame.metadata["seed"].as_u64();
         if seed.is_none() {
-            notes.push("the campaign's seed is not known: 0 stands in its place".to_owned());
+            notes.push("The campaign's seed is not known: 0 is used in its place.".to_owned());
         }
         notes.push(
-            "applied parameters, phases, contacts, ticks and trajectory hashes are not in the source: ticks and hashes \
-             are 0"
+            "The source has no applied parameters, phases, contacts, ticks and trajectory hashes. Ticks and hashes are 0."
                 .to_owned(),
         );
-        notes.push("ranges are the observed ones, and each row has weight 1".to_owned());
+        notes.push("Ranges are the observed ones, and each row has weight 1.".to_owned());
         let word = |key: &str| frame.metadata[key].as_str();
         let name = |keys: [&str; 2]| keys.into_iter().find_map(word).unwrap_or("unknown").to_owned();
         let provenance = Provenance {
             tool: Tool::robogate(),
             schema_version: SCHEMA_VERSION,
             engine: Engine { name: name(["simulator", "mode"]), version: None, build_sha256: None },
+            task: Arc::new(v1::task()),
             robot: Robot { name: name(["robot", "robot_name"]), sha256: None, dimensions: None },
             policy: name(["policy", "controller"]),
             world: serde_json::Value::Null,
@@ -202,22 +210,23 @@ impl Survey {
             }),
         };
         // Refused here, before anything is written.
-        Columns::of(&provenance.space, SCHEMA_VERSION)?;
+        Columns::of(&provenance.task, &provenance.space, SCHEMA_VERSION)?;
         Ok(Plan { provenance, fields, by_sample: self.samples_rise })
     }
 }
 
-/// Our name of a published parameter, out of the way of the other columns.
+/// Our name of a published parameter; it differs from the names of the other columns.
 fn free_name(published: &str) -> String {
     let here = name_here(published);
     let parameter = |name: &str| Parameter { name: name.into(), domain: Domain::Integer { low: 0, high: 0 } };
     let clashes = ParameterSpace::new("one", vec![parameter(here)])
-        .is_ok_and(|space| Columns::of(&space, SCHEMA_VERSION).is_err());
+        .is_ok_and(|space| Columns::of(&v1::task(), &space, SCHEMA_VERSION).is_err());
     if clashes { format!("{PREFIX}{here}") } else { here.to_owned() }
 }
 
 fn is_parameter(name: &str) -> bool {
-    ![SUCCESS, FAILURE_TYPE, CYCLE_TIME, TARGET_DISTANCE, SAMPLE, COLLISION, DROP, GRASP_MISS].contains(&name)
+    ![SUCCESS, FAILURE_TYPE, CYCLE_TIME, TARGET_DISTANCE, SAMPLE].contains(&name)
+        && FLAGS.iter().all(|flag| flag.column != name)
 }
 
 /// How a row becomes an entry.
@@ -248,7 +257,7 @@ impl Plan {
                     (Some(Scalar::Integer(n)), _) => Value::Integer(*n),
                     (Some(Scalar::Number(x)), _) => Value::Number(*x),
                     (Some(Scalar::Text(text)), _) => Value::Category(words.get(text)),
-                    _ => return Err(row.wrong(path, field, "is no parameter's value")),
+                    _ => return Err(row.wrong(path, field, "is not a value that a parameter can have")),
                 };
                 Ok((Arc::clone(&parameter.name), value))
             })
@@ -260,7 +269,7 @@ impl Plan {
             time_s: cycle_time(path, row)?,
             phase: None,
             contact: None,
-            measures: Measures { target_distance_m: target_distance(path, row)?, ..Measures::default() },
+            measures: [(TARGET_DISTANCE_HERE, target_distance(path, row)?)].into_iter().collect(),
             ticks: 0,
             trajectory_hash: 0,
         };
@@ -276,27 +285,21 @@ impl Plan {
 
 /// The flag that a failure of this mode raises.
 fn flag_of(mode: FailureMode) -> Option<&'static str> {
-    match mode {
-        FailureMode::GraspMiss => Some(GRASP_MISS),
-        FailureMode::GripLoss => Some(DROP),
-        FailureMode::Collision => Some(COLLISION),
-        FailureMode::Timeout => None,
-    }
+    FLAGS.iter().find(|flag| flag.mode == mode).map(|flag| flag.column)
 }
 
-/// How the row's episode went, by all that the row says about it.
+/// How the row's episode ended, by all of its fields.
 fn outcome(path: &Path, row: &RawRow) -> Result<Outcome, DictionaryError> {
     let Some(Scalar::Bool(success)) = row.get(SUCCESS) else {
         return Err(row.wrong(path, SUCCESS, "is neither true nor false"));
     };
     let Some(Scalar::Text(word)) = row.get(FAILURE_TYPE) else {
-        return Err(row.wrong(path, FAILURE_TYPE, "is no word"));
+        return Err(row.wrong(path, FAILURE_TYPE, "is not a word. Expected a failure mode or none"));
     };
-    let known = FailureMode::ALL.into_iter().map(Outcome::Failure).chain([Outcome::Success]);
-    let outcome = known
-        .into_iter()
-        .find(|outcome| failure_type(outcome) == Some(word))
-        .ok_or_else(|| row.wrong(path, FAILURE_TYPE, "is none of none, timeout, grip_loss, collision, grasp_miss"))?;
+    let outcome = match word.as_str() {
+        "none" => Outcome::Success,
+        word => Outcome::Failure(FailureMode::new(word).map_err(|why| row.wrong(path, FAILURE_TYPE, why.to_string()))?),
+    };
     if (outcome == Outcome::Success) != *success {
         return Err(row.wrong(path, FAILURE_TYPE, format!("contradicts `{SUCCESS}`, which is {success}")));
     }
@@ -304,7 +307,7 @@ fn outcome(path: &Path, row: &RawRow) -> Result<Outcome, DictionaryError> {
         Outcome::Failure(mode) => flag_of(*mode),
         Outcome::Success | Outcome::Invalid(_) => None,
     };
-    for flag in [COLLISION, DROP, GRASP_MISS] {
+    for flag in FLAGS.map(|flag| flag.column) {
         let contradicts = match row.get(flag) {
             None | Some(Scalar::Null) => false,
             Some(Scalar::Bool(raised)) => {
@@ -326,7 +329,7 @@ fn outcome(path: &Path, row: &RawRow) -> Result<Outcome, DictionaryError> {
 /// The row's cycle time, in seconds.
 fn cycle_time(path: &Path, row: &RawRow) -> Result<f64, DictionaryError> {
     non_negative(path, row, CYCLE_TIME)?
-        .ok_or_else(|| row.wrong(path, CYCLE_TIME, "is no time in seconds\nhint: every row must have it"))
+        .ok_or_else(|| row.wrong(path, CYCLE_TIME, "is not a time. Expected seconds in every row"))
 }
 
 /// The row's distance of the object from its target, in metres.
@@ -339,7 +342,7 @@ fn non_negative(path: &Path, row: &RawRow, field: &str) -> Result<Option<f64>, D
         None | Some(Scalar::Null) => return Ok(None),
         Some(Scalar::Integer(n)) => *n as f64,
         Some(Scalar::Number(x)) => *x,
-        Some(_) => return Err(row.wrong(path, field, "is no number")),
+        Some(_) => return Err(row.wrong(path, field, "is not a number")),
     };
-    if x < 0.0 { Err(row.wrong(path, field, "is below 0")) } else { Ok(Some(x)) }
+    if x < 0.0 { Err(row.wrong(path, field, "is negative. Expected 0 or more")) } else { Ok(Some(x)) }
 }

@@ -1,12 +1,12 @@
 //! The JSON of the dictionaries released with the paper.
 //!
 //! One object: `metadata`, `summary`, and `experiments`, an array of flat rows (appendix A of the paper).
-//! Their field names carry no units; ours do, so that `mass` there is `mass_kg` here. Both directions are
-//! streams: a row is in memory one at a time, however large the file.
+//! Their field names have no units and ours do: `mass` there is `mass_kg` here. Both directions are streams that hold
+//! one row at a time.
 //!
-//! What the published rows do not have (applied parameters, contacts, phases, ticks, trajectory hashes)
-//! is missing after an import. What we do not measure (`zone` and `fail_prob`, which come from an
-//! analytic formula and not from episodes) is neither imported nor invented in an export.
+//! The published rows have no applied parameters, contacts, phases, ticks and trajectory hashes. These are missing after
+//! an import. `zone` and `fail_prob` come from an analytic formula and not from episodes: they are neither imported nor
+//! exported.
 
 mod export;
 mod import;
@@ -14,6 +14,7 @@ mod rows;
 
 pub use export::export;
 pub use import::{Imported, import};
+use robogate_core::{FailureMode, Word};
 
 /// Published names of parameters and our names for them, where they differ.
 const NAMES: [(&str, &str); 6] = [
@@ -25,20 +26,38 @@ const NAMES: [(&str, &str); 6] = [
     ("position_jitter", "position_jitter_m"),
 ];
 
-/// What stands before the name of a published parameter that is the name of another column here.
+/// Prefix of a published parameter whose name is that of another column here.
 const PREFIX: &str = "published_";
 
-/// Fields of a published row that an analytic formula gave, and no episode.
+/// Fields of a published row that come from an analytic formula.
 const ANALYTIC: [&str; 2] = ["zone", "fail_prob"];
+
+/// A column of a published row: whether one failure mode happened.
+#[derive(Debug)]
+pub(crate) struct Flag {
+    /// The failure mode.
+    pub(crate) mode: FailureMode,
+    /// The column.
+    pub(crate) column: &'static str,
+    /// Whether an episode can have it and succeed all the same: a second grasp makes up for one that missed.
+    pub(crate) tolerated: bool,
+}
+
+/// The flags of a published row. Tables of other tools use these names, too.
+pub(crate) const FLAGS: [Flag; 3] = [
+    Flag { mode: FailureMode::constant("collision"), column: "collision", tolerated: false },
+    Flag { mode: FailureMode::constant("grip_loss"), column: "drop", tolerated: false },
+    Flag { mode: FailureMode::constant("grasp_miss"), column: "grasp_miss", tolerated: true },
+];
+
+/// Our name of the measure that is called [`TARGET_DISTANCE`] there.
+const TARGET_DISTANCE_HERE: Word = Word::constant("target_distance_m");
 
 const SUCCESS: &str = "success";
 const FAILURE_TYPE: &str = "failure_type";
 const CYCLE_TIME: &str = "cycle_time";
 const TARGET_DISTANCE: &str = "dist_to_target";
 const SAMPLE: &str = "sample_idx";
-const COLLISION: &str = "collision";
-const DROP: &str = "drop";
-const GRASP_MISS: &str = "grasp_miss";
 
 /// Our name of a published parameter.
 fn name_here(published: &str) -> &str {

@@ -10,7 +10,7 @@ use crate::DictionaryError;
 use crate::codec::Interner;
 use crate::raw::{AnyScalar, MOST_FIELDS, MOST_JSON, Metered, Name, RawRow};
 
-/// What stands around the rows.
+/// The file without its rows.
 #[derive(Debug)]
 pub(super) struct Frame {
     pub(super) metadata: Json,
@@ -42,7 +42,7 @@ pub(super) fn read(
     if !whole.experiments {
         return Err(DictionaryError::Published {
             path: path.to_owned(),
-            reason: "it has no `experiments`\nhint: a summary alone cannot be imported; the rows are needed".to_owned(),
+            reason: "it has no `experiments`. Expected rows: a summary alone cannot be imported".to_owned(),
         });
     }
     let Whole { metadata, summary, .. } = whole;
@@ -78,7 +78,7 @@ impl<'de> Visitor<'de> for &mut Whole<'_> {
             match key.as_str() {
                 "metadata" => self.metadata = map.next_value()?,
                 "summary" => self.summary = map.next_value()?,
-                "experiments" if self.experiments => return Err(A::Error::custom("`experiments` is there twice")),
+                "experiments" if self.experiments => return Err(A::Error::custom("`experiments` appears twice")),
                 "experiments" => {
                     self.experiments = true;
                     map.next_value_seed(Rows(self))?;
@@ -124,7 +124,7 @@ impl<'de> Visitor<'de> for Rows<'_, '_> {
     }
 }
 
-/// One flat object, into a row whose memory is used again.
+/// One flat object; the row's memory is reused.
 struct OneRow<'a> {
     row: &'a mut RawRow,
     names: &'a mut Interner,

@@ -10,8 +10,7 @@ use super::{Frame, Sink};
 use crate::DictionaryError;
 use crate::raw::{MOST_FIELDS, Metered, RawRow, Scalar};
 
-/// The longest record, in bytes, that is read: an opened quote that is never closed would else swallow
-/// the file.
+/// The longest record, in bytes. Without a bound a quote that is never closed would take in the whole file.
 const LONGEST: u64 = 1 << 20;
 
 pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
@@ -27,7 +26,7 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
     let mut reader = ReaderBuilder::new().delimiter(delimiter).from_reader(&mut metered);
     let headers = reader.headers().map_err(|e| refuse(path, &e))?;
     if headers.len() > MOST_FIELDS {
-        let reason = format!("its header has {} columns, more than {MOST_FIELDS}", headers.len());
+        let reason = format!("its header has {} columns. Expected at most {MOST_FIELDS}", headers.len());
         return Err(DictionaryError::results(path, reason));
     }
     let names: Vec<Arc<str>> = headers.iter().map(|name| name.trim().into()).collect();
@@ -47,14 +46,14 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
     Ok(Frame { sha256: metered.into_inner().sha256(), ..Frame::default() })
 }
 
-/// What parts the header: the most frequent of comma, semicolon and tab.
+/// The separator of the header: the most frequent of comma, semicolon and tab.
 fn delimiter(header: &[u8]) -> u8 {
     let count = |of: u8| header.iter().filter(|byte| **byte == of).count();
     let most = *b",;\t".iter().rev().max_by_key(|of| count(**of)).unwrap_or(&b',');
     if count(most) == 0 { b',' } else { most }
 }
 
-/// What a field of text stands for. `nan` and its like are how other tools write a missing value.
+/// The value of a field. Other tools write `nan` and the like for a missing value.
 fn scalar(text: &str) -> Scalar {
     let text = text.trim();
     if ["", "nan", "null", "none", "na", "n/a"].contains(&text.to_ascii_lowercase().as_str()) {
@@ -69,7 +68,7 @@ fn scalar(text: &str) -> Scalar {
         return Scalar::Integer(n);
     }
     match text.parse::<f64>() {
-        // `inf` and what overflows to it are no numbers that a parameter can have.
+        // A parameter cannot be infinite.
         Ok(x) if x.is_finite() => Scalar::Number(x),
         _ => Scalar::Text(text.to_owned()),
     }
@@ -81,9 +80,9 @@ fn refuse(path: &Path, error: &::csv::Error) -> DictionaryError {
         ErrorKind::Io(e) if e.kind() == std::io::ErrorKind::InvalidData => {
             format!("{line}{e}\nhint: look for a quote that is opened and never closed")
         }
-        ErrorKind::Utf8 { err, .. } => format!("{line}{err}\nhint: write it as UTF-8"),
+        ErrorKind::Utf8 { err, .. } => format!("{line}{err}. Expected UTF-8"),
         ErrorKind::UnequalLengths { expected_len, len, .. } => {
-            format!("{line}{len} fields under a header of {expected_len}")
+            format!("{line}{len} fields. Expected {expected_len}, as in the header")
         }
         _ => error.to_string(),
     };

@@ -1,4 +1,4 @@
-//! A JSON object as a flat row: what is nested in objects has a name with dots (`metrics.success`).
+//! A JSON object as a flat row: a nested field has a name with dots (`metrics.success`).
 
 use std::fmt;
 use std::io::{BufReader, Read};
@@ -16,7 +16,7 @@ use crate::raw::{MOST_FIELDS, MOST_JSON, Meter, Metered, RawRow, Scalar};
 pub(super) struct FlatRow<'a> {
     pub(super) row: &'a mut RawRow,
     pub(super) names: &'a mut Interner,
-    /// What stands before each name, with its dot.
+    /// The prefix of each name, with its dot.
     pub(super) prefix: &'a str,
 }
 
@@ -109,7 +109,7 @@ impl<'de> Visitor<'de> for OneField<'_> {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<(), A::Error> {
-        // Names grow with depth; beyond this they are no columns.
+        // Names grow with depth; longer ones are not columns.
         const LONGEST: usize = 200;
         if self.name.len() > LONGEST {
             return Err(A::Error::custom(format!("row {} is nested too deeply", self.row.number)));
@@ -119,7 +119,7 @@ impl<'de> Visitor<'de> for OneField<'_> {
     }
 }
 
-/// Rows on their way out of a JSON document. Serde's errors are text; a typed one waits here.
+/// Rows read from a JSON document. Serde's errors are text; a typed one is kept here.
 pub(super) struct Rows<'a> {
     sink: Sink<'a>,
     meter: Meter,
@@ -129,7 +129,7 @@ pub(super) struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    /// Reads the JSON document `path`: `visit` sees it and hands on its rows. Returns its hash.
+    /// Reads the JSON document `path`: `visit` reads it and passes on its rows. Returns its hash.
     pub(super) fn read(
         path: &Path,
         sink: Sink<'a>,
@@ -148,13 +148,13 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// A field of the row at hand.
+    /// Adds a field to the current row.
     pub(super) fn push(&mut self, name: &str, value: Scalar) {
         let name = self.names.get(name);
         self.row.fields.push((name, value));
     }
 
-    /// Hands the row at hand on and begins the next.
+    /// Passes on the current row and starts the next.
     pub(super) fn finish_row<E: Error>(&mut self) -> Result<(), E> {
         self.meter.reset();
         if let Err(error) = (self.sink)(&self.row) {
@@ -170,7 +170,7 @@ impl<'a> Rows<'a> {
 /// The reader of a JSON document.
 pub(super) type Json<'a> = serde_json::Deserializer<serde_json::de::IoRead<Box<dyn Read + 'a>>>;
 
-/// The scalars of an object as metadata, with names behind a prefix; what is nested in arrays is left out.
+/// The scalars of an object as metadata, with prefixed names; arrays are left out.
 pub(super) struct Scalars<'a>(pub(super) &'a mut serde_json::Map<String, serde_json::Value>);
 
 impl<'de> DeserializeSeed<'de> for Scalars<'_> {
@@ -188,7 +188,7 @@ impl<'de> DeserializeSeed<'de> for Scalars<'_> {
     }
 }
 
-/// A scalar as metadata keeps it; a long text is no metadata.
+/// A scalar as metadata; a long text is left out.
 pub(super) fn metadata(value: Scalar) -> Option<serde_json::Value> {
     const LONGEST: usize = 1000;
     Some(match value {

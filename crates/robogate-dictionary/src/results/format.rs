@@ -33,7 +33,7 @@ impl Format {
         [Self::Published, Self::LeRobot, Self::VlaEval, Self::Csv, Self::JsonLines, Self::Parquet];
 
     /// Its name in options and provenance.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Published => "published_json",
             Self::LeRobot => "lerobot",
@@ -44,7 +44,7 @@ impl Format {
         }
     }
 
-    /// Where its fields are, before the user says otherwise.
+    /// Where its fields are, unless the user's mapping says otherwise.
     pub(super) fn mapping(self) -> Mapping {
         match self {
             Self::LeRobot => super::lerobot::mapping(),
@@ -56,14 +56,14 @@ impl Format {
 
 impl fmt::Display for Format {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.word())
+        f.write_str(self.as_str())
     }
 }
 
-/// The most bytes that are looked at before a JSON object must have shown what it is.
+/// The most bytes that are read to recognise a JSON object.
 const FIRST_LOOK: u64 = 16 << 20;
 
-/// Recognises a file by what is in it; its name plays no part.
+/// Recognises a file by its content; its name is not used.
 pub(super) fn recognise(path: &Path) -> Result<Format, DictionaryError> {
     let file = File::open(path).map_err(DictionaryError::io(path, "open"))?;
     let mut reader = BufReader::with_capacity(1 << 16, file.take(FIRST_LOOK));
@@ -72,7 +72,7 @@ pub(super) fn recognise(path: &Path) -> Result<Format, DictionaryError> {
         DictionaryError::results(
             path,
             format!(
-                "{what}\nhint: LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON, CSV, JSON Lines and Parquet are read; where it is one of them, say --format"
+                "{what}. Expected LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON, CSV, JSON Lines or Parquet\nhint: where it is one of them, name it with --format"
             ),
         )
     };
@@ -83,11 +83,11 @@ pub(super) fn recognise(path: &Path) -> Result<Format, DictionaryError> {
     match text.iter().find(|byte| !byte.is_ascii_whitespace()) {
         None => return Err(unknown("it is empty")),
         Some(b'{') => {}
-        Some(b'[') => return Err(unknown("it is a JSON array\nhint: write one object on each line (JSON Lines)")),
+        Some(b'[') => return Err(unknown("it is a JSON array, not one object on each line (JSON Lines)")),
         Some(_) => {
             let line = text.split(|byte| *byte == b'\n').next().unwrap_or_default();
             let plain = std::str::from_utf8(line).is_ok_and(|line| !line.contains('\0'));
-            return if plain { Ok(Format::Csv) } else { Err(unknown("it is none of the known formats")) };
+            return if plain { Ok(Format::Csv) } else { Err(unknown("its format is unknown")) };
         }
     }
     let mut look = Look(None);
@@ -96,14 +96,14 @@ pub(super) fn recognise(path: &Path) -> Result<Format, DictionaryError> {
     match look.0 {
         Some(Seen::Format(format)) => Ok(format),
         Some(Seen::Whole) => Ok(Format::JsonLines),
-        None => Err(unknown("it begins as JSON and is neither a known layout nor one whole object on each line")),
+        None => Err(unknown("it begins as JSON, but is neither a known layout nor one object on each line")),
     }
 }
 
-/// What the keys of the first object say.
+/// What the keys of the first object show.
 enum Seen {
     Format(Format),
-    /// It ended, and none of them is a layout's.
+    /// The object ended, and no key belongs to a layout.
     Whole,
 }
 

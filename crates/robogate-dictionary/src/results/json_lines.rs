@@ -1,7 +1,7 @@
 //! One JSON object on each line.
 
 use std::io::{BufRead, BufReader, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeSeed;
 
@@ -11,41 +11,79 @@ use crate::DictionaryError;
 use crate::codec::Interner;
 use crate::raw::{Metered, RawRow};
 
-/// The longest line.
+/// The longest line, in bytes.
 const LONGEST: u64 = 1 << 20;
 
+/// The lines of a file that are not blank.
+#[derive(Debug)]
+pub(super) struct Lines {
+    path: PathBuf,
+    reader: BufReader<Metered>,
+    line: Vec<u8>,
+    number: u64,
+}
+
+impl Lines {
+    pub(super) fn open(path: &Path) -> Result<Self, DictionaryError> {
+        // The meter is not needed: a line is bounded here, where its number is known.
+        let reader = BufReader::with_capacity(1 << 16, Metered::open(path, u64::MAX)?);
+        Ok(Self { path: path.to_owned(), reader, line: Vec::new(), number: 0 })
+    }
+
+    /// The next line.
+    pub(super) fn next(&mut self) -> Result<Option<&[u8]>, DictionaryError> {
+        loop {
+            self.line.clear();
+            self.number += 1;
+            let mut limited = self.reader.by_ref().take(LONGEST);
+            let n = limited.read_until(b'\n', &mut self.line).map_err(DictionaryError::io(&self.path, "read"))?;
+            if n == 0 {
+                return Ok(None);
+            }
+            if n as u64 == LONGEST && self.line.last() != Some(&b'\n') {
+                let reason =
+                    format!("line {} has more than {LONGEST} bytes. Expected one episode on each line", self.number);
+                return Err(DictionaryError::results(&self.path, reason));
+            }
+            if self.number == 1 && self.line.starts_with(b"\xef\xbb\xbf") {
+                self.line.drain(..3);
+            }
+            if !self.line.trim_ascii().is_empty() {
+                break;
+            }
+        }
+        Ok(Some(&self.line))
+    }
+
+    /// An error about the line that was read last.
+    pub(super) fn wrong(&self, error: &serde_json::Error) -> DictionaryError {
+        let reason = format!("line {}, column {}: {error}", self.number, error.column());
+        DictionaryError::results(&self.path, format!("{reason}. Expected one JSON object on each line"))
+    }
+
+    /// The number of the line that was read last, from 1.
+    pub(super) fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// The hash of what was read.
+    pub(super) fn sha256(self) -> String {
+        self.reader.into_inner().sha256()
+    }
+}
+
 pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
-    // The meter is not needed: a line is bounded here, where its number is known.
-    let mut reader = BufReader::with_capacity(1 << 16, Metered::open(path, u64::MAX)?);
-    let (mut line, mut number) = (Vec::new(), 0_u64);
+    let mut lines = Lines::open(path)?;
     let (mut row, mut names) = (RawRow::default(), Interner::default());
-    loop {
-        line.clear();
-        number += 1;
-        let n =
-            reader.by_ref().take(LONGEST).read_until(b'\n', &mut line).map_err(DictionaryError::io(path, "read"))?;
-        if n == 0 {
-            break;
-        }
-        if n as u64 == LONGEST && line.last() != Some(&b'\n') {
-            let reason = format!("line {number} has more than {LONGEST} bytes\nhint: one episode stands on each line");
-            return Err(DictionaryError::results(path, reason));
-        }
-        let text = if number == 1 { line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&line) } else { &line };
-        if text.trim_ascii().is_empty() {
-            continue;
-        }
+    while let Some(text) = lines.next()? {
         row.fields.clear();
         let mut json = serde_json::Deserializer::from_slice(text);
         FlatRow { row: &mut row, names: &mut names, prefix: "" }
             .deserialize(&mut json)
             .and_then(|()| json.end())
-            .map_err(|e| {
-                let reason = format!("line {number}, column {}: {e}", e.column());
-                DictionaryError::results(path, format!("{reason}\nhint: one JSON object stands on each line"))
-            })?;
+            .map_err(|e| lines.wrong(&e))?;
         sink(&row)?;
         row.number += 1;
     }
-    Ok(Frame { sha256: reader.into_inner().sha256(), ..Frame::default() })
+    Ok(Frame { sha256: lines.sha256(), ..Frame::default() })
 }

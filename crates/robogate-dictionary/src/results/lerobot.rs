@@ -1,9 +1,8 @@
 //! LeRobot's `eval_info.json`, as `lerobot-eval` writes it.
 //!
-//! Two layouts: `per_episode`, an array of objects with `success` and `seed` (one environment), and
-//! `per_task`, an array of `task_group`, `task_id` and `metrics`, whose `successes` has one entry for each
-//! episode (since evaluations have several tasks). An episode that crashed is in neither: an error ends
-//! the evaluation, and no file is written. Only a missing `success` is invalid here.
+//! Two layouts: `per_episode`, an array of objects with `success` and `seed` (one environment), and `per_task`, an array of
+//! `task_group`, `task_id` and `metrics`, whose `successes` has one entry for each episode (several tasks). LeRobot does not
+//! record crashed episodes: an error ends the evaluation, and no file is written. Only a missing `success` is invalid here.
 
 use std::fmt;
 use std::path::Path;
@@ -15,7 +14,7 @@ use super::{Frame, Mapping, Sink};
 use crate::DictionaryError;
 use crate::raw::{AnyScalar, Scalar};
 
-/// Rewards and costs are outcomes: nothing of an episode but its seed is a parameter.
+/// Rewards and costs are results of an episode: only its seed is a parameter.
 pub(super) fn mapping() -> Mapping {
     Mapping { parameters: Some(std::collections::BTreeMap::new()), ..Mapping::default() }
 }
@@ -33,15 +32,16 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
         json.deserialize_map(Whole { rows, metadata: &mut frame.metadata, found: &mut found })
     })?;
     if !found {
-        let reason = "it has neither `per_episode` nor `per_task`: its averages alone are no episodes";
+        let reason =
+            "it has neither `per_episode` nor `per_task`. Expected episodes: averages alone cannot be imported";
         return Err(DictionaryError::results(path, reason));
     }
     counted.check(path, &frame)?;
-    frame.notes.push("rewards, safety costs and videos are left out".to_owned());
+    frame.notes.push("Rewards, safety costs and videos are ignored.".to_owned());
     Ok(frame)
 }
 
-/// What the rows add up to.
+/// Totals of the rows.
 #[derive(Default)]
 struct Counts {
     episodes: u64,
@@ -52,20 +52,20 @@ struct Counts {
 impl Counts {
     /// The file's own averages must be those of its rows.
     fn check(&self, path: &Path, frame: &Frame) -> Result<(), DictionaryError> {
-        let said = |key: &str| frame.metadata.get(key).and_then(serde_json::Value::as_f64);
-        if let Some(n) = said("n_episodes")
+        let claimed = |key: &str| frame.metadata.get(key).and_then(serde_json::Value::as_f64);
+        if let Some(n) = claimed("n_episodes")
             && (n - self.episodes as f64).abs() > 0.5
         {
-            let reason = format!("its `overall.n_episodes` says {n}, its rows are {}", self.episodes);
+            let reason = format!("its `overall.n_episodes` is {n}, but it has {} episodes", self.episodes);
             return Err(DictionaryError::results(path, reason));
         }
         let percent = 100.0 * self.successes as f64 / self.episodes.max(1) as f64;
-        if let Some(claimed) = said("pc_success")
+        if let Some(claimed) = claimed("pc_success")
             && self.silent == 0
             && (claimed - percent).abs() > 1e-3
         {
             let reason = format!(
-                "its `pc_success` says {claimed}, its rows have {} successes in {} episodes ({percent:.4} %)",
+                "its `pc_success` is {claimed}, but it has {} successes in {} episodes ({percent:.4} %)",
                 self.successes, self.episodes
             );
             return Err(DictionaryError::results(path, reason));
@@ -91,7 +91,7 @@ impl<'de> Visitor<'de> for Whole<'_, '_> {
         while let Some(key) = map.next_key::<String>()? {
             match key.as_str() {
                 "per_episode" | "per_task" if *self.found => {
-                    return Err(A::Error::custom("episodes stand in it twice (`per_episode`, `per_task`)"));
+                    return Err(A::Error::custom("it has episodes twice (`per_episode`, `per_task`)"));
                 }
                 "per_episode" => {
                     *self.found = true;
@@ -241,7 +241,7 @@ impl<'de> Visitor<'de> for Metrics {
         let mut successes = None;
         while let Some(key) = map.next_key::<String>()? {
             if key == "successes" {
-                // A byte each, and the meter of the file bounds their number.
+                // A byte each; the meter of the file bounds their number.
                 successes = Some(map.next_value()?);
             } else {
                 map.next_value::<IgnoredAny>()?;

@@ -1,15 +1,20 @@
 //! Which column of a table is what.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
+use robogate_core::{FailureMode, Word};
 use serde::Deserialize;
+use serde::de::{Deserializer, Error, MapAccess, Visitor};
 
+use super::role::Role;
 use crate::DictionaryError;
+use crate::published::FLAGS;
 
-/// Which column of a table is what. What is not said is looked for under the name of the role itself
-/// (`success`, `collision`, ...); each column that is then left over is a parameter.
+/// Which column of a table is what.
 ///
-/// As TOML:
+/// A role that the mapping does not name is looked for in the column of its own name (`success`, `cycle_time_s`). Each
+/// column that is then left over becomes a parameter. As TOML:
 ///
 /// ```
 /// let mapping = robogate_dictionary::results::Mapping::from_toml(
@@ -20,57 +25,43 @@ use crate::DictionaryError;
 ///     ignore = ["video"]
 ///     [parameters]
 ///     mass_kg = "mass"
+///     [flags]
+///     jammed = "jam_detected"
 ///     [failure_modes]
-///     dropped = "grip_loss"
+///     "stuck in the chute" = "jammed"
 ///     [about]
+///     task = "sorting"
 ///     policy = "pi0-2026-11"
 ///     "#,
 ///     "mapping.toml",
 /// )?;
+/// assert_eq!(mapping.flags.len(), 1);
 /// # Ok::<(), robogate_dictionary::DictionaryError>(())
 /// ```
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+///
+/// The names of the flags in the published JSON are keys, too: mappings of version 0.1 use them.
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Mapping {
-    /// true/false, 1/0, or the words success, fail, failure, failed, error, invalid.
-    pub success: Option<String>,
-    /// How it failed: grasp_miss, grip_loss, collision, timeout, or a word of `failure_modes`.
-    pub failure_mode: Option<String>,
-    /// Time until the task was done or given up, in seconds.
-    pub cycle_time_s: Option<String>,
-    /// Whether the robot touched what it should not have.
-    pub collision: Option<String>,
-    /// Whether the object was dropped.
-    pub drop: Option<String>,
-    /// Whether the gripper closed without the object.
-    pub grasp_miss: Option<String>,
-    /// What broke under the policy: anything but empty, false or 0 makes the episode invalid.
-    pub error: Option<String>,
-    /// The environment's seed; kept as the parameter `source_seed`.
-    pub seed: Option<String>,
-    /// The case of the suite.
-    pub case: Option<String>,
-    /// The category of the case.
-    pub category: Option<String>,
-    /// The group of the case.
-    pub group: Option<String>,
+    /// The column of each role that is not in the column of its own name.
+    pub roles: BTreeMap<Role, String>,
+    /// Failure modes with a column of their own, true or false: the mode and its column.
+    pub flags: BTreeMap<FailureMode, String>,
     /// Parameters: their names here and the columns they are in. Absent: every column left over.
     pub parameters: Option<BTreeMap<String, String>>,
-    /// Columns that are no parameters.
-    #[serde(default)]
+    /// Columns that are not parameters.
     pub ignore: Vec<String>,
-    /// Words of the failure mode's column, and which of our four modes each is.
-    #[serde(default)]
-    pub failure_modes: BTreeMap<String, String>,
-    /// What the file does not say about where it comes from.
-    #[serde(default)]
+    /// Words of the failure mode's column and the failure mode of each. Any other word is a failure mode of its own.
+    pub failure_modes: BTreeMap<String, FailureMode>,
+    /// The origin of the file, where the file does not hold it.
     pub about: About,
 }
 
-/// Who was judged, in what.
+/// What was judged, and in which environment.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct About {
+    /// The task's name.
+    pub task: Option<Word>,
     /// The policy.
     pub policy: Option<String>,
     /// The robot.
@@ -79,150 +70,148 @@ pub struct About {
     pub simulator: Option<String>,
 }
 
-/// What a column can be.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Role {
-    Success,
-    FailureMode,
-    CycleTime,
-    Collision,
-    Drop,
-    GraspMiss,
-    Error,
-    Seed,
-    Case,
-    Category,
-    Group,
-}
-
-impl Role {
-    pub(super) const ALL: [Self; 11] = [
-        Self::Success,
-        Self::FailureMode,
-        Self::CycleTime,
-        Self::Collision,
-        Self::Drop,
-        Self::GraspMiss,
-        Self::Error,
-        Self::Seed,
-        Self::Case,
-        Self::Category,
-        Self::Group,
-    ];
-
-    /// Its key in a mapping, and the column it is looked for in where none is named.
-    pub(super) fn word(self) -> &'static str {
-        match self {
-            Self::Success => "success",
-            Self::FailureMode => "failure_mode",
-            Self::CycleTime => "cycle_time_s",
-            Self::Collision => "collision",
-            Self::Drop => "drop",
-            Self::GraspMiss => "grasp_miss",
-            Self::Error => "error",
-            Self::Seed => "seed",
-            Self::Case => "case",
-            Self::Category => "category",
-            Self::Group => "group",
-        }
-    }
-}
-
 impl Mapping {
     /// Reads a mapping from TOML; `origin` names it in errors.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, DictionaryError> {
-        let mapping: Self = toml::from_str(text)
-            .map_err(|e| DictionaryError::Mapping { origin: origin.to_owned(), reason: e.to_string() })?;
-        for ours in mapping.failure_modes.values() {
-            super::outcome::mode(ours).ok_or_else(|| DictionaryError::Mapping {
-                origin: origin.to_owned(),
-                reason: format!(
-                    "`{ours}` in [failure_modes] is no mode\nhint: the modes are grasp_miss, grip_loss, collision, timeout"
-                ),
-            })?;
-        }
-        Ok(mapping)
+        toml::from_str(text).map_err(|e| DictionaryError::Mapping { origin: origin.to_owned(), reason: e.to_string() })
     }
 
-    /// Adds pairs as on a command line: `success=ok,parameter.mass_kg=mass`.
+    /// Adds pairs as on a command line: `success=ok,flag.jammed=jam,parameter.mass_kg=mass`.
     pub fn add(&mut self, pairs: &str, origin: &str) -> Result<(), DictionaryError> {
         let wrong = |reason: String| DictionaryError::Mapping { origin: origin.to_owned(), reason };
         for pair in pairs.split(',').map(str::trim) {
             let Some((key, column)) = pair.split_once('=').filter(|(_, column)| !column.is_empty()) else {
-                return Err(wrong(format!("`{pair}` is not KEY=COLUMN\nhint: as in success=ok,cycle_time_s=duration")));
+                return Err(wrong(format!("`{pair}` is not a pair. Expected KEY=COLUMN, as in success=ok")));
             };
             if let Some(parameter) = key.strip_prefix("parameter.") {
                 self.parameters.get_or_insert_default().insert(parameter.to_owned(), column.to_owned());
-                continue;
-            }
-            let Some(role) = Role::ALL.into_iter().find(|role| role.word() == key) else {
-                let known: Vec<&str> = Role::ALL.into_iter().map(Role::word).collect();
+            } else if let Some(mode) = key.strip_prefix("flag.") {
+                let mode = FailureMode::new(mode).map_err(|why| wrong(format!("`{key}`: {why}")))?;
+                self.flags.insert(mode, column.to_owned());
+            } else if let Some(mode) = flagged(key) {
+                self.flags.insert(mode, column.to_owned());
+            } else if let Some(role) = Role::of_key(key) {
+                self.roles.insert(role, column.to_owned());
+            } else {
+                let roles = Role::ALL.map(Role::as_str).join(", ");
                 return Err(wrong(format!(
-                    "`{key}` is nothing that a column can be\nhint: it is one of {}, or parameter.NAME",
-                    known.join(", ")
+                    "Unknown role `{key}`. Expected one of {roles}, flag.MODE or parameter.NAME"
                 )));
-            };
-            *self.place(role) = Some(column.to_owned());
+            }
         }
         Ok(())
     }
 
-    /// Whether nothing is said.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
 
-    /// The column that the user named for this role.
-    pub(super) fn named(&self, role: Role) -> Option<&str> {
-        let column = match role {
-            Role::Success => &self.success,
-            Role::FailureMode => &self.failure_mode,
-            Role::CycleTime => &self.cycle_time_s,
-            Role::Collision => &self.collision,
-            Role::Drop => &self.drop,
-            Role::GraspMiss => &self.grasp_miss,
-            Role::Error => &self.error,
-            Role::Seed => &self.seed,
-            Role::Case => &self.case,
-            Role::Category => &self.category,
-            Role::Group => &self.group,
-        };
-        column.as_deref()
+    /// Whether it names no column.
+    pub(super) fn names_no_column(&self) -> bool {
+        Self { about: About::default(), ..self.clone() }.is_empty()
     }
 
     /// The column of this role.
     pub(super) fn column(&self, role: Role) -> &str {
-        self.named(role).unwrap_or(role.word())
+        self.roles.get(&role).map_or(role.as_str(), String::as_str)
     }
 
-    fn place(&mut self, role: Role) -> &mut Option<String> {
-        match role {
-            Role::Success => &mut self.success,
-            Role::FailureMode => &mut self.failure_mode,
-            Role::CycleTime => &mut self.cycle_time_s,
-            Role::Collision => &mut self.collision,
-            Role::Drop => &mut self.drop,
-            Role::GraspMiss => &mut self.grasp_miss,
-            Role::Error => &mut self.error,
-            Role::Seed => &mut self.seed,
-            Role::Case => &mut self.case,
-            Role::Category => &mut self.category,
-            Role::Group => &mut self.group,
-        }
+    /// Whether the mapping names this column for a parameter.
+    pub(super) fn names_parameter(&self, column: &str) -> bool {
+        self.parameters.iter().flat_map(BTreeMap::values).any(|named| named == column)
     }
 
-    /// This mapping, and for what it does not say that of the format.
+    /// This mapping, and that of the format for what it does not say.
     pub(super) fn over(&self, of_format: &Self) -> Self {
         let mut mapping = self.clone();
-        for role in Role::ALL {
-            if mapping.named(role).is_none() {
-                *mapping.place(role) = of_format.named(role).map(ToOwned::to_owned);
-            }
+        for (role, column) in &of_format.roles {
+            mapping.roles.entry(*role).or_insert_with(|| column.clone());
         }
         if mapping.parameters.is_none() {
             mapping.parameters.clone_from(&of_format.parameters);
         }
         mapping.ignore.extend(of_format.ignore.iter().cloned());
         mapping
+    }
+}
+
+/// The failure mode of a flag that the published files have, by the flag's name.
+fn flagged(key: &str) -> Option<FailureMode> {
+    FLAGS.iter().find(|flag| flag.column == key).map(|flag| flag.mode)
+}
+
+/// A key of a mapping file.
+enum Key {
+    Role(Role),
+    Flag(FailureMode),
+    Flags,
+    Parameters,
+    Ignore,
+    FailureModes,
+    About,
+}
+
+impl<'de> Deserialize<'de> for Key {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let key = String::deserialize(deserializer)?;
+        Ok(match key.as_str() {
+            "flags" => Self::Flags,
+            "parameters" => Self::Parameters,
+            "ignore" => Self::Ignore,
+            "failure_modes" => Self::FailureModes,
+            "about" => Self::About,
+            key => match (Role::of_key(key), flagged(key)) {
+                (Some(role), _) => Self::Role(role),
+                (None, Some(mode)) => Self::Flag(mode),
+                (None, None) => {
+                    let roles = Role::ALL.map(Role::as_str).join(", ");
+                    return Err(D::Error::custom(format!(
+                        "Unknown role `{key}`. Expected one of {roles}, ignore, [flags], [parameters], [failure_modes] or \
+                         [about]"
+                    )));
+                }
+            },
+        })
+    }
+}
+
+impl<'de> Deserialize<'de> for Mapping {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(MappingVisitor)
+    }
+}
+
+struct MappingVisitor;
+
+impl<'de> Visitor<'de> for MappingVisitor {
+    type Value = Mapping;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a mapping of columns")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Mapping, A::Error> {
+        let mut mapping = Mapping::default();
+        let mut flags: Vec<(FailureMode, String)> = Vec::new();
+        while let Some(key) = map.next_key()? {
+            match key {
+                Key::Role(role) => drop(mapping.roles.insert(role, map.next_value()?)),
+                Key::Flag(mode) => flags.push((mode, map.next_value()?)),
+                Key::Flags => flags.extend(map.next_value::<BTreeMap<_, _>>()?),
+                Key::Parameters => mapping.parameters = Some(map.next_value()?),
+                Key::Ignore => mapping.ignore = map.next_value()?,
+                Key::FailureModes => mapping.failure_modes = map.next_value()?,
+                Key::About => mapping.about = map.next_value()?,
+            }
+        }
+        for (mode, column) in flags {
+            if let Some(other) = mapping.flags.insert(mode, column.clone()) {
+                return Err(A::Error::custom(format!(
+                    "the failure mode `{mode}` has two columns, `{other}` and `{column}`. Expected one"
+                )));
+            }
+        }
+        Ok(mapping)
     }
 }

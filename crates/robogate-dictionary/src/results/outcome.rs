@@ -1,112 +1,219 @@
-//! How a foreign row's episode went.
+//! How a row's episode ended.
 
 use std::path::Path;
 
 use robogate_core::{FailureMode, Fault, FaultKind, Outcome};
 
-use super::mapping::{Mapping, Role};
+use super::Mapping;
+use super::flags::{self, Flag};
+use super::role::{FAILURE_TYPE, Role};
 use crate::DictionaryError;
 use crate::raw::{RawRow, Scalar};
 
-/// What a row says, and how surely.
+/// How a row's episode ended, and how the row says so.
 #[derive(Debug, PartialEq)]
-pub(super) struct Went {
+pub(super) struct Ended {
     pub(super) outcome: Outcome,
     /// Seconds; `None` where the row has none.
     pub(super) time_s: Option<f64>,
-    /// Whether a failure's kind is said; else `timeout` stands in its place.
+    /// Whether the row has a failure mode for its failure; else it is [`FailureMode::UNKNOWN`].
     pub(super) kind_known: bool,
-    /// Which flags the row lacks, in the order of [`FLAGS`].
-    pub(super) lacks: [bool; FLAGS.len()],
-    /// Whether the row said success beside a collision or a drop.
+    /// The value of each flag, in the order of [`Results::flags`]; empty for an invalid episode.
+    pub(super) flags: Vec<Option<bool>>,
+    /// Whether the row reports success and a flag that rules it out.
     pub(super) contradicted: bool,
-    /// Whether `success` was missing without an error being named.
+    /// Whether `success` is missing and no error is named.
     pub(super) silent: bool,
 }
 
-/// The columns that say of one mode alone whether it was so.
-pub(super) const FLAGS: [(FailureMode, Role); 3] = [
-    (FailureMode::Collision, Role::Collision),
-    (FailureMode::GripLoss, Role::Drop),
-    (FailureMode::GraspMiss, Role::GraspMiss),
-];
-
-/// One of our four failure modes by its word.
-pub(super) fn mode(word: &str) -> Option<FailureMode> {
-    FailureMode::ALL.into_iter().find(|mode| mode.word() == word)
-}
-
-/// How the row's episode went.
-pub(super) fn of(path: &Path, row: &RawRow, mapping: &Mapping) -> Result<Went, DictionaryError> {
-    let time_s = time(path, row, mapping)?;
-    let invalid = |detail: String, silent| Went {
-        outcome: Outcome::Invalid(Fault::new(fault_kind(&detail), detail)),
-        time_s,
-        kind_known: true,
-        lacks: [false; FLAGS.len()],
-        contradicted: false,
-        silent,
-    };
-    if let Some(error) = error(row, mapping) {
-        return Ok(invalid(error, false));
-    }
-    let said = match success(path, row, mapping)? {
-        Success::Said(success) => success,
-        Success::Error => return Ok(invalid(format!("`{}` says error", mapping.column(Role::Success)), false)),
-        Success::Silent => return Ok(invalid(format!("`{}` is missing", mapping.column(Role::Success)), true)),
-    };
-    let mode = failure_mode(path, row, mapping)?;
-    let mut flags = FLAGS.map(|(mode, _)| (mode, None));
-    for ((_, flag), (_, role)) in flags.iter_mut().zip(FLAGS) {
-        *flag = self::flag(path, row, mapping, role)?;
-    }
-    let lacks = flags.map(|(_, flag)| flag.is_none());
-    let raised = flags.iter().find(|(_, flag)| *flag == Some(true)).map(|(mode, _)| *mode);
-    let went =
-        |outcome, kind_known, contradicted| Went { outcome, time_s, kind_known, lacks, contradicted, silent: false };
-    if said {
-        if let Some(mode) = mode {
-            let reason = format!("contradicts `{}`, which says success", mapping.column(Role::Success));
-            return Err(row.wrong(path, mapping.column(Role::FailureMode), format!("({}) {reason}", mode.word())));
-        }
-        // A grasp that was missed once and then succeeded is a success; a touch or a drop is not.
-        return Ok(match raised.filter(|mode| *mode != FailureMode::GraspMiss) {
-            Some(mode) => went(Outcome::Failure(mode), true, true),
-            None => went(Outcome::Success, true, false),
-        });
-    }
-    if let Some(mode) = mode
-        && let Some(((_, role), _)) =
-            FLAGS.into_iter().zip(flags).find(|(_, (of, flag))| *of == mode && *flag == Some(false))
-    {
-        let reason = format!("contradicts `{}`, which says {}", mapping.column(Role::FailureMode), mode.word());
-        return Err(row.wrong(path, mapping.column(role), reason));
-    }
-    // All three flags lowered say what it was not: the object was never placed in time.
-    let told = mode.or(raised).or(flags.iter().all(|(_, flag)| *flag == Some(false)).then_some(FailureMode::Timeout));
-    Ok(went(Outcome::Failure(told.unwrap_or(FailureMode::Timeout)), told.is_some(), false))
+/// The columns that say how an episode ended.
+#[derive(Debug)]
+pub(super) struct Results<'a> {
+    mapping: &'a Mapping,
+    pub(super) flags: Vec<Flag>,
+    /// The columns with the failure mode; the first that has a word counts.
+    failure_columns: Vec<&'a str>,
 }
 
 enum Success {
-    Said(bool),
+    Known(bool),
     Error,
-    Silent,
+    Missing,
 }
 
-fn success(path: &Path, row: &RawRow, mapping: &Mapping) -> Result<Success, DictionaryError> {
-    let column = mapping.column(Role::Success);
-    Ok(match row.get(column) {
-        None | Some(Scalar::Null) => Success::Silent,
-        Some(Scalar::Text(word)) if ["error", "invalid"].contains(&word.to_ascii_lowercase().as_str()) => {
-            Success::Error
+impl<'a> Results<'a> {
+    pub(super) fn new(mapping: &'a Mapping) -> Self {
+        let flags = flags::of(mapping);
+        let named = |column: &str| {
+            mapping.roles.values().any(|named| named == column) || mapping.flags.values().any(|named| named == column)
+        };
+        let mut failure_columns = vec![mapping.column(Role::FailureMode)];
+        if !mapping.roles.contains_key(&Role::FailureMode) && !named(FAILURE_TYPE) {
+            failure_columns.push(FAILURE_TYPE);
         }
-        Some(value) => Success::Said(truth(value).ok_or_else(|| {
-            row.wrong(path, column, "is neither true nor false\nhint: true, false, 1, 0, success, fail, or error")
-        })?),
-    })
+        Self { mapping, flags, failure_columns }
+    }
+
+    /// Whether a column of this name says how the episode ended. It is then never a parameter.
+    pub(super) fn has(&self, column: &str) -> bool {
+        column == FAILURE_TYPE
+            || Role::ALL.into_iter().any(|role| role.is_result() && self.mapping.column(role) == column)
+            || self.flags.iter().any(|flag| flag.column.as_deref() == Some(column))
+    }
+
+    /// Whether the row has anything in a column for the failure mode.
+    pub(super) fn names_mode(&self, row: &RawRow) -> bool {
+        self.failure_columns.iter().any(|column| row.get(column).is_some_and(|value| *value != Scalar::Null))
+    }
+
+    /// How the row's episode ended.
+    pub(super) fn of(&self, path: &Path, row: &RawRow) -> Result<Ended, DictionaryError> {
+        let time_s = self.time(path, row)?;
+        let invalid = |detail: String, silent| Ended {
+            outcome: Outcome::Invalid(Fault::new(fault_kind(&detail), detail)),
+            time_s,
+            kind_known: true,
+            flags: Vec::new(),
+            contradicted: false,
+            silent,
+        };
+        if let Some(error) = self.error(row) {
+            return Ok(invalid(error, false));
+        }
+        let success = self.success(path, row)?;
+        let column = self.mapping.column(Role::Success);
+        if matches!(success, Success::Error) {
+            return Ok(invalid(format!("`{column}` says error"), false));
+        }
+        let mode = self.failure_mode(path, row)?;
+        let flags = self.flags.iter().map(|flag| self.flag(path, row, flag)).collect::<Result<Vec<_>, _>>()?;
+        let raised = |tolerated: bool| {
+            let mut raised = self.flags.iter().zip(&flags).filter(|(_, value)| **value == Some(true));
+            raised.find(|(flag, _)| tolerated || !flag.tolerated).map(|(flag, _)| flag.mode)
+        };
+        let silent = matches!(success, Success::Missing);
+        let ended = |outcome, kind_known, contradicted, flags| Ended {
+            outcome,
+            time_s,
+            kind_known,
+            flags,
+            contradicted,
+            silent,
+        };
+        match success {
+            Success::Known(true) => {
+                if let Some((mode, at)) = mode {
+                    return Err(row.wrong(path, at, format!("({mode}) contradicts `{column}`, which says success")));
+                }
+                // A tolerated flag can be raised in a success; any other makes it a failure.
+                return Ok(match raised(false) {
+                    Some(mode) => ended(Outcome::Failure(mode), true, true, flags),
+                    None => ended(Outcome::Success, true, false, flags),
+                });
+            }
+            // What is known to have failed must not be left out: that would raise the success rate.
+            Success::Missing if mode.is_none() && raised(false).is_none() => {
+                return Ok(invalid(format!("`{column}` is missing"), true));
+            }
+            Success::Known(false) | Success::Missing | Success::Error => {}
+        }
+        if let Some((mode, at)) = mode {
+            let lowered =
+                self.flags.iter().zip(&flags).find(|(flag, value)| flag.mode == mode && **value == Some(false));
+            if let Some(column) = lowered.and_then(|(flag, _)| flag.column.as_deref()) {
+                return Err(row.wrong(path, column, format!("contradicts `{at}`, which says {mode}")));
+            }
+        }
+        // All flags lowered say what it was not: the task was not done in time.
+        let all_lowered = (self.flags.iter().zip(&flags))
+            .all(|(flag, value)| *value == Some(false) || (value.is_none() && !flag.expected));
+        let told = mode.map(|(mode, _)| mode).or(raised(true)).or(all_lowered.then_some(FailureMode::TIMEOUT));
+        Ok(ended(Outcome::Failure(told.unwrap_or(FailureMode::UNKNOWN)), told.is_some(), false, flags))
+    }
+
+    fn success(&self, path: &Path, row: &RawRow) -> Result<Success, DictionaryError> {
+        let column = self.mapping.column(Role::Success);
+        Ok(match row.get(column) {
+            None | Some(Scalar::Null) => Success::Missing,
+            Some(Scalar::Text(word)) if ["error", "invalid"].contains(&word.to_ascii_lowercase().as_str()) => {
+                Success::Error
+            }
+            Some(value) => Success::Known(truth(value).ok_or_else(|| {
+                row.wrong(path, column, "is neither true nor false. Expected true, false, 1, 0, success, fail or error")
+            })?),
+        })
+    }
+
+    fn flag(&self, path: &Path, row: &RawRow, flag: &Flag) -> Result<Option<bool>, DictionaryError> {
+        let Some((column, value)) = flag.column.as_deref().and_then(|column| Some((column, row.get(column)?))) else {
+            return Ok(None);
+        };
+        if *value == Scalar::Null {
+            return Ok(None);
+        }
+        truth(value).map(Some).ok_or_else(|| {
+            let hint = if self.mapping.flags.contains_key(&flag.mode) {
+                String::new()
+            } else {
+                "\nhint: where it is a parameter, name it under [parameters] in a mapping".to_owned()
+            };
+            row.wrong(path, column, format!("is neither true nor false, as the flag of {} must be{hint}", flag.mode))
+        })
+    }
+
+    /// The failure mode of the row's word, and the word's column.
+    fn failure_mode(&self, path: &Path, row: &RawRow) -> Result<Option<(FailureMode, &'a str)>, DictionaryError> {
+        for column in self.failure_columns.iter().copied() {
+            let word = match row.get(column) {
+                None | Some(Scalar::Null) => continue,
+                Some(Scalar::Text(word)) => word,
+                Some(_) => return Err(row.wrong(path, column, "is not a word. Expected the name of a failure mode")),
+            };
+            if let Some(mode) = self.mapping.failure_modes.get(word) {
+                return Ok(Some((*mode, column)));
+            }
+            let word = word.trim();
+            let no_failure = word.is_empty() || ["none", "success"].iter().any(|none| none.eq_ignore_ascii_case(word));
+            if !no_failure {
+                return Ok(Some((FailureMode::from_foreign(word), column)));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The error of the infrastructure, where the row names one.
+    fn error(&self, row: &RawRow) -> Option<String> {
+        let column = self.mapping.column(Role::Error);
+        let text = match row.get(column)? {
+            Scalar::Null | Scalar::Bool(false) | Scalar::Integer(0) => return None,
+            Scalar::Text(text) if text.trim().is_empty() || truth(&Scalar::Text(text.clone())) == Some(false) => {
+                return None;
+            }
+            Scalar::Text(text) if text.eq_ignore_ascii_case("none") => return None,
+            Scalar::Text(text) => text.clone(),
+            other => format!("`{column}` is {}", other.show()),
+        };
+        // Tracebacks can be long; the dictionary keeps what tells one from another.
+        const MOST: usize = 2000;
+        Some(match text.char_indices().nth(MOST) {
+            Some((end, _)) => format!("{}...", &text[..end]),
+            None => text,
+        })
+    }
+
+    fn time(&self, path: &Path, row: &RawRow) -> Result<Option<f64>, DictionaryError> {
+        let column = self.mapping.column(Role::CycleTime);
+        let time = match row.get(column) {
+            None | Some(Scalar::Null) => return Ok(None),
+            Some(Scalar::Integer(n)) => *n as f64,
+            Some(Scalar::Number(x)) => *x,
+            Some(_) => return Err(row.wrong(path, column, "is not a time in seconds")),
+        };
+        if time < 0.0 { Err(row.wrong(path, column, "is negative. Expected seconds")) } else { Ok(Some(time)) }
+    }
 }
 
-/// A value as a truth, where it is one.
+/// A value as a truth value, where it is one.
 fn truth(value: &Scalar) -> Option<bool> {
     match value {
         Scalar::Bool(truth) => Some(*truth),
@@ -123,58 +230,7 @@ fn truth(value: &Scalar) -> Option<bool> {
     }
 }
 
-fn flag(path: &Path, row: &RawRow, mapping: &Mapping, role: Role) -> Result<Option<bool>, DictionaryError> {
-    let column = mapping.column(role);
-    match row.get(column) {
-        None | Some(Scalar::Null) => Ok(None),
-        Some(value) => truth(value)
-            .map(Some)
-            .ok_or_else(|| row.wrong(path, column, format!("is neither true nor false, as {} must be", role.word()))),
-    }
-}
-
-fn failure_mode(path: &Path, row: &RawRow, mapping: &Mapping) -> Result<Option<FailureMode>, DictionaryError> {
-    let column = mapping.column(Role::FailureMode);
-    let word = match row.get(column) {
-        None | Some(Scalar::Null) => return Ok(None),
-        Some(Scalar::Text(word)) => word.as_str(),
-        Some(_) => return Err(row.wrong(path, column, "is no word for a failure mode")),
-    };
-    if let Some(ours) = mapping.failure_modes.get(word) {
-        return Ok(mode(ours));
-    }
-    if ["", "none", "success"].contains(&word) {
-        return Ok(None);
-    }
-    mode(word).map(Some).ok_or_else(|| {
-        row.wrong(
-            path,
-            column,
-            "is none of grasp_miss, grip_loss, collision, timeout\nhint: a mapping file says which of them it is, under [failure_modes]",
-        )
-    })
-}
-
-/// What the row says that broke, where it says so.
-fn error(row: &RawRow, mapping: &Mapping) -> Option<String> {
-    let text = match row.get(mapping.column(Role::Error))? {
-        Scalar::Null | Scalar::Bool(false) | Scalar::Integer(0) => return None,
-        Scalar::Text(text) if text.trim().is_empty() || truth(&Scalar::Text(text.clone())) == Some(false) => {
-            return None;
-        }
-        Scalar::Text(text) if text.eq_ignore_ascii_case("none") => return None,
-        Scalar::Text(text) => text.clone(),
-        other => format!("`{}` is {}", mapping.column(Role::Error), other.show()),
-    };
-    // Tracebacks can be long; the dictionary keeps what tells one from another.
-    const MOST: usize = 2000;
-    Some(match text.char_indices().nth(MOST) {
-        Some((end, _)) => format!("{}...", &text[..end]),
-        None => text,
-    })
-}
-
-/// The class of fault by the words that tools use; where they say nothing, the policy or simulator went away.
+/// The class of fault by the words that tools use; where they say nothing, the policy or the simulator went away.
 fn fault_kind(detail: &str) -> FaultKind {
     let word = detail.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_')).find(|word| !word.is_empty());
     match word {
@@ -183,15 +239,4 @@ fn fault_kind(detail: &str) -> FaultKind {
         Some("bad_action") => FaultKind::BadAction,
         _ => FaultKind::Unavailable,
     }
-}
-
-fn time(path: &Path, row: &RawRow, mapping: &Mapping) -> Result<Option<f64>, DictionaryError> {
-    let column = mapping.column(Role::CycleTime);
-    let time = match row.get(column) {
-        None | Some(Scalar::Null) => return Ok(None),
-        Some(Scalar::Integer(n)) => *n as f64,
-        Some(Scalar::Number(x)) => *x,
-        Some(_) => return Err(row.wrong(path, column, "is no time in seconds")),
-    };
-    if time < 0.0 { Err(row.wrong(path, column, "is below 0 seconds")) } else { Ok(Some(time)) }
 }

@@ -14,10 +14,10 @@ use crate::DictionaryError;
 use crate::parquet::guarded;
 use crate::raw::{MOST_FIELDS, Metered, RawRow, Scalar};
 
-/// Rows that are decoded at a time: what is held of each column beside a page.
+/// Rows that are decoded at a time.
 const BATCH: usize = 4096;
 
-/// The most bytes that a file may say one of its columns takes in one row group when it is unpacked.
+/// The most bytes that a column may take in one row group, unpacked.
 const MOST_COLUMN: i64 = 1 << 30;
 
 pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
@@ -25,7 +25,7 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
         DictionaryError::results(
             path,
             format!(
-                "{reason}\nhint: flat columns are read, uncompressed or snappy; write it again with compression=\"snappy\""
+                "{reason}. Expected flat columns, uncompressed or snappy\nhint: write it again with compression=\"snappy\""
             ),
         )
     };
@@ -37,7 +37,7 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
     let metadata = reader.metadata();
     let schema = metadata.file_metadata().schema_descr();
     if schema.num_columns() > MOST_FIELDS {
-        return Err(refuse(format!("it has {} columns, more than {MOST_FIELDS}", schema.num_columns())));
+        return Err(refuse(format!("it has {} columns, more than the limit of {MOST_FIELDS}", schema.num_columns())));
     }
     let mut frame = Frame { sha256: hashed.sha256(), ..Frame::default() };
     let mut columns: Vec<(usize, Arc<str>)> = Vec::new();
@@ -47,7 +47,9 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
         if plain && !matches!(column.physical_type(), Physical::INT96 | Physical::FIXED_LEN_BYTE_ARRAY) {
             columns.push((i, name.into()));
         } else {
-            frame.notes.push(format!("column `{name}` is left out: it is no flat number, truth or text"));
+            frame
+                .notes
+                .push(format!("Column `{name}` is ignored: it does not hold plain numbers, truth values or texts."));
         }
     }
     let mut row = RawRow::default();
@@ -130,7 +132,7 @@ fn values(reader: &mut ColumnReader, n: usize) -> Result<Vec<Scalar>, ParquetErr
     }
 }
 
-/// NaN is how data frames write a missing value; infinity is no parameter's.
+/// Data frames write a missing value as NaN. A parameter cannot be infinite.
 fn number(x: f64) -> Scalar {
     if x.is_nan() {
         Scalar::Null

@@ -1,9 +1,8 @@
 //! The aggregate JSON of vla-eval: `tasks`, each with its name and `episodes`.
 //!
-//! An episode has `metrics` (with `success`), `steps`, and where something under the policy broke a
-//! `failure_reason` (server_unreachable, connection_closed, timeout, env_start, env_step, model_act,
-//! exception) with a `failure_detail`. Such an episode is invalid here. Its `elapsed_sec` is wall-clock
-//! time and no cycle time.
+//! An episode has `metrics` (with `success`) and `steps`. Where the infrastructure failed it has a `failure_reason`
+//! (server_unreachable, connection_closed, timeout, env_start, env_step, model_act, exception) with a `failure_detail`: such
+//! an episode is invalid here. Its `elapsed_sec` is wall-clock time and not a cycle time.
 
 use std::fmt;
 use std::path::Path;
@@ -15,7 +14,7 @@ use super::{Frame, Mapping, Sink};
 use crate::DictionaryError;
 use crate::raw::{AnyScalar, Scalar};
 
-/// Steps, times and identifiers are outcomes: nothing of an episode is a parameter.
+/// Steps, times and identifiers are results of an episode: it has no parameters.
 pub(super) fn mapping() -> Mapping {
     Mapping { parameters: Some(std::collections::BTreeMap::new()), ..Mapping::default() }
 }
@@ -27,15 +26,15 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
         json.deserialize_map(Whole { rows, metadata: &mut frame.metadata, found: &mut found })
     })?;
     if !found {
-        let reason = "it has no `tasks`: the aggregate JSON of vla-eval has one entry for each task";
+        let reason = "it has no `tasks`. Expected one entry for each task, as in the aggregate JSON of vla-eval";
         return Err(DictionaryError::results(path, reason));
     }
-    let says =
+    let is_set =
         |key: &str| frame.metadata.get(key).is_some_and(|value| value != false && value != 0 && !value.is_null());
-    if says("partial") || says("queue_unfinished") {
-        frame.notes.push("the evaluation was not complete: some of its episodes were never run".to_owned());
+    if is_set("partial") || is_set("queue_unfinished") {
+        frame.notes.push("The evaluation is not complete: some of its episodes were never run.".to_owned());
     }
-    frame.notes.push("`elapsed_sec` is wall-clock time, and not taken for the cycle time".to_owned());
+    frame.notes.push("`elapsed_sec` is ignored: it is wall-clock time and not a cycle time.".to_owned());
     Ok(frame)
 }
 
@@ -53,11 +52,11 @@ impl<'de> Visitor<'de> for Whole<'_, '_> {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
-        // Keys that we do not know are a few; more are no aggregate, and each would be held.
+        // Unknown keys are few in an aggregate. Each is held in memory.
         const MOST_KEYS: usize = 1000;
         while let Some(key) = map.next_key::<String>()? {
             match key.as_str() {
-                "tasks" if *self.found => return Err(A::Error::custom("`tasks` is there twice")),
+                "tasks" if *self.found => return Err(A::Error::custom("`tasks` appears twice")),
                 "tasks" => {
                     *self.found = true;
                     map.next_value_seed(Tasks(&mut *self.rows))?;
@@ -157,7 +156,7 @@ impl<'de> Visitor<'de> for OneTask<'_, '_> {
                 "task" => task = Some(map.next_value()?),
                 "episodes" => {
                     found = true;
-                    // Rows are handed on as they come, so that the name must come before them.
+                    // Rows are passed on as they come: the name must come before them.
                     let Some(task) = &task else {
                         return Err(A::Error::custom("a task has its `episodes` before its name `task`"));
                     };

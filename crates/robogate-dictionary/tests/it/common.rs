@@ -1,15 +1,51 @@
 //! Entries for tests: plausible ones, and ones that go to the edges of what an entry can be.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use robogate_core::{
-    Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Measures, Outcome, ParameterSpace, Phase, Scenario,
-    Seed, Stream, Value,
+    Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Outcome, ParameterSpace, Scenario, Seed, Stream,
+    TaskSpec, Value, Word,
 };
-use robogate_dictionary::{Engine, Entry, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool};
+use robogate_dictionary::{Engine, Entry, Label, Platform, Provenance, Robot, SCHEMA_VERSION, Tool, v1};
 
 pub(crate) const SEED: u64 = 2026;
+
+/// A task that has nothing to do with the built-in one.
+static TASK: LazyLock<Arc<TaskSpec>> = LazyLock::new(|| {
+    let task = serde_json::from_str(
+        r#"{
+            "name": "press_fit",
+            "version": 3,
+            "instruction": "press the pin into the bore",
+            "control_period_s": 0.02,
+            "time_limit_s": 6.0,
+            "failure_modes": [
+                { "name": "jammed", "meaning": "The pin stuck on its way.", "severity": "major" },
+                { "name": "tilted" },
+                { "name": "bore.damaged", "severity": "critical" }
+            ],
+            "measures": [
+                { "name": "peak_force_n", "unit": "N", "better": "lower" },
+                { "name": "depth_m", "unit": "m", "better": "higher" },
+                { "name": "tilt_rad", "unit": "rad" }
+            ],
+            "phases": ["approach", "press", "retract"]
+        }"#,
+    );
+    Arc::new(task.unwrap())
+});
+
+static PICK_PLACE: LazyLock<Arc<TaskSpec>> = LazyLock::new(|| Arc::new(v1::task()));
+
+pub(crate) fn task() -> Arc<TaskSpec> {
+    Arc::clone(&TASK)
+}
+
+/// The task of the dictionaries of schema 1.
+pub(crate) fn pick_place() -> Arc<TaskSpec> {
+    Arc::clone(&PICK_PLACE)
+}
 
 pub(crate) fn space() -> ParameterSpace {
     ParameterSpace::from_toml(
@@ -42,7 +78,12 @@ pub(crate) fn space() -> ParameterSpace {
 }
 
 pub(crate) fn provenance() -> Provenance {
+    provenance_of(task())
+}
+
+pub(crate) fn provenance_of(task: Arc<TaskSpec>) -> Provenance {
     Provenance {
+        task,
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
         engine: Engine {
@@ -61,8 +102,14 @@ pub(crate) fn provenance() -> Provenance {
     }
 }
 
-/// Entry `index`, in part drawn from its own seed, and with every kind of outcome among a few.
+/// Episode `index` of [`task`].
 pub(crate) fn entry(index: u64) -> Entry {
+    entry_of(&task(), index)
+}
+
+/// Episode `index` of `task`, in part drawn from its own seed, and with every kind of outcome among a few.
+pub(crate) fn entry_of(task: &TaskSpec, index: u64) -> Entry {
+    let modes: Vec<FailureMode> = task.modes().collect();
     let seed = Seed::campaign(SEED).episode(index);
     let mut stream = seed.stream("test");
     let requested = draw(&mut stream);
@@ -72,14 +119,14 @@ pub(crate) fn entry(index: u64) -> Entry {
     applied.set("mass_kg", Value::Number(f64::from(mass as f32)));
     let outcome = match index % 7 {
         0..=2 => Outcome::Success,
-        n @ 3..=5 => Outcome::Failure(FailureMode::ALL[n as usize - 3]),
-        _ if index.is_multiple_of(2) => Outcome::Failure(FailureMode::Timeout),
+        n @ 3..=5 => Outcome::Failure(modes[n as usize - 3]),
+        _ if index.is_multiple_of(2) => Outcome::Failure(FailureMode::TIMEOUT),
         _ => {
             applied = Assignment::default();
             Outcome::Invalid(Fault::new(FaultKind::Setup, "object \"starts\" in contact,\nwith the table"))
         }
     };
-    let contact = (outcome == Outcome::Failure(FailureMode::Collision)).then(|| Contact {
+    let contact = (outcome == Outcome::Failure(modes[2])).then(|| Contact {
         robot_body: "link5".to_owned(),
         other_body: "obstacle_2".to_owned(),
         force_n: stream.between(0.1, 200.0),
@@ -102,14 +149,16 @@ pub(crate) fn entry(index: u64) -> Entry {
             applied,
             outcome,
             time_s: stream.between(0.0, 15.0),
-            phase: (index % 8 < 6).then(|| Phase::ALL[(index % 8) as usize]),
+            phase: task.phases.get((index % 8) as usize).copied(),
             contact,
-            measures: Measures {
-                peak_contact_force_n: (!index.is_multiple_of(3)).then(|| stream.between(0.0, 100.0)),
-                slip_m: (!index.is_multiple_of(5)).then(|| stream.between(0.0, 0.01)),
-                min_clearance_m: (!index.is_multiple_of(2)).then(|| stream.between(-0.01, 0.5)),
-                target_distance_m: Some(stream.between(0.0, 0.5)),
-            },
+            // The last one is always measured.
+            measures: (1..)
+                .zip(&task.measures)
+                .map(|(i, measure)| {
+                    let value = stream.between(0.0, 0.5);
+                    (measure.name, (i == task.measures.len() || !index.is_multiple_of(i as u64 + 1)).then_some(value))
+                })
+                .collect(),
             ticks: stream.below(300) as u32,
             trajectory_hash: stream.bits(),
         },
@@ -147,8 +196,8 @@ pub(crate) fn strange_entry(index: u64) -> Entry {
     episode.outcome = Outcome::Invalid(Fault::new(FaultKind::NotApplied, ""));
     episode.time_s = f64::INFINITY;
     episode.contact = Some(Contact { robot_body: String::new(), other_body: "é".to_owned(), force_n: f64::NAN });
-    episode.measures.slip_m = Some(f64::NAN);
-    episode.measures.min_clearance_m = Some(-0.0);
+    episode.measures.set(Word::constant("peak_force_n"), Some(f64::NAN));
+    episode.measures.set(Word::constant("depth_m"), Some(-0.0));
     episode.ticks = u32::MAX;
     episode.trajectory_hash = u64::MAX;
     entry

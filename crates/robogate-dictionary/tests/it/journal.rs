@@ -1,10 +1,10 @@
-//! What the journal promises.
+//! Tests of the journal: append, repair, locking and interruption.
 
 use std::fs::{self, OpenOptions};
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Command, Stdio};
 
-use crate::common::{Folder, entry, same, strange_entry};
+use crate::common::{Folder, entry, same, strange_entry, task};
 use robogate_core::Seed;
 use robogate_dictionary::{DictionaryError, Entry, Journal, Recovery, dataset_hash};
 
@@ -21,7 +21,7 @@ fn journal(path: &std::path::Path, indices: impl IntoIterator<Item = u64>) -> Ve
 }
 
 #[test]
-fn what_was_appended_comes_back_to_the_bit_in_order_of_index() {
+fn episodes_come_back_bit_for_bit() {
     let folder = Folder::new("journal-order");
     let path = folder.join("j");
     let mut written = Journal::create(&path).unwrap();
@@ -46,7 +46,7 @@ fn what_was_appended_comes_back_to_the_bit_in_order_of_index() {
 }
 
 #[test]
-fn a_journal_cut_at_every_byte_of_its_last_record_keeps_all_others_and_goes_on() {
+fn unfinished_record_is_cut_off() {
     let folder = Folder::new("journal-cut");
     let path = folder.join("whole");
     let ends = journal(&path, 0..4);
@@ -66,7 +66,7 @@ fn a_journal_cut_at_every_byte_of_its_last_record_keeps_all_others_and_goes_on()
 }
 
 #[test]
-fn a_journal_cut_anywhere_opens_with_the_records_before_the_cut() {
+fn truncated_journal_keeps_whole_records() {
     let folder = Folder::new("journal-cut-anywhere");
     let path = folder.join("whole");
     let ends = journal(&path, [2, 0, 1]);
@@ -83,7 +83,7 @@ fn a_journal_cut_anywhere_opens_with_the_records_before_the_cut() {
 }
 
 #[test]
-fn zeros_that_a_power_failure_left_at_the_end_are_cut_off() {
+fn trailing_zeros_are_cut_off() {
     let folder = Folder::new("journal-zeros");
     let path = folder.join("j");
     let ends = journal(&path, 0..3);
@@ -94,7 +94,7 @@ fn zeros_that_a_power_failure_left_at_the_end_are_cut_off() {
 }
 
 #[test]
-fn each_flipped_bit_before_the_last_record_is_an_error_that_names_the_record() {
+fn flipped_bits_name_their_record() {
     let folder = Folder::new("journal-flip");
     let path = folder.join("whole");
     let ends = journal(&path, 0..4);
@@ -119,7 +119,7 @@ fn each_flipped_bit_before_the_last_record_is_an_error_that_names_the_record() {
 }
 
 #[test]
-fn the_hint_to_cut_a_damaged_journal_works() {
+fn truncation_hint_works() {
     let folder = Folder::new("journal-hint");
     let path = folder.join("j");
     let ends = journal(&path, 0..4);
@@ -135,7 +135,7 @@ fn the_hint_to_cut_a_damaged_journal_works() {
 }
 
 #[test]
-fn an_episode_is_recorded_once() {
+fn duplicate_episode_is_refused() {
     let folder = Folder::new("journal-once");
     let mut journal = Journal::create(&folder.join("j")).unwrap();
     journal.append(&entry(1)).unwrap();
@@ -144,7 +144,7 @@ fn an_episode_is_recorded_once() {
 }
 
 #[test]
-fn a_second_process_or_a_second_journal_is_refused() {
+fn second_writer_is_refused() {
     let folder = Folder::new("journal-lock");
     let path = folder.join("j");
     let journal = Journal::create(&path).unwrap();
@@ -155,7 +155,7 @@ fn a_second_process_or_a_second_journal_is_refused() {
 }
 
 #[test]
-fn a_weight_or_seed_that_is_none_is_refused_before_it_is_written() {
+fn invalid_weight_or_seed_is_refused() {
     let folder = Folder::new("journal-refuse");
     let mut journal = Journal::create(&folder.join("j")).unwrap();
     for weight in [f64::NAN, f64::INFINITY, -1.0] {
@@ -169,12 +169,12 @@ fn a_weight_or_seed_that_is_none_is_refused_before_it_is_written() {
 }
 
 #[test]
-fn a_later_version_asks_for_an_upgrade() {
+fn newer_journal_asks_for_upgrade() {
     let folder = Folder::new("journal-version");
     let path = folder.join("j");
     journal(&path, 0..1);
     let mut bytes = fs::read(&path).unwrap();
-    bytes[8] = 2;
+    bytes[8] = 3;
     fs::write(&path, bytes).unwrap();
     let error = Journal::open(&path).unwrap_err().to_string();
     assert!(error.contains("upgrade"), "{error}");
@@ -201,7 +201,7 @@ fn writer() {
 }
 
 #[test]
-fn kill_9_at_any_moment_loses_nothing_that_was_appended() {
+fn killed_writer_loses_nothing() {
     let folder = Folder::new("journal-kill");
     let path = folder.join("j");
     let mut most = 0;
@@ -228,13 +228,13 @@ fn kill_9_at_any_moment_loses_nothing_that_was_appended() {
         assert!(most > last, "{most} in the journal, {last} was appended");
     }
     let (mut journal, _) = Journal::open(&path).unwrap();
-    let undisturbed = dataset_hash((0..most).map(|index| Ok(entry(index)))).unwrap();
-    assert_eq!(dataset_hash(journal.ordered()).unwrap(), undisturbed);
+    let undisturbed = dataset_hash(task(), (0..most).map(|index| Ok(entry(index)))).unwrap();
+    assert_eq!(dataset_hash(task(), journal.ordered()).unwrap(), undisturbed);
 }
 
 #[test]
 #[cfg(target_os = "linux")]
-fn a_disk_that_fills_up_is_an_error_and_the_journal_goes_on_once_there_is_room() {
+fn full_disk_keeps_the_journal() {
     let folder = Folder::new("journal-full");
     let path = folder.join("j");
     // A limit on the size of files, in blocks of 512 or 1024 bytes: the write that meets it is cut
@@ -252,6 +252,6 @@ fn a_disk_that_fills_up_is_an_error_and_the_journal_goes_on_once_there_is_room()
     let n = journal.len();
     assert!(n > 10);
     journal.append(&entry(n)).unwrap();
-    let undisturbed = dataset_hash((0..=n).map(|index| Ok(entry(index)))).unwrap();
-    assert_eq!(dataset_hash(journal.ordered()).unwrap(), undisturbed);
+    let undisturbed = dataset_hash(task(), (0..=n).map(|index| Ok(entry(index)))).unwrap();
+    assert_eq!(dataset_hash(task(), journal.ordered()).unwrap(), undisturbed);
 }

@@ -1,10 +1,10 @@
-//! What the Parquet record promises.
+//! Tests of the Parquet record.
 
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use crate::common::{Folder, SEED, entry, provenance, same, strange_entry};
+use crate::common::{Folder, SEED, entry, provenance, same, strange_entry, task};
 use robogate_core::{Domain, Parameter, ParameterSpace, Scale, Seed, Value};
 use robogate_dictionary::{
     Column, Dictionary, DictionaryError, DictionaryWriter, Entry, SchemaVersion, dataset_hash, write_parquet,
@@ -29,7 +29,7 @@ fn replace(path: &Path, old: &str, new: &str) {
 }
 
 #[test]
-fn every_entry_comes_back_and_so_does_the_provenance() {
+fn entries_and_provenance_come_back() {
     let folder = Folder::new("parquet-back");
     let path = folder.join("d.parquet");
     // More than one row group.
@@ -45,12 +45,12 @@ fn every_entry_comes_back_and_so_does_the_provenance() {
         rows += 1;
     }
     assert_eq!(rows, n);
-    assert_eq!(dataset_hash(dictionary.entries()).unwrap(), hash);
-    assert_eq!(dataset_hash((0..n).map(|index| Ok(entry(index)))).unwrap(), hash);
+    assert_eq!(dataset_hash(task(), dictionary.entries()).unwrap(), hash);
+    assert_eq!(dataset_hash(task(), (0..n).map(|index| Ok(entry(index)))).unwrap(), hash);
 }
 
 #[test]
-fn the_same_entries_give_the_same_bytes() {
+fn same_entries_give_same_bytes() {
     let folder = Folder::new("parquet-bytes");
     let (a, b) = (folder.join("a.parquet"), folder.join("b.parquet"));
     write(&a, (0..5000).map(entry));
@@ -61,7 +61,7 @@ fn the_same_entries_give_the_same_bytes() {
 }
 
 #[test]
-fn what_columns_cannot_hold_is_kept_beside_them_or_missing_and_never_bent() {
+fn unfitting_values_are_kept_aside() {
     let folder = Folder::new("parquet-strange");
     let path = folder.join("d.parquet");
     write(&path, [strange_entry(4)].into_iter());
@@ -69,7 +69,9 @@ fn what_columns_cannot_hold_is_kept_beside_them_or_missing_and_never_bent() {
     let found = dictionary.entries().next().unwrap().unwrap();
     let mut expected = strange_entry(4);
     // Order is that of the space; what is not finite and no parameter has one form, missing or NaN.
-    expected.episode.measures.slip_m = None;
+    expected.episode.measures = found.episode.measures.clone();
+    assert_eq!(found.episode.measures.get("peak_force_n"), None, "NaN is missing");
+    assert_eq!(found.episode.measures.get("depth_m").map(f64::to_bits), Some((-0.0_f64).to_bits()));
     expected.episode.time_s = f64::NAN;
     let by_name = |entry: &Entry| {
         let mut pairs: Vec<_> = entry.episode.applied.iter().map(|(n, v)| (n.to_owned(), format!("{v:?}"))).collect();
@@ -79,16 +81,16 @@ fn what_columns_cannot_hold_is_kept_beside_them_or_missing_and_never_bent() {
     assert_eq!(by_name(&expected), by_name(&found));
     expected.episode.applied = found.episode.applied.clone();
     assert!(same(&expected, &found), "{expected:#?}\n{found:#?}");
-    assert_eq!(dataset_hash([Ok(strange_entry(4))]).unwrap(), dictionary.dataset_hash());
+    assert_eq!(dataset_hash(task(), [Ok(strange_entry(4))]).unwrap(), dictionary.dataset_hash());
     // A reader of the plain columns meets no NaN.
-    for name in ["applied_friction", "applied_mass_kg", "applied_obstacles", "slip_m", "cycle_time_s"] {
+    for name in ["applied_friction", "applied_mass_kg", "applied_obstacles", "peak_force_n", "cycle_time_s"] {
         assert_eq!(dictionary.numbers(name).unwrap(), [None], "{name}");
     }
     assert_eq!(dictionary.numbers("friction").unwrap()[0].unwrap().to_bits(), (-0.0_f64).to_bits());
 }
 
 #[test]
-fn whole_columns_are_read_by_name() {
+fn columns_are_read_by_name() {
     let folder = Folder::new("parquet-columns");
     let path = folder.join("d.parquet");
     let n = 17_000;
@@ -97,12 +99,12 @@ fn whole_columns_are_read_by_name() {
     let friction = dictionary.numbers("friction").unwrap();
     assert_eq!(friction.len() as u64, n);
     assert_eq!(friction[16_500], entry(16_500).episode.scenario.requested.number("friction"));
-    assert_eq!(dictionary.numbers("slip_m").unwrap()[16_505], None);
+    assert_eq!(dictionary.numbers("depth_m").unwrap()[16_506], None);
     assert_eq!(dictionary.numbers("obstacles").unwrap()[3], entry(3).episode.scenario.requested.number("obstacles"));
     let Column::Counts(index) = dictionary.column("index").unwrap() else { panic!() };
     assert!(index.into_iter().eq((0..n).map(Some)));
     let Column::Categories { words, codes } = dictionary.column("outcome").unwrap() else { panic!() };
-    assert_eq!(words[codes[3].unwrap() as usize], "grasp_miss");
+    assert_eq!(words[codes[3].unwrap() as usize], "jammed");
     assert_eq!(words.len(), 6);
     let Column::Categories { words, codes } = dictionary.column("failure_type").unwrap() else { panic!() };
     assert_eq!(codes[13], None, "an invalid episode has no failure type");
@@ -113,7 +115,7 @@ fn whole_columns_are_read_by_name() {
 }
 
 #[test]
-fn an_empty_dictionary_is_a_dictionary() {
+fn empty_dictionary_is_valid() {
     let folder = Folder::new("parquet-empty");
     let path = folder.join("d.parquet");
     write(&path, std::iter::empty());
@@ -124,7 +126,7 @@ fn an_empty_dictionary_is_a_dictionary() {
 }
 
 #[test]
-fn a_file_is_there_whole_or_not_at_all() {
+fn file_is_complete_or_absent() {
     let folder = Folder::new("parquet-atomic");
     let path = folder.join("d.parquet");
     write(&path, (0..10).map(entry));
@@ -144,7 +146,7 @@ fn failure() -> DictionaryError {
 }
 
 #[test]
-fn a_folder_that_is_not_there_or_in_the_way_is_named() {
+fn unusable_path_is_named() {
     let folder = Folder::new("parquet-folder");
     for path in [folder.join("no/such/d.parquet"), folder.path().to_owned()] {
         let error = DictionaryWriter::create(&path, &provenance()).unwrap_err();
@@ -154,7 +156,7 @@ fn a_folder_that_is_not_there_or_in_the_way_is_named() {
 }
 
 #[test]
-fn entries_that_contradict_the_dictionary_are_refused() {
+fn contradicting_entries_are_refused() {
     let folder = Folder::new("parquet-refuse");
     let path = folder.join("d.parquet");
     let mut writer = DictionaryWriter::create(&path, &provenance()).unwrap();
@@ -194,7 +196,7 @@ fn entries_that_contradict_the_dictionary_are_refused() {
 }
 
 #[test]
-fn a_parameter_with_the_name_of_a_column_is_refused() {
+fn column_name_clash_is_refused() {
     let folder = Folder::new("parquet-clash");
     let domain = || Domain::Continuous { low: 0.0, high: 1.0, scale: Scale::Linear };
     let of = |names: &[&str]| {
@@ -205,14 +207,14 @@ fn a_parameter_with_the_name_of_a_column_is_refused() {
         let provenance = robogate_dictionary::Provenance { space: of(names), ..provenance() };
         let error = DictionaryWriter::create(&folder.join("d"), &provenance).unwrap_err();
         assert!(
-            matches!(&error, DictionaryError::ColumnClash { parameter } if names.iter().any(|n| parameter.ends_with(n))),
+            matches!(&error, DictionaryError::ColumnClash { column } if names.iter().any(|n| column.ends_with(n))),
             "{error}"
         );
     }
 }
 
 #[test]
-fn a_newer_major_version_asks_for_an_upgrade_and_a_newer_minor_is_only_read() {
+fn newer_schema_is_refused_or_read_only() {
     let folder = Folder::new("parquet-version");
     let path = folder.join("d.parquet");
     // A name in the provenance as long as the version leaves room for: the key-value pair alone is replaced.
@@ -223,15 +225,15 @@ fn a_newer_major_version_asks_for_an_upgrade_and_a_newer_minor_is_only_read() {
         let at = bytes.windows(key.len()).position(|window| window == key).unwrap() + key.len();
         let mut changed = bytes.clone();
         // Thrift's compact protocol: a field header, then the length of the text, then the text.
-        assert_eq!(&changed[at + 2..at + 5], b"1.1");
+        assert_eq!(&changed[at + 2..at + 5], b"2.0");
         changed[at + 2..at + 5].copy_from_slice(version.as_bytes());
         fs::write(&path, changed).unwrap();
         Dictionary::open(&path)
     };
-    let error = with_version("2.0").unwrap_err();
-    assert!(matches!(error, DictionaryError::NewerSchema { found: SchemaVersion { major: 2, minor: 0 }, .. }));
+    let error = with_version("3.0").unwrap_err();
+    assert!(matches!(error, DictionaryError::NewerSchema { found: SchemaVersion { major: 3, minor: 0 }, .. }));
     assert!(error.to_string().contains("upgrade robogate"), "{error}");
-    let newer = with_version("1.7").unwrap();
+    let newer = with_version("2.7").unwrap();
     assert_eq!(newer.entries().filter(Result::is_ok).count(), 3);
     assert!(newer.schema_version().is_readable() && !newer.schema_version().is_writable());
     assert!(with_version("0.9").is_err());
@@ -239,7 +241,7 @@ fn a_newer_major_version_asks_for_an_upgrade_and_a_newer_minor_is_only_read() {
 }
 
 #[test]
-fn what_another_program_did_to_the_file_is_noticed() {
+fn edited_provenance_is_noticed() {
     let folder = Folder::new("parquet-edit");
     let path = folder.join("d.parquet");
     write(&path, (0..50).map(entry));
@@ -249,7 +251,7 @@ fn what_another_program_did_to_the_file_is_noticed() {
 }
 
 #[test]
-fn a_foreign_or_truncated_file_is_refused_with_what_it_is() {
+fn foreign_and_truncated_files_are_refused() {
     let folder = Folder::new("parquet-foreign");
     let path = folder.join("d.parquet");
     write(&path, (0..50).map(entry));
@@ -267,11 +269,9 @@ fn a_foreign_or_truncated_file_is_refused_with_what_it_is() {
 }
 
 #[test]
-fn pyarrow_pandas_and_duckdb_read_what_was_written() {
-    let Some(python) = std::env::var_os("ROBOGATE_TEST_PYTHON") else {
-        println!("skipped: ROBOGATE_TEST_PYTHON names no Python with pyarrow, pandas and duckdb");
-        return;
-    };
+fn python_readers_agree() {
+    let wanted = "a Python with pyarrow, pandas and duckdb";
+    let Some(python) = robogate_testing::path("ROBOGATE_TEST_PYTHON", wanted) else { return };
     let folder = Folder::new("parquet-readers");
     let path = folder.join("d.parquet");
     let hash = write(&path, (0..20_000).map(entry));
@@ -297,7 +297,7 @@ fn writer() {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn a_disk_that_fills_up_is_an_error_and_the_file_before_stays() {
+fn full_disk_keeps_the_old_file() {
     let folder = Folder::new("parquet-full");
     let path = folder.join("d.parquet");
     write(&path, (0..10).map(entry));
@@ -315,42 +315,27 @@ fn a_disk_that_fills_up_is_an_error_and_the_file_before_stays() {
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left behind");
 }
 
-/// A campaign of twelve episodes that was recorded before there were labels.
 #[test]
-fn a_file_of_version_1_0_is_read_with_its_hash_and_without_labels() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/schema-1.0.parquet");
-    let old = Dictionary::open(&path).unwrap();
-    assert_eq!(old.schema_version(), SchemaVersion { major: 1, minor: 0 });
-    assert!(old.column_names().all(|name| !["case", "category", "group"].contains(&name)));
-    // The last entry would be an error if the hash were another.
-    let entries: Vec<Entry> = old.entries().collect::<Result<_, _>>().unwrap();
-    assert_eq!(entries.len(), 12);
-    assert!(entries.iter().all(|entry| entry.label.is_empty()));
-    let folder = Folder::new("parquet-old");
-    let again = folder.join("again.parquet");
-    write_parquet(&again, old.provenance(), entries.into_iter().map(Ok)).unwrap();
-    let new = Dictionary::open(&again).unwrap();
-    assert_eq!((new.dataset_hash(), new.column_names().last()), (old.dataset_hash(), Some("group")));
-}
-
-#[test]
-fn the_fixed_columns_are_in_every_file_in_their_order() {
+fn fixed_columns_keep_their_order() {
     let folder = Folder::new("parquet-fixed");
     let path = folder.join("d.parquet");
     write(&path, std::iter::empty());
     let dictionary = Dictionary::open(&path).unwrap();
-    let parameters: Vec<String> = provenance()
+    let task = task();
+    let measures = task.measures.iter().map(|measure| measure.name.to_string());
+    let own: Vec<String> = provenance()
         .space
         .parameters()
         .iter()
         .flat_map(|p| [p.name.to_string(), format!("applied_{}", p.name)])
+        .chain(measures)
         .collect();
-    let fixed = dictionary.column_names().filter(|name| !parameters.iter().any(|p| p == name));
+    let fixed = dictionary.column_names().filter(|name| !own.iter().any(|own| own == name));
     assert!(fixed.eq(robogate_dictionary::fixed_columns().map(|column| column.name)));
 }
 
 #[test]
-fn provenance_has_a_schema_and_the_same_bytes_each_time() {
+fn provenance_bytes_are_stable() {
     let schema = serde_json::to_value(schemars::schema_for!(robogate_dictionary::Provenance)).unwrap();
     for field in ["tool", "schema_version", "engine", "robot", "policy", "space", "plan", "seed"] {
         assert!(schema["required"].as_array().unwrap().contains(&field.into()), "{field}: {schema}");

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use robogate_core::{FailureMode, Fault, FaultKind, Outcome, Value};
+use robogate_core::{Fault, FaultKind, Outcome, Value};
 use robogate_dictionary::results::{Format, Mapping, import};
 use robogate_dictionary::{Dictionary, Entry, Label, Provenance, Source};
 
@@ -32,7 +32,7 @@ fn refused(name: &str, content: impl AsRef<[u8]>, mapping: &Mapping) -> String {
 }
 
 fn words(entries: &[Entry]) -> Vec<&str> {
-    entries.iter().map(|entry| entry.episode.outcome.word()).collect()
+    entries.iter().map(|entry| entry.episode.outcome.as_str()).collect()
 }
 
 fn source(provenance: &Provenance) -> &Source {
@@ -40,22 +40,22 @@ fn source(provenance: &Provenance) -> &Source {
 }
 
 #[test]
-fn lerobot_of_one_environment_keeps_success_and_seed_and_says_what_it_does_not_record() {
+fn lerobot_keeps_success_and_seed() {
     let (provenance, entries) = imported(&fixture("lerobot_one_environment.json"), None, &Mapping::default());
-    assert_eq!(words(&entries), ["success", "timeout", "success", "success"]);
+    assert_eq!(words(&entries), ["success", "unknown", "success", "success"]);
     let seeds: Vec<_> = entries.iter().map(|e| e.episode.scenario.requested.get("source_seed").cloned()).collect();
     assert_eq!(seeds, [1000, 1001, 1002, 1003].map(|n| Some(Value::Integer(n))));
     assert!(entries.iter().all(|entry| entry.episode.time_s.is_nan()));
     assert_eq!(source(&provenance).format, "lerobot");
-    assert_eq!(source(&provenance).not_recorded, ["grasp_miss", "grip_loss", "collision", "cycle_time_s"]);
+    assert_eq!(source(&provenance).not_recorded, ["collision", "grasp_miss", "grip_loss", "cycle_time_s"]);
     assert_eq!(provenance.robot.sha256, None);
     assert_eq!(provenance.plan["source_metadata"]["pc_success"], 75.0);
 }
 
 #[test]
-fn lerobot_of_several_tasks_has_a_row_for_each_success() {
+fn lerobot_tasks_become_cases() {
     let (provenance, entries) = imported(&fixture("lerobot_tasks.json"), None, &Mapping::default());
-    assert_eq!(words(&entries), ["success", "timeout", "success", "success", "success"]);
+    assert_eq!(words(&entries), ["success", "unknown", "success", "success", "success"]);
     assert_eq!(provenance.plan["source_metadata"]["n_episodes"], 5);
     let label = |case: &str, category: &str| Label {
         case: Some(case.to_owned()),
@@ -67,19 +67,19 @@ fn lerobot_of_several_tasks_has_a_row_for_each_success() {
 }
 
 #[test]
-fn averages_that_are_not_those_of_the_rows_are_an_error() {
+fn contradicting_averages_are_refused() {
     let text = fs::read_to_string(fixture("lerobot_one_environment.json")).unwrap();
     let error = refused("edited.json", text.replace("75.0", "100.0"), &Mapping::default());
-    assert!(error.contains("`pc_success` says 100") && error.contains("3 successes in 4 episodes"), "{error}");
+    assert!(error.contains("`pc_success` is 100") && error.contains("3 successes in 4 episodes"), "{error}");
     let text = fs::read_to_string(fixture("lerobot_tasks.json")).unwrap();
     let error = refused("cut.json", text.replace("[true, true]", "[true]"), &Mapping::default());
-    assert!(error.contains("`overall.n_episodes` says 5, its rows are 4"), "{error}");
+    assert!(error.contains("`overall.n_episodes` is 5, but it has 4 episodes"), "{error}");
 }
 
 #[test]
-fn a_crashed_episode_of_vla_eval_is_invalid_and_no_failure() {
+fn crashed_vla_eval_episode_is_invalid() {
     let (provenance, entries) = imported(&fixture("vla_eval.json"), None, &Mapping::default());
-    assert_eq!(words(&entries), ["success", "timeout", "invalid", "success", "invalid"]);
+    assert_eq!(words(&entries), ["success", "unknown", "invalid", "success", "invalid"]);
     let fault = |at: usize| match &entries[at].episode.outcome {
         Outcome::Invalid(fault) => fault.clone(),
         other => panic!("{other:?}"),
@@ -95,13 +95,18 @@ fn a_crashed_episode_of_vla_eval_is_invalid_and_no_failure() {
 }
 
 #[test]
-fn a_table_is_read_by_its_mapping() {
+fn mapping_names_the_columns() {
     let text = fs::read_to_string(fixture("table.toml")).unwrap();
     let mapping = Mapping::from_toml(&text, "table.toml").unwrap();
     let (provenance, entries) = imported(&fixture("table.csv"), None, &mapping);
     // The last one says success beside a collision.
     assert_eq!(words(&entries), ["success", "grip_loss", "collision", "invalid", "collision"]);
-    assert!(source(&provenance).notes.iter().any(|n| n.starts_with("1 episodes say success beside a collision")));
+    assert!(
+        source(&provenance)
+            .notes
+            .iter()
+            .any(|n| n.starts_with("Episodes with success and the flag of a failure mode: 1."))
+    );
     assert_eq!(entries[2].episode.time_s, 3.125);
     assert_eq!(entries[1].episode.scenario.requested.number("mass_kg"), Some(1.1));
     assert_eq!(entries[1].episode.scenario.requested.category("surface"), Some("rubber"));
@@ -110,21 +115,22 @@ fn a_table_is_read_by_its_mapping() {
 }
 
 #[test]
-fn pairs_say_the_same_as_a_mapping_file() {
+fn pairs_equal_a_mapping_file() {
     let mut pairs = Mapping::default();
     pairs.add("success=ok,failure_mode=how,cycle_time_s=duration", "--map").unwrap();
-    pairs.add("collision=bump,error=broke,parameter.mass_kg=mass,parameter.surface=surface", "--map").unwrap();
+    pairs.add("flag.collision=bump,error=broke,parameter.mass_kg=mass,parameter.surface=surface", "--map").unwrap();
     let text = fs::read_to_string(fixture("table.toml")).unwrap();
     let file = Mapping::from_toml(&text, "table.toml").unwrap();
     let mut same = file.clone();
     (same.failure_modes, same.about) = Default::default();
     assert_eq!(pairs, same);
     let error = pairs.add("colision=bump", "--map").unwrap_err().to_string();
-    assert!(error.contains("`colision` is nothing that a column can be") && error.contains("collision"), "{error}");
+    assert!(error.contains("Unknown role `colision`. Expected one of success, failure_mode,"), "{error}");
+    assert!(pairs.add("flag.none=x", "--map").is_err() && pairs.add("success", "--map").is_err());
 }
 
 #[test]
-fn json_lines_are_read_by_their_names_and_objects_become_names_with_dots() {
+fn nested_json_gets_dotted_names() {
     let mapping =
         Mapping { parameters: Some([("lux".to_owned(), "scene.lux".to_owned())].into()), ..Mapping::default() };
     let (provenance, entries) = imported(&fixture("table.jsonl"), None, &mapping);
@@ -137,7 +143,7 @@ fn json_lines_are_read_by_their_names_and_objects_become_names_with_dots() {
 }
 
 #[test]
-fn a_parquet_file_of_pyarrow_is_read_with_its_missing_values() {
+fn pyarrow_file_is_read() {
     let (provenance, entries) = imported(&fixture("table.parquet"), None, &Mapping::default());
     assert_eq!(words(&entries), ["success", "grip_loss", "invalid", "success", "timeout"]);
     assert_eq!(entries[1].episode.time_s, 4.25);
@@ -145,30 +151,26 @@ fn a_parquet_file_of_pyarrow_is_read_with_its_missing_values() {
     assert_eq!(requested.number("mass_kg"), Some(0.75));
     assert_eq!(requested.get("obstacles"), Some(&Value::Integer(3)));
     assert_eq!(requested.category("shape"), Some("box"));
-    assert!(source(&provenance).notes.iter().any(|note| note.contains("`trace.list.element` is left out")));
+    assert!(source(&provenance).notes.iter().any(|note| note.contains("`trace.list.element` is ignored")));
 }
 
 #[test]
-fn what_a_row_says_wrong_is_named_with_file_row_and_field() {
+fn wrong_values_are_located() {
     let none = Mapping::default();
     for (name, content, wanted) in [
         ("a.csv", "success,mass\n1,2\n2,3\n", &["a.csv", "row 1, column `success`: 2 is neither true nor false"][..]),
-        (
-            "b.csv",
-            "success,failure_mode\n0,fell\n",
-            &["row 0, column `failure_mode`: `fell` is none of", "[failure_modes]"],
-        ),
+        ("b.csv", "success,failure_mode\n0,7\n", &["row 0, column `failure_mode`: 7 is not a word"]),
         ("c.csv", "success,failure_mode\n1,collision\n", &["contradicts `success`"]),
         (
             "d.csv",
             "success,failure_mode,collision\n0,collision,0\n",
             &["column `collision`", "contradicts `failure_mode`"],
         ),
-        ("e.csv", "success,cycle_time_s\n1,-2\n", &["-2 is below 0 seconds"]),
-        ("f.csv", "success,cycle_time_s\n1,soon\n", &["`soon` is no time in seconds"]),
-        ("g.csv", "result,mass\n1,2\n", &["no row says in `success`", "--map success=COLUMN"]),
+        ("e.csv", "success,cycle_time_s\n1,-2\n", &["-2 is negative"]),
+        ("f.csv", "success,cycle_time_s\n1,soon\n", &["`soon` is not a time in seconds"]),
+        ("g.csv", "result,mass\n1,2\n", &["no row says in `success` how its episode ended", "--map success=COLUMN"]),
         ("h.csv", "success,success\n1,2\n", &["the column `success` twice"]),
-        ("i.csv", "success,mass\n1,2\n1\n", &["line 3", "1 fields under a header of 2"]),
+        ("i.csv", "success,mass\n1,2\n1\n", &["line 3", "1 fields. Expected 2"]),
         ("j.csv", "success,mass\n", &["no episodes", "nothing was evaluated"]),
         ("k.jsonl", "{\"success\": true}\n{\"success\": tru}\n", &["line 2", "one JSON object"]),
         ("l.jsonl", "{\"success\": true, \"success\": false}\n{}\n", &["line 1", "`success` twice"]),
@@ -182,9 +184,10 @@ fn what_a_row_says_wrong_is_named_with_file_row_and_field() {
             &["row 0", "0.5 is neither"],
         ),
         ("r.json", "{\"per_episode\": [{\"success\": NaN}]}", &["line 1 column 30", "JSON has no NaN"]),
-        ("s.csv", "success,case\n1,2.5\n", &["2.5 is no word, as a case must be"]),
+        ("s.csv", "success,case\n1,2.5\n", &["2.5 is not a word, as a case must be"]),
+        ("u.csv", "success,drop\n1,0.3\n", &["column `drop`: 0.3 is neither true nor false", "[parameters]"]),
         ("s", "", &["it is empty"]),
-        ("t", "\u{1}\0\u{2}", &["none of the known formats", "--format"]),
+        ("t", "\u{1}\0\u{2}", &["its format is unknown", "--format"]),
     ] {
         let error = refused(name, content, &none);
         assert!(wanted.iter().all(|part| error.contains(part)), "{name}: {error}");
@@ -192,50 +195,59 @@ fn what_a_row_says_wrong_is_named_with_file_row_and_field() {
 }
 
 #[test]
-fn a_mapping_that_names_what_is_not_there_is_an_error() {
+fn mapping_of_absent_columns_is_refused() {
     let table = "ok,mass\n1,2\n";
     let mapping = |text: &str| Mapping::from_toml(text, "m.toml").unwrap();
     let error = refused("a.csv", table, &mapping("success = 'okay'"));
     assert!(error.contains("no row has the column `okay`"), "{error}");
     let error = refused("b.csv", table, &mapping("success = 'ok'\n[parameters]\nmass_kg = 'weight'"));
     assert!(error.contains("`weight`") && error.contains("`mass_kg`"), "{error}");
-    let error = Mapping::from_toml("sucess = 'ok'", "m.toml").unwrap_err().to_string();
-    assert!(error.contains("m.toml") && error.contains("sucess"), "{error}");
-    let error = Mapping::from_toml("[failure_modes]\nfell = 'drop'", "m.toml").unwrap_err().to_string();
-    assert!(error.contains("`drop`") && error.contains("grip_loss"), "{error}");
+    let error = refused("c.csv", table, &mapping("success = 'ok'\n[flags]\njammed = 'jam'"));
+    assert!(error.contains("`jam`") && error.contains("the flag of jammed"), "{error}");
+    let error = refused("d.csv", "success,failure_type\n1,none\n", &mapping("[parameters]\nkind = 'failure_type'"));
+    assert!(error.contains("`failure_type` says how the episode ended"), "{error}");
 }
 
 #[test]
-fn the_real_aggregate_of_vla_eval_is_read() {
-    let Some(shared) = std::env::var_os("ROBOGATE_SHARED_DATA") else {
-        println!("skipped: ROBOGATE_SHARED_DATA is not set");
-        return;
-    };
-    let captured = "reference/protocols/captures/vla_eval/results/Tiny_demo_aggregate.json";
-    let Some(path) = Path::new(&shared).parent().map(|shared| shared.join(captured)).filter(|path| path.exists())
-    else {
-        println!("skipped: the captured aggregate is not there");
-        return;
-    };
+fn invalid_mapping_is_located() {
+    for (text, wanted) in [
+        (
+            "cycle_time_s = 't'\nsucess = 'ok'",
+            &["m.toml", "line 2", "Unknown role `sucess`. Expected one of success,"][..],
+        ),
+        ("success = 3", &["line 1", "expected a string"]),
+        ("[failure_modes]\nfell = 'success'", &["line 2", "`success` cannot be a failure mode"]),
+        ("[failure_modes]\nfell = 'fell down'", &["line 2", "\"fell down\" is not a valid name"]),
+        ("[flags]\n'' = 'a'", &["is not a valid name"]),
+        ("drop = 'a'\n[flags]\ngrip_loss = 'b'", &["`grip_loss` has two columns"]),
+        ("[about]\ntask = ''", &["line 2", "is not a valid name"]),
+    ] {
+        let error = Mapping::from_toml(text, "m.toml").unwrap_err().to_string();
+        assert!(wanted.iter().all(|part| error.contains(part)), "{text}: {error}");
+    }
+}
+
+#[test]
+fn real_vla_eval_file_is_read() {
+    // Written by `vla-eval run` 0.8.0 for a toy benchmark with a stub model.
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/captures/vla_eval_aggregate.json");
     let (provenance, entries) = imported(&path, None, &Mapping::default());
-    assert_eq!(words(&entries), ["success", "timeout", "success", "timeout"]);
+    assert_eq!(words(&entries), ["success", "unknown", "success", "unknown"]);
     assert_eq!((provenance.seed, provenance.policy.as_str()), (7, "S"));
 }
 
 #[test]
-fn the_kind_of_a_failure_is_taken_from_its_flags_where_no_word_says_it() {
+fn flags_give_the_failure_mode() {
     let folder = Folder::new("results-flags");
     let path = folder.join("t.csv");
     fs::write(&path, "success,collision,drop,grasp_miss,x\n0,1,1,0,1\n0,0,1,0,2\n0,0,0,1,3\n0,0,0,0,4\n1,0,0,1,5\n")
         .unwrap();
     let (_, entries) = imported(&path, None, &Mapping::default());
-    let wanted = [FailureMode::Collision, FailureMode::GripLoss, FailureMode::GraspMiss, FailureMode::Timeout];
-    let wanted = wanted.map(Outcome::Failure).into_iter().chain([Outcome::Success]);
-    assert!(entries.iter().map(|entry| entry.episode.outcome.clone()).eq(wanted));
+    assert_eq!(words(&entries), ["collision", "grip_loss", "grasp_miss", "timeout", "success"]);
 }
 
 #[test]
-fn what_has_no_end_is_refused_before_it_fills_memory() {
+fn endless_input_is_refused() {
     let none = Mapping::default();
     let long = |mib: usize| "a".repeat(mib << 20);
     let error = refused("quote.csv", format!("success,x\n1,\"{}", long(2)), &none);
@@ -259,16 +271,16 @@ fn unrecorded(name: &str, header: &str, rows: &[&str]) -> Vec<String> {
 }
 
 #[test]
-fn an_empty_column_records_nothing() {
+fn empty_flags_record_nothing() {
     let header = "success,mass,collision,drop,grasp_miss";
-    let modes = ["grasp_miss", "grip_loss", "collision"];
+    let modes = ["collision", "grasp_miss", "grip_loss"];
     assert_eq!(unrecorded("failed", header, &["false,1,,,"; 300]), modes);
     assert_eq!(unrecorded("succeeded", header, &["true,1,,,"; 300]), modes);
     assert_eq!(unrecorded("word", "success,mass,failure_mode", &["true,1,"; 3]), modes);
 }
 
 #[test]
-fn one_row_without_its_flag_leaves_the_mode_unrecorded() {
+fn missing_flag_leaves_mode_unrecorded() {
     let header = "success,mass,collision,drop,grasp_miss,failure_mode";
     // A failure of unknown kind may have been a collision.
     assert_eq!(unrecorded("one", header, &["false,1,0,0,0,", "false,2,,0,0,", "true,3,0,0,0,"]), ["collision"]);
@@ -277,4 +289,121 @@ fn one_row_without_its_flag_leaves_the_mode_unrecorded() {
     // A failure whose kind is named was nothing else, and an invalid episode says nothing of any kind.
     assert!(unrecorded("named", header, &["false,1,,,,timeout", "true,2,,,,", "error,3,,,,"]).is_empty());
     assert!(unrecorded("raised", header, &["false,1,1,,,", "true,2,0,0,0,"]).is_empty());
+}
+
+/// The outcomes and failure modes of the task of a table.
+fn table(name: &str, content: &str, mapping: &str) -> (Vec<String>, Vec<String>, Provenance) {
+    let folder = Folder::new(&format!("results-table-{name}"));
+    let path = folder.join("t");
+    fs::write(&path, content).unwrap();
+    let (provenance, entries) = imported(&path, None, &Mapping::from_toml(mapping, "m.toml").unwrap());
+    let modes = provenance.task.failure_modes.iter().map(|mode| mode.name.to_string()).collect();
+    (words(&entries).into_iter().map(str::to_owned).collect(), modes, provenance)
+}
+
+#[test]
+fn any_word_is_a_failure_mode() {
+    let rows =
+        "success,failure_mode,x\n0,jammed,1\n0,Object fell!,2\n0,stuck,3\n1,None,4\n0,,5\n0,Invalid,6\n0,???,7\n";
+    let (outcomes, modes, provenance) = table("words", rows, "[failure_modes]\nstuck = 'jammed'\ncrash = 'collision'");
+    assert_eq!(outcomes, ["jammed", "Object_fell_", "jammed", "success", "unknown", "unknown", "unknown"]);
+    // Those of the rows, then the one that a word of the mapping stands for.
+    assert_eq!(modes, ["Object_fell_", "jammed", "unknown", "collision"]);
+    let task = &provenance.task;
+    assert_eq!((task.name.as_str(), task.version, task.measures.len()), ("imported", 1, 0));
+    assert!(
+        source(&provenance)
+            .notes
+            .contains(&"Failures without a failure mode: 1. They are recorded as `unknown`.".to_owned())
+    );
+}
+
+#[test]
+fn failure_type_is_the_failure_mode() {
+    let (outcomes, _, provenance) = table("type", "success,failure_type,x\n0,jammed,1\n1,none,2\n0,,3\n", "");
+    assert_eq!(outcomes, ["jammed", "success", "unknown"]);
+    assert_eq!(provenance.space.len(), 1);
+    // Beside a column of the usual name it fills the gaps.
+    let both = "success,failure_mode,failure_type,x\n0,tilted,jammed,1\n0,,jammed,2\n0,none,jammed,3\n1,,,4\n";
+    let (outcomes, _, provenance) = table("both", both, "");
+    assert_eq!((outcomes.join(" "), provenance.space.len()), ("tilted jammed jammed success".to_owned(), 1));
+    // Beside a column that the mapping names it is left out, and the notes say so.
+    let (outcomes, _, provenance) =
+        table("named", "success,how,failure_type,x\n0,tilted,a,1\n1,,,4\n", "failure_mode = 'how'");
+    assert_eq!((outcomes.join(" "), provenance.space.len()), ("tilted success".to_owned(), 1));
+    assert!(source(&provenance).notes.iter().any(|note| note.starts_with("Column `failure_type` is ignored")));
+}
+
+#[test]
+fn own_flags_give_own_modes() {
+    let rows = "success,jam,spill,x\n0,1,0,1\n0,0,1,2\n0,0,0,3\n1,0,0,4\n1,1,0,5\n";
+    let mapping = "[flags]\njammed = 'jam'\nspilled = 'spill'\n[about]\ntask = 'pouring'";
+    let (outcomes, modes, provenance) = table("own", rows, mapping);
+    assert_eq!(outcomes, ["jammed", "spilled", "timeout", "success", "jammed"]);
+    assert_eq!((modes.join(" "), provenance.task.name.as_str()), ("jammed spilled timeout".to_owned(), "pouring"));
+    assert_eq!(source(&provenance).not_recorded, ["cycle_time_s"]);
+    // A flag that is missing once leaves its mode unrecorded.
+    let (outcomes, modes, provenance) = table("gap", "success,jam,spill,x\n0,0,,1\n1,0,0,2\n", mapping);
+    assert_eq!((outcomes.join(" "), modes.join(" ")), ("unknown success".to_owned(), "unknown jammed".to_owned()));
+    assert_eq!(source(&provenance).not_recorded, ["spilled", "cycle_time_s"]);
+}
+
+#[test]
+fn published_flags_are_understood() {
+    let rows = "success,bump,drop,grasp_miss,x\n1,0,0,1,1\n1,0,1,0,2\n1,1,0,0,3\n0,0,0,0,4\n";
+    for mapping in ["collision = 'bump'", "[flags]\ncollision = 'bump'"] {
+        let (outcomes, modes, provenance) = table("old", rows, mapping);
+        assert_eq!(
+            outcomes,
+            ["success", "grip_loss", "collision", "timeout"],
+            "a missed grasp is made up for by a success"
+        );
+        assert_eq!(modes, ["collision", "grip_loss", "timeout", "grasp_miss"]);
+        assert_eq!(provenance.space.len(), 1);
+    }
+}
+
+#[test]
+fn parameter_may_have_a_flag_name() {
+    let mapping = "[parameters]\ndrop_m = 'drop'";
+    let (outcomes, _, provenance) = table("drop", "success,collision,drop\n1,0,0.3\n0,1,0.4\n", mapping);
+    assert_eq!(outcomes, ["success", "collision"]);
+    assert!(provenance.space.position("drop_m").is_some());
+    assert!(source(&provenance).not_recorded.contains(&"grip_loss".to_owned()));
+}
+
+#[test]
+fn failure_without_outcome_is_a_failure() {
+    let (outcomes, ..) = table("silent", "success,failure_mode,drop,x\n,jammed,,1\n,,1,2\n,,,3\n1,,,4\n", "");
+    assert_eq!(outcomes, ["jammed", "grip_loss", "invalid", "success"]);
+}
+
+#[test]
+fn too_many_failure_modes_are_refused() {
+    let row = |i: u32| format!("0,word {i}\n");
+    let rows = |n: u32| format!("success,failure_mode\n{}", (0..n).map(row).collect::<String>());
+    let error = refused("modes.csv", rows(1001), &Mapping::default());
+    assert!(error.contains("row 1000: it has more than 1000 different failure modes"), "{error}");
+    assert_eq!(table("modes", &rows(1000), "").1.len(), 1000);
+}
+
+#[test]
+fn ignored_columns_are_named() {
+    let (.., provenance) = table("ignored", "success,mu,ok,weight\n1,0.5,true,3\n0,,false,4\n", "");
+    let notes = &source(&provenance).notes;
+    for note in [
+        "Column `mu` is ignored: row 1 has no value.",
+        "Column `ok` is ignored: it holds true or false.",
+        "Column `weight` is ignored: another column of the dictionary has its name.",
+    ] {
+        assert!(notes.iter().any(|found| found == note), "{note} {notes:?}");
+    }
+}
+
+#[test]
+fn dictionary_is_not_imported() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/v0.1/run/dictionary.parquet");
+    let folder = Folder::new("results-dictionary");
+    let error = import(&path, &folder.join("d.parquet"), None, &Mapping::default()).unwrap_err().to_string();
+    assert!(error.contains("it is a dictionary already"), "{error}");
 }

@@ -4,13 +4,13 @@ use std::fs;
 use std::io::{self, Read};
 use std::path::Path;
 
-use robogate_dictionary::{Dictionary, Tool, hex};
+use robogate_dictionary::{Dictionary, TaskIdentity, Tool, hex};
 use sha2::{Digest, Sha256};
 
 use super::{AGAINST, BASELINE, DICTIONARY, EvidenceError, FileRecord, Manifest, Problem, REQUIREMENTS, origin};
 use crate::{Against, Baseline, Evaluation, Question, Record, Requirements, Sampling};
 
-/// Computes the evaluation from the rows and demands in the folder.
+/// Computes the evaluation from the rows and requirements in the folder.
 pub(super) fn evaluate(folder: &Path, sampling: Sampling, margin: Option<f64>) -> Result<Evaluation, EvidenceError> {
     let path = folder.join(REQUIREMENTS);
     let text = fs::read_to_string(&path).map_err(EvidenceError::io(&path, "read"))?;
@@ -61,6 +61,7 @@ pub(super) fn manifest(
         dataset_sha256: dictionary.dataset_hash().to_owned(),
         seed: provenance.seed,
         policy: provenance.policy.clone(),
+        task: TaskIdentity::of(&provenance.task),
         robot: provenance.robot.clone(),
         engine: provenance.engine.clone(),
         platform: provenance.platform.clone(),

@@ -28,6 +28,7 @@ impl fmt::Debug for PrivateKey {
 
 impl PrivateKey {
     /// A new key from the operating system's random numbers.
+    #[expect(clippy::disallowed_methods, reason = "a private key must not be predictable")]
     pub fn generate() -> Result<Self, EvidenceError> {
         let mut seed = Zeroizing::new([0; 32]);
         getrandom::fill(seed.as_mut()).map_err(|e| EvidenceError::Random(e.to_string()))?;

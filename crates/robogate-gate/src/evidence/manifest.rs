@@ -1,6 +1,6 @@
 //! What is in the folder, and what it says.
 
-use robogate_dictionary::{Engine, Platform, Robot, Source, Tool};
+use robogate_dictionary::{Engine, Platform, Robot, Source, TaskIdentity, Tool};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +14,7 @@ pub enum Role {
     Dictionary,
     /// The rows of the policy that may be replaced.
     Against,
-    /// The demands.
+    /// The requirements.
     Requirements,
     /// What relative demands refer to.
     Baseline,
@@ -75,6 +75,8 @@ pub struct Manifest {
     pub seed: u64,
     /// The policy.
     pub policy: String,
+    /// The task; its whole declaration stands in the rows' provenance.
+    pub task: TaskIdentity,
     /// The robot and the hash of its files.
     pub robot: Robot,
     /// The engine and the hash of the library that was loaded.
@@ -93,7 +95,7 @@ pub struct Manifest {
 
 impl Manifest {
     /// The version of the form that is written here, and the only one that is read.
-    pub const FORMAT: u32 = 1;
+    pub const FORMAT: u32 = 2;
 
     /// As the file holds it: the same manifest gives the same bytes.
     pub fn to_json(&self) -> String {

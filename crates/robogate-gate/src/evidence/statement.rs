@@ -32,8 +32,8 @@ struct Statement<'a> {
 /// and a reader that asks whether anything failed must not be told no.
 pub(super) fn test_result(manifest: &Manifest, manifest_sha256: &str, evaluation: &Evaluation) -> String {
     let ids = |met: bool| -> Vec<&str> {
-        let findings = evaluation.findings.iter().map(|finding| (finding.id.as_str(), finding.status));
-        let all = findings.chain(evaluation.comparison.as_ref().map(|comparison| (Comparison::ID, comparison.status)));
+        let results = evaluation.results.iter().map(|result| (result.id.as_str(), result.status));
+        let all = results.chain(evaluation.comparison.as_ref().map(|comparison| (Comparison::ID, comparison.status)));
         all.filter(|(_, status)| (*status == Status::Met) == met).map(|(id, _)| id).collect()
     };
     let configuration: Vec<Value> = manifest

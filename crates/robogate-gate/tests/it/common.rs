@@ -1,8 +1,15 @@
-use robogate_core::{Assignment, FailureMode, Fault, FaultKind};
-use robogate_dictionary::Label;
+use std::sync::Arc;
+
+use robogate_core::{Assignment, FailureMode, Fault, FaultKind, Measures, TaskSpec};
+use robogate_dictionary::{Label, v1};
 use robogate_gate::{
     Baseline, BaselineFigure, Ending, Evaluation, Metric, Population, Question, Record, Requirements, Sampling, Trial,
 };
+
+/// The task of these tests.
+pub(crate) fn task() -> TaskSpec {
+    v1::task()
+}
 
 pub(crate) fn invalid() -> Ending {
     Ending::Invalid(Fault::new(FaultKind::Diverged, "test"))
@@ -14,7 +21,16 @@ pub(crate) fn failed(mode: FailureMode) -> Ending {
 
 pub(crate) fn trial(index: u64, ending: Ending) -> Trial {
     let (label, requested) = (Label::default(), Assignment::default());
-    Trial { index, seed: 1, label, requested, ending, time_s: Some(4.1), unseen: Vec::new() }
+    Trial {
+        index,
+        seed: 1,
+        label,
+        requested,
+        ending,
+        time_s: Some(4.1),
+        measures: Measures::default(),
+        unseen: Vec::new(),
+    }
 }
 
 /// Episodes drawn from a space.
@@ -46,6 +62,7 @@ pub(crate) fn label(case: u64) -> Label {
 fn record(population: Population, trials: Vec<Trial>) -> Record {
     Record {
         population,
+        task: Arc::new(task()),
         robot: "franka".to_owned(),
         policy: "scripted".to_owned(),
         dataset_sha256: "a".repeat(64),
@@ -60,10 +77,14 @@ fn record(population: Population, trials: Vec<Trial>) -> Record {
 pub(crate) fn baseline(record: &Record, success: f64, cycle_s: f64, miss: f64) -> Baseline {
     let mut baseline = Baseline::of(&Record { trials: vec![trial(0, Ending::Success)], ..drawn([]) }).unwrap();
     baseline.population = record.population.clone();
-    baseline.figures = [(Metric::SuccessRate, success), (Metric::CycleTimeS, cycle_s), (Metric::GraspMissRate, miss)]
-        .into_iter()
-        .map(|(metric, value)| BaselineFigure { metric, value })
-        .collect();
+    baseline.figures = [
+        (Metric::Success, success),
+        (Metric::MEAN_CYCLE_TIME, cycle_s),
+        (Metric::Failure(FailureMode::constant("grasp_miss")), miss),
+    ]
+    .into_iter()
+    .map(|(metric, value)| BaselineFigure { metric, value })
+    .collect();
     baseline
 }
 

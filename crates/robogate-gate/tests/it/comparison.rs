@@ -8,7 +8,7 @@ use crate::common::{drawn, failed, invalid, requirements, suite};
 
 /// A demand that anything meets, so that the comparison alone decides.
 fn easy() -> Requirements {
-    requirements("name = \"e\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.05\n")
+    requirements("name = \"e\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.05\n")
 }
 
 fn ask(this: &Record, other: &Record, margin: f64, sampling: Sampling) -> Result<Evaluation, GateError> {
@@ -18,7 +18,7 @@ fn ask(this: &Record, other: &Record, margin: f64, sampling: Sampling) -> Result
 }
 
 fn endings(n: u64, fails: impl Fn(u64) -> bool) -> Vec<Ending> {
-    (0..n).map(|i| if fails(i) { failed(FailureMode::GraspMiss) } else { Ending::Success }).collect()
+    (0..n).map(|i| if fails(i) { failed(FailureMode::constant("grasp_miss")) } else { Ending::Success }).collect()
 }
 
 #[test]

@@ -13,22 +13,22 @@ fn one(mode: &str, lines: &str) -> String {
 #[test]
 fn what_no_number_of_episodes_can_show_is_named() {
     for lines in [
-        "metric = \"collision_rate\"\nat_most = 0.0",
-        "metric = \"success_rate\"\nat_least = 1.0",
-        "metric = \"collision_count\"\nat_most = 0",
+        "metric = \"failure:collision\"\nat_most = 0.0",
+        "metric = \"success\"\nat_least = 1.0",
+        "metric = \"failure_count:collision\"\nat_most = 0",
     ] {
         let text = refused(&one("confidence", lines));
         assert!(text.contains("can't be met at any number of episodes") && text.contains("hint:"), "{text}");
     }
-    assert!(refused(&one("point", "metric = \"success_rate\"\nat_least = 92.0")).contains("write 92 % as 0.92"));
+    assert!(refused(&one("point", "metric = \"success\"\nat_least = 92.0")).contains("write 92 % as 0.92"));
     // The paper's gate compares counts: there a zero can be met.
-    assert!(Requirements::from_toml(&one("point", "metric = \"collision_count\"\nat_most = 0")).is_ok());
+    assert!(Requirements::from_toml(&one("point", "metric = \"failure_count:collision\"\nat_most = 0")).is_ok());
 }
 
 #[test]
 fn a_relative_limit_of_nothing_is_named_with_the_figure() {
     let record = suite(4, times(8, &Ending::Success));
-    let gate = requirements(&one("confidence", "metric = \"grasp_miss_rate\"\nat_most_times_baseline = 1.2"));
+    let gate = requirements(&one("confidence", "metric = \"failure:grasp_miss\"\nat_most_times_baseline = 1.2"));
     let ask = |baseline: Option<&Baseline>| {
         let question = Question { requirements: &gate, baseline, against: None, sampling: Sampling::Fixed };
         question.evaluate(&record).unwrap_err().to_string()
@@ -47,25 +47,27 @@ fn a_relative_limit_of_nothing_is_named_with_the_figure() {
 #[test]
 fn a_gate_that_demands_nothing_is_no_gate() {
     assert!(refused("name = \"x\"\nmode = \"point\"\n").contains("would pass everything"));
-    assert!(refused(&one("confidence", "metric = \"drop_rate\"\nat_most = 1.0")).contains("demands nothing"));
-    let twice =
-        one("point", "metric = \"drop_rate\"\nat_most = 0.1\n[[requirement]]\nmetric = \"drop_rate\"\nat_most = 0.2");
+    assert!(refused(&one("confidence", "metric = \"failure:grip_loss\"\nat_most = 1.0")).contains("demands nothing"));
+    let twice = one(
+        "point",
+        "metric = \"failure:grip_loss\"\nat_most = 0.1\n[[requirement]]\nmetric = \"failure:grip_loss\"\nat_most = 0.2",
+    );
     assert!(refused(&twice).contains("stands there twice"));
 }
 
 #[test]
 fn slips_of_the_pen_are_named() {
     for (toml, said) in [
-        (one("point", "metric = \"drop_rate\""), "it needs either"),
-        (one("point", "metric = \"drop_rate\"\nat_most = nan"), "finite"),
-        (one("point", "metric = \"drop_rate\"\nat_most = 0.1\nat_least = 0.2"), "it needs either"),
-        (one("point", "metric = \"drop_rat\"\nat_most = 0.1"), "unknown variant `drop_rat`"),
-        (one("point", "metric = \"drop_rate\"\nat_mots = 0.1"), "unknown field `at_mots`"),
-        (one("point", "metric = \"cycle_time_s\"\nat_most = 5.0"), "ceiling_s"),
-        (one("sure", "metric = \"drop_rate\"\nat_most = 0.1"), "unknown variant `sure`"),
-        (one("point", "metric = \"drop_rate\"\nat_most = 0.1\neach = \"group\"\ngroup = \"g\""), "in place of"),
-        (one("point\"\nconfidence = 95\n#", "metric = \"drop_rate\"\nat_most = 0.1"), "write 95 % as 0.95"),
-        (one("point", "metric = \"drop_rate\"\nat_most = 0.1\n[budget]\nrounds = 0"), "from 1 to"),
+        (one("point", "metric = \"failure:grip_loss\""), "it needs either"),
+        (one("point", "metric = \"failure:grip_loss\"\nat_most = nan"), "finite"),
+        (one("point", "metric = \"failure:grip_loss\"\nat_most = 0.1\nat_least = 0.2"), "it needs either"),
+        (one("point", "metric = \"drop_rat\"\nat_most = 0.1"), "`drop_rat` is not a metric"),
+        (one("point", "metric = \"failure:grip_loss\"\nat_mots = 0.1"), "unknown field `at_mots`"),
+        (one("point", "metric = \"cycle_time_s\"\nat_most = 5.0"), "ceiling"),
+        (one("sure", "metric = \"failure:grip_loss\"\nat_most = 0.1"), "unknown variant `sure`"),
+        (one("point", "metric = \"failure:grip_loss\"\nat_most = 0.1\neach = \"group\"\ngroup = \"g\""), "in place of"),
+        (one("point\"\nconfidence = 95\n#", "metric = \"failure:grip_loss\"\nat_most = 0.1"), "write 95 % as 0.95"),
+        (one("point", "metric = \"failure:grip_loss\"\nat_most = 0.1\n[budget]\nrounds = 0"), "from 1 to"),
     ] {
         let text = refused(&toml);
         assert!(text.contains(said), "{toml}\n{text}");
@@ -74,7 +76,7 @@ fn slips_of_the_pen_are_named() {
 
 #[test]
 fn a_scope_that_no_episode_has_is_named_with_those_there_are() {
-    let gate = requirements(&one("point", "metric = \"success_rate\"\nat_least = 0.5\ngroup = \"heavy\""));
+    let gate = requirements(&one("point", "metric = \"success\"\nat_least = 0.5\ngroup = \"heavy\""));
     let question = Question { requirements: &gate, baseline: None, against: None, sampling: Sampling::Fixed };
     let error = question.evaluate(&suite(4, times(4, &Ending::Success))).unwrap_err();
     assert!(error.to_string().contains("nominal/group-0, edge_cases/group-1"), "{error}");
@@ -84,16 +86,16 @@ fn a_scope_that_no_episode_has_is_named_with_those_there_are() {
 
 #[test]
 fn an_episode_beyond_the_ceiling_is_named() {
-    let gate = requirements(&one("confidence", "metric = \"cycle_time_s\"\nat_most = 5.0\nceiling_s = 15.0"));
+    let gate = requirements(&one("confidence", "metric = \"cycle_time_s\"\nat_most = 5.0\nceiling = 15.0"));
     let mut record = drawn(times(4, &Ending::Success));
     record.trials[2].time_s = Some(64.3);
     let question = Question { requirements: &gate, baseline: None, against: None, sampling: Sampling::Fixed };
-    assert!(matches!(question.evaluate(&record), Err(GateError::AboveCeiling { index: 2, .. })));
+    assert!(matches!(question.evaluate(&record), Err(GateError::OutOfRange { index: 2, .. })));
 }
 
 #[test]
 fn an_unlabelled_episode_among_those_of_a_suite_is_named() {
-    let gate = requirements(&one("point", "metric = \"success_rate\"\nat_least = 0.5"));
+    let gate = requirements(&one("point", "metric = \"success\"\nat_least = 0.5"));
     let mut record = suite(4, times(8, &Ending::Success));
     record.trials[5].label = robogate_dictionary::Label::default();
     let question = Question { requirements: &gate, baseline: None, against: None, sampling: Sampling::Fixed };

@@ -1,24 +1,27 @@
 use robogate_core::FailureMode;
 use robogate_gate::{Baseline, Ending, GateError, Question, Record, Requirements, Sampling, Status, Verdict};
 
-use crate::common::{baseline, drawn, failed, invalid, judge, requirements, suite, times};
+use crate::common::{baseline, drawn, failed, invalid, judge, requirements, suite, task, times};
 
-const SUCCESS: &str =
-    "name = \"s\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.6\n";
+const SUCCESS: &str = "name = \"s\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.6\n";
 
 /// Every way in which `n` episodes can end, of four kinds.
 fn all_endings(n: u32) -> impl Iterator<Item = Vec<Ending>> {
-    let kinds =
-        [Ending::Success, failed(FailureMode::Collision), failed(FailureMode::GraspMiss), Ending::Failure(None)];
+    let kinds = [
+        Ending::Success,
+        failed(FailureMode::constant("collision")),
+        failed(FailureMode::constant("grasp_miss")),
+        Ending::Failure(None),
+    ];
     (0..4_usize.pow(n)).map(move |code| (0..n).map(|i| kinds[code / 4_usize.pow(i) % 4].clone()).collect())
 }
 
 #[test]
 fn an_invalid_episode_never_turns_a_fail_into_a_pass_or_the_other_way_round() {
     let gates = [
-        "name = \"p\"\nmode = \"point\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.6\n[[requirement]]\nmetric = \"collision_count\"\nat_most = 0\n[[requirement]]\nmetric = \"cycle_time_s\"\nat_most = 4.5\nceiling_s = 15.0\n",
+        "name = \"p\"\nmode = \"point\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.6\n[[requirement]]\nmetric = \"failure_count:collision\"\nat_most = 0\n[[requirement]]\nmetric = \"cycle_time_s\"\nat_most = 4.5\nceiling = 15.0\n",
         // So little confidence that four episodes can decide.
-        "name = \"c\"\nmode = \"confidence\"\nconfidence = 0.75\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.5\n[[requirement]]\nmetric = \"collision_rate\"\nat_most = 0.5\n",
+        "name = \"c\"\nmode = \"confidence\"\nconfidence = 0.75\n[[requirement]]\nmetric = \"success\"\nat_least = 0.5\n[[requirement]]\nmetric = \"failure:collision\"\nat_most = 0.5\n",
     ];
     let mut decided = [0; 2];
     for gate in gates.map(requirements) {
@@ -43,25 +46,26 @@ fn an_invalid_episode_never_turns_a_fail_into_a_pass_or_the_other_way_round() {
 
 #[test]
 fn a_failure_in_an_unknown_way_may_have_been_a_collision() {
-    let gate =
-        requirements("name = \"c\"\nmode = \"point\"\n[[requirement]]\nmetric = \"collision_count\"\nat_most = 0\n");
+    let gate = requirements(
+        "name = \"c\"\nmode = \"point\"\n[[requirement]]\nmetric = \"failure_count:collision\"\nat_most = 0\n",
+    );
     let record = drawn([Ending::Success, Ending::Failure(None)]);
     let found = judge(&gate, &record, Sampling::Fixed);
-    assert_eq!((found.verdict, found.findings[0].invalid), (Verdict::Inconclusive, 1));
+    assert_eq!((found.verdict, found.results[0].invalid), (Verdict::Inconclusive, 1));
 }
 
 #[test]
 fn who_does_not_record_collisions_shows_none_of_their_absence() {
     let gate = requirements(
-        "name = \"c\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"collision_rate\"\nat_most = 0.1\n",
+        "name = \"c\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"failure:collision\"\nat_most = 0.1\n",
     );
     let mut record = drawn(times(400, &Ending::Success));
     assert_eq!(judge(&gate, &record, Sampling::Fixed).verdict, Verdict::Pass);
     for trial in &mut record.trials {
-        trial.unseen = vec![FailureMode::Collision];
+        trial.unseen = vec![FailureMode::constant("collision")];
     }
     let found = judge(&gate, &record, Sampling::Fixed);
-    assert_eq!((found.verdict, found.findings[0].valid), (Verdict::Inconclusive, 0));
+    assert_eq!((found.verdict, found.results[0].valid), (Verdict::Inconclusive, 0));
 }
 
 #[test]
@@ -80,19 +84,19 @@ fn only_whole_rounds_of_a_suite_are_judged() {
 #[test]
 fn a_demand_for_each_group_is_one_demand_for_each() {
     let gate = requirements(
-        "name = \"g\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.6\neach = \"group\"\n",
+        "name = \"g\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.6\neach = \"group\"\n",
     );
     // Group 3 always fails.
-    let endings = (0..80).map(|i| if i % 4 == 3 { failed(FailureMode::Timeout) } else { Ending::Success });
+    let endings = (0..80).map(|i| if i % 4 == 3 { failed(FailureMode::TIMEOUT) } else { Ending::Success });
     let found = judge(&gate, &suite(8, endings), Sampling::Fixed);
-    let of: Vec<(&str, Status)> = found.findings.iter().map(|f| (f.id.as_str(), f.status)).collect();
+    let of: Vec<(&str, Status)> = found.results.iter().map(|f| (f.id.as_str(), f.status)).collect();
     assert_eq!(
         of,
         [
-            ("success_rate[nominal/group-0]", Status::Met),
-            ("success_rate[edge_cases/group-1]", Status::Met),
-            ("success_rate[nominal/group-2]", Status::Met),
-            ("success_rate[edge_cases/group-3]", Status::Violated),
+            ("success[nominal/group-0]", Status::Met),
+            ("success[edge_cases/group-1]", Status::Met),
+            ("success[nominal/group-2]", Status::Met),
+            ("success[edge_cases/group-3]", Status::Violated),
         ]
     );
     assert_eq!(found.verdict, Verdict::Fail);
@@ -104,32 +108,32 @@ fn a_demand_for_each_group_is_one_demand_for_each() {
 fn a_pass_needs_no_adjustment_and_a_fail_shares_its_error() {
     let two = |family: &str| {
         requirements(&format!(
-            "name = \"f\"\nmode = \"confidence\"\nfamily = \"{family}\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.92\n[[requirement]]\nmetric = \"timeout_rate\"\nat_most = 0.08\n"
+            "name = \"f\"\nmode = \"confidence\"\nfamily = \"{family}\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.92\n[[requirement]]\nmetric = \"failure:timeout\"\nat_most = 0.08\n"
         ))
     };
     // 67 of 68: p = 0.024 for both. Alone at 0.05 it is shown; shared by two, both are too, one after the other.
-    let record = drawn(times(67, &Ending::Success).chain([failed(FailureMode::Timeout)]));
+    let record = drawn(times(67, &Ending::Success).chain([failed(FailureMode::TIMEOUT)]));
     assert_eq!(judge(&two("intersection_union"), &record, Sampling::Fixed).verdict, Verdict::Pass);
     assert_eq!(judge(&two("holm"), &record, Sampling::Fixed).verdict, Verdict::Pass);
     // One p-value of 0.024 beside one of 0.083: the smaller is shown alone, but not in a family of two.
-    let record =
-        drawn(times(66, &Ending::Success).chain([failed(FailureMode::Timeout), failed(FailureMode::GraspMiss)]));
-    let status = |family| judge(&two(family), &record, Sampling::Fixed).findings[1].status;
+    let record = drawn(
+        times(66, &Ending::Success).chain([failed(FailureMode::TIMEOUT), failed(FailureMode::constant("grasp_miss"))]),
+    );
+    let status = |family| judge(&two(family), &record, Sampling::Fixed).results[1].status;
     assert_eq!((status("intersection_union"), status("holm")), (Status::Met, Status::Met));
     // P(X <= 57 | 68, 0.92) = 0.03: violated alone, undecided beside a second demand.
-    let record = drawn(times(58, &Ending::Success).chain(times(10, &failed(FailureMode::GraspMiss))));
-    let alone = requirements(
-        "name = \"a\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.92\n",
-    );
-    let p = judge(&alone, &record, Sampling::Fixed).findings[0].p_violated.unwrap();
+    let record = drawn(times(58, &Ending::Success).chain(times(10, &failed(FailureMode::constant("grasp_miss")))));
+    let alone =
+        requirements("name = \"a\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.92\n");
+    let p = judge(&alone, &record, Sampling::Fixed).results[0].p_violated.unwrap();
     let both = judge(&two("intersection_union"), &record, Sampling::Fixed);
-    assert_eq!(both.findings[0].status == Status::Violated, p <= 0.025, "p {p}");
+    assert_eq!(both.results[0].status == Status::Violated, p <= 0.025, "p {p}");
 }
 
 #[test]
 fn the_same_record_gives_the_same_bytes_and_they_can_be_read_again() {
     let record = suite(68, times(136, &Ending::Success));
-    let requirements = Requirements::open("default").unwrap();
+    let requirements = Requirements::open("default", &task()).unwrap();
     let baseline = baseline(&record, 1.0, 4.1, 0.0);
     let question = Question {
         requirements: &requirements,
@@ -145,7 +149,7 @@ fn the_same_record_gives_the_same_bytes_and_they_can_be_read_again() {
 
 #[test]
 fn a_perfect_policy_passes_the_default_gate_after_seven_rounds_and_says_so_beforehand() {
-    let requirements = Requirements::open("default").unwrap();
+    let requirements = Requirements::open("default", &task()).unwrap();
     let perfect = |rounds: usize| suite(68, times(68 * rounds, &Ending::Success));
     let baseline = baseline(&perfect(1), 1.0, 4.1, 0.0);
     let judge = |rounds| {
@@ -170,7 +174,7 @@ fn a_perfect_policy_passes_the_default_gate_after_seven_rounds_and_says_so_befor
 #[test]
 fn slower_episodes_than_the_baseline_allows_violate_and_unknown_ones_are_taken_as_they_hurt() {
     let gate = requirements(
-        "name = \"t\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"cycle_time_s\"\nat_most_times_baseline = 1.1\nceiling_s = 15.0\n",
+        "name = \"t\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"cycle_time_s\"\nat_most_times_baseline = 1.1\nceiling = 15.0\n",
     );
     let judge = |time: f64, unknown: usize, n: usize| {
         let mut record = drawn(times(n, &Ending::Success).chain(times(unknown, &invalid())));
@@ -180,7 +184,7 @@ fn slower_episodes_than_the_baseline_allows_violate_and_unknown_ones_are_taken_a
         let baseline = baseline(&record, 1.0, 4.0, 0.0);
         let question =
             Question { requirements: &gate, baseline: Some(&baseline), against: None, sampling: Sampling::Fixed };
-        question.evaluate(&record).unwrap().findings.remove(0)
+        question.evaluate(&record).unwrap().results.remove(0)
     };
     assert_eq!(judge(3.5, 0, 200).status, Status::Met);
     assert_eq!(judge(5.5, 0, 200).status, Status::Violated);
@@ -188,7 +192,7 @@ fn slower_episodes_than_the_baseline_allows_violate_and_unknown_ones_are_taken_a
     // Twenty unknown durations could have been 15 s each: the mean could have been 4.5 s.
     let unsure = judge(3.5, 20, 180);
     assert_eq!(unsure.status, Status::Undecided);
-    assert!((unsure.figure.most.unwrap() - 4.65).abs() < 1e-9 && (unsure.figure.least - 3.15).abs() < 1e-9);
+    assert!((unsure.figure.most.unwrap() - 4.65).abs() < 1e-9 && (unsure.figure.least.unwrap() - 3.15).abs() < 1e-9);
     let [low, high] = judge(3.5, 0, 200).interval.unwrap();
     assert!(low < 3.5 && 3.5 < high && high < 4.4);
 }
@@ -197,33 +201,33 @@ fn slower_episodes_than_the_baseline_allows_violate_and_unknown_ones_are_taken_a
 fn a_baseline_is_the_same_after_a_round_trip() {
     let made = Baseline::of(&suite(4, times(8, &Ending::Success))).unwrap();
     assert_eq!(Baseline::from_json(&made.to_json()).unwrap(), made);
-    assert_eq!(made.figures.len(), 7);
+    // Success, cycle time, and count and rate of four failure modes.
+    assert_eq!(made.figures.len(), 10);
 }
 
 #[test]
 fn rows_that_are_no_suite_pass_or_fail_alike_in_any_order() {
-    let gate = requirements(
-        "name = \"o\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.9\n",
-    );
+    let gate =
+        requirements("name = \"o\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.9\n");
     // 80 % succeed, and the file has the successes first: a prefix of it would pass.
-    let sorted = drawn(times(800, &Ending::Success).chain(times(200, &failed(FailureMode::GraspMiss))));
+    let sorted = drawn(times(800, &Ending::Success).chain(times(200, &failed(FailureMode::constant("grasp_miss")))));
     let found = judge(&gate, &sorted, Sampling::Sequential);
     assert_eq!(found.verdict, Verdict::Fail);
     let mut turned = sorted;
     turned.trials.reverse();
     let again = judge(&gate, &turned, Sampling::Sequential);
     assert_eq!(
-        (again.findings[0].p_met, again.findings[0].p_violated),
-        (found.findings[0].p_met, found.findings[0].p_violated)
+        (again.results[0].p_met, again.results[0].p_violated),
+        (found.results[0].p_met, found.results[0].p_violated)
     );
-    assert!(found.findings[0].p_met.unwrap() > 0.9);
+    assert!(found.results[0].p_met.unwrap() > 0.9);
 }
 
 #[test]
 fn a_demand_for_each_group_is_refused_where_an_episode_has_none() {
     for (each, missing) in [("group", "group"), ("category", "category")] {
         let gate = requirements(&format!(
-            "name = \"g\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.1\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.6\neach = \"{each}\"\n"
+            "name = \"g\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.1\n[[requirement]]\nmetric = \"success\"\nat_least = 0.6\neach = \"{each}\"\n"
         ));
         let ask = |record: &Record| {
             Question { requirements: &gate, baseline: None, against: None, sampling: Sampling::Fixed }.evaluate(record)

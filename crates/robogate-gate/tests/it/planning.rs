@@ -1,7 +1,7 @@
 use robogate_gate::{GateError, GatePlan, Requirements, Sampling};
 use serde_json::Value;
 
-use crate::common::{baseline, label, requirements, suite};
+use crate::common::{baseline, label, requirements, suite, task};
 
 fn plan(requirements: &Requirements, sampling: Sampling, rounds: u64) -> Result<GatePlan, GateError> {
     let labels: Vec<_> = (0..68).map(label).collect();
@@ -13,7 +13,7 @@ fn plan(requirements: &Requirements, sampling: Sampling, rounds: u64) -> Result<
 fn the_point_gate_passes_as_often_as_the_binomial_law_says() {
     // 31 % at a true rate of 0.90, and a fail in 12 % at 0.95: SciPy's figures.
     let reference: Value = serde_json::from_str(include_str!("../reference/reference.json")).unwrap();
-    let plan = plan(&Requirements::open("paper").unwrap(), Sampling::Fixed, 1).unwrap();
+    let plan = plan(&Requirements::open("paper", &task()).unwrap(), Sampling::Fixed, 1).unwrap();
     let success = &plan.demands[0];
     for case in reference["paper"].as_array().unwrap() {
         let rate = case["rate"].as_f64().unwrap();
@@ -27,7 +27,7 @@ fn the_point_gate_passes_as_often_as_the_binomial_law_says() {
 
 #[test]
 fn at_the_limit_neither_answer_is_given_more_often_than_its_error_allows() {
-    let plan = plan(&Requirements::open("default").unwrap(), Sampling::Sequential, 20).unwrap();
+    let plan = plan(&Requirements::open("default", &task()).unwrap(), Sampling::Sequential, 20).unwrap();
     for demand in plan.demands.iter().filter(|d| !d.at.is_empty()) {
         let at = demand.at.iter().find(|at| (at.rate - demand.bound.limit).abs() < 1e-9).unwrap();
         assert!(at.met <= 0.05 && at.violated <= 0.01, "{} {at:?}", demand.id);
@@ -39,14 +39,14 @@ fn at_the_limit_neither_answer_is_given_more_often_than_its_error_allows() {
 
 #[test]
 fn a_budget_that_even_a_perfect_policy_would_exceed_is_named() {
-    let error = plan(&Requirements::open("default").unwrap(), Sampling::Sequential, 2).unwrap_err();
+    let error = plan(&Requirements::open("default", &task()).unwrap(), Sampling::Sequential, 2).unwrap_err();
     assert!(matches!(error, GateError::BudgetTooSmall { budget: 136, .. }), "{error}");
 }
 
 #[test]
 fn a_demand_on_a_group_is_planned_with_the_episodes_of_that_group() {
     let gate = requirements(
-        "name = \"g\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.8\ngroup = \"group-0\"\n",
+        "name = \"g\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.8\ngroup = \"group-0\"\n",
     );
     let plan = plan(&gate, Sampling::Fixed, 1).unwrap();
     assert_eq!((plan.demands[0].per_round, plan.demands[0].fewest_rounds), (17, Some(1)));

@@ -54,9 +54,8 @@ fn of_ten_thousand_gates_at_the_limit_at_most_one_in_twenty_passes_and_at_most_o
 
 #[test]
 fn the_simulated_gate_is_the_one_that_judges_records() {
-    let gate_of_one = requirements(
-        "name = \"s\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success_rate\"\nat_least = 0.92\n",
-    );
+    let gate_of_one =
+        requirements("name = \"s\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.92\n");
     let mut stream = Seed::campaign(7).stream("agreement");
     for rate in [0.85, 0.92, 0.97] {
         for _ in 0..20 {
@@ -67,7 +66,7 @@ fn the_simulated_gate_is_the_one_that_judges_records() {
                 for _ in 0..CASES {
                     let good = stream.uniform() < rate;
                     successes += u64::from(good);
-                    endings.push(if good { Ending::Success } else { failed(FailureMode::Timeout) });
+                    endings.push(if good { Ending::Success } else { failed(FailureMode::TIMEOUT) });
                 }
                 let now = GATE.look(Trials::new(successes, done * CASES).unwrap());
                 answer = if answer == Answer::Open { now } else { answer };

@@ -45,7 +45,11 @@ fn gate(demand: &str, confidence: &str) -> Requirements {
 }
 
 fn judged(demand: &str, confidence: &str, [good, bad, unknown]: [usize; 3]) -> Evaluation {
-    let mode = if demand.starts_with("collision") { FailureMode::Collision } else { FailureMode::GraspMiss };
+    let mode = if demand.starts_with("collision") {
+        FailureMode::constant("collision")
+    } else {
+        FailureMode::constant("grasp_miss")
+    };
     let endings = times(good, &Ending::Success).chain(times(bad, &failed(mode))).chain(times(unknown, &invalid()));
     judge(&gate(demand, confidence), &drawn(endings), Sampling::Fixed)
 }
@@ -56,11 +60,11 @@ fn every_row_of_the_table_holds() {
         let found = judged(&row.demand, &row.confidence, [row.good, row.bad, row.invalid]);
         let Row { good, bad, invalid, demand, confidence, verdict } = &row;
         assert_eq!(
-            found.verdict.word(),
+            found.verdict.as_str(),
             verdict,
             "{good} good, {bad} bad, {invalid} invalid, {demand} at {confidence}: {:?} {:?}",
             found.because,
-            found.findings
+            found.results
         );
     }
 }
@@ -74,15 +78,15 @@ fn p_values_and_intervals_are_those_of_scipy() {
         let count = |key: &str| case[key].as_u64().unwrap() as usize;
         let demand = case["demand"].as_str().unwrap();
         let found = judged(demand, "0.95", [count("good"), count("bad"), count("invalid")]);
-        let finding = &found.findings[0];
+        let result = &found.results[0];
         let close = |name: &str, ours: f64, theirs: f64| {
             assert!((ours - theirs).abs() <= 1e-10 * theirs.abs().max(1e-3), "{case} {name}: {ours} against {theirs}");
         };
-        close("p_met", finding.p_met.unwrap(), case["p_met"].as_f64().unwrap());
-        close("p_violated", finding.p_violated.unwrap(), case["p_violated"].as_f64().unwrap());
+        close("p_met", result.p_met.unwrap(), case["p_met"].as_f64().unwrap());
+        close("p_violated", result.p_violated.unwrap(), case["p_violated"].as_f64().unwrap());
         let [low, high] = [0, 1].map(|i| case["interval"][i].as_f64().unwrap());
         let [low, high] = if demand.contains("<=") { [1.0 - high, 1.0 - low] } else { [low, high] };
-        let ours = finding.interval.unwrap();
+        let ours = result.interval.unwrap();
         close("low", ours[0], low);
         close("high", ours[1], high);
     }

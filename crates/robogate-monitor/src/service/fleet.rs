@@ -1,23 +1,23 @@
-//! The fleet as one document: per fleet, per robot, and for each recipe how much its robots differ.
+//! The fleet document: all robots, and for each recipe how much its robots differ.
 
 use std::collections::BTreeMap;
 
 use robogate_stats::Trials;
+use robogate_stats::overdispersion::{Outlier, outliers, spread};
 use serde::Serialize;
 
 use super::intake::Intake;
 use super::status::RateStatus;
 use crate::Level;
-use crate::fleet::{outliers, spread};
 
-/// Recipes whose robots are compared, the gravest and busiest first.
+/// Limit of recipes whose robots are compared, the most severe and busiest first.
 const RECIPES: usize = 20;
-/// Robots that are listed, those with the lowest success rate first.
+/// Limit of listed robots, the lowest success rate first.
 const ROBOTS: usize = 200;
 /// Level of the outlier test, over the robots of one recipe.
 const ALPHA: f64 = 0.05;
 
-/// What each robot did in each recipe: all that the comparison needs.
+/// The cycles of each robot in each recipe, from which robots are compared.
 #[derive(Debug)]
 pub(super) struct Tallies {
     all: Trials,
@@ -32,20 +32,20 @@ pub struct FleetStatus {
     pub version: u32,
     /// All cycles of all robots and recipes.
     pub all: RateStatus,
-    /// How many robots there are.
+    /// The number of robots.
     pub robots_known: usize,
-    /// Each robot over all its recipes, the lowest success rate first. Recipes differ: see `recipes` for who stands out.
+    /// Each robot over all its recipes, the lowest success rate first. Recipes differ, so only `recipes` compares robots.
     pub robots: Vec<RobotStatus>,
-    /// Recipes with more than one robot, the gravest first, then the busiest.
+    /// Recipes with more than one robot, the most severe first, then the busiest.
     pub recipes: Vec<RecipeFleet>,
 }
 
-/// What a robot did.
+/// The cycles of a robot.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RobotStatus {
     /// The robot.
     pub robot: String,
-    /// Its success.
+    /// Its success rate.
     pub rate: RateStatus,
 }
 
@@ -54,9 +54,10 @@ pub struct RobotStatus {
 pub struct RecipeFleet {
     /// The recipe.
     pub recipe: String,
-    /// The spread; absent where all cycles have one outcome.
+    /// The spread; absent if all cycles have one outcome.
     pub spread: Option<SpreadStatus>,
-    /// Robots that stand out, the surest first, at the level 0.05 over all robots of the recipe; none among fewer than four.
+    /// Robots that differ significantly from their peers, the smallest p-value first, at the level 0.05 over all robots of the recipe;
+    /// none among fewer than four robots.
     pub outliers: Vec<OutlierStatus>,
     /// Its robots, the lowest success rate first.
     pub robots: Vec<RobotStatus>,
@@ -69,7 +70,7 @@ pub struct SpreadStatus {
     pub robots: usize,
     /// Mean success rate of a robot.
     pub mean: f64,
-    /// Overdispersion, from 0 (all alike) to 1.
+    /// Overdispersion, from 0 (equal rates) to 1.
     pub overdispersion: f64,
     /// Its 95 % interval.
     pub overdispersion_95: [f64; 2],
@@ -79,16 +80,16 @@ pub struct SpreadStatus {
     pub deviation_95: [f64; 2],
 }
 
-/// A robot that stands out.
+/// A robot that differs significantly from its peers.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OutlierStatus {
     /// The robot.
     pub robot: String,
     /// Whether it is worse than its peers, not better.
     pub worse: bool,
-    /// The two-sided p-value by Holm.
+    /// The two-sided p-value after Holm's correction.
     pub p: f64,
-    /// What it did.
+    /// Its success rate.
     pub rate: RateStatus,
 }
 
@@ -127,7 +128,7 @@ fn together(a: Trials, b: Trials) -> Trials {
 }
 
 impl FleetStatus {
-    /// Compares the robots: up to a second of work for each recipe of a thousand robots, so not on the desk's thread.
+    /// Compares the robots. This takes up to a second for each recipe of a thousand robots, so the engine's thread does not do it.
     pub(super) fn of(tallies: &Tallies) -> Self {
         let robots = tallies.robots.iter().map(|(robot, trials)| (robot.as_str(), *trials));
         Self {
@@ -149,25 +150,24 @@ fn lowest<'a>(robots: impl Iterator<Item = (&'a str, Trials)>) -> Vec<RobotStatu
 }
 
 fn recipe_fleet(recipe: &str, robots: &[(String, Trials)]) -> RecipeFleet {
-    let named: Vec<(&str, Trials)> = robots.iter().map(|(robot, trials)| (robot.as_str(), *trials)).collect();
-    let trials: Vec<Trials> = named.iter().map(|(_, trials)| *trials).collect();
-    let outlier = |o: crate::fleet::Outlier| OutlierStatus {
+    let trials: Vec<Trials> = robots.iter().map(|(_, trials)| *trials).collect();
+    let outlier = |o: Outlier| OutlierStatus {
         rate: RateStatus::of(o.trials),
-        robot: o.robot,
+        robot: robots[o.index].0.clone(),
         worse: o.worse,
         p: o.p,
     };
     RecipeFleet {
         recipe: recipe.to_owned(),
         spread: spread(&trials).map(|s| SpreadStatus {
-            robots: s.robots,
+            robots: s.groups,
             mean: s.mean,
             overdispersion: s.rho,
             overdispersion_95: s.rho_95,
             deviation: s.deviation,
             deviation_95: s.deviation_95,
         }),
-        outliers: outliers(&named, ALPHA).into_iter().map(outlier).collect(),
-        robots: lowest(named.iter().copied()),
+        outliers: outliers(&trials, ALPHA).into_iter().map(outlier).collect(),
+        robots: lowest(robots.iter().map(|(robot, trials)| (robot.as_str(), *trials))),
     }
 }

@@ -1,19 +1,19 @@
-//! The HTTP side: cycles in, status, metrics and page out.
+//! The HTTP server: takes cycles, returns status, metrics and the page.
 //!
 //! | request | answer |
 //! |---|---|
-//! | `POST /v1/cycles` | one cycle, an array of them, or one a line; what became of them |
-//! | `POST /v1/recipes/NAME/restart` | the recipe's detectors start again, after the cause was mended |
-//! | `GET /v1/status` | where everything stands |
-//! | `GET /v1/fleet` | all robots, how much those of each recipe differ, and who stands out |
+//! | `POST /v1/cycles` | one cycle, an array of cycles, or one per line; returns the result of the batch |
+//! | `POST /v1/recipes/NAME/restart` | restarts the recipe's detectors, after the cause was repaired |
+//! | `GET /v1/status` | the status document |
+//! | `GET /v1/fleet` | all robots, and for each recipe how much they differ |
 //! | `GET /metrics` | for Prometheus |
 //! | `GET /healthz` | 200 while cycles can be written |
 //! | `GET /` | the page |
 //!
-//! Without a token only this machine may connect: the address must be a loopback one, requests must name it as their host, and
-//! another site's page may not post. With a token everything but `/` (which holds no data) and `/healthz` asks for it.
+//! Without a token only this machine may connect: the address must be a loopback address, requests must name it as their host, and
+//! pages of other sites may not post. With a token, every path except `/` (which contains no data) and `/healthz` requires it.
 //!
-//! A slow client holds one of many connections and nothing else: heads, bodies and whole connections have their time.
+//! A slow client occupies one of many connections and nothing else: heads, bodies and whole connections have time limits.
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
@@ -35,37 +35,37 @@ use serde_json::value::RawValue;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Semaphore, oneshot, watch};
 
-use super::desk::{Answer, Busy, Handle, Job};
+use super::engine::{Answer, Busy, Handle, Job};
 use super::fleet::FleetStatus;
 use super::intake::Taken;
 
-/// Time for which a comparison of the robots holds.
+/// Time for which a comparison of the robots is reused.
 const FLEET_HOLDS: Duration = Duration::from_secs(10);
 
-/// The page, whole: it loads nothing from elsewhere.
+/// The page. It loads nothing from elsewhere.
 const PAGE: &str = include_str!("page.html");
 
-/// Limits of the HTTP side.
+/// Limits of the HTTP server.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct HttpSettings {
-    /// Largest body, in bytes.
+    /// Limit of a body, in bytes.
     pub most_body_bytes: usize,
-    /// Bytes of all bodies that are held in memory at once, from their arrival until they are on disk.
+    /// Limit of the bytes of all bodies in memory, from their arrival until they are on disk.
     pub most_held_bytes: usize,
-    /// Connections at once.
+    /// Limit of connections.
     pub most_connections: usize,
-    /// Connections at once from one address.
+    /// Limit of connections from one address.
     pub most_connections_per_address: usize,
-    /// Requests a second from one address, in the mean; ten seconds' worth may come at once.
+    /// Limit of requests per second from one address; a burst may have ten times as many.
     pub requests_per_s: f64,
     /// Seconds for a request's head, and for an idle connection.
     pub head_s: f64,
     /// Seconds for a request's body.
     pub body_s: f64,
-    /// Seconds until an answer is given up.
+    /// Seconds until a request without an answer is aborted.
     pub answer_s: f64,
-    /// Seconds after which a connection takes no further request.
+    /// Seconds after which a connection accepts no further request.
     pub connection_s: f64,
 }
 
@@ -85,34 +85,34 @@ impl Default for HttpSettings {
     }
 }
 
-/// Why the HTTP side did not start, or stopped.
+/// Why the HTTP server did not start, or stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum HttpError {
-    /// An address that others can reach, without a token.
-    #[error("{0} can be reached from other machines and there is no token; hint: --token-file, or listen on 127.0.0.1")]
+    /// An address that other machines can reach, without a token.
+    #[error("other machines can reach {0}, and there is no token. Hint: give --token-file, or listen on 127.0.0.1")]
     NoToken(SocketAddr),
-    /// A token that is too short to be one.
-    #[error("the token has {0} bytes, but must have at least 16")]
+    /// A token that is too short.
+    #[error("the token has {0} bytes. Expected at least 16")]
     ShortToken(usize),
-    /// The address cannot be listened on.
+    /// The address cannot be used.
     #[error("cannot listen on {address}: {because}")]
     Listen {
         /// The address.
         address: SocketAddr,
-        /// Why.
+        /// The cause.
         because: std::io::Error,
     },
 }
 
-/// Serves until `stop` is told or dropped. `listening` is told the address, whose port may have been chosen by the system.
+/// Serves until `stop` receives a message or is dropped. `listening` receives the address; the system may have chosen its port.
 ///
 /// # Errors
-/// It cannot start.
+/// The server cannot start.
 pub fn serve(
     address: SocketAddr,
     token: Option<String>,
     settings: HttpSettings,
-    desk: Handle,
+    engine: Handle,
     listening: impl FnOnce(SocketAddr),
     stop: oneshot::Receiver<()>,
 ) -> Result<(), HttpError> {
@@ -129,7 +129,7 @@ pub fn serve(
         let server = Arc::new(Server {
             token,
             settings,
-            desk,
+            engine,
             peers: Mutex::new(Peers::default()),
             room: Semaphore::new(settings.most_connections),
             held: AtomicUsize::new(0),
@@ -140,7 +140,7 @@ pub fn serve(
             () = accept(&listener, &server, &closed) => {}
             _ = stop => {}
         }
-        // Requests under way get a moment to be answered.
+        // Give requests in progress a moment to finish.
         drop((listener, closed));
         closing.send_replace(true);
         let _ = tokio::time::timeout(Duration::from_secs(5), closing.closed()).await;
@@ -151,7 +151,7 @@ pub fn serve(
 struct Server {
     token: Option<String>,
     settings: HttpSettings,
-    desk: Handle,
+    engine: Handle,
     peers: Mutex<Peers>,
     room: Semaphore,
     /// Bytes of bodies in memory.
@@ -160,13 +160,13 @@ struct Server {
     fleet: tokio::sync::Mutex<Option<(Instant, Bytes)>>,
 }
 
-/// What is known of the addresses that connect.
+/// The addresses that connect.
 #[derive(Default)]
 struct Peers(BTreeMap<IpAddr, Peer>);
 
 struct Peer {
     connections: usize,
-    /// Requests that it may still make.
+    /// Requests that it may still send.
     credit: f64,
     since: Instant,
 }
@@ -205,7 +205,7 @@ impl Peers {
 async fn accept(listener: &TcpListener, server: &Arc<Server>, closed: &watch::Receiver<bool>) {
     loop {
         let Ok((stream, peer)) = listener.accept().await else {
-            // Out of descriptors, most likely: others will end.
+            // Most likely no file descriptors are left; other connections will end.
             tokio::time::sleep(Duration::from_millis(50)).await;
             continue;
         };
@@ -238,13 +238,13 @@ async fn converse(server: &Arc<Server>, stream: TcpStream, peer: SocketAddr, end
         .serve_connection(TokioIo::new(stream), service);
     let mut connection = std::pin::pin!(connection);
     let life = tokio::time::sleep(Duration::from_secs_f64(server.settings.connection_s));
-    // A connection that breaks is no event.
+    // A broken connection needs no treatment.
     tokio::select! {
         _ = connection.as_mut() => return,
         () = life => {}
         _ = ending.wait_for(|ending| *ending) => {}
     }
-    // The request under way is answered, and no other taken.
+    // Answer the request in progress and accept no other.
     connection.as_mut().graceful_shutdown();
     let last = server.settings.body_s + server.settings.answer_s;
     let _ = tokio::time::timeout(Duration::from_secs_f64(last), connection).await;
@@ -267,7 +267,7 @@ fn document(status: StatusCode, body: &impl Serialize) -> Reply {
     reply(status, "application/json", serde_json::to_vec(body).unwrap_or_default())
 }
 
-/// A refusal that the sender should answer by trying again.
+/// A refusal after which the sender should try again.
 fn later(status: StatusCode, because: impl std::fmt::Display) -> Reply {
     let mut reply = refusal(status, because);
     reply.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
@@ -319,13 +319,13 @@ async fn respond(server: &Server, request: Request<Incoming>, peer: SocketAddr) 
             page
         }
         (_, "/v1/cycles" | "/v1/status" | "/v1/fleet" | "/metrics" | "/healthz" | "/") => {
-            refusal(StatusCode::METHOD_NOT_ALLOWED, "this path does not take this method")
+            refusal(StatusCode::METHOD_NOT_ALLOWED, "this path does not support this method")
         }
-        _ => refusal(StatusCode::NOT_FOUND, "there is nothing here; the page is at /"),
+        _ => refusal(StatusCode::NOT_FOUND, "not found; the page is at /"),
     }
 }
 
-/// Refuses who may not come in.
+/// Refuses unauthorised requests.
 fn admit(server: &Server, request: &Request<Incoming>, open: bool) -> Option<Reply> {
     let text = |name| request.headers().get(name).and_then(|value: &HeaderValue| value.to_str().ok());
     match &server.token {
@@ -335,12 +335,12 @@ fn admit(server: &Server, request: &Request<Incoming>, open: bool) -> Option<Rep
             if sent.0.eq_ignore_ascii_case("bearer") && same(sent.1.as_bytes(), token.as_bytes()) {
                 return None;
             }
-            let mut refused = refusal(StatusCode::UNAUTHORIZED, "a bearer token is needed");
+            let mut refused = refusal(StatusCode::UNAUTHORIZED, "a bearer token is required");
             refused.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
             Some(refused)
         }
         None => {
-            // A name that a stranger's DNS points at this machine is not this machine's name.
+            // A foreign DNS name that resolves to this machine is not accepted (DNS rebinding).
             let host = text(header::HOST).unwrap_or_default();
             if !is_this_machine(host) {
                 return Some(refusal(
@@ -350,7 +350,7 @@ fn admit(server: &Server, request: &Request<Incoming>, open: bool) -> Option<Rep
             }
             let origin = text(header::ORIGIN).map(|origin| origin.trim_start_matches("http://"));
             let foreign = origin.is_some_and(|origin| origin != host);
-            foreign.then(|| refusal(StatusCode::FORBIDDEN, "another site's page may not use this"))
+            foreign.then(|| refusal(StatusCode::FORBIDDEN, "pages of other sites may not send requests"))
         }
     }
 }
@@ -363,26 +363,26 @@ fn is_this_machine(host: &str) -> bool {
     name == "localhost" || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
 
-/// Whether two tokens are the same, in a time that does not tell where they differ.
+/// Compares two tokens in a time that does not depend on where they differ.
 fn same(a: &[u8], b: &[u8]) -> bool {
     a.len() == b.len() && a.iter().zip(b).fold(0, |sum, (a, b)| sum | (a ^ b)) == 0
 }
 
-/// Asks the desk, and turns trouble into an answer.
+/// Sends a request to the engine and converts a problem into a reply.
 async fn ask<T>(server: &Server, job: impl FnOnce(oneshot::Sender<Answer<T>>) -> Job) -> Result<T, Reply> {
     let busy = |busy: Busy| later(StatusCode::SERVICE_UNAVAILABLE, busy);
-    let answer = server.desk.ask(job).map_err(busy)?;
+    let answer = server.engine.ask(job).map_err(busy)?;
     match tokio::time::timeout(Duration::from_secs_f64(server.settings.answer_s), answer).await {
         Ok(Ok(Ok(value))) => Ok(value),
-        Ok(Ok(Err(trouble))) => {
+        Ok(Ok(Err(problem))) => {
             let status =
-                if trouble.full { StatusCode::INSUFFICIENT_STORAGE } else { StatusCode::INTERNAL_SERVER_ERROR };
-            Err(refusal(status, trouble.because))
+                if problem.full { StatusCode::INSUFFICIENT_STORAGE } else { StatusCode::INTERNAL_SERVER_ERROR };
+            Err(refusal(status, problem.because))
         }
         Ok(Err(_)) => Err(busy(Busy)),
         Err(_) => Err(refusal(
             StatusCode::GATEWAY_TIMEOUT,
-            "no answer in time; send again: known cycles are not counted twice",
+            "no answer in time. Send again: known cycles are not counted twice",
         )),
     }
 }
@@ -409,7 +409,7 @@ struct Held<'a> {
 }
 
 impl Held<'_> {
-    /// Holds more; whether there is room.
+    /// Reserves more bytes; returns whether there is room.
     fn hold(&mut self, bytes: usize) -> bool {
         self.bytes += bytes;
         self.of.held.fetch_add(bytes, Ordering::Relaxed) + bytes <= self.of.settings.most_held_bytes
@@ -433,14 +433,14 @@ async fn read(mut body: Incoming, held: &mut Held<'_>) -> Result<Vec<u8>, Reply>
             return Err(refusal(StatusCode::PAYLOAD_TOO_LARGE, because));
         }
         if !held.hold(data.len()) {
-            return Err(later(StatusCode::SERVICE_UNAVAILABLE, "too many bytes wait to be written; send again later"));
+            return Err(later(StatusCode::SERVICE_UNAVAILABLE, "too many bytes wait to be written. Send again later"));
         }
         whole.extend_from_slice(&data);
     }
     Ok(whole)
 }
 
-/// One cycle a line, from one document, an array of documents, or lines. What is none of these is left as it is.
+/// Converts one document, an array of documents, or lines into one cycle per line. Other input stays as it is.
 fn lines(body: Vec<u8>) -> Vec<u8> {
     // A line break within a document can only be white space.
     let one_line = |value: &RawValue| value.get().replace(['\n', '\r'], " ");
@@ -457,7 +457,7 @@ fn lines(body: Vec<u8>) -> Vec<u8> {
     }
 }
 
-/// The comparison of the robots is dear: it is made anew after [`FLEET_HOLDS`], by one at a time.
+/// The comparison of the robots is expensive: it is computed at most once per [`FLEET_HOLDS`].
 async fn fleet(server: &Server) -> Reply {
     let mut kept = server.fleet.lock().await;
     if let Some((since, bytes)) = &*kept
@@ -481,11 +481,11 @@ async fn fleet(server: &Server) -> Reply {
     }
 }
 
-/// 200 where all was taken, 422 where some was refused: what was accepted is on disk all the same.
+/// 200 if all cycles were accepted, 422 if some were refused. Accepted cycles are on disk in both cases.
 fn answer_of(taken: &Taken) -> Reply {
     let nothing = taken.accepted + taken.duplicates + taken.refused == 0;
     if nothing {
-        return refusal(StatusCode::BAD_REQUEST, "the body holds no cycle");
+        return refusal(StatusCode::BAD_REQUEST, "the body contains no cycle");
     }
     let status = if taken.refused == 0 { StatusCode::OK } else { StatusCode::UNPROCESSABLE_ENTITY };
     document(status, taken)

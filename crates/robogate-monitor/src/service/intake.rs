@@ -1,15 +1,15 @@
-//! What becomes of a cycle that arrives.
+//! The treatment of an incoming cycle.
 //!
-//! | it is | treatment |
+//! | a cycle is | treatment |
 //! |---|---|
-//! | new | written to disk, then heard by the detectors, then acknowledged |
-//! | doubled (its id is known, the same content) | acknowledged, not heard again |
-//! | contradicting (its id is known, other content) | refused |
-//! | out of order (before the newest of its robot, by the sender's clocks) | as new, in the order of arrival, and counted |
-//! | late (before it by more than an hour, or what is set) | as out of order, and counted as late |
-//! | malformed | refused with its line and why; the others of its batch are taken |
+//! | new | written to disk, then passed to the detectors, then acknowledged |
+//! | duplicate (its id is known, the same content) | acknowledged, not counted again |
+//! | contradictory (its id is known, other content) | refused |
+//! | out of order (before the newest of its robot, on the sender's clock) | as new, in the order of arrival, and counted |
+//! | late (before it by more than `late_after_s`) | as out of order, and counted as late |
+//! | malformed | refused, with its line and the problem; the rest of its batch is processed |
 //!
-//! Late cycles are heard nevertheless: a robot whose clock once jumped ahead must not become invisible.
+//! Late cycles are processed nevertheless: a robot whose clock once jumped ahead must stay visible.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,16 +18,16 @@ use serde::Serialize;
 use super::store::{Kept, Store, StoreError};
 use crate::{Alarm, Cycle, Monitor, TooManyRecipes};
 
-/// A recipe's state is written after so many of its cycles.
+/// Cycles of a recipe after which its state is written.
 const STATE_EVERY: u64 = 5_000;
-/// Recipes whose states are written together before old cycles go.
+/// Recipes whose states are written together before old cycles are deleted.
 const STATES_AT_ONCE: usize = 8;
-/// Robots whose newest time is known; a further one is not told early from late.
+/// Limit of robots whose newest time is stored; cycles of further robots are never late.
 const MOST_ROBOTS: usize = 100_000;
-/// Refusals that an answer lists.
+/// Limit of the refusals in an answer.
 const LISTED: usize = 100;
 
-/// Why nothing was taken in.
+/// Why no cycle of a batch was accepted.
 #[derive(Debug, thiserror::Error)]
 pub enum IntakeError {
     /// The store failed. Nothing of the batch was kept.
@@ -35,22 +35,22 @@ pub enum IntakeError {
     Store(#[from] StoreError),
 }
 
-/// What became of a batch.
+/// The result of a batch.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 pub struct Taken {
     /// New cycles, now on disk.
     pub accepted: u64,
-    /// Cycles that were known already.
+    /// Known cycles.
     pub duplicates: u64,
     /// Of the accepted, those before the newest of their robot.
     pub out_of_order: u64,
-    /// Of these, those before it by more than is set.
+    /// Of these, those before it by more than `late_after_s`.
     pub late: u64,
-    /// Of the accepted, those outside what was validated.
+    /// Of the accepted, those outside the validated region.
     pub outside: u64,
-    /// How many were refused.
+    /// Refused cycles.
     pub refused: u64,
-    /// The first hundred of them.
+    /// The first hundred refusals.
     pub refusals: Vec<Refused>,
 }
 
@@ -59,7 +59,7 @@ pub struct Taken {
 pub struct Refused {
     /// Its line, from 1.
     pub line: u64,
-    /// Why.
+    /// The problem.
     pub because: String,
 }
 
@@ -82,18 +82,18 @@ impl Taken {
     }
 }
 
-/// How far a recipe is.
+/// The progress of a recipe.
 #[derive(Debug, Clone, Copy, Default)]
 struct Heard {
-    /// The last cycle that it heard.
+    /// Its last cycle.
     last: u64,
     /// The last cycle in its state on disk.
     written: u64,
-    /// Cycles that it heard since.
+    /// Its cycles since then.
     since: u64,
 }
 
-/// The store and the monitor together: cycles go through here and nowhere else.
+/// The store and the monitor together. All cycles pass through here.
 #[derive(Debug)]
 pub struct Intake {
     store: Store,
@@ -104,12 +104,12 @@ pub struct Intake {
     newest: u64,
     /// Alarms that are not on disk yet.
     unwritten: Vec<Alarm>,
-    /// All that became of cycles since the start.
+    /// The sum of all results since the start.
     totals: Taken,
 }
 
 impl Intake {
-    /// Takes up where the store left off: each recipe's state, then the cycles since.
+    /// Restores each recipe's state from the store, then processes the cycles since.
     ///
     /// # Errors
     /// The store cannot be read.
@@ -120,8 +120,8 @@ impl Intake {
             heard.insert(name, Heard { last: seq, written: seq, since: 0 });
         }
         let mut alarms = Vec::new();
-        store.unheard(|seq, cycle| {
-            // A recipe beyond the settings' number was taken under other settings; it stays on disk.
+        store.unprocessed(|seq, cycle| {
+            // A recipe beyond the limit was accepted under other settings; it stays on disk.
             if monitor.observe(cycle, &mut |alarm| alarms.push(alarm)).is_ok() {
                 note(&mut heard, &cycle.recipe, seq);
             }
@@ -141,10 +141,10 @@ impl Intake {
         })
     }
 
-    /// Takes in several batches with one commit. When this returns, what it calls accepted is on disk.
+    /// Processes several batches with one commit. Accepted cycles are on disk when this returns.
     ///
     /// # Errors
-    /// The store failed; then nothing of any batch was kept or heard.
+    /// The store failed; no cycle of any batch was stored or processed.
     pub fn take(&mut self, batches: &[&[u8]]) -> Result<Vec<Taken>, IntakeError> {
         let mut fresh = Fresh::default();
         self.store.begin()?;
@@ -180,13 +180,15 @@ impl Intake {
                     fresh.cycles.push((seq, cycle));
                 }
                 Kept::Same => taken.duplicates += 1,
-                Kept::Other => taken.refuse(line, format!("the id `{}` is known with other content", cycle.id)),
+                Kept::Other => {
+                    taken.refuse(line, format!("the id `{}` is already stored with other content", cycle.id))
+                }
             }
         }
         Ok(taken)
     }
 
-    /// Whether a recipe can be watched, those that this commit brings counted.
+    /// Checks that a recipe can be watched, including the new recipes of this commit.
     fn has_room(&self, recipe: &str, fresh: &mut Fresh) -> Result<(), TooManyRecipes> {
         if self.monitor.recipe(recipe).is_none() && !fresh.recipes.contains(recipe) {
             self.monitor.has_room(recipe, fresh.recipes.len())?;
@@ -195,7 +197,7 @@ impl Intake {
         Ok(())
     }
 
-    /// Lets the detectors hear what is on disk now.
+    /// Passes the cycles that are now on disk to the detectors.
     fn hear(&mut self, mut taken: Vec<Taken>, fresh: Fresh) -> Result<Vec<Taken>, StoreError> {
         let mut alarms: Vec<Alarm> = Vec::new();
         let mut fresh = fresh.cycles.into_iter();
@@ -204,7 +206,7 @@ impl Intake {
             for (seq, cycle) in fresh.by_ref().take(taken.accepted as usize) {
                 self.clock(&cycle, taken);
                 self.newest = seq;
-                // There is room: that was asked before it was written.
+                // There is room: it was checked before the write.
                 if let Ok(judged) = self.monitor.observe(&cycle, &mut |alarm| alarms.push(alarm)) {
                     taken.outside += u64::from(judged.outside == Some(true));
                 }
@@ -214,7 +216,7 @@ impl Intake {
             }
             self.totals.add(taken);
         }
-        // All of this follows from the cycles on disk: if it cannot be written now, a restart writes it.
+        // All of this follows from the cycles on disk. If it cannot be written now, a restart writes it.
         self.unwritten.append(&mut alarms);
         if !self.unwritten.is_empty() {
             self.store.together(|| self.store.add_alarms(&self.unwritten))?;
@@ -243,15 +245,15 @@ impl Intake {
         Ok(())
     }
 
-    /// Writes every recipe's state, so that the next start hears nothing again.
+    /// Writes every recipe's state, so the next start processes no cycle again.
     ///
     /// # Errors
-    /// The store failed; the cycles are on disk all the same.
+    /// The store failed; the cycles are on disk in any case.
     pub fn close(&mut self) -> Result<(), IntakeError> {
         Ok(self.keep_recipes(self.behind(u64::MAX))?)
     }
 
-    /// Recipes that heard cycles up to this number which their state on disk does not hold.
+    /// Recipes with cycles up to this number that their state on disk does not contain.
     fn behind(&self, up_to: u64) -> Vec<String> {
         let behind = self.heard.iter().filter(|(_, heard)| heard.since > 0 && heard.written < up_to);
         behind.map(|(name, _)| name.clone()).collect()
@@ -273,18 +275,18 @@ impl Intake {
         kept
     }
 
-    /// Deletes what is older than is kept, after the states that hold it are on disk.
+    /// Deletes cycles beyond `keep_cycles`, after the states that contain them are on disk.
     fn sweep(&mut self) -> Result<(), StoreError> {
         let Some(up_to) = self.store.too_old(self.newest) else { return Ok(()) };
         let mut behind = self.behind(up_to);
-        // A few at a time, so that no sender waits for a thousand of them; the rest before the next batches.
+        // A few at a time, so no sender waits for a thousand of them; the rest follow with the next batches.
         let whole = behind.len() <= STATES_AT_ONCE;
         behind.truncate(STATES_AT_ONCE);
         self.keep_recipes(behind)?;
         if whole { self.store.sweep(up_to) } else { Ok(()) }
     }
 
-    /// Restarts a recipe's detectors after its cause was mended; whether there is such a recipe.
+    /// Restarts a recipe's detectors after the cause was repaired. Returns whether the recipe exists.
     ///
     /// # Errors
     /// The store failed.
@@ -295,10 +297,10 @@ impl Intake {
         Ok(true)
     }
 
-    /// Whether the store can be written.
+    /// Checks that the store can be written.
     ///
     /// # Errors
-    /// It cannot: why.
+    /// The store cannot be written.
     pub fn healthy(&self) -> Result<(), IntakeError> {
         Ok(self.store.probe()?)
     }
@@ -308,7 +310,7 @@ impl Intake {
         &self.monitor
     }
 
-    /// What became of cycles since the start.
+    /// The sum of all results since the start.
     pub fn totals(&self) -> &Taken {
         &self.totals
     }
@@ -319,23 +321,23 @@ impl Intake {
     }
 }
 
-/// What one commit brings.
+/// The content of one commit.
 #[derive(Default)]
 struct Fresh {
     /// New cycles with their numbers.
     cycles: Vec<(u64, Cycle)>,
-    /// Recipes never heard before.
+    /// New recipes.
     recipes: BTreeSet<String>,
 }
 
-/// Notes that a recipe heard a cycle; how many since its state was written.
+/// Records that a recipe processed a cycle. Returns the number since its state was written.
 fn note(heard: &mut BTreeMap<String, Heard>, recipe: &str, seq: u64) -> u64 {
     if let Some(heard) = heard.get_mut(recipe) {
         heard.last = seq;
         heard.since += 1;
         return heard.since;
     }
-    // Nothing of it is on disk but its cycles, of which this is the first.
+    // Only its cycles are on disk, and this is the first.
     heard.insert(recipe.to_owned(), Heard { last: seq, written: seq.saturating_sub(1), since: 1 });
     1
 }
@@ -353,7 +355,7 @@ fn parse(text: &[u8]) -> Result<Cycle, String> {
     Ok(cycle)
 }
 
-/// Text that [`parse`] accepted is UTF-8.
+/// The text of a line that [`parse`] accepted, which is UTF-8.
 fn text_of(text: &[u8]) -> &str {
     std::str::from_utf8(text).unwrap_or_default()
 }

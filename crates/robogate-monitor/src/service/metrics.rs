@@ -1,4 +1,4 @@
-//! `/metrics` in Prometheus' text form, version 0.0.4.
+//! `/metrics` in the text format of Prometheus, version 0.0.4.
 
 use std::fmt::Write;
 
@@ -39,8 +39,8 @@ pub(super) fn metrics(intake: &Intake) -> String {
     }
     for (name, n, help) in [
         ("out_of_order", totals.out_of_order, "Accepted cycles before the newest of their robot."),
-        ("late", totals.late, "Accepted cycles before it by more than is set."),
-        ("outside", totals.outside, "Accepted cycles outside what was validated."),
+        ("late", totals.late, "Out-of-order cycles beyond `late_after_s`."),
+        ("outside", totals.outside, "Accepted cycles outside the validated region."),
     ] {
         let _ = writeln!(
             text,
@@ -84,7 +84,7 @@ pub(super) fn metrics(intake: &Intake) -> String {
         (
             "robogate_monitor_outside_cycles",
             "gauge",
-            "Cycles since the detectors began in which the parameter lay outside what was validated.",
+            "Cycles since the detectors started in which the parameter lay outside the validated region.",
         ),
         |recipe, say| {
             for (parameter, tally) in recipe.outside() {
@@ -102,12 +102,12 @@ pub(super) fn metrics(intake: &Intake) -> String {
         (
             "robogate_monitor_evidence_ratio",
             "gauge",
-            "Evidence of a detector as a share of its limit; an alarm is raised at 1, and evidence starts again.",
+            "Evidence of a detector as a share of its limit. An alarm is raised at 1, and the evidence restarts.",
         ),
         |recipe, say| {
             for view in recipe.detectors(settings) {
                 for (level, (evidence, limit)) in Level::ALL.into_iter().zip(view.levels.into_iter().flatten()) {
-                    let labels = format!(",metric=\"{}\",level=\"{}\"", view.metric.word(), level.word());
+                    let labels = format!(",metric=\"{}\",level=\"{}\"", view.metric.as_str(), level.as_str());
                     say(&labels, evidence / limit);
                 }
             }
@@ -116,17 +116,17 @@ pub(super) fn metrics(intake: &Intake) -> String {
     family(
         &mut text,
         intake,
-        ("robogate_monitor_alarm_standing", "gauge", "1 while an alarm stands."),
+        ("robogate_monitor_alarm_standing", "gauge", "1 while an alarm is active."),
         |recipe, say| {
             for view in recipe.detectors(settings) {
                 for level in Level::ALL {
                     let labels =
-                        format!(",rule=\"detector\",metric=\"{}\",level=\"{}\"", view.metric.word(), level.word());
+                        format!(",rule=\"detector\",metric=\"{}\",level=\"{}\"", view.metric.as_str(), level.as_str());
                     say(&labels, f64::from(u8::from(view.standing[level as usize].is_some())));
                 }
             }
             for level in Level::ALL {
-                let labels = format!(",rule=\"paper\",metric=\"success\",level=\"{}\"", level.word());
+                let labels = format!(",rule=\"paper\",metric=\"success\",level=\"{}\"", level.as_str());
                 say(&labels, f64::from(u8::from(recipe.paper_level() >= Some(level))));
             }
         },
@@ -137,7 +137,7 @@ pub(super) fn metrics(intake: &Intake) -> String {
             text += "# HELP robogate_monitor_promised_cycles Mean cycles to a false alarm, at least.\n\
                      # TYPE robogate_monitor_promised_cycles gauge\n";
         }
-        let _ = writeln!(text, "robogate_monitor_promised_cycles{{level=\"{}\"}} {promise}", level.word());
+        let _ = writeln!(text, "robogate_monitor_promised_cycles{{level=\"{}\"}} {promise}", level.as_str());
     }
     text
 }

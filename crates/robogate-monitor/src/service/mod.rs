@@ -1,9 +1,9 @@
-//! The service around the detectors: cycles in by HTTP, MQTT or lines; alarms out; everything on disk before it is acknowledged.
+//! The service around the detectors: it takes cycles by HTTP, MQTT or lines, writes them to disk before it acknowledges them, and sends alarms.
 //!
-//! One thread owns the store and the monitor ([`Desk`]); feeds hand it bytes and wait for the answer. Requests that wait together
-//! share one commit.
+//! One thread owns the store and the monitor ([`ServiceEngine`]); feeds send it bytes and wait for the answer. Requests that wait
+//! at the same time share one commit.
 
-mod desk;
+mod engine;
 mod fleet;
 mod http;
 mod intake;
@@ -14,7 +14,7 @@ mod settings;
 mod status;
 mod store;
 
-pub use desk::{Busy, Desk, Handle};
+pub use engine::{Busy, Handle, ServiceEngine};
 pub use fleet::{FleetStatus, OutlierStatus, RecipeFleet, RobotStatus, SpreadStatus};
 pub use http::{HttpError, HttpSettings, serve};
 pub use intake::{Intake, IntakeError, Refused, Taken};

@@ -1,7 +1,7 @@
-//! MQTT 3.1.1: cycles in by one topic, alarms out by another.
+//! MQTT 3.1.1: subscribes to cycles on one topic and publishes alarms on another.
 //!
-//! The payload is what `POST /v1/cycles` takes as lines. A message is acknowledged to the broker (quality of service 1) after its
-//! cycles are on disk, so that the broker sends it again where the monitor was killed; known cycles are not counted twice.
+//! The payload has the lines of `POST /v1/cycles`. A message is acknowledged to the broker (quality of service 1) after its
+//! cycles are on disk. If the monitor is killed before, the broker sends the message again; known cycles are not counted twice.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,24 +10,24 @@ use std::time::Duration;
 
 use rumqttc::{Client, Connection, Event, MqttOptions, Packet, Publish, QoS};
 
-use super::desk::Handle;
+use super::engine::Handle;
 use super::outputs::{Deliver, OutputError};
 
-/// Time until a lost broker is tried again.
+/// Time until the next attempt to reach a lost broker.
 const AGAIN: Duration = Duration::from_secs(1);
-/// Largest message.
+/// Size limit of a message.
 const LARGEST: usize = 16 << 20;
 
-/// Where the broker is, and the topics.
+/// The address of a broker.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Broker {
-    /// Its host.
+    /// The host.
     pub host: String,
-    /// Its port, 1883 without encryption.
+    /// The port, 1883 without encryption.
     pub port: u16,
-    /// A name that no other client of the broker has; its session is kept by the broker while the monitor is away.
+    /// The client id, unique at the broker. The broker keeps its session while the monitor is away.
     pub client: String,
-    /// User and password, where the broker asks.
+    /// User and password, if the broker requires them.
     pub login: Option<(String, String)>,
 }
 
@@ -39,17 +39,17 @@ impl Broker {
         if let Some((user, password)) = &self.login {
             options.set_credentials(user, password);
         }
-        // Room for an acknowledgement of everything that can be in flight: sending one must not wait.
+        // Room for acknowledgements of all messages in flight: sending one must not block.
         Client::new(options, 70_000)
     }
 
-    /// Hears cycles from a topic until `end` is set. `trouble` is told what goes wrong.
-    pub fn hear(
+    /// Processes cycles from a topic until `end` is set. `problem` receives error messages.
+    pub fn subscribe(
         &self,
         topic: String,
-        desk: Handle,
+        engine: Handle,
         end: Arc<AtomicBool>,
-        trouble: impl Fn(&str) + Send + 'static,
+        problem: impl Fn(&str) + Send + 'static,
     ) -> JoinHandle<()> {
         let (client, mut connection) = self.connect("cycles");
         std::thread::spawn(move || {
@@ -57,17 +57,17 @@ impl Broker {
                 match connection.recv_timeout(AGAIN) {
                     Ok(Ok(Event::Incoming(Packet::ConnAck(_)))) => {
                         if let Err(error) = client.subscribe(&topic, QoS::AtLeastOnce) {
-                            trouble(&format!("MQTT: {error}"));
+                            problem(&format!("MQTT: {error}"));
                         }
                     }
                     Ok(Ok(Event::Incoming(Packet::Publish(message)))) => {
-                        let kept = keep(&desk, &message, &end, &trouble);
+                        let kept = keep(&engine, &message, &end, &problem);
                         if kept && let Err(error) = client.ack(&message) {
-                            trouble(&format!("MQTT: {error}"));
+                            problem(&format!("MQTT: {error}"));
                         }
                     }
                     Ok(Err(error)) => {
-                        trouble(&format!("MQTT: {error}"));
+                        problem(&format!("MQTT: {error}"));
                         std::thread::sleep(AGAIN);
                     }
                     Ok(Ok(_)) | Err(_) => {}
@@ -77,7 +77,7 @@ impl Broker {
         })
     }
 
-    /// Alarms to a topic; delivered once the broker acknowledged it.
+    /// Publishes alarms on a topic. An alarm is delivered once the broker has acknowledged it.
     pub fn alarms(&self, topic: String) -> Deliver {
         let broker = self.clone();
         let mut open: Option<(Client, Connection)> = None;
@@ -85,7 +85,7 @@ impl Broker {
             let (client, connection) = open.get_or_insert_with(|| broker.connect("alarms"));
             let sent = publish(client, connection, &topic, alarm);
             if sent.is_err() {
-                // A fresh connection sends nothing that was given up.
+                // A new connection sends no abandoned alarm.
                 open = None;
             }
             sent
@@ -93,20 +93,20 @@ impl Broker {
     }
 }
 
-/// Takes in a message, however long the store is in trouble; false where the end came first and the broker must keep it.
-fn keep(desk: &Handle, message: &Publish, end: &AtomicBool, trouble: &impl Fn(&str)) -> bool {
+/// Processes a message, and waits while the store fails. Returns false at the end, when the broker must keep the message.
+fn keep(engine: &Handle, message: &Publish, end: &AtomicBool, problem: &impl Fn(&str)) -> bool {
     while !end.load(Ordering::Acquire) {
-        match desk.take(message.payload.to_vec()) {
+        match engine.take(message.payload.to_vec()) {
             Ok(taken) => {
-                // What was refused would be refused again: it is told, and acknowledged.
+                // A refused cycle would be refused again: report it and acknowledge the message.
                 if let Some(first) = taken.refusals.first() {
                     let (topic, line, because) = (&message.topic, first.line, &first.because);
-                    trouble(&format!("MQTT: {topic} line {line}: {because} ({} refused)", taken.refused));
+                    problem(&format!("MQTT: {topic} line {line}: {because} ({} refused)", taken.refused));
                 }
                 return true;
             }
             Err(because) => {
-                trouble(&format!("MQTT: {because}"));
+                problem(&format!("MQTT: {because}"));
                 std::thread::sleep(AGAIN);
             }
         }
@@ -126,5 +126,5 @@ fn publish(client: &Client, connection: &mut Connection, topic: &str, alarm: &st
             }
         }
     }
-    Err(OutputError("the broker did not acknowledge the alarm in ten seconds".to_owned()))
+    Err(OutputError("the broker did not acknowledge the alarm within 10 s".to_owned()))
 }

@@ -1,5 +1,5 @@
-//! Alarms out: each output has its own place in the list of alarms on disk, so that none is lost when it is away, and none
-//! but the last is told twice when the monitor is killed.
+//! Alarm outputs. Each output has its own position in the list of alarms on disk, so no alarm is lost while it is away. If the monitor
+//! is killed, at most the last alarm is delivered twice.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -7,13 +7,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use super::desk::{Handle, Job};
+use super::engine::{Handle, Job};
 
-/// Alarms asked for at once.
+/// Alarms per request.
 const AT_ONCE: u32 = 100;
-/// Time between looks at the list.
+/// Polling interval of the list.
 const EVERY: Duration = Duration::from_millis(200);
-/// Longest wait after a delivery that failed.
+/// Longest wait after a failed delivery.
 const LONGEST_WAIT: Duration = Duration::from_secs(60);
 
 /// Why an alarm was not delivered.
@@ -21,7 +21,7 @@ const LONGEST_WAIT: Duration = Duration::from_secs(60);
 #[error("{0}")]
 pub struct OutputError(pub String);
 
-/// Takes one alarm, as a JSON object on one line.
+/// Delivers one alarm, a JSON object on one line.
 pub type Deliver = Box<dyn FnMut(&str) -> Result<(), OutputError> + Send>;
 
 /// An output on its own thread.
@@ -32,20 +32,21 @@ pub struct Output {
 }
 
 impl Output {
-    /// Starts an output. `name` is its place in the store; `trouble` is told of deliveries that fail, which are tried again.
+    /// Starts an output. `name` identifies it in the store; `problem` receives a message about each failed delivery, which is retried.
     ///
-    /// An output that the store does not know begins with the next alarm: start it before cycles come in.
+    /// A new output begins with the next alarm: start it before cycles arrive.
     ///
     /// # Errors
     /// The store cannot be written.
     pub fn start(
         name: String,
-        desk: Handle,
+        engine: Handle,
         mut deliver: Deliver,
-        trouble: impl Fn(&str) + Send + 'static,
+        problem: impl Fn(&str) + Send + 'static,
     ) -> Result<Self, OutputError> {
         let output = name.clone();
-        desk.wait(|reply| Job::Enrol { output, reply })
+        engine
+            .wait(|reply| Job::Register { output, reply })
             .map_err(|e| OutputError(e.to_string()))?
             .map_err(|e| OutputError(e.because))?;
         let ending = Arc::new(AtomicBool::new(false));
@@ -54,15 +55,15 @@ impl Output {
             let mut wait = EVERY;
             loop {
                 let last = end.load(Ordering::Acquire);
-                match deliver_waiting(&name, &desk, &mut deliver) {
+                match deliver_waiting(&name, &engine, &mut deliver) {
                     Ok(0) if last => return,
                     Ok(0) => wait = EVERY,
                     Ok(_) => continue,
                     Err(error) => {
-                        trouble(&format!("{name}: {error}"));
+                        problem(&format!("{name}: {error}"));
                         wait = (2 * wait).min(LONGEST_WAIT);
                         if last {
-                            // What is left is delivered after the next start.
+                            // The rest is delivered after the next start.
                             return;
                         }
                     }
@@ -77,39 +78,40 @@ impl Output {
         Ok(Self { thread, ending })
     }
 
-    /// Delivers what waits, once, and ends.
+    /// Delivers the waiting alarms once and ends.
     pub fn end(self) {
         self.ending.store(true, Ordering::Release);
         let _ = self.thread.join();
     }
 }
 
-/// Delivers what waits; how many there were.
-fn deliver_waiting(name: &str, desk: &Handle, deliver: &mut Deliver) -> Result<usize, OutputError> {
-    let words = |e: super::desk::Trouble| OutputError(e.because);
+/// Delivers the waiting alarms and returns their number.
+fn deliver_waiting(name: &str, engine: &Handle, deliver: &mut Deliver) -> Result<usize, OutputError> {
+    let failed = |e: super::engine::Problem| OutputError(e.because);
     let output = name.to_owned();
-    let waiting = desk
+    let waiting = engine
         .wait(|reply| Job::Undelivered { output, most: AT_ONCE, reply })
         .map_err(|e| OutputError(e.to_string()))?
-        .map_err(words)?;
+        .map_err(failed)?;
     for (n, alarm) in &waiting {
         deliver(alarm)?;
         let (output, n) = (name.to_owned(), *n);
-        desk.wait(|reply| Job::Delivered { output, n, reply })
+        engine
+            .wait(|reply| Job::Delivered { output, n, reply })
             .map_err(|e| OutputError(e.to_string()))?
-            .map_err(words)?;
+            .map_err(failed)?;
     }
     Ok(waiting.len())
 }
 
-/// Alarms as JSON Lines.
+/// Writes alarms as JSON Lines.
 pub fn json_lines(mut to: impl Write + Send + 'static) -> Deliver {
     Box::new(move |alarm| {
         writeln!(to, "{alarm}").and_then(|()| to.flush()).map_err(|error| OutputError(error.to_string()))
     })
 }
 
-/// Alarms by POST to a URL; anything but a 2xx is tried again.
+/// Sends alarms by POST to a URL; any answer but 2xx is retried.
 pub fn webhook(url: String) -> Deliver {
     let agent: ureq::Agent =
         ureq::Agent::config_builder().timeout_global(Some(Duration::from_secs(10))).max_redirects(0).build().into();

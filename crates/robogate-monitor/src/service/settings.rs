@@ -7,25 +7,25 @@ use super::http::HttpSettings;
 use super::store::StoreSettings;
 use crate::{Settings, SettingsError};
 
-/// The settings of the service. What is absent has its default.
+/// The settings of the service. Missing settings have their defaults.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ServiceSettings {
-    /// What is watched, and how surely.
+    /// The detectors.
     pub detectors: Settings,
-    /// What is kept.
+    /// The store.
     pub store: StoreSettings,
-    /// Limits of the HTTP side.
+    /// Limits of the HTTP server.
     pub http: HttpSettings,
     /// A cycle older than the newest of its robot by more than this counts as late, in seconds of the sender's clock.
     pub late_after_s: f64,
 }
 
 impl ServiceSettings {
-    /// Refuses settings that cannot be.
+    /// Checks all settings.
     ///
     /// # Errors
-    /// The first setting that is wrong.
+    /// The first problem.
     pub fn check(&self) -> Result<(), SettingsError> {
         self.detectors.check()?;
         let HttpSettings { requests_per_s, head_s, body_s, answer_s, connection_s, .. } = self.http;

@@ -1,4 +1,4 @@
-//! Where everything stands, as one document: what the page shows.
+//! The status document, which the page shows.
 
 use robogate_stats::{Confidence, Trials, wilson};
 use serde::Serialize;
@@ -8,28 +8,28 @@ use super::intake::{Intake, IntakeError, Taken};
 use crate::domain::Validated;
 use crate::{Level, OutsideTally, Recipe, Settings};
 
-/// Recipes shown, the gravest and busiest first.
+/// Limit of recipes, the most severe and busiest first.
 const RECIPES: usize = 200;
-/// Alarms and cycles shown.
+/// Limits of alarms and cycles.
 const ALARMS: u32 = 100;
 const CYCLES: u32 = 20;
 
-/// Where everything stands.
+/// The status of the monitor.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Status {
     /// The version of this form.
     pub version: u32,
-    /// The promises: cycles to a false warning and to a false critical alarm.
+    /// Lower bounds of the mean number of cycles to a false warning and to a false critical alarm.
     pub promised_cycles: [f64; 2],
-    /// How many recipes there are.
+    /// The number of recipes.
     pub recipes_known: usize,
-    /// The recipes, the gravest first, then the busiest.
+    /// The recipes, the most severe first, then the busiest.
     pub recipes: Vec<RecipeStatus>,
     /// The last alarms, newest first.
     pub alarms: Vec<Value>,
     /// The last cycles, newest first.
     pub cycles: Vec<Value>,
-    /// What became of cycles since the start of this process.
+    /// The sum of all results since the start of this process.
     pub intake: Taken,
 }
 
@@ -40,7 +40,7 @@ pub struct RateStatus {
     pub successes: u64,
     /// Cycles.
     pub cycles: u64,
-    /// Observed rate; absent where there are no cycles.
+    /// Observed rate; absent without cycles.
     pub rate: Option<f64>,
     /// The interval.
     pub interval_95: [f64; 2],
@@ -54,50 +54,50 @@ impl RateStatus {
     }
 }
 
-/// Where a recipe stands.
+/// The status of a recipe.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecipeStatus {
     /// The recipe.
     pub recipe: String,
-    /// The gravest level that stands; absent where none does.
+    /// The most severe active level; absent without an alarm.
     pub level: Option<Level>,
-    /// Where the paper's rule stands.
+    /// The level of the paper's rule.
     pub paper: Option<Level>,
     /// Success in the paper's window.
     pub window: RateStatus,
     /// Success of all its cycles.
     pub all: RateStatus,
-    /// The success rate of its baseline; absent while it is being learnt.
+    /// The success rate of the baseline; absent while it is being learnt.
     pub baseline: Option<f64>,
     /// Its detectors.
     pub detectors: Vec<DetectorStatus>,
-    /// Its cycles outside what was validated, by parameter, since the detectors began.
+    /// Cycles outside the validated region, by parameter, since the detectors started.
     pub outside: Vec<OutsideStatus>,
 }
 
-/// Where a detector stands.
+/// The status of a detector.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DetectorStatus {
-    /// What it watches.
+    /// The metric.
     pub metric: &'static str,
-    /// The same for people.
+    /// The metric in text for people.
     pub label: &'static str,
-    /// Evidence and limit for a warning and a critical alarm; absent where there is no detector.
+    /// Evidence and limit for a warning and a critical alarm; absent without a detector.
     pub levels: Option<[[f64; 2]; 2]>,
-    /// Why there is none.
+    /// Why the detector does not run.
     pub because: Option<&'static str>,
-    /// The gravest alarm that stands.
+    /// The most severe active alarm.
     pub standing: Option<Level>,
 }
 
-/// How often a parameter lay outside what was validated.
+/// Cycles in which a parameter lay outside the validated region.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OutsideStatus {
-    /// The parameter; absent for combinations beyond the evaluated ones.
+    /// The parameter; absent for combinations outside the validated region.
     pub parameter: Option<String>,
-    /// What was validated.
+    /// The validated values.
     pub validated: Option<Validated>,
-    /// How often, between what, and when last.
+    /// The tally.
     #[serde(flatten)]
     pub seen: OutsideTally,
 }
@@ -123,7 +123,7 @@ impl Status {
 
 fn recipe_status(name: &str, recipe: &Recipe, settings: &Settings) -> RecipeStatus {
     let detector = |view: crate::DetectorView| DetectorStatus {
-        metric: view.metric.word(),
+        metric: view.metric.as_str(),
         label: view.metric.label(),
         levels: view.levels.ok().map(|levels| levels.map(|(evidence, limit)| [evidence, limit])),
         because: view.levels.err(),

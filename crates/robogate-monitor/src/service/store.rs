@@ -1,8 +1,8 @@
-//! What is on disk: cycles, what each recipe remembers, alarms, in one SQLite file.
+//! The store: cycles, the state of each recipe, and alarms in one SQLite file.
 //!
 //! The journal is a write-ahead log that is synced at each commit (`synchronous = FULL`): a commit that returned survives the
 //! end of the process and of the machine's power. A recipe's state is written from time to time together with the number of the last
-//! cycle in it; after a restart the cycles since are heard again, which gives the same state, bit for bit.
+//! cycle in it; after a restart the cycles since then are processed again, which gives the same state, bit for bit.
 
 use std::path::Path;
 
@@ -15,14 +15,14 @@ use crate::{Alarm, Cycle};
 
 /// The version of the tables.
 const FORM: i64 = 1;
-/// Cycles that are deleted at once.
+/// Cycles per deletion.
 const SWEEP: u64 = 2_000;
 
 /// Settings of the store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct StoreSettings {
-    /// Cycles kept on disk; ids of older ones are forgotten, so that they would count again.
+    /// Cycles kept on disk. A cycle whose id was deleted counts again if it is sent again.
     pub keep_cycles: u64,
     /// Alarms kept on disk.
     pub keep_alarms: u64,
@@ -39,26 +39,26 @@ impl Default for StoreSettings {
 /// Why the store failed.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
-    /// There is no room left: the disk is full, or the store as large as it may be.
+    /// The disk is full, or the store has reached its size limit.
     #[error(
-        "the disk, or the store's limit, is full; hint: free space, or set `keep_cycles` lower or `most_mib` higher"
+        "the disk is full, or the store has reached `most_mib`. Hint: free space, decrease `keep_cycles` or increase `most_mib`"
     )]
     Full,
-    /// Another process has it.
+    /// Another process uses the store.
     #[error("another process uses this store")]
     InUse,
-    /// It was written by another version.
-    #[error("the store has the form {found}, but this version reads {FORM}")]
+    /// The store has another version.
+    #[error("the store has version {found}. Expected version {FORM}")]
     Form {
-        /// What it has.
+        /// The version found.
         found: i64,
     },
     /// A row that cannot be read.
     #[error("{what} in the store cannot be read: {because}")]
     Damaged {
-        /// Which row.
+        /// The row.
         what: String,
-        /// Why.
+        /// The cause.
         because: String,
     },
     /// Anything else.
@@ -83,37 +83,37 @@ pub struct Store {
     settings: StoreSettings,
 }
 
-/// What became of a cycle in the store.
+/// The result of adding a cycle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kept {
-    /// It is new, under this number.
+    /// The cycle is new and has this number.
     New(u64),
-    /// Its id is known, with the same content.
+    /// The id is known, with the same content.
     Same,
-    /// Its id is known, with other content.
+    /// The id is known, with other content.
     Other,
 }
 
 impl Store {
-    /// Opens the store at `path`, or makes it. Only one process may have it.
+    /// Opens or creates the store at `path`. Only one process may use it.
     ///
     /// # Errors
-    /// A file that cannot be opened, is used by another process, or has another form.
+    /// The file cannot be opened, is used by another process, or has another version.
     pub fn open(path: &Path, settings: StoreSettings) -> Result<Self, StoreError> {
         Self::prepare(Connection::open(path)?, settings)
     }
 
-    /// A store in memory: for a feed whose end is the end of it.
+    /// Makes a store in memory, for a feed that ends with the process.
     ///
     /// # Errors
-    /// None that is known.
+    /// SQLite failed.
     pub fn in_memory(settings: StoreSettings) -> Result<Self, StoreError> {
         Self::prepare(Connection::open_in_memory()?, settings)
     }
 
     fn prepare(connection: Connection, settings: StoreSettings) -> Result<Self, StoreError> {
         connection.busy_timeout(std::time::Duration::ZERO)?;
-        // Exclusive: a second process is told so at once, and the log needs no shared memory.
+        // Exclusive: a second process fails at once, and the log needs no shared memory.
         connection.execute_batch(
             "PRAGMA locking_mode = EXCLUSIVE; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL;
              PRAGMA temp_store = MEMORY; PRAGMA wal_autocheckpoint = 4000; PRAGMA journal_size_limit = 67108864;
@@ -153,28 +153,28 @@ impl Store {
         Ok(())
     }
 
-    /// Writes a fact, to see whether anything can be written.
+    /// Checks that the store can be written.
     pub(super) fn probe(&self) -> Result<(), StoreError> {
         self.set_fact("probe", 1)
     }
 
-    /// Begins a transaction; what follows is kept by [`Self::commit`] alone.
+    /// Begins a transaction, which [`Self::commit`] ends.
     pub(super) fn begin(&self) -> Result<(), StoreError> {
         Ok(self.connection.execute_batch("BEGIN IMMEDIATE")?)
     }
 
-    /// Writes the transaction to disk. When this returns, it is there.
+    /// Writes the transaction to disk. It is durable when this returns.
     pub(super) fn commit(&self) -> Result<(), StoreError> {
         Ok(self.connection.execute_batch("COMMIT")?)
     }
 
-    /// Forgets the transaction.
+    /// Rolls the transaction back.
     pub(super) fn roll_back(&self) {
-        // A full disk may have rolled back already; there is nothing to undo then.
+        // A full disk may have rolled it back already.
         let _ = self.connection.execute_batch("ROLLBACK");
     }
 
-    /// Does all of it in one transaction, or nothing.
+    /// Does all of `work` in one transaction, or nothing.
     pub(super) fn together(&self, work: impl FnOnce() -> Result<(), StoreError>) -> Result<(), StoreError> {
         self.begin()?;
         let done = work().and_then(|()| self.commit());
@@ -199,7 +199,7 @@ impl Store {
         Ok(if same { Kept::Same } else { Kept::Other })
     }
 
-    /// Writes what a recipe remembers after the cycle `seq`.
+    /// Writes the state of a recipe after the cycle `seq`.
     pub(super) fn keep_recipe(&self, name: &str, seq: u64, state: &RecipeState) -> Result<(), StoreError> {
         let text = serde_json::to_string(state)
             .map_err(|e| StoreError::Damaged { what: format!("recipe `{name}`"), because: e.to_string() })?;
@@ -208,7 +208,7 @@ impl Store {
         Ok(())
     }
 
-    /// What each recipe remembers, and after which cycle.
+    /// The state of each recipe, with the number of its last cycle.
     pub(super) fn recipes(&self) -> Result<Vec<(String, u64, RecipeState)>, StoreError> {
         let mut all = self.connection.prepare("SELECT name, seq, state FROM recipes ORDER BY name")?;
         let rows = all.query_map([], |row| Ok((row.get(0)?, row.get::<_, i64>(1)?, row.get::<_, String>(2)?)))?;
@@ -221,8 +221,8 @@ impl Store {
         .collect()
     }
 
-    /// Hands out the cycles that no recipe's state holds yet, in their order, with their numbers.
-    pub(super) fn unheard(&self, mut hear: impl FnMut(u64, &Cycle)) -> Result<(), StoreError> {
+    /// Calls `process` with each cycle that no recipe's state contains yet, in order.
+    pub(super) fn unprocessed(&self, mut process: impl FnMut(u64, &Cycle)) -> Result<(), StoreError> {
         let mut all = self.connection.prepare(
             "SELECT c.seq, c.body FROM cycles c LEFT JOIN recipes r ON r.name = c.recipe
              WHERE r.seq IS NULL OR c.seq > r.seq ORDER BY c.seq",
@@ -232,7 +232,7 @@ impl Store {
             let (seq, body): (i64, String) = (row.get(0)?, row.get(1)?);
             let cycle = serde_json::from_str(&body)
                 .map_err(|e| StoreError::Damaged { what: format!("cycle {seq}"), because: e.to_string() })?;
-            hear(seq.cast_unsigned(), &cycle);
+            process(seq.cast_unsigned(), &cycle);
         }
         Ok(())
     }
@@ -251,7 +251,7 @@ impl Store {
         Ok(rows.collect::<Result<_, _>>()?)
     }
 
-    /// Adds alarms, in their order; those that are known stay as they are.
+    /// Adds alarms in order; known alarms stay unchanged.
     pub(super) fn add_alarms(&self, alarms: &[Alarm]) -> Result<(), StoreError> {
         let sql = "INSERT INTO alarms (id, body) VALUES (?1, ?2) ON CONFLICT (id) DO NOTHING";
         let mut insert = self.connection.prepare_cached(sql)?;
@@ -282,21 +282,20 @@ impl Store {
         Ok(self.fact(&format!("delivered:{output}"))?.unwrap_or(0).cast_unsigned())
     }
 
-    /// Makes an output known. A new one begins with the next alarm: what was raised before it is not its business.
-    pub(super) fn enrol(&self, output: &str) -> Result<(), StoreError> {
+    /// Registers an output. A new output begins with the next alarm.
+    pub(super) fn register(&self, output: &str) -> Result<(), StoreError> {
         self.connection
             .prepare_cached("INSERT OR IGNORE INTO facts SELECT ?1, COALESCE(MAX(n), 0) FROM alarms")?
             .execute([format!("delivered:{output}")])?;
         Ok(())
     }
 
-    /// Says that an output delivered every alarm up to number `n`.
+    /// Records that an output delivered every alarm up to number `n`.
     pub(super) fn set_delivered(&self, output: &str, n: u64) -> Result<(), StoreError> {
         self.set_fact(&format!("delivered:{output}"), n.cast_signed())
     }
 
-    /// Cycles that are more than are kept, and the number up to which they may go; `None` where there are not enough of
-    /// them to be worth a sweep.
+    /// The number up to which cycles can be deleted; `None` if too few are due.
     pub(super) fn too_old(&self, newest: u64) -> Option<u64> {
         let surplus = newest.saturating_sub(self.settings.keep_cycles);
         let first: Option<i64> = self
@@ -318,7 +317,7 @@ impl Store {
         Ok(())
     }
 
-    /// The newest cycle's number; 0 where there is none.
+    /// The number of the newest cycle; 0 without cycles.
     pub(super) fn newest(&self) -> Result<u64, StoreError> {
         let newest: i64 =
             self.connection.query_row("SELECT COALESCE(MAX(seq), 0) FROM cycles", [], |row| row.get(0))?;

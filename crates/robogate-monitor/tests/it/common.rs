@@ -4,7 +4,10 @@ use std::sync::Arc;
 
 use robogate_core::Stream;
 use robogate_monitor::domain::Domain;
-use robogate_monitor::{Baseline, Count, Cycle, MODES};
+use robogate_monitor::{Baseline, Count, Cycle};
+
+/// The failure modes of the cell.
+const MODES: [&str; 5] = ["jammed", "dropped", "collision", "timeout", "other"];
 
 /// What a cell does.
 #[derive(Clone, Copy)]
@@ -47,12 +50,13 @@ impl Cell {
     pub(crate) fn baseline(&self, n: u64) -> Baseline {
         let count = |rate: f64| Some(Count { count: (rate * n as f64).round() as u64, of: n });
         let (middle, half) = self.cycle_time;
+        let failures = |share: f64| (share * (1.0 - self.success) * n as f64).round() as u64;
         let time = |i: u64| middle - half + 2.0 * half * (i as f64 + 0.5) / n as f64;
         Baseline {
             success: count(self.success),
             drop: count(self.drop),
             collision: count(self.collision),
-            failure_modes: Some(self.modes.map(|share| (share * (1.0 - self.success) * n as f64).round() as u64)),
+            failure_modes: Some(MODES.into_iter().zip(self.modes.map(failures)).collect()),
             cycle_times_s: Some((0..n).map(time).collect()),
         }
     }

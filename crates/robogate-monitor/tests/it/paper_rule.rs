@@ -20,7 +20,7 @@ struct Case {
 }
 
 #[test]
-fn the_rule_is_exact_on_a_recorded_stream() {
+fn the_rule_matches_a_recorded_stream() {
     let recorded: Recorded = serde_json::from_str(include_str!("../reference/paper_rule.json")).unwrap();
     assert_eq!(recorded.cases.len(), 5);
     for case in recorded.cases {
@@ -41,7 +41,7 @@ fn the_rule_is_exact_on_a_recorded_stream() {
 }
 
 #[test]
-fn five_points_below_95_percent_is_exactly_ten_failures_in_a_hundred() {
+fn limits_are_integer_failure_counts() {
     // 0.95 - 0.90 is less than 0.05 in binary; the rule counts failures instead.
     let rule = PaperRule::default();
     assert_eq!((rule.failures_at(0.95, 0.05), rule.failures_at(0.95, 0.10)), (10, 15));

@@ -11,7 +11,7 @@ use crate::common::{Cell, cycle};
 const STREAMS: u64 = 10_000;
 
 #[test]
-fn the_mean_run_length_is_at_least_the_promise_over_ten_thousand_streams() {
+fn mean_run_length_reaches_the_bound() {
     // The hardest truth: exactly the bound.
     for (bound, limit) in [(0.05, 300.0), (0.01, 300.0), (0.3, 100.0)] {
         let factors = event(bound).unwrap();
@@ -35,7 +35,7 @@ fn the_mean_run_length_is_at_least_the_promise_over_ten_thousand_streams() {
 }
 
 #[test]
-fn all_metrics_of_all_recipes_together_keep_the_promise() {
+fn all_metrics_together_reach_the_bound() {
     let baseline = Cell::NORMAL.baseline(20_000);
     let settings =
         Settings { warning_cycles: 200.0, critical_cycles: 200.0, history_cycles: 16, baseline, ..Settings::default() };
@@ -65,7 +65,7 @@ fn all_metrics_of_all_recipes_together_keep_the_promise() {
 /// Drops to 0.92, 0.90 and 0.85 from 0.95, at the mean run length of the paper's critical rule (about 98,000 cycles): the
 /// detector's limit is set so that its promise alone, which is less than its mean run length, is below that.
 #[test]
-fn a_drop_is_seen_no_later_than_by_the_papers_critical_rule() {
+fn detection_is_no_later_than_the_papers() {
     let question =
         Question { rate: 0.95, drops: vec![0.92, 0.90, 0.85], cycles_per_day: 21_600.0, streams: 400, seed: 4 };
     // So much evidence that the bound is the rate itself, as the paper's rule takes it to be.
@@ -96,7 +96,7 @@ fn a_drop_is_seen_no_later_than_by_the_papers_critical_rule() {
 }
 
 #[test]
-fn the_stated_interval_of_the_change_point_holds_the_change_nine_times_in_ten() {
+fn change_intervals_cover_the_change() {
     let settings = Settings { baseline: Cell::NORMAL.baseline(100_000), ..Settings::default() };
     let (mut inside, mut all) = (0, 0);
     for i in 0..150 {

@@ -7,7 +7,9 @@ use std::thread::JoinHandle;
 
 use robogate_core::Seed;
 use robogate_monitor::Monitor;
-use robogate_monitor::service::{Desk, HttpError, HttpSettings, Intake, ServiceSettings, Store, StoreSettings, serve};
+use robogate_monitor::service::{
+    HttpError, HttpSettings, Intake, ServiceEngine, ServiceSettings, Store, StoreSettings, serve,
+};
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
@@ -22,7 +24,7 @@ pub(crate) fn intake(path: &Path, store: StoreSettings) -> Intake {
 /// A service that ends with this.
 pub(crate) struct Service {
     pub(crate) address: SocketAddr,
-    pub(crate) desk: Desk,
+    pub(crate) engine: ServiceEngine,
     stop: oneshot::Sender<()>,
     thread: JoinHandle<Result<(), HttpError>>,
 }
@@ -38,15 +40,15 @@ impl Service {
         token: Option<&str>,
         say: impl Fn(&str) + Send + 'static,
     ) -> Self {
-        let desk = Desk::open(intake, say);
+        let engine = ServiceEngine::open(intake, say);
         let (stop, stopped) = oneshot::channel();
         let (told, address) = channel();
-        let (handle, token) = (desk.handle(), token.map(str::to_owned));
+        let (handle, token) = (engine.handle(), token.map(str::to_owned));
         let thread = std::thread::spawn(move || {
             let any = "127.0.0.1:0".parse().unwrap();
             serve(any, token, http, handle, |address| told.send(address).unwrap(), stopped)
         });
-        Self { address: address.recv().unwrap(), desk, stop, thread }
+        Self { address: address.recv().unwrap(), engine, stop, thread }
     }
 
     pub(crate) fn end(self) {
@@ -57,7 +59,7 @@ impl Service {
     pub(crate) fn close(self) -> Result<(), String> {
         self.stop.send(()).unwrap();
         self.thread.join().unwrap().unwrap();
-        self.desk.close()
+        self.engine.close()
     }
 }
 

@@ -16,7 +16,7 @@ fn open() -> (tempfile::TempDir, Service) {
 }
 
 #[test]
-fn each_kind_of_cycle_gets_its_stated_treatment() {
+fn each_kind_of_cycle_is_treated_as_documented() {
     let (_folder, service) = open();
     let to = service.address;
     let first = cycle(10, 0.0);
@@ -27,7 +27,7 @@ fn each_kind_of_cycle_gets_its_stated_treatment() {
     // Contradicting: the same id with another outcome.
     let (status, other) = post(to, "/v1/cycles", &first.replace("true", "false"), None);
     assert_eq!((status, &other["refused"]), (422, &json!(1)));
-    assert!(other["refusals"][0]["because"].as_str().unwrap().contains("`c10` is known with other content"));
+    assert!(other["refusals"][0]["because"].as_str().unwrap().contains("`c10` is already stored with other content"));
     // Out of order by 12 s, late by more than an hour: same robot, heard all the same.
     let (_, early) = post(to, "/v1/cycles", &cycle(7, 0.0), None);
     assert_eq!((&early["accepted"], &early["out_of_order"], &early["late"]), (&json!(1), &json!(1), &json!(0)));
@@ -51,7 +51,7 @@ fn each_kind_of_cycle_gets_its_stated_treatment() {
 }
 
 #[test]
-fn metrics_health_status_fleet_and_page_answer() {
+fn all_paths_answer() {
     let (_folder, service) = open();
     let to = service.address;
     assert_eq!(post(to, "/v1/cycles", &cycles(0..600, 0.05), None).0, 200);
@@ -94,7 +94,7 @@ fn metrics_health_status_fleet_and_page_answer() {
 }
 
 #[test]
-fn without_a_token_only_this_machine_may_connect_and_no_other_site_post() {
+fn without_token_only_this_machine_connects() {
     let (_folder, service) = open();
     let raw = |head: &str| {
         let mut stream = TcpStream::connect(service.address).unwrap();
@@ -108,13 +108,13 @@ fn without_a_token_only_this_machine_may_connect_and_no_other_site_post() {
     assert_eq!(raw("POST /v1/cycles HTTP/1.1\r\nhost: localhost\r\norigin: http://evil.example\r\n"), "403");
     let anyone = "0.0.0.0:0".parse().unwrap();
     let (_stop, stopped) = tokio::sync::oneshot::channel();
-    let refused = serve(anyone, None, HttpSettings::default(), service.desk.handle(), |_| {}, stopped).unwrap_err();
+    let refused = serve(anyone, None, HttpSettings::default(), service.engine.handle(), |_| {}, stopped).unwrap_err();
     assert!(refused.to_string().contains("--token-file"), "{refused}");
     service.end();
 }
 
 #[test]
-fn with_a_token_everything_but_page_and_health_asks_for_it() {
+fn a_token_protects_all_data() {
     let folder = tempfile::tempdir().unwrap();
     let token = "0123456789abcdef";
     let service = Service::start(&folder.path().join("monitor.db"), HttpSettings::default(), Some(token));
@@ -129,7 +129,7 @@ fn with_a_token_everything_but_page_and_health_asks_for_it() {
 }
 
 #[test]
-fn a_body_or_a_sender_beyond_the_limit_is_refused() {
+fn large_bodies_and_fast_senders_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let http = HttpSettings { most_body_bytes: 2_000, requests_per_s: 1.0, ..HttpSettings::default() };
     let service = Service::start(&folder.path().join("monitor.db"), http, None);
@@ -141,7 +141,7 @@ fn a_body_or_a_sender_beyond_the_limit_is_refused() {
 }
 
 #[test]
-fn two_hundred_slow_clients_hold_nobody_up() {
+fn slow_clients_delay_no_other() {
     let folder = tempfile::tempdir().unwrap();
     let http = HttpSettings { head_s: 60.0, body_s: 60.0, ..HttpSettings::default() };
     let service = Service::start(&folder.path().join("monitor.db"), http, None);
@@ -164,7 +164,7 @@ fn two_hundred_slow_clients_hold_nobody_up() {
 }
 
 #[test]
-fn a_client_that_never_ends_its_head_is_let_go() {
+fn unfinished_heads_time_out() {
     let folder = tempfile::tempdir().unwrap();
     let http = HttpSettings { head_s: 0.3, ..HttpSettings::default() };
     let service = Service::start(&folder.path().join("monitor.db"), http, None);
@@ -179,7 +179,7 @@ fn a_client_that_never_ends_its_head_is_let_go() {
 }
 
 #[test]
-fn an_idle_connection_is_let_go_and_many_bodies_cannot_fill_memory() {
+fn idle_connections_and_memory_are_bounded() {
     let folder = tempfile::tempdir().unwrap();
     let http = HttpSettings { head_s: 0.3, most_held_bytes: 20_000, ..HttpSettings::default() };
     let service = Service::start(&folder.path().join("monitor.db"), http, None);
@@ -219,7 +219,7 @@ fn an_idle_connection_is_let_go_and_many_bodies_cannot_fill_memory() {
 }
 
 #[test]
-fn a_document_an_array_and_lines_are_the_same_cycles_to_the_byte() {
+fn all_body_forms_give_the_same_cycles() {
     let folder = tempfile::tempdir().unwrap();
     let of = |name: &str, bodies: &[String]| {
         let service = Service::start(&folder.path().join(name), HttpSettings::default(), None);
@@ -240,7 +240,7 @@ fn a_document_an_array_and_lines_are_the_same_cycles_to_the_byte() {
 }
 
 #[test]
-fn nothing_that_is_posted_ends_the_service() {
+fn no_body_ends_the_service() {
     let (_folder, service) = open();
     let deep = "[".repeat(100_000);
     let long = format!("{{\"id\":\"{}\"}}", "x".repeat(1_000_000));

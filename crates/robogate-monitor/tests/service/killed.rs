@@ -58,7 +58,7 @@ fn acknowledged(stream: &mut BufReader<TcpStream>, body: &str) -> Option<()> {
 }
 
 #[test]
-fn twenty_kills_lose_no_acknowledged_cycle_and_repeat_none() {
+fn twenty_kills_lose_and_repeat_no_cycle() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("monitor.db");
     let mut stream = Seed::campaign(1).stream("kills");

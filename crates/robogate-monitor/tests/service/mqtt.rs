@@ -1,20 +1,20 @@
-//! A real broker: mosquitto. Where it is not installed this says so and is skipped.
+//! A real broker: mosquitto. Where it is not installed the tests are skipped.
 
 use std::net::TcpListener;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use robogate_monitor::service::{Broker, Desk, Output, StoreSettings};
+use robogate_monitor::service::{Broker, Output, ServiceEngine, StoreSettings};
 use rumqttc::{Client, Event, MqttOptions, Packet, QoS};
 
 use crate::common::{cycle, cycles, intake};
 
-const SKIPPED: &str = "skipped: no mosquitto on this machine (Debian: apt-get install mosquitto)";
-
 /// mosquitto on a port of its own; ends with this.
 struct Mosquitto {
+    program: PathBuf,
     process: Child,
     port: u16,
     folder: tempfile::TempDir,
@@ -31,18 +31,17 @@ impl Mosquitto {
             folder.path().display()
         );
         std::fs::write(folder.path().join("mosquitto.conf"), settings).unwrap();
-        let process = Self::run(&folder)?;
-        let broker = Self { process, port, folder };
+        let program = robogate_testing::program("mosquitto")?;
+        let process = Self::run(&program, &folder);
+        let broker = Self { program, process, port, folder };
         broker.wait();
         Some(broker)
     }
 
-    fn run(folder: &tempfile::TempDir) -> Option<Child> {
-        ["mosquitto", "/usr/sbin/mosquitto"].into_iter().find_map(|name| {
-            let mut command = Command::new(name);
-            command.arg("-c").arg(folder.path().join("mosquitto.conf"));
-            command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().ok()
-        })
+    fn run(program: &Path, folder: &tempfile::TempDir) -> Child {
+        let mut command = Command::new(program);
+        command.arg("-c").arg(folder.path().join("mosquitto.conf"));
+        command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
     }
 
     fn wait(&self) {
@@ -53,7 +52,7 @@ impl Mosquitto {
     fn restart(&mut self) {
         self.process.kill().unwrap();
         self.process.wait().unwrap();
-        self.process = Self::run(&self.folder).unwrap();
+        self.process = Self::run(&self.program, &self.folder);
         self.wait();
     }
 
@@ -92,15 +91,15 @@ fn until(what: &str, mut done: impl FnMut() -> bool) {
     }
 }
 
-fn accepted(desk: &Desk) -> u64 {
-    desk.handle().status().unwrap().intake.accepted
+fn accepted(engine: &ServiceEngine) -> u64 {
+    engine.handle().status().unwrap().intake.accepted
 }
 
 #[test]
-fn cycles_come_in_and_alarms_go_out_by_a_real_broker() {
-    let Some(broker) = Mosquitto::start() else { return eprintln!("{SKIPPED}") };
+fn a_real_broker_carries_cycles_and_alarms() {
+    let Some(broker) = Mosquitto::start() else { return };
     let folder = tempfile::tempdir().unwrap();
-    let desk = Desk::open(intake(&folder.path().join("monitor.db"), StoreSettings::default()), |_| {});
+    let engine = ServiceEngine::open(intake(&folder.path().join("monitor.db"), StoreSettings::default()), |_| {});
     // Who listens to alarms.
     let heard = Arc::new(Mutex::new(Vec::new()));
     let (client, mut connection) = Client::new(MqttOptions::new("listener", "127.0.0.1", broker.port), 10);
@@ -120,58 +119,58 @@ fn cycles_come_in_and_alarms_go_out_by_a_real_broker() {
     });
     until("the subscription", || subscribed.load(Ordering::Acquire));
     let deliver = broker.broker().alarms("cell/alarms".to_owned());
-    let output = Output::start("mqtt".to_owned(), desk.handle(), deliver, |_| {}).unwrap();
+    let output = Output::start("mqtt".to_owned(), engine.handle(), deliver, |_| {}).unwrap();
     let (end, refused) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new(Vec::new())));
     let sink = Arc::clone(&refused);
-    let trouble = move |text: &str| sink.lock().unwrap().push(text.to_owned());
-    let hears = broker.broker().hear("cell/cycles".to_owned(), desk.handle(), Arc::clone(&end), trouble);
+    let problem = move |text: &str| sink.lock().unwrap().push(text.to_owned());
+    let subscriber = broker.broker().subscribe("cell/cycles".to_owned(), engine.handle(), Arc::clone(&end), problem);
     // The session begins with the subscription, which takes a moment: a first cycle is sent until it is heard.
     until("the first cycle", || {
         broker.publish(&cycle(0, 0.05));
-        accepted(&desk) > 0
+        accepted(&engine) > 0
     });
     broker.publish(&cycles(1..600, 0.05));
     broker.publish("this is no cycle");
     broker.publish(&cycles(600..900, 0.6));
-    until("900 cycles", || accepted(&desk) == 900);
+    until("900 cycles", || accepted(&engine) == 900);
     until("an alarm", || !heard.lock().unwrap().is_empty());
     output.end();
-    let said = desk.handle().status().unwrap().alarms;
+    let said = engine.handle().status().unwrap().alarms;
     until("every alarm", || heard.lock().unwrap().len() == said.len());
     assert!(heard.lock().unwrap().iter().eq(said.iter().rev()), "alarms in their order, each once");
     assert!(refused.lock().unwrap().iter().any(|text| text.contains("cell/cycles line 1")), "{refused:?}");
     end.store(true, Ordering::Release);
-    hears.join().unwrap();
-    desk.close().unwrap();
+    subscriber.join().unwrap();
+    engine.close().unwrap();
 }
 
 #[test]
-fn what_was_sent_while_the_monitor_or_the_broker_was_away_is_heard_once() {
-    let Some(mut broker) = Mosquitto::start() else { return eprintln!("{SKIPPED}") };
+fn messages_during_an_outage_count_once() {
+    let Some(mut broker) = Mosquitto::start() else { return };
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("monitor.db");
-    let hear = |broker: &Mosquitto, desk: &Desk| {
+    let subscribe = |broker: &Mosquitto, engine: &ServiceEngine| {
         let end = Arc::new(AtomicBool::new(false));
-        (broker.broker().hear("cell/cycles".to_owned(), desk.handle(), Arc::clone(&end), |_| {}), end)
+        (broker.broker().subscribe("cell/cycles".to_owned(), engine.handle(), Arc::clone(&end), |_| {}), end)
     };
-    let desk = Desk::open(intake(&path, StoreSettings::default()), |_| {});
-    let (hears, end) = hear(&broker, &desk);
+    let engine = ServiceEngine::open(intake(&path, StoreSettings::default()), |_| {});
+    let (subscriber, end) = subscribe(&broker, &engine);
     until("the first cycle", || {
         broker.publish(&cycle(0, 0.05));
-        accepted(&desk) > 0
+        accepted(&engine) > 0
     });
     end.store(true, Ordering::Release);
-    hears.join().unwrap();
-    desk.close().unwrap();
+    subscriber.join().unwrap();
+    engine.close().unwrap();
     // Nobody is there.
     broker.publish(&cycles(1..100, 0.05));
-    let desk = Desk::open(intake(&path, StoreSettings::default()), |_| {});
-    let (hears, end) = hear(&broker, &desk);
-    until("what was sent meanwhile", || accepted(&desk) == 99);
+    let engine = ServiceEngine::open(intake(&path, StoreSettings::default()), |_| {});
+    let (subscriber, end) = subscribe(&broker, &engine);
+    until("what was sent meanwhile", || accepted(&engine) == 99);
     broker.restart();
     broker.publish(&cycles(100..200, 0.05));
-    until("what was sent after the broker's restart", || accepted(&desk) == 199);
+    until("what was sent after the broker's restart", || accepted(&engine) == 199);
     end.store(true, Ordering::Release);
-    hears.join().unwrap();
-    desk.close().unwrap();
+    subscriber.join().unwrap();
+    engine.close().unwrap();
 }

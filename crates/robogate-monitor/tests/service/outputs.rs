@@ -3,12 +3,12 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpListener;
 
-use robogate_monitor::service::{Desk, Output, StoreSettings, webhook};
+use robogate_monitor::service::{Output, ServiceEngine, StoreSettings, webhook};
 
 use crate::common::{cycles, intake};
 
 #[test]
-fn a_webhook_gets_every_alarm_in_order_although_it_fails_at_first() {
+fn webhooks_get_every_alarm_in_order() {
     let folder = tempfile::tempdir().unwrap();
     let source = intake(&folder.path().join("monitor.db"), StoreSettings::default());
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -41,13 +41,13 @@ fn a_webhook_gets_every_alarm_in_order_although_it_fails_at_first() {
         }
         got
     });
-    let desk = Desk::open(source, |_| {});
-    let output = Output::start("webhook".to_owned(), desk.handle(), webhook(url), |_| {}).unwrap();
-    desk.handle().take((cycles(0..600, 0.05) + &cycles(600..900, 0.6)).into_bytes()).unwrap();
+    let engine = ServiceEngine::open(source, |_| {});
+    let output = Output::start("webhook".to_owned(), engine.handle(), webhook(url), |_| {}).unwrap();
+    engine.handle().take((cycles(0..600, 0.05) + &cycles(600..900, 0.6)).into_bytes()).unwrap();
     let got = receiver.join().unwrap();
     output.end();
-    let said = desk.handle().status().unwrap().alarms;
+    let said = engine.handle().status().unwrap().alarms;
     let first: Vec<_> = said.iter().rev().take(4).cloned().collect();
     assert_eq!(got, first);
-    desk.close().unwrap();
+    engine.close().unwrap();
 }

@@ -1,4 +1,4 @@
-//! The page in a real browser, as wide as a phone. Without Chromium this says so and is skipped.
+//! The page in a real browser, as wide as a phone. Without Chromium the test is skipped.
 
 use std::process::Command;
 
@@ -7,18 +7,15 @@ use robogate_monitor::service::HttpSettings;
 use crate::common::{Service, cycles, post};
 
 #[test]
-fn the_page_shows_recipes_detectors_alarms_robots_and_cycles_in_a_browser() {
-    if Command::new("chromium").arg("--version").output().is_err() {
-        eprintln!("skipped: no `chromium` on this machine");
-        return;
-    }
+fn a_browser_shows_the_whole_page() {
+    let Some(chromium) = robogate_testing::program("chromium") else { return };
     let folder = tempfile::tempdir().unwrap();
     let service = Service::start(&folder.path().join("monitor.db"), HttpSettings::default(), None);
     assert_eq!(post(service.address, "/v1/cycles", &cycles(0..600, 0.05), None).0, 200);
     let hostile = cycles(600..900, 0.6).replace("cell-2", "<img src=x onerror=document.title=1>");
     assert_eq!(post(service.address, "/v1/cycles", &hostile, None).0, 200);
     let profile = tempfile::tempdir().unwrap();
-    let output = Command::new("chromium")
+    let output = Command::new(chromium)
         .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
         .args(["--disable-background-networking", "--disable-component-update", "--disable-sync", "--hide-scrollbars"])
         .args(["--window-size=390,844", "--virtual-time-budget=4000", "--dump-dom"])

@@ -7,7 +7,7 @@ use robogate_monitor::service::{HttpSettings, IntakeError, Store, StoreError, St
 use crate::common::{Service, cycles, get, intake, post};
 
 #[test]
-fn a_restart_at_any_cycle_goes_on_with_the_same_statistics() {
+fn a_restart_continues_the_statistics() {
     let folder = tempfile::tempdir().unwrap();
     let batches: Vec<String> = (0..60).map(|i| cycles(20 * i..20 * i + 20, if i < 40 { 0.05 } else { 0.4 })).collect();
     let mut whole = intake(&folder.path().join("whole.db"), StoreSettings::default());
@@ -29,7 +29,7 @@ fn a_restart_at_any_cycle_goes_on_with_the_same_statistics() {
 }
 
 #[test]
-fn a_full_disk_is_said_and_nothing_of_the_batch_is_kept_or_heard() {
+fn a_full_disk_refuses_whole_batches() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("monitor.db");
     let small = StoreSettings { most_mib: 1, ..StoreSettings::default() };
@@ -57,7 +57,7 @@ fn a_full_disk_is_said_and_nothing_of_the_batch_is_kept_or_heard() {
 }
 
 #[test]
-fn a_full_disk_is_said_by_answer_health_and_operator_until_there_is_room() {
+fn a_full_disk_is_reported_everywhere() {
     let folder = tempfile::tempdir().unwrap();
     let small = StoreSettings { most_mib: 1, ..StoreSettings::default() };
     let said = Arc::new(Mutex::new(Vec::new()));
@@ -70,7 +70,7 @@ fn a_full_disk_is_said_by_answer_health_and_operator_until_there_is_room() {
     let kept = 100 * full.unwrap();
     let (status, health) = get(to, "/healthz");
     assert!(status == 507 && health.contains("full"), "{status} {health}");
-    // What is known needs no room, and one that was written ends the trouble.
+    // What is known needs no room, and one that was written ends the problem.
     let (status, known) = post(to, "/v1/cycles", &cycles(kept - 100..kept, 0.05), None);
     assert_eq!((status, &known["duplicates"]), (200, &serde_json::json!(100)));
     assert_eq!(said.lock().unwrap().len(), 2);
@@ -82,7 +82,7 @@ fn a_full_disk_is_said_by_answer_health_and_operator_until_there_is_room() {
 }
 
 #[test]
-fn old_cycles_go_and_the_statistics_stay() {
+fn old_cycles_are_deleted_statistics_stay() {
     let folder = tempfile::tempdir().unwrap();
     let keep = StoreSettings { keep_cycles: 500, ..StoreSettings::default() };
     let mut whole = intake(&folder.path().join("whole.db"), StoreSettings::default());
@@ -102,7 +102,7 @@ fn old_cycles_go_and_the_statistics_stay() {
 }
 
 #[test]
-fn a_store_that_is_in_use_or_of_another_kind_is_refused() {
+fn used_and_foreign_stores_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("monitor.db");
     let held = intake(&path, StoreSettings::default());

@@ -136,11 +136,39 @@ impl MujocoEngine {
     }
 }
 
+/// The MuJoCo that this process runs.
+pub(crate) fn build() -> EngineBuild {
+    // The library that the loader has mapped into this process.
+    let maps = std::fs::read_to_string("/proc/self/maps").unwrap_or_default();
+    let library = maps
+        .lines()
+        .filter_map(|line| line.splitn(6, ' ').nth(5).map(str::trim_start))
+        .find(|path| path.rsplit('/').next().is_some_and(|file| file.starts_with("libmujoco.so")));
+    EngineBuild { name: "mujoco", version: mujoco_rs::mujoco_version().to_owned(), library: library.map(PathBuf::from) }
+}
+
+/// Description of the first warning that MuJoCo has raised since the state was created.
+pub(crate) fn warning(data: &MjData<Box<MjModel>>) -> Option<String> {
+    let kind = data.warning().iter().position(|warning| warning.number > 0)?;
+    let info = data.warning()[kind].lastinfo;
+    let what = match kind {
+        0 => "the inertia matrix is singular",
+        1 => "the contact buffer is full",
+        2 => "the constraint buffer is full",
+        3 => "a position is not finite or too large",
+        4 => "a velocity is not finite or too large",
+        5 => "an acceleration is not finite or too large",
+        6 => "a control is not finite or too large",
+        _ => "warning",
+    };
+    Some(format!("MuJoCo: {what} (at {info})"))
+}
+
 /// Stops MuJoCo from writing its warnings to a file in the current folder.
-fn silence_log_file() {
+pub(crate) fn silence_log_file() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
-        // SAFETY: all use of MuJoCo begins with `MujocoEngine::new`, which waits for this call, so MuJoCo is not in use.
+        // SAFETY: all use of MuJoCo begins with a constructor that waits for this call, so MuJoCo is not in use.
         #[expect(unsafe_code, reason = "the binding has no safe way to set it")]
         unsafe {
             set_log_config(log_config().with_logto_file(false));
@@ -176,17 +204,7 @@ fn find(model: &MjModel, kind: MjtObjBase, what: &str, name: &str) -> Result<usi
 
 impl Engine for MujocoEngine {
     fn build(&self) -> EngineBuild {
-        // The library that the loader has mapped into this process.
-        let maps = std::fs::read_to_string("/proc/self/maps").unwrap_or_default();
-        let library = maps
-            .lines()
-            .filter_map(|line| line.splitn(6, ' ').nth(5).map(str::trim_start))
-            .find(|path| path.rsplit('/').next().is_some_and(|file| file.starts_with("libmujoco.so")));
-        EngineBuild {
-            name: "mujoco",
-            version: mujoco_rs::mujoco_version().to_owned(),
-            library: library.map(PathBuf::from),
-        }
+        build()
     }
 
     fn robot(&self) -> &Robot {
@@ -325,19 +343,8 @@ impl Engine for MujocoEngine {
 
     fn health(&self) -> Result<(), Fault> {
         let loaded = self.loaded();
-        if let Some(kind) = loaded.data.warning().iter().position(|warning| warning.number > 0) {
-            let info = loaded.data.warning()[kind].lastinfo;
-            let what = match kind {
-                0 => "the inertia matrix is singular",
-                1 => "the contact buffer is full",
-                2 => "the constraint buffer is full",
-                3 => "a position is not finite or too large",
-                4 => "a velocity is not finite or too large",
-                5 => "an acceleration is not finite or too large",
-                6 => "a control is not finite or too large",
-                _ => "warning",
-            };
-            return Err(Fault::new(FaultKind::Diverged, format!("MuJoCo: {what} (at {info})")));
+        if let Some(warning) = warning(&loaded.data) {
+            return Err(Fault::new(FaultKind::Diverged, warning));
         }
         if loaded.data.qpos().iter().chain(loaded.data.qvel()).any(|x| !x.is_finite()) {
             return Err(Fault::new(FaultKind::Diverged, "MuJoCo: the state is not finite"));

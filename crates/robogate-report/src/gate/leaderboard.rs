@@ -2,12 +2,15 @@
 
 use std::fmt::Write;
 
+use maud::{Markup, html};
 use robogate_gate::{Leaderboard, Standing};
 
-use crate::page::{STYLE, escape, escape_markdown};
-use crate::words::{count, fixed, mode, percent, percents};
+use crate::html::{frame, prose};
+use crate::markdown::escape_markdown;
+use robogate_analysis::labels::mode_label;
+use robogate_stats::format::{count, fixed, percent, percent_range};
 
-/// What the columns say, one policy a line.
+/// The columns of one policy.
 struct Line {
     rank: String,
     name: String,
@@ -28,7 +31,7 @@ impl Line {
             (None, _) => dash(),
         };
         let failures: Vec<String> =
-            standing.endings.iter().map(|e| format!("{} {}", mode(&e.ending), count(e.episodes))).collect();
+            standing.endings.iter().map(|e| format!("{} {}", mode_label(&e.ending), count(e.episodes))).collect();
         let rate = if standing.valid > 0 { percent(standing.successes as f64 / standing.valid as f64) } else { dash() };
         Self {
             rank,
@@ -36,9 +39,9 @@ impl Line {
             score: standing.score.points.map_or_else(dash, |points| fixed(points, 1)),
             interval: standing
                 .score_95
-                .map_or_else(|| "no spread".to_owned(), |[l, h]| format!("{} to {}", fixed(l, 1), fixed(h, 1))),
+                .map_or_else(|| "no interval".to_owned(), |[l, h]| format!("{} to {}", fixed(l, 1), fixed(h, 1))),
             success: format!("{rate} ({} of {})", count(standing.successes), count(standing.valid)),
-            success_interval: percents(standing.success_95),
+            success_interval: percent_range(standing.success_95),
             failures: if failures.is_empty() { dash() } else { failures.join(", ") },
             terms: standing
                 .score
@@ -50,7 +53,9 @@ impl Line {
     }
 }
 
-const HEADS: [&str; 6] = ["rank (95 %)", "policy", "score", "95 % of draws", "success", "exact 95 % interval"];
+/// The head of the last column.
+const FAILURES: &str = "failures";
+const HEADS: [&str; 6] = ["rank (95 %)", "policy", "score", "95 % (bootstrap)", "success", "exact 95 % interval"];
 
 fn terms(board: &Leaderboard) -> Vec<String> {
     board.standings.first().map_or_else(Vec::new, |first| {
@@ -60,9 +65,9 @@ fn terms(board: &Leaderboard) -> Vec<String> {
 
 fn caution(board: &Leaderboard) -> String {
     format!(
-        "{} The score summarises observed figures. Its interval and that of the rank come from {} draws of the scenarios, \
-         with replacement within each category, the same for every policy; \"no spread\" means that resampling cannot tell, not \
-         that there is no doubt.",
+        "{} The score summarises observed figures. Its interval and that of the rank come from {} bootstrap replicates of the \
+         scenarios, within each category and the same for every policy. \"no interval\": all replicates are equal, which does not \
+         mean that the score is exact.",
         board.population.estimand(),
         count(board.draws)
     )
@@ -72,7 +77,7 @@ fn caution(board: &Leaderboard) -> String {
 pub fn leaderboard_markdown(board: &Leaderboard) -> String {
     let mut heads: Vec<String> = HEADS.iter().map(|head| (*head).to_owned()).collect();
     heads.extend(terms(board));
-    heads.push("otherwise".to_owned());
+    heads.push(FAILURES.to_owned());
     let mut out = format!("# Leaderboard\n\n{}\n\n", escape_markdown(&board.population.to_string()));
     // Writing to a string cannot fail; so throughout this file.
     let _ = writeln!(
@@ -94,86 +99,81 @@ pub fn leaderboard_markdown(board: &Leaderboard) -> String {
 
 /// The leaderboard as one self-contained HTML file: the same bytes for the same leaderboard.
 pub fn leaderboard_html(board: &Leaderboard) -> String {
-    let mut out = String::new();
-    let _ = write!(
-        out,
-        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <meta name=\"color-scheme\" content=\"light dark\">\n<link rel=\"icon\" href=\"data:,\">\n\
-         <title>Leaderboard \u{b7} RoboGate</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n\
-         <header class=\"top\">\n<p class=\"brand\"><b>RoboGate</b> leaderboard</p>\n<h1>{}</h1>\n\
-         <p class=\"sub\">{}</p>\n</header>\n<main>\n<section>\n<div class=\"scroll\"><table>\n<thead><tr>",
-        escape(&title(board)),
-        escape(&board.population.to_string())
-    );
-    for head in HEADS.iter().copied().map(str::to_owned).chain(["otherwise".to_owned()]) {
-        let _ = write!(out, "<th scope=\"col\">{}</th>", escape(&head));
-    }
-    out.push_str("</tr></thead>\n<tbody>\n");
-    for (standing, line) in board.standings.iter().map(|s| (s, Line::of(s))) {
-        let _ = writeln!(
-            out,
-            "<tr><td>{}</td><th scope=\"row\">{}</th><td>{}{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
-            escape(&line.rank),
-            escape(&line.name),
-            escape(&line.score),
-            scale(standing),
-            escape(&line.interval),
-            escape(&line.success),
-            escape(&line.success_interval),
-            escape(&line.failures)
-        );
-    }
-    out.push_str(
-        "</tbody></table></div>\n</section>\n<section>\n<header><h2>What each score is made of</h2></header>\n",
-    );
-    out.push_str("<div class=\"scroll\"><table>\n<thead><tr><th scope=\"col\">policy</th>");
-    for head in terms(board) {
-        let _ = write!(out, "<th scope=\"col\">{}</th>", escape(&head));
-    }
-    out.push_str("</tr></thead>\n<tbody>\n");
-    for line in board.standings.iter().map(Line::of) {
-        let _ = write!(out, "<tr><th scope=\"row\">{}</th>", escape(&line.name));
-        for term in &line.terms {
-            let _ = write!(out, "<td>{}</td>", escape(term));
+    let lines: Vec<Line> = board.standings.iter().map(Line::of).collect();
+    let body = html! {
+        header.top {
+            p.brand { b { "RoboGate" } " leaderboard" }
+            h1 { (prose(&title(board))) }
+            p.sub { (prose(&board.population.to_string())) }
         }
-        out.push_str("</tr>\n");
+        main {
+            section {
+                div.scroll {
+                    table {
+                        thead { tr { @for head in HEADS.into_iter().chain([FAILURES]) { th scope="col" { (prose(head)) } } } }
+                        tbody { @for (standing, line) in board.standings.iter().zip(&lines) { (row(standing, line)) } }
+                    }
+                }
+            }
+            section {
+                header { h2 { "Terms of each score" } }
+                div.scroll {
+                    table {
+                        thead {
+                            tr {
+                                th scope="col" { "policy" }
+                                @for head in terms(board) { th scope="col" { (prose(&head)) } }
+                            }
+                        }
+                        tbody {
+                            @for line in &lines {
+                                tr {
+                                    th scope="row" { (prose(&line.name)) }
+                                    @for term in &line.terms { td { (prose(term)) } }
+                                }
+                            }
+                        }
+                    }
+                }
+                p.text { (prose(&caution(board))) }
+            }
+        }
+    };
+    frame("Leaderboard", &body, false)
+}
+
+fn row(standing: &Standing, line: &Line) -> Markup {
+    html! {
+        tr {
+            td { (prose(&line.rank)) }
+            th scope="row" { (prose(&line.name)) }
+            td { (prose(&line.score)) @if let Some(points) = standing.score.points { (scale(points, standing.score_95)) } }
+            @for cell in [&line.interval, &line.success, &line.success_interval, &line.failures] { td { (prose(cell)) } }
+        }
     }
-    let _ = write!(
-        out,
-        "</tbody></table></div>\n<p class=\"text\">{}</p>\n</section>\n</main>\n\
-         <footer><p>RoboGate {} \u{b7} the same data give the same page, byte for byte</p></footer>\n</body>\n</html>\n",
-        escape(&caution(board)),
-        env!("CARGO_PKG_VERSION")
-    );
-    out
 }
 
 fn title(board: &Leaderboard) -> String {
     match board.standings.as_slice() {
-        [only] => format!("{} alone", only.name),
+        [only] => format!("{}, the only policy", only.name),
         [first, ..] if first.score.points.is_some() => {
             format!("{} leads {} policies", first.name, board.standings.len())
         }
-        _ => "Nothing to rank".to_owned(),
+        _ => "No policy can be ranked".to_owned(),
     }
 }
 
 /// The score on a line from 0 to 100, with its interval.
-fn scale(standing: &Standing) -> String {
-    let Some(points) = standing.score.points else { return String::new() };
-    let band = standing.score_95.map_or_else(String::new, |[low, high]| {
-        format!(
-            "<rect x=\"{}\" y=\"3\" width=\"{}\" height=\"6\" fill=\"var(--band)\"/>",
-            fixed(low, 2),
-            fixed((high - low).max(0.5), 2)
-        )
-    });
-    format!(
-        "<svg viewBox=\"-1 0 102 12\" width=\"120\" height=\"14\" role=\"img\" aria-label=\"{} of 100\" style=\"display:block\">\
-         <line x1=\"0\" y1=\"6\" x2=\"100\" y2=\"6\" stroke=\"var(--line)\"/>{band}\
-         <circle cx=\"{}\" cy=\"6\" r=\"2.6\" fill=\"var(--accent)\"/></svg>",
-        fixed(points, 1),
-        fixed(points, 2)
-    )
+fn scale(points: f64, interval: Option<[f64; 2]>) -> Markup {
+    html! {
+        svg viewBox="-1 0 102 12" width="120" height="14" role="img" aria-label={ (fixed(points, 1)) " of 100" }
+            style="display:block"
+        {
+            line x1="0" y1="6" x2="100" y2="6" stroke="var(--line)" {}
+            @if let Some([low, high]) = interval {
+                rect x=(fixed(low, 2)) y="3" width=(fixed((high - low).max(0.5), 2)) height="6" fill="var(--band)" {}
+            }
+            circle cx=(fixed(points, 2)) cy="6" r="2.6" fill="var(--accent)" {}
+        }
+    }
 }

@@ -1,12 +1,12 @@
-//! The gate's answer as Markdown, for a pull request or a job summary.
+//! Gate evaluations as Markdown, for a pull request or a job summary.
 
 use std::fmt::Write;
 
 use robogate_gate::{ConfidenceScore, Evaluation, Mode, Verdict};
 
-use super::{DemandRow, how_judged, sign, value, what_next};
-use crate::page::escape_markdown;
-use crate::words::{count, fixed, percent, percents, sentence};
+use super::{RequirementRow, how_judged, sign, value, what_next};
+use crate::markdown::escape_markdown;
+use robogate_stats::format::{count, fixed, percent, percent_range, sentence};
 
 /// The evaluation as Markdown.
 pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
@@ -17,27 +17,27 @@ pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
         Verdict::Inconclusive => "\u{2754}",
         Verdict::Invalid => "\u{26a0}\u{fe0f}",
     };
-    let word = evaluation.verdict.word().to_uppercase();
+    let verdict = evaluation.verdict.as_str().to_uppercase();
     // Writing to a string cannot fail; so throughout this file.
     let _ = writeln!(
         out,
-        "## {mark} RoboGate: {word}\n\n**{}** on {}, {}: {}.\n",
+        "## {mark} RoboGate: {verdict}\n\n**{}** on {}, {}: {}.\n",
         escape_markdown(&evaluation.policy),
         escape_markdown(&evaluation.robot),
         escape_markdown(&evaluation.population.to_string()),
         escape_markdown(&evaluation.because)
     );
     if evaluation.requirements.mode == Mode::Confidence {
-        out.push_str("| | demand | observed | true figure is in | |\n|---|---|---:|---:|---|\n");
+        out.push_str("| | requirement | observed | interval of the true figure | |\n|---|---|---:|---:|---|\n");
     } else {
-        out.push_str("| | demand | observed | |\n|---|---|---:|---|\n");
+        out.push_str("| | requirement | observed | |\n|---|---|---:|---|\n");
     }
-    for row in DemandRow::all(evaluation) {
+    for row in RequirementRow::all(evaluation) {
         let _ = write!(
             out,
             "| {} | {} | {} |",
             sign(row.status),
-            escape_markdown(&row.demand),
+            escape_markdown(&row.requirement),
             escape_markdown(&row.observed)
         );
         if evaluation.requirements.mode == Mode::Confidence {
@@ -65,7 +65,7 @@ pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
     if !evaluation.groups.is_empty() {
         out.push_str("\n<details><summary>Success by scenario group</summary>\n\n");
         out.push_str(
-            "| category | group | success | rate | 95 % interval | otherwise |\n|---|---|---:|---:|---:|---|\n",
+            "| category | group | success | rate | 95 % interval | failures |\n|---|---|---:|---:|---:|---|\n",
         );
         for group in &evaluation.groups {
             let rate =
@@ -78,7 +78,7 @@ pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
                 escape_markdown(&group.group),
                 count(group.successes),
                 count(group.valid),
-                percents(group.interval_95),
+                percent_range(group.interval_95),
                 escape_markdown(&endings.join(", "))
             );
         }
@@ -98,8 +98,8 @@ fn score(out: &mut String, score: &ConfidenceScore) {
             out,
             "| {} | {} | {} | {} | {} | {} |",
             escape_markdown(&term.term.name),
-            term.value.map_or_else(dash, |x| value(metric, x)),
-            term.baseline.map_or_else(String::new, |x| value(metric, x)),
+            term.value.map_or_else(dash, |x| value(metric, "", x)),
+            term.baseline.map_or_else(String::new, |x| value(metric, "", x)),
             term.scored.map_or_else(dash, |x| fixed(x, 3)),
             fixed(term.term.weight, 2),
             term.points.map_or_else(dash, |x| fixed(x, 1))
@@ -108,11 +108,11 @@ fn score(out: &mut String, score: &ConfidenceScore) {
     let [least, most] = score.bounds;
     if score.points.is_none_or(|points| most - least > 1e-9 || (points - least).abs() > 1e-9) {
         let text = format!(
-            "whatever the invalid episodes could have been, or what is missing: {} to {}.",
+            "with invalid episodes and missing terms at their worst and best: {} to {}.",
             fixed(least, 1),
             fixed(most, 1)
         );
         let _ = writeln!(out, "\n{}", sentence(&text));
     }
-    out.push_str("\nA summary of observed figures, without an error of its own; the verdict does not depend on it.\n\n</details>\n");
+    out.push_str("\nThe score summarises observed figures and has no interval. The verdict does not depend on it.\n\n</details>\n");
 }

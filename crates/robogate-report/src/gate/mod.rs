@@ -1,47 +1,51 @@
-//! The gate's answer for people and for CI.
+//! Gate evaluations for people and for CI.
 
 mod junit;
 mod leaderboard;
 mod markdown;
 
-use robogate_gate::{Evaluation, Finding, Metric, Mode, Sampling, Status};
+use robogate_gate::{Evaluation, Metric, Mode, RequirementResult, Sampling, Status};
 
 pub use junit::junit;
 pub use leaderboard::{leaderboard_html, leaderboard_markdown};
 pub use markdown::evaluation_markdown;
 
-use crate::words::{count, fixed, percent};
+use robogate_stats::format::{self, count, fixed, number, percent};
 
-/// One demand in words: what a table of any kind shows.
+/// One requirement as a row of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct DemandRow {
-    /// What follows.
+pub struct RequirementRow {
+    /// The result.
     pub status: Status,
-    /// The demand.
-    pub demand: String,
-    /// What was observed.
+    /// The requirement.
+    pub requirement: String,
+    /// The observed figure.
     pub observed: String,
-    /// What is known of the true figure; empty in point mode.
+    /// The interval of the true figure; empty in point mode.
     pub interval: String,
-    /// What would decide it, or why there is nothing to say; empty where it is decided.
+    /// How many episodes would decide it, or why there is no evidence; empty if it is decided.
     pub note: String,
 }
 
-impl DemandRow {
-    /// Every demand of an evaluation, the comparison last.
+impl RequirementRow {
+    /// Every requirement of an evaluation, the comparison last.
     pub fn all(evaluation: &Evaluation) -> Vec<Self> {
-        let mut rows: Vec<Self> = evaluation.findings.iter().map(|f| Self::of(f, evaluation)).collect();
+        let mut rows: Vec<Self> = evaluation.results.iter().map(|f| Self::of(f, evaluation)).collect();
         if let Some(c) = &evaluation.comparison {
-            let known = if c.difference.is_some() {
+            let interval = if c.difference.is_some() {
                 format!("{} to {}", points(c.interval_95[0]), points(c.interval_95[1]))
             } else {
                 String::new()
             };
             rows.push(Self {
                 status: c.status,
-                demand: format!("not worse than {} by {}", c.policy, points(c.margin).trim_start_matches('+')),
+                requirement: format!(
+                    "not worse than {} by more than {}",
+                    c.policy,
+                    points(c.margin).trim_start_matches('+')
+                ),
                 observed: c.difference.map_or_else(|| "-".to_owned(), points),
-                interval: known,
+                interval,
                 note: format!(
                     "{} pairs: both {}, only {} {}, only this {}, neither {}",
                     count(c.both + c.only_other + c.only_this + c.neither),
@@ -56,90 +60,97 @@ impl DemandRow {
         rows
     }
 
-    fn of(finding: &Finding, evaluation: &Evaluation) -> Self {
-        let metric = finding.requirement.metric;
-        let word = |x: f64| value(metric, x);
-        let scope = match (&finding.requirement.category, &finding.requirement.group) {
+    fn of(result: &RequirementResult, evaluation: &Evaluation) -> Self {
+        let metric = result.requirement.metric;
+        let text = |x: f64| value(metric, &result.unit, x);
+        let scope = match (&result.requirement.category, &result.requirement.group) {
             (Some(category), Some(group)) => format!(" in {category}/{group}"),
             (Some(scope), None) | (None, Some(scope)) => format!(" in {scope}"),
             (None, None) => String::new(),
         };
-        let demand = format!("{}{scope} {} {}", metric.title(), finding.bound.sense, word(finding.bound.limit));
-        let observed = finding.figure.observed.map_or_else(|| "-".to_owned(), word);
-        let interval = match (finding.interval, metric) {
-            (Some([low, high]), Metric::CycleTimeS) => format!("{} to {}", fixed(low, 2), word(high)),
-            (Some([low, high]), _) => format!("{} to {}", word(low).trim_end_matches(" %"), word(high)),
-            (None, _) => String::new(),
+        let requirement = format!("{}{scope} {} {}", metric.title(), result.bound.sense, text(result.bound.limit));
+        let observed = result.figure.observed.map_or_else(|| "-".to_owned(), text);
+        let interval = match result.interval {
+            Some([low, high]) => {
+                let low = text(low);
+                let unit = if result.unit.is_empty() { "%" } else { &result.unit };
+                format!("{} to {}", low.trim_end_matches(unit).trim_end(), text(high))
+            }
+            None => String::new(),
         };
         let mut notes = Vec::new();
-        match (finding.status, finding.decided_at_episodes) {
-            (Status::NoEvidence, _) => notes.push("no episode says anything about it".to_owned()),
+        match (result.status, result.decided_at_episodes) {
+            (Status::NoEvidence, _) => notes.push("no episode gives evidence".to_owned()),
             (Status::Undecided, Some(at)) => notes.push(how_many(at, evaluation)),
             (Status::Undecided, None) if evaluation.requirements.mode == Mode::Confidence => {
-                notes.push("too near the limit for any sensible number of episodes".to_owned());
+                notes.push("too close to the limit for a practical number of episodes".to_owned());
             }
             _ => {}
         }
-        if finding.invalid > 0 && finding.status != Status::NoEvidence {
-            let most = finding.figure.most.map_or_else(|| "any".to_owned(), word);
-            let say = if finding.invalid == 1 { "says" } else { "say" };
+        if result.invalid > 0 && result.status != Status::NoEvidence {
+            let most = result.figure.most.map_or_else(|| "any".to_owned(), text);
             notes.push(format!(
-                "{} of {} {say} nothing: could be {} to {most}",
-                count(finding.invalid),
-                count(finding.valid + finding.invalid),
-                word(finding.figure.least)
+                "{} of {} episodes are invalid: the figure could be {} to {most}",
+                count(result.invalid),
+                count(result.valid + result.invalid),
+                result.figure.least.map_or_else(|| "any".to_owned(), text)
             ));
         }
-        Self { status: finding.status, demand, observed, interval, note: notes.join("; ") }
+        Self { status: result.status, requirement, observed, interval, note: notes.join("; ") }
     }
 }
 
-/// What a number of episodes in all means, as things stand.
+/// How many episodes would decide a requirement.
 fn how_many(at: u64, evaluation: &Evaluation) -> String {
     match evaluation.sampling {
         Sampling::Sequential => {
-            format!("about {} more episodes at this rate", count(at.saturating_sub(evaluation.counts.episodes).max(1)))
+            format!(
+                "about {} more episodes would decide at this rate",
+                count(at.saturating_sub(evaluation.counts.episodes).max(1))
+            )
         }
         Sampling::Fixed => format!("a run of about {} episodes would decide at this rate", count(at)),
     }
 }
 
-/// What an inconclusive gate needs, in a sentence; empty where it has answered.
+/// What an inconclusive gate needs, in a sentence; empty if it is conclusive.
 pub fn what_next(evaluation: &Evaluation) -> String {
     evaluation.decided_at_episodes.map_or_else(String::new, |at| match evaluation.sampling {
         Sampling::Sequential => {
             let more = at.saturating_sub(evaluation.counts.episodes).max(1);
-            format!("If all goes on as so far, about {} more episodes decide.", count(more))
+            format!("If the rates stay as they are, about {} more episodes decide.", count(more))
         }
         Sampling::Fixed => {
             format!(
-                "If all goes as here, a new run of about {} episodes decides; these may not be counted again.",
+                "If the rates stay as they are, a new run of about {} episodes decides. The episodes of this run may not be counted again.",
                 count(at)
             )
         }
     })
 }
 
-/// How the figures are held against the limits, in a sentence.
+/// How the figures are compared with the limits, in a sentence.
 pub fn how_judged(evaluation: &Evaluation) -> String {
-    let percent = percent(evaluation.requirements.confidence);
+    let confidence = evaluation.requirements.confidence;
+    let (percent, error) = (percent(confidence), percent(1.0 - confidence));
     match (evaluation.requirements.mode, evaluation.sampling) {
-        (Mode::Point, _) => "Point comparisons: each observed figure is taken for the true one, without a stated error (the paper's gate).".to_owned(),
+        (Mode::Point, _) => "Point comparison: each observed figure is compared with its limit, without an error probability (as in the paper).".to_owned(),
         (Mode::Confidence, Sampling::Fixed) => format!(
-            "Each demand at {percent} confidence by an exact test of a number of episodes that was fixed beforehand; a pass claims all of them together, and a fail any of them, each wrong with at most the rest of that probability."
+            "Each requirement is tested at {percent} confidence by an exact test, with a number of episodes that was fixed in advance. A pass states that all requirements hold, a fail that at least one does not; each is wrong with a probability of at most {error}."
         ),
         (Mode::Confidence, Sampling::Sequential) => format!(
-            "Each demand at {percent} confidence by a test that holds however often one looks, after each round; a pass claims all of them together, and a fail any of them, each wrong with at most the rest of that probability."
+            "Each requirement is tested at {percent} confidence after each round, by a test that allows repeated looks at the data. A pass states that all requirements hold, a fail that at least one does not; each is wrong with a probability of at most {error}."
         ),
     }
 }
 
 /// A figure of a metric with its unit.
-pub(crate) fn value(metric: Metric, x: f64) -> String {
+pub(crate) fn value(metric: Metric, unit: &str, x: f64) -> String {
     match metric {
-        Metric::CycleTimeS => format!("{} s", fixed(x, 2)),
-        Metric::CollisionCount => fixed(x, 0),
-        // A limit of 0.25 % must not be told as 0.2 %.
+        Metric::CycleTime(_) => format!("{} s", fixed(x, 2)),
+        Metric::Measure(..) => format!("{} {unit}", number(x)).trim_end().to_owned(),
+        Metric::FailureCount(_) => fixed(x, 0),
+        // One decimal would write a limit of 0.25 % as 0.2 %.
         _ if (x > 0.0 && x < 0.01) || (x > 0.99 && x < 1.0) => format!("{} %", fixed(100.0 * x, 2)),
         _ => percent(x),
     }
@@ -147,10 +158,10 @@ pub(crate) fn value(metric: Metric, x: f64) -> String {
 
 /// A difference of shares in percentage points.
 fn points(difference: f64) -> String {
-    format!("{}{} points", if difference > 0.0 { "+" } else { "" }, fixed(100.0 * difference, 1))
+    format!("{} points", format::points(difference))
 }
 
-/// One sign for each status; the word stands beside it wherever there is room.
+/// The sign of a status.
 pub fn sign(status: Status) -> &'static str {
     match status {
         Status::Met => "\u{2713}",

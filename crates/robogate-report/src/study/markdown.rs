@@ -1,27 +1,30 @@
-//! The result as a Markdown page.
+//! A study as a Markdown page.
 
 use std::fmt::Write;
 
-use super::{Arm, ArmFigures, Figures, LearnerFigures, MeanFigure, Measure, Score, Study, Verdict};
-use crate::words::{count, fixed, listed, name, percent, percents, range, with_unit};
+use robogate_analysis::labels::{parameter_label, value_with_unit};
+use robogate_analysis::study::{Arm, ArmFigures, Figures, LearnerFigures, MeanFigure, Measure, Score, Study, Verdict};
+use robogate_stats::format::{count, fixed, list, percent, percent_range, range, sentence};
 
-/// The page.
-pub(super) fn page(study: &Study) -> String {
+use super::answer;
+
+/// A study as a Markdown page.
+pub fn page(study: &Study) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail; so throughout this file.
     let _ = write!(out, "# Is boundary focusing worth it?\n\n{}\n\n", subject(study));
-    for sentence in &study.answer {
+    for sentence in &answer(study) {
         let _ = writeln!(out, "- **{sentence}**");
     }
     out.push('\n');
     data(&mut out, study);
-    out += "## On data that no model has seen\n\n";
-    out += "Boundary error is the question's own measure; the others stand beside it. Each cell has the mean over repeats, \
-            and below it the difference to the uniform design with its 95 % interval.\n\n";
+    out += "## Held-out data\n\n";
+    out += "Boundary error is the primary measure. Each cell has the mean over repeats and the difference to the uniform design \
+            with its 95 % interval.\n\n";
     for learner in &study.learners {
-        judged(&mut out, learner);
+        held_out(&mut out, learner);
     }
-    paper(&mut out, study);
+    in_sample(&mut out, study);
     repeats(&mut out, study);
     method(&mut out, study);
     out
@@ -30,8 +33,8 @@ pub(super) fn page(study: &Study) -> String {
 fn subject(study: &Study) -> String {
     let of = &study.subject;
     format!(
-        "{} with the {} policy in {}, parameter space `{}`: {} episodes for each of three designs, {} times over, judged on \
-         {} episodes drawn independently from the operating space.",
+        "{} with the {} policy in {}, parameter space `{}`: three designs of {} episodes each, {} repeats, evaluated on {} \
+         episodes that were sampled independently from the operating space.",
         of.robot,
         of.policy,
         of.engine,
@@ -43,13 +46,13 @@ fn subject(study: &Study) -> String {
 }
 
 fn data(out: &mut String, study: &Study) {
-    *out += "## What was compared\n\n| Design | Episodes | of them focused | Success rate there | Fitted |\n\
+    *out += "## Designs\n\n| Design | Episodes | Focused episodes | Success rate | Weights in the fit |\n\
              | --- | ---: | ---: | ---: | --- |\n";
     for of in &study.designs {
         let fitted = match of.arm {
-            Arm::Uniform => "every episode alike",
-            Arm::TwoStage => "alike, as published; and weighted back to the operating space",
-            _ => "alike: weights would be equal within the region",
+            Arm::Uniform => "equal",
+            Arm::TwoStage => "equal, as published; and weighted to the operating space",
+            _ => "equal: the weights are constant within the region",
         };
         let _ = writeln!(
             out,
@@ -61,38 +64,40 @@ fn data(out: &mut String, study: &Study) {
         );
     }
     let test = &study.test;
-    let of_rate = match test.rate.rate {
-        Some(rate) => format!("{} ({})", percent(rate), percents(test.rate.wilson_95)),
+    let rate = match test.rate.rate {
+        Some(rate) => format!("{} ({})", percent(rate), percent_range(test.rate.wilson_95)),
         None => "-".to_owned(),
     };
     let _ = writeln!(
         out,
-        "| test set | {} | 0 | {} | never |\n\n\
-         Stating the commoner outcome everywhere has a boundary error of {}; stating the overall success rate ({}) has a log \
-         loss of {} and a Brier score of {}. A model must beat these.\n",
+        "| test set | {} | 0 | {} | not fitted |\n\n\
+         References to beat: always predicting the more frequent outcome has a boundary error of {}; always predicting the \
+         overall success rate ({}) has a log loss of {} and a Brier score of {}.\n",
         count(test.episodes),
-        of_rate,
-        percent(test.error_of_the_commoner),
+        rate,
+        percent(test.majority_error),
         test.rate.rate.map_or_else(|| "-".to_owned(), percent),
-        fixed(test.log_loss_of_the_rate, 3),
-        fixed(test.brier_of_the_rate, 3),
+        fixed(test.base_rate_log_loss, 3),
+        fixed(test.base_rate_brier, 3),
     );
 }
 
-/// Where the pure-boundary design draws from.
+/// The ranges of the pure-boundary design.
 fn region(study: &Study) -> String {
     let ranges: Vec<String> = study
         .region
         .iter()
-        .map(|of| with_unit(&format!("{} {}", name(&of.parameter), range([of.low, of.high])), &of.parameter))
+        .map(|of| {
+            value_with_unit(&format!("{} {}", parameter_label(&of.parameter), range([of.low, of.high])), &of.parameter)
+        })
         .collect();
-    listed(&ranges)
+    list(&ranges)
 }
 
-fn judged(out: &mut String, learner: &LearnerFigures) {
-    let _ = write!(out, "### {}\n\n{}.\n\n", title(learner), sentence(learner.learner.about()));
+fn held_out(out: &mut String, learner: &LearnerFigures) {
+    let _ = write!(out, "### {}\n\n{}.\n\n", title(learner), sentence(&learner.about));
     *out += "| Design | Boundary error | Log loss | Brier score | AUC |\n| --- | ---: | ---: | ---: | ---: |\n";
-    let mut missing = Vec::new();
+    let mut reasons = Vec::new();
     for ArmFigures { arm, figures } in &learner.arms {
         match figures.estimated() {
             Some(figures) => {
@@ -101,42 +106,38 @@ fn judged(out: &mut String, learner: &LearnerFigures) {
             }
             None => {
                 let _ = writeln!(out, "| {} | - | - | - | - |", arm.name());
-                missing.push(format!("{}: {}.", sentence(arm.name()), figures.because().unwrap_or_default()));
+                reasons.push(format!("{}: {}.", sentence(arm.name()), figures.because().unwrap_or_default()));
             }
         }
     }
     out.push('\n');
-    for why in missing {
-        let _ = write!(out, "{why}\n\n");
+    for reason in reasons {
+        let _ = write!(out, "{reason}\n\n");
     }
 }
 
 fn title(learner: &LearnerFigures) -> String {
-    sentence(learner.learner.name())
-}
-
-fn sentence(text: &str) -> String {
-    crate::words::sentence(text)
+    sentence(&learner.name)
 }
 
 fn cell(score: &Score) -> String {
     let mut text = value(score.measure, score.value.mean);
-    if let Some(difference) = &score.less_uniform {
+    if let Some(difference) = &score.difference_to_uniform {
         text += &format!("<br>{}", change(score.measure, difference));
         match score.verdict {
-            Some(Verdict::NotShown) | None => {}
-            Some(verdict) => text += &format!("<br>**{}**", verdict.words()),
+            Some(Verdict::NotSignificant) | None => {}
+            Some(verdict) => text += &format!("<br>**{}**", verdict.as_str()),
         }
     }
     text
 }
 
-/// A measure's value.
+/// The value of a measure.
 fn value(measure: Measure, x: f64) -> String {
     if measure == Measure::BoundaryError { percent(x) } else { fixed(x, 3) }
 }
 
-/// A difference with its interval, of the boundary error in percentage points.
+/// A difference with its interval; for the boundary error in percentage points.
 fn change(measure: Measure, difference: &MeanFigure) -> String {
     let (factor, decimals) = if measure == Measure::BoundaryError { (100.0, 1) } else { (1.0, 3) };
     let signed = |x: f64| {
@@ -153,12 +154,12 @@ fn change(measure: Measure, difference: &MeanFigure) -> String {
     }
 }
 
-fn paper(out: &mut String, study: &Study) {
-    *out += "## The paper's own comparison\n\n\
-             The paper states an AUC of 0.754 for its uniform stage and of 0.780 for both stages together, each on the very \
-             rows that its model was fitted to, and reads the rise as the gain of focusing. The same figures here, beside \
-             the AUC of the same models on the one test set:\n\n\
-             | Learner | Design | AUC in sample, on its own rows | less uniform's | AUC on the test set | less uniform's |\n\
+fn in_sample(out: &mut String, study: &Study) {
+    *out += "## The paper's comparison\n\n\
+             The paper reports an AUC of 0.754 for its uniform stage and of 0.780 for both stages together, each in sample, and \
+             attributes the increase to focusing. The same figures for this study, with the AUC of the same models on the test \
+             set:\n\n\
+             | Learner | Design | AUC in sample | minus uniform | AUC on the test set | minus uniform |\n\
              | --- | --- | ---: | ---: | ---: | ---: |\n";
     for learner in &study.learners {
         let uniform = study.figures(learner.learner, Arm::Uniform);
@@ -174,17 +175,16 @@ fn paper(out: &mut String, study: &Study) {
             let _ = writeln!(
                 out,
                 "| {} | {} | {} | {of_own} | {} | {of_test} |",
-                learner.learner.name(),
+                learner.name,
                 arm.name(),
                 fixed(own, 3),
                 fixed(test(figures), 3)
             );
         }
     }
-    *out += "\nThe in-sample column compares nothing: an AUC says how well successes are told from failures *among the rows \
-             at hand*, and each design has other rows. Where a second stage adds many easy rows the AUC rises, where it \
-             adds hard ones it falls, and the model may be the same in both cases. Only the test set asks all models the \
-             same questions.\n\n";
+    *out += "\nDo not compare the in-sample AUC of different designs: it measures how well a model separates successes from \
+             failures *in the rows of its design*, and each design has other rows. If a second stage adds easy rows, the AUC rises; \
+             if it adds hard rows, it falls, even if the model is the same. Only the test set is the same for all models.\n\n";
 }
 
 fn signed(x: f64) -> String {
@@ -193,7 +193,7 @@ fn signed(x: f64) -> String {
 }
 
 fn repeats(out: &mut String, study: &Study) {
-    *out += "## Every repeat\n\n| Learner | Design | Repeat | Boundary error | Log loss | Brier score | AUC (DeLong's 95 %) |\n\
+    *out += "## All repeats\n\n| Learner | Design | Repeat | Boundary error | Log loss | Brier score | AUC (DeLong's 95 %) |\n\
              | --- | --- | ---: | ---: | ---: | ---: | ---: |\n";
     for learner in &study.learners {
         for ArmFigures { arm, figures } in &learner.arms {
@@ -206,7 +206,7 @@ fn repeats(out: &mut String, study: &Study) {
                 let _ = writeln!(
                     out,
                     "| {} | {} | {} | {} | {} | {} | {} ({} to {}) |",
-                    learner.learner.name(),
+                    learner.name,
                     arm.name(),
                     r + 1,
                     of(Measure::BoundaryError),
@@ -223,31 +223,28 @@ fn repeats(out: &mut String, study: &Study) {
 }
 
 fn method(out: &mut String, study: &Study) {
-    let parameters: Vec<String> = study.subject.parameters.iter().map(|p| name(p)).collect();
-    *out += "## What was measured\n\n";
+    let parameters: Vec<String> = study.subject.parameters.iter().map(|p| parameter_label(p)).collect();
+    *out += "## Method\n\n";
     let _ = writeln!(
         out,
-        "- **Boundary error**: the share of test episodes whose outcome is not the one that the model states at 50 %. An \
-         episode is decided by its parameters ({}) and by what is left to chance within it (joint offsets, where obstacles \
-         stand), so a model of the parameters cannot reach 0: with p(x) the true chance, the error is the mean of \
-         min(p, 1 \u{2212} p), which no design changes, plus the mean of |2p \u{2212} 1| over what lies on the wrong side. \
-         Differences between designs are differences of the second part alone; where p is near 0 or 1 almost everywhere \
-         that is the share of the space on the wrong side of the boundary.",
-        listed(&parameters)
+        "- **Boundary error**: the share of test episodes whose outcome differs from the prediction of the model at 50 %. The \
+         outcome of an episode depends on its parameters ({}) and on random draws within the episode, so a model of the \
+         parameters cannot reach 0. With the true probability p(x), the error is the mean of min(p, 1 \u{2212} p), which no design \
+         changes, plus the mean of |2p \u{2212} 1| over the region on the wrong side of the boundary. Designs differ in the second \
+         part only. If p is near 0 or 1 almost everywhere, the second part is the share of the space on the wrong side.",
+        list(&parameters)
     );
-    *out += "- **Log loss, Brier score**: of the stated chance of success. **AUC**: with DeLong's interval.\n\
-             - **Designs**: *uniform* is one Latin hypercube over the operating space. *Two-stage* spends half the budget so, \
-             finds the boundary in it and draws the other half there, emphasis included. *Pure boundary* spends everything \
-             evenly in the region that the paper names from prior knowledge (the plan's fallback ranges and its held \
-             parameters), as the paper defines this design: it needs no pilot, so no episode goes uncounted. A region found \
-             by a pilot of half the budget would be the two-stage design again. ";
-    let _ = writeln!(out, "Here: {}.", region(study));
-    *out += "- **Weights**: *weighted* rows carry (n1 + n2) / (n1 + n2 q/p) for stages of n1 and n2 episodes, operating density p \
-             and boundary density q, so that both stages together speak of the operating space.\n\
-             - **Intervals**: differences are taken episode by episode within a repeat. The variance of their mean adds that of \
-             repeats and that of test episodes; the interval is Student's with Satterthwaite's degrees of freedom. Each \
-             interval is for itself. *Better* and *worse* go by wider ones, their 95 % shared over all learners and designs \
-             of a measure (Bonferroni), and are not said below three repeats. Boundary error was named first.\n\
-             - **Limits**: one robot, one policy, one budget, one test set. Learners differ more than designs may; another \
-             learner may rank designs otherwise.\n";
+    *out += "- **Log loss, Brier score**: of the predicted probability of success. **AUC**: with DeLong's interval.\n\
+             - **Designs**: *uniform* is one Latin hypercube over the operating space. *Two-stage* uses half of the budget in the \
+             same way, estimates the boundary from it, and samples the other half there, including the emphasis region. *Pure \
+             boundary* samples the whole budget uniformly in the region of prior knowledge (the fallback ranges and restrictions of \
+             the plan), as the paper defines this design. It needs no pilot run. ";
+    let _ = writeln!(out, "Its ranges here: {}.", region(study));
+    *out += "- **Weights**: *weighted* rows have the weight (n1 + n2) / (n1 + n2 q/p) for stages of n1 and n2 episodes, operating \
+             density p and boundary density q, so that both stages together estimate the operating space.\n\
+             - **Intervals**: differences are paired by test episode within a repeat. The variance of their mean is the sum of the \
+             variances of repeats and of test episodes; the interval is Student's with Satterthwaite's degrees of freedom. The \
+             intervals in the tables are pointwise. *Better* and *worse* use wider intervals, with 95 % confidence for all learners \
+             and designs of a measure together (Bonferroni), and need at least three repeats.\n\
+             - **Limits**: one robot, one policy, one budget, one test set. Another learner may rank the designs differently.\n";
 }

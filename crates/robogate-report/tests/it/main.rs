@@ -1,11 +1,17 @@
-//! Claims about analyses and reports, from the outside.
+//! Claims about pages and documents, from the outside.
 
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests are tests too")]
+#![expect(clippy::disallowed_methods, reason = "tests find their settings in the environment")]
+#![expect(clippy::unwrap_used, reason = "helpers of tests are tests too")]
 
-mod anchors;
 mod comparison;
 mod degenerate;
+#[path = "../../../robogate-analysis/tests/it/designs.rs"]
+mod designs;
+mod gate;
+mod headline;
 mod pages;
-mod populations;
+#[path = "../../../robogate-analysis/tests/it/runs.rs"]
+mod runs;
 mod study;
+#[path = "../../../robogate-analysis/tests/it/synthetic.rs"]
 mod synthetic;

@@ -1,85 +1,12 @@
-//! Studies of synthetic laws whose answer is known.
+//! Studies as Markdown, JSON and in sentences.
 
-use std::path::Path;
-use std::sync::Arc as Shared;
+use robogate_analysis::study::Study;
+use robogate_report::{study_answer, study_json, study_markdown};
 
-use robogate_core::{FailureMode, Outcome, ParameterSpace};
-use robogate_dictionary::{Dictionary, Entry};
-use robogate_report::ReportError;
-use robogate_report::study::{Arm, Figures, Learner, Measure, Repeat, Study, Verdict};
-
-use crate::synthetic::{entry, space, unit, write};
-
-/// The chance of success at a point of the unit cube: friction in its logarithm, mass, obstacles.
-type Law = fn(&[f64]) -> f64;
-/// Where a point of the unit cube is moved to by a design.
-type Focus = fn(&mut [f64]);
-
-fn even(_: &mut [f64]) {}
-
-/// `n` episodes of a law; those from `n - focused` on are moved by `focus` and belong to the boundary stage.
-fn drawn(space: &ParameterSpace, seed: u64, n: u64, focused: u64, law: Law, focus: Focus) -> Vec<Entry> {
-    let one = |index: u64| {
-        let of = seed * 1_000_003 + index;
-        let mut at: Vec<f64> = (1..=space.len() as u64).map(|salt| unit(of, salt)).collect();
-        let is_focused = index >= n - focused;
-        if is_focused {
-            focus(&mut at);
-        }
-        let value = |(p, u): (&robogate_core::Parameter, &f64)| {
-            (Shared::clone(&p.name), p.domain.decode(p.domain.from_unit(*u)))
-        };
-        let requested = space.parameters().iter().zip(&at).map(value).collect();
-        let success = unit(of, 99) < law(&at);
-        let outcome = if success { Outcome::Success } else { Outcome::Failure(FailureMode::GripLoss) };
-        let mut entry = entry(index, requested, outcome);
-        if is_focused {
-            entry.stage = "boundary".to_owned();
-            entry.weight = 0.5;
-        }
-        entry
-    };
-    (0..n).map(one).collect()
-}
-
-fn dictionary(dir: &Path, name: &str, space: &ParameterSpace, entries: Vec<Entry>) -> Dictionary {
-    let path = dir.join(name);
-    write(&path, space, entries);
-    Dictionary::open(&path).unwrap()
-}
-
-/// The study of a law: `repeats` of `n` episodes each, judged on 1,500.
-fn study(law: Law, two_stage: Focus, pure: Focus, repeats: u64, n: u64) -> Study {
-    let dir = tempfile::tempdir().unwrap();
-    let space = space(&["box", "sphere"]);
-    let test = dictionary(dir.path(), "test", &space, drawn(&space, 999, 1500, 0, law, even));
-    let data: Vec<[Dictionary; 3]> = (0..repeats)
-        .map(|r| {
-            let make = |word: &str, seed: u64, focused: u64, focus: Focus| {
-                let entries = drawn(&space, 3 * r + seed, n, focused, law, focus);
-                dictionary(dir.path(), &format!("{word}-{r}"), &space, entries)
-            };
-            [make("uniform", 1, 0, even), make("two-stage", 2, n / 2, two_stage), make("pure", 3, n, pure)]
-        })
-        .collect();
-    let repeats: Vec<Repeat<'_>> = data
-        .iter()
-        .map(|[uniform, two_stage, pure_boundary]| Repeat {
-            uniform,
-            two_stage,
-            two_stage_weights: vec![1.0; n as usize],
-            pure_boundary,
-        })
-        .collect();
-    Study::of(&test, &repeats).unwrap()
-}
-
-fn of(study: &Study, learner: Learner, arm: Arm) -> &Figures {
-    study.figures(learner, arm).unwrap()
-}
+use crate::designs::{Focus, Law, even, study};
 
 #[test]
-fn a_design_that_never_saw_a_part_of_the_space_places_the_boundary_worse() {
+fn answer_names_the_worse_design() {
     // Without obstacles all goes well; the focused designs know only what happens with them, near the frontier.
     let law: Law = |at| {
         if at[2] < 0.25 {
@@ -95,83 +22,25 @@ fn a_design_that_never_saw_a_part_of_the_space_places_the_boundary_worse() {
         at[2] = 0.25 + 0.75 * at[2];
     };
     let study = study(law, near, near, 3, 240);
-    let score = of(&study, Learner::Flexible, Arm::PureBoundary).score(Measure::BoundaryError).unwrap();
-    let difference = score.less_uniform.as_ref().unwrap();
-    assert_eq!(score.verdict, Some(Verdict::Worse), "{score:?}");
-    // What it cannot know: a quarter of the space, of which six tenths look like failure.
-    assert!((0.05..0.2).contains(&difference.mean), "{difference:?}");
-    assert!(study.answer.iter().any(|s| s.contains("pure boundary") && s.contains("worse")), "{:?}", study.answer);
+    let answer = study_answer(&study);
+    assert!(answer.iter().any(|s| s.contains("pure boundary") && s.contains("worse")), "{answer:?}");
+    let page = study_markdown(&study);
+    assert!(page.contains("AUC in sample") && page.contains("Do not compare the in-sample AUC"));
 }
 
 #[test]
-fn where_one_sharp_threshold_is_all_there_is_focusing_on_it_pays() {
-    let law: Law = |at| if at[0] > 0.6 { 1.0 } else { 0.0 };
-    let near: Focus = |at| at[0] = 0.56 + 0.08 * at[0];
-    let of_repeats = |repeats| {
-        let study = study(law, near, near, repeats, 60);
-        of(&study, Learner::MainEffects, Arm::PureBoundary).score(Measure::BoundaryError).unwrap().clone()
-    };
-    let score = of_repeats(10);
-    assert_eq!(score.verdict, Some(Verdict::Better), "{score:?}");
-    // Its own interval leaves 0 out with five repeats too; that of nine comparisons together does not.
-    let fewer = of_repeats(5);
-    assert!(fewer.less_uniform.as_ref().unwrap().interval_95.unwrap()[1] < 0.0);
-    assert_eq!(fewer.verdict, Some(Verdict::NotShown), "{fewer:?}");
-}
-
-#[test]
-fn the_auc_in_sample_rises_with_easy_rows_and_the_one_on_the_test_set_does_not() {
-    // A model of main effects is true here, so both designs fit it; the second stage adds rows at both far ends.
-    let law: Law = |at| 1.0 / (1.0 + (-5.0 * (at[0] - at[1])).exp());
-    let easy: Focus = |at| {
-        let end = if at[2] < 0.5 { [0.8, 0.0] } else { [0.0, 0.8] };
-        at[0] = end[0] + 0.2 * at[0];
-        at[1] = end[1] + 0.2 * at[1];
-    };
-    let study = study(law, easy, easy, 3, 400);
-    let [uniform, two] = [Arm::Uniform, Arm::TwoStage].map(|arm| of(&study, Learner::MainEffects, arm));
-    let on_test = |f: &Figures| f.score(Measure::Auc).unwrap().value.mean;
-    assert!(two.mean_auc_in_sample() - uniform.mean_auc_in_sample() > 0.03, "{two:?}");
-    assert!(on_test(two) - on_test(uniform) < 0.01, "{two:?}");
-    let page = study.markdown();
-    assert!(page.contains("AUC in sample") && page.contains("compares nothing"));
-}
-
-#[test]
-fn the_papers_model_says_what_it_misses_and_one_repeat_has_no_interval() {
-    let law: Law = |at| at[0];
-    let study = study(law, even, even, 1, 80);
-    assert!(study.figures(Learner::Paper, Arm::Uniform).is_none());
-    let page = study.markdown();
-    assert!(page.contains("which the paper's model is made of"), "{page}");
-    let score = of(&study, Learner::MainEffects, Arm::TwoStage).score(Measure::Auc).unwrap();
-    let difference = score.less_uniform.as_ref().unwrap();
-    assert_eq!((difference.interval_95, score.verdict), (None, Some(Verdict::NotShown)));
-    assert_eq!(study, self::study(law, even, even, 1, 80), "the same dictionaries give another study");
-    let json: serde_json::Value = serde_json::from_str(&study.to_json()).unwrap();
+fn missing_model_is_explained() {
+    let study = study(|at| at[0], even, even, 1, 80);
+    let page = study_markdown(&study);
+    assert!(page.contains("which the paper's model needs"), "{page}");
+    let json: serde_json::Value = serde_json::from_str(&study_json(&study)).unwrap();
     assert_eq!(json["version"], Study::VERSION);
 }
 
 #[test]
-fn one_outcome_alone_is_said_and_nothing_is_made_up() {
+fn single_outcome_has_no_answer() {
     let study = study(|_| 1.0, even, even, 2, 40);
-    assert!(study.learners.iter().flat_map(|l| &l.arms).all(|arm| arm.figures.because().is_some()));
-    assert!(study.markdown().contains("the same outcome"));
-    assert!(study.answer.iter().all(|s| s.contains("could not be compared")), "{:?}", study.answer);
-}
-
-#[test]
-fn dictionaries_of_other_parameters_or_weights_are_refused() {
-    let dir = tempfile::tempdir().unwrap();
-    let [here, other] = [space(&["box", "sphere"]), space(&["box", "ball"])];
-    let law: Law = |at| at[0];
-    let test = dictionary(dir.path(), "test", &here, drawn(&here, 1, 50, 0, law, even));
-    let foreign = dictionary(dir.path(), "foreign", &other, drawn(&other, 2, 50, 0, law, even));
-    let judged = |uniform: &Dictionary, weights: usize| {
-        let repeat = Repeat { uniform, two_stage: &test, two_stage_weights: vec![1.0; weights], pure_boundary: &test };
-        Study::of(&test, &[repeat]).unwrap_err()
-    };
-    for (error, part) in [(judged(&foreign, 50), "`shape`"), (judged(&test, 49), "49 weights for 50 rows")] {
-        assert!(matches!(error, ReportError::NoStudy { .. }) && error.to_string().contains(part), "{error}");
-    }
+    assert!(study_markdown(&study).contains("the same outcome"));
+    let answer = study_answer(&study);
+    assert!(answer.iter().all(|s| s.contains("could not be compared")), "{answer:?}");
 }

@@ -1,8 +1,8 @@
 //! The rows of a regression, checked once and then walked in blocks.
 
 use super::RegressionError;
-use crate::dense::{dependent_columns, dot};
 use crate::weighted::is_weight;
+use robogate_maths::dense::{dependent_columns, dot};
 
 /// Rows handled together; fits the first-level cache with a few dozen columns.
 pub(super) const BLOCK: usize = 128;

@@ -1,11 +1,11 @@
-//! Logistic regression: how the chance of success depends on the parameters, and how sure that is.
+//! Logistic regression: how the probability of success depends on the parameters, with uncertainty.
 //!
 //! logit P(success | x) = β₀ + Σ βⱼ xⱼ, fitted by maximum likelihood (Newton with step-halving) on internally
 //! standardized columns and reported raw or standardized. Standard errors come from the inverse information,
 //! or from the sandwich I⁻¹ (Σ w² (y-p)² x xᵀ) I⁻¹ where weights are not counts; z = β/se; the p-value is kept as its
 //! logarithm, so 1e-300 and beyond stay numbers.
 //!
-//! What cannot be estimated is said, not hidden:
+//! What cannot be estimated is reported:
 //! - a column of one value, or one that others explain, is [`Term::Dropped`] with the reason;
 //! - data that a linear function separates have no finite maximum likelihood estimate: [`Separation`] names kind,
 //!   columns and rows, and Firth's penalised fit answers instead ([`Estimator::FirthIfSeparated`], the default).
@@ -23,18 +23,18 @@ mod newton;
 mod separation;
 
 use crate::interval::{Confidence, Interval};
-use crate::special::ln_two_sided;
 use data::Standardized;
 pub use data::{Data, Dropped};
 use newton::Solution;
 pub(crate) use newton::logistic_and_log;
+use robogate_maths::normal::ln_two_sided;
 pub use separation::{Separation, SeparationKind};
 
 /// Why there is no fit.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RegressionError {
     /// A column has another length than the outcomes.
-    #[error("column {column} has {found} rows where the outcomes have {expected}")]
+    #[error("column {column} has {found} rows. Expected {expected}, one for each outcome")]
     ColumnLength {
         /// Index of the column.
         column: usize,
@@ -44,7 +44,7 @@ pub enum RegressionError {
         found: usize,
     },
     /// The weights have another length than the outcomes.
-    #[error("weights have {found} rows where the outcomes have {expected}")]
+    #[error("{found} weights. Expected {expected}, one for each outcome")]
     WeightLength {
         /// Rows of the outcomes.
         expected: usize,
@@ -52,7 +52,7 @@ pub enum RegressionError {
         found: usize,
     },
     /// A value is NaN or infinite.
-    #[error("column {column}, row {row}: {value} is not a finite number; hint: leave the row out")]
+    #[error("column {column}, row {row}: {value} is not valid. Expected a finite number. Hint: leave the row out")]
     NotFinite {
         /// Index of the column.
         column: usize,
@@ -61,8 +61,8 @@ pub enum RegressionError {
         /// Value found.
         value: f64,
     },
-    /// A weight is negative, NaN, or of a magnitude whose square is no number.
-    #[error("weight of row {row} is {value}, neither 0 nor a number from 1e-150 to 1e150")]
+    /// A weight is negative, NaN, or so large or small that its square over- or underflows.
+    #[error("the weight of row {row} is {value}. Expected 0 or a number from 1e-150 to 1e150")]
     BadWeight {
         /// Index of the row.
         row: usize,
@@ -70,9 +70,9 @@ pub enum RegressionError {
         value: f64,
     },
     /// No row has positive weight.
-    #[error("no rows, so nothing can be estimated")]
+    #[error("there are no rows to estimate from")]
     NoRows,
-    /// Every outcome is the same: no coefficient can be estimated, whatever the columns.
+    /// Every outcome is the same, so no coefficient can be estimated.
     #[error("all {rows} rows have the same outcome (success: {success}); no coefficient can be estimated")]
     OneClass {
         /// Rows of positive weight.
@@ -80,20 +80,20 @@ pub enum RegressionError {
         /// The outcome that all share.
         success: bool,
     },
-    /// Separated data, where maximum likelihood alone was asked for.
+    /// Separated data, although only maximum likelihood was requested.
     #[error(
-        "{kind:?} separation by columns {columns:?}: no finite maximum likelihood estimate; hint: use Firth's fit",
+        "{kind:?} separation by columns {columns:?}: there is no finite maximum likelihood estimate. Hint: use Firth's fit",
         kind = .0.kind, columns = .0.columns
     )]
     Separated(Separation),
     /// The steps did not settle and no separation explains why.
-    #[error("the fit did not settle in {iterations} steps; hint: columns may be nearly collinear")]
+    #[error("the fit did not converge in {iterations} steps. Hint: check for nearly collinear columns")]
     NotSettled {
         /// Steps taken.
         iterations: usize,
     },
-    /// A profile was asked for a column that takes no part in the fit.
-    #[error("column {column} takes no part in the fit")]
+    /// A profile was requested for a column that is not part of the fit.
+    #[error("column {column} is not part of the fit")]
     NotInFit {
         /// Index of the column.
         column: usize,
@@ -253,7 +253,7 @@ impl Fit {
         (in_fit(a) && in_fit(b)).then(|| self.covariance[a * (self.terms.len() + 1) + b])
     }
 
-    /// Coefficients per raw unit, intercept first, 0 for dropped columns, whatever the reported scale.
+    /// Coefficients per raw unit, intercept first, 0 for dropped columns, for any reported scale.
     pub fn raw_coefficients(&self) -> &[f64] {
         &self.raw
     }

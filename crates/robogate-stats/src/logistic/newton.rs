@@ -1,7 +1,7 @@
 //! Newton steps for both likelihoods, on standardized columns.
 
 use super::data::{BLOCK, Standardized, add_weighted_gram, mirror};
-use crate::dense::Cholesky;
+use robogate_maths::dense::{Cholesky, dot};
 
 /// Pivots of the information below this share of their diagonal mean that a direction has (nearly) no curvature left.
 const PIVOT: f64 = 1e-12;
@@ -64,7 +64,7 @@ pub(super) fn evaluate(x: &Standardized<'_>, beta: &[f64]) -> Local {
         }
         log_likelihood += sum;
         for (j, g) in gradient.iter_mut().enumerate() {
-            *g += crate::dense::dot(&residual, block.column(j));
+            *g += dot(&residual, block.column(j));
         }
         add_weighted_gram(&mut information, q, block, &curvature);
     });
@@ -99,7 +99,7 @@ pub(super) fn maximum_likelihood(
     let mut beta = start(x);
     let mut here = evaluate(x, &beta);
     for iteration in 1..=PATIENCE {
-        let Some(factor) = Cholesky::new(&here.information, q, PIVOT) else {
+        let Ok(factor) = Cholesky::new(&here.information, q, PIVOT) else {
             return Err(Unsettled { beta, iterations: iteration });
         };
         let mut step = here.gradient.clone();
@@ -126,7 +126,7 @@ pub(super) fn maximum_likelihood(
             return Err(Unsettled { beta, iterations: iteration });
         }
         if done {
-            let Some(factor) = Cholesky::new(&here.information, q, PIVOT) else {
+            let Ok(factor) = Cholesky::new(&here.information, q, PIVOT) else {
                 return Err(Unsettled { beta, iterations: iteration });
             };
             return Ok(Solution {
@@ -156,7 +156,7 @@ impl Penalised {
     fn at(x: &Standardized<'_>, beta: &[f64]) -> Option<Self> {
         let q = x.parameters();
         let local = evaluate(x, beta);
-        let factor = Cholesky::new(&local.information, q, 1e-14)?;
+        let factor = Cholesky::new(&local.information, q, 1e-14).ok()?;
         // Uⱼ = Σ (w (y - p) + h (½ - p)) xⱼ with h the leverage w p (1-p) xᵀ I⁻¹ x.
         let mut score = local.gradient.clone();
         let inverse = factor.inverse();
@@ -185,7 +185,7 @@ impl Penalised {
                 distance[i] *= block.weight[i] * p * other * 0.5 * (other - p);
             }
             for (j, s) in score.iter_mut().enumerate() {
-                *s += crate::dense::dot(&distance, block.column(j));
+                *s += dot(&distance, block.column(j));
             }
         });
         Some(Self { local, factor, score })
@@ -201,7 +201,7 @@ fn inverse_of_part(matrix: &[f64], q: usize, free: &[usize]) -> Option<Vec<f64>>
             part[a * m + b] = matrix[i * q + j];
         }
     }
-    Some(Cholesky::new(&part, m, 1e-14)?.inverse())
+    Some(Cholesky::new(&part, m, 1e-14).ok()?.inverse())
 }
 
 /// Firth's penalised likelihood; `fixed` holds one coefficient at a value (for profiles).

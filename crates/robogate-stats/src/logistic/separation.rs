@@ -1,4 +1,4 @@
-//! Is there a direction along which the likelihood rises for ever?
+//! Detects a direction along which the likelihood increases without limit.
 //!
 //! With aᵢ = ±(1, xᵢ), + for a success, the rows are separated when some d ≠ 0 has aᵢ·d ≥ 0 for every row and
 //! aᵢ·d > 0 for one (quasi-complete) or all (complete). Then no maximum likelihood estimate exists
@@ -99,7 +99,7 @@ fn seek(x: &Standardized<'_>, objective: &[f64], mut constraints: Vec<Vec<f64>>)
 }
 
 struct Scan {
-    /// Signed rows with the smallest margins below the limit asked for, at most as many as asked for.
+    /// Signed rows with the smallest margins below the limit, at most the given number.
     worst: Vec<Vec<f64>>,
     smallest: f64,
     /// Rows whose margin is positive.

@@ -1,9 +1,10 @@
 //! The resolved cell: a scenario after every random draw.
 
-use robogate_core::{Fault, FaultKind, Pose, Scenario, TaskSpec};
+use robogate_core::{Fault, FaultKind, Pose, Scenario};
 use robogate_physics::{Robot, Scene};
 
 use super::scene::{TARGET, scene};
+use super::spec::Briefing;
 use super::{Placement, SceneParameters};
 
 /// Time between two actions, in seconds (paper, section 4.1).
@@ -69,15 +70,11 @@ impl ResolvedCell {
         &self.scene
     }
 
-    /// The task as the policy receives it.
-    pub fn task(&self) -> TaskSpec {
+    /// What the policy is told.
+    pub fn briefing(&self) -> Briefing {
         let size = self.parameters.size_m;
-        let shape = self.parameters.shape.as_str();
-        TaskSpec {
-            instruction: format!("pick up the {shape} and place it at the target"),
-            control_period_s: CONTROL_PERIOD_S,
-            time_limit_s: TIME_LIMIT_S,
-            shape: shape.to_owned(),
+        Briefing {
+            shape: self.parameters.shape.as_str().to_owned(),
             object_extent_m: [size; 3],
             object_pose: self.placement.pose(size),
             target_pose: Pose::upright(self.target, 0.0),

@@ -7,15 +7,17 @@ use std::fmt::Write as _;
 use std::sync::Arc;
 
 use robogate_core::{
-    Assignment, Design, Episode, FailureMode, ParameterSpace, Policy, Sampler, Scenario, Seed, Simulator, Value,
+    Assignment, Design, Environment, Episode, FailureMode, ParameterSpace, Policy, Sampler, Scenario, Seed, Value,
     rollout, rollout_with, samplers,
 };
 use robogate_physics::{GRAVITY, Gripper, ParallelJaw, Robot, SuctionCup, SuctionLaw};
+use std::collections::BTreeMap;
 
+use super::spec::{GRIP_LOSS, SLIP, phases};
 use super::{Placement, Shape};
 
-/// A simulator and a scripted controller for it.
-pub type Bench = (Box<dyn Simulator>, Box<dyn Policy>);
+/// An environment and a scripted controller for it.
+pub type Bench = (Box<dyn Environment>, Box<dyn Policy>);
 
 /// Settings of a bench.
 #[derive(Debug, Clone, PartialEq)]
@@ -187,7 +189,7 @@ pub fn no_creep(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimResul
         ]);
         let episode = rollout(&mut *simulator, &mut *policy, &scenario(i as u64, values));
         tally.count(&episode);
-        most = most.max(episode.measures.slip_m.unwrap_or(f64::INFINITY));
+        most = most.max(episode.measures.get(SLIP.as_str()).unwrap_or(f64::INFINITY));
     }
     Ok(ClaimResult {
         claim: "cylinders and balls slip in the hand by less than 4 mm".to_owned(),
@@ -212,8 +214,8 @@ pub fn time_step(
         let one = run(&mut coarse, &design, i);
         let two = run(&mut fine, &design, i);
         invalid += usize::from(is_invalid(&one) || is_invalid(&two));
-        changed += usize::from(one.outcome.word() != two.outcome.word());
-        verdicts += usize::from((one.outcome.word() == "success") != (two.outcome.word() == "success"));
+        changed += usize::from(one.outcome.as_str() != two.outcome.as_str());
+        verdicts += usize::from((one.outcome.as_str() == "success") != (two.outcome.as_str() == "success"));
     }
     Ok(ClaimResult {
         claim: "halving the time step changes at most 2 % of the outcomes".to_owned(),
@@ -268,10 +270,10 @@ pub fn joint_limits(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimR
         let mut commands: Vec<Vec<f64>> = Vec::new();
         let period = 0.05;
         let episode = rollout_with(&mut *simulator, &mut *policy, &scenario(i as u64, values), &mut |tick| {
-            for (most, v) in speed.iter_mut().zip(&tick.step.observation.joint_velocities) {
+            for (most, v) in speed.iter_mut().zip(tick.step.observation.joint_velocities()) {
                 *most = most.max(v.abs());
             }
-            if let robogate_core::ArmCommand::JointPositions(q) = &tick.action.arm {
+            if let robogate_core::Command::JointPosition(q) = &tick.action.command {
                 commands.push(q.clone());
             }
         });
@@ -331,7 +333,7 @@ fn heaviest(workbench: &dyn Workbench, setup: &Setup, gravity_scale: f64) -> Res
             ("placement", Value::Category("center_0".into())),
         ]);
         let episode = rollout(&mut *simulator, &mut *policy, &scenario(0, values));
-        episode.phase > Some(robogate_core::Phase::Lift)
+        episode.phase == Some(phases::MOVE_TO_TARGET) || episode.phase == Some(phases::RELEASE)
     };
     threshold(lifts, 0.4 * law, 1.1 * law)
 }
@@ -400,7 +402,7 @@ pub fn surface_keeps(
     }
     Ok(ClaimResult {
         claim: "a surface gripper never reports grip_loss".to_owned(),
-        holds: tally.invalid == 0 && tally.successes > 0 && tally.of(FailureMode::GripLoss) == 0,
+        holds: tally.invalid == 0 && tally.successes > 0 && tally.of(GRIP_LOSS) == 0,
         figures: vec![tally.line()],
     })
 }
@@ -460,15 +462,11 @@ fn is_invalid(episode: &Episode) -> bool {
 }
 
 fn describe(episode: &Episode) -> String {
-    let mut text = format!("{} at {:.2} s", episode.outcome.word(), episode.time_s);
+    let mut text = format!("{} at {:.2} s", episode.outcome.as_str(), episode.time_s);
     for (name, value) in episode.scenario.requested.iter() {
         let _ = write!(text, ", {name} = {value:.4}");
     }
     text
-}
-
-fn index_of(mode: FailureMode) -> usize {
-    FailureMode::ALL.iter().position(|m| *m == mode).unwrap_or_default()
 }
 
 #[derive(Default)]
@@ -476,7 +474,7 @@ struct Tally {
     episodes: usize,
     successes: usize,
     invalid: usize,
-    failures: [usize; 4],
+    failures: BTreeMap<FailureMode, usize>,
 }
 
 impl Tally {
@@ -486,7 +484,7 @@ impl Tally {
         self.episodes += 1;
         match &episode.outcome {
             Outcome::Success => self.successes += 1,
-            Outcome::Failure(mode) => self.failures[index_of(*mode)] += 1,
+            Outcome::Failure(mode) => *self.failures.entry(*mode).or_default() += 1,
             Outcome::Invalid(_) => {
                 self.invalid += 1;
                 return None;
@@ -496,13 +494,13 @@ impl Tally {
     }
 
     fn of(&self, mode: FailureMode) -> usize {
-        self.failures[index_of(mode)]
+        self.failures.get(&mode).copied().unwrap_or_default()
     }
 
     fn line(&self) -> String {
         let mut line = format!("{} of {} succeed", self.successes, self.episodes);
-        for (mode, count) in FailureMode::ALL.iter().zip(self.failures).filter(|(_, count)| *count > 0) {
-            let _ = write!(line, ", {count} {}", mode.word());
+        for (mode, count) in &self.failures {
+            let _ = write!(line, ", {count} {mode}");
         }
         if self.invalid > 0 {
             let _ = write!(line, ", {} invalid", self.invalid);

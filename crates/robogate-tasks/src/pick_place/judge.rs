@@ -4,12 +4,13 @@
 //! It is the same for an engine in this process ([`super::PickPlace`]) and in another one ([`super::remote`]): one set of
 //! random draws, one read-back, one referee.
 
-use robogate_core::{Action, Fault, FaultKind, GripperCommand, Observation, Scenario, Start, Step};
-use robogate_physics::{ArmState, Chain, Readback, Robot, Steering, StepView, Touches, Visual, pose};
+use robogate_core::{Action, Fault, FaultKind, Observation, Scenario, Start, Step};
+use robogate_physics::{ArmState, Chain, GripperCommand, Readback, Robot, Steering, StepView, Touches, Visual, pose};
 
 use super::cell::{CONTROL_PERIOD_S, ResolvedCell, TOLERANCE_M};
 use super::parameters::ReadbackContext;
 use super::referee::{self, Referee};
+use super::spec::observation;
 
 /// Clearance beyond this is not measured, in metres.
 const CLEARANCE_LIMIT_M: f64 = 0.25;
@@ -75,10 +76,11 @@ impl Judge {
         if touches.collision.is_some() || touches.body_on_object || touches.fingers.iter().any(Option::is_some) {
             return Err(Fault::new(FaultKind::Setup, "the robot starts in contact"));
         }
-        let task = cell.task();
+        let briefing = cell.briefing();
         let Acting { engine, visual, grip_threshold_m } = acting;
-        let context = ReadbackContext { cell: &cell, engine, visual, grip_threshold_m, task: &task };
+        let context = ReadbackContext { cell: &cell, engine, visual, grip_threshold_m, briefing: &briefing };
         let applied = context.applied(&scenario.requested);
+        let instance = briefing.instance();
         let mut episode = Episode {
             steering: Steering::default(),
             referee: Referee::new(cell.target, TOLERANCE_M, self.grip_force_n),
@@ -89,7 +91,7 @@ impl Judge {
         };
         let observation = episode.observation(arm_state, &self.chain);
         self.episode = Some(episode);
-        Ok(Start { task, observation, applied })
+        Ok(Start { instance, observation, applied })
     }
 
     /// Joint positions (rad) to which a plant must drive the arm in the next control period.
@@ -98,8 +100,8 @@ impl Judge {
             return Err(Fault::new(FaultKind::Setup, "no episode is running"));
         };
         let home = &self.robot.settings.arm.home_rad;
-        let wanted = episode.steering.joints(&action.arm, &episode.measured, &self.chain, home)?;
-        episode.gripper = action.gripper;
+        let wanted = episode.steering.joints(&action.command, &episode.measured, &self.chain, home)?;
+        episode.gripper = GripperCommand::of(action);
         // The servo closes its loop on the encoders, so the arm is off by their bias.
         Ok(wanted.iter().zip(&episode.cell.bias).map(|(q, bias)| q - bias).collect())
     }
@@ -120,7 +122,7 @@ impl Judge {
 
     /// A clearance (m) of this or more changes no measure.
     pub(crate) fn clearance_bound(&self) -> f64 {
-        let smallest = self.episode.as_ref().and_then(|episode| episode.referee.measures().min_clearance_m);
+        let smallest = self.episode.as_ref().and_then(|episode| episode.referee.min_clearance());
         smallest.unwrap_or(CLEARANCE_LIMIT_M)
     }
 
@@ -168,13 +170,8 @@ impl Episode {
     /// The observation of an arm, with the encoders' bias.
     fn observation(&mut self, arm_state: ArmState, chain: &Chain) -> Observation {
         self.measured = arm_state.joint_positions.iter().zip(&self.cell.bias).map(|(q, bias)| q + bias).collect();
-        Observation {
-            time_s: self.ticks as f64 * CONTROL_PERIOD_S,
-            tool_pose: pose(&chain.tcp_at(&self.measured)),
-            joint_positions: self.measured.clone(),
-            joint_velocities: arm_state.joint_velocities,
-            gripper_opening_m: arm_state.opening_m,
-            images: Vec::new(),
-        }
+        let tool = pose(&chain.tcp_at(&self.measured));
+        let measured = ArmState { joint_positions: self.measured.clone(), ..arm_state };
+        observation(self.ticks as f64 * CONTROL_PERIOD_S, measured, tool)
     }
 }

@@ -1,6 +1,6 @@
 //! Pick and place: take an object from the table and put it at a target.
 //!
-//! [`PickPlace`] makes an engine, a robot and this task a [`robogate_core::Simulator`]. [`Scripted`] is the controller of
+//! [`PickPlace`] makes an engine, a robot and this task a [`robogate_core::Environment`]. [`Scripted`] is the controller of
 //! the paper's baseline. [`remote`] runs the task in an engine of another process.
 
 mod cell;
@@ -19,14 +19,21 @@ mod scene;
 mod scripted;
 mod simulator;
 mod spaces;
+pub mod spec;
 mod suite;
+
+/// The task's name.
+pub const NAME: &str = "pick_place";
+
+/// What the task is, in a few words.
+pub const SUMMARY: &str = "pick a part from a table with a robot arm and place it at a target";
 
 pub use cell::{CONTROL_PERIOD_S, ResolvedCell, TIME_LIMIT_S};
 pub use disturbance::Disturbance;
 #[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, inspect};
 pub use object::Shape;
-pub use parameters::{ActsOn, ParameterError, ParameterKind, ParameterRow, SceneParameters, parameters};
+pub use parameters::{ActsOn, ParameterError, ParameterRow, SceneParameters, parameters};
 pub use placement::Placement;
 pub use scene::scene;
 pub use scripted::Scripted;

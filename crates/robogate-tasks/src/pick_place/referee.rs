@@ -13,8 +13,10 @@
 //! The rollout reports a timeout if none of these events happens within the time limit.
 
 use nalgebra::{Isometry3, Vector3};
-use robogate_core::{Contact, Ending, FailureMode, GripperCommand, Measures};
-use robogate_physics::{Collision, GripperState, Touches};
+use robogate_core::{Contact, Ending, FailureMode, Measures};
+use robogate_physics::{Collision, GripperCommand, GripperState, Touches};
+
+use super::spec::{COLLISION, GRASP_MISS, GRIP_LOSS, MIN_CLEARANCE, PEAK_CONTACT_FORCE, SLIP, TARGET_DISTANCE};
 
 /// The gripper is at rest when its opening changed less than this in [`SETTLE_S`], in metres.
 const SETTLED_M: f64 = 2e-4;
@@ -86,6 +88,15 @@ enum Grip {
     Released { height: f64, calm_since: Option<f64> },
 }
 
+/// What was measured so far; `None` where there was nothing to measure.
+#[derive(Debug, Clone, Copy, Default)]
+struct Measured {
+    peak_contact_force_n: Option<f64>,
+    slip_m: Option<f64>,
+    min_clearance_m: Option<f64>,
+    target_distance_m: Option<f64>,
+}
+
 /// The referee of an episode.
 #[derive(Debug, Clone)]
 pub(crate) struct Referee {
@@ -95,7 +106,7 @@ pub(crate) struct Referee {
     grip: Grip,
     collision: Option<(f64, Collision)>,
     ending: Option<(Option<FailureMode>, f64)>,
-    measures: Measures,
+    measured: Measured,
     events: Vec<String>,
     lifted: bool,
 }
@@ -110,7 +121,7 @@ impl Referee {
             grip: Grip::Free,
             collision: None,
             ending: None,
-            measures: Measures::default(),
+            measured: Measured::default(),
             events: Vec::new(),
             lifted: false,
         }
@@ -123,7 +134,20 @@ impl Referee {
 
     /// The measures so far.
     pub(crate) fn measures(&self) -> Measures {
-        self.measures
+        let Measured { peak_contact_force_n, slip_m, min_clearance_m, target_distance_m } = self.measured;
+        [
+            (PEAK_CONTACT_FORCE, peak_contact_force_n),
+            (SLIP, slip_m),
+            (MIN_CLEARANCE, min_clearance_m),
+            (TARGET_DISTANCE, target_distance_m),
+        ]
+        .into_iter()
+        .collect()
+    }
+
+    /// The smallest clearance so far, in metres.
+    pub(crate) fn min_clearance(&self) -> Option<f64> {
+        self.measured.min_clearance_m
     }
 
     /// Takes the events since the last call.
@@ -133,14 +157,14 @@ impl Referee {
 
     /// Records a clearance (m).
     pub(crate) fn note_clearance(&mut self, clearance: f64) {
-        let smallest = self.measures.min_clearance_m.get_or_insert(f64::INFINITY);
+        let smallest = self.measured.min_clearance_m.get_or_insert(f64::INFINITY);
         *smallest = smallest.min(clearance.max(0.0));
     }
 
     /// The decisive event. `name` gives the names of the bodies of a collision.
     pub(crate) fn ending(&self, name: impl FnOnce(&Collision) -> (String, String)) -> Option<Ending> {
         let (failure, time_s) = self.ending?;
-        let contact = self.collision.filter(|_| failure == Some(FailureMode::Collision)).map(|(_, collision)| {
+        let contact = self.collision.filter(|_| failure == Some(COLLISION)).map(|(_, collision)| {
             let (robot_body, other_body) = name(&collision);
             Contact { robot_body, other_body, force_n: collision.force }
         });
@@ -154,7 +178,7 @@ impl Referee {
             return;
         }
         if self.collision.is_some() {
-            self.end(Some(FailureMode::Collision), sight.time);
+            self.end(Some(COLLISION), sight.time);
             return;
         }
         match (sight.gripper, &mut self.grip) {
@@ -180,7 +204,7 @@ impl Referee {
                     let since = *untouched_since.get_or_insert(sight.time);
                     if sight.time - since >= LOSS_S {
                         self.events.push("object lost".to_owned());
-                        self.end(Some(FailureMode::GripLoss), sight.time);
+                        self.end(Some(GRIP_LOSS), sight.time);
                     }
                 }
             }
@@ -225,10 +249,10 @@ impl Referee {
         self.events.push(what);
         if held {
             let in_hand = sight.tcp.inverse() * sight.object;
-            self.measures.slip_m = Some(0.0);
+            self.measured.slip_m = Some(0.0);
             self.grip = Grip::Held { in_hand, untouched_since: None };
         } else {
-            self.end(Some(FailureMode::GraspMiss), sight.time);
+            self.end(Some(GRASP_MISS), sight.time);
         }
     }
 
@@ -248,7 +272,7 @@ impl Referee {
         }
         if *height > DROP_M {
             self.events.push("object was released in the air".to_owned());
-            self.end(Some(FailureMode::GripLoss), sight.time);
+            self.end(Some(GRIP_LOSS), sight.time);
         } else if self.distance(&sight.object) <= self.tolerance {
             let off = 1e3 * self.distance(&sight.object);
             self.events.push(format!("object at rest, {off:.1} mm from the target"));
@@ -257,13 +281,13 @@ impl Referee {
     }
 
     fn measure(&mut self, sight: &Sight<'_>) {
-        self.measures.target_distance_m = Some(self.distance(&sight.object));
+        self.measured.target_distance_m = Some(self.distance(&sight.object));
         if let Some(force) = sight.touches.peak_force {
-            let peak = self.measures.peak_contact_force_n.get_or_insert(0.0);
+            let peak = self.measured.peak_contact_force_n.get_or_insert(0.0);
             *peak = peak.max(force);
         }
         let touched = sight.in_touch();
-        if let (Grip::Held { in_hand, .. }, Some(slip)) = (&self.grip, &mut self.measures.slip_m)
+        if let (Grip::Held { in_hand, .. }, Some(slip)) = (&self.grip, &mut self.measured.slip_m)
             && touched
             && self.ending.is_none()
         {
@@ -278,7 +302,7 @@ impl Referee {
         match (&mut self.collision, sight.touches.collision) {
             (None, Some(found)) if self.ending.is_none() => {
                 self.collision = Some((sight.time, found));
-                self.measures.min_clearance_m = Some(0.0);
+                self.measured.min_clearance_m = Some(0.0);
             }
             (Some((_, first)), Some(now)) if (first.robot_body, first.fixture) == (now.robot_body, now.fixture) => {
                 first.force = first.force.max(now.force);

@@ -10,11 +10,13 @@
 use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{Action, ArmCommand, Fault, GripperCommand, Observation, Phase, Policy, Seed, TaskSpec};
+use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec, Word};
 use robogate_physics::trajectory::{ToolLimit, joint_path, straight_path};
-use robogate_physics::{Chain, Gripper, Robot, Unreachable};
+use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
 use super::Shape;
+use super::cell::CONTROL_PERIOD_S;
+use super::spec::{Briefing, phases};
 
 /// A phase ends within this distance of its goal, in metres ...
 const POSITION_TOLERANCE_M: f64 = 0.005;
@@ -62,7 +64,7 @@ pub struct Scripted {
 /// One phase of a plan.
 #[derive(Debug, Clone)]
 struct Stage {
-    phase: Phase,
+    phase: Word,
     /// Joint positions at every control tick; the last one is held until the phase ends.
     path: Vec<Vec<f64>>,
     gripper: GripperCommand,
@@ -98,7 +100,7 @@ impl Scripted {
     }
 
     /// Horizontal offset from the object's centre to the grasp point, in the object's frame, in metres.
-    fn grasp_offset(&self, task: &TaskSpec) -> Vector3<f64> {
+    fn grasp_offset(&self, task: &Briefing) -> Vector3<f64> {
         match (&self.robot.settings.gripper, Shape::from_name(&task.shape)) {
             (Gripper::Suction(_), Some(shape)) => {
                 let [x, y] = shape.top(task.object_extent_m[0]);
@@ -117,7 +119,7 @@ impl Scripted {
 
     /// Candidate yaws of the tool at an object with this `yaw`. Fingers: the yaws in which the object is symmetric. A cup is
     /// symmetric in all yaws: its yaw follows the arm's base, which keeps the wrist as it is.
-    fn grasp_yaws(&self, task: &TaskSpec, at: &[f64; 3], yaw: f64) -> Vec<f64> {
+    fn grasp_yaws(&self, task: &Briefing, at: &[f64; 3], yaw: f64) -> Vec<f64> {
         let home = &self.robot.settings.arm.home_rad;
         match &self.robot.settings.gripper {
             Gripper::ParallelJaw(_) => {
@@ -133,7 +135,7 @@ impl Scripted {
     }
 
     /// The grasp yaw with the smallest joint motion from home, and the joint positions above the object with it.
-    fn choose_grasp(&self, task: &TaskSpec, at: &[f64; 3], yaw: f64) -> Result<(f64, Vec<f64>), Unreachable> {
+    fn choose_grasp(&self, task: &Briefing, at: &[f64; 3], yaw: f64) -> Result<(f64, Vec<f64>), Unreachable> {
         let home = &self.robot.settings.arm.home_rad;
         let mut best: Option<(f64, f64, Vec<f64>)> = None;
         let mut failure = None;
@@ -156,7 +158,7 @@ impl Scripted {
         }
     }
 
-    fn plan(&self, task: &TaskSpec) -> Result<Vec<Stage>, (Vec<Stage>, Unreachable)> {
+    fn plan(&self, task: &Briefing) -> Result<Vec<Stage>, (Vec<Stage>, Unreachable)> {
         let mut plan = Vec::new();
         match self.fill(task, &mut plan) {
             Ok(()) => Ok(plan),
@@ -164,10 +166,10 @@ impl Scripted {
         }
     }
 
-    fn fill(&self, task: &TaskSpec, plan: &mut Vec<Stage>) -> Result<(), Unreachable> {
+    fn fill(&self, task: &Briefing, plan: &mut Vec<Stage>) -> Result<(), Unreachable> {
         use GripperCommand::{Close, Open};
         let arm = &self.robot.settings.arm;
-        let (home, period) = (&arm.home_rad, task.control_period_s);
+        let (home, period) = (&arm.home_rad, CONTROL_PERIOD_S);
         let straight = |from: &[f64], to, limit| straight_path(&self.chain, from, &to, home, arm, limit, period);
         let stage = |phase, path, gripper, settles| Stage { phase, path, gripper, settles };
 
@@ -178,18 +180,18 @@ impl Scripted {
             |centre: &[f64; 3], offset: Vector3<f64>| [centre[0] + offset.x, centre[1] + offset.y, centre[2]];
         let object = &offset_by(&task.object_pose.position, rotated(object_yaw));
         let (yaw, above) = self.choose_grasp(task, object, object_yaw)?;
-        plan.push(stage(Phase::ApproachAbove, joint_path(home, &above, arm, period), Open, false));
+        plan.push(stage(phases::APPROACH_ABOVE, joint_path(home, &above, arm, period), Open, false));
 
         let height = self.grasp_height(&task.object_extent_m);
         let speed = task.approach_speed_m_s.unwrap_or(FREE.speed);
         let path = straight(&above, Self::above(object, height, yaw), ToolLimit { speed, ..FREE })?;
         let down = end_of(&path, &above);
-        plan.push(stage(Phase::Descend, path, Open, false));
-        plan.push(stage(Phase::Grasp, vec![down.clone()], Close, true));
+        plan.push(stage(phases::DESCEND, path, Open, false));
+        plan.push(stage(phases::GRASP, vec![down.clone()], Close, true));
 
         let path = straight(&down, Self::above(object, TRANSIT_HEIGHT_M, yaw), CARRY)?;
         let up = end_of(&path, &down);
-        plan.push(stage(Phase::Lift, path, Close, false));
+        plan.push(stage(phases::LIFT, path, Close, false));
 
         // Across to the target, with the smallest rotation of the tool.
         let goal = &task.target_pose.position;
@@ -202,11 +204,11 @@ impl Scripted {
         let lowered = straight(&across, Self::above(target, place, yaw), CARRY)?;
         let lowered_end = end_of(&lowered, &across);
         path.extend(lowered);
-        plan.push(stage(Phase::MoveToTarget, path, Close, false));
+        plan.push(stage(phases::MOVE_TO_TARGET, path, Close, false));
 
-        plan.push(stage(Phase::Release, vec![lowered_end.clone()], Open, true));
+        plan.push(stage(phases::RELEASE, vec![lowered_end.clone()], Open, true));
         let away = straight(&lowered_end, Self::above(target, TRANSIT_HEIGHT_M, yaw), FREE)?;
-        plan.push(stage(Phase::Release, away, Open, false));
+        plan.push(stage(phases::RELEASE, away, Open, false));
         Ok(())
     }
 
@@ -232,13 +234,31 @@ fn end_of(path: &[Vec<f64>], start: &[f64]) -> Vec<f64> {
 }
 
 impl Policy for Scripted {
-    fn reset(&mut self, task: &TaskSpec, _seed: Seed) -> Result<(), Fault> {
+    fn check(&self, task: &TaskSpec) -> Result<(), String> {
+        let joints = task.action.joints();
+        if task.name != super::NAME || joints != Some(&*self.robot.settings.arm.joints) {
+            return Err(format!(
+                "the scripted controller drives pick_place on {}, not {}",
+                self.robot.name(),
+                task.name
+            ));
+        }
+        Ok(())
+    }
+
+    fn reset(&mut self, _: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {
+        let task = &Briefing::of(instance)?;
         // If a pose is out of reach, the controller runs the reachable part of its plan and then waits. This is a failure
         // of the controller (a timeout), not a fault of the simulator.
         self.plan = self.plan(task).unwrap_or_else(|(begun, _)| begun);
         if self.plan.is_empty() {
             let path = vec![self.robot.settings.arm.home_rad.clone()];
-            self.plan.push(Stage { phase: Phase::ApproachAbove, path, gripper: GripperCommand::Open, settles: false });
+            self.plan.push(Stage {
+                phase: phases::APPROACH_ABOVE,
+                path,
+                gripper: GripperCommand::Open,
+                settles: false,
+            });
         }
         (self.current, self.tick, self.last_opening, self.rest) = (0, 0, None, 0);
         (self.commanded, self.stopped) = (None, None);
@@ -246,21 +266,22 @@ impl Policy for Scripted {
     }
 
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
-        let opening = observation.gripper_opening_m;
+        let opening = observation.gripper_opening_m();
+        let measured = observation.joint_positions();
         let moved = match (self.last_opening, opening) {
             (Some(before), Some(now)) => (before - now).abs(),
             _ => 0.0,
         };
         self.rest = if moved < GRIPPER_SETTLED_M { self.rest + 1 } else { 0 };
         self.last_opening = opening;
-        if self.pushed_off(&observation.joint_positions) {
-            self.stopped.get_or_insert_with(|| observation.joint_positions.clone());
+        if self.pushed_off(measured) {
+            self.stopped.get_or_insert_with(|| measured.to_vec());
         }
         let stage = &self.plan[self.current];
         if self.stopped.is_none() && self.tick >= stage.path.len() && self.current + 1 < self.plan.len() {
             let end = &stage.path[stage.path.len() - 1];
             let goal = self.chain.tcp_at(end);
-            let off = goal.inverse() * self.chain.tcp_at(&observation.joint_positions);
+            let off = goal.inverse() * self.chain.tcp_at(measured);
             let there =
                 off.translation.vector.norm() <= POSITION_TOLERANCE_M && off.rotation.angle() <= ANGLE_TOLERANCE_RAD;
             if there && (!stage.settles || self.rest.min(self.tick) >= SETTLE_TICKS) {
@@ -270,8 +291,12 @@ impl Policy for Scripted {
         let stage = &self.plan[self.current];
         let joints = self.stopped.as_ref().unwrap_or(&stage.path[self.tick.min(stage.path.len() - 1)]).clone();
         self.tick += 1;
-        let last = self.commanded.take().map_or_else(|| observation.joint_positions.clone(), |[_, last]| last);
+        let last = self.commanded.take().map_or_else(|| measured.to_vec(), |[_, last]| last);
         self.commanded = Some([last, joints.clone()]);
-        Ok(Action { arm: ArmCommand::JointPositions(joints), gripper: stage.gripper, phase: Some(stage.phase) })
+        Ok(Action {
+            command: Command::JointPosition(joints),
+            gripper: Some(stage.gripper.number()),
+            phase: Some(stage.phase),
+        })
     }
 }

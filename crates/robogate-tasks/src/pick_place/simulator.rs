@@ -1,14 +1,18 @@
-//! The task on an engine of this process, as a simulator.
+//! The task on an engine of this process, as an environment.
+
+use std::sync::Arc;
 
 use robogate_camera::{Cameras, Posture, Renderer};
-use robogate_core::{Action, Fault, FaultKind, Image, Scenario, Simulator, Start, Step};
-use robogate_physics::{Engine, Plant, SuctionLaw, Visual};
+use robogate_core::{Action, CameraSpec, Environment, Fault, FaultKind, Image, Scenario, Start, Step, TaskSpec};
+use robogate_physics::{Engine, GripperCommand, Plant, SuctionLaw, Visual};
 
 use super::cell::{CONTROL_PERIOD_S, ResolvedCell};
 use super::judge::{Acting, Judge};
+use super::spec::spec;
 
 /// The task: pick an object from the table and place it at the target.
 pub struct PickPlace<E> {
+    task: Arc<TaskSpec>,
     plant: Plant<E>,
     judge: Judge,
     /// The cameras, or why the robot cannot be drawn.
@@ -28,7 +32,8 @@ impl<E: Engine> PickPlace<E> {
         let plant = Plant::new(engine, CONTROL_PERIOD_S, grip_force_n)?;
         let judge = Judge::new(plant.engine.robot().clone(), plant.engine.chain().clone(), plant.grip_force_n());
         let cameras = Cameras::new(plant.engine.robot());
-        Ok(Self { plant, judge, cameras, renderer: None })
+        let task = Arc::new(spec(plant.engine.robot(), camera_specs(&cameras)));
+        Ok(Self { task, plant, judge, cameras, renderer: None })
     }
 
     /// The same task with a suction cup that holds by this law.
@@ -42,6 +47,7 @@ impl<E: Engine> PickPlace<E> {
     #[must_use]
     pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
         self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
+        self.task = Arc::new(spec(self.plant.engine.robot(), camera_specs(&self.cameras)));
         if let Some(renderer) = &mut self.renderer {
             renderer.resize(width, height);
         }
@@ -63,15 +69,19 @@ impl<E: Engine> PickPlace<E> {
     fn run(&mut self, action: &Action) -> Result<Step, Fault> {
         let Self { plant, judge, .. } = self;
         let command = judge.command(action)?;
-        plant.run(&command, action.gripper, &mut |view| judge.observe(view))?;
+        plant.run(&command, GripperCommand::of(action), &mut |view| judge.observe(view))?;
         let clearance = plant.engine.clearance_below(judge.clearance_bound());
         judge.finish(plant.arm_state(), clearance, plant.state_hash(), |body| plant.engine.robot_body(body))
     }
 }
 
-impl<E: Engine> Simulator for PickPlace<E> {
+impl<E: Engine> Environment for PickPlace<E> {
+    fn task(&self) -> &Arc<TaskSpec> {
+        &self.task
+    }
+
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
-        let Self { plant, judge, cameras, renderer } = self;
+        let Self { plant, judge, cameras, renderer, .. } = self;
         match (renderer.as_mut(), cameras.as_mut()) {
             (Some(renderer), _) => renderer.clear(),
             (None, Ok(cameras)) => cameras.clear(),
@@ -108,6 +118,15 @@ impl<E: Engine> Simulator for PickPlace<E> {
             fixtures: (0..fixtures).map(|i| engine.fixture(i)).collect(),
         })
     }
+}
+
+/// The cameras as the task declares them: none where the robot cannot be rendered.
+pub(crate) fn camera_specs(cameras: &Result<Cameras, String>) -> Vec<CameraSpec> {
+    let specs = |cameras: &Cameras| {
+        let (width, height) = cameras.size();
+        cameras.names().map(|name| CameraSpec { name: name.to_owned(), width, height }).collect()
+    };
+    cameras.as_ref().map(specs).unwrap_or_default()
 }
 
 /// Sets a cell up for the cameras and returns its appearance as they hold it. If the robot cannot be drawn, nothing shows

@@ -1,26 +1,28 @@
-//! `robogate analyze`: what a dictionary says, in the terminal or as one document.
+//! `robogate analyze`: the analysis of a dictionary in the terminal or as one document.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use robogate_report::{
-    Along, Analysis, CriticalThreshold, Envelope, Finding, PairMap, Population, Regression, ReportError, RiskModel,
-    Source, Zone,
+use robogate_analysis::{
+    Analysis, AnalysisError, CriticalThreshold, Envelope, Finding, MarginalEffect, PairMap, Population, Regression,
+    RiskModel, Source, Zone,
 };
+use robogate_report::{Headline, analysis_json, limits};
+use robogate_stats::format::{p_value, percent_or_dash};
 
 use crate::commands::report::evidence;
 use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
 use crate::terminal::{bar, bold, dim, grouped, line, percent, wrapped};
 
-/// Say where the policy fails, how the parameters act, and how sure that is.
+/// Analyze a dictionary: where the policy fails, the effects of the parameters, and their confidence intervals.
 #[derive(Debug, Args)]
 pub(crate) struct Analyze {
     /// A run's folder, a dictionary (Parquet) or a published JSON dictionary
     dictionary: PathBuf,
-    /// Print everything as one versioned JSON document
+    /// Print one versioned JSON document
     #[arg(long)]
     json: bool,
-    /// Two more parameters to look at together; a frontier is solved for the first
+    /// Map two more parameters; the frontier is solved for the first
     #[arg(long, num_args = 2, value_names = ["A", "B"])]
     pair: Vec<String>,
 }
@@ -30,7 +32,7 @@ impl Analyze {
         let source = Source::open(&self.dictionary).or_usage()?;
         let analysis = analyse(&source, &self.dictionary, &pairs(&self.pair))?;
         if self.json {
-            line(analysis.to_json());
+            line(analysis_json(&analysis));
         } else {
             print(&analysis);
         }
@@ -43,10 +45,10 @@ pub(crate) fn pairs(names: &[String]) -> Vec<(String, String)> {
     names.chunks_exact(2).map(|pair| (pair[0].clone(), pair[1].clone())).collect()
 }
 
-/// The analysis, its errors with their exit codes.
+/// Analyzes a source, and gives its errors their exit codes.
 pub(crate) fn analyse(source: &Source, path: &Path, pairs: &[(String, String)]) -> Result<Analysis, Exit> {
     Analysis::of(source, path, pairs).map_err(|error| {
-        let code = if matches!(error, ReportError::Io { .. }) { INFRASTRUCTURE } else { USAGE };
+        let code = if matches!(error, AnalysisError::Io { .. }) { INFRASTRUCTURE } else { USAGE };
         Exit { code, error: error.into() }
     })
 }
@@ -57,8 +59,8 @@ fn print(analysis: &Analysis) {
     for envelope in &analysis.envelopes {
         pair(envelope);
     }
-    for along in &analysis.along {
-        parameter(along);
+    for effect in &analysis.marginal_effects {
+        parameter(effect);
     }
     thresholds(analysis);
     modes(analysis);
@@ -69,8 +71,8 @@ fn print(analysis: &Analysis) {
     risk(&analysis.risk);
     replay(analysis);
     line("");
-    line(bold("What these figures do not say"));
-    analysis.limits.iter().for_each(|limit| wrapped(limit));
+    line(bold("Limits"));
+    limits(analysis).iter().for_each(|limit| wrapped(limit));
 }
 
 pub(crate) fn heading(title: impl std::fmt::Display) {
@@ -80,10 +82,6 @@ pub(crate) fn heading(title: impl std::fmt::Display) {
 
 pub(crate) fn interval([low, high]: [f64; 2]) -> String {
     format!("{:>5.1} to {:>5.1} %", 100.0 * low, 100.0 * high)
-}
-
-pub(crate) fn rate_of(rate: Option<f64>) -> String {
-    rate.map_or_else(|| "-".to_owned(), percent)
 }
 
 fn answer(analysis: &Analysis) {
@@ -97,12 +95,12 @@ fn answer(analysis: &Analysis) {
         grouped(subject.episodes)
     ));
     line("");
-    line(bold(&analysis.headline.answer));
-    let headline = &analysis.headline;
+    let headline = Headline::of(analysis);
+    line(bold(&headline.answer));
     for (title, lines) in [
         ("Where it fails", &headline.where_it_fails),
         ("What to do", &headline.what_to_do),
-        ("How sure", &headline.how_sure),
+        ("Uncertainty", &headline.uncertainty),
     ] {
         if !lines.is_empty() {
             heading(title);
@@ -110,7 +108,7 @@ fn answer(analysis: &Analysis) {
         }
     }
     line("");
-    wrapped(&format!("Unless it says otherwise, a figure speaks of {}.", analysis.population.describe()));
+    wrapped(&format!("Unless stated otherwise, figures apply to {}.", analysis.population.describe()));
 }
 
 fn stages(analysis: &Analysis) {
@@ -121,15 +119,15 @@ fn stages(analysis: &Analysis) {
             stage.stage,
             grouped(stage.rate.successes),
             grouped(stage.rate.n),
-            rate_of(stage.rate.rate),
+            percent_or_dash(stage.rate.rate),
             interval(stage.rate.wilson_95),
             interval(stage.rate.clopper_pearson_95)
         ));
         if stage.population == Population::FocusedDesign {
             line(dim(format_args!("             {}", stage.population.brief())));
-            if let Some(found) = stage.by_weights {
+            if let Some(found) = stage.weighted {
                 line(format_args!(
-                    "             by weights {} ({}), effective sample size {:.0}: {}",
+                    "             weighted {} ({}), effective sample size {:.0}: {}",
                     percent(found.rate),
                     interval(found.interval_95),
                     found.effective_sample_size,
@@ -138,7 +136,7 @@ fn stages(analysis: &Analysis) {
             }
         }
         if stage.invalid > 0 {
-            line(format_args!("             {} invalid episodes are in no rate", grouped(stage.invalid)));
+            line(format_args!("             {} invalid episodes are left out of every rate", grouped(stage.invalid)));
         }
     }
     match &analysis.success.reweighted {
@@ -159,7 +157,7 @@ fn stages(analysis: &Analysis) {
 fn pair(envelope: &Envelope) {
     match &envelope.map {
         Finding::Estimated(map) => {
-            heading(format_args!("Success in percent, {} upwards, {} across", map.y.parameter, map.x.parameter));
+            heading(format_args!("Success in percent, {} by row, {} by column", map.y.parameter, map.x.parameter));
             cells(map);
         }
         Finding::CannotBeEstimated { because } => wrapped(&format!("No map: {because}.")),
@@ -169,18 +167,18 @@ fn pair(envelope: &Envelope) {
             wrapped(&format!("frontier {}", frontier.closed_form));
             let valid = match frontier.valid_for {
                 Some([low, high]) => format!("valid for {} {low:.4} to {high:.4}", frontier.y),
-                None => "outside what was observed everywhere".to_owned(),
+                None => "outside the observed ranges".to_owned(),
             };
             let pole = frontier.pole.map_or_else(String::new, |pole| format!("; pole at {} {pole:.4}", frontier.y));
             line(dim(format_args!("           {valid}{pole}")));
             if frontier.contradicted {
                 wrapped(&format!(
-                    "Do not rely on this frontier: where the model states 40 to 60 % success, {} was observed ({}).",
-                    rate_of(frontier.near.rate),
+                    "Do not rely on this frontier: where the model predicts 40 to 60 % success, the observed rate is {} ({}).",
+                    percent_or_dash(frontier.near.rate),
                     interval(frontier.near.wilson_95)
                 ));
             }
-            frontier.regression.cautions.iter().for_each(|caution| wrapped(caution));
+            frontier.regression.warnings.iter().for_each(|warning| wrapped(warning));
         }
         Finding::CannotBeEstimated { because } => {
             wrapped(&format!("The frontier cannot be estimated because {because}."));
@@ -190,7 +188,7 @@ fn pair(envelope: &Envelope) {
 
 fn cells(map: &PairMap) {
     let nx = map.x.cells();
-    let label = |axis: &robogate_report::Axis, at: usize| match (axis.levels.get(at), axis.edges.get(at)) {
+    let label = |axis: &robogate_analysis::Axis, at: usize| match (axis.levels.get(at), axis.edges.get(at)) {
         (Some(level), _) => level.chars().take(11).collect(),
         (None, Some(edge)) => format!("{edge:.3}"),
         _ => String::new(),
@@ -203,7 +201,7 @@ fn cells(map: &PairMap) {
                 Zone::Boundary => '=',
                 Zone::Danger => '!',
                 Zone::Undecided => '?',
-                Zone::TooThin => ' ',
+                Zone::TooFewEpisodes => ' ',
             };
             text.push_str(&match cell.rate.rate {
                 Some(rate) => format!("{:>6.0}{mark}", 100.0 * rate),
@@ -216,21 +214,21 @@ fn cells(map: &PairMap) {
         (0..nx).map(|i| format!("{:>7}", label(&map.x, i).chars().take(6).collect::<String>())).collect();
     line(dim(format_args!("  {:>11} {across}", "from")));
     wrapped(
-        "! surely danger (up to 30 %), = surely between, + surely safe (from 70 %), ? undecided, else too thin to say. Zones \
-         go by intervals whose level is shared over all cells.",
+        "! significantly in danger (up to 30 %), = between, + safe (from 70 %), ? undecided, no mark: too few episodes. Zones use \
+         simultaneous 95 % intervals for all cells.",
     );
 }
 
-fn parameter(along: &Along) {
-    let correlation = match along.correlation.estimated() {
-        Some(robogate_report::Correlation::Number { point_biserial, .. }) => {
+fn parameter(effect: &MarginalEffect) {
+    let correlation = match effect.correlation.estimated() {
+        Some(robogate_analysis::Correlation::Number { point_biserial, .. }) => {
             format!("correlation {point_biserial:+.3}")
         }
-        Some(robogate_report::Correlation::Category { cramers_v, .. }) => format!("Cramer's V {cramers_v:.3}"),
-        None => format!("no correlation: {}", along.correlation.because().unwrap_or_default()),
+        Some(robogate_analysis::Correlation::Category { cramers_v, .. }) => format!("Cramer's V {cramers_v:.3}"),
+        None => format!("no correlation: {}", effect.correlation.because().unwrap_or_default()),
     };
-    heading(format_args!("Success along {} ({correlation})", along.parameter));
-    for cell in along.cells.iter().take(40) {
+    heading(format_args!("Success by {} ({correlation})", effect.parameter));
+    for cell in effect.cells.iter().take(40) {
         let label = match cell.range {
             Some([low, high]) => format!("{low:>7.3} to {high:>7.3}"),
             None => format!("{:>18}", cell.label.chars().take(18).collect::<String>()),
@@ -245,22 +243,22 @@ fn parameter(along: &Along) {
             bar(rate, 20),
             interval(cell.rate.wilson_95),
             grouped(cell.rate.n),
-            cell.zone.word()
+            cell.zone.as_str()
         );
-        if !cell.zone.is_stated() { line(dim(text)) } else { line(text) }
+        if cell.zone.is_classified() { line(text) } else { line(dim(text)) }
     }
-    if along.cells.len() > 40 {
-        line(dim(format_args!("  and {} more levels (--json)", along.cells.len() - 40)));
+    if effect.cells.len() > 40 {
+        line(dim(format_args!("  and {} more levels (--json)", effect.cells.len() - 40)));
     }
 }
 
 fn thresholds(analysis: &Analysis) {
-    if !analysis.along.is_empty() {
+    if !analysis.marginal_effects.is_empty() {
         heading("Where success crosses 50 % (1,000 bootstrap replicates)");
     }
-    for along in &analysis.along {
-        let name = &along.parameter;
-        match &along.threshold {
+    for effect in &analysis.marginal_effects {
+        let name = &effect.parameter;
+        match &effect.threshold {
             Finding::Estimated(CriticalThreshold::Crosses { at, rising, low, high, se, .. }) => {
                 let end = |x: &Option<f64>| x.map_or_else(|| "beyond".to_owned(), |x| format!("{x:.4}"));
                 line(format_args!(
@@ -292,7 +290,7 @@ fn modes(analysis: &Analysis) {
             "  {:<12} {:>9} {:>8}  {}  {}",
             mode.mode,
             grouped(mode.failures),
-            rate_of(mode.share),
+            percent_or_dash(mode.share),
             bar(share, 20),
             interval(mode.interval_95)
         ));
@@ -300,15 +298,15 @@ fn modes(analysis: &Analysis) {
     if let (Finding::CannotBeEstimated { because }, false) =
         (&analysis.failure_modes.dominant, analysis.failure_modes.not_recorded.is_empty())
     {
-        wrapped(&format!("Which mode leads cannot be said because {because}."));
+        wrapped(&format!("The dominant failure mode is uncertain because {because}."));
     }
-    for along in &analysis.along {
-        let Some(found) = along.transitions.estimated() else { continue };
+    for effect in &analysis.marginal_effects {
+        let Some(found) = effect.transitions.estimated() else { continue };
         for change in &found.changes {
             let [low, high] = change.between;
             line(format_args!(
-                "  along {}, {} gives way to {} at {low:.4} to {high:.4}",
-                along.parameter, change.from, change.to
+                "  with rising {}, the dominant mode changes from {} to {} between {low:.4} and {high:.4}",
+                effect.parameter, change.from, change.to
             ));
         }
     }
@@ -319,7 +317,7 @@ fn danger(analysis: &Analysis) {
     heading(format_args!(
         "Bins and levels below {:.0} % success (Holm over {} bins and levels)",
         100.0 * zones.limit,
-        grouped(zones.looked_at)
+        grouped(zones.tested)
     ));
     for zone in zones.zones.iter().take(24) {
         let cell = match zone.range {
@@ -327,26 +325,20 @@ fn danger(analysis: &Analysis) {
             None => zone.cell.clone(),
         };
         let text = format!(
-            "  {:<16} {cell:<18} {:>7} {:>9}  p by Holm {:.1e}  {}",
+            "  {:<16} {cell:<18} {:>7} {:>9}  p (Holm) {:.1e}  {}",
             zone.parameter,
-            rate_of(zone.rate.rate),
+            percent_or_dash(zone.rate.rate),
             grouped(zone.rate.n),
             zone.holm_p,
-            if zone.sure { "sure" } else { "not sure" }
+            if zone.significant { "significant" } else { "not significant" }
         );
-        if zone.sure { line(text) } else { line(dim(text)) }
+        if zone.significant { line(text) } else { line(dim(text)) }
     }
     match zones.zones.len() {
         0 => line("  none observed"),
         n if n > 24 => line(dim(format_args!("  and {} more (--json)", n - 24))),
         _ => {}
     }
-}
-
-/// A p-value from its logarithm, as a power of ten where it is small.
-pub(crate) fn p_value(ln_p: f64) -> String {
-    let p = ln_p.exp();
-    if p >= 0.001 { format!("{p:.3}") } else { format!("10^{:.1}", ln_p / std::f64::consts::LN_10) }
 }
 
 fn regression(title: &str, model: &Regression) {
@@ -356,7 +348,7 @@ fn regression(title: &str, model: &Regression) {
         grouped(model.rows)
     ));
     for term in &model.terms {
-        match &term.found {
+        match &term.estimate {
             Finding::Estimated(e) => line(format_args!(
                 "  {:<24} {:>9.4}  se {:>7.4}  z {:>8.2}  p {:>9}",
                 term.term,
@@ -370,7 +362,7 @@ fn regression(title: &str, model: &Regression) {
             }
         }
     }
-    model.cautions.iter().for_each(|caution| wrapped(caution));
+    model.warnings.iter().for_each(|warning| wrapped(warning));
 }
 
 fn risk(risk: &Finding<RiskModel>) {
@@ -398,9 +390,9 @@ fn risk(risk: &Finding<RiskModel>) {
     {
         if let Finding::Estimated(f) = found {
             line(format_args!(
-                "  {which:<16} Brier {:.4} (bare rate {:.4}), log loss {}, ECE {:.4}",
+                "  {which:<16} Brier {:.4} (overall rate {:.4}), log loss {}, ECE {:.4}",
                 f.brier,
-                f.brier_of_the_rate,
+                f.base_rate_brier,
                 f.log_loss.map_or_else(|| "infinite".to_owned(), |l| format!("{l:.4}")),
                 f.expected_calibration_error
             ));
@@ -416,6 +408,6 @@ fn replay(analysis: &Analysis) {
         }
     }
     if analysis.subject.replayable && !analysis.replay.is_empty() {
-        line(dim(format_args!("  robogate replay {} INDEX tells the story of one", analysis.subject.path)));
+        line(dim(format_args!("  replay one with: robogate replay {} INDEX", analysis.subject.path)));
     }
 }

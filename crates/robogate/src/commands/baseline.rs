@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
+use robogate_analysis::Source;
 use robogate_gate::{Baseline, Metric, Record};
-use robogate_report::Source;
+use robogate_stats::format::number;
 
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::terminal::{grouped, line, note, percent};
@@ -44,11 +45,12 @@ impl BaselineOf {
         ));
         for figure in &baseline.figures {
             let value = match figure.metric {
-                Metric::CycleTimeS => format!("{:.3} s", figure.value),
-                Metric::CollisionCount => format!("{}", figure.value),
+                Metric::CycleTime(_) => format!("{:.3} s", figure.value),
+                Metric::FailureCount(_) => format!("{}", figure.value),
+                Metric::Measure(..) => number(figure.value),
                 _ => percent(figure.value),
             };
-            note(format_args!("  {:<16} {value}", figure.metric.title()));
+            note(format_args!("  {:<28} {value}", figure.metric.title()));
         }
         Ok(DONE)
     }

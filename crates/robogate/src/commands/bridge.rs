@@ -1,23 +1,19 @@
-//! `robogate bridge`: servers held to the bridge protocol.
+//! `robogate bridge`: conformance tests of the bridge protocol.
 
 use std::sync::Arc;
+use std::time::Duration;
 
-use anyhow::Context;
 use clap::{Args, Subcommand};
-use robogate_bridge::simulator::contract::{Report, examine};
-use robogate_bridge::simulator::{AskError, Link, NoWorld};
-use robogate_bridge::zmtp::Address;
-use robogate_core::{Assignment, Sampler, Scenario, Seed, samplers::LatinHypercube};
-use robogate_physics::SuctionLaw;
-use robogate_tasks::pick_place::remote::is_local;
+use robogate_remote::conformance::{Report, check, scenarios};
+use robogate_remote::{Connection, PhysicsSession, RequestError, ScoredSession};
+use robogate_zmtp::Address;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::far::OurWorld;
+use crate::subject::{EnvironmentArguments, assignment, named_space};
 use crate::terminal::{bold, line, note};
-use crate::world::WorldArguments;
 
-/// Simulators that speak the bridge protocol.
+/// Run the conformance tests against a simulator server.
 #[derive(Debug, Args)]
 pub(crate) struct Bridge {
     #[command(subcommand)]
@@ -26,29 +22,33 @@ pub(crate) struct Bridge {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Hold a server to the protocol by experiment: handshake, parameters, determinism, limits, errors, speed
+    /// Check a server: handshake, parameters, determinism, limits, errors, latency
     Check(BridgeCheck),
 }
 
-/// Hold a server to the protocol by experiment (bridges/PROTOCOL.md).
+/// Check whether a server keeps the bridge protocol (bridges/PROTOCOL.md).
 ///
-/// Exit codes: 0 it keeps the protocol, 1 it does not, 5 nobody answers.
+/// Runs 13 experiments, then measures latencies. Exit codes: 0 all requirements met, 1 a requirement not met, 5 no
+/// answer.
 #[derive(Debug, Args)]
 struct BridgeCheck {
-    /// Where the server listens: tcp://HOST:PORT
+    /// Address of the server: tcp://HOST:PORT
     address: Address,
-    /// The parameter space from which scenarios are drawn, as far as the server knows its parameters; default: the
-    /// robot's own
+    /// Sample the scenarios from this parameter space, limited to the parameters that the server declares; default: the
+    /// server's own space, else the declared nominal values
     #[arg(long, value_name = "NAME|FILE")]
     space: Option<String>,
+    /// Set a parameter in every scenario; repeat for several
+    #[arg(long, value_name = "NAME=VALUE")]
+    set: Vec<String>,
     #[command(flatten)]
-    world: WorldArguments,
+    environment: EnvironmentArguments,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
 }
 
-/// Scenarios that are tried.
+/// Number of scenarios that are tried.
 const SCENARIOS: usize = 4;
 
 impl Bridge {
@@ -60,68 +60,63 @@ impl Bridge {
 
 impl BridgeCheck {
     fn execute(&self) -> Result<u8, Exit> {
-        let patience = self.world.simulators.patience();
-        let asked = |why: AskError| anyhow::Error::new(why).context(self.address.to_string());
-        let hello = Link::connect(self.address.clone(), patience).map_err(asked).or_broken()?.hello().clone();
-        let cell = self.world.cell(SuctionLaw::Vacuum)?;
-        let space = Arc::new(cell.space(self.space.as_deref()).or_usage()?);
-        let seed = Seed::campaign(1);
-        let design = LatinHypercube::default()
-            .design(&space, SCENARIOS, seed.stream("bridge check"))
-            .context("no scenarios can be drawn")
-            .or_usage()?;
-        let known = |name: &str| hello.parameters.iter().any(|p| p == name) || (!hello.judges && is_local(name));
-        let scenarios: Vec<Scenario> = (0..SCENARIOS)
-            .filter_map(|i| {
-                let drawn = design.assignment(i)?;
-                let requested: Assignment = drawn
-                    .iter()
-                    .filter(|(name, _)| known(name))
-                    .map(|(name, value)| (name.into(), value.clone()))
-                    .collect();
-                Some(Scenario { index: i as u64, seed: seed.episode(i as u64), requested })
-            })
-            .collect();
-        note(format_args!("asking {} ...", self.address));
-        let report = if hello.judges {
-            examine::<NoWorld>(&self.address, patience, &scenarios, None)
-        } else {
-            let mut world = cell.our_world().or_usage()?;
-            examine::<OurWorld>(&self.address, patience, &scenarios, Some(&mut world))
+        let timeouts = self.environment.simulators.timeouts();
+        let failed = |why: RequestError| anyhow::Error::new(why).context(self.address.to_string());
+        let hello = Connection::open(self.address.clone(), timeouts).map_err(failed).or_broken()?.hello().clone();
+        let task = hello.task.clone();
+        let space = match (&self.space, &hello.space) {
+            (Some(wanted), _) => Some(named_space(wanted).or_usage()?),
+            (None, Some(space)) => Some(space.clone()),
+            (None, None) => None,
         };
-        let report = report.map_err(asked).or_broken()?;
+        let base = assignment(&self.set).or_usage()?;
+        let scenarios =
+            scenarios(&task, space.map(Arc::new).as_ref(), &base, SCENARIOS).map_err(anyhow::Error::msg).or_usage()?;
+        note(format_args!("checking {} ...", self.address));
+        let report = if hello.scores_itself {
+            check(&self.address, timeouts, &scenarios, &mut ScoredSession)
+        } else {
+            let mut session = PhysicsSession(self.environment.cell()?.remote_task().or_usage()?);
+            check(&self.address, timeouts, &scenarios, &mut session)
+        };
+        let report = report.map_err(failed).or_broken()?;
         let tried: Vec<&str> = scenarios.first().into_iter().flat_map(|s| s.requested.iter().map(|p| p.0)).collect();
         if self.json {
             self.print_json(&report, &tried)
         } else {
             print(&report, &tried)
         }
-        Ok(if report.holds() { DONE } else { FAIL })
+        Ok(if report.passed() { DONE } else { FAIL })
     }
 
     fn print_json(&self, report: &Report, tried: &[&str]) {
-        let clauses: Vec<_> = report
-            .clauses
+        let results: Vec<_> = report
+            .results
             .iter()
-            .map(|c| json!({"name": c.name, "demand": c.demand, "holds": c.broken.is_none(), "broken": c.broken}))
+            .map(|r| {
+                let passed = r.violation.is_none();
+                json!({"name": r.name, "requirement": r.requirement, "passed": passed, "violation": r.violation})
+            })
             .collect();
-        let speeds: Vec<_> = report
-            .speeds
+        let latencies: Vec<_> = report
+            .latencies
             .iter()
-            .map(
-                |s| json!({"op": s.op, "median_us": s.median.as_secs_f64() * 1e6, "p99_us": s.p99.as_secs_f64() * 1e6}),
-            )
+            .map(|l| json!({"op": l.op, "median_us": microseconds(l.median), "p99_us": microseconds(l.p99)}))
             .collect();
         line(json!({
-            "version": 1,
+            "version": 2,
             "address": self.address.to_string(),
             "hello": report.hello,
             "parameters_tried": tried,
-            "holds": report.holds(),
-            "clauses": clauses,
-            "speeds": speeds,
+            "passed": report.passed(),
+            "checks": results,
+            "latencies": latencies,
         }));
     }
+}
+
+fn microseconds(time: Duration) -> f64 {
+    1e6 * time.as_secs_f64()
 }
 
 fn print(report: &Report, tried: &[&str]) {
@@ -131,33 +126,34 @@ fn print(report: &Report, tried: &[&str]) {
         "{} {}: {} {}{solver}",
         hello.server.name, hello.server.version, hello.engine.name, hello.engine.version
     ));
+    let robot = hello.robot.as_ref().map_or_else(|| "no robot".to_owned(), |robot| format!("robot {}", robot.name));
     line(format_args!(
-        "  robot {}, {} joints, time step {} ms, {}",
-        hello.robot.name,
-        hello.joints.len(),
-        1e3 * hello.time_step_s,
-        if hello.judges { "judges its own world" } else { "physics for our world" }
+        "  task {}, {robot}, actions {}, control period {} ms, {}",
+        hello.task.name,
+        hello.task.action.kinds(),
+        1e3 * hello.task.control_period_s,
+        if hello.scores_itself { "scores itself" } else { "physics only, for RoboGate's task" }
     ));
-    line(format_args!("  tried with {}", if tried.is_empty() { "no parameter".to_owned() } else { tried.join(", ") }));
-    for clause in &report.clauses {
-        match &clause.broken {
-            None => line(format_args!("{} {}", bold("holds"), clause.demand)),
-            Some(broken) => {
-                line(format_args!("{} {}", bold("FAILS"), clause.demand));
-                line(format_args!("      {broken}"));
+    let tried = if tried.is_empty() { "none".to_owned() } else { tried.join(", ") };
+    line(format_args!("  parameters tried: {tried}"));
+    for result in &report.results {
+        match &result.violation {
+            None => line(format_args!("{} {}", bold("pass"), result.requirement)),
+            Some(violation) => {
+                line(format_args!("{} {}", bold("FAIL"), result.requirement));
+                line(format_args!("     {violation}"));
             }
         }
     }
     if !hello.deterministic {
-        line("      (the server does not promise to be deterministic: replays may differ)");
+        line("     (the server does not declare itself deterministic: replays may differ)");
     }
-    for speed in &report.speeds {
-        let us = |time: std::time::Duration| 1e6 * time.as_secs_f64();
+    for latency in &report.latencies {
         line(format_args!(
-            "{:<7} {:>9.0} us median, {:>9.0} us for 99 of 100",
-            speed.op,
-            us(speed.median),
-            us(speed.p99)
+            "{:<7} {:>9.0} us median, {:>9.0} us 99th percentile",
+            latency.op,
+            microseconds(latency.median),
+            microseconds(latency.p99)
         ));
     }
 }

@@ -3,13 +3,12 @@
 use std::sync::Arc;
 
 use clap::{Args, Subcommand};
-use robogate_physics::SuctionLaw;
 use robogate_tasks::pick_place::claims::{self, ClaimResult, Workbench};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
+use crate::subject::{EnvironmentArguments, EnvironmentSource};
 use crate::terminal::{bold, line, note};
-use crate::world::WorldArguments;
 
 /// Check claims by experiment.
 #[derive(Debug, Args)]
@@ -31,7 +30,7 @@ struct Physics {
     #[arg(value_name = "CLAIM", value_parser = CLAIMS)]
     claims: Vec<String>,
     #[command(flatten)]
-    world: WorldArguments,
+    environment: EnvironmentArguments,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -65,25 +64,27 @@ impl Check {
 
 impl Physics {
     fn execute(&self) -> Result<u8, Exit> {
-        let cell = self.world.cell(SuctionLaw::Vacuum)?;
-        let space = Arc::new(cell.space(None).or_usage()?);
+        let source = EnvironmentSource::Cell(Box::new(self.environment.cell()?));
+        let space = Arc::new(source.space(None).or_usage()?);
+        let EnvironmentSource::Cell(cell) = &source else { return Ok(DONE) };
+        let cell = &**cell;
         let fingers: &[Experiment<'_>] = &[
-            ("coulomb", &|| claims::coulomb(&cell, &[2.0, 4.0, 7.0])),
-            ("opening", &|| claims::opening(&cell, 140)),
-            ("no_creep", &|| claims::no_creep(&cell, 140)),
+            ("coulomb", &|| claims::coulomb(cell, &[2.0, 4.0, 7.0])),
+            ("opening", &|| claims::opening(cell, 140)),
+            ("no_creep", &|| claims::no_creep(cell, 140)),
         ];
         let suction: &[Experiment<'_>] = &[
-            ("vacuum_limit", &|| claims::vacuum_limit(&cell)),
-            ("cup_area", &|| claims::cup_area(&cell)),
-            ("gravity", &|| claims::gravity(&cell)),
-            ("surface_keeps", &|| claims::surface_keeps(&cell, &space, 300)),
+            ("vacuum_limit", &|| claims::vacuum_limit(cell)),
+            ("cup_area", &|| claims::cup_area(cell)),
+            ("gravity", &|| claims::gravity(cell)),
+            ("surface_keeps", &|| claims::surface_keeps(cell, &space, 300)),
         ];
         let any: &[Experiment<'_>] = &[
-            ("position_jitter", &|| claims::position_jitter(&cell, 140)),
-            ("easy_region", &|| claims::easy_region(&cell, 700)),
-            ("time_step", &|| claims::time_step(&cell, &space, 500)),
-            ("repeatable", &|| claims::repeatable(&cell, &space, 200)),
-            ("joint_limits", &|| claims::joint_limits(&cell, 70)),
+            ("position_jitter", &|| claims::position_jitter(cell, 140)),
+            ("easy_region", &|| claims::easy_region(cell, 700)),
+            ("time_step", &|| claims::time_step(cell, &space, 500)),
+            ("repeatable", &|| claims::repeatable(cell, &space, 200)),
+            ("joint_limits", &|| claims::joint_limits(cell, 70)),
         ];
         let gripper = &cell.setup().robot.settings.gripper;
         let own = if gripper.cup().is_some() { suction } else { fingers };

@@ -1,59 +1,61 @@
-//! `robogate compare`: robots, policies or simulators side by side.
+//! `robogate compare`: comparison of robots, policies or simulators.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
-use robogate_report::{
-    Comparison, ComparisonError, ComparisonOptions, Finding, PairedComparison, ReportError, SharedCurve, Source,
-    comparison_html, comparison_markdown,
+use robogate_analysis::labels::{parameter_label, value_with_unit};
+use robogate_analysis::{
+    AnalysisError, Comparison, ComparisonError, ComparisonOptions, Finding, PairedComparison, SharedCurve, Source,
 };
+use robogate_report::{ComparisonHeadline, comparison_html, comparison_json, comparison_limits, comparison_markdown};
+use robogate_stats::format::{p_value, percent_or_dash, points};
 
-use crate::commands::analyze::{heading, interval, p_value, rate_of};
+use crate::commands::analyze::{heading, interval};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::terminal::{bar, bold, dim, grouped, line, note, percent, wrapped};
 
-/// Say how dictionaries differ: robots, policies or simulators, and where all of them fail.
+/// Compare dictionaries of different robots, policies or simulators, and find where all of them fail.
 #[derive(Debug, Args)]
 pub(crate) struct Compare {
-    /// Runs' folders, dictionaries (Parquet) or published JSON dictionaries: two or more
+    /// Two or more runs' folders, dictionaries (Parquet) or published JSON dictionaries
     #[arg(required = true, value_name = "RUN_OR_FILE")]
     dictionaries: Vec<PathBuf>,
-    /// Compare scenario by scenario: the same design in each of them
+    /// Compare scenario by scenario; all of them must have the same design
     #[arg(long)]
     paired: bool,
-    /// Print everything as one versioned JSON document
+    /// Print one versioned JSON document
     #[arg(long)]
     json: bool,
-    /// Write a self-contained page
+    /// Write a self-contained HTML page
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
-    /// Write the same as Markdown
+    /// Write Markdown
     #[arg(long, value_name = "FILE")]
     md: Option<PathBuf>,
-    /// Names of the dictionaries in their order; default: what tells them apart
+    /// Names of the dictionaries in their order; default: chosen from their provenance
     #[arg(long, value_name = "A,B,...", value_delimiter = ',')]
     names: Vec<String>,
-    /// Two shared parameters whose cells are looked at together
+    /// Map two shared parameters
     #[arg(long, num_args = 2, value_names = ["A", "B"])]
     pair: Vec<String>,
-    /// The success rate below which a cell is a danger
+    /// Success rate below which a cell is a danger zone, in (0, 1)
     #[arg(long, value_name = "RATE", default_value_t = 0.4)]
     danger: f64,
-    /// A robot's reach in metres, where a dictionary does not carry it
+    /// Reach of a robot in metres, if its dictionary does not record it
     #[arg(long, value_name = "NAME=METRES", value_parser = named_length)]
     reach: Vec<(String, f64)>,
-    /// Distance from base to workspace in metres, for dictionaries that do not carry it
+    /// Distance from base to workspace in metres, for dictionaries that do not record it
     #[arg(long, value_name = "METRES")]
     workspace: Option<f64>,
-    /// Flips listed for each direction
+    /// Number of scenarios with different outcomes to list for each direction
     #[arg(long, value_name = "N", default_value_t = 10, requires = "paired")]
     flips: usize,
 }
 
 fn named_length(text: &str) -> Result<(String, f64), String> {
-    let (name, metres) = text.rsplit_once('=').ok_or("write it as NAME=METRES, as in ur3e=0.5")?;
-    let metres = metres.trim().parse().map_err(|_| format!("`{metres}` is no number of metres"))?;
+    let (name, metres) = text.rsplit_once('=').ok_or("expected NAME=METRES, for example ur3e=0.5")?;
+    let metres = metres.trim().parse().map_err(|_| format!("`{metres}` is not a valid length in metres"))?;
     Ok((name.trim().to_owned(), metres))
 }
 
@@ -70,7 +72,7 @@ impl Compare {
             reach_m: self.reach.clone(),
             workspace_m: self.workspace,
             paired: self.paired,
-            most_flips: self.flips,
+            max_flips: self.flips,
         };
         let comparison = Comparison::of(&sources, &options).map_err(exit)?;
         for (file, text) in [(&self.html, comparison_html as fn(&_) -> String), (&self.md, comparison_markdown)] {
@@ -79,26 +81,23 @@ impl Compare {
             }
         }
         if self.json {
-            line(comparison.to_json());
+            line(comparison_json(&comparison));
         } else {
             print(&comparison);
         }
         Ok(if comparison.has_evidence() { DONE } else { INVALID })
     }
 
-    /// Refuses a path that is there twice, in whatever way it is written, and a page over what it is made from.
+    /// Rejects a path that is given twice, in any spelling, and a page that would overwrite a dictionary.
     fn check_twice(&self) -> Result<(), Exit> {
         let full = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
         for (i, path) in self.dictionaries.iter().enumerate() {
             if self.dictionaries[..i].iter().any(|before| full(before) == full(path)) {
-                let error = anyhow!(
-                    "{} is named twice\nhint: a dictionary compared with itself says nothing; name another one",
-                    path.display()
-                );
+                let error = anyhow!("{} is given twice\nhint: remove one of them", path.display());
                 return Err(Exit { code: USAGE, error });
             }
             if let Some(page) = [&self.html, &self.md].into_iter().flatten().find(|page| full(page) == full(path)) {
-                let error = anyhow!("{} is a dictionary: a page would overwrite it", page.display());
+                let error = anyhow!("{} is a dictionary, which the page would overwrite", page.display());
                 return Err(Exit { code: USAGE, error });
             }
         }
@@ -107,7 +106,7 @@ impl Compare {
 }
 
 fn exit(error: ComparisonError) -> Exit {
-    let broken = matches!(error, ComparisonError::Report(ReportError::Io { .. }));
+    let broken = matches!(error, ComparisonError::Analysis(AnalysisError::Io { .. }));
     Exit { code: if broken { INFRASTRUCTURE } else { USAGE }, error: error.into() }
 }
 
@@ -126,25 +125,18 @@ fn fit(text: &str, width: usize) -> String {
     text.chars().take(width.saturating_sub(1)).chain(['…']).collect()
 }
 
-fn points(share: f64) -> String {
-    // What rounds to nothing has no sign.
-    let text = format!("{:+.1}", 100.0 * share);
-    if matches!(text.as_str(), "+0.0" | "-0.0") { "0.0".to_owned() } else { text }
-}
-
 fn points_interval([low, high]: [f64; 2]) -> String {
     format!("{:>6} to {:>6}", points(low), points(high))
 }
 
 fn print(of: &Comparison) {
-    let names: Vec<&str> = of.dictionaries.iter().map(|d| d.name.as_str()).collect();
+    let names: Vec<&str> = of.datasets.iter().map(|d| d.name.as_str()).collect();
     line(format_args!("{} compares {}", bold("RoboGate"), names.join(", ")));
     line("");
-    line(bold("The answer"));
-    wrapped(&of.headline.answer);
-    for (title, lines) in
-        [("What differs", &of.headline.what_differs), ("What they share", &of.headline.what_is_common)]
-    {
+    line(bold("Result"));
+    let headline = ComparisonHeadline::of(of);
+    wrapped(&headline.answer);
+    for (title, lines) in [("What differs", &headline.what_differs), ("What they share", &headline.what_they_share)] {
         if !lines.is_empty() {
             heading(title);
             lines.iter().for_each(|text| wrapped(text));
@@ -154,34 +146,34 @@ fn print(of: &Comparison) {
     differences(of);
     of.paired.iter().for_each(paired);
     modes(of);
-    of.along.iter().for_each(|curve| along(curve, &of.compared));
+    of.marginal_effects.iter().for_each(|curve| marginal_effect(curve, &of.compared));
     not_shared(of);
     universal(of);
-    mass(of);
+    sensitivity(of);
     reach(of);
-    heading("What these figures do not say");
-    of.limits.iter().for_each(|limit| wrapped(limit));
+    heading("Limits");
+    comparison_limits(of).iter().for_each(|limit| wrapped(limit));
 }
 
 fn rates(of: &Comparison) {
     heading("Success rates");
-    for d in &of.dictionaries {
+    for d in &of.datasets {
         let rate = &d.success.rate;
         line(format_args!(
             "  {} {:>7} {} {} {:>8}  {}",
             fit(&d.name, 22),
-            rate_of(rate.rate),
+            percent_or_dash(rate.rate),
             bar(rate.rate.unwrap_or(0.0), 20),
             interval(rate.wilson_95),
             grouped(rate.n),
-            dim(if d.left_out.is_some() { "not compared" } else { d.population.brief() })
+            dim(if d.excluded_because.is_some() { "not compared" } else { d.population.brief() })
         ));
-        if let Some(because) = &d.left_out {
+        if let Some(because) = &d.excluded_because {
             wrapped(&format!("{}: {because}.", d.name));
         }
         if let Some(found) = d.success.reweighted.as_ref().and_then(Finding::estimated) {
             line(dim(format_args!(
-                "  {:<22} {:>7} {:>20} {} {:>8}  all rows, by weight",
+                "  {:<22} {:>7} {:>20} {} {:>8}  all rows, weighted",
                 "",
                 percent(found.estimate.rate),
                 "",
@@ -192,7 +184,7 @@ fn rates(of: &Comparison) {
         let bounds = &d.success.bounds;
         if let (1.., Some(worst), Some(best)) = (bounds.invalid, bounds.worst_case, bounds.best_case) {
             let n = grouped(bounds.invalid);
-            line(format_args!("  {:<22} {n} invalid: {} to {} at most", "", percent(worst), percent(best)));
+            line(format_args!("  {:<22} {n} invalid: the rate could be {} to {}", "", percent(worst), percent(best)));
         }
     }
 }
@@ -204,43 +196,39 @@ fn differences(of: &Comparison) {
     heading("Differences in points (Newcombe 95 %, Holm over all pairs)");
     for d in &of.differences {
         let text = format!(
-            "  {} {:>7}  {}  {:<9}  p by Holm {:>8}  {}",
-            fit(&format!("{} - {}", d.first, d.second), 30),
+            "  {} {:>7}  {}  {:<9}  p (Holm) {:>8}  {}",
+            fit(&format!("{} - {}", d.first, d.second), 28),
             points(d.difference),
             points_interval(d.interval_95),
             d.z.map_or_else(|| d.test().to_owned(), |z| format!("z {z:>7.2}")),
             p_value(d.holm_p.max(f64::MIN_POSITIVE).ln()),
-            if d.holm_p <= 0.05 { "sure" } else { "not sure" }
+            if d.holm_p <= 0.05 { "significant" } else { "" }
         );
-        if d.holm_p <= 0.05 { line(text) } else { line(dim(text)) }
+        if d.holm_p <= 0.05 { line(text) } else { line(dim(text.trim_end())) }
     }
     if of.differences.iter().any(|d| d.valid_pairs.is_some()) {
-        wrapped("McNemar: the same scenarios, paired (exact test, paired interval). z: independent runs.");
+        wrapped("McNemar: the same scenarios, paired (exact test, paired interval). z: independent runs (z-test).");
     }
 }
 
 fn paired(pair: &PairedComparison) {
-    heading(format_args!("{} against {}, scenario by scenario", pair.first, pair.second));
-    line(format_args!(
-        "  {} of {} scenarios have evidence from both",
-        grouped(pair.valid_pairs),
-        grouped(pair.scenarios)
-    ));
+    heading(format_args!("{} and {}, scenario by scenario", pair.first, pair.second));
+    line(format_args!("  {} of {} scenarios are valid in both", grouped(pair.valid_pairs), grouped(pair.scenarios)));
     for (name, rate) in [(&pair.first, &pair.first_rate), (&pair.second, &pair.second_rate)] {
         line(format_args!(
             "  {} {:>7} {} {}",
             fit(name, 22),
-            rate_of(rate.rate),
+            percent_or_dash(rate.rate),
             bar(rate.rate.unwrap_or(0.0), 20),
             interval(rate.wilson_95)
         ));
     }
-    if let Some(gap) = pair.gap {
+    if let Some(difference) = pair.difference {
         line(format_args!(
-            "  {} {:>7}  {} points, McNemar exact p {}, by Holm {}",
-            fit("gap", 22),
-            points(gap),
-            points_interval(pair.gap_95),
+            "  {} {:>7}  {} points, McNemar exact p {}, Holm {}",
+            fit("difference", 22),
+            points(difference),
+            points_interval(pair.difference_95),
             p_value(pair.ln_p),
             p_value(pair.holm_p.max(f64::MIN_POSITIVE).ln())
         ));
@@ -255,9 +243,9 @@ fn paired(pair: &PairedComparison) {
         grouped(pair.neither)
     ));
     if pair.invalid.either > 0 {
-        let bounds = pair.invalid.gap_bounds.map_or_else(|| "-".to_owned(), points_interval);
+        let bounds = pair.invalid.difference_bounds.map_or_else(|| "-".to_owned(), points_interval);
         wrapped(&format!(
-            "{} invalid in {}, {} in {}: in no rate; the gap over all scenarios lies within {} points whatever they were.",
+            "{} invalid in {}, {} in {}: left out of every rate. Their outcomes could put the difference over all scenarios anywhere within {} points.",
             grouped(pair.invalid.first),
             pair.first,
             grouped(pair.invalid.second),
@@ -266,7 +254,7 @@ fn paired(pair: &PairedComparison) {
         ));
     }
     line("");
-    line(format_args!("  how they ended: {} down, {} across", pair.first, pair.second));
+    line(format_args!("  outcomes: {} in rows, {} in columns", pair.first, pair.second));
     let heads: String = pair.outcomes.outcomes.iter().map(|word| format!("{word:>12}")).collect();
     line(dim(format_args!("  {:<12}{heads}", "")));
     for (word, counts) in pair.outcomes.outcomes.iter().zip(&pair.outcomes.counts) {
@@ -281,13 +269,16 @@ fn disagreement(pair: &PairedComparison) {
     let map = match &pair.disagreement {
         Finding::Estimated(map) => map,
         Finding::CannotBeEstimated { because } => {
-            wrapped(&format!("No map of disagreement: {because}."));
+            wrapped(&format!("No map can be drawn because {because}."));
             return;
         }
     };
     line("");
-    line(format_args!("  scenarios that flip, in percent: {} upwards, {} across", map.y.parameter, map.x.parameter));
-    let from = |axis: &robogate_report::Axis, at: usize| match (axis.levels.get(at), axis.edges.get(at)) {
+    line(format_args!(
+        "  scenarios with different outcomes, in percent: {} by row, {} by column",
+        map.y.parameter, map.x.parameter
+    ));
+    let from = |axis: &robogate_analysis::Axis, at: usize| match (axis.levels.get(at), axis.edges.get(at)) {
         (Some(level), _) => level.chars().take(8).collect(),
         (None, Some(edge)) => format!("{edge:.3}"),
         _ => String::new(),
@@ -298,13 +289,13 @@ fn disagreement(pair: &PairedComparison) {
             .iter()
             .map(|cell| {
                 let mark = match cell.first_only.cmp(&cell.second_only) {
-                    _ if cell.disagree.successes == 0 => ' ',
+                    _ if cell.differ.successes == 0 => ' ',
                     std::cmp::Ordering::Greater => 'a',
                     std::cmp::Ordering::Less => 'b',
                     std::cmp::Ordering::Equal => '=',
                 };
                 let mark = if cell.holm_p <= 0.05 { mark.to_ascii_uppercase() } else { mark };
-                cell.disagree.rate.map_or_else(|| format!("{:>6} ", "-"), |rate| format!("{:>6.0}{mark}", 100.0 * rate))
+                cell.differ.rate.map_or_else(|| format!("{:>6} ", "-"), |rate| format!("{:>6.0}{mark}", 100.0 * rate))
             })
             .collect();
         line(format_args!("  {:>11} {cells}", from(&map.y, row)));
@@ -313,7 +304,7 @@ fn disagreement(pair: &PairedComparison) {
         (0..nx).map(|i| format!("{:>7}", from(&map.x, i).chars().take(6).collect::<String>())).collect();
     line(dim(format_args!("  {:>11} {across}", "from")));
     wrapped(&format!(
-        "a: {} ahead, b: {} ahead, =: neither; a capital where that is sure (McNemar, Holm over the cells)",
+        "a: {} ahead, b: {} ahead, =: neither; upper case: significant (McNemar, Holm over the cells)",
         pair.first, pair.second
     ));
 }
@@ -324,26 +315,30 @@ fn flips(pair: &PairedComparison) {
         return;
     }
     line("");
-    line(format_args!("  scenarios that flip: {} of {} (--flips lists more)", pair.flips.len(), grouped(all)));
+    line(format_args!(
+        "  scenarios with different outcomes: {} of {} (list more with --flips)",
+        pair.flips.len(),
+        grouped(all)
+    ));
     for flip in &pair.flips {
         line(format_args!("  {:>8}  {} -> {}", flip.index, fit(&flip.first, 11), flip.second));
         line(dim(format_args!("            {}", fit(&flip.describe(), 86).trim_end())));
     }
     if let Some(flip) = pair.flips.iter().find(|flip| !flip.replay.is_empty()) {
-        line("  see one again, as in");
+        line("  replay one with");
         flip.replay.iter().for_each(|command| line(format_args!("    {command}")));
     }
 }
 
 fn modes(of: &Comparison) {
     heading("Failure modes, share of failures (95 % for all modes together)");
-    for d in &of.dictionaries {
+    for d in &of.datasets {
         line(format_args!("  {} {} failures", fit(&d.name, 22), grouped(d.failure_modes.failures)));
         for mode in d.failure_modes.modes.iter().filter(|mode| mode.failures > 0) {
             line(format_args!(
                 "    {:<20} {:>7} {} {} {:>9}",
                 mode.mode,
-                rate_of(mode.share),
+                percent_or_dash(mode.share),
                 bar(mode.share.unwrap_or(0.0), 20),
                 interval(mode.interval_95),
                 grouped(mode.failures)
@@ -352,12 +347,12 @@ fn modes(of: &Comparison) {
     }
 }
 
-/// Dictionaries whose rates stand in one line at most.
-const MOST_ACROSS: usize = 3;
+/// Datasets on one line.
+const MAX_COLUMNS: usize = 3;
 
-fn along(curve: &SharedCurve, names: &[String]) {
-    heading(format_args!("Success along {}", curve.parameter));
-    for (block, names) in names.chunks(MOST_ACROSS).enumerate() {
+fn marginal_effect(curve: &SharedCurve, names: &[String]) {
+    heading(format_args!("Success by {}", curve.parameter));
+    for (block, names) in names.chunks(MAX_COLUMNS).enumerate() {
         let heads: String = names.iter().map(|name| format!("  {}", fit(name, 25))).collect();
         line(dim(format_args!("  {:<18}{}", "", heads.trim_end())));
         for cell in curve.cells.iter().take(40) {
@@ -365,7 +360,7 @@ fn along(curve: &SharedCurve, names: &[String]) {
                 Some([low, high]) => format!("{low:>7.3} to {high:>7.3}"),
                 None => fit(&cell.label, 18),
             };
-            let rates = &cell.rates[block * MOST_ACROSS..][..names.len()];
+            let rates = &cell.rates[block * MAX_COLUMNS..][..names.len()];
             let rates: String = rates
                 .iter()
                 .map(|rate| match rate.rate {
@@ -390,54 +385,56 @@ fn not_shared(of: &Comparison) {
     }
     heading("Parameters that are not shared");
     for parameter in &of.parameters.not_shared {
-        wrapped(&format!("{}: {} (of {})", parameter.parameter, parameter.because, parameter.of.join(", ")));
+        wrapped(&format!("{}: {} ({})", parameter.parameter, parameter.because, parameter.datasets.join(", ")));
     }
 }
 
 fn universal(of: &Comparison) {
     let zones = &of.universal_zones;
     heading(format_args!(
-        "Where all of them are below {:.0} % (Holm over {} cells; {} too thin to say)",
+        "Where all of them are below {:.0} % (Holm over {} cells; {} with too few episodes)",
         100.0 * zones.limit,
-        grouped(zones.looked_at),
-        grouped(zones.too_thin)
+        grouped(zones.tested),
+        grouped(zones.too_few_episodes)
     ));
     for zone in zones.zones.iter().take(16) {
-        let rates: Vec<String> = zone.rates.iter().map(|rate| rate_of(rate.rate)).collect();
+        let rates: Vec<String> = zone.rates.iter().map(|rate| percent_or_dash(rate.rate)).collect();
         let text = format!(
-            "  {} {}  p by Holm {:>8}  {}",
-            fit(&zone.describe(), 42),
+            "  {} {}  p (Holm) {:>8}  {}",
+            fit(&zone.describe(), 38),
             fit(&rates.join(" / "), 24),
             p_value(zone.holm_p.max(f64::MIN_POSITIVE).ln()),
-            if zone.sure { "sure" } else { "not sure" }
+            if zone.significant { "significant" } else { "" }
         );
-        if zone.sure { line(text) } else { line(dim(text)) }
+        if zone.significant { line(text) } else { line(dim(text.trim_end())) }
     }
     match zones.zones.len() {
-        0 if zones.looked_at == 0 => line("  cannot be said: no cell holds enough episodes of each"),
+        0 if zones.tested == 0 => line("  no cell has enough episodes of every dataset"),
         0 => line("  none observed"),
         n if n > 16 => line(dim(format_args!("  and {} more (--json)", n - 16))),
         _ => {}
     }
 }
 
-fn mass(of: &Comparison) {
-    heading("What mass does: slope of the log-odds of success over ln(mass)");
-    let mass = match &of.mass {
-        Finding::Estimated(mass) => mass,
+fn sensitivity(of: &Comparison) {
+    let found = match &of.sensitivity {
+        Finding::Estimated(found) => found,
         Finding::CannotBeEstimated { because } => {
-            wrapped(&format!("It cannot be compared because {because}."));
+            heading("Effect of one parameter");
+            wrapped(&format!("It cannot be estimated because {because}."));
             return;
         }
     };
-    for effect in &mass.of {
+    let label = parameter_label(&found.parameter);
+    heading(format_args!("Effect of {label}: slope of the log-odds of success over ln({label})"));
+    for effect in &found.effects {
         match &effect.slope {
             Finding::Estimated(slope) => {
-                let end = |end: Option<f64>| end.map_or_else(|| "open".to_owned(), |end| format!("{end:.2}"));
+                let end = |end: Option<f64>| end.map_or_else(|| "unbounded".to_owned(), |end| format!("{end:.2}"));
                 line(format_args!(
-                    "  {} {:>7.3}  95 % {:>6} to {:>6}  odds x {:.3} where mass doubles  p {:>8}{}",
+                    "  {} {:>7.3}  95 % {:>6} to {:>6}  odds x {:.3} per doubling  p {:>8}{}",
                     fit(&effect.name, 20),
-                    slope.per_log_mass,
+                    slope.per_log_unit,
                     end(slope.interval_95[0]),
                     end(slope.interval_95[1]),
                     slope.odds_per_doubling,
@@ -449,12 +446,11 @@ fn mass(of: &Comparison) {
                 wrapped(&format!("{}: cannot be estimated because {because}.", effect.name));
             }
         }
-        for (which, [low, high], rate) in
-            [("light", mass.light_kg, &effect.light), ("heavy", mass.heavy_kg, &effect.heavy)]
-        {
+        for (which, [low, high], rate) in [("lowest", found.low, &effect.low), ("highest", found.high, &effect.high)] {
             line(dim(format_args!(
-                "    {which} {low:.3} to {high:.3} kg {:>8} {} {:>8}",
-                rate_of(rate.rate),
+                "    {which:<7} {} {:>8} {} {:>8}",
+                value_with_unit(&format!("{low:.3} to {high:.3}"), &found.parameter),
+                percent_or_dash(rate.rate),
                 interval(rate.wilson_95),
                 grouped(rate.n)
             )));
@@ -472,15 +468,15 @@ fn reach(of: &Comparison) {
             metres(row.reach_m),
             metres(row.workspace_m),
             row.ratio.map_or_else(|| "unknown".to_owned(), |r| format!("{r:.3}")),
-            rate_of(row.rate.rate),
+            percent_or_dash(row.rate.rate),
             interval(row.rate.wilson_95),
             if row.given { " *" } else { "" }
         ));
     }
     if of.reach.iter().any(|row| row.given) {
-        line(dim("  * as given on the command line"));
+        line(dim("  * from the command line"));
     }
     if of.reach.iter().any(|row| row.ratio.is_none()) {
-        line(dim("  --reach NAME=METRES and --workspace METRES say what is unknown"));
+        line(dim("  give unknown values with --reach NAME=METRES and --workspace METRES"));
     }
 }

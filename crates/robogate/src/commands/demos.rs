@@ -13,12 +13,12 @@ use robogate_core::samplers::Uniform;
 use robogate_core::{Assignment, Outcome, Sampler, Scenario, Seed, rollout};
 use robogate_demos::{Dataset, Demonstration};
 use robogate_dictionary::Dictionary;
-use robogate_physics::SuctionLaw;
 use serde_json::json;
 
+use crate::cell::Cell;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::subject::{EnvironmentArguments, named_space};
 use crate::terminal::{grouped, line, note};
-use crate::world::{Cell, WorldArguments};
 
 /// Frames a second: one for each control tick.
 const FPS: u32 = 20;
@@ -58,7 +58,7 @@ pub(crate) struct Demos {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    world: WorldArguments,
+    environment: EnvironmentArguments,
 }
 
 impl Demos {
@@ -70,7 +70,7 @@ impl Demos {
         if self.n == 0 {
             return Err(usage("-n 0: at least one episode".to_owned()));
         }
-        let cell = self.world.cell(SuctionLaw::Vacuum)?.with_pictures_of(self.size.into());
+        let cell = self.environment.cell()?.with_pictures_of(self.size.into());
         let seed = Seed::campaign(self.seed);
         let points = match &self.failed_in {
             Some(run) => failures(run)?.into_iter().cycle().take(self.n as usize).collect(),
@@ -119,7 +119,9 @@ impl Demos {
 
     /// Points of the space, drawn uniformly.
     fn points(&self, cell: &Cell, seed: Seed) -> Result<Vec<Assignment>, Exit> {
-        let space = Arc::new(cell.space(Some(&self.space)).or_usage()?);
+        let space = named_space(&self.space).or_usage()?;
+        cell.check_space(&space).or_usage()?;
+        let space = Arc::new(space);
         let design = Uniform.design(&space, self.n as usize, seed.stream("demonstrations")).or_usage()?;
         Ok((0..design.len()).filter_map(|i| design.assignment(i)).collect())
     }
@@ -151,10 +153,10 @@ impl Demos {
     ) -> Result<Vec<(Outcome, Demonstration)>, Exit> {
         let share = scenarios.len().div_ceil(threads).max(1);
         let work = |mine: &[Scenario]| -> anyhow::Result<Vec<(Outcome, Demonstration)>> {
-            let (mut simulator, mut recorder) = cell.demonstrator(self.push)?;
+            let (mut environment, mut recorder) = cell.demonstrator(self.push)?;
             Ok(mine
                 .iter()
-                .map(|scenario| (rollout(&mut *simulator, &mut recorder, scenario).outcome, recorder.take()))
+                .map(|scenario| (rollout(&mut *environment, &mut recorder, scenario).outcome, recorder.take()))
                 .collect())
         };
         let results: Vec<_> = thread::scope(|scope| {

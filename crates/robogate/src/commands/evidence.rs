@@ -5,14 +5,15 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
+use robogate_analysis::Source;
+use robogate_core::TaskSpec;
 use robogate_gate::evidence::{Content, EvidenceError, Ingredients, PrivateKey, Role, write};
 use robogate_gate::{Asked, GateError, Record, Requirements, Sampling};
-use robogate_report::Source;
 
 use crate::commands::gate::{built_in_baseline, refused};
 use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::subject::recorded_robot;
 use crate::terminal::{foreign, line, note};
-use crate::world::recorded_robot;
 
 /// Judge a run and put all that the verdict depends on into a folder that someone else can check.
 ///
@@ -86,7 +87,7 @@ impl Evidence {
         }
         let ingredients = Ingredients {
             dictionary: dictionary(&self.run),
-            requirements: self.requirements(asked.as_ref())?,
+            requirements: self.requirements(&provenance.task, asked.as_ref())?,
             baseline: self.baseline(asked.as_ref(), &source)?,
             against: self.against(asked.as_ref())?,
             sampling: self.sampling(asked.as_ref()).or_usage()?,
@@ -103,13 +104,13 @@ impl Evidence {
 }
 
 impl Evidence {
-    fn requirements(&self, asked: Option<&Asked>) -> Result<Content, Exit> {
+    fn requirements(&self, task: &TaskSpec, asked: Option<&Asked>) -> Result<Content, Exit> {
         match (&self.requirements, asked) {
             (Some(file), _) if Path::new(file).is_file() => Ok(Content::File(file.into())),
-            (Some(name), _) => Ok(Content::Bytes(Requirements::open(name).map_err(refused)?.to_toml().into_bytes())),
+            (Some(name), _) => Ok(Content::Bytes(Requirements::open(name, task).map_err(refused)?.to_toml().into_bytes())),
             (None, Some(asked)) => Ok(Content::Bytes(asked.requirements.to_toml().into_bytes())),
             (None, None) => Err(anyhow::anyhow!(
-                "no gate was asked of this run\nhint: say what is demanded: --requirements default, paper, or a file"
+                "this run was not made by `robogate gate`\nhint: name the requirements: --requirements default, paper, or a file"
             ))
             .or_usage(),
         }

@@ -3,25 +3,28 @@
 use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Context, anyhow};
 use clap::Args;
+use robogate_analysis::Source;
 use robogate_campaign::{Completion, DEFAULT_SEED, Event, Plan, Round, Settings};
+use robogate_core::Suite;
 use robogate_dictionary::{Label, Provenance};
 use robogate_gate::{
     Against, Asked, AskedAgainst, Baseline, Evaluation, GateError, GatePlan, Mode, Planned, Question, Record,
     Requirements, Sampling, Trial, Verdict,
 };
 use robogate_physics::SuctionLaw;
-use robogate_report::{Source, evaluation_markdown, junit};
+use robogate_report::{evaluation_markdown, junit};
 
 use crate::answer;
-use crate::commands::run::{How, free_folder, interrupted, provenance, write_report};
+use crate::commands::run::{How, free_folder, interrupted, introduce, write_report};
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
-use crate::guest::PolicyArguments;
+use crate::policy_source::PolicyArguments;
+use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{grouped, line, note};
-use crate::world::{Cell, WorldArguments};
 
 /// Answer: may this policy run? Run a suite until that is certain, or judge what was run.
 ///
@@ -31,9 +34,13 @@ pub(crate) struct Gate {
     /// Judge this run's folder or dictionary; nothing is run
     #[arg(long, value_name = "RUN", conflicts_with_all = ["suite", "rounds", "fixed", "seed", "plan"])]
     run: Option<PathBuf>,
-    /// The suite to run: industrial-68, or the file of your own
-    #[arg(long, value_name = "NAME|FILE", default_value = "industrial-68")]
-    suite: String,
+    /// Run this suite: a built-in one, or a file of your own; default: industrial-68 in the built-in cell, elsewhere 64
+    /// scenarios sampled from the environment's parameter space with the seed of the rounds
+    #[arg(long, value_name = "NAME|FILE")]
+    suite: Option<String>,
+    /// Sample the suite from this parameter space; default: the environment's own
+    #[arg(long, value_name = "NAME|FILE", conflicts_with = "suite")]
+    space: Option<String>,
     /// What is demanded: default, paper, or a file of your own (TOML)
     #[arg(long, value_name = "NAME|FILE")]
     requirements: Option<String>,
@@ -58,7 +65,7 @@ pub(crate) struct Gate {
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
     #[command(flatten)]
-    world: WorldArguments,
+    environment: EnvironmentArguments,
     #[command(flatten)]
     policy: PolicyArguments,
     #[command(flatten)]
@@ -70,6 +77,12 @@ pub(crate) struct Gate {
 
 /// How far below the other run's success rate this policy's may lie where nothing is said.
 const MARGIN: f64 = 0.05;
+
+/// The suite of the built-in cell.
+const INDUSTRIAL_68: &str = "industrial-68";
+
+/// Scenarios of a suite that is sampled from a space.
+const SAMPLED_SCENARIOS: usize = 64;
 
 /// The answer's files in a run's folder.
 const ANSWER: [&str; 3] = ["gate.json", "gate.md", "gate.junit.xml"];
@@ -102,7 +115,7 @@ impl Gate {
         let sampling = asked.as_ref().map_or(Sampling::Fixed, |asked| asked.sampling);
         let requirements = match (&self.requirements, &asked) {
             (None, Some(asked)) => asked.requirements.clone(),
-            (name, _) => Requirements::open(name.as_deref().unwrap_or("default")).map_err(refused)?,
+            (name, _) => Requirements::open(name.as_deref().unwrap_or("default"), &record.task).map_err(refused)?,
         };
         let other = match &asked {
             Some(asked) if self.baseline.is_none() => {
@@ -152,12 +165,12 @@ impl Gate {
 
     /// Runs a suite until the answer is certain.
     fn run_suite(&self) -> Result<u8, Exit> {
-        let requirements = Requirements::open(self.requirements.as_deref().unwrap_or("default")).map_err(refused)?;
-        let cell = self.world.cell(SuctionLaw::Vacuum)?.with_policy(self.policy.guest()?);
-        let robot = Path::new(&cell.world().robot).file_name();
-        let robot = robot.map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        let suite = suites::find(&self.suite)?;
-        cell.check_suite(&suite).or_usage()?;
+        let environment = self.environment.environment(SuctionLaw::Vacuum)?;
+        let subject = Subject::new(environment, self.policy.source()?)?;
+        let wanted = self.requirements.as_deref().unwrap_or("default");
+        let requirements = Requirements::open(wanted, subject.task()).map_err(refused)?;
+        let suite = self.suite(&subject)?;
+        subject.check_suite(&suite).or_usage()?;
         let rounds = self.rounds.unwrap_or(requirements.budget.rounds);
         let fixed = self.fixed || requirements.mode == Mode::Point;
         let sampling = if fixed { Sampling::Fixed } else { Sampling::Sequential };
@@ -176,13 +189,9 @@ impl Gate {
             (None, None) => DEFAULT_SEED,
         };
         let plan = Plan::of_suite(suite, u64::from(rounds), seed);
-        let provenance = provenance(
-            &cell,
-            plan.suite.as_ref().map_or_else(
-                || Err(anyhow!("the plan has no suite")).or_broken(),
-                |stage| Ok(stage.suite.space().clone()),
-            )?,
-        )?;
+        let space = plan.suite.as_ref().map(|stage| stage.suite.space().clone());
+        let space = space.ok_or_else(|| anyhow!("the plan has no suite")).or_broken()?;
+        let provenance = subject.provenance(space)?;
         plan.check(&provenance.space).or_usage()?;
         let planned = Provenance { plan: serde_json::to_value(&plan).or_broken()?, ..provenance.clone() };
         let mut record = Record::begun(&planned).map_err(refused)?;
@@ -212,17 +221,9 @@ impl Gate {
         let asked = Asked { format: Asked::FORMAT, requirements, baseline: other.baseline, against, sampling };
         let dir = match &self.out {
             Some(dir) => dir.clone(),
-            None => free_folder(&format!("gate-{robot}-{}", plan.seed)),
+            None => free_folder(&format!("gate-{}-{}", subject.label(), plan.seed)),
         };
-        note(format_args!(
-            "RoboGate {}: {} in {} {}, {} policy, seed {}",
-            env!("CARGO_PKG_VERSION"),
-            provenance.robot.name,
-            provenance.engine.name,
-            provenance.engine.version.as_deref().unwrap_or_default(),
-            provenance.policy,
-            plan.seed
-        ));
+        introduce(&provenance, plan.seed);
         note(format_args!(
             "{}: {} scenarios, {} {} rounds, requirements `{}`, into {}",
             record.population,
@@ -243,7 +244,7 @@ impl Gate {
         let mut trouble = None;
         let completion = {
             let mut look = Look { asked: &asked, other: other.as_ref(), record: &mut record, trouble: &mut trouble };
-            self.how.carry(&cell, |crew, events| {
+            self.how.carry(&subject, |executor, events| {
                 let mut events = |event: &Event| {
                     // The folder is there and holds the plan; no episode has run yet.
                     if let Event::Started { .. } = event {
@@ -251,12 +252,25 @@ impl Gate {
                     }
                     events(event);
                 };
-                robogate_campaign::start_in_rounds(&dir, &plan, provenance, crew, &mut events, &mut |round| {
+                robogate_campaign::start_in_rounds(&dir, &plan, provenance, executor, &mut events, &mut |round| {
                     look.after(round)
                 })
             })
         };
         finish(&dir, &asked, other.as_ref(), trouble, completion?, self.how.json)
+    }
+
+    /// The suite that is named; else that of the built-in cell, or one sampled from the environment's space.
+    fn suite(&self, subject: &Subject) -> Result<Suite, Exit> {
+        match (&self.suite, &self.space, subject.cell()) {
+            (Some(name), _, _) => suites::find(name),
+            (None, None, Some(_)) => suites::find(INDUSTRIAL_68),
+            (None, space, _) => {
+                let space = subject.space(space.as_deref()).or_usage()?;
+                let seed = self.seed.unwrap_or(DEFAULT_SEED);
+                Suite::sampled(&Arc::new(space), SAMPLED_SCENARIOS, seed).map_err(anyhow::Error::from).or_usage()
+            }
+        }
     }
 
     /// Whether the baseline is a run: then its episodes are there to be compared with.
@@ -299,15 +313,15 @@ fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, Exit> {
 }
 
 /// Goes on with an interrupted gate.
-pub(crate) fn go_on(dir: &Path, asked: Asked, cell: &Cell, settings: Settings, how: &How) -> Result<u8, Exit> {
+pub(crate) fn go_on(dir: &Path, asked: Asked, subject: &Subject, settings: Settings, how: &How) -> Result<u8, Exit> {
     let other = compared_with(&asked)?.map(|(_, record)| record);
     let mut record = Record::begun(&settings.provenance).map_err(refused)?;
-    let provenance = provenance(cell, settings.provenance.space)?;
+    let provenance = subject.provenance(settings.provenance.space)?;
     let mut trouble = None;
     let completion = {
         let mut look = Look { asked: &asked, other: other.as_ref(), record: &mut record, trouble: &mut trouble };
-        how.carry(cell, |crew, events| {
-            robogate_campaign::resume_in_rounds(dir, &provenance, crew, events, &mut |round| look.after(round))
+        how.carry(subject, |executor, events| {
+            robogate_campaign::resume_in_rounds(dir, &provenance, executor, events, &mut |round| look.after(round))
         })
     };
     finish(dir, &asked, other.as_ref(), trouble, completion?, how.json)

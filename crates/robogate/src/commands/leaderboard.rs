@@ -4,8 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use robogate_gate::{Baseline, Leaderboard, Record, Requirements};
-use robogate_report::{Source, leaderboard_html, leaderboard_markdown};
+use robogate_analysis::Source;
+use robogate_core::TaskSpec;
+use robogate_gate::{Baseline, GateError, Leaderboard, Record, Requirements};
+use robogate_report::{leaderboard_html, leaderboard_markdown};
 
 use crate::commands::gate::built_in_baseline;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
@@ -17,9 +19,9 @@ pub(crate) struct Rank {
     /// Runs' folders or dictionaries; NAME=PATH gives one a name of its own
     #[arg(required = true, value_name = "RUN")]
     runs: Vec<String>,
-    /// Whose score: a built-in set of requirements or a file (TOML)
-    #[arg(long, value_name = "NAME|FILE", default_value = "paper")]
-    requirements: String,
+    /// The requirements whose score ranks: a built-in set or a file (TOML); default: paper for pick_place, else default
+    #[arg(long, value_name = "NAME|FILE")]
+    requirements: Option<String>,
     /// The baseline that the score refers to; default: the one that comes with the suite and the robot
     #[arg(long, value_name = "FILE")]
     baseline: Option<PathBuf>,
@@ -46,13 +48,15 @@ enum Form {
 
 impl Rank {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let requirements = Requirements::open(&self.requirements).or_usage()?;
         let mut entries = Vec::new();
         for run in &self.runs {
             let (name, path) = named(run);
             let source = Source::open(&path).or_usage()?;
             entries.push((name, Record::of(source.dictionary()).or_broken()?));
         }
+        let first =
+            entries.first().ok_or_else(|| anyhow::anyhow!("a leaderboard needs at least one run")).or_usage()?;
+        let requirements = self.requirements_for(&first.1.task).or_usage()?;
         let baseline = match (&self.baseline, entries.first()) {
             (Some(file), _) => Some(Baseline::open(file).or_usage()?),
             (None, Some((_, first))) => built_in_baseline(first),
@@ -79,6 +83,17 @@ impl Rank {
         }
         Ok(if board.standings.iter().any(|s| s.valid > 0) { DONE } else { INVALID })
     }
+
+    fn requirements_for(&self, task: &TaskSpec) -> Result<Requirements, GateError> {
+        if let Some(name) = &self.requirements {
+            return Requirements::open(name, task);
+        }
+        let paper = Requirements::open("paper", task)?;
+        match paper.task.as_deref().is_none_or(|name| task.name == name) {
+            true => Ok(paper),
+            false => Requirements::open("default", task),
+        }
+    }
 }
 
 /// NAME=PATH, or a path by its last part.
@@ -98,7 +113,7 @@ fn print(board: &Leaderboard) {
     line("");
     let wide = board.standings.iter().map(|s| s.name.chars().count()).max().unwrap_or(6).max(6);
     line(dim(format_args!(
-        "  rank (95 %)   {:<wide$}  score  {:<24}  95 % of draws   success (exact 95 % interval)",
+        "  rank (95 %)   {:<wide$}  score  {:<24}  95 % (bootstrap) success (exact 95 % interval)",
         "policy", ""
     )));
     for s in &board.standings {
@@ -108,7 +123,7 @@ fn print(board: &Leaderboard) {
             (None, _) => "-".to_owned(),
         };
         let score = s.score.points.map_or_else(|| "-".to_owned(), |p| format!("{p:.1}"));
-        let drawn = s.score_95.map_or_else(|| "no spread".to_owned(), |[l, h]| format!("{l:.1} to {h:.1}"));
+        let interval = s.score_95.map_or_else(|| "no interval".to_owned(), |[l, h]| format!("{l:.1} to {h:.1}"));
         let success = if s.valid > 0 {
             let [low, high] = s.success_95;
             format!(
@@ -123,7 +138,7 @@ fn print(board: &Leaderboard) {
             "no valid episode".to_owned()
         };
         let bar = bar(s.score.points.unwrap_or(0.0) / 100.0, 24);
-        line(format_args!("  {rank:<12}  {:<wide$}  {score:>5}  {bar}  {drawn:<14}  {success}", s.name));
+        line(format_args!("  {rank:<12}  {:<wide$}  {score:>5}  {bar}  {interval:<14}  {success}", s.name));
         if !s.endings.is_empty() {
             let endings: Vec<String> =
                 s.endings.iter().map(|e| format!("{} {}", e.ending.replace('_', " "), e.episodes)).collect();
@@ -132,7 +147,9 @@ fn print(board: &Leaderboard) {
     }
     line("");
     line(dim(
-        "  The score summarises observed figures (the paper's appendix E). Draws: scenarios anew, within each category, the same",
+        "  The score summarises observed figures (the paper's appendix E). Bootstrap: scenarios within each category, the same",
     ));
-    line(dim("  for every policy. \"no spread\": resampling cannot tell; it does not mean that there is no doubt."));
+    line(dim(
+        "  for every policy. \"no interval\": all replicates are equal, which does not mean that the score is exact.",
+    ));
 }

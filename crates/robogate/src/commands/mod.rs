@@ -12,6 +12,7 @@ pub(crate) mod gate;
 pub(crate) mod import;
 pub(crate) mod keys;
 pub(crate) mod leaderboard;
+pub(crate) mod list;
 pub(crate) mod monitor;
 pub(crate) mod policy;
 pub(crate) mod replay;

@@ -1,22 +1,22 @@
-//! `robogate policy`: profiles of policy servers, and a look at a server before anything is judged.
+//! `robogate policy`: profiles of external policies, and checks of a policy before a run.
 
 use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::anyhow;
 use clap::{Args, Subcommand};
-use robogate_bridge::policy::{Arm, Chunk, Profile, ServerError, ServerPolicy, Side};
-use robogate_campaign::{Station, Workshop};
-use robogate_core::{Assignment, FaultKind, GripperCommand, Image, Observation, Scenario, Seed, Simulator};
+use robogate_campaign::{Worker, WorkerFactory};
+use robogate_core::{Action, Assignment, Environment, FaultKind, Image, Observation, Scenario, Seed};
 use robogate_physics::SuctionLaw;
+use robogate_policy::{Arm, Chunk, ExternalPolicy, PolicyError, Profile, Side};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
-use crate::guest::{profile, refused};
+use crate::policy_source::{policy_error, profile};
+use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{bold, foreign, line, note};
-use crate::world::{Cell, WorldArguments};
 
-/// List the profiles of policies, or probe one.
+/// List the profiles of policies, or check a policy.
 #[derive(Debug, Args)]
 pub(crate) struct Policies {
     #[command(subcommand)]
@@ -25,31 +25,32 @@ pub(crate) struct Policies {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// List the built-in profiles, or show one as the start of your own
+    /// List the built-in profiles, or print one as a template
     Profiles {
-        /// Print this profile (TOML)
+        /// Print this profile as TOML
         name: Option<String>,
         /// Print one JSON document
         #[arg(long)]
         json: bool,
     },
-    /// Probe a policy server or an ONNX file: what it says of itself, shapes, repeatability, latency, and whether its actions mean what the
-    /// profile says; exit code 1 if something looks wrong
+    /// Check a policy server or an ONNX file against a profile: metadata, shapes, latency, determinism, size and direction
+    /// of the actions. Exit codes: 0 no problems, 1 problems found, 2 wrong usage or mismatch, 5 no answer
     Check(Box<Check>),
 }
 
 #[derive(Debug, Args)]
 struct Check {
-    /// The server's address, such as ws://127.0.0.1:8000, or an ONNX file
+    /// Address of the server, such as ws://127.0.0.1:8000, or path of an ONNX file
+    #[arg(value_name = "URL|FILE")]
     url: String,
-    /// What its model sees and how its answers are meant: a built-in profile, or a file of your own (TOML)
+    /// Observation and action mapping of the policy: a built-in profile (robogate policy profiles), or a TOML file
     #[arg(long, value_name = "NAME|FILE")]
     profile: String,
-    /// How often the same question is asked
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..))]
-    questions: u32,
+    /// Number of requests with the same observation (at least 2)
+    #[arg(long, alias = "questions", value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..))]
+    requests: u32,
     #[command(flatten)]
-    world: WorldArguments,
+    environment: EnvironmentArguments,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -59,7 +60,7 @@ impl Policies {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         match &self.what {
             What::Profiles { name: Some(name), json: false } => {
-                let text = Profile::built_in(name).ok_or_else(|| anyhow!("there is no profile `{name}`")).or_usage()?;
+                let text = Profile::built_in(name).ok_or_else(|| unknown_profile(name)).or_usage()?;
                 line(text.trim_end());
                 Ok(DONE)
             }
@@ -69,11 +70,17 @@ impl Policies {
     }
 }
 
+/// The error for a name that is not a built-in profile.
+fn unknown_profile(name: &str) -> anyhow::Error {
+    let known = Profile::built_in_names().collect::<Vec<_>>().join(", ");
+    anyhow!("unknown profile `{name}`. Expected one of: {known}")
+}
+
 fn profiles(name: Option<&str>, json: bool) -> Result<u8, Exit> {
     let names = Profile::built_in_names().filter(|known| name.is_none_or(|name| name == *known));
     let profiles = names.map(profile).collect::<anyhow::Result<Vec<_>>>().or_broken()?;
     if let ([], Some(name)) = (&*profiles, name) {
-        return Err(anyhow!("there is no profile `{name}`")).or_usage();
+        return Err(unknown_profile(name)).or_usage();
     }
     if json {
         line(json!({"version": 1, "profiles": profiles}));
@@ -83,185 +90,188 @@ fn profiles(name: Option<&str>, json: bool) -> Result<u8, Exit> {
         line(format_args!("{}  {}", bold(format_args!("{:<18}", p.name)), p.model));
         let cameras: Vec<&str> = p.cameras.iter().map(|camera| camera.from.as_str()).collect();
         line(format_args!(
-            "{:<20}{} at {}, cameras {}, {} numbers, executes {} of {}",
+            "{:<20}{} at {}, cameras {}, {} numbers per action, executes {} of {} actions",
             "",
             p.dialect.name(),
             p.dialect.address(),
             cameras.join(" and "),
             p.action.size,
             p.chunk.execute,
-            p.chunk.length.map_or_else(|| "as many as come".to_owned(), |n| n.to_string())
+            p.chunk.length.map_or_else(|| "all".to_owned(), |n| n.to_string())
         ));
     }
     Ok(DONE)
 }
 
-/// What a probe found.
+/// Results of a check.
 struct Findings {
-    figures: Vec<(&'static str, String)>,
-    complaints: Vec<String>,
+    /// Names and values of properties.
+    properties: Vec<(&'static str, String)>,
+    /// Descriptions of problems.
+    problems: Vec<String>,
 }
 
 impl Check {
     fn execute(&self) -> Result<u8, Exit> {
         let profile = Arc::new(profile(&self.profile).or_usage()?);
-        let cell = self.world.cell(SuctionLaw::Vacuum)?;
-        let cell = profile.rendered_px.into_iter().fold(cell, Cell::with_pictures_of);
-        let mut found = Findings { figures: Vec::new(), complaints: Vec::new() };
-        let mut policy = ServerPolicy::connect(&self.url, Arc::clone(&profile)).map_err(refused)?;
-        found.figures.push(("says of itself", foreign(policy.declared())));
-        let mut station = cell.station().or_broken()?;
-        match self.ask(&profile, &mut policy, &mut station, &mut found) {
+        let subject = Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, None)?;
+        let subject = profile.rendered_px.into_iter().fold(subject, Subject::with_pictures_of);
+        let mut found = Findings { properties: Vec::new(), problems: Vec::new() };
+        let mut policy = ExternalPolicy::connect(&self.url, Arc::clone(&profile)).map_err(policy_error)?;
+        found.properties.push(("metadata", foreign(policy.declared())));
+        let mut worker = subject.worker().or_broken()?;
+        match self.infer(&profile, &mut policy, &mut worker, &mut found) {
             Ok(()) => {}
-            // What the server cannot do is what was asked.
-            Err(error @ (ServerError::Shape(_) | ServerError::NotFinite { .. } | ServerError::Refused { .. })) => {
-                found.complaints.push(error.to_string());
+            // These errors are results of the check.
+            Err(error @ (PolicyError::Shape(_) | PolicyError::NotFinite { .. } | PolicyError::Reported { .. })) => {
+                found.problems.push(error.to_string());
             }
-            Err(error) => return Err(refused(error)),
+            Err(error) => return Err(policy_error(error)),
         }
-        moves(&profile, &mut *station.simulator, &mut found)?;
+        check_motion(&profile, &mut *worker.environment, &mut found)?;
         if self.json {
-            let figures: serde_json::Map<_, _> =
-                found.figures.iter().map(|(name, value)| ((*name).to_owned(), json!(value))).collect();
+            let properties: serde_json::Map<_, _> =
+                found.properties.iter().map(|(name, value)| ((*name).to_owned(), json!(value))).collect();
             line(json!({
-                "version": 1,
-                "server": self.url,
+                "version": 2,
+                "policy": self.url,
                 "profile": profile.name,
-                "figures": figures,
-                "looks_wrong": found.complaints,
+                "properties": properties,
+                "problems": found.problems,
             }));
         } else {
-            line(bold(format_args!("{} as {}", self.url, profile.name)));
-            found.figures.iter().for_each(|(name, value)| line(format_args!("  {name:<22} {value}")));
-            for complaint in &found.complaints {
-                line(format_args!("{} {}", bold("looks wrong:"), foreign(complaint)));
+            line(bold(format_args!("{} with profile {}", self.url, profile.name)));
+            found.properties.iter().for_each(|(name, value)| line(format_args!("  {name:<22} {value}")));
+            for problem in &found.problems {
+                line(format_args!("{} {}", bold("problem:"), foreign(problem)));
             }
-            if found.complaints.is_empty() {
-                line("nothing looks wrong");
+            if found.problems.is_empty() {
+                line("no problems found");
             }
         }
-        Ok(if found.complaints.is_empty() { DONE } else { FAIL })
+        Ok(if found.problems.is_empty() { DONE } else { FAIL })
     }
 
-    /// The same question again and again: shapes, time, repeatability, size and sign of the answers.
-    fn ask(
+    /// Send the same observation several times: shape, latency, determinism, size and sign of the actions.
+    fn infer(
         &self,
         profile: &Profile,
-        policy: &mut ServerPolicy,
-        station: &mut Station,
+        policy: &mut ExternalPolicy,
+        worker: &mut Worker,
         found: &mut Findings,
-    ) -> Result<(), ServerError> {
-        let cannot = |why: String| ServerError::Observation(why);
-        let start = station.simulator.reset(&nominal()).map_err(|fault| cannot(fault.to_string()))?;
+    ) -> Result<(), PolicyError> {
+        let cannot = |why: String| PolicyError::Observation(why);
+        let start = worker.environment.reset(&nominal()).map_err(|fault| cannot(fault.to_string()))?;
         let mut observation = start.observation;
         if !profile.cameras.is_empty() {
-            observation.images = match station.simulator.render() {
+            observation.images = match worker.environment.render() {
                 Ok(images) => images,
                 Err(fault) if fault.kind == FaultKind::Setup => {
-                    note(format_args!("the pictures are grey: {fault}"));
+                    note(format_args!("note: the images are grey, because the cameras cannot be rendered: {fault}"));
                     grey(profile)
                 }
                 Err(fault) => return Err(cannot(fault.to_string())),
             };
         }
-        policy.begin(&start.task.instruction)?;
+        policy.begin(&start.instance.instruction)?;
         let (first, first_s) = timed(policy, &observation)?;
         let mut later = Vec::new();
         let mut different = 0;
-        for _ in 1..self.questions {
-            policy.begin(&start.task.instruction)?;
+        for _ in 1..self.requests {
+            policy.begin(&start.instance.instruction)?;
             let (chunk, seconds) = timed(policy, &observation)?;
             different += u32::from(chunk != first);
             later.push(seconds);
         }
         later.sort_by(f64::total_cmp);
         let (rows, size) = (first.rows().len(), profile.action.size);
-        found.figures.push(("answers", format!("{rows} actions of {size} numbers")));
+        found.properties.push(("actions", format!("{rows} actions of {size} numbers")));
         let median = later[later.len() / 2];
         let longest = later.last().copied().unwrap_or_default();
-        found.figures.push((
+        found.properties.push((
             "latency",
             format!(
-                "{:.1} ms at first, then {:.1} ms (median), {:.1} ms at most",
+                "first {:.1} ms, then {:.1} ms (median), {:.1} ms (maximum)",
                 1e3 * first_s,
                 1e3 * median,
                 1e3 * longest
             ),
         ));
-        found.figures.push((
-            "repeatable",
+        found.properties.push((
+            "deterministic",
             if different == 0 {
-                "the same question gets the same answer".to_owned()
+                "yes: the same observation gives the same actions".to_owned()
             } else {
                 format!(
-                    "no: {different} of {} answers to the same question differ; replays will too",
-                    self.questions - 1
+                    "no: {different} of {} replies to the same observation differ, so replays will differ too",
+                    self.requests - 1
                 )
             },
         ));
-        meaning(profile, &first, &observation, found);
+        check_actions(profile, &first, &observation, found);
         Ok(())
     }
 }
 
-/// What is to be seen in the numbers of an answer to an open gripper that is far above the object.
-fn meaning(profile: &Profile, chunk: &Chunk, observation: &Observation, found: &mut Findings) {
+/// Check the actions for an observation with an open gripper far above the object.
+fn check_actions(profile: &Profile, chunk: &Chunk, observation: &Observation, found: &mut Findings) {
     let form = &profile.action;
     let arms = || chunk.rows().iter().filter_map(|row| row.split_last());
     let largest = arms().flat_map(|(_, arm)| arm).fold(0.0_f64, |largest, n| largest.max(n.abs()));
-    found.figures.push(("largest arm number", format!("{largest:.4}")));
+    found.properties.push(("largest arm value", format!("{largest:.4}")));
     if form.arm != Arm::JointPositions {
         if largest == 0.0 {
-            found.complaints.push("every number for the arm is zero: it would never move".to_owned());
+            found.problems.push("all numbers for the arm are zero, so that it would never move".to_owned());
         } else if largest * form.position_scale_m < 1e-4 && form.arm == Arm::ToolDelta {
-            found.complaints.push(format!(
-                "the largest number for the arm is {largest:.4}: with action.position_scale_m = {} it moves less than 0.1 mm a \
-                 step; does the model answer in metres (a scale of 1)?",
+            found.problems.push(format!(
+                "the largest number for the arm is {largest:.4}. With action.position_scale_m = {} the tool moves less than \
+                 0.1 mm per step. If the model answers in metres, set the scale to 1",
                 form.position_scale_m
             ));
         } else if form.clip.is_some_and(|clip| largest > 10.0 * clip) {
-            found.complaints.push(format!(
-                "the largest number for the arm is {largest:.1}, ten times what action.clip leaves of it: is this the right scale?"
+            found.problems.push(format!(
+                "the largest number for the arm is {largest:.1}, more than ten times action.clip. Check the scale of the actions"
             ));
         }
     }
     let grippers: Vec<f64> = arms().map(|(gripper, _)| *gripper).collect();
     let low = grippers.iter().copied().fold(f64::INFINITY, f64::min);
     let high = grippers.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    found.figures.push(("gripper numbers", format!("{low:.3} to {high:.3}, threshold {}", form.gripper_threshold)));
-    let joints = &observation.joint_positions;
+    let Some(threshold) = form.gripper_threshold else { return };
+    found.properties.push(("gripper values", format!("{low:.3} to {high:.3}, threshold {threshold}")));
+    let joints = observation.joint_positions();
     let first = chunk.rows().first().map(|row| form.action(row, joints));
-    if matches!(&first, Some(Ok(action)) if action.gripper == GripperCommand::Close) {
-        found.complaints.push(format!(
-            "with the gripper open and far from the object the first action closes it ({}): is action.gripper_open the right \
-             side of action.gripper_threshold = {}?",
+    if matches!(&first, Some(Ok(action)) if action.gripper == Some(Action::CLOSE)) {
+        found.problems.push(format!(
+            "the first action closes the gripper ({}) although it is open and far from the object. Check \
+             action.gripper_open and action.gripper_threshold = {threshold}",
             grippers.first().copied().unwrap_or_default(),
-            form.gripper_threshold
         ));
     }
     if let Some(Err(error)) = first {
-        found.complaints.push(error.to_string());
+        found.problems.push(error.to_string());
     }
 }
 
-/// Whether the profile's actions do in this cell what they say: each way along its axis, open opens, close closes.
-fn moves(profile: &Profile, simulator: &mut dyn Simulator, found: &mut Findings) -> Result<(), Exit> {
+/// Check the effect of the profile's actions in the cell: translations along each axis, opening and closing the gripper.
+fn check_motion(profile: &Profile, environment: &mut dyn Environment, found: &mut Findings) -> Result<(), Exit> {
     const TICKS: u32 = 10;
     let form = &profile.action;
-    let (open, close) = match form.gripper_open {
-        Side::Above => (form.gripper_threshold + 1.0, form.gripper_threshold - 1.0),
-        Side::Below => (form.gripper_threshold - 1.0, form.gripper_threshold + 1.0),
+    let (Some(threshold), Some(side)) = (form.gripper_threshold, form.gripper_open) else { return Ok(()) };
+    let (open, close) = match side {
+        Side::Above => (threshold + 1.0, threshold - 1.0),
+        Side::Below => (threshold - 1.0, threshold + 1.0),
     };
     let mut run = |arm: &dyn Fn(&Observation) -> Vec<f64>, gripper: f64, ticks: u32| -> Result<_, Exit> {
-        let before = simulator.reset(&nominal()).or_broken()?.observation;
+        let before = environment.reset(&nominal()).or_broken()?.observation;
         let mut after = before.clone();
         for _ in 0..ticks {
             let mut raw = arm(&before);
             raw.push(gripper);
-            let action = form.action(&raw, &after.joint_positions).map_err(refused)?;
-            let step = simulator.step(&action).or_broken()?;
+            let action = form.action(&raw, after.joint_positions()).map_err(policy_error)?;
+            let step = environment.step(&action).or_broken()?;
             after = step.observation;
-            // Closing on nothing ends an episode.
+            // Closing the gripper on nothing ends the episode.
             if step.ending.is_some() {
                 break;
             }
@@ -274,41 +284,48 @@ fn moves(profile: &Profile, simulator: &mut dyn Simulator, found: &mut Findings)
         {
             let one = |_: &Observation| (0..6).map(|i| f64::from(i == axis)).collect();
             let (before, after) = run(&one, open, TICKS)?;
-            let way: Vec<f64> =
-                after.tool_pose.position.iter().zip(before.tool_pose.position).map(|(a, b)| a - b).collect();
-            let told = f64::from(TICKS) * form.clip.unwrap_or(1.0).min(1.0) * form.position_scale_m;
-            let mm: Vec<String> = way.iter().map(|m| format!("{:+.1}", 1e3 * m)).collect();
-            found.figures.push((name, format!("{} mm in {TICKS} steps, told {:.1}", mm.join(", "), 1e3 * told)));
-            let aside = way.iter().enumerate().filter(|(i, _)| *i != axis).map(|(_, m)| m.abs()).fold(0.0, f64::max);
-            if way[axis] <= 0.0 || aside > way[axis] {
-                found
-                    .complaints
-                    .push(format!("an action along {} does not move the tool that way", ["+x", "+y", "+z"][axis]));
+            let moved: Vec<f64> = position(&after).iter().zip(position(&before)).map(|(a, b)| a - b).collect();
+            let commanded = f64::from(TICKS) * form.clip.unwrap_or(1.0).min(1.0) * form.position_scale_m;
+            let mm: Vec<String> = moved.iter().map(|m| format!("{:+.1}", 1e3 * m)).collect();
+            found
+                .properties
+                .push((name, format!("{} mm in {TICKS} steps, commanded {:.1} mm", mm.join(", "), 1e3 * commanded)));
+            let aside = moved.iter().enumerate().filter(|(i, _)| *i != axis).map(|(_, m)| m.abs()).fold(0.0, f64::max);
+            if moved[axis] <= 0.0 || aside > moved[axis] {
+                found.problems.push(format!(
+                    "an action along {} does not move the tool in this direction",
+                    ["+x", "+y", "+z"][axis]
+                ));
             }
         }
     }
     let hold = |observation: &Observation| match form.arm {
-        Arm::JointPositions => observation.joint_positions.clone(),
+        Arm::JointPositions => observation.joint_positions().to_vec(),
         _ => vec![0.0; form.size - 1],
     };
-    let opening = |observation: &Observation| observation.gripper_opening_m;
+    let opening = Observation::gripper_opening_m;
     if let (Some(opened), Some(closed)) = (opening(&run(&hold, open, 40)?.1), opening(&run(&hold, close, 40)?.1)) {
-        found.figures.push((
+        found.properties.push((
             "gripper opens to",
-            format!("{:.1} mm at {open}, closes to {:.1} mm at {close}", 1e3 * opened, 1e3 * closed),
+            format!("{:.1} mm with {open}, closes to {:.1} mm with {close}", 1e3 * opened, 1e3 * closed),
         ));
         if opened <= closed {
-            found.complaints.push("what the profile calls open does not open the gripper".to_owned());
+            found.problems.push("action.gripper_open of the profile does not open the gripper".to_owned());
         }
     }
     Ok(())
+}
+
+/// Position of the tool, in metres.
+fn position(observation: &Observation) -> [f64; 3] {
+    observation.tool_pose().map_or([f64::NAN; 3], |pose| pose.position)
 }
 
 fn nominal() -> Scenario {
     Scenario { index: 0, seed: Seed::campaign(0).episode(0), requested: Assignment::default() }
 }
 
-/// Pictures without anything to see.
+/// Grey images for the cameras of the profile.
 fn grey(profile: &Profile) -> Vec<Image> {
     let mut images: Vec<Image> = Vec::new();
     for camera in &profile.cameras {
@@ -320,8 +337,8 @@ fn grey(profile: &Profile) -> Vec<Image> {
     images
 }
 
-fn timed(policy: &mut ServerPolicy, observation: &Observation) -> Result<(Chunk, f64), ServerError> {
+fn timed(policy: &mut ExternalPolicy, observation: &Observation) -> Result<(Chunk, f64), PolicyError> {
     let start = Instant::now();
-    let chunk = policy.ask(observation)?;
+    let chunk = policy.infer(observation)?;
     Ok((chunk, start.elapsed().as_secs_f64()))
 }

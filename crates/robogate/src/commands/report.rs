@@ -1,27 +1,28 @@
-//! `robogate report`: a dictionary as a page that people want to open.
+//! `robogate report`: a run or a dictionary as one page.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use robogate_report::{Analysis, Source, html, markdown};
+use robogate_analysis::{Analysis, Source};
+use robogate_report::{analysis_json, html, markdown};
 
 use crate::commands::analyze::{analyse, pairs};
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::terminal::{line, note};
 
-/// Write a run or a dictionary as one page: where the policy fails, how sure that is, what to do.
+/// Write a run or a dictionary as one page: where the policy fails, what to do, and the confidence intervals.
 #[derive(Debug, Args)]
 pub(crate) struct Report {
     /// A run's folder, a dictionary (Parquet) or a published JSON dictionary
     dictionary: PathBuf,
-    /// The form
+    /// Format of the page
     #[arg(long, value_name = "FORMAT", default_value = "html")]
     format: Form,
-    /// The file to write, - for stdout; default: report.html, .md or .json in the run's folder, of a file here
+    /// File to write, - for stdout; default: report.html, .md or .json in the run's folder, or here for a file
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Two more parameters to map against each other; the first is drawn upwards
+    /// Map two more parameters; the first is on the vertical axis
     #[arg(long, num_args = 2, value_names = ["A", "B"])]
     pair: Vec<String>,
 }
@@ -35,7 +36,7 @@ enum Form {
     Html,
     /// The same content as Markdown
     Md,
-    /// The same figures as one versioned document
+    /// One versioned JSON document
     Json,
 }
 
@@ -46,7 +47,7 @@ impl Report {
         let (text, ending) = match self.format {
             Form::Html => (html(&analysis), "html"),
             Form::Md => (markdown(&analysis), "md"),
-            Form::Json => (analysis.to_json(), "json"),
+            Form::Json => (analysis_json(&analysis), "json"),
         };
         match &self.out {
             Some(out) if out.as_os_str() == "-" => line(text.trim_end()),

@@ -1,4 +1,4 @@
-//! `robogate resume`: go on where a campaign was interrupted.
+//! `robogate resume`: continue an interrupted campaign.
 
 use std::path::PathBuf;
 
@@ -6,12 +6,12 @@ use clap::Args;
 use robogate_gate::Asked;
 
 use crate::commands::gate;
-use crate::commands::run::{How, provenance};
+use crate::commands::run::How;
 use crate::exit::{Exit, OrExit};
-use crate::far::Simulators;
-use crate::world::Cell;
+use crate::remote::Simulators;
+use crate::subject::Subject;
 
-/// Go on with an interrupted campaign.
+/// Resume an interrupted campaign.
 #[derive(Debug, Args)]
 pub(crate) struct Resume {
     /// The run's folder
@@ -25,12 +25,13 @@ pub(crate) struct Resume {
 impl Resume {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
-        let cell = Cell::recorded(&settings.provenance, &self.simulators)?.asked_again()?;
+        let subject = Subject::recorded(&settings.provenance, &self.simulators)?;
         if let Some(asked) = Asked::of(&self.dir).or_usage()? {
-            return gate::go_on(&self.dir, asked, &cell, settings, &self.how);
+            return gate::go_on(&self.dir, asked, &subject, settings, &self.how);
         }
-        let provenance = provenance(&cell, settings.provenance.space)?;
-        self.how
-            .conduct(&self.dir, &cell, |crew, events| robogate_campaign::resume(&self.dir, &provenance, crew, events))
+        let provenance = subject.provenance(settings.provenance.space)?;
+        self.how.conduct(&self.dir, &subject, |executor, events| {
+            robogate_campaign::resume(&self.dir, &provenance, executor, events)
+        })
     }
 }

@@ -7,18 +7,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::anyhow;
 use clap::Args;
-use robogate_campaign::{Completion, Crew, DEFAULT_SEED, Event, Plan, Preset, RunError};
+use robogate_campaign::{Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, ThreadPool};
 use robogate_core::{FaultKind, ParameterSpace};
-use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool};
+use robogate_dictionary::Provenance;
 use robogate_physics::SuctionLaw;
 
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
-use crate::guest::PolicyArguments;
+use crate::policy_source::PolicyArguments;
 use crate::progress::Progress;
+use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
 use crate::terminal::{grouped, note};
-use crate::world::{Cell, WorldArguments};
 
 /// Find where the policy fails: a campaign over the operating space, then near the failure boundary.
 #[derive(Debug, Args)]
@@ -45,7 +45,7 @@ pub(crate) struct Run {
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
     #[command(flatten)]
-    world: WorldArguments,
+    environment: EnvironmentArguments,
     #[command(flatten)]
     policy: PolicyArguments,
     #[command(flatten)]
@@ -71,12 +71,10 @@ impl Run {
         // The paper's surface gripper is the paper's: elsewhere a cup holds what it can hold.
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
-        let cell = self.world.cell(if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum })?;
-        let cell = cell.with_policy(self.policy.guest()?);
-        let robot = Path::new(&cell.world().robot).file_name();
-        let robot = robot.map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        let (plan, space) = self.plan_and_space(&cell)?;
-        let provenance = provenance(&cell, space)?;
+        let suction = if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum };
+        let subject = Subject::new(self.environment.environment(suction)?, self.policy.source()?)?;
+        let (plan, space) = self.plan_and_space(&subject)?;
+        let provenance = subject.provenance(space)?;
         let dir = match &self.out {
             Some(dir) => dir.clone(),
             None => {
@@ -84,18 +82,15 @@ impl Run {
                     Some(stage) => Some(stage.suite.name().into()),
                     None => self.plan.as_deref().and_then(Path::file_stem).map(|s| s.to_string_lossy()),
                 };
-                free_folder(&format!("{robot}-{}-{}", plan_name.as_deref().unwrap_or(&self.preset), plan.seed))
+                free_folder(&format!(
+                    "{}-{}-{}",
+                    subject.label(),
+                    plan_name.as_deref().unwrap_or(&self.preset),
+                    plan.seed
+                ))
             }
         };
-        note(format_args!(
-            "RoboGate {}: {} in {} {}, {} policy, seed {}",
-            env!("CARGO_PKG_VERSION"),
-            provenance.robot.name,
-            provenance.engine.name,
-            provenance.engine.version.as_deref().unwrap_or_default(),
-            provenance.policy,
-            plan.seed
-        ));
+        introduce(&provenance, plan.seed);
         match &plan.suite {
             Some(stage) => note(format_args!(
                 "{} {}: {} scenarios, {} episodes, into {}",
@@ -112,20 +107,22 @@ impl Run {
                 dir.display()
             )),
         }
-        self.how.conduct(&dir, &cell, |crew, events| robogate_campaign::start(&dir, &plan, provenance, crew, events))
+        self.how.conduct(&dir, &subject, |executor, events| {
+            robogate_campaign::start(&dir, &plan, provenance, executor, events)
+        })
     }
 
     /// What to run, and over which parameters.
-    fn plan_and_space(&self, cell: &Cell) -> Result<(Plan, ParameterSpace), Exit> {
+    fn plan_and_space(&self, subject: &Subject) -> Result<(Plan, ParameterSpace), Exit> {
         if let Some(name) = &self.suite {
             let suite = suites::find(name)?;
-            cell.check_suite(&suite).or_usage()?;
+            subject.check_suite(&suite).or_usage()?;
             let space = suite.space().clone();
             let plan = Plan::of_suite(suite, self.rounds, self.seed.unwrap_or(DEFAULT_SEED));
             plan.check(&space).or_usage()?;
             return Ok((plan, space));
         }
-        let space = cell.space(self.space.as_deref()).or_usage()?;
+        let space = subject.space(self.space.as_deref()).or_usage()?;
         let mut plan = match &self.plan {
             Some(file) => Plan::load(file).or_usage()?,
             None => {
@@ -147,16 +144,20 @@ impl Run {
 }
 
 impl How {
-    /// Gives `work` a crew that Ctrl-C asks to stop.
-    pub(crate) fn with_crew<T>(&self, cell: &Cell, work: impl FnOnce(&Crew<'_>) -> Result<T, Exit>) -> Result<T, Exit> {
+    /// Gives `work` a thread pool that Ctrl-C stops.
+    pub(crate) fn with_pool<T>(
+        &self,
+        subject: &Subject,
+        work: impl FnOnce(&ThreadPool<'_>) -> Result<T, Exit>,
+    ) -> Result<T, Exit> {
         let wanted = self
             .threads
-            .or_else(|| cell.servers())
+            .or_else(|| subject.servers())
             .or_else(|| std::thread::available_parallelism().ok())
             .unwrap_or(NonZeroUsize::MIN);
-        let threads = cell.at_most().map_or(wanted, |limit| limit.min(wanted));
+        let threads = subject.at_most().map_or(wanted, |limit| limit.min(wanted));
         if self.threads.is_some() && threads < wanted {
-            note(format_args!("{threads} thread: the policy server keeps one state for all who ask"));
+            note(format_args!("{threads} thread: the policy server keeps one state for all clients"));
         }
         let stop = Arc::new(AtomicBool::new(false));
         let asked = Arc::clone(&stop);
@@ -167,29 +168,29 @@ impl How {
             note("\nstopping after the episodes in flight (once more: at once) ...");
         })
         .or_broken()?;
-        work(&Crew { workshop: cell, threads, stop: &stop })
+        work(&ThreadPool { factory: subject, threads, stop: &stop })
     }
 
     /// Runs a campaign by `work` and shows its progress.
     pub(crate) fn carry(
         &self,
-        cell: &Cell,
-        work: impl FnOnce(&Crew<'_>, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
+        subject: &Subject,
+        work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
     ) -> Result<Completion, Exit> {
-        self.with_crew(cell, |crew| {
+        self.with_pool(subject, |pool| {
             let mut progress = Progress::new();
             let mut lost = Lost::default();
-            let completion = work(crew, &mut |event| {
-                if cell.world().policy.is_some() && lost.hear(event) {
-                    crew.stop.store(true, Ordering::Relaxed);
+            let completion = work(pool, &mut |event| {
+                if subject.policy_source().is_some() && lost.hear(event) {
+                    pool.stop.store(true, Ordering::Relaxed);
                 }
                 progress.hear(event);
             })
             .map_err(exit)?;
             match (completion, lost.why) {
                 (Completion::Interrupted { .. }, Some(fault)) => Err(anyhow!(
-                    "stopped: {UNAVAILABLE_IN_A_ROW} episodes in a row were invalid, the last by {fault}; what is recorded \
-                     stays, and `robogate resume` goes on"
+                    "stopped: {UNAVAILABLE_IN_A_ROW} episodes in a row were invalid, the last because of {fault}\n  hint: the recorded \
+                     episodes are kept; continue with `robogate resume`"
                 ))
                 .or_broken(),
                 (completion, _) => Ok(completion),
@@ -201,10 +202,10 @@ impl How {
     pub(crate) fn conduct(
         &self,
         dir: &Path,
-        cell: &Cell,
-        work: impl FnOnce(&Crew<'_>, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
+        subject: &Subject,
+        work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
     ) -> Result<u8, Exit> {
-        let completion = self.carry(cell, work)?;
+        let completion = self.carry(subject, work)?;
         match completion {
             Completion::Finished { summary, boundary } => {
                 write_report(dir);
@@ -284,22 +285,19 @@ pub(crate) fn exit(error: RunError) -> Exit {
     Exit { code, error: error.into() }
 }
 
-/// With what a campaign is run: all that its results depend on, beside the plan.
-pub(crate) fn provenance(cell: &Cell, space: ParameterSpace) -> Result<Provenance, Exit> {
-    let (engine, robot) = cell.provenance().or_broken()?;
-    Ok(Provenance {
-        tool: Tool::robogate(),
-        schema_version: SCHEMA_VERSION,
-        engine,
-        robot,
-        policy: cell.policy().to_owned(),
-        world: serde_json::to_value(cell.world()).or_broken()?,
-        space,
-        plan: serde_json::Value::Null,
-        seed: 0,
-        platform: Some(Platform::here()),
-        source: None,
-    })
+/// Says what is about to run.
+pub(crate) fn introduce(provenance: &Provenance, seed: u64) {
+    let (task, robot) = (provenance.task.name, &provenance.robot.name);
+    // An environment without a robot of its own is named after its task.
+    let robot = if task == *robot.as_str() { String::new() } else { format!(" on {robot}") };
+    note(format_args!(
+        "RoboGate {}: {}{robot} in {} {}, {} policy, seed {seed}",
+        env!("CARGO_PKG_VERSION"),
+        provenance.task.name,
+        provenance.engine.name,
+        provenance.engine.version.as_deref().unwrap_or_default(),
+        provenance.policy,
+    ));
 }
 
 /// A folder under `runs/` that is not there yet.

@@ -1,57 +1,61 @@
-//! `robogate serve`: our engines behind the bridge protocol.
+//! `robogate serve`: a built-in engine as a server of the bridge protocol.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::anyhow;
 use clap::Args;
-use robogate_bridge::simulator::bounds::REQUEST;
-use robogate_bridge::simulator::{Host, Judging, Server};
-use robogate_bridge::zmtp::{Address, Replier, ZmtpError};
 use robogate_physics::SuctionLaw;
+use robogate_remote::limits::REQUEST;
+use robogate_remote::{EnvironmentHost, Host, Server};
+use robogate_zmtp::{Address, Replier, ZmtpError};
 use serde_json::json;
 
 use crate::commands::run::stop_at_once;
 use crate::exit::{DONE, Exit, OrExit, USAGE};
+use crate::subject::{EnvironmentArguments, EnvironmentSource};
 use crate::terminal::{line, note};
-use crate::world::WorldArguments;
 
-/// Put the cell behind a socket, for a policy or a script of your own (bridges/PROTOCOL.md).
+/// Serve a built-in environment to other programs over the bridge protocol (bridges/PROTOCOL.md).
 ///
-/// Prints its address as one line of JSON, then answers until Ctrl-C. One episode runs at a time: start one server for each client.
+/// Prints the address as one line of JSON, then answers requests until Ctrl-C. A server runs one episode at a time:
+/// start one for each client.
 #[derive(Debug, Args)]
 pub(crate) struct Serve {
-    /// Where to listen; port 0 or * takes a free one
+    /// Address to listen on; port 0 or * takes a free one
     #[arg(long, value_name = "ADDRESS", default_value = "tcp://127.0.0.1:5570")]
     bind: Address,
-    /// Listen where other machines reach it, too: the protocol has no authentication
+    /// Allow an address that other machines can reach. The protocol has no authentication
     #[arg(long)]
     allow_remote: bool,
-    /// Judge nothing: be told the cell and report what is seen, as the servers under bridges/ do
+    /// Compute physics only: set up the cells that the client sends and report physical states, without a task
     #[arg(long)]
     physics_only: bool,
     #[command(flatten)]
-    world: WorldArguments,
+    environment: EnvironmentArguments,
 }
 
 impl Serve {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         if !self.bind.is_loopback() && !self.allow_remote {
             let why = anyhow!(
-                "{} is reached by other machines and the protocol has no authentication\n  hint: --allow-remote if that \
-                 is meant",
+                "--bind {}: other machines can reach this address, and the protocol has no authentication\n  hint: bind to \
+                 tcp://127.0.0.1:PORT, or add --allow-remote",
                 self.bind
             );
             return Err(why).or_usage();
         }
-        let cell = self.world.cell(SuctionLaw::Vacuum)?;
+        let source = self.environment.environment(SuctionLaw::Vacuum)?;
         if self.physics_only {
-            let host = cell.physics_host().or_usage()?;
-            return self.answer(Server::new(host));
+            let EnvironmentSource::Cell(cell) = &source else {
+                return Err(anyhow!("--physics-only applies to the built-in cell\n  hint: leave out --task"))
+                    .or_usage();
+            };
+            return self.answer(Server::new(cell.physics_host().or_usage()?));
         }
-        let hello = cell.hello().or_usage()?;
-        let simulator = cell.simulator().or_broken()?;
-        self.answer(Server::new(Judging::new(hello, simulator)))
+        let hello = source.hello().or_usage()?;
+        let environment = source.environment().or_broken()?;
+        self.answer(Server::new(EnvironmentHost::new(hello, environment)))
     }
 
     fn answer<H: Host>(&self, mut server: Server<H>) -> Result<u8, Exit> {
@@ -60,18 +64,18 @@ impl Serve {
             why => Exit { code: crate::exit::INFRASTRUCTURE, error: why.into() },
         })?;
         let stop = Arc::new(AtomicBool::new(false));
-        let asked = Arc::clone(&stop);
+        let interrupted = Arc::clone(&stop);
         ctrlc::set_handler(move || {
-            // A client in the middle of something has its time; who asks twice has none.
-            if asked.swap(true, Ordering::Relaxed) {
+            // The first Ctrl-C lets the current request finish, the second one does not.
+            if interrupted.swap(true, Ordering::Relaxed) {
                 stop_at_once();
             }
         })
         .or_broken()?;
         let hello = server.hello();
         note(format_args!(
-            "{} in {} {} on {}; Ctrl-C ends it",
-            hello.robot.name,
+            "serving {} in {} {} on {}; press Ctrl-C to stop",
+            hello.task.name,
             hello.engine.name,
             hello.engine.version,
             replier.address()

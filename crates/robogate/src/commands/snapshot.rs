@@ -1,20 +1,21 @@
 //! `robogate snapshot`: what the cell's cameras show.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use anyhow::anyhow;
 use clap::Args;
 use robogate_camera::{CAMERAS, SIZE_PX};
-use robogate_campaign::{DEFAULT_SEED, Station, Workshop, recorded};
-use robogate_core::{Assignment, Image, Scenario, Seed, Start, Suite, Value};
+use robogate_campaign::{DEFAULT_SEED, Worker, WorkerFactory, recorded};
+use robogate_core::{Assignment, Image, Scenario, Seed, Start, Suite};
 use robogate_physics::SuctionLaw;
 use serde_json::json;
 
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::picture;
+use crate::subject::{EnvironmentArguments, Subject, assignment};
 use crate::terminal::{foreign, line, note};
-use crate::world::{Cell, WorldArguments};
 
 /// Pixels along a picture's side on a sheet, where nothing else is said.
 const ON_SHEET_PX: usize = 144;
@@ -57,7 +58,7 @@ pub(crate) struct Snapshot {
     #[arg(long, requires = "suite", conflicts_with_all = ["case", "run"])]
     sheet: bool,
     #[command(flatten)]
-    world: WorldArguments,
+    environment: EnvironmentArguments,
     /// Where to: a folder, or a sheet's file; default: snapshots, or SUITE.png
     #[arg(long, value_name = "PATH")]
     out: Option<PathBuf>,
@@ -70,37 +71,38 @@ impl Snapshot {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let size = self.size.unwrap_or(if self.sheet { ON_SHEET_PX } else { SIZE_PX });
         if !(1..=LARGEST_PX).contains(&size) {
-            return Err(anyhow!("--size {size}: a picture has 1 to {LARGEST_PX} pixels along a side")).or_usage();
+            return Err(anyhow!("--size {size}: expected 1 to {LARGEST_PX} pixels")).or_usage();
         }
         let mut times = self.at.clone();
         if let Some(wrong) = times.iter().find(|t| !(0.0..=1e6).contains(*t)) {
-            return Err(anyhow!("--at {wrong}: a time is 0 s or later")).or_usage();
+            return Err(anyhow!("--at {wrong}: expected a time of 0 s or later")).or_usage();
         }
         times.sort_by(f64::total_cmp);
-        let cell = match &self.run {
+        let subject = match &self.run {
             Some(dir) => {
-                Cell::recorded(&robogate_campaign::settings(dir).or_usage()?.provenance, &self.world.simulators)?
+                let settings = robogate_campaign::settings(dir).or_usage()?;
+                Subject::recorded(&settings.provenance, &self.environment.simulators)?
             }
-            None => self.world.cell(SuctionLaw::Vacuum)?,
+            None => Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, None)?,
         };
-        let cell = cell.with_pictures_of(size);
+        let subject = subject.with_pictures_of(size);
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         if let Some(suite) = &suite {
-            cell.check_suite(suite).or_usage()?;
+            subject.check_suite(suite).or_usage()?;
         }
         match &suite {
-            Some(suite) if self.sheet => self.sheet(&cell, suite, &times),
-            _ => self.pictures(&cell, suite.as_ref(), &times),
+            Some(suite) if self.sheet => self.sheet(&subject, suite, &times),
+            _ => self.pictures(&subject, suite.as_ref(), &times),
         }
     }
 
     /// One scenario, a file for each camera and time.
-    fn pictures(&self, cell: &Cell, suite: Option<&Suite>, times: &[f64]) -> Result<u8, Exit> {
+    fn pictures(&self, subject: &Subject, suite: Option<&Suite>, times: &[f64]) -> Result<u8, Exit> {
         let (name, scenario) = self.scenario(suite)?;
         let folder = self.out.clone().unwrap_or_else(|| PathBuf::from("snapshots"));
-        let mut station = cell.station().or_broken()?;
+        let mut worker = subject.worker().or_broken()?;
         let mut written = Vec::new();
-        let reached = watch(&mut station, &scenario, times, |time_s, images| {
+        let reached = watch(&mut worker, &scenario, times, |time_s, images| {
             for image in images.into_iter().filter(|image| self.shows(image, None)) {
                 let file = folder.join(format!("{name}-{time_s:.2}s-{}.png", image.camera));
                 picture::write(&file, &image).or_usage()?;
@@ -112,7 +114,7 @@ impl Snapshot {
             Ok(())
         })?;
         if let Some(later) = times.iter().find(|t| **t > reached + 1e-9) {
-            note(format_args!("the episode ended at {reached:.2} s: of {later} s and later there is no picture"));
+            note(format_args!("the episode ended at {reached:.2} s: there are no images of {later} s and later"));
         }
         if self.json {
             line(json!({ "version": 1, "scenario": name, "pictures": written }));
@@ -121,18 +123,18 @@ impl Snapshot {
     }
 
     /// Every scenario of a suite on one sheet.
-    fn sheet(&self, cell: &Cell, suite: &Suite, times: &[f64]) -> Result<u8, Exit> {
+    fn sheet(&self, subject: &Subject, suite: &Suite, times: &[f64]) -> Result<u8, Exit> {
         let [time] = times else {
             return Err(anyhow!("--sheet shows every scenario once: give --at one time")).or_usage();
         };
         let file = self.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.png", suite.name())));
-        let mut station = cell.station().or_broken()?;
+        let mut worker = subject.worker().or_broken()?;
         let mut pictures = Vec::with_capacity(suite.cases().len());
         for (index, case) in (self.index.unwrap_or(0)..).zip(suite.cases()) {
             let scenario = self.with_set(suite.scenario(self.campaign(), index))?;
             // An episode that is over by then is shown at its end.
             let mut last = None;
-            watch(&mut station, &scenario, &[*time], |_, images| {
+            watch(&mut worker, &scenario, &[*time], |_, images| {
                 last = images.into_iter().find(|image| self.shows(image, Some(CAMERAS[0])));
                 Ok(())
             })?;
@@ -182,16 +184,8 @@ impl Snapshot {
 
     /// The scenario with the parameters of --set.
     fn with_set(&self, mut scenario: Scenario) -> Result<Scenario, Exit> {
-        for pair in &self.set {
-            let Some((name, value)) = pair.split_once('=') else {
-                return Err(anyhow!("--set {}: write NAME=VALUE", foreign(pair))).or_usage();
-            };
-            let value = match (value.parse::<i64>(), value.parse::<f64>()) {
-                (Ok(whole), _) => Value::Integer(whole),
-                (_, Ok(number)) => Value::Number(number),
-                _ => Value::Category(value.into()),
-            };
-            scenario.requested.set(name, value);
+        for (name, value) in assignment(&self.set).or_usage()?.iter() {
+            scenario.requested.set(name, value.clone());
         }
         Ok(scenario)
     }
@@ -200,27 +194,28 @@ impl Snapshot {
 /// Runs an episode and hands over pictures at these times (ascending, in seconds), or at its end where that comes first.
 /// Returns the time of the last.
 fn watch(
-    station: &mut Station,
+    worker: &mut Worker,
     scenario: &Scenario,
     times: &[f64],
     mut show: impl FnMut(f64, Vec<Image>) -> Result<(), Exit>,
 ) -> Result<f64, Exit> {
-    let Station { simulator, policy } = station;
-    let Start { task, mut observation, .. } = simulator.reset(scenario).or_usage()?;
-    policy.reset(&task, scenario.seed).or_broken()?;
+    let Worker { environment, policy } = worker;
+    let task = Arc::clone(environment.task());
+    let Start { instance, mut observation, .. } = environment.reset(scenario).or_usage()?;
+    policy.reset(&task, &instance, scenario.seed).or_broken()?;
     let mut times = times.iter().peekable();
     let mut over = false;
     while let Some(next) = times.peek() {
         let now = observation.time_s;
         over = over || now >= task.time_limit_s - 1e-9;
         if now >= **next - 1e-9 || over {
-            show(now, simulator.render().or_usage()?)?;
+            show(now, environment.render().or_usage()?)?;
             while times.next_if(|t| over || **t <= now + 1e-9).is_some() {}
             if over {
                 return Ok(now);
             }
         } else {
-            let step = policy.act(&observation).and_then(|action| simulator.step(&action)).or_broken()?;
+            let step = policy.act(&observation).and_then(|action| environment.step(&action)).or_broken()?;
             over = step.ending.is_some();
             observation = step.observation;
         }

@@ -5,21 +5,22 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
+use robogate_analysis::study::{LearnerFigures, Measure, Repeat, Score, Study as Outcome, Verdict};
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{
-    Bins, BoundaryReport, BoundaryStage, Completion, Crew, Event, Plan, PooledWeights, Preset, UniformStage,
+    Bins, BoundaryReport, BoundaryStage, Completion, Event, Executor, Plan, PooledWeights, Preset, UniformStage,
 };
 use robogate_core::{ParameterSpace, Seed};
 use robogate_dictionary::{Dictionary, Provenance};
 use robogate_physics::SuctionLaw;
-use robogate_report::study::{LearnerFigures, Measure, Repeat, Score, Study as Outcome, Verdict};
+use robogate_report::{study_answer, study_json, study_markdown};
 use serde::{Deserialize, Serialize};
 
-use crate::commands::run::{How, exit, provenance};
+use crate::commands::run::{How, exit};
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
 use crate::progress::Progress;
+use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{bold, dim, grouped, line, note, percent, wrapped};
-use crate::world::WorldArguments;
 
 /// What the study does; written first, never changed.
 const SETTINGS: &str = "study.json";
@@ -51,7 +52,7 @@ pub(crate) struct Study {
     #[arg(long, value_name = "NAME|FILE")]
     space: Option<String>,
     #[command(flatten)]
-    world: WorldArguments,
+    environment: EnvironmentArguments,
     #[command(flatten)]
     how: How,
     /// The study's folder
@@ -95,8 +96,8 @@ struct Arms {
 impl Study {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         // As in a plan of one's own: a cup holds what it can hold.
-        let cell = self.world.cell(SuctionLaw::Vacuum)?;
-        let space = cell.space(self.space.as_deref()).or_usage()?;
+        let subject = Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, None)?;
+        let space = subject.space(self.space.as_deref()).or_usage()?;
         let plan = match &self.plan {
             Some(file) => Plan::load(file).or_usage()?,
             None => {
@@ -107,14 +108,14 @@ impl Study {
         };
         plan.check(&space).or_usage()?;
         let region = prior_region(&plan, &space)?;
-        let provenance = provenance(&cell, space.clone())?;
+        let provenance = subject.provenance(space.clone())?;
         let Self { budget, repeats, test, seed, .. } = *self;
         let settings = Settings { version: 1, budget, repeats, test, seed, plan: plan.clone(), provenance };
         begin(&self.out, &settings)?;
         let campaigns = self.campaigns(&plan, &space, &region);
         let episodes = grouped(test + 3 * budget * repeats);
         note(format_args!(
-            "RoboGate {}: is boundary focusing worth it? {} in {}, {episodes} episodes in all, into {}",
+            "RoboGate {}: comparing sampling designs on {} in {}, {episodes} episodes in all, into {}",
             env!("CARGO_PKG_VERSION"),
             settings.provenance.robot.name,
             settings.provenance.engine.name,
@@ -123,10 +124,10 @@ impl Study {
         if repeats == 1 {
             note("warning: one repeat gives no intervals, and so no verdict");
         }
-        self.how.with_crew(&cell, |crew| match self.conduct(crew, &settings, &campaigns)? {
+        self.how.with_pool(&subject, |pool| match self.conduct(pool, &settings, &campaigns)? {
             Some(study) => self.tell(&study),
             None => {
-                note("what was run is recorded; the same command goes on");
+                note("the finished episodes are recorded; the same command continues");
                 Ok(INTERRUPTED)
             }
         })
@@ -174,11 +175,11 @@ impl Study {
     /// Runs what is not there yet and judges it; `None` where it was interrupted.
     fn conduct(
         &self,
-        crew: &Crew<'_>,
+        executor: &dyn Executor,
         settings: &Settings,
         (test, repeats): &(Campaign, Vec<Arms>),
     ) -> Result<Option<Outcome>, Exit> {
-        let run = |campaign: &Campaign| self.run(crew, settings, campaign);
+        let run = |campaign: &Campaign| self.run(executor, settings, campaign);
         let Some((judge, _)) = run(test)? else { return Ok(None) };
         let mut data = Vec::new();
         for arms in repeats {
@@ -206,7 +207,7 @@ impl Study {
     }
 
     /// Runs a campaign, or the rest of it; `None` where it was interrupted.
-    fn run(&self, crew: &Crew<'_>, settings: &Settings, campaign: &Campaign) -> Result<Option<Finished>, Exit> {
+    fn run(&self, executor: &dyn Executor, settings: &Settings, campaign: &Campaign) -> Result<Option<Finished>, Exit> {
         let dir = self.out.join(&campaign.folder);
         let provenance = Provenance { space: campaign.space.clone(), ..settings.provenance.clone() };
         let mut progress = Progress::new();
@@ -221,9 +222,9 @@ impl Study {
             if recorded.plan != campaign.plan || recorded.provenance.space != campaign.space {
                 return Err(anyhow!("{} holds another campaign than the study's", dir.display())).or_usage();
             }
-            robogate_campaign::resume(&dir, &provenance, crew, &mut hear)
+            robogate_campaign::resume(&dir, &provenance, executor, &mut hear)
         } else {
-            robogate_campaign::start(&dir, &campaign.plan, provenance, crew, &mut hear)
+            robogate_campaign::start(&dir, &campaign.plan, provenance, executor, &mut hear)
         };
         match completion.map_err(exit)? {
             Completion::Finished { boundary, .. } => {
@@ -234,10 +235,10 @@ impl Study {
     }
 
     fn tell(&self, study: &Outcome) -> Result<u8, Exit> {
-        write(&self.out.join(RESULT), &(study.to_json() + "\n"))?;
-        write(&self.out.join(PAGE), &study.markdown())?;
+        write(&self.out.join(RESULT), &(study_json(study) + "\n"))?;
+        write(&self.out.join(PAGE), &study_markdown(study))?;
         if self.how.json {
-            line(study.to_json());
+            line(study_json(study));
         } else {
             print(study);
             line("");
@@ -331,37 +332,40 @@ fn weights(dictionary: &Dictionary, pooled: &PooledWeights) -> Result<Vec<f64>, 
 fn print(study: &Outcome) {
     line(bold("Is boundary focusing worth it?"));
     line("");
-    study.answer.iter().for_each(|sentence| wrapped(sentence));
+    study_answer(study).iter().for_each(|sentence| wrapped(sentence));
     line("");
     let test = &study.test;
     wrapped(&format!(
-        "Judged on {} uniform test episodes, {} of them successes; stating the commoner outcome errs in {}.",
+        "Evaluated on {} uniform test episodes with {} success; always predicting the more frequent outcome has an error of {}.",
         grouped(test.rate.n),
         test.rate.rate.map_or_else(|| "-".to_owned(), percent),
-        percent(test.error_of_the_commoner)
+        percent(test.majority_error)
     ));
     for learner in &study.learners {
         table(learner);
     }
     line("");
     wrapped(
-        "▲ better, ▼ worse than uniform, by a 95 % interval over repeats and test episodes whose level is shared over all designs \
-         and learners (Bonferroni); no mark: no difference shown, or fewer than 3 repeats. \
-         The last column is the paper's comparison, each AUC on the rows that its model was fitted to: other rows for each \
-         design, hence no comparison.",
+        "▲ significantly better, ▼ significantly worse than uniform, with 95 % confidence for all designs and learners together \
+         (Bonferroni); no mark: no significant difference, or fewer than 3 repeats. The last column is the paper's comparison: the \
+         AUC in sample, which must not be compared between designs because their rows differ.",
     );
 }
 
 fn table(learner: &LearnerFigures) {
     line("");
-    line(bold(format_args!("Learner: {}", learner.learner.name())));
+    line(bold(format_args!("Learner: {}", learner.name)));
     line(dim(format_args!(
         "  {:<20} {:>7}  {:<26} {:>8}  {:>8}  {:>8}  {:>9}",
-        "design", "error", "less uniform, in points", "log loss", "Brier", "AUC", "in sample"
+        "design", "error", "minus uniform, in points", "log loss", "Brier", "AUC", "in sample"
     )));
     for arm in &learner.arms {
         let Some(figures) = arm.figures.estimated() else {
-            wrapped(&format!("{:<20} cannot be judged: {}", arm.arm.name(), arm.figures.because().unwrap_or_default()));
+            wrapped(&format!(
+                "{:<20} cannot be estimated because {}",
+                arm.arm.name(),
+                arm.figures.because().unwrap_or_default()
+            ));
             continue;
         };
         let cell = |measure: Measure| {
@@ -385,12 +389,12 @@ fn mark(score: &Score) -> char {
     match score.verdict {
         Some(Verdict::Better) => '▲',
         Some(Verdict::Worse) => '▼',
-        Some(Verdict::NotShown) | None => ' ',
+        Some(Verdict::NotSignificant) | None => ' ',
     }
 }
 
 fn difference(score: &Score) -> String {
-    let Some(difference) = &score.less_uniform else { return String::new() };
+    let Some(difference) = &score.difference_to_uniform else { return String::new() };
     let interval = match difference.interval_95 {
         Some([low, high]) => format!("{:+.1} to {:+.1}", 100.0 * low, 100.0 * high),
         None => "no interval".to_owned(),

@@ -7,7 +7,7 @@ mod error;
 mod readback;
 mod table;
 
-use robogate_core::{Assignment, Domain, ParameterSpace};
+use robogate_core::{Assignment, Domain, ParameterSpace, ParameterSpec};
 use robogate_physics::{Gripper, Object, Visual};
 
 use super::{Disturbance, Shape};
@@ -15,11 +15,16 @@ use super::{Disturbance, Shape};
 pub use error::ParameterError;
 pub(crate) use readback::ReadbackContext;
 use table::Access;
-pub use table::{ActsOn, ParameterKind, ParameterRow};
+pub use table::{ActsOn, ParameterRow};
 
 /// The rows of the parameter table, in the order of reports.
 pub fn parameters() -> &'static [ParameterRow] {
     &table::TABLE
+}
+
+/// The parameters of the task on a robot with this gripper.
+pub(super) fn specs(gripper: &Gripper) -> Vec<ParameterSpec> {
+    parameters().iter().filter(|row| row.applies_to(gripper)).map(ParameterRow::spec).collect()
 }
 
 /// The decoded parameters of a scenario. A parameter that a scenario does not name has its nominal value.
@@ -187,7 +192,7 @@ fn row_for(name: &str, gripper: Option<&Gripper>) -> Result<&'static ParameterRo
 mod tests {
     use std::collections::BTreeSet;
 
-    use robogate_core::Value;
+    use robogate_core::{Allowed, Value};
 
     use super::*;
 
@@ -218,10 +223,10 @@ mod tests {
     #[test]
     fn values_outside_a_range_are_refused() {
         for row in parameters() {
-            let outside = match row.kind() {
-                ParameterKind::Number { high, .. } => Value::Number(high + 1.0),
-                ParameterKind::Integer { high, .. } => Value::Integer(high + 1),
-                ParameterKind::Word { .. } => Value::Category("no such word".into()),
+            let outside = match row.allowed() {
+                Allowed::Continuous { high, .. } => Value::Number(high + 1.0),
+                Allowed::Integer { high, .. } => Value::Integer(high + 1),
+                Allowed::Categorical { .. } => Value::Category("no such word".into()),
             };
             let assignment = [(row.name.into(), outside)].into_iter().collect();
             let error = SceneParameters::from_assignment(&assignment, None).unwrap_err().to_string();

@@ -5,11 +5,11 @@
 //! is computed from it where the two differ by less than the state can resolve.
 
 use nalgebra::{Isometry3, Vector2};
-use robogate_core::TaskSpec;
 use robogate_physics::{FixtureKind, FixtureRead, GRAVITY, Primitive, Readback, Visual, isometry};
 
 use crate::pick_place::cell::{ResolvedCell, TOLERANCE_M};
 use crate::pick_place::scene::TARGET;
+use crate::pick_place::spec::Briefing;
 use crate::pick_place::{Disturbance, Placement, Shape};
 
 /// Poses within this distance (m) and angle (rad) are equal. Engines may hold poses in single precision.
@@ -28,8 +28,8 @@ pub(crate) struct ReadbackContext<'a> {
     pub(crate) visual: &'a Visual,
     /// Threshold of the suction cup in metres; `None` without a cup.
     pub(crate) grip_threshold_m: Option<f64>,
-    /// The task that the policy receives.
-    pub(crate) task: &'a TaskSpec,
+    /// What the policy is told.
+    pub(crate) briefing: &'a Briefing,
 }
 
 impl ReadbackContext<'_> {
@@ -217,16 +217,17 @@ mod tests {
     fn check(
         robot: &str,
         (name, value): (&str, Value),
-        change: impl FnOnce(&mut ResolvedCell, &mut TaskSpec, &mut Option<f64>),
+        change: impl FnOnce(&mut ResolvedCell, &mut Briefing, &mut Option<f64>),
     ) -> Result<(), Fault> {
         let requested: Assignment = [(name.into(), value)].into_iter().collect();
         let scenario = Scenario { index: 3, seed: Seed::campaign(1).episode(3), requested };
         let mut cell = ResolvedCell::new(&scenario, &built_in_robot(robot).unwrap()).unwrap();
-        let mut task = cell.task();
+        let mut briefing = cell.briefing();
         let mut grip_threshold_m = Some(cell.parameters.grip_threshold_m);
-        change(&mut cell, &mut task, &mut grip_threshold_m);
+        change(&mut cell, &mut briefing, &mut grip_threshold_m);
         let (engine, visual) = (faithful(&cell), cell.scene.visual);
-        let context = ReadbackContext { cell: &cell, engine: &engine, visual: &visual, grip_threshold_m, task: &task };
+        let context =
+            ReadbackContext { cell: &cell, engine: &engine, visual: &visual, grip_threshold_m, briefing: &briefing };
         check_applied(&scenario.requested, &context.applied(&scenario.requested))
     }
 
@@ -245,11 +246,11 @@ mod tests {
     }
 
     #[test]
-    fn the_approach_speed_is_read_from_the_task() {
+    fn the_approach_speed_is_read_from_the_briefing() {
         let speed = || ("approach_speed_m_s", Value::Number(0.2));
         check("franka", speed(), |_, _, _| {}).unwrap();
-        assert_not_applied(check("franka", speed(), |_, task, _| task.approach_speed_m_s = None));
-        assert_not_applied(check("franka", speed(), |_, task, _| task.approach_speed_m_s = Some(0.21)));
+        assert_not_applied(check("franka", speed(), |_, briefing, _| briefing.approach_speed_m_s = None));
+        assert_not_applied(check("franka", speed(), |_, briefing, _| briefing.approach_speed_m_s = Some(0.21)));
     }
 
     #[test]
@@ -264,7 +265,7 @@ mod tests {
     fn jitter_that_was_never_resolved_is_noticed() {
         let jitter = || ("position_jitter_m", Value::Number(0.03));
         check("franka", jitter(), |_, _, _| {}).unwrap();
-        let forgotten = |cell: &mut ResolvedCell, _: &mut TaskSpec, _: &mut Option<f64>| {
+        let forgotten = |cell: &mut ResolvedCell, _: &mut Briefing, _: &mut Option<f64>| {
             let pose = Placement::from_name("center_0").unwrap().pose(cell.parameters.size_m);
             cell.scene.object_pose = isometry(&pose.position, &pose.orientation);
         };

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use robogate_core::Value;
+use robogate_core::{Allowed, ParameterSpec, Value};
 use robogate_physics::{Color, Gripper, TableMaterial};
 
 use super::readback::{self, ReadbackContext};
@@ -59,32 +59,6 @@ impl ActsOn {
     }
 }
 
-/// The values that a parameter accepts.
-#[derive(Debug, Clone, PartialEq)]
-pub enum ParameterKind {
-    /// A number.
-    Number {
-        /// Smallest accepted value.
-        low: f64,
-        /// Largest accepted value.
-        high: f64,
-    },
-    /// An integer.
-    Integer {
-        /// Smallest accepted value.
-        low: i64,
-        /// Largest accepted value.
-        high: i64,
-    },
-    /// A word.
-    Word {
-        /// The choices.
-        choices: Vec<&'static str>,
-        /// Whether other words of the same form are accepted, too.
-        open: bool,
-    },
-}
-
 type Read<T> = fn(&ReadbackContext<'_>) -> T;
 
 /// How a parameter is set and read.
@@ -108,15 +82,26 @@ pub(super) struct Words {
 
 impl ParameterRow {
     /// The values that the parameter accepts.
-    pub fn kind(&self) -> ParameterKind {
+    pub fn allowed(&self) -> Allowed {
         match &self.access {
-            Access::Number { range: [low, high], .. } => ParameterKind::Number { low: *low, high: *high },
-            Access::Integer { range: [low, high], .. } => {
-                ParameterKind::Integer { low: *low as i64, high: *high as i64 }
-            }
-            Access::Word { words, .. } => {
-                ParameterKind::Word { choices: (words.choices)(), open: words.form.is_some() }
-            }
+            Access::Number { range: [low, high], .. } => Allowed::Continuous { low: *low, high: *high },
+            Access::Integer { range: [low, high], .. } => Allowed::Integer { low: *low as i64, high: *high as i64 },
+            Access::Word { words, .. } => Allowed::Categorical {
+                choices: (words.choices)().into_iter().map(Into::into).collect(),
+                open: words.form.is_some(),
+            },
+        }
+    }
+
+    /// The row as a part of the task.
+    pub(super) fn spec(&self) -> ParameterSpec {
+        ParameterSpec {
+            name: self.name.into(),
+            unit: self.unit.to_owned(),
+            meaning: self.meaning.to_owned(),
+            allowed: self.allowed(),
+            nominal: self.nominal(),
+            read_from: self.acts_on.as_str().to_owned(),
         }
     }
 
@@ -315,7 +300,7 @@ pub(super) static TABLE: [ParameterRow; 30] = [
             range: [1e-3, 2.0],
             nominal: None,
             set: |p, x| p.approach_speed_m_s = Some(x),
-            read: |c| c.task.approach_speed_m_s.unwrap_or(f64::NAN),
+            read: |c| c.briefing.approach_speed_m_s.unwrap_or(f64::NAN),
         },
     ),
     row(

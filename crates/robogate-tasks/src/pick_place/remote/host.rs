@@ -1,10 +1,11 @@
 //! One of our engines as a physics server: it sets cells up, runs them and reports, and scores nothing.
 
-use robogate_core::{Fault, FaultKind, GripperCommand, Observation, Scenario};
-use robogate_physics::{Engine, GripperState, Plant, StepView, pose};
+use robogate_core::{Fault, FaultKind, Observation, Scenario};
+use robogate_physics::{Engine, GripperCommand, GripperState, Plant, StepView, pose};
 
 use super::{RemotePeriod, RemoteReadback, RemoteSight};
 use crate::pick_place::cell::{CONTROL_PERIOD_S, ResolvedCell};
+use crate::pick_place::spec::observation;
 
 /// Clearance beyond this is not measured, in metres.
 const CLEARANCE_LIMIT_M: f64 = 0.25;
@@ -62,14 +63,7 @@ impl<E: Engine> PhysicsHost<E> {
     }
 
     fn observation(&self) -> Observation {
-        let arm = self.plant.arm_state();
-        Observation {
-            time_s: self.ticks as f64 * CONTROL_PERIOD_S,
-            tool_pose: pose(&self.plant.engine.tcp()),
-            joint_positions: arm.joint_positions,
-            joint_velocities: arm.joint_velocities,
-            gripper_opening_m: arm.opening_m,
-            images: Vec::new(),
-        }
+        let time_s = self.ticks as f64 * CONTROL_PERIOD_S;
+        observation(time_s, self.plant.arm_state(), pose(&self.plant.engine.tcp()))
     }
 }

@@ -12,15 +12,18 @@ pub use cell::{Cell, CellContact, CellFixture, CellGripper, CellMotion, CellObje
 pub use host::PhysicsHost;
 pub use report::{RemoteCollision, RemoteFixture, RemotePeriod, RemoteReadback, RemoteSight, RemoteVelocity};
 
+use std::sync::Arc;
+
 use nalgebra::Isometry3;
 use robogate_camera::{Cameras, Posture};
-use robogate_core::{Action, Fault, FaultKind, Image, Observation, Scenario, Start, Step};
+use robogate_core::{Action, Fault, FaultKind, Image, Observation, Scenario, Start, Step, TaskSpec};
 use robogate_physics::{ArmState, Chain, Fixture, Gripper, Robot, grip_force, isometry};
 
 use crate::pick_place::cell::ResolvedCell;
 use crate::pick_place::judge::{Acting, Judge};
 use crate::pick_place::parameters;
-use crate::pick_place::simulator::{render, show};
+use crate::pick_place::simulator::{camera_specs, render, show};
+use crate::pick_place::spec::spec;
 
 /// Largest distance between the reported tool pose and that of the reported joint positions at the start, in metres;
 /// beyond, the engine has a different robot ...
@@ -30,6 +33,7 @@ const TOOL_OFF_RAD: f64 = 0.02;
 
 /// The task on an engine of another process.
 pub struct RemotePickPlace {
+    task: Arc<TaskSpec>,
     judge: Judge,
     sha256: Option<String>,
     grip_force_n: f64,
@@ -57,6 +61,7 @@ impl RemotePickPlace {
         let judge = Judge::new(robot, chain, grip_force_n);
         let cameras = Cameras::new(judge.robot());
         Ok(Self {
+            task: Arc::new(spec(judge.robot(), camera_specs(&cameras))),
             judge,
             sha256,
             grip_force_n,
@@ -72,7 +77,13 @@ impl RemotePickPlace {
     #[must_use]
     pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
         self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
+        self.task = Arc::new(spec(self.judge.robot(), camera_specs(&self.cameras)));
         self
+    }
+
+    /// The task.
+    pub fn task(&self) -> &Arc<TaskSpec> {
+        &self.task
     }
 
     /// The robot.
@@ -102,8 +113,11 @@ impl RemotePickPlace {
         let Some((scenario, cell)) = self.cell.take() else {
             return Err(Fault::new(FaultKind::Setup, "no cell is set up"));
         };
-        let there = isometry(&observation.tool_pose.position, &observation.tool_pose.orientation);
-        let off = self.judge.chain().tcp_at(&observation.joint_positions).inverse() * there;
+        let tool = observation
+            .tool_pose()
+            .ok_or_else(|| Fault::new(FaultKind::Setup, "the observation of the arm has no tool_pose"))?;
+        let there = isometry(&tool.position, &tool.orientation);
+        let off = self.judge.chain().tcp_at(observation.joint_positions()).inverse() * there;
         let (distance, angle) = (off.translation.vector.norm(), off.rotation.angle());
         if distance > TOOL_OFF_M || angle > TOOL_OFF_RAD {
             let detail = format!(
@@ -168,8 +182,8 @@ impl RemotePickPlace {
             pose
         };
         Posture {
-            joints: observation.joint_positions.clone(),
-            opening_m: observation.gripper_opening_m,
+            joints: observation.joint_positions().to_vec(),
+            opening_m: observation.gripper_opening_m(),
             object,
             fixtures: self.fixtures.iter().map(fixture).collect(),
         }
@@ -183,8 +197,8 @@ pub fn is_local(parameter: &str) -> bool {
 
 fn arm_state(observation: &Observation) -> ArmState {
     ArmState {
-        joint_positions: observation.joint_positions.clone(),
-        joint_velocities: observation.joint_velocities.clone(),
-        opening_m: observation.gripper_opening_m,
+        joint_positions: observation.joint_positions().to_vec(),
+        joint_velocities: observation.joint_velocities().to_vec(),
+        opening_m: observation.gripper_opening_m(),
     }
 }

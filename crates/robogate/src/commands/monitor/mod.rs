@@ -1,4 +1,4 @@
-//! `robogate monitor`: a deployed robot's cycles watched for drift.
+//! `robogate monitor`: detects drift of deployed robots.
 
 mod reference;
 mod serve;
@@ -13,7 +13,7 @@ use robogate_monitor::service::ServiceSettings;
 
 use crate::exit::{Exit, OrExit};
 
-/// Watch a deployed robot: drift of its cycles, with alarms whose false-alarm rate is promised.
+/// Detect drift of deployed robots, with a bounded false-alarm rate.
 #[derive(Debug, Args)]
 pub(crate) struct Monitor {
     #[command(subcommand)]
@@ -22,11 +22,11 @@ pub(crate) struct Monitor {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    /// Hear cycles and tell alarms
+    /// Ingest cycle records and raise alarms
     Serve(serve::Serve),
-    /// Say how often it would cry wolf, and how late it would see a drop
+    /// Simulate false-alarm rates and detection delays
     Simulate(simulate::Simulate),
-    /// Write what the monitor needs to know of a run: its baseline, and what was validated
+    /// Write the reference file of a run: baseline, envelope and risk model
     Reference(reference::ReferenceOf),
 }
 
@@ -40,13 +40,13 @@ impl Monitor {
     }
 }
 
-/// What is watched.
+/// Arguments that configure the detectors.
 #[derive(Debug, Args)]
 struct Watched {
-    /// Settings (TOML): promises, shares, baselines of the recipes, store, limits
+    /// Settings file (TOML): false-alarm limits, baselines of the recipes, store, server limits
     #[arg(long, value_name = "FILE")]
     settings: Option<PathBuf>,
-    /// What was validated (from `robogate monitor reference`), for one recipe or for all without one of their own
+    /// Reference file from `robogate monitor reference`, for one recipe or for all recipes without their own
     #[arg(long, value_name = "[RECIPE=]FILE")]
     reference: Vec<String>,
 }
@@ -78,7 +78,9 @@ fn settings(path: &Path) -> Result<ServiceSettings, Exit> {
 
 fn reference(path: &Path) -> Result<Reference, Exit> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
-    let hint = || format!("{} is no reference; hint: robogate monitor reference", path.display());
+    let hint = || {
+        format!("{}: not a monitor reference file. Create one with `robogate monitor reference RUN`", path.display())
+    };
     let reference: Reference = serde_json::from_str(&text).with_context(hint).or_usage()?;
     reference.check().with_context(|| format!("{}", path.display())).or_usage()?;
     Ok(reference)

@@ -1,33 +1,33 @@
-//! `robogate monitor reference`: what the monitor needs to know of a run.
+//! `robogate monitor reference`: writes baseline, envelope and risk model of a run.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
-use robogate_core::{Domain, FailureMode, Parameter};
+use robogate_analysis::{Analysis, Finding, Population, RiskModel, Source};
+use robogate_core::{Domain, Parameter};
 use robogate_dictionary::{Column, Dictionary, DictionaryError};
 use robogate_monitor::domain::{self, Risk, RiskTerm, Validated};
-use robogate_monitor::{Baseline, Count, Reference};
-use robogate_report::{Analysis, Finding, Population, RiskModel, Source};
+use robogate_monitor::{Baseline, Count, ModeCounts, Reference};
 
 use crate::commands::analyze::analyse;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::terminal::{grouped, line, note};
 
-/// How near to an end of its range, in parts of the range, a parameter must have been evaluated for that end to count as validated.
+/// An end of a parameter's range counts as validated if an episode came this close to it, as a share of the range.
 const NEAR: f64 = 0.02;
 
-/// Write what the monitor needs to know of a run: its baseline, and what was validated.
+/// Write the reference file of a run: baseline, envelope and risk model.
 ///
-/// Successes and failure modes stand in it as counts; each parameter with the range, or the words, of the valid episodes; and the
-/// risk model with the covariance of its coefficients. An end of the operating range counts as validated if an episode came
-/// within 2 % of the range to it.
+/// The file contains the counts of successes and failure modes, the range or the categories of each parameter in the valid episodes,
+/// and the risk model with the covariance of its coefficients. An end of the operating range counts as validated if an episode
+/// came within 2 % of the range to it.
 #[derive(Debug, Args)]
 pub(super) struct ReferenceOf {
-    /// A run's folder or a dictionary
+    /// Folder of a run, or a dictionary
     run: PathBuf,
-    /// The file to write, - for stdout
+    /// File to write, - for stdout
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
 }
@@ -39,7 +39,7 @@ impl ReferenceOf {
         let envelope = envelope(source.dictionary()).or_broken()?;
         let rate = &analysis.success.rate;
         if rate.n == 0 || envelope.is_empty() {
-            let error = anyhow::anyhow!("no valid episode: nothing was validated");
+            let error = anyhow::anyhow!("the run has no valid episode, so nothing was validated");
             return Err(Exit { code: INVALID, error });
         }
         let reference = Reference {
@@ -60,11 +60,11 @@ impl ReferenceOf {
         std::fs::write(&self.out, text + "\n")
             .with_context(|| format!("cannot write {}", self.out.display()))
             .or_broken()?;
-        self.tell(&analysis, &reference);
+        self.report(&analysis, &reference);
         Ok(DONE)
     }
 
-    fn tell(&self, analysis: &Analysis, reference: &Reference) {
+    fn report(&self, analysis: &Analysis, reference: &Reference) {
         note(format_args!("{}: {} on {}", self.out.display(), reference.policy, reference.robot));
         match reference.baseline.success {
             Some(Count { count, of }) => note(format_args!(
@@ -74,35 +74,31 @@ impl ReferenceOf {
                 reference.population
             )),
             None => note(
-                "  no baseline: focused episodes say nothing of the operating rate; it is learnt from the first cycles",
+                "  no baseline: focused episodes do not estimate the rate of the operating space; the monitor learns it from the first cycles",
             ),
         }
         note(format_args!("  envelope of {} parameters", reference.domain.envelope.len()));
         match &analysis.risk {
             Finding::Estimated(model) => {
                 note(format_args!("  risk model of {} parameters", model.scoring.terms.len()));
-                model.regression.cautions.iter().for_each(|caution| note(format_args!("  {caution}")));
+                model.regression.warnings.iter().for_each(|warning| note(format_args!("  {warning}")));
             }
             Finding::CannotBeEstimated { because } => note(format_args!("  no risk model because {because}")),
         }
     }
 }
 
-/// The counts; none from a focused design, whose rate is not that of the operation.
+/// The counts; none from a focused design, whose rate does not estimate that of the operating space.
 fn baseline(analysis: &Analysis) -> Baseline {
     if analysis.population == Population::FocusedDesign {
         return Baseline::default();
     }
     let rate = &analysis.success.rate;
-    let found = |mode: &FailureMode| {
-        let modes = &analysis.failure_modes.modes;
-        modes.iter().find(|share| share.mode == mode.word()).map_or(0, |share| share.failures)
-    };
-    let [a, b, c, d] = FailureMode::ALL.each_ref().map(found);
-    let modes = [a, b, c, d, 0];
+    let modes: ModeCounts =
+        analysis.failure_modes.modes.iter().map(|share| (share.mode.as_str(), share.failures)).collect();
     Baseline {
         success: Some(Count { count: rate.successes, of: rate.n }),
-        failure_modes: (modes.iter().sum::<u64>() > 0).then_some(modes),
+        failure_modes: (modes.total() > 0).then_some(modes),
         ..Baseline::default()
     }
 }
@@ -113,7 +109,7 @@ fn risk(model: &RiskModel) -> Risk {
         Some(penalty.levels.iter().map(|level| (level.level.clone(), level.penalty)).collect())
     };
     let scoring = &model.scoring;
-    let term = |term: &robogate_report::ScoringTerm| RiskTerm {
+    let term = |term: &robogate_analysis::ScoringTerm| RiskTerm {
         parameter: term.parameter.clone(),
         coefficient: term.coefficient,
         penalties: penalties(&term.parameter),
@@ -122,11 +118,11 @@ fn risk(model: &RiskModel) -> Risk {
         intercept: scoring.intercept,
         terms: scoring.terms.iter().map(term).collect(),
         covariance: scoring.covariance.clone(),
-        most_variance: scoring.most_variance,
+        most_variance: scoring.max_variance,
     }
 }
 
-/// What each parameter of the valid episodes was.
+/// The values of each parameter in the valid episodes.
 fn envelope(dictionary: &Dictionary) -> Result<BTreeMap<String, Validated>, DictionaryError> {
     let valid = valid(dictionary)?;
     let mut envelope = BTreeMap::new();
@@ -151,7 +147,7 @@ fn kept<'a, T: 'a>(values: Vec<Option<T>>, valid: &'a [bool]) -> impl Iterator<I
     values.into_iter().zip(valid).filter_map(|(value, valid)| value.filter(|_| *valid))
 }
 
-/// From the lowest to the highest value; an end of the operating range where one came near it.
+/// From the lowest to the highest value, extended to an end of the operating range if a value is close to it.
 fn range(parameter: &Parameter, values: impl Iterator<Item = f64>) -> Option<Validated> {
     let (low, high) = values
         .filter(|x| x.is_finite())
@@ -169,10 +165,10 @@ fn range(parameter: &Parameter, values: impl Iterator<Item = f64>) -> Option<Val
     Some(Validated::Range([low, high]))
 }
 
-/// Which episodes are evidence.
+/// Which episodes are valid.
 fn valid(dictionary: &Dictionary) -> Result<Vec<bool>, DictionaryError> {
     let Column::Categories { words, codes } = dictionary.column("outcome")? else { return Ok(Vec::new()) };
-    let counts = |word: &String| word == "success" || FailureMode::ALL.iter().any(|mode| mode.word() == word);
+    let counts = |word: &String| word != "invalid";
     let counts: Vec<bool> = words.iter().map(counts).collect();
     Ok(codes.iter().map(|code| code.and_then(|code| counts.get(code as usize).copied()).unwrap_or(false)).collect())
 }

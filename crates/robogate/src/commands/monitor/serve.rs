@@ -1,4 +1,4 @@
-//! Feeds, outputs and the store, put together.
+//! `robogate monitor serve`: connects feeds, outputs and the store.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -13,7 +13,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate_monitor::service::{
-    Broker, Deliver, Desk, Handle, HttpError, Intake, Output, Store, Taken, json_lines, serve, webhook,
+    Broker, Deliver, Handle, HttpError, Intake, Output, ServiceEngine, Store, Taken, json_lines, serve, webhook,
 };
 use robogate_monitor::{Level, Monitor};
 
@@ -21,55 +21,55 @@ use super::Watched;
 use crate::exit::{DONE, Exit, FAIL, INFRASTRUCTURE, INVALID, OrExit};
 use crate::terminal::{grouped, note};
 
-/// Lines of a feed that are taken in together.
+/// Lines of a feed that are processed together.
 const TOGETHER: u64 = 1_000;
 /// Time until a feed tries again.
-const PATIENCE: Duration = Duration::from_secs(5);
+const RETRY_AFTER: Duration = Duration::from_secs(5);
 /// Longest line of a feed, in bytes.
 const LONGEST_LINE: usize = 1 << 20;
 
-/// Hear cycles and tell alarms.
+/// Ingest cycle records and raise alarms.
 ///
-/// Cycles come from a file or pipe (JSON Lines), by HTTP (POST /v1/cycles) or by MQTT; alarms go to stdout as JSON Lines, and to
-/// webhooks and MQTT where asked for. What is acknowledged is in the store. With a feed alone it ends with the feed: exit
-/// code 1 while a critical alarm stands, 4 where the feed held no cycle.
+/// Cycles come from a file or pipe (JSON Lines), by HTTP (POST /v1/cycles) or by MQTT. Alarms go to stdout as JSON Lines, and optionally to
+/// webhooks and MQTT. Acknowledged cycles are in the store. With only a file or pipe, the command ends with it: exit
+/// code 1 if a critical alarm is active, 4 if there was no cycle.
 #[derive(Debug, Args)]
 pub(super) struct Serve {
-    /// Cycles as JSON Lines: a file or a pipe, - for stdin
+    /// File or pipe with cycles as JSON Lines, - for stdin
     feed: Option<PathBuf>,
-    /// Where cycles, statistics and alarms are kept (SQLite); without it a feed is watched in memory
+    /// Store for cycles, statistics and alarms (SQLite); without it they stay in memory
     #[arg(long, value_name = "FILE")]
     store: Option<PathBuf>,
-    /// Serve HTTP here (127.0.0.1:7380): POST /v1/cycles, /v1/status, /metrics, /healthz and the page at /
+    /// Serve HTTP at this address, for example 127.0.0.1:7380: /v1/cycles, /v1/status, /metrics, /healthz and the page at /
     #[arg(long, value_name = "ADDRESS", requires = "store")]
     listen: Option<SocketAddr>,
-    /// File with the bearer token; needed where other machines can connect
+    /// File with the bearer token; required if other machines can connect
     #[arg(long, value_name = "FILE", requires = "listen")]
     token_file: Option<PathBuf>,
-    /// POST each alarm to this URL; may be given more than once
+    /// Send each alarm by POST to this URL; can be repeated
     #[arg(long, value_name = "URL")]
     webhook: Vec<String>,
-    /// MQTT broker (host:port); user and password come from ROBOGATE_MQTT_USER and ROBOGATE_MQTT_PASSWORD
+    /// Address of the MQTT broker; user and password come from ROBOGATE_MQTT_USER and ROBOGATE_MQTT_PASSWORD
     #[arg(long, value_name = "HOST:PORT")]
     mqtt: Option<String>,
-    /// Hear cycles from this MQTT topic
+    /// Subscribe to cycles on this MQTT topic
     #[arg(long, value_name = "TOPIC", requires_all = ["mqtt", "store"])]
     mqtt_cycles: Option<String>,
-    /// Tell alarms to this MQTT topic
+    /// Publish alarms on this MQTT topic
     #[arg(long, value_name = "TOPIC", requires = "mqtt")]
     mqtt_alarms: Option<String>,
     #[command(flatten)]
     watched: Watched,
 }
 
-/// What ends the command.
+/// An event that ends the command.
 enum End {
-    /// The feed was read to its end, or why not.
+    /// The feed ended, or failed.
     Feed(Result<Taken, String>),
-    /// The HTTP side ended, which it does not do by itself.
+    /// The HTTP server ended.
     Http(Result<(), HttpError>),
-    /// Someone asked.
-    Asked,
+    /// The process received a signal.
+    Signal,
 }
 
 impl Serve {
@@ -77,7 +77,7 @@ impl Serve {
         let settings = self.watched.settings()?;
         let serves = self.listen.is_some() || self.mqtt_cycles.is_some();
         if self.feed.is_none() && !serves {
-            let hint = "nothing to hear; hint: name a file of cycles (or - for stdin), --listen or --mqtt-cycles";
+            let hint = "no source of cycles. Hint: give a file (or - for stdin), --listen or --mqtt-cycles";
             return Err(anyhow!(hint)).or_usage();
         }
         let token = self.token_file.as_deref().map(token).transpose()?;
@@ -88,31 +88,31 @@ impl Serve {
         };
         let monitor = Monitor::new(settings.detectors).or_usage()?;
         let intake = Intake::open(store.or_broken()?, monitor, settings.late_after_s).or_broken()?;
-        let desk = Desk::open(intake, |text| note(text));
+        let engine = ServiceEngine::open(intake, |text| note(text));
         let ending = Arc::new(AtomicBool::new(false));
-        let outputs = self.outputs(&desk, broker.as_ref())?;
-        let (tell, told) = channel();
-        let asked = tell.clone();
+        let outputs = self.outputs(&engine, broker.as_ref())?;
+        let (sender, receiver) = channel();
+        let signal = sender.clone();
         ctrlc::set_handler(move || {
-            // Nobody hears it after the end.
-            let _ = asked.send(End::Asked);
+            // The receiver may be gone at the end.
+            let _ = signal.send(End::Signal);
         })
         .or_broken()?;
-        let server = self.listen.map(|address| http(address, token, &settings.http, desk.handle(), tell.clone()));
-        let hears = broker
-            .zip(self.mqtt_cycles.clone())
-            .map(|(broker, topic)| broker.hear(topic, desk.handle(), Arc::clone(&ending), |trouble| note(trouble)));
+        let server = self.listen.map(|address| http(address, token, &settings.http, engine.handle(), sender.clone()));
+        let subscriber = broker.zip(self.mqtt_cycles.clone()).map(|(broker, topic)| {
+            broker.subscribe(topic, engine.handle(), Arc::clone(&ending), |problem| note(problem))
+        });
         if let Some(path) = &self.feed {
-            read(path, desk.handle(), tell, serves)?;
+            read(path, engine.handle(), sender, serves)?;
         }
         let mut code = DONE;
         let mut broken = None;
-        while let Ok(end) = told.recv() {
+        while let Ok(end) = receiver.recv() {
             match end {
                 End::Feed(Ok(taken)) => {
                     say(&taken);
                     if !serves {
-                        code = if taken.accepted + taken.duplicates == 0 { INVALID } else { stands(&desk) };
+                        code = if taken.accepted + taken.duplicates == 0 { INVALID } else { exit_code(&engine) };
                         break;
                     }
                 }
@@ -124,20 +124,20 @@ impl Serve {
                     broken = Some(error.into());
                     break;
                 }
-                End::Http(Ok(())) | End::Asked => break,
+                End::Http(Ok(())) | End::Signal => break,
             }
         }
         ending.store(true, Ordering::Release);
         if let Some((stop, thread)) = server {
-            // It may have ended by itself.
+            // The server may have ended already.
             let _ = stop.send(());
             let _ = thread.join();
         }
-        if let Some(thread) = hears {
+        if let Some(thread) = subscriber {
             let _ = thread.join();
         }
         outputs.into_iter().for_each(Output::end);
-        desk.close().map_err(|because| anyhow!(because)).or_broken()?;
+        engine.close().map_err(|because| anyhow!(because)).or_broken()?;
         match broken {
             Some(error) if matches!(error.downcast_ref(), Some(HttpError::NoToken(_) | HttpError::ShortToken(_))) => {
                 Err(error).or_usage()
@@ -147,13 +147,13 @@ impl Serve {
         }
     }
 
-    fn outputs(&self, desk: &Desk, broker: Option<&Broker>) -> Result<Vec<Output>, Exit> {
+    fn outputs(&self, engine: &ServiceEngine, broker: Option<&Broker>) -> Result<Vec<Output>, Exit> {
         let mut all: Vec<(String, Deliver)> = vec![("stdout".to_owned(), json_lines(std::io::stdout()))];
         all.extend(self.webhook.iter().map(|url| (format!("webhook {url}"), webhook(url.clone()))));
         if let (Some(broker), Some(topic)) = (broker, &self.mqtt_alarms) {
             all.push((format!("mqtt {topic}"), broker.alarms(topic.clone())));
         }
-        let start = |(name, deliver)| Output::start(name, desk.handle(), deliver, |trouble| note(trouble));
+        let start = |(name, deliver)| Output::start(name, engine.handle(), deliver, |problem| note(problem));
         all.into_iter().map(start).collect::<Result<_, _>>().or_broken()
     }
 }
@@ -162,15 +162,15 @@ fn http(
     address: SocketAddr,
     token: Option<String>,
     settings: &robogate_monitor::service::HttpSettings,
-    desk: Handle,
-    tell: Sender<End>,
+    engine: Handle,
+    sender: Sender<End>,
 ) -> (tokio::sync::oneshot::Sender<()>, JoinHandle<()>) {
     let (stop, stopped) = tokio::sync::oneshot::channel();
     let settings = *settings;
     let thread = std::thread::spawn(move || {
         let listening = |address| note(format_args!("Listening on http://{address}"));
-        let ended = serve(address, token, settings, desk, listening, stopped);
-        let _ = tell.send(End::Http(ended));
+        let ended = serve(address, token, settings, engine, listening, stopped);
+        let _ = sender.send(End::Http(ended));
     });
     (stop, thread)
 }
@@ -182,13 +182,13 @@ fn token(path: &Path) -> Result<String, Exit> {
 
 fn broker(place: &str) -> Result<Broker, Exit> {
     let (host, port) = place.rsplit_once(':').unwrap_or((place, "1883"));
-    let port = port.parse().with_context(|| format!("--mqtt {place}: `{port}` is no port")).or_usage()?;
+    let port = port.parse().with_context(|| format!("--mqtt {place}: `{port}` is not a port number")).or_usage()?;
     let login = std::env::var("ROBOGATE_MQTT_USER").ok().zip(std::env::var("ROBOGATE_MQTT_PASSWORD").ok());
     Ok(Broker { host: host.to_owned(), port, client: "robogate-monitor".to_owned(), login })
 }
 
-/// Reads a feed on its own thread, where a pipe may let it wait for its writer.
-fn read(path: &Path, desk: Handle, tell: Sender<End>, patient: bool) -> Result<(), Exit> {
+/// Reads a feed on its own thread, because a pipe may wait for its writer.
+fn read(path: &Path, engine: Handle, sender: Sender<End>, wait: bool) -> Result<(), Exit> {
     let path = path.to_owned();
     if path != Path::new("-") {
         std::fs::metadata(&path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
@@ -201,17 +201,17 @@ fn read(path: &Path, desk: Handle, tell: Sender<End>, patient: bool) -> Result<(
                 .map(|file| -> Box<dyn BufRead> { Box::new(BufReader::with_capacity(1 << 20, file)) })
                 .map_err(|error| format!("cannot read {}: {error}", path.display()))
         };
-        let _ = tell.send(End::Feed(reader.and_then(|reader| follow(reader, &desk, patient))));
+        let _ = sender.send(End::Feed(reader.and_then(|reader| follow(reader, &engine, wait))));
     });
     Ok(())
 }
 
-/// Takes in lines as they come: together those that are there, at most a thousand. A line that is too long is refused.
+/// Processes lines as they arrive, up to a thousand at a time. A line that is too long is refused.
 ///
-/// `patient`: while the store is in trouble the feed waits, because others are being served; else that is its end.
-fn follow(mut reader: Box<dyn BufRead>, desk: &Handle, patient: bool) -> Result<Taken, String> {
+/// `wait`: while the store fails the feed waits, because other clients are served; otherwise the feed ends.
+fn follow(mut reader: Box<dyn BufRead>, engine: &Handle, wait: bool) -> Result<Taken, String> {
     let mut all = Taken::default();
-    // Whole lines and the beginning of the next, and where that begins.
+    // Complete lines and the start of the next one, and where that starts.
     let (mut batch, mut begun) = (Vec::new(), 0);
     let (mut lines, mut before, mut too_long) = (0, 0, false);
     loop {
@@ -222,7 +222,7 @@ fn follow(mut reader: Box<dyn BufRead>, desk: &Handle, patient: bool) -> Result<
         if !too_long {
             batch.extend_from_slice(waiting.get(..used).unwrap_or_default());
         }
-        // The next line may be here already; if not, what there is must not wait for it.
+        // If the next line is not here yet, process the batch without it.
         let more = waiting.get(used..).is_some_and(|rest| rest.contains(&b'\n'));
         reader.consume(used);
         if batch.len() - begun > LONGEST_LINE {
@@ -233,7 +233,7 @@ fn follow(mut reader: Box<dyn BufRead>, desk: &Handle, patient: bool) -> Result<
         }
         if end.is_some() {
             if too_long {
-                // Its place in the count.
+                // An empty line keeps the line numbers right.
                 batch.push(b'\n');
                 too_long = false;
             }
@@ -241,7 +241,7 @@ fn follow(mut reader: Box<dyn BufRead>, desk: &Handle, patient: bool) -> Result<
             lines += 1;
         }
         if (ended || end.is_some() && (lines >= TOGETHER || !more)) && !batch.is_empty() {
-            let taken = take(desk, std::mem::take(&mut batch), patient)?;
+            let taken = take(engine, std::mem::take(&mut batch), wait)?;
             for refused in &taken.refusals {
                 note(format_args!("line {}: {}", before + refused.line, refused.because));
             }
@@ -255,12 +255,12 @@ fn follow(mut reader: Box<dyn BufRead>, desk: &Handle, patient: bool) -> Result<
     }
 }
 
-fn take(desk: &Handle, batch: Vec<u8>, patient: bool) -> Result<Taken, String> {
+fn take(engine: &Handle, batch: Vec<u8>, wait: bool) -> Result<Taken, String> {
     loop {
-        match desk.take(batch.clone()) {
-            Err(because) if patient => {
+        match engine.take(batch.clone()) {
+            Err(because) if wait => {
                 note(format_args!("the feed waits: {because}"));
-                std::thread::sleep(PATIENCE);
+                std::thread::sleep(RETRY_AFTER);
             }
             answer => return answer,
         }
@@ -269,7 +269,7 @@ fn take(desk: &Handle, batch: Vec<u8>, patient: bool) -> Result<Taken, String> {
 
 fn say(taken: &Taken) {
     note(format_args!(
-        "{} cycles accepted, {} doubled, {} out of order ({} late), {} outside what was validated, {} refused",
+        "{} cycles accepted, {} duplicates, {} out of order ({} late), {} outside the validated region, {} refused",
         grouped(taken.accepted),
         grouped(taken.duplicates),
         grouped(taken.out_of_order),
@@ -279,10 +279,10 @@ fn say(taken: &Taken) {
     ));
 }
 
-/// 1 while a critical alarm stands.
-fn stands(desk: &Desk) -> u8 {
+/// Exit code 1 while a critical alarm is active.
+fn exit_code(engine: &ServiceEngine) -> u8 {
     let critical = |status: robogate_monitor::service::Status| {
         status.recipes.first().is_some_and(|recipe| recipe.level == Some(Level::Critical))
     };
-    if desk.handle().status().is_ok_and(critical) { FAIL } else { DONE }
+    if engine.handle().status().is_ok_and(critical) { FAIL } else { DONE }
 }

@@ -1,4 +1,4 @@
-//! `robogate monitor simulate`: how often it would cry wolf, and how late it would see a drop.
+//! `robogate monitor simulate`: simulates false-alarm rates and detection delays.
 
 use anyhow::anyhow;
 use clap::Args;
@@ -10,25 +10,25 @@ use super::Watched;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::terminal::{bold, dim, line};
 
-/// Say how often it would cry wolf, and how late it would see a drop.
+/// Simulate false-alarm rates and detection delays.
 ///
-/// Prints false alarms a day and detection delays, of the paper's rule and of the detector of the failure rate, from simulated
+/// Prints false alarms per day and detection delays of the paper's rule and of the failure-rate detector, from simulated
 /// streams of independent cycles.
 #[derive(Debug, Args)]
 pub(super) struct Simulate {
-    /// True success rate before a change
+    /// True success rate before a change, in (0, 1)
     #[arg(long, value_name = "SHARE", default_value_t = 0.95)]
     rate: f64,
-    /// True success rates after a drop
+    /// True success rates after a drop, each in (0, 1)
     #[arg(long, value_name = "SHARE", num_args = 1.., default_values_t = [0.92, 0.90, 0.85])]
     drop_to: Vec<f64>,
-    /// Cycles that the baseline was seen in, at the rate above; the settings' own baseline goes before it
+    /// Cycles of the baseline, at the rate above; a baseline in the settings takes precedence
     #[arg(long, value_name = "CYCLES", default_value_t = 10_000)]
     baseline_cycles: u64,
     /// Seconds from one cycle to the next
     #[arg(long, value_name = "S", default_value_t = 4.0)]
     cycle_s: f64,
-    /// Simulated streams for each figure
+    /// Simulated streams per figure, from 2 to 100000
     #[arg(long, value_name = "N", default_value_t = 1_000)]
     streams: u32,
     /// Seed of the streams
@@ -59,12 +59,16 @@ impl Simulate {
         let settings = &self.watched.settings()?.detectors;
         let share = |name: &str, value: f64| {
             let good = value > 0.0 && value < 1.0;
-            if good { Ok(()) } else { Err(anyhow!("{name} {value} is not strictly between 0 and 1")).or_usage() }
+            if good {
+                Ok(())
+            } else {
+                Err(anyhow!("{name} {value} is out of range: expected a fraction in (0, 1)")).or_usage()
+            }
         };
         share("--rate", self.rate)?;
         self.drop_to.iter().try_for_each(|to| share("--drop-to", *to))?;
         if !(self.cycle_s > 0.0 && self.cycle_s.is_finite()) {
-            return Err(anyhow!("--cycle-s {} is not a number above 0", self.cycle_s)).or_usage();
+            return Err(anyhow!("--cycle-s {} is out of range: expected seconds above 0", self.cycle_s)).or_usage();
         }
         if self.baseline_cycles == 0 || !(2..=100_000).contains(&self.streams) {
             let hint = "--baseline-cycles must be above 0 and --streams from 2 to 100000";
@@ -80,7 +84,13 @@ impl Simulate {
             seed: self.seed,
         };
         let figures = simulate(&question, settings, &baseline)
-            .ok_or_else(|| anyhow!("the baseline ({} of {}) leaves no room for a change", count.count, count.of))
+            .ok_or_else(|| {
+                anyhow!(
+                    "the baseline ({} of {}) is too small, or has too many failures, to detect a change",
+                    count.count,
+                    count.of
+                )
+            })
             .or_usage()?;
         if self.json {
             let document = Document {
@@ -102,13 +112,13 @@ impl Simulate {
 
     fn print(&self, figures: &[Figures], settings: &Settings, question: &Question, (k, n): (u64, u64)) {
         line(bold(format_args!(
-            "Success {} before a change, a cycle every {} s ({} a day), baseline {k} of {n}",
+            "Success {} before a change, a cycle every {} s ({} per day), baseline {k} of {n}",
             self.rate,
             self.cycle_s,
             whole(question.cycles_per_day)
         )));
         line("");
-        let mut head = format!("{:<20} {:>14} {:>20} {:>16}", "rule", "promised", "to a false alarm", "false a day");
+        let mut head = format!("{:<20} {:>14} {:>20} {:>16}", "rule", "bound", "to a false alarm", "false per day");
         for to in &self.drop_to {
             head += &format!(" {:>16}", format!("delay to {to}"));
         }
@@ -116,7 +126,7 @@ impl Simulate {
         for figure in figures {
             let mut row = format!(
                 "{:<20} {:>14} {:>20} {:>16}",
-                format!("{} {}", figure.rule, figure.level.word()),
+                format!("{} {}", figure.rule, figure.level.as_str()),
                 figure.promised_cycles.map_or_else(|| "-".to_owned(), |c| format!(">= {}", whole(c))),
                 mean(figure.cycles_to_false_alarm),
                 format!("{:.2}", figure.false_alarms_per_day)

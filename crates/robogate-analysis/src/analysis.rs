@@ -1,0 +1,192 @@
+//! The analysis of one dictionary. Every figure names the population that it applies to.
+
+use std::path::Path;
+
+use robogate_dictionary::Provenance;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::claims::{Claims, claims};
+use crate::danger::DangerZones;
+use crate::failures::FailureModes;
+use crate::marginal::{MarginalEffect, marginal_effect};
+use crate::models::{Frontier, Regression, RiskModel, frontier, interactions, risk};
+use crate::pairs::{self, PairMap, check as check_pair, default_pair};
+use crate::replay::{ReplayGroup, replay_groups};
+use crate::sampling::{Sampling, sampling};
+use crate::table::{EpisodeTable, Sample};
+use crate::task::TaskAnalysis;
+use crate::{AnalysisError, Finding, Population, Source, Success};
+
+/// The analysis of one dictionary.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Analysis {
+    /// The version of this document.
+    pub version: u32,
+    /// What was analysed.
+    pub subject: Subject,
+    /// What the headline may state.
+    pub claims: Claims,
+    /// The population that every figure below applies to, unless it names another one.
+    pub population: Population,
+    /// How often the policy succeeds.
+    pub success: Success,
+    /// Success over two parameters at once, with the frontier between success and failure.
+    pub envelopes: Vec<Envelope>,
+    /// The marginal effect of each parameter.
+    pub marginal_effects: Vec<MarginalEffect>,
+    /// How the policy fails.
+    pub failure_modes: FailureModes,
+    /// Where it significantly fails most of the time.
+    pub danger_zones: DangerZones,
+    /// The published model of the task, standardised, with interactions.
+    pub interactions: Finding<Regression>,
+    /// The paper's risk model.
+    pub risk: Finding<RiskModel>,
+    /// How the points were sampled.
+    pub sampling: Sampling,
+    /// Episodes worth replaying.
+    pub replay: Vec<ReplayGroup>,
+    /// Where the rows come from.
+    pub provenance: Provenance,
+}
+
+/// What was analysed.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Subject {
+    /// The run's folder or the file, as given.
+    pub path: String,
+    /// Whether it is a run's folder, so that its episodes can be replayed.
+    pub replayable: bool,
+    /// The task; empty where it is not known.
+    pub task: String,
+    /// The robot.
+    pub robot: String,
+    /// The policy.
+    pub policy: String,
+    /// The engine, with its version.
+    pub engine: String,
+    /// Episodes of all stages, invalid ones included.
+    pub episodes: u64,
+    /// The content hash of the rows.
+    pub dataset_hash: String,
+}
+
+impl Subject {
+    pub(crate) fn of(source: &Source, path: &Path) -> Self {
+        let dictionary = source.dictionary();
+        let provenance = dictionary.provenance();
+        Self {
+            path: path.display().to_string(),
+            replayable: source.folder().is_some() && provenance.source.is_none(),
+            task: provenance.task.name.as_str().to_owned(),
+            robot: provenance.robot.name.clone(),
+            policy: provenance.policy.clone(),
+            engine: match &provenance.engine.version {
+                Some(version) => format!("{} {version}", provenance.engine.name),
+                None => provenance.engine.name.clone(),
+            },
+            episodes: dictionary.len(),
+            dataset_hash: dictionary.dataset_hash().to_owned(),
+        }
+    }
+}
+
+/// Success over two parameters at once.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Envelope {
+    /// The observed rates.
+    pub map: Finding<PairMap>,
+    /// The frontier in closed form, solved for the parameter upwards.
+    pub frontier: Finding<Frontier>,
+}
+
+impl Analysis {
+    /// The version of the document that this build writes.
+    pub const VERSION: u32 = 2;
+
+    /// Analyses a source that was opened from `path`. `pairs` names the pairs that are mapped beside the default one.
+    ///
+    /// # Errors
+    /// A column that cannot be read, or a pair of parameters that does not exist.
+    pub fn of(source: &Source, path: &Path, pairs: &[(String, String)]) -> Result<Self, AnalysisError> {
+        let dictionary = source.dictionary();
+        let table = EpisodeTable::read(dictionary)?;
+        let (base, focused, population) = populations(&table);
+        for (first, second) in pairs {
+            check_pair(&base, first, second)?;
+        }
+        let marginal_effects: Vec<MarginalEffect> =
+            base.parameters.iter().map(|parameter| marginal_effect(&table, &base, parameter)).collect();
+        let task = TaskAnalysis::of_dictionary(dictionary.provenance());
+        let mut wanted: Vec<(String, String)> = default_pair(&base, &marginal_effects, task).into_iter().collect();
+        for pair in pairs {
+            if !wanted.contains(pair) {
+                wanted.push(pair.clone());
+            }
+        }
+        let envelopes = wanted.iter().filter_map(|(up, across)| envelope(&base, up, across)).collect();
+        let (risk, scored) = match risk(&base, task) {
+            Finding::Estimated((model, scored)) => (Finding::Estimated(model), Some(scored)),
+            Finding::CannotBeEstimated { because } => (Finding::CannotBeEstimated { because }, None),
+        };
+        let provenance = dictionary.provenance().clone();
+        let mut analysis = Self {
+            version: Self::VERSION,
+            subject: Subject::of(source, path),
+            claims: Claims::default(),
+            population,
+            success: Success::of(&table, &base, focused.as_ref(), population),
+            envelopes,
+            failure_modes: FailureModes::of(&table, &base),
+            danger_zones: DangerZones::of(&marginal_effects),
+            marginal_effects,
+            interactions: interactions(&base, task),
+            risk,
+            sampling: sampling(source, &table),
+            replay: replay_groups(&table, &base, scored.as_ref(), task),
+            provenance,
+        };
+        analysis.claims = claims(&analysis);
+        Ok(analysis)
+    }
+
+    /// The parameters that the space samples jointly with others, in the order of the space.
+    pub fn jointly_sampled(&self) -> Vec<String> {
+        let names = self.marginal_effects.iter().map(|effect| &effect.parameter);
+        names.filter(|parameter| self.is_jointly_sampled(parameter)).cloned().collect()
+    }
+
+    /// Whether the space samples this parameter jointly with another one.
+    pub fn is_jointly_sampled(&self, parameter: &str) -> bool {
+        let correlations = self.provenance.space.correlations();
+        correlations.iter().any(|c| c.parameters.iter().any(|name| **name == *parameter))
+    }
+}
+
+/// The rows that figures are computed from, the focused rows beside them, and the population of the first.
+pub(crate) fn populations(table: &EpisodeTable) -> (Sample, Option<Sample>, Population) {
+    let operating = table.sample(false);
+    let focused = table.sample(true);
+    if operating.len() == 0 && focused.len() > 0 {
+        return (focused, None, Population::FocusedDesign);
+    }
+    let any = |name: &str| table.stages.iter().any(|stage| !stage.focused && stage.name == name);
+    let population = if any("imported") {
+        Population::AsImported
+    } else if any("suite") {
+        Population::Suite
+    } else {
+        Population::OperatingSpace
+    };
+    (operating, (focused.len() > 0).then_some(focused), population)
+}
+
+fn envelope(base: &Sample, up: &str, across: &str) -> Option<Envelope> {
+    let (up, across) = (base.parameter(up)?, base.parameter(across)?);
+    let map = match pairs::map(base, up, across) {
+        Some(map) => Finding::Estimated(map),
+        None => Finding::not("one of the two parameters has too many levels for a map"),
+    };
+    Some(Envelope { map, frontier: frontier(base, up, across) })
+}

@@ -1,0 +1,194 @@
+//! One parameter, binned in the same way for every dataset.
+
+use robogate_stats::Trials;
+use robogate_stats::binning::Edges;
+
+use crate::comparison::dataset::Dataset;
+use crate::labels::parameter_label;
+use crate::table::{ParameterColumn, ParameterKind};
+use crate::{Axis, Population};
+use robogate_stats::format::{list, range};
+
+/// An integer parameter with at least this many levels is cut into bins.
+const MAX_LEVELS: i64 = 16;
+
+/// A parameter that every dataset has, over the range that all of them cover.
+pub(crate) struct SharedAxis {
+    pub(crate) axis: Axis,
+    /// The part of it that is not shared, as a sentence.
+    pub(crate) remark: Option<String>,
+    bins: Bins,
+}
+
+enum Bins {
+    Edges(Edges),
+    Levels(Vec<String>),
+}
+
+impl SharedAxis {
+    /// Divides the part of `parameter` that all of `datasets` cover into `bins` or its levels.
+    ///
+    /// # Errors
+    /// Why it is not shared, as the end of a sentence.
+    pub(crate) fn of(datasets: &[&Dataset<'_>], parameter: &str, bins: usize) -> Result<Self, String> {
+        let columns: Vec<&ParameterColumn> = datasets.iter().filter_map(|e| e.parameter(parameter)).collect();
+        if columns.len() != datasets.len() {
+            return Err("not every dataset has it".to_owned());
+        }
+        if columns.iter().all(|column| !column.is_numeric()) {
+            return Self::levels(parameter, &columns);
+        }
+        if columns.iter().any(|column| !column.is_numeric()) {
+            return Err("it is categorical in one dataset and numeric in another".to_owned());
+        }
+        let spans: Vec<[f64; 2]> = columns.iter().map(|column| span(column)).collect();
+        let [low, high] = common(&spans, datasets.iter().any(|e| e.population == Population::AsImported));
+        let remark = spans.iter().any(|s| s[0] < low || s[1] > high).then(|| {
+            format!(
+                "Only {} of {} is covered by every dataset; rows outside are left out.",
+                range([low, high]),
+                parameter_label(parameter)
+            )
+        });
+        let whole = columns.iter().all(|column| matches!(column.kind, ParameterKind::Integer { .. }));
+        if whole && low <= high && high - low < MAX_LEVELS as f64 {
+            let levels: Vec<String> = (low as i64..=high as i64).map(|level| level.to_string()).collect();
+            let edges = (0..=levels.len()).map(|i| low - 0.5 + i as f64).collect();
+            let edges = Edges::new(edges).map_err(|error| error.to_string())?;
+            let axis = Axis { parameter: parameter.to_owned(), edges: Vec::new(), levels, log: false };
+            return Ok(Self { axis, remark, bins: Bins::Edges(edges) });
+        }
+        let log = columns.iter().all(|c| matches!(c.kind, ParameterKind::Continuous { log: true, .. })) && low > 0.0;
+        let at = |i: usize| {
+            let u = i as f64 / bins as f64;
+            match i {
+                0 => low,
+                i if i == bins => high,
+                _ if log => (low.ln() + u * (high.ln() - low.ln())).exp(),
+                _ => low + u * (high - low),
+            }
+        };
+        let edges = Edges::new((0..=bins).map(at).collect()).map_err(|_| "their ranges do not overlap".to_owned())?;
+        let axis = Axis { parameter: parameter.to_owned(), edges: edges.as_slice().to_vec(), levels: Vec::new(), log };
+        Ok(Self { axis, remark, bins: Bins::Edges(edges) })
+    }
+
+    fn levels(parameter: &str, columns: &[&ParameterColumn]) -> Result<Self, String> {
+        let of = |column: &ParameterColumn| match &column.kind {
+            ParameterKind::Categorical { levels } => levels.clone(),
+            _ => Vec::new(),
+        };
+        let mut all: Vec<String> = Vec::new();
+        for level in columns.iter().flat_map(|column| of(column)) {
+            if !all.contains(&level) {
+                all.push(level);
+            }
+        }
+        let (levels, rest): (Vec<String>, Vec<String>) =
+            all.into_iter().partition(|level| columns.iter().all(|column| of(column).contains(level)));
+        if levels.is_empty() {
+            return Err("they have no level in common".to_owned());
+        }
+        let remark = (!rest.is_empty()).then(|| {
+            format!(
+                "Not every dataset has the {} {}; their rows are left out.",
+                parameter_label(parameter),
+                list(&rest)
+            )
+        });
+        let axis = Axis { parameter: parameter.to_owned(), edges: Vec::new(), levels: levels.clone(), log: false };
+        Ok(Self { axis, remark, bins: Bins::Levels(levels) })
+    }
+
+    /// Number of cells.
+    pub(crate) fn cells(&self) -> usize {
+        self.axis.cells()
+    }
+
+    /// The cell of each row of a dataset; `None` outside the shared part.
+    pub(crate) fn places(&self, column: &ParameterColumn) -> Vec<Option<usize>> {
+        match (&self.bins, &column.kind) {
+            (Bins::Edges(edges), _) => column.values.iter().map(|value| edges.bin(*value)).collect(),
+            (Bins::Levels(levels), ParameterKind::Categorical { levels: own }) => {
+                let places: Vec<Option<usize>> =
+                    own.iter().map(|own| levels.iter().position(|level| level == own)).collect();
+                column.codes().into_iter().map(|code| places.get(code).copied().flatten()).collect()
+            }
+            (Bins::Levels(_), _) => vec![None; column.values.len()],
+        }
+    }
+
+    /// Successes per cell of one dataset.
+    pub(crate) fn trials(&self, dataset: &Dataset<'_>) -> Vec<Trials> {
+        match dataset.parameter(&self.axis.parameter) {
+            Some(column) => tally(&self.places(column), &dataset.base.success, self.cells()),
+            None => vec![Trials::NONE; self.cells()],
+        }
+    }
+
+    /// Successes per cell of this parameter and `across`, which varies fastest.
+    pub(crate) fn trials_with(&self, across: &Self, dataset: &Dataset<'_>) -> Vec<Trials> {
+        let cells = self.cells() * across.cells();
+        let columns = (dataset.parameter(&self.axis.parameter), dataset.parameter(&across.axis.parameter));
+        let (Some(up), Some(to)) = columns else { return vec![Trials::NONE; cells] };
+        let places: Vec<Option<usize>> = self
+            .places(up)
+            .into_iter()
+            .zip(across.places(to))
+            .map(|(row, column)| Some(row? * across.cells() + column?))
+            .collect();
+        tally(&places, &dataset.base.success, cells)
+    }
+
+    /// The edges of one cell; `None` for a level.
+    pub(crate) fn range(&self, at: usize) -> Option<[f64; 2]> {
+        match self.axis.edges.get(at..at + 2) {
+            Some([low, high]) => Some([*low, *high]),
+            _ => None,
+        }
+    }
+}
+
+/// The range that all spans cover. The ends of an imported dataset are those of its rows, hence random: ends within 0.5 % of
+/// the widest span count as equal, so that no row is left out for them.
+fn common(spans: &[[f64; 2]], observed: bool) -> [f64; 2] {
+    let ends = |at: usize| spans.iter().map(move |span| span[at]);
+    let least = |at: usize| ends(at).fold(f64::INFINITY, f64::min);
+    let most = |at: usize| ends(at).fold(f64::NEG_INFINITY, f64::max);
+    let widest = spans.iter().map(|span| span[1] - span[0]).fold(0.0, f64::max);
+    let alike = |at: usize| observed && most(at) - least(at) <= 0.005 * widest;
+    [if alike(0) { least(0) } else { most(0) }, if alike(1) { most(1) } else { least(1) }]
+}
+
+fn span(column: &ParameterColumn) -> [f64; 2] {
+    match &column.kind {
+        ParameterKind::Continuous { low, high, .. } => [*low, *high],
+        ParameterKind::Integer { low, high } => [*low as f64, *high as f64],
+        ParameterKind::Categorical { .. } => [f64::NEG_INFINITY, f64::INFINITY],
+    }
+}
+
+fn tally(places: &[Option<usize>], success: &[bool], cells: usize) -> Vec<Trials> {
+    let mut counts = vec![(0, 0); cells];
+    for (place, success) in places.iter().zip(success) {
+        if let Some((successes, n)) = place.and_then(|place| counts.get_mut(place)) {
+            *successes += u64::from(*success);
+            *n += 1;
+        }
+    }
+    // Successes never exceed rows, as they are counted together.
+    counts.into_iter().map(|(successes, n)| Trials::new(successes, n).unwrap_or(Trials::NONE)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_observed_ends_are_rounded() {
+        let spans = [[0.0, 100.0], [0.3, 99.8]];
+        assert_eq!(common(&spans, true), [0.0, 100.0]);
+        assert_eq!(common(&spans, false), [0.3, 99.8]);
+        assert_eq!(common(&[[0.0, 100.0], [2.0, 99.8]], true), [2.0, 100.0]);
+    }
+}

@@ -1,0 +1,125 @@
+//! One dataset of a comparison: its rows, its name among the others, and whether it can be compared.
+
+use std::path::{Path, PathBuf};
+
+use robogate_dictionary::Provenance;
+
+use crate::analysis::populations;
+use crate::replay::shell_word;
+use crate::table::{EpisodeTable, ParameterColumn, Sample};
+use crate::{AnalysisError, ComparisonError, Population, Source};
+
+/// One dataset.
+pub(crate) struct Dataset<'a> {
+    pub(crate) name: String,
+    pub(crate) source: &'a Source,
+    pub(crate) path: &'a Path,
+    pub(crate) table: EpisodeTable,
+    pub(crate) base: Sample,
+    pub(crate) focused: Option<Sample>,
+    pub(crate) population: Population,
+}
+
+impl<'a> Dataset<'a> {
+    pub(crate) fn read(source: &'a Source, path: &'a Path, name: String) -> Result<Self, AnalysisError> {
+        let table = EpisodeTable::read(source.dictionary())?;
+        let (base, focused, population) = populations(&table);
+        Ok(Self { name, source, path, table, base, focused, population })
+    }
+
+    pub(crate) fn provenance(&self) -> &Provenance {
+        self.source.dictionary().provenance()
+    }
+
+    pub(crate) fn parameter(&self, name: &str) -> Option<&ParameterColumn> {
+        self.base.parameter(name)
+    }
+
+    /// The command that replays an episode, if the source is a run's folder.
+    pub(crate) fn replay(&self, index: u64) -> Option<String> {
+        let folder = self.source.folder().filter(|_| self.provenance().source.is_none())?;
+        Some(format!("robogate replay {} {index}", shell_word(&folder.display().to_string())))
+    }
+
+    /// Why its rate cannot be compared with the others, if it cannot.
+    pub(crate) fn excluded_because(&self) -> Option<&'static str> {
+        if self.table.len() == 0 {
+            Some("it has no episode")
+        } else if self.base.len() == 0 {
+            Some("it has no valid episode")
+        } else if self.population == Population::FocusedDesign {
+            Some("its rows come from a focused design only, which is not the operating space")
+        } else {
+            None
+        }
+    }
+}
+
+/// Rejects a single source, and the same rows twice.
+pub(crate) fn check_distinct(sources: &[(Source, PathBuf)]) -> Result<(), ComparisonError> {
+    if sources.len() < 2 {
+        return Err(ComparisonError::TooFew { found: sources.len() });
+    }
+    for (i, (source, path)) in sources.iter().enumerate() {
+        for (other, before) in &sources[..i] {
+            let (one, two) = (source.dictionary(), other.dictionary());
+            if !one.is_empty() && one.dataset_hash() == two.dataset_hash() {
+                return Err(ComparisonError::SameTwice { first: before.clone(), second: path.clone() });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A name for each dataset: as given, else the first of robot, engine, policy, renderer and file name that differs between
+/// all of them.
+pub(crate) fn names(sources: &[(Source, PathBuf)], given: &[String]) -> Result<Vec<String>, ComparisonError> {
+    if !given.is_empty() {
+        if given.len() != sources.len() {
+            return Err(ComparisonError::Names { given: given.len(), datasets: sources.len() });
+        }
+        if let Some(name) = repeated(given) {
+            return Err(ComparisonError::NameTwice { name: name.clone() });
+        }
+        return Ok(given.to_vec());
+    }
+    let all = |attribute: fn(&Provenance) -> &str| -> Vec<String> {
+        sources.iter().map(|(source, _)| attribute(source.dictionary().provenance()).to_owned()).collect()
+    };
+    let stems: Vec<String> = sources.iter().map(|(_, path)| stem(path)).collect();
+    for names in [all(|p| &p.robot.name), all(|p| &p.engine.name), all(|p| &p.policy), all(renderer), stems] {
+        let known = names.iter().all(|name| !name.is_empty() && name != "unknown");
+        if known && repeated(&names).is_none() {
+            return Ok(names);
+        }
+    }
+    Ok(sources.iter().enumerate().map(|(i, (_, path))| format!("{} {}", i + 1, stem(path))).collect())
+}
+
+/// The renderer in the provenance of a built-in world, which does not name the embedded one.
+fn renderer(provenance: &Provenance) -> &str {
+    let world = &provenance.world;
+    match (world.get("engine"), world.get("renderer")) {
+        (None, _) => "unknown",
+        (Some(_), None) => "embedded",
+        (Some(_), Some(renderer)) => renderer.get("name").and_then(|name| name.as_str()).unwrap_or("unknown"),
+    }
+}
+
+fn repeated(names: &[String]) -> Option<&String> {
+    names.iter().enumerate().find(|(i, name)| names[..*i].contains(name)).map(|(_, name)| name)
+}
+
+/// The name of the folder, or of the file without its extension; for a dictionary in a run's folder the name of the folder.
+fn stem(path: &Path) -> String {
+    let of = if path.is_dir() { path.file_name() } else { path.file_stem() };
+    let name = of.map(|name| name.to_string_lossy().into_owned());
+    match name {
+        Some(name) if name != "dictionary" => name,
+        _ => {
+            let full = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+            let folder = if full.is_dir() { Some(full.as_path()) } else { full.parent() };
+            folder.and_then(Path::file_name).map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into())
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! Errors of a comparison.
+
+use std::path::PathBuf;
+
+use crate::AnalysisError;
+
+/// Why there is no comparison.
+#[derive(Debug, thiserror::Error)]
+pub enum ComparisonError {
+    /// One of the dictionaries cannot be read.
+    #[error(transparent)]
+    Analysis(#[from] AnalysisError),
+    /// Fewer than two dictionaries.
+    #[error("expected at least two dictionaries, found {found}\nhint: analyze a single one with `robogate analyze`")]
+    TooFew {
+        /// The number of dictionaries.
+        found: usize,
+    },
+    /// The same rows twice.
+    #[error("{} and {} have the same rows\nhint: remove one of them", first.display(), second.display())]
+    SameTwice {
+        /// The first path.
+        first: PathBuf,
+        /// The second path.
+        second: PathBuf,
+    },
+    /// The number of names differs from the number of dictionaries.
+    #[error(
+        "--names: found {given} names for {datasets} dictionaries\nhint: give one name for each, in their order, or none"
+    )]
+    Names {
+        /// Names given.
+        given: usize,
+        /// Dictionaries given.
+        datasets: usize,
+    },
+    /// Two dictionaries with one name.
+    #[error("--names: `{name}` is given twice; expected a different name for each dictionary")]
+    NameTwice {
+        /// The name.
+        name: String,
+    },
+    /// A name that no dictionary has.
+    #[error("no dictionary is named `{name}`; expected one of: {known}")]
+    NoSuchName {
+        /// The name as given.
+        name: String,
+        /// The names of the dictionaries.
+        known: String,
+    },
+    /// A setting outside its range.
+    #[error("{setting} is out of range: {value}; expected {expected}")]
+    Setting {
+        /// The setting.
+        setting: &'static str,
+        /// Its value.
+        value: f64,
+        /// Its range.
+        expected: &'static str,
+    },
+    /// A pair of parameters that cannot be compared together.
+    #[error("`{name}` is not a valid parameter of a pair: {reason}\nhint: expected two of {known}")]
+    Pair {
+        /// The name as given.
+        name: String,
+        /// What is wrong with it.
+        reason: String,
+        /// The names of the shared parameters.
+        known: String,
+    },
+    /// Two dictionaries that did not run the same scenarios.
+    #[error(
+        "`{first}` and `{second}` did not run the same scenarios: {difference}\nhint: runs are paired if they have the same \
+         plan, space and --seed; without --paired they are compared as independent runs"
+    )]
+    NotTheSameDesign {
+        /// Name of the first.
+        first: String,
+        /// Name of the second.
+        second: String,
+        /// The first difference, with its row.
+        difference: String,
+    },
+}

@@ -1,0 +1,161 @@
+//! Paired comparison of two datasets that ran the same scenarios.
+
+mod cross_table;
+mod disagreement;
+mod flips;
+mod rows;
+
+use robogate_stats::compare::{Pairs, mcnemar_exact, newcombe_paired};
+use robogate_stats::multiplicity::holm;
+use robogate_stats::{Confidence, Trials};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use cross_table::CrossTable;
+pub use disagreement::{DisagreementCell, DisagreementMap};
+pub use flips::Flip;
+
+use crate::AnalysisError;
+use crate::comparison::ComparisonError;
+use crate::comparison::dataset::Dataset;
+use crate::rate::{Finding, Rate, ends};
+use crate::table::Ending;
+use rows::{Design, PairedRows};
+
+/// Two datasets with the same scenarios. Rows of a focused stage are left out: each campaign chooses its own.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct PairedComparison {
+    /// Name of the first.
+    pub first: String,
+    /// Name of the second.
+    pub second: String,
+    /// Scenarios that both ran.
+    pub scenarios: u64,
+    /// Scenarios that are valid in both: every figure below applies to these.
+    pub valid_pairs: u64,
+    /// Both succeeded.
+    pub both: u64,
+    /// Only the first succeeded.
+    pub first_only: u64,
+    /// Only the second succeeded.
+    pub second_only: u64,
+    /// Neither succeeded.
+    pub neither: u64,
+    /// The first's rate.
+    pub first_rate: Rate,
+    /// The second's rate.
+    pub second_rate: Rate,
+    /// First rate minus second; absent without valid pairs.
+    pub difference: Option<f64>,
+    /// Newcombe's paired 95 % interval of the difference.
+    pub difference_95: [f64; 2],
+    /// ln of McNemar's exact two-sided p-value.
+    pub ln_p: f64,
+    /// The p-value, adjusted by Holm over all pairs of datasets.
+    pub holm_p: f64,
+    /// Invalid scenarios, and what they could change.
+    pub invalid: PairedInvalid,
+    /// Outcomes of the first by outcomes of the second.
+    pub outcomes: CrossTable,
+    /// Where the outcomes differ, by two parameters.
+    pub disagreement: Finding<DisagreementMap>,
+    /// Scenarios that one solved and the other did not: the first ones of each direction.
+    pub flips: Vec<Flip>,
+}
+
+/// Scenarios that are invalid in one of the two.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct PairedInvalid {
+    /// Invalid in the first.
+    pub first: u64,
+    /// Invalid in the second.
+    pub second: u64,
+    /// Invalid in at least one: left out of every rate.
+    pub either: u64,
+    /// Bounds of the difference over all scenarios, whatever the outcomes of the invalid episodes would have been.
+    pub difference_bounds: Option<[f64; 2]>,
+}
+
+/// Counts of the scenarios that both datasets ran; `None` if they did not run the same ones.
+pub(crate) fn same_scenarios(first: &Dataset<'_>, second: &Dataset<'_>) -> Result<Option<Pairs>, AnalysisError> {
+    let (one, two) = (Design::of(first)?, Design::of(second)?);
+    Ok(PairedRows::of(first, &one, second, &two).ok().map(|pairs| pairs.counts()))
+}
+
+/// Compares each two datasets scenario by scenario.
+pub(crate) fn paired(
+    datasets: &[&Dataset<'_>],
+    pair: Option<(&str, &str)>,
+    max_flips: usize,
+) -> Result<Vec<PairedComparison>, ComparisonError> {
+    let designs = datasets.iter().map(|dataset| Design::of(dataset));
+    let designs: Vec<Design> = designs.collect::<Result<_, _>>().map_err(AnalysisError::from)?;
+    let mut found = Vec::new();
+    for (i, first) in datasets.iter().enumerate() {
+        for (j, second) in datasets.iter().enumerate().skip(i + 1) {
+            match PairedRows::of(first, &designs[i], second, &designs[j]) {
+                Ok(pairs) => found.push(compared(&pairs, pair, max_flips)),
+                Err(difference) => {
+                    let (first, second) = (first.name.clone(), second.name.clone());
+                    return Err(ComparisonError::NotTheSameDesign { first, second, difference });
+                }
+            }
+        }
+    }
+    let p: Vec<f64> = found.iter().map(|of| of.ln_p.exp()).collect();
+    let adjusted = holm(&p).unwrap_or_else(|_| vec![1.0; p.len()]);
+    found.iter_mut().zip(adjusted).for_each(|(of, p)| of.holm_p = p);
+    Ok(found)
+}
+
+fn compared(pairs: &PairedRows<'_>, pair: Option<(&str, &str)>, max_flips: usize) -> PairedComparison {
+    let counts = pairs.counts();
+    let difference = newcombe_paired(counts, Confidence::P95);
+    let rate = |successes| Rate::of(Trials::new(successes, counts.n()).unwrap_or(Trials::NONE));
+    PairedComparison {
+        first: pairs.first.name.clone(),
+        second: pairs.second.name.clone(),
+        scenarios: pairs.rows.len() as u64,
+        valid_pairs: counts.n(),
+        both: counts.both,
+        first_only: counts.first_only,
+        second_only: counts.second_only,
+        neither: counts.neither,
+        first_rate: rate(counts.both + counts.first_only),
+        second_rate: rate(counts.both + counts.second_only),
+        difference: difference.estimate,
+        difference_95: ends(difference.interval),
+        ln_p: mcnemar_exact(counts).max(f64::MIN),
+        holm_p: 1.0,
+        invalid: invalid(pairs),
+        outcomes: CrossTable::of(pairs),
+        disagreement: disagreement::disagreement(pairs, pair),
+        flips: flips::flips(pairs, max_flips),
+    }
+}
+
+fn invalid(pairs: &PairedRows<'_>) -> PairedInvalid {
+    let mut found = PairedInvalid { first: 0, second: 0, either: 0, difference_bounds: None };
+    let mut bounds = [0_i64; 2];
+    for at in &pairs.rows {
+        let (one, two) = pairs.endings(*at);
+        found.first += u64::from(one == Ending::Invalid);
+        found.second += u64::from(two == Ending::Invalid);
+        found.either += u64::from(one == Ending::Invalid || two == Ending::Invalid);
+        let ([low_one, high_one], [low_two, high_two]) = (possible(one), possible(two));
+        bounds[0] += low_one - high_two;
+        bounds[1] += high_one - low_two;
+    }
+    let share = |bound: i64| bound as f64 / pairs.rows.len() as f64;
+    found.difference_bounds = (found.either > 0).then(|| bounds.map(share));
+    found
+}
+
+/// The possible values of success, as 0 or 1: both for an invalid episode.
+fn possible(ending: Ending) -> [i64; 2] {
+    match ending {
+        Ending::Success => [1, 1],
+        Ending::Failure(_) => [0, 0],
+        Ending::Invalid => [0, 1],
+    }
+}

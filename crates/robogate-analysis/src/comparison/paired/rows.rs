@@ -1,0 +1,121 @@
+//! The rows of two datasets that belong to the same scenarios.
+
+use robogate_dictionary::{Column, DictionaryError};
+use robogate_stats::compare::Pairs;
+
+use crate::comparison::dataset::Dataset;
+use crate::table::Ending;
+
+/// The rows of one dataset that can be paired: those outside focused stages.
+pub(super) struct Design {
+    rows: Vec<usize>,
+    seeds: Vec<Option<u64>>,
+}
+
+impl Design {
+    pub(super) fn of(dataset: &Dataset<'_>) -> Result<Self, DictionaryError> {
+        let rows: Vec<usize> = (0..dataset.table.len()).filter(|row| !dataset.table.is_focused(*row)).collect();
+        let seeds = match dataset.source.dictionary().column("seed")? {
+            Column::Counts(seeds) => seeds,
+            _ => Vec::new(),
+        };
+        Ok(Self { rows, seeds })
+    }
+}
+
+/// Two datasets and their rows, pair by pair.
+pub(super) struct PairedRows<'a> {
+    pub(super) first: &'a Dataset<'a>,
+    pub(super) second: &'a Dataset<'a>,
+    pub(super) rows: Vec<(usize, usize)>,
+}
+
+impl<'a> PairedRows<'a> {
+    /// Pairs the rows of two designs.
+    ///
+    /// # Errors
+    /// The first difference of the designs, for people.
+    pub(super) fn of(
+        first: &'a Dataset<'a>,
+        one: &Design,
+        second: &'a Dataset<'a>,
+        two: &Design,
+    ) -> Result<Self, String> {
+        match difference(first, one, second, two) {
+            Some(difference) => Err(difference),
+            None => Ok(Self { first, second, rows: one.rows.iter().copied().zip(two.rows.iter().copied()).collect() }),
+        }
+    }
+
+    /// How the scenario ended in both datasets.
+    pub(super) fn endings(&self, (first, second): (usize, usize)) -> (Ending, Ending) {
+        (self.first.table.outcome[first], self.second.table.outcome[second])
+    }
+
+    /// Counts of valid pairs by the success of both.
+    pub(super) fn counts(&self) -> Pairs {
+        let mut pairs = Pairs::default();
+        for at in &self.rows {
+            count(&mut pairs, self.endings(*at));
+        }
+        pairs
+    }
+}
+
+/// Adds one scenario to the counts, unless it is invalid in one of the datasets.
+pub(super) fn count(pairs: &mut Pairs, endings: (Ending, Ending)) {
+    match endings {
+        (Ending::Invalid, _) | (_, Ending::Invalid) => {}
+        (Ending::Success, Ending::Success) => pairs.both += 1,
+        (Ending::Success, Ending::Failure(_)) => pairs.first_only += 1,
+        (Ending::Failure(_), Ending::Success) => pairs.second_only += 1,
+        (Ending::Failure(_), Ending::Failure(_)) => pairs.neither += 1,
+    }
+}
+
+/// The first difference of two designs, if they differ.
+fn difference(first: &Dataset<'_>, one: &Design, second: &Dataset<'_>, two: &Design) -> Option<String> {
+    let missing = |from: &Dataset<'_>, other: &Dataset<'_>| {
+        from.table
+            .parameters
+            .iter()
+            .find(|p| !other.table.parameters.iter().any(|q| q.name == p.name))
+            .map(|p| format!("`{}` has the parameter {} and `{}` does not", from.name, p.name, other.name))
+    };
+    if let Some(parameter) = missing(first, second).or_else(|| missing(second, first)) {
+        return Some(parameter);
+    }
+    for (dataset, design) in [(first, one), (second, two)] {
+        if design.rows.is_empty() {
+            return Some(format!("`{}` has no row outside focused stages", dataset.name));
+        }
+    }
+    for (at, (a, b)) in one.rows.iter().zip(&two.rows).enumerate() {
+        let (i, j) = (first.table.index[*a], second.table.index[*b]);
+        if i != j {
+            return Some(format!("row {at} is episode {i} in one and episode {j} in the other"));
+        }
+        let (s, t) = (one.seeds.get(*a).copied().flatten(), two.seeds.get(*b).copied().flatten());
+        if let (Some(s), Some(t)) = (s, t)
+            && s != t
+        {
+            return Some(format!("row {at} (episode {i}) has seed {s} in one and {t} in the other"));
+        }
+        for p in &first.table.parameters {
+            let Some(q) = second.table.parameters.iter().find(|q| q.name == p.name) else { continue };
+            let (x, y) = (p.values[*a], q.values[*b]);
+            let (x_text, y_text) = (p.exactly(x), q.exactly(y));
+            let same = if p.is_numeric() && q.is_numeric() { x.to_bits() == y.to_bits() } else { x_text == y_text };
+            if !same {
+                return Some(format!(
+                    "row {at} (episode {i}) has {} {x_text} in one and {y_text} in the other",
+                    p.name
+                ));
+            }
+        }
+    }
+    (one.rows.len() != two.rows.len()).then(|| {
+        let (n, m) = (one.rows.len(), two.rows.len());
+        format!("`{}` has {n} scenarios and `{}` has {m}", first.name, second.name)
+    })
+}

@@ -1,0 +1,120 @@
+//! Failures by mode.
+
+use robogate_core::FailureMode;
+use robogate_stats::Confidence;
+use robogate_stats::format::{count, counted, list};
+use robogate_stats::modes::{Joint, distribution, dominance};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::labels::mode_label;
+use crate::rate::{Finding, ends};
+use crate::table::{EpisodeTable, Sample};
+
+/// Failures by mode.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct FailureModes {
+    /// Failures among the rows of the analysis.
+    pub failures: u64,
+    /// Every mode, including those that did not occur.
+    pub modes: Vec<ModeShare>,
+    /// The most frequent mode, if it is significantly more frequent than the second.
+    pub dominant: Finding<String>,
+    /// Modes that the source of imported rows does not record: any failure may be one of them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub not_recorded: Vec<String>,
+}
+
+/// One mode's share of the failures.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ModeShare {
+    /// The mode.
+    pub mode: String,
+    /// Whether the task declares it; an undeclared mode comes from the data alone.
+    #[serde(default = "declared")]
+    pub declared: bool,
+    /// Failures of this mode.
+    pub failures: u64,
+    /// Share of all failures; absent where nothing failed.
+    pub share: Option<f64>,
+    /// 95 % interval; the intervals hold for all modes together (Goodman).
+    pub interval_95: [f64; 2],
+}
+
+impl ModeShare {
+    /// Whether these are the failures without a recorded mode.
+    pub fn is_unknown(&self) -> bool {
+        self.mode == FailureMode::UNKNOWN.as_str()
+    }
+}
+
+/// Documents of earlier versions contain declared modes only.
+fn declared() -> bool {
+    true
+}
+
+impl FailureModes {
+    pub(crate) fn of(table: &EpisodeTable, base: &Sample) -> Self {
+        let mut counts = vec![0; table.modes.len()];
+        base.failures(table).1.into_iter().for_each(|mode| counts[mode] += 1);
+        let failures = counts.iter().sum();
+        let shares = distribution(&counts, Joint::Simultaneous, Confidence::P95);
+        let not_recorded = table.not_recorded.clone();
+        let mode_name = |mode: usize| table.mode(mode).to_owned();
+        let unknown = table.modes.iter().position(|mode| *mode == FailureMode::UNKNOWN);
+        let unknown_failures = unknown.map_or(0, |at| counts[at]);
+        let dominant = match dominance(&with_unknown_as_second(counts, unknown)) {
+            Some(_) if !not_recorded.is_empty() => Finding::not(unrecorded(&not_recorded)),
+            None => Finding::not("nothing failed"),
+            Some(found) if Some(found.mode) == unknown => Finding::not(format!(
+                "the mode of {} of {} is unknown",
+                count(unknown_failures),
+                counted(failures, "failure")
+            )),
+            Some(found) if found.count == failures => Finding::Estimated(mode_name(found.mode)),
+            Some(found) if found.ln_p.is_some_and(|p| p < 0.05_f64.ln()) => Finding::Estimated(mode_name(found.mode)),
+            Some(_) => Finding::not(format!(
+                "the two most frequent modes do not differ significantly in {}",
+                counted(failures, "failure")
+            )),
+        };
+        let modes = shares.into_iter().enumerate().map(|(mode, share)| ModeShare {
+            mode: mode_name(mode),
+            declared: mode < table.declared,
+            failures: share.count,
+            share: share.share,
+            interval_95: ends(share.interval),
+        });
+        Self { failures, modes: modes.collect(), dominant, not_recorded }
+    }
+}
+
+/// Counts in which the failures of unknown mode have the second most frequent mode: the least favourable case for the
+/// most frequent one.
+fn with_unknown_as_second(mut counts: Vec<u64>, unknown: Option<usize>) -> Vec<u64> {
+    let Some(unknown) = unknown else { return counts };
+    let mut known: Vec<usize> = (0..counts.len()).filter(|mode| *mode != unknown && counts[*mode] > 0).collect();
+    known.sort_by_key(|mode| std::cmp::Reverse(counts[*mode]));
+    if let Some(second) = known.get(1) {
+        counts[*second] += std::mem::take(&mut counts[unknown]);
+    }
+    counts
+}
+
+/// Why modes that a source does not record make the others uncertain, as the end of a sentence.
+pub fn unrecorded(modes: &[String]) -> String {
+    let modes: Vec<String> = modes.iter().map(|mode| mode_label(mode)).collect();
+    format!("the source does not record {}: any failure may be one of them", list(&modes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unknown_modes_count_against_dominance() {
+        assert_eq!(with_unknown_as_second(vec![9, 5, 1, 4], Some(3)), [9, 9, 1, 0]);
+        assert_eq!(with_unknown_as_second(vec![9, 0, 4], Some(2)), [9, 0, 4]);
+        assert_eq!(with_unknown_as_second(vec![9, 4], None), [9, 4]);
+    }
+}

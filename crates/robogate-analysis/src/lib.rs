@@ -1,0 +1,59 @@
+//! What a failure dictionary says, as data: rates, marginal effects, frontiers, risk models, comparisons and studies.
+//!
+//! [`Source::open`] takes a run's folder, a Parquet dictionary or a published JSON one; [`Analysis::of`] makes one versioned
+//! document of it. Every figure names the population that it applies to, and a figure that cannot be estimated says why. The
+//! same rows give the same figures: there is no clock and no randomness here but the fixed seeds of bootstrap and folds.
+//! Sentences and pages are `robogate-report`'s.
+//!
+//! | from | to |
+//! |---|---|
+//! | a path | [`Source`] |
+//! | a source | [`Analysis`] |
+//! | several sources | [`Comparison`] |
+//! | dictionaries of several designs and a test set | [`study::Study`] |
+//! | the name of a task | [`TaskAnalysis`]: what that task adds to the generic analysis |
+
+mod analysis;
+mod claims;
+mod comparison;
+mod danger;
+mod error;
+mod failures;
+pub mod labels;
+mod marginal;
+mod models;
+mod pairs;
+mod pick_place;
+mod rate;
+mod replay;
+mod sampling;
+mod source;
+pub mod study;
+mod success;
+mod table;
+mod task;
+
+pub use analysis::{Analysis, Envelope, Subject};
+pub use claims::{Advice, Claims, FailureRegion, RatedCell};
+pub use comparison::{
+    ComparedDataset, Comparison, ComparisonError, ComparisonOptions, CrossTable, DisagreementCell, DisagreementMap,
+    Effect, Flip, NotShared, PairedComparison, PairedInvalid, RateDifference, ReachRow, Sensitivity, SharedCell,
+    SharedCurve, SharedParameters, Slope, UniversalZone, UniversalZones, ZoneSide,
+};
+pub use danger::{DANGER_LIMIT, DangerZone, DangerZones};
+pub use error::AnalysisError;
+pub use failures::{FailureModes, ModeShare, unrecorded};
+pub use marginal::{
+    Cell, Correlation, CriticalThreshold, MarginalEffect, ModeBin, ModeChange, ModeChanges, ParameterType, Zone,
+};
+pub use models::{
+    CalibrationFigures, Coefficient, Estimate, Frontier, FrontierPoint, Penalty, PenaltyLevel, Regression,
+    ReliabilityBin, RiskModel, RocCurve, RocFigures, Scoring, ScoringTerm,
+};
+pub use pairs::{Axis, PairCell, PairMap, ZoneCounts};
+pub use rate::{Finding, Population, Rate};
+pub use replay::{ReplayEpisode, ReplayGroup, ReplayReason, shell_word};
+pub use sampling::{SampledRange, Sampling};
+pub use source::Source;
+pub use success::{FaultCount, InvalidBounds, Reweighted, StageSuccess, Success, WeightedRate};
+pub use task::{InteractionModel, TaskAnalysis};

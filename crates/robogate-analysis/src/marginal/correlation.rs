@@ -1,0 +1,71 @@
+//! Correlation of one parameter with success.
+
+use robogate_stats::Confidence;
+use robogate_stats::correlation::{cramers_v, point_biserial, spearman};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::no_contrast;
+use crate::rate::{Finding, ends};
+use crate::table::{ParameterColumn, Sample};
+
+/// Correlation of a parameter with success.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", tag = "measure")]
+pub enum Correlation {
+    /// Of a numeric parameter.
+    Number {
+        /// Point-biserial correlation: above 0, success is more likely at larger values.
+        point_biserial: f64,
+        /// 95 % interval by Fisher's transform.
+        interval_95: [f64; 2],
+        /// ln of the two-sided p-value; absent where it is not defined.
+        ln_p: Option<f64>,
+        /// Spearman's rank correlation; absent where it is not defined.
+        spearman: Option<f64>,
+    },
+    /// Of a categorical parameter: Cramer's V, which has no direction.
+    Category {
+        /// Cramer's V, from 0 to 1, corrected for its bias under independence.
+        cramers_v: f64,
+        /// ln of the p-value of independence.
+        ln_p: f64,
+        /// Smallest expected count: below 5 the p-value is approximate.
+        smallest_expected: f64,
+    },
+}
+
+impl Correlation {
+    /// Strength without direction, from 0 to 1.
+    pub fn strength(&self) -> f64 {
+        match self {
+            Self::Number { point_biserial, .. } => point_biserial.abs(),
+            Self::Category { cramers_v, .. } => *cramers_v,
+        }
+    }
+}
+
+pub(super) fn correlation(base: &Sample, parameter: &ParameterColumn) -> Finding<Correlation> {
+    if parameter.is_numeric() {
+        let Ok(found) = point_biserial(&parameter.values, &base.success, Confidence::P95) else {
+            return Finding::not(no_contrast(base, parameter));
+        };
+        let outcomes: Vec<f64> = base.success.iter().map(|s| f64::from(u8::from(*s))).collect();
+        let ranks = spearman(&parameter.values, &outcomes, Confidence::P95).ok();
+        return Finding::Estimated(Correlation::Number {
+            point_biserial: found.r,
+            interval_95: ends(found.interval),
+            ln_p: found.ln_p.filter(|p| p.is_finite()),
+            spearman: ranks.map(|ranks| ranks.r),
+        });
+    }
+    let outcomes: Vec<usize> = base.success.iter().map(|s| usize::from(*s)).collect();
+    match cramers_v(&parameter.codes(), &outcomes) {
+        Ok(found) => Finding::Estimated(Correlation::Category {
+            cramers_v: found.v_corrected,
+            ln_p: found.ln_p.max(f64::MIN),
+            smallest_expected: found.smallest_expected,
+        }),
+        Err(_) => Finding::not(no_contrast(base, parameter)),
+    }
+}

@@ -1,0 +1,131 @@
+//! Marginal effects: success along one parameter, averaged over all others.
+
+mod cells;
+mod correlation;
+mod mode_changes;
+mod threshold;
+mod zone;
+
+use robogate_stats::binning::Edges;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use correlation::Correlation;
+pub use mode_changes::{ModeBin, ModeChange, ModeChanges};
+pub use threshold::CriticalThreshold;
+pub use zone::Zone;
+
+use crate::labels::{label_and_unit, parameter_label};
+use crate::rate::{Finding, Rate};
+use crate::table::{EpisodeTable, ParameterColumn, ParameterKind, Sample};
+
+/// Bins over the range of a continuous parameter, as in the paper.
+pub(crate) const BINS: usize = 10;
+/// An integer parameter with at least this many levels is cut into bins.
+const MAX_LEVELS: i64 = 30;
+
+/// The marginal effect of one parameter. Every rate applies to the population of the whole analysis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct MarginalEffect {
+    /// The parameter.
+    pub parameter: String,
+    /// Its label for people.
+    pub label: String,
+    /// Its unit; empty without one.
+    pub unit: String,
+    /// The type of its values.
+    pub kind: ParameterType,
+    /// Bins of equal width over its range (continuous), or its levels.
+    pub cells: Vec<Cell>,
+    /// Rows outside the range.
+    pub outside: u64,
+    /// Correlation with success.
+    pub correlation: Finding<Correlation>,
+    /// Where the success rate crosses 50 %; numeric parameters only.
+    pub threshold: Finding<CriticalThreshold>,
+    /// How the dominant failure mode changes with the parameter; numeric parameters only.
+    pub transitions: Finding<ModeChanges>,
+}
+
+/// The type of a parameter's values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ParameterType {
+    /// Real numbers, sampled on a linear scale.
+    Continuous,
+    /// Real numbers, sampled on a logarithmic scale.
+    ContinuousLog,
+    /// Integers.
+    Integer,
+    /// Named levels.
+    Categorical,
+}
+
+/// One bin or level of a parameter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Cell {
+    /// The bin or level for people.
+    pub label: String,
+    /// Edges of a bin; absent for a level.
+    pub range: Option<[f64; 2]>,
+    /// Its success rate.
+    pub rate: Rate,
+    /// Its zone, at a confidence shared over all cells of the parameter.
+    pub zone: Zone,
+}
+
+/// The marginal effect of `parameter` in the rows of `base`.
+pub(crate) fn marginal_effect(table: &EpisodeTable, base: &Sample, parameter: &ParameterColumn) -> MarginalEffect {
+    let (label, unit) = label_and_unit(&parameter.name);
+    let (cells, outside) = cells::cells(base, parameter);
+    let kind = match &parameter.kind {
+        ParameterKind::Continuous { log: false, .. } => ParameterType::Continuous,
+        ParameterKind::Continuous { log: true, .. } => ParameterType::ContinuousLog,
+        ParameterKind::Integer { .. } => ParameterType::Integer,
+        ParameterKind::Categorical { .. } => ParameterType::Categorical,
+    };
+    MarginalEffect {
+        parameter: parameter.name.clone(),
+        label,
+        unit: unit.to_owned(),
+        kind,
+        cells,
+        outside,
+        correlation: correlation::correlation(base, parameter),
+        threshold: threshold::critical_threshold(base, parameter),
+        transitions: mode_changes::mode_changes(table, base, parameter),
+    }
+}
+
+/// One bin for each integer; `None` if there are too many, or if they are too large to be exact as `f64`.
+fn level_edges(low: i64, high: i64) -> Option<Edges> {
+    let exact = low.unsigned_abs().max(high.unsigned_abs()) < 1 << 50;
+    if !exact || high - low >= MAX_LEVELS {
+        return None;
+    }
+    Edges::new((low..=high + 1).map(|level| level as f64 - 0.5).collect()).ok()
+}
+
+/// The level edges of an integer parameter; `None` for any other.
+fn integer_edges(parameter: &ParameterColumn) -> Option<Edges> {
+    match parameter.kind {
+        ParameterKind::Integer { low, high } => level_edges(low, high),
+        ParameterKind::Continuous { .. } | ParameterKind::Categorical { .. } => None,
+    }
+}
+
+/// Why success cannot be compared between values of a parameter.
+fn no_contrast(base: &Sample, parameter: &ParameterColumn) -> String {
+    let first = parameter.values.first().copied();
+    if base.len() < 2 {
+        format!("there {} only", if base.len() == 1 { "is 1 valid episode" } else { "are 0 valid episodes" })
+    } else if base.success.iter().all(|s| *s) {
+        "every episode succeeded".to_owned()
+    } else if base.success.iter().all(|s| !*s) {
+        "every episode failed".to_owned()
+    } else if first.is_some_and(|first| parameter.values.iter().all(|v| (v - first).abs() <= 0.0)) {
+        format!("{} has the same value in every episode", parameter_label(&parameter.name))
+    } else {
+        format!("{} episodes do not determine it", base.len())
+    }
+}

@@ -1,0 +1,82 @@
+//! How the dominant failure mode changes with one parameter.
+
+use robogate_stats::Confidence;
+use robogate_stats::binning::Edges;
+use robogate_stats::format::counted;
+use robogate_stats::modes::{Transitions, transitions};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{BINS, integer_edges};
+use crate::labels::parameter_label;
+use crate::rate::{Finding, ends};
+use crate::table::{EpisodeTable, ParameterColumn, Sample};
+
+/// How the dominant failure mode changes with a parameter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ModeChanges {
+    /// Bins of about equal numbers of failures.
+    pub bins: Vec<ModeBin>,
+    /// Changes between bins whose dominant mode is significant.
+    pub changes: Vec<ModeChange>,
+}
+
+/// Failures in one bin.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ModeBin {
+    /// Edges of the bin.
+    pub range: [f64; 2],
+    /// Failures of each mode, in the order of the analysis' failure modes.
+    pub counts: Vec<u64>,
+    /// The most frequent mode; absent where nothing failed.
+    pub dominant: Option<String>,
+    /// Its share of the bin's failures.
+    pub share: Option<f64>,
+    /// Whether it is significantly more frequent than the second (exact sign test, Holm over the bins).
+    pub significant: bool,
+}
+
+/// A change of the significantly dominant mode.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ModeChange {
+    /// Mode before.
+    pub from: String,
+    /// Mode after.
+    pub to: String,
+    /// The two values between which it changes.
+    pub between: [f64; 2],
+}
+
+pub(super) fn mode_changes(table: &EpisodeTable, base: &Sample, parameter: &ParameterColumn) -> Finding<ModeChanges> {
+    if !parameter.is_numeric() {
+        return Finding::not("a categorical parameter has no order");
+    }
+    let (failed, modes_of) = base.failures(table);
+    if failed.len() < 2 {
+        return Finding::not(format!("{} failed", counted(failed.len() as u64, "episode")));
+    }
+    let values: Vec<f64> = failed.iter().map(|i| parameter.values[*i]).collect();
+    let bins = (failed.len() / 30).clamp(2, BINS);
+    let edges = integer_edges(parameter).map_or_else(|| Edges::equal_count(&values, bins), Ok);
+    let mode_name = |mode: usize| table.mode(mode).to_owned();
+    let found = edges.and_then(|edges| transitions(&values, &modes_of, table.modes.len(), &edges, Confidence::P95));
+    match found {
+        Ok(Transitions { bins, transitions, .. }) => Finding::Estimated(ModeChanges {
+            bins: bins
+                .into_iter()
+                .map(|bin| ModeBin {
+                    range: ends(bin.range),
+                    dominant: bin.dominance.map(|d| mode_name(d.mode)),
+                    share: bin.dominance.map(|d| d.count as f64 / d.failures as f64),
+                    significant: bin.sure,
+                    counts: bin.counts,
+                })
+                .collect(),
+            changes: transitions
+                .into_iter()
+                .map(|t| ModeChange { from: mode_name(t.from), to: mode_name(t.to), between: ends(t.between) })
+                .collect(),
+        }),
+        Err(_) => Finding::not(format!("{} has the same value in every failure", parameter_label(&parameter.name))),
+    }
+}

@@ -1,0 +1,151 @@
+//! The risk model: P(failure) from every parameter, categorical ones as penalties.
+//!
+//! The paper's model has this form, and does not define the penalties. Here the penalty of a level is its failure rate,
+//! shrunk towards the overall rate by the weight of ten episodes: (f + 10 p) / (n + 10), with f failures in n episodes of
+//! the level and the overall rate p, counted in the training rows only. In cross-validation the penalties of each fold come
+//! from the other folds.
+//!
+//! Limit: in sample the penalties are computed from the outcomes that they predict, so the standard errors of their
+//! coefficients are too small and the in-sample AUC is too high. The cross-validated figures are free of this bias.
+//! Source for the coding: Micci-Barreca (2001), SIGKDD Explorations 3(1).
+
+mod calibration;
+mod penalties;
+mod roc;
+mod scoring;
+
+use robogate_stats::Confidence;
+use robogate_stats::logistic::{Data, Options, RegressionError, Scale, fit};
+use robogate_stats::roc::{RocError, cross_validate, stratified_folds};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use calibration::{CalibrationFigures, ReliabilityBin};
+pub use penalties::{Penalty, PenaltyLevel};
+pub use roc::{RocCurve, RocFigures};
+pub use scoring::{Scoring, ScoringTerm};
+
+use super::{Regression, why};
+use crate::Finding;
+use crate::labels::parameter_label;
+use crate::table::{ParameterColumn, Sample};
+use crate::task::TaskAnalysis;
+use calibration::calibrated;
+use penalties::Coding;
+use roc::roc_figures;
+
+/// Folds of the cross-validation.
+const FOLDS: usize = 5;
+
+/// P(failure) from the parameters.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RiskModel {
+    /// Whether its features are those of the paper's model; else the same form is fitted to the parameters of this dataset.
+    pub paper_features: bool,
+    /// The regression, coefficients per standard deviation; a positive one raises the probability of failure.
+    pub regression: Regression,
+    /// The penalties of each categorical parameter, from all rows.
+    pub penalties: Vec<Penalty>,
+    /// The same model for scoring: coefficients per unit and their covariance.
+    pub scoring: Scoring,
+    /// How well it separates failures from successes.
+    pub roc: Finding<RocFigures>,
+    /// Calibration in sample.
+    pub calibration_in_sample: Finding<CalibrationFigures>,
+    /// Calibration on rows that the model was not fitted to.
+    pub calibration_cross_validated: Finding<CalibrationFigures>,
+}
+
+/// A predicted probability of failure for each row, by cross-validation if it is possible.
+pub(crate) struct Scored {
+    pub(crate) p: Vec<f64>,
+    pub(crate) unseen: bool,
+}
+
+pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Scored)> {
+    if base.parameters.is_empty() && base.len() > 0 {
+        return Finding::not("the dataset has no parameter");
+    }
+    let failed: Vec<bool> = base.success.iter().map(|s| !s).collect();
+    let names: Vec<String> = base.parameters.iter().map(feature).collect();
+    let all: Vec<usize> = (0..base.len()).collect();
+    let coding = Coding::learn(&base.parameters, &failed, &all);
+    let columns = coding.columns(&base.parameters, &all);
+    let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+    let options = Options { scale: Scale::Standardized, ..Options::default() };
+    let whole = match Data::new(&slices, &failed, None).and_then(|data| fit(data, options)) {
+        Ok(whole) => whole,
+        Err(error) => return Finding::not(why(&error, &names)),
+    };
+    let Some(p) = whole.probabilities(&slices) else {
+        return Finding::not("the columns do not fit the model");
+    };
+    let scoring = Scoring::of(&whole, &base.parameters, &slices);
+    drop(slices);
+    drop(columns);
+    let folds = stratified_folds(&failed, FOLDS, 0);
+    let fewest = failed.iter().filter(|f| **f).count().min(base.success.iter().filter(|s| **s).count());
+    let crossed = if fewest < FOLDS {
+        Err(format!("the rarer outcome has {fewest} episodes, fewer than the {FOLDS} folds"))
+    } else {
+        cross_validate::<CrossValidationError>(&failed, &folds, Confidence::P95, |train, test| {
+            let coding = Coding::learn(&base.parameters, &failed, train);
+            let columns = coding.columns(&base.parameters, train);
+            let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+            let outcomes: Vec<bool> = train.iter().map(|row| failed[*row]).collect();
+            let fitted = fit(Data::new(&slices, &outcomes, None)?, Options::default())?;
+            drop(slices);
+            drop(columns);
+            let columns = coding.columns(&base.parameters, test);
+            let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+            Ok(fitted.probabilities(&slices).unwrap_or_default())
+        })
+        .map_err(|error| match error {
+            CrossValidationError::Fit(error) => why(&error, &names),
+            CrossValidationError::Roc(error) => error.to_string(),
+        })
+    };
+    let paper = task.risk_parameters;
+    let model = RiskModel {
+        paper_features: !paper.is_empty()
+            && base.parameters.len() == paper.len()
+            && paper.iter().all(|n| base.parameter(n).is_some()),
+        regression: Regression::of(&whole, "failure", &names, true),
+        penalties: coding.penalties(&base.parameters),
+        scoring,
+        roc: roc_figures(&p, &failed, crossed.as_ref().ok()),
+        calibration_in_sample: calibrated(&p, &failed),
+        calibration_cross_validated: match &crossed {
+            Ok(crossed) => calibrated(&crossed.scores, &failed),
+            Err(because) => Finding::not(because.clone()),
+        },
+    };
+    let scored = match crossed {
+        Ok(crossed) => Scored { p: crossed.scores, unseen: true },
+        Err(_) => Scored { p, unseen: false },
+    };
+    Finding::Estimated((model, scored))
+}
+
+/// Why a cross-validation fails.
+enum CrossValidationError {
+    Fit(RegressionError),
+    Roc(RocError),
+}
+
+impl From<RegressionError> for CrossValidationError {
+    fn from(error: RegressionError) -> Self {
+        Self::Fit(error)
+    }
+}
+
+impl From<RocError> for CrossValidationError {
+    fn from(error: RocError) -> Self {
+        Self::Roc(error)
+    }
+}
+
+fn feature(parameter: &ParameterColumn) -> String {
+    let plain = parameter_label(&parameter.name);
+    if parameter.is_numeric() { plain } else { format!("{plain} penalty") }
+}

@@ -1,0 +1,70 @@
+//! Discrimination of the risk model: AUC and ROC curves.
+
+use robogate_stats::Confidence;
+use robogate_stats::roc::{CrossValidated, RocPoint, auc, curve};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::Finding;
+use crate::rate::ends;
+
+/// Points kept of a ROC curve.
+const ROC_POINTS: usize = 120;
+
+/// How well the predicted probabilities separate failures from successes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RocFigures {
+    /// AUC on the rows that the model was fitted to, which is biased upwards.
+    pub auc_in_sample: f64,
+    /// DeLong's 95 % interval.
+    pub auc_in_sample_95: [f64; 2],
+    /// Mean AUC over five held-out folds; absent if a fold has one outcome only.
+    pub auc_cross_validated: Option<f64>,
+    /// 95 % interval from DeLong's variance in each fold.
+    pub auc_cross_validated_95: [f64; 2],
+    /// The ROC curves, thinned.
+    pub curves: Vec<RocCurve>,
+}
+
+/// A ROC curve of failure detection.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RocCurve {
+    /// The rows that it is computed from: `in_sample` or `cross_validated`.
+    pub rows: String,
+    /// Points (false positive rate, true positive rate).
+    pub points: Vec<[f64; 2]>,
+}
+
+pub(super) fn roc_figures(p: &[f64], failed: &[bool], crossed: Option<&CrossValidated>) -> Finding<RocFigures> {
+    let found = match auc(p, failed, Confidence::P95) {
+        Ok(found) => found,
+        Err(error) => return Finding::not(error.to_string()),
+    };
+    let thinned = |rows: &str, scores: &[f64]| {
+        let points = curve(scores, failed).unwrap_or_default();
+        RocCurve { rows: rows.to_owned(), points: thin(&points) }
+    };
+    let mut curves = vec![thinned("in_sample", p)];
+    curves.extend(crossed.map(|crossed| thinned("cross_validated", &crossed.scores)));
+    Finding::Estimated(RocFigures {
+        auc_in_sample: found.auc,
+        auc_in_sample_95: ends(found.interval),
+        auc_cross_validated: crossed.map(|c| c.auc),
+        auc_cross_validated_95: crossed.map_or([0.0, 1.0], |c| ends(c.interval)),
+        curves,
+    })
+}
+
+/// At most [`ROC_POINTS`] points, evenly spaced along the curve; both ends are kept.
+fn thin(points: &[RocPoint]) -> Vec<[f64; 2]> {
+    let length = |point: &RocPoint| point.false_positive_rate + point.true_positive_rate;
+    let mut kept: Vec<[f64; 2]> = Vec::new();
+    let mut next = 0.0;
+    for (i, point) in points.iter().enumerate() {
+        if length(point) >= next || i + 1 == points.len() {
+            kept.push([point.false_positive_rate, point.true_positive_rate]);
+            next = length(point) + 2.0 / ROC_POINTS as f64;
+        }
+    }
+    kept
+}

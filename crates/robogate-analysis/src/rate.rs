@@ -1,0 +1,134 @@
+//! Success rates, the populations that they estimate, and findings that may be absent.
+
+use robogate_stats::{Confidence, Interval, Trials, clopper_pearson, wilson};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// The population that a figure estimates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Population {
+    /// The operating space, each parameter sampled as the space declares.
+    OperatingSpace,
+    /// The unknown distribution of the imported rows; it is taken to be the operating one.
+    AsImported,
+    /// The scenarios of a suite, which were chosen and not sampled.
+    Suite,
+    /// A focused design as it was sampled: not the operating space.
+    FocusedDesign,
+    /// The part of the operating space inside the region of the focused design, by stored weights.
+    FocusedRegion,
+    /// The operating space, from all rows by their weights.
+    Reweighted,
+}
+
+impl Population {
+    /// The population in a sentence, as the object of "applies to".
+    pub fn describe(self) -> &'static str {
+        match self {
+            Self::OperatingSpace => {
+                "the operating space, each parameter sampled uniformly over its range on its own scale"
+            }
+            Self::AsImported => "the distribution of the imported rows; how they were sampled is not known",
+            Self::Suite => "the scenarios of the suite, which were chosen: not an operating rate",
+            Self::FocusedDesign => {
+                "the focused design only, which samples near the failure boundary: not an operating rate"
+            }
+            Self::FocusedRegion => "the part of the operating space inside the focused region, by stored weights",
+            Self::Reweighted => "the operating space, from all rows: focused rows count by their stored weights",
+        }
+    }
+
+    /// The population in a few words, for a caption.
+    pub fn brief(self) -> &'static str {
+        match self {
+            Self::OperatingSpace => "operating space",
+            Self::AsImported => "as imported",
+            Self::Suite => "scenarios of the suite, not the operating space",
+            Self::FocusedDesign => "focused design only, not the operating space",
+            Self::FocusedRegion => "operating space inside the focused region, reweighted",
+            Self::Reweighted => "operating space, all rows reweighted",
+        }
+    }
+}
+
+/// An estimate, or the reason why there is none.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Finding<T> {
+    /// It could be estimated.
+    Estimated(T),
+    /// It could not be estimated.
+    CannotBeEstimated {
+        /// The reason, as the end of a sentence that begins with "cannot be estimated because".
+        because: String,
+    },
+}
+
+impl<T> Finding<T> {
+    pub(crate) fn not(because: impl Into<String>) -> Self {
+        Self::CannotBeEstimated { because: because.into() }
+    }
+
+    /// The estimate, if there is one.
+    pub fn estimated(&self) -> Option<&T> {
+        match self {
+            Self::Estimated(found) => Some(found),
+            Self::CannotBeEstimated { .. } => None,
+        }
+    }
+
+    /// The reason why there is none.
+    pub fn because(&self) -> Option<&str> {
+        match self {
+            Self::Estimated(_) => None,
+            Self::CannotBeEstimated { because } => Some(because),
+        }
+    }
+}
+
+impl<T, E: std::fmt::Display> From<Result<T, E>> for Finding<T> {
+    fn from(result: Result<T, E>) -> Self {
+        match result {
+            Ok(found) => Self::Estimated(found),
+            Err(error) => Self::not(error.to_string()),
+        }
+    }
+}
+
+/// Successes among valid episodes, with two intervals.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Rate {
+    /// Valid episodes.
+    pub n: u64,
+    /// Successes among them.
+    pub successes: u64,
+    /// Their share; absent without a valid episode.
+    pub rate: Option<f64>,
+    /// Wilson's 95 % interval; [0, 1] without a valid episode.
+    pub wilson_95: [f64; 2],
+    /// The exact (Clopper-Pearson) 95 % interval; [0, 1] without a valid episode.
+    pub clopper_pearson_95: [f64; 2],
+}
+
+impl Rate {
+    pub(crate) fn of(trials: Trials) -> Self {
+        Self {
+            n: trials.n(),
+            successes: trials.successes(),
+            rate: trials.rate(),
+            wilson_95: ends(wilson(trials, Confidence::P95)),
+            clopper_pearson_95: ends(clopper_pearson(trials, Confidence::P95)),
+        }
+    }
+
+    /// The counts.
+    pub fn trials(&self) -> Trials {
+        Trials::new(self.successes, self.n).unwrap_or(Trials::NONE)
+    }
+}
+
+/// The ends of an interval.
+pub(crate) fn ends(interval: Interval) -> [f64; 2] {
+    [interval.low, interval.high]
+}

@@ -1,0 +1,124 @@
+//! Opening a dictionary, in any of its forms.
+
+use std::fs::{self, File};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use robogate_dictionary::{Dictionary, published};
+use serde::Deserialize;
+
+use crate::AnalysisError;
+
+/// The dictionary in a run's folder.
+const DICTIONARY: &str = "dictionary.parquet";
+/// The boundary report of a run's first stage, beside it.
+const BOUNDARY: &str = "boundary.json";
+
+/// An open dictionary and the boundary report beside it.
+#[derive(Debug)]
+pub struct Source {
+    dictionary: Dictionary,
+    folder: Option<PathBuf>,
+    boundary: Option<BoundaryFile>,
+    /// Removed when the source is dropped.
+    _scratch: Option<Scratch>,
+}
+
+/// What is read of a run's `boundary.json`: the ranges of the second stage.
+#[derive(Debug, Clone, Deserialize)]
+pub(crate) struct BoundaryFile {
+    pub(crate) parameters: Vec<BoundarySpan>,
+    pub(crate) volume: BoundaryVolume,
+}
+
+/// The range of one parameter in the second stage.
+#[derive(Debug, Clone, Deserialize)]
+pub(crate) struct BoundarySpan {
+    pub(crate) parameter: String,
+    pub(crate) drawn: [f64; 2],
+    pub(crate) drawn_from: String,
+}
+
+/// The volume of the second stage.
+#[derive(Debug, Clone, Deserialize)]
+pub(crate) struct BoundaryVolume {
+    pub(crate) share_of_operating_space: f64,
+}
+
+impl Source {
+    /// Opens a run's folder, a Parquet dictionary, or a published JSON dictionary (imported into a scratch file).
+    ///
+    /// # Errors
+    /// What is wrong with the path, with a hint.
+    pub fn open(path: &Path) -> Result<Self, AnalysisError> {
+        if path.is_dir() {
+            let file = path.join(DICTIONARY);
+            if !file.exists() {
+                return Err(AnalysisError::NoDictionaryInFolder { path: path.to_owned() });
+            }
+            // Without a readable boundary report the page lacks one table.
+            let boundary = fs::read(path.join(BOUNDARY)).ok().and_then(|text| serde_json::from_slice(&text).ok());
+            let dictionary = Dictionary::open(&file)?;
+            return Ok(Self { dictionary, folder: Some(path.to_owned()), boundary, _scratch: None });
+        }
+        match first_byte(path)? {
+            Some(b'P') => {
+                Ok(Self { dictionary: Dictionary::open(path)?, folder: None, boundary: None, _scratch: None })
+            }
+            Some(b'{' | b' ' | b'\t' | b'\r' | b'\n' | 0xEF) => {
+                let scratch = Scratch::new();
+                published::import(path, &scratch.0)?;
+                let dictionary = Dictionary::open(&scratch.0)?;
+                Ok(Self { dictionary, folder: None, boundary: None, _scratch: Some(scratch) })
+            }
+            Some(_) => Err(AnalysisError::NotADictionary {
+                path: path.to_owned(),
+                reason: "the file is neither Parquet nor JSON".to_owned(),
+            }),
+            None => {
+                Err(AnalysisError::NotADictionary { path: path.to_owned(), reason: "the file is empty".to_owned() })
+            }
+        }
+    }
+
+    /// The dictionary.
+    pub fn dictionary(&self) -> &Dictionary {
+        &self.dictionary
+    }
+
+    /// The run's folder, if the path was one.
+    pub fn folder(&self) -> Option<&Path> {
+        self.folder.as_deref()
+    }
+
+    pub(crate) fn boundary(&self) -> Option<&BoundaryFile> {
+        self.boundary.as_ref()
+    }
+}
+
+fn first_byte(path: &Path) -> Result<Option<u8>, AnalysisError> {
+    let mut first = [0];
+    let read = File::open(path).and_then(|mut file| file.read(&mut first)).map_err(AnalysisError::io(path, "read"))?;
+    Ok((read == 1).then_some(first[0]))
+}
+
+/// A file in the system's temporary folder, removed on drop.
+#[derive(Debug)]
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new() -> Self {
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let name = format!("robogate-analysis-{}-{number}.parquet", std::process::id());
+        Self(std::env::temp_dir().join(name))
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        // If this fails, the system cleans its temporary folder.
+        let _ = fs::remove_file(&self.0);
+    }
+}

@@ -1,0 +1,213 @@
+//! The learners of the study. Each is fitted to training rows and predicts the log-odds of success of training and test rows.
+
+use robogate_stats::fourier::Fourier;
+use robogate_stats::logistic::{Data, Options, RegressionError, fit, interaction};
+use robogate_stats::ridge;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::models::missing;
+use crate::table::{ParameterColumn, ParameterKind, Sample};
+use crate::task::{InteractionModel, TaskAnalysis};
+
+/// Frequencies of the flexible learner; each gives two columns.
+const FREQUENCIES: usize = 96;
+/// Its length scales, in units of the square root of the number of parameters. The typical distance of two points is the
+/// square root of two in these units.
+const LENGTH_SCALES: [f64; 3] = [0.35, 0.7, 1.4];
+/// Its prior variances.
+const PRIOR_VARIANCES: [f64; 5] = [1.0, 5.0, 25.0, 125.0, 625.0];
+/// Seed of the frequencies, which are the same in every fit.
+const SEED: u64 = 2007;
+
+/// A learner of the study.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Learner {
+    /// The logistic model that the paper publishes for the task: main effects and interactions.
+    Paper,
+    /// A logistic model of every parameter, in its own scale, with a column for each category.
+    MainEffects,
+    /// Bayesian logistic regression on the same columns and on random Fourier features of them; evidence selects length
+    /// scale and prior variance.
+    Flexible,
+}
+
+/// Log-odds of success.
+pub(super) struct Scores {
+    /// Predictions for the rows that the model was fitted to.
+    pub(super) own: Vec<f64>,
+    /// Predictions for the test rows.
+    pub(super) test: Vec<f64>,
+}
+
+impl Learner {
+    /// All learners, the simplest first.
+    pub const ALL: [Self; 3] = [Self::Paper, Self::MainEffects, Self::Flexible];
+
+    /// Its name for people.
+    pub(super) fn name(self, task: &TaskAnalysis) -> &'static str {
+        match self {
+            Self::Paper => task.interactions.map_or("published model", |model| model.name),
+            Self::MainEffects => "main effects",
+            Self::Flexible => "flexible",
+        }
+    }
+
+    /// Its description for people.
+    pub(super) fn about(self, task: &TaskAnalysis) -> &'static str {
+        match self {
+            Self::Paper => task.interactions.map_or("no model is published for this task", |model| model.about),
+            Self::MainEffects => {
+                "a logistic model of every parameter in its own scale (logarithmic if it is sampled so), with a \
+                 column for each category"
+            }
+            Self::Flexible => {
+                "Bayesian logistic regression on the same columns and 192 random Fourier features of them; evidence \
+                 selects length scale and prior variance"
+            }
+        }
+    }
+
+    /// Fits `train` and predicts it and `test`. The columns depend on the space of the test set only.
+    pub(super) fn scores(
+        self,
+        train: &Sample,
+        weights: Option<&[f64]>,
+        test: &Sample,
+        task: &TaskAnalysis,
+    ) -> Result<Scores, String> {
+        match self {
+            Self::Paper => {
+                let model = task.interactions.as_ref().ok_or("no model is published for this task")?;
+                if let Some(missing) = missing(test, model) {
+                    return Err(format!("the dataset has no {missing}, which the paper's model needs"));
+                }
+                let scaling: Vec<(f64, f64)> =
+                    model.main.iter().filter_map(|m| train.parameter(m)).map(|p| moments(&p.values)).collect();
+                plain(train, weights, test, |sample| interactions(sample, model, &scaling))
+            }
+            Self::MainEffects => plain(train, weights, test, |sample| coordinates(sample, test, 1)),
+            Self::Flexible => flexible(train, weights, test),
+        }
+    }
+}
+
+/// Fits by maximum likelihood, or by Firth's method if the data are separated.
+fn plain(
+    train: &Sample,
+    weights: Option<&[f64]>,
+    test: &Sample,
+    columns: impl Fn(&Sample) -> Vec<Vec<f64>>,
+) -> Result<Scores, String> {
+    let (own, other) = (columns(train), columns(test));
+    let views: Vec<&[f64]> = own.iter().map(Vec::as_slice).collect();
+    let data = Data::new(&views, &train.success, weights).map_err(reason)?;
+    let found = fit(data, Options::default()).map_err(reason)?;
+    let beta = found.raw_coefficients();
+    Ok(Scores { own: linear(beta, &own, train.len()), test: linear(beta, &other, test.len()) })
+}
+
+fn flexible(train: &Sample, weights: Option<&[f64]>, test: &Sample) -> Result<Scores, String> {
+    let (own, other) = (coordinates(train, test, 0), coordinates(test, test, 0));
+    let fourier = Fourier::new(own.len(), FREQUENCIES, SEED);
+    let root = (test.parameters.len() as f64).sqrt();
+    let columns = |coordinates: &[Vec<f64>], length: f64| {
+        let views: Vec<&[f64]> = coordinates.iter().map(Vec::as_slice).collect();
+        // There are as many coordinates as the frequencies have dimensions.
+        let mut columns = fourier.columns(&views, length * root).unwrap_or_default();
+        // Scaled so that the linear columns together have the norm of the features.
+        columns.extend(coordinates.iter().map(|c| c.iter().map(|x| x / root).collect::<Vec<f64>>()));
+        columns
+    };
+    let mut best: Option<(f64, ridge::RidgeFit)> = None;
+    for length in LENGTH_SCALES {
+        let columns = columns(&own, length);
+        let views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+        let data = Data::new(&views, &train.success, weights).map_err(reason)?;
+        let found = ridge::by_evidence(data, &PRIOR_VARIANCES).map_err(reason)?;
+        if let Some(found) = found
+            && best.as_ref().is_none_or(|(_, b)| found.log_evidence > b.log_evidence)
+        {
+            best = Some((length, found));
+        }
+    }
+    let (length, model) = best.ok_or("no length scale could be fitted")?;
+    let score = |coordinates: &[Vec<f64>]| {
+        let columns = columns(coordinates, length);
+        let views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+        model.log_odds(&views).ok_or("the columns do not match the model")
+    };
+    Ok(Scores { own: score(&own)?, test: score(&other)? })
+}
+
+fn reason(error: RegressionError) -> String {
+    match error {
+        RegressionError::OneClass { rows, .. } => format!("all {rows} training episodes have the same outcome"),
+        other => other.to_string(),
+    }
+}
+
+fn linear(beta: &[f64], columns: &[Vec<f64>], rows: usize) -> Vec<f64> {
+    let mut eta = vec![beta.first().copied().unwrap_or(0.0); rows];
+    for (b, column) in beta.iter().skip(1).zip(columns) {
+        eta.iter_mut().zip(column).for_each(|(e, x)| *e += b * x);
+    }
+    eta
+}
+
+/// Mean and standard deviation, 1 for a column of one value.
+fn moments(values: &[f64]) -> (f64, f64) {
+    let n = values.len().max(1) as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let deviation = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt();
+    (mean, if deviation > 1e-12 * mean.abs().max(1e-300) { deviation } else { 1.0 })
+}
+
+/// The features of the published model, standardised by the moments of the training rows.
+fn interactions(sample: &Sample, model: &InteractionModel, scaling: &[(f64, f64)]) -> Vec<Vec<f64>> {
+    let mut columns: Vec<Vec<f64>> = model
+        .main
+        .iter()
+        .filter_map(|m| sample.parameter(m))
+        .zip(scaling)
+        .map(|(p, (mean, deviation))| p.values.iter().map(|v| (v - mean) / deviation).collect())
+        .collect();
+    for (a, b) in model.products {
+        columns.push(interaction(&columns[*a], &columns[*b]));
+    }
+    columns
+}
+
+/// One column for each numeric parameter and one for each level of a categorical one from `first_level` on. The flexible
+/// learner takes all levels, so that two levels are as far apart as two samples of a number on average; a plain fit takes all
+/// but one.
+fn coordinates(sample: &Sample, test: &Sample, first_level: usize) -> Vec<Vec<f64>> {
+    let mut columns = Vec::new();
+    for of in &test.parameters {
+        let Some(column) = sample.parameter(&of.name) else { continue };
+        match &of.kind {
+            ParameterKind::Categorical { levels } => {
+                columns.extend((first_level..levels.len()).map(|level| is(column, level)));
+            }
+            _ => columns.push(scaled(column, &of.kind)),
+        }
+    }
+    columns
+}
+
+fn is(column: &ParameterColumn, level: usize) -> Vec<f64> {
+    column.values.iter().map(|v| f64::from(u8::from(*v as usize == level))).collect()
+}
+
+/// A numeric parameter relative to the middle of its range, in units of its standard deviation under uniform sampling on its
+/// own scale.
+fn scaled(column: &ParameterColumn, kind: &ParameterKind) -> Vec<f64> {
+    let unit = |x: f64| match kind {
+        ParameterKind::Continuous { low, high, log: true } => (x / low).ln() / (high / low).ln(),
+        ParameterKind::Continuous { low, high, log: false } => (x - low) / (high - low),
+        ParameterKind::Integer { low, high } => (x - *low as f64 + 0.5) / (*high as f64 - *low as f64 + 1.0),
+        ParameterKind::Categorical { .. } => x,
+    };
+    column.values.iter().map(|x| (unit(*x) - 0.5) * 12.0_f64.sqrt()).collect()
+}

@@ -1,0 +1,245 @@
+//! How often the policy succeeds, for each stage and for the operating space.
+
+use robogate_stats::weighted::{effective_sample_size, hajek};
+use robogate_stats::{Confidence, Trials};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::rate::ends;
+use crate::rate::{Finding, Population, Rate};
+use crate::table::{Ending, EpisodeTable, ParameterKind, Sample};
+
+/// How often the policy succeeds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Success {
+    /// The population of the headline rate.
+    pub population: Population,
+    /// The success rate that every other figure refers to.
+    pub rate: Rate,
+    /// Bounds of the rate, whatever the outcome of the invalid episodes would have been.
+    pub bounds: InvalidBounds,
+    /// Each stage by itself.
+    pub stages: Vec<StageSuccess>,
+    /// The rate over the operating space from all rows, if there are focused rows beside the others.
+    pub reweighted: Option<Finding<Reweighted>>,
+}
+
+/// Invalid episodes: their number, and what they could change.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct InvalidBounds {
+    /// Invalid episodes in the population of the headline.
+    pub invalid: u64,
+    /// The rate if all of them had failed; absent without an episode.
+    pub worst_case: Option<f64>,
+    /// The rate if all of them had succeeded; absent without an episode.
+    pub best_case: Option<f64>,
+    /// Faults of all stages, with their counts.
+    pub faults: Vec<FaultCount>,
+}
+
+/// The count of one class of fault.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct FaultCount {
+    /// The class of fault.
+    pub fault: String,
+    /// Episodes with this fault.
+    pub episodes: u64,
+}
+
+/// One stage.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct StageSuccess {
+    /// The stage's name.
+    pub stage: String,
+    /// The samplers of its points.
+    pub designs: Vec<String>,
+    /// The population of its rate.
+    pub population: Population,
+    /// Its episodes, including invalid ones.
+    pub episodes: u64,
+    /// Invalid episodes among them.
+    pub invalid: u64,
+    /// Its rate over valid episodes, unweighted.
+    pub rate: Rate,
+    /// Smallest and largest stored weight; absent without valid episodes.
+    pub weights: Option<[f64; 2]>,
+    /// Kish's effective sample size of its weights.
+    pub effective_sample_size: f64,
+    /// The weighted rate of a focused stage (Hajek): it applies to the operating space inside the region of the stage.
+    pub weighted: Option<WeightedRate>,
+}
+
+/// A weighted rate.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct WeightedRate {
+    /// The rate.
+    pub rate: f64,
+    /// Its standard error; absent if every outcome is the same.
+    pub se: Option<f64>,
+    /// 95 % interval: Wilson's at the effective sample size.
+    pub interval_95: [f64; 2],
+    /// Kish's effective sample size.
+    pub effective_sample_size: f64,
+}
+
+/// The rate over the operating space from all rows.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Reweighted {
+    /// Hajek's estimate over all valid rows.
+    pub estimate: WeightedRate,
+    /// Valid rows that it is computed from.
+    pub rows: u64,
+    /// Share of the operating distribution inside the focused region.
+    pub region_share: f64,
+    /// How the weights were combined.
+    pub method: String,
+}
+
+impl Success {
+    pub(crate) fn of(table: &EpisodeTable, base: &Sample, focused: Option<&Sample>, population: Population) -> Self {
+        let mut stages: Vec<StageSuccess> = (0..table.stages.len()).map(|i| stage(table, i)).collect();
+        stages.retain(|stage| stage.episodes > 0);
+        let base_is_focused = population == Population::FocusedDesign;
+        let of_base = |s: &&StageSuccess| (s.population == Population::FocusedDesign) == base_is_focused;
+        let invalid: u64 = stages.iter().filter(of_base).map(|stage| stage.invalid).sum();
+        let rate = Rate::of(Trials::count(base.success.iter().copied()));
+        let all = rate.n + invalid;
+        let of_all = |successes: u64| (all > 0).then(|| successes as f64 / all as f64);
+        Self {
+            population,
+            rate,
+            bounds: InvalidBounds {
+                invalid,
+                worst_case: of_all(rate.successes),
+                best_case: of_all(rate.successes + invalid),
+                faults: table
+                    .faults
+                    .iter()
+                    .map(|(fault, episodes)| FaultCount { fault: fault.clone(), episodes: *episodes })
+                    .collect(),
+            },
+            stages,
+            reweighted: focused.map(|focused| reweighted(table, base, focused)),
+        }
+    }
+}
+
+fn stage(table: &EpisodeTable, at: usize) -> StageSuccess {
+    let of = &table.stages[at];
+    let mine: Vec<usize> = (0..table.len()).filter(|row| usize::from(table.stage[*row]) == at).collect();
+    let valid: Vec<usize> = mine.iter().copied().filter(|row| table.outcome[*row] != Ending::Invalid).collect();
+    let success: Vec<bool> = valid.iter().map(|row| table.outcome[*row] == Ending::Success).collect();
+    let weights: Vec<f64> = valid.iter().map(|row| table.weight[*row]).collect();
+    let low = weights.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    StageSuccess {
+        stage: of.name.clone(),
+        designs: of.designs.clone(),
+        population: if of.focused {
+            Population::FocusedDesign
+        } else if of.name == "imported" {
+            Population::AsImported
+        } else if of.name == "suite" {
+            Population::Suite
+        } else {
+            Population::OperatingSpace
+        },
+        episodes: mine.len() as u64,
+        invalid: (mine.len() - valid.len()) as u64,
+        rate: Rate::of(Trials::count(success.iter().copied())),
+        weights: (low <= high).then_some([low, high]),
+        effective_sample_size: effective_sample_size(&weights),
+        weighted: of.focused.then(|| weighted(&success, &weights).ok()).flatten(),
+    }
+}
+
+fn weighted(success: &[bool], weights: &[f64]) -> Result<WeightedRate, String> {
+    let found = hajek(success, weights, Confidence::P95).map_err(|e| e.to_string())?;
+    let rate = found.rate.ok_or("no row has weight")?;
+    Ok(WeightedRate { rate, se: found.se, interval_95: ends(found.interval), effective_sample_size: found.effective })
+}
+
+/// Combines both designs by post-stratification on the focused region R.
+///
+/// The stored weights p/q of the focused rows describe the operating density inside R and nothing outside it, so
+/// concatenating the two sets would count R twice. Here the rows outside R (all of them of the uniform design) share the
+/// mass 1 - P(R) equally. Inside R the mass P(R) is divided between the two designs in proportion to their effective
+/// sample sizes: equally among the uniform rows, by stored weight among the focused ones. R is the box of the focused rows; P(R) its share of the operating distribution, whose parameters are
+/// independent.
+fn reweighted(table: &EpisodeTable, base: &Sample, focused: &Sample) -> Finding<Reweighted> {
+    match combined_weights(table, base, focused) {
+        Ok((success, weights, region_share)) => match weighted(&success, &weights) {
+            Ok(estimate) => Finding::Estimated(Reweighted {
+                estimate,
+                rows: success.len() as u64,
+                region_share,
+                method: "post-stratified on the bounding box of the focused rows: outside it the uniform rows only, inside it both \
+                         designs in proportion to their effective sample sizes, focused rows by their stored weights"
+                    .to_owned(),
+            }),
+            Err(because) => Finding::not(because),
+        },
+        Err(because) => Finding::not(because),
+    }
+}
+
+/// Outcomes and weights of the base rows followed by the focused ones, and P(R).
+fn combined_weights(
+    table: &EpisodeTable,
+    base: &Sample,
+    focused: &Sample,
+) -> Result<(Vec<bool>, Vec<f64>, f64), &'static str> {
+    if focused.len() == 0 || base.len() == 0 {
+        return Err("one of the two designs has no valid episode");
+    }
+    let mut share = 1.0;
+    let mut inside = vec![true; base.len()];
+    for (of_focused, of_base) in focused.parameters.iter().zip(&base.parameters) {
+        let low = of_focused.values.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = of_focused.values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let in_box: Box<dyn Fn(f64) -> bool> = match &of_focused.kind {
+            ParameterKind::Continuous { low: l, high: h, log: true } => {
+                share *= (high / low).ln() / (h / l).ln();
+                Box::new(move |v| low <= v && v <= high)
+            }
+            ParameterKind::Continuous { low: l, high: h, log: false } => {
+                share *= (high - low) / (h - l);
+                Box::new(move |v| low <= v && v <= high)
+            }
+            ParameterKind::Integer { low: l, high: h } => {
+                share *= (high - low + 1.0) / (h - l + 1) as f64;
+                Box::new(move |v| low <= v && v <= high)
+            }
+            ParameterKind::Categorical { levels } => {
+                let mut present = vec![false; levels.len()];
+                of_focused.codes().iter().for_each(|code| present[*code] = true);
+                share *= present.iter().filter(|p| **p).count() as f64 / levels.len() as f64;
+                Box::new(move |v| present[v as usize])
+            }
+        };
+        inside.iter_mut().zip(&of_base.values).for_each(|(inside, v)| *inside &= in_box(*v));
+    }
+    let share = share.clamp(0.0, 1.0);
+    let inner = inside.iter().filter(|i| **i).count() as f64;
+    let outer = base.len() as f64 - inner;
+    if share < 1.0 && outer <= 0.0 {
+        return Err("no row of the uniform design lies outside the focused region");
+    }
+    let stored: Vec<f64> = focused.rows.iter().map(|row| table.weight[*row as usize]).collect();
+    let total: f64 = stored.iter().sum();
+    if total <= 0.0 || !total.is_finite() {
+        return Err("the sum of the stored weights of the focused rows is not positive");
+    }
+    let effective = effective_sample_size(&stored);
+    let to_focused = effective / (effective + inner);
+    let of_inner = if inner > 0.0 { share * (1.0 - to_focused) / inner } else { 0.0 };
+    let of_outer = if outer > 0.0 { (1.0 - share) / outer } else { 0.0 };
+    let n = (base.len() + focused.len()) as f64;
+    let weights = inside
+        .iter()
+        .map(|inside| n * if *inside { of_inner } else { of_outer })
+        .chain(stored.iter().map(|w| n * share * to_focused * w / total))
+        .collect();
+    let success = base.success.iter().chain(&focused.success).copied().collect();
+    Ok((success, weights, share))
+}

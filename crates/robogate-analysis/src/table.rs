@@ -1,0 +1,326 @@
+//! The columns of a dictionary in memory, and the rows that a figure is computed from.
+
+use robogate_core::{Domain, FailureMode, Word};
+use robogate_dictionary::{Column, Dictionary, DictionaryError, results};
+
+/// The column of cycle times.
+const TIME: &str = "cycle_time_s";
+
+/// The columns that the analysis reads, one value per episode: about 120 bytes a row.
+pub(crate) struct EpisodeTable {
+    pub(crate) index: Vec<u64>,
+    /// Position of each row's stage in `stages`.
+    pub(crate) stage: Vec<u8>,
+    pub(crate) stages: Vec<Stage>,
+    pub(crate) weight: Vec<f64>,
+    pub(crate) outcome: Vec<Ending>,
+    /// The failure modes of the task, then those that it does not declare and that occurred.
+    pub(crate) modes: Vec<FailureMode>,
+    /// How many of these the task declares.
+    pub(crate) declared: usize,
+    pub(crate) parameters: Vec<ParameterColumn>,
+    /// The measures of the task by name.
+    pub(crate) measures: Vec<(Word, Vec<Option<f64>>)>,
+    pub(crate) time_s: Vec<Option<f64>>,
+    /// Faults of invalid episodes, with their counts.
+    pub(crate) faults: Vec<(String, u64)>,
+    /// Failure modes that the source of imported rows does not record.
+    pub(crate) not_recorded: Vec<String>,
+}
+
+/// How an episode ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Ending {
+    Success,
+    /// Position in [`EpisodeTable::modes`].
+    Failure(u16),
+    Invalid,
+}
+
+/// A stage and how its points were sampled.
+pub(crate) struct Stage {
+    pub(crate) name: String,
+    pub(crate) designs: Vec<String>,
+    pub(crate) focused: bool,
+}
+
+/// The requested values of one parameter; for a categorical one the positions of its levels.
+pub(crate) struct ParameterColumn {
+    pub(crate) name: String,
+    pub(crate) kind: ParameterKind,
+    pub(crate) values: Vec<f64>,
+}
+
+/// The type and the range of a parameter's values.
+#[derive(Debug, Clone)]
+pub(crate) enum ParameterKind {
+    Continuous { low: f64, high: f64, log: bool },
+    Integer { low: i64, high: i64 },
+    Categorical { levels: Vec<String> },
+}
+
+impl EpisodeTable {
+    pub(crate) fn read(dictionary: &Dictionary) -> Result<Self, DictionaryError> {
+        let index = match dictionary.column("index")? {
+            Column::Counts(values) => values.into_iter().map(Option::unwrap_or_default).collect(),
+            _ => Vec::new(),
+        };
+        let weight = dictionary.numbers("weight")?.into_iter().map(Option::unwrap_or_default).collect::<Vec<f64>>();
+        let (stage_names, stage) = categories(dictionary, "stage")?;
+        let (design_names, design) = categories(dictionary, "design")?;
+        let (outcomes, outcome_codes) = categories(dictionary, "outcome")?;
+        let task = &dictionary.provenance().task;
+        let mut modes: Vec<FailureMode> = task.modes().collect();
+        let declared = modes.len();
+        let endings: Vec<Ending> = outcomes.iter().map(|outcome| ending(outcome, &mut modes)).collect();
+        let outcome: Vec<Ending> =
+            outcome_codes.iter().map(|code| at(&endings, *code).unwrap_or(Ending::Invalid)).collect();
+        let stages = stages(&stage_names, &stage, &design_names, &design, &weight);
+        let stage = stage.iter().map(|code| code.map_or(0, |code| u8::try_from(code).unwrap_or(u8::MAX))).collect();
+        let mut faults: Vec<(String, u64)> = Vec::new();
+        if outcome.contains(&Ending::Invalid) {
+            let (fault_kinds, codes) = categories(dictionary, "fault_kind")?;
+            let mut counts = vec![0; fault_kinds.len()];
+            for code in codes.iter().flatten() {
+                counts[*code as usize] += 1;
+            }
+            faults = fault_kinds.into_iter().zip(counts).collect();
+            faults.sort_by(|a, b| b.1.cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
+        }
+        let provenance = dictionary.provenance();
+        let source = provenance.source.iter().flat_map(|source| &source.not_recorded);
+        // The other names are failure modes, which the task of such a source does not declare.
+        let not_recorded = source.filter(|name| *name != TIME).cloned().collect();
+        let measure = |name: Word| Ok((name, dictionary.numbers(name.as_str())?));
+        let measures = task.measures.iter().map(|spec| measure(spec.name)).collect::<Result<_, DictionaryError>>()?;
+        // Identifiers of imported rows are not parameters of the scenario.
+        let identifiers = [results::SOURCE_ROW, results::SOURCE_SEED];
+        let parameters = provenance.space.parameters().iter().filter(|p| !identifiers.contains(&&*p.name));
+        let parameters = parameters.map(|p| parameter(dictionary, &p.name, &p.domain)).collect::<Result<_, _>>()?;
+        Ok(Self {
+            index,
+            stage,
+            stages,
+            weight,
+            outcome,
+            parameters,
+            modes,
+            declared,
+            measures,
+            time_s: dictionary.numbers(TIME)?,
+            faults,
+            not_recorded,
+        })
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.outcome.len()
+    }
+
+    /// A measure of the task, one value for each row.
+    pub(crate) fn measure(&self, name: &str) -> Option<&[Option<f64>]> {
+        self.measures.iter().find(|(known, _)| *known == name).map(|(_, values)| &**values)
+    }
+
+    /// The name of the failure mode at a position of [`Self::modes`].
+    pub(crate) fn mode(&self, at: usize) -> &'static str {
+        self.modes.get(at).copied().unwrap_or(FailureMode::UNKNOWN).as_str()
+    }
+
+    /// The outcome of an episode, as the dictionary names it.
+    pub(crate) fn outcome_name(&self, ending: Ending) -> &'static str {
+        match ending {
+            Ending::Success => "success",
+            Ending::Failure(mode) => self.mode(usize::from(mode)),
+            Ending::Invalid => "invalid",
+        }
+    }
+
+    /// The valid rows whose stage is focused, or is not.
+    pub(crate) fn sample(&self, focused: bool) -> Sample {
+        self.valid_where(|row| self.is_focused(row) == focused)
+    }
+
+    /// All valid rows.
+    pub(crate) fn valid(&self) -> Sample {
+        self.valid_where(|_| true)
+    }
+
+    fn valid_where(&self, keep: impl Fn(usize) -> bool) -> Sample {
+        let keep = |row: &usize| self.outcome[*row] != Ending::Invalid && keep(*row);
+        let rows: Vec<u32> = (0..self.len()).filter(keep).map(|row| row as u32).collect();
+        Sample {
+            success: rows.iter().map(|row| self.outcome[*row as usize] == Ending::Success).collect(),
+            parameters: self.parameters.iter().map(|p| p.take(&rows)).collect(),
+            rows,
+        }
+    }
+
+    pub(crate) fn is_focused(&self, row: usize) -> bool {
+        self.stages.get(usize::from(self.stage[row])).is_some_and(|stage| stage.focused)
+    }
+}
+
+/// Valid rows of one population, with their parameters gathered.
+pub(crate) struct Sample {
+    /// Position in [`EpisodeTable`].
+    pub(crate) rows: Vec<u32>,
+    pub(crate) success: Vec<bool>,
+    pub(crate) parameters: Vec<ParameterColumn>,
+}
+
+impl Sample {
+    pub(crate) fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    pub(crate) fn parameter(&self, name: &str) -> Option<&ParameterColumn> {
+        self.parameters.iter().find(|p| p.name == name)
+    }
+
+    /// Positions of the failures and the mode of each.
+    pub(crate) fn failures(&self, table: &EpisodeTable) -> (Vec<usize>, Vec<usize>) {
+        let modes = self.rows.iter().enumerate().filter_map(|(i, row)| match table.outcome[*row as usize] {
+            Ending::Failure(mode) => Some((i, usize::from(mode))),
+            Ending::Success | Ending::Invalid => None,
+        });
+        modes.unzip()
+    }
+}
+
+impl ParameterColumn {
+    fn take(&self, rows: &[u32]) -> Self {
+        Self {
+            name: self.name.clone(),
+            kind: self.kind.clone(),
+            values: rows.iter().map(|row| self.values[*row as usize]).collect(),
+        }
+    }
+
+    pub(crate) fn is_numeric(&self) -> bool {
+        !matches!(self.kind, ParameterKind::Categorical { .. })
+    }
+
+    /// Whether the values can be compared with those of `other`: both numeric, or both with the same levels.
+    pub(crate) fn is_like(&self, other: &Self) -> bool {
+        match (&self.kind, &other.kind) {
+            (ParameterKind::Categorical { levels }, ParameterKind::Categorical { levels: others }) => levels == others,
+            _ => self.is_numeric() && other.is_numeric(),
+        }
+    }
+
+    /// The values as category codes.
+    pub(crate) fn codes(&self) -> Vec<usize> {
+        // Codes are positions, hence non-negative integers.
+        self.values.iter().map(|v| *v as usize).collect()
+    }
+
+    /// A value with all its digits.
+    pub(crate) fn exactly(&self, value: f64) -> String {
+        match self.kind {
+            ParameterKind::Continuous { .. } => value.to_string(),
+            ParameterKind::Integer { .. } | ParameterKind::Categorical { .. } => self.show(value),
+        }
+    }
+
+    /// A value for people.
+    pub(crate) fn show(&self, value: f64) -> String {
+        match &self.kind {
+            ParameterKind::Continuous { .. } => robogate_stats::format::number(value),
+            ParameterKind::Integer { .. } => format!("{value:.0}"),
+            ParameterKind::Categorical { levels } => levels.get(value as usize).cloned().unwrap_or_default(),
+        }
+    }
+}
+
+/// How the episodes with this outcome ended. A failure mode that the task does not declare is added to `modes`.
+fn ending(outcome: &str, modes: &mut Vec<FailureMode>) -> Ending {
+    match outcome {
+        "success" => return Ending::Success,
+        "invalid" => return Ending::Invalid,
+        _ => {}
+    }
+    let mode = FailureMode::from_foreign(outcome);
+    let at = modes.iter().position(|known| *known == mode).unwrap_or_else(|| {
+        modes.push(mode);
+        modes.len() - 1
+    });
+    // A file has far fewer modes than rows.
+    Ending::Failure(u16::try_from(at).unwrap_or(u16::MAX))
+}
+
+fn at<T: Copy>(table: &[T], code: Option<u32>) -> Option<T> {
+    table.get(code? as usize).copied()
+}
+
+fn categories(dictionary: &Dictionary, name: &str) -> Result<(Vec<String>, Vec<Option<u32>>), DictionaryError> {
+    match dictionary.column(name)? {
+        Column::Categories { words, codes } => Ok((words, codes)),
+        _ => Ok((Vec::new(), Vec::new())),
+    }
+}
+
+/// A stage is focused if its points were not sampled from the operating distribution: the boundary stage, and any unknown
+/// stage whose weights are not all 1.
+fn stages(
+    names: &[String],
+    codes: &[Option<u32>],
+    design_names: &[String],
+    designs: &[Option<u32>],
+    weights: &[f64],
+) -> Vec<Stage> {
+    let mut stages: Vec<Stage> = names
+        .iter()
+        .map(|name| Stage { name: name.clone(), designs: Vec::new(), focused: name == "boundary" })
+        .collect();
+    let mut pairs: Vec<(u32, u32)> = Vec::new();
+    for row in 0..codes.len() {
+        let (Some(stage), Some(design)) = (codes[row], designs[row]) else { continue };
+        if pairs.last() != Some(&(stage, design)) && !pairs.contains(&(stage, design)) {
+            pairs.push((stage, design));
+        }
+        let of = &mut stages[stage as usize];
+        let even = (weights[row] - 1.0).abs() <= 0.0;
+        if !even && of.name != "uniform" && of.name != "imported" {
+            of.focused = true;
+        }
+    }
+    for (stage, design) in pairs {
+        stages[stage as usize].designs.push(design_names[design as usize].clone());
+    }
+    stages
+}
+
+fn parameter(dictionary: &Dictionary, name: &str, domain: &Domain) -> Result<ParameterColumn, DictionaryError> {
+    let (kind, values) = match domain {
+        Domain::Continuous { low, high, scale } => {
+            let log = *scale == robogate_core::Scale::Log;
+            (ParameterKind::Continuous { low: *low, high: *high, log }, numbers(dictionary, name)?)
+        }
+        Domain::Integer { low, high } => {
+            (ParameterKind::Integer { low: *low, high: *high }, numbers(dictionary, name)?)
+        }
+        Domain::Categorical { choices } => {
+            let mut all: Vec<String> = choices.iter().map(|c| c.to_string()).collect();
+            let (present, codes) = categories(dictionary, name)?;
+            // A value that the space does not declare is a level of its own.
+            let places: Vec<f64> = present
+                .into_iter()
+                .map(|level| match all.iter().position(|known| *known == level) {
+                    Some(place) => place as f64,
+                    None => {
+                        all.push(level);
+                        (all.len() - 1) as f64
+                    }
+                })
+                .collect();
+            let values = codes.iter().map(|code| at(&places, *code).unwrap_or_default()).collect();
+            (ParameterKind::Categorical { levels: all }, values)
+        }
+    };
+    Ok(ParameterColumn { name: name.to_owned(), kind, values })
+}
+
+fn numbers(dictionary: &Dictionary, name: &str) -> Result<Vec<f64>, DictionaryError> {
+    Ok(dictionary.numbers(name)?.into_iter().map(Option::unwrap_or_default).collect())
+}

@@ -1,0 +1,288 @@
+//! What may be said of dictionaries side by side.
+
+use std::path::PathBuf;
+
+use robogate_analysis::{Comparison, ComparisonError, ComparisonOptions, Finding, Source};
+use robogate_core::{FailureMode, Fault, FaultKind, Outcome, ParameterSpace};
+use robogate_dictionary::{DictionaryError, write_parquet};
+use tempfile::TempDir;
+
+use crate::runs::{boxes, changed, saved};
+use crate::synthetic::{entry, law, point, provenance, unit};
+
+fn compared(sources: &[(Source, PathBuf)]) -> Comparison {
+    Comparison::of(sources, &ComparisonOptions::default()).unwrap()
+}
+
+fn paired() -> ComparisonOptions {
+    ComparisonOptions { paired: true, ..ComparisonOptions::default() }
+}
+
+#[test]
+fn runs_are_named_by_renderer() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    let drawn = |file: &str, world: serde_json::Value, n: u64| {
+        let path = dir.path().join(format!("{file}.parquet"));
+        let provenance = robogate_dictionary::Provenance { world, ..provenance(space.clone()) };
+        write_parquet(&path, &provenance, law(&space, n).into_iter().map(Ok::<_, DictionaryError>)).unwrap();
+        (Source::open(&path).unwrap(), path)
+    };
+    let names = |a, b| compared(&[a, b]).datasets.iter().map(|d| d.name.clone()).collect::<Vec<_>>();
+    let plain = || serde_json::json!({ "engine": "mujoco" });
+    let egl = serde_json::json!({ "engine": "mujoco", "renderer": { "name": "egl", "device": "llvmpipe" } });
+    assert_eq!(names(drawn("a", plain(), 50), drawn("b", egl, 60)), ["embedded", "egl"]);
+    assert_eq!(names(drawn("c", plain(), 50), drawn("d", plain(), 60)), ["c", "d"]);
+}
+
+#[test]
+fn same_rows_twice_are_rejected() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    let one = saved(&dir, "one", &space, law(&space, 50));
+    let twin = saved(&dir, "twin", &space, law(&space, 50));
+    let only = Comparison::of(&[one], &paired()).unwrap_err();
+    assert!(matches!(only, ComparisonError::TooFew { found: 1 }), "{only}");
+    let again = saved(&dir, "again", &space, law(&space, 50));
+    let twice = Comparison::of(&[twin, again], &ComparisonOptions::default()).unwrap_err();
+    assert!(matches!(twice, ComparisonError::SameTwice { .. }), "{twice}");
+}
+
+#[test]
+fn holm_never_lowers_a_p_value() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    let worse = |i: u64, by_law| {
+        if i.is_multiple_of(4) { Outcome::Failure(FailureMode::constant("collision")) } else { by_law }
+    };
+    let all = [
+        saved(&dir, "a", &space, law(&space, 600)),
+        saved(&dir, "b", &space, changed(&space, 600, worse)),
+        saved(&dir, "c", &space, changed(&space, 500, |_, by_law| by_law)),
+    ];
+    let of = compared(&all);
+    assert_eq!(of.compared, ["a", "b", "c"]);
+    assert_eq!(of.differences.len(), 3);
+    // The first two ran the same 600 scenarios; the third ran 500.
+    let pairs: Vec<bool> = of.differences.iter().map(|d| d.valid_pairs.is_some()).collect();
+    assert_eq!(pairs, [true, false, false]);
+    for d in &of.differences[1..] {
+        let rate = |name: &str| of.datasets.iter().find(|x| x.name == name).unwrap().success.rate.rate.unwrap();
+        assert!((d.difference - (rate(&d.first) - rate(&d.second))).abs() < 1e-12);
+        assert!(d.interval_95[0] < d.difference && d.difference < d.interval_95[1]);
+        assert!(d.holm_p >= d.ln_p.unwrap().exp());
+    }
+    assert!(of.differences[0].holm_p < 0.05, "{:?}", of.differences[0]);
+    assert!(of.differences[1].holm_p > 0.5, "{:?}", of.differences[1]);
+    // The twelve invalid episodes of the first are in no rate.
+    assert_eq!(of.datasets[0].success.rate.n, 588);
+    assert_eq!(of.datasets[0].success.bounds.invalid, 12);
+}
+
+#[test]
+fn same_scenarios_are_always_paired() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    // A few scenarios flip, nearly all one way: too few for independent runs, enough for pairs.
+    let worse = |i: u64, by_law| match by_law {
+        Outcome::Success if i.is_multiple_of(25) => Outcome::Failure(FailureMode::constant("collision")),
+        other => other,
+    };
+    let all = [saved(&dir, "a", &space, law(&space, 600)), saved(&dir, "b", &space, changed(&space, 600, worse))];
+    let plain = compared(&all);
+    let by_pairs = &Comparison::of(&all, &paired()).unwrap().paired[0];
+    let d = &plain.differences[0];
+    assert_eq!(d.valid_pairs, Some(by_pairs.valid_pairs));
+    assert_eq!((Some(d.difference), d.interval_95), (by_pairs.difference, by_pairs.difference_95));
+    assert_eq!((d.ln_p, d.holm_p), (Some(by_pairs.ln_p), by_pairs.holm_p));
+    assert!(d.holm_p < 0.05, "{d:?}");
+}
+
+#[test]
+fn shared_bins_cover_the_shared_range() {
+    let dir = TempDir::new().unwrap();
+    let wide = boxes();
+    let toml = "name = \"other\"\n[[parameter]]\nname = \"mass_kg\"\nkind = \"continuous\"\nlow = 0.5\nhigh = 4.0\n\
+                [[parameter]]\nname = \"grip_threshold_m\"\nkind = \"continuous\"\nlow = 0.0\nhigh = 1.0\n";
+    let other = ParameterSpace::from_toml(toml).unwrap();
+    let entries = (0..400).map(|i| {
+        entry(i, point(&other, i), if i % 3 == 0 { Outcome::Success } else { Outcome::Failure(FailureMode::TIMEOUT) })
+    });
+    let all = [saved(&dir, "a", &wide, law(&wide, 400)), saved(&dir, "b", &other, entries.collect())];
+    let of = compared(&all);
+    assert_eq!(of.parameters.shared, ["mass_kg"]);
+    let names: Vec<&str> = of.parameters.not_shared.iter().map(|p| p.parameter.as_str()).collect();
+    assert_eq!(names, ["friction", "obstacles", "shape", "grip_threshold_m"]);
+    let curve = &of.marginal_effects[0];
+    assert!(curve.remark.is_some());
+    let ends = (curve.cells.first().unwrap().range.unwrap()[0], curve.cells.last().unwrap().range.unwrap()[1]);
+    assert_eq!(ends, (0.5, 2.0));
+    for (at, source) in
+        [&law(&wide, 400), &(0..400).map(|i| entry(i, point(&other, i), Outcome::Success)).collect::<Vec<_>>()]
+            .iter()
+            .enumerate()
+    {
+        let inside = source.iter().filter(|e| {
+            let mass = e.episode.scenario.requested.number("mass_kg").unwrap();
+            !matches!(e.episode.outcome, Outcome::Invalid(_)) && (0.5..=2.0).contains(&mass)
+        });
+        assert_eq!(curve.cells.iter().map(|cell| cell.rates[at].n).sum::<u64>(), inside.count() as u64);
+    }
+}
+
+#[test]
+fn unrelated_datasets_have_rates_only() {
+    let dir = TempDir::new().unwrap();
+    let wide = boxes();
+    let toml = "name = \"other\"\n[[parameter]]\nname = \"x\"\nkind = \"continuous\"\nlow = 0.5\nhigh = 4.0\n";
+    let other = ParameterSpace::from_toml(toml).unwrap();
+    let entries = (0..60).map(|i| entry(i, point(&other, i), Outcome::Success)).collect();
+    let of = compared(&[saved(&dir, "a", &wide, law(&wide, 60)), saved(&dir, "b", &other, entries)]);
+    assert!(of.marginal_effects.is_empty() && of.parameters.shared.is_empty());
+    assert_eq!(of.universal_zones.tested, 0);
+    assert!(matches!(of.sensitivity, Finding::CannotBeEstimated { .. }));
+    assert!(of.has_evidence());
+}
+
+#[test]
+fn universal_zones_need_enough_episodes() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    // Three obstacles defeat both; two defeat the first alone.
+    let fails_from = |least: f64| {
+        let space = space.clone();
+        move |i: u64| {
+            let requested = point(&space, i);
+            let fails = requested.number("obstacles").unwrap() >= least;
+            let went = if fails { Outcome::Failure(FailureMode::constant("collision")) } else { Outcome::Success };
+            entry(i, requested, went)
+        }
+    };
+    let all = [
+        saved(&dir, "a", &space, (0..400).map(fails_from(2.0)).collect()),
+        saved(&dir, "b", &space, (0..300).map(fails_from(3.0)).collect()),
+    ];
+    let of = compared(&all);
+    let sure: Vec<String> = of.universal_zones.zones.iter().filter(|z| z.significant).map(|z| z.describe()).collect();
+    assert_eq!(sure, ["obstacles 3"]);
+    let thin = [
+        saved(&dir, "c", &space, (0..400).map(fails_from(2.0)).collect()),
+        saved(&dir, "d", &space, (0..9).map(fails_from(0.0)).collect()),
+    ];
+    let of = compared(&thin);
+    assert!(of.universal_zones.too_few_episodes > 0);
+    assert!(
+        of.universal_zones.zones.iter().all(|zone| zone.rates.iter().all(|r| r.n >= of.universal_zones.smallest_n))
+    );
+    assert_eq!(of.universal_zones.smallest_n, 6);
+}
+
+#[test]
+fn slope_of_mass_follows_the_law() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    let coin = |i: u64, _| if unit(i, 55) < 0.5 { Outcome::Success } else { Outcome::Failure(FailureMode::TIMEOUT) };
+    let all =
+        [saved(&dir, "law", &space, law(&space, 2_000)), saved(&dir, "coin", &space, changed(&space, 2_000, coin))];
+    let of = compared(&all);
+    let mass = of.sensitivity.estimated().unwrap();
+    let slope = |at: usize| *mass.effects[at].slope.estimated().unwrap();
+    assert!(slope(0).interval_95[1].unwrap() < 0.0 && slope(0).odds_per_doubling < 1.0, "{:?}", slope(0));
+    assert!(slope(1).interval_95[0].unwrap() < 0.0 && slope(1).interval_95[1].unwrap() > 0.0, "{:?}", slope(1));
+    assert!(mass.effects[0].low.rate > mass.effects[0].high.rate);
+}
+
+#[test]
+fn reach_comes_from_provenance_or_options() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    let all = [saved(&dir, "a", &space, law(&space, 60)), saved(&dir, "b", &space, law(&space, 70))];
+    let of = |reach: &[(&str, f64)]| {
+        let reach_m = reach.iter().map(|(name, reach)| ((*name).to_owned(), *reach)).collect();
+        Comparison::of(&all, &ComparisonOptions { reach_m, ..ComparisonOptions::default() })
+    };
+    let ratio = |of: &Comparison, at: usize| (of.reach[at].ratio, of.reach[at].given);
+    let found = of(&[("b", 0.5)]).unwrap();
+    assert_eq!((ratio(&found, 0), ratio(&found, 1)), ((Some(0.5), false), (Some(1.0), true)));
+    assert!(matches!(of(&[("z", 0.5)]), Err(ComparisonError::NoSuchName { .. })));
+    assert!(matches!(of(&[("b", -0.5)]), Err(ComparisonError::Setting { .. })));
+}
+
+#[test]
+fn invalid_pairs_bound_the_difference() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    let first = |i: u64, _| match i {
+        0..60 => Outcome::Success,
+        60..100 => Outcome::Failure(FailureMode::constant("grasp_miss")),
+        _ => Outcome::Invalid(Fault::new(FaultKind::Diverged, "made up")),
+    };
+    let second = |i: u64, _| match i {
+        0..40 | 60..65 | 100.. => Outcome::Success,
+        _ => Outcome::Failure(FailureMode::constant("grip_loss")),
+    };
+    let all =
+        [saved(&dir, "a", &space, changed(&space, 104, first)), saved(&dir, "b", &space, changed(&space, 104, second))];
+    let of = Comparison::of(&all, &paired()).unwrap();
+    let pair = &of.paired[0];
+    assert_eq!((pair.scenarios, pair.valid_pairs), (104, 100));
+    assert_eq!((pair.both, pair.first_only, pair.second_only, pair.neither), (40, 20, 5, 35));
+    assert!((pair.difference.unwrap() - 0.15).abs() < 1e-12);
+    // Twice the chance of at most 5 heads in 25 tosses: 2 (1 + 25 + 300 + 2,300 + 12,650 + 53,130) / 2^25.
+    assert!((pair.ln_p.exp() - 136_812.0 / 33_554_432.0).abs() < 1e-12, "{}", pair.ln_p.exp());
+    assert_eq!((pair.invalid.first, pair.invalid.second, pair.invalid.either), (4, 0, 4));
+    // The four could each have been a failure (15 - 4) or a success (15 + 0) against the second's success.
+    let [low, high] = pair.invalid.difference_bounds.unwrap();
+    assert!((low - 11.0 / 104.0).abs() < 1e-12 && (high - 15.0 / 104.0).abs() < 1e-12, "{low} {high}");
+    assert_eq!(pair.outcomes.outcomes, ["success", "grasp_miss", "grip_loss", "invalid"]);
+    assert_eq!(pair.outcomes.counts.iter().flatten().sum::<u64>(), 104);
+    assert_eq!(pair.flips.len(), 15);
+    let map = pair.disagreement.estimated().unwrap();
+    assert_eq!(map.cells.iter().map(|cell| cell.differ.n).sum::<u64>(), 100);
+    assert_eq!(map.cells.iter().map(|cell| cell.first_only).sum::<u64>(), 20);
+}
+
+#[test]
+fn first_different_scenario_is_named() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    let mut moved = law(&space, 80);
+    moved[17].episode.scenario.requested.set("mass_kg", robogate_core::Value::Number(1.25));
+    let all = [saved(&dir, "a", &space, law(&space, 80)), saved(&dir, "b", &space, moved)];
+    let error = Comparison::of(&all, &paired()).unwrap_err().to_string();
+    assert!(error.contains("row 17") && error.contains("mass_kg") && error.contains("1.25"), "{error}");
+    let short = [saved(&dir, "c", &space, law(&space, 80)), saved(&dir, "d", &space, law(&space, 79))];
+    let error = Comparison::of(&short, &paired()).unwrap_err().to_string();
+    assert!(error.contains("80") && error.contains("79"), "{error}");
+}
+
+#[test]
+fn datasets_without_evidence_are_excluded() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    let broken = |_, _| Outcome::Invalid(Fault::new(FaultKind::Diverged, "made up"));
+    let mut all = vec![
+        saved(&dir, "good", &space, law(&space, 80)),
+        saved(&dir, "broken", &space, changed(&space, 30, broken)),
+        saved(&dir, "empty", &space, Vec::new()),
+    ];
+    let of = compared(&all);
+    assert!(!of.has_evidence() && of.differences.is_empty());
+    all.push(saved(&dir, "other", &space, law(&space, 90)));
+    let of = compared(&all);
+    assert!(of.has_evidence());
+    assert_eq!(of.compared, ["good", "other"]);
+    assert!(of.datasets[1].excluded_because.is_some() && of.datasets[2].excluded_because.is_some());
+}
+
+#[test]
+fn focused_datasets_are_excluded() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    let mut focused = law(&space, 100);
+    focused.iter_mut().for_each(|entry| entry.stage = "boundary".to_owned());
+    let all = [saved(&dir, "even", &space, law(&space, 80)), saved(&dir, "focused", &space, focused)];
+    let of = compared(&all);
+    assert_eq!(of.compared, ["even"]);
+    assert!(of.datasets[1].excluded_because.as_deref().unwrap().contains("focused design only"));
+}

@@ -1,0 +1,20 @@
+//! Claims about analyses, from the outside.
+
+#![expect(clippy::unwrap_used, reason = "helpers of tests are tests too")]
+
+mod anchors;
+mod comparison;
+mod degenerate;
+mod designs;
+mod populations;
+mod runs;
+mod study;
+mod synthetic;
+
+use robogate_core::{Assignment, Domain, ParameterSpace};
+
+/// Sets one parameter to a place of its range.
+fn hold(requested: &mut Assignment, space: &ParameterSpace, name: &str, unit: f64) {
+    let domain: &Domain = &space.parameters()[space.position(name).unwrap()].domain;
+    requested.set(name, domain.decode(domain.from_unit(unit)));
+}

@@ -1,0 +1,101 @@
+//! Studies of synthetic laws whose answer is known.
+
+use robogate_analysis::AnalysisError;
+use robogate_analysis::study::{Arm, Figures, Learner, Measure, Repeat, Study, Verdict};
+use robogate_dictionary::Dictionary;
+
+use crate::designs::{Focus, Law, dictionary, drawn, even, study};
+use crate::synthetic::space;
+
+fn of(study: &Study, learner: Learner, arm: Arm) -> &Figures {
+    study.figures(learner, arm).unwrap()
+}
+
+#[test]
+fn incomplete_design_is_worse() {
+    // Without obstacles all goes well; the focused designs know only what happens with them, near the frontier.
+    let law: Law = |at| {
+        if at[2] < 0.25 {
+            0.98
+        } else if at[0] > 0.6 {
+            0.97
+        } else {
+            0.03
+        }
+    };
+    let near: Focus = |at| {
+        at[0] = 0.4 + 0.4 * at[0];
+        at[2] = 0.25 + 0.75 * at[2];
+    };
+    let study = study(law, near, near, 3, 240);
+    let score = of(&study, Learner::Flexible, Arm::PureBoundary).score(Measure::BoundaryError).unwrap();
+    let difference = score.difference_to_uniform.as_ref().unwrap();
+    assert_eq!(score.verdict, Some(Verdict::Worse), "{score:?}");
+    // What it cannot know: a quarter of the space, of which six tenths look like failure.
+    assert!((0.05..0.2).contains(&difference.mean), "{difference:?}");
+}
+
+#[test]
+fn focusing_helps_with_one_threshold() {
+    let law: Law = |at| if at[0] > 0.6 { 1.0 } else { 0.0 };
+    let near: Focus = |at| at[0] = 0.56 + 0.08 * at[0];
+    let of_repeats = |repeats| {
+        let study = study(law, near, near, repeats, 60);
+        of(&study, Learner::MainEffects, Arm::PureBoundary).score(Measure::BoundaryError).unwrap().clone()
+    };
+    let score = of_repeats(10);
+    assert_eq!(score.verdict, Some(Verdict::Better), "{score:?}");
+    // Its own interval leaves 0 out with five repeats too; that of nine comparisons together does not.
+    let fewer = of_repeats(5);
+    assert!(fewer.difference_to_uniform.as_ref().unwrap().interval_95.unwrap()[1] < 0.0);
+    assert_eq!(fewer.verdict, Some(Verdict::NotSignificant), "{fewer:?}");
+}
+
+#[test]
+fn easy_rows_raise_only_in_sample_auc() {
+    // A model of main effects is true here, so both designs fit it; the second stage adds rows at both far ends.
+    let law: Law = |at| 1.0 / (1.0 + (-5.0 * (at[0] - at[1])).exp());
+    let easy: Focus = |at| {
+        let end = if at[2] < 0.5 { [0.8, 0.0] } else { [0.0, 0.8] };
+        at[0] = end[0] + 0.2 * at[0];
+        at[1] = end[1] + 0.2 * at[1];
+    };
+    let study = study(law, easy, easy, 3, 400);
+    let [uniform, two] = [Arm::Uniform, Arm::TwoStage].map(|arm| of(&study, Learner::MainEffects, arm));
+    let on_test = |f: &Figures| f.score(Measure::Auc).unwrap().value.mean;
+    assert!(two.mean_auc_in_sample() - uniform.mean_auc_in_sample() > 0.03, "{two:?}");
+    assert!(on_test(two) - on_test(uniform) < 0.01, "{two:?}");
+}
+
+#[test]
+fn one_repeat_has_no_interval() {
+    let law: Law = |at| at[0];
+    let study = study(law, even, even, 1, 80);
+    assert!(study.figures(Learner::Paper, Arm::Uniform).is_none());
+    let score = of(&study, Learner::MainEffects, Arm::TwoStage).score(Measure::Auc).unwrap();
+    let difference = score.difference_to_uniform.as_ref().unwrap();
+    assert_eq!((difference.interval_95, score.verdict), (None, Some(Verdict::NotSignificant)));
+    assert_eq!(study, crate::designs::study(law, even, even, 1, 80), "the same dictionaries give another study");
+}
+
+#[test]
+fn one_outcome_gives_no_figures() {
+    let study = study(|_| 1.0, even, even, 2, 40);
+    assert!(study.learners.iter().flat_map(|l| &l.arms).all(|arm| arm.figures.because().is_some()));
+}
+
+#[test]
+fn mismatched_dictionaries_are_rejected() {
+    let dir = tempfile::tempdir().unwrap();
+    let [here, other] = [space(&["box", "sphere"]), space(&["box", "ball"])];
+    let law: Law = |at| at[0];
+    let test = dictionary(dir.path(), "test", &here, drawn(&here, 1, 50, 0, law, even));
+    let foreign = dictionary(dir.path(), "foreign", &other, drawn(&other, 2, 50, 0, law, even));
+    let judged = |uniform: &Dictionary, weights: usize| {
+        let repeat = Repeat { uniform, two_stage: &test, two_stage_weights: vec![1.0; weights], pure_boundary: &test };
+        Study::of(&test, &[repeat]).unwrap_err()
+    };
+    for (error, part) in [(judged(&foreign, 50), "`shape`"), (judged(&test, 49), "49 weights for the 50 rows")] {
+        assert!(matches!(error, AnalysisError::NoStudy { .. }) && error.to_string().contains(part), "{error}");
+    }
+}

@@ -1,0 +1,168 @@
+//! Runs episodes in threads.
+//!
+//! Each thread has a worker of its own and takes the next index from a shared counter. Finished episodes go over a
+//! bounded channel to the calling thread. So the order of results is free, and nothing else is: an episode depends on
+//! its scenario and a worker that was reset.
+
+use std::any::Any;
+use std::fmt;
+use std::num::NonZeroUsize;
+use std::ops::ControlFlow;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread;
+
+use robogate_core::{Assignment, Episode, Fault, FaultKind, Measures, Outcome, Scenario, rollout};
+
+use crate::{ExecuteError, Executor, Worker, WorkerFactory};
+
+/// Threads of this process.
+#[derive(Clone, Copy)]
+pub struct ThreadPool<'a> {
+    /// Where workers come from.
+    pub factory: &'a dyn WorkerFactory,
+    /// How many threads run episodes; the calling thread records them.
+    pub threads: NonZeroUsize,
+    /// Once this is set (by Ctrl-C, say), no further episode begins; those in flight are finished.
+    pub stop: &'a AtomicBool,
+}
+
+impl fmt::Debug for ThreadPool<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ThreadPool").field("threads", &self.threads).field("stop", self.stop).finish_non_exhaustive()
+    }
+}
+
+enum Message {
+    Done(Box<Episode>),
+    NoWorker(Fault),
+}
+
+/// A panic in an environment or a policy costs the episode, which becomes [`Outcome::Invalid`], and the worker, which is
+/// made anew.
+impl Executor for ThreadPool<'_> {
+    fn parallelism(&self) -> usize {
+        self.threads.get()
+    }
+
+    fn execute(
+        &self,
+        scenario: &(dyn Fn(usize) -> Option<Scenario> + Sync),
+        receive: &mut dyn FnMut(Episode) -> ControlFlow<()>,
+    ) -> Result<(), ExecuteError> {
+        let next = AtomicUsize::new(0);
+        let halt = AtomicBool::new(false);
+        let threads = self.threads.get();
+        let thread = EpisodeThread { pool: self, scenario, next: &next, halt: &halt };
+        // No thread waits while the receiver records another's episode; more room would only add to what a kill loses.
+        let (sender, receiver) = sync_channel(threads);
+        thread::scope(|scope| {
+            let mut problem = None;
+            for i in 0..threads {
+                let sender = sender.clone();
+                let spawned =
+                    thread::Builder::new().name(format!("episodes-{i}")).spawn_scoped(scope, || thread.run(sender));
+                if let Err(error) = spawned {
+                    halt.store(true, Ordering::Relaxed);
+                    problem = Some(ExecuteError::Thread(error));
+                    break;
+                }
+            }
+            drop(sender);
+            // Ends once every thread has dropped its sender.
+            while let Ok(message) = receiver.recv() {
+                match message {
+                    Message::Done(episode) => {
+                        if receive(*episode).is_break() {
+                            halt.store(true, Ordering::Relaxed);
+                            break;
+                        }
+                    }
+                    Message::NoWorker(fault) => {
+                        halt.store(true, Ordering::Relaxed);
+                        problem.get_or_insert(ExecuteError::Worker(fault));
+                    }
+                }
+            }
+            // A thread that waits for room in the channel is released.
+            drop(receiver);
+            problem.map_or(Ok(()), Err)
+        })
+    }
+}
+
+struct EpisodeThread<'a> {
+    pool: &'a ThreadPool<'a>,
+    scenario: &'a (dyn Fn(usize) -> Option<Scenario> + Sync),
+    next: &'a AtomicUsize,
+    halt: &'a AtomicBool,
+}
+
+impl EpisodeThread<'_> {
+    fn run(&self, sender: SyncSender<Message>) {
+        let mut worker = None;
+        while !self.pool.stop.load(Ordering::Relaxed) && !self.halt.load(Ordering::Relaxed) {
+            let Some(scenario) = (self.scenario)(self.next.fetch_add(1, Ordering::Relaxed)) else {
+                break;
+            };
+            let message = match self.episode(&mut worker, scenario) {
+                Ok(episode) => Message::Done(Box::new(episode)),
+                Err(fault) => {
+                    self.halt.store(true, Ordering::Relaxed);
+                    Message::NoWorker(fault)
+                }
+            };
+            if sender.send(message).is_err() {
+                break;
+            }
+        }
+        discard(worker);
+    }
+
+    fn episode(&self, worker: &mut Option<Worker>, scenario: Scenario) -> Result<Episode, Fault> {
+        let mut ready = match worker.take() {
+            Some(ready) => ready,
+            None => catch_unwind(AssertUnwindSafe(|| self.pool.factory.worker()))
+                .unwrap_or_else(|panic| Err(panicked("the worker factory", &*panic)))?,
+        };
+        // Unwind safe: after a panic the worker is not used again.
+        let run = AssertUnwindSafe(|| rollout(&mut *ready.environment, &mut *ready.policy, &scenario));
+        match catch_unwind(run) {
+            Ok(episode) => {
+                *worker = Some(ready);
+                Ok(episode)
+            }
+            Err(panic) => {
+                discard(Some(ready));
+                Ok(lost(scenario, panicked("the environment or the policy", &*panic)))
+            }
+        }
+    }
+}
+
+/// Drops a worker that may be in any state.
+fn discard(worker: Option<Worker>) {
+    // A second panic says nothing that the first did not.
+    let _ = catch_unwind(AssertUnwindSafe(|| drop(worker)));
+}
+
+fn panicked(who: &str, panic: &(dyn Any + Send)) -> Fault {
+    let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
+    Fault::new(FaultKind::Unavailable, format!("{who} panicked: {}", text.unwrap_or("without a message")))
+}
+
+/// The record of an episode of which nothing is left.
+fn lost(scenario: Scenario, fault: Fault) -> Episode {
+    Episode {
+        scenario,
+        applied: Assignment::default(),
+        outcome: Outcome::Invalid(fault),
+        time_s: 0.0,
+        phase: None,
+        contact: None,
+        measures: Measures::default(),
+        ticks: 0,
+        trajectory_hash: 0,
+    }
+}

@@ -1,0 +1,71 @@
+//! What a policy sees.
+
+use crate::{Pose, Word};
+
+/// What a policy sees. Values are measured ones: a sensor's error is in them.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Observation {
+    /// Simulated time since the start, in seconds.
+    pub time_s: f64,
+    /// Named vectors of numbers, as the task declares them.
+    pub vectors: Vec<(Word, Vec<f64>)>,
+    /// Camera images; empty unless the policy [wants them](crate::Policy::wants_images).
+    pub images: Vec<Image>,
+}
+
+/// Names of vectors that mean the same in every task that has them.
+pub mod vectors {
+    use crate::Word;
+
+    /// Measured joint positions of the arm, base to tip, in radians (metres for a sliding joint).
+    pub const JOINT_POSITIONS: Word = Word::constant("joint_positions");
+    /// Measured joint velocities of the arm, in rad/s (m/s for a sliding joint).
+    pub const JOINT_VELOCITIES: Word = Word::constant("joint_velocities");
+    /// Opening between the fingers, in metres; one number. A gripper without fingers has none.
+    pub const GRIPPER_OPENING: Word = Word::constant("gripper_opening");
+    /// Pose of the tool centre point in the base frame, at the measured joint positions: x, y, z in metres, then the
+    /// unit quaternion w, x, y, z. The tool points along its z axis; fingers close along y.
+    pub const TOOL_POSE: Word = Word::constant("tool_pose");
+}
+
+impl Observation {
+    /// The vector of this name.
+    pub fn vector(&self, name: &str) -> Option<&[f64]> {
+        self.vectors.iter().find(|(known, _)| *known == name).map(|(_, values)| &**values)
+    }
+
+    /// Measured joint positions ([`vectors::JOINT_POSITIONS`]); empty where the task has none.
+    pub fn joint_positions(&self) -> &[f64] {
+        self.vector(vectors::JOINT_POSITIONS.as_str()).unwrap_or_default()
+    }
+
+    /// Measured joint velocities ([`vectors::JOINT_VELOCITIES`]); empty where the task has none.
+    pub fn joint_velocities(&self) -> &[f64] {
+        self.vector(vectors::JOINT_VELOCITIES.as_str()).unwrap_or_default()
+    }
+
+    /// Opening between the fingers, in metres ([`vectors::GRIPPER_OPENING`]).
+    pub fn gripper_opening_m(&self) -> Option<f64> {
+        self.vector(vectors::GRIPPER_OPENING.as_str())?.first().copied()
+    }
+
+    /// Pose of the tool centre point ([`vectors::TOOL_POSE`]).
+    pub fn tool_pose(&self) -> Option<Pose> {
+        let values: [f64; 7] = self.vector(vectors::TOOL_POSE.as_str())?.try_into().ok()?;
+        Some(Pose::from_array(values))
+    }
+}
+
+/// A camera image.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Image {
+    /// The camera's name.
+    pub camera: String,
+    /// Pixels in a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Red, green and blue (sRGB, 8 bits each) of each pixel, row by row from the top left:
+    /// `3 x width x height` bytes.
+    pub rgb: Vec<u8>,
+}

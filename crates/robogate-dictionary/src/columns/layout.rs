@@ -1,0 +1,33 @@
+//! Where the columns of parameters and measures stand in a table.
+
+use std::ops::Range;
+
+use super::fixed::{CLOSING, LABEL, LEADING, TRAILING};
+use crate::schema::OLDEST;
+use crate::{SCHEMA_VERSION, SchemaVersion};
+
+/// Where the columns of parameters and measures stand in the table of a dictionary.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Layout {
+    /// The requested parameters; as many applied ones follow.
+    pub(crate) parameters: Range<usize>,
+    /// The measures.
+    pub(crate) measures: Range<usize>,
+    /// A schema version with these fixed columns.
+    pub(crate) version: SchemaVersion,
+}
+
+impl Layout {
+    /// The layout of a table with columns of these names, in this order, where it can be one of a dictionary. Whether it
+    /// is one shows when its columns are compared with those of [`super::Columns::of`].
+    pub(crate) fn of(names: &[String]) -> Option<Self> {
+        let place = |name: &str| names.iter().position(|column| column == name);
+        let first = LEADING.len();
+        let applied_other = place(TRAILING[0].name)?;
+        let measures = applied_other + TRAILING.len()..place(CLOSING[0].name)?;
+        let parameters = first..first + applied_other.checked_sub(first)? / 2;
+        let labelled = place(LABEL[0].name).is_some_and(|at| at >= measures.end);
+        let version = if labelled { SCHEMA_VERSION } else { OLDEST };
+        (measures.start <= measures.end).then_some(Self { parameters, measures, version })
+    }
+}

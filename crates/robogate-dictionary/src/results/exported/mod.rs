@@ -1,0 +1,114 @@
+//! Our own exports, read back without loss.
+//!
+//! The CSV and JSON Lines of [`crate::export`] have the dictionary's columns under their names, in their order. So stages,
+//! weights, applied values, measures and hashes come back, and each entry equals the one that was exported. An export has
+//! no provenance: what can be known of space and task is taken from the rows.
+
+mod csv;
+mod json_lines;
+mod plan;
+mod survey;
+
+use std::path::Path;
+
+use super::{About, Format};
+use crate::codec::Interner;
+use crate::published::Imported;
+use crate::{DictionaryError, DictionaryWriter};
+
+/// A field of an exported row.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Field {
+    /// No value.
+    Missing,
+    /// In CSV a field without quotes: a number or a text. In JSON a number.
+    Bare(String),
+    /// Certainly a text.
+    Text(String),
+}
+
+impl Field {
+    /// Its text, where it has a value.
+    fn text(&self) -> Option<&str> {
+        match self {
+            Self::Missing => None,
+            Self::Bare(text) | Self::Text(text) => Some(text),
+        }
+    }
+}
+
+/// The columns by which an export is recognised.
+const MARKS: [&str; 8] = ["index", "stage", "design", "weight", "seed", "outcome", "failure_type", "trajectory_hash"];
+
+/// The rows of an exported table.
+enum Table {
+    Csv(csv::Rows),
+    JsonLines(json_lines::Rows),
+}
+
+impl Table {
+    /// Opens the file; `None` where it has no row of names.
+    fn open(path: &Path, format: Format) -> Result<Option<Self>, DictionaryError> {
+        Ok(match format {
+            Format::Csv => csv::Rows::open(path)?.map(Self::Csv),
+            Format::JsonLines => json_lines::Rows::open(path)?.map(Self::JsonLines),
+            Format::Published | Format::LeRobot | Format::VlaEval | Format::Parquet => None,
+        })
+    }
+
+    fn names(&self) -> &[String] {
+        match self {
+            Self::Csv(rows) => &rows.names,
+            Self::JsonLines(rows) => &rows.names,
+        }
+    }
+
+    /// Reads the next row into `fields`, one for each name; `false` after the last.
+    fn next(&mut self, fields: &mut Vec<Field>) -> Result<bool, DictionaryError> {
+        match self {
+            Self::Csv(rows) => rows.next(fields),
+            Self::JsonLines(rows) => rows.next(fields),
+        }
+    }
+
+    /// The hash of the file, after the last row.
+    fn sha256(self) -> String {
+        match self {
+            Self::Csv(rows) => rows.sha256(),
+            Self::JsonLines(rows) => rows.sha256(),
+        }
+    }
+}
+
+/// Whether the file is an export, by its columns. Where it cannot be read, the reader of its format says why.
+pub(super) fn is_export(path: &Path, format: Format) -> bool {
+    let table = Table::open(path, format).ok().flatten();
+    table.is_some_and(|table| MARKS.iter().all(|mark| table.names().iter().any(|name| name == mark)))
+}
+
+/// Imports the export `from` as the dictionary `to`.
+pub(super) fn import(from: &Path, to: &Path, format: Format, about: &About) -> Result<Imported, DictionaryError> {
+    let open = || {
+        Table::open(from, format)?
+            .ok_or_else(|| DictionaryError::results(from, "it is empty. Expected an export with its column names"))
+    };
+    let mut fields = Vec::new();
+    let mut table = open()?;
+    let mut survey = survey::Survey::new(from, table.names())?;
+    while table.next(&mut fields)? {
+        survey.row(&fields)?;
+    }
+    let sha256 = table.sha256();
+    let mut plan = survey.plan(format, &sha256, about)?;
+    let mut writer = DictionaryWriter::create(to, &plan.provenance)?;
+    let mut words = Interner::default();
+    let mut table = open()?;
+    while table.next(&mut fields)? {
+        writer.push(&plan.entry(&fields, &mut words)?)?;
+    }
+    if table.sha256() != sha256 {
+        return Err(super::changed(from));
+    }
+    let written = writer.finish()?;
+    Ok(Imported { provenance: plan.provenance, written })
+}

@@ -1,0 +1,94 @@
+//! The second reading: how rows become entries.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use robogate_core::{Assignment, Domain, Episode, Measures, Scenario, Seed, Value};
+
+use super::outcome::Results;
+use super::role::Role;
+use super::{Format, Mapping};
+use crate::codec::{EXACT_INTEGER, Interner};
+use crate::raw::{RawRow, Scalar};
+use crate::{DictionaryError, Entry, Label, Provenance};
+
+/// How a row becomes an entry.
+pub(super) struct Plan<'a> {
+    pub(super) path: &'a Path,
+    pub(super) mapping: &'a Mapping,
+    pub(super) results: Results<'a>,
+    pub(super) provenance: Provenance,
+    /// For each parameter its column; `None` for the row's number.
+    pub(super) columns: Vec<Option<Arc<str>>>,
+    pub(super) format: Format,
+}
+
+impl Plan<'_> {
+    pub(super) fn entry(&self, row: &RawRow, words: &mut Interner) -> Result<Entry, DictionaryError> {
+        let index = row.number;
+        let parameters = self.provenance.space.parameters().iter().zip(&self.columns);
+        let requested = parameters
+            .map(|(parameter, column)| {
+                let value = match column {
+                    None => Value::Integer(i64::try_from(index).unwrap_or(i64::MAX)),
+                    Some(column) => self.value(row, column, &parameter.domain, words)?,
+                };
+                Ok((Arc::clone(&parameter.name), value))
+            })
+            .collect::<Result<Assignment, DictionaryError>>()?;
+        let ended = self.results.of(self.path, row)?;
+        let episode = Episode {
+            scenario: Scenario { index, seed: Seed::campaign(self.provenance.seed).episode(index), requested },
+            applied: Assignment::default(),
+            outcome: ended.outcome,
+            // Missing in the record.
+            time_s: ended.time_s.unwrap_or(f64::NAN),
+            phase: None,
+            contact: None,
+            measures: Measures::default(),
+            ticks: 0,
+            trajectory_hash: 0,
+        };
+        let label = Label {
+            case: self.word(row, Role::Case)?,
+            category: self.word(row, Role::Category)?,
+            group: self.word(row, Role::Group)?,
+        };
+        Ok(Entry { stage: "imported".to_owned(), design: self.format.as_str().to_owned(), weight: 1.0, label, episode })
+    }
+
+    /// A word of the label, where the row has one; a number is the word that it is written as.
+    fn word(&self, row: &RawRow, role: Role) -> Result<Option<String>, DictionaryError> {
+        let column = self.mapping.column(role);
+        match row.get(column) {
+            None | Some(Scalar::Null) => Ok(None),
+            Some(Scalar::Text(word)) => Ok(Some(word.clone())),
+            Some(Scalar::Integer(n)) => Ok(Some(n.to_string())),
+            Some(_) => Err(row.wrong(self.path, column, format!("is not a word, as a {} must be", role.as_str()))),
+        }
+    }
+
+    fn value(
+        &self,
+        row: &RawRow,
+        column: &str,
+        domain: &Domain,
+        words: &mut Interner,
+    ) -> Result<Value, DictionaryError> {
+        let wrong = |reason: &str| Err(row.wrong(self.path, column, reason));
+        Ok(match (row.get(column), domain) {
+            (Some(Scalar::Integer(n)), Domain::Continuous { .. })
+                if n.unsigned_abs() > EXACT_INTEGER.unsigned_abs() =>
+            {
+                return wrong(
+                    "has more digits than a real number keeps\nhint: name the column under `ignore` in a mapping",
+                );
+            }
+            (Some(Scalar::Integer(n)), Domain::Continuous { .. }) => Value::Number(*n as f64),
+            (Some(Scalar::Integer(n)), _) => Value::Integer(*n),
+            (Some(Scalar::Number(x)), _) => Value::Number(*x),
+            (Some(Scalar::Text(text)), _) => Value::Category(words.get(text)),
+            _ => return wrong("is not a value that a parameter can have"),
+        })
+    }
+}

@@ -1,0 +1,246 @@
+//! One demand against the evidence, both ways.
+//!
+//! For a demand there are two tests: one against "it is not met", and one against "it is met". The first takes every
+//! episode that says nothing for the worst it could have been, the second for the best: invalid episodes never help
+//! either answer.
+//!
+//! Rates are counted as the good events (successes; episodes without a collision), so that every demand on a rate reads
+//! "at least". With a fixed number of episodes the tests are exact and binomial. A suite's scenarios each have a rate of their
+//! own; the binomial law of their mean has the heavier tails wherever a test at error 0.25 or less rejects (Hoeffding 1956),
+//! but for a single event, where the union bound n p takes its place. With looks the tests are those of
+//! [`robogate_stats::anytime`], for durations those of [`robogate_stats::bounded_mean`].
+
+use robogate_stats::anytime::{Bounds, ln_evidence_above, ln_evidence_below};
+use robogate_stats::bounded_mean::BoundedMean;
+use robogate_stats::compare::{at_least, at_most};
+use robogate_stats::operating::{Answer, RateTest};
+use robogate_stats::{Confidence, Interval, Trials, clopper_pearson};
+
+use crate::figure::{Tally, happened, value};
+use crate::{Bound, GateError, Metric, Requirement, Sampling, Sense, Trial};
+
+/// Both p-values, the interval at the error α on each side, and when the demand would be decided.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Tested {
+    pub(crate) p_met: f64,
+    pub(crate) p_violated: f64,
+    /// Absent for a quantile.
+    pub(crate) interval: Option<[f64; 2]>,
+    /// Steps in all after which it would be decided if they went as those so far.
+    pub(crate) decided_at_steps: Option<u64>,
+}
+
+/// How a test is made.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct How {
+    pub(crate) sampling: Sampling,
+    /// Error of "met".
+    pub(crate) alpha: f64,
+    /// Error of "violated", as the first step of Holm's procedure shares it.
+    pub(crate) beta: f64,
+    /// Whether the scenarios are those of a suite, each with a rate of its own.
+    pub(crate) suite: bool,
+    /// In how many equal steps the episodes came: rounds of a suite, else single episodes.
+    pub(crate) steps: u64,
+}
+
+/// More steps than this are not worth naming.
+const MOST_STEPS: u64 = 1_000_000;
+
+pub(crate) fn test(
+    requirement: &Requirement,
+    bound: Bound,
+    rounds: &[Vec<&Trial>],
+    how: How,
+) -> Result<Tested, GateError> {
+    let metric = requirement.metric;
+    if metric.is_mean() {
+        return mean(requirement, bound, rounds, how);
+    }
+    let Some(q) = metric.quantile() else { return Ok(rate(metric, bound, bound, rounds, how)) };
+    // The quantile keeps its limit exactly where a share of values small enough lies beyond it.
+    let beyond = if bound.sense == Sense::AtMost { 1.0 - q } else { q };
+    let tested = rate(metric, bound, Bound { sense: Sense::AtMost, limit: beyond }, rounds, how);
+    // That interval is one of the share.
+    Ok(Tested { interval: None, ..tested })
+}
+
+/// Good events so far, each episode that says nothing counted as bad and as good.
+#[derive(Debug, Clone, Copy)]
+struct Look {
+    worst: Trials,
+    best: Trials,
+}
+
+/// Tests the rate of an event against `bound`. The event of a quantile is a value beyond `limit`.
+fn rate(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Trial>], how: How) -> Tested {
+    let mut tally = Tally::default();
+    let looks: Vec<Look> = rounds
+        .iter()
+        .map(|round| {
+            round.iter().for_each(|trial| tally.add(happened(metric, limit, trial)));
+            let good = if bound.sense == Sense::AtLeast { tally.yes } else { tally.no };
+            let trials = |k| Trials::new(k, tally.n()).unwrap_or(Trials::NONE);
+            Look { worst: trials(good), best: trials(good + tally.unknown) }
+        })
+        .collect();
+    let p0 = if bound.sense == Sense::AtLeast { bound.limit } else { 1.0 - bound.limit };
+    let none = Look { worst: Trials::NONE, best: Trials::NONE };
+    let last = looks.last().copied().unwrap_or(none);
+    let (ln_met, ln_violated, interval) = match how.sampling {
+        Sampling::Fixed => {
+            let level = Confidence::new(1.0 - 2.0 * how.alpha).unwrap_or(Confidence::P95);
+            let low = clopper_pearson(last.worst, level).low;
+            let high = clopper_pearson(last.best, level).high;
+            (fixed_above(last.worst, p0, how.suite), fixed_below(last.best, p0, how.suite), Interval { low, high })
+        }
+        Sampling::Sequential => {
+            let (mut worst, mut best) = (Bounds::new(how.alpha), Bounds::new(how.alpha));
+            let (mut met, mut violated) = (0.0_f64, 0.0_f64);
+            for look in &looks {
+                worst.look(look.worst);
+                best.look(look.best);
+                met = met.max(ln_evidence_above(look.worst, p0));
+                violated = violated.max(ln_evidence_below(look.best, p0));
+            }
+            (-met, -violated, Interval { low: worst.interval().low, high: best.interval().high })
+        }
+    };
+    let interval = match bound.sense {
+        Sense::AtLeast => [interval.low, interval.high],
+        Sense::AtMost => [1.0 - interval.high, 1.0 - interval.low],
+    };
+    Tested {
+        p_met: ln_met.min(0.0).exp(),
+        p_violated: ln_violated.min(0.0).exp(),
+        interval: Some(interval),
+        decided_at_steps: rate_decided_at(last, p0, how),
+    }
+}
+
+/// ln P(as many or more | p0), for scenarios of unlike rates where `suite`.
+fn fixed_above(trials: Trials, p0: f64, suite: bool) -> f64 {
+    let binomial = at_least(trials, p0);
+    if suite && trials.successes() == 1 { binomial.max((trials.n() as f64 * p0).ln()).min(0.0) } else { binomial }
+}
+
+/// ln P(as many or fewer | p0), for scenarios of unlike rates where `suite`.
+fn fixed_below(trials: Trials, p0: f64, suite: bool) -> f64 {
+    let binomial = at_most(trials, p0);
+    if suite && trials.failures() == 1 {
+        binomial.max((trials.n() as f64 * (1.0 - p0)).ln()).min(0.0)
+    } else {
+        binomial
+    }
+}
+
+/// The number of steps at which the rates seen so far would decide; `None` where they lie on both sides of the limit.
+fn rate_decided_at(last: Look, p0: f64, how: How) -> Option<u64> {
+    let (worst, best) = (last.worst.rate()?, last.best.rate()?);
+    let per_step = last.worst.n() as f64 / how.steps.max(1) as f64;
+    let trials = |rate: f64, steps: u64| {
+        let n = (per_step * steps as f64).round() as u64;
+        // Rounded against the answer that is asked for.
+        let good = if worst > p0 { (rate * n as f64).floor() } else { (rate * n as f64).ceil() };
+        Trials::new((good as u64).min(n), n).unwrap_or(Trials::NONE)
+    };
+    let test = RateTest { at_least: p0, alpha: how.alpha, beta: how.beta };
+    let answers = |trials: Trials| match how.sampling {
+        Sampling::Fixed => test.fixed(trials),
+        Sampling::Sequential => test.look(trials),
+    } != Answer::Open;
+    if worst > p0 {
+        least(|r| answers(trials(worst, r)))
+    } else if best < p0 {
+        least(|r| answers(trials(best, r)))
+    } else {
+        None
+    }
+}
+
+/// The least number of steps at which `decided` holds, if it is a sensible one.
+fn least(decided: impl Fn(u64) -> bool) -> Option<u64> {
+    let mut high = 1;
+    while !decided(high) {
+        high *= 2;
+        if high > MOST_STEPS {
+            return None;
+        }
+    }
+    let mut low = high / 2;
+    while high - low > 1 {
+        let middle = low + (high - low) / 2;
+        if decided(middle) { high = middle } else { low = middle }
+    }
+    Some(high)
+}
+
+fn mean(requirement: &Requirement, bound: Bound, rounds: &[Vec<&Trial>], how: How) -> Result<Tested, GateError> {
+    // Values are shifted so that they start at 0.
+    let [floor, ceiling] = requirement.range();
+    let floor = floor.unwrap_or(0.0);
+    let ceiling = ceiling.unwrap_or(f64::INFINITY) - floor;
+    let bound = Bound { limit: bound.limit - floor, ..bound };
+    let mut looks = Vec::with_capacity(rounds.len());
+    let (mut short, mut long) = (Vec::new(), Vec::new());
+    for round in rounds {
+        for trial in round {
+            let value = value(requirement.metric, trial).map(|value| value - floor);
+            // The clock of an episode is a sum of many steps.
+            if let Some(shifted) = value
+                && !(-1e-9 * ceiling..=ceiling * (1.0 + 1e-9)).contains(&shifted)
+            {
+                let (id, index) = (requirement.id(), trial.index);
+                let (low, high) = (floor, ceiling + floor);
+                return Err(GateError::OutOfRange { id, index, value: shifted + floor, low, high });
+            }
+            short.push(value.unwrap_or(0.0).clamp(0.0, ceiling));
+            long.push(value.unwrap_or(ceiling).clamp(0.0, ceiling));
+        }
+        looks.push(short.len());
+    }
+    if how.sampling == Sampling::Fixed {
+        looks = vec![short.len()];
+    }
+    let account = |values: &[f64], limit_is_above: bool| -> Result<(f64, Interval), GateError> {
+        let mean = BoundedMean::new(values, &looks, ceiling)
+            .map_err(|error| GateError::Requirement { id: requirement.id(), reason: error.to_string() })?;
+        let ln = if limit_is_above { mean.ln_evidence_below(bound.limit) } else { mean.ln_evidence_above(bound.limit) };
+        Ok((ln, mean.interval(how.alpha)))
+    };
+    // Short episodes are shown by the longest that the unknown ones could have been, long ones by the shortest.
+    let (above, of_short) = account(&short, false)?;
+    let (below, of_long) = account(&long, true)?;
+    let (met, violated) = match bound.sense {
+        Sense::AtMost => (below, above),
+        Sense::AtLeast => (above, below),
+    };
+    Ok(Tested {
+        p_met: (-met).exp(),
+        p_violated: (-violated).exp(),
+        interval: Some([of_short.low + floor, of_long.high + floor]),
+        decided_at_steps: mean_decided_at(bound, &short, &long, ceiling, how),
+    })
+}
+
+/// The episodes so far, again and again, until they would decide: a walk of 100 times their number at most.
+fn mean_decided_at(bound: Bound, short: &[f64], long: &[f64], ceiling: f64, how: How) -> Option<u64> {
+    let average = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let (values, wanted, below) = if average(long) < bound.limit {
+        (long, if bound.sense == Sense::AtMost { how.alpha } else { how.beta }, true)
+    } else if average(short) > bound.limit {
+        (short, if bound.sense == Sense::AtMost { how.beta } else { how.alpha }, false)
+    } else {
+        return None;
+    };
+    let again = (100_000 / values.len().max(1)).clamp(2, 100);
+    let many: Vec<f64> = values.iter().copied().cycle().take(values.len() * again).collect();
+    let decided = |repeats: usize| {
+        let n = [repeats * values.len()];
+        BoundedMean::new(&many, &n, ceiling).is_ok_and(|mean| {
+            let ln = if below { mean.ln_evidence_below(bound.limit) } else { mean.ln_evidence_above(bound.limit) };
+            ln >= -wanted.ln()
+        })
+    };
+    (1..=again).find(|repeats| decided(*repeats)).map(|repeats| repeats as u64 * how.steps)
+}

@@ -1,0 +1,296 @@
+//! The texts of an alarm: what changed, since when, with what guarantee, and the likely causes.
+
+use robogate_stats::format::{count, number, percent};
+use robogate_stats::overdispersion::outliers;
+use robogate_stats::{Confidence, Trials, wilson};
+
+use crate::alarm::{Alarm, Happening, Level, Metric, Rule, Since};
+use crate::cycle::Cycle;
+use crate::detector::{ChangePoint, change_point};
+use crate::domain::Validated;
+use crate::history::Symbols;
+use crate::modes::OTHER_MODE;
+use crate::recipe::{Recipe, Standing, happening_id};
+use crate::settings::Settings;
+
+fn rate(trials: Trials) -> String {
+    let interval = wilson(trials, Confidence::P95);
+    let observed = trials.rate().map_or_else(|| "-".to_owned(), percent);
+    format!("{observed} ({} to {})", percent(interval.low), percent(interval.high))
+}
+
+#[expect(clippy::too_many_arguments, reason = "every field of an alarm that differs, named once")]
+fn alarm(
+    recipe: &Recipe,
+    cycle: &Cycle,
+    happening: Happening,
+    level: Level,
+    rule: Rule,
+    metric: Metric,
+    what: String,
+    how_sure: String,
+    since: Option<Since>,
+    look_at: Vec<String>,
+) -> Alarm {
+    Alarm {
+        id: happening_id(recipe, cycle, rule, metric, level, happening),
+        happening,
+        level,
+        rule,
+        recipe: cycle.recipe.clone(),
+        metric,
+        cycle: recipe.state().cycles,
+        cycle_id: cycle.id.clone(),
+        robot: cycle.robot.clone(),
+        time_s: cycle.time_s,
+        what,
+        how_sure,
+        since,
+        look_at,
+    }
+}
+
+/// Describes an alarm of the paper's rule that was raised or cleared.
+pub(crate) fn paper(recipe: &Recipe, cycle: &Cycle, settings: &Settings, happening: Happening, level: Level) -> Alarm {
+    let window = recipe.window();
+    let baseline = recipe.baseline().success_rate().map_or_else(|| "-".to_owned(), percent);
+    let what =
+        format!("{} of the last {} cycles succeeded; the baseline is {baseline}.", window.successes(), window.n());
+    let how_sure = "The false-alarm rate of the paper's moving window is not bounded.".to_owned();
+    let look_at =
+        if happening == Happening::Raised { look_at(recipe, Metric::Success, settings, None) } else { vec![] };
+    alarm(recipe, cycle, happening, level, Rule::Paper, Metric::Success, what, how_sure, None, look_at)
+}
+
+/// Describes an alarm of a detector whose evidence reached its limit.
+pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycle, settings: &Settings) -> Alarm {
+    let state = recipe.state();
+    let began = state.began[metric as usize];
+    // Only cycles since the detector started: those that the baseline was learnt from are not compared with it.
+    let heard = usize::try_from(state.cycles.saturating_sub(began)).unwrap_or(usize::MAX);
+    let place = state.robots.get(&cycle.robot).map(|robot| robot.place);
+    let kept: Vec<(u64, &Symbols, u8)> = state
+        .history
+        .newest_first()
+        .take(heard)
+        .enumerate()
+        .filter(|(_, symbols)| metric != Metric::Robot || Some(symbols.robot) == place)
+        .filter_map(|(back, symbols)| Some((state.cycles.saturating_sub(back as u64), symbols, symbols.code(metric)?)))
+        .collect();
+    let found = recipe.factors[metric as usize]
+        .as_ref()
+        .and_then(|factors| change_point(factors, kept.iter().map(|(_, _, code)| *code)));
+    let since = found.and_then(|found| since(&found, &kept));
+    let after = kept.get(..found.map_or(kept.len(), |f| f.likeliest + 1)).unwrap_or(&kept);
+    let what = what(recipe, metric, after, &cycle.robot, settings);
+    let promise = count(settings.promise(level).round_ties_even() as u64);
+    let how_sure = format!(
+        "The evidence reached its limit of {}. Without a change, the mean number of cycles until the first {} of any metric is at least {promise}.",
+        count(settings.limit(metric, level).round_ties_even() as u64),
+        match level {
+            Level::Warning => "warning",
+            Level::Critical => "critical alarm",
+        }
+    );
+    let mode = matches!(metric, Metric::Success | Metric::FailureModes | Metric::Robot)
+        .then(|| grown_mode(recipe, after))
+        .flatten();
+    let first = since.map_or(began, |since| since.cycles_95[0]);
+    let mut look_at = look_at(recipe, metric, settings, mode);
+    if matches!(metric, Metric::Outside | Metric::Risk) {
+        look_at.splice(0..0, outside(recipe, first));
+    }
+    alarm(recipe, cycle, Happening::Raised, level, Rule::Detector, metric, what, how_sure, since, look_at)
+}
+
+/// Describes the end of an alarm of a detector without further evidence.
+pub(crate) fn cleared(
+    recipe: &Recipe,
+    metric: Metric,
+    level: Level,
+    cycle: &Cycle,
+    settings: &Settings,
+    stood: Standing,
+) -> Alarm {
+    let what = format!(
+        "No further evidence for {} cycles: the alarm of cycle {} is cleared (the evidence reached its limit {} times).",
+        count(settings.clear_after_cycles),
+        stood.raised,
+        stood.times
+    );
+    let how_sure = "A cleared alarm does not prove that the cause is gone.".to_owned();
+    alarm(recipe, cycle, Happening::Cleared, level, Rule::Detector, metric, what, how_sure, None, vec![])
+}
+
+fn since(found: &ChangePoint, kept: &[(u64, &Symbols, u8)]) -> Option<Since> {
+    let at = |back: usize| kept.get(back).map(|(cycle, symbols, _)| (*cycle, symbols.time_s));
+    let (likeliest, earliest, latest) = (at(found.likeliest)?, at(found.earliest)?, at(found.latest)?);
+    Some(Since {
+        cycle: likeliest.0,
+        time_s: likeliest.1,
+        cycles_95: [earliest.0, latest.0],
+        times_95_s: [earliest.1, latest.1],
+        or_before: found.or_before,
+    })
+}
+
+fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], robot: &str, settings: &Settings) -> String {
+    let baseline = recipe.baseline();
+    let before = |count: Option<crate::Count>, failures: bool| {
+        let trials = count.and_then(crate::Count::trials).unwrap_or(Trials::NONE);
+        let events = if failures { trials.failures() } else { trials.successes() };
+        rate(Trials::new(events, trials.n()).unwrap_or(Trials::NONE))
+    };
+    let events = || rate(Trials::count(after.iter().map(|(_, _, code)| *code == 1)));
+    let n = after.len();
+    match metric {
+        Metric::Success => {
+            format!(
+                "Cycles fail at {} over the last {n}; the baseline is {}.",
+                events(),
+                before(baseline.success, true)
+            )
+        }
+        Metric::Drop => {
+            format!(
+                "Parts drop in {} of the last {n} cycles; the baseline is {}.",
+                events(),
+                before(baseline.drop, false)
+            )
+        }
+        Metric::Collision => {
+            let before = before(baseline.collision, false);
+            format!("The robot collides in {} of the last {n} cycles; the baseline is {before}.", events())
+        }
+        Metric::CycleTime | Metric::CycleTimeSpread => {
+            let mut now: Vec<f64> = after.iter().map(|(_, symbols, _)| f64::from(symbols.cycle_time_s)).collect();
+            let mut then = baseline.cycle_times_s.clone().unwrap_or_default();
+            let [low, middle, high] = quartiles(&mut now);
+            let [low_before, middle_before, high_before] = quartiles(&mut then);
+            if metric == Metric::CycleTime {
+                let change = if middle >= middle_before { "slower" } else { "faster" };
+                format!(
+                    "Successful cycles became {change}: median {middle:.3} s over the last {n}; the baseline is {middle_before:.3} s."
+                )
+            } else {
+                format!(
+                    "The spread of cycle times grew: the interquartile range is {:.3} s over the last {n}; the baseline is {:.3} s.",
+                    high - low,
+                    high_before - low_before
+                )
+            }
+        }
+        Metric::FailureModes => match grown_mode(recipe, after) {
+            Some(mode) => {
+                let now = Trials::count(after.iter().map(|(_, symbols, _)| symbols.code(metric) == Some(mode)));
+                let name = recipe.state().modes.name(mode);
+                let counts = baseline.failure_modes.clone().unwrap_or_default();
+                let then = Trials::new(counts.of(name), counts.total());
+                format!(
+                    "`{name}` is {} of the last {n} failures; the baseline is {}.",
+                    rate(now),
+                    rate(then.unwrap_or(Trials::NONE))
+                )
+            }
+            None => "The mix of failure modes changed.".to_owned(),
+        },
+        Metric::Robot => {
+            let before = before(baseline.success, true);
+            format!("Robot {robot} fails at {} over its last {n} cycles; the baseline is {before}.", events())
+        }
+        Metric::Outside => format!(
+            "{} of the last {n} cycles lie outside the validated region; at most {} are accepted.",
+            events(),
+            percent(settings.outside_share)
+        ),
+        Metric::Risk => {
+            let expected =
+                after.iter().map(|(_, _, step)| crate::factors::risk_of(*step)).sum::<f64>() / n.max(1) as f64;
+            format!(
+                "The risk model predicts {} failures for the parameters of the last {n} cycles; the baseline is {}.",
+                percent(expected),
+                before(baseline.success, true)
+            )
+        }
+    }
+}
+
+/// The quartiles by order statistics; zeros without values.
+fn quartiles(values: &mut [f64]) -> [f64; 3] {
+    values.sort_by(f64::total_cmp);
+    [1, 2, 3].map(|q| values.get((q * values.len() / 4).min(values.len().saturating_sub(1))).copied().unwrap_or(0.0))
+}
+
+/// The code of the failure mode whose share grew most; `None` without failures or without a known mix.
+fn grown_mode(recipe: &Recipe, after: &[(u64, &Symbols, u8)]) -> Option<u8> {
+    let counts = recipe.baseline().failure_modes.as_ref()?;
+    let known = &recipe.state().modes;
+    let n = counts.total().max(1) as f64;
+    let modes: Vec<u8> = after.iter().filter_map(|(_, symbols, _)| symbols.code(Metric::FailureModes)).collect();
+    let growth = |mode: &u8| {
+        let now = modes.iter().filter(|m| *m == mode).count() as f64 / modes.len().max(1) as f64;
+        now - counts.of(known.name(*mode)) as f64 / n
+    };
+    (0..known.len() as u8).max_by(|a, b| growth(a).total_cmp(&growth(b))).filter(|_| !modes.is_empty())
+}
+
+/// The parameters that lay outside the validated region since a cycle, as text.
+fn outside(recipe: &Recipe, from: u64) -> Vec<String> {
+    let lately = recipe.outside().filter(|(_, tally)| tally.cycles > 0 && tally.last >= from);
+    lately
+        .map(|(parameter, tally)| {
+            let Some((name, validated)) = parameter else {
+                return format!("combinations of parameters outside the validated region, in {} cycles", tally.cycles);
+            };
+            let seen = match (tally.numbers, &tally.word) {
+                (Some([low, high]), _) if low < high => format!("{} to {}", number(low), number(high)),
+                (Some([low, _]), _) => number(low),
+                (None, word) => format!("`{}`", word.as_deref().unwrap_or_default()),
+            };
+            let good = match validated {
+                Validated::Range([low, high]) => format!("from {} to {}", number(*low), number(*high)),
+                Validated::Words(words) => format!("for {}", words.join(", ")),
+            };
+            format!("{name}: {seen} in {} cycles; validated {good}", tally.cycles)
+        })
+        .collect()
+}
+
+/// Likely causes: a robot that differs from its peers, then the usual causes of such a change.
+fn look_at(recipe: &Recipe, metric: Metric, settings: &Settings, mode: Option<u8>) -> Vec<String> {
+    let mut all = Vec::new();
+    if matches!(metric, Metric::Success | Metric::FailureModes) {
+        let (names, tallies): (Vec<&str>, Vec<Trials>) =
+            recipe.robots().filter_map(|(name, t)| Some((name, Trials::new(t.successes, t.cycles).ok()?))).unzip();
+        let found = outliers(&tallies, 1.0 - settings.baseline_confidence);
+        all.extend(found.iter().filter(|o| o.worse).map(|outlier| {
+            format!(
+                "robot {}: {} of {} cycles succeeded, significantly fewer than its peers",
+                names[outlier.index],
+                outlier.trials.successes(),
+                outlier.trials.n()
+            )
+        }));
+    }
+    if let Some(mode) = mode {
+        all.push(match recipe.state().modes.name(mode) {
+            OTHER_MODE => "failures of an unlisted mode grew: see the robot's own log".to_owned(),
+            mode => format!("failures with the mode `{mode}` grew: see the last cycles with this mode"),
+        });
+    }
+    let usual = match metric {
+        Metric::Success => "changes in the cell since then: parts, gripper, lighting, software",
+        Metric::Drop => "gripping force, worn pads, heavier or smoother parts",
+        Metric::Collision => "fixtures, obstacles and the calibration of the arm",
+        Metric::CycleTime => "speed override, retries, joint friction, network or camera delays",
+        Metric::CycleTimeSpread => "retries, intermittent delays, different parts under one recipe",
+        Metric::FailureModes => "changes in the cell since then, even if the success rate is unchanged",
+        Metric::Robot => {
+            "this robot: its gripper, calibration and load; the other robots have the same parts and software"
+        }
+        Metric::Outside => "parts, fixtures or lighting that the gate did not evaluate: validate or exclude them",
+        Metric::Risk => "harder parts or conditions than those of the gate, even if the success rate is unchanged",
+    };
+    all.push(usual.to_owned());
+    all
+}

@@ -1,0 +1,119 @@
+//! Connections to policies of any dialect.
+
+use serde_json::Value as Json;
+
+use super::chunk::Chunk;
+use super::deadline::Deadline;
+use super::error::PolicyError;
+use super::gr00t::{Gr00tServer, Version};
+use super::identify;
+use super::lerobot::LeRobotServer;
+use super::openpi::Openpi;
+use super::profile::{Dialect, Gr00t, Profile};
+use super::query::Query;
+use super::rest::{Api, RestServer};
+use super::roboarena::RoboArena;
+use super::vla_eval::VlaEval;
+
+/// A connection to a policy. It must not be used again after an error.
+pub(crate) trait Connection: Send {
+    /// Announce the begin of an episode.
+    fn begin(&mut self, instruction: &str, episode: u64, deadline: Deadline) -> Result<(), PolicyError>;
+
+    /// Request actions for an observation.
+    fn infer(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, PolicyError>;
+
+    /// What the policy reports about itself.
+    fn declared(&self) -> &Json;
+}
+
+/// The environment variable with the token for servers that require one. The token is not part of the profile, because
+/// profiles are recorded with a run.
+const TOKEN: &str = "ROBOGATE_POLICY_TOKEN";
+
+/// The token to send, if there is one.
+pub(crate) fn token() -> Option<String> {
+    std::env::var(TOKEN).ok().filter(|token| !token.is_empty())
+}
+
+/// Connect with the dialect of the profile, and check the policy's description of itself against the profile.
+pub(crate) fn connect(url: &str, profile: &Profile) -> Result<Box<dyn Connection>, PolicyError> {
+    check_address(url, profile)?;
+    let deadline = Deadline::within(profile.server.connect_s);
+    let dialect = &profile.dialect;
+    let rest = |api| RestServer::connect(url, api, deadline).map(boxed);
+    let gr00t = |version, names| Gr00tServer::connect(url, version, names, profile, deadline).map(boxed);
+    let connection = match dialect {
+        Dialect::Openpi {} => Openpi::connect(url, deadline).map(boxed),
+        Dialect::RoboArena {} => RoboArena::connect(url, profile, deadline).map(boxed),
+        Dialect::Gr00tN15(names) => gr00t(Version::N15, names),
+        Dialect::Gr00tN16(names) => gr00t(Version::N16, names),
+        Dialect::Gr00tN15Http(Gr00t { action_keys, language_key }) => {
+            rest(Api::Gr00tN15 { action_keys: action_keys.clone(), language_key: language_key.clone() })
+        }
+        Dialect::OpenVla { unnorm_key } => rest(Api::OpenVla { unnorm_key: unnorm_key.clone() }),
+        Dialect::OpenVlaOft {} => rest(Api::OpenVlaOft),
+        Dialect::Rest { unnorm_key } => rest(Api::Rest { unnorm_key: unnorm_key.clone() }),
+        Dialect::LeRobot(settings) => {
+            let chunk = profile.chunk.length.unwrap_or(profile.chunk.execute);
+            LeRobotServer::connect(url, settings, chunk, deadline).map(boxed)
+        }
+        Dialect::Onnx {} => load_network(url, profile),
+        Dialect::VlaEval {} => VlaEval::connect(url, profile, deadline).map(boxed),
+    };
+    // A server listens there but does not use the dialect: find out what it is.
+    connection.map_err(|error| match error {
+        PolicyError::InvalidReply { .. } | PolicyError::Closed { .. } | PolicyError::Timeout { .. } => {
+            identify::describe(url, dialect)
+                .map_or(error, |found| PolicyError::WrongDialect { expected: dialect.name(), found })
+        }
+        other => other,
+    })
+}
+
+/// Check that the address is of the kind that the dialect uses.
+fn check_address(url: &str, profile: &Profile) -> Result<(), PolicyError> {
+    let (name, dialect) = (&profile.name, &profile.dialect);
+    let is_url = url.contains("://");
+    let why = match (dialect.is_file(), is_url) {
+        (true, false) => return Ok(()),
+        (true, true) => format!(
+            "profile {name} has the dialect onnx and takes a file. Expected FILE.onnx. Hint: for a server, use a profile \
+             with its dialect (robogate policy profiles)"
+        ),
+        (false, false) => {
+            let (dialect, expected) = (dialect.name(), dialect.address());
+            let is_file = std::path::Path::new(url).exists();
+            let hint = "Hint: for an ONNX file, use a profile with the dialect onnx, such as `learned`";
+            let hint = if is_file { format!(". {hint}") } else { String::new() };
+            format!(
+                "profile {name} has the dialect {dialect} and takes the address of a server. Expected {expected}{hint}"
+            )
+        }
+        (false, true) if url.starts_with("wss://") || url.starts_with("https://") => {
+            let plain = format!("{}127.0.0.1:PORT", dialect.scheme());
+            format!("TLS is not supported. Run a proxy on this machine and use its address, {plain}")
+        }
+        (false, true) if !url.starts_with(dialect.scheme()) => {
+            format!("profile {name} has the dialect {}. Expected {}", dialect.name(), dialect.address())
+        }
+        (false, true) => return Ok(()),
+    };
+    Err(PolicyError::Address { url: url.to_owned(), why })
+}
+
+/// Load a network that runs in this process.
+#[cfg(feature = "onnx")]
+fn load_network(path: &str, profile: &Profile) -> Result<Box<dyn Connection>, PolicyError> {
+    super::onnx::Network::load(path, profile).map(boxed)
+}
+
+#[cfg(not(feature = "onnx"))]
+fn load_network(path: &str, _: &Profile) -> Result<Box<dyn Connection>, PolicyError> {
+    let why = "this build cannot run ONNX files. Build RoboGate with the feature `onnx`".to_owned();
+    Err(PolicyError::File { path: path.to_owned(), why })
+}
+
+fn boxed(connection: impl Connection + 'static) -> Box<dyn Connection> {
+    Box::new(connection)
+}

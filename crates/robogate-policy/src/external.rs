@@ -1,0 +1,170 @@
+//! External policies as [`Policy`].
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+
+use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec};
+use serde_json::Value as Json;
+
+use super::buffers::Buffers;
+use super::chunk::Chunk;
+use super::connection::{self, Connection};
+use super::deadline::Deadline;
+use super::error::PolicyError;
+use super::profile::Profile;
+use super::query::Query;
+use super::suits;
+
+/// A model behind an inference server, or in a file, as a [`Policy`].
+///
+/// An error during an episode makes the episode invalid and closes the connection, because a late reply must not be taken
+/// for the next one. The next episode begins with a new connection, for which
+/// [`Timeouts::attempts`](super::Timeouts::attempts) attempts are made. What the policy reports about itself must not
+/// change between connections.
+pub struct ExternalPolicy {
+    url: String,
+    profile: Arc<Profile>,
+    connection: Option<Box<dyn Connection>>,
+    declared: Json,
+    /// Whether this connection has given actions already.
+    warm: bool,
+    instruction: String,
+    episode: u64,
+    step: u64,
+    /// Raw actions of the chunk that are not executed yet.
+    queue: VecDeque<Vec<f64>>,
+    /// Bounds of each number of a vector action; empty if the task takes none.
+    bounds: Vec<(f64, f64)>,
+    buffers: Buffers,
+}
+
+impl std::fmt::Debug for ExternalPolicy {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ExternalPolicy")
+            .field("url", &self.url)
+            .field("profile", &self.profile.name)
+            .finish_non_exhaustive()
+    }
+}
+
+impl ExternalPolicy {
+    /// Connect to the server at `url`, or load the file `url`, in one attempt. Checks the policy's description of
+    /// itself against the profile.
+    pub fn connect(url: &str, profile: Arc<Profile>) -> Result<Self, PolicyError> {
+        let connection = connection::connect(url, &profile)?;
+        let declared = connection.declared().clone();
+        Ok(Self {
+            url: url.to_owned(),
+            profile,
+            connection: Some(connection),
+            declared,
+            warm: false,
+            instruction: String::new(),
+            episode: 0,
+            step: 0,
+            queue: VecDeque::new(),
+            bounds: Vec::new(),
+            buffers: Buffers::default(),
+        })
+    }
+
+    /// What the policy reports about itself.
+    pub fn declared(&self) -> &Json {
+        &self.declared
+    }
+
+    /// Begin an episode with this instruction. Connects again if the connection is closed.
+    pub fn begin(&mut self, instruction: &str) -> Result<(), PolicyError> {
+        self.queue.clear();
+        self.step = 0;
+        self.instruction = self.profile.instruction.clone().unwrap_or_else(|| instruction.to_owned());
+        let mut attempt = 0;
+        loop {
+            match self.try_to_begin() {
+                Ok(()) => break,
+                Err(error) => {
+                    self.connection = None;
+                    attempt += 1;
+                    if !error.is_transient() || attempt >= self.profile.server.attempts {
+                        return Err(error);
+                    }
+                    std::thread::sleep(Duration::from_secs(1 << (attempt - 1)));
+                }
+            }
+        }
+        self.episode += 1;
+        Ok(())
+    }
+
+    fn try_to_begin(&mut self) -> Result<(), PolicyError> {
+        if self.connection.is_none() {
+            let connection = connection::connect(&self.url, &self.profile)?;
+            if *connection.declared() != self.declared {
+                return Err(PolicyError::Mismatch(format!(
+                    "after a reconnect the policy reports {} about itself; before it reported {}",
+                    connection.declared(),
+                    self.declared
+                )));
+            }
+            self.connection = Some(connection);
+            self.warm = false;
+        }
+        let deadline = self.deadline();
+        self.connection
+            .as_mut()
+            .map_or(Ok(()), |connection| connection.begin(&self.instruction, self.episode, deadline))
+    }
+
+    /// Request a chunk of actions and check it against the profile.
+    pub fn infer(&mut self, observation: &Observation) -> Result<Chunk, PolicyError> {
+        let query = Query::with_buffers(&self.profile, observation, &self.instruction, self.step, &mut self.buffers)?;
+        let deadline = self.deadline();
+        let Some(connection) = self.connection.as_mut() else {
+            return Err(PolicyError::Closed { when: "before the episode began".to_owned(), reason: String::new() });
+        };
+        let reply = connection.infer(&query, deadline).and_then(|chunk| chunk.check(&self.profile).map(|()| chunk));
+        query.recycle(&mut self.buffers);
+        match &reply {
+            Ok(_) => self.warm = true,
+            Err(_) => self.connection = None,
+        }
+        self.step += 1;
+        reply
+    }
+
+    fn deadline(&self) -> Deadline {
+        let timeouts = &self.profile.server;
+        Deadline::within(if self.warm { timeouts.answer_s } else { timeouts.first_answer_s })
+    }
+}
+
+impl Policy for ExternalPolicy {
+    fn check(&self, task: &TaskSpec) -> Result<(), String> {
+        suits::check(&self.profile, task)
+    }
+
+    fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {
+        let bounds = task.action.vector().map(|(low, high)| low.iter().copied().zip(high.iter().copied()).collect());
+        self.bounds = bounds.unwrap_or_default();
+        Ok(self.begin(&instance.instruction)?)
+    }
+
+    fn wants_images(&self) -> bool {
+        self.queue.is_empty() && !self.profile.cameras.is_empty()
+    }
+
+    fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
+        if self.queue.is_empty() {
+            let chunk = self.infer(observation)?;
+            self.queue.extend(chunk.into_rows().into_iter().take(self.profile.chunk.execute));
+        }
+        let raw = self.queue.pop_front().unwrap_or_default();
+        let mut action = self.profile.action.action(&raw, observation.joint_positions())?;
+        if let Command::Vector(numbers) = &mut action.command {
+            // Networks overshoot a little; the task would reject such an action.
+            numbers.iter_mut().zip(&self.bounds).for_each(|(n, (low, high))| *n = n.clamp(*low, *high));
+        }
+        Ok(action)
+    }
+}

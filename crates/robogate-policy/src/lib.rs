@@ -1,0 +1,50 @@
+//! External policies: models behind their own inference servers, and networks in ONNX files.
+//!
+//! A [`Profile`] describes which observations a model takes and what its actions mean. A dialect, one module each,
+//! implements the wire format of a server. [`ExternalPolicy`] combines both as a [`Policy`](robogate_core::Policy).
+//! Each failure of the connection or the server is a [`PolicyError`]. It becomes a fault of the episode, and never a
+//! failure of the policy.
+
+mod action;
+mod array;
+mod buffers;
+mod chunk;
+mod connection;
+mod deadline;
+mod error;
+mod external;
+mod gr00t;
+mod grpc;
+mod http;
+mod identify;
+mod json_numpy;
+mod lerobot;
+mod msgpack;
+mod npy;
+#[cfg(feature = "onnx")]
+mod onnx;
+mod openpi;
+mod pickle;
+mod picture;
+mod profile;
+mod query;
+mod resample;
+mod rest;
+mod roboarena;
+mod rotation;
+mod suits;
+#[cfg(test)]
+mod tests;
+mod vla_eval;
+mod websocket;
+
+pub use array::{Array, Dtype, InvalidArray};
+pub use chunk::Chunk;
+pub use error::PolicyError;
+pub use external::ExternalPolicy;
+pub use picture::Picture;
+pub use profile::{
+    ActionForm, Arm, Axes, Camera, Chunking, Dialect, Filter, Fit, Gr00t, LeRobot, Part, Profile, ProfileError,
+    Rotation, Side, State, Timeouts, Tool,
+};
+pub use query::Query;

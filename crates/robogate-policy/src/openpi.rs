@@ -1,0 +1,136 @@
+//! openpi's WebSocket server (`scripts/serve_policy.py`): one binary message for each request and reply, msgpack with
+//! binary keys of arrays.
+//!
+//! The server sends its metadata on connection. A text message is a Python traceback, after which the server closes the
+//! connection. It keeps no state between requests.
+
+use rmpv::ValueRef;
+use serde_json::Value as Json;
+
+use super::connection::Connection;
+use super::deadline::Deadline;
+use super::error::PolicyError;
+use super::msgpack::{self, Keys};
+use super::websocket::{Reply, Socket};
+use super::{chunk::Chunk, query::Query};
+
+/// A connection to an openpi server.
+#[derive(Debug)]
+pub(crate) struct Openpi {
+    socket: Socket,
+    metadata: Json,
+}
+
+impl Openpi {
+    pub(crate) fn connect(url: &str, deadline: Deadline) -> Result<Self, PolicyError> {
+        let socket = Socket::connect(url, deadline)?;
+        let metadata = match socket.receive("the metadata of the server", deadline) {
+            Ok(Reply::Bytes(bytes)) => metadata(&bytes)?,
+            Ok(Reply::Text(text)) => return Err(PolicyError::reported(&text)),
+            // An openpi server sends them immediately.
+            Err(PolicyError::Timeout { .. }) => {
+                return Err(PolicyError::WrongDialect {
+                    expected: "openpi",
+                    found: "the WebSocket server sends no metadata, which is typical of vla-eval (dialect vla-eval)"
+                        .to_owned(),
+                });
+            }
+            Err(e) => return Err(e),
+        };
+        if metadata.get("action_space").is_some() && metadata.get("n_external_cameras").is_some() {
+            return Err(PolicyError::WrongDialect {
+                expected: "openpi",
+                found: "the metadata are those of a RoboArena server (dialect roboarena)".to_owned(),
+            });
+        }
+        Ok(Self { socket, metadata })
+    }
+}
+
+impl Connection for Openpi {
+    fn begin(&mut self, _: &str, _: u64, _: Deadline) -> Result<(), PolicyError> {
+        Ok(())
+    }
+
+    fn infer(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, PolicyError> {
+        match self.socket.request(&request(query), "infer", deadline)? {
+            Reply::Bytes(bytes) => decode(&bytes),
+            Reply::Text(traceback) => Err(PolicyError::reported(&traceback)),
+        }
+    }
+
+    fn declared(&self) -> &Json {
+        &self.metadata
+    }
+}
+
+/// The request for actions.
+fn request(query: &Query) -> ValueRef<'_> {
+    let arrays = |arrays| msgpack::arrays(arrays, Keys::Binary);
+    let prompt = ("prompt", query.instruction.as_str().into());
+    msgpack::map(arrays(&query.images).chain(arrays(&query.states)).chain([prompt]))
+}
+
+/// Decode the actions of a reply.
+pub(crate) fn decode(bytes: &[u8]) -> Result<Chunk, PolicyError> {
+    const WHAT: &str = "reply to infer";
+    let reply = msgpack::decode(WHAT, bytes)?;
+    let actions = msgpack::get(&reply, "actions")
+        .ok_or_else(|| PolicyError::invalid_reply(WHAT, "`actions` is missing".to_owned()))?;
+    Chunk::of_array(&msgpack::read_array(WHAT, actions)?)
+}
+
+/// Decode the metadata of a server.
+pub(crate) fn metadata(bytes: &[u8]) -> Result<Json, PolicyError> {
+    const WHAT: &str = "metadata of the server";
+    let value = msgpack::decode(WHAT, bytes)?;
+    if msgpack::entries(&value).is_none() {
+        return Err(PolicyError::invalid_reply(WHAT, "not a map".to_owned()));
+    }
+    Ok(msgpack::to_json(&value))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::{Capture, query};
+
+    const FOLDER: &str = "openpi";
+
+    #[test]
+    fn requests_equal_captured_ones() {
+        for (name, instruction) in
+            [("c2s_00_obs_libero_4x4.bin", "pick up the black bowl"), ("c2s_02_obs_droid_4x4.bin", "do something")]
+        {
+            let capture = Capture::read(FOLDER, name);
+            let query = query(&capture.msgpack(), instruction);
+            assert_eq!(msgpack::encode(&request(&query)), capture.bytes, "{name}");
+        }
+    }
+
+    #[test]
+    fn captured_replies_are_decoded() {
+        let libero = decode(&Capture::read(FOLDER, "s2c_01_action_libero_10x7_f64.bin").bytes).unwrap();
+        assert_eq!((libero.rows().len(), libero.rows()[0].len()), (10, 7));
+        // The stub model of the captured server counts in hundredths.
+        assert_eq!(libero.rows()[0][..3], [0.0, 0.01, 0.02]);
+        let droid = decode(&Capture::read(FOLDER, "s2c_03_action_droid_10x8.bin").bytes).unwrap();
+        assert_eq!((droid.rows().len(), droid.rows()[0].len()), (10, 8));
+    }
+
+    #[test]
+    fn metadata_become_json() {
+        let metadata = metadata(&Capture::read(FOLDER, "s2c_00_metadata.bin").bytes).unwrap();
+        assert_eq!(metadata, serde_json::json!({"reset_pose": [0, -1.5, 1.5, 0, 0, 0]}));
+    }
+
+    #[test]
+    fn decoding_never_panics() {
+        let seeds =
+            ["s2c_00_metadata.bin", "s2c_01_action_libero_10x7_f64.bin"].map(|n| Capture::read(FOLDER, n).bytes);
+        crate::tests::fuzz(&seeds, |bytes| {
+            let _ = decode(bytes);
+            let _ = metadata(bytes);
+        });
+    }
+}

@@ -1,0 +1,232 @@
+//! Checks of the values of a profile.
+
+use super::{Arm, Chunking, Dialect, Profile};
+use crate::array::Dtype;
+
+/// Largest width or height of an image, in pixels.
+const MAX_SIDE: usize = 4096;
+/// Most actions in a reply.
+pub(crate) const MAX_CHUNK: usize = 1000;
+/// Most connection attempts. The last pause is then about eight minutes.
+const MAX_ATTEMPTS: u32 = 10;
+/// Longest timeout, in seconds.
+const MAX_TIMEOUT_S: f64 = 86_400.0;
+
+/// Why a profile is invalid.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ProfileError {
+    /// The text is not the TOML of a profile. The message has line and column.
+    #[error("not a valid profile: {0}")]
+    Form(String),
+    /// A value is invalid.
+    #[error("{field}: {why}")]
+    Value {
+        /// Path of the field in the file.
+        field: String,
+        /// What is wrong, and what is expected.
+        why: String,
+    },
+}
+
+/// The result of a check of one part of a profile.
+type Checked = Result<(), ProfileError>;
+
+fn invalid(field: impl Into<String>, why: impl Into<String>) -> Checked {
+    Err(ProfileError::Value { field: field.into(), why: why.into() })
+}
+
+impl Profile {
+    /// Check the values.
+    pub fn check(&self) -> Result<(), ProfileError> {
+        self.check_name()?;
+        self.check_images()?;
+        self.check_states()?;
+        self.check_numbers()?;
+        self.check_action()?;
+        self.check_dialect()?;
+        self.check_chunk()
+    }
+
+    fn check_name(&self) -> Checked {
+        let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+        if self.name.is_empty() || self.name.len() > 64 || !self.name.chars().all(allowed) {
+            let why = "is not a valid name. Expected 1 to 64 letters, digits, `-`, `_` and `.`";
+            return invalid("name", format!("`{}` {why}", self.name));
+        }
+        Ok(())
+    }
+
+    fn check_images(&self) -> Checked {
+        if let Some(side) = self.rendered_px
+            && !(8..=MAX_SIDE).contains(&side)
+        {
+            return invalid("rendered_px", format!("{side} is out of range. Expected 8 to {MAX_SIDE} pixels"));
+        }
+        for (i, camera) in self.cameras.iter().enumerate() {
+            let field = |name: &str| format!("camera[{i}].{name}");
+            for (name, side) in [("width", camera.width), ("height", camera.height)] {
+                if !(1..=MAX_SIDE).contains(&side) {
+                    return invalid(field(name), format!("{side} is out of range. Expected 1 to {MAX_SIDE} pixels"));
+                }
+            }
+            if !(camera.crop > 0.0 && camera.crop <= 1.0) {
+                return invalid(
+                    field("crop"),
+                    format!("{} is out of range. Expected a fraction in (0, 1]", camera.crop),
+                );
+            }
+            if self.cameras[..i].iter().any(|other| other.key == camera.key) {
+                return invalid(field("key"), format!("another camera has the key `{}`", camera.key));
+            }
+        }
+        Ok(())
+    }
+
+    fn check_states(&self) -> Checked {
+        for (i, state) in self.states.iter().enumerate() {
+            let field = |name: &str| format!("state[{i}].{name}");
+            if state.parts.is_empty() && state.vectors.is_empty() {
+                return invalid(field("parts"), "the list is empty. Expected at least one part, or state.vectors");
+            }
+            if !matches!(state.dtype, Dtype::F32 | Dtype::F64) {
+                return invalid(field("type"), format!("{} is not supported. Expected <f4 or <f8", state.dtype.name()));
+            }
+            if self.states[..i].iter().any(|other| other.key == state.key) {
+                return invalid(field("key"), format!("another state has the key `{}`", state.key));
+            }
+        }
+        let needs_stroke = self.states.iter().flat_map(|state| &state.parts).any(|part| part.needs_stroke());
+        if needs_stroke && self.tool.stroke_m.is_none() {
+            return invalid("tool.stroke_m", "missing. A state contains the openness of the gripper, which needs it");
+        }
+        Ok(())
+    }
+
+    fn check_numbers(&self) -> Checked {
+        let positive = [
+            ("action.position_scale_m", self.action.position_scale_m),
+            ("action.rotation_scale_rad", self.action.rotation_scale_rad),
+            ("action.clip", self.action.clip.unwrap_or(1.0)),
+            ("tool.stroke_m", self.tool.stroke_m.unwrap_or(1.0)),
+            ("server.connect_s", self.server.connect_s),
+            ("server.first_answer_s", self.server.first_answer_s),
+            ("server.answer_s", self.server.answer_s),
+        ];
+        for (field, value) in positive {
+            if !(value.is_finite() && value > 0.0) {
+                return invalid(field, format!("{value} is out of range. Expected a number above 0"));
+            }
+            if field.starts_with("server.") && value > MAX_TIMEOUT_S {
+                return invalid(field, format!("{value} s is out of range. Expected at most {MAX_TIMEOUT_S} s"));
+            }
+        }
+        if !(1..=MAX_ATTEMPTS).contains(&self.server.attempts) {
+            let why = format!("{} is out of range. Expected 1 to {MAX_ATTEMPTS}", self.server.attempts);
+            return invalid("server.attempts", why);
+        }
+        for (field, values) in [("tool.shift_m", self.tool.shift_m), ("tool.turn_rad", self.tool.turn_rad)] {
+            if !values.iter().all(|n| n.is_finite()) {
+                return invalid(field, "contains a number that is not finite");
+            }
+        }
+        if self.action.gripper_threshold.is_some_and(|threshold| !threshold.is_finite()) {
+            return invalid("action.gripper_threshold", "is not finite");
+        }
+        Ok(())
+    }
+
+    fn check_gripper(&self) -> Checked {
+        let fields = [
+            ("action.gripper_threshold", self.action.gripper_threshold.is_some()),
+            ("action.gripper_open", self.action.gripper_open.is_some()),
+        ];
+        let vector = self.action.arm == Arm::Vector;
+        match fields.iter().find(|(_, given)| *given == vector) {
+            Some((field, true)) => invalid(*field, "not used with arm = \"vector\". Remove it"),
+            Some((field, false)) => invalid(*field, "missing. Without it the gripper has no commands"),
+            None => Ok(()),
+        }
+    }
+
+    fn check_action(&self) -> Checked {
+        self.check_gripper()?;
+        match (self.action.arm, self.action.size) {
+            (Arm::ToolDelta, 7) | (Arm::JointPositions | Arm::JointDeltas, 2..=64) | (Arm::Vector, 1..=1024) => Ok(()),
+            (Arm::Vector, size) => {
+                invalid("action.size", format!("{size} is out of range. Expected 1 to 1024 for arm = \"vector\""))
+            }
+            (Arm::ToolDelta, size) => invalid(
+                "action.size",
+                format!(
+                    "{size}, but arm = \"tool_delta\" has 7 numbers: 3 for the translation, 3 for the rotation, 1 for \
+                     the gripper"
+                ),
+            ),
+            (_, size) => invalid(
+                "action.size",
+                format!("{size} is out of range. Expected 2 to 64: one number for each joint, 1 for the gripper"),
+            ),
+        }
+    }
+
+    fn check_dialect(&self) -> Checked {
+        match &self.dialect {
+            Dialect::LeRobot(_) if self.chunk.length.is_none() => {
+                invalid("chunk.length", "missing. A lerobot server must be told how many actions to send")
+            }
+            Dialect::Gr00tN15(names) | Dialect::Gr00tN16(names) | Dialect::Gr00tN15Http(names)
+                if names.action_keys.is_empty() =>
+            {
+                invalid("dialect.action_keys", "the list is empty. Expected at least one key")
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn check_chunk(&self) -> Checked {
+        let Chunking { length, execute } = self.chunk;
+        if execute == 0 || execute > MAX_CHUNK {
+            return invalid("chunk.execute", format!("{execute} is out of range. Expected 1 to {MAX_CHUNK}"));
+        }
+        if let Some(length) = length
+            && !(execute..=MAX_CHUNK).contains(&length)
+        {
+            let why = format!("{length} is out of range. Expected {execute} (chunk.execute) to {MAX_CHUNK}");
+            return invalid("chunk.length", why);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_name_the_field() {
+        let good = Profile::built_in("pi0-libero").unwrap();
+        for (from, to, part) in [
+            ("size = 7", "size = 6", "action.size: 6, but"),
+            ("execute = 5", "execute = 51", "chunk.length: 50 is out of range. Expected 51 (chunk.execute)"),
+            ("execute = 5", "execute = 0", "chunk.execute: 0 is out of range"),
+            ("width = 224", "width = 0", "camera[0].width: 0 is out of range"),
+            (
+                "observation/wrist_image",
+                "observation/image",
+                "camera[1].key: another camera has the key `observation/image`",
+            ),
+            ("gripper_fingers", "gripper_openness", "tool.stroke_m: missing"),
+            ("clip = 1.0", "clip = -1.0", "action.clip: -1 is out of range"),
+            ("position_scale_m = 0.02", "position_scale_m = nan", "action.position_scale_m: NaN"),
+            ("name = \"pi0-libero\"", "name = \"a b\"", "name: `a b` is not a valid name"),
+            ("gripper_open = \"below\"", "", "action.gripper_open: missing"),
+            ("arm = \"tool_delta\"", "arm = \"vector\"", "action.gripper_threshold: not used with arm = \"vector\""),
+            ("\"below\"", "\"beneath\"", "TOML parse error at line"),
+            ("clip = 1.0", "clap = 1.0", "unknown field `clap`"),
+            ("name = \"openpi\"", "name = \"openqi\"", "openqi"),
+        ] {
+            let error = Profile::from_toml(&good.replacen(from, to, 1)).unwrap_err().to_string();
+            assert!(error.contains(part), "{error}");
+        }
+    }
+}

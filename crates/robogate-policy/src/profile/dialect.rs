@@ -1,0 +1,126 @@
+//! Dialects: the wire formats of inference servers.
+
+use serde::{Deserialize, Serialize};
+
+/// The wire format of a server, with the settings that only this dialect has.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "name", deny_unknown_fields)]
+pub enum Dialect {
+    /// openpi's `serve_policy.py`: WebSocket, msgpack with binary keys.
+    #[serde(rename = "openpi")]
+    Openpi {},
+    /// RoboArena: the encoding of openpi, with a description of the server and sessions.
+    #[serde(rename = "roboarena")]
+    RoboArena {},
+    /// Isaac GR00T N1.5's `inference_service.py --server`: ZeroMQ, msgpack that contains `.npy` files.
+    #[serde(rename = "gr00t-n1.5")]
+    Gr00tN15(Gr00t),
+    /// Isaac GR00T N1.6's `run_gr00t_server.py`, with or without the simulation wrapper.
+    #[serde(rename = "gr00t-n1.6")]
+    Gr00tN16(Gr00t),
+    /// Isaac GR00T N1.5's `inference_service.py --http-server`.
+    #[serde(rename = "gr00t-n1.5-http")]
+    Gr00tN15Http(Gr00t),
+    /// OpenVLA's `vla-scripts/deploy.py`: HTTP, JSON with arrays in base64.
+    #[serde(rename = "openvla")]
+    OpenVla {
+        /// Training set whose statistics scale the actions.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        unnorm_key: Option<String>,
+    },
+    /// OpenVLA-OFT's `vla-scripts/deploy.py`.
+    #[serde(rename = "openvla-oft")]
+    OpenVlaOft {},
+    /// The `/act`, `/reset`, `/health` convention of servers for Octo.
+    #[serde(rename = "rest")]
+    Rest {
+        /// Training set whose statistics scale the actions, for servers that take it.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        unnorm_key: Option<String>,
+    },
+    /// LeRobot's `policy_server`: gRPC, pickles.
+    #[serde(rename = "lerobot")]
+    LeRobot(LeRobot),
+    /// Model servers of vla-eval: WebSocket, msgpack with text keys.
+    #[serde(rename = "vla-eval")]
+    VlaEval {},
+    /// No server, but a network in an ONNX file. Keys are the names of its inputs.
+    #[serde(rename = "onnx")]
+    Onnx {},
+}
+
+/// What a LeRobot server has to load.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LeRobot {
+    /// Type of the policy: `smolvla`, `act`, `pi0`, ...
+    pub policy_type: String,
+    /// Repository of the checkpoint, or a folder on the machine of the server.
+    pub checkpoint: String,
+    /// Device on which the server runs the policy: `cpu` or `cuda`.
+    #[serde(default = "cpu")]
+    pub device: String,
+}
+
+fn cpu() -> String {
+    "cpu".to_owned()
+}
+
+/// Names that the embodiment of a GR00T server uses.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Gr00t {
+    /// Arrays that make up an action, in the order of its numbers, without the prefix `action.`.
+    pub action_keys: Vec<String>,
+    /// Key of the instruction.
+    pub language_key: String,
+}
+
+impl Dialect {
+    /// Name of the dialect in profiles.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Openpi {} => "openpi",
+            Self::RoboArena {} => "roboarena",
+            Self::Gr00tN15(_) => "gr00t-n1.5",
+            Self::Gr00tN16(_) => "gr00t-n1.6",
+            Self::Gr00tN15Http(_) => "gr00t-n1.5-http",
+            Self::OpenVla { .. } => "openvla",
+            Self::OpenVlaOft {} => "openvla-oft",
+            Self::Rest { .. } => "rest",
+            Self::VlaEval {} => "vla-eval",
+            Self::LeRobot(_) => "lerobot",
+            Self::Onnx {} => "onnx",
+        }
+    }
+
+    /// Form of the address of a policy with this dialect.
+    pub fn address(&self) -> String {
+        match self {
+            Self::Onnx {} => "FILE.onnx".to_owned(),
+            _ => format!("{}HOST:PORT", self.scheme()),
+        }
+    }
+
+    /// Begin of the address of a policy with this dialect.
+    pub(crate) fn scheme(&self) -> &'static str {
+        match self {
+            Self::Openpi {} | Self::RoboArena {} | Self::VlaEval {} => "ws://",
+            Self::Gr00tN15(_) | Self::Gr00tN16(_) => "tcp://",
+            Self::Gr00tN15Http(_) | Self::OpenVla { .. } | Self::OpenVlaOft {} | Self::Rest { .. } => "http://",
+            Self::LeRobot(_) => "grpc://",
+            Self::Onnx {} => "",
+        }
+    }
+
+    /// Whether the address is the path of a file.
+    pub fn is_file(&self) -> bool {
+        matches!(self, Self::Onnx {})
+    }
+
+    /// Whether the server has one state for all clients, so that only one evaluator may use it.
+    pub fn one_at_a_time(&self) -> bool {
+        // Octo's server keeps the last images and the instruction until /reset, LeRobot's server keeps everything.
+        matches!(self, Self::Rest { .. } | Self::LeRobot(_))
+    }
+}

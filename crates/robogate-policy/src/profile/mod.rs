@@ -1,0 +1,122 @@
+//! Profiles: what a model observes and what its actions mean, as data.
+
+mod action;
+mod check;
+mod dialect;
+mod observation;
+
+use serde::{Deserialize, Serialize};
+
+pub use action::{ActionForm, Arm, Chunking, Rotation, Side};
+pub(crate) use check::MAX_CHUNK;
+pub use check::ProfileError;
+pub use dialect::{Dialect, Gr00t, LeRobot};
+pub use observation::{Axes, Camera, Filter, Fit, Part, State, Tool};
+
+/// The description of a model and its server: a TOML file, built in or supplied by the user.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Profile {
+    /// Name of the policy in records and rankings.
+    pub name: String,
+    /// Description of the model.
+    pub model: String,
+    /// Notes for users.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub notes: String,
+    /// Instruction for the model; left out, the instruction of the task.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub instruction: Option<String>,
+    /// Wire format of the server.
+    pub dialect: Dialect,
+    /// Width and height in pixels at which the cameras of the cell are rendered for the model; left out, 256. A model
+    /// that was trained on small images should not get downsampled ones, because they are smoother.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rendered_px: Option<usize>,
+    /// Images, in the order in which they are sent.
+    #[serde(default, rename = "camera", skip_serializing_if = "Vec::is_empty")]
+    pub cameras: Vec<Camera>,
+    /// Vectors, in the order in which they are sent.
+    #[serde(default, rename = "state", skip_serializing_if = "Vec::is_empty")]
+    pub states: Vec<State>,
+    /// Differences between the tool of the cell and the tool of the training data.
+    #[serde(default)]
+    pub tool: Tool,
+    /// Meaning of the numbers of an action.
+    pub action: ActionForm,
+    /// Number of actions in a reply, and how many of them are executed.
+    pub chunk: Chunking,
+    /// Timeouts and connection attempts.
+    #[serde(default)]
+    pub server: Timeouts,
+}
+
+/// Timeouts and connection attempts.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Timeouts {
+    /// For connecting, including the server's description of itself, in seconds.
+    pub connect_s: f64,
+    /// For the first reply on a connection, in seconds. Some servers compile the model then.
+    pub first_answer_s: f64,
+    /// For each later reply, in seconds.
+    pub answer_s: f64,
+    /// Number of connection attempts for an episode. The pauses between them are 1, 2, 4, 8 s and so on.
+    pub attempts: u32,
+}
+
+impl Default for Timeouts {
+    fn default() -> Self {
+        Self { connect_s: 20.0, first_answer_s: 300.0, answer_s: 30.0, attempts: 5 }
+    }
+}
+
+/// The built-in profiles, by name.
+const BUILT_IN: &[(&str, &str)] = &[
+    ("gr00t-n1.6", include_str!("../profiles/gr00t-n1.6.toml")),
+    ("gr00t-n1.6-libero", include_str!("../profiles/gr00t-n1.6-libero.toml")),
+    ("pi0-libero", include_str!("../profiles/pi0-libero.toml")),
+    ("openvla", include_str!("../profiles/openvla.toml")),
+    ("openvla-oft", include_str!("../profiles/openvla-oft.toml")),
+    ("smolvla-vla-eval", include_str!("../profiles/smolvla-vla-eval.toml")),
+    ("smolvla", include_str!("../profiles/smolvla.toml")),
+    ("octo-base", include_str!("../profiles/octo-base.toml")),
+    ("octo-small", include_str!("../profiles/octo-small.toml")),
+    ("droid-roboarena", include_str!("../profiles/droid-roboarena.toml")),
+    ("learned", include_str!("../profiles/learned.toml")),
+];
+
+impl Profile {
+    /// Names of the built-in profiles.
+    pub fn built_in_names() -> impl Iterator<Item = &'static str> {
+        BUILT_IN.iter().map(|(name, _)| *name)
+    }
+
+    /// TOML text of a built-in profile.
+    pub fn built_in(name: &str) -> Option<&'static str> {
+        BUILT_IN.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
+    }
+
+    /// Parse and check a profile.
+    pub fn from_toml(text: &str) -> Result<Self, ProfileError> {
+        let profile: Self = toml::from_str(text).map_err(|e| ProfileError::Form(e.to_string()))?;
+        profile.check()?;
+        Ok(profile)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn built_in_profiles_are_valid() {
+        for name in Profile::built_in_names() {
+            let profile = Profile::from_toml(Profile::built_in(name).unwrap()).unwrap();
+            assert_eq!(profile.name, name);
+            // Runs record profiles as JSON.
+            let json = serde_json::to_string(&profile).unwrap();
+            assert_eq!(serde_json::from_str::<Profile>(&json).unwrap(), profile, "{name}");
+        }
+    }
+}

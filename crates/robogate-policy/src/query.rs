@@ -1,0 +1,226 @@
+//! Converts observations into queries to a model, as its profile says.
+
+use robogate_core::{Observation, Pose, Word, vectors};
+
+use super::array::{Array, Dtype};
+use super::buffers::Buffers;
+use super::error::PolicyError;
+use super::picture::Picture;
+use super::profile::{Axes, Part, Profile};
+use super::rotation;
+
+/// The input of a model: images and vectors under the names that the server uses, in the order of the profile.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Query {
+    /// Images by name, 8 bits each of red, green and blue.
+    pub images: Vec<(String, Array)>,
+    /// Vectors by name.
+    pub states: Vec<(String, Array)>,
+    /// The task, in words.
+    pub instruction: String,
+    /// Index of the query in the episode, from 0.
+    pub step: u64,
+    /// Simulated time since the episode's start, in seconds.
+    pub time_s: f64,
+}
+
+impl Query {
+    /// The query of a model for an observation.
+    pub fn new(
+        profile: &Profile,
+        observation: &Observation,
+        instruction: &str,
+        step: u64,
+    ) -> Result<Self, PolicyError> {
+        Self::with_buffers(profile, observation, instruction, step, &mut Buffers::default())
+    }
+
+    /// The same as [`Query::new`], with images in buffers that [`Query::recycle`] returns.
+    pub(crate) fn with_buffers(
+        profile: &Profile,
+        observation: &Observation,
+        instruction: &str,
+        step: u64,
+        buffers: &mut Buffers,
+    ) -> Result<Self, PolicyError> {
+        let images = profile.cameras.iter().map(|camera| {
+            let image = observation.images.iter().find(|image| image.camera == camera.from).ok_or_else(|| {
+                let known: Vec<&str> = observation.images.iter().map(|image| image.camera.as_str()).collect();
+                let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+                PolicyError::Observation(format!(
+                    "the profile requires the camera `{}`; the cell has {known}",
+                    camera.from
+                ))
+            })?;
+            let picture = Picture::from_image(image, camera, buffers).ok_or_else(|| {
+                PolicyError::Observation(format!(
+                    "the image of `{}` has {} bytes, which does not match {} x {} pixels",
+                    image.camera,
+                    image.rgb.len(),
+                    image.width,
+                    image.height
+                ))
+            })?;
+            let (w, h) = (picture.width, picture.height);
+            let (shape, data) = match camera.axes {
+                Axes::Hwc => (vec![h, w, 3], picture.rgb),
+                Axes::Chw => {
+                    let planes = picture.planes(buffers);
+                    buffers.recycle(picture.rgb);
+                    (vec![3, h, w], planes)
+                }
+            };
+            let array = Array::new(Dtype::U8, shape, data).map_err(|e| PolicyError::Observation(e.to_string()))?;
+            Ok((camera.key.clone(), array))
+        });
+        let images = images.collect::<Result<_, PolicyError>>()?;
+        let states = profile.states.iter().map(|state| {
+            let mut numbers = Vec::with_capacity(state.parts.len());
+            for part in &state.parts {
+                push(&mut numbers, *part, profile, observation)?;
+            }
+            for name in &state.vectors {
+                numbers.extend(vector(observation, *name)?);
+            }
+            if numbers.iter().any(|n| !n.is_finite()) {
+                return Err(PolicyError::Observation(format!("the state `{}` is not finite", state.key)));
+            }
+            Ok((state.key.clone(), Array::vector(&numbers, state.dtype)))
+        });
+        let states = states.collect::<Result<_, PolicyError>>()?;
+        let instruction = profile.instruction.as_deref().unwrap_or(instruction).to_owned();
+        Ok(Self { images, states, instruction, step, time_s: observation.time_s })
+    }
+
+    /// Return the buffers of the images.
+    pub(crate) fn recycle(self, buffers: &mut Buffers) {
+        self.images.into_iter().for_each(|(_, array)| buffers.recycle(array.into_data()));
+    }
+}
+
+/// A vector of the observation.
+fn vector(observation: &Observation, name: Word) -> Result<&[f64], PolicyError> {
+    observation.vector(name.as_str()).ok_or_else(|| missing(name))
+}
+
+/// The error for a vector that the observation lacks.
+fn missing(name: Word) -> PolicyError {
+    PolicyError::Observation(format!(
+        "the profile requires the vector `{name}`, but the observation has none of this name"
+    ))
+}
+
+/// Append the numbers of one part of a state.
+fn push(numbers: &mut Vec<f64>, part: Part, profile: &Profile, observation: &Observation) -> Result<(), PolicyError> {
+    let tool = match observation.tool_pose() {
+        None if part.vector() == Some(vectors::TOOL_POSE) => return Err(missing(vectors::TOOL_POSE)),
+        pose => rotation::model_pose(&pose.unwrap_or(Pose::IDENTITY), profile.tool.shift_m, profile.tool.turn_rad),
+    };
+    let [w, x, y, z] = tool.orientation;
+    let opening = || {
+        observation.gripper_opening_m().ok_or_else(|| {
+            PolicyError::Observation(
+                "the profile requires the gripper opening, but this gripper has no fingers".to_owned(),
+            )
+        })
+    };
+    let openness = || Ok((opening()? / profile.tool.stroke_m.unwrap_or(1.0)).clamp(0.0, 1.0));
+    match part {
+        Part::ToolPosition => numbers.extend(tool.position),
+        Part::ToolX => numbers.push(tool.position[0]),
+        Part::ToolY => numbers.push(tool.position[1]),
+        Part::ToolZ => numbers.push(tool.position[2]),
+        Part::ToolAxisAngle => numbers.extend(rotation::axis_angle(tool.orientation)),
+        Part::ToolEuler => numbers.extend(rotation::euler(tool.orientation)),
+        Part::ToolRoll => numbers.push(rotation::euler(tool.orientation)[0]),
+        Part::ToolPitch => numbers.push(rotation::euler(tool.orientation)[1]),
+        Part::ToolYaw => numbers.push(rotation::euler(tool.orientation)[2]),
+        Part::ToolQuaternionXyzw => numbers.extend([x, y, z, w]),
+        Part::ToolQuaternionWxyz => numbers.extend([w, x, y, z]),
+        Part::JointPositions => numbers.extend(vector(observation, vectors::JOINT_POSITIONS)?),
+        Part::GripperFingers => numbers.extend([0.5 * opening()?, -0.5 * opening()?]),
+        Part::GripperOpenness => numbers.push(openness()?),
+        Part::GripperClosedness => numbers.push(1.0 - openness()?),
+        Part::GripperOpening => numbers.push(opening()?),
+        Part::Zero => numbers.push(0.0),
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use robogate_core::Image;
+
+    use super::*;
+
+    fn observation() -> Observation {
+        let image = |camera: &str| Image { camera: camera.to_owned(), width: 2, height: 2, rgb: (0..12).collect() };
+        Observation {
+            time_s: 0.0,
+            vectors: vec![
+                (vectors::JOINT_POSITIONS, (1..=7).map(f64::from).collect()),
+                (vectors::GRIPPER_OPENING, vec![0.06]),
+                // A rotation of 90 degrees about z.
+                (vectors::TOOL_POSE, Pose::upright([0.1, 0.2, 0.3], std::f64::consts::FRAC_PI_2).to_array().to_vec()),
+            ],
+            images: vec![image("front"), image("wrist")],
+        }
+    }
+
+    fn profile(change: impl Fn(String) -> String) -> Profile {
+        Profile::from_toml(&change(Profile::built_in("pi0-libero").unwrap().to_owned())).unwrap()
+    }
+
+    #[test]
+    fn states_have_parts_in_the_order_of_the_profile() {
+        let parts = [
+            "tool_position",
+            "tool_yaw",
+            "tool_quaternion_xyzw",
+            "gripper_fingers",
+            "gripper_openness",
+            "gripper_closedness",
+            "gripper_opening",
+            "zero",
+            "joint_positions",
+        ]
+        .map(|part| format!("\"{part}\""));
+        let profile = profile(|text| {
+            let text = text.replace("\"tool_position\", \"tool_axis_angle\", \"gripper_fingers\"", &parts.join(", "));
+            text + "\n[tool]\nshift_m = [1.0, 0.0, 0.0]\nturn_rad = [0.0, 0.0, 0.5]\nstroke_m = 0.08\n"
+        });
+        let query = Query::new(&profile, &observation(), "go", 3).unwrap();
+        let got = query.states[0].1.numbers();
+        let yaw = std::f64::consts::FRAC_PI_2 + 0.5;
+        let quaternion = [0.0, 0.0, (0.5 * yaw).sin(), (0.5 * yaw).cos()];
+        let want: Vec<f64> = [1.1, 0.2, 0.3, yaw]
+            .into_iter()
+            .chain(quaternion)
+            .chain([0.03, -0.03, 0.75, 0.25, 0.06, 0.0])
+            .chain((1..=7).map(f64::from))
+            .collect();
+        assert_eq!(got.len(), want.len());
+        got.iter().zip(&want).for_each(|(a, b)| assert!((a - b).abs() < 1e-12, "{got:?}"));
+        assert_eq!((query.instruction.as_str(), query.step), ("go", 3));
+    }
+
+    #[test]
+    fn images_have_the_axes_of_the_profile() {
+        let small = |text: String| {
+            text.replace("224", "2")
+                .replace("key = \"observation/image\"", "axes = \"chw\"\nkey = \"observation/image\"")
+        };
+        let query = Query::new(&profile(small), &observation(), "go", 0).unwrap();
+        assert_eq!(query.images[0].1.shape(), [3, 2, 2]);
+        assert_eq!(query.images[0].1.data(), [0, 3, 6, 9, 1, 4, 7, 10, 2, 5, 8, 11]);
+        assert_eq!(query.images[1].1.data(), (0..12).collect::<Vec<u8>>());
+    }
+
+    #[test]
+    fn an_image_of_the_wrong_size_is_an_error() {
+        let mut observation = observation();
+        observation.images[0].rgb.pop();
+        let error = Query::new(&profile(|text| text), &observation, "go", 0).unwrap_err().to_string();
+        assert!(error.contains("`front` has 11 bytes, which does not match 2 x 2 pixels"), "{error}");
+    }
+}

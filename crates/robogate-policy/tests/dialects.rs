@@ -1,0 +1,216 @@
+//! Conversations with GR00T, REST and LeRobot servers that answer with captured bytes.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod support;
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+use robogate_core::{Action, Command, Policy};
+use robogate_policy::{ExternalPolicy, Profile};
+use robogate_zmtp::{Limits, Replier};
+use support::{begin, observation};
+
+fn captured(name: &str) -> Vec<u8> {
+    std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/captures").join(name)).unwrap()
+}
+
+fn policy(url: &str, name: &str, change: impl Fn(String) -> String) -> ExternalPolicy {
+    let text = change(Profile::built_in(name).unwrap().to_owned());
+    ExternalPolicy::connect(url, Arc::new(Profile::from_toml(&text).unwrap())).unwrap()
+}
+
+fn unchanged(text: String) -> String {
+    text
+}
+
+/// A REP socket whose replies depend on the endpoint and the bytes of a request.
+fn zeromq(answer: impl Fn(&str, &[u8]) -> Vec<u8> + Send + 'static) -> String {
+    let limits = Limits { frames: 4, frame_bytes: 1 << 20, message_bytes: 1 << 20 };
+    let replier = Replier::bind(&"tcp://127.0.0.1:0".parse().unwrap(), limits).unwrap();
+    let url = replier.address().to_string();
+    thread::spawn(move || {
+        replier.serve(&AtomicBool::new(false), &mut |frames| {
+            let value = rmpv::decode::read_value(&mut &*frames[0]).unwrap();
+            vec![answer(value["endpoint"].as_str().unwrap(), &frames[0])]
+        });
+    });
+    url
+}
+
+#[test]
+fn the_layout_of_a_gr00t_server_is_found() {
+    let url = zeromq(|endpoint, request| {
+        let file = match endpoint {
+            "ping" => "00_ping.rep.bin",
+            "get_modality_config" => "01_get_modality_config.rep.bin",
+            "reset" => "02_reset.rep.bin",
+            // The simulation wrapper takes flat keys and rejects nested ones.
+            _ if request.windows(11).any(|bytes| bytes == b"video.image") => "03_get_action.rep.bin",
+            _ => "06_err_other_layout.rep.bin",
+        };
+        captured(&format!("gr00t_n16/libero_panda_sim/{file}"))
+    });
+    let mut policy = policy(&url, "gr00t-n1.6-libero", unchanged);
+    assert_eq!(policy.declared()["action"]["delta_indices"][15], 15);
+    begin(&mut policy, "pick up the black bowl").unwrap();
+    for step in 0..9 {
+        assert_eq!(policy.wants_images(), step % 8 == 0);
+        let action = policy.act(&observation(256)).unwrap();
+        assert!(matches!(action.command, Command::ToolDelta { .. }));
+    }
+}
+
+/// An HTTP server with one reply for each path. Records the requested paths.
+fn http(answer: impl Fn(&str) -> (u16, Vec<u8>) + Send + 'static) -> (String, Arc<Mutex<Vec<String>>>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("http://{}", listener.local_addr().unwrap());
+    let paths = Arc::new(Mutex::new(Vec::new()));
+    let recorded = Arc::clone(&paths);
+    thread::spawn(move || {
+        for stream in listener.incoming() {
+            drop(serve(stream.unwrap(), &answer, &recorded));
+        }
+    });
+    (url, paths)
+}
+
+fn serve(
+    mut stream: TcpStream,
+    answer: &impl Fn(&str) -> (u16, Vec<u8>),
+    recorded: &Mutex<Vec<String>>,
+) -> std::io::Result<()> {
+    let mut reader = BufReader::new(stream.try_clone()?);
+    loop {
+        let mut line = String::new();
+        if reader.read_line(&mut line)? == 0 {
+            return Ok(());
+        }
+        let path = line.split(' ').nth(1).unwrap_or_default().to_owned();
+        let mut length = 0;
+        loop {
+            let mut header = String::new();
+            reader.read_line(&mut header)?;
+            if let Some(n) = header.to_lowercase().strip_prefix("content-length:") {
+                length = n.trim().parse().unwrap();
+            }
+            if header.trim().is_empty() {
+                break;
+            }
+        }
+        reader.read_exact(&mut vec![0; length])?;
+        recorded.lock().unwrap().push(path.clone());
+        let (status, body) = answer(&path);
+        write!(stream, "HTTP/1.1 {status} X\r\nContent-Length: {}\r\n\r\n", body.len())?;
+        stream.write_all(&body)?;
+    }
+}
+
+#[test]
+fn an_octo_server_is_reset_before_each_episode() {
+    let (url, paths) = http(|path| match path {
+        "/health" => (200, br#"{"status":"healthy"}"#.to_vec()),
+        "/reset" => (200, br#"{"status":"reset successful"}"#.to_vec()),
+        _ => (200, captured("openvla/ok.rep.body")),
+    });
+    let mut policy = policy(&url, "octo-small", unchanged);
+    for _ in 0..2 {
+        begin(&mut policy, "pick up the box").unwrap();
+        for _ in 0..2 {
+            // The captured gripper is 0.996: open.
+            assert_eq!(policy.act(&observation(256)).unwrap().gripper, Some(Action::OPEN));
+        }
+    }
+    let paths = paths.lock().unwrap();
+    assert_eq!(*paths, ["/health", "/reset", "/act", "/act", "/reset", "/act", "/act"]);
+}
+
+#[test]
+fn an_openvla_error_with_status_200_is_a_fault() {
+    let (url, _) = http(|path| match path {
+        "/openapi.json" => (200, br#"{"paths":{"/act":{}}}"#.to_vec()),
+        _ => (200, br#""error""#.to_vec()),
+    });
+    let mut policy = policy(&url, "openvla", unchanged);
+    begin(&mut policy, "pick up the box").unwrap();
+    let fault = policy.act(&observation(256)).unwrap_err();
+    assert!(fault.detail.starts_with("policy error: "), "{}", fault.detail);
+}
+
+/// A gRPC server with LeRobot's four methods. It answers GetActions with this pickle.
+fn grpc(actions: Vec<u8>) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("grpc://{}", listener.local_addr().unwrap());
+    listener.set_nonblocking(true).unwrap();
+    thread::spawn(move || {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        runtime.block_on(async {
+            let listener = tokio::net::TcpListener::from_std(listener).unwrap();
+            while let Ok((stream, _)) = listener.accept().await {
+                let mut connection = h2::server::handshake(stream).await.unwrap();
+                while let Some(Ok((request, mut respond))) = connection.accept().await {
+                    let message =
+                        if request.uri().path().ends_with("/GetActions") { field(&actions) } else { Vec::new() };
+                    let mut framed = vec![0];
+                    framed.extend(u32::try_from(message.len()).unwrap().to_be_bytes());
+                    framed.extend(message);
+                    let head = http::Response::builder().header("content-type", "application/grpc").body(()).unwrap();
+                    let mut body = respond.send_response(head, false).unwrap();
+                    body.send_data(framed.into(), false).unwrap();
+                    let mut trailers = http::HeaderMap::new();
+                    trailers.insert("grpc-status", "0".parse().unwrap());
+                    body.send_trailers(trailers).unwrap();
+                    // Read the rest of the request.
+                    let mut request = request.into_body();
+                    tokio::spawn(async move {
+                        while let Some(Ok(part)) = request.data().await {
+                            request.flow_control().release_capacity(part.len()).unwrap();
+                        }
+                    });
+                }
+            }
+        });
+    });
+    url
+}
+
+/// A protobuf message with a bytes field of number 1.
+fn field(bytes: &[u8]) -> Vec<u8> {
+    if bytes.is_empty() {
+        return Vec::new();
+    }
+    let length = bytes.len();
+    [&[0x0a, (length & 0x7f) as u8 | 0x80, (length >> 7) as u8][..], bytes].concat()
+}
+
+fn five(text: String) -> String {
+    text.replace("length = 50", "length = 5").replace("execute = 10", "execute = 5")
+}
+
+#[test]
+fn a_lerobot_episode_executes_tensors() {
+    let mut policy = policy(&grpc(captured("lerobot/actions.pickle")), "smolvla", five);
+    begin(&mut policy, "pick up the black bowl").unwrap();
+    let Command::ToolDelta { translation_m, .. } = policy.act(&observation(256)).unwrap().command else { panic!() };
+    assert!((translation_m[0] - 0.785_620_927_810_669 * 0.02).abs() < 1e-12);
+}
+
+#[test]
+fn a_hostile_pickle_is_a_fault() {
+    // `pickle.dumps` of an object whose __reduce__ calls os.system.
+    let hostile = b"\x80\x04\x95\x2d\x00\x00\x00\x00\x00\x00\x00\x8c\x05posix\x94\x8c\x06system\x94\x93\x94\x8c\x12touch hostile-here\x94\x85\x94R\x94.";
+    for (actions, start) in
+        [(hostile.to_vec(), "invalid reply: "), (Vec::new(), "policy error: the server sent no actions")]
+    {
+        let mut policy = policy(&grpc(actions), "smolvla", five);
+        begin(&mut policy, "pick up the box").unwrap();
+        let fault = policy.act(&observation(256)).unwrap_err();
+        assert!(fault.detail.starts_with(start), "{}", fault.detail);
+    }
+    assert!(!Path::new("hostile-here").exists());
+}

@@ -1,0 +1,236 @@
+//! A connection to one server.
+
+use std::collections::BTreeSet;
+use std::collections::hash_map::RandomState;
+use std::hash::{BuildHasher, Hasher};
+use std::time::Duration;
+
+use robogate_core::{Fault, FaultKind, Image, Observation};
+use robogate_zmtp::{Address, Requester, ZmtpError};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::error::{RequestError, violation};
+use super::header::{decode, encode};
+use super::limits::{self, VERSION};
+use super::message::{
+    ActionKind, Empty, Envelope, ErrorKind, ErrorReply, Hello, Period, RenderReply, RenderRequest, Request, StepReply,
+    StepRequest,
+};
+
+/// How long the client waits for each kind of reply.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Timeouts {
+    /// For connecting and the reply to `hello`.
+    pub hello: Duration,
+    /// For the reply to `reset`.
+    pub reset: Duration,
+    /// For the reply to any other request.
+    pub step: Duration,
+}
+
+impl Timeouts {
+    /// Timeouts derived from that of a step: `hello` has the same, `reset` four times as long.
+    pub fn from_step(step: Duration) -> Self {
+        Self { hello: step, reset: step.saturating_mul(4), step }
+    }
+}
+
+impl Default for Timeouts {
+    fn default() -> Self {
+        Self::from_step(Duration::from_secs(30))
+    }
+}
+
+/// A connection to a server, with the state of the running episode.
+#[derive(Debug)]
+pub struct Connection {
+    requester: Requester,
+    timeouts: Timeouts,
+    hello: Hello,
+    /// Identifier of the running episode.
+    pub(crate) episode: u64,
+    /// Number of control periods run in it.
+    pub(crate) tick: u64,
+    /// Deviations from the declared task that do not make an episode invalid.
+    notes: BTreeSet<String>,
+}
+
+/// Most notes that a connection keeps.
+const NOTES: usize = 64;
+
+impl Connection {
+    /// Connect to a server and check its reply to `hello`.
+    pub fn open(address: Address, timeouts: Timeouts) -> Result<Self, RequestError> {
+        let connection = Self::open_unchecked(address, timeouts)?;
+        connection.hello.check().map_err(violation)?;
+        Ok(connection)
+    }
+
+    /// Connect to a server whose reply to `hello` may break the protocol.
+    pub(crate) fn open_unchecked(address: Address, timeouts: Timeouts) -> Result<Self, RequestError> {
+        let mut requester = Requester::new(address, limits::REPLY);
+        let (hello, _): (Hello, _) = send(&mut requester, "hello", 0, Empty {}, timeouts.hello)?;
+        Ok(Self { requester, timeouts, hello, episode: 0, tick: 0, notes: BTreeSet::new() })
+    }
+
+    /// Keep a note on a deviation from the declared task.
+    pub(crate) fn note(&mut self, note: String) {
+        if self.notes.len() < NOTES {
+            self.notes.insert(note);
+        }
+    }
+
+    /// Take the notes that were kept.
+    pub(crate) fn take_notes(&mut self) -> BTreeSet<String> {
+        std::mem::take(&mut self.notes)
+    }
+
+    /// What the server reports about itself.
+    pub fn hello(&self) -> &Hello {
+        &self.hello
+    }
+
+    /// Address of the server.
+    pub fn address(&self) -> &Address {
+        self.requester.address()
+    }
+
+    /// Request a new episode under a new random identifier.
+    pub(crate) fn begin<T: DeserializeOwned>(&mut self, body: impl Serialize) -> Result<T, RequestError> {
+        // The identifier only has to be unique among clients. It has no influence on results, so that the randomness of
+        // the standard library is good enough.
+        self.episode = RandomState::new().build_hasher().finish() | 1;
+        self.tick = 0;
+        let (reply, frames) = send(&mut self.requester, "reset", self.episode, body, self.timeouts.reset)?;
+        self.expect_no_frames(&frames)?;
+        Ok(reply)
+    }
+
+    /// Send a request of the running episode. The reply must be a header alone.
+    pub(crate) fn request<T: DeserializeOwned>(&mut self, op: &str, body: impl Serialize) -> Result<T, RequestError> {
+        let (reply, frames) = self.request_with_frames(op, body)?;
+        self.expect_no_frames(&frames)?;
+        Ok(reply)
+    }
+
+    /// Send a request of the running episode. The reply may have frames after its header.
+    fn request_with_frames<T: DeserializeOwned>(
+        &mut self,
+        op: &str,
+        body: impl Serialize,
+    ) -> Result<(T, Vec<Vec<u8>>), RequestError> {
+        send(&mut self.requester, op, self.episode, body, self.timeouts.step)
+    }
+
+    /// Send these bytes unchecked and return the reply unchecked.
+    pub(crate) fn request_raw(&mut self, frames: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, ZmtpError> {
+        self.requester.request(frames, self.timeouts.step)
+    }
+
+    /// Run one action. Returns the result of its control period and the checked observation.
+    pub(crate) fn run<S: DeserializeOwned>(
+        &mut self,
+        action_space: ActionKind,
+        action: Vec<f64>,
+    ) -> Result<(Period<S>, Observation), RequestError> {
+        let request = StepRequest { tick: self.tick, action_space, actions: vec![action] };
+        let reply: StepReply<S> = self.request("step", request)?;
+        let count = reply.steps.len();
+        let Ok([period]) = <[Period<S>; 1]>::try_from(reply.steps) else {
+            return Err(violation(format!("the reply has {count} steps for one action")));
+        };
+        self.tick += 1;
+        let time_s = self.tick as f64 * self.hello.task.control_period_s;
+        let observation = period.observation.clone().checked(&self.hello.task, time_s).map_err(violation)?;
+        Ok((period, observation))
+    }
+
+    /// Render all cameras of the server in its current state.
+    pub fn render(&mut self) -> Result<Vec<Image>, RequestError> {
+        if self.hello.task.observation.cameras.is_empty() {
+            return Err(RequestError::Local(Fault::new(FaultKind::Setup, "this simulator has no cameras")));
+        }
+        let (reply, frames): (RenderReply, _) = self.request_with_frames("render", RenderRequest { cameras: None })?;
+        if reply.tick != self.tick {
+            return Err(violation(format!("the images are of tick {}; expected tick {}", reply.tick, self.tick)));
+        }
+        let cameras = &self.hello.task.observation.cameras;
+        if reply.images.len() != cameras.len() || frames.len() != cameras.len() {
+            let (images, sent, expected) = (reply.images.len(), frames.len(), cameras.len());
+            return Err(violation(format!("the reply has {images} images in {sent} frames; expected {expected}")));
+        }
+        let mut frames: Vec<Option<Vec<u8>>> = frames.into_iter().map(Some).collect();
+        let mut images = Vec::with_capacity(cameras.len());
+        for (camera, info) in cameras.iter().zip(reply.images) {
+            let rgb = info.frame.checked_sub(1).and_then(|i| frames.get_mut(i)).and_then(Option::take);
+            let rgb = rgb.ok_or_else(|| violation(format!("the image of {} has no frame of its own", camera.name)))?;
+            let same = (&info.camera, info.width, info.height) == (&camera.name, camera.width, camera.height);
+            if !same || rgb.len() != 3 * camera.width * camera.height {
+                let (name, width, height) = (&camera.name, camera.width, camera.height);
+                return Err(violation(format!("the image of {name} is not {width} x {height} pixels of 3 bytes")));
+            }
+            images.push(Image { camera: info.camera, width: info.width, height: info.height, rgb });
+        }
+        Ok(images)
+    }
+
+    /// Close the connection, so that a late reply is never read.
+    pub(crate) fn disconnect(&mut self) {
+        self.requester.disconnect();
+    }
+
+    fn expect_no_frames(&mut self, frames: &[Vec<u8>]) -> Result<(), RequestError> {
+        if frames.is_empty() {
+            return Ok(());
+        }
+        self.requester.disconnect();
+        Err(violation(format!("{} unexpected frames after the header", frames.len())))
+    }
+}
+
+fn send<T: DeserializeOwned>(
+    requester: &mut Requester,
+    op: &str,
+    episode: u64,
+    body: impl Serialize,
+    timeout: Duration,
+) -> Result<(T, Vec<Vec<u8>>), RequestError> {
+    let request = encode(&Request { v: VERSION, op: op.to_owned(), episode, body })?;
+    let mut frames = requester.request(&[request], timeout)?;
+    let header = if frames.is_empty() { Vec::new() } else { frames.remove(0) };
+    let reply = read_reply(&header, episode);
+    // After an invalid reply the state of the server is unknown: begin again with a new connection.
+    let usable = !matches!(
+        reply,
+        Err(RequestError::Malformed(_) | RequestError::ProtocolViolation(_) | RequestError::OtherVersion { .. })
+    );
+    if !usable {
+        requester.disconnect();
+    }
+    Ok((reply?, frames))
+}
+
+/// Decode the header of a reply of this episode.
+pub(crate) fn read_reply<T: DeserializeOwned>(header: &[u8], episode: u64) -> Result<T, RequestError> {
+    let envelope: Envelope = decode(header)?;
+    if envelope.v != VERSION {
+        return Err(RequestError::OtherVersion { server: envelope.v });
+    }
+    // A server that could not decode the request does not know its episode.
+    let unknown = episode != 0 && !envelope.ok && envelope.episode == 0;
+    if envelope.episode != episode && !unknown {
+        return Err(violation(format!("the reply is of episode {}; expected {episode}", envelope.episode)));
+    }
+    match (envelope.ok, envelope.error) {
+        (true, _) => Ok(decode(header)?),
+        (false, Some(mut error)) => {
+            error.detail = error.detail.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+            Err(RequestError::Rejected(error))
+        }
+        (false, None) => {
+            let detail = "the server gave no reason".to_owned();
+            Err(RequestError::Rejected(ErrorReply { kind: ErrorKind::Internal, detail }))
+        }
+    }
+}

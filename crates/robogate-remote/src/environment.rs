@@ -1,0 +1,170 @@
+//! Simulators whose episodes run in the servers of a pool.
+
+use std::sync::Arc;
+
+use robogate_core::{Action, Environment, Fault, FaultKind, Image, Scenario, Start, Step, TaskSpec};
+
+use super::error::RequestError;
+use super::message::Hello;
+use super::physics::{PhysicsSession, RemoteTask};
+use super::pool::{Lease, Pool};
+use super::scored::ScoredSession;
+use super::session::Session;
+
+/// The servers of a pool cannot be used in this way.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("the simulator cannot be used for this task: {0}")]
+pub struct IncompatibleServer(String);
+
+/// An environment in another process: a server with its own task, which scores itself.
+///
+/// Each episode runs in any free server of the pool.
+pub struct RemoteEnvironment {
+    episodes: Episodes<ScoredSession>,
+}
+
+impl RemoteEnvironment {
+    /// An environment in the servers of this pool, which must score themselves.
+    pub fn new(pool: Arc<Pool>) -> Result<Self, IncompatibleServer> {
+        Ok(Self { episodes: Episodes::new(pool, ScoredSession)? })
+    }
+
+    /// What the servers report about themselves.
+    pub fn hello(&self) -> &Hello {
+        self.episodes.pool.hello()
+    }
+}
+
+impl Environment for RemoteEnvironment {
+    fn task(&self) -> &Arc<TaskSpec> {
+        &self.episodes.task
+    }
+
+    fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
+        self.episodes.reset(scenario)
+    }
+
+    fn step(&mut self, action: &Action) -> Result<Step, Fault> {
+        self.episodes.step(action)
+    }
+
+    fn render(&mut self) -> Result<Vec<Image>, Fault> {
+        let mut lease = self.episodes.lease.take().ok_or_else(no_episode)?;
+        match lease.connection.as_mut().ok_or_else(no_episode)?.render() {
+            Ok(images) => {
+                self.episodes.lease = Some(lease);
+                Ok(images)
+            }
+            Err(why) => Err(lease.end_with(&why)),
+        }
+    }
+}
+
+/// A task of this process whose physics is computed by a server.
+///
+/// Each episode runs in any free server of the pool.
+pub struct RemotePhysics<T> {
+    episodes: Episodes<PhysicsSession<T>>,
+}
+
+impl<T: RemoteTask> RemotePhysics<T> {
+    /// This task in the servers of this pool, which must not score themselves.
+    pub fn new(pool: Arc<Pool>, task: T) -> Result<Self, IncompatibleServer> {
+        Ok(Self { episodes: Episodes::new(pool, PhysicsSession(task))? })
+    }
+}
+
+impl<T: RemoteTask> Environment for RemotePhysics<T> {
+    fn task(&self) -> &Arc<TaskSpec> {
+        &self.episodes.task
+    }
+
+    fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
+        self.episodes.reset(scenario)
+    }
+
+    fn step(&mut self, action: &Action) -> Result<Step, Fault> {
+        self.episodes.step(action)
+    }
+
+    fn render(&mut self) -> Result<Vec<Image>, Fault> {
+        self.episodes.session.0.render()
+    }
+}
+
+fn no_episode() -> Fault {
+    Fault::new(FaultKind::Setup, "no episode is running")
+}
+
+/// Runs the episodes of one worker, each in a server that it holds until the episode ends.
+struct Episodes<S> {
+    pool: Arc<Pool>,
+    session: S,
+    lease: Option<Lease>,
+    task: Arc<TaskSpec>,
+    /// Number of control periods until the time limit.
+    limit: u64,
+}
+
+impl<S: Session> Episodes<S> {
+    fn new(pool: Arc<Pool>, session: S) -> Result<Self, IncompatibleServer> {
+        session.accepts(pool.hello()).map_err(IncompatibleServer)?;
+        let task = session.task(pool.hello());
+        let limit = task.limit_ticks().map_err(|why| IncompatibleServer(why.to_string()))?;
+        Ok(Self { pool, session, lease: None, task, limit: u64::from(limit) })
+    }
+
+    fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
+        if let Some(mut lease) = self.lease.take() {
+            lease.release(false);
+        }
+        let mut attempts = 1 + self.pool.len();
+        loop {
+            let mut lease = self.pool.lease()?;
+            let Some(connection) = &mut lease.connection else { continue };
+            let reply = self.session.reset(connection, scenario);
+            attempts -= 1;
+            match reply {
+                Ok(start) => {
+                    self.lease = Some(lease);
+                    return Ok(start);
+                }
+                Err(why) if why.is_server_failure() && attempts > 0 => lease.fail(&why),
+                Err(why) => return Err(lease.end_with(&why)),
+            }
+        }
+    }
+
+    fn step(&mut self, action: &Action) -> Result<Step, Fault> {
+        let mut lease = self.lease.take().ok_or_else(no_episode)?;
+        let connection = lease.connection.as_mut().ok_or_else(no_episode)?;
+        let reply = self.session.step(connection, action);
+        let tick = connection.tick;
+        let notes = connection.take_notes();
+        self.pool.report(notes);
+        let step = match reply {
+            Ok(step) => step,
+            Err(why) => return Err(lease.end_with(&why)),
+        };
+        // Another worker may be waiting for the server.
+        if step.ending.is_some() || tick >= self.limit {
+            lease.release(true);
+        } else {
+            self.lease = Some(lease);
+        }
+        Ok(step)
+    }
+}
+
+impl Lease {
+    /// End the use of the server after an error. Returns the fault of the episode.
+    fn end_with(mut self, why: &RequestError) -> Fault {
+        let fault = why.fault(&self.address);
+        if why.is_server_failure() {
+            self.fail(why);
+        } else {
+            self.release(true);
+        }
+        fault
+    }
+}

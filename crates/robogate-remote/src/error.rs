@@ -1,0 +1,69 @@
+//! Why a request to a server failed.
+
+use robogate_core::{Fault, FaultKind};
+use robogate_zmtp::{Address, ZmtpError};
+
+use super::header::MalformedHeader;
+use super::limits::VERSION;
+use super::message::ErrorReply;
+
+/// Why a request has no usable reply.
+#[derive(Debug, thiserror::Error)]
+pub enum RequestError {
+    /// The connection failed, or the server did not answer in time.
+    #[error(transparent)]
+    Connection(#[from] ZmtpError),
+    /// The header of the reply is malformed.
+    #[error("malformed reply: {0}")]
+    Malformed(#[from] MalformedHeader),
+    /// The reply is well formed, but its content breaks the protocol.
+    #[error("protocol violation: {0}")]
+    ProtocolViolation(String),
+    /// The server speaks another version of the protocol.
+    #[error(
+        "the server speaks protocol version {server}; this robogate speaks version {VERSION}. {}",
+        upgrade(*.server)
+    )]
+    OtherVersion {
+        /// Version of the server.
+        server: u64,
+    },
+    /// The server answered with an error.
+    #[error("{}", .0.detail)]
+    Rejected(ErrorReply),
+    /// This side found the error.
+    #[error("{}", .0.detail)]
+    Local(Fault),
+}
+
+impl RequestError {
+    /// Whether the server caused the error, and not the scenario or the action.
+    pub fn is_server_failure(&self) -> bool {
+        self.kind() == FaultKind::Unavailable
+    }
+
+    /// The fault that an episode gets from this error.
+    pub fn fault(&self, address: &Address) -> Fault {
+        Fault::new(self.kind(), format!("{address}: {self}"))
+    }
+
+    fn kind(&self) -> FaultKind {
+        match self {
+            Self::Connection(_) | Self::Malformed(_) | Self::ProtocolViolation(_) | Self::OtherVersion { .. } => {
+                FaultKind::Unavailable
+            }
+            Self::Rejected(reply) => reply.kind.fault(),
+            Self::Local(fault) => fault.kind,
+        }
+    }
+}
+
+/// What to do about a server of another version.
+fn upgrade(server: u64) -> &'static str {
+    if server < VERSION { "Upgrade the server (bridges/common of this release)" } else { "Upgrade robogate" }
+}
+
+/// A protocol violation with this description.
+pub(crate) fn violation(description: impl Into<String>) -> RequestError {
+    RequestError::ProtocolViolation(description.into())
+}

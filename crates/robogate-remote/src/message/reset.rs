@@ -1,0 +1,50 @@
+//! Messages of `reset`.
+
+use std::collections::BTreeMap;
+
+use robogate_core::TaskInstance;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::{ObservationMessage, ParameterValue};
+
+/// Request to begin an episode. `C` is the cell that a server without its own task has to set up.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ResetRequest<C> {
+    /// Index of the episode in its campaign.
+    pub index: u64,
+    /// Seed of the campaign.
+    pub seed: u64,
+    /// Requested parameters.
+    pub parameters: BTreeMap<String, ParameterValue>,
+    /// Cell, or nil for a server that scores itself.
+    pub cell: Option<C>,
+}
+
+/// Reply to `reset`.
+///
+/// A server that scores itself sends `applied`, and `instance` where the episode has an instruction or details of its
+/// own. Any other sends `readback` of type `R` and a sample of type `S`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(bound(deserialize = "R: DeserializeOwned, S: DeserializeOwned"))]
+pub struct ResetReply<R, S> {
+    /// First observation.
+    pub observation: ObservationMessage,
+    /// What is special about this episode; left out, the instruction is that of the task.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub instance: Option<TaskInstance>,
+    /// Parameters as read back after they were applied.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub applied: Option<BTreeMap<String, ParameterValue>>,
+    /// Properties of the cell as read back from the engine.
+    #[serde(default = "none", skip_serializing_if = "Option::is_none")]
+    pub readback: Option<R>,
+    /// Physical state at the start; key `sight` on the wire.
+    #[serde(rename = "sight", default = "none", skip_serializing_if = "Option::is_none")]
+    pub sample: Option<S>,
+}
+
+/// The default of an optional key whose type has no default.
+pub(super) fn none<T>() -> Option<T> {
+    None
+}

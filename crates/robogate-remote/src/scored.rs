@@ -1,0 +1,121 @@
+//! Episodes in a server that has its own task and scores itself.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use robogate_core::{
+    Action, Command, Ending, Fault, FaultKind, Measures, Observation, Scenario, Start, Step, TaskInstance, TaskSpec,
+};
+use serde::de::IgnoredAny;
+
+use super::connection::Connection;
+use super::error::{RequestError, violation};
+use super::message::{ActionKind, Empty, Hello, ParameterValue, Period, ResetReply, ResetRequest, from_wire};
+use super::session::{Session, gripper_number, reset_request};
+
+/// A session with a server that has its own task and reports how an episode ended.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ScoredSession;
+
+impl Session for ScoredSession {
+    fn accepts(&self, hello: &Hello) -> Result<(), String> {
+        if hello.scores_itself {
+            return Ok(());
+        }
+        Err("it does not score itself: it only computes physics for a task of RoboGate".to_owned())
+    }
+
+    fn task(&self, hello: &Hello) -> Arc<TaskSpec> {
+        Arc::new(hello.task.clone())
+    }
+
+    fn reset(&mut self, connection: &mut Connection, scenario: &Scenario) -> Result<Start, RequestError> {
+        check_parameters(&connection.hello().task, scenario).map_err(RequestError::Local)?;
+        let request = reset_request::<Empty>(scenario, &scenario.requested, None)?;
+        let reply: ResetReply<Empty, Empty> = connection.begin(request)?;
+        let task = &connection.hello().task;
+        let observation = reply.observation.checked(task, 0.0).map_err(violation)?;
+        let Some(applied) = reply.applied else { return Err(violation("the reply to reset has no `applied`")) };
+        let general = || TaskInstance { instruction: task.instruction.clone(), ..TaskInstance::default() };
+        let instance = reply.instance.unwrap_or_else(general);
+        Ok(Start { instance, observation, applied: from_wire(&applied, &scenario.requested) })
+    }
+
+    fn step(&mut self, connection: &mut Connection, action: &Action) -> Result<Step, RequestError> {
+        let (kind, numbers) = encode_action(&connection.hello().task, action).map_err(RequestError::Local)?;
+        let (period, observation) = connection.run::<Empty>(kind, numbers)?;
+        read_step(connection, period, observation)
+    }
+
+    fn send_reset(
+        &mut self,
+        connection: &mut Connection,
+        _: &Scenario,
+        parameters: BTreeMap<String, ParameterValue>,
+    ) -> Result<(), RequestError> {
+        let request = ResetRequest::<Empty> { index: 0, seed: 0, parameters, cell: None };
+        connection.begin::<IgnoredAny>(request).map(drop)
+    }
+}
+
+/// Check that the task declares each requested parameter and accepts its value.
+fn check_parameters(task: &TaskSpec, scenario: &Scenario) -> Result<(), Fault> {
+    for (name, value) in scenario.requested.iter() {
+        match task.parameter(name) {
+            None => {
+                let detail = format!("the task `{}` declares no parameter `{name}`", task.name);
+                return Err(Fault::new(FaultKind::NotApplied, detail));
+            }
+            Some(spec) => spec.accepts(value).map_err(|why| Fault::new(FaultKind::Setup, why))?,
+        }
+    }
+    Ok(())
+}
+
+/// An action as the server takes it: its kind, and one number for each of its dimensions.
+fn encode_action(task: &TaskSpec, action: &Action) -> Result<(ActionKind, Vec<f64>), Fault> {
+    let bad = |detail: String| Fault::new(FaultKind::BadAction, detail);
+    task.check_action(action).map_err(bad)?;
+    let mut numbers = match (&action.command, task.action.tool_delta()) {
+        (Command::ToolDelta { translation_m, rotation_rad }, Some((metres, radians))) => {
+            let translation = translation_m.map(|x| x / metres);
+            let numbers: Vec<f64> = translation.into_iter().chain(rotation_rad.map(|x| x / radians)).collect();
+            // The server would clip it, and the action that was run would not be that of the policy.
+            if numbers.iter().any(|x| x.abs() > 1.0 + 1e-9) {
+                return Err(bad(format!(
+                    "the tool delta {translation_m:?} m, {rotation_rad:?} rad is out of range: this task takes up to \
+                     {metres} m and {radians} rad per control period"
+                )));
+            }
+            numbers
+        }
+        (Command::ToolDelta { .. }, None) => return Err(bad("this task takes no tool deltas".to_owned())),
+        (Command::JointPosition(numbers) | Command::Vector(numbers), _) => numbers.clone(),
+    };
+    numbers.extend(gripper_number(task.action.gripper, action.gripper));
+    Ok((ActionKind::of(&action.command), numbers))
+}
+
+fn read_step(
+    connection: &mut Connection,
+    period: Period<Empty>,
+    observation: Observation,
+) -> Result<Step, RequestError> {
+    let Some(mut reported) = period.measures else { return Err(violation("the step has no `measures`")) };
+    let declared = connection.hello().task.measures.iter();
+    let measures: Measures = declared.map(|spec| (spec.name, reported.remove(spec.name.as_str()).flatten())).collect();
+    for name in reported.into_keys() {
+        connection.note(format!("the measure `{name}` is ignored: the task does not declare it"));
+    }
+    let ending = period.ending.map(Ending::from);
+    if let Some(ending) = &ending {
+        if !(0.0..=observation.time_s + 1e-6).contains(&ending.time_s) {
+            let (end_s, now_s) = (ending.time_s, observation.time_s);
+            return Err(violation(format!("the episode ended at {end_s} s, but the simulated time is {now_s} s")));
+        }
+        if let Some(mode) = ending.failure.filter(|mode| !connection.hello().task.declares(*mode)) {
+            connection.note(format!("an episode ended with the failure `{mode}`, which the task does not declare"));
+        }
+    }
+    Ok(Step { observation, measures, ending, events: period.events.unwrap_or_default(), state_hash: period.state_hash })
+}

@@ -1,0 +1,161 @@
+//! The operating envelope: success by two parameters, and the frontier between success and failure.
+
+use robogate_analysis::labels::{parameter_label, value_with_unit};
+use robogate_analysis::{Analysis, Envelope, Finding, Frontier, PairMap};
+use robogate_stats::format::{count, counted, number, percent_or_dash, percent_range, range, sentence};
+
+use super::models::regression_table;
+use super::{Block, Figure, Section, Table, population};
+use crate::document::Kind::{Number, Short, Text, Zone};
+use crate::document::MAX_MAP_ROWS;
+use crate::figures::{drawable, heatmap};
+
+pub(super) fn section(analysis: &Analysis) -> Section {
+    let mut blocks = Vec::new();
+    if analysis.envelopes.is_empty() {
+        blocks.push(Block::cannot("An envelope", "there are fewer than two numeric parameters"));
+    }
+    for (i, envelope) in analysis.envelopes.iter().enumerate() {
+        one(&mut blocks, envelope, i);
+    }
+    Section { id: "envelope", title: "Operating envelope".to_owned(), population: population(analysis), blocks }
+}
+
+fn one(blocks: &mut Vec<Block>, envelope: &Envelope, at: usize) {
+    let frontier = envelope.frontier.estimated();
+    match &envelope.map {
+        Finding::Estimated(map) => blocks.push(Block::Figure(map_figure(map, frontier, at))),
+        Finding::CannotBeEstimated { because } => blocks.push(Block::cannot("The map", because)),
+    }
+    match &envelope.frontier {
+        Finding::Estimated(frontier) => frontier_blocks(blocks, frontier),
+        Finding::CannotBeEstimated { because } => blocks.push(Block::cannot("The frontier in closed form", because)),
+    }
+}
+
+fn map_figure(map: &PairMap, frontier: Option<&Frontier>, at: usize) -> Figure {
+    let (y, x) = (parameter_label(&map.y.parameter), parameter_label(&map.x.parameter));
+    let zones = map.zones;
+    let open = |n: u64, why: &str| (n > 0).then(|| format!("{n} of {} cells {why}.", map.cells.len()));
+    let mut findings = vec![format!(
+        "{} of {} cells are significantly safe (70 % or more), {} in danger (30 % or less) and {} between.",
+        zones.safe,
+        map.cells.len(),
+        zones.danger,
+        zones.boundary
+    )];
+    findings.extend(open(zones.undecided, "are undecided: their interval includes a limit"));
+    findings.extend(open(zones.too_few_episodes, "have too few episodes to classify"));
+    findings.push(
+        "Zones use simultaneous 95 % intervals for the whole map, which are wider than the interval of each cell."
+            .into(),
+    );
+    findings.extend(frontier.map(frontier_findings).unwrap_or_default());
+    Figure {
+        title: format!("{} \u{d7} {}", sentence(&y), x),
+        svg: heatmap(map, frontier, &format!("clip{at}")),
+        is_map: true,
+        caption:
+            "Observed success in percent, with the number of episodes below it. Cells have equal width on the scale of \
+                  each parameter."
+                .to_owned(),
+        findings,
+        table: map_table(map, &y, &x),
+    }
+}
+
+fn frontier_blocks(blocks: &mut Vec<Block>, frontier: &Frontier) {
+    blocks.push(Block::Code(frontier.closed_form.clone()));
+    if frontier.contradicted {
+        blocks.push(Block::Caution(format!(
+            "Do not rely on this frontier: where the model predicts 40 to 60 % success, the observed rate is {} ({} in {}). \
+             The cells of the map show the observed rates.",
+            percent_or_dash(frontier.near.rate),
+            percent_range(frontier.near.wilson_95),
+            counted(frontier.near.n, "episode")
+        )));
+    }
+    blocks.push(Block::Folded(regression_table("Model of the frontier", &frontier.regression)));
+    blocks.push(Block::Folded(curve_table(frontier)));
+    blocks.extend(frontier.regression.warnings.iter().cloned().map(Block::Caution));
+}
+
+fn frontier_findings(frontier: &Frontier) -> Vec<String> {
+    let (x, y) = (parameter_label(&frontier.x), parameter_label(&frontier.y));
+    let mut lines = Vec::new();
+    match frontier.valid_for {
+        _ if drawable(frontier).is_empty() => {
+            lines.push(format!(
+                "The frontier {x}*({y}) is not drawn: its exact interval is unbounded within the observed ranges, so no {x} \
+                 significantly separates success from failure."
+            ));
+            return lines;
+        }
+        Some(valid) => {
+            if let Some(above) = frontier.success_above {
+                let side = if above { "above" } else { "below" };
+                lines.push(format!("Success is more likely than failure {side} the frontier {x}*({y})."));
+            }
+            if !frontier.contradicted && frontier.near.n > 0 {
+                lines.push(format!(
+                    "Where the model predicts 40 to 60 %, the observed rate is {} ({}).",
+                    percent_or_dash(frontier.near.rate),
+                    percent_range(frontier.near.wilson_95)
+                ));
+            }
+            lines.push(format!(
+                "It lies within the observed ranges for {y} {}; outside it is an extrapolation.",
+                value_with_unit(&range(valid), &frontier.y)
+            ));
+        }
+        None => lines.push(format!(
+            "The frontier {x}*({y}) lies outside the observed ranges: the model predicts the same outcome everywhere."
+        )),
+    }
+    if let Some(pole) = frontier.pole {
+        lines.push(format!(
+            "It diverges (pole) at {y} {}; near the pole no {x} separates success from failure.",
+            value_with_unit(&number(pole), &frontier.y)
+        ));
+    }
+    lines
+}
+
+fn map_table(map: &PairMap, y: &str, x: &str) -> Table {
+    let nx = map.x.cells().max(1);
+    let rows = map.cells.iter().enumerate().map(|(i, cell)| {
+        vec![
+            map.y.cell_label(i / nx),
+            map.x.cell_label(i % nx),
+            count(cell.rate.n),
+            percent_or_dash(cell.rate.rate),
+            percent_range(cell.rate.wilson_95),
+            cell.zone.as_str().to_owned(),
+        ]
+    });
+    let columns = [(y, Short), (x, Short), ("n", Number), ("success", Number), ("Wilson 95 %", Number), ("zone", Zone)];
+    Table::new(format!("Cells of {y} \u{d7} {x}"), &columns, rows.collect()).at_most(MAX_MAP_ROWS)
+}
+
+fn curve_table(frontier: &Frontier) -> Table {
+    let rows = frontier.curve.iter().step_by(4).map(|point| {
+        vec![
+            number(point.y),
+            number(point.x),
+            number(point.se),
+            range(point.band_95),
+            point.exact_95.map_or_else(|| "unbounded".to_owned(), range),
+            if point.observed { "observed" } else { "extrapolated" }.to_owned(),
+        ]
+    });
+    let (y, x) = (parameter_label(&frontier.y), format!("{}*", parameter_label(&frontier.x)));
+    let columns = [
+        (y.as_str(), Number),
+        (x.as_str(), Number),
+        ("se", Number),
+        ("95 % band", Number),
+        ("exact 95 %", Number),
+        ("range", Text),
+    ];
+    Table::new("Points of the frontier", &columns, rows.collect())
+}

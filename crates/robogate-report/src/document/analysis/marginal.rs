@@ -1,0 +1,189 @@
+//! Marginal effects: success by each parameter.
+
+use robogate_analysis::labels::value_with_unit;
+use robogate_analysis::{Analysis, Correlation, CriticalThreshold, Finding, MarginalEffect, ParameterType};
+use robogate_stats::format::{
+    count, counted, fixed, number, p_value, percent, percent_or_dash, percent_range, range, sentence,
+};
+
+use super::{Block, Figure, Section, Table, population};
+use crate::document::Kind::{Number, Short, Text, Zone};
+use crate::document::{MAX_ROWS, or_dash};
+use crate::figures;
+
+/// Parameters that are drawn on the page; the others are in the tables.
+const MAX_FIGURES: usize = 16;
+/// Share of crossing replicates from which an observed side of 50 % is not significant.
+const CROSSING: f64 = 0.05;
+
+pub(super) fn section(analysis: &Analysis) -> Section {
+    let effects = &analysis.marginal_effects;
+    let mut blocks = vec![Block::Table(numeric_table(effects))];
+    blocks.extend(categorical_table(effects).map(Block::Table));
+    blocks.push(Block::Text(
+        "The vertical line is where success crosses 50 %, with its interval from 1,000 bootstrap replicates. Whiskers are Wilson \
+         intervals. Dotted lines separate danger (30 %), boundary and safe (70 %)."
+            .to_owned(),
+    ));
+    let mut ranked: Vec<&MarginalEffect> = effects.iter().collect();
+    let strength = |effect: &MarginalEffect| effect.correlation.estimated().map_or(0.0, |c| c.strength());
+    ranked.sort_by(|a, b| strength(b).total_cmp(&strength(a)));
+    let left_out = ranked.len().saturating_sub(MAX_FIGURES);
+    let figures = ranked.into_iter().take(MAX_FIGURES).map(|effect| Figure {
+        title: sentence(&effect.label),
+        svg: figures::marginal_effect(effect),
+        is_map: false,
+        caption: caption(effect),
+        findings: Vec::new(),
+        table: cells_table(effect),
+    });
+    blocks.push(Block::Grid(figures.collect()));
+    if left_out > 0 {
+        blocks.push(Block::Text(format!(
+            "{} with a weaker correlation are in the JSON document only.",
+            counted(left_out as u64, "parameter")
+        )));
+    }
+    Section { id: "marginal-effects", title: "Marginal effects".to_owned(), population: population(analysis), blocks }
+}
+
+fn caption(effect: &MarginalEffect) -> String {
+    let outside = if effect.outside > 0 {
+        format!(" {} lie outside the range.", counted(effect.outside, "episode"))
+    } else {
+        String::new()
+    };
+    let text = match &effect.threshold {
+        Finding::Estimated(CriticalThreshold::Crosses { at, rising, .. }) => format!(
+            "Success {} through 50 % at {}.",
+            if *rising { "rises" } else { "falls" },
+            value_with_unit(&number(*at), &effect.parameter)
+        ),
+        Finding::Estimated(CriticalThreshold::CrossesMoreThanOnce { .. }) => {
+            "Success crosses 50 % more than once: no single threshold exists.".to_owned()
+        }
+        Finding::Estimated(CriticalThreshold::DoesNotCross { stays_above, crossing_share }) => format!(
+            "Success stays {} 50 %{}.",
+            side(*stays_above),
+            if *crossing_share > CROSSING { ", but not significantly" } else { "" }
+        ),
+        Finding::CannotBeEstimated { because } => match effect.kind {
+            ParameterType::Categorical => match effect.correlation.estimated() {
+                Some(found) => format!("Cramer's V {}.", fixed(found.strength(), 3)),
+                None => String::new(),
+            },
+            _ => format!("No threshold: {because}."),
+        },
+    };
+    format!("{text}{outside}")
+}
+
+fn side(above: bool) -> &'static str {
+    if above { "above" } else { "below" }
+}
+
+fn cells_table(effect: &MarginalEffect) -> Table {
+    let rows = effect.cells.iter().map(|cell| {
+        vec![
+            cell.label.clone(),
+            count(cell.rate.n),
+            count(cell.rate.successes),
+            percent_or_dash(cell.rate.rate),
+            percent_range(cell.rate.wilson_95),
+            percent_range(cell.rate.clopper_pearson_95),
+            cell.zone.as_str().to_owned(),
+        ]
+    });
+    let head = match effect.unit.as_str() {
+        "" => effect.label.clone(),
+        unit => format!("{} ({unit})", effect.label),
+    };
+    let columns = [
+        (head.as_str(), Short),
+        ("n", Number),
+        ("succeeded", Number),
+        ("success", Number),
+        ("Wilson 95 %", Number),
+        ("exact 95 %", Number),
+        ("zone", Zone),
+    ];
+    Table::new(format!("Success by {}", effect.label), &columns, rows.collect()).at_most(MAX_ROWS)
+}
+
+/// The threshold of one parameter: what was found, its value, its interval and its standard error.
+fn threshold(effect: &MarginalEffect) -> [String; 4] {
+    let only = |text: String| [text, "-".to_owned(), "-".to_owned(), "-".to_owned()];
+    match &effect.threshold {
+        Finding::Estimated(CriticalThreshold::Crosses { at, rising, low, high, se, crossing_share }) => {
+            let end = |x: &Option<f64>| x.map_or_else(|| "beyond".to_owned(), number);
+            [
+                format!(
+                    "success {}; {} of the replicates cross",
+                    if *rising { "rises" } else { "falls" },
+                    percent(*crossing_share)
+                ),
+                value_with_unit(&number(*at), &effect.parameter),
+                format!("{} to {}", end(low), end(high)),
+                or_dash(*se, number),
+            ]
+        }
+        Finding::Estimated(CriticalThreshold::CrossesMoreThanOnce { between }) => {
+            let between: Vec<String> = between.iter().map(|b| range(*b)).collect();
+            only(format!("crosses more than once: {}", between.join("; ")))
+        }
+        Finding::Estimated(CriticalThreshold::DoesNotCross { stays_above, crossing_share }) => {
+            let side = side(*stays_above);
+            only(if *crossing_share > CROSSING {
+                format!("observed {side} 50 %, but {} of the replicates cross", percent(*crossing_share))
+            } else {
+                format!("stays {side} 50 %")
+            })
+        }
+        Finding::CannotBeEstimated { because } => only(format!("cannot be estimated because {because}")),
+    }
+}
+
+fn numeric_table(effects: &[MarginalEffect]) -> Table {
+    let rows = effects.iter().filter(|effect| effect.kind != ParameterType::Categorical).map(|effect| {
+        let [found, at, interval, se] = threshold(effect);
+        let (r, rank, p) = match effect.correlation.estimated() {
+            Some(Correlation::Number { point_biserial, ln_p, spearman, .. }) => {
+                (fixed(*point_biserial, 3), or_dash(*spearman, |s| fixed(s, 3)), or_dash(*ln_p, p_value))
+            }
+            _ => ("-".to_owned(), "-".to_owned(), "-".to_owned()),
+        };
+        vec![effect.label.clone(), found, at, interval, se, r, rank, p]
+    });
+    let columns = [
+        ("parameter", Short),
+        ("threshold", Text),
+        ("50 % at", Number),
+        ("95 %", Number),
+        ("se", Number),
+        ("correlation", Number),
+        ("rank correlation", Number),
+        ("p", Number),
+    ];
+    Table::new("Critical thresholds and correlation with success", &columns, rows.collect())
+        .at_most(MAX_ROWS)
+        .without_empty()
+}
+
+fn categorical_table(effects: &[MarginalEffect]) -> Option<Table> {
+    let rows: Vec<Vec<String>> = effects
+        .iter()
+        .filter(|effect| effect.kind == ParameterType::Categorical)
+        .map(|effect| match &effect.correlation {
+            Finding::Estimated(Correlation::Category { cramers_v, ln_p, smallest_expected }) => {
+                let note = if *smallest_expected < 5.0 { " (approximate: a level is rare)" } else { "" };
+                vec![effect.label.clone(), fixed(*cramers_v, 3), format!("{}{note}", p_value(*ln_p))]
+            }
+            Finding::Estimated(_) => vec![effect.label.clone(), "-".to_owned(), "-".to_owned()],
+            Finding::CannotBeEstimated { because } => {
+                vec![effect.label.clone(), "-".to_owned(), format!("cannot be estimated because {because}")]
+            }
+        })
+        .collect();
+    let columns = [("parameter", Text), ("Cramer's V", Number), ("p of independence", Number)];
+    (!rows.is_empty()).then(|| Table::new("Categorical parameters and success", &columns, rows))
+}

@@ -1,0 +1,94 @@
+//! The document of an analysis: the answer first, then the evidence.
+
+mod danger;
+mod envelope;
+mod failures;
+mod marginal;
+mod models;
+mod provenance;
+mod replay;
+mod sampling;
+
+use robogate_analysis::Analysis;
+use robogate_stats::format::{count, counted, percent, percent_range, sentence};
+
+use super::{Block, Document, Figure, Section, Table};
+use crate::figures;
+use crate::text::{Headline, limits};
+
+/// The document of an analysis.
+pub(crate) fn analysis_document(analysis: &Analysis) -> Document {
+    let subject = &analysis.subject;
+    let success = &analysis.success;
+    let bounds = match (success.bounds.invalid, success.bounds.worst_case, success.bounds.best_case) {
+        (1.., Some(worst), Some(best)) => Some([worst, best]),
+        _ => None,
+    };
+    let engine = if is_unknown(&subject.engine) { "an unknown engine" } else { subject.engine.as_str() };
+    let headline = Headline::of(analysis);
+    Document {
+        kind: "failure report",
+        title: title(analysis),
+        subtitle: format!(
+            "{} in {engine} \u{b7} dataset {}",
+            counted(subject.episodes, "episode"),
+            subject.dataset_hash.get(..12).unwrap_or(&subject.dataset_hash)
+        ),
+        figure: success.rate.rate.map_or_else(|| "\u{2013}".to_owned(), percent),
+        figure_label: format!("success, {}", analysis.population.brief()),
+        interval: format!(
+            "95 % interval {} \u{b7} n = {}",
+            percent_range(success.rate.wilson_95),
+            count(success.rate.n)
+        ),
+        scale: figures::rate_scale(&success.rate, bounds),
+        answer: headline.answer,
+        columns: vec![
+            ("Where it fails", headline.where_it_fails),
+            ("What to do", headline.what_to_do),
+            ("Uncertainty", headline.uncertainty),
+        ]
+        .into_iter()
+        .filter(|(_, lines)| !lines.is_empty())
+        .collect(),
+        sections: vec![
+            envelope::section(analysis),
+            marginal::section(analysis),
+            failures::section(analysis),
+            danger::section(analysis),
+            models::risk(analysis),
+            models::interactions(analysis),
+            sampling::section(analysis),
+            replay::section(analysis),
+            provenance::section(analysis),
+            Section {
+                id: "limits",
+                title: "Limits".to_owned(),
+                population: None,
+                blocks: vec![Block::List(limits(analysis))],
+            },
+        ],
+    }
+}
+
+fn is_unknown(name: &str) -> bool {
+    name.is_empty() || name == "unknown"
+}
+
+fn title(analysis: &Analysis) -> String {
+    let subject = &analysis.subject;
+    let robot = match subject.robot.as_str() {
+        robot if is_unknown(robot) => "Unknown robot".to_owned(),
+        // A short type code, as in ur10.
+        robot if robot.len() < 6 && robot.ends_with(|c: char| c.is_ascii_digit()) => robot.to_uppercase(),
+        robot => sentence(robot),
+    };
+    let policy =
+        if is_unknown(&subject.policy) { "unknown policy".to_owned() } else { format!("{} policy", subject.policy) };
+    format!("{robot}, {policy}")
+}
+
+/// The population of the analysis, under the title of a section.
+fn population(analysis: &Analysis) -> Option<String> {
+    Some(format!("Applies to {}.", analysis.population.describe()))
+}

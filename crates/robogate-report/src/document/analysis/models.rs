@@ -1,0 +1,204 @@
+//! The risk model and the model with interactions.
+
+use robogate_analysis::labels::parameter_label;
+use robogate_analysis::{Analysis, CalibrationFigures, Finding, Regression, RiskModel, RocFigures, TaskAnalysis};
+use robogate_stats::format::{count, fixed, number, p_value, percent, percent_range, range, significant};
+
+use super::{Block, Figure, Section, Table, population};
+use crate::document::Kind::{Number, Text};
+use crate::document::{MAX_ROWS, or_dash};
+use crate::figures;
+
+pub(super) fn risk(analysis: &Analysis) -> Section {
+    let mut blocks = Vec::new();
+    match &analysis.risk {
+        Finding::CannotBeEstimated { because } => blocks.push(Block::cannot("A risk model", because)),
+        Finding::Estimated(risk) => {
+            blocks.push(Block::Figure(coefficients(risk, analysis)));
+            blocks.extend(risk.regression.warnings.iter().cloned().map(Block::Caution));
+            let mut figures = Vec::new();
+            match &risk.roc {
+                Finding::Estimated(roc) => figures.push(Figure {
+                    title: "Discrimination".to_owned(),
+                    svg: figures::roc(roc),
+                    is_map: false,
+                    caption: "ROC curves. Cross-validated: each of five folds is scored by a model of the other four."
+                        .to_owned(),
+                    findings: Vec::new(),
+                    table: roc_table(roc),
+                }),
+                Finding::CannotBeEstimated { because } => blocks.push(Block::cannot("A ROC curve", because)),
+            }
+            figures.extend(calibration(risk));
+            blocks.push(Block::Grid(figures));
+            blocks.push(Block::Table(calibration_table(risk)));
+            blocks.extend(penalties_table(risk).map(Block::Folded));
+        }
+    }
+    Section { id: "risk", title: "Risk model".to_owned(), population: population(analysis), blocks }
+}
+
+fn coefficients(risk: &RiskModel, analysis: &Analysis) -> Figure {
+    let form = if risk.paper_features {
+        TaskAnalysis::of(&analysis.subject.task).risk_about
+    } else {
+        "The form of the paper's model, fitted to the parameters of this dataset, which are not the paper's."
+    };
+    let coding = "The penalty of a level is its failure rate, shrunk towards the overall rate by the weight of ten episodes. The \
+                  paper does not define its penalties.";
+    let strongest = strongest(&risk.regression);
+    Figure {
+        title: "Effects on the risk of failure".to_owned(),
+        svg: figures::coefficients(&risk.regression),
+        is_map: false,
+        caption: "Change of the log-odds of failure per standard deviation, with 95 % intervals.".to_owned(),
+        findings: std::iter::once(form.to_owned()).chain(strongest).chain([coding.to_owned()]).collect(),
+        table: regression_table("Coefficients of the risk model", &risk.regression),
+    }
+}
+
+fn calibration(risk: &RiskModel) -> Option<Figure> {
+    let (found, rows) = match (&risk.calibration_cross_validated, &risk.calibration_in_sample) {
+        (Finding::Estimated(found), _) => (found, "cross-validated"),
+        (_, Finding::Estimated(found)) => (found, "in sample"),
+        _ => return None,
+    };
+    Some(Figure {
+        title: "Calibration".to_owned(),
+        svg: figures::reliability(found),
+        is_map: false,
+        caption: format!(
+            "Observed failure rates by predicted probability, ten bins, {rows}. A calibrated model lies on the line."
+        ),
+        findings: Vec::new(),
+        table: reliability_table(found),
+    })
+}
+
+fn strongest(regression: &Regression) -> Option<String> {
+    let (term, estimate) = regression
+        .terms
+        .iter()
+        .filter(|t| t.term != "intercept")
+        .filter_map(|t| Some((&t.term, t.estimate.estimated()?)))
+        .max_by(|a, b| a.1.z.abs().total_cmp(&b.1.z.abs()))?;
+    let change = if estimate.coefficient > 0.0 { "multiplies" } else { "divides" };
+    Some(format!(
+        "The strongest effect is that of {term}: one standard deviation more {change} the odds of {} by {}.",
+        regression.outcome,
+        number(estimate.coefficient.abs().exp())
+    ))
+}
+
+pub(super) fn interactions(analysis: &Analysis) -> Section {
+    let model = TaskAnalysis::of(&analysis.subject.task).interactions;
+    let blocks = match &analysis.interactions {
+        Finding::CannotBeEstimated { because } => vec![Block::cannot("The paper's model with interactions", because)],
+        Finding::Estimated(regression) => {
+            let mut blocks = vec![Block::Figure(Figure {
+                title: "Effects on success".to_owned(),
+                svg: figures::coefficients(regression),
+                is_map: false,
+                caption: "Change of the log-odds of success per standard deviation, with 95 % intervals.".to_owned(),
+                findings: model.map(|model| model.note.to_owned()).into_iter().collect(),
+                table: regression_table("Coefficients of the model with interactions", regression),
+            })];
+            blocks.extend(regression.warnings.iter().cloned().map(Block::Caution));
+            blocks
+        }
+    };
+    Section { id: "interactions", title: "Interactions".to_owned(), population: population(analysis), blocks }
+}
+
+/// The coefficients of a regression.
+pub(super) fn regression_table(title: &str, regression: &Regression) -> Table {
+    let rows = regression.terms.iter().map(|term| match &term.estimate {
+        Finding::Estimated(e) => vec![
+            term.term.clone(),
+            significant(e.coefficient, 4),
+            number(e.se),
+            fixed(e.z, 2),
+            p_value(e.ln_p),
+            range(e.interval_95),
+        ],
+        Finding::CannotBeEstimated { because } => {
+            let mut row = vec![format!("{} (left out: {because})", term.term)];
+            row.extend(vec!["-".to_owned(); 5]);
+            row
+        }
+    });
+    let columns =
+        [("term", Text), ("coefficient", Number), ("se", Number), ("z", Number), ("p", Number), ("95 %", Number)];
+    let mut table = Table::new(title, &columns, rows.collect()).at_most(MAX_ROWS);
+    let how = match regression.estimator.as_str() {
+        "firth" => "Firth's penalised likelihood",
+        _ => "Maximum likelihood",
+    };
+    let scale = if regression.standardized { "per standard deviation" } else { "per unit" };
+    table.remark = Some(format!(
+        "{how}, {} rows, log-odds of {} {scale}; deviance {} compared with {} of the intercept-only model.",
+        count(regression.rows),
+        regression.outcome,
+        fixed(regression.deviance, 1),
+        fixed(regression.null_deviance, 1)
+    ));
+    table
+}
+
+fn roc_table(figures: &RocFigures) -> Table {
+    let both = |[low, high]: [f64; 2]| format!("{} to {}", fixed(low, 4), fixed(high, 4));
+    let cross_validated = or_dash(figures.auc_cross_validated, |a| fixed(a, 4));
+    let rows = vec![
+        vec!["cross-validated, 5 folds".to_owned(), cross_validated, both(figures.auc_cross_validated_95)],
+        vec!["in sample".to_owned(), fixed(figures.auc_in_sample, 4), both(figures.auc_in_sample_95)],
+    ];
+    let columns = [("rows", Text), ("AUC", Number), ("95 % (DeLong)", Number)];
+    Table::new("Area under the ROC curve", &columns, rows)
+}
+
+fn calibration_table(risk: &RiskModel) -> Table {
+    let row = |label: &str, found: &Finding<CalibrationFigures>| match found {
+        Finding::Estimated(f) => vec![
+            label.to_owned(),
+            fixed(f.brier, 4),
+            fixed(f.base_rate_brier, 4),
+            f.log_loss.map_or_else(|| "infinite".to_owned(), |l| fixed(l, 4)),
+            fixed(f.expected_calibration_error, 4),
+        ],
+        Finding::CannotBeEstimated { because } => {
+            let mut row = vec![format!("{label}: cannot be estimated because {because}")];
+            row.extend(vec!["-".to_owned(); 4]);
+            row
+        }
+    };
+    let rows =
+        vec![row("cross-validated", &risk.calibration_cross_validated), row("in sample", &risk.calibration_in_sample)];
+    let columns = [
+        ("rows", Text),
+        ("Brier score", Number),
+        ("of the overall rate", Number),
+        ("log loss", Number),
+        ("ECE, 10 bins", Number),
+    ];
+    Table::new("Calibration", &columns, rows)
+}
+
+fn reliability_table(figures: &CalibrationFigures) -> Table {
+    let rows = figures.bins.iter().map(|bin| {
+        vec![count(bin.rows), percent(bin.predicted), percent(bin.observed), percent_range(bin.interval_95)]
+    });
+    let columns = [("n", Number), ("predicted", Number), ("observed", Number), ("Wilson 95 %", Number)];
+    Table::new("Predicted and observed failure rates", &columns, rows.collect())
+}
+
+fn penalties_table(risk: &RiskModel) -> Option<Table> {
+    let rows: Vec<Vec<String>> = risk
+        .penalties
+        .iter()
+        .flat_map(|p| {
+            p.levels.iter().map(|l| vec![parameter_label(&p.parameter), l.level.clone(), fixed(l.penalty, 4)])
+        })
+        .collect();
+    let columns = [("parameter", Text), ("level", Text), ("penalty", Number)];
+    (!rows.is_empty()).then(|| Table::new("Penalties of the levels", &columns, rows).at_most(MAX_ROWS))
+}

@@ -1,0 +1,99 @@
+//! Success rates and their differences.
+
+use robogate_analysis::{Comparison, Finding};
+use robogate_stats::format::{count, fixed, p_value, percent, percent_or_dash, percent_range, points, points_range};
+
+use super::{Block, Figure, Section, Table, population};
+use crate::document::Kind::{Number, Short, Text};
+use crate::document::{MAX_ROWS, or_dash, plain_p};
+use crate::figures::{ForestRow, forest};
+
+pub(super) fn section(of: &Comparison) -> Section {
+    let mut blocks = vec![Block::Table(table(of))];
+    if !of.differences.is_empty() {
+        blocks.push(Block::Figure(differences(of)));
+    }
+    Section { id: "rates", title: "Success rates".to_owned(), population: population(of), blocks }
+}
+
+fn table(of: &Comparison) -> Table {
+    let rows = of.datasets.iter().map(|d| {
+        let weighted = d.success.reweighted.as_ref().and_then(Finding::estimated);
+        vec![
+            d.name.clone(),
+            count(d.success.rate.n),
+            count(d.success.rate.successes),
+            percent_or_dash(d.success.rate.rate),
+            percent_range(d.success.rate.wilson_95),
+            percent_range(d.success.rate.clopper_pearson_95),
+            or_dash(weighted, |w| format!("{} ({})", percent(w.estimate.rate), percent_range(w.estimate.interval_95))),
+            count(d.success.bounds.invalid),
+            match &d.excluded_because {
+                Some(because) => format!("not compared: {because}"),
+                None => d.population.brief().to_owned(),
+            },
+        ]
+    });
+    let columns = [
+        ("dataset", Text),
+        ("n", Number),
+        ("succeeded", Number),
+        ("success", Number),
+        ("Wilson 95 %", Number),
+        ("exact 95 %", Number),
+        ("all rows, weighted", Number),
+        ("invalid", Number),
+        ("applies to", Text),
+    ];
+    Table::new("", &columns, rows.collect()).without_empty()
+}
+
+fn differences(of: &Comparison) -> Figure {
+    let drawn: Vec<ForestRow> = of
+        .differences
+        .iter()
+        .map(|d| ForestRow {
+            label: format!("{} \u{2212} {}", d.first, d.second),
+            estimate: 100.0 * d.difference,
+            interval: d.interval_95.map(|end| 100.0 * end),
+            significant: d.holm_p <= 0.05,
+            series: None,
+        })
+        .collect();
+    let rows = of.differences.iter().map(|d| {
+        vec![
+            d.first.clone(),
+            d.second.clone(),
+            points(d.difference),
+            points_range(d.interval_95),
+            d.z.map_or_else(|| d.test().to_owned(), |z| format!("z {}", fixed(z, 2))),
+            or_dash(d.ln_p, p_value),
+            plain_p(d.holm_p),
+        ]
+    });
+    let columns = [
+        ("first", Text),
+        ("second", Text),
+        ("points", Number),
+        ("95 % (Newcombe)", Number),
+        ("test", Short),
+        ("p", Number),
+        ("p (Holm)", Number),
+    ];
+    Figure {
+        title: "Differences of success rates".to_owned(),
+        svg: forest(
+            &drawn,
+            "",
+            ["\u{2190} second ahead", "first ahead \u{2192}"],
+            "Differences of success rates in percentage points",
+        ),
+        is_map: false,
+        caption: "Percentage points with Newcombe's interval. A filled dot is a significant difference (Holm over all pairs). \
+                  Datasets with the same scenarios are paired (McNemar's exact test, Newcombe's paired interval); the others are \
+                  independent runs (z-test)."
+            .to_owned(),
+        findings: Vec::new(),
+        table: Table::new("Differences", &columns, rows.collect()).at_most(MAX_ROWS),
+    }
+}

@@ -1,0 +1,167 @@
+//! A document before it is HTML or Markdown: sections of blocks, in reading order.
+
+mod analysis;
+mod comparison;
+
+use maud::Markup;
+
+pub(crate) use analysis::analysis_document;
+pub(crate) use comparison::comparison_document;
+
+/// A whole document. Its texts are plain: HTML and Markdown escape them, each in its own way.
+pub(crate) struct Document {
+    /// The kind of document, beside the brand.
+    pub(crate) kind: &'static str,
+    /// Its subject.
+    pub(crate) title: String,
+    /// One line under the title.
+    pub(crate) subtitle: String,
+    /// The key figure, large; a dash without one.
+    pub(crate) figure: String,
+    /// What the key figure is.
+    pub(crate) figure_label: String,
+    /// The interval of the key figure.
+    pub(crate) interval: String,
+    /// The key figure on its scale.
+    pub(crate) scale: Markup,
+    /// The answer in a sentence or two.
+    pub(crate) answer: String,
+    /// Up to three columns of sentences under the answer, each with its title.
+    pub(crate) columns: Vec<(&'static str, Vec<String>)>,
+    pub(crate) sections: Vec<Section>,
+}
+
+/// A section of a document.
+pub(crate) struct Section {
+    /// The anchor.
+    pub(crate) id: &'static str,
+    pub(crate) title: String,
+    /// The population that its figures apply to, as a sentence under the title.
+    pub(crate) population: Option<String>,
+    pub(crate) blocks: Vec<Block>,
+}
+
+/// A part of a section.
+pub(crate) enum Block {
+    /// A paragraph.
+    Text(String),
+    /// A formula or command on its own line.
+    Code(String),
+    /// A warning.
+    Caution(String),
+    /// A small heading.
+    Heading(String),
+    /// A list of sentences.
+    List(Vec<String>),
+    /// A figure with a list of findings beside it.
+    Figure(Figure),
+    /// Figures side by side.
+    Grid(Vec<Figure>),
+    /// A table that is always open.
+    Table(Table),
+    /// A table behind a line that opens it.
+    Folded(Table),
+    /// Names and values.
+    Facts(Vec<(String, String)>),
+}
+
+impl Block {
+    /// A paragraph that states why a figure is missing.
+    fn cannot(figure: &str, because: &str) -> Self {
+        Self::Text(format!("{figure} cannot be estimated because {because}."))
+    }
+}
+
+/// A drawing with its caption, its findings and its data.
+pub(crate) struct Figure {
+    pub(crate) title: String,
+    pub(crate) svg: Markup,
+    /// Whether it is a map of cells, whose letters grow on a phone.
+    pub(crate) is_map: bool,
+    pub(crate) caption: String,
+    /// The findings, beside the drawing where there is room.
+    pub(crate) findings: Vec<String>,
+    /// The data of the drawing.
+    pub(crate) table: Table,
+}
+
+/// A table.
+pub(crate) struct Table {
+    pub(crate) title: String,
+    pub(crate) columns: Vec<Column>,
+    pub(crate) rows: Vec<Vec<String>>,
+    /// A line under the table.
+    pub(crate) remark: Option<String>,
+}
+
+/// A column of a table.
+pub(crate) struct Column {
+    pub(crate) head: String,
+    pub(crate) kind: Kind,
+}
+
+/// The content of a column.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// Text that may wrap.
+    Text,
+    /// Text that stays on one line.
+    Short,
+    /// Numbers, right-aligned, with digits of equal width.
+    Number,
+    /// The name of a zone.
+    Zone,
+    /// A command.
+    Code,
+}
+
+/// Rows of one table on a page.
+const MAX_ROWS: usize = 60;
+/// Rows of the table of a map.
+const MAX_MAP_ROWS: usize = 100;
+
+impl Table {
+    pub(crate) fn new(title: impl Into<String>, columns: &[(&str, Kind)], rows: Vec<Vec<String>>) -> Self {
+        let columns = columns.iter().map(|(head, kind)| Column { head: (*head).to_owned(), kind: *kind }).collect();
+        Self { title: title.into(), columns, rows, remark: None }
+    }
+
+    /// The table without columns in which every cell is a dash.
+    fn without_empty(mut self) -> Self {
+        let empty =
+            |at: usize| !self.rows.is_empty() && self.rows.iter().all(|row| row.get(at).is_some_and(|c| c == "-"));
+        let keep: Vec<bool> = (0..self.columns.len()).map(|at| !empty(at)).collect();
+        let mut at = keep.iter();
+        self.columns.retain(|_| at.next().is_none_or(|k| *k));
+        for row in &mut self.rows {
+            let mut at = keep.iter();
+            row.retain(|_| at.next().is_none_or(|k| *k));
+        }
+        self
+    }
+
+    /// At most `max` rows; a line under the table gives the number of the others.
+    fn at_most(mut self, max: usize) -> Self {
+        if self.rows.len() > max {
+            let left = self.rows.len() - max;
+            self.rows.truncate(max);
+            self.remark = Some(format!("{left} more rows are in the JSON document (--format json)."));
+        }
+        self
+    }
+}
+
+/// The text of an optional figure: "-" without one.
+fn or_dash<T>(figure: Option<T>, text: impl FnOnce(T) -> String) -> String {
+    figure.map_or_else(|| "-".to_owned(), text)
+}
+
+/// The p-value that is given as such, not as its logarithm.
+fn plain_p(p: f64) -> String {
+    robogate_stats::format::p_value(p.max(f64::MIN_POSITIVE).ln())
+}
+
+/// "yes" or "no".
+fn yes_no(yes: bool) -> String {
+    if yes { "yes" } else { "no" }.to_owned()
+}

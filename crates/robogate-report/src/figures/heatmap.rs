@@ -1,0 +1,209 @@
+//! The operating envelope: observed rates per cell, and the frontier over them.
+
+use maud::Markup;
+
+use super::svg::{Anchor, Scale, Svg, cut};
+use robogate_analysis::labels::label_with_unit;
+use robogate_analysis::{Axis, Frontier, FrontierPoint, PairMap};
+use robogate_stats::format::{count, percent, percent_range, significant};
+
+const WIDTH: f64 = 520.0;
+const LEFT: f64 = 62.0;
+const TOP: f64 = 8.0;
+const RIGHT: f64 = 14.0;
+
+/// Steps of the colour scale.
+pub(crate) const STEPS: usize = 11;
+
+/// The step of the colour scale for a rate.
+pub(crate) fn step(rate: f64) -> usize {
+    ((rate * STEPS as f64) as usize).min(STEPS - 1)
+}
+
+pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> Markup {
+    let (nx, ny) = (map.x.cells().max(1), map.y.cells().max(1));
+    let w = (WIDTH - LEFT - RIGHT) / nx as f64;
+    let h = (400.0 / ny as f64).clamp(22.0, 56.0);
+    let bottom = TOP + h * ny as f64;
+    let curve = drawn_frontier(map, frontier).is_some();
+    let drop = drop(&map.x, w);
+    let mut svg = Svg::new(WIDTH, bottom + drop + if curve { 112.0 } else { 92.0 });
+    for (i, cell) in map.cells.iter().enumerate() {
+        let (row, column) = (i / nx, i % nx);
+        let place = [LEFT + w * column as f64 + 0.75, bottom - h * (row + 1) as f64 + 0.75, w - 1.5, h - 1.5];
+        let middle = [place[0] + 0.5 * place[2], place[1] + 0.5 * place[3]];
+        let Some(rate) = cell.rate.rate else {
+            svg.rect_with_hint("none", place, "no episode");
+            svg.text("s d", Anchor::Middle, [middle[0], middle[1] + 4.0], "\u{2013}");
+            continue;
+        };
+        let classified = cell.zone.is_classified();
+        let hint = format!(
+            "{} {}, {} {}: {} of {} succeeded, {} ({}); {}",
+            label_with_unit(&map.y.parameter),
+            map.y.cell_label(row),
+            label_with_unit(&map.x.parameter),
+            map.x.cell_label(column),
+            cell.rate.successes,
+            cell.rate.n,
+            percent(rate),
+            percent_range(cell.rate.wilson_95),
+            cell.zone.as_str()
+        );
+        let step = step(rate);
+        svg.rect_with_hint(&format!("r{step}"), place, &hint);
+        if classified {
+            mark(&mut svg, [place[0] + place[2], place[1]]);
+        }
+        let ink = format!("t{step}{}", if classified { "" } else { " light" });
+        if w >= 26.0 && h >= 30.0 {
+            svg.text(
+                &format!("v {ink}"),
+                Anchor::Middle,
+                [middle[0], middle[1] + 1.0],
+                &format!("{:.0}", 100.0 * rate),
+            );
+            svg.text(&format!("n {ink}"), Anchor::Middle, [middle[0], middle[1] + 13.0], &count(cell.rate.n));
+        } else if w >= 20.0 {
+            svg.text(
+                &format!("n {ink}"),
+                Anchor::Middle,
+                [middle[0], middle[1] + 4.0],
+                &format!("{:.0}", 100.0 * rate),
+            );
+        }
+    }
+    if let Some(frontier) = drawn_frontier(map, frontier) {
+        let across = scale(&map.x, [LEFT, WIDTH - RIGHT]);
+        let up = scale(&map.y, [bottom, TOP]);
+        svg.clipped(id, [LEFT, TOP, WIDTH - LEFT - RIGHT, bottom - TOP], |svg| {
+            draw_frontier(svg, frontier, across, up)
+        });
+    }
+    ticks(&mut svg, map, [w, h], bottom, drop);
+    legend(&mut svg, bottom + drop + 56.0, drawn_frontier(map, frontier));
+    svg.finish(&format!(
+        "Success rate by {} and {}: {} cells",
+        label_with_unit(&map.y.parameter),
+        label_with_unit(&map.x.parameter),
+        map.cells.len()
+    ))
+}
+
+/// The frontier, if a part of it can be drawn over the map.
+fn drawn_frontier<'a>(map: &PairMap, frontier: Option<&'a Frontier>) -> Option<&'a Frontier> {
+    frontier.filter(|f| map.x.levels.is_empty() && map.y.levels.is_empty() && !drawable(f).is_empty())
+}
+
+fn scale(axis: &Axis, to: [f64; 2]) -> Scale {
+    let ends = [axis.edges.first().copied().unwrap_or(0.0), axis.edges.last().copied().unwrap_or(1.0)];
+    if axis.log { Scale::log(ends, to) } else { Scale::linear(ends, to) }
+}
+
+/// The parts of the curve and its band that are drawn: within the observed ranges, with one point beyond on each side so
+/// that they reach the edge, and where the exact interval is bounded. They are split at the pole.
+pub(crate) fn drawable(frontier: &Frontier) -> Vec<Vec<(&FrontierPoint, [f64; 2])>> {
+    let curve = &frontier.curve;
+    let near = |i: usize| (i.saturating_sub(1)..=(i + 1).min(curve.len() - 1)).any(|j| curve[j].observed);
+    let mut pieces: Vec<Vec<(&FrontierPoint, [f64; 2])>> = vec![Vec::new()];
+    for (i, point) in curve.iter().enumerate() {
+        let beyond = |pole: f64| i > 0 && curve[i - 1].y < pole && pole <= point.y;
+        if frontier.pole.is_some_and(beyond) {
+            pieces.push(Vec::new());
+        }
+        match (point.exact_95.filter(|_| near(i)), pieces.last_mut()) {
+            (Some(band), Some(piece)) => piece.push((point, band)),
+            _ => pieces.push(Vec::new()),
+        }
+    }
+    pieces.retain(|piece| piece.len() > 1);
+    pieces
+}
+
+fn draw_frontier(svg: &mut Svg, frontier: &Frontier, across: Scale, up: Scale) {
+    for piece in drawable(frontier) {
+        let upper = piece.iter().map(|(p, band)| [across.at(p.y), up.at(band[1])]);
+        let lower = piece.iter().rev().map(|(p, band)| [across.at(p.y), up.at(band[0])]);
+        let curve: Vec<[f64; 2]> = piece.iter().map(|(p, _)| [across.at(p.y), up.at(p.x)]).collect();
+        svg.polygon("band", &upper.chain(lower).collect::<Vec<_>>());
+        svg.polyline("halo", &curve);
+        svg.polyline(if frontier.contradicted { "curve wrong" } else { "curve" }, &curve);
+    }
+}
+
+/// Letters of a level on the horizontal axis.
+const MAX_LETTERS: usize = 16;
+
+/// Height of the labels on the horizontal axis when they are rotated, which they are if they are too long.
+fn drop(axis: &Axis, room: f64) -> f64 {
+    let longest = axis.levels.iter().map(|level| level.chars().count().min(MAX_LETTERS)).max().unwrap_or(0) as f64;
+    if 7.0 * longest > room { 7.0 * longest - 4.0 } else { 0.0 }
+}
+
+fn ticks(svg: &mut Svg, map: &PairMap, [w, h]: [f64; 2], bottom: f64, drop: f64) {
+    let axis = |axis: &Axis, room: f64| -> Vec<(f64, String)> {
+        if axis.levels.is_empty() {
+            let every = (34.0 / room).ceil().max(1.0) as usize;
+            let all = axis.edges.iter().enumerate().step_by(every);
+            all.map(|(i, edge)| (i as f64, significant(*edge, 2))).collect()
+        } else {
+            let every = (16.0 / room).ceil().max(1.0) as usize;
+            let all = axis.levels.iter().enumerate().step_by(every);
+            all.map(|(i, level)| (i as f64 + 0.5, cut(level, (room / 5.5).max(3.0) as usize))).collect()
+        }
+    };
+    if drop > 0.0 {
+        for (i, level) in map.x.levels.iter().enumerate() {
+            let x = LEFT + w * (i as f64 + 0.5) + 4.0;
+            svg.text_up_to("s", [x, bottom + 6.0], &cut(level, MAX_LETTERS));
+        }
+    }
+    let across = if drop > 0.0 { Vec::new() } else { axis(&map.x, w) };
+    for (i, (at, text)) in across.into_iter().enumerate() {
+        let x = LEFT + w * at;
+        svg.text(if i % 2 == 1 { "s odd" } else { "s" }, Anchor::Middle, [x, bottom + 15.0], &text);
+    }
+    for (at, text) in axis(&map.y, h * 1.6) {
+        svg.text("s", Anchor::End, [LEFT - 7.0, bottom - h * at + 4.0], &cut(&text, 8));
+    }
+    svg.text(
+        "a",
+        Anchor::Middle,
+        [0.5 * (LEFT + WIDTH - RIGHT), bottom + drop + 33.0],
+        &label_with_unit(&map.x.parameter),
+    );
+    svg.text_up("a", [11.0, 0.5 * (TOP + bottom)], &label_with_unit(&map.y.parameter));
+}
+
+/// The mark of a classified cell, in its upper right corner.
+fn mark(svg: &mut Svg, [x, y]: [f64; 2]) {
+    svg.polygon("known", &[[x - 8.0, y], [x, y], [x, y + 8.0]]);
+}
+
+fn legend(svg: &mut Svg, y: f64, frontier: Option<&Frontier>) {
+    let w = 15.0;
+    svg.text("s", Anchor::Start, [LEFT, y + 10.0], "0 %");
+    let from = LEFT + 34.0;
+    for step in 0..STEPS {
+        svg.rect(&format!("r{step}"), [from + w * step as f64, y, w, 12.0]);
+    }
+    svg.text("s", Anchor::Start, [from + w * STEPS as f64 + 7.0, y + 10.0], "100 % success");
+    svg.rect("r5", [LEFT, y + 21.0, 22.0, 12.0]);
+    mark(svg, [LEFT + 22.0, y + 21.0]);
+    svg.text(
+        "s",
+        Anchor::Start,
+        [LEFT + 29.0, y + 31.0],
+        "the zone of the cell (safe, boundary, danger) is significant",
+    );
+    if let Some(frontier) = frontier {
+        let (class, text) = if frontier.contradicted {
+            ("curve wrong", "50 % frontier of the model, contradicted by the observed rates")
+        } else {
+            ("curve", "50 % frontier of the model, exact 95 % band")
+        };
+        svg.rect("band", [LEFT, y + 42.0, 22.0, 12.0]);
+        svg.line(class, [LEFT, y + 48.0, LEFT + 22.0, y + 48.0]);
+        svg.text("s", Anchor::Start, [LEFT + 29.0, y + 52.0], text);
+    }
+}

@@ -1,0 +1,25 @@
+//! Figures as SVG.
+
+mod comparison;
+mod danger;
+mod failures;
+mod heatmap;
+mod marginal;
+mod models;
+mod modes;
+mod rate;
+mod svg;
+
+pub(crate) use comparison::{
+    ForestRow, disagreement, failure_modes as compared_failure_modes, forest, rates, reach, sensitivity, shared_curve,
+    universal_zones,
+};
+pub(crate) use danger::danger_zones;
+pub(crate) use failures::{failure_modes, mode_changes};
+pub(crate) use heatmap::{drawable, heatmap};
+pub(crate) use marginal::marginal_effect;
+pub(crate) use models::{coefficients, reliability, roc};
+pub(crate) use rate::rate_scale;
+
+/// Success limits of the zones, as in the paper.
+const ZONES: [f64; 2] = [0.3, 0.7];

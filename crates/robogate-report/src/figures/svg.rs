@@ -1,0 +1,188 @@
+//! Drawings: a few shapes, coordinates rounded so that the same data give the same bytes.
+
+use maud::{Markup, PreEscaped, html};
+
+use crate::html::prose;
+
+/// A text cut to so many letters.
+pub(crate) fn cut(text: &str, most: usize) -> String {
+    if text.chars().count() <= most {
+        return text.to_owned();
+    }
+    text.chars().take(most.saturating_sub(1)).chain(['\u{2026}']).collect()
+}
+
+/// A drawing of fixed size that scales with its place on the page.
+pub(crate) struct Svg {
+    width: f64,
+    height: f64,
+    body: Markup,
+}
+
+/// How a text stands on its point.
+#[derive(Clone, Copy)]
+pub(crate) enum Anchor {
+    Start,
+    Middle,
+    End,
+}
+
+impl Anchor {
+    fn attribute(self) -> Option<&'static str> {
+        match self {
+            Self::Start => None,
+            Self::Middle => Some("middle"),
+            Self::End => Some("end"),
+        }
+    }
+}
+
+/// A coordinate with one decimal at most.
+fn c(x: f64) -> String {
+    let text = format!("{x:.1}");
+    let text = text.strip_suffix(".0").unwrap_or(&text);
+    if text == "-0" { "0".to_owned() } else { text.to_owned() }
+}
+
+/// A rectangle, with a text that shows when it is pointed at.
+fn rectangle(class: Option<&str>, [x, y, w, h]: [f64; 4], hint: Option<&str>) -> Markup {
+    html! {
+        rect class=[class] x=(c(x)) y=(c(y)) width=(c(w.max(0.0))) height=(c(h.max(0.0))) {
+            @if let Some(hint) = hint { title { (prose(hint)) } }
+        }
+    }
+}
+
+impl Svg {
+    pub(crate) fn new(width: f64, height: f64) -> Self {
+        Self { width, height, body: PreEscaped(String::new()) }
+    }
+
+    fn push(&mut self, shape: &Markup) {
+        self.body.0.push_str(&shape.0);
+    }
+
+    pub(crate) fn rect(&mut self, class: &str, place: [f64; 4]) {
+        self.push(&rectangle(Some(class), place, None));
+    }
+
+    /// A rectangle with a text that shows when it is pointed at.
+    pub(crate) fn rect_with_hint(&mut self, class: &str, place: [f64; 4], hint: &str) {
+        self.push(&rectangle(Some(class), place, Some(hint)));
+    }
+
+    pub(crate) fn line(&mut self, class: &str, [x1, y1, x2, y2]: [f64; 4]) {
+        self.push(&html! { line class=(class) x1=(c(x1)) y1=(c(y1)) x2=(c(x2)) y2=(c(y2)) {} });
+    }
+
+    pub(crate) fn dot(&mut self, class: &str, [x, y]: [f64; 2], r: f64, hint: &str) {
+        self.push(&html! { circle class=(class) cx=(c(x)) cy=(c(y)) r=(c(r)) { title { (prose(hint)) } } });
+    }
+
+    pub(crate) fn text(&mut self, class: &str, anchor: Anchor, [x, y]: [f64; 2], text: &str) {
+        let anchor = anchor.attribute();
+        self.push(&html! { text class=(class) x=(c(x)) y=(c(y)) text-anchor=[anchor] { (prose(text)) } });
+    }
+
+    /// A text that reads upwards and ends at its point.
+    pub(crate) fn text_up_to(&mut self, class: &str, at: [f64; 2], text: &str) {
+        self.upwards(class, Anchor::End, at, text);
+    }
+
+    /// A text that reads upwards, its middle at its point.
+    pub(crate) fn text_up(&mut self, class: &str, at: [f64; 2], text: &str) {
+        self.upwards(class, Anchor::Middle, at, text);
+    }
+
+    fn upwards(&mut self, class: &str, anchor: Anchor, [x, y]: [f64; 2], text: &str) {
+        let rotated = format!("translate({} {}) rotate(-90)", c(x), c(y));
+        let anchor = anchor.attribute();
+        self.push(&html! { text class=(class) text-anchor=[anchor] transform=(rotated) { (prose(text)) } });
+    }
+
+    pub(crate) fn polyline(&mut self, class: &str, points: &[[f64; 2]]) {
+        if points.len() > 1 {
+            self.push(&html! { polyline class=(class) points=(path(points)) {} });
+        }
+    }
+
+    pub(crate) fn polygon(&mut self, class: &str, points: &[[f64; 2]]) {
+        if points.len() > 1 {
+            self.push(&html! { polygon class=(class) points=(path(points)) {} });
+        }
+    }
+
+    /// What `draw` draws is cut at the rectangle; `id` must be the only one of its name on the page.
+    pub(crate) fn clipped(&mut self, id: &str, place: [f64; 4], draw: impl FnOnce(&mut Self)) {
+        let mut inner = Self::new(self.width, self.height);
+        draw(&mut inner);
+        self.push(&html! {
+            clipPath id=(id) { (rectangle(None, place, None)) }
+            g clip-path={ "url(#" (id) ")" } { (inner.body) }
+        });
+    }
+
+    /// The element, with a label for readers who cannot see it.
+    pub(crate) fn finish(self, label: &str) -> Markup {
+        let (width, height) = (c(self.width), c(self.height));
+        html! {
+            svg viewBox={ "0 0 " (width) " " (height) } role="img" aria-label=(prose(label)) style={ "--w:" (width) } {
+                (self.body)
+            }
+        }
+    }
+}
+
+fn path(points: &[[f64; 2]]) -> String {
+    let points: Vec<String> = points.iter().map(|[x, y]| format!("{},{}", c(*x), c(*y))).collect();
+    points.join(" ")
+}
+
+/// A number's place along an axis.
+#[derive(Clone, Copy)]
+pub(crate) struct Scale {
+    from: [f64; 2],
+    to: [f64; 2],
+    log: bool,
+}
+
+impl Scale {
+    pub(crate) fn linear(from: [f64; 2], to: [f64; 2]) -> Self {
+        Self { from, to, log: false }
+    }
+
+    pub(crate) fn log(from: [f64; 2], to: [f64; 2]) -> Self {
+        Self { from, to, log: true }
+    }
+
+    pub(crate) fn at(&self, value: f64) -> f64 {
+        let [low, high] = self.from;
+        let share = if self.log {
+            // Far below the axis, so that a value of 0 or less is cut off and not lost.
+            (value.max(low * 1e-6) / low).ln() / (high / low).ln()
+        } else {
+            (value - low) / (high - low)
+        };
+        self.to[0] + share * (self.to[1] - self.to[0])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn coordinates_are_short() {
+        assert_eq!(c(1.0), "1");
+        assert_eq!(c(-0.04), "0");
+        assert_eq!(c(12.34), "12.3");
+    }
+
+    #[test]
+    fn labels_are_escaped() {
+        let mut svg = Svg::new(10.0, 10.0);
+        svg.text("\"><script>", Anchor::End, [1.0, 2.0], "<b>");
+        let text = svg.finish("a\"b").into_string();
+        assert!(!text.contains("<script>") && !text.contains("<b>") && !text.contains("a\"b"), "{text}");
+    }
+}

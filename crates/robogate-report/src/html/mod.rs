@@ -1,0 +1,196 @@
+//! Documents as HTML: one self-contained file.
+
+mod prose;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+use robogate_analysis::{Analysis, Comparison};
+
+pub(crate) use prose::prose;
+
+use crate::document::{Block, Document, Figure, Kind, Section, Table, analysis_document, comparison_document};
+
+const STYLE: &str = include_str!("style.css");
+const SCRIPT: &str = include_str!("script.js");
+
+/// The analysis as one self-contained page: the same bytes for the same analysis.
+///
+/// It makes no network request, works without scripts, can be printed, and has a light and a dark theme. Text from data is
+/// escaped.
+pub fn html(analysis: &Analysis) -> String {
+    page(&analysis_document(analysis))
+}
+
+/// A comparison as one self-contained page, in the same way.
+pub fn comparison_html(comparison: &Comparison) -> String {
+    page(&comparison_document(comparison))
+}
+
+/// A whole page around its body.
+pub(crate) fn frame(title: &str, body: &Markup, script: bool) -> String {
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                link rel="icon" href="data:,";
+                title { (prose(title)) " \u{b7} RoboGate" }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                (body)
+                footer {
+                    p {
+                        "RoboGate " (env!("CARGO_PKG_VERSION"))
+                        " \u{b7} the same data give the same page, byte for byte"
+                    }
+                }
+                @if script { script { (PreEscaped(SCRIPT)) } }
+            }
+        }
+    };
+    page.into_string()
+}
+
+fn page(document: &Document) -> String {
+    let body = html! {
+        (hero(document))
+        main { @for section in &document.sections { (self::section(section)) } }
+    };
+    frame(&document.title, &body, true)
+}
+
+fn hero(document: &Document) -> Markup {
+    html! {
+        header.top {
+            p.brand { b { "RoboGate" } " " (document.kind) }
+            h1 { (prose(&document.title)) }
+            p.sub { (prose(&document.subtitle)) }
+            div.hero {
+                div.rate {
+                    p.big { (big(&document.figure)) }
+                    p.what { (prose(&document.figure_label)) }
+                    (document.scale)
+                    p.ci-text { (prose(&document.interval)) }
+                }
+                div.say { p.answer { (prose(&document.answer)) } }
+            }
+            div.three {
+                @for (title, lines) in &document.columns {
+                    section {
+                        h2 { (prose(title)) }
+                        ul { @for line in lines { li { (prose(line)) } } }
+                    }
+                }
+            }
+            nav aria-label="Contents" {
+                ul {
+                    @for section in &document.sections { li { a href={ "#" (section.id) } { (prose(&section.title)) } } }
+                }
+            }
+        }
+    }
+}
+
+/// The key figure, with a small unit.
+fn big(figure: &str) -> Markup {
+    match figure.split_once(' ') {
+        Some((number, unit)) => html! { (prose(number)) small { (prose(unit)) } },
+        None => html! { (prose(figure)) },
+    }
+}
+
+fn section(section: &Section) -> Markup {
+    html! {
+        section id=(section.id) {
+            header {
+                h2 { (prose(&section.title)) }
+                @if let Some(population) = &section.population { p.of { (prose(population)) } }
+            }
+            @for one in &section.blocks { (block(one)) }
+        }
+    }
+}
+
+fn block(block: &Block) -> Markup {
+    match block {
+        Block::Text(text) => html! { p.text { (prose(text)) } },
+        Block::Caution(text) => html! { p.caution { (prose(text)) } },
+        Block::Code(text) => html! { pre { (prose(text)) } },
+        Block::Heading(text) => html! { h3 { (prose(text)) } },
+        Block::List(lines) => list("plain", lines),
+        Block::Figure(figure) => self::figure(figure, "wide"),
+        Block::Grid(figures) => html! { div.grid { @for one in figures { (self::figure(one, "small")) } } },
+        Block::Table(table) => html! {
+            @if !table.title.is_empty() { h3 { (prose(&table.title)) } }
+            (self::table(table))
+        },
+        Block::Folded(table) => folded(table),
+        Block::Facts(facts) => html! {
+            dl { @for (name, value) in facts { div { dt { (prose(name)) } dd { (prose(value)) } } } }
+        },
+    }
+}
+
+fn list(class: &str, lines: &[String]) -> Markup {
+    html! { ul class=(class) { @for line in lines { li { (prose(line)) } } } }
+}
+
+fn figure(figure: &Figure, class: &str) -> Markup {
+    html! {
+        figure class=(class) {
+            h3 { (prose(&figure.title)) }
+            div.pane {
+                div.draw.map[figure.is_map] { (figure.svg) }
+                figcaption {
+                    @if !figure.findings.is_empty() { (list("reading", &figure.findings)) }
+                    @if !figure.caption.is_empty() { p { (prose(&figure.caption)) } }
+                }
+            }
+            (folded(&figure.table))
+        }
+    }
+}
+
+fn folded(table: &Table) -> Markup {
+    html! { details { summary { (prose(&table.title)) } (self::table(table)) } }
+}
+
+fn table(table: &Table) -> Markup {
+    html! {
+        div.scroll {
+            table {
+                thead {
+                    tr {
+                        @for column in &table.columns {
+                            th scope="col" class=[class_of(column.kind)] { (prose(&column.head)) }
+                        }
+                    }
+                }
+                tbody {
+                    @for row in &table.rows {
+                        tr { @for (cell, column) in row.iter().zip(&table.columns) { (self::cell(cell, column.kind)) } }
+                    }
+                }
+            }
+        }
+        @if let Some(remark) = &table.remark { p.remark { (prose(remark)) } }
+    }
+}
+
+fn cell(text: &str, kind: Kind) -> Markup {
+    match kind {
+        Kind::Zone => html! { td { span class={ "zone " (text.replace(' ', "-")) } { (prose(text)) } } },
+        Kind::Code => html! { td { code { (prose(text)) } } },
+        Kind::Text | Kind::Number | Kind::Short => html! { td class=[class_of(kind)] { (prose(text)) } },
+    }
+}
+
+fn class_of(kind: Kind) -> Option<&'static str> {
+    match kind {
+        Kind::Number => Some("num"),
+        Kind::Short => Some("short"),
+        Kind::Text | Kind::Zone | Kind::Code => None,
+    }
+}

@@ -1,0 +1,64 @@
+//! JSON documents: the figures, and the sentences that summarise them.
+
+use robogate_analysis::study::Study;
+use robogate_analysis::{Analysis, Comparison};
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use crate::study::answer;
+use crate::text::{ComparisonHeadline, Headline, comparison_limits, limits};
+
+/// The JSON document of an analysis.
+#[derive(Debug, Clone, Serialize, JsonSchema)]
+pub struct AnalysisReport<'a> {
+    /// The figures.
+    #[serde(flatten)]
+    pub analysis: &'a Analysis,
+    /// The headline in sentences.
+    pub headline: Headline,
+    /// The limits of the figures, in sentences.
+    pub limits: Vec<String>,
+}
+
+/// The JSON document of a comparison.
+#[derive(Debug, Clone, Serialize, JsonSchema)]
+pub struct ComparisonReport<'a> {
+    /// The figures.
+    #[serde(flatten)]
+    pub comparison: &'a Comparison,
+    /// The headline in sentences.
+    pub headline: ComparisonHeadline,
+    /// The limits of the figures, in sentences.
+    pub limits: Vec<String>,
+}
+
+/// The JSON document of a study.
+#[derive(Debug, Clone, Serialize, JsonSchema)]
+pub struct StudyReport<'a> {
+    /// The figures.
+    #[serde(flatten)]
+    pub study: &'a Study,
+    /// The answer in sentences.
+    pub answer: Vec<String>,
+}
+
+/// An analysis as one versioned JSON document: the same bytes for the same rows.
+pub fn analysis_json(analysis: &Analysis) -> String {
+    text(&AnalysisReport { analysis, headline: Headline::of(analysis), limits: limits(analysis) })
+}
+
+/// A comparison as one versioned JSON document, in the same way.
+pub fn comparison_json(comparison: &Comparison) -> String {
+    let headline = ComparisonHeadline::of(comparison);
+    text(&ComparisonReport { comparison, headline, limits: comparison_limits(comparison) })
+}
+
+/// A study as one versioned JSON document, in the same way.
+pub fn study_json(study: &Study) -> String {
+    text(&StudyReport { study, answer: answer(study) })
+}
+
+fn text(document: &impl Serialize) -> String {
+    // Trees of strings, finite numbers and maps with string keys cannot fail to serialise.
+    serde_json::to_string_pretty(document).unwrap_or_default()
+}

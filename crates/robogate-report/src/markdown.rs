@@ -1,0 +1,129 @@
+//! Documents as Markdown: a figure is its table.
+
+use std::fmt::Write;
+
+use crate::document::{Block, Document, Figure, Kind, Table, analysis_document, comparison_document};
+use robogate_analysis::{Analysis, Comparison};
+
+/// The analysis as Markdown (GitHub's flavour, for its tables).
+pub fn markdown(analysis: &Analysis) -> String {
+    page(&analysis_document(analysis))
+}
+
+/// A comparison as Markdown, in the same way.
+pub fn comparison_markdown(comparison: &Comparison) -> String {
+    page(&comparison_document(comparison))
+}
+
+fn page(document: &Document) -> String {
+    let mut out = String::new();
+    // Writing to a string cannot fail; so throughout this file.
+    let _ = write!(out, "# {}\n\n{}\n\n", escape_markdown(&document.title), escape_markdown(&document.subtitle));
+    let _ =
+        write!(out, "**{}** {} ({})\n\n", document.figure, escape_markdown(&document.figure_label), document.interval);
+    let _ = write!(out, "{}\n\n", escape_markdown(&document.answer));
+    for (title, lines) in &document.columns {
+        if !lines.is_empty() {
+            let _ = write!(out, "**{title}**\n\n");
+            list(&mut out, lines);
+        }
+    }
+    for section in &document.sections {
+        let _ = write!(out, "## {}\n\n", escape_markdown(&section.title));
+        if let Some(population) = &section.population {
+            let _ = write!(out, "_{}_\n\n", escape_markdown(population));
+        }
+        for one in &section.blocks {
+            block(&mut out, one);
+        }
+    }
+    out
+}
+
+fn block(out: &mut String, block: &Block) {
+    match block {
+        Block::Text(text) => {
+            let _ = write!(out, "{}\n\n", escape_markdown(text));
+        }
+        Block::Code(text) => {
+            let _ = write!(out, "```text\n{}\n```\n\n", text.replace("```", "'''"));
+        }
+        Block::Caution(text) => {
+            let _ = write!(out, "> **Caution.** {}\n\n", escape_markdown(text));
+        }
+        Block::Heading(text) => {
+            let _ = write!(out, "### {}\n\n", escape_markdown(text));
+        }
+        Block::List(lines) => list(out, lines),
+        Block::Figure(figure) => self::figure(out, figure),
+        Block::Grid(figures) => figures.iter().for_each(|figure| self::figure(out, figure)),
+        Block::Table(table) | Block::Folded(table) => self::table(out, table, true),
+        Block::Facts(facts) => {
+            for (name, value) in facts {
+                let _ = writeln!(out, "- {}: {}", escape_markdown(name), escape_markdown(value));
+            }
+            out.push('\n');
+        }
+    }
+}
+
+fn figure(out: &mut String, figure: &Figure) {
+    let _ = write!(out, "### {}\n\n", escape_markdown(&figure.title));
+    list(out, &figure.findings);
+    if !figure.caption.is_empty() {
+        let _ = write!(out, "{}\n\n", escape_markdown(&figure.caption));
+    }
+    table(out, &figure.table, false);
+}
+
+fn list(out: &mut String, lines: &[String]) {
+    for line in lines {
+        let _ = writeln!(out, "- {}", escape_markdown(line));
+    }
+    if !lines.is_empty() {
+        out.push('\n');
+    }
+}
+
+fn table(out: &mut String, table: &Table, titled: bool) {
+    if titled && !table.title.is_empty() {
+        let _ = write!(out, "**{}**\n\n", escape_markdown(&table.title));
+    }
+    let heads: Vec<String> = table.columns.iter().map(|c| escape_markdown(&c.head)).collect();
+    let rules: Vec<&str> = table.columns.iter().map(|c| if c.kind == Kind::Number { "---:" } else { "---" }).collect();
+    let _ = writeln!(out, "| {} |\n| {} |", heads.join(" | "), rules.join(" | "));
+    for row in &table.rows {
+        let cells: Vec<String> = row
+            .iter()
+            .zip(&table.columns)
+            .map(|(cell, column)| match column.kind {
+                Kind::Code => format!("`{}`", cell.replace(['`', '\n'], "'").replace('|', "\\|")),
+                Kind::Text | Kind::Short | Kind::Number | Kind::Zone => escape_markdown(cell),
+            })
+            .collect();
+        let _ = writeln!(out, "| {} |", cells.join(" | "));
+    }
+    out.push('\n');
+    if let Some(remark) = &table.remark {
+        let _ = write!(out, "{}\n\n", escape_markdown(remark));
+    }
+}
+
+/// A text with its Markdown and HTML markup escaped.
+pub(crate) fn escape_markdown(text: &str) -> String {
+    let mut safe = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '<' => safe.push_str("&lt;"),
+            '>' => safe.push_str("&gt;"),
+            '&' => safe.push_str("&amp;"),
+            '\n' | '\r' => safe.push(' '),
+            '\\' | '`' | '*' | '_' | '|' | '[' | ']' | '#' => {
+                safe.push('\\');
+                safe.push(letter);
+            }
+            c => safe.push(c),
+        }
+    }
+    safe
+}

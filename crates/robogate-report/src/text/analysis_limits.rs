@@ -1,0 +1,104 @@
+//! The limits of an analysis in sentences.
+
+use robogate_analysis::{Analysis, Population};
+use robogate_stats::format::{count, counted, percent_or_dash};
+
+use super::labels;
+
+/// The limits of an analysis, in sentences.
+pub fn limits(analysis: &Analysis) -> Vec<String> {
+    let joint = analysis.jointly_sampled();
+    let success = &analysis.success;
+    let mut limits = vec![
+        population(analysis, &joint),
+        format!(
+            "The episodes are simulated ({}). Effects that the simulator does not model (lighting, wear, cables, people) are not \
+             included, and no figure was compared with a real robot.",
+            analysis.subject.engine
+        ),
+    ];
+    let focused = |population| population == Population::FocusedDesign;
+    if success.stages.iter().any(|s| focused(s.population)) && !focused(analysis.population) {
+        limits.push(
+            "The focused stage samples near the boundary that the first stage estimated, and nowhere else. Its plain success rate \
+             is not an operating rate. Its episodes count in the reweighted rate only, not in any bin, threshold or model."
+                .to_owned(),
+        );
+    }
+    if success.bounds.invalid > 0 {
+        limits.push(format!(
+            "{} are left out of every rate. If all of them had failed, the rate would be {}; if all had succeeded, {}.",
+            counted(success.bounds.invalid, "invalid episode"),
+            percent_or_dash(success.bounds.worst_case),
+            percent_or_dash(success.bounds.best_case)
+        ));
+    }
+    limits.push(
+        "Intervals assume independent episodes and a number of episodes that was fixed in advance. For the points of a Latin \
+         hypercube they are usually too wide. They are too narrow if the results are checked repeatedly while episodes are added."
+            .to_owned(),
+    );
+    limits.push(
+        "The rate of a bin is an average over all other parameters as they were sampled. With another distribution of these \
+         parameters, rates and thresholds change."
+            .to_owned(),
+    );
+    if analysis.envelopes.iter().any(|e| e.frontier.estimated().is_some()) {
+        limits.push(
+            "The frontier comes from a logistic model with four coefficients, which cannot follow a corner of the real boundary: \
+             compare it with the observed rates. Its band holds pointwise and if the model is correct. Outside the range of \
+             validity the frontier is an extrapolation."
+                .to_owned(),
+        );
+    }
+    if analysis.risk.estimated().is_some() {
+        limits.push(
+            "The risk model is linear in each parameter. Its AUC applies to these rows and must not be compared with the AUC of \
+             another design or dataset. The in-sample figures are biased upwards: use the cross-validated ones. The paper does not \
+             define its penalties; here they are failure rates estimated from the training rows."
+                .to_owned(),
+        );
+    }
+    limits.push(format!(
+        "The significance of bins below 40 % holds for all {} tested bins and levels together (Holm), and for these bins only. If \
+         no bin is significant, this does not prove safety.",
+        count(analysis.danger_zones.tested)
+    ));
+    limits.push(causes(!joint.is_empty()));
+    limits
+}
+
+fn population(analysis: &Analysis, joint: &[String]) -> String {
+    let real = "A real cell has another distribution of parts, and hence another rate.";
+    match analysis.population {
+        Population::AsImported => "How the imported rows were sampled is not known. The ranges are the observed ones, every row counts \
+                                   once, and each rate applies to the unknown distribution of the rows."
+            .to_owned(),
+        Population::Suite => "The scenarios of a suite are chosen, and each counts equally. No rate here applies to an operating \
+                              space. Scenarios differ in several parameters at once, so the effect of one parameter may be caused \
+                              by the others."
+            .to_owned(),
+        Population::FocusedDesign => "Every row comes from a focused design, which samples near the failure boundary. No rate here applies \
+                                      to the operating space."
+            .to_owned(),
+        _ if !joint.is_empty() => format!(
+            "The operating space is the requested one: {} are sampled jointly (rank correlation), every other parameter \
+             independently, each uniformly on its own scale. {real}",
+            labels(joint)
+        ),
+        _ => format!(
+            "The operating space is the requested one: each parameter is sampled independently and uniformly on its own scale. \
+             {real}"
+        ),
+    }
+}
+
+fn causes(joint: bool) -> String {
+    let sampling = if joint {
+        "Some parameters were sampled jointly, so the effect of one of them includes those of the others"
+    } else {
+        "Parameters were sampled independently, so these effects are causal in the simulator; on a real line parameters may be \
+         correlated"
+    };
+    format!("Correlations, coefficients and thresholds describe failure in this simulator. {sampling}.")
+}

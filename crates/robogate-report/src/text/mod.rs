@@ -1,0 +1,20 @@
+//! Figures in sentences.
+
+mod analysis;
+mod analysis_limits;
+mod comparison;
+mod comparison_limits;
+
+pub use analysis::Headline;
+pub use analysis_limits::limits;
+pub use comparison::ComparisonHeadline;
+pub use comparison_limits::comparison_limits;
+
+use robogate_analysis::labels::parameter_label;
+use robogate_stats::format::list;
+
+/// The labels of parameters as a list.
+fn labels(parameters: &[String]) -> String {
+    let labels: Vec<String> = parameters.iter().map(|parameter| parameter_label(parameter)).collect();
+    list(&labels)
+}

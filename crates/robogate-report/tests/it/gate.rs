@@ -1,0 +1,63 @@
+//! The gate's answer as JUnit and Markdown, and the leaderboard as a page.
+
+use robogate_gate::{Evaluation, Leaderboard, Question, Record, Requirements, Sampling};
+use robogate_report::{evaluation_markdown, junit, leaderboard_html, leaderboard_markdown};
+use tempfile::TempDir;
+
+use crate::runs::{boxes, saved};
+use crate::synthetic::law;
+
+const EVIL: &str = "<img src=x onerror=\"y()\"> & 'z'";
+
+fn requirements() -> Requirements {
+    let toml = format!(
+        "name = '''{EVIL}'''\nmode = \"confidence\"\n\
+         [[requirement]]\nmetric = \"success_rate\"\nat_least = 0.1\n\
+         [[requirement]]\nmetric = \"collision_rate\"\nat_most = 0.01\n\
+         [[score]]\nname = \"success\"\nmetric = \"success_rate\"\nweight = 1.0\n\
+         scoring = {{ form = \"linear\", full_at = 0.9 }}\n"
+    );
+    Requirements::from_toml(&toml).unwrap()
+}
+
+/// 300 episodes of the law, of which about a third succeed and some collide.
+fn record() -> Record {
+    let (dir, space) = (TempDir::new().unwrap(), boxes());
+    let (source, _) = saved(&dir, "robot", &space, law(&space, 300));
+    Record::of(source.dictionary()).unwrap()
+}
+
+fn evaluation() -> Evaluation {
+    let requirements = requirements();
+    let question = Question { requirements: &requirements, baseline: None, against: None, sampling: Sampling::Fixed };
+    question.evaluate(&record()).unwrap()
+}
+
+#[test]
+fn junit_counts_what_it_holds() {
+    let text = junit(&evaluation());
+    let document = roxmltree::Document::parse(&text).unwrap();
+    let suite = document.descendants().find(|node| node.has_tag_name("testsuite")).unwrap();
+    assert_eq!(suite.attribute("name"), Some(format!("gate {EVIL}").as_str()));
+    let count = |name: &str| document.descendants().filter(|node| node.has_tag_name(name)).count().to_string();
+    assert_eq!((count("testcase").as_str(), count("failure").as_str(), count("error").as_str()), ("2", "1", "0"));
+    for (attribute, element) in [("tests", "testcase"), ("failures", "failure"), ("errors", "error")] {
+        assert_eq!(suite.attribute(attribute), Some(count(element).as_str()));
+    }
+}
+
+#[test]
+fn markdown_states_the_verdict() {
+    let text = evaluation_markdown(&evaluation());
+    assert!(text.contains("RoboGate: FAIL") && text.contains("rate of collision at most"), "{text}");
+}
+
+#[test]
+fn names_on_the_leaderboard_are_escaped() {
+    let entries = [(EVIL.to_owned(), record())];
+    let board = Leaderboard::of(&entries, &requirements().score, None).unwrap();
+    let page = leaderboard_html(&board);
+    crate::pages::balanced(&page).unwrap();
+    assert!(!page.contains("<img") && page.contains("&lt;img"));
+    assert!(!leaderboard_markdown(&board).contains("<img"));
+}

@@ -1,0 +1,162 @@
+//! Numbers as text: the one place where figures for people are rounded and written.
+//!
+//! Every function gives the same text on every machine. A minus sign is U+2212, a missing figure is "-", and a value that
+//! rounds to zero has no sign.
+
+/// A number with three significant digits.
+pub fn number(x: f64) -> String {
+    significant(x, 3)
+}
+
+/// A number with `digits` significant digits. Integers below a million keep all of theirs, and an exponent is written below
+/// 1e-5 and from 1e6 on.
+pub fn significant(x: f64, digits: i32) -> String {
+    if !x.is_finite() {
+        return "-".to_owned();
+    }
+    let size = x.abs();
+    if size <= 0.0 {
+        return "0".to_owned();
+    }
+    let exponent = size.log10().floor() as i32;
+    if !(-5..6).contains(&exponent) {
+        return minus(format!("{x:.*e}", (digits - 1).max(0) as usize));
+    }
+    let text = format!("{x:.*}", (digits - 1 - exponent).max(0) as usize);
+    // 0.0500 says no more than 0.05 here: the interval beside it tells the precision.
+    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text };
+    minus(text)
+}
+
+/// A number with this many decimals.
+pub fn fixed(x: f64, decimals: usize) -> String {
+    if x.is_finite() { minus(format!("{x:.decimals$}")) } else { "-".to_owned() }
+}
+
+fn minus(text: String) -> String {
+    let zero = text.trim_start_matches('-').chars().all(|c| matches!(c, '0' | '.'));
+    match text.strip_prefix('-') {
+        Some(rest) if zero => rest.to_owned(),
+        Some(rest) => format!("\u{2212}{rest}"),
+        None => text,
+    }
+}
+
+/// A range of numbers: "0.1 to 2".
+pub fn range([low, high]: [f64; 2]) -> String {
+    format!("{} to {}", number(low), number(high))
+}
+
+/// A share as a percentage with one decimal: "29.3 %".
+pub fn percent(share: f64) -> String {
+    format!("{:.1} %", 100.0 * share)
+}
+
+/// A share as a percentage, or "-" without one.
+pub fn percent_or_dash(share: Option<f64>) -> String {
+    share.map_or_else(|| "-".to_owned(), percent)
+}
+
+/// A range of shares: "21.0 to 38.9 %".
+pub fn percent_range([low, high]: [f64; 2]) -> String {
+    format!("{:.1} to {:.1} %", 100.0 * low, 100.0 * high)
+}
+
+/// A difference of shares in percentage points, with its sign: "+3.1".
+pub fn points(difference: f64) -> String {
+    let text = fixed(100.0 * difference, 1);
+    if difference > 0.0 && text != "0.0" { format!("+{text}") } else { text }
+}
+
+/// A range of differences in percentage points.
+pub fn points_range([low, high]: [f64; 2]) -> String {
+    format!("{} to {}", points(low), points(high))
+}
+
+/// A count with its thousands separated: "12,345".
+pub fn count(n: u64) -> String {
+    let digits = n.to_string();
+    let mut text = String::with_capacity(digits.len() + digits.len() / 3);
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// A number of things: "1 row", "2 rows".
+pub fn counted(n: u64, thing: &str) -> String {
+    if n == 1 { format!("1 {thing}") } else { format!("{} {thing}s", count(n)) }
+}
+
+/// A p-value from its natural logarithm, readable far below the smallest `f64`.
+pub fn p_value(ln_p: f64) -> String {
+    let p = ln_p.exp();
+    if p >= 0.001 {
+        fixed(p, 3)
+    } else if ln_p.is_finite() {
+        let exponent = (ln_p / std::f64::consts::LN_10).floor();
+        let mantissa = (ln_p - exponent * std::f64::consts::LN_10).exp();
+        format!("{mantissa:.1}e{}", minus(format!("{exponent:.0}")))
+    } else {
+        "0".to_owned()
+    }
+}
+
+/// Items as a list in a sentence: "a, b and c".
+pub fn list(items: &[String]) -> String {
+    match items {
+        [] => String::new(),
+        [one] => one.clone(),
+        [rest @ .., last] => format!("{} and {last}", rest.join(", ")),
+    }
+}
+
+/// A text with its first letter in upper case.
+pub fn sentence(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_short() {
+        assert_eq!(number(0.4923), "0.492");
+        assert_eq!(number(1.5), "1.5");
+        assert_eq!(number(-0.25), "\u{2212}0.25");
+        assert_eq!(number(12_345.6), "12346");
+        assert_eq!(number(1e-9), "1.00e-9");
+        assert_eq!(number(f64::NAN), "-");
+    }
+
+    #[test]
+    fn zero_has_no_sign() {
+        assert_eq!(number(-0.0), "0");
+        assert_eq!(fixed(-0.001, 2), "0.00");
+        assert_eq!(points(0.000_1), "0.0");
+    }
+
+    #[test]
+    fn tiny_p_values_stay_readable() {
+        assert_eq!(p_value(0.037_f64.ln()), "0.037");
+        assert_eq!(p_value(-2000.0 * std::f64::consts::LN_10), "1.0e\u{2212}2000");
+    }
+
+    #[test]
+    fn thousands_are_separated() {
+        for (n, text) in [(0, "0"), (999, "999"), (20_000, "20,000"), (1_234_567, "1,234,567")] {
+            assert_eq!(count(n), text);
+        }
+    }
+
+    #[test]
+    fn lists_end_with_and() {
+        let items = ["a", "b", "c"].map(str::to_owned);
+        assert_eq!((list(&items), list(&items[..1]), list(&[])), ("a, b and c".into(), "a".into(), String::new()));
+    }
+}

@@ -1,0 +1,250 @@
+//! Groups of trials (the robots of one recipe, say): how much their success rates differ beyond chance, and which group is an
+//! outlier.
+//!
+//! Model: group i succeeds k_i times in n_i trials with its own rate, from a Beta distribution with mean μ and
+//! overdispersion ρ = 1 / (a + b + 1). The variance of the rates is ρ μ (1 - μ); at ρ = 0 all rates are equal. Both are estimated by
+//! maximum likelihood. The 95 % interval of ρ is that of the profile likelihood: its deviance is compared with 3.841, the 95 % point of
+//! chi squared with one degree of freedom.
+//!
+//! A group is an outlier if its count lies in a tail of the beta-binomial distribution fitted to the other groups by moments. The two-sided
+//! p-values (twice the smaller tail) are compared with α after Holm's correction over the groups.
+//!
+//! Limit: the fitted parameters are taken as known, which makes the tails too light with few groups. [`outliers`] therefore
+//! needs at least four groups. At ρ = 0 the interval is conservative.
+//! Sources: Skellam (1948), JRSS B 10 (the beta-binomial); Holm (1979), Scand. J. Statist. 6.
+
+use robogate_maths::gamma::ln_gamma;
+
+use crate::Trials;
+use crate::multiplicity::holm;
+
+/// The smallest number of groups among which one may be called an outlier.
+pub const FEWEST: usize = 4;
+/// 95 % point of chi squared with one degree of freedom.
+const CHI_SQUARED_95: f64 = 3.841_458_820_694_124;
+
+/// How much the groups differ.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spread {
+    /// Mean success rate of a group, μ.
+    pub mean: f64,
+    /// Overdispersion ρ, from 0 (equal rates) to 1 (each group always succeeds or always fails).
+    pub rho: f64,
+    /// Its 95 % interval.
+    pub rho_95: [f64; 2],
+    /// Standard deviation of the groups' rates, √(ρ μ (1 - μ)).
+    pub deviation: f64,
+    /// The interval of that deviation, from the one of ρ at the estimated mean.
+    pub deviation_95: [f64; 2],
+    /// Number of groups with trials.
+    pub groups: usize,
+}
+
+/// A group whose rate differs significantly from its peers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outlier {
+    /// Its position in the input.
+    pub index: usize,
+    /// Its trials.
+    pub trials: Trials,
+    /// Whether it is worse than its peers, not better.
+    pub worse: bool,
+    /// The two-sided p-value after Holm's correction.
+    pub p: f64,
+}
+
+/// ln of the beta-binomial likelihood of one group, without the binomial coefficient, which no parameter changes.
+///
+/// The logarithms are summed by Stirling's series; ρ = 0 is its binomial limit.
+fn ln_likelihood(k: f64, n: f64, mean: f64, rho: f64) -> f64 {
+    if rho <= 0.0 {
+        let term = |count: f64, p: f64| if count > 0.0 { count * p.ln() } else { 0.0 };
+        return term(k, mean) + term(n - k, 1.0 - mean);
+    }
+    let size = (1.0 - rho) / rho;
+    rising(mean * size, k) + rising((1.0 - mean) * size, n - k) - rising(size, n)
+}
+
+/// ln of the rising factorial x (x+1) ... (x+m-1).
+fn rising(x: f64, m: f64) -> f64 {
+    ln_gamma(x + m) - ln_gamma(x)
+}
+
+/// The maximum of a unimodal function in [low, high], by golden sections: its position and its value.
+fn maximum(mut low: f64, mut high: f64, f: impl Fn(f64) -> f64) -> (f64, f64) {
+    const SECTION: f64 = 0.618_033_988_749_895;
+    let (mut a, mut b) = (high - SECTION * (high - low), low + SECTION * (high - low));
+    let (mut at_a, mut at_b) = (f(a), f(b));
+    // Each section keeps one of the two points: 0.618^36 is 3e-8 of the range.
+    for _ in 0..36 {
+        if at_a >= at_b {
+            (high, b, at_b) = (b, a, at_a);
+            a = high - SECTION * (high - low);
+            at_a = f(a);
+        } else {
+            (low, a, at_a) = (a, b, at_b);
+            b = low + SECTION * (high - low);
+            at_b = f(b);
+        }
+    }
+    let at = 0.5 * (low + high);
+    (at, f(at))
+}
+
+/// The profile likelihood at ρ: the best mean, and ln L there.
+fn profile(groups: &[(f64, f64)], rho: f64) -> (f64, f64) {
+    maximum(1e-9, 1.0 - 1e-9, |mean| groups.iter().map(|(k, n)| ln_likelihood(*k, *n, mean, rho)).sum())
+}
+
+/// Estimates how much the groups differ.
+///
+/// `None` with fewer than two groups that have trials, or where all trials have one outcome.
+pub fn spread(tallies: &[Trials]) -> Option<Spread> {
+    let groups: Vec<(f64, f64)> =
+        tallies.iter().filter(|t| t.n() > 0).map(|t| (t.successes() as f64, t.n() as f64)).collect();
+    let total: (f64, f64) = groups.iter().fold((0.0, 0.0), |sum, (k, n)| (sum.0 + k, sum.1 + n));
+    if groups.len() < 2 || total.0 <= 0.0 || total.0 >= total.1 {
+        return None;
+    }
+    // ρ is searched in its logarithm; below 1e-7 it cannot be told from 0.
+    let (low, high) = (1e-7_f64.ln(), 0.999_f64.ln());
+    let at = |log: f64| profile(&groups, log.exp()).1;
+    let (log, inside) = maximum(low, high, at);
+    let zero = profile(&groups, 0.0).1;
+    let (rho, best) = if zero >= inside { (0.0, zero) } else { (log.exp(), inside) };
+    let floor = best - 0.5 * CHI_SQUARED_95;
+    let cross = |mut inside: f64, mut outside: f64| {
+        for _ in 0..24 {
+            let middle = 0.5 * (inside + outside);
+            if at(middle) >= floor {
+                inside = middle;
+            } else {
+                outside = middle;
+            }
+        }
+        0.5 * (inside + outside)
+    };
+    let centre = if rho > 0.0 { log } else { low };
+    let bottom = if zero >= floor { 0.0 } else { cross(centre, low).exp() };
+    let top = if at(high) >= floor { 1.0 } else { cross(centre, high).exp() };
+    let mean = profile(&groups, rho).0;
+    let deviation = |rho: f64| (rho * mean * (1.0 - mean)).sqrt();
+    Some(Spread {
+        mean,
+        rho,
+        rho_95: [bottom, top],
+        deviation: deviation(rho),
+        deviation_95: [deviation(bottom), deviation(top)],
+        groups: groups.len(),
+    })
+}
+
+/// The groups whose rate differs from their peers at the level `alpha` over all of them, the smallest p-value first.
+pub fn outliers(tallies: &[Trials], alpha: f64) -> Vec<Outlier> {
+    let active: Vec<(usize, Trials)> = tallies.iter().copied().enumerate().filter(|(_, t)| t.n() > 0).collect();
+    if active.len() < FEWEST {
+        return Vec::new();
+    }
+    let judged: Vec<(f64, bool)> = (0..active.len()).map(|at| judge(&active, at)).collect();
+    let p: Vec<f64> = judged.iter().map(|(p, _)| *p).collect();
+    let Ok(adjusted) = holm(&p) else { return Vec::new() };
+    let mut found: Vec<Outlier> = active
+        .iter()
+        .zip(&judged)
+        .zip(adjusted)
+        .filter(|(_, p)| *p <= alpha)
+        .map(|(((index, trials), (_, worse)), p)| Outlier { index: *index, trials: *trials, worse: *worse, p })
+        .collect();
+    found.sort_by(|a, b| a.p.total_cmp(&b.p));
+    found
+}
+
+/// Mean and overdispersion by moments (Kleinman 1973, JASA 68), cheap enough to leave each group out in turn.
+///
+/// Half a success and half a failure are added to the pooled counts, which keeps the mean off 0 and 1.
+fn moments(tallies: &[Trials]) -> (f64, f64) {
+    let n: f64 = tallies.iter().map(|t| t.n() as f64).sum();
+    let k: f64 = tallies.iter().map(|t| t.successes() as f64).sum();
+    let mean = (k + 0.5) / (n + 1.0);
+    let variance = mean * (1.0 - mean);
+    let scatter: f64 = tallies.iter().filter_map(|t| Some(t.n() as f64 * (t.rate()? - mean).powi(2))).sum();
+    let squares: f64 = tallies.iter().map(|t| (t.n() as f64).powi(2)).sum();
+    let free = tallies.len() as f64 - 1.0;
+    let rho = (scatter - variance * free) / (variance * (n - squares / n - free));
+    (mean, if rho.is_finite() { rho.clamp(0.0, 0.999) } else { 0.0 })
+}
+
+/// The two-sided p-value of one group among its peers, and whether it is worse.
+fn judge(active: &[(usize, Trials)], own: usize) -> (f64, bool) {
+    let trials = active[own].1;
+    let peers: Vec<Trials> = active.iter().enumerate().filter(|(at, _)| *at != own).map(|(_, (_, t))| *t).collect();
+    let (mean, rho) = moments(&peers);
+    let worse = trials.rate().unwrap_or(mean) < mean;
+    let (k, n) = (trials.successes(), trials.n());
+    let ln_choose = |k: u64| {
+        let (k, n) = (k as f64, n as f64);
+        ln_gamma(n + 1.0) - ln_gamma(k + 1.0) - ln_gamma(n - k + 1.0)
+    };
+    let chance = |k: u64| (ln_choose(k) + ln_likelihood(k as f64, n as f64, mean, rho)).exp();
+    // The tail on its own side, its own count included; summed outwards until nothing is added.
+    let mut tail = 0.0;
+    let mut at = k;
+    loop {
+        let term = chance(at);
+        tail += term;
+        let end = if worse { 0 } else { n };
+        if at == end || term < 1e-18 * tail {
+            break;
+        }
+        at = if worse { at - 1 } else { at + 1 };
+    }
+    ((2.0 * tail).min(1.0), worse)
+}
+
+#[cfg(test)]
+mod tests {
+    use rand_chacha::ChaCha8Rng;
+    use rand_core::SeedableRng;
+
+    use super::*;
+    use crate::resample::uniform;
+
+    fn trials(k: u64, n: u64) -> Trials {
+        Trials::new(k, n).unwrap()
+    }
+
+    #[test]
+    fn interval_covers_the_true_spread() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut groups = |low: f64, high: f64| -> Vec<Trials> {
+            let mut group = || {
+                let rate = low + (high - low) * uniform(&mut rng);
+                Trials::count((0..500).map(|_| uniform(&mut rng) < rate))
+            };
+            (0..30).map(|_| group()).collect()
+        };
+        let alike = spread(&groups(0.9, 0.9)).unwrap();
+        assert!(alike.rho_95[0] <= 0.0 && alike.rho_95[1] < 0.02, "{alike:?}");
+        // Uniform on 0.8 to 1.0 has a standard deviation of 0.2 / √12 = 0.0577.
+        let differ = spread(&groups(0.8, 1.0)).unwrap();
+        assert!(differ.deviation_95[0] < 0.0577 && 0.0577 < differ.deviation_95[1], "{differ:?}");
+        assert!(differ.deviation_95[0] > 0.03);
+    }
+
+    #[test]
+    fn only_the_worse_group_is_an_outlier() {
+        let mut groups = [trials(474, 500); 5];
+        assert_eq!(outliers(&groups, 0.05), []);
+        groups[3] = trials(430, 500);
+        let found = outliers(&groups, 0.05);
+        assert_eq!(found.iter().map(|o| (o.index, o.worse)).collect::<Vec<_>>(), [(3, true)]);
+        assert!(outliers(&groups[2..], 0.05).is_empty(), "three groups are too few");
+    }
+
+    #[test]
+    fn no_evidence_has_no_spread() {
+        assert_eq!(spread(&[]), None);
+        assert_eq!(spread(&[trials(3, 5)]), None);
+        assert_eq!(spread(&[trials(5, 5), trials(7, 7)]), None);
+    }
+}

@@ -1,0 +1,186 @@
+//! The bench: a pole on a hinge with a motor, in MuJoCo.
+
+use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
+
+use robogate_core::{
+    Action, Command, Ending, Environment, FailureMode, Fault, FaultKind, Observation, Scenario, Start, Step,
+    TaskInstance, TaskSpec,
+};
+use robogate_physics::MujocoModel;
+
+use super::parameters::{self, Applied, GRAVITY, Settings};
+use super::{ANGLE, ENERGY, ERROR, FELL, OVERSPEED, PEAK_SPEED, SPEED};
+
+/// Time between two actions, in seconds.
+pub(super) const CONTROL_PERIOD_S: f64 = 0.02;
+/// The time limit of an episode, in seconds.
+pub(super) const TIME_LIMIT_S: f64 = 10.0;
+/// The engine's time step, in seconds: ten in a control period.
+const TIME_STEP_S: f64 = 0.002;
+const STEPS_PER_PERIOD: u32 = 10;
+
+/// The pole is upright within this angle, in rad ...
+const UPRIGHT_RAD: f64 = 0.2;
+/// ... and held there for this long, in seconds: success.
+const HOLD_S: f64 = 0.5;
+/// It has been upright once it was so for this long, in seconds ...
+const REACHED_S: f64 = 0.1;
+/// ... and has fallen beyond this angle, in rad.
+const FALLEN_RAD: f64 = 0.6;
+/// Faster than this is not allowed, in rad/s.
+const SPEED_LIMIT: f64 = 25.0;
+
+/// A pole, a motor and a referee.
+pub(super) struct Bench {
+    task: Arc<TaskSpec>,
+    episode: Option<Episode>,
+}
+
+struct Episode {
+    model: MujocoModel,
+    settings: Settings,
+    ticks: u32,
+    /// Since when the pole is upright, in seconds.
+    upright_since: Option<f64>,
+    reached: bool,
+    peak_speed: f64,
+    energy: f64,
+}
+
+impl Bench {
+    pub(super) fn new(task: Arc<TaskSpec>) -> Self {
+        Self { task, episode: None }
+    }
+}
+
+/// The model of an episode: hanging down at angle 0, turning about the y axis.
+fn mjcf(settings: &Settings) -> String {
+    let Settings { mass, length, damping, torque_limit, gravity, .. } = settings;
+    let g = GRAVITY * gravity;
+    format!(
+        r#"<mujoco model="pendulum">
+  <option timestep="{TIME_STEP_S}" gravity="0 0 -{g}" integrator="implicitfast"/>
+  <worldbody>
+    <body name="pole" pos="0 0 1">
+      <joint name="hinge" type="hinge" axis="0 1 0" damping="{damping}"/>
+      <geom name="pole" type="capsule" fromto="0 0 0 0 0 -{length}" size="0.02" mass="{mass}" contype="0" conaffinity="0"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="motor" joint="hinge" gear="{torque_limit}" ctrllimited="true" ctrlrange="-1 1"/>
+  </actuator>
+</mujoco>"#
+    )
+}
+
+/// The distance of an angle from upright, from -pi to pi.
+pub(super) fn from_upright(angle: f64) -> f64 {
+    angle.rem_euclid(TAU) - PI
+}
+
+impl Episode {
+    fn angle(&self) -> f64 {
+        self.model.data().qpos()[0]
+    }
+
+    fn speed(&self) -> f64 {
+        self.model.data().qvel()[0]
+    }
+
+    fn observation(&self) -> Observation {
+        Observation {
+            time_s: f64::from(self.ticks) * CONTROL_PERIOD_S,
+            vectors: vec![(ANGLE, vec![self.angle() + self.settings.bias]), (SPEED, vec![self.speed()])],
+            images: Vec::new(),
+        }
+    }
+
+    /// Advances one time step that ends at `time`; the decisive event, if it was in this step.
+    fn advance(&mut self, torque: f64, time: f64) -> Result<Option<Option<FailureMode>>, Fault> {
+        self.model.data_mut().ctrl_mut()[0] = torque;
+        self.model.step()?;
+        let (error, speed) = (from_upright(self.angle()).abs(), self.speed().abs());
+        self.peak_speed = self.peak_speed.max(speed);
+        self.energy += (torque * self.settings.torque_limit * speed).abs() * TIME_STEP_S;
+        if speed > SPEED_LIMIT {
+            return Ok(Some(Some(OVERSPEED)));
+        }
+        if error > UPRIGHT_RAD {
+            self.upright_since = None;
+            return Ok((self.reached && error > FALLEN_RAD).then_some(Some(FELL)));
+        }
+        let held = time - *self.upright_since.get_or_insert(time);
+        self.reached |= held >= REACHED_S;
+        Ok((held >= HOLD_S).then_some(None))
+    }
+}
+
+impl Environment for Bench {
+    fn task(&self) -> &Arc<TaskSpec> {
+        &self.task
+    }
+
+    fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
+        self.episode = None;
+        let settings = Settings::of(&scenario.requested)?;
+        let mut model = MujocoModel::from_xml(&mjcf(&settings))?;
+        model.data_mut().qpos_mut()[0] = settings.start;
+        model.data_mut().forward();
+        let applied = parameters::applied(&scenario.requested, &Applied { model: &model, bias: settings.bias });
+        let episode =
+            Episode { model, settings, ticks: 0, upright_since: None, reached: false, peak_speed: 0.0, energy: 0.0 };
+        let observation = episode.observation();
+        self.episode = Some(episode);
+        let instance = TaskInstance { instruction: self.task.instruction.clone(), details: serde_json::Value::Null };
+        Ok(Start { instance, observation, applied })
+    }
+
+    fn step(&mut self, action: &Action) -> Result<Step, Fault> {
+        let (Some(mut episode), Command::Vector(command)) = (self.episode.take(), &action.command) else {
+            return Err(Fault::new(FaultKind::Setup, "no episode is under way, or the action is not a vector"));
+        };
+        let torque = command.first().copied().unwrap_or_default();
+        let begun = f64::from(episode.ticks) * CONTROL_PERIOD_S;
+        let mut ending = None;
+        for k in 1..=STEPS_PER_PERIOD {
+            let time_s = begun + f64::from(k) * TIME_STEP_S;
+            if let Some(failure) = episode.advance(torque, time_s)? {
+                ending = Some(Ending { failure, time_s, contact: None });
+                break;
+            }
+        }
+        episode.ticks += 1;
+        let step = Step {
+            observation: episode.observation(),
+            measures: [
+                (PEAK_SPEED, Some(episode.peak_speed)),
+                (ENERGY, Some(episode.energy)),
+                (ERROR, Some(from_upright(episode.angle()).abs())),
+            ]
+            .into_iter()
+            .collect(),
+            events: ending.iter().map(|_| format!("{:.2} rad from upright", from_upright(episode.angle()))).collect(),
+            state_hash: episode.model.state_hash(),
+            ending,
+        };
+        if step.ending.is_none() {
+            self.episode = Some(episode);
+        }
+        Ok(step)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn upright_is_half_a_turn() {
+        assert!(
+            from_upright(PI).abs() < 1e-12 && from_upright(-PI).abs() < 1e-12 && from_upright(3.0 * PI).abs() < 1e-12
+        );
+        assert!((from_upright(0.0).abs() - PI).abs() < 1e-12);
+        assert!((from_upright(PI + 0.1) - 0.1).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,108 @@
+//! Pendulum swing-up: bring a hanging pole upright with a motor that is too weak to lift it, and hold it there.
+//!
+//! A small task without a robot, with failure modes, measures and an action of its own. It is the shortest example of a
+//! built-in task.
+
+mod controller;
+mod environment;
+mod parameters;
+
+use std::sync::Arc;
+
+use robogate_core::{
+    ActionSpace, ActionSpec, Better, Environment, FailureMode, FailureModeSpec, Fault, MeasureSpec, ObservationSpec,
+    Policy, Severity, TaskSpec, VectorSpec, Word,
+};
+use robogate_physics::{EngineBuild, MujocoModel};
+
+use self::controller::SwingUp;
+use self::environment::{Bench, CONTROL_PERIOD_S, TIME_LIMIT_S};
+use crate::SelfContained;
+
+/// The pole was upright and came down again.
+const FELL: FailureMode = FailureMode::constant("fell");
+/// The pole turned faster than the bench allows.
+const OVERSPEED: FailureMode = FailureMode::constant("overspeed");
+
+const PEAK_SPEED: Word = Word::constant("peak_speed_rad_s");
+const ENERGY: Word = Word::constant("energy_j");
+const ERROR: Word = Word::constant("upright_error_rad");
+
+const ANGLE: Word = Word::constant("angle");
+const SPEED: Word = Word::constant("speed");
+
+const SWING: Word = Word::constant("swing");
+const BALANCE: Word = Word::constant("balance");
+
+/// The pendulum swing-up task.
+#[derive(Debug, Clone, Copy)]
+pub struct Pendulum;
+
+impl SelfContained for Pendulum {
+    fn name(&self) -> &'static str {
+        "pendulum"
+    }
+
+    fn summary(&self) -> &'static str {
+        "swing a hanging pole upright with a weak motor and hold it there"
+    }
+
+    fn task(&self) -> Arc<TaskSpec> {
+        let mode = |name, meaning: &str, severity| FailureModeSpec { name, meaning: meaning.to_owned(), severity };
+        let measure = |name, unit: &str, meaning: &str| MeasureSpec {
+            name,
+            unit: unit.to_owned(),
+            meaning: meaning.to_owned(),
+            better: Better::Lower,
+        };
+        let vector = |name, unit: &str| VectorSpec { name, length: 1, unit: unit.to_owned() };
+        Arc::new(TaskSpec {
+            name: Word::constant("pendulum"),
+            version: 1,
+            instruction: "swing the pole upright and hold it there".to_owned(),
+            control_period_s: CONTROL_PERIOD_S,
+            time_limit_s: TIME_LIMIT_S,
+            failure_modes: vec![
+                mode(FELL, "The pole was upright and came down again.", Severity::Major),
+                mode(OVERSPEED, "The pole turned faster than the bench allows.", Severity::Critical),
+                mode(FailureMode::TIMEOUT, "The pole was never held upright.", Severity::Minor),
+            ],
+            measures: vec![
+                measure(PEAK_SPEED, "rad/s", "Largest speed of the pole."),
+                measure(ENERGY, "J", "Work that the motor did, in both directions."),
+                measure(ERROR, "rad", "Distance of the pole from upright at the end."),
+            ],
+            phases: vec![SWING, BALANCE],
+            parameters: parameters::specs(),
+            observation: ObservationSpec {
+                vectors: vec![vector(ANGLE, "rad"), vector(SPEED, "rad/s")],
+                cameras: Vec::new(),
+            },
+            action: ActionSpec {
+                spaces: vec![ActionSpace::Vector {
+                    names: vec!["torque".to_owned()],
+                    low: vec![-1.0],
+                    high: vec![1.0],
+                }],
+                gripper: None,
+            },
+            details: serde_json::Value::Null,
+        })
+    }
+
+    fn space(&self) -> &'static str {
+        include_str!("space.toml")
+    }
+
+    fn engine(&self) -> EngineBuild {
+        MujocoModel::build()
+    }
+
+    fn environment(&self) -> Result<Box<dyn Environment>, Fault> {
+        Ok(Box::new(Bench::new(self.task())))
+    }
+
+    fn controller(&self) -> Box<dyn Policy> {
+        Box::new(SwingUp::default())
+    }
+}

@@ -1,0 +1,174 @@
+//! Pick and place as data: what the task declares.
+
+use robogate_core::{
+    ActionSpace, ActionSpec, Better, CameraSpec, FailureMode, FailureModeSpec, Fault, FaultKind, MeasureSpec,
+    Observation, ObservationSpec, Pose, Severity, TaskInstance, TaskSpec, VectorSpec, Word, vectors,
+};
+use robogate_physics::{ArmState, Gripper, Robot};
+use serde::{Deserialize, Serialize};
+
+use super::cell::{CONTROL_PERIOD_S, TIME_LIMIT_S};
+use super::parameters;
+
+/// The gripper closed without the object.
+pub const GRASP_MISS: FailureMode = FailureMode::constant("grasp_miss");
+/// The object was lost between grasp and release.
+pub const GRIP_LOSS: FailureMode = FailureMode::constant("grip_loss");
+/// A robot link or finger touched something other than the object.
+pub const COLLISION: FailureMode = FailureMode::constant("collision");
+
+/// Largest normal force between a body of the robot and anything, in newtons.
+pub const PEAK_CONTACT_FORCE: Word = Word::constant("peak_contact_force_n");
+/// Largest displacement of the object relative to the hand since it was held, in metres.
+pub const SLIP: Word = Word::constant("slip_m");
+/// Smallest distance between the robot and anything other than the object, in metres.
+pub const MIN_CLEARANCE: Word = Word::constant("min_clearance_m");
+/// Horizontal distance of the object from its target, in metres.
+pub const TARGET_DISTANCE: Word = Word::constant("target_distance_m");
+
+/// The phases of the scripted controller (paper, section 4.1).
+pub mod phases {
+    use robogate_core::Word;
+
+    /// Move to the point above the object.
+    pub const APPROACH_ABOVE: Word = Word::constant("APPROACH_ABOVE");
+    /// Move straight down to the grasp.
+    pub const DESCEND: Word = Word::constant("DESCEND");
+    /// Close the gripper.
+    pub const GRASP: Word = Word::constant("GRASP");
+    /// Move straight up.
+    pub const LIFT: Word = Word::constant("LIFT");
+    /// Carry the object to the target and down to the table.
+    pub const MOVE_TO_TARGET: Word = Word::constant("MOVE_TO_TARGET");
+    /// Open the gripper and retreat.
+    pub const RELEASE: Word = Word::constant("RELEASE");
+
+    /// Every phase, in order.
+    pub const ALL: [Word; 6] = [APPROACH_ABOVE, DESCEND, GRASP, LIFT, MOVE_TO_TARGET, RELEASE];
+}
+
+/// What 1 means in a tool delta: metres along, and radians about, each axis (paper, section 7.1).
+pub const TOOL_DELTA: (f64, f64) = (0.02, 0.05);
+
+/// The task on this robot, its cameras of this kind.
+pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
+    let joints = robot.settings.arm.joints.clone();
+    let gripper = &robot.settings.gripper;
+    let vector = |name, length, unit: &str| VectorSpec { name, length, unit: unit.to_owned() };
+    let mut observed = vec![
+        vector(vectors::JOINT_POSITIONS, joints.len(), "rad"),
+        vector(vectors::JOINT_VELOCITIES, joints.len(), "rad/s"),
+    ];
+    if let Gripper::ParallelJaw(_) = gripper {
+        observed.push(vector(vectors::GRIPPER_OPENING, 1, "m"));
+    }
+    observed.push(vector(vectors::TOOL_POSE, 7, ""));
+    let (translation_m, rotation_rad) = TOOL_DELTA;
+    TaskSpec {
+        name: Word::constant(super::NAME),
+        version: 1,
+        instruction: "pick up the part and place it at the target".to_owned(),
+        control_period_s: CONTROL_PERIOD_S,
+        time_limit_s: TIME_LIMIT_S,
+        failure_modes: failure_modes(),
+        measures: measures(),
+        phases: phases::ALL.to_vec(),
+        parameters: parameters::specs(gripper),
+        observation: ObservationSpec { vectors: observed, cameras },
+        action: ActionSpec {
+            spaces: vec![ActionSpace::JointPosition { joints }, ActionSpace::ToolDelta { translation_m, rotation_rad }],
+            gripper: Some(robogate_core::GripperKind::Binary),
+        },
+        details: serde_json::Value::Null,
+    }
+}
+
+fn failure_modes() -> Vec<FailureModeSpec> {
+    let mode = |name, severity, meaning: &str| FailureModeSpec { name, meaning: meaning.to_owned(), severity };
+    vec![
+        mode(GRASP_MISS, Severity::Major, "The gripper closed without the part."),
+        mode(GRIP_LOSS, Severity::Critical, "The part was lost between grasp and release."),
+        mode(COLLISION, Severity::Critical, "A link or finger of the robot touched something other than the part."),
+        mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the task was done."),
+    ]
+}
+
+fn measures() -> Vec<MeasureSpec> {
+    let measure = |name, unit: &str, better, meaning: &str| MeasureSpec {
+        name,
+        unit: unit.to_owned(),
+        meaning: meaning.to_owned(),
+        better,
+    };
+    vec![
+        measure(PEAK_CONTACT_FORCE, "N", Better::Lower, "Largest normal force between the robot and anything."),
+        measure(SLIP, "m", Better::Lower, "Largest displacement of the part in the hand since it was held."),
+        measure(MIN_CLEARANCE, "m", Better::Higher, "Smallest distance between the robot and anything but the part."),
+        measure(TARGET_DISTANCE, "m", Better::Lower, "Horizontal distance of the part from its target."),
+    ]
+}
+
+/// What a policy may know about one episode: what an engineer of the cell would know beforehand.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Briefing {
+    /// The object's shape.
+    pub shape: String,
+    /// The object's bounding box in its own frame (x, y, z), in metres.
+    pub object_extent_m: [f64; 3],
+    /// Nominal pose of the centre of the object's bounding box, in the base frame.
+    pub object_pose: Pose,
+    /// Where the bounding box's centre has to come to rest, in the base frame.
+    pub target_pose: Pose,
+    /// Success means at rest within this horizontal distance of the target, in metres.
+    pub tolerance_m: f64,
+    /// How fast the tool may come down to the object, in m/s; `None` leaves it to the policy.
+    pub approach_speed_m_s: Option<f64>,
+}
+
+impl Briefing {
+    /// The briefing as the details of an episode.
+    pub fn instance(&self) -> TaskInstance {
+        TaskInstance {
+            instruction: format!("pick up the {} and place it at the target", self.shape),
+            // Strings and finite numbers cannot fail to serialise.
+            details: serde_json::to_value(self).unwrap_or_default(),
+        }
+    }
+
+    /// The briefing in the details of an episode.
+    ///
+    /// # Errors
+    /// A setup fault where the details are not those of pick and place.
+    pub fn of(instance: &TaskInstance) -> Result<Self, Fault> {
+        Self::deserialize(&instance.details)
+            .map_err(|why| Fault::new(FaultKind::Setup, format!("the episode has no briefing of pick_place: {why}")))
+    }
+}
+
+/// An arm as an observation: the tool at `tool_pose`, everything as measured.
+pub(crate) fn observation(time_s: f64, arm: ArmState, tool_pose: Pose) -> Observation {
+    let mut vectors =
+        vec![(vectors::JOINT_POSITIONS, arm.joint_positions), (vectors::JOINT_VELOCITIES, arm.joint_velocities)];
+    vectors.extend(arm.opening_m.map(|opening| (vectors::GRIPPER_OPENING, vec![opening])));
+    vectors.push((vectors::TOOL_POSE, tool_pose.to_array().to_vec()));
+    Observation { time_s, vectors, images: Vec::new() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn briefing_survives_json_bit_for_bit() {
+        let briefing = Briefing {
+            shape: "box".to_owned(),
+            object_extent_m: [0.1 + 0.2, 1.0 / 3.0, -0.0],
+            object_pose: Pose::upright([0.5, -1e-17, 0.025], 0.7),
+            target_pose: Pose::IDENTITY,
+            tolerance_m: 0.03,
+            approach_speed_m_s: None,
+        };
+        let read = Briefing::of(&briefing.instance()).unwrap();
+        assert_eq!(format!("{read:?}"), format!("{briefing:?}"));
+    }
+}

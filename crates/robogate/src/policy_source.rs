@@ -1,0 +1,156 @@
+//! Policies on the command line and in the record of a run.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::{Context, anyhow, bail};
+use clap::Args;
+use robogate_core::{Fault, Policy};
+use robogate_policy::{ExternalPolicy, PolicyError, Profile};
+use robogate_tasks::Random;
+use serde::{Deserialize, Serialize};
+
+use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
+
+/// A policy other than the environment's scripted controller.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub(crate) enum PolicySource {
+    /// An external policy.
+    External(ExternalSource),
+    /// A built-in policy.
+    BuiltIn(BuiltInPolicy),
+}
+
+/// Built-in policies that drive any task.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum BuiltInPolicy {
+    /// Random actions: the baseline of a ranking.
+    Random,
+}
+
+/// A learned policy behind an inference server, or in a file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct ExternalSource {
+    /// Address of the server, or path of the file.
+    server: String,
+    /// Observation and action mapping of the policy.
+    profile: Arc<Profile>,
+    /// What the policy reported about itself on the first connection.
+    declared: serde_json::Value,
+}
+
+impl PolicySource {
+    /// Name in records.
+    pub(crate) fn name(&self) -> &str {
+        match self {
+            Self::External(served) => &served.profile.name,
+            Self::BuiltIn(BuiltInPolicy::Random) => "random",
+        }
+    }
+
+    /// Profile of an external policy.
+    pub(crate) fn profile(&self) -> Option<&Profile> {
+        match self {
+            Self::External(served) => Some(&served.profile),
+            Self::BuiltIn(_) => None,
+        }
+    }
+
+    /// The same policy, with a new description of itself.
+    pub(crate) fn asked_again(&self) -> Result<Self, Exit> {
+        match self {
+            Self::External(served) => {
+                ExternalSource::ask(&served.server, Arc::clone(&served.profile)).map(Self::External)
+            }
+            Self::BuiltIn(own) => Ok(Self::BuiltIn(*own)),
+        }
+    }
+
+    /// A policy for one worker.
+    pub(crate) fn policy(&self) -> Result<Box<dyn Policy>, Fault> {
+        Ok(match self {
+            Self::External(served) => Box::new(ExternalPolicy::connect(&served.server, Arc::clone(&served.profile))?),
+            Self::BuiltIn(BuiltInPolicy::Random) => Box::new(Random::new()),
+        })
+    }
+}
+
+impl ExternalSource {
+    /// Connect to a policy and record what it reports about itself.
+    fn ask(server: &str, profile: Arc<Profile>) -> Result<Self, Exit> {
+        // A run may be resumed and replayed from another folder.
+        let is_file = profile.dialect.is_file() && !server.contains("://");
+        let full = if is_file { std::path::absolute(server).ok() } else { None };
+        let server = full.map_or_else(|| server.to_owned(), |path| path.display().to_string());
+        let policy = ExternalPolicy::connect(&server, Arc::clone(&profile)).map_err(policy_error)?;
+        Ok(Self { server, profile, declared: policy.declared().clone() })
+    }
+}
+
+/// The policy, on the command line.
+#[derive(Debug, Args)]
+pub(crate) struct PolicyArguments {
+    /// Choose the policy: scripted (the environment's own controller, the default), random (actions drawn within the
+    /// bounds of the task), the address of a policy server such as ws://127.0.0.1:8000, or an ONNX file
+    #[arg(long, value_name = "URL|FILE|random|scripted")]
+    policy: Option<String>,
+    /// Choose the observation and action mapping of that policy: a built-in profile (see `robogate policy profiles`), or
+    /// a TOML file
+    #[arg(long, value_name = "NAME|FILE", requires = "policy")]
+    profile: Option<String>,
+}
+
+impl PolicyArguments {
+    /// Connect to the policy of these arguments; `None` for the scripted controller.
+    pub(crate) fn source(&self) -> Result<Option<PolicySource>, Exit> {
+        match (self.policy.as_deref(), &self.profile) {
+            (None, _) | (Some("scripted"), None) => Ok(None),
+            (Some("random"), None) => Ok(Some(PolicySource::BuiltIn(BuiltInPolicy::Random))),
+            (Some(name @ ("random" | "scripted")), Some(_)) => {
+                Err(anyhow!("--profile cannot be used with --policy {name}\n  hint: leave out --profile")).or_usage()
+            }
+            (Some(server), Some(wanted)) => ExternalSource::ask(server, Arc::new(profile(wanted).or_usage()?))
+                .map(|served| Some(PolicySource::External(served))),
+            (Some(policy), None) => Err(without_profile(policy)).or_usage(),
+        }
+    }
+}
+
+/// The error for a policy without a profile.
+fn without_profile(policy: &str) -> anyhow::Error {
+    if policy.contains("://") || Path::new(policy).exists() {
+        anyhow!(
+            "--policy {policy}: --profile is missing. It describes the observations and actions of the model\n  hint: \
+             `robogate policy profiles` lists the built-in profiles"
+        )
+    } else {
+        anyhow!(
+            "--policy {policy}: not a policy. Expected the address of a server such as ws://127.0.0.1:8000, the path of \
+             an ONNX file, `random` or `scripted`"
+        )
+    }
+}
+
+/// A profile by its name or the path of its file.
+pub(crate) fn profile(wanted: &str) -> anyhow::Result<Profile> {
+    match Profile::built_in(wanted) {
+        Some(text) => Profile::from_toml(text).with_context(|| format!("profile {wanted}")),
+        None if !Path::new(wanted).exists() && !wanted.contains(['/', '.']) => {
+            let known = Profile::built_in_names().collect::<Vec<_>>().join(", ");
+            bail!("--profile {wanted}: unknown profile. Expected the path of a TOML file or one of: {known}")
+        }
+        None => {
+            let text = std::fs::read_to_string(wanted).with_context(|| format!("cannot read {wanted}"))?;
+            Profile::from_toml(&text).with_context(|| wanted.to_owned())
+        }
+    }
+}
+
+/// An error of a policy with its exit code: wrong settings are a usage error, all others infrastructure.
+pub(crate) fn policy_error(error: PolicyError) -> Exit {
+    let code = if error.is_usage_error() { USAGE } else { INFRASTRUCTURE };
+    Exit { code, error: error.into() }
+}

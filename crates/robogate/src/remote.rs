@@ -1,0 +1,232 @@
+//! Remote simulators: their addresses, what they run, and the built-in task in servers that only compute physics.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{anyhow, bail};
+use clap::Args;
+use robogate_core::{Action, Command, Fault, FaultKind, Image, Observation, Scenario, Start, Step, TaskSpec};
+use robogate_dictionary::provenance;
+use robogate_physics::{Chain, Engine, GripperCommand, Robot};
+use robogate_remote::message::{Hello, ObservationMessage, Period, ResetReply};
+use robogate_remote::{Host, Pool, PoolError, RemoteTask, Timeouts};
+use robogate_tasks::pick_place::CONTROL_PERIOD_S;
+use robogate_tasks::pick_place::remote::{
+    self as cell_remote, Cell, RemotePeriod, RemotePickPlace, RemoteReadback, RemoteSight,
+};
+use robogate_zmtp::Address;
+
+use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
+use crate::terminal::note;
+
+/// Remote simulators, on the command line.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct Simulators {
+    /// Run in these simulators instead of a built-in engine: addresses of bridge protocol servers, tcp://HOST:PORT,
+    /// separated by commas
+    #[arg(long = "simulator", value_name = "ADDRESSES", value_delimiter = ',')]
+    pub(crate) addresses: Vec<Address>,
+    /// Timeout for a step of such a simulator, in seconds (0.001 to 86400); a reset may take four times as long
+    #[arg(long = "simulator-timeout", value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
+    timeout_s: f64,
+}
+
+/// Parse a timeout.
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
+    if (1e-3..=86_400.0).contains(&seconds) { Ok(seconds) } else { Err("expected 0.001 to 86400 seconds".to_owned()) }
+}
+
+impl Simulators {
+    /// The timeouts of requests.
+    pub(crate) fn timeouts(&self) -> Timeouts {
+        Timeouts::from_step(Duration::from_secs_f64(self.timeout_s))
+    }
+
+    /// Connect to all simulators; `None` without `--simulator`.
+    pub(crate) fn connect(&self) -> Result<Option<Arc<Pool>>, Exit> {
+        if self.addresses.is_empty() {
+            return Ok(None);
+        }
+        let listener = Box::new(|failure: &str| note(format_args!("warning: {failure}")));
+        match Pool::connect(&self.addresses, self.timeouts(), listener) {
+            Ok(pool) => Ok(Some(Arc::new(pool))),
+            Err(why @ PoolError::Request { .. }) => Err(Exit { code: INFRASTRUCTURE, error: why.into() }),
+            Err(why) => Err(Exit { code: USAGE, error: why.into() }),
+        }
+    }
+}
+
+/// Check that a server has this robot.
+pub(crate) fn check_robot(hello: &Hello, robot: &Robot, sha256: &str) -> anyhow::Result<()> {
+    let name = robot.name();
+    let Some(theirs) = &hello.robot else {
+        bail!("the simulator declares no robot, but pick_place needs {name}");
+    };
+    match &theirs.sha256 {
+        Some(other) if other != sha256 => {
+            let (short, other) = (sha256.get(..12).unwrap_or(sha256), other.get(..12).unwrap_or(other));
+            bail!(
+                "the simulator has another robot: its {} has files with the hash {other}..., the {name} of --robot has \
+                 {short}...\n  hint: start the simulator with the robot folder that --robot names",
+                theirs.name
+            );
+        }
+        Some(_) => {}
+        None if theirs.name == name => note(format_args!(
+            "note: the simulator reports no hash of its robot's files; its {name} is assumed to equal --robot {name}"
+        )),
+        None => bail!("the simulator has the robot {}, but --robot is {name}", theirs.name),
+    }
+    check_joints(hello, robot).map_err(|why| anyhow!(why))
+}
+
+/// Check that a server's arm has the joints of this robot.
+fn check_joints(hello: &Hello, robot: &Robot) -> Result<(), String> {
+    let ours = &robot.settings.arm.joints;
+    match hello.task.action.joints() {
+        Some(joints) if joints == ours.as_slice() => Ok(()),
+        Some(joints) => Err(format!("its arm has the joints {}; --robot has {}", joints.join(", "), ours.join(", "))),
+        None => Err(format!("it takes no joint positions; expected the joints {}", ours.join(", "))),
+    }
+}
+
+/// The engine in the provenance. The solver is part of the name: two solvers are two simulators.
+pub(crate) fn engine(hello: &Hello) -> provenance::Engine {
+    let (name, version) = match &hello.engine.solver {
+        None => (hello.engine.name.clone(), hello.engine.version.clone()),
+        Some(solver) => {
+            let word = solver.split([' ', ',']).next().unwrap_or_default();
+            (format!("{}/{word}", hello.engine.name), format!("{}, {solver}", hello.engine.version))
+        }
+    };
+    provenance::Engine { name, version: Some(version), build_sha256: None }
+}
+
+/// The built-in task, for servers that compute its physics.
+pub(crate) struct CellTask(RemotePickPlace);
+
+impl CellTask {
+    pub(crate) fn new(robot: &Robot, chain: Chain, sha256: String, picture_px: usize) -> anyhow::Result<Self> {
+        let task = RemotePickPlace::new(robot.clone(), chain, Some(sha256), None).map_err(|why| anyhow!(why))?;
+        Ok(Self(task.with_picture_size(picture_px, picture_px)))
+    }
+}
+
+impl RemoteTask for CellTask {
+    type Cell = Cell;
+    type Readback = RemoteReadback;
+    type Sample = RemoteSight;
+
+    fn task(&self) -> &Arc<TaskSpec> {
+        self.0.task()
+    }
+
+    fn accepts(&self, hello: &Hello) -> Result<(), String> {
+        let period_s = hello.task.control_period_s;
+        if (period_s - CONTROL_PERIOD_S).abs() > 1e-9 {
+            return Err(format!("its control period is {period_s} s; the task requires {CONTROL_PERIOD_S} s"));
+        }
+        check_joints(hello, self.0.robot())
+    }
+
+    fn resolve(&mut self, scenario: &Scenario) -> Result<Cell, Fault> {
+        self.0.resolve(scenario)
+    }
+
+    fn start(
+        &mut self,
+        readback: RemoteReadback,
+        sample: &RemoteSight,
+        observation: &Observation,
+    ) -> Result<Start, Fault> {
+        self.0.start(readback, sample, observation)
+    }
+
+    fn command(&mut self, action: &Action) -> Result<Vec<f64>, Fault> {
+        self.0.command(action)
+    }
+
+    fn score(
+        &mut self,
+        samples: &[RemoteSight],
+        observation: &Observation,
+        clearance_m: Option<f64>,
+        state_hash: u64,
+    ) -> Result<Step, Fault> {
+        self.0.finish(samples, observation, clearance_m, state_hash)
+    }
+
+    fn render(&mut self) -> Result<Vec<Image>, Fault> {
+        self.0.render()
+    }
+}
+
+/// A built-in engine that sets up cells and reports physical states, of any type.
+pub(crate) trait PhysicsEngine {
+    fn reset(&mut self, scenario: &Scenario) -> Result<(RemoteReadback, RemoteSight, Observation), Fault>;
+    fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<RemotePeriod, Fault>;
+}
+
+impl<E: Engine> PhysicsEngine for cell_remote::PhysicsHost<E> {
+    fn reset(&mut self, scenario: &Scenario) -> Result<(RemoteReadback, RemoteSight, Observation), Fault> {
+        cell_remote::PhysicsHost::reset(self, scenario)
+    }
+
+    fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<RemotePeriod, Fault> {
+        cell_remote::PhysicsHost::step(self, joints, gripper)
+    }
+}
+
+/// A built-in engine as a server that only computes physics.
+pub(crate) struct PhysicsHost {
+    hello: Hello,
+    engine: Box<dyn PhysicsEngine>,
+}
+
+impl PhysicsHost {
+    pub(crate) fn new(hello: Hello, engine: Box<dyn PhysicsEngine>) -> Self {
+        Self { hello, engine }
+    }
+}
+
+impl Host for PhysicsHost {
+    type Readback = RemoteReadback;
+    type Sample = RemoteSight;
+
+    fn hello(&self) -> &Hello {
+        &self.hello
+    }
+
+    fn reset(&mut self, scenario: &Scenario) -> Result<ResetReply<RemoteReadback, RemoteSight>, Fault> {
+        let (readback, sample, observation) = self.engine.reset(scenario)?;
+        Ok(ResetReply {
+            observation: ObservationMessage::from(&observation),
+            instance: None,
+            applied: None,
+            readback: Some(readback),
+            sample: Some(sample),
+        })
+    }
+
+    fn step(&mut self, action: &Action) -> Result<Period<RemoteSight>, Fault> {
+        let Command::JointPosition(joints) = &action.command else {
+            return Err(Fault::new(FaultKind::BadAction, "expected joint positions"));
+        };
+        let RemotePeriod { observation, state_hash, sights, clearance_m } =
+            self.engine.step(joints, GripperCommand::of(action))?;
+        Ok(Period {
+            observation: ObservationMessage::from(&observation),
+            state_hash,
+            measures: None,
+            ending: None,
+            events: None,
+            samples: Some(sights),
+            clearance_m,
+        })
+    }
+
+    fn render(&mut self) -> Result<Vec<Image>, Fault> {
+        Err(Fault::new(FaultKind::Setup, "this simulator has no cameras"))
+    }
+}

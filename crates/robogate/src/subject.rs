@@ -1,0 +1,521 @@
+//! What is judged: an environment, and the policy in it.
+
+use std::num::NonZeroUsize;
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::{Context, anyhow, bail};
+use clap::Args;
+use robogate_campaign::{Worker, WorkerFactory};
+use robogate_core::{Assignment, Environment, Fault, FaultKind, ParameterSpace, Policy, Suite, TaskSpec};
+use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance};
+use robogate_physics::{RobotFile, SuctionLaw, is_folder};
+use robogate_remote::message::{self, Hello};
+use robogate_remote::{Pool, RemoteEnvironment};
+use robogate_tasks::SelfContained;
+use robogate_tasks::pick_place::{built_in_space, built_in_spaces};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use crate::cell::{self, Cell, CellSettings};
+use crate::exit::{Exit, OrExit};
+use crate::policy_source::PolicySource;
+use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
+use crate::remote::{self, Simulators};
+use crate::renderer::RendererName;
+use crate::terminal::foreign;
+
+/// The environment, on the command line.
+#[derive(Debug, Args)]
+pub(crate) struct EnvironmentArguments {
+    /// Choose the built-in task: pick_place or pendulum
+    #[arg(long, value_name = "TASK", default_value = CELL_TASK, conflicts_with = "addresses")]
+    task: String,
+    /// Choose the robot of pick_place: a built-in one (see `robogate robots`), or the folder of your own
+    #[arg(long, value_name = "ROBOT", default_value = "franka")]
+    robot: String,
+    /// Choose the physics engine of pick_place: mujoco or rapier
+    #[arg(long, value_name = "ENGINE", default_value = ENGINES[0].name, conflicts_with = "addresses")]
+    engine: String,
+    /// Set the engine's time step, in seconds; default: the engine's own
+    #[arg(long, value_name = "SECONDS", conflicts_with = "addresses")]
+    time_step: Option<f64>,
+    /// Set the normal force of each gripper pad, in newtons; default: the robot's own
+    #[arg(long, value_name = "NEWTONS")]
+    grip_force: Option<f64>,
+    /// Choose how a suction cup holds an object: surface (a joint that never breaks, as in the paper) or vacuum (limited
+    /// by pressure and friction); default: surface with the paper preset, vacuum otherwise
+    #[arg(long, value_name = "LAW")]
+    suction: Option<SuctionLaw>,
+    /// Choose the renderer of the camera images: the embedded ray caster, or MuJoCo's renderer through EGL
+    /// (docs/cameras.md)
+    #[arg(long, value_name = "RENDERER", default_value = "embedded")]
+    renderer: RendererName,
+    #[command(flatten)]
+    pub(crate) simulators: Simulators,
+}
+
+impl EnvironmentArguments {
+    /// The environment that they name; a suction cup holds by `suction` where they do not say.
+    pub(crate) fn environment(&self, suction: SuctionLaw) -> Result<EnvironmentSource, Exit> {
+        let pool = self.simulators.connect()?;
+        if let Some(pool) = pool.as_ref().filter(|pool| pool.hello().scores_itself) {
+            return Ok(EnvironmentSource::Remote(RemoteSource { pool: Arc::clone(pool), robot: self.robot.clone() }));
+        }
+        if pool.is_none() && self.task != CELL_TASK {
+            return registry::task(&self.task).map(EnvironmentSource::SelfContained).or_usage();
+        }
+        Cell::new(self.settings(), suction, pool).map(|cell| EnvironmentSource::Cell(Box::new(cell))).or_usage()
+    }
+
+    /// The cell that they name: for verbs about pick_place alone.
+    pub(crate) fn cell(&self) -> Result<Cell, Exit> {
+        match self.environment(SuctionLaw::Vacuum)? {
+            EnvironmentSource::Cell(cell) => Ok(*cell),
+            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
+                Err(anyhow!("this command works with the built-in cell only\n  hint: leave out --task and --simulator"))
+                    .or_usage()
+            }
+        }
+    }
+
+    fn settings(&self) -> CellSettings {
+        let engine = ENGINES.iter().find(|engine| engine.name == self.engine);
+        CellSettings {
+            robot: absolute(&self.robot),
+            engine: self.engine.clone(),
+            time_step_s: self.time_step.unwrap_or(engine.map_or(0.0, |engine: &EngineEntry| engine.time_step_s)),
+            grip_force_n: self.grip_force,
+            suction: self.suction,
+            renderer: self.renderer.drawn(),
+            simulator: None,
+        }
+    }
+}
+
+/// A robot's folder by its full path, so that a run can be resumed from anywhere; a name as it is.
+fn absolute(robot: &str) -> String {
+    let path = Path::new(robot);
+    let full = if is_folder(robot) { path.canonicalize().ok() } else { None };
+    full.map_or_else(|| robot.to_owned(), |path| path.to_string_lossy().into_owned())
+}
+
+/// Where environments come from.
+pub(crate) enum EnvironmentSource {
+    /// The built-in cell.
+    Cell(Box<Cell>),
+    /// A built-in task that brings its own world.
+    SelfContained(&'static dyn SelfContained),
+    /// Servers with a task of their own.
+    Remote(RemoteSource),
+}
+
+/// Servers with a task of their own.
+pub(crate) struct RemoteSource {
+    pool: Arc<Pool>,
+    /// The robot of the scripted controller, where the task is that of the built-in cell.
+    robot: String,
+}
+
+/// What a run records of its environment, beside task, engine and robot.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+enum Recorded {
+    /// A built-in task that brings its own world.
+    SelfContained(RecordedTask),
+    /// Servers with a task of their own.
+    Remote(RecordedServers),
+    /// The built-in cell.
+    Cell(CellSettings),
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RecordedTask {
+    task: String,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RecordedServers {
+    simulator: ScoresItself,
+    #[serde(default = "franka")]
+    robot: String,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum ScoresItself {
+    #[serde(alias = "judging")]
+    ScoresItself,
+}
+
+fn franka() -> String {
+    "franka".to_owned()
+}
+
+/// What is judged.
+pub(crate) struct Subject {
+    environment: EnvironmentSource,
+    /// Absent: the environment's scripted controller.
+    policy: Option<PolicySource>,
+    task: Arc<TaskSpec>,
+}
+
+impl Subject {
+    /// This policy in this environment; without one, the environment's scripted controller. Rejects a policy that cannot
+    /// drive the task.
+    pub(crate) fn new(environment: EnvironmentSource, policy: Option<PolicySource>) -> Result<Self, Exit> {
+        let environment = match (environment, policy.as_ref().and_then(|policy| policy.profile()?.rendered_px)) {
+            (EnvironmentSource::Cell(cell), Some(px)) => EnvironmentSource::Cell(Box::new(cell.with_pictures_of(px))),
+            (environment, _) => environment,
+        };
+        let task = environment.task().or_broken()?;
+        let subject = Self { environment, policy, task };
+        let ready = match &subject.policy {
+            Some(source) => source.policy().map_err(anyhow::Error::from).or_broken()?,
+            None => subject.environment.controller().or_usage()?,
+        };
+        ready
+            .check(&subject.task)
+            .map_err(|why| anyhow!("the policy {} cannot drive this environment: {why}", subject.policy_name()))
+            .or_usage()?;
+        Ok(subject)
+    }
+
+    /// The subject of a recorded run. A remote environment needs the address of its servers; a policy server is asked
+    /// again who it is.
+    pub(crate) fn recorded(provenance: &Provenance, simulators: &Simulators) -> Result<Self, Exit> {
+        let mut world = provenance.world.clone();
+        let policy = world.as_object_mut().and_then(|world| world.remove("policy"));
+        let policy: Option<PolicySource> = policy
+            .map(serde_json::from_value)
+            .transpose()
+            .context("plan.json: provenance.world.policy cannot be read")
+            .or_usage()?;
+        let recorded: Recorded =
+            serde_json::from_value(world).context("plan.json: provenance.world cannot be read").or_usage()?;
+        let pool = simulators.connect()?;
+        let engine = &provenance.engine;
+        let remote = match &recorded {
+            Recorded::SelfContained(_) => false,
+            Recorded::Remote(_) => true,
+            Recorded::Cell(settings) => settings.simulator.is_some(),
+        };
+        match &pool {
+            None if remote => {
+                Err(anyhow!("the run was made in the remote simulator {}\n  hint: --simulator ADDRESS", engine.name))
+            }
+            Some(_) if !remote => {
+                Err(anyhow!("the run was made in the built-in engine {}, without --simulator", engine.name))
+            }
+            Some(pool) if remote::engine(pool.hello()) != *engine => {
+                let (now, version) = (remote::engine(pool.hello()), engine.version.as_deref().unwrap_or_default());
+                let other = now.version.as_deref().unwrap_or_default();
+                Err(anyhow!("the run was made in {} {version}; this simulator is {} {other}", engine.name, now.name))
+            }
+            _ => Ok(()),
+        }
+        .or_usage()?;
+        let environment = match (recorded, pool) {
+            (Recorded::SelfContained(RecordedTask { task }), _) => {
+                EnvironmentSource::SelfContained(registry::task(&task).or_usage()?)
+            }
+            (Recorded::Remote(RecordedServers { robot, .. }), Some(pool)) => {
+                EnvironmentSource::Remote(RemoteSource { pool, robot })
+            }
+            (Recorded::Cell(settings), pool) => {
+                // Runs of robots with a cup all record its law.
+                EnvironmentSource::Cell(Box::new(Cell::new(settings, SuctionLaw::Vacuum, pool).or_usage()?))
+            }
+            (Recorded::Remote(_), None) => return Err(anyhow!("--simulator ADDRESS is missing")).or_usage(),
+        };
+        let policy = policy.as_ref().map(PolicySource::asked_again).transpose()?;
+        Self::new(environment, policy)
+    }
+
+    /// The same subject, its camera images of this many pixels in width and height, where the cell renders them.
+    pub(crate) fn with_pictures_of(mut self, picture_px: usize) -> Self {
+        if let EnvironmentSource::Cell(cell) = self.environment {
+            self.environment = EnvironmentSource::Cell(Box::new(cell.with_pictures_of(picture_px)));
+        }
+        self
+    }
+
+    /// The task.
+    pub(crate) fn task(&self) -> &Arc<TaskSpec> {
+        &self.task
+    }
+
+    /// The cell, where the environment is the built-in one.
+    pub(crate) fn cell(&self) -> Option<&Cell> {
+        match &self.environment {
+            EnvironmentSource::Cell(cell) => Some(cell),
+            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => None,
+        }
+    }
+
+    /// A short name for folders: the robot, or the task.
+    pub(crate) fn label(&self) -> String {
+        match &self.environment {
+            EnvironmentSource::Cell(cell) => {
+                let name = Path::new(&cell.settings().robot).file_name();
+                name.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+            }
+            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => self.task.name.as_str().to_owned(),
+        }
+    }
+
+    /// The policy's name in records.
+    pub(crate) fn policy_name(&self) -> &str {
+        self.policy.as_ref().map_or("scripted", PolicySource::name)
+    }
+
+    /// Where the policy comes from, where it is not the environment's own controller.
+    pub(crate) fn policy_source(&self) -> Option<&PolicySource> {
+        self.policy.as_ref()
+    }
+
+    /// How many episodes the policy can drive at once, where that is limited.
+    pub(crate) fn at_most(&self) -> Option<NonZeroUsize> {
+        self.policy.as_ref()?.profile()?.dialect.one_at_a_time().then_some(NonZeroUsize::MIN)
+    }
+
+    /// How many servers the environment runs in, if it does: as many episodes run at once.
+    pub(crate) fn servers(&self) -> Option<NonZeroUsize> {
+        match &self.environment {
+            EnvironmentSource::Cell(cell) => cell.servers(),
+            EnvironmentSource::SelfContained(_) => None,
+            EnvironmentSource::Remote(source) => NonZeroUsize::new(source.pool.len()),
+        }
+    }
+
+    /// A parameter space by its name or file; without either, that of the environment.
+    pub(crate) fn space(&self, wanted: Option<&str>) -> anyhow::Result<ParameterSpace> {
+        self.environment.space(wanted)
+    }
+
+    /// Rejects a suite with a parameter that the environment does not have.
+    pub(crate) fn check_suite(&self, suite: &Suite) -> anyhow::Result<()> {
+        match &self.environment {
+            EnvironmentSource::Cell(cell) => cell.check_suite(suite),
+            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
+                check_declared(&self.task, suite.space()).with_context(|| format!("suite {}", suite.name()))
+            }
+        }
+    }
+
+    /// Everything that the results of a run depend on, beside its plan.
+    pub(crate) fn provenance(&self, space: ParameterSpace) -> Result<Provenance, Exit> {
+        let (engine, robot) = self.environment.provenance().or_broken()?;
+        let mut world = serde_json::to_value(self.environment.recorded()).or_broken()?;
+        if let (Value::Object(world), Some(policy)) = (&mut world, &self.policy) {
+            world.insert("policy".to_owned(), json!(policy));
+        }
+        Ok(Provenance {
+            tool: Tool::robogate(),
+            schema_version: SCHEMA_VERSION,
+            engine,
+            task: Arc::clone(&self.task),
+            robot,
+            policy: self.policy_name().to_owned(),
+            world,
+            space,
+            plan: Value::Null,
+            seed: 0,
+            platform: Some(Platform::here()),
+            source: None,
+        })
+    }
+
+    fn policy(&self) -> Result<Box<dyn Policy>, Fault> {
+        let broken = |why: anyhow::Error| Fault::new(FaultKind::Unavailable, format!("{why:#}"));
+        match &self.policy {
+            Some(source) => source.policy(),
+            None => self.environment.controller().map_err(broken),
+        }
+    }
+}
+
+/// Rejects a space with a parameter that the task does not declare, or with values that it does not accept.
+fn check_declared(task: &TaskSpec, space: &ParameterSpace) -> anyhow::Result<()> {
+    for parameter in space.parameters() {
+        let Some(spec) = task.parameter(&parameter.name) else {
+            let known: Vec<&str> = task.parameters.iter().map(|spec| &*spec.name).collect();
+            bail!(
+                "the task {} has no parameter `{}`. Expected one of: {}",
+                task.name,
+                parameter.name,
+                known.join(", ")
+            );
+        };
+        parameter.domain.extremes().iter().try_for_each(|value| spec.accepts(value)).map_err(|why| anyhow!(why))?;
+    }
+    Ok(())
+}
+
+impl EnvironmentSource {
+    /// The task.
+    pub(crate) fn task(&self) -> anyhow::Result<Arc<TaskSpec>> {
+        Ok(match self {
+            Self::Cell(cell) => Arc::clone(cell.environment()?.task()),
+            Self::SelfContained(task) => task.task(),
+            Self::Remote(source) => Arc::new(source.pool.hello().task.clone()),
+        })
+    }
+
+    /// An environment.
+    pub(crate) fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
+        Ok(match self {
+            Self::Cell(cell) => cell.environment()?,
+            Self::SelfContained(task) => task.environment()?,
+            Self::Remote(source) => Box::new(RemoteEnvironment::new(Arc::clone(&source.pool))?),
+        })
+    }
+
+    /// What a server of this environment reports about itself.
+    pub(crate) fn hello(&self) -> anyhow::Result<Hello> {
+        match self {
+            Self::Cell(cell) => cell.hello(),
+            Self::SelfContained(task) => {
+                let engine = cell::engine(task.engine())?;
+                let version = engine.version.unwrap_or_default();
+                let engine = message::Engine { name: engine.name, version, solver: None };
+                let program =
+                    message::Program { name: "robogate".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() };
+                let space = Some(ParameterSpace::from_toml(task.space())?);
+                Ok(Hello { space, ..Hello::new((*task.task()).clone(), program, engine) })
+            }
+            Self::Remote(_) => bail!("--simulator names a simulator that is served already"),
+        }
+    }
+
+    /// A parameter space by its name or file; without either, that of the environment.
+    pub(crate) fn space(&self, wanted: Option<&str>) -> anyhow::Result<ParameterSpace> {
+        let space = match (wanted, self) {
+            (Some(wanted), _) => named_space(wanted)?,
+            (None, Self::Cell(cell)) => named_space(cell.default_space())?,
+            (None, Self::SelfContained(task)) => ParameterSpace::from_toml(task.space())?,
+            (None, Self::Remote(source)) => {
+                let hello = source.pool.hello();
+                match &hello.space {
+                    Some(space) => space.clone(),
+                    None => hello.task.declared_space().with_context(|| {
+                        format!(
+                            "the task {} declares no parameter with a range\n  hint: name a space with --space",
+                            hello.task.name
+                        )
+                    })?,
+                }
+            }
+        };
+        match self {
+            Self::Cell(cell) => cell.check_space(&space)?,
+            Self::SelfContained(_) | Self::Remote(_) => {
+                check_declared(&*self.task()?, &space).with_context(|| format!("space {}", space.name()))?;
+            }
+        }
+        Ok(space)
+    }
+
+    /// The scripted controller, where there is one.
+    fn controller(&self) -> anyhow::Result<Box<dyn Policy>> {
+        match self {
+            Self::Cell(cell) => cell.controller(),
+            Self::SelfContained(task) => Ok(task.controller()),
+            // A server may hold the built-in cell: its scripted controller is here.
+            Self::Remote(source) if source.pool.hello().task.name == CELL_TASK => {
+                let settings = CellSettings {
+                    robot: absolute(&source.robot),
+                    engine: ENGINES[0].name.to_owned(),
+                    time_step_s: ENGINES[0].time_step_s,
+                    grip_force_n: None,
+                    suction: None,
+                    renderer: None,
+                    simulator: None,
+                };
+                let cell = Cell::new(settings, SuctionLaw::Vacuum, None)?;
+                let hello = source.pool.hello();
+                remote::check_robot(hello, cell.robot(), &cell.robot_sha256()?)?;
+                cell.controller()
+            }
+            Self::Remote(source) => bail!(
+                "the task {} has no scripted controller here\n  hint: name a policy with --policy",
+                source.pool.hello().task.name
+            ),
+        }
+    }
+
+    fn recorded(&self) -> Recorded {
+        match self {
+            Self::Cell(cell) => Recorded::Cell(cell.settings().clone()),
+            Self::SelfContained(task) => Recorded::SelfContained(RecordedTask { task: task.name().to_owned() }),
+            Self::Remote(source) => {
+                Recorded::Remote(RecordedServers { simulator: ScoresItself::ScoresItself, robot: source.robot.clone() })
+            }
+        }
+    }
+
+    fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
+        let robot = |name: String, sha256| provenance::Robot { name, sha256, dimensions: None };
+        Ok(match self {
+            Self::Cell(cell) => cell.provenance()?,
+            Self::SelfContained(task) => (cell::engine(task.engine())?, robot(task.name().to_owned(), None)),
+            Self::Remote(source) => {
+                let hello = source.pool.hello();
+                let known = hello.robot.clone();
+                let unnamed = || (hello.task.name.to_string(), None);
+                let (name, sha256) = known.map_or_else(unnamed, |robot| (robot.name, robot.sha256));
+                (remote::engine(hello), robot(name, sha256))
+            }
+        })
+    }
+}
+
+/// A parameter space by its name or file.
+pub(crate) fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
+    let own = registry::TASKS.iter().find(|task| task.name() == wanted).map(|task| task.space());
+    match built_in_space(wanted).or(own) {
+        Some(text) => ParameterSpace::from_toml(text).with_context(|| wanted.to_owned()),
+        None if !Path::new(wanted).exists() && !wanted.contains(['/', '.']) => {
+            let known = built_in_spaces().collect::<Vec<_>>().join(", ");
+            bail!("--space {wanted}: unknown parameter space. Expected a file, or one of: {known}")
+        }
+        None => std::fs::read_to_string(wanted)
+            .with_context(|| format!("cannot read {wanted}"))
+            .and_then(|text| ParameterSpace::from_toml(&text).with_context(|| wanted.to_owned())),
+    }
+}
+
+/// Parameters given as NAME=VALUE.
+pub(crate) fn assignment(pairs: &[String]) -> anyhow::Result<Assignment> {
+    let mut assignment = Assignment::default();
+    for pair in pairs {
+        let Some((name, value)) = pair.split_once('=') else {
+            bail!("--set {}: expected NAME=VALUE", foreign(pair));
+        };
+        let value = match (value.parse::<i64>(), value.parse::<f64>()) {
+            (Ok(integer), _) => robogate_core::Value::Integer(integer),
+            (_, Ok(number)) => robogate_core::Value::Number(number),
+            _ => robogate_core::Value::Category(value.into()),
+        };
+        assignment.set(name, value);
+    }
+    Ok(assignment)
+}
+
+/// The files of the robot of a recorded run, where they are still those that it ran with.
+pub(crate) fn recorded_robot(provenance: &Provenance) -> Option<Vec<RobotFile>> {
+    let mut world = provenance.world.clone();
+    world.as_object_mut()?.remove("policy");
+    let settings: CellSettings = serde_json::from_value(world).ok()?;
+    cell::robot_files(&settings.robot, provenance.robot.sha256.as_ref())
+}
+
+impl WorkerFactory for Subject {
+    fn worker(&self) -> Result<Worker, Fault> {
+        let environment =
+            self.environment.environment().map_err(|why| Fault::new(FaultKind::Unavailable, format!("{why:#}")))?;
+        Ok(Worker { environment, policy: self.policy()? })
+    }
+}

@@ -1,0 +1,124 @@
+//! Tasks other than pick and place: one that is built in, and one that a server in another language declares.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use tempfile::TempDir;
+
+/// Runs the command in `dir`, and asserts its exit code and what it says. Returns its standard output.
+fn robogate(dir: &Path, arguments: &str, code: i32, parts: &[&str]) -> String {
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_robogate")).args(arguments.split(' ')).current_dir(dir).output().unwrap();
+    let stdout = String::from_utf8(output.stdout).unwrap();
+    let text = format!("{stdout}{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(output.status.code(), Some(code), "{arguments}: {text}");
+    for part in parts {
+        assert!(text.contains(part), "{arguments} does not say {part:?}: {text}");
+    }
+    stdout
+}
+
+/// All verbs on the same run: their documents name the modes and measures of its task and no others.
+#[test]
+fn pendulum_passes_through_every_verb() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let verb = |arguments: &str, code: i32, parts: &[&str]| robogate(at, arguments, code, parts);
+    verb("list", 0, &["pick_place", "pendulum"]);
+    verb("run --task pendulum -n 150 --seed 3 --threads 2 --out a", 0, &["pendulum in mujoco", "fell", "overspeed"]);
+    verb("run --task pendulum -n 150 --seed 3 --threads 1 --out b", 0, &[]);
+    let rows = |name: &str| fs::read(at.join(name).join("dictionary.parquet")).unwrap();
+    assert!(rows("a") == rows("b"), "another number of threads gives other rows");
+    verb("resume a", 2, &["finished"]);
+    verb("replay a 7", 0, &["identical to the recorded episode", "peak_speed_rad_s"]);
+    verb("analyze a", 0, &["pendulum", "torque limit"]);
+    verb("report a --out page.html", 0, &[]);
+    let page = fs::read_to_string(at.join("page.html")).unwrap();
+    assert!(page.contains("overspeed") && !page.contains("grasp"));
+    verb("run --task pendulum --policy random -n 150 --seed 3 --out random", 0, &["random policy"]);
+    verb("compare a random", 0, &["random"]);
+    verb("export a rows.csv", 0, &[]);
+    assert!(fs::read_to_string(at.join("rows.csv")).unwrap().lines().next().unwrap().contains("upright_error_rad"));
+
+    verb("gate --task pendulum --out gate", 1, &["FAIL", "success rate at least 92.0 %", "overspeed"]);
+    verb("gate --run a --requirements paper", 2, &["pick_place", "pendulum"]);
+    verb("evidence gate evidence", 0, &[]);
+    verb("verify evidence", 1, &["FAIL"]);
+    verb("gate --task pendulum --policy random --out other", 1, &["FAIL"]);
+    verb("leaderboard gate other", 0, &["gate", "other"]);
+    verb("baseline gate --out baseline.json", 0, &["overspeed"]);
+    verb("gate --run gate --baseline baseline.json", 1, &[]);
+    verb("monitor reference a --out reference.json", 0, &["risk model"]);
+}
+
+#[test]
+fn an_interrupted_pendulum_campaign_is_resumed_to_the_same_rows() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    robogate(at, "run --task pendulum -n 300 --seed 9 --out whole", 0, &[]);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args("run --task pendulum -n 300 --seed 9 --out cut".split(' '))
+        .current_dir(at)
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    assert!(lines.any(|line| line.unwrap().starts_with("uniform")), "no progress was reported");
+    child.kill().unwrap();
+    child.wait().unwrap();
+    robogate(at, "resume cut", 0, &[]);
+    let rows = |name: &str| fs::read(at.join(name).join("dictionary.parquet")).unwrap();
+    assert!(rows("whole") == rows("cut"));
+}
+
+struct Server(Child);
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        drop(self.0.kill());
+        drop(self.0.wait());
+    }
+}
+
+/// `examples/task_server.py` declares a task that no crate knows; the command judges it without a file of settings.
+#[test]
+fn a_declared_task_is_judged_by_its_address() {
+    let Some(python) = robogate_testing::path("ROBOGATE_BRIDGE_PYTHON", "a Python with pyzmq and msgpack") else {
+        return;
+    };
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let script = fs::read_to_string(root.join("examples/task_server.py")).unwrap();
+    // A mode that the task does not declare, and any free port.
+    let script = script
+        .replace("tcp://127.0.0.1:5570\")", "tcp://127.0.0.1:*\")")
+        .replace("failure = \"overspeed\" if", "failure = \"jammed\" if self.mass > 1.5 else \"overspeed\" if");
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    fs::write(at.join("server.py"), script).unwrap();
+    let mut child = Command::new(python)
+        .arg(at.join("server.py"))
+        .env("PYTHONPATH", root.join("bridges/common"))
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let _server = Server(child);
+    let address =
+        line.split(['"', ' ', '\n']).find(|part| part.starts_with("tcp://")).unwrap_or_else(|| panic!("{line}"));
+
+    robogate(at, &format!("bridge check {address}"), 0, &["pass"]);
+    let run = format!("run --simulator {address} --policy random -n 40 --seed 4 --out run");
+    robogate(at, &run, 0, &["swing_up", "jammed"]);
+    robogate(at, "analyze run", 0, &["jammed"]);
+    let csv = robogate(at, "export run -", 0, &[]);
+    let jammed = csv.lines().filter(|row| row.contains(",jammed,")).count();
+    assert!(jammed > 0, "{csv}");
+    robogate(at, &format!("replay run 3 --simulator {address}"), 0, &["identical to the recorded episode"]);
+    robogate(at, &format!("gate --simulator {address} --policy random --out gate"), 1, &["FAIL", "overspeed"]);
+    robogate(at, "verify gate", 2, &[]);
+    robogate(at, &format!("run --simulator {address} -n 10"), 2, &["no scripted controller", "--policy"]);
+}
