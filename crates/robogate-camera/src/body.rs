@@ -1,7 +1,7 @@
-//! Solids at their places, and where rays meet them.
+//! Solids and their intersections with rays.
 //!
-//! Rays come eight at a time from one eye: eight lanes of plain arithmetic that the compiler turns into vector
-//! instructions. Directions have length 1 along the line of sight, so a ray's parameter is the depth.
+//! Rays are processed eight at a time from one eye point: eight lanes of plain arithmetic that the compiler vectorises.
+//! Directions have length 1 along the line of sight, so a ray's parameter is the depth.
 
 use std::sync::Arc;
 
@@ -10,14 +10,14 @@ use nalgebra::{Isometry3, Vector3};
 use crate::finish::Finish;
 use crate::mesh::Mesh;
 
-/// Rays in a packet.
+/// Number of rays in a packet.
 pub(crate) const LANES: usize = 8;
 /// One number for each ray of a packet.
 pub(crate) type Lanes = [f32; LANES];
 
-/// Nothing nearer than this is seen, in metres.
+/// Nearest visible depth, in metres.
 pub(crate) const NEAREST: f32 = 0.01;
-/// The depth of a ray that meets nothing.
+/// The depth of a ray that hits nothing.
 pub(crate) const NOWHERE: f32 = 1e9;
 
 /// A solid, centred at its own origin, axes along z; in metres.
@@ -31,7 +31,7 @@ pub(crate) enum Form {
 }
 
 impl Form {
-    /// A capsule about its z or longest axis that holds the solid: the axis, half its length, and the radius.
+    /// A capsule around the solid, about its z axis or its longest axis: the axis, half its length, and the radius.
     pub(crate) fn hull(&self) -> (usize, f32, f32) {
         let of_box = |half: [f32; 3]| {
             let longest = (0..3).fold(0, |best, i| if half[i] > half[best] { i } else { best });
@@ -49,7 +49,7 @@ impl Form {
     }
 }
 
-/// A solid at its place in the base frame.
+/// A solid with its pose in the base frame.
 #[derive(Debug, Clone)]
 pub(crate) struct Body<'a> {
     pub(crate) form: &'a Form,
@@ -59,7 +59,7 @@ pub(crate) struct Body<'a> {
     pub(crate) axes: [Vector3<f32>; 3],
 }
 
-/// Eight rays from one eye.
+/// Eight rays from one eye point.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rays {
     pub(crate) x: Lanes,
@@ -73,13 +73,13 @@ impl Rays {
     }
 }
 
-/// What eight rays have met first so far.
+/// The nearest hits of eight rays so far.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Hits {
     pub(crate) depth: Lanes,
-    /// The body, by its place in the list.
+    /// Index of the body.
     pub(crate) body: [u32; LANES],
-    /// The triangle, of a mesh.
+    /// Index of the triangle of a mesh.
     pub(crate) triangle: [u32; LANES],
 }
 
@@ -94,14 +94,14 @@ impl<'a> Body<'a> {
         Self { form, finish, centre: pose.translation.vector.map(|x| x as f32), axes }
     }
 
-    /// The ends of the axis of the capsule that holds it, and its radius.
+    /// Ends of the axis of its capsule, and the radius.
     pub(crate) fn hull(&self) -> (Vector3<f32>, Vector3<f32>, f32) {
         let (axis, half, radius) = self.form.hull();
         let along = self.axes[axis] * half;
         (self.centre - along, self.centre + along, radius)
     }
 
-    /// Lets the rays from `eye` meet the body and notes where they do so before anything else.
+    /// Intersects the rays from `eye` with the body and keeps the hits that are nearer than those so far.
     pub(crate) fn meet(&self, index: u32, eye: &Vector3<f32>, rays: &Rays, hits: &mut Hits) {
         let o = self.local(eye);
         let local = |axis: usize| -> Lanes {
@@ -135,20 +135,20 @@ impl<'a> Body<'a> {
         }
     }
 
-    /// A point of the base frame in the body's own.
+    /// A point of the base frame in the body's frame.
     pub(crate) fn local(&self, point: &Vector3<f32>) -> Vector3<f32> {
         self.along_axes(&(point - self.centre))
     }
 
-    /// The outward normal in the base frame at a point of the surface, given in the body's own. Edges are
-    /// shaded as if they were rounded.
+    /// Outward normal in the base frame at a point of the surface, given in the body's frame. Edges are shaded as if they
+    /// were rounded.
     pub(crate) fn normal(&self, p: &Vector3<f32>, triangle: u32) -> Vector3<f32> {
         let local = match self.form {
             Form::Box { half } => {
                 let least = half[0].min(half[1]).min(half[2]);
                 let edge = (0.15 * least).min(0.003);
                 let beyond = [0, 1, 2].map(|i: usize| (p[i].abs() - (half[i] - edge)).max(0.0) * p[i].signum());
-                // Away from the edges one face is all there is: most of a picture.
+                // Away from the edges only one face counts: this is most of a picture.
                 let faces = beyond.iter().filter(|x| x.abs() > 0.0).count();
                 if let (1, Some(i)) = (faces, beyond.iter().position(|x| x.abs() > 0.0)) {
                     return self.axes[i] * beyond[i].signum();
@@ -173,14 +173,14 @@ impl<'a> Body<'a> {
         (x * local.x + y * local.y + z * local.z) * (1.0 / square.sqrt())
     }
 
-    /// A direction of the base frame in the body's own.
+    /// A direction of the base frame in the body's frame.
     pub(crate) fn along_axes(&self, way: &Vector3<f32>) -> Vector3<f32> {
         let [x, y, z] = &self.axes;
         Vector3::new(x.dot(way), y.dot(way), z.dot(way))
     }
 }
 
-/// Away from zero, so that it can be divided by.
+/// Moves a number away from zero, so that it can be a divisor.
 fn divisor(x: f32) -> f32 {
     if x.abs() < 1e-9 { 1e-9 } else { x }
 }
@@ -225,13 +225,13 @@ fn meet_capsule(radius: f32, half: f32, o: &Vector3<f32>, [dx, dy, dz]: [&Lanes;
     let mut depth = [NOWHERE; LANES];
     let c = o.x * o.x + o.y * o.y - radius * radius;
     for k in 0..LANES {
-        // The side: an endless cylinder.
+        // The side: an infinite cylinder.
         let a = greater(dx[k] * dx[k] + dy[k] * dy[k], 1e-12);
         let b = o.x * dx[k] + o.y * dy[k];
         let under = b * b - a * c;
         let side = (-b - greater(under, 0.0).sqrt()) / a;
         let z = o.z + side * dz[k];
-        // Where that is beyond an end, the end's ball.
+        // Beyond an end: the ball at that end.
         let end = if z > 0.0 { half } else { -half };
         let oz = o.z - end;
         let aa = dx[k] * dx[k] + dy[k] * dy[k] + dz[k] * dz[k];

@@ -1,4 +1,4 @@
-//! From bodies and light to pixels.
+//! The ray caster: from bodies and light to pixels.
 
 use nalgebra::Vector3;
 
@@ -8,10 +8,10 @@ use crate::pinhole::Pinhole;
 use crate::shadow::Shadows;
 use crate::tiles::{TILE, Tiles, View};
 
-/// Neighbouring pixels that differ by more than this (of 255) are looked at again.
+/// Neighbouring pixels that differ by more than this (of 255) are sampled again.
 const CONTRAST: u8 = 20;
 
-/// Where the samples of such a pixel lie, in pixels from its middle: no two in a row or column.
+/// Positions of the samples of such a pixel, in pixels from its centre: no two in a row or column.
 const SAMPLES: [[f32; 2]; 4] = [[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]];
 
 /// The room around the table.
@@ -24,16 +24,16 @@ pub(crate) struct Room {
 }
 
 impl Room {
-    /// Light from floor and walls on the way from `eye`, as exposed: far enough for nothing on the table to touch them.
-    pub(crate) fn seen(&self, light: &Light, eye: &Vector3<f32>, way: &Vector3<f32>) -> Vector3<f32> {
+    /// Exposed light from floor and walls along a ray from `eye`. Nothing on the table reaches them.
+    pub(crate) fn seen(&self, light: &Light, eye: &Vector3<f32>, direction: &Vector3<f32>) -> Vector3<f32> {
         /// From the base to the walls, in metres.
         const WALL: f32 = 2.2;
-        let flat = (way.x * way.x + way.y * way.y).sqrt().max(1e-6);
+        let flat = (direction.x * direction.x + direction.y * direction.y).sqrt().max(1e-6);
         let start = (eye.x * eye.x + eye.y * eye.y).sqrt();
         let to_wall = (WALL + start) / flat;
-        let height = eye.z + to_wall * way.z;
+        let height = eye.z + to_wall * direction.z;
         let lit = light.full();
-        // The wall is lit from above; the floor lies in the table's and its own shade.
+        // The wall is lit from above; the floor is in shade.
         let wall = self.wall * (lit * (0.74 + 0.16 * (height / 1.5).clamp(-0.6, 1.0)));
         if height >= self.floor {
             return wall;
@@ -44,15 +44,15 @@ impl Room {
     }
 }
 
-/// All that a picture is made of.
+/// Everything that a picture shows.
 pub(crate) struct Picture<'a> {
     pub(crate) bodies: &'a [Body<'a>],
     pub(crate) shadows: &'a Shadows<'a>,
     pub(crate) light: &'a Light,
     pub(crate) room: &'a Room,
-    /// For each body, whether it is one of the object's.
+    /// For each body, whether it belongs to the object.
     pub(crate) object: &'a [bool],
-    /// Whether every ray tries every body.
+    /// Whether every ray tests every body.
     pub(crate) exhaustive: bool,
 }
 
@@ -71,7 +71,7 @@ impl View {
         }
     }
 
-    /// Rays through these places of the picture, in pixels.
+    /// Rays through these places in the picture (pixels).
     fn rays(&self, places: &[[f32; 2]; LANES]) -> Rays {
         let mut rays = Rays { x: [0.0; LANES], y: [0.0; LANES], z: [0.0; LANES] };
         for (k, [u, v]) in places.iter().enumerate() {
@@ -105,7 +105,7 @@ impl Picture<'_> {
         rgb
     }
 
-    /// Looks again, four times as closely, where neighbours differ.
+    /// Samples pixels that differ from their neighbours again, four times each.
     fn smooth_edges(&self, view: &View, tiles: &Tiles, rgb: &mut [u8]) {
         let (width, height) = (view.width, view.height);
         let pixel = |rgb: &[u8], i: usize| [rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]];
@@ -148,7 +148,7 @@ impl Picture<'_> {
         }
     }
 
-    /// What each pixel's ray meets first: depth along the line of sight, and the body's place in the list.
+    /// Nearest hit of each pixel's ray: depth along the line of sight, and index of the body.
     #[cfg(test)]
     pub(crate) fn hits(&self, camera: &Pinhole) -> Vec<(f32, u32)> {
         let view = View::new(camera);
@@ -165,7 +165,7 @@ impl Picture<'_> {
         found
     }
 
-    /// What eight rays of a tile meet first, the object left out or not.
+    /// Nearest hits of eight rays of a tile, without the object if `through`.
     fn trace(&self, view: &View, tiles: &Tiles, bits: &[u64], rays: &Rays, through: bool) -> Hits {
         let mut hits = Hits::NONE;
         for (word, bits) in bits.iter().enumerate() {
@@ -173,7 +173,7 @@ impl Picture<'_> {
             while bits != 0 {
                 let (body, near) = tiles.order[word * 64 + bits.trailing_zeros() as usize];
                 bits &= bits - 1;
-                // Bodies come by the depth at which they begin: from here on all are hidden.
+                // Bodies are sorted by their smallest depth: all further ones are hidden.
                 if !self.exhaustive && hits.depth.iter().all(|depth| *depth <= near) {
                     return hits;
                 }
@@ -198,7 +198,7 @@ impl Picture<'_> {
                 if share > 0.0 {
                     let body = &self.bodies[hits.body[lane] as usize];
                     let way = rays.direction(lane);
-                    // Seen at a slant, glass shows less of what is behind it and more of what is before it.
+                    // At a grazing angle, glass transmits less and reflects more.
                     let point = view.eye + way * hits.depth[lane];
                     let normal = body.normal(&body.local(&point), hits.triangle[lane]);
                     let slant = 1.0 - (normal.dot(&way) / way.norm()).abs();
@@ -211,14 +211,14 @@ impl Picture<'_> {
         colors
     }
 
-    /// Light from where each ray ends, as exposed.
+    /// Exposed light from the end of each ray.
     fn shade(&self, view: &View, rays: &Rays, hits: &Hits) -> [Vector3<f32>; LANES] {
         let light = self.light;
         let mut inverse = [0.0; LANES];
         for (k, inverse) in inverse.iter_mut().enumerate() {
             *inverse = 1.0 / (rays.x[k] * rays.x[k] + rays.y[k] * rays.y[k] + rays.z[k] * rays.z[k]).sqrt();
         }
-        // What differs from surface to surface, ray by ray.
+        // Per ray: what depends on the surface.
         let (mut nx, mut ny, mut nz) = ([0.0; LANES], [0.0; LANES], [1.0; LANES]);
         let (mut facing, mut gloss, mut seen) = ([1.0; LANES], [0.0; LANES], [0.0; LANES]);
         let mut albedo = [Vector3::zeros(); LANES];
@@ -230,10 +230,10 @@ impl Picture<'_> {
             let mut normal = body.normal(&local, hits.triangle[k]);
             let mut away = normal.dot(&way) * inverse[k];
             if away > 0.0 {
-                // A mesh may be open, or wound the other way round.
+                // A mesh may be open or have inward normals.
                 (normal, away) = (-normal, -away);
             }
-            // What a pixel covers of the surface: more at a slant, of which half is taken.
+            // Size of a pixel on the surface, with half of its growth at grazing angles.
             let footprint = hits.depth[k] / view.focal * (0.5 + 0.5 / (-away).max(0.15));
             (albedo[k], gloss[k]) = body.finish.at(&local, footprint);
             if normal.dot(&light.towards) > 0.0 {
@@ -241,7 +241,7 @@ impl Picture<'_> {
             }
             (nx[k], ny[k], nz[k], facing[k]) = (normal.x, normal.y, normal.z, -away);
         }
-        // What is the same for all, eight at a time.
+        // For all eight rays at once: the lighting model.
         let [lx, ly, lz]: [f32; 3] = light.towards.into();
         let (mut diffuse, mut mirrored) = ([0.0; LANES], [0.0; LANES]);
         for k in 0..LANES {
@@ -256,7 +256,7 @@ impl Picture<'_> {
             let fourth = square * square;
             let eighth = fourth * fourth;
             let sixteenth = eighth * eighth;
-            // Schlick's approximation (1994) of what a dielectric mirrors.
+            // Schlick's approximation (1994) of the reflectance of a dielectric.
             let slant = (1.0 - facing[k]).max(0.0);
             let mirrors = 0.04 + 0.96 * slant * slant * slant * slant * slant;
             let up = 2.0 * facing[k] * nz[k] - ez;

@@ -1,10 +1,10 @@
-//! What the cell's cameras show: an analytic ray caster on the CPU.
+//! Pictures of a robot cell: an analytic ray caster on the CPU.
 //!
-//! [`Cameras`] hold a robot's looks and, after [`Cameras::set_up`], a scene's. The front camera stands beyond the table and
-//! looks back at the workspace ([`FRONT_CAMERA`]); the wrist camera sits on the hand and looks at the
-//! fingertips. Where the robot's links are follows from its joints and the neutral description of its model, so that pictures
-//! are the same whatever engine moves the bodies. The same world gives the same bytes: no GPU, no threads, and
-//! nothing that depends on what was drawn before.
+//! [`Cameras`] hold the appearance of a robot and, after [`Cameras::set_up`], of a scene. The front camera is mounted beyond
+//! the table and looks back at the workspace ([`FRONT_CAMERA`]). The wrist camera is mounted on the hand and looks at the
+//! fingertips. Poses of the robot's links follow from its joints and the description of its model, so pictures do not
+//! depend on the engine. Equal scenes give equal bytes: the caster uses no GPU and no threads, and keeps no state between
+//! pictures.
 //!
 //! Units: metres, radians, lux. Pictures are sRGB, 8 bits a channel.
 
@@ -43,25 +43,25 @@ use crate::stage::Stage;
 /// The cameras' names, in the order of the pictures.
 pub const CAMERAS: [&str; 2] = ["front", "wrist"];
 
-/// Pixels along each side of a picture, where nothing else is said.
+/// Default width and height of a picture, in pixels.
 pub const SIZE_PX: usize = 256;
 
-/// Takes a cell's pictures in place of the embedded caster, from what an engine holds.
+/// A renderer that replaces the embedded caster and draws the state of an engine.
 pub trait Renderer<E> {
-    /// Width and height of its pictures from now on, in pixels.
+    /// Sets width and height of its pictures, in pixels.
     fn resize(&mut self, width: usize, height: usize);
 
-    /// Puts a scene before the cameras, and says how it looks: what of the visual parameters is applied.
+    /// Sets a scene up and returns its appearance as applied.
     fn set_up(&mut self, engine: &E, scene: &Scene) -> Visual;
 
-    /// Takes the scene away.
+    /// Removes the scene.
     fn clear(&mut self);
 
-    /// What the cameras show of the engine's world, in the order of [`CAMERAS`].
+    /// Renders the engine's state, one picture for each of [`CAMERAS`].
     fn render(&mut self, engine: &E) -> Result<Vec<Image>, Fault>;
 }
 
-/// The cell's cameras.
+/// The cameras of a cell.
 #[derive(Debug)]
 pub struct Cameras {
     robot: RobotLooks,
@@ -71,23 +71,24 @@ pub struct Cameras {
     scene: Option<Stage>,
 }
 
-/// Where everything that moves is.
+/// Positions of everything that moves.
 #[derive(Debug, Clone)]
 pub struct Posture {
     /// True positions of the arm's joints, base to tip, in radians.
     pub joints: Vec<f64>,
     /// Opening between the pads, in metres; `None` for a gripper without fingers.
     pub opening_m: Option<f64>,
-    /// The object's pose.
+    /// Pose of the object.
     pub object: Isometry3<f64>,
-    /// Poses of the scene's fixtures, in its order.
+    /// Poses of the fixtures, in the order of the scene.
     pub fixtures: Vec<Isometry3<f64>>,
 }
 
 impl Cameras {
-    /// The cameras around this robot, their pictures [`SIZE_PX`] wide and high.
+    /// The cameras of a cell with this robot. Pictures are [`SIZE_PX`] wide and high.
     ///
-    /// Fails where its model cannot be read without MuJoCo: a URDF, or MJCF with parts that the neutral reader does not know.
+    /// # Errors
+    /// If the robot's model cannot be read without MuJoCo: a URDF, or MJCF with elements that the reader does not know.
     pub fn new(robot: &Robot) -> Result<Self, String> {
         let looks = RobotLooks::new(robot)?;
         let waiting = Posture {
@@ -107,8 +108,8 @@ impl Cameras {
         self
     }
 
-    /// The same cameras without what spares them work: every ray tries every solid, and every point every shadow. Pictures
-    /// are the same to the bit; tests and benchmarks hold the others against them.
+    /// The same cameras without acceleration structures: every ray tests every solid, and every point every shadow. The
+    /// pictures are the same to the bit; tests and benchmarks compare with them.
     #[must_use]
     pub fn exhaustive(mut self) -> Self {
         self.exhaustive = true;
@@ -126,33 +127,33 @@ impl Cameras {
         (width, height)
     }
 
-    /// Puts what a scene holds before the cameras.
+    /// Sets a scene up.
     pub fn set_up(&mut self, scene: &Scene) {
         self.scene = Some(Stage::new(scene, front_pose()));
     }
 
-    /// Takes the scene away.
+    /// Removes the scene.
     pub fn clear(&mut self) {
         self.scene = None;
     }
 
-    /// How many fixtures the scene has; `None` before [`Self::set_up`].
+    /// Number of fixtures of the scene; `None` before [`Self::set_up`].
     pub fn fixtures(&self) -> Option<usize> {
         self.scene.as_ref().map(|scene| scene.fixtures)
     }
 
-    /// How the scene looks, read from lamp, surfaces and cameras as they are; `None` before [`Self::set_up`].
+    /// Appearance of the scene, read from lamp, surfaces and camera poses; `None` before [`Self::set_up`].
     pub fn visual(&self) -> Option<Visual> {
         self.scene.as_ref()?.visual(&front_pose())
     }
 
-    /// The cameras as they stand in this posture: front and wrist.
+    /// The cameras in this posture, in the order of [`CAMERAS`].
     pub fn pinholes(&self, posture: &Posture) -> [Pinhole; 2] {
         let front = self.scene.as_ref().map_or_else(front_pose, |scene| scene.front);
         self.mounts.pinholes(&front, &self.robot.tool(posture), self.size)
     }
 
-    /// What the cameras show of this posture, in the order of [`CAMERAS`]; nothing before [`Self::set_up`].
+    /// Renders this posture, one picture for each of [`CAMERAS`]; none before [`Self::set_up`].
     pub fn render(&self, posture: &Posture) -> Vec<Image> {
         let Some(scene) = &self.scene else { return Vec::new() };
         scene.with_bodies(&self.robot, posture, self.exhaustive, |picture| {
@@ -166,7 +167,7 @@ impl Cameras {
         })
     }
 
-    /// What one camera of one's own shows of this posture; `None` before [`Self::set_up`].
+    /// Renders this posture from another camera; `None` before [`Self::set_up`].
     pub fn view(&self, camera: &Pinhole, posture: &Posture) -> Option<Image> {
         let scene = self.scene.as_ref()?;
         let (width, height) = (camera.width, camera.height);

@@ -5,45 +5,45 @@ use std::sync::OnceLock;
 use nalgebra::Vector3;
 use robogate_physics::Color;
 
-/// Share of the table's illuminance that comes from the lamp itself; the rest comes from all around.
+/// Fraction of the table's illuminance that comes from the lamp; the rest is ambient light.
 const KEY_SHARE: f32 = 0.62;
 
-/// The sine of half the angle under which the lamp is seen: a panel of 40 cm in 2.5 m.
+/// Sine of half the angular size of the lamp: a panel of 40 cm at 2.5 m.
 pub(crate) const LAMP_SPREAD: f32 = 0.08;
 
-/// At this illuminance a surface that reflects a third of the light is exposed to the curve's middle, in lux.
+/// At this illuminance in lux, a surface with [`MIDDLE_ALBEDO`] is exposed to the middle of the curve.
 const MIDDLE_LUX: f32 = 500.0;
 pub(crate) const MIDDLE_ALBEDO: f32 = 0.34;
 
-/// The light in the cell: a lamp far off and light from all around.
+/// The light in the cell: a distant lamp and ambient light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Light {
     /// Illuminance on the table, in lux.
     pub(crate) lux: f64,
-    /// Towards the lamp.
+    /// Direction towards the lamp.
     pub(crate) towards: Vector3<f32>,
-    /// Of a surface that faces the lamp, as exposed.
+    /// Exposed light on a surface that faces the lamp.
     pub(crate) key: f32,
-    /// Of an upward surface by the light from all around, as exposed.
+    /// Exposed ambient light on an upward surface.
     pub(crate) around: f32,
 }
 
 impl Light {
     pub(crate) fn new(lux: f64) -> Self {
-        // From above, from the camera's side and from its left: shadows fall to the right, where they can be seen.
+        // From above, from the camera's side and from its left: shadows fall to the right, where they are visible.
         let towards = Vector3::new(0.38_f32, -0.46, 0.8).normalize();
         let exposed = lux as f32 / (MIDDLE_LUX * MIDDLE_ALBEDO);
         let key = exposed * KEY_SHARE / towards.z;
         Self { lux, towards, key, around: exposed * (1.0 - KEY_SHARE) }
     }
 
-    /// Of an upward surface in full light, as exposed.
+    /// Exposed light on an upward surface in full light.
     pub(crate) fn full(&self) -> f32 {
         self.key * self.towards.z + self.around
     }
 }
 
-/// A colour's reflectances.
+/// Reflectances of a colour.
 pub(crate) fn linear(color: Color) -> Vector3<f32> {
     let channel = |c: u8| {
         let c = f64::from(c) / 255.0;
@@ -52,7 +52,7 @@ pub(crate) fn linear(color: Color) -> Vector3<f32> {
     Vector3::from(color.0.map(channel))
 }
 
-/// The colour of these reflectances.
+/// Colour of these reflectances.
 pub(crate) fn color(linear: &Vector3<f32>) -> Color {
     Color([linear.x, linear.y, linear.z].map(|x| (255.0 * encode(f64::from(x))).round() as u8))
 }
@@ -62,14 +62,12 @@ fn encode(x: f64) -> f64 {
     if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
 }
 
-/// The curve is kept for exposures from 2^-12 to 2^12, in so many steps to a doubling.
+/// The curve is tabulated for exposures from 2^-12 to 2^12, with 2^[`STEP_BITS`] steps to a doubling.
 const OCTAVES: u32 = 24;
 const STEP_BITS: u32 = 7;
 
-/// What the camera's sensor makes of light: x / (1 + x), a little steeper in its middle, which no light clips, and sRGB
-/// on top. 1 is the middle of the curve.
-///
-/// The form is that of Naka and Rushton (1966) for photoreceptors: x^n / (x^n + 1), here with n = 1.15.
+/// The response of the camera's sensor in sRGB: x^n / (x^n + 1) with n = 1.15, the form of Naka and Rushton (1966) for
+/// photoreceptors. No light saturates it. 1 is the middle of the curve.
 pub(crate) fn exposed(radiance: &Vector3<f32>) -> [u8; 3] {
     static CURVE: OnceLock<Vec<u8>> = OnceLock::new();
     let lowest = (127 - OCTAVES / 2) << STEP_BITS;
@@ -80,7 +78,7 @@ pub(crate) fn exposed(radiance: &Vector3<f32>) -> [u8; 3] {
         };
         (0..OCTAVES << STEP_BITS).map(value).collect()
     });
-    // A number's exponent and first binary digits say in which step it lies.
+    // Exponent and leading mantissa bits of a number give its step.
     let channel = |x: f32| {
         let step = (x.max(0.0).to_bits() >> (23 - STEP_BITS)).saturating_sub(lowest);
         curve[(step as usize).min(curve.len() - 1)]
@@ -92,14 +90,14 @@ pub(crate) fn exposed(radiance: &Vector3<f32>) -> [u8; 3] {
 mod tests {
     use super::*;
 
-    /// A flat unshadowed surface of this colour on the table.
+    /// Pixel of a flat surface of this colour on the table without shadow.
     fn seen(color: [u8; 3], lux: f64) -> [u8; 3] {
         let light = Light::new(lux);
         exposed(&(linear(Color(color)) * light.full()))
     }
 
     #[test]
-    fn two_thousand_lux_do_not_clip_and_fifty_are_dark() {
+    fn the_exposure_covers_usual_light() {
         let [white, grey] = [[240; 3], [225; 3]];
         assert!(seen(white, 2000.0)[0] < 250 && seen(white, 2000.0)[0] > seen(grey, 2000.0)[0]);
         assert!(seen([128; 3], 50.0)[0] < 60, "{:?}", seen([128; 3], 50.0));
@@ -118,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_come_back_from_their_reflectances() {
+    fn colours_can_be_read_back() {
         for value in 0..=255 {
             assert_eq!(color(&linear(Color([value; 3]))), Color([value; 3]));
         }

@@ -1,4 +1,4 @@
-//! What a robot looks like, and where its links are.
+//! Appearance of a robot, and poses of its links.
 
 use std::sync::Arc;
 
@@ -12,22 +12,22 @@ use crate::finish::{Finish, Pattern};
 use crate::mesh::Mesh;
 use crate::outfits::{self, Outfit};
 
-/// Geometry groups up to this one are drawn, as MuJoCo's viewer does; collision shapes that stand in for something finer
-/// are in others.
+/// Geometry groups up to this one are drawn, as in MuJoCo's viewer. Collision shapes that simplify a visual shape are in
+/// higher groups.
 pub(crate) const SHOWN_GROUPS: i32 = 2;
 
-/// A robot before the cameras.
+/// A robot as the cameras hold it.
 #[derive(Debug)]
 pub(crate) struct RobotLooks {
     pub(crate) pieces: Vec<Piece>,
-    /// Whether the pieces are RoboGate's and not the model's own geometry.
+    /// Whether the pieces are RoboGate's own and not the model's geometry.
     #[cfg(feature = "egl")]
     pub(crate) dressed: bool,
-    /// The model's bodies by name, each with the link that it is part of and its pose there.
+    /// The model's bodies: name, index of the link that holds the body, and pose in that link.
     #[cfg(feature = "egl")]
     pub(crate) bodies: Vec<(String, usize, Isometry3<f64>)>,
     links: Vec<Option<Hinge>>,
-    /// The link with the tool centre point, and its pose there.
+    /// The link with the tool centre point, and its pose in that link.
     tool: (usize, Isometry3<f64>),
 }
 
@@ -41,7 +41,7 @@ pub(crate) struct Piece {
     pub(crate) place: Isometry3<f64>,
 }
 
-/// How a link moves against its parent.
+/// How a link moves relative to its parent.
 #[derive(Debug)]
 struct Hinge {
     parent: usize,
@@ -51,16 +51,16 @@ struct Hinge {
     drive: Drive,
 }
 
-/// What says where a joint is.
+/// Source of a joint's position.
 #[derive(Debug, Clone, Copy)]
 enum Drive {
-    /// A joint of the arm, by its number.
+    /// A joint of the arm, by its index.
     Arm(usize),
-    /// A finger's distance from the closed position.
+    /// Distance of a finger from the closed position.
     Finger,
-    /// `factor x` another link's joint `+ offset`.
+    /// `factor` times the joint of another link plus `offset`.
     Follows { link: usize, factor: f64, offset: f64 },
-    /// Nothing: it stays at 0.
+    /// None: it stays at 0.
     Nothing,
 }
 
@@ -68,7 +68,7 @@ impl RobotLooks {
     pub(crate) fn new(robot: &Robot) -> Result<Self, String> {
         let description = Description::read(robot).map_err(|error| match error {
             RobotError::Invalid { problems, .. } => {
-                problems.first().map_or_else(|| "its model is not understood".to_owned(), |first| first.what.clone())
+                problems.first().map_or_else(|| "its model cannot be read".to_owned(), |first| first.what.clone())
             }
             other => other.to_string(),
         })?;
@@ -95,7 +95,7 @@ impl RobotLooks {
             None => drawn.into_iter().filter_map(|(link, look)| Piece::new(link, look)).collect(),
         };
         if pieces.is_empty() {
-            return Err("its model has nothing that can be seen".to_owned());
+            return Err("its model has no visible shape".to_owned());
         }
         pieces.push(outfits::pedestal());
         Ok(Self {
@@ -109,7 +109,7 @@ impl RobotLooks {
         })
     }
 
-    /// The links' poses.
+    /// Poses of the links.
     pub(crate) fn links(&self, posture: &Posture) -> Vec<Isometry3<f64>> {
         let mut poses: Vec<Isometry3<f64>> = Vec::with_capacity(self.links.len());
         for hinge in &self.links {
@@ -121,7 +121,7 @@ impl RobotLooks {
                     let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), q);
                     Isometry3::from_parts(Translation3::identity(), turn)
                 };
-                // Parents come before their children.
+                // Parents precede their children.
                 poses.get(hinge.parent).copied().unwrap_or_default() * hinge.in_parent * motion * hinge.from_joint
             });
             poses.push(pose);
@@ -129,7 +129,7 @@ impl RobotLooks {
         poses
     }
 
-    /// The tool centre point's pose.
+    /// Pose of the tool centre point.
     pub(crate) fn tool(&self, posture: &Posture) -> Isometry3<f64> {
         self.links(posture).get(self.tool.0).copied().unwrap_or_default() * self.tool.1
     }
@@ -150,7 +150,7 @@ impl RobotLooks {
     }
 }
 
-/// What drives the joint of that name.
+/// The source of the position of the joint of that name.
 fn drive(joint: &str, robot: &Robot, description: &Description) -> Drive {
     let settings = &robot.settings;
     if let Some(i) = settings.arm.joints.iter().position(|name| name == joint) {
@@ -169,7 +169,7 @@ fn drive(joint: &str, robot: &Robot, description: &Description) -> Drive {
 }
 
 impl Piece {
-    /// A look of the model as it is; `None` for a mesh without triangles.
+    /// A visual shape of the model; `None` for a mesh without triangles and for an invisible shape.
     pub(crate) fn new(link: usize, look: &LinkLook) -> Option<Self> {
         let mut place = look.pose;
         let form = match &look.solid {
@@ -188,7 +188,7 @@ impl Piece {
                 Form::Mesh(Arc::new(mesh))
             }
         };
-        // Where the model says nothing: light grey, as MuJoCo has it.
+        // MuJoCo's default is a light grey.
         let [red, green, blue, opacity] = look.rgba.unwrap_or([0.5, 0.5, 0.5, 1.0]);
         if opacity <= 0.0 {
             return None;

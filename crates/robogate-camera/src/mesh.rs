@@ -1,11 +1,11 @@
-//! Triangles in a tree of boxes.
+//! Triangle meshes with a bounding volume hierarchy.
 
 use nalgebra::Vector3;
 
-/// A box of the tree holds no more triangles than this before it is parted.
+/// Largest number of triangles in a leaf.
 const LEAF: usize = 4;
 
-/// A triangle mesh about the middle of its bounding box.
+/// A triangle mesh about the centre of its bounding box.
 #[derive(Debug)]
 pub(crate) struct Mesh {
     /// A corner and the two edges from it, in metres.
@@ -14,19 +14,19 @@ pub(crate) struct Mesh {
     half: [f32; 3],
 }
 
-/// A box of the tree.
+/// A node of the tree: a box.
 #[derive(Debug)]
 struct Node {
     low: Vector3<f32>,
     high: Vector3<f32>,
-    /// Of a leaf its first triangle; otherwise the second of its two children. The first comes right after it.
+    /// In a leaf the index of its first triangle; otherwise that of its second child. The first child follows the node.
     next: u32,
-    /// How many triangles a leaf holds; none otherwise.
+    /// Number of triangles in a leaf; 0 otherwise.
     count: u32,
 }
 
 impl Mesh {
-    /// The mesh of these triangles, and the middle of its bounding box (m). `None` without triangles that have an area.
+    /// The mesh of these triangles, and the centre of its bounding box (m). `None` without a triangle of positive area.
     pub(crate) fn new(triangles: &[[Vector3<f64>; 3]]) -> Option<(Self, Vector3<f64>)> {
         let corners = || triangles.iter().flatten();
         let first = corners().next()?;
@@ -55,7 +55,7 @@ impl Mesh {
         self.triangles.get(triangle as usize).map_or_else(Vector3::z, |[_, along, across]| along.cross(across))
     }
 
-    /// Where a ray first meets the mesh, in multiples of its direction, from `from` to `to`; and the triangle.
+    /// First hit of a ray with the mesh, in multiples of its direction between `from` and `to`, and the triangle.
     pub(crate) fn first(&self, eye: &Vector3<f32>, way: &Vector3<f32>, from: f32, to: f32) -> Option<(f32, u32)> {
         let inverse = way.map(|x| 1.0 / if x.abs() < 1e-9 { 1e-9 } else { x });
         let mut found = None;
@@ -92,7 +92,7 @@ impl Mesh {
     }
 }
 
-/// Möller and Trumbore (1997).
+/// Ray-triangle intersection (Möller and Trumbore 1997).
 fn meet([corner, along, across]: &[Vector3<f32>; 3], eye: &Vector3<f32>, way: &Vector3<f32>) -> Option<f32> {
     let p = way.cross(across);
     let determinant = along.dot(&p);
@@ -106,7 +106,7 @@ fn meet([corner, along, across]: &[Vector3<f32>; 3], eye: &Vector3<f32>, way: &V
     (u >= 0.0 && v >= 0.0 && u + v <= 1.0).then(|| across.dot(&q) / determinant)
 }
 
-/// Puts these triangles, of which the first has the number `first`, under one new node.
+/// Adds a node for these triangles, whose first has the index `first`.
 fn part(triangles: &mut [[Vector3<f32>; 3]], first: usize, nodes: &mut Vec<Node>) {
     let corners = || triangles.iter().flatten();
     let low = corners().fold(triangles[0][0], |low, p| low.inf(p));
@@ -117,7 +117,7 @@ fn part(triangles: &mut [[Vector3<f32>; 3]], first: usize, nodes: &mut Vec<Node>
         return;
     }
     nodes.push(Node { low, high, next: 0, count: 0 });
-    // Halves by number, so that the tree is as deep as it must be whatever the triangles are.
+    // Halves of equal number bound the depth of the tree for all meshes.
     let axis = (high - low).imax();
     let middle = triangles.len() / 2;
     let place = |t: &[Vector3<f32>; 3]| t[0][axis] + t[1][axis] + t[2][axis];

@@ -1,33 +1,34 @@
-//! Where the two cameras sit, whoever takes their pictures.
+//! Mounts of the two cameras, for all renderers.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use robogate_physics::{Gripper, WORKSPACE_CENTRE};
 
 use crate::Pinhole;
 
-/// Nominal pose of the front camera: it stands beyond the table and looks back at the workspace. Its position and the
-/// point that it looks at, in metres in the base frame.
+/// Nominal pose of the front camera, beyond the table and looking back at the workspace: its position and the point that
+/// it looks at, in metres in the base frame.
 pub const FRONT_CAMERA: ([f64; 3], [f64; 3]) = ([1.25, 0.0, 0.55], [0.5, 0.0, 0.05]);
 
 /// Fields of view of the front and the wrist camera, in radians.
 const FIELD_OF_VIEW_RAD: [f64; 2] = [70.0 * RADIANS, 75.0 * RADIANS];
 const RADIANS: f64 = std::f64::consts::PI / 180.0;
 
-/// The cameras' mounts: the front one stands in the room, the wrist one is held by the hand.
+/// The cameras' mounts: the front camera is fixed in the room, the wrist camera moves with the hand.
 #[derive(Debug)]
 pub(crate) struct Mounts {
-    /// The wrist camera in the frame of the tool centre point, as it is meant to be.
+    /// Nominal pose of the wrist camera in the frame of the tool centre point.
     wrist: Isometry3<f64>,
 }
 
 impl Mounts {
-    /// Those of this gripper; `waiting` is the tool centre point's pose while the arm waits.
+    /// The mounts for this gripper. `waiting` is the pose of the tool centre point while the arm waits.
     pub(crate) fn new(gripper: &Gripper, waiting: &Isometry3<f64>) -> Self {
         let behind = match gripper {
             Gripper::ParallelJaw(jaw) => jaw.palm_m + 0.035,
             Gripper::Suction(_) => 0.09,
         };
-        // Beside the hand, across the tool's y axis, along which the fingers close; the hand is below in the picture.
+        // Mounted next to the hand, across the tool's y axis, along which the fingers close. The hand is in the lower part
+        // of the picture.
         let mounted = |side: f64| {
             let from = Point3::new(side * 0.1, 0.0, -behind);
             Pinhole::looking(from, Point3::new(0.0, 0.0, 0.02), &(Vector3::x() * side))
@@ -40,8 +41,8 @@ impl Mounts {
         Self { wrist: mounted(side) }
     }
 
-    /// The cameras, front and wrist: the front one stands at `front`, and the wrist one is turned off its place as
-    /// the front one is off its own; `tool` is the tool centre point's pose.
+    /// The front camera at `front`, and the wrist camera for the tool pose `tool`, with the same roll and pitch from its
+    /// nominal pose as the front camera.
     pub(crate) fn pinholes(
         &self,
         front: &Isometry3<f64>,
@@ -55,7 +56,7 @@ impl Mounts {
     }
 }
 
-/// The front camera's pose as it is meant to be.
+/// Nominal pose of the front camera.
 pub(crate) fn front_pose() -> Isometry3<f64> {
     let (from, at) = FRONT_CAMERA;
     Pinhole::looking(Point3::from(from), Point3::from(at), &Vector3::z())

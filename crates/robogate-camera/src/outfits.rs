@@ -1,7 +1,7 @@
-//! What the built-in robots look like beyond their collision shapes.
+//! Appearance of the built-in robots beyond their collision shapes.
 //!
-//! They are kept here and not in the robots' files: looks are no part of what a robot is, and its hash is taken over
-//! its files. Shapes stay within a few millimetres of what physics touches.
+//! It is defined here and not in the robots' files, because a robot's hash is computed over its files and must not depend
+//! on appearance. Shapes deviate from the collision shapes by a few millimetres at most.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use robogate_physics::description::{Description, LinkLook, Solid};
@@ -10,11 +10,11 @@ use crate::body::Form;
 use crate::finish::{Finish, Pattern};
 use crate::looks::Piece;
 
-/// How a built-in robot is dressed.
+/// Appearance of a built-in robot.
 pub(crate) enum Outfit {
-    /// In parts of its own, in place of its model's shapes.
+    /// Parts that replace its model's shapes.
     Whole(&'static [Part]),
-    /// In its model's shapes, with housings where it has joints.
+    /// Its model's shapes, with housings at the joints.
     Housings,
 }
 
@@ -28,7 +28,7 @@ pub(crate) struct Part {
 enum Shape {
     Capsule([f64; 3], [f64; 3], f64),
     Cylinder([f64; 3], [f64; 3], f64),
-    /// Middle and half extents.
+    /// Centre and half extents.
     Box([f64; 3], [f64; 3]),
 }
 
@@ -64,7 +64,7 @@ pub(crate) fn of(robot: &str) -> Option<Outfit> {
     }
 }
 
-/// What a robot stands on: it ends below the table's top, where physics has nothing.
+/// The pedestal of a robot. It ends below the table's top, outside the physics.
 pub(crate) fn pedestal() -> Piece {
     let finish = Finish::new([96, 100, 106], 0.3).with(Pattern::Grain);
     let form = Form::Box { half: [0.12, 0.12, 0.37] };
@@ -78,7 +78,7 @@ const fn part(body: &'static str, shape: Shape, paint: Paint) -> Part {
 use Paint::{Blue, Cover, Dark, Metal, Rubber, White};
 use Shape::{Box as Block, Capsule, Cylinder};
 
-/// The Panda: white shells, grey covers on the joints' sides, dark seams where two links meet.
+/// The Panda: white shells, grey covers on the sides of the joints, dark seams between links.
 const FRANKA: &[Part] = &[
     part("link0", Cylinder([0.0, 0.0, 0.0], [0.0, 0.0, 0.02], 0.095), Dark),
     part("link0", Capsule([-0.08, 0.0, 0.06], [0.0, 0.0, 0.06], 0.058), White),
@@ -117,7 +117,7 @@ const FRANKA: &[Part] = &[
 ];
 
 impl Part {
-    /// The part on a robot; `None` where that has no such body.
+    /// The part on a robot; `None` if the robot has no such body.
     pub(crate) fn on(&self, description: &Description) -> Option<Piece> {
         let (_, link, within) = description.bodies.iter().find(|(name, ..)| name == self.body)?;
         let (form, place) = match self.shape {
@@ -137,7 +137,7 @@ impl Part {
     }
 }
 
-/// The frame in the middle of a way, z along it, and half its length.
+/// The frame at the middle of a segment with z along it, and half its length.
 fn along(from: [f64; 3], to: [f64; 3]) -> (Isometry3<f64>, f64) {
     let (from, to) = (Point3::from(from), Point3::from(to));
     let way = to - from;
@@ -146,7 +146,7 @@ fn along(from: [f64; 3], to: [f64; 3]) -> (Isometry3<f64>, f64) {
     (Isometry3::from_parts(Translation3::from(nalgebra::center(&from, &to).coords), turn), 0.5 * way.norm())
 }
 
-/// A shape of a UR's model: tubes of brushed aluminium, joints as drums with a blue lid at either end.
+/// A shape of a UR's model: tubes of brushed aluminium, joints as drums with a blue lid at each end.
 pub(crate) fn housing(link: usize, look: &LinkLook) -> Vec<Piece> {
     let name = look.name.as_deref().unwrap_or_default();
     let piece = |radius: f64, half: f64, paint: Paint| Piece {
@@ -160,7 +160,7 @@ pub(crate) fn housing(link: usize, look: &LinkLook) -> Vec<Piece> {
             vec![piece(*radius, half - 0.004, Metal), piece(0.86 * radius, half + 0.002, Blue)]
         }
         ("upper_arm_shoulder" | "wrist_1" | "wrist_2", Solid::Capsule { radius, half_height }) => {
-            // A drum within the capsule's ends.
+            // A drum inside the capsule.
             let half = half_height + 0.75 * radius;
             vec![piece(*radius, half, Metal), piece(0.84 * radius, half + 0.005, Blue)]
         }

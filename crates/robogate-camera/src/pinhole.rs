@@ -1,23 +1,23 @@
-//! Where a camera stands and what falls where in its picture.
+//! The pinhole model of a camera.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
-/// A camera without distortion, its principal point in the middle of the picture and its pixels square.
+/// A camera without distortion, with square pixels and its principal point at the centre of the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pinhole {
-    /// Its pose in the base frame: x to the right of the picture, y down, z along the line of sight.
+    /// Pose in the base frame: x to the right of the picture, y down, z along the line of sight.
     pub pose: Isometry3<f64>,
-    /// Field of view from the picture's upper to its lower edge, in radians.
+    /// Vertical field of view, in radians.
     pub field_of_view_rad: f64,
-    /// Pixels in a row.
+    /// Width in pixels.
     pub width: usize,
-    /// Rows.
+    /// Height in pixels.
     pub height: usize,
 }
 
 impl Pinhole {
-    /// The pose of a camera at `from` that looks at `at` (m), upright: what is higher along `up` is higher in the picture.
-    /// The line of sight may not be parallel to `up`.
+    /// Pose of an upright camera at `from` that looks at `at` (m). `up` points up in the picture and must not be parallel to
+    /// the line of sight.
     pub fn looking(from: Point3<f64>, at: Point3<f64>, up: &Vector3<f64>) -> Isometry3<f64> {
         let forward = (at - from).normalize();
         let right = forward.cross(up).normalize();
@@ -26,14 +26,14 @@ impl Pinhole {
         Isometry3::from_parts(from.into(), UnitQuaternion::from_rotation_matrix(&turn))
     }
 
-    /// A camera pose turned off by so much about the line of sight (positive: clockwise, seen from behind the camera),
-    /// and then tilted up.
+    /// A camera pose rotated about the line of sight by `roll` (positive: clockwise as seen from behind the camera), then
+    /// tilted up by `pitch`, in radians.
     pub fn turned(pose: &Isometry3<f64>, roll_rad: f64, pitch_rad: f64) -> Isometry3<f64> {
         pose * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), pitch_rad)
             * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll_rad)
     }
 
-    /// Roll and pitch by which `turned` is off `pose`, in radians: the other way round than [`Self::turned`].
+    /// Roll and pitch from `pose` to `turned`, in radians: the inverse of [`Self::turned`].
     pub fn turn_between(pose: &Isometry3<f64>, turned: &Isometry3<f64>) -> [f64; 2] {
         let off = (pose.rotation.inverse() * turned.rotation).to_rotation_matrix();
         [(-off[(0, 1)]).atan2(off[(0, 0)]), (-off[(1, 2)]).atan2(off[(2, 2)])]
@@ -44,8 +44,8 @@ impl Pinhole {
         0.5 * self.height as f64 / (0.5 * self.field_of_view_rad).tan()
     }
 
-    /// Where a point of the base frame falls: pixels from the left edge, pixels from the upper one, and its depth
-    /// along the line of sight in metres. The middle of the first pixel is at (0.5, 0.5). `None` for what lies behind.
+    /// Projects a point of the base frame: pixels from the left edge, pixels from the upper edge, and depth along the line
+    /// of sight in metres. The centre of the first pixel is at (0.5, 0.5). `None` for a point behind the camera.
     pub fn project(&self, point: &Point3<f64>) -> Option<[f64; 3]> {
         let local = self.pose.inverse_transform_point(point);
         let focal = self.focal_px();
@@ -53,7 +53,7 @@ impl Pinhole {
         (local.z > 0.0).then(|| [across + focal * local.x / local.z, down + focal * local.y / local.z, local.z])
     }
 
-    /// The point at that place in the picture (pixels) and that depth (m), in the base frame.
+    /// The point in the base frame at this place in the picture (pixels) and depth (m).
     pub fn point(&self, [u, v]: [f64; 2], depth: f64) -> Point3<f64> {
         let focal = self.focal_px();
         let x = (u - 0.5 * self.width as f64) / focal;
@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn the_point_looked_at_falls_in_the_middle_and_what_is_higher_falls_higher() {
+    fn an_upright_camera_sees_up_as_up() {
         let camera = camera();
         let [u, v, depth] = camera.project(&Point3::new(0.5, 0.0, 0.05)).unwrap();
         assert!((u - 160.0).abs() < 1e-9 && (v - 100.0).abs() < 1e-9);
@@ -84,14 +84,14 @@ mod tests {
     }
 
     #[test]
-    fn the_upper_edge_is_half_the_field_of_view_from_the_middle() {
+    fn the_field_of_view_spans_the_height() {
         let camera = camera();
         let at_edge = camera.pose * Point3::new(0.0, -0.6_f64.tan() * 2.0, 2.0);
         assert!(camera.project(&at_edge).unwrap()[1].abs() < 1e-9);
     }
 
     #[test]
-    fn a_place_and_its_depth_give_the_point_back() {
+    fn projection_can_be_inverted() {
         let camera = camera();
         let point = Point3::new(0.31, -0.2, 0.12);
         let [u, v, depth] = camera.project(&point).unwrap();
@@ -99,17 +99,17 @@ mod tests {
     }
 
     #[test]
-    fn roll_and_pitch_come_back_from_the_pose_and_pitch_is_upwards() {
+    fn roll_and_pitch_can_be_read_back() {
         let pose = camera().pose;
         for (roll, pitch) in [(0.0, 0.0), (0.2, -0.1), (-0.5, 0.5), (0.01, 0.3)] {
             let off = Pinhole::turn_between(&pose, &Pinhole::turned(&pose, roll, pitch));
             assert!((off[0] - roll).abs() < 1e-12 && (off[1] - pitch).abs() < 1e-12, "{off:?}");
         }
         let up = Pinhole { pose: Pinhole::turned(&pose, 0.0, 0.1), ..camera() };
-        // What was in the middle is now below it.
+        // What was at the centre is now below it.
         assert!(up.project(&Point3::new(0.5, 0.0, 0.05)).unwrap()[1] > 100.0);
         let clockwise = Pinhole { pose: Pinhole::turned(&pose, 0.1, 0.0), ..camera() };
-        // The camera turns clockwise, so what was to its right goes up.
+        // The camera rotates clockwise, so what was to its right moves up.
         assert!(clockwise.project(&Point3::new(0.5, 0.1, 0.05)).unwrap()[1] < 100.0);
     }
 }

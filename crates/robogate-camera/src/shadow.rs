@@ -1,8 +1,9 @@
-//! Shadows of a lamp far off, with soft edges, in closed form.
+//! Soft shadows of a distant lamp, in closed form.
 //!
-//! Seen from the lamp each solid is a flat figure: a disc, a stadium, a hexagon. Where a point lies against that figure
-//! says how much of the lamp the solid hides from it: the lamp is a panel, so the edge is as wide as the way from solid
-//! to point makes it. A grid across the light keeps for each cell whose shadows may fall there.
+//! Seen from the lamp each solid is a flat figure: a disc, a stadium, a hexagon. The position of a point relative to that
+//! figure gives the fraction of the lamp that the solid hides: the lamp is a panel, so the width of a shadow's edge is
+//! proportional to the distance from solid to point. A grid across the light holds for each cell the solids whose shadows
+//! may fall there.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -14,7 +15,7 @@ const CELL: f32 = 0.03;
 /// Cells along each side.
 const CELLS: usize = 64;
 
-/// Who hides the lamp from whom.
+/// The shadows of a scene.
 pub(crate) struct Shadows<'a> {
     bodies: &'a [Body<'a>],
     towards: Vector3<f32>,
@@ -23,11 +24,11 @@ pub(crate) struct Shadows<'a> {
     casters: Vec<Caster>,
     corner: Vector2<f32>,
     words: usize,
-    /// For each cell a bit for each caster.
+    /// One bit for each cell and caster.
     cells: Vec<u64>,
 }
 
-/// A solid as the lamp sees it. Its third coordinates are heights along the light.
+/// A solid as seen from the lamp. Third coordinates are heights along the light.
 struct Caster {
     body: u32,
     centre: Vector3<f32>,
@@ -45,7 +46,7 @@ enum Figure {
         radius: f32,
         half: Vector3<f32>,
     },
-    /// Unit vectors across and along the projected axis, half the axis, and how much of an end disc is seen.
+    /// Unit vectors across and along the projected axis, half the axis, and the visible fraction of an end disc.
     Tin {
         radius: f32,
         across: Vector2<f32>,
@@ -89,7 +90,7 @@ impl<'a> Shadows<'a> {
         shadows
     }
 
-    /// Enters each caster into the cells that its shadow may reach; nothing that is seen lies lower than `lowest`.
+    /// Adds each caster to the cells that its shadow may reach. No visible point is lower than `lowest`.
     fn fill(&mut self, lowest: f32, all: bool) {
         for (k, caster) in self.casters.iter().enumerate() {
             let blur = LAMP_SPREAD * (caster.centre.z + caster.radius - lowest).max(0.0);
@@ -120,7 +121,7 @@ impl<'a> Shadows<'a> {
         }
     }
 
-    /// Share of the lamp that a point of body `own` sees.
+    /// Fraction of the lamp that a point of body `own` sees.
     pub(crate) fn light_at(&self, point: &Vector3<f32>, own: u32) -> f32 {
         let p = Vector3::new(point.dot(&self.across[0]), point.dot(&self.across[1]), point.dot(&self.towards));
         let [column, row] = [0, 1].map(|axis| (p[axis] - self.corner[axis]) / CELL);
@@ -153,8 +154,8 @@ impl<'a> Shadows<'a> {
     fn behind_mesh(&self, caster: &Caster, point: &Vector3<f32>) -> f32 {
         let body = &self.bodies[caster.body as usize];
         let Form::Mesh(mesh) = body.form else { return 0.0 };
-        let way = body.along_axes(&self.towards);
-        f32::from(mesh.first(&body.local(point), &way, 1e-3, 10.0).is_some())
+        let direction = body.along_axes(&self.towards);
+        f32::from(mesh.first(&body.local(point), &direction, 1e-3, 10.0).is_some())
     }
 }
 
@@ -175,7 +176,7 @@ impl Caster {
                 let axes = [0, 1, 2].map(axis);
                 let edge = |i: usize| {
                     let along = axes[i].xy();
-                    // An axis along the light has no edges across it: the other two bound the figure.
+                    // An axis parallel to the light has no edges in the figure: the other two bound it.
                     let Some(along) = along.try_normalize(1e-4) else { return (Vector2::zeros(), 1.0) };
                     let normal = Vector2::new(-along.y, along.x);
                     let reach = (0..3).filter(|j| *j != i).map(|j| half[j] * normal.dot(&axes[j].xy()).abs()).sum();
@@ -189,7 +190,7 @@ impl Caster {
         Self { body: index, centre: seen(&body.centre), radius: half + radius, opacity, figure }
     }
 
-    /// A flat capsule that holds the figure: its ends and its radius.
+    /// A flat capsule around the figure: its ends and its radius.
     fn capsule(&self) -> (Vector2<f32>, Vector2<f32>, f32) {
         let centre = self.centre.xy();
         match &self.figure {
@@ -207,10 +208,10 @@ impl Caster {
         }
     }
 
-    /// Share of the lamp that it hides from a point.
+    /// Fraction of the lamp that it hides from a point.
     fn hides(&self, p: &Vector3<f32>) -> f32 {
         let off = p - self.centre;
-        // Whatever is higher than its highest point lies in front of it.
+        // A point above its highest point is in front of it.
         if off.z > self.radius {
             return 0.0;
         }
@@ -241,12 +242,12 @@ impl Caster {
                 bar(u, *radius, width) * bar(v.abs(), flat + round, width)
             }
             Figure::Hexagon { edges, axes, half } => {
-                // Outside the widest edge that the shadow can have here; so are most points of a cell.
+                // Outside the widest possible edge of the shadow: this holds for most points of a cell.
                 let widest = blur(self.radius - off.z);
                 if edges.iter().any(|(normal, reach)| off.xy().dot(normal).abs() >= reach + widest) {
                     return 0.0;
                 }
-                // Where the ray to the lamp is inside the box.
+                // The part of the ray to the lamp that is inside the box.
                 let (mut enters, mut leaves) = (-1e9_f32, 1e9_f32);
                 for i in 0..3 {
                     let rate = if axes[i].z.abs() < 1e-6 { 1e-6 } else { axes[i].z };
@@ -273,13 +274,13 @@ impl Caster {
     }
 }
 
-/// Half the width of the shadow's edge for a solid that is so far towards the lamp, in metres.
-fn blur(way: f32) -> f32 {
-    LAMP_SPREAD * way.max(0.004)
+/// Half the width of the shadow's edge for a solid at this distance towards the lamp, in metres.
+fn blur(distance: f32) -> f32 {
+    LAMP_SPREAD * distance.max(0.004)
 }
 
-/// Share of the lamp hidden by a bar of half width `half` whose middle line is `off` away, where an edge is
-/// 2 `width` wide.
+/// Fraction of the lamp that is hidden by a bar of half width `half` whose centre line is at the distance `off`, with
+/// edges 2 `width` wide.
 fn bar(off: f32, half: f32, width: f32) -> f32 {
     if off >= half + width {
         return 0.0;

@@ -1,4 +1,4 @@
-//! A scene as the cameras have it.
+//! A scene as the cameras hold it.
 
 use nalgebra::{Isometry3, Vector3};
 use robogate_physics::{FixtureKind, Primitive, Scene, Visual, WORKSPACE_CENTRE};
@@ -13,39 +13,39 @@ use crate::pinhole::Pinhole;
 use crate::shadow::Shadows;
 use crate::table;
 
-/// The room's floor, in metres: the table is as high.
+/// Height of the room's floor, in metres.
 const FLOOR: f32 = -0.75;
 
-/// Colours of the obstacles in turn: none that an object or the target is likely to have.
+/// Colours of the obstacles, in rotation. They differ from usual colours of objects and of the marker.
 const OBSTACLES: [[u8; 3]; 5] = [[92, 112, 140], [150, 140, 120], [84, 100, 104], [168, 160, 150], [110, 100, 126]];
 
-/// A scene before the cameras.
+/// A scene as the cameras hold it.
 #[derive(Debug)]
 pub(crate) struct Stage {
     /// The front camera's pose.
     pub(crate) front: Isometry3<f64>,
-    /// How many fixtures there are.
+    /// Number of fixtures.
     pub(crate) fixtures: usize,
     pub(crate) light: Light,
     pub(crate) room: Room,
     pub(crate) props: Vec<Prop>,
 }
 
-/// A solid and what it moves with.
+/// A solid and the body that it moves with.
 #[derive(Debug)]
 pub(crate) struct Prop {
     form: Form,
     pub(crate) finish: Finish,
     pub(crate) with: With,
-    /// Its pose there.
+    /// Its pose in that body's frame.
     place: Isometry3<f64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum With {
-    /// A fixture, by its place in the scene.
+    /// A fixture, by its index in the scene.
     Fixture(usize),
-    /// The table, which casts no shadow on anything that is seen.
+    /// The table. It casts no visible shadow.
     Table(usize),
     Object,
 }
@@ -86,9 +86,9 @@ impl Stage {
         }
     }
 
-    /// How it looks, read back from lamp, surfaces and camera; `nominal` is where the front camera is meant to be.
+    /// Its appearance, read from lamp, surfaces and camera. `nominal` is the nominal pose of the front camera.
     pub(crate) fn visual(&self, nominal: &Isometry3<f64>) -> Option<Visual> {
-        // A quaternion of doubles holds no more digits.
+        // A quaternion of doubles has no more digits.
         let rounded = |x: f64| (x * 1e12).round() / 1e12;
         let [camera_roll_rad, camera_pitch_rad] = Pinhole::turn_between(nominal, &self.front).map(rounded);
         let table_material = self.props.iter().find_map(|prop| match prop.finish.pattern {
@@ -107,7 +107,7 @@ impl Stage {
         })
     }
 
-    /// Lets `draw` take pictures of the scene in this posture.
+    /// Calls `draw` with the scene in this posture.
     pub(crate) fn with_bodies<T>(
         &self,
         robot: &RobotLooks,

@@ -1,4 +1,4 @@
-//! The table's five materials, painted once and kept at several sizes.
+//! Textures of the table's five materials, computed once at several sizes.
 
 use std::sync::OnceLock;
 
@@ -8,15 +8,15 @@ use robogate_physics::{Color, TABLE_HALF, TableMaterial};
 use crate::finish::smooth;
 use crate::light::linear;
 
-/// Texels along x and y of the finest picture: about 1.6 mm each.
+/// Texels along x and y of the finest level: about 1.6 mm each.
 pub(crate) const SIZE: [usize; 2] = [512, 896];
-/// Pictures, each half as fine as the one before.
+/// Number of levels, each half as fine as the one before.
 const LEVELS: usize = 5;
 
-/// A table top's reflectances.
+/// Reflectances of a table top.
 pub(crate) struct Texture {
     levels: Vec<Level>,
-    /// The rim's.
+    /// Reflectances of the rim.
     pub(crate) edge: Vector3<f32>,
 }
 
@@ -27,7 +27,7 @@ struct Level {
 }
 
 impl Texture {
-    /// The material's picture; painted at its first use.
+    /// The material's texture; computed at its first use.
     pub(crate) fn of(material: TableMaterial) -> &'static Self {
         static PAINTED: [OnceLock<Texture>; 5] = [const { OnceLock::new() }; 5];
         PAINTED[material as usize].get_or_init(|| Self::paint(material))
@@ -38,7 +38,7 @@ impl Texture {
         let mut fine: Vec<Vector3<f32>> = Vec::with_capacity(SIZE[0] * SIZE[1]);
         for row in 0..SIZE[1] {
             for column in 0..SIZE[0] {
-                // Four samples to a texel: what is finer than it is averaged and not left to chance.
+                // Four samples to a texel average finer detail.
                 let sample = |i: usize, j: usize| {
                     let x = (column as f32 + 0.25 + 0.5 * i as f32) * pitch[0];
                     let y = (row as f32 + 0.25 + 0.5 * j as f32) * pitch[1];
@@ -68,7 +68,7 @@ impl Texture {
         Self { levels, edge: mean * 0.55 }
     }
 
-    /// Reflectances at a point of the table, in metres from its middle; a pixel covers `footprint` metres.
+    /// Reflectances at a point of the table, in metres from its centre. A pixel covers `footprint` metres.
     pub(crate) fn at(&self, x: f32, y: f32, footprint: f32) -> Vector3<f32> {
         let mut texel = 2.0 * TABLE_HALF[0] as f32 / SIZE[0] as f32;
         let mut level = 0;
@@ -87,9 +87,9 @@ impl Level {
         Self { size, texels }
     }
 
-    /// Between the four texels about a place, in texels from the corner.
+    /// Bilinear interpolation at a place in texels from the corner.
     fn at(&self, u: f32, v: f32) -> Vector3<f32> {
-        // Beyond the border the border goes on.
+        // Beyond the border the border is repeated.
         let within = |x: f32, size: usize| (x - 0.5).max(0.0).min((size - 1) as f32);
         let (u, v) = (within(u, self.size[0]), within(v, self.size[1]));
         let (left, top) = (u as usize, v as usize);
@@ -105,7 +105,7 @@ impl Level {
     }
 }
 
-/// How strongly the table's top mirrors.
+/// Gloss of the table's top.
 pub(crate) fn gloss(material: TableMaterial) -> f32 {
     match material {
         TableMaterial::Wood => 0.35,
@@ -121,7 +121,7 @@ fn paint(material: TableMaterial, x: f32, y: f32) -> Vector3<f32> {
     let shade = |color: [u8; 3], by: f32| linear_of(color) * by;
     match material {
         TableMaterial::Wood => {
-            // Planks along y, each cut from another place of the tree, and staggered.
+            // Staggered planks along y, each with a grain of its own.
             let width = 0.1;
             let plank = (x / width).floor();
             let across = x / width - plank;
@@ -159,7 +159,7 @@ fn paint(material: TableMaterial, x: f32, y: f32) -> Vector3<f32> {
             shade([50, 51, 54], 0.72 + 0.4 * stud + 0.3 * noise(x * 300.0, y * 300.0))
         }
         TableMaterial::Cardboard => {
-            // The flutes show through as faint bands, 8 mm apart; fibres lie in all directions.
+            // The flutes show as faint bands, 8 mm apart; fibres have all directions.
             let flute = ((x / 0.008).rem_euclid(1.0) - 0.5).abs() * 2.0;
             let fibre = noise(x * 240.0, y * 700.0) + noise(x * 700.0 + 5.0, y * 240.0);
             let stain = noise(x * 7.0, y * 7.0);
@@ -187,7 +187,7 @@ fn lattice(x: i32, y: i32, z: i32) -> f32 {
     (h >> 8) as f32 / 16_777_216.0
 }
 
-/// The whole number below: the processor's own rounding is not in every instruction set, and a call for it is slow.
+/// The largest integer below `x`. `f32::floor` is a function call on processors without a rounding instruction.
 fn below(x: f32) -> i32 {
     let towards_zero = x as i32;
     towards_zero - i32::from(x < towards_zero as f32)

@@ -1,13 +1,13 @@
-//! Which bodies a small square of the picture may show.
+//! Culling: the bodies that may be visible in a tile of the picture.
 
 use nalgebra::Vector3;
 
 use crate::body::{Body, NEAREST};
 
-/// Pixels along a tile's side.
+/// Width and height of a tile, in pixels.
 pub(crate) const TILE: usize = 8;
 
-/// The camera as the caster has it.
+/// The camera in single precision, as the caster uses it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct View {
     pub(crate) eye: Vector3<f32>,
@@ -21,15 +21,15 @@ pub(crate) struct View {
 }
 
 impl View {
-    /// The tangents of a place in the picture, in pixels.
+    /// Tangents of the viewing angles at a place in the picture (pixels).
     pub(crate) fn tangents(&self, u: f32, v: f32) -> [f32; 2] {
         [(u - 0.5 * self.width as f32) / self.focal, (v - 0.5 * self.height as f32) / self.focal]
     }
 }
 
-/// For each tile a bit for each body, nearest bodies first.
+/// One bit for each tile and body, nearest bodies first.
 pub(crate) struct Tiles {
-    /// Bodies by the depth at which they begin, and that depth.
+    /// Bodies sorted by their smallest depth, and that depth.
     pub(crate) order: Vec<(u32, f32)>,
     words: usize,
     across: usize,
@@ -37,7 +37,7 @@ pub(crate) struct Tiles {
 }
 
 impl Tiles {
-    /// With `all` every tile may show every body: what tiles spare is not spared.
+    /// With `all`, nothing is culled.
     pub(crate) fn new(bodies: &[Body<'_>], view: &View, all: bool) -> Self {
         let seen = |p: &Vector3<f32>| {
             let p = p - view.eye;
@@ -74,7 +74,7 @@ impl Tiles {
                 let tile = |x: f32| ((x * view.focal + 0.5 * pixels as f32) / TILE as f32).clamp(0.0, tiles as f32);
                 tile(least) as usize..(tile(most) as usize + 1).min(tiles)
             });
-            // A body reaches no farther from the eye than this.
+            // Largest distance of the body from the eye.
             let distance = a.norm().max(b.norm()) + radius;
             for row in rows {
                 for column in columns.clone() {
@@ -92,16 +92,16 @@ impl Tiles {
         Self { order, words, across, bits }
     }
 
-    /// The bits of the tile that has the pixel in this column and row.
+    /// The bits of the tile with the pixel in this column and row.
     pub(crate) fn at(&self, column: usize, row: usize) -> &[u64] {
         let first = (row / TILE * self.across + column / TILE) * self.words;
         &self.bits[first..first + self.words]
     }
 }
 
-/// Distance between the line through the origin along the unit vector `way`, and a segment.
-fn line_to_segment(way: &Vector3<f32>, a: &Vector3<f32>, b: &Vector3<f32>) -> f32 {
-    let across = |p: &Vector3<f32>| p - way * p.dot(way);
+/// Distance between a segment and the line through the origin along the unit vector `direction`.
+fn line_to_segment(direction: &Vector3<f32>, a: &Vector3<f32>, b: &Vector3<f32>) -> f32 {
+    let across = |p: &Vector3<f32>| p - direction * p.dot(direction);
     let (a, b) = (across(a), across(b));
     let along = b - a;
     let share = (-a.dot(&along) / along.norm_squared().max(1e-12)).clamp(0.0, 1.0);

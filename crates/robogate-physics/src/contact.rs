@@ -18,5 +18,5 @@ pub const IMPEDANCE: [f64; 3] = [0.95, 0.99, 0.001];
 /// Constraint impedance of joint end stops, as [`IMPEDANCE`]; the third number is in radians or metres.
 pub const LIMIT_IMPEDANCE: [f64; 3] = [0.99, 0.999, 1e-4];
 
-/// Mass of a fixture that moves, in kilograms: so large that whatever it pushes does not slow it down.
+/// Mass of a fixture that moves, in kilograms: so large that what it pushes does not slow it down.
 pub const DRIVEN_MASS_KG: f64 = 1e3;

@@ -10,7 +10,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, Unit, UnitQ
 use crate::robot::RobotSource;
 use crate::{Chain, ChainJoint, Problem, Robot, RobotError};
 
-/// A tree of rigid bodies. A body without a joint is part of its parent.
+/// A tree of rigid bodies. A body without a joint is part of its parent link.
 #[derive(Debug, Clone)]
 pub struct Description {
     /// The links, parents before children. The first is the base.
@@ -228,13 +228,13 @@ impl Reader<'_> {
                 let turn = frame.rotation.to_rotation_matrix();
                 link.add(inertial.mass, frame.translation.vector, turn * about * turn.inverse());
             } else if !body.joints.is_empty() {
-                return Err(format!("body `{name}` moves and has no <inertial>, which Rapier needs"));
+                return Err(format!("body `{name}` moves and has no <inertial>, which Rapier requires"));
             }
         }
         let site = |wanted: &str| {
             if let Some(site) = robot.settings.sites.iter().find(|site| site.name == wanted) {
                 let body = self.model.body_id_by_name(&site.body);
-                let body = body.ok_or_else(|| format!("[[site]] `{wanted}`: there is no body `{}`", site.body))?;
+                let body = body.ok_or_else(|| format!("[[site]] `{wanted}`: the model has no body `{}`", site.body))?;
                 let (link, within) = places[body];
                 let [roll, pitch, yaw] = site.rpy_rad;
                 let turn = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
@@ -246,7 +246,7 @@ impl Reader<'_> {
             let (body, site) = self
                 .model
                 .site_by_name(wanted)
-                .ok_or_else(|| format!("there is no site `{wanted}`, which robot.toml names"))?;
+                .ok_or_else(|| format!("the model has no site `{wanted}`, which robot.toml names"))?;
             let (link, within) = places[body];
             Ok::<_, String>((link, within * isometry(&self.model.bodies[body].body.sites[site].pose)))
         };
@@ -264,7 +264,7 @@ impl Reader<'_> {
         let slides = match joint.type_ {
             JointType::Hinge => false,
             JointType::Slide => true,
-            JointType::Ball | JointType::Free => return Err(format!("`{name}` is neither hinge nor slide")),
+            JointType::Ball | JointType::Free => return Err(format!("`{name}` is neither a hinge nor a slide")),
         };
         let axis = Unit::try_new(Vector3::from(joint.axis), 1e-12).ok_or_else(|| format!("`{name}` has no axis"))?;
         let turn = UnitQuaternion::rotation_between_axis(&Vector3::x_axis(), &axis)
@@ -298,7 +298,7 @@ impl Reader<'_> {
                 GeomType::Capsule => Ok((Solid::Capsule { radius: a, half_height }, at)),
                 GeomType::Cylinder => Ok((Solid::Cylinder { radius: a, half_height }, at)),
                 GeomType::Box => Ok((Solid::Box { half: [a, a, half_height] }, at)),
-                _ => Err(format!("shape `{name}`: fromto is for capsules, cylinders and boxes")),
+                _ => Err(format!("shape `{name}`: fromto is supported for capsules, cylinders and boxes only")),
             };
         }
         let solid = match geom.type_ {
@@ -308,7 +308,9 @@ impl Reader<'_> {
             GeomType::Cylinder => Solid::Cylinder { radius: a, half_height: b },
             GeomType::Mesh => Solid::Hull { points: self.hull(geom, name)? },
             GeomType::Plane | GeomType::Hfield | GeomType::Ellipsoid | GeomType::Sdf => {
-                return Err(format!("shape `{name}` is none of box, sphere, capsule, cylinder and mesh"));
+                return Err(format!(
+                    "shape `{name}` has an unsupported type. Expected box, sphere, capsule, cylinder or mesh"
+                ));
             }
         };
         Ok((solid, at))
@@ -319,7 +321,7 @@ impl Reader<'_> {
         if let Solid::Hull { points } = &mut solid {
             let faces = self.faces(geom)?;
             let corners: Option<Vec<_>> = faces.iter().map(|i| points.get(*i).copied()).collect();
-            *points = corners.ok_or("a mesh has a face without its vertices")?;
+            *points = corners.ok_or("a mesh has a face with a missing vertex")?;
         }
         let material = geom.material.as_deref().and_then(|name| self.model.assets.material(name)?.rgba);
         Ok(LinkLook {
@@ -334,7 +336,7 @@ impl Reader<'_> {
     /// The corners of a mesh's triangles, by the numbers of its vertices.
     fn faces(&self, geom: &Geom) -> Result<Vec<usize>, String> {
         let wanted = geom.mesh.as_deref().unwrap_or_default();
-        let mesh = self.model.assets.mesh(wanted).ok_or_else(|| format!("there is no mesh `{wanted}`"))?;
+        let mesh = self.model.assets.mesh(wanted).ok_or_else(|| format!("the model has no mesh `{wanted}`"))?;
         if mesh.inline_vertices.is_some() {
             return Ok(mesh.inline_faces.iter().flatten().map(|i| *i as usize).collect());
         }
@@ -346,7 +348,7 @@ impl Reader<'_> {
     /// The vertices of a mesh, of which Rapier takes the convex hull, as MuJoCo does.
     fn hull(&self, geom: &Geom, name: &str) -> Result<Vec<Point3<f64>>, String> {
         let wanted = geom.mesh.as_deref().ok_or_else(|| format!("shape `{name}` names no mesh"))?;
-        let mesh = self.model.assets.mesh(wanted).ok_or_else(|| format!("there is no mesh `{wanted}`"))?;
+        let mesh = self.model.assets.mesh(wanted).ok_or_else(|| format!("the model has no mesh `{wanted}`"))?;
         let flat = if let Some(vertices) = &mesh.inline_vertices {
             vertices.clone()
         } else {
@@ -376,7 +378,10 @@ impl Reader<'_> {
                 Equality::Joint(joint) if joint.common.active => {
                     let [offset, factor, square, cube, fourth] = joint.polycoef;
                     let Some(second) = joint.joint2.clone().filter(|_| [square, cube, fourth] == [0.0; 3]) else {
-                        return Err(format!("the coupling of joint `{}` is not linear", joint.joint1));
+                        return Err(format!(
+                            "the coupling of joint `{}` is not linear; Rapier supports linear couplings only",
+                            joint.joint1
+                        ));
                     };
                     // MJCF: joint1 follows joint2.
                     couplings.push(Coupling { first: second, second: joint.joint1.clone(), factor, offset });
@@ -437,14 +442,14 @@ fn chain(
         ));
     }
     if flange.0 != tcp.0 {
-        return Err(format!("site `{}` does not hang on the arm's last joint", arm.flange_site));
+        return Err(format!("site `{}` is not on the arm's last link", arm.flange_site));
     }
     let mut joints = Vec::new();
     // From a link's frame back to its joint's, in which the next placement is counted.
     let mut back = Isometry3::identity();
     for joint in way.iter().filter_map(|l| links[*l].joint.as_ref()) {
         if joint.slides {
-            return Err(format!("joint `{}` is no hinge: arms with sliding joints are not supported", joint.name));
+            return Err(format!("joint `{}` is not a hinge: arms with sliding joints are not supported", joint.name));
         }
         let range = joint.range.ok_or_else(|| format!("joint `{}` has no limits: give it a range", joint.name))?;
         joints.push(ChainJoint { placement: back * joint.in_parent, axis: Vector3::x_axis(), range });

@@ -111,17 +111,17 @@ fn measure(engine: &mut MujocoEngine, positions: &[[f64; 2]], problems: &mut Vec
     if stated > REACH_MARGIN * tool_reach_m {
         problems.push(Problem::new(
             format!(
-                "arm.reach_m = {stated}, but of {POSTURES} random postures none brings the tool farther than {tool_reach_m:.3} m from the first joint's axis"
+                "arm.reach_m = {stated}, but in {POSTURES} random postures the tool is at most {tool_reach_m:.3} m from the first joint's axis"
             ),
-            "state the reach in metres, and look at the joints' ranges and the links' offsets in the model",
+            "give the reach in metres, and check the joints' ranges and the links' offsets in the model",
         ));
     }
     tool_direction(&chain, &settings, problems);
     let (workspace_share, reaches) = workspace(&chain, &settings.arm.home_rad, positions);
     if workspace_share <= 0.0 {
         problems.push(Problem::new(
-            "the tool reaches no place over the table pointing down",
-            "the base stands at the origin and the table in front of it, at +x and z = 0: look at where the model puts the base, at the tool's z axis, and at the joints' ranges",
+            "the tool cannot reach any position over the table pointing down",
+            "the base is at the origin and the table in front of it, at +x and z = 0: check the pose of the base, the tool's z axis and the joints' ranges in the model",
         ));
     }
     let tracking_error_rad = trial(engine, &settings, problems);
@@ -153,14 +153,14 @@ fn tool_direction(chain: &Chain, settings: &RobotSettings, problems: &mut Vec<Pr
     {
         problems.push(Problem::new(
             format!("the z axis of site `{site}` points from the tool back to the flange"),
-            "turn the site so that its z points out of the tool (rpy_rad = [3.141593, 0, 0] turns it over)",
+            "rotate the site so that its z axis points out of the tool (rpy_rad = [3.141593, 0, 0] turns it around)",
         ));
     }
     let angle = (-z.z).clamp(-1.0, 1.0).acos();
     if angle > FRAC_PI_4 {
         problems.push(Problem::new(
             format!("at home the z axis of site `{site}` points {:.0} degrees off straight down", angle.to_degrees()),
-            "choose an arm.home_rad from which the tool looks down on the table, or turn the site: its z must point out of the tool",
+            "choose an arm.home_rad with the tool pointing down, or rotate the site: its z axis must point out of the tool",
         ));
     }
 }
@@ -224,7 +224,7 @@ fn trial(engine: &mut MujocoEngine, settings: &RobotSettings, problems: &mut Vec
     let ranges: Vec<[f64; 2]> = engine.chain().joints.iter().map(|joint| joint.range).collect();
     let amplitudes: Vec<f64> = (0..home.len())
         .map(|i| {
-            // Out and back as a cosine: no faster and no more accelerated than the joint may be.
+            // A cosine out and back, within the joint's speed and acceleration limits.
             let rate = 2.0 * PI / MOTION_S;
             let amplitude = MOTION_RAD
                 .min(arm.velocity_limit_rad_s[i] / rate)
@@ -248,7 +248,7 @@ fn trial(engine: &mut MujocoEngine, settings: &RobotSettings, problems: &mut Vec
         engine.advance(&targets);
         if let Err(fault) = engine.health() {
             problems.push(Problem::new(
-                format!("the arm does not hold still at home: {fault}"),
+                format!("the arm does not hold its home position: {fault}"),
                 "the servo is unstable at a time step of 2 ms: lower arm.stiffness_nm_rad, raise arm.damping_nms_rad, or give the joints armature (the motors' inertia) in the model",
             ));
             return None;
@@ -260,15 +260,13 @@ fn trial(engine: &mut MujocoEngine, settings: &RobotSettings, problems: &mut Vec
     for ((name, worst), speed) in arm.joints.iter().zip(&worst).zip(engine.joint_velocities()) {
         if *worst > FOLLOWS_RAD {
             problems.push(Problem::new(
-                format!(
-                    "joint `{name}` is up to {worst:.3} rad from where it was told to be, holding and moving slowly"
-                ),
-                "raise arm.stiffness_nm_rad or arm.torque_limit_nm of this joint, or look for what it runs into",
+                format!("joint `{name}` is up to {worst:.3} rad off its target while it holds and moves slowly"),
+                "raise arm.stiffness_nm_rad or arm.torque_limit_nm of this joint, or check what it collides with",
             ));
         }
         if speed.abs() > STILL_RAD_S {
             problems.push(Problem::new(
-                format!("joint `{name}` swings on at {:.2} rad/s when it should hold still", speed.abs()),
+                format!("joint `{name}` oscillates at {:.2} rad/s when it should be at rest", speed.abs()),
                 "raise arm.damping_nms_rad of this joint, or lower its stiffness",
             ));
         }
@@ -281,15 +279,15 @@ fn trial(engine: &mut MujocoEngine, settings: &RobotSettings, problems: &mut Vec
             targets.finger = (targets.finger - finger_step).max(0.0);
             engine.advance(&targets);
         }
-        for (told, wanted, came) in [("open", jaw.opening_m, opened), ("close", 0.0, reached(engine))] {
-            if (came - wanted).abs() > FINGERS_M || came.is_nan() {
+        for (command, wanted, reached) in [("open", jaw.opening_m, opened), ("close", 0.0, reached(engine))] {
+            if (reached - wanted).abs() > FINGERS_M || reached.is_nan() {
                 problems.push(Problem::new(
                     format!(
-                        "told to {told}, the fingers stop {:.1} mm apart and not {:.1} mm",
-                        1e3 * came,
+                        "after the command to {command}, the fingers are {:.1} mm apart. Expected {:.1} mm",
+                        1e3 * reached,
                         1e3 * wanted
                     ),
-                    "0 must be closed for both finger joints and gripper.opening_m the sum of their ranges; look at what couples them (equality, tendon) and at gripper.stiffness_n_m and damping_ns_m",
+                    "0 must be closed for both finger joints, and gripper.opening_m the sum of their ranges; check their coupling (equality, tendon) and gripper.stiffness_n_m and damping_ns_m",
                 ));
             }
         }
@@ -297,7 +295,7 @@ fn trial(engine: &mut MujocoEngine, settings: &RobotSettings, problems: &mut Vec
     Some(worst.into_iter().fold(0.0, f64::max))
 }
 
-/// Whether the robot at home touches neither the cell nor itself.
+/// Checks that the robot at home touches neither the scene nor itself.
 fn home_is_free(engine: &mut MujocoEngine, scene: &Scene, problems: &mut Vec<Problem>) {
     let touches = engine.touches();
     let on_object = touches.body_on_object || touches.fingers.iter().any(Option::is_some);
@@ -305,19 +303,19 @@ fn home_is_free(engine: &mut MujocoEngine, scene: &Scene, problems: &mut Vec<Pro
         let (body, fixture) = (engine.robot_body(collision.robot_body), &scene.fixtures[collision.fixture].name);
         problems.push(Problem::new(
             format!("at home `{body}` touches the {fixture}"),
-            "choose another arm.home_rad; the table's top is z = 0 and begins 0.15 m in front of the base",
+            "choose another arm.home_rad; the table's top is the plane z = 0 and starts 0.15 m in front of the base",
         ));
     }
     if on_object {
         problems.push(Problem::new(
-            "at home the robot touches an object that stands 0.5 m in front of the base",
+            "at home the robot touches a box 0.5 m in front of the base",
             "choose an arm.home_rad with the tool higher up",
         ));
     }
     for (a, b, depth) in engine.self_contacts(DEEP_M) {
         problems.push(Problem::new(
-            format!("at home `{a}` and `{b}` stand {:.1} mm deep in each other", 1e3 * depth),
-            "choose another arm.home_rad, or, where their shapes overlap by design, say so in the model: <contact><exclude body1=\"..\" body2=\"..\"/>",
+            format!("at home `{a}` and `{b}` penetrate each other by {:.1} mm", 1e3 * depth),
+            "choose another arm.home_rad, or, if their shapes overlap by design, exclude the pair in the model: <contact><exclude body1=\"..\" body2=\"..\"/>",
         ));
     }
 }

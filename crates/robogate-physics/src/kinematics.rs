@@ -5,19 +5,19 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use nalgebra::{Isometry3, Matrix6, Matrix6xX, Unit, UnitQuaternion, Vector3, Vector6};
 use robogate_core::Seed;
 
-/// From so many scattered postures [`Chain::reach`] looks for one that is nearer to the rest.
+/// Number of random postures from which [`Chain::reach`] searches for a posture nearer to the rest posture.
 const STARTS: usize = 16;
 
-/// Among postures, how much a turn of the first and last joint counts beside one of the others.
+/// Weight of the first and the last joint in the distance between postures; the others have 1.
 const OUTER_WEIGHT: f64 = 0.1;
 
-/// A descent from one of them is given up after so many steps without getting a tenth nearer.
-const PATIENCE: usize = 12;
+/// A descent from a random posture ends after this many steps without reducing the error by a tenth.
+const STALLED_STEPS: usize = 12;
 
 /// One joint of a chain: a hinge about its own axis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChainJoint {
-    /// The joint's frame in the one before, at joint position 0.
+    /// The joint's frame in the frame of the joint before it, at joint position 0.
     pub placement: Isometry3<f64>,
     /// The hinge's axis in its own frame.
     pub axis: Unit<Vector3<f64>>,
@@ -36,15 +36,15 @@ pub struct Chain {
     pub tcp: Isometry3<f64>,
 }
 
-/// No joint positions were found that reach a pose.
+/// A pose that no joint positions were found for.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("({:.3}, {:.3}, {:.3}) m is out of reach: {position_error_m:.4} m and {angle_error_rad:.4} rad are left", .position[0], .position[1], .position[2])]
+#[error("({:.3}, {:.3}, {:.3}) m is out of reach: the nearest pose found is {position_error_m:.4} m and {angle_error_rad:.4} rad off", .position[0], .position[1], .position[2])]
 pub struct Unreachable {
-    /// The position asked for, in metres.
+    /// The requested position, in metres.
     pub position: [f64; 3],
-    /// What is left of the way, in metres.
+    /// Remaining position error, in metres.
     pub position_error_m: f64,
-    /// What is left of the turn, in radians.
+    /// Remaining orientation error, in radians.
     pub angle_error_rad: f64,
 }
 
@@ -65,7 +65,7 @@ impl Chain {
         })
     }
 
-    /// Tool centre point and its geometric Jacobian (6 x n: linear above angular, base frame).
+    /// Pose of the tool centre point and its geometric Jacobian (6 x n: linear rows above angular ones, base frame).
     fn jacobian(&self, positions: &[f64]) -> (Isometry3<f64>, Matrix6xX<f64>) {
         let mut frame = Isometry3::identity();
         let mut hinges = Vec::with_capacity(self.joints.len());
@@ -83,17 +83,19 @@ impl Chain {
         (tcp, jacobian)
     }
 
-    /// Joint positions that put the tool centre point at `goal` in the posture nearest to `rest`, to 1e-6 m
-    /// and rad, within the joints' ranges and without needless turns.
+    /// Joint positions that put the tool centre point at `goal` to within 1e-6 m and rad, in the posture nearest to
+    /// `rest`, within the joints' ranges and without needless full rotations.
     ///
-    /// An arm of six joints reaches a pose in up to sixteen postures: elbow up or down, shoulder left or right,
-    /// wrist turned over; and a joint that turns more than once in more ways still. Which one is meant
-    /// nobody needs to say by name: it is that of `rest`, the posture in which the arm waits. The descent
-    /// from `rest` mostly stays in it. Where it does not arrive, or ends with a joint more than a quarter turn
-    /// away, descents from other postures look for a nearer one: from `rest` turned to face the goal, and from
-    /// a few postures that are always the same. The first joint, which faces the goal, and the last, which
-    /// turns the tool, count little: they make no other posture. A redundant arm takes what its first
-    /// descent finds: it is pulled to `rest` on its way.
+    /// An arm of six joints reaches a pose in up to sixteen postures: elbow up or down, shoulder left or right, wrist
+    /// flipped; more if a joint can rotate more than once. The posture of `rest`, in which the arm waits, is preferred.
+    /// The descent from `rest` mostly stays in it. If that descent does not converge, or ends with a joint more than 90
+    /// degrees away, further descents search for a nearer posture: from `rest` rotated to face the goal, and from a few
+    /// fixed random postures. The first joint, which faces the goal, and the last, which rotates the tool, have a small
+    /// weight because they do not change the posture. A redundant arm takes the result of its first descent, which is
+    /// pulled towards `rest`.
+    ///
+    /// # Errors
+    /// If no descent converges.
     pub fn reach(&self, goal: &Isometry3<f64>, rest: &[f64]) -> Result<Vec<f64>, Unreachable> {
         let first = self.inverse(goal, rest, rest).map(|q| self.unwound(q, rest));
         let redundant = self.joints.len() > 6;
@@ -112,16 +114,16 @@ impl Chain {
         });
         let others = std::iter::once(self.facing(goal, rest))
             .chain(scattered)
-            .filter_map(|start: Vec<f64>| self.descend(goal, &start, rest, PATIENCE).ok())
+            .filter_map(|start: Vec<f64>| self.descend(goal, &start, rest, STALLED_STEPS).ok())
             .map(|q| self.unwound(q, rest));
         let squares = |q: &[f64], rest: &[f64]| q.iter().zip(rest).map(|(q, rest)| (q - rest).powi(2)).sum::<f64>();
         let turned = |q: &[f64]| squares(inner(q), inner(rest)) + OUTER_WEIGHT * squares(q, rest);
-        // Of equals the one found first, so that the same question always has the same answer.
+        // Of equally near postures the first one, so that the result is deterministic.
         let nearest = first.iter().cloned().chain(others).min_by(|a, b| turned(a).total_cmp(&turned(b)));
         nearest.map_or(first, Ok)
     }
 
-    /// The posture `rest`, turned about the first joint until the tool centre point lies in the goal's direction.
+    /// The posture `rest`, rotated about the first joint until the tool centre point points towards the goal.
     fn facing(&self, goal: &Isometry3<f64>, rest: &[f64]) -> Vec<f64> {
         let mut q = rest.to_vec();
         let Some(joint) = self.joints.first() else { return q };
@@ -130,17 +132,17 @@ impl Chain {
             local - joint.axis.into_inner() * local.dot(&joint.axis)
         };
         let (from, to) = (across(self.tcp_at(rest)), across(*goal));
-        let turn = from.cross(&to).dot(&joint.axis).atan2(from.dot(&to));
-        q[0] = (q[0] + turn).clamp(joint.range[0], joint.range[1]);
+        let angle = from.cross(&to).dot(&joint.axis).atan2(from.dot(&to));
+        q[0] = (q[0] + angle).clamp(joint.range[0], joint.range[1]);
         q
     }
 
-    /// The same posture with every joint as few turns from `rest` as its range allows.
+    /// The same posture with every joint as few full rotations from `rest` as its range allows.
     fn unwound(&self, mut q: Vec<f64>, rest: &[f64]) -> Vec<f64> {
         for ((q, rest), joint) in q.iter_mut().zip(rest).zip(&self.joints) {
             let [low, high] = joint.range;
             let turns = ((rest - *q) / TAU).round();
-            // No more turns than keep the joint in its range.
+            // No more full rotations than the joint's range allows.
             let turns = turns.clamp(((low - *q) / TAU).ceil().min(0.0), ((high - *q) / TAU).floor().max(0.0));
             if turns.abs() > 0.5 {
                 *q += turns * TAU;
@@ -149,22 +151,25 @@ impl Chain {
         q
     }
 
-    /// Joint positions that put the tool centre point at `goal`, found from `start`, to 1e-6 m and
-    /// rad; among the many of a redundant arm one near `rest`.
+    /// Joint positions that put the tool centre point at `goal` to within 1e-6 m and rad, by a descent from `start`. A
+    /// redundant arm ends near `rest`.
     ///
-    /// Damped least squares (Wampler 1986) with the rest posture pulled in the null space (Liegeois
-    /// 1977); steps are cut at the joint limits.
+    /// Damped least squares (Wampler 1986) with a pull towards the rest posture in the null space (Liegeois 1977). Steps
+    /// are clamped to the joint limits.
+    ///
+    /// # Errors
+    /// If the descent does not converge.
     pub fn inverse(&self, goal: &Isometry3<f64>, start: &[f64], rest: &[f64]) -> Result<Vec<f64>, Unreachable> {
         self.descend(goal, start, rest, usize::MAX)
     }
 
-    /// [`Chain::inverse`], given up after `patience` steps that did not bring the tool a tenth nearer.
+    /// [`Chain::inverse`] that ends after `stalled_steps` steps without reducing the error by a tenth.
     fn descend(
         &self,
         goal: &Isometry3<f64>,
         start: &[f64],
         rest: &[f64],
-        patience: usize,
+        stalled_steps: usize,
     ) -> Result<Vec<f64>, Unreachable> {
         const TOLERANCE: f64 = 1e-6;
         const ITERATIONS: usize = 200;
@@ -180,18 +185,18 @@ impl Chain {
             }
             if error.norm() < 0.9 * best {
                 (best, best_at) = (error.norm(), iteration);
-            } else if iteration - best_at > patience {
+            } else if iteration - best_at > stalled_steps {
                 break;
             }
-            // Damping shrinks with the error: far off it keeps steps sane at singular poses, close by
-            // it would only slow convergence.
+            // Damping shrinks with the error: far from the goal it bounds steps near singular poses, near the goal it would
+            // only slow convergence.
             let damping = 1e-8 + 1e-2 * error.norm_squared().min(0.1);
             let normal = &jacobian * jacobian.transpose() + Matrix6::identity() * damping;
             let Some(factor) = normal.cholesky() else { break };
             let pull: Vec<f64> = q.iter().zip(rest).map(|(q, r)| 0.1 * (r - q) * error.norm().min(1.0)).collect();
             let pull = nalgebra::DVector::from_vec(pull);
             let step = jacobian.transpose() * factor.solve(&(error - &jacobian * &pull)) + pull;
-            // A step of more than 0.3 rad leaves the region in which the Jacobian is worth anything.
+            // Beyond a step of 0.3 rad the linearisation is invalid.
             let scale = (0.3 / step.amax()).min(1.0);
             for ((q, step), joint) in q.iter_mut().zip(step.iter()).zip(&self.joints) {
                 *q = (*q + scale * step).clamp(joint.range[0], joint.range[1]);

@@ -1,4 +1,4 @@
-//! A robot is a folder: an MJCF model and a `robot.toml` that says what MJCF cannot.
+//! A robot is a folder: an MJCF or URDF model, and a `robot.toml` with what the model cannot express.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -7,30 +7,30 @@ use std::{fmt, fs};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A robot's description as read, not yet held against its model (an engine does that).
+/// A robot as read from its folder. An engine checks it against its model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Robot {
     /// The settings of `robot.toml`.
     pub settings: RobotSettings,
-    /// Where the model lies.
+    /// Location of the model.
     pub source: RobotSource,
 }
 
-/// Where a robot's model lies.
+/// Location of a robot's model.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum RobotSource {
-    /// In this binary: the text of the MJCF, which refers to no other file.
+    /// In this binary. The MJCF refers to no other file.
     BuiltIn {
-        /// The MJCF text.
+        /// Text of the MJCF.
         model: &'static str,
-        /// The text of `robot.toml`.
+        /// Text of `robot.toml`.
         settings: &'static str,
     },
-    /// In a folder; a model may refer to files beside it.
+    /// In a folder. The model may refer to other files of the folder.
     Folder(PathBuf),
 }
 
-/// A file of a robot's folder: its name below the folder, and its bytes.
+/// A file of a robot's folder: its path relative to the folder, and its bytes.
 pub type RobotFile = (String, Cow<'static, [u8]>);
 
 /// The content of `robot.toml`.
@@ -39,40 +39,40 @@ pub type RobotFile = (String, Cow<'static, [u8]>);
 pub struct RobotSettings {
     /// The robot's name in commands and data.
     pub name: String,
-    /// The model's file name, beside `robot.toml`.
+    /// File name of the model, beside `robot.toml`.
     pub model: String,
     /// The arm.
     pub arm: Arm,
     /// The gripper.
     pub gripper: Gripper,
-    /// Sites that the model lacks: a URDF has none, and few models have one at the tool centre point.
+    /// Sites to add to the model: a URDF has none, and few models have one at the tool centre point.
     #[serde(rename = "site", default, skip_serializing_if = "Vec::is_empty")]
     pub sites: Vec<Site>,
 }
 
-/// A frame on a body, to be named as `flange_site` or `tcp_site`.
+/// A frame on a body, for use as `flange_site` or `tcp_site`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Site {
-    /// Its name, one that the model does not have.
+    /// Its name. The model must not have a site of this name.
     pub name: String,
-    /// The body on which it is: an MJCF's `body`, a URDF's `link`.
+    /// The body that carries it: a `body` of an MJCF, a `link` of a URDF.
     pub body: String,
     /// Its position in the body's frame, in metres.
     #[serde(default)]
     pub position_m: [f64; 3],
-    /// Its turn in the body's frame: roll, pitch and yaw about the fixed x, y and z, as URDF has it, in radians.
+    /// Its orientation in the body's frame, in radians: roll, pitch and yaw about the fixed x, y and z axes, as in URDF.
     #[serde(default)]
     pub rpy_rad: [f64; 3],
 }
 
-/// The arm. Arrays have one entry per joint, base to tip.
+/// The arm. Arrays have one entry per joint, from base to tip.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Arm {
-    /// The arm's joints by their names in the model.
+    /// Names of the arm's joints in the model.
     pub joints: Vec<String>,
-    /// Where the arm waits, in radians.
+    /// Joint positions in which the arm waits, in radians.
     pub home_rad: Vec<f64>,
     /// Largest joint speeds, in rad/s.
     pub velocity_limit_rad_s: Vec<f64>,
@@ -118,7 +118,7 @@ pub struct ParallelJaw {
     pub finger_speed_m_s: f64,
     /// Normal force of each pad, in newtons.
     pub force_n: f64,
-    /// What the hand can hold for long, in newtons.
+    /// Largest continuous force of the hand, in newtons.
     pub force_limit_n: f64,
     /// Stiffness of a finger's servo, in N/m.
     pub stiffness_n_m: f64,
@@ -138,12 +138,12 @@ pub struct SuctionCup {
     pub cup_body: String,
     /// Diameter of the lip, in metres.
     pub cup_diameter_m: f64,
-    /// How far the pump brings the pressure in the cup below that around it, in pascals.
+    /// Pressure in the cup below the ambient pressure, in pascals.
     pub vacuum_pa: f64,
 }
 
 impl Gripper {
-    /// The fingers, of a gripper that has some.
+    /// The fingers, if the gripper has fingers.
     pub fn jaw(&self) -> Option<&ParallelJaw> {
         match self {
             Self::ParallelJaw(jaw) => Some(jaw),
@@ -151,7 +151,7 @@ impl Gripper {
         }
     }
 
-    /// The cup, of a gripper that has one.
+    /// The suction cup, if the gripper has one.
     pub fn cup(&self) -> Option<&SuctionCup> {
         match self {
             Self::ParallelJaw(_) => None,
@@ -167,7 +167,7 @@ impl Gripper {
         }
     }
 
-    /// The names by which it refers to the model.
+    /// All names of the model that it refers to.
     fn names(&self) -> Vec<&String> {
         match self {
             Self::ParallelJaw(jaw) => jaw.finger_joints.iter().chain(&jaw.finger_bodies).collect(),
@@ -175,7 +175,7 @@ impl Gripper {
         }
     }
 
-    /// Its quantities, which are positive, by their keys.
+    /// Its quantities by their keys. All must be positive.
     fn quantities(&self) -> Vec<(&'static str, f64)> {
         match self {
             Self::ParallelJaw(jaw) => vec![
@@ -194,13 +194,13 @@ impl Gripper {
         }
     }
 
-    /// What is wrong with quantities that are positive each.
+    /// A contradiction between its quantities.
     fn contradiction(&self) -> Option<String> {
         match self {
             Self::ParallelJaw(ParallelJaw { force_n, force_limit_n, .. }) => (force_n > force_limit_n)
                 .then(|| format!("gripper.force_n = {force_n} exceeds gripper.force_limit_n = {force_limit_n}")),
             Self::Suction(SuctionCup { vacuum_pa, .. }) => (*vacuum_pa > ATMOSPHERE_PA).then(|| {
-                format!("gripper.vacuum_pa = {vacuum_pa}: no pump goes further than {ATMOSPHERE_PA} Pa below the air")
+                format!("gripper.vacuum_pa = {vacuum_pa} is more than the ambient pressure of {ATMOSPHERE_PA} Pa")
             }),
         }
     }
@@ -209,7 +209,7 @@ impl Gripper {
 /// Standard atmosphere, in pascals.
 const ATMOSPHERE_PA: f64 = 101_325.0;
 
-/// Every robot in the binary: name, MJCF, `robot.toml`.
+/// The robots in the binary: name, MJCF, `robot.toml`.
 const BUILT_IN: [(&str, &str, &str); 4] = [
     (
         "franka",
@@ -233,12 +233,12 @@ const BUILT_IN: [(&str, &str, &str); 4] = [
     ),
 ];
 
-/// The names of the robots that come with RoboGate.
+/// Names of the built-in robots.
 pub fn built_in_robots() -> impl Iterator<Item = &'static str> {
     BUILT_IN.iter().map(|(name, ..)| *name)
 }
 
-/// Whether a robot is named by its folder: a built-in one's name is that robot, whatever folders lie about.
+/// Whether `robot` is a folder. The name of a built-in robot never is, even if a folder of that name exists.
 pub fn is_folder(robot: &str) -> bool {
     Path::new(robot).is_dir() && !built_in_robots().any(|name| name == robot)
 }
@@ -264,7 +264,7 @@ impl Robot {
         }
     }
 
-    /// Reads a robot that may have something wrong in its settings, and what that is.
+    /// Reads a robot together with all problems of its settings.
     pub(crate) fn read(folder: &Path) -> Result<(Self, Vec<Problem>), RobotError> {
         let file = folder.join("robot.toml");
         let text =
@@ -273,8 +273,8 @@ impl Robot {
         let mut problems = settings.problems();
         if problems.is_empty() && !folder.join(&settings.model).is_file() {
             problems.push(Problem::new(
-                format!("model = \"{}\": there is no such file beside robot.toml", settings.model),
-                "put the MJCF or URDF into the robot's folder and name it here",
+                format!("model = \"{}\": the file does not exist beside robot.toml", settings.model),
+                "put the MJCF or URDF into the robot's folder and give its name here",
             ));
         }
         Ok((Self { settings, source: RobotSource::Folder(folder.to_owned()) }, problems))
@@ -285,8 +285,7 @@ impl Robot {
         &self.settings.name
     }
 
-    /// The bytes that define the robot, file by file with their names, in a fixed order: what its
-    /// hash in the provenance is taken over.
+    /// The files that define the robot, in a fixed order. The robot's hash in the provenance is computed over them.
     pub fn files(&self) -> Result<Vec<RobotFile>, RobotError> {
         match &self.source {
             RobotSource::BuiltIn { model, settings } => Ok(vec![
@@ -330,12 +329,12 @@ impl RobotSettings {
             path: path.to_owned(),
             problems: vec![Problem::new(
                 e.to_string().trim_end(),
-                "docs/robots.md and schemas/robot.schema.json say which keys there are",
+                "see docs/robots.md and schemas/robot.schema.json for the keys",
             )],
         })
     }
 
-    /// All that is wrong with the settings alone.
+    /// All problems of the settings alone.
     fn problems(&self) -> Vec<Problem> {
         let mut problems = Vec::new();
         let mut problem = |what: String, hint: &str| problems.push(Problem::new(what, hint));
@@ -353,7 +352,7 @@ impl RobotSettings {
         let added = self.sites.iter().flat_map(|site| [&site.name, &site.body]);
         for name in arm.joints.iter().chain(sites).chain(added).chain(self.gripper.names()) {
             if name.is_empty() || name.contains('\0') {
-                problem(format!("{name:?} can be no name in a model"), "give the name that the model has");
+                problem(format!("{name:?} is not a valid name in a model"), "give a name of the model");
             }
         }
         for (key, values, positive) in [
@@ -368,27 +367,27 @@ impl RobotSettings {
                 let (got, want) = (values.len(), arm.joints.len());
                 problem(
                     format!("arm.{key} has {got} entries, arm.joints has {want}"),
-                    "give one for each joint, in the order of arm.joints",
+                    "give one entry for each joint, in the order of arm.joints",
                 );
             }
-            // Below a thousandth there is no arm: such a value is a slip of units.
+            // No arm has a value below 0.001: it would be a mistake of units.
             if let Some(bad) = values.iter().find(|v| !v.is_finite() || (positive && **v < 1e-3)) {
                 let wanted = if positive { "a number of at least 0.001" } else { "a finite number" };
                 problem(
                     format!("arm.{key} holds {bad}, which is not {wanted}"),
-                    "the key's last words are its unit: rad, s, N m",
+                    "the key ends with its unit: rad, s, N m",
                 );
             }
         }
         for site in &self.sites {
             if site.position_m.iter().chain(&site.rpy_rad).any(|x| !x.is_finite()) {
-                problem(format!("site `{}` stands at no finite pose", site.name), "give metres and radians");
+                problem(format!("the pose of site `{}` is not finite", site.name), "give metres and radians");
             }
         }
         let arm = [("arm.reach_m", arm.reach_m), ("arm.payload_kg", arm.payload_kg)];
         for (key, value) in arm.into_iter().chain(self.gripper.quantities()) {
             if !value.is_finite() || value <= 0.0 {
-                problem(format!("{key} = {value} is not a positive number"), "the key's last letters are its unit");
+                problem(format!("{key} = {value} is not a positive number"), "the key ends with its unit");
             }
         }
         if let Some(why) = self.gripper.contradiction() {
@@ -398,17 +397,17 @@ impl RobotSettings {
     }
 }
 
-/// Something that is wrong with a robot, and what to do about it.
+/// A problem of a robot, with a hint.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Problem {
-    /// What is wrong, and where.
+    /// What is wrong with which input.
     pub what: String,
     /// What to do about it.
     pub hint: String,
 }
 
 impl Problem {
-    /// A problem with its remedy.
+    /// A problem with its hint.
     pub(crate) fn new(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self { what: what.into(), hint: hint.into() }
     }
@@ -424,11 +423,11 @@ impl fmt::Display for Problem {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RobotError {
     /// No such built-in robot.
-    #[error("there is no robot `{name}`; built in: {known}; a robot of your own is named by its folder")]
+    #[error("unknown robot `{name}`. Expected a built-in robot ({known}) or the folder of a robot")]
     Unknown {
-        /// What was asked for.
+        /// The requested name.
         name: String,
-        /// What there is.
+        /// The built-in robots.
         known: String,
     },
     /// A file cannot be read.
@@ -436,15 +435,15 @@ pub enum RobotError {
     Read {
         /// The file.
         path: PathBuf,
-        /// The system's words.
+        /// The reason.
         why: String,
     },
-    /// A file says something that cannot be.
+    /// A file has invalid content.
     #[error("{}: {}", path.display(), problems.iter().map(Problem::to_string).collect::<Vec<_>>().join("\n"))]
     Invalid {
         /// The file.
         path: PathBuf,
-        /// What is wrong, all of it.
+        /// All problems.
         problems: Vec<Problem>,
     },
 }

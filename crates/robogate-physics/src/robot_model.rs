@@ -1,4 +1,4 @@
-//! From a robot's folder to a MuJoCo model with the cell's drives on it. All that is wrong is named at once.
+//! From a robot's folder to a MuJoCo model with the drives of `robot.toml`. All problems are reported at once.
 
 use std::path::PathBuf;
 
@@ -12,7 +12,7 @@ use crate::robot::RobotSource;
 use crate::scene::isometry;
 use crate::{Chain, ChainJoint, Gripper, ParallelJaw, Problem, Robot, RobotSettings, Site, contact};
 
-/// Group in which a model's own actuators are switched off: the cell has its own drives.
+/// Group of the model's own actuators, which is disabled: `robot.toml` defines the drives.
 const OFF_GROUP: i32 = 30;
 
 /// The model's file.
@@ -23,14 +23,14 @@ pub(crate) fn path(robot: &Robot) -> PathBuf {
     }
 }
 
-/// The robot alone, ready for a scene about it, and its kinematics.
+/// The robot alone, ready for a scene, and its kinematics.
 pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain), Vec<Problem>> {
     let parsed = match &robot.source {
         RobotSource::BuiltIn { model, .. } => MjSpec::from_xml_string(model),
         RobotSource::Folder(_) => MjSpec::from_xml(path(robot)),
     };
     let mut spec =
-        parsed.map_err(|e| vec![Problem::new(e.to_string(), "MuJoCo reads MJCF and URDF: mend the file")])?;
+        parsed.map_err(|e| vec![Problem::new(e.to_string(), "MuJoCo reads MJCF and URDF: correct the file")])?;
     let settings = &robot.settings;
     let mut problems = Vec::new();
     prepare(&mut spec, time_step);
@@ -43,16 +43,16 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain), Ve
     let compiled = spec.clone().compile().or_else(|error| {
         let missing = leave_out_missing_meshes(&mut spec, robot);
         if missing.is_empty() {
-            return Err(Problem::new(error.to_string(), "this is MuJoCo's own finding: mend the model"));
+            return Err(Problem::new(error.to_string(), "this error is from MuJoCo: correct the model"));
         }
         problems.extend(missing);
-        // What else is wrong shows without them.
-        spec.clone().compile().map_err(|error| Problem::new(error.to_string(), "mend the model"))
+        // Without the missing meshes the compiler finds further problems.
+        spec.clone().compile().map_err(|error| Problem::new(error.to_string(), "correct the model"))
     });
     let model = match compiled {
         Ok(model) => model,
         Err(problem) => {
-            // Where meshes are missing, what follows from that is no problem of its own.
+            // Errors that follow from missing meshes are not reported.
             if problems.is_empty() {
                 problems.push(problem);
             }
@@ -63,7 +63,7 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain), Ve
     check_gripper(&model, settings, &mut problems);
     check_shapes(&model, settings, &mut problems);
     check_alone(&model, settings, &mut problems);
-    // Without a name there is no way along the arm.
+    // With a missing name the chain cannot be followed.
     let chain = if named { chain(&model, settings, &mut problems) } else { None };
     match chain {
         Some(chain) if problems.is_empty() => Ok((spec, chain)),
@@ -71,7 +71,7 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain), Ve
     }
 }
 
-/// Leaves of the file the robot alone: the cell's physics is the cell's, and so are the drives.
+/// Removes everything from the model that is not the robot: options, actuators, keyframes, contact settings.
 fn prepare(spec: &mut MjSpec, time_step: f64) {
     *spec.option_mut() = MjSpec::new().option().clone();
     spec.set_memory(MjSpec::new().memory());
@@ -79,14 +79,14 @@ fn prepare(spec: &mut MjSpec, time_step: f64) {
     compiler.set_boundmass(0.0);
     compiler.set_boundinertia(0.0);
     compiler.set_balanceinertia(false);
-    // A URDF's links are kept as bodies, also where they are fixed to each other: robot.toml names them.
+    // Links of a URDF that are fixed to each other stay separate bodies: robot.toml names them.
     compiler.set_fusestatic(false);
     for actuator in spec.actuator_iter_mut() {
         actuator.set_group(OFF_GROUP);
     }
     // A keyframe is a state of the robot without a scene.
     while let Some(key) = spec.key_iter_mut().next() {
-        // SAFETY: the handle comes fresh from the spec, is used once, and no other is held.
+        // SAFETY: the handle comes directly from the spec, is used once, and no other handle is held.
         #[expect(unsafe_code, reason = "the binding has no safe way to delete")]
         if unsafe { key.delete() }.is_err() {
             break;
@@ -96,7 +96,7 @@ fn prepare(spec: &mut MjSpec, time_step: f64) {
         if geom.contype() != 0 || geom.conaffinity() != 0 {
             geom.set_contype(ROBOT.0);
             geom.set_conaffinity(ROBOT.1);
-            // The object's friction is what counts, whatever a hand's model says.
+            // The object's friction coefficient takes precedence over the model's.
             geom.set_priority(0);
             geom.set_margin(0.0);
             geom.set_gap(0.0);
@@ -114,7 +114,7 @@ fn prepare(spec: &mut MjSpec, time_step: f64) {
     option.disableactuator = 1 << OFF_GROUP;
 }
 
-/// As every arm's controller does; the weight of what the robot carries is not compensated.
+/// Compensates the weight of the robot, as every arm's controller does, but not that of its load.
 fn compensate_weight(body: &mut MjsBody) {
     for child in body.body_iter_mut() {
         child.set_gravcomp(1.0);
@@ -125,15 +125,15 @@ fn compensate_weight(body: &mut MjsBody) {
 fn add_site(spec: &mut MjSpec, site: &Site, problems: &mut Vec<Problem>) {
     if spec.site(&site.name).is_some() {
         problems.push(Problem::new(
-            format!("[[site]] `{}`: the model has a site of that name", site.name),
-            "use the model's, or choose another name",
+            format!("[[site]] `{}`: the model already has a site of this name", site.name),
+            "use the model's site, or choose another name",
         ));
         return;
     }
     let Some(body) = spec.body_mut(&site.body) else {
         let there = listed(spec.body_iter().map(|body| body.name()));
         problems.push(Problem::new(
-            format!("[[site]] `{}`: there is no body `{}`", site.name, site.body),
+            format!("[[site]] `{}`: the model has no body `{}`", site.name, site.body),
             format!("the model has {there}"),
         ));
         return;
@@ -148,14 +148,14 @@ fn add_site(spec: &mut MjSpec, site: &Site, problems: &mut Vec<Problem>) {
 fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
     let names: Vec<String> =
         names.filter(|name| !name.is_empty() && *name != "world").map(|n| format!("`{n}`")).collect();
-    if names.is_empty() { "none with a name".to_owned() } else { names.join(", ") }
+    if names.is_empty() { "no named one".to_owned() } else { names.join(", ") }
 }
 
-/// Whether the model has what robot.toml names.
+/// Checks that the model has all names of robot.toml.
 fn check_names(spec: &MjSpec, settings: &RobotSettings, problems: &mut Vec<Problem>) {
     let arm = &settings.arm;
     let mut missing = |what: &str, name: &str, hint: String| {
-        let what = format!("there is no {what} `{name}`, which robot.toml names");
+        let what = format!("the model has no {what} `{name}`, which robot.toml names");
         problems.push(Problem::new(what, hint));
     };
     let (fingers, bodies): (&[String], &[String]) = match &settings.gripper {
@@ -178,10 +178,10 @@ fn check_names(spec: &MjSpec, settings: &RobotSettings, problems: &mut Vec<Probl
     }
 }
 
-/// Gives every joint that robot.toml names its servo.
+/// Adds a servo to every joint that robot.toml names.
 fn add_drives(spec: &mut MjSpec, settings: &RobotSettings, problems: &mut Vec<Problem>) {
     let arm = &settings.arm;
-    // Where an array is too short the settings are refused, not what is made of them here.
+    // An array that is too short is a problem of the settings, which is reported there.
     let entry = |values: &[f64], i: usize| values.get(i).copied().unwrap_or(1.0);
     let joints = arm.joints.iter().enumerate().map(|(i, name)| {
         let [stiffness, damping, limit] =
@@ -193,11 +193,11 @@ fn add_drives(spec: &mut MjSpec, settings: &RobotSettings, problems: &mut Vec<Pr
     });
     for (joint, stiffness, damping, limit) in joints.chain(fingers) {
         let Some(driven) = spec.joint_mut(joint) else { continue };
-        // The weight of the arm itself is part of what its drives have to bear.
+        // The drives' torque limits include the weight of the arm.
         driven.set_actgravcomp(true);
         *driven.actfrcrange_mut() = [-limit, limit];
         driven.set_actfrclimited(mjtLimited::mjLIMITED_TRUE);
-        // An end stop does not give way to the drive.
+        // End stops are stiffer than the drives.
         driven.solref_limit_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);
         driven.solimp_limit_mut()[..3].copy_from_slice(&contact::LIMIT_IMPEDANCE);
         let mut gain = [0.0; 10];
@@ -208,7 +208,7 @@ fn add_drives(spec: &mut MjSpec, settings: &RobotSettings, problems: &mut Vec<Pr
         if actuator.set_name(&format!("{PREFIX}{joint}")).is_err() {
             problems
                 .push(Problem::new(format!("joint `{joint}` is named twice in robot.toml"), "name each joint once"));
-            // SAFETY: the handle was made above, is used for the last time, and no other is held.
+            // SAFETY: the handle was created above, is used for the last time, and no other handle is held.
             #[expect(unsafe_code, reason = "the binding has no safe way to delete")]
             let _ = unsafe { actuator.delete() };
             continue;
@@ -226,7 +226,7 @@ fn add_drives(spec: &mut MjSpec, settings: &RobotSettings, problems: &mut Vec<Pr
     }
 }
 
-/// Names the meshes whose files are not there, and puts small balls in their place.
+/// Reports the meshes without a file, and replaces them by small balls.
 fn leave_out_missing_meshes(spec: &mut MjSpec, robot: &Robot) -> Vec<Problem> {
     let RobotSource::Folder(folder) = &robot.source else { return Vec::new() };
     let folder = folder.join(spec.compiler().meshdir());
@@ -244,15 +244,15 @@ fn leave_out_missing_meshes(spec: &mut MjSpec, robot: &Robot) -> Vec<Problem> {
     }
     for (name, _) in &missing {
         if let Some(mesh) = spec.mesh_mut(name) {
-            // SAFETY: the handle comes fresh from the spec, is used once, and no geom refers to the mesh.
+            // SAFETY: the handle comes directly from the spec, is used once, and no geom refers to the mesh.
             #[expect(unsafe_code, reason = "the binding has no safe way to delete")]
             let _ = unsafe { mesh.delete() };
         }
     }
     let problem = |(name, file): (String, PathBuf)| {
         Problem::new(
-            format!("mesh `{name}`: there is no file {}", file.display()),
-            "copy it there, or correct the mesh's file or the compiler's meshdir in the model",
+            format!("mesh `{name}`: the file {} does not exist", file.display()),
+            "copy the file there, or correct the mesh's file or the compiler's meshdir in the model",
         )
     };
     missing.into_iter().map(problem).collect()
@@ -262,15 +262,15 @@ fn joint_id(model: &MjModel, name: &str) -> Option<usize> {
     model.name_to_id(MjtObjBase::mjOBJ_JOINT, name)
 }
 
-/// What each joint of the arm must be.
+/// Checks the arm's joints.
 fn check_joints(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Problem>) {
     let arm = &settings.arm;
     for (i, name) in arm.joints.iter().enumerate() {
         let Some(joint) = joint_id(model, name) else { continue };
         if model.jnt_type()[joint] != MjtJoint::mjJNT_HINGE {
             problems.push(Problem::new(
-                format!("joint `{name}` is no hinge: arms with sliding joints are not supported"),
-                "fix the joint where it stands, or name only the arm's turning joints",
+                format!("joint `{name}` is not a hinge: arms with sliding joints are not supported"),
+                "fix the joint in the model, or list only the arm's hinges",
             ));
             continue;
         }
@@ -284,7 +284,7 @@ fn check_joints(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Pr
         }
         if let Some(home) = arm.home_rad.get(i).filter(|home| !(low..=high).contains(*home)) {
             problems.push(Problem::new(
-                format!("joint `{name}`: arm.home_rad has {home}, outside its range {low} to {high}"),
+                format!("joint `{name}`: arm.home_rad has {home}, outside the joint's range {low} to {high}"),
                 "home_rad is in radians and in the order of arm.joints",
             ));
         }
@@ -302,7 +302,7 @@ fn check_gripper(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<P
             {
                 let (cup, tcp) = (&cup.cup_body, &settings.arm.tcp_site);
                 problems.push(Problem::new(
-                    format!("gripper.cup_body = \"{cup}\" moves against the site `{tcp}`, where its lip is"),
+                    format!("gripper.cup_body = \"{cup}\" moves relative to the site `{tcp}`, where its lip is"),
                     "put the site on the cup's own body",
                 ));
             }
@@ -310,7 +310,7 @@ fn check_gripper(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<P
     }
 }
 
-/// What nothing touches never collides and never grips.
+/// Checks that the robot and its gripper have collision shapes.
 fn check_shapes(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Problem>) {
     let collides = |geom: usize| model.geom_contype()[geom] != 0 || model.geom_conaffinity()[geom] != 0;
     let of = |weld: i32| {
@@ -320,7 +320,7 @@ fn check_shapes(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Pr
     let moving = model.geom_bodyid().iter().map(|body| model.body_weldid()[*body as usize]);
     if !moving.enumerate().any(|(geom, weld)| weld != 0 && collides(geom)) {
         problems.push(Problem::new(
-            "no part of the robot that moves has a collision shape: it would pass through everything",
+            "no moving part of the robot has a collision shape: it would pass through everything",
             "give the links geoms with contype or conaffinity (MJCF) or <collision> elements (URDF: <visual> does not collide)",
         ));
         return;
@@ -334,19 +334,21 @@ fn check_shapes(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Pr
             && !of(model.body_weldid()[body])
         {
             problems.push(Problem::new(
-                format!("body `{name}` of the gripper has no collision shape: it would touch nothing"),
+                format!("body `{name}` of the gripper has no collision shape: it could not touch anything"),
                 "give it a geom with contype or conaffinity, or a <collision> element",
             ));
         }
     }
 }
 
-/// What a compiled parallel jaw must be.
+/// Checks a parallel jaw.
 fn check_jaw(model: &MjModel, jaw: &ParallelJaw, problems: &mut Vec<Problem>) {
     let ParallelJaw { finger_joints, finger_bodies, opening_m, .. } = jaw;
     if finger_bodies[0] == finger_bodies[1] || finger_joints[0] == finger_joints[1] {
-        problems
-            .push(Problem::new("gripper: the two fingers are one and the same", "name both joints and both bodies"));
+        problems.push(Problem::new(
+            "gripper: both fingers have the same name",
+            "give two different joints and two different bodies",
+        ));
         return;
     }
     let mut width = 0.0;
@@ -355,15 +357,15 @@ fn check_jaw(model: &MjModel, jaw: &ParallelJaw, problems: &mut Vec<Problem>) {
         let [low, high] = model.jnt_range()[joint];
         if model.jnt_type()[joint] != MjtJoint::mjJNT_SLIDE || !model.jnt_limited()[joint] {
             problems.push(Problem::new(
-                format!("finger joint `{name}` must be a slide with a range"),
-                "a parallel jaw's fingers slide; give each a range from 0, closed, to half the opening",
+                format!("finger joint `{name}` is not a slide with a range"),
+                "only fingers that slide are supported: give each a range from 0, closed, to half the opening",
             ));
             return;
         }
         if low > 0.0 || high <= 0.0 {
             problems.push(Problem::new(
-                format!("finger joint `{name}` ranges from {low} to {high}, and 0 must be closed"),
-                "move the joint's zero to where the pads meet, its positive direction to open",
+                format!("finger joint `{name}` ranges from {low} to {high}. Expected 0, closed, to a positive value"),
+                "set the joint's zero where the pads meet and its positive direction to opening",
             ));
             return;
         }
@@ -371,13 +373,13 @@ fn check_jaw(model: &MjModel, jaw: &ParallelJaw, problems: &mut Vec<Problem>) {
     }
     if *opening_m > width + 1e-9 {
         problems.push(Problem::new(
-            format!("gripper.opening_m = {opening_m}, but the finger joints open {width} m at most"),
-            "opening_m is the way between the pads when both joints are at the end of their range",
+            format!("gripper.opening_m = {opening_m}, but the finger joints open by at most {width} m"),
+            "opening_m is the distance between the pads when both joints are at the end of their range",
         ));
     }
 }
 
-/// A robot's folder holds the robot alone: whatever else it brings would stand in the cell unseen.
+/// Checks that the model holds the robot alone: other shapes would be unknown obstacles.
 fn check_alone(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Problem>) {
     let Some(tcp) = model.name_to_id(MjtObjBase::mjOBJ_SITE, &settings.arm.tcp_site) else { return };
     let root = model.body_rootid()[model.site_bodyid()[tcp] as usize];
@@ -385,14 +387,14 @@ fn check_alone(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Pro
         if model.geom_contype()[geom] != 0 && model.body_rootid()[*body as usize] != root {
             let name = model.id_to_name(MjtObjBase::mjOBJ_GEOM, geom).unwrap_or("without a name");
             problems.push(Problem::new(
-                format!("the shape `{name}` does not belong to the robot: a robot's model holds no scene"),
-                "take floor, table and objects out of the model, and hang the robot's base in the world as one body",
+                format!("the shape `{name}` does not belong to the robot: a robot's model must not contain a scene"),
+                "remove floor, table and objects from the model, and attach the robot's base to the world as one body",
             ));
         }
     }
 }
 
-/// The serial chain from the base to the tool, out of a compiled model.
+/// The serial chain from the base to the tool of a compiled model.
 fn chain(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Problem>) -> Option<Chain> {
     let arm = &settings.arm;
     let site = |name: &str| model.name_to_id(MjtObjBase::mjOBJ_SITE, name);
@@ -404,11 +406,11 @@ fn chain(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Problem>)
         body = model.body_parentid()[body] as usize;
     }
     let mut joints: Vec<ChainJoint> = Vec::new();
-    // The way from the last joint's frame, as far as it has come.
-    let mut way = Isometry3::identity();
-    let mut flange_way = None;
+    // Transform from the last joint's frame to the current body.
+    let mut offset = Isometry3::identity();
+    let mut flange_offset = None;
     for &body in bodies.iter().rev() {
-        way *= isometry(&model.body_pos()[body], &model.body_quat()[body]);
+        offset *= isometry(&model.body_pos()[body], &model.body_quat()[body]);
         let first = model.body_jntadr()[body];
         for joint in (0..model.body_jntnum()[body]).map(|k| (first + k) as usize) {
             let name = model.id_to_name(MjtObjBase::mjOBJ_JOINT, joint).unwrap_or("(without a name)");
@@ -416,38 +418,38 @@ fn chain(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Problem>)
             if expected.and_then(|expected| joint_id(model, expected)) != Some(joint) {
                 let expected = expected.map_or("no more".to_owned(), |name| format!("`{name}`"));
                 problems.push(Problem::new(
-                    format!("joint `{name}` lies between base and `{}` where arm.joints has {expected}", arm.tcp_site),
-                    "list every joint of the arm, base to tip; one that shall not move belongs out of the model",
+                    format!("joint `{name}` is between base and `{}` where arm.joints has {expected}", arm.tcp_site),
+                    "list every joint of the arm from base to tip; fix joints that must not move in the model",
                 ));
                 return None;
             }
             let anchor = Translation3::from(Vector3::from(model.jnt_pos()[joint]));
             joints.push(ChainJoint {
-                placement: way * anchor,
+                placement: offset * anchor,
                 axis: Unit::new_normalize(Vector3::from(model.jnt_axis()[joint])),
                 range: model.jnt_range()[joint],
             });
-            way = Isometry3::from_parts(anchor.inverse(), UnitQuaternion::identity());
-            flange_way = None;
+            offset = Isometry3::from_parts(anchor.inverse(), UnitQuaternion::identity());
+            flange_offset = None;
         }
         if body == model.site_bodyid()[flange] as usize {
-            flange_way = Some(way);
+            flange_offset = Some(offset);
         }
     }
     if let Some(left) = arm.joints.get(joints.len()) {
         problems.push(Problem::new(
-            format!("joint `{left}` does not lie between base and `{}`", arm.tcp_site),
-            "arm.joints are those of the arm alone, base to tip; the fingers' stand under [gripper]",
+            format!("joint `{left}` is not between base and `{}`", arm.tcp_site),
+            "list only the arm's joints in arm.joints, from base to tip; the fingers' joints belong under [gripper]",
         ));
         return None;
     }
-    let Some(flange_way) = flange_way else {
+    let Some(flange_offset) = flange_offset else {
         problems.push(Problem::new(
-            format!("site `{}` does not lie between the last joint and `{}`", arm.flange_site, arm.tcp_site),
-            "the flange is where the tool is screwed on: put its site on the last link or on what is fixed to it",
+            format!("site `{}` is not between the last joint and `{}`", arm.flange_site, arm.tcp_site),
+            "the flange is where the tool is mounted: put its site on the last link or on a body fixed to it",
         ));
         return None;
     };
     let pose = |id: usize| isometry(&model.site_pos()[id], &model.site_quat()[id]);
-    Some(Chain { joints, flange: flange_way * pose(flange), tcp: way * pose(tcp) })
+    Some(Chain { joints, flange: flange_offset * pose(flange), tcp: offset * pose(tcp) })
 }

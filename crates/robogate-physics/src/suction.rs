@@ -1,30 +1,30 @@
-//! When a suction cup takes hold of the object, and when it loses it: the law, for any engine.
+//! When a suction cup takes hold of the object, and when it loses it. The rules are the same for all engines.
 //!
-//! A cup that is told to grip looks along the tool's z axis at the object: from the middle of its lip and from
-//! [`RIM_POINTS`] points around it. It takes hold where the object is no farther from the middle than the grip
-//! threshold, and by vacuum no farther than the lip follows either: air holds nothing. Then the engine joins the two ([`crate::Engine::attach`]); what happens next is
-//! what distinguishes the two laws.
+//! A cup that is commanded to grip looks along the tool's z axis at the object, from the centre of its lip and from
+//! [`RIM_POINTS`] points around it. It takes hold if the distance from the centre to the object is at most the grip
+//! threshold; by vacuum also at most what the lip can follow. The engine then attaches the object
+//! ([`crate::Engine::attach`]). What happens next depends on the law:
 //!
 //! [`SuctionLaw::Surface`] is the surface gripper of the paper (section 4.1): the joint never breaks.
 //!
-//! [`SuctionLaw::Vacuum`] holds by pressure. First the lip has to seal: every point of the rim sees the object,
-//! and the surface departs from the plane of the lip by no more than the lip follows ([`LIP_SHARE`] of its
-//! diameter), be it by tilt or by bend. That is the condition of Dex-Net 3.0 (Mahler et al. 2018, section IV: the
-//! cup's ring projected along the approach onto the surface, with a limit of 10 % on its deformation), taken as a limit on
-//! the way in place of the strain of springs. Bend also costs force: the share of the pressure that is
-//! left falls evenly from 1 on a plane to 0 at the limit. Let V = share x vacuum x area be the suction force, T the
-//! tension along the cup's axis, N = V - T the force that still presses the lip on the surface, S the
-//! force across, M_z and M the torque about the axis and across it, R the lip's radius. The cup holds while
+//! [`SuctionLaw::Vacuum`] holds by pressure. First the lip must seal: every point of the rim sees the object, and the
+//! surface deviates from the plane of the lip, by tilt or by bending, by no more than [`LIP_SHARE`] of the lip's diameter.
+//! This is the condition of Dex-Net 3.0 (Mahler et al. 2018, section IV: the cup's ring is projected along the approach
+//! onto the surface, and its deformation must be at most 10 %), applied to displacement instead of the strain of springs.
+//! Bending also costs force: the fraction of the pressure that is left falls linearly from 1 on a plane to 0 at the limit.
+//! Let V = fraction x vacuum x area be the suction force, T the tension along the cup's axis, N = V - T the force that
+//! still presses the lip on the surface, S the shear force, M_z and M the torques about and across the axis, R the lip's
+//! radius and mu the friction coefficient. The cup holds while
 //!
 //! - T < V,
 //! - (S / (mu N))^2 + (M_z / (mu R N))^2 <= 1: friction of a ring, as the ellipsoid of Howe and Cutkosky (1996),
-//! - M <= N R: beyond, the object tips over the edge of the lip. (From N R / 2 on, one side of the ring bears nothing; the
-//!   rubber follows the surface there, and the seal is taken to last until the object tips: the cup's upper bound.)
+//! - M <= N R: beyond, the object tips over the edge of the lip. (From N R / 2 on, one side of the ring bears no load. The
+//!   rubber follows the surface there, and the seal is assumed to last until the object tips: this is the cup's upper bound.)
 //!
-//! Once overloaded the cup leaks and has lost the object; it takes hold again only after it was told to let go.
+//! An overloaded cup leaks and has lost the object. It takes hold again only after a command to release.
 //!
-//! The vacuum is there after [`BUILD_UP_S`] of sealing without a break. The joint hardly gives and the lip is rubber: it
-//! feels the joint's load with a lag of [`LIP_LAG_S`], so that jolts of a few milliseconds do not peel it off.
+//! The vacuum is reached after [`BUILD_UP_S`] of uninterrupted sealing. The joint is stiff but the lip is rubber: the lip
+//! feels the load with a time constant of [`LIP_LAG_S`], so that impacts of a few milliseconds do not peel it off.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt;
@@ -35,22 +35,22 @@ use serde::{Deserialize, Serialize};
 
 use crate::{GripperCommand, Part, Primitive, SuctionCup, Wrench};
 
-/// Points of the lip at which it looks at the surface.
+/// Number of points of the lip that look at the surface.
 pub const RIM_POINTS: usize = 16;
 
-/// How far the lip follows a surface that is no plane across it, as a share of its diameter.
+/// Largest deviation of the surface from the lip's plane that the lip can follow, as a fraction of its diameter.
 pub const LIP_SHARE: f64 = 0.1;
 
-/// How long a sealed cup takes to reach its vacuum, in seconds: ejectors at the tool need 50 to 200 ms.
+/// Time that a sealed cup takes to reach its vacuum, in seconds: ejectors at the tool need 50 to 200 ms.
 pub const BUILD_UP_S: f64 = 0.1;
 
-/// Time constant with which a lip feels its load, in seconds.
+/// Time constant of the load that a lip feels, in seconds.
 pub const LIP_LAG_S: f64 = 0.02;
 
-/// Where a cup begins to look, behind its lip, in metres: a lip pressed into the surface still sees it.
+/// Start of a cup's view behind its lip, in metres: a lip that is pressed into the surface still sees it.
 const BEHIND_M: f64 = 0.02;
 
-/// What holds an object at a cup.
+/// How a suction cup holds an object.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SuctionLaw {
@@ -64,8 +64,8 @@ impl SuctionLaw {
     /// Every law.
     pub const ALL: [Self; 2] = [Self::Surface, Self::Vacuum];
 
-    /// Its word on the command line.
-    pub fn word(self) -> &'static str {
+    /// Its name on the command line.
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Surface => "surface",
             Self::Vacuum => "vacuum",
@@ -75,15 +75,16 @@ impl SuctionLaw {
 
 impl fmt::Display for SuctionLaw {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.word())
+        f.write_str(self.as_str())
     }
 }
 
 impl FromStr for SuctionLaw {
     type Err = String;
 
-    fn from_str(word: &str) -> Result<Self, String> {
-        Self::ALL.into_iter().find(|law| law.word() == word).ok_or_else(|| "there are surface and vacuum".to_owned())
+    fn from_str(name: &str) -> Result<Self, String> {
+        let found = Self::ALL.into_iter().find(|law| law.as_str() == name);
+        found.ok_or_else(|| format!("`{name}` is not a suction law. Expected one of: surface, vacuum"))
     }
 }
 
@@ -93,29 +94,30 @@ impl SuctionCup {
         0.25 * PI * self.cup_diameter_m * self.cup_diameter_m
     }
 
-    /// What it holds along its axis on a plane, in newtons.
+    /// Largest tension along its axis on a plane, in newtons.
     pub fn force_n(&self) -> f64 {
         self.vacuum_pa * self.area_m2()
     }
 }
 
-/// What a cup sees of the object.
+/// A cup's view of the object.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct View {
-    /// From the middle of the lip to the object along the tool's z axis, in metres; negative where they overlap.
+    /// Distance from the centre of the lip to the object along the tool's z axis, in metres; negative if they overlap.
     pub gap_m: f64,
-    /// Share of the suction force that is left by the seal; `None` where the lip does not seal.
+    /// Fraction of the suction force that the seal leaves; `None` if the lip does not seal.
     pub seal: Option<f64>,
 }
 
-/// What a cup at `tcp` sees of an object of these parts; `None` where there is none before it.
+/// The view of a cup at `tcp` of an object of these parts; `None` if there is no object in front of it.
 pub fn look(cup: &SuctionCup, tcp: &Isometry3<f64>, parts: &[Part], object: &Isometry3<f64>) -> Option<View> {
     let depth = |x: f64, y: f64| {
         let from = object.inverse_transform_point(&(tcp * Point3::new(x, y, -BEHIND_M)));
-        let way = object.inverse_transform_vector(&(tcp.rotation * Vector3::z()));
+        let direction = object.inverse_transform_vector(&(tcp.rotation * Vector3::z()));
         let nearest = parts.iter().filter_map(|part| {
-            let (from, way) = (part.pose.inverse_transform_point(&from), part.pose.inverse_transform_vector(&way));
-            enters(&part.primitive, &from, &way)
+            let from = part.pose.inverse_transform_point(&from);
+            let direction = part.pose.inverse_transform_vector(&direction);
+            enters(&part.primitive, &from, &direction)
         });
         nearest.min_by(f64::total_cmp).map(|distance| distance - BEHIND_M)
     };
@@ -126,13 +128,13 @@ pub fn look(cup: &SuctionCup, tcp: &Isometry3<f64>, parts: &[Part], object: &Iso
         .map(|(sin, cos)| depth(radius * cos, radius * sin).map(|depth| (cos, sin, depth)))
         .collect();
     let seal = rim.and_then(|rim| {
-        // The plane of least squares through evenly spread points of a circle is the first Fourier terms.
+        // The least-squares plane through evenly spaced points of a circle is given by the first Fourier terms.
         let mean = |f: fn(&(f64, f64, f64)) -> f64| rim.iter().map(f).sum::<f64>() / RIM_POINTS as f64;
-        let (level, along_x, along_y) = (mean(|p| p.2), 2.0 * mean(|p| p.2 * p.0), 2.0 * mean(|p| p.2 * p.1));
-        let tilt = 2.0 * along_x.hypot(along_y);
+        let (level, slope_x, slope_y) = (mean(|p| p.2), 2.0 * mean(|p| p.2 * p.0), 2.0 * mean(|p| p.2 * p.1));
+        let tilt = 2.0 * slope_x.hypot(slope_y);
         let bend = rim
             .iter()
-            .map(|(cos, sin, depth)| (depth - level - along_x * cos - along_y * sin).abs())
+            .map(|(cos, sin, depth)| (depth - level - slope_x * cos - slope_y * sin).abs())
             .fold((gap_m - level).abs(), f64::max);
         let limit = LIP_SHARE * cup.cup_diameter_m;
         (tilt <= limit && bend < limit).then(|| 1.0 - bend / limit)
@@ -140,19 +142,20 @@ pub fn look(cup: &SuctionCup, tcp: &Isometry3<f64>, parts: &[Part], object: &Iso
     Some(View { gap_m, seal })
 }
 
-/// How far along `way` (a unit vector) from `from` a ray enters a primitive; `None` if it does not, or starts inside.
-fn enters(primitive: &Primitive, from: &Point3<f64>, way: &Vector3<f64>) -> Option<f64> {
+/// Distance at which a ray from `from` along the unit vector `direction` enters a primitive; `None` if it misses it or
+/// starts inside.
+fn enters(primitive: &Primitive, from: &Point3<f64>, direction: &Vector3<f64>) -> Option<f64> {
     let slab = |axis: usize, half: f64| -> Option<(f64, f64)> {
-        if way[axis].abs() < 1e-12 {
+        if direction[axis].abs() < 1e-12 {
             return (from[axis].abs() <= half).then_some((f64::NEG_INFINITY, f64::INFINITY));
         }
-        let (a, b) = ((-half - from[axis]) / way[axis], (half - from[axis]) / way[axis]);
+        let (a, b) = ((-half - from[axis]) / direction[axis], (half - from[axis]) / direction[axis]);
         Some((a.min(b), a.max(b)))
     };
     let overlap = |a: (f64, f64), b: (f64, f64)| (a.0.max(b.0), a.1.min(b.1));
-    // Where the ray is within `radius` of the origin, in the coordinates that are left.
-    let within = |from: Vector3<f64>, way: Vector3<f64>, radius: f64| -> Option<(f64, f64)> {
-        let (a, b, c) = (way.norm_squared(), from.dot(&way), from.norm_squared() - radius * radius);
+    // The part of the ray that is within `radius` of the origin.
+    let within = |from: Vector3<f64>, direction: Vector3<f64>, radius: f64| -> Option<(f64, f64)> {
+        let (a, b, c) = (direction.norm_squared(), from.dot(&direction), from.norm_squared() - radius * radius);
         if a < 1e-12 {
             return (c <= 0.0).then_some((f64::NEG_INFINITY, f64::INFINITY));
         }
@@ -163,15 +166,15 @@ fn enters(primitive: &Primitive, from: &Point3<f64>, way: &Vector3<f64>) -> Opti
     let (enter, leave) = match *primitive {
         Primitive::Box { half } => overlap(overlap(slab(0, half[0])?, slab(1, half[1])?), slab(2, half[2])?),
         Primitive::Cylinder { radius, half_height } => {
-            overlap(within(flat(from.coords), flat(*way), radius)?, slab(2, half_height)?)
+            overlap(within(flat(from.coords), flat(*direction), radius)?, slab(2, half_height)?)
         }
-        Primitive::Sphere { radius } => within(from.coords, *way, radius)?,
+        Primitive::Sphere { radius } => within(from.coords, *direction, radius)?,
     };
     (enter <= leave && enter >= 0.0).then_some(enter)
 }
 
-/// Whether a cup with the suction force `suction` (N) and the radius `radius` (m) holds against this load: what it
-/// does to the object, in the tool's frame, z out of the tool. `friction` is that of lip and object.
+/// Whether a cup with the suction force `suction` (N) and the radius `radius` (m) holds against this load: the wrench of
+/// the cup on the object in the tool's frame, z out of the tool. `friction` is the coefficient of lip and object.
 pub fn holds(suction: f64, radius: f64, friction: f64, load: &Wrench) -> bool {
     let tension = -load.force.z;
     let pressing = suction - tension;
@@ -196,15 +199,15 @@ pub(crate) struct Suction {
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum State {
     Idle,
-    /// Sealed for so long, in seconds.
+    /// Sealed for this long, in seconds.
     Sealed(f64),
-    /// Holding with this suction force, in newtons, and feeling this load.
+    /// Holding with this suction force in newtons, and feeling this load.
     Holding(f64, Wrench),
-    /// Overloaded; the air is in.
+    /// Overloaded: the vacuum is lost.
     Leaked,
 }
 
-/// What the engine has to do.
+/// What the engine must do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Change {
     Attach,
@@ -212,7 +215,7 @@ pub(crate) enum Change {
 }
 
 impl Suction {
-    /// A cup that takes hold within `threshold` (m), on an object with this friction, looked at every `time_step` (s).
+    /// A cup that takes hold within `threshold` (m) of an object with this friction coefficient, for steps of `time_step` (s).
     pub(crate) fn new(law: SuctionLaw, cup: SuctionCup, threshold: f64, friction: f64, time_step: f64) -> Self {
         Self { law, cup, threshold, friction, time_step, state: State::Idle }
     }
@@ -222,19 +225,19 @@ impl Suction {
         self.threshold
     }
 
-    /// Whether the object hangs at the cup.
+    /// Whether the cup holds the object.
     pub(crate) fn holding(&self) -> bool {
         matches!(self.state, State::Holding(..))
     }
 
-    /// Looks at one time step: what the cup was told, what it sees and what it bears.
+    /// One time step: the command, the cup's view of the object and its load.
     pub(crate) fn step(
         &mut self,
-        told: GripperCommand,
+        command: GripperCommand,
         view: impl FnOnce(&SuctionCup) -> Option<View>,
         load: Option<Wrench>,
     ) -> Option<Change> {
-        match (told, self.state) {
+        match (command, self.state) {
             (GripperCommand::Open, State::Holding(..)) => {
                 self.state = State::Idle;
                 Some(Change::Detach)
@@ -308,12 +311,12 @@ mod tests {
     }
 
     #[test]
-    fn a_forty_millimetre_cup_at_sixty_kilopascals_holds_seventy_five_newtons() {
+    fn force_is_pressure_times_area() {
         assert!((cup().force_n() - 75.4).abs() < 0.1);
     }
 
     #[test]
-    fn the_gap_is_measured_along_the_tool_and_may_be_negative() {
+    fn the_gap_may_be_negative() {
         let cylinder = Primitive::Cylinder { radius: 0.025, half_height: 0.025 };
         for (primitive, height) in [(cube(0.05), 0.01), (cylinder, 0.002), (ball(0.05), -0.003)] {
             let gap = view(primitive, [0.0, 0.0], height, 0.0).unwrap().gap_m;
@@ -323,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lip_seals_on_a_plane_and_not_over_its_edge_nor_far_from_square() {
+    fn a_lip_seals_on_planes_only() {
         assert_eq!(view(cube(0.05), [0.004, 0.0], 0.002, 0.0).unwrap().seal, Some(1.0));
         assert_eq!(view(cube(0.05), [0.006, 0.0], 0.002, 0.0).unwrap().seal, None);
         assert!(view(cube(0.05), [0.0, 0.0], 0.002, 0.09).unwrap().seal.unwrap() > 0.999);
@@ -331,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ball_bends_the_lip_by_its_cap() {
+    fn a_ball_bends_the_lip() {
         // The cap of a ball of radius r under a lip of radius R is r - sqrt(r^2 - R^2) high.
         let r: f64 = 0.1;
         let cap = r - (r * r - 0.02 * 0.02_f64).sqrt();
@@ -341,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn tension_shear_twist_and_tilt_each_have_their_limit() {
+    fn each_load_has_its_limit() {
         let load = |x: f64, pull: f64, across: f64, twist: f64| Wrench {
             force: Vector3::new(x, 0.0, -pull),
             torque: Vector3::new(0.0, across, twist),
@@ -354,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn a_leaked_cup_takes_hold_again_only_after_it_was_told_to_let_go() {
+    fn a_leaked_cup_must_release_first() {
         use GripperCommand::{Close, Open};
         let near = |_: &SuctionCup| Some(View { gap_m: 0.001, seal: Some(1.0) });
         let heavy = Wrench { force: Vector3::new(0.0, 0.0, -800.0), torque: Vector3::zeros() };
@@ -367,7 +370,7 @@ mod tests {
             assert_eq!(suction.step(Close, near, None), None);
             assert_eq!(suction.step(Open, near, None), None);
         }
-        // A seal that breaks begins anew.
+        // A broken seal starts from the beginning.
         assert_eq!(suction.step(Close, near, None), None);
         assert_eq!(suction.step(Close, |_| None, None), None);
         assert_eq!(suction.step(Close, near, None), None);
@@ -376,7 +379,7 @@ mod tests {
     }
 
     #[test]
-    fn air_holds_nothing_however_wide_the_threshold() {
+    fn a_vacuum_needs_contact() {
         let mut suction = Suction::new(SuctionLaw::Vacuum, cup(), 0.02, 0.8, BUILD_UP_S);
         let before = |gap_m: f64| move |_: &SuctionCup| Some(View { gap_m, seal: Some(1.0) });
         for _ in 0..5 {
@@ -387,7 +390,7 @@ mod tests {
     }
 
     #[test]
-    fn a_surface_gripper_holds_at_once_and_for_good() {
+    fn a_surface_gripper_never_loses_the_object() {
         use GripperCommand::{Close, Open};
         let heavy = Wrench { force: Vector3::new(0.0, 0.0, -8000.0), torque: Vector3::zeros() };
         let mut surface = Suction::new(SuctionLaw::Surface, cup(), 0.01, 0.8, 0.002);

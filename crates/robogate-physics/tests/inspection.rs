@@ -103,9 +103,9 @@ fn all_that_is_wrong_is_said_at_once() {
         &[
             "arm.torque_limit_nm has 2 entries, arm.joints has 7",
             "arm.payload_kg = 0",
-            "there is no site `tip`",
-            "mesh `a`: there is no file",
-            "mesh `b`: there is no file",
+            "the model has no site `tip`",
+            "mesh `a`: the file ",
+            "mesh `b`: the file ",
             "joint `joint3` has no limits",
             "joint `joint5` has no limits",
             "joint `joint6`: arm.home_rad has 9",
@@ -125,7 +125,7 @@ fn what_only_a_trial_shows_is_said_too() {
     assert!(inspection.problems.iter().any(|p| p.what.contains("touches the table")), "{:#?}", inspection.problems);
     let thick = change(MODEL, "size=\"0.035\"", "size=\"0.12\"");
     let inspection = look(&folder("thick", &[("franka.xml", &thick), ("robot.toml", SETTINGS)]));
-    let deep = |p: &Problem| p.what.contains("`link5` and `link7`") && p.what.contains("deep in each other");
+    let deep = |p: &Problem| p.what.contains("`link5` and `link7`") && p.what.contains("penetrate each other");
     assert!(inspection.problems.iter().any(deep), "{:#?}", inspection.problems);
     let over = change(
         MODEL,
@@ -150,5 +150,5 @@ fn a_folder_without_what_it_needs_says_what_that_is() {
         assert_eq!(inspection.problems.len(), 1, "{name}: {:#?}", inspection.problems);
         assert!(inspection.problems[0].what.contains(part) || name == "no-toml", "{:#?}", inspection.problems);
     }
-    assert!(inspect("no such robot", &[]).problems[0].what.contains("no robot `no such robot`"));
+    assert!(inspect("no such robot", &[]).problems[0].what.contains("unknown robot `no such robot`"));
 }

@@ -1,8 +1,8 @@
-//! What a picture costs.
+//! Cost of a picture.
 //!
 //! `cargo bench -p robogate-tasks --bench camera [-- FOLDER]` prints processor milliseconds a picture (mean of front and wrist, 256 x 256
-//! pixels, with shadows and smooth edges), and how many times as long it takes where every ray tries every solid and
-//! every point every shadow. With a folder it writes the pictures there as PPM.
+//! pixels, with shadows and smooth edges), and the ratio to the time without acceleration structures. With a folder it
+//! writes the pictures there as PPM.
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a program that prints what it measures")]
 
@@ -15,7 +15,7 @@ use robogate_tasks::pick_place::{self, Placement, SceneParameters};
 
 fn main() {
     let folder = std::env::args().skip(1).find(|argument| !argument.starts_with("--"));
-    println!("robot    scene         ms a picture: median    least   tries everything: ratio");
+    println!("robot    scene         ms a picture: median    least   exhaustive: ratio");
     for name in ["franka", "ur5e"] {
         let robot = built_in_robot(name).unwrap();
         for (label, settings) in scenes() {
@@ -45,9 +45,9 @@ fn main() {
     }
 }
 
-/// Of one of the two pictures.
+/// Processor time of one picture, in milliseconds.
 fn milliseconds<T>(work: impl Fn() -> T) -> f64 {
-    /// The system counts processor time in ticks: a single picture is too short for that.
+    /// A single picture is shorter than the system's clock tick.
     const REPEATS: u32 = 12;
     let start = busy();
     for _ in 0..REPEATS {
@@ -56,8 +56,8 @@ fn milliseconds<T>(work: impl Fn() -> T) -> f64 {
     (busy() - start) * 1e3 / f64::from(2 * REPEATS)
 }
 
-/// Seconds that this process has been on a processor, so that others who use the machine do not count; where the system
-/// does not say, the time of day.
+/// Processor time of this process in seconds, so that other load does not count; wall time if the system does not report
+/// it.
 fn busy() -> f64 {
     let nanoseconds = std::fs::read_to_string("/proc/self/schedstat")
         .ok()

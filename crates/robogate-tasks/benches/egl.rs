@@ -1,7 +1,7 @@
-//! What a picture by MuJoCo's own renderer costs.
+//! Cost of a picture by MuJoCo's renderer.
 //!
 //! `cargo bench -p robogate-tasks --features egl --bench egl` prints processor milliseconds, all threads of the process together: of a picture (mean
-//! of front and wrist, 256 x 256 pixels), and of the first two of an episode, for which the scene goes to the device.
+//! of front and wrist, 256 x 256 pixels), and of the first two of an episode, which upload the scene to the device.
 #![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a program that prints what it measures")]
 
 use robogate_camera::EglRenderer;
@@ -38,11 +38,11 @@ fn main() {
     }
 }
 
-/// Processor time of all threads, which the system counts in hundredths of a second.
+/// Processor time of all threads; the system's resolution is 10 ms.
 fn milliseconds(work: impl FnOnce()) -> f64 {
     let busy = || {
         let text = std::fs::read_to_string("/proc/self/stat").unwrap();
-        // The name in brackets may have spaces; user and system time are the 12th and 13th after it.
+        // The name in brackets may contain spaces; user and system time are fields 12 and 13 after it.
         let fields = text.rsplit(')').next().unwrap().split_whitespace();
         fields.skip(11).take(2).map(|ticks| ticks.parse::<f64>().unwrap()).sum::<f64>() * 10.0
     };

@@ -1,4 +1,4 @@
-//! What an episode costs in each engine, as a ratio in one run.
+//! Cost of an episode in each engine, as a ratio in one run.
 //!
 //! `cargo bench -p robogate-tasks --bench engines [-- EPISODES]`
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
@@ -23,7 +23,7 @@ fn main() {
         let index = i as u64;
         let requested = design.assignment(i).unwrap();
         let scenario = Scenario { index, seed: Seed::campaign(1).episode(index), requested };
-        // Turn about, so that both meet the same load of the machine.
+        // Alternating, so that both run under the same load of the machine.
         for (k, (simulator, policy)) in [&mut mujoco, &mut rapier].into_iter().enumerate() {
             let start = Instant::now();
             simulated[k] += rollout(&mut **simulator, &mut **policy, &scenario).time_s;

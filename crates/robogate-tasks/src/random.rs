@@ -1,9 +1,9 @@
-//! A policy that knows nothing: the floor of a ranking.
+//! A random policy: the lower bound of a ranking.
 
 use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, Stream, TaskInstance, TaskSpec};
 
-/// Draws every number of its actions uniformly within the bounds of the task: those of a vector, else the six of a tool
-/// delta, and the gripper's, which opens above zero. What it draws depends on the episode's seed alone.
+/// Draws every number of an action uniformly within the bounds of the task: those of a vector, or the six of a tool delta,
+/// and one for the gripper, which opens above 0. The draws depend on the episode's seed only.
 #[derive(Debug, Clone)]
 pub struct Random {
     stream: Stream,
@@ -38,7 +38,7 @@ impl Bounds {
 }
 
 impl Random {
-    /// A policy that draws anew in each episode.
+    /// A random policy. Each episode has its own draws.
     pub fn new() -> Self {
         Self {
             stream: stream(Seed::campaign(0)),
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn episode_is_a_function_of_its_seed() {
+    fn draws_depend_on_the_seed() {
         let seed = |n| Seed::campaign(3).episode(n);
         assert_eq!(episode(&arm(), seed(1)), episode(&arm(), seed(1)));
         assert_ne!(episode(&arm(), seed(1)), episode(&arm(), seed(2)));

@@ -1,44 +1,39 @@
-//! The physics claims, each held to every engine, with as many episodes as a test run has patience for;
-//! `robogate check physics` runs them at full length.
-#![expect(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "a test fails by panicking, and its figures are worth reading"
-)]
+//! The physics claims for every engine, with few episodes. `robogate check physics` runs them at full length.
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test fails by panicking, and prints its figures")]
 
 mod common;
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 use std::sync::Arc;
 
-use common::On;
+use common::EngineKind;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Assignment, FailureMode, Outcome, ParameterSpace, Scenario, Seed, Suite, Value, rollout};
 use robogate_physics::{FixtureKind, JointTargets, Scene, built_in_robot};
-use robogate_tasks::pick_place::claims::{self, Finding, Workbench};
+use robogate_tasks::pick_place::claims::{self, ClaimResult, Workbench};
 use robogate_tasks::pick_place::{self, Placement, SceneParameters, Shape, built_in_space};
 
-/// Makes of each claim one test for every engine: what is claimed here is claimed of all of them.
+/// Makes one test for each claim and engine.
 macro_rules! of_every_engine {
-    ($($(#[$doc:meta])* fn $claim:ident($on:ident: On) $body:block)*) => {
-        $($(#[$doc])* fn $claim($on: On) $body)*
+    ($($(#[$doc:meta])* fn $claim:ident($on:ident: EngineKind) $body:block)*) => {
+        $($(#[$doc])* fn $claim($on: EngineKind) $body)*
 
         #[cfg(feature = "mujoco")]
         mod mujoco {
-            $(#[test] fn $claim() { super::$claim(super::On::Mujoco) })*
+            $(#[test] fn $claim() { super::$claim(super::EngineKind::Mujoco) })*
         }
 
         #[cfg(feature = "rapier")]
         mod rapier {
-            $(#[test] fn $claim() { super::$claim(super::On::Rapier) })*
+            $(#[test] fn $claim() { super::$claim(super::EngineKind::Rapier) })*
         }
     };
 }
 
-fn confirm(finding: Result<Finding, String>) {
-    let finding = finding.unwrap();
-    println!("{}\n  {}", finding.claim, finding.figures.join("\n  "));
-    assert!(finding.holds, "{finding:#?}");
+fn confirm(result: Result<ClaimResult, String>) {
+    let result = result.unwrap();
+    println!("{}\n  {}", result.claim, result.figures.join("\n  "));
+    assert!(result.holds, "{result:#?}");
 }
 
 fn space(name: &str) -> Arc<ParameterSpace> {
@@ -50,7 +45,7 @@ fn scenario(parameters: &[(&str, Value)]) -> Scenario {
     Scenario { index: 0, seed: Seed::campaign(1).episode(0), requested }
 }
 
-fn scene(on: On, robot: &str, parameters: &[(&str, Value)]) -> Scene {
+fn scene(on: EngineKind, robot: &str, parameters: &[(&str, Value)]) -> Scene {
     let gripper = &on.robot(robot).robot.settings.gripper;
     let parameters = SceneParameters::from_assignment(&scenario(parameters).requested, Some(gripper)).unwrap();
     let placement = Placement::from_name(&parameters.placement).unwrap();
@@ -109,8 +104,8 @@ fn ur5e_flange(q: &[f64]) -> Isometry3<f64> {
     })
 }
 
-/// The engine's chain, and the world that it puts there, at random joint positions.
-fn moves_as(on: On, robot: &str, flange: fn(&[f64]) -> Isometry3<f64>, tool: Isometry3<f64>) {
+/// Checks the engine's chain, and its loaded scene, at random joint positions.
+fn moves_as(on: EngineKind, robot: &str, flange: fn(&[f64]) -> Isometry3<f64>, tool: Isometry3<f64>) {
     let mut engine = on.robot(robot).engine();
     let scene = scene(on, robot, &[]);
     for index in 0..1000 {
@@ -127,7 +122,7 @@ fn moves_as(on: On, robot: &str, flange: fn(&[f64]) -> Isometry3<f64>, tool: Iso
     }
 }
 
-/// A box that crosses the workspace and stands still in the middle of it.
+/// A box that crosses the workspace and stops in its middle.
 fn crossing() -> [(&'static str, Value); 6] {
     [
         ("disturbance_speed_m_s", Value::Number(0.2)),
@@ -139,10 +134,10 @@ fn crossing() -> [(&'static str, Value); 6] {
     ]
 }
 
-/// What is asked of the world comes back from the engine as it was asked.
-fn is_read_back(on: On, robot: &str, parameters: &[(&str, Value)]) {
-    let station = on.robot(robot);
-    let (mut simulator, _) = station.bench(&station.setup()).unwrap();
+/// Checks that the engine returns the requested values.
+fn is_read_back(on: EngineKind, robot: &str, parameters: &[(&str, Value)]) {
+    let cell = on.robot(robot);
+    let (mut simulator, _) = cell.bench(&cell.setup()).unwrap();
     let start = simulator.reset(&scenario(parameters)).unwrap();
     for (name, asked) in parameters {
         match (asked, start.applied.number(name)) {
@@ -156,52 +151,52 @@ fn is_read_back(on: On, robot: &str, parameters: &[(&str, Value)]) {
 }
 
 of_every_engine! {
-    fn the_franka_moves_as_its_manufacturers_table_says(on: On) {
-        // The hand is turned by -45 degrees about the flange's z, the tool centre point 0.1034 m beyond it.
+    fn franka_kinematics_match_the_manufacturers_table(on: EngineKind) {
+        // The hand is rotated by -45 degrees about the flange's z axis; the tool centre point is 0.1034 m beyond it.
         let hand = Isometry3::translation(0.0, 0.0, 0.1034) * turned(&Vector3::z_axis(), -FRAC_PI_4);
         moves_as(on, "franka", franka_flange, hand);
     }
 
-    fn the_ur5e_moves_as_its_manufacturers_table_says(on: On) {
+    fn ur5e_kinematics_match_the_manufacturers_table(on: EngineKind) {
         moves_as(on, "ur5e", ur5e_flange, Isometry3::translation(0.0, 0.0, 0.12));
     }
 
-    fn the_lowest_friction_that_holds_is_coulombs(on: On) {
+    fn holding_friction_follows_coulombs_law(on: EngineKind) {
         confirm(claims::coulomb(&on.franka(), &[3.0]));
     }
 
-    fn an_object_wider_than_the_opening_is_never_picked(on: On) {
+    fn a_too_wide_object_is_never_picked(on: EngineKind) {
         confirm(claims::opening(&on.franka(), on.episodes(28)));
     }
 
-    fn the_easy_region_is_easy(on: On) {
+    fn the_easy_region_is_easy(on: EngineKind) {
         confirm(claims::easy_region(&on.franka(), on.episodes(140)));
     }
 
-    fn what_is_round_stays_in_the_hand(on: On) {
+    fn round_objects_stay_in_the_hand(on: EngineKind) {
         confirm(claims::no_creep(&on.franka(), on.episodes(56)));
     }
 
-    fn halving_the_time_step_changes_few_outcomes(on: On) {
+    fn a_half_time_step_changes_few_outcomes(on: EngineKind) {
         confirm(claims::time_step(&on.franka(), &space("franka"), on.episodes(200)));
     }
 
-    fn an_episode_has_the_same_bits_in_any_order(on: On) {
+    fn episodes_do_not_depend_on_order(on: EngineKind) {
         confirm(claims::repeatable(&on.franka(), &space("franka"), on.episodes(40)));
     }
 
-    fn joint_limits_are_kept(on: On) {
+    fn joint_limits_are_kept(on: EngineKind) {
         confirm(claims::joint_limits(&on.franka(), on.episodes(28)));
     }
 
-    fn an_object_off_its_placement_is_picked_less_often(on: On) {
+    fn position_jitter_reduces_success(on: EngineKind) {
         confirm(claims::position_jitter(&on.franka(), on.episodes(28)));
         confirm(claims::position_jitter(&on.ur5e(), on.episodes(28)));
     }
 
-    /// What hangs still pulls with its weight, m g, and bends the lip by m g times the way of its centre of mass
-    /// to the side; lifted with acceleration a it pulls with m (g + a).
-    fn what_hangs_at_a_cup_pulls_with_its_weight(on: On) {
+    /// An object at rest pulls with its weight m g, and bends the lip by m g times the lateral offset of its centre of
+    /// mass. Lifted with acceleration a it pulls with m (g + a).
+    fn a_cups_load_is_the_objects_weight(on: EngineKind) {
         let mut engine = on.ur5e().engine();
         for (mass, com_offset) in [(0.4, 0.0), (1.3, 0.0), (1.3, 0.3), (3.0, 0.2)] {
             let size = 0.06;
@@ -254,37 +249,37 @@ of_every_engine! {
         }
     }
 
-    fn a_vacuum_cup_lifts_what_its_pressure_and_area_allow(on: On) {
+    fn a_vacuum_cup_lifts_up_to_its_force(on: EngineKind) {
         confirm(claims::vacuum_limit(&on.ur5e()));
     }
 
-    fn doubling_the_cups_area_doubles_the_mass_it_holds(on: On) {
+    fn lifted_mass_grows_with_the_cups_area(on: EngineKind) {
         confirm(claims::cup_area(&on.ur5e()));
     }
 
-    fn doubling_gravity_halves_the_mass_a_cup_holds_but_for_the_lifts_own_acceleration(on: On) {
+    fn lifted_mass_falls_with_gravity(on: EngineKind) {
         confirm(claims::gravity(&on.ur5e()));
     }
 
-    fn a_surface_gripper_never_reports_grip_loss(on: On) {
+    fn a_surface_gripper_never_reports_grip_loss(on: EngineKind) {
         confirm(claims::surface_keeps(&on.ur5e(), &space("ur"), on.episodes(80)));
     }
 
-    fn the_easy_region_is_easy_for_a_cup(on: On) {
+    fn the_easy_region_is_easy_for_a_cup(on: EngineKind) {
         confirm(claims::easy_region(&on.ur5e(), on.episodes(56)));
     }
 
-    fn a_cups_episode_has_the_same_bits_in_any_order(on: On) {
+    fn cup_episodes_do_not_depend_on_order(on: EngineKind) {
         confirm(claims::repeatable(&on.ur5e(), &space("ur-wide"), on.episodes(30)));
     }
 
-    /// The target and every placement but those on the near side lie beyond a UR3e's half metre.
-    fn a_ur3e_cannot_reach_what_lies_beyond_its_reach(on: On) {
-        let station = on.robot("ur3e");
-        let (mut simulator, mut policy) = station.bench(&station.setup()).unwrap();
+    /// The target and all placements except those on the near side are beyond the reach of a UR3e, 0.5 m.
+    fn a_ur3e_times_out_beyond_its_reach(on: EngineKind) {
+        let cell = on.robot("ur3e");
+        let (mut simulator, mut policy) = cell.bench(&cell.setup()).unwrap();
         for name in ["edge_0", "edge_90", "left_0"] {
             let [x, y] = Placement::from_name(name).unwrap().position;
-            assert!(x.hypot(y) > station.robot.settings.arm.reach_m, "{name}");
+            assert!(x.hypot(y) > cell.robot.settings.arm.reach_m, "{name}");
             let scenario = scenario(&[("placement", Value::Category(name.into()))]);
             let episode = rollout(&mut *simulator, &mut *policy, &scenario);
             assert_eq!(episode.outcome, Outcome::Failure(FailureMode::TIMEOUT), "{name}");
@@ -292,8 +287,7 @@ of_every_engine! {
         }
     }
 
-    /// A table that is slippery while the pads are not changes nothing but how the object stands.
-    fn what_was_asked_is_what_the_engine_holds(on: On) {
+    fn requested_values_are_read_back(on: EngineKind) {
         for shape in Shape::ALL {
             is_read_back(on, "franka", &[
                 ("friction", Value::Number(0.7)),
@@ -311,7 +305,7 @@ of_every_engine! {
         is_read_back(on, "franka", &crossing());
     }
 
-    fn a_fixture_that_moves_is_where_its_path_says_and_pushes_the_object_there(on: On) {
+    fn a_moving_fixture_follows_its_path(on: EngineKind) {
         let mut engine = on.franka().engine();
         let scene = scene(on, "franka", &crossing());
         let home = engine.robot().settings.arm.home_rad.clone();
@@ -326,9 +320,9 @@ of_every_engine! {
         for step in 1..=(4.0 / dt).round() as usize {
             engine.advance(&targets);
             let time = step as f64 * dt;
-            let way = 0.2 * (time.clamp(0.5, 3.0) - 0.5);
+            let path = 0.2 * (time.clamp(0.5, 3.0) - 0.5);
             let at = engine.fixture(mover).translation.vector;
-            assert!((at.xy() - Vector3::new(0.5, -0.4 + way, 0.0).xy()).norm() < 1e-9, "{time}: {at}");
+            assert!((at.xy() - Vector3::new(0.5, -0.4 + path, 0.0).xy()).norm() < 1e-9, "{time}: {at}");
             if (engine.object().translation.vector - start).norm() > 1e-3 {
                 pushed_at.get_or_insert(time);
             }
@@ -343,7 +337,7 @@ of_every_engine! {
     }
 
     /// A box that slides on the table after a push decelerates by mu g, mu being the table's own coefficient.
-    fn the_tables_friction_stops_the_object(on: On) {
+    fn the_tables_friction_stops_the_object(on: EngineKind) {
         for (friction, table_friction) in [(0.9, 0.2), (0.1, 0.2)] {
             let mut engine = on.franka().engine();
             let mut parameters = crossing().to_vec();
@@ -372,10 +366,10 @@ of_every_engine! {
     }
 
     /// One round of the 68.
-    fn the_industrial_suite_is_solved(on: On) {
+    fn the_industrial_suite_is_solved(on: EngineKind) {
         let suite = Suite::from_toml(include_str!("../../../assets/suites/industrial-68.toml")).unwrap();
-        let station = on.franka();
-        let (mut simulator, mut policy) = station.bench(&station.setup()).unwrap();
+        let cell = on.franka();
+        let (mut simulator, mut policy) = cell.bench(&cell.setup()).unwrap();
         let failed: Vec<_> = (0..68)
             .map(|i| rollout(&mut *simulator, &mut *policy, &suite.scenario(Seed::campaign(2026), i)))
             .filter(|episode| episode.outcome != Outcome::Success)
@@ -386,7 +380,7 @@ of_every_engine! {
 }
 
 #[test]
-fn a_parameter_that_the_gripper_does_not_have_is_refused_by_name() {
+fn a_parameter_of_another_gripper_is_refused() {
     let gripper = |robot| built_in_robot(robot).unwrap().settings.gripper;
     SceneParameters::check_space(&space("ur-wide"), Some(&gripper("ur5e"))).unwrap();
     let error = SceneParameters::check_space(&space("ur"), Some(&gripper("franka"))).unwrap_err().to_string();

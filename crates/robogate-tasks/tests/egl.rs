@@ -1,4 +1,4 @@
-//! Claims about MuJoCo's own renderer beside the embedded one. Without an EGL device they are skipped.
+//! MuJoCo's renderer compared with the embedded one. Without an EGL device the tests are skipped with a message.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeSet;
@@ -27,7 +27,7 @@ fn embedded(robot: &str) -> PickPlace<MujocoEngine> {
     PickPlace::new(MujocoEngine::new(robot, MujocoEngine::TIME_STEP_S).unwrap(), None).unwrap()
 }
 
-/// The same cell with MuJoCo's renderer, where there is a device for it.
+/// The same cell with MuJoCo's renderer, if there is a device for it.
 fn egl(robot: &str) -> Option<PickPlace<MujocoEngine>> {
     let engine = MujocoEngine::new(built_in_robot(robot).unwrap(), MujocoEngine::TIME_STEP_S).unwrap();
     match EglRenderer::new(&engine) {
@@ -39,7 +39,7 @@ fn egl(robot: &str) -> Option<PickPlace<MujocoEngine>> {
     }
 }
 
-/// What the cameras show after so many steps of the scripted controller.
+/// The pictures after this number of steps of the scripted controller.
 fn pictures(cell: &mut PickPlace<MujocoEngine>, robot: &str, settings: &[(&str, Value)], steps: usize) -> Vec<Image> {
     let scenario = scenario(settings);
     let start = cell.reset(&scenario).unwrap();
@@ -67,7 +67,7 @@ fn centroid(pixels: &BTreeSet<(i64, i64)>) -> [f64; 2] {
     [pixels.iter().map(|p| p.0 as f64).sum::<f64>() / n, pixels.iter().map(|p| p.1 as f64).sum::<f64>() / n]
 }
 
-/// How many of these pixels have none of the others within two pixels.
+/// The number of these pixels without any of the others within two pixels.
 fn alone(these: &BTreeSet<(i64, i64)>, others: &BTreeSet<(i64, i64)>) -> usize {
     let near = |(x, y): &(i64, i64)| (-2..=2).any(|dx| (-2..=2).any(|dy| others.contains(&(x + dx, y + dy))));
     these.iter().filter(|pixel| !near(pixel)).count()
@@ -90,7 +90,7 @@ fn outlines(
 }
 
 #[test]
-fn the_object_has_the_same_outline_in_both_renderers_and_both_cameras() {
+fn the_objects_outline_agrees() {
     let cases: Vec<(&str, Settings<'_>, usize)> = vec![
         ("franka", vec![], 0),
         ("franka", vec![("shape", word("sphere")), ("size_m", Value::Number(0.08)), ("placement", word("left_0"))], 0),
@@ -125,7 +125,7 @@ fn the_object_has_the_same_outline_in_both_renderers_and_both_cameras() {
 }
 
 #[test]
-fn robot_and_table_stand_before_the_wall_with_the_same_outline() {
+fn outlines_before_the_wall_agree() {
     for (robot, steps) in [("franka", 0), ("franka", 25), ("ur5e", 0), ("ur10e", 25)] {
         let Some(mut other) = egl(robot) else { return };
         let wall = |cell: &mut PickPlace<MujocoEngine>| {
@@ -140,7 +140,7 @@ fn robot_and_table_stand_before_the_wall_with_the_same_outline() {
 }
 
 #[test]
-fn the_target_is_where_it_is_in_the_embedded_picture() {
+fn the_marker_agrees() {
     let Some(mut other) = egl("franka") else { return };
     for material in ["wood", "steel", "laminate", "rubber", "cardboard"] {
         // What is green: the ring and the cross.
@@ -162,7 +162,7 @@ fn brightness(image: &Image) -> f64 {
 }
 
 #[test]
-fn pictures_are_as_bright_as_the_embedded_ones_and_do_not_clip() {
+fn brightness_agrees() {
     let Some(mut other) = egl("franka") else { return };
     for material in ["wood", "laminate", "rubber"] {
         for lux in [50.0, 200.0, 500.0, 2000.0] {
@@ -186,7 +186,7 @@ fn mean(image: &Image, pixels: &BTreeSet<(i64, i64)>) -> [f64; 3] {
 }
 
 #[test]
-fn a_clear_object_lets_the_table_through_as_in_the_embedded_picture() {
+fn transparency_agrees() {
     let Some(mut other) = egl("franka") else { return };
     let size = ("size_m", Value::Number(0.08));
     let place = outlines(&mut embedded("franka"), "franka", &vec![size.clone()], 0).swap_remove(0);
@@ -203,7 +203,7 @@ fn a_clear_object_lets_the_table_through_as_in_the_embedded_picture() {
 }
 
 #[test]
-fn looking_twice_gives_the_same_bytes_and_another_renderer_too() {
+fn equal_scenes_give_equal_bytes() {
     let settings =
         [("shape", word("irregular")), ("obstacles", Value::Integer(4)), ("disturbance_speed_m_s", Value::Number(0.2))];
     let (Some(mut one), Some(mut two)) = (egl("franka"), egl("franka")) else { return };
@@ -216,7 +216,7 @@ fn looking_twice_gives_the_same_bytes_and_another_renderer_too() {
 }
 
 #[test]
-fn an_episode_has_the_same_states_and_the_same_parameters_applied_with_either_renderer() {
+fn the_renderer_does_not_change_physics() {
     let settings = vec![
         ("friction", Value::Number(0.7)),
         ("lighting_lux", Value::Number(873.25)),
@@ -256,7 +256,7 @@ fn an_episode_has_the_same_states_and_the_same_parameters_applied_with_either_re
 }
 
 #[test]
-fn pictures_have_the_size_asked_for_and_there_are_none_before_a_scenario() {
+fn pictures_have_the_requested_size() {
     let Some(cell) = egl("franka") else { return };
     let mut cell = cell.with_picture_size(93, 41);
     let fault = cell.render().unwrap_err().to_string();

@@ -1,4 +1,4 @@
-//! Robots that a user brings: as the Menagerie writes them, as URDF, and with all that may be wrong.
+//! Robots of a user: in the style of MuJoCo Menagerie, and as URDF.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fmt::Write;
@@ -35,14 +35,15 @@ fn look(folder: &Path) -> Inspection {
     inspect(folder.to_str().unwrap())
 }
 
-/// Replaces `from`, which is there.
+/// Replaces `from`, which must occur.
 fn change(text: &str, from: &str, to: &str) -> String {
     assert!(text.contains(from), "{from}");
     text.replace(from, to)
 }
 
-/// The Panda as the Menagerie has it: meshes in a folder of their own, visual and collision classes, general actuators,
-/// fingers coupled by an equality and driven through a tendon, an exclusion, a keyframe; no site at flange or tool.
+/// The Panda in the style of MuJoCo Menagerie: meshes in a separate folder, visual and collision classes, general
+/// actuators, fingers coupled by an equality and driven through a tendon, an exclusion, a keyframe; no site at flange or
+/// tool.
 fn menagerie() -> (String, String) {
     let mut model = change(MODEL, "<compiler angle=\"radian\"/>", "<compiler angle=\"radian\" meshdir=\"assets\"/>");
     model = change(
@@ -80,7 +81,7 @@ fn menagerie() -> (String, String) {
 }
 
 #[test]
-fn a_robot_as_the_menagerie_writes_it_picks_and_places() {
+fn a_menagerie_robot_picks_and_places() {
     let (model, settings) = menagerie();
     let own = folder("menagerie", &[("franka.xml", &model), ("robot.toml", &settings), ("assets/wrist.obj", MESH)]);
     let inspection = look(&own);
@@ -95,7 +96,7 @@ fn a_robot_as_the_menagerie_writes_it_picks_and_places() {
     assert_eq!(rollout(&mut simulator, &mut policy, &scenario).outcome, Outcome::Success);
     assert_eq!(simulator.render().unwrap().len(), 2);
 
-    // Its visual mesh is seen; the collision shapes in group 3 are not.
+    // Its visual mesh is drawn; the collision shapes in group 3 are not.
     let without = change(&model, "<geom mesh=\"wrist\" class=\"visual\"/>", "");
     let files = [("franka.xml", without.as_str()), ("robot.toml", &settings), ("assets/wrist.obj", MESH)];
     let bare = Robot::from_folder(&folder("menagerie-bare", &files)).unwrap();
@@ -165,7 +166,7 @@ fn urdf() -> String {
 }
 
 #[test]
-fn a_urdf_with_sites_from_its_settings_moves_as_the_table_says() {
+fn a_urdf_matches_its_kinematic_table() {
     let settings = change(UR5E_SETTINGS, "ur5e.xml", "own.urdf")
         + "\n[[site]]\nname = \"flange\"\nbody = \"suction_cup\"\n\n[[site]]\nname = \"tcp\"\nbody = \"suction_cup\"\nposition_m = [0.0, 0.0, 0.12]\n";
     let own = folder("urdf", &[("own.urdf", &urdf()), ("robot.toml", &settings)]);
@@ -189,7 +190,7 @@ fn a_urdf_with_sites_from_its_settings_moves_as_the_table_says() {
         let off = (flange * Isometry3::translation(0.0, 0.0, 0.12)).inverse() * engine.chain().tcp_at(&q);
         assert!(off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-6);
     }
-    // Only MuJoCo can read it, so it has no cameras; everything else works.
+    // Only MuJoCo can read a URDF, so it has no cameras.
     let mut simulator = PickPlace::new(engine, None).unwrap();
     let scenario = Scenario { index: 0, seed: Seed::campaign(1).episode(0), requested: Assignment::default() };
     let why = simulator.reset(&scenario).and_then(|_| simulator.render()).unwrap_err().to_string();

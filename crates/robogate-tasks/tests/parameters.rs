@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::On;
+use common::EngineKind;
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::{Allowed, Assignment, Environment, Fault, FaultKind, Scenario, Seed, Value, check_applied};
 use robogate_physics::{
@@ -12,12 +12,12 @@ use robogate_physics::{
 use robogate_tasks::pick_place::claims::Workbench;
 use robogate_tasks::pick_place::{ActsOn, ParameterRow, PickPlace, parameters};
 
-fn engines() -> Vec<On> {
+fn engines() -> Vec<EngineKind> {
     vec![
         #[cfg(feature = "mujoco")]
-        On::Mujoco,
+        EngineKind::Mujoco,
         #[cfg(feature = "rapier")]
-        On::Rapier,
+        EngineKind::Rapier,
     ]
 }
 
@@ -62,8 +62,8 @@ fn scenario(row: &ParameterRow, value: Value) -> Scenario {
 fn every_row_is_applied_and_read_back() {
     for on in engines() {
         for row in parameters() {
-            let station = on.robot(robot_for(row));
-            let (mut simulator, _) = station.bench(&station.setup()).unwrap();
+            let cell = on.robot(robot_for(row));
+            let (mut simulator, _) = cell.bench(&cell.setup()).unwrap();
             let value = unusual(row);
             assert_ne!(Some(&value), row.nominal().as_ref(), "{}", row.name);
             let scenario = scenario(row, value.clone());
@@ -79,8 +79,8 @@ fn every_row_is_applied_and_read_back() {
 fn every_number_is_read_over_its_range() {
     let on = engines()[0];
     for row in parameters() {
-        let station = on.robot(robot_for(row));
-        let (mut simulator, _) = station.bench(&station.setup()).unwrap();
+        let cell = on.robot(robot_for(row));
+        let (mut simulator, _) = cell.bench(&cell.setup()).unwrap();
         let Allowed::Continuous { low, high } = row.allowed() else { continue };
         for share in [0.0, 0.11, 0.5, 0.8] {
             let scenario = scenario(row, Value::Number(low + share * (high - low)));
@@ -91,10 +91,13 @@ fn every_number_is_read_over_its_range() {
     }
 }
 
+/// A change of a scene.
+type Change = fn(&mut Scene);
+
 /// An engine that loads another scene than it was given.
 struct Tampered {
     engine: Box<dyn Engine>,
-    change: fn(&mut Scene),
+    change: Change,
 }
 
 impl Engine for Tampered {
@@ -191,7 +194,7 @@ impl Engine for Tampered {
 
 #[test]
 fn a_tampered_scene_is_not_applied() {
-    let cases: [(&str, Value, fn(&mut Scene)); 12] = [
+    let cases: [(&str, Value, Change); 12] = [
         ("friction", Value::Number(0.6), |scene| scene.friction *= 1.01),
         ("table_friction", Value::Number(0.3), |scene| scene.table_friction = None),
         ("mass_kg", Value::Number(0.5), |scene| scene.object.mass.mass_kg += 0.01),

@@ -1,5 +1,4 @@
-//! An engine that is somewhere else is judged as one that is here.
-
+//! Episodes on a remote engine are those on a local one.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::sync::Arc;
@@ -10,41 +9,41 @@ use robogate_core::{
     TaskSpec, rollout, vectors,
 };
 use robogate_physics::{Engine, GripperCommand, MujocoEngine, RapierEngine, built_in_robot};
-use robogate_tasks::pick_place::remote::{FarPeriod, Host, Offsite};
+use robogate_tasks::pick_place::remote::{PhysicsHost, RemotePeriod, RemotePickPlace};
 use robogate_tasks::pick_place::{FRANKA_SPACE, PickPlace, Scripted};
 
-/// Told and heard without a socket between; `lie` may change what is heard.
-struct Far<E> {
-    host: Host<E>,
-    offsite: Offsite,
-    lie: fn(&mut FarPeriod),
+/// A remote engine without a socket. `tamper` may change its reports.
+struct Remote<E> {
+    host: PhysicsHost<E>,
+    task: RemotePickPlace,
+    tamper: fn(&mut RemotePeriod),
 }
 
-impl<E: Engine> Far<E> {
+impl<E: Engine> Remote<E> {
     fn new(engine: E) -> Self {
         let (robot, chain) = (engine.robot().clone(), engine.chain().clone());
-        let offsite = Offsite::new(robot, chain, None, None).unwrap();
-        Self { host: Host::new(engine, None).unwrap(), offsite, lie: |_| {} }
+        let task = RemotePickPlace::new(robot, chain, None, None).unwrap();
+        Self { host: PhysicsHost::new(engine, None).unwrap(), task, tamper: |_| {} }
     }
 }
 
-impl<E: Engine> Environment for Far<E> {
+impl<E: Engine> Environment for Remote<E> {
     fn task(&self) -> &Arc<TaskSpec> {
-        self.offsite.task()
+        self.task.task()
     }
 
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
-        self.offsite.brief(scenario)?;
+        self.task.resolve(scenario)?;
         let (held, sight, observation) = self.host.reset(scenario)?;
-        self.offsite.start(held, &sight, &observation)
+        self.task.start(held, &sight, &observation)
     }
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {
-        let command = self.offsite.command(action)?;
+        let command = self.task.command(action)?;
         let mut period = self.host.step(&command, GripperCommand::of(action))?;
-        (self.lie)(&mut period);
-        let FarPeriod { observation, state_hash, sights, clearance_m } = period;
-        self.offsite.finish(&sights, &observation, clearance_m, state_hash)
+        (self.tamper)(&mut period);
+        let RemotePeriod { observation, state_hash, sights, clearance_m } = period;
+        self.task.finish(&sights, &observation, clearance_m, state_hash)
     }
 }
 
@@ -63,58 +62,58 @@ fn scenarios(count: usize) -> Vec<Scenario> {
     (0..count).map(scenario).collect()
 }
 
-fn same_there_as_here<E: Engine>(count: usize, make: impl Fn() -> E) {
+fn same_episodes<E: Engine>(count: usize, make: impl Fn() -> E) {
     let engine = make();
     let mut policy = Scripted::new(engine.robot().clone(), engine.chain().clone());
-    let (mut here, mut there) = (PickPlace::new(engine, None).unwrap(), Far::new(make()));
+    let (mut local, mut remote) = (PickPlace::new(engine, None).unwrap(), Remote::new(make()));
     let mut words = std::collections::BTreeSet::new();
     for scenario in scenarios(count) {
-        let episode = rollout(&mut here, &mut policy, &scenario);
-        assert_eq!(rollout(&mut there, &mut policy, &scenario), episode);
+        let episode = rollout(&mut local, &mut policy, &scenario);
+        assert_eq!(rollout(&mut remote, &mut policy, &scenario), episode);
         words.insert(episode.outcome.as_str());
     }
     assert!(words.len() >= 2, "{words:?}");
 }
 
 #[test]
-fn mujoco_far_away_gives_the_episodes_of_mujoco_here() {
-    same_there_as_here(16, || MujocoEngine::new(built_in_robot("franka").unwrap(), MujocoEngine::TIME_STEP_S).unwrap());
+fn remote_mujoco_gives_the_same_episodes() {
+    same_episodes(16, || MujocoEngine::new(built_in_robot("franka").unwrap(), MujocoEngine::TIME_STEP_S).unwrap());
 }
 
 #[test]
-fn rapier_far_away_gives_the_episodes_of_rapier_here() {
-    same_there_as_here(6, || RapierEngine::new(built_in_robot("franka").unwrap(), RapierEngine::TIME_STEP_S).unwrap());
+fn remote_rapier_gives_the_same_episodes() {
+    same_episodes(6, || RapierEngine::new(built_in_robot("franka").unwrap(), RapierEngine::TIME_STEP_S).unwrap());
 }
 
 #[test]
-fn what_a_far_engine_changed_or_cannot_have_seen_makes_the_episode_invalid() {
+fn impossible_reports_make_an_episode_invalid() {
     let engine = MujocoEngine::new(built_in_robot("franka").unwrap(), MujocoEngine::TIME_STEP_S).unwrap();
     let (robot, chain) = (engine.robot().clone(), engine.chain().clone());
     let mut policy = Scripted::new(robot.clone(), chain.clone());
-    let mut far = Far::new(engine);
+    let mut remote = Remote::new(engine);
     let scenario = &scenarios(1)[0];
-    let invalid = |far: &mut Far<MujocoEngine>, policy: &mut Scripted, lie, words: &str| {
-        far.lie = lie;
-        let Outcome::Invalid(fault) = rollout(far, policy, scenario).outcome else { panic!("{words}") };
+    let invalid = |remote: &mut Remote<MujocoEngine>, policy: &mut Scripted, tamper, words: &str| {
+        remote.tamper = tamper;
+        let Outcome::Invalid(fault) = rollout(remote, policy, scenario).outcome else { panic!("{words}") };
         assert!(fault.kind == FaultKind::Unavailable && fault.detail.contains(words), "{fault}");
     };
-    let collision = |period: &mut FarPeriod| {
-        period.sights[3].collision = Some(robogate_tasks::pick_place::remote::FarCollision {
+    let collision = |period: &mut RemotePeriod| {
+        period.sights[3].collision = Some(robogate_tasks::pick_place::remote::RemoteCollision {
             robot_body: "hand".to_owned(),
             fixture: 99,
             force_n: 1.0,
         });
     };
-    invalid(&mut far, &mut policy, collision, "fixture 99");
-    invalid(&mut far, &mut policy, |p| p.sights[0].opening_m = None, "no opening");
-    invalid(&mut far, &mut policy, |p| p.sights[0].object_pose.orientation = [0.0; 4], "no rotation");
+    invalid(&mut remote, &mut policy, collision, "fixture 99");
+    invalid(&mut remote, &mut policy, |p| p.sights[0].opening_m = None, "no opening");
+    invalid(&mut remote, &mut policy, |p| p.sights[0].object_pose.orientation = [0.0; 4], "not a unit quaternion");
 
-    let mut offsite = Offsite::new(robot, chain, None, None).unwrap();
-    let mut start = |change: fn(&mut robogate_tasks::pick_place::remote::FarReadback, &mut Observation)| {
-        offsite.brief(scenario).unwrap();
-        let (mut held, sight, mut observation) = far.host.reset(scenario).unwrap();
+    let mut task = RemotePickPlace::new(robot, chain, None, None).unwrap();
+    let mut start = |change: fn(&mut robogate_tasks::pick_place::remote::RemoteReadback, &mut Observation)| {
+        task.resolve(scenario).unwrap();
+        let (mut held, sight, mut observation) = remote.host.reset(scenario).unwrap();
         change(&mut held, &mut observation);
-        offsite.start(held, &sight, &observation)
+        task.start(held, &sight, &observation)
     };
     let asked = &scenario.requested;
     for (name, applied) in [
@@ -126,12 +125,12 @@ fn what_a_far_engine_changed_or_cannot_have_seen_makes_the_episode_invalid() {
         assert_ne!(applied.get(name), asked.get(name), "{name}");
     }
     let other = start(|_, observation| raise_tool(observation, 0.02)).unwrap_err();
-    assert!(other.detail.contains("another robot"), "{other}");
-    assert!(Offsite::new(built_in_robot("ur5e").unwrap(), far.offsite_chain(), None, None).is_err());
+    assert!(other.detail.contains("a different robot"), "{other}");
+    assert!(RemotePickPlace::new(built_in_robot("ur5e").unwrap(), remote.chain(), None, None).is_err());
 }
 
-impl<E: Engine> Far<E> {
-    fn offsite_chain(&self) -> robogate_physics::Chain {
+impl<E: Engine> Remote<E> {
+    fn chain(&self) -> robogate_physics::Chain {
         self.host.engine().chain().clone()
     }
 }

@@ -1,11 +1,11 @@
-//! The industrial suite, held to what it claims, and the bodies that suites brought into the world.
+//! The industrial suite, and the fixtures that suites use.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod common;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use common::On;
+use common::EngineKind;
 use robogate_core::{
     Action, Assignment, Command, Domain, Episode, Fault, FaultKind, Observation, Outcome, Policy, Scenario, Seed,
     Spread, Suite, TaskInstance, TaskSpec, Value, rollout,
@@ -14,7 +14,7 @@ use robogate_physics::{TableMaterial, built_in_robot};
 use robogate_tasks::pick_place::claims::{Bench, Workbench};
 use robogate_tasks::pick_place::{Placement, check_suite};
 
-/// The seed of a campaign where nobody chose another.
+/// The default seed of a campaign.
 const SEED: u64 = 2026;
 
 fn suite() -> Suite {
@@ -31,7 +31,7 @@ fn number(x: f64) -> Value {
 }
 
 #[test]
-fn the_groups_have_as_many_scenarios_as_the_paper_says() {
+fn groups_have_the_papers_sizes() {
     let mut counts: BTreeMap<(String, String), usize> = BTreeMap::new();
     for case in suite().cases() {
         *counts.entry((case.category.clone(), case.group.clone())).or_default() += 1;
@@ -59,7 +59,7 @@ fn the_groups_have_as_many_scenarios_as_the_paper_says() {
     assert_eq!(suite().cases().len(), 68);
 }
 
-/// The ends of what a number may be in any scenario.
+/// The smallest and largest value of a number over all scenarios.
 fn ends(suite: &Suite, name: &str) -> (f64, f64) {
     let mut ends = (f64::INFINITY, f64::NEG_INFINITY);
     for case in suite.cases() {
@@ -75,7 +75,7 @@ fn ends(suite: &Suite, name: &str) -> (f64, f64) {
 }
 
 #[test]
-fn every_value_is_in_its_range_and_the_ranges_are_used() {
+fn values_fill_their_ranges() {
     let suite = suite();
     let five_degrees = 5_f64.to_radians();
     for (name, low, high) in [
@@ -98,13 +98,13 @@ fn every_value_is_in_its_range_and_the_ranges_are_used() {
 }
 
 #[test]
-fn every_parameter_means_something_in_this_world() {
+fn every_parameter_is_accepted() {
     let misfits = check_suite(&suite(), Some(&built_in_robot("franka").unwrap().settings.gripper));
     assert!(misfits.is_empty(), "{misfits:?}");
 }
 
 #[test]
-fn what_means_nothing_is_named_with_all_its_scenarios() {
+fn problems_are_reported_with_their_scenarios() {
     let text = include_str!("../../../assets/suites/industrial-68.toml")
         .replace("mass_kg = 0.3\n", "mass_kg = 0.3\nhumidity = 0.5\n")
         .replace("friction = 0.1,", "friction = 11.0,")
@@ -120,7 +120,7 @@ fn what_means_nothing_is_named_with_all_its_scenarios() {
 }
 
 fn bench() -> Bench {
-    let franka = On::Mujoco.franka();
+    let franka = EngineKind::Mujoco.franka();
     franka.bench(&franka.setup()).unwrap()
 }
 
@@ -131,7 +131,7 @@ fn run(suite: &Suite, indices: impl Iterator<Item = u64>) -> Vec<Episode> {
 }
 
 #[test]
-fn the_scripted_controller_solves_all_68_in_three_rounds() {
+fn the_scripted_controller_solves_all_68() {
     let suite = suite();
     let episodes = run(&suite, 0..3 * 68);
     let failed: Vec<_> = episodes
@@ -149,7 +149,7 @@ fn the_scripted_controller_solves_all_68_in_three_rounds() {
 }
 
 #[test]
-fn visual_parameters_are_applied_and_move_nothing() {
+fn visual_parameters_do_not_change_physics() {
     let looks = [
         ("lighting_lux", number(230.0)),
         ("camera_roll_rad", number(0.05)),
@@ -166,7 +166,7 @@ fn visual_parameters_are_applied_and_move_nothing() {
     assert_eq!(looked.applied, looked.scenario.requested);
 }
 
-/// Does nothing for a while, then what another policy would.
+/// Waits for a while, then acts like another policy.
 struct Late<P>(P, f64, usize);
 
 impl Policy for Late<Box<dyn Policy>> {
@@ -193,7 +193,7 @@ impl Policy for Late<Box<dyn Policy>> {
 }
 
 #[test]
-fn who_is_three_seconds_late_meets_the_disturbance_or_finds_nothing() {
+fn a_late_policy_meets_the_disturbance() {
     let suite = suite();
     let case = suite.cases().iter().position(|case| case.id == "moving_disturbance-1").unwrap() as u64;
     let (mut simulator, policy) = bench();
@@ -206,7 +206,7 @@ fn who_is_three_seconds_late_meets_the_disturbance_or_finds_nothing() {
 }
 
 #[test]
-fn occluders_and_obstacles_with_room_about_the_object_leave_the_arm_its_way() {
+fn occluders_and_distant_obstacles_do_not_block() {
     let (mut simulator, mut policy) = bench();
     for index in 0..20 {
         let placement = Placement::NAMES[index as usize % Placement::NAMES.len()];
@@ -223,7 +223,7 @@ fn occluders_and_obstacles_with_room_about_the_object_leave_the_arm_its_way() {
 }
 
 #[test]
-fn an_object_beside_the_table_is_a_fault_and_not_a_failure() {
+fn an_object_beside_the_table_is_a_fault() {
     let (mut simulator, mut policy) = bench();
     let beside = scenario(&[("offset_x_m", number(0.5))], 0);
     let episode = rollout(&mut *simulator, &mut *policy, &beside);

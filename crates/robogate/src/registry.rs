@@ -70,7 +70,7 @@ impl EngineEntry {
             chain: |robot| Ok(E::create(robot, E::TIME_STEP)?.chain().clone()),
             host: |robot, time_step_s| {
                 let engine = E::create(robot, time_step_s)?;
-                Ok(Box::new(remote::Host::new(engine, None).map_err(|why| anyhow!(why))?))
+                Ok(Box::new(remote::PhysicsHost::new(engine, None).map_err(|why| anyhow!(why))?))
             },
             renderer: |setup, drawn| Ok(E::create(setup.robot.clone(), setup.time_step_s)?.renderer(drawn)?.1),
         }

@@ -11,7 +11,9 @@ use robogate_physics::{Chain, Engine, GripperCommand, Robot};
 use robogate_remote::message::{Hello, ObservationMessage, Period, ResetReply};
 use robogate_remote::{Host, Pool, PoolError, RemoteTask, Timeouts};
 use robogate_tasks::pick_place::CONTROL_PERIOD_S;
-use robogate_tasks::pick_place::remote::{self as cell_remote, Cell, FarPeriod, FarReadback, FarSight, Offsite};
+use robogate_tasks::pick_place::remote::{
+    self as cell_remote, Cell, RemotePeriod, RemotePickPlace, RemoteReadback, RemoteSight,
+};
 use robogate_zmtp::Address;
 
 use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
@@ -102,19 +104,19 @@ pub(crate) fn engine(hello: &Hello) -> provenance::Engine {
 }
 
 /// The built-in task, for servers that compute its physics.
-pub(crate) struct CellTask(Offsite);
+pub(crate) struct CellTask(RemotePickPlace);
 
 impl CellTask {
     pub(crate) fn new(robot: &Robot, chain: Chain, sha256: String, picture_px: usize) -> anyhow::Result<Self> {
-        let offsite = Offsite::new(robot.clone(), chain, Some(sha256), None).map_err(|why| anyhow!(why))?;
-        Ok(Self(offsite.with_picture_size(picture_px, picture_px)))
+        let task = RemotePickPlace::new(robot.clone(), chain, Some(sha256), None).map_err(|why| anyhow!(why))?;
+        Ok(Self(task.with_picture_size(picture_px, picture_px)))
     }
 }
 
 impl RemoteTask for CellTask {
     type Cell = Cell;
-    type Readback = FarReadback;
-    type Sample = FarSight;
+    type Readback = RemoteReadback;
+    type Sample = RemoteSight;
 
     fn task(&self) -> &Arc<TaskSpec> {
         self.0.task()
@@ -129,10 +131,15 @@ impl RemoteTask for CellTask {
     }
 
     fn resolve(&mut self, scenario: &Scenario) -> Result<Cell, Fault> {
-        self.0.brief(scenario)
+        self.0.resolve(scenario)
     }
 
-    fn start(&mut self, readback: FarReadback, sample: &FarSight, observation: &Observation) -> Result<Start, Fault> {
+    fn start(
+        &mut self,
+        readback: RemoteReadback,
+        sample: &RemoteSight,
+        observation: &Observation,
+    ) -> Result<Start, Fault> {
         self.0.start(readback, sample, observation)
     }
 
@@ -142,7 +149,7 @@ impl RemoteTask for CellTask {
 
     fn score(
         &mut self,
-        samples: &[FarSight],
+        samples: &[RemoteSight],
         observation: &Observation,
         clearance_m: Option<f64>,
         state_hash: u64,
@@ -157,17 +164,17 @@ impl RemoteTask for CellTask {
 
 /// A built-in engine that sets up cells and reports physical states, of any type.
 pub(crate) trait PhysicsEngine {
-    fn reset(&mut self, scenario: &Scenario) -> Result<(FarReadback, FarSight, Observation), Fault>;
-    fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<FarPeriod, Fault>;
+    fn reset(&mut self, scenario: &Scenario) -> Result<(RemoteReadback, RemoteSight, Observation), Fault>;
+    fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<RemotePeriod, Fault>;
 }
 
-impl<E: Engine> PhysicsEngine for cell_remote::Host<E> {
-    fn reset(&mut self, scenario: &Scenario) -> Result<(FarReadback, FarSight, Observation), Fault> {
-        cell_remote::Host::reset(self, scenario)
+impl<E: Engine> PhysicsEngine for cell_remote::PhysicsHost<E> {
+    fn reset(&mut self, scenario: &Scenario) -> Result<(RemoteReadback, RemoteSight, Observation), Fault> {
+        cell_remote::PhysicsHost::reset(self, scenario)
     }
 
-    fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<FarPeriod, Fault> {
-        cell_remote::Host::step(self, joints, gripper)
+    fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<RemotePeriod, Fault> {
+        cell_remote::PhysicsHost::step(self, joints, gripper)
     }
 }
 
@@ -184,14 +191,14 @@ impl PhysicsHost {
 }
 
 impl Host for PhysicsHost {
-    type Readback = FarReadback;
-    type Sample = FarSight;
+    type Readback = RemoteReadback;
+    type Sample = RemoteSight;
 
     fn hello(&self) -> &Hello {
         &self.hello
     }
 
-    fn reset(&mut self, scenario: &Scenario) -> Result<ResetReply<FarReadback, FarSight>, Fault> {
+    fn reset(&mut self, scenario: &Scenario) -> Result<ResetReply<RemoteReadback, RemoteSight>, Fault> {
         let (readback, sample, observation) = self.engine.reset(scenario)?;
         Ok(ResetReply {
             observation: ObservationMessage::from(&observation),
@@ -202,11 +209,11 @@ impl Host for PhysicsHost {
         })
     }
 
-    fn step(&mut self, action: &Action) -> Result<Period<FarSight>, Fault> {
+    fn step(&mut self, action: &Action) -> Result<Period<RemoteSight>, Fault> {
         let Command::JointPosition(joints) = &action.command else {
             return Err(Fault::new(FaultKind::BadAction, "expected joint positions"));
         };
-        let FarPeriod { observation, state_hash, sights, clearance_m } =
+        let RemotePeriod { observation, state_hash, sights, clearance_m } =
             self.engine.step(joints, GripperCommand::of(action))?;
         Ok(Period {
             observation: ObservationMessage::from(&observation),

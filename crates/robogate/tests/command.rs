@@ -146,7 +146,7 @@ fn wrong_arguments_are_usage_errors() {
         path
     };
     run("-n", "0", &["at least one episode"]);
-    run("--robot", "r2d2", &["no robot `r2d2`", "franka"]);
+    run("--robot", "r2d2", &["unknown robot `r2d2`", "franka"]);
     run("--engine", "ode", &["no such engine", "mujoco"]);
     assert_usage(&["run", "--out", &out, "--engine", "rapier", "--renderer", "egl"], &["--engine mujoco", "rapier"]);
     #[cfg(not(feature = "egl"))]
@@ -173,7 +173,7 @@ fn wrong_arguments_are_usage_errors() {
     let robot = path(&dir, "robot");
     run("--robot", &robot, &["robot.toml"]);
     file("robot/robot.toml", toml);
-    run("--robot", &robot, &["franka.xml", "no such file"]);
+    run("--robot", &robot, &["franka.xml", "does not exist"]);
     file("robot/franka.xml", "<mujoco><worldbody><body></worldbody></mujoco>");
     run("--robot", &robot, &["franka.xml"]);
     file("robot/franka.xml", "<mujoco><worldbody><body name='a'/></worldbody></mujoco>");

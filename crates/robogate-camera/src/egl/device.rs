@@ -1,11 +1,12 @@
-//! An OpenGL context without a window, on the first EGL device that has one.
+//! An OpenGL context without a window, on the first EGL device that supports it.
 
 use std::env;
 use std::ffi::{CStr, c_char, c_uint, c_void};
 
 use khronos_egl as egl;
 
-/// Names the device by its number, as MuJoCo's Python does; without it the first that works is taken.
+/// Environment variable with the index of the device, as in MuJoCo's Python package. Without it the first device that
+/// works is used.
 const DEVICE_VARIABLE: &str = "MUJOCO_EGL_DEVICE_ID";
 
 /// `EGL_PLATFORM_DEVICE_EXT` (EGL_EXT_platform_device).
@@ -18,13 +19,13 @@ const RENDERER: c_uint = 0x1F01;
 const VERSION: c_uint = 0x1F02;
 const EXTENSIONS: c_uint = 0x1F03;
 
-/// Without these MuJoCo ends the process.
+/// MuJoCo ends the process without these extensions.
 const NEEDED: [&str; 2] = ["GL_ARB_framebuffer_object", "GL_ARB_vertex_buffer_object"];
 
 type QueryDevices = unsafe extern "system" fn(egl::Int, *mut *mut c_void, *mut egl::Int) -> egl::Boolean;
 type GetString = unsafe extern "system" fn(c_uint) -> *const c_char;
 
-/// EGL and an OpenGL context of its own.
+/// EGL and an OpenGL context.
 pub(crate) struct Gl {
     egl: egl::DynamicInstance<egl::EGL1_5>,
     display: egl::Display,
@@ -34,28 +35,30 @@ pub(crate) struct Gl {
 }
 
 impl Gl {
-    /// A context on the first device that gives one.
+    /// A context on the first device that supports OpenGL.
     #[expect(clippy::disallowed_methods, reason = "EGL and its users choose the device by environment variables")]
     pub(crate) fn new() -> Result<Self, String> {
         if env::var("MUJOCO_GL").is_ok_and(|wanted| wanted == "osmesa") {
-            return Err("MUJOCO_GL=osmesa makes MuJoCo look for another library: unset it".to_owned());
+            return Err("MUJOCO_GL=osmesa selects another library. Unset it to use EGL".to_owned());
         }
-        // SAFETY: the system's EGL library is what its name says.
+        // SAFETY: the system's EGL library implements EGL.
         #[expect(unsafe_code, reason = "a library is loaded")]
         let egl = unsafe { egl::DynamicInstance::<egl::EGL1_5>::load_required() }.map_err(|error| {
             format!(
-                "there is no EGL 1.5 here ({error})\n  hint: on Debian and Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri"
+                "cannot load EGL 1.5: {error}\n  hint: on Debian and Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri"
             )
         })?;
         let wanted = match env::var(DEVICE_VARIABLE) {
-            Ok(number) if !number.is_empty() => {
-                Some(number.parse::<usize>().map_err(|_| format!("{DEVICE_VARIABLE}={number} is no device's number"))?)
-            }
+            Ok(number) if !number.is_empty() => Some(
+                number
+                    .parse::<usize>()
+                    .map_err(|_| format!("{DEVICE_VARIABLE}={number}: expected the index of a device"))?,
+            ),
             _ => None,
         };
         let displays = displays(&egl, wanted);
         let mut why = match wanted {
-            Some(number) => format!("EGL has no device {number}, which {DEVICE_VARIABLE} names"),
+            Some(number) => format!("EGL has no device {number}, which {DEVICE_VARIABLE} requests"),
             None => "EGL has no device".to_owned(),
         };
         for display in displays {
@@ -70,16 +73,16 @@ impl Gl {
             }
         }
         Err(format!(
-            "no EGL device draws with OpenGL here: {why}\n  hint: Mesa draws without a GPU; on Debian and Ubuntu: apt-get install \
+            "no EGL device supports OpenGL: {why}\n  hint: Mesa renders without a GPU; on Debian and Ubuntu: apt-get install \
              libegl1 libgl1 libgl1-mesa-dri"
         ))
     }
 
-    /// Makes this thread draw here.
+    /// Makes the context current in this thread.
     pub(crate) fn make_current(&self) -> Result<(), String> {
         self.egl
             .make_current(self.display, Some(self.surface), Some(self.surface), Some(self.context))
-            .map_err(|error| format!("EGL does not give the context to this thread: {error}"))
+            .map_err(|error| format!("EGL cannot make the context current in this thread: {error}"))
     }
 
     /// The renderer and its version.
@@ -88,12 +91,12 @@ impl Gl {
     }
 
     fn describe(&self) -> Result<String, String> {
-        let entry = self.egl.get_proc_address("glGetString").ok_or("this OpenGL does not say what it is")?;
+        let entry = self.egl.get_proc_address("glGetString").ok_or("OpenGL has no function glGetString")?;
         // SAFETY: this is the signature of `glGetString`, and the context is current.
         #[expect(unsafe_code, reason = "OpenGL's own entry is called")]
         let get = unsafe { std::mem::transmute::<extern "system" fn(), GetString>(entry) };
         let text = |what: c_uint| {
-            // SAFETY: the context is current; what OpenGL returns is null, or a string that stays where it is.
+            // SAFETY: the context is current; OpenGL returns null or a static string.
             #[expect(unsafe_code, reason = "OpenGL's own entry is called")]
             unsafe {
                 let text = get(what);
@@ -102,7 +105,7 @@ impl Gl {
         };
         let extensions = text(EXTENSIONS).unwrap_or_default();
         if let Some(missing) = NEEDED.iter().find(|name| !extensions.split(' ').any(|known| known == **name)) {
-            return Err(format!("this OpenGL lacks {missing}, which MuJoCo draws with"));
+            return Err(format!("OpenGL lacks {missing}, which MuJoCo requires"));
         }
         let named = |what| text(what).unwrap_or_else(|| "unknown".to_owned());
         Ok(format!("{}; OpenGL {}", named(RENDERER), named(VERSION)))
@@ -111,7 +114,7 @@ impl Gl {
 
 impl Drop for Gl {
     fn drop(&mut self) {
-        // The display is shared by the whole process and stays. What fails here has no one left to hear of it.
+        // The process shares the display, so it stays. Errors cannot be reported in a destructor.
         if self.egl.get_current_context() == Some(self.context) {
             let _ = self.egl.make_current(self.display, None, None, None);
         }
@@ -120,10 +123,10 @@ impl Drop for Gl {
     }
 }
 
-/// The displays to try: every device in EGL's order, or the one that is wanted; without any, what Mesa has for none.
+/// The displays to try: every device in EGL's order and then Mesa's surfaceless platform, or the requested device only.
 fn displays(egl: &egl::DynamicInstance<egl::EGL1_5>, wanted: Option<usize>) -> Vec<egl::Display> {
     let platform = |platform: egl::Enum, native: *mut c_void| {
-        // SAFETY: a device comes from EGL's own list; the surfaceless platform takes none.
+        // SAFETY: a device comes from EGL's own list; the surfaceless platform has none.
         #[expect(unsafe_code, reason = "EGL takes a device as a bare pointer")]
         unsafe { egl.get_platform_display(platform, native, &[egl::ATTRIB_NONE]) }.ok()
     };
@@ -131,7 +134,7 @@ fn displays(egl: &egl::DynamicInstance<egl::EGL1_5>, wanted: Option<usize>) -> V
     let mut count = 0;
     if let Some(entry) = egl.get_proc_address("eglQueryDevicesEXT") {
         // SAFETY: this is the signature of `eglQueryDevicesEXT` (EGL_EXT_device_enumeration), which writes no more
-        // devices than it is told there is room for.
+        // devices than fit into the array.
         #[expect(unsafe_code, reason = "an extension's entry is called")]
         unsafe {
             let query = std::mem::transmute::<extern "system" fn(), QueryDevices>(entry);
@@ -153,7 +156,7 @@ fn displays(egl: &egl::DynamicInstance<egl::EGL1_5>, wanted: Option<usize>) -> V
     found
 }
 
-/// OpenGL on a display, and a surface that is never drawn on: pictures are made in MuJoCo's own buffers.
+/// An OpenGL context on a display, and a surface that stays unused: MuJoCo renders into its own buffers.
 fn context(
     egl: &egl::DynamicInstance<egl::EGL1_5>,
     display: egl::Display,

@@ -1,7 +1,7 @@
-//! A model that looks like the cell: the engine's, with colours, lights, a room and the robot's outfit.
+//! A model with the cell's appearance: the engine's model with colours, lights, a room and the robot's outfit.
 //!
-//! OpenGL's fixed pipeline knows no sensor. So every colour is what the sensor makes of it in full light, and shade takes a
-//! share of that, the one that a middle grey would lose.
+//! OpenGL's fixed pipeline has no sensor model. So every colour is the sensor's response in full light, and shade removes
+//! the fraction of it that a middle grey would lose.
 
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::{MjsBody, MjsGeom};
@@ -9,6 +9,7 @@ use nalgebra::{Isometry3, Vector3};
 use robogate_physics::mujoco::{PREFIX, wxyz};
 use robogate_physics::{FixtureKind, MujocoEngine, Primitive, Scene, TABLE_HALF, WORKSPACE_CENTRE};
 
+use crate::FRONT_CAMERA;
 use crate::body::Form;
 use crate::finish::{Finish, Pattern};
 use crate::light::{Light, MIDDLE_ALBEDO, exposed};
@@ -16,25 +17,25 @@ use crate::looks::{RobotLooks, SHOWN_GROUPS};
 use crate::stage::{Stage, With};
 use crate::table;
 
-/// Groups of what is drawn and of what is not.
+/// Geometry groups of visible and hidden geoms.
 const SHOWN: i32 = 0;
 const HIDDEN: i32 = 5;
 
-/// Texels along a side of the shadow map, which covers so many metres to either side of the workspace.
+/// Texels along a side of the shadow map, and the distance in metres that it covers to each side of the workspace.
 const SHADOW_PX: i32 = 2048;
 const SHADOW_REACH: f64 = 1.3;
 
-/// Texels along a side of one of the room's six faces, and of a patterned fixture's.
+/// Texels along a side of a face of the room, and of a patterned fixture.
 const ROOM_PX: usize = 128;
 const PATTERN_PX: usize = 128;
 
-/// Samples to a pixel.
+/// Samples per pixel.
 const SAMPLES: i32 = 4;
 
-/// The cosine's power in a highlight: as the embedded caster has it; OpenGL takes it in 128ths.
+/// Exponent of the cosine in a highlight, as in the embedded caster; OpenGL takes it in 128ths.
 const HIGHLIGHT: f32 = 32.0 / 128.0;
 
-/// What of a scene is drawn: geoms of the shown groups, and nothing that MuJoCo adds for its own users.
+/// Visualisation options: geoms of the visible groups, and none of MuJoCo's additions.
 pub(super) fn options() -> MjvOption {
     MjvOption {
         geomgroup: [1, 1, 1, 0, 0, 0],
@@ -46,7 +47,7 @@ pub(super) fn options() -> MjvOption {
     }
 }
 
-/// The model that is drawn in place of the engine's, with the same joints in the same order.
+/// The model to draw, with the same joints as the engine's in the same order.
 pub(super) fn model(
     engine: &MujocoEngine,
     scene: &Scene,
@@ -94,51 +95,51 @@ fn set(spec: &mut MjSpec, stage: &Stage, [width, height]: [usize; 2]) {
     *sky.ambient_mut() = [around; 3];
     *sky.specular_mut() = [0.0; 3];
     let eye = Vector3::from(FRONT_CAMERA.0).map(|x| x as f32);
-    let faces = cube(ROOM_PX, |way| {
-        // The sky's box has its y upwards.
-        let way = Vector3::new(way.x, -way.z, way.y);
-        exposed(&stage.room.seen(&stage.light, &eye, &way))
+    let faces = cube(ROOM_PX, |direction| {
+        // In the sky box y points up.
+        let direction = Vector3::new(direction.x, -direction.z, direction.y);
+        exposed(&stage.room.seen(&stage.light, &eye, &direction))
     });
     texture(spec, "room", MjtTexture::mjTEXTURE_SKYBOX, [ROOM_PX, 6 * ROOM_PX], &faces);
 }
 
-/// Shares of a colour in full light that its surface shows.
+/// Fractions of a colour in full light that a surface shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Shares {
-    /// Whichever way it faces.
+    /// In any orientation.
     pub(super) around: f32,
-    /// And where it faces upwards.
+    /// In addition, where it faces upwards.
     pub(super) above: f32,
-    /// And where it faces the lamp.
+    /// In addition, where it faces the lamp.
     pub(super) lamp: f32,
-    /// And where it mirrors the lamp, of a surface that mirrors all.
+    /// In addition, where a perfectly glossy surface mirrors the lamp.
     pub(super) highlight: f32,
 }
 
 impl Shares {
-    /// So that an upward surface in full light shows all of its colour, and one in shade what a middle grey would.
+    /// Chosen so that an upward surface shows all of its colour in full light, and in shade as much as a middle grey would.
     pub(super) fn of(light: &Light) -> Self {
         let seen = |radiance: f32| f32::from(exposed(&Vector3::repeat(radiance))[0]);
         let full = seen(MIDDLE_ALBEDO * light.full());
         let shade = seen(MIDDLE_ALBEDO * light.around) / full;
-        // The light from all around is a third less on what stands upright.
+        // Vertical surfaces receive a third less ambient light.
         let around = seen(MIDDLE_ALBEDO * light.around * 0.68) / full;
         let mirror = seen(MIDDLE_ALBEDO * light.full() + 0.35 * light.key) / full - 1.0;
         Self { around, above: shade - around, lamp: (1.0 - shade) / light.towards.z, highlight: mirror }
     }
 }
 
-/// Gives every surface its look.
+/// Gives every surface its material.
 struct Wardrobe {
     light: Light,
-    /// Reflectances of the table's top, on the whole.
+    /// Mean reflectances of the table's top.
     ground: Vector3<f32>,
-    /// Looks given so far, for their names.
+    /// Number of materials so far, for their names.
     count: usize,
 }
 
 impl Wardrobe {
-    /// The robot in its outfit, or in its own colours as these lights show them.
+    /// The robot in its outfit, or in its own colours under these lights.
     fn robot(&mut self, spec: &mut MjSpec, outfit: Option<&RobotLooks>) {
         let Some(looks) = outfit else {
             self.own_colours(spec);
@@ -149,7 +150,7 @@ impl Wardrobe {
         }
         for piece in &looks.pieces {
             let look = self.look(spec, &piece.finish);
-            // The first link is the base, which stands still.
+            // The first link is the base, which is fixed.
             let (body, place) = if piece.link == 0 {
                 (spec.world_body_mut(), piece.place)
             } else {
@@ -164,14 +165,14 @@ impl Wardrobe {
                 Form::Sphere { radius } => (MjtGeomBase::mjGEOM_SPHERE, [radius, 0.0, 0.0]),
                 Form::Capsule { radius, half_height } => (MjtGeomBase::mjGEOM_CAPSULE, [radius, half_height, 0.0]),
                 Form::Cylinder { radius, half_height } => (MjtGeomBase::mjGEOM_CYLINDER, [radius, half_height, 0.0]),
-                // Outfits are made of the others.
+                // Outfits have no meshes.
                 Form::Mesh(_) => continue,
             };
             add(body, kind, size.map(f64::from), &place, &look);
         }
     }
 
-    /// A robot without an outfit: as MuJoCo's viewer shows it, under these lights.
+    /// A robot without an outfit: as in MuJoCo's viewer, under these lights.
     fn own_colours(&mut self, spec: &mut MjSpec) {
         let any = spec.geom_iter().any(|geom| geom.group() <= SHOWN_GROUPS);
         let light = self.light;
@@ -223,7 +224,7 @@ impl Wardrobe {
         }
     }
 
-    /// A board in the rim's colour, and a sheet on it with the top's picture and the mark at the target.
+    /// A board in the rim's colour, and a sheet on it with the texture of the top and the marker.
     fn table(&mut self, spec: &mut MjSpec, scene: &Scene, fixture: usize, finish: &Finish) {
         let Some(table) = scene.fixtures.get(fixture).filter(|fixture| fixture.kind == FixtureKind::Table) else {
             return;
@@ -234,7 +235,7 @@ impl Wardrobe {
         }
         let (rim, _) = finish.at(&Vector3::new(0.0, 0.0, -1.0), 0.01);
         let rim = self.material(spec, in_full_light(&self.light, &rim), 1.0, 0.2, None);
-        /// The board ends so far below the sheet, in metres.
+        /// Distance of the board below the sheet, in metres.
         const BELOW: f64 = 2e-3;
         let board = table.part.pose * Isometry3::translation(0.0, 0.0, -0.5 * BELOW);
         let size = [half[0], half[1], half[2] - 0.5 * BELOW];
@@ -243,7 +244,7 @@ impl Wardrobe {
         let pitch = [2.0 * TABLE_HALF[0] / columns as f64, 2.0 * TABLE_HALF[1] / rows as f64];
         let mut texels = Vec::with_capacity(3 * columns * rows);
         let mut sum = Vector3::zeros();
-        // MuJoCo has the first row at the far end of y.
+        // MuJoCo's first row is at the largest y.
         for row in (0..rows).rev() {
             for column in 0..columns {
                 let x = (column as f64 + 0.5) * pitch[0] - TABLE_HALF[0];
@@ -266,8 +267,8 @@ impl Wardrobe {
         self.material(spec, color, opacity, finish.gloss, None)
     }
 
-    /// A finish's colour and opacity. OpenGL mixes what the sensor makes of the light and not the light: those that come out
-    /// right over the table.
+    /// Colour and opacity of a finish. OpenGL blends sensor responses instead of light, so they are chosen to be correct over
+    /// the table.
     fn clear(&self, finish: &Finish) -> ([f32; 3], f32) {
         let own = in_full_light(&self.light, &finish.albedo);
         let share = finish.transparency as f32;
@@ -278,19 +279,19 @@ impl Wardrobe {
         let through = finish.tint().component_mul(&self.ground) * share;
         let over = in_full_light(&self.light, &(finish.albedo * (1.0 - share) + through));
         let ground = in_full_light(&self.light, &self.ground);
-        // How much of the ground's picture is left, on the mean of the three colours.
+        // Mean fraction of the ground's colour that remains visible.
         let left = (0..3).map(|i| (over[i] - dark[i]) / ground[i].max(1e-3)).sum::<f32>() / 3.0;
         let opacity = (1.0 - left).clamp(0.02, 1.0);
         let color = [0, 1, 2].map(|i: usize| ((over[i] - (1.0 - opacity) * ground[i]) / opacity).clamp(0.0, 1.0));
         (color, opacity)
     }
 
-    /// A box or the like with these half extents (m) whose finish varies over it.
+    /// A material for a solid with these half extents (m) and a finish that varies over it.
     fn patterned(&mut self, spec: &mut MjSpec, finish: &Finish, half: [f64; 3]) -> String {
         let half = Vector3::from(half).map(|x| x as f32);
         let full = self.light.full();
-        let faces = cube(PATTERN_PX, |way| {
-            let (color, _) = finish.at(&way.component_mul(&half), 0.002);
+        let faces = cube(PATTERN_PX, |direction| {
+            let (color, _) = finish.at(&direction.component_mul(&half), 0.002);
             exposed(&(color * full))
         });
         texture(spec, "pattern", MjtTexture::mjTEXTURE_CUBE, [PATTERN_PX, 6 * PATTERN_PX], &faces);
@@ -321,7 +322,7 @@ impl Wardrobe {
     }
 }
 
-/// What the sensor makes of these reflectances in full light, from 0 to 1.
+/// Response of the sensor to these reflectances in full light, from 0 to 1.
 fn in_full_light(light: &Light, albedo: &Vector3<f32>) -> [f32; 3] {
     exposed(&(albedo * light.full())).map(|x| f32::from(x) / 255.0)
 }
@@ -348,8 +349,8 @@ fn texture(spec: &mut MjSpec, name: &str, kind: MjtTexture, [width, height]: [us
     texture.set_data(texels);
 }
 
-/// The six faces of a cube in OpenGL's order and orientation, from the colour on each way out of its middle; of the
-/// way's numbers the largest is 1.
+/// The six faces of a cube map in OpenGL's order and orientation. `color` gives the colour in a direction whose largest
+/// component is 1.
 fn cube(side: usize, color: impl Fn(Vector3<f32>) -> [u8; 3]) -> Vec<u8> {
     let mut texels = Vec::with_capacity(18 * side * side);
     for face in 0..6 {

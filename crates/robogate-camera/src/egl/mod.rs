@@ -1,8 +1,8 @@
-//! MuJoCo's own rasteriser as the second renderer: OpenGL, offscreen, by EGL.
+//! MuJoCo's rasteriser as the second renderer: OpenGL, offscreen, by EGL.
 //!
-//! It draws the same cameras and the same colours as the embedded caster, from MuJoCo's own kinematics and by MuJoCo's own
-//! code, so that what a policy makes of the pictures can be told from what it makes of the physics. A model of its
-//! own is drawn: that of the engine with looks added. The engine's own is not touched, and neither is its state.
+//! It draws the same cameras and colours as the embedded caster, with MuJoCo's own kinematics and code, so that the effect
+//! of pictures on a policy can be separated from the effect of physics. It draws a model of its own: that of the engine
+//! with appearance added. It changes neither the engine's model nor its state.
 
 mod device;
 mod dress;
@@ -18,20 +18,20 @@ use crate::mounts::{Mounts, front_pose};
 use crate::stage::Stage;
 use crate::{CAMERAS, Pinhole, Renderer, SIZE_PX};
 
-/// Nothing nearer or farther than this is drawn, in metres.
+/// Nearest and farthest visible depth, in metres.
 const DEPTHS: [f32; 2] = [0.01, 20.0];
 
 /// MuJoCo's renderer on an EGL device.
 ///
-/// It belongs to the thread that made it, as OpenGL's contexts do.
+/// It must stay in the thread that created it, as OpenGL contexts must.
 pub struct EglRenderer {
     gl: Gl,
     mounts: Mounts,
-    /// The robot's outfit; `None` where its model is shown as MuJoCo shows it.
+    /// The robot's outfit; `None` if its model is drawn as MuJoCo draws it.
     outfit: Option<RobotLooks>,
     size: [usize; 2],
     scene: Option<(Scene, Stage)>,
-    /// The scene as OpenGL has it, from the first picture on.
+    /// The scene on the device, from the first picture on.
     drawn: Option<Drawn>,
 }
 
@@ -43,9 +43,10 @@ struct Drawn {
 }
 
 impl EglRenderer {
-    /// A renderer of this engine's robot, its pictures [`SIZE_PX`] wide and high.
+    /// A renderer for this engine's robot. Pictures are [`SIZE_PX`] wide and high.
     ///
-    /// Fails where there is no EGL, or no device that draws with OpenGL.
+    /// # Errors
+    /// If the system has no EGL library, or no device that supports OpenGL.
     pub fn new(engine: &MujocoEngine) -> Result<Self, String> {
         let robot = engine.robot();
         let waiting = engine.chain().tcp_at(&robot.settings.arm.home_rad);
@@ -54,29 +55,29 @@ impl EglRenderer {
         Ok(Self { gl: Gl::new()?, mounts, outfit, size: [SIZE_PX; 2], scene: None, drawn: None })
     }
 
-    /// What draws: OpenGL's renderer and version.
+    /// OpenGL's renderer and version.
     pub fn device(&self) -> &str {
         self.gl.name()
     }
 
-    /// The scene as a model that MuJoCo draws, and on the device.
+    /// Compiles the scene to a model that MuJoCo draws, and uploads it to the device.
     fn draw(&self, engine: &MujocoEngine, scene: &Scene, stage: &Stage) -> Result<Drawn, String> {
         let model = dress::model(engine, scene, stage, self.outfit.as_ref(), self.size)
-            .map_err(|error| format!("MuJoCo does not compile what is to be drawn: {error}"))?;
+            .map_err(|error| format!("MuJoCo cannot compile the scene to draw: {error}"))?;
         let geoms = model.geom_bodyid().len();
         let mut seen = MjvScene::new(&model, geoms + 64);
         self.gl.make_current()?;
-        // SAFETY: the context has just been made current in this thread, which this value cannot leave, and it is
-        // current again when the context is dropped (`EglRenderer::put_away`). Only this model is drawn with it.
-        #[expect(unsafe_code, reason = "OpenGL's context is a matter of the thread, which the binding cannot see")]
+        // SAFETY: the context has just been made current in this thread, which this value cannot leave, and it is made
+        // current again before the context is dropped (`EglRenderer::discard`). Only this model is drawn with it.
+        #[expect(unsafe_code, reason = "OpenGL contexts belong to a thread, which the binding cannot check")]
         let context = unsafe { MjrContext::new(&model) };
         seen.clear_geom();
         Ok(Drawn { data: MjData::new(Box::new(model)), scene: seen, context })
     }
 
-    fn put_away(&mut self) {
+    fn discard(&mut self) {
         let Some(Drawn { context, .. }) = self.drawn.take() else { return };
-        // What OpenGL holds can only be given back where its context is current.
+        // OpenGL resources can only be freed while their context is current.
         match self.gl.make_current() {
             Ok(()) => drop(context),
             Err(_) => std::mem::forget(context),
@@ -85,22 +86,22 @@ impl EglRenderer {
 }
 
 impl Drawn {
-    /// What a camera shows of these joint positions.
+    /// Renders these joint positions from a camera.
     fn take(&mut self, positions: &[f64], camera: &Pinhole) -> Result<Vec<u8>, String> {
         let own = self.data.qpos_mut();
         if own.len() != positions.len() {
-            return Err(format!("the drawn model has {} joint positions and not {}", own.len(), positions.len()));
+            return Err(format!("the drawn model has {} joint positions. Expected {}", own.len(), positions.len()));
         }
         own.copy_from_slice(positions);
         self.data.kinematics();
         self.data.com_pos();
         self.data.camlight();
         let options = dress::options();
-        // A camera of the user's: MuJoCo leaves it where it is put.
+        // MuJoCo does not move a user camera.
         let mut user = MjvCamera::new_user();
         self.scene.update(&mut self.data, &options, &MjvPerturb::default(), &mut user);
-        // SAFETY: only numbers of the two cameras change; no pointer or count is touched.
-        #[expect(unsafe_code, reason = "the binding has no safe way to place a camera of the user's")]
+        // SAFETY: only numbers of the two cameras change, no pointer or count.
+        #[expect(unsafe_code, reason = "the binding has no safe way to place a user camera")]
         let cameras = unsafe { &mut self.scene.ffi_mut().camera };
         let half = (0.5 * camera.field_of_view_rad).tan() as f32 * DEPTHS[0];
         let turn = camera.pose.rotation;
@@ -110,7 +111,7 @@ impl Drawn {
             eye.forward = single(turn * Vector3::z());
             eye.up = single(turn * -Vector3::y());
             eye.frustum_center = 0.0;
-            // Zero: as wide as the picture's shape makes it.
+            // Zero: the width follows from the aspect ratio.
             eye.frustum_width = 0.0;
             (eye.frustum_bottom, eye.frustum_top) = (-half, half);
             [eye.frustum_near, eye.frustum_far] = DEPTHS;
@@ -129,12 +130,12 @@ impl Drawn {
 
 impl Renderer<MujocoEngine> for EglRenderer {
     fn resize(&mut self, width: usize, height: usize) {
-        self.put_away();
+        self.discard();
         self.size = [width.max(1), height.max(1)];
     }
 
     fn set_up(&mut self, _: &MujocoEngine, scene: &Scene) -> Visual {
-        self.put_away();
+        self.discard();
         let stage = Stage::new(scene, front_pose());
         let visual = stage.visual(&front_pose()).unwrap_or(scene.visual);
         self.scene = Some((scene.clone(), stage));
@@ -142,7 +143,7 @@ impl Renderer<MujocoEngine> for EglRenderer {
     }
 
     fn clear(&mut self) {
-        self.put_away();
+        self.discard();
         self.scene = None;
     }
 
@@ -165,6 +166,6 @@ impl Renderer<MujocoEngine> for EglRenderer {
 
 impl Drop for EglRenderer {
     fn drop(&mut self) {
-        self.put_away();
+        self.discard();
     }
 }

@@ -1,8 +1,7 @@
-//! Claims about the physics, as experiments that anyone can run again.
+//! Claims about the physics, as repeatable experiments.
 //!
-//! Each takes a bench (a way to make a fresh simulator and controller), runs episodes on it and returns
-//! its figures together with whether the claim holds. The tests of this crate and `robogate check physics`
-//! run the same code, so that every engine is held to the same claims.
+//! Each experiment makes fresh simulators and controllers, runs episodes, and returns its figures together with whether the
+//! claim holds. The tests of this crate and `robogate check physics` run the same code for every engine.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
@@ -17,34 +16,34 @@ use std::collections::BTreeMap;
 use super::spec::{GRIP_LOSS, SLIP, phases};
 use super::{Placement, Shape};
 
-/// A simulator and the scripted controller for it.
+/// An environment and a scripted controller for it.
 pub type Bench = (Box<dyn Environment>, Box<dyn Policy>);
 
-/// What a bench is made of.
+/// Settings of a bench.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Setup {
     /// The robot.
     pub robot: Robot,
     /// The engine's time step in seconds.
     pub time_step_s: f64,
-    /// What holds an object at a suction cup.
+    /// How a suction cup holds an object.
     pub suction: SuctionLaw,
 }
 
 /// Makes benches.
 pub trait Workbench {
-    /// What benches are made of unless a claim changes it.
+    /// The settings that a claim starts from.
     fn setup(&self) -> Setup;
-    /// A fresh bench.
+    /// A fresh bench with these settings.
     fn bench(&self, setup: &Setup) -> Result<Bench, String>;
 }
 
-/// What an experiment found.
+/// The result of an experiment.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Finding {
+pub struct ClaimResult {
     /// The claim, in one sentence.
     pub claim: String,
-    /// The figures behind it, line by line.
+    /// The measured figures, line by line.
     pub figures: Vec<String>,
     /// Whether the claim holds.
     pub holds: bool,
@@ -58,15 +57,15 @@ fn assign(pairs: &[(&str, Value)]) -> Assignment {
     pairs.iter().map(|(name, value)| (Arc::from(*name), value.clone())).collect()
 }
 
-/// A box held in the air falls below the friction that Coulomb's law asks for, and not much above it.
+/// The lowest friction coefficient that holds a box is that of Coulomb's law.
 ///
-/// Two pads press with F each; friction carries at most 2 mu F. Held still the box needs m g, so the lowest
-/// friction that holds cannot be below m g / (2 F); lifted with acceleration a it needs m (g + a), which
-/// the limit of 1.25 leaves room for. Found by bisection over whole episodes, to 1 %, for each grip force: `sevenths`
-/// of the gripper's limit.
-pub fn coulomb(workbench: &dyn Workbench, sevenths: &[f64]) -> Result<Finding, String> {
-    let mut finding = Finding {
-        claim: "the lowest friction that holds a box lies between m g / (2 F) and 1.25 m g / (2 F)".to_owned(),
+/// Two pads press with F each, so friction carries at most 2 mu F. A box at rest needs m g, so no coefficient below
+/// m g / (2 F) holds it; a box lifted with acceleration a needs m (g + a), for which the limit of 1.25 leaves room. Found by
+/// bisection over whole episodes, to 1 %, for each grip force: `sevenths` of the gripper's limit.
+pub fn coulomb(workbench: &dyn Workbench, sevenths: &[f64]) -> Result<ClaimResult, String> {
+    let mut result = ClaimResult {
+        claim: "the lowest friction coefficient that holds a box is between m g / (2 F) and 1.25 m g / (2 F)"
+            .to_owned(),
         figures: Vec::new(),
         holds: true,
     };
@@ -91,29 +90,29 @@ pub fn coulomb(workbench: &dyn Workbench, sevenths: &[f64]) -> Result<Finding, S
             };
             let (mut low, mut high) = (0.8, 1.6);
             if holds(low) || !holds(high) {
-                finding
+                result
                     .figures
-                    .push(format!("F = {force} N, m = {mass} kg: no threshold between 0.8 and 1.6 x the law"));
-                finding.holds = false;
+                    .push(format!("F = {force} N, m = {mass} kg: no threshold between 0.8 and 1.6 x m g / (2 F)"));
+                result.holds = false;
                 continue;
             }
             while high - low > 0.01 {
                 let middle = 0.5 * (low + high);
                 *(if holds(middle) { &mut high } else { &mut low }) = middle;
             }
-            finding.holds &= low >= 0.99 && high <= 1.25;
-            finding.figures.push(format!(
+            result.holds &= low >= 0.99 && high <= 1.25;
+            result.figures.push(format!(
                 "F = {force} N, m = {mass} kg: holds from mu = {:.4}, {high:.3} x m g / (2 F)",
                 high * law
             ));
         }
     }
-    Ok(finding)
+    Ok(result)
 }
 
-/// An object wider than the hand's opening is never picked. (Without encoder bias: pushed off the equator, the
-/// fingers may pinch the cap of a ball a little wider than they open, and that is no mistake.)
-pub fn opening(workbench: &dyn Workbench, episodes: usize) -> Result<Finding, String> {
+/// An object wider than the hand's opening is never picked. (This holds without encoder bias: fingers that are off the
+/// equator may pinch the cap of a slightly wider ball.)
+pub fn opening(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimResult, String> {
     let (mut simulator, mut policy) = workbench.bench(&workbench.setup())?;
     let mut tally = Tally::default();
     let widest = jaw(&mut workbench.setup())?.opening_m;
@@ -130,23 +129,23 @@ pub fn opening(workbench: &dyn Workbench, episodes: usize) -> Result<Finding, St
         ]);
         tally.count(&rollout(&mut *simulator, &mut *policy, &scenario(i as u64, values)));
     }
-    Ok(Finding {
+    Ok(ClaimResult {
         claim: format!("an object wider than the opening of {:.0} mm is never picked", 1e3 * widest),
         holds: tally.successes == 0 && tally.invalid == 0,
         figures: vec![tally.line()],
     })
 }
 
-/// In the easy region the controller succeeds in at least 99 of 100 episodes. A cup's is that of objects with a flat
-/// top as wide as its lip and more.
-pub fn easy_region(workbench: &dyn Workbench, episodes: usize) -> Result<Finding, String> {
+/// In the easy region the controller succeeds in at least 99 of 100 episodes. For a cup this is the region of objects with
+/// a flat top that is at least as wide as its lip.
+pub fn easy_region(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimResult, String> {
     let (mut simulator, mut policy) = workbench.bench(&workbench.setup())?;
     let cup = workbench.setup().robot.settings.gripper.cup().is_some();
     let mut tally = Tally::default();
     let mut figures = Vec::new();
     for i in 0..episodes {
         let mut stream = Seed::campaign(2026).episode(i as u64).stream("claims/easy");
-        // Every shape at every placement in turn; a cup's are those with a top that it seals on.
+        // Every shape at every placement; for a cup only shapes with a flat top.
         let (shapes, sizes) = if cup { (&Shape::ALL[..2], [0.05, 0.08]) } else { (&Shape::ALL[..], [0.03, 0.06]) };
         let values = assign(&[
             ("friction", Value::Number(stream.between(0.6, 1.2))),
@@ -164,16 +163,16 @@ pub fn easy_region(workbench: &dyn Workbench, episodes: usize) -> Result<Finding
         }
     }
     figures.insert(0, tally.line());
-    Ok(Finding {
+    Ok(ClaimResult {
         claim: "in the easy region at least 99 of 100 episodes succeed".to_owned(),
         holds: tally.invalid == 0 && tally.successes * 100 >= tally.episodes * 99,
         figures,
     })
 }
 
-/// What is round and held between two pads neither turns nor creeps out of them: its middle stays within 4 mm of where
-/// it was first held, on the whole way to the target.
-pub fn no_creep(workbench: &dyn Workbench, episodes: usize) -> Result<Finding, String> {
+/// A round object neither rotates nor creeps out of the pads: its centre stays within 4 mm of its first position in the
+/// hand, on the whole path to the target.
+pub fn no_creep(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimResult, String> {
     let (mut simulator, mut policy) = workbench.bench(&workbench.setup())?;
     jaw(&mut workbench.setup())?;
     let (mut tally, mut most) = (Tally::default(), 0.0_f64);
@@ -192,15 +191,19 @@ pub fn no_creep(workbench: &dyn Workbench, episodes: usize) -> Result<Finding, S
         tally.count(&episode);
         most = most.max(episode.measures.get(SLIP.as_str()).unwrap_or(f64::INFINITY));
     }
-    Ok(Finding {
-        claim: "cylinders and balls stay in the hand: they slip by less than 4 mm".to_owned(),
+    Ok(ClaimResult {
+        claim: "cylinders and balls slip in the hand by less than 4 mm".to_owned(),
         holds: tally.successes == tally.episodes && most < 4e-3,
         figures: vec![tally.line(), format!("largest slip {:.2} mm", 1e3 * most)],
     })
 }
 
 /// Halving the time step changes at most 2 % of the outcomes over the default space.
-pub fn time_step(workbench: &dyn Workbench, space: &Arc<ParameterSpace>, episodes: usize) -> Result<Finding, String> {
+pub fn time_step(
+    workbench: &dyn Workbench,
+    space: &Arc<ParameterSpace>,
+    episodes: usize,
+) -> Result<ClaimResult, String> {
     let design = design(space, episodes)?;
     let setup = workbench.setup();
     let step = setup.time_step_s;
@@ -214,11 +217,11 @@ pub fn time_step(workbench: &dyn Workbench, space: &Arc<ParameterSpace>, episode
         changed += usize::from(one.outcome.as_str() != two.outcome.as_str());
         verdicts += usize::from((one.outcome.as_str() == "success") != (two.outcome.as_str() == "success"));
     }
-    Ok(Finding {
+    Ok(ClaimResult {
         claim: "halving the time step changes at most 2 % of the outcomes".to_owned(),
         holds: invalid == 0 && changed * 50 <= design.len(),
         figures: vec![format!(
-            "{} ms against {} ms: {changed} of {} outcomes change, {verdicts} between success and failure, {invalid} invalid",
+            "{} ms compared with {} ms: {changed} of {} outcomes change, {verdicts} of them between success and failure, {invalid} invalid",
             1e3 * step,
             500.0 * step,
             design.len()
@@ -226,15 +229,19 @@ pub fn time_step(workbench: &dyn Workbench, space: &Arc<ParameterSpace>, episode
     })
 }
 
-/// The same scenario gives the same bits, whatever ran before on the same simulator.
-pub fn repeatable(workbench: &dyn Workbench, space: &Arc<ParameterSpace>, episodes: usize) -> Result<Finding, String> {
+/// The same scenario gives the same bits after any other scenarios on the same simulator.
+pub fn repeatable(
+    workbench: &dyn Workbench,
+    space: &Arc<ParameterSpace>,
+    episodes: usize,
+) -> Result<ClaimResult, String> {
     let design = design(space, episodes)?;
     let mut forward = workbench.bench(&workbench.setup())?;
     let first: Vec<Episode> = (0..design.len()).map(|i| run(&mut forward, &design, i)).collect();
     let mut backward = workbench.bench(&workbench.setup())?;
     let invalid = first.iter().filter(|episode| is_invalid(episode)).count();
     let differ = (0..design.len()).rev().filter(|i| run(&mut backward, &design, *i) != first[*i]).count();
-    Ok(Finding {
+    Ok(ClaimResult {
         claim: "an episode has the same bits in any order on any simulator".to_owned(),
         holds: invalid == 0 && differ == 0,
         figures: vec![format!(
@@ -244,9 +251,9 @@ pub fn repeatable(workbench: &dyn Workbench, space: &Arc<ParameterSpace>, episod
     })
 }
 
-/// The arm keeps its joints' speed limits as measured, and the controller's commands their acceleration
-/// limits. (Torques are cut by the engine's own force range.)
-pub fn joint_limits(workbench: &dyn Workbench, episodes: usize) -> Result<Finding, String> {
+/// The arm keeps its joints' speed limits, and the controller's commands keep their acceleration limits. (Torques are
+/// clamped by the engine's force range.)
+pub fn joint_limits(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimResult, String> {
     let (mut simulator, mut policy) = workbench.bench(&workbench.setup())?;
     let arm = workbench.setup().robot.settings.arm;
     let (speed_limit, acceleration_limit) = (arm.velocity_limit_rad_s, arm.acceleration_limit_rad_s2);
@@ -280,19 +287,19 @@ pub fn joint_limits(workbench: &dyn Workbench, episodes: usize) -> Result<Findin
     let share =
         |measured: &[f64], limit: &[f64]| measured.iter().zip(limit).map(|(m, l)| m / l).fold(0.0_f64, f64::max);
     let (fastest, strongest) = (share(&speed, &speed_limit), share(&acceleration, &acceleration_limit));
-    Ok(Finding {
+    Ok(ClaimResult {
         claim: "joint speeds and accelerations stay within the robot's limits".to_owned(),
         holds: invalid == 0 && fastest <= 1.0 && strongest <= 1.0,
         figures: vec![format!(
-            "largest share of a limit over {episodes} episodes: speed {:.0} %, acceleration {:.0} %",
+            "largest fraction of a limit over {episodes} episodes: speed {:.0} %, acceleration {:.0} %",
             100.0 * fastest,
             100.0 * strongest
         )],
     })
 }
 
-/// A mass (kg) at which the outcome of an episode turns, between `low`, which must hold, and `high`, which must
-/// not; to half a percent.
+/// The mass (kg) at which the outcome of an episode changes, between `low`, which must hold, and `high`, which must not; to
+/// half a percent.
 fn threshold(mut holds: impl FnMut(f64) -> bool, mut low: f64, mut high: f64) -> Result<f64, String> {
     if !holds(low) || holds(high) {
         return Err(format!("no threshold between {low:.3} and {high:.3} kg"));
@@ -304,11 +311,11 @@ fn threshold(mut holds: impl FnMut(f64) -> bool, mut low: f64, mut high: f64) ->
     Ok(0.5 * (low + high))
 }
 
-/// The acceleration of the controller's lift, at its peak, in m/s^2: a straight way of 0.2 m within 1.2 m/s^2, in
-/// whole control periods.
+/// Peak acceleration of the controller's lift, in m/s^2: a straight path of 0.2 m within 1.2 m/s^2, in an integer number of
+/// control periods.
 const LIFT_M_S2: f64 = 1.155;
 
-/// The heaviest mass that this setup's cup lifts off the table and to the height of transit, with gravity scaled.
+/// The largest mass (kg) that this setup's cup lifts from the table to the transit height, with scaled gravity.
 fn heaviest(workbench: &dyn Workbench, setup: &Setup, gravity_scale: f64) -> Result<f64, String> {
     let Some(force) = setup.robot.settings.gripper.cup().map(SuctionCup::force_n) else {
         return Err("the robot has no suction cup".to_owned());
@@ -318,7 +325,7 @@ fn heaviest(workbench: &dyn Workbench, setup: &Setup, gravity_scale: f64) -> Res
     let lifts = |mass: f64| {
         let values = assign(&[
             ("mass_kg", Value::Number(mass)),
-            // A sticky lip: what is lost on the way up is lost to weight.
+            // High friction: an object that is lost during the lift is lost by its weight.
             ("friction", Value::Number(2.0)),
             ("gravity_scale", Value::Number(gravity_scale)),
             ("size_m", Value::Number(0.06)),
@@ -331,7 +338,7 @@ fn heaviest(workbench: &dyn Workbench, setup: &Setup, gravity_scale: f64) -> Res
     threshold(lifts, 0.4 * law, 1.1 * law)
 }
 
-/// The setup with a cup that holds this much by vacuum, in newtons: its pressure is set.
+/// The setup with a vacuum cup of this suction force in newtons, set by its pressure.
 fn with_force(workbench: &dyn Workbench, force: f64) -> Result<Setup, String> {
     let mut setup = workbench.setup();
     setup.suction = SuctionLaw::Vacuum;
@@ -340,9 +347,9 @@ fn with_force(workbench: &dyn Workbench, force: f64) -> Result<Setup, String> {
     Ok(setup)
 }
 
-/// A vacuum cup lifts what m (g + a) < p A allows, and nothing heavier.
-pub fn vacuum_limit(workbench: &dyn Workbench) -> Result<Finding, String> {
-    let mut finding = Finding {
+/// A vacuum cup lifts masses up to m (g + a) = p A.
+pub fn vacuum_limit(workbench: &dyn Workbench) -> Result<ClaimResult, String> {
+    let mut result = ClaimResult {
         claim: "lifted with acceleration a, a vacuum cup holds a mass m up to m (g + a) = p A, within 3 %".to_owned(),
         figures: Vec::new(),
         holds: true,
@@ -350,58 +357,58 @@ pub fn vacuum_limit(workbench: &dyn Workbench) -> Result<Finding, String> {
     for force in [5.0, 15.0] {
         let mass = heaviest(workbench, &with_force(workbench, force)?, 1.0)?;
         let law = force / (GRAVITY + LIFT_M_S2);
-        finding.holds &= (mass / law - 1.0).abs() <= 0.03;
-        finding.figures.push(format!("p A = {force} N: up to {mass:.3} kg, {:.3} x p A / (g + a)", mass / law));
+        result.holds &= (mass / law - 1.0).abs() <= 0.03;
+        result.figures.push(format!("p A = {force} N: up to {mass:.3} kg, {:.3} x p A / (g + a)", mass / law));
     }
-    Ok(finding)
+    Ok(result)
 }
 
-/// Twice the cup's area holds twice the mass.
-pub fn cup_area(workbench: &dyn Workbench) -> Result<Finding, String> {
+/// Doubling the cup's area doubles the mass that it holds.
+pub fn cup_area(workbench: &dyn Workbench) -> Result<ClaimResult, String> {
     let small = with_force(workbench, 6.0)?;
     let mut large = small.clone();
     cup(&mut large)?.cup_diameter_m *= std::f64::consts::SQRT_2;
     let (one, two) = (heaviest(workbench, &small, 1.0)?, heaviest(workbench, &large, 1.0)?);
-    Ok(Finding {
+    Ok(ClaimResult {
         claim: "doubling a vacuum cup's area doubles the mass that it lifts, within 4 %".to_owned(),
         holds: (0.5 * two / one - 1.0).abs() <= 0.04,
         figures: vec![format!("{one:.3} kg, then {two:.3} kg: {:.3} x", two / one)],
     })
 }
 
-/// Under twice the gravity a vacuum cup holds half the mass, but for the lift's own acceleration.
-pub fn gravity(workbench: &dyn Workbench) -> Result<Finding, String> {
+/// Doubling gravity changes the mass that a vacuum cup lifts to (g + a) / (2 g + a).
+pub fn gravity(workbench: &dyn Workbench) -> Result<ClaimResult, String> {
     let setup = with_force(workbench, 10.0)?;
     let (one, two) = (heaviest(workbench, &setup, 1.0)?, heaviest(workbench, &setup, 2.0)?);
     let law = (GRAVITY + LIFT_M_S2) / (2.0 * GRAVITY + LIFT_M_S2);
-    Ok(Finding {
+    Ok(ClaimResult {
         claim: "doubling gravity takes the mass that a vacuum cup lifts to (g + a) / (2 g + a), within 4 %".to_owned(),
         holds: (two / one / law - 1.0).abs() <= 0.04,
-        figures: vec![format!("{one:.3} kg, then {two:.3} kg: {:.3} x; the law says {law:.3} x", two / one)],
+        figures: vec![format!("{one:.3} kg, then {two:.3} kg: {:.3} x. Expected {law:.3} x", two / one)],
     })
 }
 
-/// A surface gripper never loses what it holds, whatever it weighs.
+/// A surface gripper never loses an object, for any mass.
 pub fn surface_keeps(
     workbench: &dyn Workbench,
     space: &Arc<ParameterSpace>,
     episodes: usize,
-) -> Result<Finding, String> {
+) -> Result<ClaimResult, String> {
     let design = design(space, episodes)?;
     let mut bench = workbench.bench(&Setup { suction: SuctionLaw::Surface, ..workbench.setup() })?;
     let mut tally = Tally::default();
     for i in 0..design.len() {
         tally.count(&run(&mut bench, &design, i));
     }
-    Ok(Finding {
+    Ok(ClaimResult {
         claim: "a surface gripper never reports grip_loss".to_owned(),
         holds: tally.invalid == 0 && tally.successes > 0 && tally.of(GRIP_LOSS) == 0,
         figures: vec![tally.line()],
     })
 }
 
-/// An object that does not stand where it should is picked less often.
-pub fn position_jitter(workbench: &dyn Workbench, episodes: usize) -> Result<Finding, String> {
+/// An object off its placement is picked less often.
+pub fn position_jitter(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimResult, String> {
     let (mut simulator, mut policy) = workbench.bench(&workbench.setup())?;
     let mut run = |jitter: f64| {
         let mut tally = Tally::default();
@@ -415,7 +422,7 @@ pub fn position_jitter(workbench: &dyn Workbench, episodes: usize) -> Result<Fin
         tally
     };
     let (none, much) = (run(0.0), run(0.05));
-    Ok(Finding {
+    Ok(ClaimResult {
         claim: "objects up to 50 mm off their placement are picked less often than those on it".to_owned(),
         holds: none.invalid + much.invalid == 0 && much.successes < none.successes,
         figures: vec![format!("on it {}", none.line()), format!("off it {}", much.line())],
@@ -426,7 +433,7 @@ fn jaw(setup: &mut Setup) -> Result<&mut ParallelJaw, String> {
     match &mut setup.robot.settings.gripper {
         Gripper::ParallelJaw(jaw) => Ok(jaw),
         other @ Gripper::Suction(_) => {
-            Err(format!("the claim is about fingers; this gripper is {}", other.description()))
+            Err(format!("this claim applies to fingers, but this gripper is {}", other.description()))
         }
     }
 }
@@ -435,7 +442,7 @@ fn cup(setup: &mut Setup) -> Result<&mut SuctionCup, String> {
     match &mut setup.robot.settings.gripper {
         Gripper::Suction(cup) => Ok(cup),
         other @ Gripper::ParallelJaw(_) => {
-            Err(format!("the claim is about a cup; this gripper is {}", other.description()))
+            Err(format!("this claim applies to a suction cup, but this gripper is {}", other.description()))
         }
     }
 }
@@ -471,7 +478,7 @@ struct Tally {
 }
 
 impl Tally {
-    /// Counts an episode and says whether it succeeded; `None` where it is no evidence.
+    /// Counts an episode. Returns whether it succeeded, or `None` if it is invalid.
     fn count(&mut self, episode: &Episode) -> Option<bool> {
         use robogate_core::Outcome;
         self.episodes += 1;

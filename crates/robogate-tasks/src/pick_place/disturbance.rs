@@ -1,4 +1,4 @@
-//! A body that crosses the workspace whatever the robot does.
+//! A body that crosses the workspace, independent of the robot.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_physics::{Fixture, FixtureKind, Motion, Part, Primitive};
@@ -6,27 +6,27 @@ use robogate_physics::{Fixture, FixtureKind, Motion, Part, Primitive};
 /// Half extents of the body, in metres: a box of 6 cm x 6 cm, 8 cm high.
 const HALF: [f64; 3] = [0.03, 0.03, 0.04];
 
-/// Its lower side is this far above the table, in metres: it slides over it without touching.
+/// Gap between its lower side and the table, in metres: it moves without contact.
 const FLOAT: f64 = 1e-3;
 
-/// The parameters `disturbance_...` of a scenario: a box that crosses the table in a straight line. Nothing stops
-/// it: it is driven, like a conveyor's pusher, and pushes what is in its way.
+/// A box that crosses the table in a straight line, from the parameters `disturbance_...`. It is driven like the pusher of
+/// a conveyor: nothing stops it, and it pushes what it meets.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Disturbance {
-    /// `disturbance_speed_m_s`: its speed; at 0 there is none.
+    /// Speed in m/s; at 0 there is no box.
     pub speed_m_s: f64,
-    /// `disturbance_start_s`: when it sets off.
+    /// Start of its motion, in seconds.
     pub start_s: f64,
-    /// `disturbance_x_m`, `disturbance_y_m`: where its centre stands until then.
+    /// Position of its centre (x, y) before it moves, in metres.
     pub from: [f64; 2],
-    /// `disturbance_heading_rad`: where it goes, 0 along +x and positive towards +y; it faces that way.
+    /// Direction of its motion and yaw, in radians: 0 along +x, positive towards +y.
     pub heading_rad: f64,
-    /// `disturbance_travel_m`: how far it goes.
+    /// Length of its path, in metres.
     pub travel_m: f64,
 }
 
 impl Disturbance {
-    /// The moving body, if there is one.
+    /// The moving body, if the speed is above 0.
     pub(crate) fn fixture(&self) -> Option<Fixture> {
         if self.speed_m_s <= 0.0 {
             return None;
@@ -35,16 +35,16 @@ impl Disturbance {
         let velocity = Vector3::new(cos, sin, 0.0) * self.speed_m_s;
         let ends_s = self.start_s + self.travel_m / self.speed_m_s;
         let at = Translation3::new(self.from[0], self.from[1], HALF[2] + FLOAT);
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.heading_rad);
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.heading_rad);
         Some(Fixture {
             name: "disturbance".to_owned(),
             kind: FixtureKind::Disturbance,
-            part: Part { primitive: Primitive::Box { half: HALF }, pose: Isometry3::from_parts(at, turn) },
+            part: Part { primitive: Primitive::Box { half: HALF }, pose: Isometry3::from_parts(at, rotation) },
             motion: Some(Motion { velocity, starts_s: self.start_s, ends_s }),
         })
     }
 
-    /// The disturbance whose body moves so from this pose.
+    /// The disturbance whose body has this pose and motion.
     fn of(pose: &Isometry3<f64>, motion: &Motion) -> Self {
         let speed_m_s = motion.velocity.norm();
         Self {
@@ -56,11 +56,11 @@ impl Disturbance {
         }
     }
 
-    /// What an engine made of it, where its moving body stands at `pose` and has this motion.
+    /// The disturbance as an engine moves it: `body` is the pose and motion of the engine's moving body.
     pub(crate) fn read(self, body: Option<(&Isometry3<f64>, &Motion)>) -> Self {
         match body {
             Some((pose, motion)) => Self::of(pose, motion),
-            // Of a body that is not there the rest means nothing: it is as it was asked for.
+            // Without a body the other values have no effect.
             None => Self { speed_m_s: 0.0, ..self },
         }
     }
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn its_parameters_come_back_from_its_body() {
+    fn parameters_are_read_from_the_body() {
         let asked = Disturbance { speed_m_s: 0.3, start_s: 0.7, from: [0.62, -0.4], heading_rad: 2.1, travel_m: 0.9 };
         let body = asked.fixture().unwrap();
         let read = asked.read(Some((&body.part.pose, &body.motion.unwrap())));

@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn the_offset_moves_the_centre_of_mass_by_its_share_of_the_way_to_the_face() {
+    fn the_offset_moves_the_centre_of_mass() {
         let cube = Shape::Box.object(0.06, 0.5, 0.4);
         assert!((cube.mass.centre - Vector3::new(0.4 * 0.03, 0.0, 0.0)).norm() < 1e-15);
         for shape in Shape::ALL {
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn inertia_obeys_the_triangle_inequality_for_every_offset() {
+    fn inertia_obeys_the_triangle_inequality() {
         for shape in Shape::ALL {
             for offset in [0.0, 0.1, 0.4] {
                 let eigen = shape.object(0.05, 1.0, offset).mass.inertia.symmetric_eigenvalues();

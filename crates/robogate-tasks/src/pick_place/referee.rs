@@ -1,18 +1,16 @@
-//! The outcome of an episode, from contacts and motion alone.
+//! The referee: the outcome of an episode from contacts, motion and gripper commands alone.
 //!
-//! The referee sees what any onlooker of the cell could: who touches whom with what force, how fast the object moves,
-//! whether the gripper was told to close. It knows nothing of the policy's phases, so that any policy is
-//! judged alike. The first decisive event ends the episode:
+//! It does not use the policy's phases, so the same rules apply to all policies. The first decisive event ends the episode:
 //!
 //! | event | when |
 //! |---|---|
 //! | collision | a robot body touches a fixture |
-//! | grasp_miss | fingers: told to close, they have come to rest, and not both press on the object with at least a fifth of the grip force |
-//! | grasp_miss | suction: told to grip, the tool has been at rest for 0.2 s and nothing hangs at the cup |
-//! | grip_loss | the object was held, the gripper not told to open, and for 50 ms no finger touches the object, or the cup has lost it; or it was let go with its middle more than 5 cm above where it should rest, and has come to rest |
-//! | success | let go, at rest for 0.2 s within the tolerance of the target, touched by nothing of the robot |
+//! | grasp_miss | fingers: after a close command they are at rest, and they do not both press on the object with at least a fifth of the grip force |
+//! | grasp_miss | suction: after a grip command the tool has been at rest for 0.2 s and the cup does not hold the object |
+//! | grip_loss | the object was held, the gripper has no open command, and for 50 ms no finger touches the object, or the cup has lost it; or the object was released with its centre more than 5 cm above its resting height, and has come to rest |
+//! | success | the object was released, has been at rest for 0.2 s within the tolerance of the target, and the robot does not touch it |
 //!
-//! A timeout is the rollout's: the time limit passed and nothing of this had happened.
+//! The rollout reports a timeout if none of these events happens within the time limit.
 
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::{Contact, Ending, FailureMode, Measures};
@@ -22,45 +20,45 @@ use super::spec::{COLLISION, GRASP_MISS, GRIP_LOSS, MIN_CLEARANCE, PEAK_CONTACT_
 
 /// The gripper is at rest when its opening changed less than this in [`SETTLE_S`], in metres.
 const SETTLED_M: f64 = 2e-4;
-/// A tool with a cup is at rest when it moved less than this, in metres: a cup may be told to grip on its way ...
+/// A tool with a cup is at rest when it moved less than this, in metres, because a cup may grip while it moves ...
 const TOOL_SETTLED_M: f64 = 2e-3;
-/// ... in this time, in seconds: longer than a vacuum takes to build up.
+/// ... in this time, in seconds, which is longer than a vacuum takes to build up.
 const TOOL_SETTLE_S: f64 = 0.2;
 /// How long the gripper must have been at rest, in seconds.
 const SETTLE_S: f64 = 0.1;
-/// Each finger holds the object with at least this share of the grip force; less is a touch.
+/// A finger that presses with less than this fraction of the grip force does not hold the object.
 const HOLD_SHARE: f64 = 0.2;
-/// How long no finger must touch a held object for it to count as lost, in seconds.
+/// A held object that no finger touches for this long is lost, in seconds.
 const LOSS_S: f64 = 0.05;
 /// The object is at rest below this speed, in m/s ...
 const REST_SPEED: f64 = 0.01;
 /// ... and this angular speed, in rad/s ...
-const REST_TURN: f64 = 0.2;
+const REST_SPIN: f64 = 0.2;
 /// ... for this long, in seconds.
 const REST_S: f64 = 0.2;
-/// Letting go higher than this above the surface is dropping, in metres.
+/// An object that is released more than this above its resting height is dropped, in metres.
 const DROP_M: f64 = 0.05;
 
 /// What the referee sees of one time step.
 pub(crate) struct Sight<'a> {
     /// Simulated time after the step, in seconds.
     pub(crate) time: f64,
-    /// What the gripper was told.
+    /// The gripper command.
     pub(crate) gripper: GripperCommand,
     /// State of the gripper.
     pub(crate) hand: GripperState,
-    /// Who touched whom.
+    /// Contacts.
     pub(crate) touches: &'a Touches,
-    /// The object's pose.
+    /// Pose of the object.
     pub(crate) object: Isometry3<f64>,
-    /// The object's velocity and angular velocity.
+    /// Linear and angular velocity of the object.
     pub(crate) velocity: (Vector3<f64>, Vector3<f64>),
-    /// The tool centre point's pose.
+    /// Pose of the tool centre point.
     pub(crate) tcp: Isometry3<f64>,
 }
 
 impl Sight<'_> {
-    /// Whether what holds has the object: a finger that touches it, or the cup.
+    /// Whether a finger touches the object, or the cup holds it.
     fn in_touch(&self) -> bool {
         match self.hand {
             GripperState::Fingers(_) => self.touches.fingers.iter().any(Option::is_some),
@@ -68,8 +66,8 @@ impl Sight<'_> {
         }
     }
 
-    /// What must come to rest for a grasp to be done, how little it may still move (m) and for how long (s).
-    fn stir(&self) -> (Vector3<f64>, f64, f64) {
+    /// The position that must come to rest for a grasp, the largest motion that counts as rest (m), and for how long (s).
+    fn settling(&self) -> (Vector3<f64>, f64, f64) {
         match self.hand {
             GripperState::Fingers(opening) => (Vector3::new(opening, 0.0, 0.0), SETTLED_M, SETTLE_S),
             GripperState::Cup(_) => (self.tcp.translation.vector, TOOL_SETTLED_M, TOOL_SETTLE_S),
@@ -77,16 +75,16 @@ impl Sight<'_> {
     }
 }
 
-/// The hold on the object, as far as it has come.
+/// State of the hold on the object.
 #[derive(Debug, Clone, PartialEq)]
 enum Grip {
     /// Not closed on anything yet.
     Free,
-    /// Told to close; what has to come to rest was last seen to move at this time.
+    /// Closing; the position that must come to rest, and the time of its last motion.
     Closing { at: Vector3<f64>, moved_at: f64 },
-    /// The object is held. Its pose in the hand when it first was; since when nothing has it.
+    /// The object is held. Its first pose in the hand, and the time since which nothing touches it.
     Held { in_hand: Isometry3<f64>, untouched_since: Option<f64> },
-    /// Told to open, from this height of the object above its rest on the table.
+    /// Released at this height of the object above its resting height.
     Released { height: f64, calm_since: Option<f64> },
 }
 
@@ -99,7 +97,7 @@ struct Measured {
     target_distance_m: Option<f64>,
 }
 
-/// Watches an episode.
+/// The referee of an episode.
 #[derive(Debug, Clone)]
 pub(crate) struct Referee {
     target: [f64; 3],
@@ -114,8 +112,7 @@ pub(crate) struct Referee {
 }
 
 impl Referee {
-    /// A referee for an object that shall come to rest within `tolerance` of `target` (m), held with
-    /// `grip_force` (N).
+    /// A referee for an object that must come to rest within `tolerance` of `target` (m) and is held with `grip_force` (N).
     pub(crate) fn new(target: [f64; 3], tolerance: f64, grip_force: f64) -> Self {
         Self {
             target,
@@ -130,12 +127,12 @@ impl Referee {
         }
     }
 
-    /// Whether the decisive event has been seen.
+    /// Whether the decisive event has happened.
     pub(crate) fn decided(&self) -> bool {
         self.ending.is_some()
     }
 
-    /// What was measured so far.
+    /// The measures so far.
     pub(crate) fn measures(&self) -> Measures {
         let Measured { peak_contact_force_n, slip_m, min_clearance_m, target_distance_m } = self.measured;
         [
@@ -153,18 +150,18 @@ impl Referee {
         self.measured.min_clearance_m
     }
 
-    /// Takes what happened since it was last asked.
+    /// Takes the events since the last call.
     pub(crate) fn take_events(&mut self) -> Vec<String> {
         std::mem::take(&mut self.events)
     }
 
-    /// Takes note of a clearance.
+    /// Records a clearance (m).
     pub(crate) fn note_clearance(&mut self, clearance: f64) {
         let smallest = self.measured.min_clearance_m.get_or_insert(f64::INFINITY);
         *smallest = smallest.min(clearance.max(0.0));
     }
 
-    /// The decisive event, with names for the bodies of a collision.
+    /// The decisive event. `name` gives the names of the bodies of a collision.
     pub(crate) fn ending(&self, name: impl FnOnce(&Collision) -> (String, String)) -> Option<Ending> {
         let (failure, time_s) = self.ending?;
         let contact = self.collision.filter(|_| failure == Some(COLLISION)).map(|(_, collision)| {
@@ -174,7 +171,7 @@ impl Referee {
         Some(Ending { failure, time_s, contact })
     }
 
-    /// Looks at one time step.
+    /// Observes one time step.
     pub(crate) fn observe(&mut self, sight: &Sight<'_>) {
         self.measure(sight);
         if self.ending.is_some() {
@@ -186,17 +183,17 @@ impl Referee {
         }
         match (sight.gripper, &mut self.grip) {
             (GripperCommand::Close, Grip::Free) => {
-                self.grip = Grip::Closing { at: sight.stir().0, moved_at: sight.time };
+                self.grip = Grip::Closing { at: sight.settling().0, moved_at: sight.time };
                 let what = if let GripperState::Cup(_) = sight.hand { "suction on" } else { "gripper closes" };
                 self.events.push(what.to_owned());
             }
             (GripperCommand::Close, Grip::Closing { at, moved_at }) => {
-                let (now, still, long) = sight.stir();
+                let (now, still, duration) = sight.settling();
                 if sight.hand == GripperState::Cup(true) {
                     self.settle(sight);
                 } else if (*at - now).norm() > still {
                     (*at, *moved_at) = (now, sight.time);
-                } else if sight.time - *moved_at >= long {
+                } else if sight.time - *moved_at >= duration {
                     self.settle(sight);
                 }
             }
@@ -211,11 +208,10 @@ impl Referee {
                     }
                 }
             }
-            // Closing on nothing after the object was let go (on the way home, say) undoes nothing; taking hold
-            // of it again does.
+            // Closing on nothing after the release, such as on the path home, has no effect; grasping again has.
             (GripperCommand::Close, Grip::Released { .. }) => {
                 if sight.in_touch() {
-                    self.grip = Grip::Closing { at: sight.stir().0, moved_at: sight.time };
+                    self.grip = Grip::Closing { at: sight.settling().0, moved_at: sight.time };
                 } else {
                     self.watch_released(sight);
                 }
@@ -232,7 +228,7 @@ impl Referee {
         }
     }
 
-    /// The gripper has come to rest: on the object, or on nothing.
+    /// The gripper has come to rest, on the object or on nothing.
     fn settle(&mut self, sight: &Sight<'_>) {
         let (held, what) = match sight.hand {
             GripperState::Fingers(opening) => {
@@ -247,8 +243,8 @@ impl Referee {
                 };
                 (held, what)
             }
-            GripperState::Cup(true) => (true, "object hangs at the cup".to_owned()),
-            GripperState::Cup(false) => (false, "suction on and nothing at the cup".to_owned()),
+            GripperState::Cup(true) => (true, "object attached to the cup".to_owned()),
+            GripperState::Cup(false) => (false, "suction on without an object at the cup".to_owned()),
         };
         self.events.push(what);
         if held {
@@ -265,7 +261,7 @@ impl Referee {
         let touched = sight.touches.body_on_object || sight.in_touch();
         let (linear, angular) = sight.velocity;
         let calm =
-            !touched && sight.touches.object_on_fixture && linear.norm() < REST_SPEED && angular.norm() < REST_TURN;
+            !touched && sight.touches.object_on_fixture && linear.norm() < REST_SPEED && angular.norm() < REST_SPIN;
         if !calm {
             *calm_since = None;
             return;
@@ -275,7 +271,7 @@ impl Referee {
             return;
         }
         if *height > DROP_M {
-            self.events.push("object had been let go in the air".to_owned());
+            self.events.push("object was released in the air".to_owned());
             self.end(Some(GRIP_LOSS), sight.time);
         } else if self.distance(&sight.object) <= self.tolerance {
             let off = 1e3 * self.distance(&sight.object);
@@ -302,7 +298,7 @@ impl Referee {
                 self.events.push("object off the table".to_owned());
             }
         }
-        // The first collision counts; its force is the largest of that contact until the period ends.
+        // The first collision counts. Its force is the largest of that contact until the period ends.
         match (&mut self.collision, sight.touches.collision) {
             (None, Some(found)) if self.ending.is_none() => {
                 self.collision = Some((sight.time, found));

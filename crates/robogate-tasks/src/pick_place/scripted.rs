@@ -1,12 +1,11 @@
 //! The scripted controller: the paper's baseline (section 4.1).
 //!
-//! Six phases, planned at the start from what a cell's engineer knows: the object's nominal pose and
-//! dimensions, the target, the robot. A phase ends when its path has been commanded and the measured pose
-//! of the tool is within 5 mm and 0.05 rad of its end (and the gripper at rest, where it moves). The
-//! controller does not know what the encoders read too much, nor where the object really is.
+//! Six phases are planned at the start from nominal data: the object's pose and dimensions, the target, the robot. A phase
+//! ends when its path has been commanded and the measured pose of the tool is within 5 mm and 0.05 rad of its end, and the
+//! gripper is at rest if it moves in this phase. The controller knows neither the encoders' bias nor the true pose of the
+//! object.
 //!
-//! A tool that is pushed more than 10 mm off its path stops where it is and waits, as a robot with a
-//! contact guard does: it does not lean on what stands in its way.
+//! A tool that is pushed more than 10 mm off its path stops there and waits, as a robot with a contact guard does.
 
 use std::f64::consts::PI;
 
@@ -23,26 +22,25 @@ use super::spec::{Briefing, phases};
 const POSITION_TOLERANCE_M: f64 = 0.005;
 /// ... and this angle, in radians (paper, section 4.1).
 const ANGLE_TOLERANCE_RAD: f64 = 0.05;
-/// Pushed off its path by more than this, the tool stops, in metres.
+/// A tool that is off its path by more than this stops, in metres.
 const GUARD_M: f64 = 0.01;
-/// Height of the tool above the table on its ways across, in metres: what it carries passes over the
-/// highest obstacle.
+/// Height of the tool above the table on transit paths, in metres: the carried object passes over the highest obstacle.
 const TRANSIT_HEIGHT_M: f64 = 0.25;
-/// Room left between fingertips and table when grasping, in metres.
+/// Gap between fingertips and table in the grasp, in metres.
 const TIP_ROOM_M: f64 = 0.004;
-/// Room left between palm and object when grasping, in metres.
+/// Gap between palm and object in the grasp, in metres.
 const PALM_ROOM_M: f64 = 0.002;
-/// Room left between a cup and the top of the object, in metres: well within what cups take hold across.
+/// Gap between a cup and the top of the object, in metres: well below the grip threshold.
 const CUP_ROOM_M: f64 = 0.002;
-/// The object is let go this far above the table, in metres.
+/// Height of the object above the table at its release, in metres.
 const RELEASE_ROOM_M: f64 = 0.003;
 /// The gripper is at rest when its opening changed less than this in a control period, in metres.
 const GRIPPER_SETTLED_M: f64 = 1e-4;
-/// ... for this many control periods: it needs a moment to start, and a moment to build up its force.
+/// ... for this many control periods: it needs time to start and to build up its force.
 const SETTLE_TICKS: usize = 4;
-/// Free ways.
+/// Limits of free motion.
 const FREE: ToolLimit = ToolLimit { speed: 0.5, acceleration: 2.0 };
-/// Ways with the object in hand: gentle, so that its weight and not the motion decides whether it slips.
+/// Limits of motion with the object in hand: low, so that weight and not acceleration decides whether it slips.
 const CARRY: ToolLimit = ToolLimit { speed: 0.6, acceleration: 1.2 };
 
 /// The scripted controller.
@@ -50,16 +48,16 @@ const CARRY: ToolLimit = ToolLimit { speed: 0.6, acceleration: 1.2 };
 pub struct Scripted {
     robot: Robot,
     chain: Chain,
-    /// The plan of the episode under way, phase by phase.
+    /// The plan of the running episode, phase by phase.
     plan: Vec<Stage>,
     current: usize,
     tick: usize,
     last_opening: Option<f64>,
     /// The last two commands, older first.
     commanded: Option<[Vec<f64>; 2]>,
-    /// Where the guard stopped the arm.
+    /// Joint positions at which the guard stopped the arm.
     stopped: Option<Vec<f64>>,
-    /// For how many control periods the gripper has been at rest.
+    /// Number of control periods for which the gripper has been at rest.
     rest: usize,
 }
 
@@ -67,7 +65,7 @@ pub struct Scripted {
 #[derive(Debug, Clone)]
 struct Stage {
     phase: Word,
-    /// Joint positions at every control tick; held at the last one until the phase ends.
+    /// Joint positions at every control tick; the last one is held until the phase ends.
     path: Vec<Vec<f64>>,
     gripper: GripperCommand,
     /// Whether the gripper must be at rest for the phase to end.
@@ -90,9 +88,8 @@ impl Scripted {
         }
     }
 
-    /// Height of the tool centre point above the table at the grasp. Fingers: the object's middle, but never so low
-    /// that the fingertips touch the table, nor so deep that the palm touches the object. A cup: just above the
-    /// object.
+    /// Height of the tool centre point above the table in the grasp. Fingers: the object's centre, but high enough that the
+    /// fingertips do not touch the table and the palm does not touch the object. A cup: just above the object.
     fn grasp_height(&self, extent: &[f64; 3]) -> f64 {
         match &self.robot.settings.gripper {
             Gripper::ParallelJaw(jaw) => {
@@ -102,7 +99,7 @@ impl Scripted {
         }
     }
 
-    /// From the object's middle to where the gripper takes it, horizontally and in the object's frame, in metres.
+    /// Horizontal offset from the object's centre to the grasp point, in the object's frame, in metres.
     fn grasp_offset(&self, task: &Briefing) -> Vector3<f64> {
         match (&self.robot.settings.gripper, Shape::from_name(&task.shape)) {
             (Gripper::Suction(_), Some(shape)) => {
@@ -113,22 +110,22 @@ impl Scripted {
         }
     }
 
-    /// The tool above `at`, pointing down, fingers closing along the direction `yaw` + 90 degrees.
+    /// The tool above `at`, pointing down. The fingers close along the direction `yaw` + 90 degrees.
     fn above(at: &[f64; 3], height: f64, yaw: f64) -> Isometry3<f64> {
         let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
-        Isometry3::from_parts(Translation3::new(at[0], at[1], height), turn * down)
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+        Isometry3::from_parts(Translation3::new(at[0], at[1], height), rotation * down)
     }
 
-    /// The tool's directions to choose from at the object, which is turned by `yaw`. Fingers: those in which the object
-    /// looks the same. A cup looks the same in every one: it is turned with the arm's base, which spares the wrist.
-    fn directions(&self, task: &Briefing, at: &[f64; 3], yaw: f64) -> Vec<f64> {
+    /// Candidate yaws of the tool at an object with this `yaw`. Fingers: the yaws in which the object is symmetric. A cup is
+    /// symmetric in all yaws: its yaw follows the arm's base, which keeps the wrist as it is.
+    fn grasp_yaws(&self, task: &Briefing, at: &[f64; 3], yaw: f64) -> Vec<f64> {
         let home = &self.robot.settings.arm.home_rad;
         match &self.robot.settings.gripper {
             Gripper::ParallelJaw(_) => {
                 let symmetry = Shape::from_name(&task.shape).map_or(PI, Shape::grasp_symmetry);
-                let turns = (2.0 * PI / symmetry).round() as usize;
-                (0..turns).map(|k| yaw + k as f64 * symmetry).collect()
+                let count = (2.0 * PI / symmetry).round() as usize;
+                (0..count).map(|k| yaw + k as f64 * symmetry).collect()
             }
             Gripper::Suction(_) => {
                 let x = self.chain.tcp_at(home).rotation * Vector3::x();
@@ -137,12 +134,12 @@ impl Scripted {
         }
     }
 
-    /// The grasp direction that bends the wrist least, and the joint positions above the object with it.
+    /// The grasp yaw with the smallest joint motion from home, and the joint positions above the object with it.
     fn choose_grasp(&self, task: &Briefing, at: &[f64; 3], yaw: f64) -> Result<(f64, Vec<f64>), Unreachable> {
         let home = &self.robot.settings.arm.home_rad;
         let mut best: Option<(f64, f64, Vec<f64>)> = None;
         let mut failure = None;
-        for yaw in self.directions(task, at, yaw) {
+        for yaw in self.grasp_yaws(task, at, yaw) {
             let goal = Self::above(at, TRANSIT_HEIGHT_M, yaw);
             match self.chain.reach(&goal, home) {
                 Ok(q) => {
@@ -157,7 +154,7 @@ impl Scripted {
         match (best, failure) {
             (Some((_, yaw, q)), _) => Ok((yaw, q)),
             (None, Some(unreachable)) => Err(unreachable),
-            (None, None) => unreachable!("an object has at least one grasp direction"),
+            (None, None) => unreachable!("an object has at least one grasp yaw"),
         }
     }
 
@@ -178,10 +175,10 @@ impl Scripted {
 
         let [w, x, y, z] = task.object_pose.orientation;
         let object_yaw = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z)).euler_angles().2;
-        let turned = |yaw| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * self.grasp_offset(task);
-        let from_middle =
-            |middle: &[f64; 3], offset: Vector3<f64>| [middle[0] + offset.x, middle[1] + offset.y, middle[2]];
-        let object = &from_middle(&task.object_pose.position, turned(object_yaw));
+        let rotated = |yaw| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * self.grasp_offset(task);
+        let offset_by =
+            |centre: &[f64; 3], offset: Vector3<f64>| [centre[0] + offset.x, centre[1] + offset.y, centre[2]];
+        let object = &offset_by(&task.object_pose.position, rotated(object_yaw));
         let (yaw, above) = self.choose_grasp(task, object, object_yaw)?;
         plan.push(stage(phases::APPROACH_ABOVE, joint_path(home, &above, arm, period), Open, false));
 
@@ -196,10 +193,10 @@ impl Scripted {
         let up = end_of(&path, &down);
         plan.push(stage(phases::LIFT, path, Close, false));
 
-        // Across with the grasp's own direction turned the least way to one that suits the target.
+        // Across to the target, with the smallest rotation of the tool.
         let goal = &task.target_pose.position;
         let placed = self.carry_yaw(&up, yaw, goal);
-        let target = &from_middle(goal, turned(object_yaw + placed - yaw));
+        let target = &offset_by(goal, rotated(object_yaw + placed - yaw));
         let yaw = placed;
         let mut path = straight(&up, Self::above(target, TRANSIT_HEIGHT_M, yaw), CARRY)?;
         let across = end_of(&path, &up);
@@ -215,8 +212,8 @@ impl Scripted {
         Ok(())
     }
 
-    /// Whether the tool is off the path that its last commands put it on. The servo trails the commands by
-    /// half a control period: it should be half way between the last two.
+    /// Whether the tool is off its commanded path. The servo trails the commands by half a control period, so the tool
+    /// should be halfway between the last two.
     fn pushed_off(&self, measured: &[f64]) -> bool {
         let Some([before, last]) = &self.commanded else { return false };
         let middle: Vec<f64> = before.iter().zip(last).map(|(a, b)| 0.5 * (a + b)).collect();
@@ -224,14 +221,14 @@ impl Scripted {
         off.norm() > GUARD_M
     }
 
-    /// The tool's direction at the target: turned with the arm's base, which keeps the wrist as it is.
+    /// Yaw of the tool at the target: it follows the arm's base, which keeps the wrist as it is.
     fn carry_yaw(&self, joints: &[f64], yaw: f64, target: &[f64; 3]) -> f64 {
         let from = self.chain.tcp_at(joints).translation.vector;
         yaw + target[1].atan2(target[0]) - from.y.atan2(from.x)
     }
 }
 
-/// Where a path ends; where it starts if it has no way.
+/// The last point of a path, or `start` if it is empty.
 fn end_of(path: &[Vec<f64>], start: &[f64]) -> Vec<f64> {
     path.last().map_or_else(|| start.to_vec(), Clone::clone)
 }
@@ -251,8 +248,8 @@ impl Policy for Scripted {
 
     fn reset(&mut self, _: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {
         let task = &Briefing::of(instance)?;
-        // Out of reach, the controller does what it can and then waits: that is its failure (a timeout), not
-        // the simulator's.
+        // If a pose is out of reach, the controller runs the reachable part of its plan and then waits. This is a failure
+        // of the controller (a timeout), not a fault of the simulator.
         self.plan = self.plan(task).unwrap_or_else(|(begun, _)| begun);
         if self.plan.is_empty() {
             let path = vec![self.robot.settings.arm.home_rad.clone()];

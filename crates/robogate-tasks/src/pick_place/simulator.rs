@@ -1,4 +1,4 @@
-//! Engine, robot and task as one environment.
+//! The task on an engine of this process, as an environment.
 
 use std::sync::Arc;
 
@@ -10,23 +10,24 @@ use super::cell::{CONTROL_PERIOD_S, ResolvedCell};
 use super::judge::{Acting, Judge};
 use super::spec::spec;
 
-/// Pick an object from the table and place it at the target.
+/// The task: pick an object from the table and place it at the target.
 pub struct PickPlace<E> {
     task: Arc<TaskSpec>,
     plant: Plant<E>,
     judge: Judge,
-    /// Or why there are none.
+    /// The cameras, or why the robot cannot be drawn.
     cameras: Result<Cameras, String>,
-    /// In place of the cameras.
+    /// Replaces the cameras.
     renderer: Option<Box<dyn Renderer<E>>>,
 }
 
 impl<E: Engine> PickPlace<E> {
-    /// The task on this engine; `grip_force_n` replaces the robot's own setting. A suction cup holds by vacuum
-    /// ([`Self::with_suction`]).
+    /// The task on this engine. `grip_force_n` replaces the robot's own setting. A suction cup holds by vacuum unless
+    /// [`Self::with_suction`] changes it.
     ///
-    /// Fails where the control period is not an integer number of the engine's time steps, or where the gripper cannot
-    /// hold with this force.
+    /// # Errors
+    /// If the control period is not an integer multiple of the engine's time step, or the gripper cannot hold the grip
+    /// force.
     pub fn new(engine: E, grip_force_n: Option<f64>) -> Result<Self, String> {
         let plant = Plant::new(engine, CONTROL_PERIOD_S, grip_force_n)?;
         let judge = Judge::new(plant.engine.robot().clone(), plant.engine.chain().clone(), plant.grip_force_n());
@@ -35,14 +36,14 @@ impl<E: Engine> PickPlace<E> {
         Ok(Self { task, plant, judge, cameras, renderer: None })
     }
 
-    /// The same task, a suction cup holding by this law.
+    /// The same task with a suction cup that holds by this law.
     #[must_use]
     pub fn with_suction(mut self, law: SuctionLaw) -> Self {
         self.plant = self.plant.with_suction(law);
         self
     }
 
-    /// The same task, the cameras' pictures of this size in pixels.
+    /// The same task with pictures of this size in pixels.
     #[must_use]
     pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
         self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
@@ -53,14 +54,14 @@ impl<E: Engine> PickPlace<E> {
         self
     }
 
-    /// The same task, its pictures taken by `renderer`.
+    /// The same task with this renderer.
     #[must_use]
     pub fn with_renderer(mut self, renderer: Box<dyn Renderer<E>>) -> Self {
         self.renderer = Some(renderer);
         self
     }
 
-    /// The engine, for looking at the world.
+    /// The engine.
     pub fn engine(&self) -> &E {
         &self.plant.engine
     }
@@ -104,6 +105,7 @@ impl<E: Engine> Environment for PickPlace<E> {
         }
         step
     }
+
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
         let engine = &self.plant.engine;
         if let Some(renderer) = &mut self.renderer {
@@ -127,7 +129,8 @@ pub(crate) fn camera_specs(cameras: &Result<Cameras, String>) -> Vec<CameraSpec>
     cameras.as_ref().map(specs).unwrap_or_default()
 }
 
-/// Puts a cell before the cameras. How it looks is read from them, where the robot's model allows any.
+/// Sets a cell up for the cameras and returns its appearance as they hold it. If the robot cannot be drawn, nothing shows
+/// the cell, and its own values are returned.
 pub(crate) fn show(cameras: &mut Result<Cameras, String>, cell: &ResolvedCell) -> Visual {
     match cameras {
         Ok(cameras) => {
@@ -138,7 +141,7 @@ pub(crate) fn show(cameras: &mut Result<Cameras, String>, cell: &ResolvedCell) -
     }
 }
 
-/// What the cameras show; `posture` says where everything is, of so many fixtures.
+/// Renders the cell. `posture` gives the positions of everything that moves, for a number of fixtures.
 pub(crate) fn render(
     cameras: &Result<Cameras, String>,
     posture: impl FnOnce(usize) -> Posture,

@@ -1,4 +1,4 @@
-//! The parameter spaces that come with RoboGate, as data.
+//! The built-in parameter spaces, as TOML.
 
 use robogate_physics::Gripper;
 
@@ -12,7 +12,7 @@ const SPACES: [(&str, &str); 4] = [
     ("ur-wide", include_str!("../../../../assets/spaces/ur-wide.toml")),
 ];
 
-/// The names of the parameter spaces that come with RoboGate.
+/// Names of the built-in parameter spaces.
 pub fn built_in_spaces() -> impl Iterator<Item = &'static str> {
     SPACES.iter().map(|(name, _)| *name)
 }
@@ -22,7 +22,7 @@ pub fn built_in_space(name: &str) -> Option<&'static str> {
     SPACES.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
-/// The name of the space that a robot with this gripper is run over unless another is asked for.
+/// Name of the default parameter space for a robot with this gripper.
 pub fn default_space(gripper: &Gripper) -> &'static str {
     match gripper {
         Gripper::ParallelJaw(_) => "franka",

@@ -1,4 +1,4 @@
-//! Whether what a suite asks for means something in this world.
+//! Check of a suite against the task's parameters.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -8,12 +8,12 @@ use robogate_physics::Gripper;
 
 use super::{ParameterError, SceneParameters};
 
-/// What one or more scenarios of a suite ask for and this world cannot be.
+/// A parameter of one or more scenarios of a suite that the task does not accept.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SuiteMisfit {
-    /// What is wrong.
+    /// The problem.
     pub error: ParameterError,
-    /// The scenarios in which it is.
+    /// The scenarios that have it.
     pub cases: Vec<String>,
 }
 
@@ -27,8 +27,8 @@ impl fmt::Display for SuiteMisfit {
     }
 }
 
-/// Everything that this world cannot be, each mistake once with all scenarios that make it; nothing where every
-/// parameter of every scenario means something here over its whole range, and to this gripper where one is given.
+/// All problems of a suite, each once with all scenarios that have it. The list is empty if the task accepts every
+/// parameter of every scenario over its whole range, and this gripper has it.
 pub fn check_suite(suite: &Suite, gripper: Option<&Gripper>) -> Vec<SuiteMisfit> {
     let mut found: BTreeMap<String, SuiteMisfit> = BTreeMap::new();
     for case in suite.cases() {
@@ -40,7 +40,7 @@ pub fn check_suite(suite: &Suite, gripper: Option<&Gripper>) -> Vec<SuiteMisfit>
                 }
                 Spread::Drawn(domain) => {
                     let parameter = Parameter { name: name.clone(), domain: domain.clone() };
-                    // A drawn parameter of a suite is one of a space: the suite was checked for that.
+                    // The suite has checked that a sampled parameter is valid in a space.
                     match ParameterSpace::new(suite.name(), vec![parameter]) {
                         Ok(space) => SceneParameters::check_space(&space, gripper),
                         Err(_) => Ok(()),

@@ -1,4 +1,4 @@
-//! Robots under each of the engines.
+//! Test cells: a robot in an engine.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 #![allow(dead_code, reason = "each test binary uses its part")]
 
@@ -12,31 +12,31 @@ use robogate_physics::{Engine, Robot, SuctionLaw};
 use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
 use robogate_tasks::pick_place::{PickPlace, Scripted};
 
-/// An engine.
+/// The engines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum On {
+pub(crate) enum EngineKind {
     #[cfg(feature = "mujoco")]
     Mujoco,
     #[cfg(feature = "rapier")]
     Rapier,
 }
 
-impl On {
+impl EngineKind {
     /// A robot of the repository in this engine, by the name of its folder.
-    pub(crate) fn robot(self, name: &str) -> Station {
+    pub(crate) fn robot(self, name: &str) -> TestCell {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/robots").join(name);
-        Station { on: self, robot: Robot::from_folder(&folder).unwrap() }
+        TestCell { on: self, robot: Robot::from_folder(&folder).unwrap() }
     }
 
-    pub(crate) fn franka(self) -> Station {
+    pub(crate) fn franka(self) -> TestCell {
         self.robot("franka")
     }
 
-    pub(crate) fn ur5e(self) -> Station {
+    pub(crate) fn ur5e(self) -> TestCell {
         self.robot("ur5e")
     }
 
-    /// So many episodes where the engine is fast, and fewer where it is slow.
+    /// A number of episodes: `fast` in a fast engine, a quarter of it in a slow one.
     pub(crate) fn episodes(self, fast: usize) -> usize {
         match self {
             #[cfg(feature = "mujoco")]
@@ -57,25 +57,25 @@ impl On {
 }
 
 /// A robot in an engine.
-pub(crate) struct Station {
-    pub(crate) on: On,
+pub(crate) struct TestCell {
+    pub(crate) on: EngineKind,
     pub(crate) robot: Robot,
 }
 
-impl Station {
+impl TestCell {
     /// The engine alone.
     pub(crate) fn engine(&self) -> Box<dyn Engine> {
         let (robot, step) = (self.robot.clone(), self.on.time_step());
         match self.on {
             #[cfg(feature = "mujoco")]
-            On::Mujoco => Box::new(MujocoEngine::new(robot, step).unwrap()),
+            EngineKind::Mujoco => Box::new(MujocoEngine::new(robot, step).unwrap()),
             #[cfg(feature = "rapier")]
-            On::Rapier => Box::new(RapierEngine::new(robot, step).unwrap()),
+            EngineKind::Rapier => Box::new(RapierEngine::new(robot, step).unwrap()),
         }
     }
 }
 
-impl Workbench for Station {
+impl Workbench for TestCell {
     fn setup(&self) -> Setup {
         Setup { robot: self.robot.clone(), time_step_s: self.on.time_step(), suction: SuctionLaw::Vacuum }
     }
@@ -84,9 +84,9 @@ impl Workbench for Station {
         let (robot, step) = (setup.robot.clone(), setup.time_step_s);
         match self.on {
             #[cfg(feature = "mujoco")]
-            On::Mujoco => bench(MujocoEngine::new(robot, step).map_err(|e| e.to_string())?, setup),
+            EngineKind::Mujoco => bench(MujocoEngine::new(robot, step).map_err(|e| e.to_string())?, setup),
             #[cfg(feature = "rapier")]
-            On::Rapier => bench(RapierEngine::new(robot, step).map_err(|e| e.to_string())?, setup),
+            EngineKind::Rapier => bench(RapierEngine::new(robot, step).map_err(|e| e.to_string())?, setup),
         }
     }
 }

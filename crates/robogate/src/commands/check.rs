@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use clap::{Args, Subcommand};
-use robogate_tasks::pick_place::claims::{self, Finding, Workbench};
+use robogate_tasks::pick_place::claims::{self, ClaimResult, Workbench};
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, FAIL, OrExit};
@@ -53,7 +53,7 @@ const CLAIMS: [&str; 12] = [
 ];
 
 /// A claim's name and experiment.
-type Experiment<'a> = (&'static str, &'a dyn Fn() -> Result<Finding, String>);
+type Experiment<'a> = (&'static str, &'a dyn Fn() -> Result<ClaimResult, String>);
 
 impl Check {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
@@ -98,13 +98,13 @@ impl Physics {
                 continue;
             }
             note(format_args!("running {name} ..."));
-            let finding = experiment().map_err(anyhow::Error::msg).or_broken()?;
+            let result = experiment().map_err(anyhow::Error::msg).or_broken()?;
             if !self.json {
-                let verdict = if finding.holds { "holds" } else { "FAILS" };
-                line(format_args!("{} {}", bold(verdict), finding.claim));
-                finding.figures.iter().for_each(|figure| line(format_args!("      {figure}")));
+                let verdict = if result.holds { "holds" } else { "FAILS" };
+                line(format_args!("{} {}", bold(verdict), result.claim));
+                result.figures.iter().for_each(|figure| line(format_args!("      {figure}")));
             }
-            found.push((name, finding));
+            found.push((name, result));
         }
         if self.json {
             let claims: Vec<_> = found
@@ -113,6 +113,6 @@ impl Physics {
                 .collect();
             line(json!({"version": 1, "claims": claims}));
         }
-        Ok(if found.iter().all(|(_, finding)| finding.holds) { DONE } else { FAIL })
+        Ok(if found.iter().all(|(_, result)| result.holds) { DONE } else { FAIL })
     }
 }

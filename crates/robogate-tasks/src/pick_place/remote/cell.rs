@@ -1,4 +1,4 @@
-//! A cell in plain numbers: what `bridges/PROTOCOL.md` calls so.
+//! A resolved cell as plain data: the cell of `bridges/PROTOCOL.md`.
 
 use nalgebra::Matrix3;
 use robogate_core::Pose;
@@ -7,26 +7,26 @@ use serde::{Deserialize, Serialize};
 
 use crate::pick_place::cell::{CONTROL_PERIOD_S, ResolvedCell};
 
-/// The whole cell of an episode, after every random draw. Metres, radians, newtons, the robot's base frame.
+/// The whole cell of an episode after every random draw. Metres, radians, newtons, in the robot's base frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
     /// Time between two commands, in seconds.
     pub control_period_s: f64,
     /// Gravity, downwards.
     pub gravity_m_s2: f64,
-    /// Coulomb coefficient of every contact of the object.
+    /// Coulomb friction coefficient of every contact of the object.
     pub friction: f64,
-    /// The same between object and table.
+    /// The same between the object and the table.
     pub table_friction: f64,
     /// Constants of contacts.
     pub contact: CellContact,
     /// The object.
     pub object: CellObject,
-    /// The table, then whatever else stands or moves there.
+    /// The table first, then all other fixtures.
     pub fixtures: Vec<CellFixture>,
     /// The robot's drives.
     pub robot: CellRobot,
-    /// How it all looks.
+    /// Appearance of the scene.
     pub visual: CellVisual,
 }
 
@@ -52,7 +52,7 @@ pub struct CellContact {
 pub struct CellObject {
     /// Its parts in its own frame.
     pub parts: Vec<CellPart>,
-    /// Where it stands.
+    /// Its pose at the start.
     pub pose: Pose,
     /// Its mass in kilograms.
     pub mass_kg: f64,
@@ -67,33 +67,33 @@ pub struct CellObject {
 pub struct CellPart {
     /// Its shape.
     pub primitive: Primitive,
-    /// Where it is in the object's frame.
+    /// Its pose in the object's frame.
     pub pose: Pose,
 }
 
-/// A body that nothing moves from its place or its way.
+/// A body that stands still or follows a prescribed motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CellFixture {
     /// Its name.
     pub name: String,
-    /// What it is there for.
+    /// Its role.
     pub kind: FixtureKind,
     /// Its shape.
     pub primitive: Primitive,
-    /// Where it stands at the start.
+    /// Its pose at the start.
     pub pose: Pose,
-    /// How it moves, if it does.
+    /// Its motion, if it moves.
     pub motion: Option<CellMotion>,
 }
 
-/// A straight way at constant speed in a window of time.
+/// A straight path at constant speed in a window of time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CellMotion {
-    /// Its velocity.
+    /// Velocity.
     pub velocity_m_s: [f64; 3],
-    /// When it sets off, in seconds.
+    /// Start, in seconds.
     pub starts_s: f64,
-    /// When it comes to a halt.
+    /// End, in seconds.
     pub ends_s: f64,
 }
 
@@ -109,16 +109,16 @@ impl From<CellMotion> for Motion {
     }
 }
 
-/// The robot's drives. Arrays have one entry per arm joint, base to tip.
+/// The robot's drives. Arrays have one entry per arm joint, from base to tip.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CellRobot {
     /// Its name.
     pub name: String,
-    /// The hash of its files.
+    /// Hash of its files.
     pub sha256: Option<String>,
-    /// The arm's joints.
+    /// Names of the arm's joints.
     pub joints: Vec<String>,
-    /// Where the arm starts.
+    /// Joint positions at the start.
     pub home_rad: Vec<f64>,
     /// Smallest and largest positions.
     pub position_limit_rad: Vec<[f64; 2]>,
@@ -144,39 +144,39 @@ pub struct CellRobot {
 pub enum CellGripper {
     /// Two fingers that slide against each other.
     ParallelJaw {
-        /// The fingers' joints.
+        /// Names of the fingers' joints.
         finger_joints: [String; 2],
-        /// The bodies that carry the pads.
+        /// Names of the bodies that carry the pads.
         finger_bodies: [String; 2],
-        /// Between the pads when open.
+        /// Opening between the pads when open.
         opening_m: f64,
-        /// Of each finger.
+        /// Speed of each finger.
         finger_speed_m_s: f64,
-        /// Of each pad.
+        /// Normal force of each pad.
         force_n: f64,
-        /// Of a finger's servo.
+        /// Stiffness of a finger's servo.
         stiffness_n_m: f64,
-        /// Of a finger's servo.
+        /// Damping of a finger's servo.
         damping_ns_m: f64,
     },
 }
 
-/// How a cell looks.
+/// Appearance of a cell.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CellVisual {
     /// Illuminance on the table.
     pub lighting_lux: f64,
-    /// Turn of each camera about its line of sight.
+    /// Rotation of each camera about its line of sight.
     pub camera_roll_rad: f64,
-    /// Tilt of each camera.
+    /// Upward tilt of each camera.
     pub camera_pitch_rad: f64,
-    /// The table's top.
+    /// Material of the table's top.
     pub table_material: String,
-    /// Behind the table, `#rrggbb`.
+    /// Colour of the background, `#rrggbb`.
     pub background_color: String,
-    /// The object, `#rrggbb`.
+    /// Colour of the object, `#rrggbb`.
     pub object_color: String,
-    /// Share of the light that the object lets through.
+    /// Fraction of the light that passes through the object.
     pub object_transparency: f64,
 }
 
@@ -195,7 +195,10 @@ impl From<&Visual> for CellVisual {
 }
 
 impl Cell {
-    /// The cell of this episode for this robot; fails where the gripper is no parallel jaw.
+    /// The cell of this episode for this robot.
+    ///
+    /// # Errors
+    /// If the gripper is not a parallel jaw.
     pub(super) fn new(
         resolved: &ResolvedCell,
         robot: &Robot,
@@ -206,7 +209,7 @@ impl Cell {
         let (scene, arm) = (&resolved.scene, &robot.settings.arm);
         let jaw = robot.settings.gripper.jaw().ok_or_else(|| {
             let (name, gripper) = (robot.name(), robot.settings.gripper.description());
-            format!("{name} has {gripper}; a far engine takes a parallel jaw")
+            format!("{name} has {gripper}. Expected a parallel jaw for an engine of another process")
         })?;
         let mass = &scene.object.mass;
         let m: &Matrix3<f64> = &mass.inertia;

@@ -1,23 +1,23 @@
-//! An engine of ours on the far side: told what to do, reporting what it saw, judging nothing.
+//! One of our engines as a physics server: it sets cells up, runs them and reports, and scores nothing.
 
 use robogate_core::{Fault, FaultKind, Observation, Scenario};
 use robogate_physics::{Engine, GripperCommand, GripperState, Plant, StepView, pose};
 
-use super::{FarPeriod, FarReadback, FarSight};
+use super::{RemotePeriod, RemoteReadback, RemoteSight};
 use crate::pick_place::cell::{CONTROL_PERIOD_S, ResolvedCell};
 use crate::pick_place::spec::observation;
 
 /// Clearance beyond this is not measured, in metres.
 const CLEARANCE_LIMIT_M: f64 = 0.25;
 
-/// An engine as a physics server: the reference that other servers are held against.
-pub struct Host<E> {
+/// An engine as a physics server: the reference implementation for other servers.
+pub struct PhysicsHost<E> {
     plant: Plant<E>,
     ticks: u64,
 }
 
-impl<E: Engine> Host<E> {
-    /// A host of this engine; `grip_force_n` replaces the robot's own setting.
+impl<E: Engine> PhysicsHost<E> {
+    /// A host of this engine. `grip_force_n` replaces the robot's own setting.
     pub fn new(engine: E, grip_force_n: Option<f64>) -> Result<Self, String> {
         Ok(Self { plant: Plant::new(engine, CONTROL_PERIOD_S, grip_force_n)?, ticks: 0 })
     }
@@ -27,8 +27,8 @@ impl<E: Engine> Host<E> {
         &self.plant.engine
     }
 
-    /// Sets up the scenario's cell, which it resolves as whoever asks does.
-    pub fn reset(&mut self, scenario: &Scenario) -> Result<(FarReadback, FarSight, Observation), Fault> {
+    /// Sets up the scenario's cell, which it resolves in the same way as the client.
+    pub fn reset(&mut self, scenario: &Scenario) -> Result<(RemoteReadback, RemoteSight, Observation), Fault> {
         let cell = ResolvedCell::new(scenario, self.plant.engine.robot())?;
         self.plant.load(&cell.scene, cell.parameters.grip_threshold_m)?;
         self.ticks = 0;
@@ -42,15 +42,15 @@ impl<E: Engine> Host<E> {
             velocity: engine.object_velocity(),
             tcp: engine.tcp(),
         };
-        let sight = FarSight::of(&sight, |body| engine.robot_body(body));
-        Ok((FarReadback::from(&engine.read_back()?), sight, self.observation()))
+        let sight = RemoteSight::of(&sight, |body| engine.robot_body(body));
+        Ok((RemoteReadback::from(&engine.read_back()?), sight, self.observation()))
     }
 
     /// Runs one control period towards these joint positions (rad).
-    pub fn step(&mut self, joints: &[f64], told: GripperCommand) -> Result<FarPeriod, Fault> {
-        // Names cannot be asked of an engine while it shows a step: a body is named by its number until then.
+    pub fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<RemotePeriod, Fault> {
+        // The engine is borrowed while it reports a step: until then a body is named by its index.
         let mut sights = Vec::with_capacity(self.plant.steps_per_period());
-        self.plant.run(joints, told, &mut |sight| sights.push(FarSight::of(sight, |body| body.to_string())))?;
+        self.plant.run(joints, gripper, &mut |view| sights.push(RemoteSight::of(view, |body| body.to_string())))?;
         let engine = &self.plant.engine;
         for collision in sights.iter_mut().filter_map(|sight| sight.collision.as_mut()) {
             if let Ok(body) = collision.robot_body.parse() {
@@ -59,7 +59,7 @@ impl<E: Engine> Host<E> {
         }
         self.ticks += 1;
         let clearance_m = self.plant.engine.clearance_below(CLEARANCE_LIMIT_M);
-        Ok(FarPeriod { observation: self.observation(), state_hash: self.plant.state_hash(), sights, clearance_m })
+        Ok(RemotePeriod { observation: self.observation(), state_hash: self.plant.state_hash(), sights, clearance_m })
     }
 
     fn observation(&self) -> Observation {

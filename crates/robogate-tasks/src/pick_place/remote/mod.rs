@@ -1,15 +1,16 @@
-//! Our world in an engine that is somewhere else: what it is told, what it reports, and the judging here.
+//! The task on an engine of another process, which simulates physics only.
 //!
-//! [`Offsite`] tells a far engine the whole [`Cell`] and judges by what it reports, with the very pieces that judge an
-//! engine in this process. [`Host`] is the other end: an engine of ours that is told and reports.
+//! [`RemotePickPlace`] sends the whole [`Cell`] to the engine and scores the episode by what the engine reports, with the
+//! same code as for an engine in this process. [`PhysicsHost`] is the other side: one of our engines that sets a cell up and
+//! reports.
 
 mod cell;
 mod host;
 mod report;
 
 pub use cell::{Cell, CellContact, CellFixture, CellGripper, CellMotion, CellObject, CellPart, CellRobot, CellVisual};
-pub use host::Host;
-pub use report::{FarCollision, FarFixture, FarPeriod, FarReadback, FarSight, FarVelocity};
+pub use host::PhysicsHost;
+pub use report::{RemoteCollision, RemoteFixture, RemotePeriod, RemoteReadback, RemoteSight, RemoteVelocity};
 
 use std::sync::Arc;
 
@@ -24,14 +25,14 @@ use crate::pick_place::parameters;
 use crate::pick_place::simulator::{camera_specs, render, show};
 use crate::pick_place::spec::spec;
 
-/// From where a far engine has the tool to where the arm's joints put it, at the start: more than this is another
-/// robot, in metres ...
+/// Largest distance between the reported tool pose and that of the reported joint positions at the start, in metres;
+/// beyond, the engine has a different robot ...
 const TOOL_OFF_M: f64 = 2e-3;
-/// ... and in radians.
+/// ... and the largest angle, in radians.
 const TOOL_OFF_RAD: f64 = 0.02;
 
-/// The task around an engine that is somewhere else.
-pub struct Offsite {
+/// The task on an engine of another process.
+pub struct RemotePickPlace {
     task: Arc<TaskSpec>,
     judge: Judge,
     sha256: Option<String>,
@@ -39,21 +40,22 @@ pub struct Offsite {
     cell: Option<(Scenario, ResolvedCell)>,
     /// The cell's fixtures.
     fixtures: Vec<Fixture>,
-    /// The robot's bodies by name, as far as they were met.
+    /// Names of the robot's bodies that were reported so far.
     bodies: Vec<String>,
-    /// Or why there are none.
+    /// The cameras, or why the robot cannot be drawn.
     cameras: Result<Cameras, String>,
-    /// Where everything was last seen to be.
+    /// The last reported positions.
     seen: Option<Posture>,
 }
 
-impl Offsite {
-    /// The task on this robot, whose files have this hash; `grip_force_n` replaces the robot's own setting.
+impl RemotePickPlace {
+    /// The task on this robot, whose files have the hash `sha256`. `grip_force_n` replaces the robot's own setting.
     ///
-    /// Fails for a suction cup, whose hold must be looked at in every time step.
+    /// # Errors
+    /// If the gripper is a suction cup, whose hold must be decided in every time step.
     pub fn new(robot: Robot, chain: Chain, sha256: Option<String>, grip_force_n: Option<f64>) -> Result<Self, String> {
         if let Gripper::Suction(_) = robot.settings.gripper {
-            return Err(format!("{} holds by suction, which works in the engines inside alone", robot.name()));
+            return Err(format!("{} has a suction cup, which is supported by the built-in engines only", robot.name()));
         }
         let grip_force_n = grip_force(&robot.settings.gripper, grip_force_n)?;
         let judge = Judge::new(robot, chain, grip_force_n);
@@ -71,7 +73,7 @@ impl Offsite {
         })
     }
 
-    /// The same task, the cameras' pictures of this size in pixels.
+    /// The same task with pictures of this size in pixels.
     #[must_use]
     pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
         self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
@@ -89,8 +91,8 @@ impl Offsite {
         self.judge.robot()
     }
 
-    /// The cell that the engine has to set up for this scenario.
-    pub fn brief(&mut self, scenario: &Scenario) -> Result<Cell, Fault> {
+    /// The cell that the engine must set up for this scenario.
+    pub fn resolve(&mut self, scenario: &Scenario) -> Result<Cell, Fault> {
         self.seen = None;
         let resolved = self.judge.resolve(scenario)?;
         let (robot, chain) = (self.judge.robot(), self.judge.chain());
@@ -101,22 +103,27 @@ impl Offsite {
         Ok(cell)
     }
 
-    /// Begins the episode with what the engine made of the cell. `observation` is of the arm as it is.
-    pub fn start(&mut self, held: FarReadback, sight: &FarSight, observation: &Observation) -> Result<Start, Fault> {
+    /// Starts the episode with what the engine reports of the cell. `observation` has no encoder bias.
+    pub fn start(
+        &mut self,
+        held: RemoteReadback,
+        sight: &RemoteSight,
+        observation: &Observation,
+    ) -> Result<Start, Fault> {
         let Some((scenario, cell)) = self.cell.take() else {
-            return Err(Fault::new(FaultKind::Setup, "no cell was set up"));
+            return Err(Fault::new(FaultKind::Setup, "no cell is set up"));
         };
         let tool = observation
             .tool_pose()
             .ok_or_else(|| Fault::new(FaultKind::Setup, "the observation of the arm has no tool_pose"))?;
         let there = isometry(&tool.position, &tool.orientation);
         let off = self.judge.chain().tcp_at(observation.joint_positions()).inverse() * there;
-        let (way, turn) = (off.translation.vector.norm(), off.rotation.angle());
-        if way > TOOL_OFF_M || turn > TOOL_OFF_RAD {
+        let (distance, angle) = (off.translation.vector.norm(), off.rotation.angle());
+        if distance > TOOL_OFF_M || angle > TOOL_OFF_RAD {
             let detail = format!(
-                "the far engine has the tool {:.1} mm and {turn:.3} rad off where these joint positions put it: \
-                 it is another robot",
-                1e3 * way
+                "the engine reports a tool pose that is {:.1} mm and {angle:.3} rad off that of its joint positions: \
+                 it has a different robot",
+                1e3 * distance
             );
             return Err(Fault::new(FaultKind::Setup, detail));
         }
@@ -130,15 +137,15 @@ impl Offsite {
         self.judge.start(&scenario, cell, acting, &touches, arm_state(observation))
     }
 
-    /// Where the engine has to drive the arm's joints (rad) in the next control period.
+    /// Joint positions (rad) to which the engine must drive the arm in the next control period.
     pub fn command(&mut self, action: &Action) -> Result<Vec<f64>, Fault> {
         self.judge.command(action)
     }
 
-    /// Judges a control period by what the engine reports of each of its time steps.
+    /// Scores a control period by the reports of its time steps.
     pub fn finish(
         &mut self,
-        sights: &[FarSight],
+        sights: &[RemoteSight],
         observation: &Observation,
         clearance_m: Option<f64>,
         state_hash: u64,
@@ -158,10 +165,10 @@ impl Offsite {
         self.judge.finish(arm_state(observation), clearance, state_hash, name)
     }
 
-    /// What our cameras show of what the engine last reported.
+    /// Renders the last reported positions.
     pub fn render(&self) -> Result<Vec<Image>, Fault> {
         let Some(seen) = &self.seen else {
-            return Err(Fault::new(FaultKind::Setup, "no episode is under way"));
+            return Err(Fault::new(FaultKind::Setup, "no episode is running"));
         };
         render(&self.cameras, |_| seen.clone())
     }

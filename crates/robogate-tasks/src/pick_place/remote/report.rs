@@ -1,4 +1,4 @@
-//! What a far engine reports, in plain numbers.
+//! Reports of a remote engine, as plain data.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Fault, FaultKind, Observation, Pose};
@@ -7,98 +7,98 @@ use serde::{Deserialize, Serialize};
 
 use super::CellMotion;
 
-/// What an engine holds of the cell, read from its own state.
+/// The cell as the engine holds it, read from its own state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FarReadback {
-    /// Of the object's contacts.
+pub struct RemoteReadback {
+    /// Friction coefficient of the object's contacts.
     pub friction: f64,
-    /// Between object and table.
+    /// Friction coefficient between object and table.
     pub table_friction: f64,
-    /// Downwards.
+    /// Gravity, downwards.
     pub gravity_m_s2: f64,
     /// The object's mass in kilograms.
     pub mass_kg: f64,
-    /// In the object's frame, in metres.
+    /// Centre of mass in the object's frame, in metres.
     pub centre_of_mass: [f64; 3],
     /// The object's parts.
     pub parts: Vec<Primitive>,
-    /// Where the object is.
+    /// Pose of the object.
     pub object_pose: Pose,
     /// The fixtures.
-    pub fixtures: Vec<FarFixture>,
+    pub fixtures: Vec<RemoteFixture>,
 }
 
 /// A fixture as an engine holds it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FarFixture {
-    /// Its position in the cell's list.
+pub struct RemoteFixture {
+    /// Its index in the cell's list.
     pub fixture: usize,
     /// Its shape.
     pub primitive: Option<Primitive>,
-    /// Where it stands.
+    /// Its pose.
     pub pose: Pose,
-    /// How it will move.
+    /// Its motion, if it moves.
     pub motion: Option<CellMotion>,
 }
 
-/// One time step. Forces are normal forces in newtons.
+/// Report of one time step. Forces are normal forces in newtons.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FarSight {
-    /// Of each finger on the object.
+pub struct RemoteSight {
+    /// Force of each finger on the object.
     pub fingers: [Option<f64>; 2],
     /// Whether any other part of the robot touches the object.
     pub body_on_object: bool,
     /// Whether the object touches a fixture.
     pub object_on_fixture: bool,
     /// The strongest contact of the robot with a fixture.
-    pub collision: Option<FarCollision>,
-    /// The largest force between the robot and anything.
+    pub collision: Option<RemoteCollision>,
+    /// The largest contact force on any body of the robot.
     pub peak_force_n: Option<f64>,
-    /// The object.
+    /// Pose of the object.
     pub object_pose: Pose,
-    /// How it moves.
-    pub object_velocity: FarVelocity,
-    /// The tool centre point.
+    /// Velocity of the object's frame.
+    pub object_velocity: RemoteVelocity,
+    /// Pose of the tool centre point.
     pub tool_pose: Pose,
-    /// Between the pads, in metres.
+    /// Opening between the pads, in metres.
     pub opening_m: Option<f64>,
 }
 
 /// A contact of the robot with a fixture.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FarCollision {
-    /// The robot's body by its name.
+pub struct RemoteCollision {
+    /// Name of the robot's body.
     pub robot_body: String,
-    /// The fixture's position in the cell's list.
+    /// The fixture's index in the cell's list.
     pub fixture: usize,
-    /// Normal force.
+    /// Normal force in newtons.
     pub force_n: f64,
 }
 
-/// How a frame moves.
+/// Velocity of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct FarVelocity {
-    /// Of its origin.
+pub struct RemoteVelocity {
+    /// Velocity of its origin.
     pub linear_m_s: [f64; 3],
-    /// Its turning.
+    /// Angular velocity.
     pub angular_rad_s: [f64; 3],
 }
 
-/// One control period of a far engine.
+/// Report of one control period.
 #[derive(Debug, Clone, PartialEq)]
-pub struct FarPeriod {
-    /// At its end, of the arm as it is.
+pub struct RemotePeriod {
+    /// Observation at its end, without encoder bias.
     pub observation: Observation,
-    /// Of the engine's full state.
+    /// Hash of the engine's full state.
     pub state_hash: u64,
-    /// One for each time step.
-    pub sights: Vec<FarSight>,
+    /// One report for each time step.
+    pub sights: Vec<RemoteSight>,
     /// Smallest distance between robot and fixtures, in metres.
     pub clearance_m: Option<f64>,
 }
 
-/// A sight without its touches, which are lent to it.
-pub(super) struct Bare {
+/// A view of a time step without its contacts.
+pub(super) struct BareView {
     fraction: f64,
     gripper: GripperState,
     pub(super) object: Isometry3<f64>,
@@ -106,23 +106,28 @@ pub(super) struct Bare {
     tcp: Isometry3<f64>,
 }
 
-impl Bare {
+impl BareView {
     pub(super) fn with<'a>(&self, touches: &'a Touches) -> StepView<'a> {
         let Self { fraction, gripper, object, velocity, tcp } = *self;
         StepView { fraction, gripper, touches, object, velocity, tcp }
     }
 }
 
-impl FarSight {
-    /// As the judge wants it, in a cell with so many fixtures. Bodies are numbered as they are met.
-    pub(super) fn read(&self, fixtures: usize, bodies: &mut Vec<String>, share: f64) -> Result<(Touches, Bare), Fault> {
-        let wrong = |what: String| Fault::new(FaultKind::Unavailable, format!("the far engine reports {what}"));
+impl RemoteSight {
+    /// The contacts and the view of the time step, in a cell with this number of fixtures. New bodies are added to `bodies`.
+    pub(super) fn read(
+        &self,
+        fixtures: usize,
+        bodies: &mut Vec<String>,
+        share: f64,
+    ) -> Result<(Touches, BareView), Fault> {
+        let wrong = |what: String| Fault::new(FaultKind::Unavailable, format!("the engine reports {what}"));
         let collision = match &self.collision {
             None => None,
-            Some(FarCollision { fixture, .. }) if *fixture >= fixtures => {
+            Some(RemoteCollision { fixture, .. }) if *fixture >= fixtures => {
                 return Err(wrong(format!("a collision with fixture {fixture} of {fixtures}")));
             }
-            Some(FarCollision { robot_body, fixture, force_n }) => {
+            Some(RemoteCollision { robot_body, fixture, force_n }) => {
                 let known = bodies.iter().position(|body| body == robot_body);
                 let robot_body = known.unwrap_or_else(|| {
                     bodies.push(robot_body.clone());
@@ -139,7 +144,7 @@ impl FarSight {
             peak_force: self.peak_force_n,
         };
         let opening = self.opening_m.ok_or_else(|| wrong("no opening of the gripper".to_owned()))?;
-        let bare = Bare {
+        let bare = BareView {
             fraction: share,
             gripper: GripperState::Fingers(opening),
             object: unit(&self.object_pose).map_err(wrong)?,
@@ -149,26 +154,26 @@ impl FarSight {
         Ok((touches, bare))
     }
 
-    /// What an engine of ours saw.
-    pub(super) fn of(sight: &StepView<'_>, body: impl Fn(usize) -> String) -> Self {
-        let touches = sight.touches;
+    /// The report of a view. `body` gives the names of the robot's bodies.
+    pub(super) fn of(view: &StepView<'_>, body: impl Fn(usize) -> String) -> Self {
+        let touches = view.touches;
         Self {
             fingers: touches.fingers,
             body_on_object: touches.body_on_object,
             object_on_fixture: touches.object_on_fixture,
-            collision: touches.collision.map(|Collision { robot_body, fixture, force }| FarCollision {
+            collision: touches.collision.map(|Collision { robot_body, fixture, force }| RemoteCollision {
                 robot_body: body(robot_body),
                 fixture,
                 force_n: force,
             }),
             peak_force_n: touches.peak_force,
-            object_pose: pose(&sight.object),
-            object_velocity: FarVelocity {
-                linear_m_s: sight.velocity.0.into(),
-                angular_rad_s: sight.velocity.1.into(),
+            object_pose: pose(&view.object),
+            object_velocity: RemoteVelocity {
+                linear_m_s: view.velocity.0.into(),
+                angular_rad_s: view.velocity.1.into(),
             },
-            tool_pose: pose(&sight.tcp),
-            opening_m: match sight.gripper {
+            tool_pose: pose(&view.tcp),
+            opening_m: match view.gripper {
                 GripperState::Fingers(opening) => Some(opening),
                 GripperState::Cup(_) => None,
             },
@@ -176,20 +181,20 @@ impl FarSight {
     }
 }
 
-/// A pose whose quaternion is one, bit for bit as it came: normalising would change what another engine computed.
+/// A pose whose quaternion is kept bit for bit: normalising it would change what the engine computed.
 fn unit(pose: &Pose) -> Result<Isometry3<f64>, String> {
     let [w, x, y, z] = pose.orientation;
     let quaternion = Quaternion::new(w, x, y, z);
     if (quaternion.norm_squared() - 1.0).abs() > 2e-6 {
-        return Err(format!("the quaternion {:?}, which is of no rotation", pose.orientation));
+        return Err(format!("the quaternion {:?}, which is not a unit quaternion", pose.orientation));
     }
-    let turn = UnitQuaternion::new_unchecked(quaternion);
-    Ok(Isometry3::from_parts(Translation3::from(Vector3::from(pose.position)), turn))
+    let rotation = UnitQuaternion::new_unchecked(quaternion);
+    Ok(Isometry3::from_parts(Translation3::from(Vector3::from(pose.position)), rotation))
 }
 
-impl From<FarReadback> for Readback {
-    fn from(held: FarReadback) -> Self {
-        // What is no rotation stands nowhere that was asked for.
+impl From<RemoteReadback> for Readback {
+    fn from(held: RemoteReadback) -> Self {
+        // An invalid rotation makes a pose that equals no requested one.
         let place = |pose: &Pose| unit(pose).unwrap_or_else(|_| Isometry3::translation(f64::NAN, f64::NAN, f64::NAN));
         Self {
             friction: held.friction,
@@ -213,7 +218,7 @@ impl From<FarReadback> for Readback {
     }
 }
 
-impl From<&Readback> for FarReadback {
+impl From<&Readback> for RemoteReadback {
     fn from(held: &Readback) -> Self {
         Self {
             friction: held.friction,
@@ -226,7 +231,7 @@ impl From<&Readback> for FarReadback {
             fixtures: held
                 .fixtures
                 .iter()
-                .map(|read| FarFixture {
+                .map(|read| RemoteFixture {
                     fixture: read.fixture,
                     primitive: read.primitive,
                     pose: pose(&read.pose),

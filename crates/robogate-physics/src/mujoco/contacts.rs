@@ -1,0 +1,122 @@
+//! Contacts: friction coefficients, forces of the last step, and the load on the cup.
+
+use std::cmp::Ordering;
+
+use mujoco_rs::prelude::*;
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+use robogate_core::Fault;
+
+use super::{Kind, Loaded};
+use crate::engine::Collision;
+use crate::friction::{Coefficients, Friction};
+use crate::{FixtureKind, Touches, Wrench};
+
+impl Loaded {
+    /// The friction coefficients that act between the object and everything that it can touch.
+    pub(super) fn friction(&self) -> Result<Friction, Fault> {
+        let model = self.data.model();
+        let object: Vec<usize> = (0..self.kinds.len()).filter(|geom| self.kinds[*geom] == Kind::Object).collect();
+        let mut friction = Coefficients::default();
+        for (geom, kind) in self.kinds.iter().enumerate() {
+            let table = match *kind {
+                Kind::Fixture(fixture) => self.scene.fixtures[fixture].kind == FixtureKind::Table,
+                Kind::Robot { .. } => false,
+                Kind::Object | Kind::Visual => continue,
+            };
+            object.iter().for_each(|part| friction.add(table, contact_friction(model, *part, geom)));
+        }
+        friction.finish()
+    }
+
+    /// Sums up the contacts of the last step: if two bodies touch at several points, the sum of the forces counts.
+    pub(super) fn read_touches(&mut self) {
+        let touches = &mut self.touches;
+        *touches = Touches::default();
+        self.forces.clear();
+        self.support = Wrench::ZERO;
+        let joined = self.weld.is_some_and(|weld| self.data.eq_active()[weld.equality]);
+        for (i, contact) in self.data.contact().iter().enumerate() {
+            // Bodies that are near but do not touch have no constraint.
+            if contact.efc_address < 0 || contact.geom1 < 0 || contact.geom2 < 0 {
+                continue;
+            }
+            let (body, other) = match (self.kinds[contact.geom1 as usize], self.kinds[contact.geom2 as usize]) {
+                (Kind::Robot { body, finger }, Kind::Object) | (Kind::Object, Kind::Robot { body, finger }) => {
+                    let force = self.data.contact_force(i)[0];
+                    match finger {
+                        Some(finger) => *touches.fingers[finger].get_or_insert(0.0) += force,
+                        None => touches.body_on_object = true,
+                    }
+                    add(&mut self.forces, (body, None), force);
+                    continue;
+                }
+                (Kind::Robot { body, .. }, Kind::Fixture(fixture))
+                | (Kind::Fixture(fixture), Kind::Robot { body, .. }) => (body, fixture),
+                (first @ Kind::Object, Kind::Fixture(_)) | (first @ Kind::Fixture(_), Kind::Object) => {
+                    touches.object_on_fixture = true;
+                    if joined {
+                        // The force acts on the second shape; the rows of the frame are its axes.
+                        let sign = if first == Kind::Object { -1.0 } else { 1.0 };
+                        let axes = Matrix3::from_column_slice(&contact.frame) * sign;
+                        let [n, t1, t2, twist, r1, r2] = self.data.contact_force(i);
+                        let force = axes * Vector3::new(n, t1, t2);
+                        let arm = Vector3::from(contact.pos) - Vector3::from(self.data.xipos()[self.object_body]);
+                        self.support.force += force;
+                        self.support.torque += axes * Vector3::new(twist, r1, r2) + arm.cross(&force);
+                    }
+                    continue;
+                }
+                _ => continue,
+            };
+            add(&mut self.forces, (body, Some(other)), self.data.contact_force(i)[0]);
+        }
+        for ((robot_body, other), force) in self.forces.iter().copied() {
+            touches.peak_force = Some(touches.peak_force.unwrap_or(0.0).max(force));
+            if let Some(fixture) = other
+                && touches.collision.is_none_or(|strongest| force > strongest.force)
+            {
+                touches.collision = Some(Collision { robot_body, fixture, force });
+            }
+        }
+    }
+
+    /// The wrench on the object in the last step without weight and support, about the tool centre point, by inverse
+    /// dynamics (Newton and Euler). The force of the weld alone is not enough: where the cup also presses on the object,
+    /// weld and contact bear against each other.
+    pub(super) fn load_about(&self, tcp: &Isometry3<f64>, object: &Isometry3<f64>) -> Wrench {
+        let mass = &self.scene.object.mass;
+        let rotation = object.rotation;
+        // MuJoCo gives a free body's linear velocity along the world's axes and its angular velocity along its own.
+        let (acceleration, speed) = (&self.data.qacc()[self.object_qvel..], &self.data.qvel()[self.object_qvel..]);
+        let linear = Vector3::new(acceleration[0], acceleration[1], acceleration[2]);
+        let angular = Vector3::new(acceleration[3], acceleration[4], acceleration[5]);
+        let spin = Vector3::new(speed[3], speed[4], speed[5]);
+        let of_centre = linear + rotation * (angular.cross(&mass.centre) + spin.cross(&spin.cross(&mass.centre)));
+        let weight = Vector3::new(0.0, 0.0, -self.scene.gravity);
+        let force = (of_centre - weight) * mass.mass_kg - self.support.force;
+        let moment = rotation * (mass.inertia * angular + spin.cross(&(mass.inertia * spin)));
+        let centre = (object * Point3::from(mass.centre)).coords;
+        let torque = moment - self.support.torque + (centre - tcp.translation.vector).cross(&force);
+        Wrench { force: tcp.inverse_transform_vector(&force), torque: tcp.inverse_transform_vector(&torque) }
+    }
+}
+
+/// The sliding friction coefficient of a contact of two geoms, by MuJoCo's rule ("Computation", "Contact"): that of the
+/// geom with the higher priority, or the larger one at equal priority.
+fn contact_friction(model: &MjModel, a: usize, b: usize) -> f64 {
+    let [(first, friction), (second, other)] =
+        [a, b].map(|geom| (model.geom_priority()[geom], model.geom_friction()[geom][0]));
+    match first.cmp(&second) {
+        Ordering::Greater => friction,
+        Ordering::Less => other,
+        Ordering::Equal => friction.max(other),
+    }
+}
+
+/// Adds to the force between a robot body and a fixture (`None`: the object).
+fn add(forces: &mut Vec<((usize, Option<usize>), f64)>, pair: (usize, Option<usize>), force: f64) {
+    match forces.iter_mut().find(|(known, _)| *known == pair) {
+        Some((_, sum)) => *sum += force,
+        None => forces.push((pair, force)),
+    }
+}

@@ -1,0 +1,58 @@
+//! Measurements of a robot alone, for its inspection.
+
+use super::{Kind, MujocoEngine, silence_log_file};
+use crate::{Engine, Problem, Robot, robot_model};
+
+impl MujocoEngine {
+    /// All problems of a robot's model. The robot's settings may have problems of their own.
+    pub(crate) fn problems(robot: &Robot) -> Vec<Problem> {
+        silence_log_file();
+        robot_model::build(robot, Self::TIME_STEP_S).err().unwrap_or_default()
+    }
+
+    /// Mass in kilograms of each moving body of the loaded robot that has one, in the model's order.
+    pub(crate) fn masses(&self) -> Vec<(String, f64)> {
+        let Some(loaded) = &self.loaded else { return Vec::new() };
+        let model = loaded.data.model();
+        (1..model.body_mass().len())
+            .filter(|body| *body != loaded.object_body && model.body_weldid()[*body] != 0)
+            .map(|body| (self.robot_body(body), model.body_mass()[body]))
+            .filter(|(_, mass)| *mass > 0.0)
+            .collect()
+    }
+
+    /// Pairs of the loaded robot's bodies that penetrate each other deeper than `deep` (m), with the depth. Neighbours in
+    /// the chain, pairs of fingers and pairs that the model excludes from contact do not count.
+    pub(crate) fn self_contacts(&mut self, deep: f64) -> Vec<(String, String, f64)> {
+        let Some(loaded) = self.loaded.as_mut() else { return Vec::new() };
+        let model = loaded.data.model();
+        let weld = |body: usize| model.body_weldid()[body] as usize;
+        let above = |body: usize| weld(model.body_parentid()[weld(body)] as usize);
+        let excluded: Vec<(usize, usize)> =
+            model.exclude_signature().iter().map(|s| ((*s >> 16) as usize, (*s & 0xffff) as usize)).collect();
+        let mut pairs = Vec::new();
+        for (i, a) in loaded.kinds.iter().enumerate() {
+            for (j, b) in loaded.kinds.iter().enumerate().skip(i + 1) {
+                let (Kind::Robot { body: a, finger: f }, Kind::Robot { body: b, finger: g }) = (*a, *b) else {
+                    continue;
+                };
+                let neighbours = weld(a) == weld(b) || weld(a) == above(b) || weld(b) == above(a);
+                let fingers = f.is_some() && g.is_some();
+                if !neighbours && !fingers && !excluded.contains(&(a, b)) && !excluded.contains(&(b, a)) {
+                    pairs.push((i, j, a, b));
+                }
+            }
+        }
+        let mut deepest: Vec<(usize, usize, f64)> = Vec::new();
+        for (i, j, a, b) in pairs {
+            let depth = -loaded.data.geom_distance(i, j, deep, None);
+            if depth > deep {
+                match deepest.iter_mut().find(|(x, y, _)| (*x, *y) == (a, b)) {
+                    Some((.., most)) => *most = most.max(depth),
+                    None => deepest.push((a, b, depth)),
+                }
+            }
+        }
+        deepest.into_iter().map(|(a, b, depth)| (self.robot_body(a), self.robot_body(b), depth)).collect()
+    }
+}

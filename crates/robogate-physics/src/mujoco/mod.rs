@@ -1,0 +1,486 @@
+//! The MuJoCo engine.
+//!
+//! Each scene is compiled from the robot's model and the scene's bodies, which takes about a millisecond, so that no state
+//! of one episode can reach the next. These settings make grasps correct (`robogate check physics` measures them):
+//! implicit integration, elliptic friction cones with `impratio` 10, and contacts of the object as stiff as the default
+//! time step allows.
+
+mod contacts;
+mod inspection;
+mod scene;
+
+use std::path::PathBuf;
+use std::sync::Once;
+
+use mujoco_rs::prelude::*;
+use mujoco_rs::wrappers::mj_logging::{log_config, set_log_config};
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use robogate_core::{Fault, FaultKind};
+
+use crate::friction::Friction;
+use crate::{
+    Chain, Engine, EngineBuild, FixtureRead, JointTargets, Motion, Primitive, Readback, Robot, RobotError, Scene,
+    Touches, Wrench, isometry, robot_model,
+};
+
+/// Contact masks (`contype`, `conaffinity`). The robot collides with object and fixtures, the object with fixtures. The
+/// robot does not collide with itself: fingers that close on nothing touch each other.
+pub(crate) const ROBOT: (i32, i32) = (1, 0);
+const OBJECT: (i32, i32) = (2, 1);
+const FIXTURE: (i32, i32) = (0, 3);
+
+/// Prefix of the names of fixtures and object in the compiled model, so that they differ from a robot's names.
+pub const PREFIX: &str = "robogate/";
+
+/// MuJoCo with one robot.
+pub struct MujocoEngine {
+    robot: Robot,
+    base: MjSpec,
+    chain: Chain,
+    time_step: f64,
+    loaded: Option<Loaded>,
+}
+
+/// The role of a geom.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Kind {
+    Robot {
+        body: usize,
+        finger: Option<usize>,
+    },
+    Object,
+    Fixture(usize),
+    /// A visual shape without contact.
+    Visual,
+}
+
+/// A compiled scene and its state.
+struct Loaded {
+    data: MjData<Box<MjModel>>,
+    kinds: Vec<Kind>,
+    /// Addresses of the arm's joints in qpos and qvel.
+    arm: Vec<(usize, usize)>,
+    /// The same for the fingers; empty without fingers.
+    fingers: Vec<(usize, usize)>,
+    /// The weld between cup and object, where the gripper has a cup.
+    weld: Option<Weld>,
+    object_body: usize,
+    object_qpos: usize,
+    object_qvel: usize,
+    tcp: usize,
+    touches: Touches,
+    /// Force of each touching pair in the last step: robot body, and fixture or object.
+    forces: Vec<((usize, Option<usize>), f64)>,
+    /// Wrench of the fixtures on the object in the last step, about its centre of mass.
+    support: Wrench,
+    scene: Scene,
+    /// The fixtures that move.
+    movers: Vec<Mover>,
+    /// Steps taken since the scene was loaded.
+    steps: u64,
+}
+
+/// A fixture that moves.
+#[derive(Debug, Clone, Copy)]
+struct Mover {
+    /// Its index in the scene.
+    fixture: usize,
+    /// Addresses of its joint.
+    qpos: usize,
+    qvel: usize,
+    motion: Motion,
+}
+
+/// The weld between cup and object: part of the model from the start, and switched on and off.
+#[derive(Debug, Clone, Copy)]
+struct Weld {
+    equality: usize,
+    cup_body: usize,
+}
+
+impl MujocoEngine {
+    /// Default time step in seconds. Halving it changes few outcomes (`robogate check physics`).
+    pub const TIME_STEP_S: f64 = 0.002;
+
+    /// An engine for this robot, with this time step in seconds.
+    ///
+    /// # Errors
+    /// If the robot's model does not compile or does not match `robot.toml`; the error lists all problems.
+    pub fn new(robot: Robot, time_step: f64) -> Result<Self, RobotError> {
+        silence_log_file();
+        let (base, chain) = robot_model::build(&robot, time_step)
+            .map_err(|problems| RobotError::Invalid { path: robot_model::path(&robot), problems })?;
+        Ok(Self { robot, base, chain, time_step, loaded: None })
+    }
+
+    /// The loaded scene. All methods that read the state require one.
+    fn loaded(&self) -> &Loaded {
+        self.loaded.as_ref().expect("a scene is loaded before it is read")
+    }
+
+    /// Compiles robot and scene to a MuJoCo model.
+    pub fn compile(&self, scene: &Scene) -> Result<MjModel, MjEditError> {
+        let mut spec = self.base.clone();
+        self.furnish(&mut spec, scene)?;
+        spec.compile()
+    }
+
+    /// The model of the robot alone.
+    pub fn base(&self) -> &MjSpec {
+        &self.base
+    }
+
+    /// Positions of all joints of the loaded scene, in the compiled model's order.
+    pub fn positions(&self) -> &[f64] {
+        self.loaded().data.qpos()
+    }
+}
+
+/// The MuJoCo that this process runs.
+pub(crate) fn build() -> EngineBuild {
+    // The library that the loader has mapped into this process.
+    let maps = std::fs::read_to_string("/proc/self/maps").unwrap_or_default();
+    let library = maps
+        .lines()
+        .filter_map(|line| line.splitn(6, ' ').nth(5).map(str::trim_start))
+        .find(|path| path.rsplit('/').next().is_some_and(|file| file.starts_with("libmujoco.so")));
+    EngineBuild { name: "mujoco", version: mujoco_rs::mujoco_version().to_owned(), library: library.map(PathBuf::from) }
+}
+
+/// Description of the first warning that MuJoCo has raised since the state was created.
+pub(crate) fn warning(data: &MjData<Box<MjModel>>) -> Option<String> {
+    let kind = data.warning().iter().position(|warning| warning.number > 0)?;
+    let info = data.warning()[kind].lastinfo;
+    let what = match kind {
+        0 => "the inertia matrix is singular",
+        1 => "the contact buffer is full",
+        2 => "the constraint buffer is full",
+        3 => "a position is not finite or too large",
+        4 => "a velocity is not finite or too large",
+        5 => "an acceleration is not finite or too large",
+        6 => "a control is not finite or too large",
+        _ => "warning",
+    };
+    Some(format!("MuJoCo: {what} (at {info})"))
+}
+
+/// Stops MuJoCo from writing its warnings to a file in the current folder.
+pub(crate) fn silence_log_file() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        // SAFETY: all use of MuJoCo begins with a constructor that waits for this call, so MuJoCo is not in use.
+        #[expect(unsafe_code, reason = "the binding has no safe way to set it")]
+        unsafe {
+            set_log_config(log_config().with_logto_file(false));
+        }
+    });
+}
+
+/// A rotation as MuJoCo's quaternion (w, x, y, z).
+pub fn wxyz(rotation: &UnitQuaternion<f64>) -> [f64; 4] {
+    [rotation.w, rotation.i, rotation.j, rotation.k]
+}
+
+/// The primitive that MuJoCo holds; `None` for another shape.
+fn primitive(model: &MjModel, geom: usize) -> Option<Primitive> {
+    let [a, b, c] = model.geom_size()[geom];
+    match model.geom_type()[geom] {
+        MjtGeomBase::mjGEOM_BOX => Some(Primitive::Box { half: [a, b, c] }),
+        MjtGeomBase::mjGEOM_CYLINDER => Some(Primitive::Cylinder { radius: a, half_height: b }),
+        MjtGeomBase::mjGEOM_SPHERE => Some(Primitive::Sphere { radius: a }),
+        _ => None,
+    }
+}
+
+/// A pose from MuJoCo's position (m) and rotation matrix, row by row.
+fn rigid(position: [f64; 3], matrix: &[f64; 9]) -> Isometry3<f64> {
+    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_row_slice(matrix));
+    Isometry3::from_parts(Translation3::from(Vector3::from(position)), UnitQuaternion::from_rotation_matrix(&rotation))
+}
+
+fn find(model: &MjModel, kind: MjtObjBase, what: &str, name: &str) -> Result<usize, String> {
+    model.name_to_id(kind, name).ok_or_else(|| format!("the model has no {what} `{name}`, which robot.toml names"))
+}
+
+impl Engine for MujocoEngine {
+    fn build(&self) -> EngineBuild {
+        build()
+    }
+
+    fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    fn chain(&self) -> &Chain {
+        &self.chain
+    }
+
+    fn time_step(&self) -> f64 {
+        self.time_step
+    }
+
+    fn load(&mut self, scene: &Scene, joints: &[f64]) -> Result<(), Fault> {
+        let setup = |why: String| Fault::new(FaultKind::Setup, why);
+        let model = self.compile(scene).map_err(|e| setup(format!("MuJoCo cannot compile the scene: {e}")))?;
+        let gripper = &self.robot.settings.gripper;
+        let id = |kind, what: &str, name: &str| find(&model, kind, what, name).map_err(setup);
+        let address = |name: &str| {
+            id(MjtObjBase::mjOBJ_JOINT, "joint", name)
+                .map(|joint| (model.jnt_qposadr()[joint] as usize, model.jnt_dofadr()[joint] as usize))
+        };
+        let arm = self.robot.settings.arm.joints.iter().map(|name| address(name)).collect::<Result<Vec<_>, _>>()?;
+        let mut fingers = Vec::new();
+        let mut finger_bodies = Vec::new();
+        if let Some(jaw) = gripper.jaw() {
+            for (joint, body) in jaw.finger_joints.iter().zip(&jaw.finger_bodies) {
+                fingers.push(address(joint)?);
+                finger_bodies.push(id(MjtObjBase::mjOBJ_BODY, "body", body)?);
+            }
+        }
+        let weld = match gripper.cup() {
+            Some(cup) => Some(Weld {
+                equality: id(MjtObjBase::mjOBJ_EQUALITY, "joint", &format!("{PREFIX}cup"))?,
+                cup_body: id(MjtObjBase::mjOBJ_BODY, "body", &cup.cup_body)?,
+            }),
+            None => None,
+        };
+        let object_body = id(MjtObjBase::mjOBJ_BODY, "body", &format!("{PREFIX}object"))?;
+        let (object_qpos, object_qvel) = address(&format!("{PREFIX}object"))?;
+        let tcp = id(MjtObjBase::mjOBJ_SITE, "site", &self.robot.settings.arm.tcp_site)?;
+        let mut kinds = Vec::with_capacity(model.geom_bodyid().len());
+        for (geom, body) in model.geom_bodyid().iter().map(|b| *b as usize).enumerate() {
+            let named = model.id_to_name(MjtObjBase::mjOBJ_GEOM, geom).and_then(|name| name.strip_prefix(PREFIX));
+            let fixture = named.and_then(|name| scene.fixtures.iter().position(|fixture| fixture.name == name));
+            let touchable = model.geom_contype()[geom] != 0 || model.geom_conaffinity()[geom] != 0;
+            kinds.push(match fixture {
+                Some(fixture) => Kind::Fixture(fixture),
+                None if body == object_body => Kind::Object,
+                None if touchable => Kind::Robot { body, finger: finger_bodies.iter().position(|f| *f == body) },
+                None => Kind::Visual,
+            });
+        }
+        let mut movers = Vec::new();
+        for (i, fixture) in scene.fixtures.iter().enumerate() {
+            if let Some(motion) = fixture.motion {
+                let (qpos, qvel) = address(&format!("{PREFIX}{}", fixture.name))?;
+                movers.push(Mover { fixture: i, qpos, qvel, motion });
+            }
+        }
+        let mut data = MjData::new(Box::new(model));
+        for ((address, _), q) in arm.iter().zip(joints) {
+            data.qpos_mut()[*address] = *q;
+        }
+        for ((address, _), jaw) in fingers.iter().zip(gripper.jaw().into_iter().cycle()) {
+            data.qpos_mut()[*address] = 0.5 * jaw.opening_m;
+        }
+        data.forward();
+        let loaded = Loaded {
+            data,
+            kinds,
+            arm,
+            fingers,
+            weld,
+            object_body,
+            object_qpos,
+            object_qvel,
+            tcp,
+            touches: Touches::default(),
+            forces: Vec::new(),
+            support: Wrench::ZERO,
+            scene: scene.clone(),
+            movers,
+            steps: 0,
+        };
+        let loaded = self.loaded.insert(loaded);
+        loaded.move_fixtures(self.time_step);
+        loaded.read_touches();
+        Ok(())
+    }
+
+    fn read_back(&self) -> Result<Readback, Fault> {
+        let loaded = self.loaded();
+        let model = loaded.data.model();
+        let mut parts = Vec::new();
+        let mut fixtures = Vec::new();
+        for (geom, kind) in loaded.kinds.iter().enumerate() {
+            if *kind == Kind::Object {
+                parts.extend(primitive(model, geom));
+            }
+            if let Kind::Fixture(fixture) = kind {
+                let motion = loaded.movers.iter().find(|mover| mover.fixture == *fixture).map(|mover| mover.motion);
+                let pose = loaded.geom_pose(geom);
+                fixtures.push(FixtureRead { fixture: *fixture, primitive: primitive(model, geom), pose, motion });
+            }
+        }
+        let Friction { others, table } = loaded.friction()?;
+        Ok(Readback {
+            friction: others,
+            table_friction: table,
+            gravity: -loaded.data.model_opt().gravity[2],
+            mass_kg: model.body_mass()[loaded.object_body],
+            centre_of_mass: Vector3::from(model.body_ipos()[loaded.object_body]),
+            parts,
+            object: self.object(),
+            fixtures,
+        })
+    }
+
+    fn advance(&mut self, targets: &JointTargets) {
+        let arm = &self.robot.settings.arm;
+        let Some(loaded) = self.loaded.as_mut() else { return };
+        let first = loaded.data.ctrl().len() - arm.joints.len() - loaded.fingers.len();
+        let ctrl = &mut loaded.data.ctrl_mut()[first..];
+        for (i, ctrl) in ctrl[..arm.joints.len()].iter_mut().enumerate() {
+            // The servo's velocity target as an offset of its position target.
+            *ctrl = targets.positions[i] + targets.velocities[i] * arm.damping_nms_rad[i] / arm.stiffness_nm_rad[i];
+        }
+        ctrl[arm.joints.len()..].fill(targets.finger);
+        loaded.data.step();
+        loaded.steps += 1;
+        loaded.move_fixtures(self.time_step);
+        loaded.read_touches();
+    }
+
+    fn health(&self) -> Result<(), Fault> {
+        let loaded = self.loaded();
+        if let Some(warning) = warning(&loaded.data) {
+            return Err(Fault::new(FaultKind::Diverged, warning));
+        }
+        if loaded.data.qpos().iter().chain(loaded.data.qvel()).any(|x| !x.is_finite()) {
+            return Err(Fault::new(FaultKind::Diverged, "MuJoCo: the state is not finite"));
+        }
+        Ok(())
+    }
+
+    fn joint_positions(&self) -> Vec<f64> {
+        let loaded = self.loaded();
+        loaded.arm.iter().map(|(q, _)| loaded.data.qpos()[*q]).collect()
+    }
+
+    fn joint_velocities(&self) -> Vec<f64> {
+        let loaded = self.loaded();
+        loaded.arm.iter().map(|(_, v)| loaded.data.qvel()[*v]).collect()
+    }
+
+    fn opening(&self) -> Option<f64> {
+        let loaded = self.loaded();
+        let opening = loaded.fingers.iter().map(|(q, _)| loaded.data.qpos()[*q]).sum();
+        (!loaded.fingers.is_empty()).then_some(opening)
+    }
+
+    fn attach(&mut self) {
+        let (tcp, object) = (self.tcp(), self.object());
+        let Some((loaded, weld)) = self.loaded.as_mut().and_then(|loaded| loaded.weld.map(|weld| (loaded, weld)))
+        else {
+            return;
+        };
+        let cup = isometry(&loaded.data.xpos()[weld.cup_body], &loaded.data.xquat()[weld.cup_body]);
+        let rotation = cup.rotation.inverse() * object.rotation;
+        // The centre of the lip in the object's and in the cup's frame.
+        let lip = Point3::from(tcp.translation.vector);
+        let (in_object, in_cup) = (object.inverse_transform_point(&lip), cup.inverse_transform_point(&lip));
+        // SAFETY: only numbers of an equality of this model change; no size and no address depends on them.
+        #[expect(unsafe_code, reason = "the binding has no safe way to set it")]
+        let numbers = unsafe { &mut loaded.data.model_mut().eq_data_mut()[weld.equality] };
+        numbers[..3].copy_from_slice(in_object.coords.as_slice());
+        numbers[3..6].copy_from_slice(in_cup.coords.as_slice());
+        numbers[6..10].copy_from_slice(&wxyz(&rotation));
+        loaded.data.eq_active_mut()[weld.equality] = true;
+    }
+
+    fn detach(&mut self) {
+        if let Some(loaded) = self.loaded.as_mut()
+            && let Some(weld) = loaded.weld
+        {
+            loaded.data.eq_active_mut()[weld.equality] = false;
+        }
+    }
+
+    fn cup_load(&self) -> Option<Wrench> {
+        let loaded = self.loaded();
+        let joined = loaded.weld.is_some_and(|weld| loaded.data.eq_active()[weld.equality]);
+        joined.then(|| loaded.load_about(&self.tcp(), &self.object()))
+    }
+
+    fn tcp(&self) -> Isometry3<f64> {
+        let loaded = self.loaded();
+        let at = loaded.data.site_xpos()[loaded.tcp];
+        rigid(at, &loaded.data.site_xmat()[loaded.tcp])
+    }
+
+    fn object(&self) -> Isometry3<f64> {
+        let loaded = self.loaded();
+        let q = &loaded.data.qpos()[loaded.object_qpos..];
+        isometry(&[q[0], q[1], q[2]], &[q[3], q[4], q[5], q[6]])
+    }
+
+    fn fixture(&self, fixture: usize) -> Isometry3<f64> {
+        let loaded = self.loaded();
+        let mut pose = loaded.scene.fixtures[fixture].part.pose;
+        if let Some(mover) = loaded.movers.iter().find(|mover| mover.fixture == fixture) {
+            pose.translation.vector += mover.motion.velocity.normalize() * loaded.data.qpos()[mover.qpos];
+        }
+        pose
+    }
+
+    fn object_velocity(&self) -> (Vector3<f64>, Vector3<f64>) {
+        let loaded = self.loaded();
+        let v = &loaded.data.qvel()[loaded.object_qvel..];
+        (Vector3::new(v[0], v[1], v[2]), Vector3::new(v[3], v[4], v[5]))
+    }
+
+    fn touches(&self) -> &Touches {
+        &self.loaded().touches
+    }
+
+    fn clearance_below(&mut self, bound: f64) -> Option<f64> {
+        let loaded = self.loaded.as_mut()?;
+        let mut best = bound;
+        for robot in 0..loaded.kinds.len() {
+            // Fixed parts of the base stand at the table's level and have no clearance.
+            let Kind::Robot { body, .. } = loaded.kinds[robot] else { continue };
+            if loaded.data.model().body_weldid()[body] == 0 {
+                continue;
+            }
+            for other in 0..loaded.kinds.len() {
+                let Kind::Fixture(fixture) = loaded.kinds[other] else { continue };
+                let (centre, radius) = (loaded.data.geom_xpos()[robot], loaded.data.model().geom_rbound()[robot]);
+                let scene = &loaded.scene.fixtures[fixture];
+                let near = match scene.motion {
+                    Some(_) => scene.distance_bound_at(&loaded.geom_pose(other), centre, radius),
+                    None => scene.distance_bound_at(&scene.part.pose, centre, radius),
+                };
+                if near < best {
+                    best = best.min(loaded.data.geom_distance(robot, other, best, None));
+                }
+            }
+        }
+        (best < bound).then_some(best)
+    }
+
+    fn robot_body(&self, body: usize) -> String {
+        let name = self.loaded().data.model().id_to_name(MjtObjBase::mjOBJ_BODY, body);
+        name.map_or_else(|| format!("body {body}"), str::to_owned)
+    }
+
+    fn state_bits(&self, sink: &mut dyn FnMut(u64)) {
+        let data = &self.loaded().data;
+        data.qpos().iter().chain(data.qvel()).for_each(|x| sink(x.to_bits()));
+    }
+}
+
+impl Loaded {
+    /// Sets every moving fixture to its prescribed position and speed.
+    fn move_fixtures(&mut self, time_step: f64) {
+        let time = self.steps as f64 * time_step;
+        for Mover { qpos, qvel, motion, .. } in &self.movers {
+            self.data.qpos_mut()[*qpos] = motion.offset(time).norm();
+            self.data.qvel_mut()[*qvel] = motion.velocity_at(time).norm();
+        }
+    }
+
+    /// Pose of a geom.
+    fn geom_pose(&self, geom: usize) -> Isometry3<f64> {
+        rigid(self.data.geom_xpos()[geom], &self.data.geom_xmat()[geom])
+    }
+}

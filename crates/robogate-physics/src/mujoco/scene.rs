@@ -1,0 +1,108 @@
+//! A scene as a MuJoCo model.
+
+use mujoco_rs::prelude::*;
+use mujoco_rs::wrappers::mj_editing::MjsGeom;
+use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion};
+
+use super::{FIXTURE, MujocoEngine, OBJECT, PREFIX, wxyz};
+use crate::{Part, Primitive, Scene, contact};
+
+impl MujocoEngine {
+    /// Adds a scene to the robot's model.
+    pub fn furnish(&self, spec: &mut MjSpec, scene: &Scene) -> Result<(), MjEditError> {
+        spec.option_mut().gravity = [0.0, 0.0, -scene.gravity];
+        let world = spec.world_body_mut();
+        for (i, fixture) in scene.fixtures.iter().enumerate() {
+            let name = format!("{PREFIX}{}", fixture.name);
+            let Part { primitive, pose } = &fixture.part;
+            let geom = if let Some(motion) = &fixture.motion {
+                // Its joint is set to the prescribed position at every step. It has a joint so that contacts see its
+                // speed, and a mass so large that what it pushes does not slow it down.
+                let body = world.add_body().with_name(&name);
+                place(pose, body.pos_mut());
+                *body.quat_mut() = wxyz(&pose.rotation);
+                let joint = body.add_joint().with_name(&name);
+                joint.set_type(MjtJoint::mjJNT_SLIDE);
+                *joint.axis_mut() = (pose.rotation.inverse() * motion.velocity.normalize()).into();
+                let geom = body.add_geom().with_name(&name);
+                shape(geom, primitive, &Isometry3::identity());
+                geom.set_mass(contact::DRIVEN_MASS_KG);
+                geom
+            } else {
+                let geom = world.add_geom().with_name(&name);
+                shape(geom, primitive, pose);
+                geom
+            };
+            geom.set_contype(FIXTURE.0);
+            geom.set_conaffinity(FIXTURE.1);
+            // A table with a friction coefficient of its own takes precedence over the object.
+            if let (0, Some(friction)) = (i, scene.table_friction) {
+                geom.set_priority(2);
+                let balls = scene.object.parts.iter().map(|part| &part.primitive);
+                object_contact(geom, friction, balls.clone().any(|part| matches!(part, Primitive::Sphere { .. })));
+            }
+        }
+        let body = world.add_body().with_name(&format!("{PREFIX}object"));
+        place(&scene.object_pose, body.pos_mut());
+        *body.quat_mut() = wxyz(&scene.object_pose.rotation);
+        let mass = &scene.object.mass;
+        body.set_explicitinertial(true);
+        body.set_mass(mass.mass_kg);
+        place(&Isometry3::from_parts(Translation3::from(mass.centre), UnitQuaternion::identity()), body.ipos_mut());
+        let m: &Matrix3<f64> = &mass.inertia;
+        *body.fullinertia_mut() = [m[(0, 0)], m[(1, 1)], m[(2, 2)], m[(0, 1)], m[(0, 2)], m[(1, 2)]];
+        body.add_free_joint().set_name(&format!("{PREFIX}object"))?;
+        for (i, part) in scene.object.parts.iter().enumerate() {
+            let geom = body.add_geom().with_name(&format!("{PREFIX}object_{i}"));
+            shape(geom, &part.primitive, &part.pose);
+            geom.set_contype(OBJECT.0);
+            geom.set_conaffinity(OBJECT.1);
+            geom.set_mass(0.0);
+            // The object's friction coefficient is that of all of its contacts.
+            geom.set_priority(1);
+            object_contact(geom, scene.friction, matches!(part.primitive, Primitive::Sphere { .. }));
+        }
+        if let Some(cup) = self.robot.settings.gripper.cup() {
+            let weld = spec.add_equality().with_name(&format!("{PREFIX}cup"));
+            weld.set_type(MjtEq::mjEQ_WELD);
+            weld.set_objtype(MjtObjBase::mjOBJ_BODY);
+            weld.set_name1(&cup.cup_body);
+            weld.set_name2(&format!("{PREFIX}object"));
+            weld.set_active(false);
+            // Without these numbers MuJoCo's compiler would fix the poses of the start.
+            weld.data_mut()[..11].copy_from_slice(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+            weld.solref_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);
+            weld.solimp_mut()[..3].copy_from_slice(&contact::IMPEDANCE);
+        }
+        Ok(())
+    }
+}
+
+fn place(pose: &Isometry3<f64>, at: &mut [f64; 3]) {
+    *at = pose.translation.vector.into();
+}
+
+fn shape(geom: &mut MjsGeom, primitive: &Primitive, pose: &Isometry3<f64>) {
+    let (kind, size) = match *primitive {
+        Primitive::Box { half } => (MjtGeomBase::mjGEOM_BOX, half),
+        Primitive::Cylinder { radius, half_height } => (MjtGeomBase::mjGEOM_CYLINDER, [radius, half_height, 0.0]),
+        Primitive::Sphere { radius } => (MjtGeomBase::mjGEOM_SPHERE, [radius, 0.0, 0.0]),
+    };
+    geom.set_type(kind);
+    // The defaults of a robot's file do not apply to the scene.
+    geom.set_margin(0.0);
+    geom.set_gap(0.0);
+    geom.set_condim(3);
+    *geom.size_mut() = size;
+    place(pose, geom.pos_mut());
+    *geom.quat_mut() = wxyz(&pose.rotation);
+}
+
+/// Sets the contact properties of the object, or of a table that takes precedence over it.
+fn object_contact(geom: &mut MjsGeom, friction: f64, rolls: bool) {
+    // Sliding and torsional friction; a ball also has rolling friction, or it would never rest.
+    geom.set_condim(if rolls { 6 } else { 4 });
+    *geom.friction_mut() = [friction, friction * contact::PATCH_RADIUS_M * 2.0 / 3.0, contact::ROLLING_M];
+    geom.solref_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);
+    geom.solimp_mut()[..3].copy_from_slice(&contact::IMPEDANCE);
+}

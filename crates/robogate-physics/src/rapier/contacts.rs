@@ -1,0 +1,221 @@
+//! Contacts: friction coefficients, forces of the last step, rolling friction, and the load on the cup.
+
+use nalgebra::{Isometry3, Vector3};
+use rapier3d_f64::geometry::{ColliderHandle, Contact, ContactManifold, ContactPair};
+use rapier3d_f64::math::Vector;
+use rapier3d_f64::prelude::CoefficientCombineRule;
+use robogate_core::Fault;
+
+use super::{Kind, Loaded, SUBSTEPS};
+use crate::description::isometry;
+use crate::engine::Collision;
+use crate::friction::{Coefficients, Friction};
+use crate::{FixtureKind, Touches, Wrench, contact};
+
+impl Loaded {
+    /// The friction coefficients that act between the object and everything that it can touch, by Rapier's rule.
+    pub(super) fn friction(&self) -> Result<Friction, Fault> {
+        let mut friction = Coefficients::default();
+        for (handle, kind) in &self.colliders {
+            let table = match *kind {
+                Kind::Fixture(fixture) => self.scene.fixtures[fixture].kind == FixtureKind::Table,
+                Kind::Robot { .. } => false,
+                Kind::Object => continue,
+            };
+            let other = &self.world.colliders[*handle];
+            for part in self.object_shapes.iter().map(|shape| &self.world.colliders[*shape]) {
+                friction.add(
+                    table,
+                    CoefficientCombineRule::combine(
+                        part.friction(),
+                        other.friction(),
+                        part.friction_combine_rule(),
+                        other.friction_combine_rule(),
+                    ),
+                );
+            }
+        }
+        friction.finish()
+    }
+
+    /// Linear (kg m/s) and angular (kg m^2/s) momentum of the object about its centre of mass.
+    pub(super) fn momentum(&self) -> [Vector3<f64>; 2] {
+        let body = &self.world.bodies[self.object];
+        let (speed, spin) = (body.linvel(), body.angvel());
+        let rotation = isometry(body.position()).rotation;
+        let mass = &self.scene.object.mass;
+        let spin = rotation.inverse() * Vector3::new(spin.x, spin.y, spin.z);
+        [Vector3::new(speed.x, speed.y, speed.z) * mass.mass_kg, rotation * (mass.inertia * spin)]
+    }
+
+    /// The wrench on the object in the last step without weight and support, about the tool centre point, by inverse
+    /// dynamics (Newton and Euler) from the momentum `before`. The tool centre point is at `lip` in the cup's link.
+    /// Rapier's own joint impulse cannot be used: it is that of the last iteration only, along axes of the solver's choice.
+    pub(super) fn load_about(&self, lip: &Isometry3<f64>, before: [Vector3<f64>; 2]) -> Wrench {
+        let dt = self.world.integration_parameters.dt;
+        let tcp = isometry(self.world.bodies[self.tcp].position()) * lip;
+        let support = self.support();
+        let [linear, angular] = self.momentum();
+        let weight = Vector3::new(0.0, 0.0, -self.scene.gravity * self.scene.object.mass.mass_kg);
+        let force = (linear - before[0]) / dt - weight - support.force;
+        let centre = self.world.bodies[self.object].center_of_mass();
+        let arm = Vector3::new(centre.x, centre.y, centre.z) - tcp.translation.vector;
+        let torque = (angular - before[1]) / dt - support.torque + arm.cross(&force);
+        Wrench { force: tcp.inverse_transform_vector(&force), torque: tcp.inverse_transform_vector(&torque) }
+    }
+
+    /// Wrench of the fixtures on the object in the last step, about its centre of mass, along the world's axes.
+    fn support(&self) -> Wrench {
+        let settings = &self.world.integration_parameters;
+        let plain = |v: Vector| Vector3::new(v.x, v.y, v.z);
+        let mut support = Wrench::ZERO;
+        let pairs = self.object_shapes.iter().flat_map(|shape| self.world.narrow_phase.contact_pairs_with(*shape));
+        for pair in pairs.filter(|pair| self.on_fixture(pair)) {
+            for manifold in pair.manifolds() {
+                let first = manifold.data.rigid_body1 == Some(self.object);
+                // The normal points from the first body to the second.
+                let sign = if first { -1.0 } else { 1.0 };
+                let mut middle = Vector3::zeros();
+                let mut pressed = 0.0;
+                let mut last = None;
+                for point in solved(manifold).filter(|point| point.data.impulse > 0.0) {
+                    let arm = plain(if first { point.data.solver_dp1 } else { point.data.solver_dp2 });
+                    let force = plain(manifold.data.normal) * (sign * point.data.impulse / settings.dt);
+                    support.force += force;
+                    support.torque += arm.cross(&force);
+                    middle += arm * point.data.impulse;
+                    pressed += point.data.impulse;
+                    last = Some(&point.data);
+                }
+                // Friction is solved once for the whole manifold; each point holds the result of the last iteration.
+                if let Some(last) = last {
+                    let share = SUBSTEPS as f64 / settings.dt;
+                    let tangential = plain(last.warmstart_tangent_world) * (-sign * share);
+                    support.force += tangential;
+                    support.torque += (middle / pressed).cross(&tangential);
+                    support.torque += plain(manifold.data.normal) * (sign * last.warmstart_twist_impulse * share);
+                }
+            }
+        }
+        support
+    }
+
+    /// Whether a pair of shapes is the object and a fixture.
+    fn on_fixture(&self, pair: &ContactPair) -> bool {
+        [pair.collider1, pair.collider2].into_iter().any(|handle| {
+            let collider = self.world.colliders.get(handle);
+            let kind = collider.and_then(|collider| self.colliders.get(collider.user_data as usize));
+            matches!(kind, Some((_, Kind::Fixture(_))))
+        })
+    }
+
+    /// Rolling friction of a ball: a moment against its rotation, at most [`contact::ROLLING_M`] times the normal force.
+    pub(super) fn resist_rolling(&mut self) {
+        let object = self.object;
+        let dt = self.world.integration_parameters.dt;
+        let pressed: f64 = if self.ball { self.pressure() } else { 0.0 };
+        let Some(body) = self.world.bodies.get_mut(object) else { return };
+        body.reset_torques(false);
+        let spin = body.angvel();
+        let speed = spin.length();
+        if pressed > 0.0 && speed > 0.0 {
+            // No more than what stops it within this step.
+            let inertia = body.mass_properties().local_mprops.principal_inertia().x;
+            let moment = (contact::ROLLING_M * pressed).min(inertia * speed / dt);
+            body.add_torque(spin * (-moment / speed), false);
+        }
+    }
+
+    /// Sum of the normal forces on the object in the last step, in newtons.
+    fn pressure(&self) -> f64 {
+        let dt = self.world.integration_parameters.dt;
+        let pairs = self.object_shapes.iter().flat_map(|shape| self.world.narrow_phase.contact_pairs_with(*shape));
+        pairs.map(|pair| impulse(pair) / dt).sum()
+    }
+
+    /// Contacts before the first step, by distance: no force has acted yet.
+    pub(super) fn read_touches_at_start(&mut self) {
+        self.touches = Touches::default();
+        for (robot, kind) in &self.colliders {
+            let Kind::Robot { body, finger, fixed } = *kind else { continue };
+            for (other, kind) in &self.colliders {
+                let (robot, other) = (&self.world.colliders[*robot], &self.world.colliders[*other]);
+                let touch = || {
+                    let (a, b) = (robot.position(), other.position());
+                    rapier3d_f64::parry::query::contact(a, robot.shape(), b, other.shape(), 0.0).ok().flatten()
+                };
+                match kind {
+                    Kind::Object if touch().is_some() => match finger {
+                        Some(finger) => self.touches.fingers[finger] = Some(0.0),
+                        None => self.touches.body_on_object = true,
+                    },
+                    Kind::Fixture(fixture) if !fixed && touch().is_some() => {
+                        self.touches.collision = Some(Collision { robot_body: body, fixture: *fixture, force: 0.0 });
+                    }
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    /// Sums up the contacts of the last step: if two bodies touch at several points, the sum of the forces counts.
+    pub(super) fn read_touches(&mut self) {
+        let dt = self.world.integration_parameters.dt;
+        self.touches = Touches::default();
+        self.forces.clear();
+        for pair in self.world.narrow_phase.contact_pairs() {
+            let kind = |handle: ColliderHandle| {
+                let id = self.world.colliders.get(handle).map(|collider| collider.user_data as usize);
+                id.and_then(|id| self.colliders.get(id)).map(|(_, kind)| *kind)
+            };
+            let (Some(one), Some(two)) = (kind(pair.collider1), kind(pair.collider2)) else { continue };
+            let deepest = pair.find_deepest_contact().map(|(_, contact)| contact.dist);
+            // Bodies that are near but do not touch have no force.
+            if deepest.is_none_or(|dist| dist > 0.0) && impulse(pair) == 0.0 {
+                continue;
+            }
+            let force = impulse(pair) / dt;
+            let touches = &mut self.touches;
+            let (body, other) = match (one, two) {
+                (Kind::Robot { body, finger, .. }, Kind::Object) | (Kind::Object, Kind::Robot { body, finger, .. }) => {
+                    match finger {
+                        Some(finger) => *touches.fingers[finger].get_or_insert(0.0) += force,
+                        None => touches.body_on_object = true,
+                    }
+                    (body, None)
+                }
+                (Kind::Robot { body, .. }, Kind::Fixture(fixture))
+                | (Kind::Fixture(fixture), Kind::Robot { body, .. }) => (body, Some(fixture)),
+                (Kind::Object, Kind::Fixture(_)) | (Kind::Fixture(_), Kind::Object) => {
+                    touches.object_on_fixture = true;
+                    continue;
+                }
+                _ => continue,
+            };
+            match self.forces.iter_mut().find(|(known, _)| *known == (body, other)) {
+                Some((_, sum)) => *sum += force,
+                None => self.forces.push(((body, other), force)),
+            }
+        }
+        for ((robot_body, other), force) in self.forces.iter().copied() {
+            let touches = &mut self.touches;
+            touches.peak_force = Some(touches.peak_force.unwrap_or(0.0).max(force));
+            if let Some(fixture) = other
+                && touches.collision.is_none_or(|strongest| force > strongest.force)
+            {
+                touches.collision = Some(Collision { robot_body, fixture, force });
+            }
+        }
+    }
+}
+
+/// The points of a manifold that the last step solved; the others hold old values.
+fn solved(manifold: &ContactManifold) -> impl Iterator<Item = &Contact> {
+    let ids = manifold.data.solver_contacts.iter().flat_map(|contact| contact.contact_indices());
+    ids.filter_map(|id| manifold.points.get(id as usize))
+}
+
+/// The normal impulse of a pair over the last step, in N s.
+fn impulse(pair: &ContactPair) -> f64 {
+    pair.manifolds().iter().flat_map(solved).map(|point| point.data.impulse).sum()
+}

@@ -1,0 +1,343 @@
+//! Building a robot and a scene in Rapier.
+
+use nalgebra::Isometry3;
+use rapier3d_f64::dynamics::{
+    GenericJoint, GenericJointBuilder, JointAxesMask, JointAxis, MotorModel, MultibodyDofCoupling,
+    MultibodyJointHandle, RigidBodyBuilder, RigidBodyHandle, SpringCoefficients,
+};
+use rapier3d_f64::geometry::{ColliderBuilder, ColliderHandle, Group, InteractionGroups, InteractionTestMode};
+use rapier3d_f64::math::Vector;
+use rapier3d_f64::prelude::{CoefficientCombineRule, PhysicsWorld};
+use robogate_core::{Fault, FaultKind};
+
+use super::convert::{mass_properties, pose, primitive, solid};
+use super::{Kind, Loaded, RapierEngine, SUBSTEPS};
+use crate::description::Link;
+use crate::{FixtureKind, Primitive, Scene, Touches};
+
+/// Collision groups. The robot does not collide with itself.
+const ROBOT: Group = Group::GROUP_1;
+const OBJECT: Group = Group::GROUP_2;
+const FIXTURE: Group = Group::GROUP_3;
+
+/// Natural frequency with which a contact separates shapes that penetrate each other, in Hz. Rapier detects a contact anew
+/// only after a rotation by one degree; until then the contact point moves with the object. Under stiffer contacts
+/// (150 Hz) a cylinder between two pads therefore rotates faster and faster. From 60 to 100 Hz it stays, with a
+/// penetration of 0.1 mm in each pad.
+const CONTACT_HZ: f64 = 80.0;
+
+/// Damping ratio of contacts.
+const CONTACT_DAMPING: f64 = 5.0;
+
+/// A scene under construction.
+struct Build<'a> {
+    engine: &'a RapierEngine,
+    scene: &'a Scene,
+    world: PhysicsWorld,
+    /// Names of the robot's bodies.
+    bodies: Vec<String>,
+    colliders: Vec<(ColliderHandle, Kind)>,
+    /// Rapier's body of each link.
+    links: Vec<RigidBodyHandle>,
+    /// Rapier's joint of each link, if it has one.
+    joints: Vec<Option<MultibodyJointHandle>>,
+}
+
+impl RapierEngine {
+    /// Builds robot and scene, the arm at `joints` (rad), the gripper open.
+    pub(super) fn build_scene(&self, scene: &Scene, joints: &[f64]) -> Result<Loaded, Fault> {
+        let mut build = Build {
+            engine: self,
+            scene,
+            world: self.world(scene),
+            bodies: Vec::new(),
+            colliders: Vec::new(),
+            links: Vec::new(),
+            joints: Vec::new(),
+        };
+        // The order of insertion is part of the results.
+        build.add_links()?;
+        build.add_joints()?;
+        build.configure_drives(joints)?;
+        let movers = build.add_fixtures()?;
+        let (object, object_shapes) = build.add_object()?;
+        for (_, body) in build.world.bodies.iter_mut() {
+            // Known before the first step, so that it can be read back.
+            body.recompute_mass_properties_from_colliders(&build.world.colliders);
+        }
+        // Colliders follow their bodies in a step, and none has been taken yet.
+        build.world.bodies.propagate_modified_body_positions_to_colliders(&mut build.world.colliders);
+        let settings = &self.robot.settings;
+        let fingers = settings.gripper.jaw().map_or(&[][..], |jaw| &jaw.finger_joints);
+        Ok(Loaded {
+            arm: build.joint_handles(&settings.arm.joints)?,
+            fingers: build.joint_handles(fingers)?,
+            tcp: build.links[self.description.tcp.0],
+            object,
+            object_shapes,
+            joined: None,
+            cup_load: None,
+            ball: scene.object.parts.iter().all(|part| matches!(part.primitive, Primitive::Sphere { .. })),
+            touches: Touches::default(),
+            forces: Vec::new(),
+            scene: scene.clone(),
+            movers,
+            steps: 0,
+            world: build.world,
+            bodies: build.bodies,
+            colliders: build.colliders,
+        })
+    }
+
+    fn world(&self, scene: &Scene) -> PhysicsWorld {
+        let mut world = PhysicsWorld { gravity: Vector::new(0.0, 0.0, -scene.gravity), ..PhysicsWorld::default() };
+        let settings = &mut world.integration_parameters;
+        settings.dt = self.time_step;
+        settings.contact_recycling = false;
+        settings.num_solver_iterations = SUBSTEPS;
+        settings.normalized_prediction_distance = 0.002;
+        settings.friction_in_bias_pass = true;
+        settings.contact_softness = SpringCoefficients::new(CONTACT_HZ, CONTACT_DAMPING);
+        settings.static_contact_softness = SpringCoefficients::new(CONTACT_HZ, CONTACT_DAMPING);
+        world
+    }
+}
+
+fn setup(why: String) -> Fault {
+    Fault::new(FaultKind::Setup, why)
+}
+
+impl Build<'_> {
+    /// The robot's links and their shapes, at joint positions 0.
+    fn add_links(&mut self) -> Result<(), Fault> {
+        let jaw = self.engine.robot.settings.gripper.jaw();
+        let finger_bodies = jaw.map_or(&[][..], |jaw| &jaw.finger_bodies);
+        let mut places = Vec::with_capacity(self.engine.description.links.len());
+        for link in &self.engine.description.links {
+            let place = link.joint.as_ref().map_or_else(Isometry3::identity, |joint| {
+                let parent: Isometry3<f64> = places[joint.parent];
+                parent * joint.in_parent * joint.in_link.inverse()
+            });
+            places.push(place);
+            let builder = match link.joint {
+                Some(_) => RigidBodyBuilder::dynamic()
+                    .additional_mass_properties(mass_properties(link))
+                    // The weight of the arm is compensated, as by every arm's controller.
+                    .gravity_scale(0.0)
+                    .can_sleep(false),
+                None => RigidBodyBuilder::fixed(),
+            };
+            let handle = self.world.insert_body(builder.pose(pose(&place)));
+            self.links.push(handle);
+            for shape in &link.shapes {
+                let body = self.bodies.iter().position(|name| *name == shape.body).unwrap_or_else(|| {
+                    self.bodies.push(shape.body.clone());
+                    self.bodies.len() - 1
+                });
+                let (shared, at) = solid(&shape.solid, &shape.pose).map_err(setup)?;
+                let collider = ColliderBuilder::new(shared)
+                    .position(pose(&at))
+                    .density(0.0)
+                    .friction(0.0)
+                    .friction_combine_rule(CoefficientCombineRule::Max)
+                    .collision_groups(groups(ROBOT, OBJECT | FIXTURE));
+                let finger = finger_bodies.iter().position(|name| *name == shape.body);
+                let kind = Kind::Robot { body, finger, fixed: link.joint.is_none() };
+                self.add_collider(collider, handle, kind);
+            }
+        }
+        Ok(())
+    }
+
+    fn add_collider(&mut self, collider: ColliderBuilder, body: RigidBodyHandle, kind: Kind) -> ColliderHandle {
+        let collider = collider.user_data(self.colliders.len() as u128);
+        let handle = self.world.insert_collider(collider, Some(body));
+        self.colliders.push((handle, kind));
+        handle
+    }
+
+    /// The robot's joints, from the base outwards.
+    fn add_joints(&mut self) -> Result<(), Fault> {
+        let settings = &self.engine.robot.settings;
+        let (arm, jaw) = (&settings.arm, settings.gripper.jaw());
+        self.joints = vec![None; self.links.len()];
+        for (id, link) in self.engine.description.links.iter().enumerate() {
+            let Some(joint) = &link.joint else { continue };
+            let (free, axis) = if joint.slides {
+                (JointAxesMask::LOCKED_PRISMATIC_AXES, JointAxis::LinX)
+            } else {
+                (JointAxesMask::LOCKED_REVOLUTE_AXES, JointAxis::AngX)
+            };
+            let mut data: GenericJoint = GenericJointBuilder::new(free)
+                .local_frame1(pose(&joint.in_parent))
+                .local_frame2(pose(&joint.in_link))
+                .motor_model(axis, MotorModel::ForceBased)
+                .build();
+            if let Some(range) = joint.range {
+                data.set_limits(axis, range);
+            }
+            let limit = match arm.joints.iter().position(|name| *name == joint.name) {
+                Some(j) => arm.torque_limit_nm[j],
+                None => jaw.map_or(0.0, |jaw| jaw.force_limit_n),
+            };
+            data.set_motor_max_force(axis, limit);
+            let handle = self
+                .world
+                .insert_multibody_joint(self.links[joint.parent], self.links[id], data)
+                .ok_or_else(|| setup(format!("Rapier does not accept the joint `{}`", joint.name)))?;
+            self.joints[id] = Some(handle);
+        }
+        Ok(())
+    }
+
+    fn joint_handles(&self, names: &[String]) -> Result<Vec<MultibodyJointHandle>, Fault> {
+        let handle = |name: &String| {
+            let link = self.engine.description.link_of(name);
+            link.and_then(|link| self.joints[link]).ok_or_else(|| setup(format!("the model has no joint `{name}`")))
+        };
+        names.iter().map(handle).collect()
+    }
+
+    /// Joint positions at the start, armature and damping of the joints, and their couplings.
+    fn configure_drives(&mut self, joints: &[f64]) -> Result<(), Fault> {
+        let settings = &self.engine.robot.settings;
+        let (arm, jaw) = (&settings.arm, settings.gripper.jaw());
+        let finger_joints = jaw.map_or(&[][..], |jaw| &jaw.finger_joints);
+        let (description, links) = (&self.engine.description, &self.links);
+        let first = self.joint_handles(&arm.joints)?.first().copied();
+        let (multibody, _) = first
+            .and_then(|joint| self.world.multibody_joints.get_mut(joint))
+            .ok_or_else(|| setup("the arm has no joint".to_owned()))?;
+        multibody.set_self_contacts_enabled(false);
+        // Only after this call do the per-joint vectors have their final order.
+        multibody.forward_kinematics(&self.world.bodies, true);
+        let mut start = vec![0.0; multibody.ndofs()];
+        let at_start = arm.joints.iter().zip(joints).map(|(name, q)| (name, *q));
+        let open = 0.5 * jaw.map_or(0.0, |jaw| jaw.opening_m);
+        for (name, q) in at_start.chain(finger_joints.iter().map(|name| (name, open))) {
+            let link = description
+                .link_of(name)
+                .and_then(|link| multibody.links().find(|l| l.rigid_body_handle() == links[link]));
+            if let Some(link) = link {
+                start[link.assembly_id()] = q;
+            }
+        }
+        multibody.apply_displacements(&start);
+        let order: Vec<(usize, usize)> = description
+            .links
+            .iter()
+            .enumerate()
+            .filter(|(_, link)| link.joint.is_some())
+            .filter_map(|(id, _)| {
+                let link = multibody.links().find(|l| l.rigid_body_handle() == links[id])?;
+                Some((id, link.assembly_id()))
+            })
+            .collect();
+        for (id, dof) in &order {
+            if let Some(joint) = &description.links[*id].joint {
+                multibody.armature_mut()[*dof] = joint.armature;
+                multibody.damping_mut()[*dof] = joint.damping;
+            }
+        }
+        for coupling in &description.couplings {
+            let link = |name: &str| {
+                let id = description.link_of(name)?;
+                let slides = description.links[id].joint.as_ref()?.slides;
+                let link = multibody.links().find(|l| l.rigid_body_handle() == links[id])?;
+                Some((link.link_id(), if slides { 0 } else { 3 }))
+            };
+            let (Some((link1, axis1)), Some((link2, axis2))) = (link(&coupling.first), link(&coupling.second)) else {
+                return Err(setup(format!("the model has no joint `{}` or `{}`", coupling.first, coupling.second)));
+            };
+            multibody.add_dof_coupling(MultibodyDofCoupling {
+                link1,
+                dof1: 0,
+                axis1,
+                link2,
+                dof2: 0,
+                axis2,
+                coeff: coupling.factor,
+                offset: coupling.offset,
+            });
+        }
+        multibody.forward_kinematics(&self.world.bodies, true);
+        multibody.update_rigid_bodies(&mut self.world.bodies, true);
+        Ok(())
+    }
+
+    /// The fixtures; returns the index and body of each one that moves.
+    fn add_fixtures(&mut self) -> Result<Vec<(usize, RigidBodyHandle)>, Fault> {
+        let ground = self.world.insert_body(RigidBodyBuilder::fixed());
+        let mut movers = Vec::new();
+        for (i, fixture) in self.scene.fixtures.iter().enumerate() {
+            let (shared, at) = solid(&primitive(&fixture.part.primitive), &Isometry3::identity()).map_err(setup)?;
+            let (body, at) = if fixture.motion.is_some() {
+                let driven = RigidBodyBuilder::kinematic_position_based().pose(pose(&fixture.part.pose));
+                let body = self.world.insert_body(driven.can_sleep(false));
+                movers.push((i, body));
+                (body, at)
+            } else {
+                (ground, fixture.part.pose * at)
+            };
+            let (friction, rule) = match self.scene.table_friction.filter(|_| fixture.kind == FixtureKind::Table) {
+                Some(friction) => (
+                    table_coefficient(friction, self.scene.friction).map_err(setup)?,
+                    CoefficientCombineRule::GeometricMean,
+                ),
+                None => (0.0, CoefficientCombineRule::Max),
+            };
+            let collider = ColliderBuilder::new(shared)
+                .position(pose(&at))
+                .friction(friction)
+                .friction_combine_rule(rule)
+                .collision_groups(groups(FIXTURE, ROBOT | OBJECT));
+            self.add_collider(collider, body, Kind::Fixture(i));
+        }
+        Ok(movers)
+    }
+
+    /// The object: its body and its shapes. Its friction coefficient is that of all of its contacts.
+    fn add_object(&mut self) -> Result<(RigidBodyHandle, Vec<ColliderHandle>), Fault> {
+        let mass = &self.scene.object.mass;
+        let link = Link {
+            joint: None,
+            mass: mass.mass_kg,
+            centre: mass.centre,
+            inertia: mass.inertia,
+            shapes: Vec::new(),
+            looks: Vec::new(),
+        };
+        let object = self.world.insert_body(
+            RigidBodyBuilder::dynamic()
+                .pose(pose(&self.scene.object_pose))
+                .additional_mass_properties(mass_properties(&link))
+                .can_sleep(false),
+        );
+        let mut shapes = Vec::new();
+        for part in &self.scene.object.parts {
+            let (shared, at) = solid(&primitive(&part.primitive), &part.pose).map_err(setup)?;
+            let collider = ColliderBuilder::new(shared)
+                .position(pose(&at))
+                .density(0.0)
+                .friction(self.scene.friction)
+                .friction_combine_rule(CoefficientCombineRule::Max)
+                .collision_groups(groups(OBJECT, ROBOT | FIXTURE));
+            shapes.push(self.add_collider(collider, object, Kind::Object));
+        }
+        Ok((object, shapes))
+    }
+}
+
+/// The table's own coefficient that gives a contact with an object of coefficient `object` the coefficient `friction`.
+///
+/// The geometric mean is the only rule that takes precedence over the object's own rule and can give any coefficient.
+fn table_coefficient(friction: f64, object: f64) -> Result<f64, String> {
+    if friction > 0.0 && object <= 0.0 {
+        return Err(format!("table_friction = {friction}: in Rapier an object without friction has none on the table"));
+    }
+    Ok(if friction > 0.0 { friction * friction / object } else { 0.0 })
+}
+
+fn groups(member: Group, meets: Group) -> InteractionGroups {
+    InteractionGroups::new(member, meets, InteractionTestMode::And)
+}
