@@ -1,3 +1,3 @@
 """RoboGate's cell in Isaac Sim, behind the bridge protocol."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

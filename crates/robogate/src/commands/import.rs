@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
+use robogate_core::Word;
 use robogate_dictionary::results::{Format, Mapping, import};
 
 use crate::commands::export::not_there;
@@ -13,9 +14,10 @@ use crate::terminal::{foreign, grouped, note};
 /// Read what another tool measured into Parquet.
 ///
 /// LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON dictionaries, and tables of one row for
-/// each episode: CSV, JSON Lines, Parquet. In a table the columns success, failure_mode, cycle_time_s, collision, drop,
-/// grasp_miss, error, seed, case, category and group are known by name; each other one is a parameter. Episodes that
-/// ended in an error become invalid, not failures.
+/// each episode: CSV, JSON Lines, Parquet, also those that `robogate export` wrote. In a table the columns success,
+/// failure_mode, failure_type, cycle_time_s, error, seed, case, category and group are known by name; each other one is a
+/// parameter, unless the mapping says more (`--map flag.jammed=jam_detected`). Any word can be a failure mode. Episodes
+/// that ended in an error become invalid, not failures.
 #[derive(Debug, Args)]
 pub(crate) struct Import {
     /// The results
@@ -25,12 +27,15 @@ pub(crate) struct Import {
     /// Their format; recognised by content where it is not given
     #[arg(long)]
     format: Option<Layout>,
-    /// Which column is what, as TOML: success = "ok", and the tables parameters, failure_modes, about
+    /// Which column is what, as TOML: success = "ok", and the tables parameters, flags, failure_modes, about
     #[arg(long, value_name = "FILE")]
     mapping: Option<PathBuf>,
     /// Which column is what: success=ok,cycle_time_s=duration,parameter.mass_kg=mass
     #[arg(long, value_name = "KEY=COLUMN,...")]
     map: Vec<String>,
+    /// The task's name
+    #[arg(long)]
+    task: Option<String>,
     /// The policy that was judged
     #[arg(long)]
     policy: Option<String>,
@@ -99,6 +104,9 @@ impl Import {
         };
         for pairs in &self.map {
             mapping.add(pairs, "--map").or_usage()?;
+        }
+        if let Some(task) = &self.task {
+            mapping.about.task = Some(Word::new(task).context("--task").or_usage()?);
         }
         for (given, place) in [
             (&self.policy, &mut mapping.about.policy),
