@@ -5,7 +5,7 @@
 #![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a program that prints what it measures")]
 
 use robogate_camera::EglRenderer;
-use robogate_core::{Assignment, Scenario, Seed, Simulator, Value};
+use robogate_core::{Assignment, Environment, Scenario, Seed, Value};
 use robogate_physics::{MujocoEngine, built_in_robot};
 use robogate_tasks::pick_place::PickPlace;
 

@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 
 use robogate_camera::{CAMERAS, EglRenderer};
-use robogate_core::{Assignment, Image, Policy, Scenario, Seed, Simulator, Value};
+use robogate_core::{Assignment, Environment, Image, Policy, Scenario, Seed, Value};
 use robogate_physics::{Engine, MujocoEngine, built_in_robot};
 use robogate_tasks::pick_place::{PickPlace, Scripted};
 
@@ -46,7 +46,7 @@ fn pictures(cell: &mut PickPlace<MujocoEngine>, robot: &str, settings: &[(&str, 
     let robot = built_in_robot(robot).unwrap();
     let chain = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).unwrap();
     let mut policy = Scripted::new(robot, Engine::chain(&chain).clone());
-    policy.reset(&start.task, scenario.seed).unwrap();
+    policy.reset(cell.task(), &start.instance, scenario.seed).unwrap();
     let mut observation = start.observation;
     for _ in 0..steps {
         observation = cell.step(&policy.act(&observation).unwrap()).unwrap().observation;
@@ -233,7 +233,7 @@ fn the_renderer_does_not_change_physics() {
         let robot = built_in_robot("franka").unwrap();
         let engine = MujocoEngine::new(robot.clone(), MujocoEngine::TIME_STEP_S).unwrap();
         let mut policy = Scripted::new(robot, Engine::chain(&engine).clone());
-        policy.reset(&start.task, scenario.seed).unwrap();
+        policy.reset(cell.task(), &start.instance, scenario.seed).unwrap();
         let mut observation = start.observation;
         let mut hashes = Vec::new();
         for i in 0..80 {
