@@ -49,14 +49,13 @@ impl Population {
     pub fn estimand(&self) -> String {
         match self {
             Self::Suite { name, cases, .. } => format!(
-                "Each figure is the mean over the {cases} scenarios of {name}, each counted alike, over fresh seeds: \
-                 it speaks of that mix and of no other. Gates of one seed meet the same worlds: another attempt at them \
-                 is no fresh evidence."
+                "Each figure is the mean over the {cases} scenarios of {name} with equal weights, over fresh seeds. It holds \
+                 for this mix of scenarios only. Gates with the same seed run the same scenarios: repeating one gives no \
+                 new evidence."
             ),
-            Self::Drawn { space, .. } => format!(
-                "Each figure is that of episodes drawn from {space}, as its rows were drawn: it speaks of that \
-                 distribution and of no other."
-            ),
+            Self::Drawn { space, .. } => {
+                format!("Each figure is that of episodes sampled from {space}. It holds for this distribution only.")
+            }
         }
     }
 }

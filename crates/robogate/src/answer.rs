@@ -54,12 +54,12 @@ fn counts(evaluation: &Evaluation) {
     };
     let invalid = match counts.invalid {
         0 => "none invalid".to_owned(),
-        n => format!("{} invalid: the answer holds for the worst they could have been", grouped(n)),
+        n => format!("{} invalid: the verdict holds for any outcome that they could have had", grouped(n)),
     };
     line(format_args!("  {} episodes{rounds}, {invalid}", grouped(counts.episodes)));
     if counts.focused > 0 {
         line(format_args!(
-            "  {} episodes drawn near the failure boundary are left out: they are no operating rate",
+            "  {} episodes sampled near the failure boundary are excluded: they do not estimate the operating rate",
             grouped(counts.focused)
         ));
     }
@@ -76,7 +76,7 @@ fn groups(evaluation: &Evaluation) {
         line(format_args!("  All {} scenario groups succeeded throughout.", evaluation.groups.len()));
         return;
     }
-    line(bold("  Scenario groups with anything but success"));
+    line(bold("  Scenario groups with failures or invalid episodes"));
     let wide = troubled.iter().map(|g| g.category.len() + g.group.len() + 1).max().unwrap_or(0);
     for group in &troubled {
         let name = format!("{}/{}", group.category, group.group);
@@ -92,7 +92,7 @@ fn score(evaluation: &Evaluation) {
     let Some(points) = score.points else {
         let missing: Vec<&str> =
             score.terms.iter().filter(|t| t.points.is_none()).map(|t| t.term.name.as_str()).collect();
-        line(format_args!("  No confidence score: there is no figure for {}", missing.join(", ")));
+        line(format_args!("  No confidence score: no value for {}", missing.join(", ")));
         return;
     };
     let [least, most] = score.bounds;

@@ -28,7 +28,7 @@ use crate::terminal::foreign;
 /// The environment, on the command line.
 #[derive(Debug, Args)]
 pub(crate) struct EnvironmentArguments {
-    /// Choose the built-in task: pick_place or pendulum
+    /// Choose the built-in task (see `robogate list`)
     #[arg(long, value_name = "TASK", default_value = CELL_TASK, conflicts_with = "addresses")]
     task: String,
     /// Choose the robot of pick_place: a built-in one (see `robogate robots`), or the folder of your own

@@ -26,32 +26,32 @@ const FPS: u32 = 20;
 /// Record demonstrations of the scripted controller, with pictures, as a LeRobot dataset (v3.0).
 #[derive(Debug, Args)]
 pub(crate) struct Demos {
-    /// The dataset's folder, which must not be there yet
+    /// The folder of the dataset; it must not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// How many episodes are tried
+    /// Set the number of episodes to try
     #[arg(short, long, value_name = "N", default_value_t = 100)]
     n: u32,
-    /// Their seed: points of the space are drawn from it
+    /// Set the seed of the scenarios
     #[arg(long, value_name = "S", default_value_t = DEFAULT_SEED)]
     seed: u64,
-    /// The parameter space: learned, franka, ur, ur-wide, or a file of your own (TOML)
+    /// Choose the parameter space: a built-in one (see `robogate list`) or a TOML file
     #[arg(long, value_name = "NAME|FILE", default_value = "learned")]
     space: String,
-    /// In place of points of a space: the scenarios in which the policy of this run failed, in turn, with fresh seeds
+    /// Use the scenarios in which the policy of this run failed, in turn and with fresh seeds, instead of a space
     #[arg(long, value_name = "DIR", conflicts_with = "space")]
     failed_in: Option<PathBuf>,
     /// Width and height of the pictures, in pixels
     #[arg(long, value_name = "PIXELS", default_value_t = 96, value_parser = clap::value_parser!(u16).range(8..=1024))]
     size: u16,
-    /// How far the arm is pushed off the controller's path above the table, so that the way back is recorded too:
-    /// standard deviation in metres; 0 does not push
+    /// Set how far the arm is pushed off the controller's path above the table, so that the recovery is recorded too:
+    /// standard deviation in metres; 0 disables the pushes
     #[arg(long, value_name = "METRES", default_value_t = 0.02)]
     push: f64,
-    /// Keep the episodes that failed too
+    /// Keep failed episodes too
     #[arg(long)]
     all: bool,
-    /// Threads that run episodes; default: one for each core
+    /// Set the number of threads; default: one for each core
     #[arg(long, value_name = "T")]
     threads: Option<NonZeroUsize>,
     /// Print the result as one JSON document

@@ -22,27 +22,27 @@ use crate::terminal::{foreign, line, note};
 pub(crate) struct Evidence {
     /// A run's folder, or a dictionary (Parquet)
     run: PathBuf,
-    /// The folder to make
+    /// The folder to write
     out: PathBuf,
-    /// What is demanded: default, paper, or a file of your own (TOML); default: what the run's gate was asked
+    /// Choose the requirements: default, paper or a TOML file; default: those of the run's gate
     #[arg(long, value_name = "NAME|FILE")]
     requirements: Option<String>,
-    /// What relative demands refer to (JSON); default: what the run's gate referred to, or what comes with RoboGate
+    /// Compare relative requirements with this baseline (JSON); default: that of the run's gate, or the built-in one
     #[arg(long, value_name = "FILE")]
     baseline: Option<PathBuf>,
     /// The run or dictionary of the policy that may be replaced
     #[arg(long, value_name = "RUN", requires = "margin")]
     against: Option<PathBuf>,
-    /// How far below that policy's success rate this one may lie (0.05 for five points)
+    /// Set the non-inferiority margin: how far the success rate may lie below that policy's (0.05 is five points)
     #[arg(long, requires = "against")]
     margin: Option<f64>,
-    /// How the number of episodes came about; default: as the run's gate had it, fixed where there was none
+    /// State how the number of episodes was chosen; default: as in the run's gate, otherwise fixed
     #[arg(long, value_name = "HOW")]
     sampling: Option<Count>,
     /// Sign with this private key; without one the evidence is unsigned
     #[arg(long, value_name = "PRIVATE")]
     key: Option<PathBuf>,
-    /// A further file: suite=FILE, robot=FILE-OR-FOLDER, policy=FILE, attachment=FILE
+    /// Add a file: suite=FILE, robot=FILE-OR-FOLDER, policy=FILE, attachment=FILE
     #[arg(long, value_name = "ROLE=FILE")]
     include: Vec<String>,
 }
@@ -50,9 +50,9 @@ pub(crate) struct Evidence {
 /// How the number of episodes came about.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Count {
-    /// It was fixed before the first episode
+    /// Fixed before the first episode
     Fixed,
-    /// Somebody looked and decided whether to go on
+    /// Decided while the results came in
     Sequential,
 }
 

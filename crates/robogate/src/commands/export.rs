@@ -14,7 +14,7 @@ use crate::terminal::{grouped, note};
 pub(crate) struct Export {
     /// A run's folder or a dictionary (Parquet)
     dictionary: PathBuf,
-    /// The file to write; its ending says the format where --format does not
+    /// The file to write; its extension selects the format unless --format is given
     out: PathBuf,
     /// The format
     #[arg(long)]

@@ -34,34 +34,34 @@ pub(crate) struct Gate {
     /// Judge this run's folder or dictionary; nothing is run
     #[arg(long, value_name = "RUN", conflicts_with_all = ["suite", "rounds", "fixed", "seed", "plan"])]
     run: Option<PathBuf>,
-    /// Run this suite: a built-in one, or a file of your own; default: industrial-68 in the built-in cell, elsewhere 64
+    /// Run this suite: a built-in one or a TOML file; default: industrial-68 in the built-in cell, otherwise 64
     /// scenarios sampled from the environment's parameter space with the seed of the rounds
     #[arg(long, value_name = "NAME|FILE")]
     suite: Option<String>,
     /// Sample the suite from this parameter space; default: the environment's own
     #[arg(long, value_name = "NAME|FILE", conflicts_with = "suite")]
     space: Option<String>,
-    /// What is demanded: default, paper, or a file of your own (TOML)
+    /// Choose the requirements: default, paper or a TOML file
     #[arg(long, value_name = "NAME|FILE")]
     requirements: Option<String>,
-    /// What relative demands refer to: a baseline's file, or a run; of a run it is asked as well whether this policy
-    /// may replace that one
+    /// Compare relative requirements with this baseline file or run; with a run, also test whether this policy may
+    /// replace that one
     #[arg(long, value_name = "FILE|RUN")]
     baseline: Option<PathBuf>,
-    /// How far below the other run's success rate this policy's may lie; default: 0.05, and with --run
-    /// what its gate was asked
+    /// Set the non-inferiority margin: how far the success rate may lie below that of the baseline run; default: 0.05,
+    /// with --run the margin of its gate
     #[arg(long, value_name = "SHARE")]
     margin: Option<f64>,
-    /// At most this many rounds of the suite; default: the requirements' budget
+    /// Set the maximum number of rounds of the suite; default: the budget of the requirements
     #[arg(long, value_name = "N")]
     rounds: Option<u32>,
-    /// Run all the rounds and judge once, in place of stopping when the answer is certain
+    /// Run all rounds and test once, instead of stopping as soon as the verdict is certain
     #[arg(long)]
     fixed: bool,
-    /// Print what the gate will do at which true rates, and run nothing
+    /// Print how often the gate passes and fails at given true rates, and run nothing
     #[arg(long)]
     plan: bool,
-    /// The seed of the rounds
+    /// Set the seed of the rounds
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
     #[command(flatten)]
@@ -70,7 +70,7 @@ pub(crate) struct Gate {
     policy: PolicyArguments,
     #[command(flatten)]
     how: How,
-    /// The folder: of the run, a new one under runs/ by default; with --run, where the answer's files go, nowhere by default
+    /// Write the run to this folder (default: a new one under runs/); with --run, write only the verdict's files (default: none)
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }
@@ -235,8 +235,7 @@ impl Gate {
         ));
         if self.seed.is_none() {
             note(format_args!(
-                "the worlds are those of seed {}, as for every gate without --seed: what was changed until it passes them \
-                 needs others",
+                "seed {}: the default of every gate. A policy that was tuned until it passes needs another --seed",
                 plan.seed
             ));
         }
@@ -423,7 +422,7 @@ fn show(dir: Option<&Path>, evaluation: &Evaluation, json: bool) -> Result<u8, E
         }
         if evaluation.verdict == Verdict::Fail || evaluation.counts.invalid > 0 {
             note(format_args!(
-                "look closer: robogate report {}",
+                "details: robogate report {}",
                 dir.map_or_else(|| "RUN".to_owned(), |d| d.display().to_string())
             ));
         }

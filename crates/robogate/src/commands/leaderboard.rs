@@ -16,19 +16,19 @@ use crate::terminal::{bar, bold, dim, line, note, percent};
 /// Rank policies that ran the same scenarios, by the paper's confidence score.
 #[derive(Debug, Args)]
 pub(crate) struct Rank {
-    /// Runs' folders or dictionaries; NAME=PATH gives one a name of its own
+    /// Folders or dictionaries of runs; NAME=PATH sets the displayed name
     #[arg(required = true, value_name = "RUN")]
     runs: Vec<String>,
-    /// The requirements whose score ranks: a built-in set or a file (TOML); default: paper for pick_place, else default
+    /// Choose the requirements that define the score: a built-in set or a TOML file; default: paper for pick_place, otherwise default
     #[arg(long, value_name = "NAME|FILE")]
     requirements: Option<String>,
-    /// The baseline that the score refers to; default: the one that comes with the suite and the robot
+    /// Compare the score with this baseline; default: the built-in one of the suite and the robot
     #[arg(long, value_name = "FILE")]
     baseline: Option<PathBuf>,
-    /// A page in place of the terminal's table
+    /// Write a document instead of the terminal table
     #[arg(long, value_name = "FORMAT")]
     format: Option<Form>,
-    /// The file for it; default: stdout
+    /// Write it to this file; default: stdout
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Print one JSON document

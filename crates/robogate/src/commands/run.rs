@@ -23,25 +23,25 @@ use crate::terminal::{grouped, note};
 /// Find where the policy fails: a campaign over the operating space, then near the failure boundary.
 #[derive(Debug, Args)]
 pub(crate) struct Run {
-    /// Which budgets: quick (2,000 + 1,000 episodes) or paper (10,000 + 10,000)
+    /// Choose the episode budgets: quick (2,000 + 1,000 episodes) or paper (10,000 + 10,000)
     #[arg(long, value_name = "PRESET", default_value = "quick", value_parser = ["quick", "paper"])]
     preset: String,
-    /// A plan of your own in place of a preset (TOML; the presets are its reference)
+    /// Use this plan instead of a preset (TOML; the format is that of assets/presets)
     #[arg(long, value_name = "FILE", conflicts_with = "preset")]
     plan: Option<PathBuf>,
-    /// The parameter space: franka, ur, ur-wide, learned, or a file of your own (TOML); default: the robot's own, by its gripper
+    /// Choose the parameter space: a built-in one (see `robogate list`) or a TOML file; default: the environment's own
     #[arg(long, value_name = "NAME|FILE")]
     space: Option<String>,
-    /// A suite in place of both stages: a built-in one, or the file of your own (TOML)
+    /// Run this suite instead of both stages: a built-in one or a TOML file
     #[arg(long, value_name = "SUITE", conflicts_with_all = ["preset", "plan", "space", "n"])]
     suite: Option<String>,
-    /// How often each scenario of the suite is run, each time with fresh seeds
+    /// Set the number of rounds of the suite; each round has fresh seeds
     #[arg(long, value_name = "N", default_value_t = 1, requires = "suite")]
     rounds: u64,
-    /// This many episodes in all, two thirds of them uniform
+    /// Set the total number of episodes; two thirds of them are uniform
     #[arg(short, long, value_name = "N")]
     n: Option<u64>,
-    /// The campaign's seed
+    /// Set the campaign seed
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
     #[command(flatten)]
@@ -50,7 +50,7 @@ pub(crate) struct Run {
     policy: PolicyArguments,
     #[command(flatten)]
     how: How,
-    /// The run's folder; default: a new one under runs/
+    /// Write the run to this folder; default: a new one under runs/
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }
@@ -58,7 +58,7 @@ pub(crate) struct Run {
 /// How a campaign is run and shown.
 #[derive(Debug, Args)]
 pub(crate) struct How {
-    /// Threads that run episodes; default: one for each core, or for each server of --simulator
+    /// Set the number of threads; default: one for each core, or for each server of --simulator
     #[arg(long, value_name = "T")]
     threads: Option<NonZeroUsize>,
     /// Print the result as one JSON document

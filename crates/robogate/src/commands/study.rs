@@ -36,19 +36,19 @@ pub(crate) struct Study {
     /// Episodes of each of the three designs, in each repeat
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u64).range(2..=10_000_000))]
     budget: u64,
-    /// How often the three designs are drawn and run, each time with seeds of their own
+    /// Set the number of repeats of the three designs, each with fresh seeds
     #[arg(long, value_name = "K", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=1000))]
     repeats: u64,
-    /// Episodes of the test set, which no model is fitted to
+    /// Set the number of episodes of the test set, which no model is fitted to
     #[arg(long, value_name = "N", default_value_t = 4000, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     test: u64,
-    /// The study's seed, from which every campaign gets its own
+    /// Set the seed of the study; the seeds of its campaigns follow from it
     #[arg(long, value_name = "S", default_value_t = 2026)]
     seed: u64,
-    /// A plan whose boundary stage is tried in place of the paper's (TOML); its budgets and its seed are not used
+    /// Test the boundary stage of this plan instead of the paper's (TOML); its budgets and seed are not used
     #[arg(long, value_name = "FILE")]
     plan: Option<PathBuf>,
-    /// The parameter space: franka, ur, ur-wide, learned, or a file of your own (TOML); default: the robot's own, by its gripper
+    /// Choose the parameter space: a built-in one (see `robogate list`) or a TOML file; default: the environment's own
     #[arg(long, value_name = "NAME|FILE")]
     space: Option<String>,
     #[command(flatten)]

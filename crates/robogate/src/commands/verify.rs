@@ -14,12 +14,12 @@ use crate::terminal::{bold, foreign, grouped, indented, line};
 /// It ends with 0 where the evidence holds, whatever its verdict is, and with 4 where it does not.
 #[derive(Debug, Args)]
 pub(crate) struct Verify {
-    /// The folder
+    /// The folder of evidence
     evidence: PathBuf,
     /// The public key that must have signed it
     #[arg(long, value_name = "PUBLIC")]
     key: Option<PathBuf>,
-    /// One document on stdout
+    /// Print the result as one JSON document
     #[arg(long)]
     json: bool,
 }
