@@ -271,7 +271,7 @@ class TheServer(unittest.TestCase):
                         with self.assertRaises(Refused) as refused:
                             client.reset(cell=broken | {"control_period_s": 0.05})
                         self.assertEqual(refused.exception.kind, "setup")
-                    client.reset({"friction": 0.8}, cell=cell)
+                    client.reset(cell=cell)
                     here = begun(solver)
                     for steps in (client.step([[*home, -1.0]], "joint_position"),
                                   client.step([[*home, 1.0]] * 3, "joint_position")):  # fmt: skip
