@@ -85,8 +85,8 @@ pub struct EngineBuild {
     pub name: &'static str,
     /// Its version.
     pub version: String,
-    /// The shared library that it runs from, if there is one.
-    pub library: Option<std::path::PathBuf>,
+    /// SHA-256 digest of the shared library that it runs from, if there is one, in lower-case hexadecimal digits.
+    pub sha256: Option<String>,
 }
 
 /// Targets of the robot's drives at the end of a time step.

@@ -96,9 +96,13 @@ pub fn inspect(robot: &str, positions: &[[f64; 2]]) -> Inspection {
 
 impl RobotError {
     /// Converts the error to problems.
-    fn into_problems(self) -> Vec<Problem> {
+    pub(crate) fn into_problems(self) -> Vec<Problem> {
         match self {
             Self::Invalid { problems, .. } => problems,
+            Self::Engine { why } => {
+                let (what, hint) = why.split_once("\nhint: ").unwrap_or((&why, "use the Rapier engine"));
+                vec![Problem::new(what, hint)]
+            }
             other => vec![Problem::new(other.to_string(), "name a folder with a robot.toml and the model beside it")],
         }
     }

@@ -43,7 +43,7 @@ pub use mass::MassProperties;
 pub use model::MujocoModel;
 pub use motion::Motion;
 #[cfg(feature = "mujoco")]
-pub use mujoco::MujocoEngine;
+pub use mujoco::{MujocoEngine, load_mujoco};
 pub use plant::{ArmState, GripperState, Plant, StepView, grip_force};
 pub use primitive::{Part, Primitive};
 #[cfg(feature = "rapier")]

@@ -1,10 +1,11 @@
 //! A MuJoCo model by itself, for tasks that bring their own world.
 
+use mujoco_loader::LoadError;
 use mujoco_rs::prelude::*;
 use robogate_core::{Fault, FaultKind};
 
 use crate::EngineBuild;
-use crate::mujoco::{build, silence_log_file, warning};
+use crate::mujoco::{build, load_mujoco, warning};
 
 /// A MuJoCo model and its state.
 pub struct MujocoModel {
@@ -21,17 +22,20 @@ impl MujocoModel {
     /// Compiles an MJCF text; the state is the model's initial one.
     ///
     /// # Errors
-    /// A setup fault with MuJoCo's message.
+    /// A setup fault: MuJoCo cannot be loaded, or rejects the model.
     pub fn from_xml(xml: &str) -> Result<Self, Fault> {
-        silence_log_file();
+        load_mujoco().map_err(setup)?;
         let model = MjModel::from_xml_string(xml)
             .map_err(|why| Fault::new(FaultKind::Setup, format!("MuJoCo does not compile the model: {why}")))?;
         Ok(Self { data: MjData::new(Box::new(model)) })
     }
 
-    /// Which MuJoCo this is, exactly.
-    pub fn build() -> EngineBuild {
-        build()
+    /// Identifies the MuJoCo library.
+    ///
+    /// # Errors
+    /// A setup fault if MuJoCo cannot be loaded.
+    pub fn build() -> Result<EngineBuild, Fault> {
+        load_mujoco().map(build).map_err(setup)
     }
 
     /// The state, and the model in it.
@@ -65,4 +69,8 @@ impl MujocoModel {
             (hash ^ x.to_bits()).wrapping_mul(0x0000_0100_0000_01b3).rotate_left(5)
         })
     }
+}
+
+fn setup(error: LoadError) -> Fault {
+    Fault::new(FaultKind::Setup, error.to_string())
 }

@@ -422,6 +422,12 @@ impl fmt::Display for Problem {
 /// Why a robot cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RobotError {
+    /// The physics engine cannot be used.
+    #[error("{why}")]
+    Engine {
+        /// The reason, with a hint.
+        why: String,
+    },
     /// No such built-in robot.
     #[error("unknown robot `{name}`. Expected a built-in robot ({known}) or the folder of a robot")]
     Unknown {

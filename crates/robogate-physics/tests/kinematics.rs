@@ -3,7 +3,7 @@
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Seed;
-use robogate_physics::{Engine, MassProperties, MujocoEngine, Part, Primitive, built_in_robot};
+use robogate_physics::{Engine, MassProperties, MujocoEngine, Part, Primitive, built_in_robot, load_mujoco};
 
 fn assert_same(a: &Isometry3<f64>, b: &Isometry3<f64>) {
     let off = a.inverse() * b;
@@ -86,6 +86,7 @@ fn mass_properties_agree_with_mujocos() {
         let xml = format!(
             "<mujoco><default><geom density='{density}'/></default><worldbody><body><freejoint/>{geoms}</body></worldbody></mujoco>"
         );
+        load_mujoco().unwrap();
         let model = MjModel::from_xml_string(&xml).unwrap();
         assert!((model.body_mass()[1] - mass.mass_kg).abs() < 1e-12);
         let centre = Vector3::from(model.body_ipos()[1]);

@@ -7,7 +7,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use mujoco_rs::prelude::*;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Seed;
-use robogate_physics::{Chain, ChainJoint};
+use robogate_physics::{Chain, ChainJoint, load_mujoco};
 
 /// One arm's tables: "DH parameters for calculations of kinematics and dynamics".
 struct Table {
@@ -119,6 +119,11 @@ fn chain(table: &Table) -> Chain {
     Chain { joints, flange: placement, tcp: placement * Isometry3::translation(0.0, 0.0, TOOL_M) }
 }
 
+fn model(xml: &str) -> MjModel {
+    load_mujoco().unwrap();
+    MjModel::from_xml_string(xml).unwrap()
+}
+
 fn site(data: &MjData<Box<MjModel>>, name: &str) -> Isometry3<f64> {
     let id = data.model().name_to_id(MjtObjBase::mjOBJ_SITE, name).unwrap();
     let turn = Rotation3::from_matrix_unchecked(Matrix3::from_row_slice(&data.site_xmat()[id]));
@@ -135,7 +140,7 @@ fn assert_same(name: &str, a: &Isometry3<f64>, b: &Isometry3<f64>) {
 #[test]
 fn the_models_stand_where_the_denavit_hartenberg_table_puts_them() {
     for table in &TABLES {
-        let mut data = MjData::new(Box::new(MjModel::from_xml_string(table.model).unwrap()));
+        let mut data = MjData::new(Box::new(model(table.model)));
         for index in 0..1000 {
             let mut stream = Seed::campaign(13).episode(index).stream("joints");
             let q: Vec<f64> = (0..6)
@@ -154,7 +159,7 @@ fn the_models_stand_where_the_denavit_hartenberg_table_puts_them() {
 #[test]
 fn the_links_weigh_and_turn_as_the_table_says() {
     for table in &TABLES {
-        let model = MjModel::from_xml_string(table.model).unwrap();
+        let model = model(table.model);
         for (i, link) in LINKS.iter().enumerate() {
             let body = model.name_to_id(MjtObjBase::mjOBJ_BODY, link).unwrap();
             assert!((model.body_mass()[body] - table.mass[i]).abs() < 1e-12, "{} {link}", table.name);
@@ -174,7 +179,7 @@ fn the_links_weigh_and_turn_as_the_table_says() {
 #[test]
 fn joints_turn_all_the_way_round_twice_but_the_elbow_once() {
     for table in &TABLES {
-        let model = MjModel::from_xml_string(table.model).unwrap();
+        let model = model(table.model);
         for (joint, range) in model.jnt_range().iter().enumerate() {
             let limit = if joint == ELBOW { PI } else { 2.0 * PI };
             assert!((range[0] + limit).abs() < 1e-12 && (range[1] - limit).abs() < 1e-12, "{}: {range:?}", table.name);
@@ -186,7 +191,7 @@ fn joints_turn_all_the_way_round_twice_but_the_elbow_once() {
 fn at_home_the_tool_points_down_in_front_and_nothing_touches() {
     for table in &TABLES {
         let floor = "<worldbody><geom name=\"table\" type=\"box\" size=\"0.4 0.7 0.02\" pos=\"0.55 0 -0.02\"/>";
-        let model = MjModel::from_xml_string(&table.model.replace("<worldbody>", floor)).unwrap();
+        let model = model(&table.model.replace("<worldbody>", floor));
         let mut data = MjData::new(Box::new(model));
         data.qpos_mut().copy_from_slice(&HOME);
         data.forward();

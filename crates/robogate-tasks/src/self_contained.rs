@@ -19,8 +19,11 @@ pub trait SelfContained: Sync {
     /// Its parameter space, as TOML.
     fn space(&self) -> &'static str;
 
-    /// What steps its physics.
-    fn engine(&self) -> EngineBuild;
+    /// Identifies the engine that steps its physics.
+    ///
+    /// # Errors
+    /// A fault if the engine cannot be loaded.
+    fn engine(&self) -> Result<EngineBuild, Fault>;
 
     /// A new environment.
     ///

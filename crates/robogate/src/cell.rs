@@ -8,7 +8,7 @@ use anyhow::{Context, anyhow, bail};
 use robogate_camera::{Renderer, SIZE_PX};
 use robogate_core::{Assignment, Environment, ParameterSpace, Policy, Scenario, Seed, Suite};
 use robogate_demos::Recorder;
-use robogate_dictionary::{hex, provenance, robot_sha256};
+use robogate_dictionary::{provenance, robot_sha256};
 use robogate_physics::{
     Chain, Engine, EngineBuild, Gripper, Robot, RobotError, RobotFile, SuctionLaw, WORKSPACE_CENTRE, built_in_robot,
     is_folder,
@@ -18,7 +18,6 @@ use robogate_remote::{Pool, RemotePhysics};
 use robogate_tasks::pick_place::claims::{Bench, Setup, Workbench};
 use robogate_tasks::pick_place::{PickPlace, SceneParameters, Scripted, check_suite, default_space, remote};
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
 use crate::registry::{ENGINES, EngineEntry};
 use crate::remote::{self as servers, CellTask, PhysicsHost};
@@ -283,7 +282,7 @@ impl Cell {
     pub(crate) fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
         let engine = match &self.pool {
             Some(pool) => servers::engine(pool.hello()),
-            None => engine(self.build(&self.setup())?.engine)?,
+            None => engine(self.build(&self.setup())?.engine),
         };
         let arm = &self.robot.settings.arm;
         let [x, y] = WORKSPACE_CENTRE;
@@ -301,15 +300,8 @@ impl Cell {
 }
 
 /// An engine of this process, as records name it.
-pub(crate) fn engine(build: EngineBuild) -> anyhow::Result<provenance::Engine> {
-    let build_sha256 = match &build.library {
-        Some(path) => {
-            let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-            Some(hex(&Sha256::digest(bytes)))
-        }
-        None => None,
-    };
-    Ok(provenance::Engine { name: build.name.to_owned(), version: Some(build.version), build_sha256 })
+pub(crate) fn engine(build: EngineBuild) -> provenance::Engine {
+    provenance::Engine { name: build.name.to_owned(), version: Some(build.version), build_sha256: build.sha256 }
 }
 
 /// The scenario that requests nothing.

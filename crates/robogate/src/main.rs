@@ -6,6 +6,7 @@ mod commands;
 mod exit;
 #[cfg(feature = "mujoco")]
 mod inspection;
+mod outage;
 mod picture;
 mod policy_source;
 mod progress;

@@ -378,7 +378,7 @@ impl EnvironmentSource {
         match self {
             Self::Cell(cell) => cell.hello(),
             Self::SelfContained(task) => {
-                let engine = cell::engine(task.engine())?;
+                let engine = cell::engine(task.engine().map_err(|fault| anyhow!(fault))?);
                 let version = engine.version.unwrap_or_default();
                 let engine = message::Engine { name: engine.name, version, solver: None };
                 let program =
@@ -460,7 +460,9 @@ impl EnvironmentSource {
         let robot = |name: String, sha256| provenance::Robot { name, sha256, dimensions: None };
         Ok(match self {
             Self::Cell(cell) => cell.provenance()?,
-            Self::SelfContained(task) => (cell::engine(task.engine())?, robot(task.name().to_owned(), None)),
+            Self::SelfContained(task) => {
+                (cell::engine(task.engine().map_err(|fault| anyhow!(fault))?), robot(task.name().to_owned(), None))
+            }
             Self::Remote(source) => {
                 let hello = source.pool.hello();
                 let known = hello.robot.clone();

@@ -10,13 +10,13 @@ use std::process::Command;
 const MAY_USE: &[(&str, Option<&[&str]>)] = &[
     ("robogate-maths", Some(&[])),
     ("robogate-core", Some(&["robogate-maths"])),
-    ("robogate-physics", Some(&["robogate-core", "mujoco-provision"])),
-    ("robogate-camera", Some(&["robogate-core", "robogate-physics", "mujoco-provision"])),
-    ("robogate-tasks", Some(&["robogate-core", "robogate-physics", "robogate-camera", "mujoco-provision"])),
+    ("robogate-physics", Some(&["robogate-core", "mujoco-loader"])),
+    ("robogate-camera", Some(&["robogate-core", "robogate-physics"])),
+    ("robogate-tasks", Some(&["robogate-core", "robogate-physics", "robogate-camera"])),
     ("robogate-zmtp", Some(&[])),
     ("robogate-policy", Some(&["robogate-core", "robogate-zmtp"])),
     ("robogate-remote", Some(&["robogate-core", "robogate-zmtp"])),
-    ("robogate-demos", Some(&["robogate-core", "robogate-physics", "robogate-tasks", "mujoco-provision"])),
+    ("robogate-demos", Some(&["robogate-core", "robogate-physics", "robogate-tasks"])),
     ("robogate-dictionary", Some(&["robogate-core"])),
     ("robogate-stats", Some(&["robogate-maths"])),
     ("robogate-campaign", Some(&["robogate-core", "robogate-dictionary", "robogate-stats"])),
@@ -25,7 +25,7 @@ const MAY_USE: &[(&str, Option<&[&str]>)] = &[
     ("robogate-report", Some(&["robogate-stats", "robogate-analysis", "robogate-gate"])),
     ("robogate-monitor", Some(&["robogate-core", "robogate-stats"])),
     ("robogate-testing", Some(&[])),
-    ("mujoco-provision", Some(&[])),
+    ("mujoco-loader", Some(&[])),
     ("robogate", None),
 ];
 

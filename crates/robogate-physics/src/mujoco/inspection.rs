@@ -1,13 +1,15 @@
 //! Measurements of a robot alone, for its inspection.
 
-use super::{Kind, MujocoEngine, silence_log_file};
-use crate::{Engine, Problem, Robot, robot_model};
+use super::{Kind, MujocoEngine, load_mujoco};
+use crate::{Engine, Problem, Robot, RobotError, robot_model};
 
 impl MujocoEngine {
     /// All problems of a robot's model. The robot's settings may have problems of their own.
     pub(crate) fn problems(robot: &Robot) -> Vec<Problem> {
-        silence_log_file();
-        robot_model::build(robot, Self::TIME_STEP_S).err().unwrap_or_default()
+        match load_mujoco() {
+            Ok(_) => robot_model::build(robot, Self::TIME_STEP_S).err().unwrap_or_default(),
+            Err(error) => RobotError::Engine { why: error.to_string() }.into_problems(),
+        }
     }
 
     /// Mass in kilograms of each moving body of the loaded robot that has one, in the model's order.

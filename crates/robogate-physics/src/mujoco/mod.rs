@@ -9,9 +9,9 @@ mod contacts;
 mod inspection;
 mod scene;
 
-use std::path::PathBuf;
 use std::sync::Once;
 
+use mujoco_loader::{Library, LoadError};
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_logging::{log_config, set_log_config};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -105,9 +105,10 @@ impl MujocoEngine {
     /// An engine for this robot, with this time step in seconds.
     ///
     /// # Errors
-    /// If the robot's model does not compile or does not match `robot.toml`; the error lists all problems.
+    /// If MuJoCo cannot be loaded, or if the robot's model does not compile or does not match `robot.toml`; the error lists
+    /// all problems.
     pub fn new(robot: Robot, time_step: f64) -> Result<Self, RobotError> {
-        silence_log_file();
+        load_mujoco().map_err(|error| RobotError::Engine { why: error.to_string() })?;
         let (base, chain) = robot_model::build(&robot, time_step)
             .map_err(|problems| RobotError::Invalid { path: robot_model::path(&robot), problems })?;
         Ok(Self { robot, base, chain, time_step, loaded: None })
@@ -136,15 +137,10 @@ impl MujocoEngine {
     }
 }
 
-/// The MuJoCo that this process runs.
-pub(crate) fn build() -> EngineBuild {
-    // The library that the loader has mapped into this process.
-    let maps = std::fs::read_to_string("/proc/self/maps").unwrap_or_default();
-    let library = maps
-        .lines()
-        .filter_map(|line| line.splitn(6, ' ').nth(5).map(str::trim_start))
-        .find(|path| path.rsplit('/').next().is_some_and(|file| file.starts_with("libmujoco.so")));
-    EngineBuild { name: "mujoco", version: mujoco_rs::mujoco_version().to_owned(), library: library.map(PathBuf::from) }
+/// Identifies the loaded MuJoCo.
+pub(crate) fn build(library: &Library) -> EngineBuild {
+    let version = mujoco_rs::mujoco_version().to_owned();
+    EngineBuild { name: "mujoco", version, sha256: Some(library.sha256.clone()) }
 }
 
 /// Description of the first warning that MuJoCo has raised since the state was created.
@@ -164,9 +160,14 @@ pub(crate) fn warning(data: &MjData<Box<MjModel>>) -> Option<String> {
     Some(format!("MuJoCo: {what} (at {info})"))
 }
 
-/// Stops MuJoCo from writing its warnings to a file in the current folder.
-pub(crate) fn silence_log_file() {
+/// Loads the MuJoCo library, once for the process, and stops it from writing its warnings to a file in the current folder.
+/// All types of this crate that use MuJoCo call this first; code that uses the binding directly must do so too.
+///
+/// # Errors
+/// If the library is missing and cannot be downloaded, or is not the pinned one.
+pub fn load_mujoco() -> Result<&'static Library, LoadError> {
     static ONCE: Once = Once::new();
+    let library = mujoco_loader::load()?;
     ONCE.call_once(|| {
         // SAFETY: all use of MuJoCo begins with a constructor that waits for this call, so MuJoCo is not in use.
         #[expect(unsafe_code, reason = "the binding has no safe way to set it")]
@@ -174,6 +175,7 @@ pub(crate) fn silence_log_file() {
             set_log_config(log_config().with_logto_file(false));
         }
     });
+    Ok(library)
 }
 
 /// A rotation as MuJoCo's quaternion (w, x, y, z).
@@ -204,7 +206,7 @@ fn find(model: &MjModel, kind: MjtObjBase, what: &str, name: &str) -> Result<usi
 
 impl Engine for MujocoEngine {
     fn build(&self) -> EngineBuild {
-        build()
+        build(load_mujoco().expect("the constructor has loaded MuJoCo"))
     }
 
     fn robot(&self) -> &Robot {

@@ -102,7 +102,7 @@ impl RapierEngine {
 
 impl Engine for RapierEngine {
     fn build(&self) -> EngineBuild {
-        EngineBuild { name: "rapier", version: rapier3d_f64::VERSION.to_owned(), library: None }
+        EngineBuild { name: "rapier", version: rapier3d_f64::VERSION.to_owned(), sha256: None }
     }
 
     fn robot(&self) -> &Robot {

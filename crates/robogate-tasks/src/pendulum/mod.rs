@@ -94,7 +94,7 @@ impl SelfContained for Pendulum {
         include_str!("space.toml")
     }
 
-    fn engine(&self) -> EngineBuild {
+    fn engine(&self) -> Result<EngineBuild, Fault> {
         MujocoModel::build()
     }
 

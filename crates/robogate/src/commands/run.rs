@@ -8,12 +8,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::anyhow;
 use clap::Args;
 use robogate_campaign::{Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, ThreadPool};
-use robogate_core::{FaultKind, ParameterSpace};
+use robogate_core::ParameterSpace;
 use robogate_dictionary::Provenance;
 use robogate_physics::SuctionLaw;
 
 use crate::commands::suites;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
+use crate::outage::{OutageGuard, UNAVAILABLE_IN_A_ROW};
 use crate::policy_source::PolicyArguments;
 use crate::progress::Progress;
 use crate::subject::{EnvironmentArguments, Subject};
@@ -179,15 +180,13 @@ impl How {
     ) -> Result<Completion, Exit> {
         self.with_pool(subject, |pool| {
             let mut progress = Progress::new();
-            let mut lost = Lost::default();
-            let completion = work(pool, &mut |event| {
-                if subject.policy_source().is_some() && lost.hear(event) {
-                    pool.stop.store(true, Ordering::Relaxed);
-                }
-                progress.hear(event);
-            })
-            .map_err(exit)?;
-            match (completion, lost.why) {
+            let mut show = |event: &Event| progress.hear(event);
+            if subject.policy_source().is_none() {
+                return work(pool, &mut show).map_err(exit);
+            }
+            let guard = OutageGuard::new(pool);
+            let completion = work(&guard, &mut show).map_err(exit)?;
+            match (completion, guard.outage()) {
                 (Completion::Interrupted { .. }, Some(fault)) => Err(anyhow!(
                     "stopped: {UNAVAILABLE_IN_A_ROW} episodes in a row were invalid, the last because of {fault}\n  hint: the recorded \
                      episodes are kept; continue with `robogate resume`"
@@ -219,33 +218,6 @@ impl How {
             }
             Completion::Interrupted { done, episodes } => Ok(interrupted(dir, done, episodes)),
         }
-    }
-}
-
-/// How many episodes in a row may be lost to a policy server that is away before a campaign stops by itself.
-const UNAVAILABLE_IN_A_ROW: u32 = 10;
-
-/// Counts episodes lost to a policy server that is away.
-#[derive(Debug, Default)]
-struct Lost {
-    in_a_row: u32,
-    why: Option<String>,
-}
-
-impl Lost {
-    /// Whether it is time to stop.
-    fn hear(&mut self, event: &Event) -> bool {
-        let Event::Episode { fault, .. } = event else { return self.why.is_some() };
-        match fault {
-            Some(fault) if fault.starts_with(&FaultKind::Unavailable.to_string()) => {
-                self.in_a_row += 1;
-                if self.in_a_row >= UNAVAILABLE_IN_A_ROW {
-                    self.why = Some(fault.clone());
-                }
-            }
-            _ => self.in_a_row = 0,
-        }
-        self.why.is_some()
     }
 }
 

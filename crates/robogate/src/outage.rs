@@ -1,0 +1,69 @@
+//! Stops a campaign whose policy server is unavailable.
+
+use std::cell::RefCell;
+use std::ops::ControlFlow;
+
+use robogate_campaign::{ExecuteError, Executor};
+use robogate_core::{Episode, Fault, FaultKind, Outcome, Scenario};
+
+/// Number of consecutive episodes that may be lost to an unavailable policy server before the campaign stops.
+pub(crate) const UNAVAILABLE_IN_A_ROW: u32 = 10;
+
+/// An executor that stops after [`UNAVAILABLE_IN_A_ROW`] consecutive episodes, in the order in which they finish, ended
+/// with [`FaultKind::Unavailable`]. Episodes that finish later are not recorded, so that a resumed campaign runs them.
+pub(crate) struct OutageGuard<'a> {
+    executor: &'a dyn Executor,
+    state: RefCell<State>,
+}
+
+#[derive(Default)]
+struct State {
+    in_a_row: u32,
+    outage: Option<Fault>,
+}
+
+impl<'a> OutageGuard<'a> {
+    /// Guards `executor`.
+    pub(crate) fn new(executor: &'a dyn Executor) -> Self {
+        Self { executor, state: RefCell::default() }
+    }
+
+    /// The fault of the last lost episode, if the guard stopped the campaign.
+    pub(crate) fn outage(self) -> Option<Fault> {
+        self.state.into_inner().outage
+    }
+}
+
+impl State {
+    fn count(&mut self, outcome: &Outcome) -> ControlFlow<()> {
+        match outcome {
+            Outcome::Invalid(fault) if fault.kind == FaultKind::Unavailable => {
+                self.in_a_row += 1;
+                if self.in_a_row >= UNAVAILABLE_IN_A_ROW {
+                    self.outage = Some(fault.clone());
+                    return ControlFlow::Break(());
+                }
+            }
+            _ => self.in_a_row = 0,
+        }
+        ControlFlow::Continue(())
+    }
+}
+
+impl Executor for OutageGuard<'_> {
+    fn parallelism(&self) -> usize {
+        self.executor.parallelism()
+    }
+
+    fn execute(
+        &self,
+        scenario: &(dyn Fn(usize) -> Option<Scenario> + Sync),
+        receive: &mut dyn FnMut(Episode) -> ControlFlow<()>,
+    ) -> Result<(), ExecuteError> {
+        self.executor.execute(scenario, &mut |episode| {
+            let counted = self.state.borrow_mut().count(&episode.outcome);
+            receive(episode)?;
+            counted
+        })
+    }
+}
