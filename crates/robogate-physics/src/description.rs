@@ -28,7 +28,7 @@ pub struct Description {
 /// One rigid body.
 #[derive(Debug, Clone)]
 pub struct Link {
-    /// How it moves against its parent; `None` for the base.
+    /// Its motion relative to its parent. `None` for the base.
     pub joint: Option<LinkJoint>,
     /// Mass in kilograms.
     pub mass: f64,
@@ -42,14 +42,14 @@ pub struct Link {
     pub looks: Vec<LinkLook>,
 }
 
-/// How a link moves against its parent.
+/// The motion of a link relative to its parent.
 #[derive(Debug, Clone)]
 pub struct LinkJoint {
     /// Name of the joint.
     pub name: String,
     /// Index of the parent link.
     pub parent: usize,
-    /// The joint's frame in the parent's frame at joint position 0. The joint moves about or along its own x axis.
+    /// The joint's frame in the parent's frame at joint position 0. The joint moves about or along its x axis.
     pub in_parent: Isometry3<f64>,
     /// The joint's frame in the link's frame.
     pub in_link: Isometry3<f64>,
@@ -181,7 +181,7 @@ impl Reader<'_> {
             looks: Vec::new(),
         };
         let mut links = vec![base];
-        // For each MJCF body the link that it is part of, and its pose there at joint positions 0.
+        // For each MJCF body: the link that it is part of, and its pose there at joint positions 0.
         let mut places: Vec<(usize, Isometry3<f64>)> = Vec::with_capacity(self.model.bodies.len());
         for (id, entry) in self.model.bodies.iter().enumerate() {
             let body = &entry.body;
@@ -206,17 +206,17 @@ impl Reader<'_> {
                     });
                     (links.len() - 1, Isometry3::identity())
                 }
-                _ => return Err(format!("body `{name}` has several joints; give each a body of its own")),
+                _ => return Err(format!("body `{name}` has several joints; give each joint a separate body")),
             };
             places.push(place);
             let (link, within) = (&mut links[place.0], place.1);
             for geom in &body.geoms {
-                // What neither touches nor is touched is there to be seen.
+                // A shape without contacts is visual only.
                 if geom.contype != 0 || geom.conaffinity != 0 {
                     let (solid, at) = self.solid(geom)?;
                     link.shapes.push(LinkShape { solid, pose: within * at, body: name.clone() });
                 }
-                // What cannot be drawn is not missed by physics: it is left out.
+                // An unreadable visual shape does not affect physics and is skipped.
                 link.looks.extend(self.look(geom, &within).ok());
             }
             if let Some(inertial) = &body.inertial {
@@ -228,7 +228,7 @@ impl Reader<'_> {
                 let turn = frame.rotation.to_rotation_matrix();
                 link.add(inertial.mass, frame.translation.vector, turn * about * turn.inverse());
             } else if !body.joints.is_empty() {
-                return Err(format!("body `{name}` moves and has no <inertial>, which Rapier requires"));
+                return Err(format!("body `{name}` moves but has no <inertial>, which Rapier requires"));
             }
         }
         let site = |wanted: &str| {
@@ -333,7 +333,7 @@ impl Reader<'_> {
         })
     }
 
-    /// The corners of a mesh's triangles, by the numbers of its vertices.
+    /// The corners of a mesh's triangles as vertex indices.
     fn faces(&self, geom: &Geom) -> Result<Vec<usize>, String> {
         let wanted = geom.mesh.as_deref().unwrap_or_default();
         let mesh = self.model.assets.mesh(wanted).ok_or_else(|| format!("the model has no mesh `{wanted}`"))?;
@@ -345,7 +345,7 @@ impl Reader<'_> {
         Ok(faces(&bytes).unwrap_or_default())
     }
 
-    /// The vertices of a mesh, of which Rapier takes the convex hull, as MuJoCo does.
+    /// The vertices of a mesh. Rapier uses their convex hull, as MuJoCo does.
     fn hull(&self, geom: &Geom, name: &str) -> Result<Vec<Point3<f64>>, String> {
         let wanted = geom.mesh.as_deref().ok_or_else(|| format!("shape `{name}` names no mesh"))?;
         let mesh = self.model.assets.mesh(wanted).ok_or_else(|| format!("the model has no mesh `{wanted}`"))?;
@@ -435,7 +435,7 @@ fn chain(
     let names: Vec<&str> = way.iter().filter_map(|l| links[*l].joint.as_ref()).map(|j| j.name.as_str()).collect();
     if names != arm.joints {
         return Err(format!(
-            "between base and `{}` lie the joints {}; arm.joints has {}: list every joint of the arm, base to tip",
+            "the joints between base and `{}` are {}, but arm.joints has {}: list every joint of the arm, base to tip",
             arm.tcp_site,
             names.join(", "),
             arm.joints.join(", ")
@@ -445,7 +445,7 @@ fn chain(
         return Err(format!("site `{}` is not on the arm's last link", arm.flange_site));
     }
     let mut joints = Vec::new();
-    // From a link's frame back to its joint's, in which the next placement is counted.
+    // Transform from a link's frame to its joint's frame, in which the next placement is expressed.
     let mut back = Isometry3::identity();
     for joint in way.iter().filter_map(|l| links[*l].joint.as_ref()) {
         if joint.slides {
@@ -481,11 +481,11 @@ fn vertices(bytes: &[u8]) -> Option<Vec<f64>> {
     (!found.is_empty()).then_some(found)
 }
 
-/// The corners of the triangles of an STL or OBJ file, by the numbers of their vertices: three for each.
+/// The triangles of an STL or OBJ file as vertex indices, three per triangle.
 fn faces(bytes: &[u8]) -> Option<Vec<usize>> {
     let text = std::str::from_utf8(bytes).ok().filter(|text| text.lines().any(|line| line.starts_with("f ")));
     let Some(text) = text else {
-        // In STL each triangle has vertices of its own.
+        // In STL each triangle has separate vertices.
         return Some((0..vertices(bytes)?.len() / 3).collect());
     };
     let count = text.lines().filter(|line| line.starts_with("v ")).count() as i64;

@@ -1,4 +1,4 @@
-//! The interface of a rigid-body engine. It knows no task.
+//! The interface of a rigid-body engine. It is independent of the task.
 
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::Fault;
@@ -13,7 +13,7 @@ pub trait Engine {
     /// The robot that the engine was made for.
     fn robot(&self) -> &Robot;
 
-    /// The robot's kinematics, as the engine holds them.
+    /// The robot's kinematics, as used by the engine.
     fn chain(&self) -> &Chain;
 
     /// The time step in seconds.
@@ -22,7 +22,7 @@ pub trait Engine {
     /// Builds the scene and puts the arm at `joints` (rad), at rest, the gripper open.
     fn load(&mut self, scene: &Scene, joints: &[f64]) -> Result<(), Fault>;
 
-    /// Reads from the engine's own state what it holds of the scene.
+    /// Reads the physical quantities of the scene from the engine's state.
     fn read_back(&self) -> Result<Readback, Fault>;
 
     /// Advances one time step towards these targets.
@@ -114,7 +114,7 @@ impl Wrench {
     pub const ZERO: Self = Self { force: Vector3::new(0.0, 0.0, 0.0), torque: Vector3::new(0.0, 0.0, 0.0) };
 }
 
-/// Physical quantities of the scene as an engine holds them.
+/// Physical quantities of the scene, as read from an engine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Readback {
     /// Friction coefficient that acts between the object and everything but the table.
@@ -135,7 +135,7 @@ pub struct Readback {
     pub fixtures: Vec<FixtureRead>,
 }
 
-/// A fixture as an engine holds it.
+/// A fixture, as read from an engine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FixtureRead {
     /// Its index in the scene.
