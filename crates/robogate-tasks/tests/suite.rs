@@ -1,4 +1,4 @@
-//! The industrial suite, and the fixtures that suites use.
+//! Tests of the industrial suite and of the fixtures that suites use.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod common;
@@ -59,7 +59,7 @@ fn groups_have_the_papers_sizes() {
     assert_eq!(suite().cases().len(), 68);
 }
 
-/// The smallest and largest value of a number over all scenarios.
+/// The smallest and largest value of a parameter over all scenarios.
 fn ends(suite: &Suite, name: &str) -> (f64, f64) {
     let mut ends = (f64::INFINITY, f64::NEG_INFINITY);
     for case in suite.cases() {
@@ -131,7 +131,7 @@ fn run(suite: &Suite, indices: impl Iterator<Item = u64>) -> Vec<Episode> {
 }
 
 #[test]
-fn the_scripted_controller_solves_all_68() {
+fn scripted_controller_solves_all_68() {
     let suite = suite();
     let episodes = run(&suite, 0..3 * 68);
     let failed: Vec<_> = episodes
@@ -144,7 +144,7 @@ fn the_scripted_controller_solves_all_68() {
         .collect();
     assert!(failed.is_empty(), "{failed:#?}");
     for (one, other) in episodes[..68].iter().zip(&episodes[68..136]) {
-        assert_ne!(one.trajectory_hash, other.trajectory_hash, "each round is another");
+        assert_ne!(one.trajectory_hash, other.trajectory_hash, "rounds have different trajectories");
     }
 }
 
@@ -193,7 +193,7 @@ impl Policy for Late<Box<dyn Policy>> {
 }
 
 #[test]
-fn a_late_policy_meets_the_disturbance() {
+fn late_policy_meets_the_disturbance() {
     let suite = suite();
     let case = suite.cases().iter().position(|case| case.id == "moving_disturbance-1").unwrap() as u64;
     let (mut simulator, policy) = bench();
@@ -223,13 +223,13 @@ fn occluders_and_distant_obstacles_do_not_block() {
 }
 
 #[test]
-fn an_object_beside_the_table_is_a_fault() {
+fn object_off_the_table_is_a_fault() {
     let (mut simulator, mut policy) = bench();
     let beside = scenario(&[("offset_x_m", number(0.5))], 0);
     let episode = rollout(&mut *simulator, &mut *policy, &beside);
     assert!(
         matches!(&episode.outcome, Outcome::Invalid(fault) if fault.kind == FaultKind::Setup
-            && fault.to_string().contains("beside the table")),
+            && fault.to_string().contains("is not on the table")),
         "{:?}",
         episode.outcome
     );

@@ -7,16 +7,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::pick_place::cell::{CONTROL_PERIOD_S, ResolvedCell};
 
-/// The whole cell of an episode after every random draw. Metres, radians, newtons, in the robot's base frame.
+/// The whole cell of an episode after every random draw. Units are metres, radians and newtons, in the robot's base
+/// frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
     /// Time between two commands, in seconds.
     pub control_period_s: f64,
-    /// Gravity, downwards.
+    /// Gravity, downwards, in m/s^2.
     pub gravity_m_s2: f64,
     /// Coulomb friction coefficient of every contact of the object.
     pub friction: f64,
-    /// The same between the object and the table.
+    /// Coulomb friction coefficient between the object and the table.
     pub table_friction: f64,
     /// Constants of contacts.
     pub contact: CellContact,
@@ -30,7 +31,7 @@ pub struct Cell {
     pub visual: CellVisual,
 }
 
-/// Constants of contacts, those of [`robogate_physics::contact`].
+/// Constants of contacts, as in [`robogate_physics::contact`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CellContact {
     /// Radius of a soft contact patch: torsional friction is 2/3 of friction times this.
@@ -43,7 +44,7 @@ pub struct CellContact {
     pub impedance: [f64; 3],
     /// MuJoCo's constraint impedance of joint end stops.
     pub limit_impedance: [f64; 3],
-    /// Mass of a fixture that moves.
+    /// Mass of a moving fixture.
     pub driven_mass_kg: f64,
 }
 
@@ -86,7 +87,7 @@ pub struct CellFixture {
     pub motion: Option<CellMotion>,
 }
 
-/// A straight path at constant speed in a window of time.
+/// A straight path at constant speed within a time window.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CellMotion {
     /// Velocity.
