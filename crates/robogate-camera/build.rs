@@ -1,4 +1,4 @@
-//! Links MuJoCo into this crate's tests, where the crate has it.
+//! Links MuJoCo into this crate's tests if the feature is enabled.
 
 #[cfg(feature = "egl")]
 fn main() -> std::process::ExitCode {

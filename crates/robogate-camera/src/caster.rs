@@ -1,4 +1,4 @@
-//! The ray caster: from bodies and light to pixels.
+//! The ray caster: computes pixels from bodies and light.
 
 use nalgebra::Vector3;
 
@@ -11,7 +11,7 @@ use crate::tiles::{TILE, Tiles, View};
 /// Neighbouring pixels that differ by more than this (of 255) are sampled again.
 const CONTRAST: u8 = 20;
 
-/// Positions of the samples of such a pixel, in pixels from its centre: no two in a row or column.
+/// Positions of the samples of such a pixel, in pixels from its centre. No two share a row or column.
 const SAMPLES: [[f32; 2]; 4] = [[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]];
 
 /// The room around the table.
@@ -24,9 +24,9 @@ pub(crate) struct Room {
 }
 
 impl Room {
-    /// Exposed light from floor and walls along a ray from `eye`. Nothing on the table reaches them.
+    /// Exposed light from floor and walls along a ray from `eye`. Bodies on the table cast no shadow there.
     pub(crate) fn seen(&self, light: &Light, eye: &Vector3<f32>, direction: &Vector3<f32>) -> Vector3<f32> {
-        /// From the base to the walls, in metres.
+        /// Distance from the base to the walls, in metres.
         const WALL: f32 = 2.2;
         let flat = (direction.x * direction.x + direction.y * direction.y).sqrt().max(1e-6);
         let start = (eye.x * eye.x + eye.y * eye.y).sqrt();
@@ -44,7 +44,7 @@ impl Room {
     }
 }
 
-/// Everything that a picture shows.
+/// Everything that an image shows.
 pub(crate) struct Picture<'a> {
     pub(crate) bodies: &'a [Body<'a>],
     pub(crate) shadows: &'a Shadows<'a>,
@@ -71,7 +71,7 @@ impl View {
         }
     }
 
-    /// Rays through these places in the picture (pixels).
+    /// Rays through these positions in the image (pixels).
     fn rays(&self, places: &[[f32; 2]; LANES]) -> Rays {
         let mut rays = Rays { x: [0.0; LANES], y: [0.0; LANES], z: [0.0; LANES] };
         for (k, [u, v]) in places.iter().enumerate() {
@@ -173,7 +173,7 @@ impl Picture<'_> {
             while bits != 0 {
                 let (body, near) = tiles.order[word * 64 + bits.trailing_zeros() as usize];
                 bits &= bits - 1;
-                // Bodies are sorted by their smallest depth: all further ones are hidden.
+                // Bodies are sorted by their smallest depth, so all further ones are hidden.
                 if !self.exhaustive && hits.depth.iter().all(|depth| *depth <= near) {
                     return hits;
                 }
@@ -218,7 +218,7 @@ impl Picture<'_> {
         for (k, inverse) in inverse.iter_mut().enumerate() {
             *inverse = 1.0 / (rays.x[k] * rays.x[k] + rays.y[k] * rays.y[k] + rays.z[k] * rays.z[k]).sqrt();
         }
-        // Per ray: what depends on the surface.
+        // Per ray: the terms that depend on the surface.
         let (mut nx, mut ny, mut nz) = ([0.0; LANES], [0.0; LANES], [1.0; LANES]);
         let (mut facing, mut gloss, mut seen) = ([1.0; LANES], [0.0; LANES], [0.0; LANES]);
         let mut albedo = [Vector3::zeros(); LANES];

@@ -19,14 +19,15 @@ pub(crate) struct Mesh {
 struct Node {
     low: Vector3<f32>,
     high: Vector3<f32>,
-    /// In a leaf the index of its first triangle; otherwise that of its second child. The first child follows the node.
+    /// The index of the first triangle of a leaf; otherwise that of the second child. The first child follows the node.
     next: u32,
     /// Number of triangles in a leaf; 0 otherwise.
     count: u32,
 }
 
 impl Mesh {
-    /// The mesh of these triangles, and the centre of its bounding box (m). `None` without a triangle of positive area.
+    /// Creates a mesh of these triangles. Also returns the centre of its bounding box (m). `None` without a triangle of
+    /// positive area.
     pub(crate) fn new(triangles: &[[Vector3<f64>; 3]]) -> Option<(Self, Vector3<f64>)> {
         let corners = || triangles.iter().flatten();
         let first = corners().next()?;
@@ -117,7 +118,7 @@ fn part(triangles: &mut [[Vector3<f32>; 3]], first: usize, nodes: &mut Vec<Node>
         return;
     }
     nodes.push(Node { low, high, next: 0, count: 0 });
-    // Halves of equal number bound the depth of the tree for all meshes.
+    // Two halves with equal numbers of triangles bound the depth of the tree for all meshes.
     let axis = (high - low).imax();
     let middle = triangles.len() / 2;
     let place = |t: &[Vector3<f32>; 3]| t[0][axis] + t[1][axis] + t[2][axis];

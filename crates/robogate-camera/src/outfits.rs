@@ -1,7 +1,7 @@
 //! Appearance of the built-in robots beyond their collision shapes.
 //!
-//! It is defined here and not in the robots' files, because a robot's hash is computed over its files and must not depend
-//! on appearance. Shapes deviate from the collision shapes by a few millimetres at most.
+//! The appearance is defined here and not in the robots' files, because a robot's hash covers its files and must not
+//! depend on appearance. Shapes deviate from the collision shapes by a few millimetres at most.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use robogate_physics::description::{Description, LinkLook, Solid};
@@ -12,9 +12,9 @@ use crate::looks::Piece;
 
 /// Appearance of a built-in robot.
 pub(crate) enum Outfit {
-    /// Parts that replace its model's shapes.
+    /// Parts that replace the model's shapes.
     Whole(&'static [Part]),
-    /// Its model's shapes, with housings at the joints.
+    /// The model's shapes, with housings at the joints.
     Housings,
 }
 
@@ -55,7 +55,7 @@ impl Paint {
     }
 }
 
-/// The outfit of the built-in robot of that name.
+/// The outfit of the built-in robot with this name.
 pub(crate) fn of(robot: &str) -> Option<Outfit> {
     match robot {
         "franka" => Some(Outfit::Whole(FRANKA)),
