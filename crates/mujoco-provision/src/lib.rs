@@ -1,8 +1,8 @@
-//! Fetches the pinned MuJoCo library once and links it. For build scripts only.
+//! Downloads the pinned MuJoCo library once and links it. For build scripts only.
 //!
-//! The library comes out of the `mujoco` wheel on the Python package index, checked against a pinned
-//! SHA-256 by pip itself, and lies in a cache folder that debug, release, test and installed binaries
-//! share (they find it there by rpath, so a `cargo clean` breaks none of them).
+//! The library comes from the `mujoco` wheel on the Python package index. pip checks the wheel against a pinned
+//! SHA-256. The library is stored in a cache folder that debug, release, test and installed binaries share. They find
+//! it there by rpath, so `cargo clean` does not break them.
 
 use std::env;
 use std::ffi::OsStr;
@@ -16,26 +16,28 @@ pub const VERSION: &str = "3.17.0";
 /// The library's file name, which is also its `SONAME`.
 pub const LIBRARY: &str = "libmujoco.so.3.17.0";
 
-/// Names a library (or its folder) that is there already.
+/// Environment variable with the path of an existing library, or of its folder.
 pub const LIBRARY_VARIABLE: &str = "ROBOGATE_MUJOCO_LIB";
 
-/// Names the folder for what is downloaded; default `$XDG_CACHE_HOME/robogate`, else `~/.cache/robogate`.
+/// Environment variable with the download folder. The default is `$XDG_CACHE_HOME/robogate`, otherwise
+/// `~/.cache/robogate`.
 pub const CACHE_VARIABLE: &str = "ROBOGATE_CACHE_DIR";
 
-/// One wheel holds the library whatever Python is there; the two hashes are x86_64's and aarch64's.
+/// The pip requirement. One wheel per platform contains the library for any Python version; the two hashes are those of
+/// x86_64 and aarch64.
 const REQUIREMENT: &str = "mujoco==3.17.0 \
     --hash=sha256:d66928d86a2d1b601bbaa4dc11db50214d17d5301bb8afd84721313b67ff0874 \
     --hash=sha256:91a70ed9979c383ff1f5c03f25cc2e1280a8254c1a8e558d5dd7f4184f01efc9\n";
 
-/// Takes the one library out of the wheel (arguments: folder with the wheel, member, target).
+/// Python script that extracts the library from the wheel. Arguments: folder with the wheel, member, target.
 const UNPACK: &str = "import glob, sys, zipfile
 wheel, = glob.glob(sys.argv[1] + '/mujoco-*.whl')
 with zipfile.ZipFile(wheel) as z, open(sys.argv[3], 'wb') as f:
     f.write(z.read('mujoco/' + sys.argv[2]))
 ";
 
-/// The whole build script of a package whose binaries or tests run MuJoCo.
-#[expect(clippy::print_stdout, clippy::print_stderr, reason = "a build script speaks to cargo and to its reader so")]
+/// The complete build script of a package whose binaries or tests run MuJoCo.
+#[expect(clippy::print_stdout, clippy::print_stderr, reason = "a build script writes instructions to stdout and errors to stderr")]
 pub fn link() -> ExitCode {
     println!("cargo::rerun-if-env-changed={LIBRARY_VARIABLE}");
     println!("cargo::rerun-if-env-changed={CACHE_VARIABLE}");
@@ -58,7 +60,7 @@ pub fn link() -> ExitCode {
     }
 }
 
-/// The folder that holds [`LIBRARY`].
+/// Returns the folder that contains [`LIBRARY`], and downloads the library if needed.
 fn provide() -> Result<PathBuf, String> {
     if let Some(given) = env::var_os(LIBRARY_VARIABLE).filter(|v| !v.is_empty()) {
         return given_folder(Path::new(&given));
@@ -66,7 +68,7 @@ fn provide() -> Result<PathBuf, String> {
     let arch = env::var("CARGO_CFG_TARGET_ARCH").unwrap_or_default();
     let os = env::var("CARGO_CFG_TARGET_OS").unwrap_or_default();
     if os != "linux" || !["x86_64", "aarch64"].contains(&arch.as_str()) {
-        return Err(format!("it is provisioned on Linux x86_64 and aarch64 only (this is {os} {arch})"));
+        return Err(format!("automatic download supports only Linux on x86_64 and aarch64 (this is {os} on {arch})"));
     }
     let folder = cache()?.join(format!("mujoco-{VERSION}-{arch}"));
     if !folder.join(LIBRARY).is_file() {
@@ -79,7 +81,7 @@ fn given_folder(given: &Path) -> Result<PathBuf, String> {
     let folder = if given.is_dir() { Some(given) } else { given.parent() };
     match folder.filter(|f| given.is_absolute() && f.join(LIBRARY).is_file()) {
         Some(folder) => Ok(folder.to_owned()),
-        None => Err(format!("{LIBRARY_VARIABLE}={} is no absolute path to a {LIBRARY}", given.display())),
+        None => Err(format!("{LIBRARY_VARIABLE}={}: expected the absolute path of {LIBRARY} or of its folder", given.display())),
     }
 }
 
@@ -89,12 +91,11 @@ fn cache() -> Result<PathBuf, String> {
         .or_else(|| named("XDG_CACHE_HOME").map(|p| p.join("robogate")))
         .or_else(|| named("HOME").map(|p| p.join(".cache/robogate")))
         .filter(|p| p.is_absolute())
-        .ok_or_else(|| format!("no cache folder: set {CACHE_VARIABLE} or HOME to an absolute path"))
+        .ok_or_else(|| format!("no cache folder is known. Set {CACHE_VARIABLE} or HOME to an absolute path"))
 }
 
 fn download(folder: &Path, arch: &str) -> Result<(), String> {
-    // Two build scripts may do this at once: each works in a folder of its own, and the last step,
-    // a rename, is atomic.
+    // Two build scripts may run this at once. Each works in a separate folder, and the last step, a rename, is atomic.
     let work = folder.with_extension(format!("part-{}", std::process::id()));
     let io = |what: &Path| {
         let what = what.display().to_string();
@@ -119,13 +120,13 @@ fn download(folder: &Path, arch: &str) -> Result<(), String> {
         fs::create_dir_all(folder).map_err(io(folder))?;
         fs::rename(work.join(LIBRARY), folder.join(LIBRARY)).map_err(io(folder))
     });
-    // What is left is a copy of the wheel: its removal may fail without harm.
+    // Only a copy of the wheel is left. A failed deletion is harmless.
     drop(fs::remove_dir_all(&work));
     result
 }
 
 fn succeed(mut command: Command) -> Result<(), String> {
-    let output = command.output().map_err(|e| format!("python3 does not start: {e}"))?;
+    let output = command.output().map_err(|e| format!("cannot start python3: {e}"))?;
     if output.status.success() {
         return Ok(());
     }
