@@ -37,7 +37,11 @@ with zipfile.ZipFile(wheel) as z, open(sys.argv[3], 'wb') as f:
 ";
 
 /// The complete build script of a package whose binaries or tests run MuJoCo.
-#[expect(clippy::print_stdout, clippy::print_stderr, reason = "a build script writes instructions to stdout and errors to stderr")]
+#[expect(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a build script writes instructions to stdout and errors to stderr"
+)]
 pub fn link() -> ExitCode {
     println!("cargo::rerun-if-env-changed={LIBRARY_VARIABLE}");
     println!("cargo::rerun-if-env-changed={CACHE_VARIABLE}");
@@ -52,8 +56,8 @@ pub fn link() -> ExitCode {
         Err(why) => {
             eprintln!("error: MuJoCo {VERSION} could not be set up: {why}");
             eprintln!(
-                "hint: either give the build python3 with pip and a package index, \
-                 or set {LIBRARY_VARIABLE} to a {LIBRARY} (or its folder) that is there already"
+                "hint: install python3 with pip and make a package index reachable, \
+                 or set {LIBRARY_VARIABLE} to the path of an existing {LIBRARY} (or of its folder)"
             );
             ExitCode::FAILURE
         }
@@ -81,7 +85,10 @@ fn given_folder(given: &Path) -> Result<PathBuf, String> {
     let folder = if given.is_dir() { Some(given) } else { given.parent() };
     match folder.filter(|f| given.is_absolute() && f.join(LIBRARY).is_file()) {
         Some(folder) => Ok(folder.to_owned()),
-        None => Err(format!("{LIBRARY_VARIABLE}={}: expected the absolute path of {LIBRARY} or of its folder", given.display())),
+        None => Err(format!(
+            "{LIBRARY_VARIABLE}={}: expected the absolute path of {LIBRARY} or of its folder",
+            given.display()
+        )),
     }
 }
 

@@ -22,7 +22,7 @@ struct Both {
     theirs: Box<dyn RayCast>,
     pose: Isometry3<f64>,
     /// Rotation from our frame to parry's.
-    turn: UnitQuaternion<f64>,
+    rotation: UnitQuaternion<f64>,
 }
 
 fn solid(kind: usize, stream: &mut Stream) -> Both {
@@ -30,7 +30,7 @@ fn solid(kind: usize, stream: &mut Stream) -> Both {
     let quarter = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
     let (a, b, c) = (size(), size(), size());
     let [x, y, z] = [a, b, c].map(|x| x as f32);
-    let (ours, theirs, turn): (_, Box<dyn RayCast>, _) = match kind % 5 {
+    let (ours, theirs, rotation): (_, Box<dyn RayCast>, _) = match kind % 5 {
         0 => (Form::Box { half: [x, y, z] }, Box::new(Cuboid::new(Vector::new(a, b, c))), UnitQuaternion::identity()),
         1 => (Form::Sphere { radius: x }, Box::new(Ball::new(a)), UnitQuaternion::identity()),
         2 => (Form::Capsule { radius: x, half_height: y }, Box::new(Capsule::new_y(b, a)), quarter),
@@ -48,7 +48,7 @@ fn solid(kind: usize, stream: &mut Stream) -> Both {
     };
     let place = Translation3::new(stream.between(-0.4, 0.4), stream.between(-0.5, 0.5), stream.between(-0.1, 0.4));
     let axis = Vector3::new(stream.between(-3.0, 3.0), stream.between(-3.0, 3.0), stream.between(-3.0, 3.0));
-    Both { ours, theirs, pose: Isometry3::from_parts(place, UnitQuaternion::from_scaled_axis(axis)), turn }
+    Both { ours, theirs, pose: Isometry3::from_parts(place, UnitQuaternion::from_scaled_axis(axis)), rotation }
 }
 
 /// The caster's hits at each pixel of an image of these solids.
@@ -80,12 +80,12 @@ fn depths_match_parry() {
         for (i, (depth, body)) in hits(&forms, &camera).into_iter().enumerate() {
             let place = [(i % camera.width) as f64 + 0.5, (i / camera.width) as f64 + 0.5];
             // Length 1 along the line of sight, so times of impact are depths.
-            let way = camera.point(place, 1.0).coords - eye;
+            let direction = camera.point(place, 1.0).coords - eye;
             let first = solids.iter().enumerate().filter_map(|(k, both)| {
-                let pose = both.pose * both.turn.inverse();
+                let pose = both.pose * both.rotation.inverse();
                 let local = |v: Vector3<f64>| Vector::new(v.x, v.y, v.z);
                 let origin = pose.inverse_transform_point(&eye.into()).coords;
-                let ray = Ray::new(local(origin), local(pose.inverse_transform_vector(&way)));
+                let ray = Ray::new(local(origin), local(pose.inverse_transform_vector(&direction)));
                 Some((both.theirs.cast_local_ray(&ray, 10.0, false)?, k as u32))
             });
             let theirs = first.min_by(|a, b| a.0.total_cmp(&b.0));

@@ -89,8 +89,8 @@ impl Hits {
 
 impl<'a> Body<'a> {
     pub(crate) fn new(form: &'a Form, finish: &'a Finish, pose: &Isometry3<f64>) -> Self {
-        let turn = pose.rotation.to_rotation_matrix();
-        let axes = [0, 1, 2].map(|i| turn.matrix().column(i).map(|x| x as f32));
+        let rotation = pose.rotation.to_rotation_matrix();
+        let axes = [0, 1, 2].map(|i| rotation.matrix().column(i).map(|x| x as f32));
         Self { form, finish, centre: pose.translation.vector.map(|x| x as f32), axes }
     }
 
@@ -174,9 +174,9 @@ impl<'a> Body<'a> {
     }
 
     /// A direction of the base frame in the body's frame.
-    pub(crate) fn along_axes(&self, way: &Vector3<f32>) -> Vector3<f32> {
+    pub(crate) fn along_axes(&self, direction: &Vector3<f32>) -> Vector3<f32> {
         let [x, y, z] = &self.axes;
-        Vector3::new(x.dot(way), y.dot(way), z.dot(way))
+        Vector3::new(x.dot(direction), y.dot(direction), z.dot(direction))
     }
 }
 

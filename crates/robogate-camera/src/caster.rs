@@ -58,8 +58,8 @@ pub(crate) struct Picture<'a> {
 
 impl View {
     pub(crate) fn new(camera: &Pinhole) -> Self {
-        let turn = camera.pose.rotation.to_rotation_matrix();
-        let column = |i: usize| turn.matrix().column(i).map(|x| x as f32);
+        let rotation = camera.pose.rotation.to_rotation_matrix();
+        let column = |i: usize| rotation.matrix().column(i).map(|x| x as f32);
         Self {
             eye: camera.pose.translation.vector.map(|x| x as f32),
             right: column(0),
@@ -197,11 +197,11 @@ impl Picture<'_> {
                 let share = clear(hits.body[lane]);
                 if share > 0.0 {
                     let body = &self.bodies[hits.body[lane] as usize];
-                    let way = rays.direction(lane);
+                    let direction = rays.direction(lane);
                     // At a grazing angle, glass transmits less and reflects more.
-                    let point = view.eye + way * hits.depth[lane];
+                    let point = view.eye + direction * hits.depth[lane];
                     let normal = body.normal(&body.local(&point), hits.triangle[lane]);
-                    let slant = 1.0 - (normal.dot(&way) / way.norm()).abs();
+                    let slant = 1.0 - (normal.dot(&direction) / direction.norm()).abs();
                     let share = share * (1.0 - 0.7 * slant * slant * slant);
                     let tint = body.finish.tint();
                     *color = *color * (1.0 - share) + beyond[lane].component_mul(&tint) * share;
@@ -224,11 +224,11 @@ impl Picture<'_> {
         let mut albedo = [Vector3::zeros(); LANES];
         for k in 0..LANES {
             let Some(body) = self.bodies.get(hits.body[k] as usize) else { continue };
-            let way = rays.direction(k);
-            let point = view.eye + way * hits.depth[k];
+            let direction = rays.direction(k);
+            let point = view.eye + direction * hits.depth[k];
             let local = body.local(&point);
             let mut normal = body.normal(&local, hits.triangle[k]);
-            let mut away = normal.dot(&way) * inverse[k];
+            let mut away = normal.dot(&direction) * inverse[k];
             if away > 0.0 {
                 // A mesh may be open or have inward normals.
                 (normal, away) = (-normal, -away);

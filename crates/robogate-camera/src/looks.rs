@@ -37,7 +37,7 @@ pub(crate) struct Piece {
     pub(crate) link: usize,
     pub(crate) form: Form,
     pub(crate) finish: Finish,
-    /// Its pose in the link's frame.
+    /// The pose in the link's frame.
     pub(crate) place: Isometry3<f64>,
 }
 
@@ -118,8 +118,8 @@ impl RobotLooks {
                 let motion = if hinge.slides {
                     Isometry3::translation(q, 0.0, 0.0)
                 } else {
-                    let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), q);
-                    Isometry3::from_parts(Translation3::identity(), turn)
+                    let rotation = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), q);
+                    Isometry3::from_parts(Translation3::identity(), rotation)
                 };
                 // Parents precede their children.
                 poses.get(hinge.parent).copied().unwrap_or_default() * hinge.in_parent * motion * hinge.from_joint

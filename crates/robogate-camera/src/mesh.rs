@@ -57,8 +57,8 @@ impl Mesh {
     }
 
     /// First hit of a ray with the mesh, in multiples of its direction between `from` and `to`, and the triangle.
-    pub(crate) fn first(&self, eye: &Vector3<f32>, way: &Vector3<f32>, from: f32, to: f32) -> Option<(f32, u32)> {
-        let inverse = way.map(|x| 1.0 / if x.abs() < 1e-9 { 1e-9 } else { x });
+    pub(crate) fn first(&self, eye: &Vector3<f32>, direction: &Vector3<f32>, from: f32, to: f32) -> Option<(f32, u32)> {
+        let inverse = direction.map(|x| 1.0 / if x.abs() < 1e-9 { 1e-9 } else { x });
         let mut found = None;
         let mut limit = to;
         let mut stack = [0_u32; 64];
@@ -80,7 +80,7 @@ impl Mesh {
                 continue;
             }
             for triangle in node.next..node.next + node.count {
-                if let Some(t) = meet(&self.triangles[triangle as usize], eye, way)
+                if let Some(t) = meet(&self.triangles[triangle as usize], eye, direction)
                     && t > from
                     && t < limit
                 {
@@ -94,8 +94,8 @@ impl Mesh {
 }
 
 /// Ray-triangle intersection (Möller and Trumbore 1997).
-fn meet([corner, along, across]: &[Vector3<f32>; 3], eye: &Vector3<f32>, way: &Vector3<f32>) -> Option<f32> {
-    let p = way.cross(across);
+fn meet([corner, along, across]: &[Vector3<f32>; 3], eye: &Vector3<f32>, direction: &Vector3<f32>) -> Option<f32> {
+    let p = direction.cross(across);
     let determinant = along.dot(&p);
     if determinant.abs() < 1e-14 {
         return None;
@@ -103,7 +103,7 @@ fn meet([corner, along, across]: &[Vector3<f32>; 3], eye: &Vector3<f32>, way: &V
     let s = eye - corner;
     let u = s.dot(&p) / determinant;
     let q = s.cross(along);
-    let v = way.dot(&q) / determinant;
+    let v = direction.dot(&q) / determinant;
     (u >= 0.0 && v >= 0.0 && u + v <= 1.0).then(|| across.dot(&q) / determinant)
 }
 

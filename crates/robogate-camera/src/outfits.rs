@@ -140,10 +140,10 @@ impl Part {
 /// The frame at the middle of a segment with z along it, and half its length.
 fn along(from: [f64; 3], to: [f64; 3]) -> (Isometry3<f64>, f64) {
     let (from, to) = (Point3::from(from), Point3::from(to));
-    let way = to - from;
-    let turn = UnitQuaternion::rotation_between(&Vector3::z(), &way)
+    let axis = to - from;
+    let rotation = UnitQuaternion::rotation_between(&Vector3::z(), &axis)
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
-    (Isometry3::from_parts(Translation3::from(nalgebra::center(&from, &to).coords), turn), 0.5 * way.norm())
+    (Isometry3::from_parts(Translation3::from(nalgebra::center(&from, &to).coords), rotation), 0.5 * axis.norm())
 }
 
 /// A shape of a UR's model: tubes of brushed aluminium, joints as drums with a blue lid at each end.

@@ -22,8 +22,8 @@ impl Pinhole {
         let forward = (at - from).normalize();
         let right = forward.cross(up).normalize();
         let down = forward.cross(&right);
-        let turn = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[right, down, forward]));
-        Isometry3::from_parts(from.into(), UnitQuaternion::from_rotation_matrix(&turn))
+        let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[right, down, forward]));
+        Isometry3::from_parts(from.into(), UnitQuaternion::from_rotation_matrix(&rotation))
     }
 
     /// A camera pose rotated about the line of sight by `roll` (positive: clockwise as seen from behind the camera), then
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn roll_and_pitch_can_be_read_back() {
+    fn roll_and_pitch_round_trip() {
         let pose = camera().pose;
         for (roll, pitch) in [(0.0, 0.0), (0.2, -0.1), (-0.5, 0.5), (0.01, 0.3)] {
             let off = Pinhole::turn_between(&pose, &Pinhole::turned(&pose, roll, pitch));

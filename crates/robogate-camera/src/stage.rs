@@ -37,7 +37,7 @@ pub(crate) struct Prop {
     form: Form,
     pub(crate) finish: Finish,
     pub(crate) with: With,
-    /// Its pose in that body's frame.
+    /// The pose in that body's frame.
     place: Isometry3<f64>,
 }
 

@@ -503,7 +503,9 @@ pub enum PlanError {
         found: String,
     },
     /// A suite with another parameter space.
-    #[error("the parameter space does not match the suite\nhint: a suite defines its own space; remove the separate one")]
+    #[error(
+        "the parameter space does not match the suite\nhint: a suite defines its own space; remove the separate one"
+    )]
     SuiteSpace,
     /// A second stage without a first.
     #[error(
@@ -518,7 +520,7 @@ pub enum PlanError {
     TooMany {
         /// The key.
         key: &'static str,
-        /// Its value.
+        /// The value.
         found: u64,
         /// The limit.
         most: u64,
@@ -526,7 +528,7 @@ pub enum PlanError {
     /// An invalid number of bins.
     #[error("`boundary.bins` is {found}; expected 2 to {most}")]
     Bins {
-        /// Its value.
+        /// The value.
         found: usize,
         /// The limit.
         most: usize,
@@ -542,15 +544,15 @@ pub enum PlanError {
     /// An invalid band of success rates.
     #[error("`boundary.band` is [{low}, {high}]; expected two increasing numbers from 0 to 1")]
     Band {
-        /// Its lower end.
+        /// The lower end.
         low: f64,
-        /// Its upper end.
+        /// The upper end.
         high: f64,
     },
     /// A share out of range.
     #[error("`boundary.emphasis.share` is {share}; expected a number from 0 to 1\nhint: write 30 % as 0.30")]
     Share {
-        /// Its value.
+        /// The value.
         share: f64,
     },
     /// An emphasis without conditions.
@@ -629,9 +631,9 @@ pub enum PlanError {
         key: String,
         /// The parameter.
         parameter: String,
-        /// Its lower end.
+        /// The lower end.
         low: f64,
-        /// Its upper end.
+        /// The upper end.
         high: f64,
     },
     /// Two ranges of the same parameter in one list.

@@ -195,9 +195,10 @@ impl ActionSpec {
                 }
                 match low.iter().zip(high).position(|(low, high)| !(low < high && low.is_finite() && high.is_finite()))
                 {
-                    Some(i) => {
-                        Err(format!("`{}`: low {} must be below high {}, and both must be finite", names[i], low[i], high[i]))
-                    }
+                    Some(i) => Err(format!(
+                        "`{}`: low {} must be below high {}, and both must be finite",
+                        names[i], low[i], high[i]
+                    )),
                     None => Ok(()),
                 }
             }

@@ -324,9 +324,9 @@ pub enum SpaceError {
     EmptyRange {
         /// The name.
         parameter: String,
-        /// Its lower end.
+        /// The lower end.
         low: f64,
-        /// Its upper end.
+        /// The upper end.
         high: f64,
     },
     /// An infinite range or a bound that is not a number.
@@ -340,7 +340,7 @@ pub enum SpaceError {
     LogOfNonPositive {
         /// The name.
         parameter: String,
-        /// Its lower end.
+        /// The lower end.
         low: f64,
     },
     /// A correlation names an unknown parameter.
@@ -388,7 +388,7 @@ pub enum SpaceError {
         parameters: String,
     },
     /// An integer range with too many values.
-    #[error("parameter `{parameter}`: more than 2^32 integers. Use kind = "continuous" instead")]
+    #[error("parameter `{parameter}`: more than 2^32 integers. Use `kind = \"continuous\"` instead")]
     TooManyLevels {
         /// The name.
         parameter: String,

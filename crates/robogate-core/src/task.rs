@@ -182,7 +182,7 @@ pub struct VectorSpec {
 /// A camera.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct CameraSpec {
-    /// Its name.
+    /// The name.
     pub name: String,
     /// Width in pixels.
     pub width: usize,
@@ -349,12 +349,16 @@ impl ParameterSpec {
         }
         match &self.allowed {
             Allowed::Continuous { low, high } if !(low.is_finite() && high.is_finite() && low <= high) => {
-                return wrong(format!("the range {low} to {high} is not valid: expected finite numbers in increasing order"));
+                return wrong(format!(
+                    "the range {low} to {high} is not valid: expected finite numbers in increasing order"
+                ));
             }
             Allowed::Integer { low, high } if low > high => {
                 return wrong(format!("the range {low} to {high} is not valid: expected integers in increasing order"));
             }
-            Allowed::Categorical { choices, .. } if choices.is_empty() => return wrong("`choices` is empty; expected at least one".to_owned()),
+            Allowed::Categorical { choices, .. } if choices.is_empty() => {
+                return wrong("`choices` is empty; expected at least one".to_owned());
+            }
             _ => {}
         }
         match &self.nominal {
@@ -399,7 +403,7 @@ pub enum TaskError {
     TooMany {
         /// The list.
         list: &'static str,
-        /// Its length.
+        /// The length.
         found: usize,
         /// The limit.
         most: usize,
@@ -407,7 +411,7 @@ pub enum TaskError {
     /// A parameter with an invalid declaration.
     #[error("parameter `{parameter}`: {problem}")]
     Parameter {
-        /// Its name.
+        /// The name.
         parameter: String,
         /// The problem.
         problem: String,

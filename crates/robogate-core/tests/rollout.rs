@@ -257,8 +257,14 @@ fn unapplied_parameter_is_invalid() {
     type Alteration = fn(&mut Assignment);
     let alterations: [(Alteration, &str); 4] = [
         (|a| a.set("start", Value::Number(0.250_001)), "requested start = 0.25, but the environment applied 0.250001"),
-        (|a| a.set("start", Value::Category("0.25".into())), "requested start = 0.25, but the environment applied 0.25"),
-        (|a| a.set("shape", Value::Category("sphere".into())), "requested shape = box, but the environment applied sphere"),
+        (
+            |a| a.set("start", Value::Category("0.25".into())),
+            "requested start = 0.25, but the environment applied 0.25",
+        ),
+        (
+            |a| a.set("shape", Value::Category("sphere".into())),
+            "requested shape = box, but the environment applied sphere",
+        ),
         (|a| *a = Assignment::default(), "requested start = 0.25, but the environment applied nothing"),
     ];
     for (alter, detail) in alterations {
@@ -359,7 +365,7 @@ impl Policy for Constant {
 }
 
 #[test]
-fn action_outside_the_spec_is_a_fault() {
+fn action_outside_spec_is_fault() {
     let commands = [
         Command::Vector(vec![]),
         Command::Vector(vec![f64::NAN]),

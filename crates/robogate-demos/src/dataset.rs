@@ -143,7 +143,9 @@ impl Dataset {
         let first = demonstration.frames.first().ok_or_else(|| unfit("it has no frames"))?;
         let form = self.form.get_or_insert_with(|| Form::of(first)).clone();
         if let Some(i) = demonstration.frames.iter().position(|frame| Form::of(frame) != form) {
-            return Err(unfit(&format!("frame {i} differs from the first frame in its joints, cameras or image sizes")));
+            return Err(unfit(&format!(
+                "frame {i} differs from the first frame in its joints, cameras or image sizes"
+            )));
         }
         let task = self.tasks.iter().position(|task| *task == demonstration.task).unwrap_or_else(|| {
             self.tasks.push(demonstration.task.clone());
@@ -281,13 +283,13 @@ impl Dataset {
         let tool = ["x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"].map(|part| format!("tool_{part}"));
         let opening = form.has_opening.then(|| "gripper_opening_m".to_owned());
         let delta = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"].map(|part| format!("tool_delta_{part}"));
-        let told = ["x_m", "y_m", "z_m", "edge_m"].map(|part| format!("object_{part}"));
+        let object = ["x_m", "y_m", "z_m", "edge_m"].map(|part| format!("object_{part}"));
         let names: [Vec<String>; 5] = [
             joints.clone().chain(tool.clone()).chain(opening).collect(),
             joints.chain(["gripper_open".to_owned()]).collect(),
             tool.into(),
             delta.into(),
-            told.into(),
+            object.into(),
         ];
         for ((feature, size, _), names) in VECTORS.into_iter().zip(names) {
             let feature_json = json!({"dtype": "float32", "shape": [size(form)], "names": names, "fps": self.fps});

@@ -160,8 +160,8 @@ impl<P: Policy> Policy for Recorder<P> {
             Some((expert, _)) => self.chain.tcp_at(expert),
             None => self.chain.tcp_at(observation.joint_positions()),
         };
-        let way = goal.translation.vector - before.translation.vector;
-        let turn = (goal.rotation * before.rotation.inverse()).scaled_axis();
+        let translation = goal.translation.vector - before.translation.vector;
+        let rotation = (goal.rotation * before.rotation.inverse()).scaled_axis();
         self.demonstration.frames.push(Frame {
             time_s: observation.time_s,
             joints: observation.joint_positions().to_vec(),
@@ -170,7 +170,7 @@ impl<P: Policy> Policy for Recorder<P> {
             pictures: observation.images.iter().map(Picture::of).collect::<Result<_, _>>()?,
             wanted: wanted.clone(),
             wanted_tool: pose(&goal),
-            wanted_delta: [way.x, way.y, way.z, turn.x, turn.y, turn.z],
+            wanted_delta: [translation.x, translation.y, translation.z, rotation.x, rotation.y, rotation.z],
             gripper: GripperCommand::of(&action),
             told: self.told,
         });

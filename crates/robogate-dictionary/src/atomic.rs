@@ -22,7 +22,10 @@ impl AtomicFile {
     /// Creates the temporary file for `path`.
     pub(crate) fn create(path: &Path) -> Result<Self, DictionaryError> {
         let name = path.file_name().ok_or_else(|| {
-            DictionaryError::io(path, "create")(io::Error::new(io::ErrorKind::InvalidInput, "the path has no file name"))
+            DictionaryError::io(path, "create")(io::Error::new(
+                io::ErrorKind::InvalidInput,
+                "the path has no file name",
+            ))
         })?;
         if path.is_dir() {
             return Err(DictionaryError::io(path, "create")(io::ErrorKind::IsADirectory.into()));

@@ -27,9 +27,9 @@ pub struct Entry {
 pub struct Label {
     /// The scenario's id in its suite.
     pub case: Option<String>,
-    /// Its category (`nominal`, `edge_cases`, ...).
+    /// The category (`nominal`, `edge_cases`, ...).
     pub category: Option<String>,
-    /// Its group within the category (`small_objects`, ...).
+    /// The group within the category (`small_objects`, ...).
     pub group: Option<String>,
 }
 

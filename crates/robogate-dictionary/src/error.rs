@@ -54,7 +54,7 @@ pub enum DictionaryError {
     NewerSchema {
         /// The file.
         path: PathBuf,
-        /// Its version.
+        /// The version.
         found: SchemaVersion,
     },
     /// A parameter or measure has the name of another column.
@@ -124,13 +124,11 @@ pub enum DictionaryError {
         index: u64,
     },
     /// Two episodes of different campaigns in one dictionary.
-    #[error(
-        "episode {index} belongs to a campaign with seed {found}. Expected seed {expected}, as in the dictionary"
-    )]
+    #[error("episode {index} belongs to a campaign with seed {found}. Expected seed {expected}, as in the dictionary")]
     ForeignCampaign {
         /// The episode's index.
         index: u64,
-        /// Its campaign's seed.
+        /// The campaign's seed.
         found: u64,
         /// The dictionary's seed.
         expected: u64,

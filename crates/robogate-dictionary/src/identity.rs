@@ -18,9 +18,9 @@ pub fn suite_sha256(suite: &Suite) -> String {
 /// The exact identity of a task.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct TaskIdentity {
-    /// Its name.
+    /// The name.
     pub name: String,
-    /// Its version.
+    /// The version.
     pub version: u32,
     /// SHA-256 (hex) of its declaration as JSON.
     pub sha256: String,

@@ -139,7 +139,8 @@ impl Journal {
                 "version {version} is newer than {VERSION}, the newest that this version of robogate reads\nhint: upgrade robogate"
             )),
             (Some(&MAGIC), Some(BEFORE_TASKS)) if found == header_of(BEFORE_TASKS) => refuse(
-                "this run was started with robogate 0.1\nhint: finish it with that version, or start it again".to_owned(),
+                "this run was started with robogate 0.1\nhint: finish it with that version, or start it again"
+                    .to_owned(),
             ),
             (Some(&MAGIC), _) => refuse("its header is damaged".to_owned()),
             _ => refuse("it does not start with the header of a journal\nhint: check the path".to_owned()),

@@ -620,7 +620,9 @@ fn count_rows(metadata: &ParquetMetaData, checksums: usize) -> Result<u64, Strin
     }
     let chunks: usize = metadata.row_groups().iter().map(|group| group.num_columns()).sum();
     if chunks != checksums {
-        return Err(format!("expected {chunks} checksums, one per column chunk, got {checksums}: another program rewrote the file"));
+        return Err(format!(
+            "expected {chunks} checksums, one per column chunk, got {checksums}: another program rewrote the file"
+        ));
     }
     Ok(rows)
 }

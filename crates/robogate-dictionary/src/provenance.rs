@@ -61,9 +61,9 @@ fn before_tasks() -> Arc<TaskSpec> {
 /// The tool that wrote a dictionary.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Tool {
-    /// Its name.
+    /// The name.
     pub name: String,
-    /// Its version.
+    /// The version.
     pub version: String,
 }
 
@@ -77,9 +77,9 @@ impl Tool {
 /// The physics engine.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Engine {
-    /// Its name (`mujoco`).
+    /// The name (`mujoco`).
     pub name: String,
-    /// Its version, if known.
+    /// The version, if known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub version: Option<String>,
     /// SHA-256 (hex) of the loaded library. Another build of the same version can give different bits.
@@ -90,7 +90,7 @@ pub struct Engine {
 /// The robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Robot {
-    /// Its name (`franka`).
+    /// The name (`franka`).
     pub name: String,
     /// SHA-256 (hex) over the files of its folder, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -145,7 +145,7 @@ impl Platform {
 /// The file from which a dictionary was imported.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Source {
-    /// Its format (`published_json`).
+    /// The format (`published_json`).
     pub format: String,
     /// SHA-256 (hex) of its bytes.
     pub sha256: String,

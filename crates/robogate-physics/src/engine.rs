@@ -83,7 +83,7 @@ pub trait Engine {
 pub struct EngineBuild {
     /// The engine's name in commands.
     pub name: &'static str,
-    /// Its version.
+    /// The version.
     pub version: String,
     /// The shared library that it runs from, if there is one.
     pub library: Option<std::path::PathBuf>,
@@ -138,13 +138,13 @@ pub struct Readback {
 /// A fixture, as read from an engine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FixtureRead {
-    /// Its index in the scene.
+    /// The index in the scene.
     pub fixture: usize,
-    /// Its shape; `None` if it is not a primitive.
+    /// The shape; `None` if it is not a primitive.
     pub primitive: Option<Primitive>,
-    /// Its pose.
+    /// The pose.
     pub pose: Isometry3<f64>,
-    /// Its motion, if it moves.
+    /// The motion, if it moves.
     pub motion: Option<Motion>,
 }
 

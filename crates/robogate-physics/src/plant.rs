@@ -62,7 +62,7 @@ pub struct Plant<E> {
 struct Drives {
     servo: Servo,
     targets: JointTargets,
-    /// The suction cup, where the gripper has one.
+    /// The suction cup, if the gripper has one.
     suction: Option<Suction>,
     /// Parts of the object, for the distance measurement of the cup.
     parts: Vec<Part>,

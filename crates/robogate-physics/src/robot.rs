@@ -54,14 +54,14 @@ pub struct RobotSettings {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Site {
-    /// Its name. The model must not have a site of this name.
+    /// The name. The model must not have a site of this name.
     pub name: String,
     /// The body that carries it: a `body` of an MJCF, a `link` of a URDF.
     pub body: String,
-    /// Its position in the body's frame, in metres.
+    /// The position in the body's frame, in metres.
     #[serde(default)]
     pub position_m: [f64; 3],
-    /// Its orientation in the body's frame, in radians: roll, pitch and yaw about the fixed x, y and z axes, as in URDF.
+    /// The orientation in the body's frame, in radians: roll, pitch and yaw about the fixed x, y and z axes, as in URDF.
     #[serde(default)]
     pub rpy_rad: [f64; 3],
 }
@@ -274,7 +274,7 @@ impl Robot {
         if problems.is_empty() && !folder.join(&settings.model).is_file() {
             problems.push(Problem::new(
                 format!("model = \"{}\": the file does not exist beside robot.toml", settings.model),
-                "put the MJCF or URDF into the robot's folder and give its name here",
+                "put the MJCF or URDF into the robot's folder and give its file name here",
             ));
         }
         Ok((Self { settings, source: RobotSource::Folder(folder.to_owned()) }, problems))
@@ -387,7 +387,10 @@ impl RobotSettings {
         let arm = [("arm.reach_m", arm.reach_m), ("arm.payload_kg", arm.payload_kg)];
         for (key, value) in arm.into_iter().chain(self.gripper.quantities()) {
             if !value.is_finite() || value <= 0.0 {
-                problem(format!("{key} = {value} is out of range. Expected a positive number"), "the key ends with its unit");
+                problem(
+                    format!("{key} = {value} is out of range. Expected a positive number"),
+                    "the key ends with its unit",
+                );
             }
         }
         if let Some(why) = self.gripper.contradiction() {

@@ -51,13 +51,13 @@ pub struct Object {
 /// A body that stands still or follows a prescribed motion. Contact of the robot with it is a collision.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fixture {
-    /// Its name in contact reports.
+    /// The name in contact reports.
     pub name: String,
-    /// Its role in the scene.
+    /// The role in the scene.
     pub kind: FixtureKind,
-    /// Its shape, and its pose in the base frame at the start.
+    /// The shape, and its pose in the base frame at the start.
     pub part: Part,
-    /// Its motion, if it moves. An engine drives it, and it pushes the object.
+    /// The motion, if it moves. An engine drives it, and it pushes the object.
     pub motion: Option<Motion>,
 }
 

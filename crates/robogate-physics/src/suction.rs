@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gap_may_be_negative() {
+    fn gap_may_be_negative() {
         let cylinder = Primitive::Cylinder { radius: 0.025, half_height: 0.025 };
         for (primitive, height) in [(cube(0.05), 0.01), (cylinder, 0.002), (ball(0.05), -0.003)] {
             let gap = view(primitive, [0.0, 0.0], height, 0.0).unwrap().gap_m;
@@ -329,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lip_seals_on_planes_only() {
+    fn lip_seals_only_on_planes() {
         assert_eq!(view(cube(0.05), [0.004, 0.0], 0.002, 0.0).unwrap().seal, Some(1.0));
         assert_eq!(view(cube(0.05), [0.006, 0.0], 0.002, 0.0).unwrap().seal, None);
         assert!(view(cube(0.05), [0.0, 0.0], 0.002, 0.09).unwrap().seal.unwrap() > 0.999);
@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ball_bends_the_lip() {
+    fn ball_bends_the_lip() {
         // The cap of a ball of radius r under a lip of radius R is r - sqrt(r^2 - R^2) high.
         let r: f64 = 0.1;
         let cap = r - (r * r - 0.02 * 0.02_f64).sqrt();
@@ -360,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn a_leaked_cup_must_release_first() {
+    fn leaked_cup_must_release_first() {
         use GripperCommand::{Close, Open};
         let near = |_: &SuctionCup| Some(View { gap_m: 0.001, seal: Some(1.0) });
         let heavy = Wrench { force: Vector3::new(0.0, 0.0, -800.0), torque: Vector3::zeros() };
@@ -382,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vacuum_needs_contact() {
+    fn vacuum_needs_contact() {
         let mut suction = Suction::new(SuctionLaw::Vacuum, cup(), 0.02, 0.8, BUILD_UP_S);
         let before = |gap_m: f64| move |_: &SuctionCup| Some(View { gap_m, seal: Some(1.0) });
         for _ in 0..5 {

@@ -81,10 +81,10 @@ const HOME: [f64; 6] = [0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0]
 
 /// One row of the standard Denavit-Hartenberg table: T = Rz(theta) Tz(d) Tx(a) Rx(alpha).
 fn standard(theta: f64, d: f64, a: f64, alpha: f64) -> Isometry3<f64> {
-    let turn = |axis: &nalgebra::Unit<Vector3<f64>>, angle| {
+    let rotation = |axis: &nalgebra::Unit<Vector3<f64>>, angle| {
         Isometry3::from_parts(Translation3::identity(), UnitQuaternion::from_axis_angle(axis, angle))
     };
-    turn(&Vector3::z_axis(), theta) * Isometry3::translation(a, 0.0, d) * turn(&Vector3::x_axis(), alpha)
+    rotation(&Vector3::z_axis(), theta) * Isometry3::translation(a, 0.0, d) * rotation(&Vector3::x_axis(), alpha)
 }
 
 /// The rows (d, a, alpha) of joints 1 to 6.
@@ -120,9 +120,9 @@ fn chain(table: &Table) -> Chain {
 
 fn site(data: &MjData<Box<MjModel>>, name: &str) -> Isometry3<f64> {
     let id = data.model().name_to_id(MjtObjBase::mjOBJ_SITE, name).unwrap();
-    let turn = Rotation3::from_matrix_unchecked(Matrix3::from_row_slice(&data.site_xmat()[id]));
+    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_row_slice(&data.site_xmat()[id]));
     let at = Translation3::from(Vector3::from(data.site_xpos()[id]));
-    Isometry3::from_parts(at, UnitQuaternion::from_rotation_matrix(&turn))
+    Isometry3::from_parts(at, UnitQuaternion::from_rotation_matrix(&rotation))
 }
 
 fn assert_same(name: &str, a: &Isometry3<f64>, b: &Isometry3<f64>) {
@@ -182,7 +182,7 @@ fn joint_ranges_match_data_sheet() {
 }
 
 #[test]
-fn home_pose_is_free_and_points_down() {
+fn home_pose_is_free() {
     for table in &TABLES {
         let floor = "<worldbody><geom name=\"table\" type=\"box\" size=\"0.4 0.7 0.02\" pos=\"0.55 0 -0.02\"/>";
         let model = MjModel::from_xml_string(&table.model.replace("<worldbody>", floor)).unwrap();
@@ -208,8 +208,8 @@ fn stretch(table: &Table, at: &Vector3<f64>) -> f64 {
 
 /// The tool at this point, pointing down, rotated by `yaw` from its orientation at home.
 fn down(chain: &Chain, at: &Vector3<f64>, yaw: f64) -> Isometry3<f64> {
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
-    Isometry3::from_parts(Translation3::from(*at), turn * chain.tcp_at(&HOME).rotation)
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+    Isometry3::from_parts(Translation3::from(*at), rotation * chain.tcp_at(&HOME).rotation)
 }
 
 /// The grid of tool positions: 5 cm apart across the table and over it.
@@ -273,7 +273,7 @@ fn postures_are_continuous() {
 }
 
 #[test]
-fn unreachable_pose_fails_fast() {
+fn out_of_reach_fails_fast() {
     for table in &TABLES {
         let chain = chain(table);
         let begun = std::time::Instant::now();
@@ -313,7 +313,7 @@ fn puma() -> (Chain, [f64; 6]) {
 }
 
 #[test]
-fn posture_is_rarely_farther_than_known_one() {
+fn posture_is_near_home() {
     let arms = TABLES.iter().map(|table| (table.name, chain(table), HOME)).chain([("puma", puma().0, puma().1)]);
     for (name, chain, home) in arms {
         let n = 400;

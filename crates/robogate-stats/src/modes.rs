@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn simultaneous_intervals_are_wider_than_single_ones() {
+    fn simultaneous_intervals_are_wider() {
         let one = distribution(&[40, 30, 20, 10], Joint::PerMode, Confidence::P95);
         let all = distribution(&[40, 30, 20, 10], Joint::Simultaneous, Confidence::P95);
         assert!(one.iter().zip(&all).all(|(a, b)| a.interval.width() < b.interval.width()));

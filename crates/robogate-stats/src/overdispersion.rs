@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_worse_group_is_an_outlier() {
+    fn only_worse_group_is_outlier() {
         let mut groups = [trials(474, 500); 5];
         assert_eq!(outliers(&groups, 0.05), []);
         groups[3] = trials(430, 500);

@@ -454,7 +454,7 @@ mod tests {
     }
 
     #[test]
-    fn result_depends_on_seed_not_equal_weights() {
+    fn seed_matters_equal_weights_do_not() {
         let (values, outcomes) = rows(|v| v);
         let edges = Edges::equal_width(&values, 10).unwrap();
         let run = |weights: Option<&[f64]>, seed| {
@@ -478,7 +478,7 @@ mod tests {
     }
 
     #[test]
-    fn few_rows_and_bad_levels_are_handled() {
+    fn invalid_input_is_handled() {
         let edges = Edges::new(vec![0.0, 1.0]).unwrap();
         let one_bin = threshold(&[0.1, 0.2, 0.3], &[true, false, true], None, &edges, ThresholdOptions::default());
         assert_eq!(one_bin, Err(ThresholdError::TooFewBins { filled: 1 }));

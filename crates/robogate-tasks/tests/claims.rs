@@ -152,13 +152,13 @@ fn is_read_back(on: EngineKind, robot: &str, parameters: &[(&str, Value)]) {
 }
 
 of_every_engine! {
-    fn franka_kinematics_match_the_manufacturers_table(on: EngineKind) {
+    fn franka_kinematics_match_data_sheet(on: EngineKind) {
         // The hand is rotated by -45 degrees about the flange's z axis; the tool centre point is 0.1034 m beyond it.
         let hand = Isometry3::translation(0.0, 0.0, 0.1034) * turned(&Vector3::z_axis(), -FRAC_PI_4);
         moves_as(on, "franka", franka_flange, hand);
     }
 
-    fn ur5e_kinematics_match_the_manufacturers_table(on: EngineKind) {
+    fn ur5e_kinematics_match_data_sheet(on: EngineKind) {
         moves_as(on, "ur5e", ur5e_flange, Isometry3::translation(0.0, 0.0, 0.12));
     }
 
@@ -166,11 +166,11 @@ of_every_engine! {
         confirm(claims::coulomb(&on.franka(), &[3.0]));
     }
 
-    fn a_too_wide_object_is_never_picked(on: EngineKind) {
+    fn wide_object_is_never_picked(on: EngineKind) {
         confirm(claims::opening(&on.franka(), on.episodes(28)));
     }
 
-    fn the_easy_region_is_easy(on: EngineKind) {
+    fn easy_region_is_easy(on: EngineKind) {
         confirm(claims::easy_region(&on.franka(), on.episodes(140)));
     }
 
@@ -178,7 +178,7 @@ of_every_engine! {
         confirm(claims::no_creep(&on.franka(), on.episodes(56)));
     }
 
-    fn a_half_time_step_changes_few_outcomes(on: EngineKind) {
+    fn half_time_step_changes_few_outcomes(on: EngineKind) {
         confirm(claims::time_step(&on.franka(), &space("franka"), on.episodes(200)));
     }
 
@@ -197,7 +197,7 @@ of_every_engine! {
 
     /// Checks that an object at rest loads the cup with its weight m g, and bends the lip by m g times the lateral
     /// offset of its centre of mass. Lifted with acceleration a it pulls with m (g + a).
-    fn a_cups_load_is_the_objects_weight(on: EngineKind) {
+    fn cup_load_equals_object_weight(on: EngineKind) {
         let mut engine = on.ur5e().engine();
         for (mass, com_offset) in [(0.4, 0.0), (1.3, 0.0), (1.3, 0.3), (3.0, 0.2)] {
             let size = 0.06;
@@ -250,11 +250,11 @@ of_every_engine! {
         }
     }
 
-    fn a_vacuum_cup_lifts_up_to_its_force(on: EngineKind) {
+    fn vacuum_cup_lifts_up_to_its_force(on: EngineKind) {
         confirm(claims::vacuum_limit(&on.ur5e()));
     }
 
-    fn lifted_mass_grows_with_the_cups_area(on: EngineKind) {
+    fn lifted_mass_grows_with_cup_area(on: EngineKind) {
         confirm(claims::cup_area(&on.ur5e()));
     }
 
@@ -262,11 +262,11 @@ of_every_engine! {
         confirm(claims::gravity(&on.ur5e()));
     }
 
-    fn a_surface_gripper_never_reports_grip_loss(on: EngineKind) {
+    fn surface_gripper_never_reports_grip_loss(on: EngineKind) {
         confirm(claims::surface_keeps(&on.ur5e(), &space("ur"), on.episodes(80)));
     }
 
-    fn the_easy_region_is_easy_for_a_cup(on: EngineKind) {
+    fn easy_region_is_easy_for_cup(on: EngineKind) {
         confirm(claims::easy_region(&on.ur5e(), on.episodes(56)));
     }
 
@@ -275,7 +275,7 @@ of_every_engine! {
     }
 
     /// The target and all placements except the near ones are beyond the reach of a UR3e, 0.5 m.
-    fn a_ur3e_times_out_beyond_its_reach(on: EngineKind) {
+    fn ur3e_times_out_beyond_reach(on: EngineKind) {
         let cell = on.robot("ur3e");
         let (mut simulator, mut policy) = cell.bench(&cell.setup()).unwrap();
         for name in ["edge_0", "edge_90", "left_0"] {
@@ -306,7 +306,7 @@ of_every_engine! {
         is_read_back(on, "franka", &crossing());
     }
 
-    fn a_moving_fixture_follows_its_path(on: EngineKind) {
+    fn moving_fixture_follows_path(on: EngineKind) {
         let mut engine = on.franka().engine();
         let scene = scene(on, "franka", &crossing());
         let home = engine.robot().settings.arm.home_rad.clone();
@@ -338,7 +338,7 @@ of_every_engine! {
     }
 
     /// Checks that a box sliding on the table after a push decelerates by mu g, with the table's coefficient mu.
-    fn the_tables_friction_stops_the_object(on: EngineKind) {
+    fn table_friction_stops_object(on: EngineKind) {
         for (friction, table_friction) in [(0.9, 0.2), (0.1, 0.2)] {
             let mut engine = on.franka().engine();
             let mut parameters = crossing().to_vec();
@@ -367,7 +367,7 @@ of_every_engine! {
     }
 
     /// One round of the 68 scenarios.
-    fn the_industrial_suite_is_solved(on: EngineKind) {
+    fn industrial_suite_is_solved(on: EngineKind) {
         let suite = Suite::from_toml(include_str!("../../../assets/suites/industrial-68.toml")).unwrap();
         let cell = on.franka();
         let (mut simulator, mut policy) = cell.bench(&cell.setup()).unwrap();

@@ -81,7 +81,7 @@ fn menagerie() -> (String, String) {
 }
 
 #[test]
-fn a_menagerie_robot_picks_and_places() {
+fn menagerie_robot_picks_and_places() {
     let (model, settings) = menagerie();
     let own = folder("menagerie", &[("franka.xml", &model), ("robot.toml", &settings), ("assets/wrist.obj", MESH)]);
     let inspection = look(&own);
@@ -166,7 +166,7 @@ fn urdf() -> String {
 }
 
 #[test]
-fn a_urdf_matches_its_kinematic_table() {
+fn urdf_matches_kinematic_table() {
     let settings = change(UR5E_SETTINGS, "ur5e.xml", "own.urdf")
         + "\n[[site]]\nname = \"flange\"\nbody = \"suction_cup\"\n\n[[site]]\nname = \"tcp\"\nbody = \"suction_cup\"\nposition_m = [0.0, 0.0, 0.12]\n";
     let own = folder("urdf", &[("own.urdf", &urdf()), ("robot.toml", &settings)]);
@@ -177,15 +177,15 @@ fn a_urdf_matches_its_kinematic_table() {
     for index in 0..100 {
         let mut stream = Seed::campaign(15).episode(index).stream("joints");
         let q: Vec<f64> = (0..6).map(|_| stream.between(-3.0, 3.0)).collect();
-        let turn = |axis: &nalgebra::Unit<Vector3<f64>>, angle| {
+        let rotation = |axis: &nalgebra::Unit<Vector3<f64>>, angle| {
             Isometry3::from_parts(Translation3::identity(), UnitQuaternion::from_axis_angle(axis, angle))
         };
-        let base = turn(&Vector3::z_axis(), std::f64::consts::PI);
+        let base = rotation(&Vector3::z_axis(), std::f64::consts::PI);
         let flange = UR5E.iter().zip(&q).fold(base, |frame, ((d, a, alpha), theta)| {
             frame
-                * turn(&Vector3::z_axis(), *theta)
+                * rotation(&Vector3::z_axis(), *theta)
                 * Isometry3::translation(*a, 0.0, *d)
-                * turn(&Vector3::x_axis(), *alpha)
+                * rotation(&Vector3::x_axis(), *alpha)
         });
         let off = (flange * Isometry3::translation(0.0, 0.0, 0.12)).inverse() * engine.chain().tcp_at(&q);
         assert!(off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-6);
@@ -198,7 +198,7 @@ fn a_urdf_matches_its_kinematic_table() {
 }
 
 #[test]
-fn only_a_short_arm_misses_the_target() {
+fn only_short_arm_misses_target() {
     for name in built_in_robots() {
         let inspection = inspect(name);
         assert!(inspection.problems.is_empty(), "{name}: {:#?}", inspection.problems);

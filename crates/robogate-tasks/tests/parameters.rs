@@ -59,7 +59,7 @@ fn scenario(row: &ParameterRow, value: Value) -> Scenario {
 }
 
 #[test]
-fn every_row_is_applied_and_read_back() {
+fn rows_are_applied_and_read_back() {
     for on in engines() {
         for row in parameters() {
             let cell = on.robot(robot_for(row));
@@ -76,7 +76,7 @@ fn every_row_is_applied_and_read_back() {
 
 /// Tests the readers with the same seed and other values.
 #[test]
-fn every_number_is_read_over_its_range() {
+fn numbers_are_read_over_their_range() {
     let on = engines()[0];
     for row in parameters() {
         let cell = on.robot(robot_for(row));

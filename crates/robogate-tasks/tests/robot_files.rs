@@ -37,7 +37,7 @@ fn outcome(name: &str, model: &str, friction: f64) -> Outcome {
 }
 
 #[test]
-fn robot_file_does_not_change_the_world() {
+fn robot_file_does_not_change_world() {
     // 1 kg held with twice 30 N needs a friction coefficient of 0.16.
     assert_ne!(outcome("plain", MODEL, 0.1), Outcome::Success);
     assert_eq!(outcome("plain", MODEL, 0.4), Outcome::Success);

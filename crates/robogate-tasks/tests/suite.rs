@@ -111,9 +111,9 @@ fn problems_are_reported_with_their_scenarios() {
         .replace("\"#f0f0f0\", \"#e8e0d0\"", "\"white\", \"#e8e0d0\"");
     let misfits =
         check_suite(&Suite::from_toml(&text).unwrap(), Some(&built_in_robot("franka").unwrap().settings.gripper));
-    let told: Vec<String> = misfits.iter().map(ToString::to_string).collect();
-    assert_eq!(told.len(), 3, "{told:?}");
-    let find = |what: &str| told.iter().find(|told| told.contains(what)).unwrap();
+    let messages: Vec<String> = misfits.iter().map(ToString::to_string).collect();
+    assert_eq!(messages.len(), 3, "{messages:?}");
+    let find = |what: &str| messages.iter().find(|message| message.contains(what)).unwrap();
     assert!(find("friction").starts_with("scenario `slippery_surface-1`: parameter `friction` = 11 is out of range"));
     assert!(find("humidity").starts_with("scenario `standard_objects-1` and 67 more: unknown parameter `humidity`"));
     assert!(find("white").starts_with("scenario `color-5`: parameter `object_color`: unknown value `white`"));
@@ -206,7 +206,7 @@ fn late_policy_meets_the_disturbance() {
 }
 
 #[test]
-fn occluders_and_distant_obstacles_do_not_block() {
+fn occluders_and_far_obstacles_are_harmless() {
     let (mut simulator, mut policy) = bench();
     for index in 0..20 {
         let placement = Placement::NAMES[index as usize % Placement::NAMES.len()];
@@ -223,7 +223,7 @@ fn occluders_and_distant_obstacles_do_not_block() {
 }
 
 #[test]
-fn object_off_the_table_is_a_fault() {
+fn object_off_table_is_fault() {
     let (mut simulator, mut policy) = bench();
     let beside = scenario(&[("offset_x_m", number(0.5))], 0);
     let episode = rollout(&mut *simulator, &mut *policy, &beside);

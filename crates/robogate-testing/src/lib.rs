@@ -62,10 +62,7 @@ pub fn skip(tool: &str, reason: &str) {
     let line = format!("skipped: {}: {reason}", test_name());
     let optional = env::var(OPTIONAL).is_ok_and(|list| list.split(',').any(|name| name.trim() == tool));
     let strict = env::var(STRICT).is_ok_and(|value| value == "1");
-    assert!(
-        !strict || optional,
-        "{line}. {STRICT}=1 forbids this. Hint: scripts/test.sh installs the required tools."
-    );
+    assert!(!strict || optional, "{line}. {STRICT}=1 forbids this. Hint: scripts/test.sh installs the required tools.");
     note(&line);
 }
 

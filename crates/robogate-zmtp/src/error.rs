@@ -47,7 +47,7 @@ pub enum ZmtpError {
         what: &'static str,
         /// Unit of the sizes.
         unit: &'static str,
-        /// Its size.
+        /// The size.
         size: u64,
         /// Largest allowed size.
         limit: u64,

@@ -104,12 +104,12 @@ impl Drawn {
         #[expect(unsafe_code, reason = "the binding has no safe setter for a user camera")]
         let cameras = unsafe { &mut self.scene.ffi_mut().camera };
         let half = (0.5 * camera.field_of_view_rad).tan() as f32 * DEPTHS[0];
-        let turn = camera.pose.rotation;
+        let rotation = camera.pose.rotation;
         let single = |v: Vector3<f64>| v.map(|x| x as f32).into();
         for eye in cameras {
             eye.pos = single(camera.pose.translation.vector);
-            eye.forward = single(turn * Vector3::z());
-            eye.up = single(turn * -Vector3::y());
+            eye.forward = single(rotation * Vector3::z());
+            eye.up = single(rotation * -Vector3::y());
             eye.frustum_center = 0.0;
             // Zero, because the width follows from the aspect ratio.
             eye.frustum_width = 0.0;

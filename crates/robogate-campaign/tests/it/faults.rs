@@ -51,7 +51,7 @@ fn missing_worker_leaves_run_resumable() {
 }
 
 #[test]
-fn lost_worker_ends_run_and_keeps_episodes() {
+fn lost_worker_keeps_episodes() {
     let base = tempfile::tempdir().unwrap();
     let dir = base.path().join("run");
     let one = Synthetic { trouble: some_panic, most_workers: 1, ..Synthetic::default() };
@@ -130,22 +130,22 @@ fn stop_is_kept_at_both_ends() {
 #[test]
 fn event_stream_is_complete_and_ordered() {
     let base = tempfile::tempdir().unwrap();
-    let mut story = Vec::new();
+    let mut seen = Vec::new();
     let mut stop = stop_after(25);
     let mut watch = |event: &Event, flag: &_| {
         stop(event, flag);
-        story.push(event.clone());
+        seen.push(event.clone());
     };
     let plan = plan(20, 10);
     with_pool(&Synthetic::default(), 1, &mut watch, |pool, events| {
         start_run(base.path(), &plan, provenance(), pool, events)
     })
     .unwrap();
-    with_pool(&Synthetic::default(), 1, &mut |event, _| story.push(event.clone()), |pool, events| {
+    with_pool(&Synthetic::default(), 1, &mut |event, _| seen.push(event.clone()), |pool, events| {
         robogate_campaign::resume(base.path(), &provenance(), pool, events)
     })
     .unwrap();
-    let json: Vec<serde_json::Value> = story.iter().map(|event| serde_json::to_value(event).unwrap()).collect();
+    let json: Vec<serde_json::Value> = seen.iter().map(|event| serde_json::to_value(event).unwrap()).collect();
     let mut words: Vec<&str> = json.iter().map(|event| event["event"].as_str().unwrap()).collect();
     words.dedup();
     let first = [
@@ -170,9 +170,9 @@ fn event_stream_is_complete_and_ordered() {
     ];
     assert_eq!(words, [&first[..], &second[..]].concat());
     let back: Vec<Event> = json.into_iter().map(|event| serde_json::from_value(event).unwrap()).collect();
-    assert_eq!(back, story);
+    assert_eq!(back, seen);
     // The boundary does not change during the run.
-    let found: Vec<&Event> = story.iter().filter(|event| matches!(event, Event::BoundaryFound { .. })).collect();
+    let found: Vec<&Event> = seen.iter().filter(|event| matches!(event, Event::BoundaryFound { .. })).collect();
     assert_eq!(found[0], found[1]);
 }
 

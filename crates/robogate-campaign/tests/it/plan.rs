@@ -121,10 +121,7 @@ fn errors_name_their_key() {
             "[uniform]\nepisodes = 5\n[[boundary.restrict]]\nparameter = \"shape\"\nlow = 1",
             "is not an integer parameter",
         ),
-        (
-            "[uniform]\nepisodes = 5\n[[boundary.restrict]]\nparameter = \"obstacles\"\nlow = 1.5",
-            "must be integers",
-        ),
+        ("[uniform]\nepisodes = 5\n[[boundary.restrict]]\nparameter = \"obstacles\"\nlow = 1.5", "must be integers"),
         (
             "[uniform]\nepisodes = 5\n[[boundary.fallback]]\nparameter = \"friction\"\nlow = 1.5",
             "the range of `friction` is outside the operating space: expected values from 0.05 to 1.2",

@@ -60,7 +60,7 @@ pub struct Case {
     pub id: String,
     /// The category of its group.
     pub category: String,
-    /// Its group.
+    /// The group.
     pub group: String,
     /// A value or range for every parameter of the suite, in the order of its space.
     pub parameters: Vec<(Arc<str>, Spread)>,

@@ -63,7 +63,7 @@ pub enum SuiteProblem {
     DuplicateGroup {
         /// The group.
         group: String,
-        /// Its category.
+        /// The category.
         category: String,
     },
     /// Two scenarios with the same id.
@@ -87,11 +87,11 @@ pub enum SuiteProblem {
     Mixed {
         /// The parameter.
         parameter: String,
-        /// Its kind in the first scenario.
+        /// The kind in the first scenario.
         one: &'static str,
         /// The first scenario.
         first: String,
-        /// Its kind in the other scenario.
+        /// The kind in the other scenario.
         other: &'static str,
         /// The other scenario.
         case: String,

@@ -16,7 +16,7 @@ pub enum Kind {
 /// A column of every dictionary.
 #[derive(Debug, Clone, Copy)]
 pub struct FixedColumn {
-    /// Its name.
+    /// The name.
     pub name: &'static str,
     /// The data type.
     pub kind: Kind,
@@ -53,7 +53,13 @@ pub(super) static LEADING: [FixedColumn; 5] = [
         repeats: true,
         meaning: "the stage of the campaign that ran it",
     },
-    FixedColumn { name: "design", kind: Kind::Text, required: true, repeats: true, meaning: "the sampler of the point" },
+    FixedColumn {
+        name: "design",
+        kind: Kind::Text,
+        required: true,
+        repeats: true,
+        meaning: "the sampler of the point",
+    },
     FixedColumn {
         name: "weight",
         kind: Kind::Number,
@@ -146,7 +152,13 @@ pub(super) static TRAILING: [FixedColumn; 10] = [
 
 /// The columns after the measures.
 pub(super) static CLOSING: [FixedColumn; 2] = [
-    FixedColumn { name: "ticks", kind: Kind::Count, required: true, repeats: false, meaning: "number of control periods that ran" },
+    FixedColumn {
+        name: "ticks",
+        kind: Kind::Count,
+        required: true,
+        repeats: false,
+        meaning: "number of control periods that ran",
+    },
     FixedColumn {
         name: "trajectory_hash",
         kind: Kind::Text,

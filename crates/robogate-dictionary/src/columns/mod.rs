@@ -23,7 +23,7 @@ use crate::{DictionaryError, Entry, Label, SchemaVersion};
 /// One column.
 #[derive(Debug, Clone)]
 pub(crate) struct ColumnSpec {
-    /// Its name.
+    /// The name.
     pub(crate) name: String,
     /// The data type.
     pub(crate) kind: Kind,
@@ -179,7 +179,8 @@ impl Columns {
         };
         for parameter in self.space.parameters() {
             let name = &parameter.name;
-            let value = scenario.requested.get(name).ok_or_else(|| wrong(name, "is missing in the request".to_owned()))?;
+            let value =
+                scenario.requested.get(name).ok_or_else(|| wrong(name, "is missing in the request".to_owned()))?;
             let cell = fit(&parameter.domain, value).ok_or_else(|| {
                 wrong(name, format!("is {value}. Expected {}, as defined by the space", kind_word(&parameter.domain)))
             })?;

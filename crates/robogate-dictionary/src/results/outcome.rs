@@ -127,8 +127,8 @@ impl<'a> Results<'a> {
         // All flags are false, which excludes every other mode: the task was not completed in time.
         let all_lowered = (self.flags.iter().zip(&flags))
             .all(|(flag, value)| *value == Some(false) || (value.is_none() && !flag.expected));
-        let told = mode.map(|(mode, _)| mode).or(raised(true)).or(all_lowered.then_some(FailureMode::TIMEOUT));
-        Ok(ended(Outcome::Failure(told.unwrap_or(FailureMode::UNKNOWN)), told.is_some(), false, flags))
+        let failure_mode = mode.map(|(mode, _)| mode).or(raised(true)).or(all_lowered.then_some(FailureMode::TIMEOUT));
+        Ok(ended(Outcome::Failure(failure_mode.unwrap_or(FailureMode::UNKNOWN)), failure_mode.is_some(), false, flags))
     }
 
     fn success(&self, path: &Path, row: &RawRow) -> Result<Success, DictionaryError> {

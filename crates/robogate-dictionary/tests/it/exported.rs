@@ -156,7 +156,7 @@ fn published_form_survives_the_round_trip() {
 }
 
 #[test]
-fn file_of_a_data_frame_is_read() {
+fn data_frame_file_is_read() {
     let folder = Folder::new("exported-frame");
     let original = dictionary(&folder.join("d.parquet"), &provenance(), (0..7).map(entry));
     let (from, to) = (folder.join("e.csv"), folder.join("again.parquet"));
@@ -183,7 +183,7 @@ fn file_of_a_data_frame_is_read() {
 }
 
 #[test]
-fn edited_exports_are_refused() {
+fn edited_exports_are_rejected() {
     let folder = Folder::new("exported-edited");
     let original = dictionary(&folder.join("d.parquet"), &provenance(), (0..14).map(entry));
     let (from, to) = (folder.join("e.csv"), folder.join("again.parquet"));
@@ -229,7 +229,7 @@ fn edited_exports_are_refused() {
 }
 
 #[test]
-fn mapping_of_an_export_is_refused() {
+fn mapping_of_export_is_rejected() {
     let folder = Folder::new("exported-mapping");
     let original = dictionary(&folder.join("d.parquet"), &provenance(), (0..5).map(entry));
     let (from, to) = (folder.join("e.csv"), folder.join("again.parquet"));

@@ -106,7 +106,7 @@ fn damaged_files_never_panic() {
 }
 
 #[test]
-fn flipped_bits_are_refused_or_harmless() {
+fn flipped_bits_are_rejected_or_harmless() {
     let folder = Folder::new("hostile-flip");
     let path = folder.join("d.parquet");
     write_parquet(&path, &provenance(), (0..3).map(|i| Ok(entry(i)))).unwrap();
@@ -132,7 +132,7 @@ fn flipped_bits_are_refused_or_harmless() {
 }
 
 #[test]
-fn random_bytes_are_refused() {
+fn random_bytes_are_rejected() {
     let folder = Folder::new("hostile-random");
     let path = folder.join("random");
     for case in 0..1000 {
@@ -154,7 +154,7 @@ fn random_bytes_are_refused() {
 }
 
 #[test]
-fn oversized_json_is_refused() {
+fn oversized_json_is_rejected() {
     let folder = Folder::new("hostile-json");
     let path = folder.join("p.json");
     let rows = |row: String| format!("{{\"experiments\": [{row}]}}");

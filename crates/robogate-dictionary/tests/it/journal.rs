@@ -135,7 +135,7 @@ fn truncation_hint_works() {
 }
 
 #[test]
-fn duplicate_episode_is_refused() {
+fn duplicate_episode_is_rejected() {
     let folder = Folder::new("journal-once");
     let mut journal = Journal::create(&folder.join("j")).unwrap();
     journal.append(&entry(1)).unwrap();
@@ -144,7 +144,7 @@ fn duplicate_episode_is_refused() {
 }
 
 #[test]
-fn second_writer_is_refused() {
+fn second_writer_is_rejected() {
     let folder = Folder::new("journal-lock");
     let path = folder.join("j");
     let journal = Journal::create(&path).unwrap();
@@ -155,7 +155,7 @@ fn second_writer_is_refused() {
 }
 
 #[test]
-fn invalid_weight_or_seed_is_refused() {
+fn invalid_weight_or_seed_is_rejected() {
     let folder = Folder::new("journal-refuse");
     let mut journal = Journal::create(&folder.join("j")).unwrap();
     for weight in [f64::NAN, f64::INFINITY, -1.0] {

@@ -156,7 +156,7 @@ fn unusable_path_is_named() {
 }
 
 #[test]
-fn contradicting_entries_are_refused() {
+fn contradicting_entries_are_rejected() {
     let folder = Folder::new("parquet-refuse");
     let path = folder.join("d.parquet");
     let mut writer = DictionaryWriter::create(&path, &provenance()).unwrap();
@@ -196,7 +196,7 @@ fn contradicting_entries_are_refused() {
 }
 
 #[test]
-fn column_name_clash_is_refused() {
+fn column_name_clash_is_rejected() {
     let folder = Folder::new("parquet-clash");
     let domain = || Domain::Continuous { low: 0.0, high: 1.0, scale: Scale::Linear };
     let of = |names: &[&str]| {
@@ -214,7 +214,7 @@ fn column_name_clash_is_refused() {
 }
 
 #[test]
-fn newer_schema_is_refused_or_read_only() {
+fn newer_schema_is_rejected_or_read_only() {
     let folder = Folder::new("parquet-version");
     let path = folder.join("d.parquet");
     // A provenance name with the same length as the version string: only the key-value pair is replaced.
@@ -251,7 +251,7 @@ fn edited_provenance_is_noticed() {
 }
 
 #[test]
-fn foreign_and_truncated_files_are_refused() {
+fn foreign_and_truncated_files_are_rejected() {
     let folder = Folder::new("parquet-foreign");
     let path = folder.join("d.parquet");
     write(&path, (0..50).map(entry));

@@ -182,7 +182,7 @@ fn contradicting_rows_are_named() {
 }
 
 #[test]
-fn contradicting_totals_are_refused() {
+fn contradicting_totals_are_rejected() {
     let folder = Folder::new("whole");
     for (wrong, says) in [
         ("{\"metadata\": {\"total_experiments\": 2}, \"experiments\": [ROW]}", "total_experiments"),

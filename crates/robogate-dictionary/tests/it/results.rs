@@ -67,7 +67,7 @@ fn lerobot_tasks_become_cases() {
 }
 
 #[test]
-fn contradicting_averages_are_refused() {
+fn contradicting_averages_are_rejected() {
     let text = fs::read_to_string(fixture("lerobot_one_environment.json")).unwrap();
     let error = refused("edited.json", text.replace("75.0", "100.0"), &Mapping::default());
     assert!(error.contains("`pc_success` is 100") && error.contains("3 successes in 4 episodes"), "{error}");
@@ -195,7 +195,7 @@ fn wrong_values_are_located() {
 }
 
 #[test]
-fn mapping_of_absent_columns_is_refused() {
+fn mapping_of_absent_columns_is_rejected() {
     let table = "ok,mass\n1,2\n";
     let mapping = |text: &str| Mapping::from_toml(text, "m.toml").unwrap();
     let error = refused("a.csv", table, &mapping("success = 'okay'"));
@@ -247,7 +247,7 @@ fn flags_give_the_failure_mode() {
 }
 
 #[test]
-fn endless_input_is_refused() {
+fn endless_input_is_rejected() {
     let none = Mapping::default();
     let long = |mib: usize| "a".repeat(mib << 20);
     let error = refused("quote.csv", format!("success,x\n1,\"{}", long(2)), &none);
@@ -353,11 +353,7 @@ fn published_flags_are_understood() {
     let rows = "success,bump,drop,grasp_miss,x\n1,0,0,1,1\n1,0,1,0,2\n1,1,0,0,3\n0,0,0,0,4\n";
     for mapping in ["collision = 'bump'", "[flags]\ncollision = 'bump'"] {
         let (outcomes, modes, provenance) = table("old", rows, mapping);
-        assert_eq!(
-            outcomes,
-            ["success", "grip_loss", "collision", "timeout"],
-            "a success outweighs a missed grasp"
-        );
+        assert_eq!(outcomes, ["success", "grip_loss", "collision", "timeout"], "a success outweighs a missed grasp");
         assert_eq!(modes, ["collision", "grip_loss", "timeout", "grasp_miss"]);
         assert_eq!(provenance.space.len(), 1);
     }
@@ -379,7 +375,7 @@ fn failure_without_outcome_is_a_failure() {
 }
 
 #[test]
-fn too_many_failure_modes_are_refused() {
+fn too_many_failure_modes_are_rejected() {
     let row = |i: u32| format!("0,word {i}\n");
     let rows = |n: u32| format!("success,failure_mode\n{}", (0..n).map(row).collect::<String>());
     let error = refused("modes.csv", rows(1001), &Mapping::default());

@@ -83,7 +83,7 @@ struct Loaded {
 /// A fixture that moves.
 #[derive(Debug, Clone, Copy)]
 struct Mover {
-    /// Its index in the scene.
+    /// The index in the scene.
     fixture: usize,
     /// Addresses of its joint.
     qpos: usize,

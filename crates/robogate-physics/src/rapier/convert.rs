@@ -30,7 +30,8 @@ pub(super) fn solid(solid: &Solid, at: &Isometry3<f64>) -> Result<(SharedShape, 
         Solid::Capsule { radius, half_height } => (SharedShape::capsule_y(*half_height, *radius), at * quarter()),
         Solid::Hull { points } => {
             let points: Vec<Vector> = points.iter().map(|p| vector(&p.coords)).collect();
-            let hull = SharedShape::convex_hull(&points).ok_or("a mesh has no convex hull: its vertices are coplanar")?;
+            let hull =
+                SharedShape::convex_hull(&points).ok_or("a mesh has no convex hull: its vertices are coplanar")?;
             (hull, *at)
         }
     })

@@ -333,7 +333,9 @@ impl Build<'_> {
 /// The geometric mean is the only rule that takes precedence over the object's rule and can give any coefficient.
 fn table_coefficient(friction: f64, object: f64) -> Result<f64, String> {
     if friction > 0.0 && object <= 0.0 {
-        return Err(format!("table_friction = {friction}: in Rapier an object without friction has no friction on the table either"));
+        return Err(format!(
+            "table_friction = {friction}: in Rapier an object without friction has no friction on the table either"
+        ));
     }
     Ok(if friction > 0.0 { friction * friction / object } else { 0.0 })
 }

@@ -260,8 +260,8 @@ impl Engine for RapierEngine {
         let loaded = self.loaded();
         let body = &loaded.world.bodies[loaded.object];
         let at = body.velocity_at_point(body.position().translation);
-        let turn = body.angvel();
-        (Vector3::new(at.x, at.y, at.z), Vector3::new(turn.x, turn.y, turn.z))
+        let angular = body.angvel();
+        (Vector3::new(at.x, at.y, at.z), Vector3::new(angular.x, angular.y, angular.z))
     }
 
     fn touches(&self) -> &Touches {

@@ -31,7 +31,11 @@ pub(super) struct SwingUp;
 
 impl Policy for SwingUp {
     fn check(&self, task: &TaskSpec) -> Result<(), String> {
-        if task.name == "pendulum" { Ok(()) } else { Err(format!("this controller drives the pendulum, not {}", task.name)) }
+        if task.name == "pendulum" {
+            Ok(())
+        } else {
+            Err(format!("this controller drives the pendulum, not {}", task.name))
+        }
     }
 
     fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, _: Seed) -> Result<(), Fault> {

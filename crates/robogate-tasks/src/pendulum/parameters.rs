@@ -116,7 +116,7 @@ const ROWS: [Row; 7] = [
     Row {
         name: "angle_bias_rad",
         unit: "rad",
-        meaning: "What the encoder reads too much.",
+        meaning: "Bias of the encoder: reading minus true angle.",
         low: -0.5,
         high: 0.5,
         nominal: 0.0,

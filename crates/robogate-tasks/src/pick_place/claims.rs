@@ -381,7 +381,8 @@ pub fn gravity(workbench: &dyn Workbench) -> Result<ClaimResult, String> {
     let (one, two) = (heaviest(workbench, &setup, 1.0)?, heaviest(workbench, &setup, 2.0)?);
     let law = (GRAVITY + LIFT_M_S2) / (2.0 * GRAVITY + LIFT_M_S2);
     Ok(ClaimResult {
-        claim: "doubling gravity reduces the mass that a vacuum cup lifts to (g + a) / (2 g + a), within 4 %".to_owned(),
+        claim: "doubling gravity reduces the mass that a vacuum cup lifts to (g + a) / (2 g + a), within 4 %"
+            .to_owned(),
         holds: (two / one / law - 1.0).abs() <= 0.04,
         figures: vec![format!("{one:.3} kg, then {two:.3} kg: {:.3} x. Expected {law:.3} x", two / one)],
     })

@@ -122,10 +122,10 @@ mod tests {
     fn shapes_fit_their_cube() {
         for shape in Shape::ALL {
             for part in shape.object(0.1, 1.0, 0.0).parts {
-                let turn = part.pose.rotation.to_rotation_matrix().into_inner().abs();
+                let rotation = part.pose.rotation.to_rotation_matrix().into_inner().abs();
                 let reach = match part.primitive {
                     Primitive::Sphere { radius } => Vector3::repeat(radius),
-                    other => turn * Vector3::from(other.half_extent()),
+                    other => rotation * Vector3::from(other.half_extent()),
                 };
                 let reach = reach + part.pose.translation.vector.abs();
                 assert!(reach.max() <= 0.05 + 1e-12, "{shape:?} reaches {reach}");
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn the_offset_moves_the_centre_of_mass() {
+    fn offset_moves_centre_of_mass() {
         let cube = Shape::Box.object(0.06, 0.5, 0.4);
         assert!((cube.mass.centre - Vector3::new(0.4 * 0.03, 0.0, 0.0)).norm() < 1e-15);
         for shape in Shape::ALL {

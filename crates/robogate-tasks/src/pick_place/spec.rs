@@ -140,8 +140,9 @@ impl Briefing {
     /// # Errors
     /// A setup fault if the details are not those of pick and place.
     pub fn of(instance: &TaskInstance) -> Result<Self, Fault> {
-        Self::deserialize(&instance.details)
-            .map_err(|why| Fault::new(FaultKind::Setup, format!("the episode details are not a briefing of pick_place: {why}")))
+        Self::deserialize(&instance.details).map_err(|why| {
+            Fault::new(FaultKind::Setup, format!("the episode details are not a briefing of pick_place: {why}"))
+        })
     }
 }
 

@@ -35,8 +35,10 @@ impl Rows {
         }
         let Some(row) = read(&mut self.lines)? else { return Ok(false) };
         if !row.0.iter().map(|(name, _)| name).eq(&self.names) {
-            let reason =
-                format!("line {}: its fields differ from those of the first line. Expected the same names in the same order", self.lines.number());
+            let reason = format!(
+                "line {}: its fields differ from those of the first line. Expected the same names in the same order",
+                self.lines.number()
+            );
             return Err(DictionaryError::results(&self.path, reason));
         }
         fields.clear();

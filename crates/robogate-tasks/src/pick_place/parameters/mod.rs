@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn a_count_must_be_an_integer() {
+    fn count_must_be_an_integer() {
         let half = [("obstacles".into(), Value::Number(2.5))].into_iter().collect();
         let error = SceneParameters::from_assignment(&half, None).unwrap_err();
         assert!(error.to_string().contains("an integer"), "{error}");

@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn encoder_noise_is_read_from_the_biases() {
+    fn encoder_noise_is_read_from_biases() {
         let noise = || ("ik_noise_rad", Value::Number(0.02));
         check("franka", noise(), |_, _, _| {}).unwrap();
         assert_not_applied(check("franka", noise(), |cell, _, _| cell.bias.fill(0.0)));

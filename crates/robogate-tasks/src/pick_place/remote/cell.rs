@@ -51,39 +51,39 @@ pub struct CellContact {
 /// The object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CellObject {
-    /// Its parts in its own frame.
+    /// The parts in its own frame.
     pub parts: Vec<CellPart>,
-    /// Its pose at the start.
+    /// The pose at the start.
     pub pose: Pose,
-    /// Its mass in kilograms.
+    /// The mass in kilograms.
     pub mass_kg: f64,
-    /// Its centre of mass in its own frame.
+    /// The centre of mass in its own frame.
     pub centre_of_mass: [f64; 3],
-    /// Its inertia about the centre of mass along its own axes, row by row.
+    /// The inertia about the centre of mass along its own axes, row by row.
     pub inertia_kg_m2: [[f64; 3]; 3],
 }
 
 /// A part of the object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CellPart {
-    /// Its shape.
+    /// The shape.
     pub primitive: Primitive,
-    /// Its pose in the object's frame.
+    /// The pose in the object's frame.
     pub pose: Pose,
 }
 
 /// A body that stands still or follows a prescribed motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CellFixture {
-    /// Its name.
+    /// The name.
     pub name: String,
-    /// Its role.
+    /// The role.
     pub kind: FixtureKind,
-    /// Its shape.
+    /// The shape.
     pub primitive: Primitive,
-    /// Its pose at the start.
+    /// The pose at the start.
     pub pose: Pose,
-    /// Its motion, if it moves.
+    /// The motion, if it moves.
     pub motion: Option<CellMotion>,
 }
 
@@ -113,7 +113,7 @@ impl From<CellMotion> for Motion {
 /// The robot's drives. Arrays have one entry per arm joint, from base to tip.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CellRobot {
-    /// Its name.
+    /// The name.
     pub name: String,
     /// Hash of its files.
     pub sha256: Option<String>,

@@ -31,13 +31,13 @@ pub struct RemoteReadback {
 /// A fixture as read from an engine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RemoteFixture {
-    /// Its index in the cell's list.
+    /// The index in the cell's list.
     pub fixture: usize,
-    /// Its shape.
+    /// The shape.
     pub primitive: Option<Primitive>,
-    /// Its pose.
+    /// The pose.
     pub pose: Pose,
-    /// Its motion, if it moves.
+    /// The motion, if it moves.
     pub motion: Option<CellMotion>,
 }
 
