@@ -56,7 +56,7 @@ pub struct Measured {
     pub masses_kg: Vec<(String, f64)>,
     /// Largest distance of the flange from the first joint's axis over many random postures, in metres.
     pub flange_reach_m: f64,
-    /// The same for the tool centre point.
+    /// Largest distance of the tool centre point from the first joint's axis over the same postures, in metres.
     pub tool_reach_m: f64,
     /// Fraction of the positions over the table that the tool reaches pointing down, low and high above the table:
     /// 0.30 to 0.70 m in front of the base, 0.30 m to the right to 0.40 m to the left.

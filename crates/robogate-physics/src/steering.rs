@@ -9,7 +9,7 @@ use crate::Chain;
 /// distance it starts at the measured pose. Otherwise the command of a tool pushed against an obstacle would run ahead,
 /// and the tool would jump once it is free.
 const LEAD_M: f64 = 0.04;
-/// The same limit for the tool's orientation, in radians.
+/// The corresponding limit for the orientation of the tool, in radians.
 const LEAD_RAD: f64 = 0.2;
 
 /// Converts arm commands to joint positions in encoder coordinates.

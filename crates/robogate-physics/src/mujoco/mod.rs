@@ -60,9 +60,9 @@ struct Loaded {
     kinds: Vec<Kind>,
     /// Addresses of the arm's joints in qpos and qvel.
     arm: Vec<(usize, usize)>,
-    /// The same for the fingers; empty without fingers.
+    /// Addresses of the finger joints in qpos and qvel. Empty without fingers.
     fingers: Vec<(usize, usize)>,
-    /// The weld between cup and object, where the gripper has a cup.
+    /// The weld between cup and object, if the gripper has a cup.
     weld: Option<Weld>,
     object_body: usize,
     object_qpos: usize,

@@ -69,7 +69,7 @@ fn same_pose(a: &Isometry3<f64>, b: &Isometry3<f64>) -> bool {
     off.translation.vector.norm() < POSE_TOLERANCE && off.rotation.angle() < POSE_TOLERANCE
 }
 
-/// Compares shapes in single precision, because an engine may store them so.
+/// Compares shapes in single precision, the precision of some engines.
 fn same_primitive(a: &Primitive, b: &Primitive) -> bool {
     std::mem::discriminant(a) == std::mem::discriminant(b)
         && a.half_extent().iter().zip(b.half_extent()).all(|(a, b)| (a - b).abs() < 1e-7)
