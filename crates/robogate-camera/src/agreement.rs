@@ -1,4 +1,4 @@
-//! The caster compared with the ray casts of parry, and with the geometry of a pinhole camera.
+//! Compares the ray caster with parry's ray casts, and with the geometry of a pinhole camera.
 
 use std::sync::Arc;
 
@@ -16,13 +16,13 @@ use crate::mesh::Mesh;
 use crate::pinhole::Pinhole;
 use crate::shadow::Shadows;
 
-/// A solid in our form and in parry's. Parry's cylinders and capsules are along y.
+/// A solid in our form and in parry's form. Parry's cylinders and capsules are along y.
 struct Both {
     ours: Form,
     theirs: Box<dyn RayCast>,
     pose: Isometry3<f64>,
     /// Rotation from our frame to parry's.
-    turn: UnitQuaternion<f64>,
+    rotation: UnitQuaternion<f64>,
 }
 
 fn solid(kind: usize, stream: &mut Stream) -> Both {
@@ -30,7 +30,7 @@ fn solid(kind: usize, stream: &mut Stream) -> Both {
     let quarter = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
     let (a, b, c) = (size(), size(), size());
     let [x, y, z] = [a, b, c].map(|x| x as f32);
-    let (ours, theirs, turn): (_, Box<dyn RayCast>, _) = match kind % 5 {
+    let (ours, theirs, rotation): (_, Box<dyn RayCast>, _) = match kind % 5 {
         0 => (Form::Box { half: [x, y, z] }, Box::new(Cuboid::new(Vector::new(a, b, c))), UnitQuaternion::identity()),
         1 => (Form::Sphere { radius: x }, Box::new(Ball::new(a)), UnitQuaternion::identity()),
         2 => (Form::Capsule { radius: x, half_height: y }, Box::new(Capsule::new_y(b, a)), quarter),
@@ -48,10 +48,10 @@ fn solid(kind: usize, stream: &mut Stream) -> Both {
     };
     let place = Translation3::new(stream.between(-0.4, 0.4), stream.between(-0.5, 0.5), stream.between(-0.1, 0.4));
     let axis = Vector3::new(stream.between(-3.0, 3.0), stream.between(-3.0, 3.0), stream.between(-3.0, 3.0));
-    Both { ours, theirs, pose: Isometry3::from_parts(place, UnitQuaternion::from_scaled_axis(axis)), turn }
+    Both { ours, theirs, pose: Isometry3::from_parts(place, UnitQuaternion::from_scaled_axis(axis)), rotation }
 }
 
-/// The caster's hits at each pixel of a picture of these solids.
+/// The caster's hits at each pixel of an image of these solids.
 fn hits(solids: &[(&Form, Isometry3<f64>)], camera: &Pinhole) -> Vec<(f32, u32)> {
     let finish = Finish::new([128; 3], 0.0);
     let bodies: Vec<_> = solids.iter().map(|(form, pose)| Body::new(form, &finish, pose)).collect();
@@ -69,7 +69,7 @@ fn camera() -> Pinhole {
 }
 
 #[test]
-fn depths_agree_with_parry() {
+fn depths_match_parry() {
     let camera = camera();
     let (mut pixels, mut covered, mut off) = (0, 0, 0);
     for scene in 0..12 {
@@ -79,13 +79,13 @@ fn depths_agree_with_parry() {
         let eye = camera.pose.translation.vector;
         for (i, (depth, body)) in hits(&forms, &camera).into_iter().enumerate() {
             let place = [(i % camera.width) as f64 + 0.5, (i / camera.width) as f64 + 0.5];
-            // Length 1 along the line of sight, so that times of impact are depths.
-            let way = camera.point(place, 1.0).coords - eye;
+            // Length 1 along the line of sight, so times of impact are depths.
+            let direction = camera.point(place, 1.0).coords - eye;
             let first = solids.iter().enumerate().filter_map(|(k, both)| {
-                let pose = both.pose * both.turn.inverse();
+                let pose = both.pose * both.rotation.inverse();
                 let local = |v: Vector3<f64>| Vector::new(v.x, v.y, v.z);
                 let origin = pose.inverse_transform_point(&eye.into()).coords;
-                let ray = Ray::new(local(origin), local(pose.inverse_transform_vector(&way)));
+                let ray = Ray::new(local(origin), local(pose.inverse_transform_vector(&direction)));
                 Some((both.theirs.cast_local_ray(&ray, 10.0, false)?, k as u32))
             });
             let theirs = first.min_by(|a, b| a.0.total_cmp(&b.0));
@@ -104,9 +104,9 @@ fn depths_agree_with_parry() {
 }
 
 #[test]
-fn small_balls_appear_where_a_pinhole_projects_them() {
+fn balls_appear_at_pinhole_projection() {
     let camera = camera();
-    // Tangents of the angles from the line of sight, from the geometry alone.
+    // Tangents of the angles from the line of sight, computed only from the geometry.
     let forward = (Vector3::new(0.0, 0.0, 0.1) - Vector3::new(1.2, 0.3, 0.6)).normalize();
     let right = forward.cross(&Vector3::z()).normalize();
     let up = right.cross(&forward);
@@ -127,7 +127,7 @@ fn small_balls_appear_where_a_pinhole_projects_them() {
         };
         let (u, v) = (mean(|i, width| i % width), mean(|i, width| i / width));
         assert!((u - expected[0]).hypot(v - expected[1]) < 0.5, "{u} {v} for {expected:?}");
-        // The area that follows from the ball's angular size, to a few pixels along its outline.
+        // The area from the ball's angular size, to a few pixels along its outline.
         let radius = focal * 0.02 / off.dot(&forward);
         let area = std::f64::consts::PI * radius * radius;
         assert!((seen.len() as f64 - area).abs() < 0.2 * area + 2.0, "{} pixels for {area}", seen.len());

@@ -1,6 +1,6 @@
 //! Solids and their intersections with rays.
 //!
-//! Rays are processed eight at a time from one eye point: eight lanes of plain arithmetic that the compiler vectorises.
+//! Rays from one eye point are processed in packets of eight, in plain arithmetic that the compiler vectorises.
 //! Directions have length 1 along the line of sight, so a ray's parameter is the depth.
 
 use std::sync::Arc;
@@ -12,15 +12,15 @@ use crate::mesh::Mesh;
 
 /// Number of rays in a packet.
 pub(crate) const LANES: usize = 8;
-/// One number for each ray of a packet.
+/// One number per ray of a packet.
 pub(crate) type Lanes = [f32; LANES];
 
 /// Nearest visible depth, in metres.
 pub(crate) const NEAREST: f32 = 0.01;
-/// The depth of a ray that hits nothing.
+/// The depth of a ray without a hit.
 pub(crate) const NOWHERE: f32 = 1e9;
 
-/// A solid, centred at its own origin, axes along z; in metres.
+/// A solid, centred at its origin with its axis along z, in metres.
 #[derive(Debug, Clone)]
 pub(crate) enum Form {
     Box { half: [f32; 3] },
@@ -89,8 +89,8 @@ impl Hits {
 
 impl<'a> Body<'a> {
     pub(crate) fn new(form: &'a Form, finish: &'a Finish, pose: &Isometry3<f64>) -> Self {
-        let turn = pose.rotation.to_rotation_matrix();
-        let axes = [0, 1, 2].map(|i| turn.matrix().column(i).map(|x| x as f32));
+        let rotation = pose.rotation.to_rotation_matrix();
+        let axes = [0, 1, 2].map(|i| rotation.matrix().column(i).map(|x| x as f32));
         Self { form, finish, centre: pose.translation.vector.map(|x| x as f32), axes }
     }
 
@@ -140,15 +140,15 @@ impl<'a> Body<'a> {
         self.along_axes(&(point - self.centre))
     }
 
-    /// Outward normal in the base frame at a point of the surface, given in the body's frame. Edges are shaded as if they
-    /// were rounded.
+    /// Outward normal in the base frame at a point of the surface, which is given in the body's frame. Edges are shaded
+    /// as if rounded.
     pub(crate) fn normal(&self, p: &Vector3<f32>, triangle: u32) -> Vector3<f32> {
         let local = match self.form {
             Form::Box { half } => {
                 let least = half[0].min(half[1]).min(half[2]);
                 let edge = (0.15 * least).min(0.003);
                 let beyond = [0, 1, 2].map(|i: usize| (p[i].abs() - (half[i] - edge)).max(0.0) * p[i].signum());
-                // Away from the edges only one face counts: this is most of a picture.
+                // Away from the edges only one face counts, which is the case for most of an image.
                 let faces = beyond.iter().filter(|x| x.abs() > 0.0).count();
                 if let (1, Some(i)) = (faces, beyond.iter().position(|x| x.abs() > 0.0)) {
                     return self.axes[i] * beyond[i].signum();
@@ -174,13 +174,13 @@ impl<'a> Body<'a> {
     }
 
     /// A direction of the base frame in the body's frame.
-    pub(crate) fn along_axes(&self, way: &Vector3<f32>) -> Vector3<f32> {
+    pub(crate) fn along_axes(&self, direction: &Vector3<f32>) -> Vector3<f32> {
         let [x, y, z] = &self.axes;
-        Vector3::new(x.dot(way), y.dot(way), z.dot(way))
+        Vector3::new(x.dot(direction), y.dot(direction), z.dot(direction))
     }
 }
 
-/// Moves a number away from zero, so that it can be a divisor.
+/// Moves a number away from zero to make it a valid divisor.
 fn divisor(x: f32) -> f32 {
     if x.abs() < 1e-9 { 1e-9 } else { x }
 }

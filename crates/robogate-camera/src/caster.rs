@@ -1,4 +1,4 @@
-//! The ray caster: from bodies and light to pixels.
+//! The ray caster: computes pixels from bodies and light.
 
 use nalgebra::Vector3;
 
@@ -11,7 +11,7 @@ use crate::tiles::{TILE, Tiles, View};
 /// Neighbouring pixels that differ by more than this (of 255) are sampled again.
 const CONTRAST: u8 = 20;
 
-/// Positions of the samples of such a pixel, in pixels from its centre: no two in a row or column.
+/// Positions of the samples of such a pixel, in pixels from its centre. No two share a row or column.
 const SAMPLES: [[f32; 2]; 4] = [[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]];
 
 /// The room around the table.
@@ -24,9 +24,9 @@ pub(crate) struct Room {
 }
 
 impl Room {
-    /// Exposed light from floor and walls along a ray from `eye`. Nothing on the table reaches them.
+    /// Exposed light from floor and walls along a ray from `eye`. Bodies on the table cast no shadow there.
     pub(crate) fn seen(&self, light: &Light, eye: &Vector3<f32>, direction: &Vector3<f32>) -> Vector3<f32> {
-        /// From the base to the walls, in metres.
+        /// Distance from the base to the walls, in metres.
         const WALL: f32 = 2.2;
         let flat = (direction.x * direction.x + direction.y * direction.y).sqrt().max(1e-6);
         let start = (eye.x * eye.x + eye.y * eye.y).sqrt();
@@ -44,7 +44,7 @@ impl Room {
     }
 }
 
-/// Everything that a picture shows.
+/// Everything that an image shows.
 pub(crate) struct Picture<'a> {
     pub(crate) bodies: &'a [Body<'a>],
     pub(crate) shadows: &'a Shadows<'a>,
@@ -58,8 +58,8 @@ pub(crate) struct Picture<'a> {
 
 impl View {
     pub(crate) fn new(camera: &Pinhole) -> Self {
-        let turn = camera.pose.rotation.to_rotation_matrix();
-        let column = |i: usize| turn.matrix().column(i).map(|x| x as f32);
+        let rotation = camera.pose.rotation.to_rotation_matrix();
+        let column = |i: usize| rotation.matrix().column(i).map(|x| x as f32);
         Self {
             eye: camera.pose.translation.vector.map(|x| x as f32),
             right: column(0),
@@ -71,7 +71,7 @@ impl View {
         }
     }
 
-    /// Rays through these places in the picture (pixels).
+    /// Rays through these positions in the image (pixels).
     fn rays(&self, places: &[[f32; 2]; LANES]) -> Rays {
         let mut rays = Rays { x: [0.0; LANES], y: [0.0; LANES], z: [0.0; LANES] };
         for (k, [u, v]) in places.iter().enumerate() {
@@ -173,7 +173,7 @@ impl Picture<'_> {
             while bits != 0 {
                 let (body, near) = tiles.order[word * 64 + bits.trailing_zeros() as usize];
                 bits &= bits - 1;
-                // Bodies are sorted by their smallest depth: all further ones are hidden.
+                // Bodies are sorted by their smallest depth, so all further ones are hidden.
                 if !self.exhaustive && hits.depth.iter().all(|depth| *depth <= near) {
                     return hits;
                 }
@@ -197,11 +197,11 @@ impl Picture<'_> {
                 let share = clear(hits.body[lane]);
                 if share > 0.0 {
                     let body = &self.bodies[hits.body[lane] as usize];
-                    let way = rays.direction(lane);
+                    let direction = rays.direction(lane);
                     // At a grazing angle, glass transmits less and reflects more.
-                    let point = view.eye + way * hits.depth[lane];
+                    let point = view.eye + direction * hits.depth[lane];
                     let normal = body.normal(&body.local(&point), hits.triangle[lane]);
-                    let slant = 1.0 - (normal.dot(&way) / way.norm()).abs();
+                    let slant = 1.0 - (normal.dot(&direction) / direction.norm()).abs();
                     let share = share * (1.0 - 0.7 * slant * slant * slant);
                     let tint = body.finish.tint();
                     *color = *color * (1.0 - share) + beyond[lane].component_mul(&tint) * share;
@@ -218,17 +218,17 @@ impl Picture<'_> {
         for (k, inverse) in inverse.iter_mut().enumerate() {
             *inverse = 1.0 / (rays.x[k] * rays.x[k] + rays.y[k] * rays.y[k] + rays.z[k] * rays.z[k]).sqrt();
         }
-        // Per ray: what depends on the surface.
+        // Per ray: the terms that depend on the surface.
         let (mut nx, mut ny, mut nz) = ([0.0; LANES], [0.0; LANES], [1.0; LANES]);
         let (mut facing, mut gloss, mut seen) = ([1.0; LANES], [0.0; LANES], [0.0; LANES]);
         let mut albedo = [Vector3::zeros(); LANES];
         for k in 0..LANES {
             let Some(body) = self.bodies.get(hits.body[k] as usize) else { continue };
-            let way = rays.direction(k);
-            let point = view.eye + way * hits.depth[k];
+            let direction = rays.direction(k);
+            let point = view.eye + direction * hits.depth[k];
             let local = body.local(&point);
             let mut normal = body.normal(&local, hits.triangle[k]);
-            let mut away = normal.dot(&way) * inverse[k];
+            let mut away = normal.dot(&direction) * inverse[k];
             if away > 0.0 {
                 // A mesh may be open or have inward normals.
                 (normal, away) = (-normal, -away);

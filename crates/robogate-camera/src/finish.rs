@@ -9,7 +9,7 @@ use crate::table::{self, Texture};
 /// The finish of a surface.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Finish {
-    /// Fraction of red, green and blue light that it reflects.
+    /// Fraction of red, green and blue light that is reflected.
     pub(crate) albedo: Vector3<f32>,
     /// Specular reflection of lamp and surroundings: 0 is matt, 1 is varnish.
     pub(crate) gloss: f32,
@@ -27,7 +27,7 @@ pub(crate) enum Pattern {
         material: TableMaterial,
         marker: Option<[f32; 2]>,
     },
-    /// Diagonal stripes of the surface's colour and black, as on machines that move.
+    /// Diagonal stripes of the surface's colour and black, as on moving machines.
     Hazard,
     /// Fine grain, as of a casting or sprayed paint.
     Grain,
@@ -48,7 +48,7 @@ impl Finish {
         Vector3::repeat(1.0).lerp(&self.albedo, 0.35)
     }
 
-    /// Reflectances and gloss at a point of the body's frame. A pixel covers `footprint` metres there.
+    /// Reflectances and gloss at a point in the body's frame. A pixel covers `footprint` metres there.
     pub(crate) fn at(&self, p: &Vector3<f32>, footprint: f32) -> (Vector3<f32>, f32) {
         match self.pattern {
             Pattern::Plain => (self.albedo, self.gloss),
@@ -85,7 +85,7 @@ impl Finish {
         if off > MARK + footprint {
             return (top, self.gloss);
         }
-        // Each line keeps its width and is blurred by what a pixel covers.
+        // Each line keeps its width and is blurred over the size of a pixel.
         let blur = footprint.max(5e-4);
         let inside = |radius: f32| smooth((radius - off) / blur + 0.5);
         let ring = |outer: f32, inner: f32| inside(outer) * (1.0 - inside(inner));

@@ -1,12 +1,12 @@
-//! Pictures of a robot cell: an analytic ray caster on the CPU.
+//! Camera images of a robot cell, from an analytic ray caster on the CPU.
 //!
-//! [`Cameras`] hold the appearance of a robot and, after [`Cameras::set_up`], of a scene. The front camera is mounted beyond
-//! the table and looks back at the workspace ([`FRONT_CAMERA`]). The wrist camera is mounted on the hand and looks at the
-//! fingertips. Poses of the robot's links follow from its joints and the description of its model, so pictures do not
-//! depend on the engine. Equal scenes give equal bytes: the caster uses no GPU and no threads, and keeps no state between
-//! pictures.
+//! [`Cameras`] store the appearance of a robot and, after [`Cameras::set_up`], of a scene. The front camera is beyond
+//! the table and looks back at the workspace ([`FRONT_CAMERA`]). The wrist camera is mounted on the hand and looks at
+//! the fingertips. Poses of the robot's links are computed from its joints and the description of its model, so images
+//! do not depend on the engine. Equal scenes give equal bytes: the caster uses no GPU and no threads, and has no state
+//! between images.
 //!
-//! Units: metres, radians, lux. Pictures are sRGB, 8 bits a channel.
+//! Units: metres, radians, lux. Images are sRGB with 8 bits per channel.
 
 #[cfg(test)]
 mod agreement;
@@ -40,24 +40,24 @@ use crate::looks::RobotLooks;
 use crate::mounts::{Mounts, front_pose};
 use crate::stage::Stage;
 
-/// The cameras' names, in the order of the pictures.
+/// The cameras' names, in the order of the images.
 pub const CAMERAS: [&str; 2] = ["front", "wrist"];
 
-/// Default width and height of a picture, in pixels.
+/// Default width and height of an image, in pixels.
 pub const SIZE_PX: usize = 256;
 
-/// A renderer that replaces the embedded caster and draws the state of an engine.
+/// A renderer that replaces the embedded caster and renders the state of an engine.
 pub trait Renderer<E> {
-    /// Sets width and height of its pictures, in pixels.
+    /// Sets width and height of the images, in pixels.
     fn resize(&mut self, width: usize, height: usize);
 
-    /// Sets a scene up and returns its appearance as applied.
+    /// Sets up a scene and returns its applied appearance.
     fn set_up(&mut self, engine: &E, scene: &Scene) -> Visual;
 
     /// Removes the scene.
     fn clear(&mut self);
 
-    /// Renders the engine's state, one picture for each of [`CAMERAS`].
+    /// Renders the engine's state, one image per camera of [`CAMERAS`].
     fn render(&mut self, engine: &E) -> Result<Vec<Image>, Fault>;
 }
 
@@ -71,7 +71,7 @@ pub struct Cameras {
     scene: Option<Stage>,
 }
 
-/// Positions of everything that moves.
+/// Positions of all moving bodies.
 #[derive(Debug, Clone)]
 pub struct Posture {
     /// True positions of the arm's joints, base to tip, in radians.
@@ -85,10 +85,10 @@ pub struct Posture {
 }
 
 impl Cameras {
-    /// The cameras of a cell with this robot. Pictures are [`SIZE_PX`] wide and high.
+    /// Creates the cameras of a cell with this robot. Images are [`SIZE_PX`] wide and high.
     ///
     /// # Errors
-    /// If the robot's model cannot be read without MuJoCo: a URDF, or MJCF with elements that the reader does not know.
+    /// If the robot's model cannot be read without MuJoCo: a URDF, or MJCF with unsupported elements.
     pub fn new(robot: &Robot) -> Result<Self, String> {
         let looks = RobotLooks::new(robot)?;
         let waiting = Posture {
@@ -101,7 +101,7 @@ impl Cameras {
         Ok(Self { robot: looks, mounts, size: [SIZE_PX; 2], exhaustive: false, scene: None })
     }
 
-    /// The same cameras with pictures of another size, in pixels.
+    /// The same cameras with another image size, in pixels.
     #[must_use]
     pub fn with_size(mut self, width: usize, height: usize) -> Self {
         self.size = [width.max(1), height.max(1)];
@@ -109,7 +109,7 @@ impl Cameras {
     }
 
     /// The same cameras without acceleration structures: every ray tests every solid, and every point every shadow. The
-    /// pictures are the same to the bit; tests and benchmarks compare with them.
+    /// images are identical to the bit. Tests and benchmarks compare with them.
     #[must_use]
     pub fn exhaustive(mut self) -> Self {
         self.exhaustive = true;
@@ -127,7 +127,7 @@ impl Cameras {
         (width, height)
     }
 
-    /// Sets a scene up.
+    /// Sets up a scene.
     pub fn set_up(&mut self, scene: &Scene) {
         self.scene = Some(Stage::new(scene, front_pose()));
     }
@@ -147,13 +147,13 @@ impl Cameras {
         self.scene.as_ref()?.visual(&front_pose())
     }
 
-    /// The cameras in this posture, in the order of [`CAMERAS`].
+    /// The pinhole cameras in this posture, in the order of [`CAMERAS`].
     pub fn pinholes(&self, posture: &Posture) -> [Pinhole; 2] {
         let front = self.scene.as_ref().map_or_else(front_pose, |scene| scene.front);
         self.mounts.pinholes(&front, &self.robot.tool(posture), self.size)
     }
 
-    /// Renders this posture, one picture for each of [`CAMERAS`]; none before [`Self::set_up`].
+    /// Renders this posture, one image per camera of [`CAMERAS`]. Empty before [`Self::set_up`].
     pub fn render(&self, posture: &Posture) -> Vec<Image> {
         let Some(scene) = &self.scene else { return Vec::new() };
         scene.with_bodies(&self.robot, posture, self.exhaustive, |picture| {

@@ -11,7 +11,7 @@ const KEY_SHARE: f32 = 0.62;
 /// Sine of half the angular size of the lamp: a panel of 40 cm at 2.5 m.
 pub(crate) const LAMP_SPREAD: f32 = 0.08;
 
-/// At this illuminance in lux, a surface with [`MIDDLE_ALBEDO`] is exposed to the middle of the curve.
+/// Illuminance in lux at which a surface with [`MIDDLE_ALBEDO`] is exposed to the middle of the curve.
 const MIDDLE_LUX: f32 = 500.0;
 pub(crate) const MIDDLE_ALBEDO: f32 = 0.34;
 
@@ -30,7 +30,7 @@ pub(crate) struct Light {
 
 impl Light {
     pub(crate) fn new(lux: f64) -> Self {
-        // From above, from the camera's side and from its left: shadows fall to the right, where they are visible.
+        // From above, from the camera's side and from its left. Shadows fall to the right, where they are visible.
         let towards = Vector3::new(0.38_f32, -0.46, 0.8).normalize();
         let exposed = lux as f32 / (MIDDLE_LUX * MIDDLE_ALBEDO);
         let key = exposed * KEY_SHARE / towards.z;
@@ -67,7 +67,7 @@ const OCTAVES: u32 = 24;
 const STEP_BITS: u32 = 7;
 
 /// The response of the camera's sensor in sRGB: x^n / (x^n + 1) with n = 1.15, the form of Naka and Rushton (1966) for
-/// photoreceptors. No light saturates it. 1 is the middle of the curve.
+/// photoreceptors. It never saturates. 1 is the middle of the curve.
 pub(crate) fn exposed(radiance: &Vector3<f32>) -> [u8; 3] {
     static CURVE: OnceLock<Vec<u8>> = OnceLock::new();
     let lowest = (127 - OCTAVES / 2) << STEP_BITS;
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn the_exposure_covers_usual_light() {
+    fn exposure_covers_usual_light() {
         let [white, grey] = [[240; 3], [225; 3]];
         assert!(seen(white, 2000.0)[0] < 250 && seen(white, 2000.0)[0] > seen(grey, 2000.0)[0]);
         assert!(seen([128; 3], 50.0)[0] < 60, "{:?}", seen([128; 3], 50.0));

@@ -12,15 +12,15 @@ use crate::finish::{Finish, Pattern};
 use crate::mesh::Mesh;
 use crate::outfits::{self, Outfit};
 
-/// Geometry groups up to this one are drawn, as in MuJoCo's viewer. Collision shapes that simplify a visual shape are in
-/// higher groups.
+/// Geometry groups up to this one are rendered, as in MuJoCo's viewer. Simplified collision shapes are in higher
+/// groups.
 pub(crate) const SHOWN_GROUPS: i32 = 2;
 
-/// A robot as the cameras hold it.
+/// The appearance of a robot as the cameras store it.
 #[derive(Debug)]
 pub(crate) struct RobotLooks {
     pub(crate) pieces: Vec<Piece>,
-    /// Whether the pieces are RoboGate's own and not the model's geometry.
+    /// Whether the pieces come from RoboGate's outfit instead of the model's geometry.
     #[cfg(feature = "egl")]
     pub(crate) dressed: bool,
     /// The model's bodies: name, index of the link that holds the body, and pose in that link.
@@ -37,11 +37,11 @@ pub(crate) struct Piece {
     pub(crate) link: usize,
     pub(crate) form: Form,
     pub(crate) finish: Finish,
-    /// Its pose in the link's frame.
+    /// The pose in the link's frame.
     pub(crate) place: Isometry3<f64>,
 }
 
-/// How a link moves relative to its parent.
+/// The motion of a link relative to its parent.
 #[derive(Debug)]
 struct Hinge {
     parent: usize,
@@ -51,7 +51,7 @@ struct Hinge {
     drive: Drive,
 }
 
-/// Source of a joint's position.
+/// The source of a joint's position.
 #[derive(Debug, Clone, Copy)]
 enum Drive {
     /// A joint of the arm, by its index.
@@ -60,7 +60,7 @@ enum Drive {
     Finger,
     /// `factor` times the joint of another link plus `offset`.
     Follows { link: usize, factor: f64, offset: f64 },
-    /// None: it stays at 0.
+    /// No source: the joint stays at 0.
     Nothing,
 }
 
@@ -68,7 +68,7 @@ impl RobotLooks {
     pub(crate) fn new(robot: &Robot) -> Result<Self, String> {
         let description = Description::read(robot).map_err(|error| match error {
             RobotError::Invalid { problems, .. } => {
-                problems.first().map_or_else(|| "its model cannot be read".to_owned(), |first| first.what.clone())
+                problems.first().map_or_else(|| "the model cannot be read".to_owned(), |first| first.what.clone())
             }
             other => other.to_string(),
         })?;
@@ -95,7 +95,7 @@ impl RobotLooks {
             None => drawn.into_iter().filter_map(|(link, look)| Piece::new(link, look)).collect(),
         };
         if pieces.is_empty() {
-            return Err("its model has no visible shape".to_owned());
+            return Err("the model has no visible shape".to_owned());
         }
         pieces.push(outfits::pedestal());
         Ok(Self {
@@ -118,8 +118,8 @@ impl RobotLooks {
                 let motion = if hinge.slides {
                     Isometry3::translation(q, 0.0, 0.0)
                 } else {
-                    let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), q);
-                    Isometry3::from_parts(Translation3::identity(), turn)
+                    let rotation = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), q);
+                    Isometry3::from_parts(Translation3::identity(), rotation)
                 };
                 // Parents precede their children.
                 poses.get(hinge.parent).copied().unwrap_or_default() * hinge.in_parent * motion * hinge.from_joint
@@ -150,7 +150,7 @@ impl RobotLooks {
     }
 }
 
-/// The source of the position of the joint of that name.
+/// The source of the position of the joint with this name.
 fn drive(joint: &str, robot: &Robot, description: &Description) -> Drive {
     let settings = &robot.settings;
     if let Some(i) = settings.arm.joints.iter().position(|name| name == joint) {
@@ -169,7 +169,7 @@ fn drive(joint: &str, robot: &Robot, description: &Description) -> Drive {
 }
 
 impl Piece {
-    /// A visual shape of the model; `None` for a mesh without triangles and for an invisible shape.
+    /// A visual shape of the model. `None` for a mesh without triangles and for an invisible shape.
     pub(crate) fn new(link: usize, look: &LinkLook) -> Option<Self> {
         let mut place = look.pose;
         let form = match &look.solid {
@@ -188,7 +188,7 @@ impl Piece {
                 Form::Mesh(Arc::new(mesh))
             }
         };
-        // MuJoCo's default is a light grey.
+        // MuJoCo's default colour is a light grey.
         let [red, green, blue, opacity] = look.rgba.unwrap_or([0.5, 0.5, 0.5, 1.0]);
         if opacity <= 0.0 {
             return None;

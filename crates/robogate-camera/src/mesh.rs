@@ -19,14 +19,15 @@ pub(crate) struct Mesh {
 struct Node {
     low: Vector3<f32>,
     high: Vector3<f32>,
-    /// In a leaf the index of its first triangle; otherwise that of its second child. The first child follows the node.
+    /// The index of the first triangle of a leaf; otherwise that of the second child. The first child follows the node.
     next: u32,
     /// Number of triangles in a leaf; 0 otherwise.
     count: u32,
 }
 
 impl Mesh {
-    /// The mesh of these triangles, and the centre of its bounding box (m). `None` without a triangle of positive area.
+    /// Creates a mesh of these triangles. Also returns the centre of its bounding box (m). `None` without a triangle of
+    /// positive area.
     pub(crate) fn new(triangles: &[[Vector3<f64>; 3]]) -> Option<(Self, Vector3<f64>)> {
         let corners = || triangles.iter().flatten();
         let first = corners().next()?;
@@ -56,8 +57,8 @@ impl Mesh {
     }
 
     /// First hit of a ray with the mesh, in multiples of its direction between `from` and `to`, and the triangle.
-    pub(crate) fn first(&self, eye: &Vector3<f32>, way: &Vector3<f32>, from: f32, to: f32) -> Option<(f32, u32)> {
-        let inverse = way.map(|x| 1.0 / if x.abs() < 1e-9 { 1e-9 } else { x });
+    pub(crate) fn first(&self, eye: &Vector3<f32>, direction: &Vector3<f32>, from: f32, to: f32) -> Option<(f32, u32)> {
+        let inverse = direction.map(|x| 1.0 / if x.abs() < 1e-9 { 1e-9 } else { x });
         let mut found = None;
         let mut limit = to;
         let mut stack = [0_u32; 64];
@@ -79,7 +80,7 @@ impl Mesh {
                 continue;
             }
             for triangle in node.next..node.next + node.count {
-                if let Some(t) = meet(&self.triangles[triangle as usize], eye, way)
+                if let Some(t) = meet(&self.triangles[triangle as usize], eye, direction)
                     && t > from
                     && t < limit
                 {
@@ -93,8 +94,8 @@ impl Mesh {
 }
 
 /// Ray-triangle intersection (Möller and Trumbore 1997).
-fn meet([corner, along, across]: &[Vector3<f32>; 3], eye: &Vector3<f32>, way: &Vector3<f32>) -> Option<f32> {
-    let p = way.cross(across);
+fn meet([corner, along, across]: &[Vector3<f32>; 3], eye: &Vector3<f32>, direction: &Vector3<f32>) -> Option<f32> {
+    let p = direction.cross(across);
     let determinant = along.dot(&p);
     if determinant.abs() < 1e-14 {
         return None;
@@ -102,7 +103,7 @@ fn meet([corner, along, across]: &[Vector3<f32>; 3], eye: &Vector3<f32>, way: &V
     let s = eye - corner;
     let u = s.dot(&p) / determinant;
     let q = s.cross(along);
-    let v = way.dot(&q) / determinant;
+    let v = direction.dot(&q) / determinant;
     (u >= 0.0 && v >= 0.0 && u + v <= 1.0).then(|| across.dot(&q) / determinant)
 }
 
@@ -117,7 +118,7 @@ fn part(triangles: &mut [[Vector3<f32>; 3]], first: usize, nodes: &mut Vec<Node>
         return;
     }
     nodes.push(Node { low, high, next: 0, count: 0 });
-    // Halves of equal number bound the depth of the tree for all meshes.
+    // Two halves with equal numbers of triangles bound the depth of the tree for all meshes.
     let axis = (high - low).imax();
     let middle = triangles.len() / 2;
     let place = |t: &[Vector3<f32>; 3]| t[0][axis] + t[1][axis] + t[2][axis];

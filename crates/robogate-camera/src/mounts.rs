@@ -5,8 +5,8 @@ use robogate_physics::{Gripper, WORKSPACE_CENTRE};
 
 use crate::Pinhole;
 
-/// Nominal pose of the front camera, beyond the table and looking back at the workspace: its position and the point that
-/// it looks at, in metres in the base frame.
+/// Nominal pose of the front camera, beyond the table and looking back at the workspace: its position and the point
+/// that it looks at, in metres in the base frame.
 pub const FRONT_CAMERA: ([f64; 3], [f64; 3]) = ([1.25, 0.0, 0.55], [0.5, 0.0, 0.05]);
 
 /// Fields of view of the front and the wrist camera, in radians.
@@ -21,19 +21,19 @@ pub(crate) struct Mounts {
 }
 
 impl Mounts {
-    /// The mounts for this gripper. `waiting` is the pose of the tool centre point while the arm waits.
+    /// Creates the mounts for this gripper. `waiting` is the pose of the tool centre point with the arm at home.
     pub(crate) fn new(gripper: &Gripper, waiting: &Isometry3<f64>) -> Self {
         let behind = match gripper {
             Gripper::ParallelJaw(jaw) => jaw.palm_m + 0.035,
             Gripper::Suction(_) => 0.09,
         };
-        // Mounted next to the hand, across the tool's y axis, along which the fingers close. The hand is in the lower part
-        // of the picture.
+        // Mounted next to the hand, perpendicular to the tool's y axis, along which the fingers close. The hand is in
+        // the lower part of the image.
         let mounted = |side: f64| {
             let from = Point3::new(side * 0.1, 0.0, -behind);
             Pinhole::looking(from, Point3::new(0.0, 0.0, 0.02), &(Vector3::x() * side))
         };
-        // On the side from which it looks towards the workspace, and not back at the robot, while the arm waits.
+        // On the side from which it looks towards the workspace, not back at the robot, with the arm at home.
         let [x, y] = WORKSPACE_CENTRE;
         let ahead = Vector3::new(x, y, 0.0) - waiting.translation.vector;
         let sight = waiting.rotation * (mounted(1.0).rotation * Vector3::z());

@@ -1,7 +1,7 @@
 //! Appearance of the built-in robots beyond their collision shapes.
 //!
-//! It is defined here and not in the robots' files, because a robot's hash is computed over its files and must not depend
-//! on appearance. Shapes deviate from the collision shapes by a few millimetres at most.
+//! The appearance is defined here and not in the robots' files, because a robot's hash covers its files and must not
+//! depend on appearance. Shapes deviate from the collision shapes by a few millimetres at most.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use robogate_physics::description::{Description, LinkLook, Solid};
@@ -12,9 +12,9 @@ use crate::looks::Piece;
 
 /// Appearance of a built-in robot.
 pub(crate) enum Outfit {
-    /// Parts that replace its model's shapes.
+    /// Parts that replace the model's shapes.
     Whole(&'static [Part]),
-    /// Its model's shapes, with housings at the joints.
+    /// The model's shapes, with housings at the joints.
     Housings,
 }
 
@@ -55,7 +55,7 @@ impl Paint {
     }
 }
 
-/// The outfit of the built-in robot of that name.
+/// The outfit of the built-in robot with this name.
 pub(crate) fn of(robot: &str) -> Option<Outfit> {
     match robot {
         "franka" => Some(Outfit::Whole(FRANKA)),
@@ -140,10 +140,10 @@ impl Part {
 /// The frame at the middle of a segment with z along it, and half its length.
 fn along(from: [f64; 3], to: [f64; 3]) -> (Isometry3<f64>, f64) {
     let (from, to) = (Point3::from(from), Point3::from(to));
-    let way = to - from;
-    let turn = UnitQuaternion::rotation_between(&Vector3::z(), &way)
+    let axis = to - from;
+    let rotation = UnitQuaternion::rotation_between(&Vector3::z(), &axis)
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
-    (Isometry3::from_parts(Translation3::from(nalgebra::center(&from, &to).coords), turn), 0.5 * way.norm())
+    (Isometry3::from_parts(Translation3::from(nalgebra::center(&from, &to).coords), rotation), 0.5 * axis.norm())
 }
 
 /// A shape of a UR's model: tubes of brushed aluminium, joints as drums with a blue lid at each end.

@@ -2,10 +2,10 @@
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
-/// A camera without distortion, with square pixels and its principal point at the centre of the picture.
+/// A camera without distortion, with square pixels and its principal point at the centre of the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pinhole {
-    /// Pose in the base frame: x to the right of the picture, y down, z along the line of sight.
+    /// Pose in the base frame: x to the right of the image, y down, z along the line of sight.
     pub pose: Isometry3<f64>,
     /// Vertical field of view, in radians.
     pub field_of_view_rad: f64,
@@ -16,14 +16,14 @@ pub struct Pinhole {
 }
 
 impl Pinhole {
-    /// Pose of an upright camera at `from` that looks at `at` (m). `up` points up in the picture and must not be parallel to
-    /// the line of sight.
+    /// Pose of an upright camera at `from` that looks at `at` (m). `up` points up in the image and must not be parallel
+    /// to the line of sight.
     pub fn looking(from: Point3<f64>, at: Point3<f64>, up: &Vector3<f64>) -> Isometry3<f64> {
         let forward = (at - from).normalize();
         let right = forward.cross(up).normalize();
         let down = forward.cross(&right);
-        let turn = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[right, down, forward]));
-        Isometry3::from_parts(from.into(), UnitQuaternion::from_rotation_matrix(&turn))
+        let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[right, down, forward]));
+        Isometry3::from_parts(from.into(), UnitQuaternion::from_rotation_matrix(&rotation))
     }
 
     /// A camera pose rotated about the line of sight by `roll` (positive: clockwise as seen from behind the camera), then
@@ -53,7 +53,7 @@ impl Pinhole {
         (local.z > 0.0).then(|| [across + focal * local.x / local.z, down + focal * local.y / local.z, local.z])
     }
 
-    /// The point in the base frame at this place in the picture (pixels) and depth (m).
+    /// The point in the base frame at this position in the image (pixels) and depth (m).
     pub fn point(&self, [u, v]: [f64; 2], depth: f64) -> Point3<f64> {
         let focal = self.focal_px();
         let x = (u - 0.5 * self.width as f64) / focal;
@@ -72,19 +72,19 @@ mod tests {
     }
 
     #[test]
-    fn an_upright_camera_sees_up_as_up() {
+    fn upright_camera_shows_up_as_up() {
         let camera = camera();
         let [u, v, depth] = camera.project(&Point3::new(0.5, 0.0, 0.05)).unwrap();
         assert!((u - 160.0).abs() < 1e-9 && (v - 100.0).abs() < 1e-9);
         assert!((depth - 0.75_f64.hypot(0.5)).abs() < 1e-12);
         assert!(camera.project(&Point3::new(0.5, 0.0, 0.15)).unwrap()[1] < 100.0);
-        // The camera looks back at the robot: the robot's left, +y, is at the picture's right.
+        // The camera looks back at the robot, so the robot's left, +y, is on the right of the image.
         assert!(camera.project(&Point3::new(0.5, 0.1, 0.05)).unwrap()[0] > 160.0);
         assert_eq!(camera.project(&Point3::new(2.0, 0.0, 1.0)), None);
     }
 
     #[test]
-    fn the_field_of_view_spans_the_height() {
+    fn field_of_view_spans_the_height() {
         let camera = camera();
         let at_edge = camera.pose * Point3::new(0.0, -0.6_f64.tan() * 2.0, 2.0);
         assert!(camera.project(&at_edge).unwrap()[1].abs() < 1e-9);
@@ -99,17 +99,17 @@ mod tests {
     }
 
     #[test]
-    fn roll_and_pitch_can_be_read_back() {
+    fn roll_and_pitch_round_trip() {
         let pose = camera().pose;
         for (roll, pitch) in [(0.0, 0.0), (0.2, -0.1), (-0.5, 0.5), (0.01, 0.3)] {
             let off = Pinhole::turn_between(&pose, &Pinhole::turned(&pose, roll, pitch));
             assert!((off[0] - roll).abs() < 1e-12 && (off[1] - pitch).abs() < 1e-12, "{off:?}");
         }
         let up = Pinhole { pose: Pinhole::turned(&pose, 0.0, 0.1), ..camera() };
-        // What was at the centre is now below it.
+        // The point at the image centre is now below it.
         assert!(up.project(&Point3::new(0.5, 0.0, 0.05)).unwrap()[1] > 100.0);
         let clockwise = Pinhole { pose: Pinhole::turned(&pose, 0.1, 0.0), ..camera() };
-        // The camera rotates clockwise, so what was to its right moves up.
+        // The camera rotates clockwise, so points to its right move up.
         assert!(clockwise.project(&Point3::new(0.5, 0.1, 0.05)).unwrap()[1] < 100.0);
     }
 }

@@ -1,9 +1,9 @@
 //! Soft shadows of a distant lamp, in closed form.
 //!
-//! Seen from the lamp each solid is a flat figure: a disc, a stadium, a hexagon. The position of a point relative to that
-//! figure gives the fraction of the lamp that the solid hides: the lamp is a panel, so the width of a shadow's edge is
-//! proportional to the distance from solid to point. A grid across the light holds for each cell the solids whose shadows
-//! may fall there.
+//! Projected along the light, each solid is a flat figure: a disc, a stadium, a hexagon. The position of a point
+//! relative to that figure gives the hidden fraction of the lamp. The lamp is a panel, so the width of a shadow's edge
+//! is proportional to the distance from solid to point. A grid across the light stores for each cell the solids whose
+//! shadows may fall there.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -28,7 +28,7 @@ pub(crate) struct Shadows<'a> {
     cells: Vec<u64>,
 }
 
-/// A solid as seen from the lamp. Third coordinates are heights along the light.
+/// A solid projected along the light. Third coordinates are heights along the light.
 struct Caster {
     body: u32,
     centre: Vector3<f32>,
@@ -64,8 +64,8 @@ enum Figure {
 }
 
 impl<'a> Shadows<'a> {
-    /// The shadows of those of the bodies that cast any. With `all` they may fall into every cell: what the grid spares is
-    /// not spared.
+    /// Computes the shadows of all bodies that cast one. With `all` they may fall into every cell, which disables the
+    /// acceleration by the grid.
     pub(crate) fn new(
         bodies: &'a [Body<'a>],
         casts: impl Fn(usize) -> bool,
@@ -121,7 +121,7 @@ impl<'a> Shadows<'a> {
         }
     }
 
-    /// Fraction of the lamp that a point of body `own` sees.
+    /// Fraction of the lamp that is visible from a point of body `own`.
     pub(crate) fn light_at(&self, point: &Vector3<f32>, own: u32) -> f32 {
         let p = Vector3::new(point.dot(&self.across[0]), point.dot(&self.across[1]), point.dot(&self.towards));
         let [column, row] = [0, 1].map(|axis| (p[axis] - self.corner[axis]) / CELL);
@@ -208,7 +208,7 @@ impl Caster {
         }
     }
 
-    /// Fraction of the lamp that it hides from a point.
+    /// Fraction of the lamp that the solid hides from a point.
     fn hides(&self, p: &Vector3<f32>) -> f32 {
         let off = p - self.centre;
         // A point above its highest point is in front of it.
@@ -242,7 +242,7 @@ impl Caster {
                 bar(u, *radius, width) * bar(v.abs(), flat + round, width)
             }
             Figure::Hexagon { edges, axes, half } => {
-                // Outside the widest possible edge of the shadow: this holds for most points of a cell.
+                // Outside the widest possible edge of the shadow, which is the case for most points of a cell.
                 let widest = blur(self.radius - off.z);
                 if edges.iter().any(|(normal, reach)| off.xy().dot(normal).abs() >= reach + widest) {
                     return 0.0;

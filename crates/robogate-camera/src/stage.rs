@@ -1,4 +1,4 @@
-//! A scene as the cameras hold it.
+//! A scene as the cameras store it.
 
 use nalgebra::{Isometry3, Vector3};
 use robogate_physics::{FixtureKind, Primitive, Scene, Visual, WORKSPACE_CENTRE};
@@ -19,7 +19,7 @@ const FLOOR: f32 = -0.75;
 /// Colours of the obstacles, in rotation. They differ from usual colours of objects and of the marker.
 const OBSTACLES: [[u8; 3]; 5] = [[92, 112, 140], [150, 140, 120], [84, 100, 104], [168, 160, 150], [110, 100, 126]];
 
-/// A scene as the cameras hold it.
+/// A scene as the cameras store it.
 #[derive(Debug)]
 pub(crate) struct Stage {
     /// The front camera's pose.
@@ -37,7 +37,7 @@ pub(crate) struct Prop {
     form: Form,
     pub(crate) finish: Finish,
     pub(crate) with: With,
-    /// Its pose in that body's frame.
+    /// The pose in that body's frame.
     place: Isometry3<f64>,
 }
 
@@ -86,7 +86,7 @@ impl Stage {
         }
     }
 
-    /// Its appearance, read from lamp, surfaces and camera. `nominal` is the nominal pose of the front camera.
+    /// The appearance, read from lamp, surfaces and camera. `nominal` is the nominal pose of the front camera.
     pub(crate) fn visual(&self, nominal: &Isometry3<f64>) -> Option<Visual> {
         // A quaternion of doubles has no more digits.
         let rounded = |x: f64| (x * 1e12).round() / 1e12;

@@ -27,7 +27,7 @@ struct Level {
 }
 
 impl Texture {
-    /// The material's texture; computed at its first use.
+    /// The material's texture, computed at its first use.
     pub(crate) fn of(material: TableMaterial) -> &'static Self {
         static PAINTED: [OnceLock<Texture>; 5] = [const { OnceLock::new() }; 5];
         PAINTED[material as usize].get_or_init(|| Self::paint(material))
@@ -38,7 +38,7 @@ impl Texture {
         let mut fine: Vec<Vector3<f32>> = Vec::with_capacity(SIZE[0] * SIZE[1]);
         for row in 0..SIZE[1] {
             for column in 0..SIZE[0] {
-                // Four samples to a texel average finer detail.
+                // Four samples per texel average finer detail.
                 let sample = |i: usize, j: usize| {
                     let x = (column as f32 + 0.25 + 0.5 * i as f32) * pitch[0];
                     let y = (row as f32 + 0.25 + 0.5 * j as f32) * pitch[1];
@@ -87,9 +87,9 @@ impl Level {
         Self { size, texels }
     }
 
-    /// Bilinear interpolation at a place in texels from the corner.
+    /// Bilinear interpolation at a position in texels from the corner.
     fn at(&self, u: f32, v: f32) -> Vector3<f32> {
-        // Beyond the border the border is repeated.
+        // Outside the texture, the border texels are repeated.
         let within = |x: f32, size: usize| (x - 0.5).max(0.0).min((size - 1) as f32);
         let (u, v) = (within(u, self.size[0]), within(v, self.size[1]));
         let (left, top) = (u as usize, v as usize);
@@ -116,12 +116,12 @@ pub(crate) fn gloss(material: TableMaterial) -> f32 {
     }
 }
 
-/// Reflectances at a place, in metres from the table's corner: x across it, y along it.
+/// Reflectances at a position, in metres from the table's corner: x across the table, y along it.
 fn paint(material: TableMaterial, x: f32, y: f32) -> Vector3<f32> {
     let shade = |color: [u8; 3], by: f32| linear_of(color) * by;
     match material {
         TableMaterial::Wood => {
-            // Staggered planks along y, each with a grain of its own.
+            // Staggered planks along y, each with a different grain.
             let width = 0.1;
             let plank = (x / width).floor();
             let across = x / width - plank;
@@ -159,7 +159,7 @@ fn paint(material: TableMaterial, x: f32, y: f32) -> Vector3<f32> {
             shade([50, 51, 54], 0.72 + 0.4 * stud + 0.3 * noise(x * 300.0, y * 300.0))
         }
         TableMaterial::Cardboard => {
-            // The flutes show as faint bands, 8 mm apart; fibres have all directions.
+            // The flutes appear as faint bands, 8 mm apart. The fibres have random directions.
             let flute = ((x / 0.008).rem_euclid(1.0) - 0.5).abs() * 2.0;
             let fibre = noise(x * 240.0, y * 700.0) + noise(x * 700.0 + 5.0, y * 240.0);
             let stain = noise(x * 7.0, y * 7.0);
@@ -173,7 +173,8 @@ fn linear_of(color: [u8; 3]) -> Vector3<f32> {
     linear(Color(color))
 }
 
-/// A number from 0 to below 1 for each point of a lattice: bits of an integer mixed (after Jenkins's one-at-a-time hash).
+/// A number from 0 to below 1 per lattice point, from the mixed bits of an integer (after Jenkins's one-at-a-time
+/// hash).
 fn lattice(x: i32, y: i32, z: i32) -> f32 {
     let mut h = 0x9e37_79b9_u32;
     for part in [x, y, z] {

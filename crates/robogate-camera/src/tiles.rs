@@ -1,4 +1,4 @@
-//! Culling: the bodies that may be visible in a tile of the picture.
+//! Culling: the bodies that may be visible in a tile of the image.
 
 use nalgebra::Vector3;
 
@@ -21,7 +21,7 @@ pub(crate) struct View {
 }
 
 impl View {
-    /// Tangents of the viewing angles at a place in the picture (pixels).
+    /// Tangents of the viewing angles at a position in the image (pixels).
     pub(crate) fn tangents(&self, u: f32, v: f32) -> [f32; 2] {
         [(u - 0.5 * self.width as f32) / self.focal, (v - 0.5 * self.height as f32) / self.focal]
     }
@@ -37,7 +37,7 @@ pub(crate) struct Tiles {
 }
 
 impl Tiles {
-    /// With `all`, nothing is culled.
+    /// Computes the tiles. With `all`, no body is culled.
     pub(crate) fn new(bodies: &[Body<'_>], view: &View, all: bool) -> Self {
         let seen = |p: &Vector3<f32>| {
             let p = p - view.eye;
@@ -81,7 +81,8 @@ impl Tiles {
                     let [u, v] = [column, row].map(|i| (i as f32 + 0.5) * TILE as f32);
                     let [x, y] = view.tangents(u, v);
                     let middle = Vector3::new(x, y, 1.0).normalize();
-                    // Half the tile's diagonal, seen from the eye at distance 1 or farther along its ray: no wider than this.
+                    // Half the tile's diagonal, seen from the eye at distance 1 or farther along its ray, is at most
+                    // this wide.
                     let spread = TILE as f32 * std::f32::consts::FRAC_1_SQRT_2 / view.focal * distance;
                     if all || line_to_segment(&middle, a, b) <= radius + spread {
                         bits[(row * across + column) * words + k / 64] |= 1 << (k % 64);

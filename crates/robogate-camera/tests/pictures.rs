@@ -1,4 +1,4 @@
-//! What the cameras show of a scene, without an engine.
+//! Tests of the images of a scene, without an engine.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use nalgebra::{Isometry3, Point3};
@@ -9,7 +9,7 @@ use robogate_physics::{
     Visual, built_in_robot,
 };
 
-/// A cube of 5 cm on the table at (x, y), and a marker at (0.4, 0.4).
+/// A scene with a 5 cm cube on the table at (x, y), and a marker at (0.4, 0.4).
 fn cube_at([x, y]: [f64; 2]) -> Scene {
     let parts = vec![Part { primitive: Primitive::Box { half: [0.025; 3] }, pose: Isometry3::identity() }];
     Scene {
@@ -24,7 +24,7 @@ fn cube_at([x, y]: [f64; 2]) -> Scene {
     }
 }
 
-/// A cube at the workspace centre, with this appearance.
+/// A scene with a cube at the workspace centre and this appearance.
 fn looking(change: impl FnOnce(&mut Visual)) -> Scene {
     let mut scene = cube_at([0.5, 0.0]);
     change(&mut scene.visual);
@@ -41,7 +41,7 @@ fn panel() -> Fixture {
     fixture(FixtureKind::Occluder, Primitive::Box { half: [0.005, 0.0075, 0.08] }, [0.65, 0.0])
 }
 
-/// The arm at home, everything else where the scene has it.
+/// The arm at home, and everything else at its pose in the scene.
 fn at_start(robot: &Robot, scene: &Scene) -> Posture {
     Posture {
         joints: robot.settings.arm.home_rad.clone(),
@@ -63,7 +63,7 @@ fn pictures(scene: &Scene) -> Vec<Image> {
     cameras.render(&at_start(&robot, scene))
 }
 
-/// Mean of red, green and blue together.
+/// Mean over red, green and blue.
 fn brightness(image: &Image) -> f64 {
     image.rgb.iter().map(|b| f64::from(*b)).sum::<f64>() / image.rgb.len() as f64
 }
@@ -82,7 +82,7 @@ fn equal_scenes_give_equal_bytes() {
 }
 
 #[test]
-fn pictures_have_the_requested_size() {
+fn images_have_the_requested_size() {
     let scene = cube_at([0.5, 0.0]);
     for (image, name) in pictures(&scene).iter().zip(CAMERAS) {
         assert_eq!((image.camera.as_str(), image.width, image.height), (name, 256, 256));
@@ -95,7 +95,7 @@ fn pictures_have_the_requested_size() {
 }
 
 #[test]
-fn without_a_scene_there_are_no_pictures() {
+fn rendering_needs_a_scene() {
     let (robot, mut cameras) = cameras();
     let scene = cube_at([0.5, 0.0]);
     assert!(cameras.render(&at_start(&robot, &scene)).is_empty());
@@ -106,7 +106,7 @@ fn without_a_scene_there_are_no_pictures() {
 }
 
 #[test]
-fn appearance_is_read_back_from_the_cameras() {
+fn appearance_is_read_back() {
     let wanted = Visual {
         lighting_lux: 873.25,
         camera_roll_rad: -0.13,
@@ -125,7 +125,7 @@ fn appearance_is_read_back_from_the_cameras() {
 }
 
 #[test]
-fn more_light_makes_brighter_pictures() {
+fn more_light_gives_brighter_images() {
     let mut last = 0.0;
     let lit =
         |lux: f64| looking(|visual| (visual.lighting_lux, visual.table_material) = (lux, TableMaterial::Laminate));
@@ -141,7 +141,7 @@ fn more_light_makes_brighter_pictures() {
     assert!(brightness(dark) < 80.0, "{}", brightness(dark));
 }
 
-/// The front camera's pixel of a point in the base frame.
+/// The pixel of the front camera that shows a point in the base frame.
 fn in_front(point: [f64; 3]) -> [usize; 2] {
     let (_, cameras) = cameras();
     let posture = Posture { joints: vec![0.0; 7], opening_m: None, object: Default::default(), fixtures: Vec::new() };
@@ -155,7 +155,7 @@ fn pixel(image: &Image, [u, v]: [usize; 2]) -> [u8; 3] {
 }
 
 #[test]
-fn the_object_is_seen_where_it_stands() {
+fn object_appears_at_its_position() {
     for at in [[0.5, 0.0], [0.5, 0.15], [0.62, 0.0]] {
         let mut scene = cube_at(at);
         scene.visual.object_color = Color([0x20, 0x40, 0xd0]);
@@ -165,10 +165,10 @@ fn the_object_is_seen_where_it_stands() {
 }
 
 #[test]
-fn the_marker_is_seen_on_every_table() {
+fn marker_is_visible_on_every_table() {
     for material in TableMaterial::ALL {
         let mut scene = looking(|visual| visual.table_material = material);
-        // On the ring; the table beside it.
+        // A point on the ring, and a point on the table beside it.
         let [on, beside] = [in_front([0.4, 0.35, 0.0]), in_front([0.4, 0.25, 0.0])];
         let image = &pictures(&scene)[0];
         let [red, green, _] = pixel(image, on);
@@ -182,7 +182,7 @@ fn the_marker_is_seen_on_every_table() {
 }
 
 #[test]
-fn a_panel_hides_the_object() {
+fn panel_hides_the_object() {
     let at = in_front([0.5, 0.0, 0.025]);
     let plain = pixel(&pictures(&cube_at([0.5, 0.0]))[0], at);
     let mut behind = cube_at([0.5, 0.0]);
@@ -192,7 +192,7 @@ fn a_panel_hides_the_object() {
 }
 
 #[test]
-fn a_transparent_object_shows_the_table() {
+fn transparent_object_shows_the_table() {
     let at = in_front([0.5, 0.0, 0.025]);
     let plain = pixel(&pictures(&cube_at([0.5, 0.0]))[0], at);
     let table = pixel(&pictures(&cube_at([0.5, 0.15]))[0], at);
@@ -209,7 +209,8 @@ fn shadows_fall_away_from_the_lamp() {
         pictures(&scene).swap_remove(0)
     };
     let (with, without) = (laminate([0.5, 0.0]), laminate([0.5, -0.15]));
-    // The lamp stands at the camera's side, to its left: the object's shadow falls to the right and away.
+    // The lamp is on the camera's side, to its left, so the object's shadow falls to the right and away from the
+    // camera.
     let shadow = in_front([0.485, 0.036, 0.0]);
     let lit = in_front([0.52, -0.04, 0.0]);
     let (dark, bright) = (pixel(&with, shadow)[0], pixel(&without, shadow)[0]);
@@ -218,7 +219,7 @@ fn shadows_fall_away_from_the_lamp() {
 }
 
 #[test]
-fn a_tilted_camera_moves_the_picture() {
+fn tilted_camera_shifts_the_image() {
     let plain = &pictures(&cube_at([0.5, 0.0]))[0];
     let tilted = &pictures(&looking(|visual| visual.camera_pitch_rad = 0.1))[0];
     let red = |image: &Image| {
@@ -230,7 +231,7 @@ fn a_tilted_camera_moves_the_picture() {
         });
         rows.map(|v| v as f64).fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)))
     };
-    // Tilted up by 0.1 rad, what was near the middle falls by 0.1 focal lengths.
+    // With the camera tilted up by 0.1 rad, points near the centre move down by 0.1 focal lengths.
     let focal = 128.0 / 35_f64.to_radians().tan();
     let ((a, b), (c, d)) = (red(plain), red(tilted));
     assert!((0.5 * (c + d) - 0.5 * (a + b) - 0.1 * focal).abs() < 2.5, "{a} {b} {c} {d}");
@@ -260,7 +261,7 @@ fn crowded() -> Scene {
 }
 
 #[test]
-fn acceleration_structures_change_no_byte() {
+fn acceleration_changes_no_byte() {
     let scene = crowded();
     let (robot, mut quick) = cameras();
     quick.set_up(&scene);

@@ -1,15 +1,14 @@
-//! Where success turns into failure, and where the second stage therefore looks.
+//! Finds the boundary between success and failure, and the region of the second stage.
 //!
-//! For each continuous parameter the range is cut into bins of equal width; bins whose success rate in the
-//! first stage lies in the band are boundary; the span from the first to the last of them is drawn
-//! from; the intersection over all parameters is the *volume* of the second stage. A share of its points is drawn
-//! in the part of the volume where the emphasis conditions hold (paper, section 5.2 and appendix F).
+//! The range of each continuous parameter is cut into bins of equal width. Bins whose success rate in the first stage
+//! is within the band belong to the boundary. The second stage samples the span from the first to the last of them. The
+//! intersection over all parameters is the *volume* of the second stage. A share of its points is sampled in the part
+//! of the volume where the emphasis conditions hold (paper, section 5.2 and appendix F).
 //!
-//! Limits. A bin averages over all other parameters, so that a boundary that runs askew, or is sharp but
-//! hidden by a second cause of failure, is seen blurred, and the volume can leave parts of it
-//! out. The rate of a bin is an estimate: its interval stands beside it and does not decide. A bin without
-//! evidence is never in the band. What lies outside the volume gets no point, so no weight makes the second
-//! stage speak of it.
+//! Limits. A bin averages over all other parameters. A boundary that is oblique, or hidden by a second cause of
+//! failure, appears blurred, and the volume can miss parts of it. The rate of a bin is an estimate; its interval is
+//! reported but does not affect the decision. A bin without valid episodes is never in the band. No point is sampled
+//! outside the volume, and no weight can extend estimates of the second stage beyond it.
 
 use robogate_core::{Assignment, Domain, Parameter, ParameterSpace};
 use schemars::JsonSchema;
@@ -17,46 +16,47 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Bin, Bins, BoundaryStage, Emphasis, MarginalEffect, Plan, PlanError, Range};
 
-/// What the first stage says about the boundary, and what the second one does with it. Together with the
-/// parameter space it is all that the second stage's points depend on besides plan and seed.
+/// The boundary found by the first stage and the resulting region of the second stage.
+///
+/// With the parameter space, the plan and the seed, it determines the points of the second stage.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct BoundaryReport {
-    /// The version of this form.
+    /// The version of the file format.
     pub version: u32,
-    /// Success rates, ends included, between which a bin is boundary.
+    /// Success rates, ends included, between which a bin belongs to the boundary.
     pub band: [f64; 2],
     /// The continuous parameters.
     pub parameters: Vec<ParameterBoundary>,
-    /// The whole-number parameters that are held to a part of their range.
+    /// The integer parameters that are restricted to a part of their range.
     pub restricted: Vec<Restricted>,
-    /// What is drawn from.
+    /// The region of the second stage.
     pub volume: Region,
-    /// The part of the volume that gets a share of its own, where one was asked for.
+    /// The part of the volume with a fixed share of the points, if the plan requests one.
     pub emphasis: Option<EmphasisFound>,
 }
 
 /// The boundary of one continuous parameter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ParameterBoundary {
-    /// The bins and what was counted in them.
+    /// The bins with their counts.
     #[serde(flatten)]
     #[serde(alias = "along")]
     pub effect: MarginalEffect,
-    /// Which bins lie in the band, counted from 0.
+    /// The bins within the band, counted from 0.
     pub in_band: Vec<usize>,
-    /// From the lower end of the first bin in the band to the upper end of the last, if there is any.
+    /// From the lower end of the first bin in the band to the upper end of the last one, if there is any.
     pub span: Option<[f64; 2]>,
-    /// The range that is drawn from, in the parameter's unit.
+    /// The sampled range, in the parameter's unit.
     pub drawn: [f64; 2],
-    /// Why this range.
+    /// The reason for this range.
     pub drawn_from: DrawnFrom,
 }
 
-/// Why a range is drawn from.
+/// The reason for a sampled range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DrawnFrom {
-    /// It is the span of the bins in the band.
+    /// The span of the bins in the band.
     Bins,
     /// No bin is in the band: the plan's fallback, clipped to the operating space.
     Fallback,
@@ -64,7 +64,7 @@ pub enum DrawnFrom {
     WholeRange,
 }
 
-/// A whole-number parameter held to a part of its range.
+/// An integer parameter that is restricted to a part of its range.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Restricted {
     /// The parameter's name.
@@ -75,32 +75,32 @@ pub struct Restricted {
     pub high: i64,
 }
 
-/// A part of the operating space and how many points are drawn in it.
+/// A part of the operating space and the number of points sampled in it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Region {
-    /// Points drawn in it.
+    /// The number of points sampled in the region.
     pub episodes: u64,
-    /// How much of the operating distribution lies in it, from 0 to 1.
+    /// The probability of the region under the operating distribution, from 0 to 1.
     pub share_of_operating_space: f64,
 }
 
-/// What became of the emphasis.
+/// The region of the emphasis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct EmphasisFound {
-    /// What the plan asks for.
+    /// The emphasis of the plan.
     pub asked: Emphasis,
-    /// The parameters along which no part of the volume meets the condition. There the emphasis is where the
-    /// operating space meets it: outside the volume.
+    /// The parameters for which no part of the volume meets the condition. There the emphasis uses the operating space
+    /// outside the volume.
     pub beyond: Vec<String>,
-    /// What is drawn from. These points come first in the stage.
+    /// The sampled region. Its points come first in the stage.
     pub region: Region,
 }
 
 impl BoundaryReport {
-    /// The version of this form that is written here.
+    /// The version of the file format that is written.
     pub const VERSION: u32 = 1;
 
-    /// Finds the boundary in what the first stage counted.
+    /// Finds the boundary from the counts of the first stage.
     pub fn find(stage: &BoundaryStage, space: &ParameterSpace, bins: &Bins) -> Result<Self, PlanError> {
         let parameters: Vec<ParameterBoundary> =
             bins.marginal_effects().into_iter().map(|effect| parameter_boundary(stage, space, effect)).collect();
@@ -134,12 +134,12 @@ impl BoundaryReport {
         Ok(report)
     }
 
-    /// Whether no bin of any parameter holds a valid episode.
+    /// Whether no bin of any parameter has a valid episode.
     pub fn is_without_evidence(&self) -> bool {
         self.parameters.iter().flat_map(|parameter| &parameter.effect.bins).all(|bin| bin.valid == 0)
     }
 
-    /// The spaces that the second stage draws from. `space` is the operating space.
+    /// The parameter spaces that the second stage samples. `space` is the operating space.
     pub fn focus(&self, space: &ParameterSpace) -> Result<Focus, PlanError> {
         let narrow = |parameter: &Parameter| match &parameter.domain {
             Domain::Continuous { scale, .. } => {
@@ -156,7 +156,7 @@ impl BoundaryReport {
         let volume = with_domains(space, "boundary", domains.collect())?;
         let emphasis = match &self.emphasis {
             Some(found) => {
-                // Where the volume does not meet a condition, the operating space does: the plan was checked so.
+                // If the volume does not meet a condition, the operating space does. `Plan::check` has ensured this.
                 let narrow = |(narrowed, whole): (&Parameter, &Parameter)| {
                     let condition = found.asked.conditions.iter().find(|c| *c.parameter == *narrowed.name);
                     condition
@@ -172,17 +172,17 @@ impl BoundaryReport {
     }
 }
 
-/// The spaces that the second stage draws from.
+/// The parameter spaces that the second stage samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Focus {
     /// The intersection of the spans.
     pub volume: ParameterSpace,
-    /// The part of it that meets the emphasis conditions, beyond it along parameters whose span does not;
-    /// `None` where none was asked for.
+    /// The part of the volume that meets the emphasis conditions. It lies outside the volume along parameters whose
+    /// span does not meet them. `None` if the plan requests no emphasis.
     pub emphasis: Option<ParameterSpace>,
 }
 
-/// The parameters along which no part of the volume meets the emphasis.
+/// The parameters for which no part of the volume meets the emphasis.
 fn beyond(emphasis: &Emphasis, volume: &ParameterSpace) -> Vec<String> {
     let misses = |c: &&Range| domain(volume, &c.parameter).is_some_and(|domain| c.within(domain).is_none());
     emphasis.conditions.iter().filter(misses).map(|c| c.parameter.clone()).collect()
@@ -190,7 +190,7 @@ fn beyond(emphasis: &Emphasis, volume: &ParameterSpace) -> Vec<String> {
 
 fn parameter_boundary(stage: &BoundaryStage, space: &ParameterSpace, effect: MarginalEffect) -> ParameterBoundary {
     let [low, high] = stage.band;
-    // No rate where there is no evidence, hence not in the band.
+    // A bin without valid episodes has no rate and is not in the band.
     let is_boundary = |bin: &Bin| bin.success_rate.is_some_and(|rate| low <= rate && rate <= high);
     let in_band: Vec<usize> = (0..effect.bins.len()).filter(|i| is_boundary(&effect.bins[*i])).collect();
     let span = match (in_band.first(), in_band.last()) {
@@ -221,15 +221,15 @@ fn domain<'a>(space: &'a ParameterSpace, parameter: &str) -> Option<&'a Domain> 
     space.position(parameter).map(|at| &space.parameters()[at].domain)
 }
 
-/// The space with other domains.
+/// A copy of the space with other domains.
 fn with_domains(space: &ParameterSpace, name: &str, domains: Vec<Domain>) -> Result<ParameterSpace, PlanError> {
     let named = |(parameter, domain): (&Parameter, Domain)| Parameter { name: parameter.name.clone(), domain };
     let parameters = space.parameters().iter().zip(domains).map(named).collect();
     Ok(ParameterSpace::new(format!("{}/{name}", space.name()), parameters)?)
 }
 
-/// How much of the operating distribution lies in `part`: the product over the parameters, which are
-/// independent, of the share of each one's own scale.
+/// The probability of `part` under the operating distribution. The parameters are independent, so it is the product of
+/// the fractions of each parameter's scale.
 fn share(space: &ParameterSpace, part: &ParameterSpace) -> f64 {
     let along = |(whole, part): (&Parameter, &Parameter)| match (&whole.domain, &part.domain) {
         (whole @ Domain::Continuous { .. }, Domain::Continuous { low, high, .. }) => {
@@ -242,16 +242,17 @@ fn share(space: &ParameterSpace, part: &ParameterSpace) -> f64 {
 
 /// The weights p(x)/q(x) of the second stage's points.
 ///
-/// p is the operating density, q = s q_E + (1 - s) q_V the density of the stage: uniform, in each
-/// parameter's own scale, on the emphasis E and on the volume V, with the share s of its points in E. With the shares
-/// of the operating distribution that lie in them,
-/// p/q = 1 / (s [x in E] / P(E) + (1 - s) [x in V] / P(V)).
-/// The mean weight is the share of the operating distribution in V and E together; the weighted mean of a quantity
-/// over the stage, divided by it, estimates that quantity's mean over the operating distribution *within* them.
-/// Source: the balance heuristic, Veach and Guibas (1995), with numbers of draws fixed in advance.
+/// p is the operating density. q = s q_E + (1 - s) q_V is the density of the stage: uniform, in each parameter's scale,
+/// on the emphasis E and on the volume V, with the share s of the points in E. With the probabilities P(E) and P(V) of
+/// both regions under the operating distribution, p/q = 1 / (s [x in E] / P(E) + (1 - s) [x in V] / P(V)).
+///
+/// The mean weight is the probability of the union of V and E under the operating distribution. The weighted mean of a
+/// quantity over the stage, divided by the mean weight, estimates the mean of that quantity over the operating
+/// distribution *within* this union. Source: the balance heuristic, Veach and Guibas (1995), with numbers of draws
+/// fixed in advance.
 #[derive(Debug, Clone)]
 pub(crate) struct Weights {
-    /// The parts that points are drawn in, and what each adds to q/p where a point lies in it.
+    /// The sampled regions, each with its contribution to q/p for a point inside.
     parts: Vec<(ParameterSpace, f64)>,
 }
 
@@ -273,17 +274,17 @@ impl Weights {
         1.0 / self.density(coded)
     }
 
-    /// q/p at a point of the space: 0 outside what is drawn from.
+    /// q/p at a point of the space. 0 outside the sampled regions.
     fn density(&self, coded: &[f64]) -> f64 {
         self.parts.iter().filter(|(space, _)| contains(space, coded)).map(|(_, density)| density).sum()
     }
 }
 
-/// The weights under which both stages together speak of the operating space.
+/// Weights for both stages together, under which estimates apply to the operating space.
 ///
-/// Pooled, the n1 points of the first stage and the n2 of the second have the density (n1 p + n2 q)/(n1 + n2), so a
-/// point of either has the weight (n1 + n2)/(n1 + n2 q/p): the balance heuristic again, over both stages. The weights
-/// stored with the rows take each stage alone; used on both at once they would count the volume twice.
+/// The n1 points of the first stage and the n2 of the second have the pooled density (n1 p + n2 q)/(n1 + n2). A point
+/// of either stage has the weight (n1 + n2)/(n1 + n2 q/p): the balance heuristic over both stages. The weights stored
+/// in the dictionary apply to each stage alone. Used on both stages at once, they would count the volume twice.
 #[derive(Debug, Clone)]
 pub struct PooledWeights {
     space: ParameterSpace,
@@ -293,7 +294,8 @@ pub struct PooledWeights {
 }
 
 impl PooledWeights {
-    /// The weights of a campaign's points. `space` is its operating space, `report` what its first stage found.
+    /// Computes the weights of a campaign's points. `space` is the operating space, `report` the boundary found by the
+    /// first stage.
     pub fn new(plan: &Plan, space: &ParameterSpace, report: &BoundaryReport) -> Result<Self, PlanError> {
         Ok(Self {
             space: space.clone(),
@@ -303,7 +305,7 @@ impl PooledWeights {
         })
     }
 
-    /// The weight of a point of either stage; `None` where it is no point of the space.
+    /// The weight of a point of either stage. `None` if the point is not in the space.
     pub fn of(&self, requested: &Assignment) -> Option<f64> {
         let code = |p: &Parameter| p.domain.encode(requested.get(&p.name)?);
         let coded: Vec<f64> = self.space.parameters().iter().map(code).collect::<Option<_>>()?;
@@ -312,8 +314,8 @@ impl PooledWeights {
     }
 }
 
-/// Both ends count: a point that was drawn here may be rounded to either, and any other is there with
-/// probability 0.
+/// Whether the region contains a point. Both ends count: a sampled point may be rounded to either end, and any other
+/// point is there with probability 0.
 fn contains(space: &ParameterSpace, coded: &[f64]) -> bool {
     space.parameters().iter().zip(coded).all(|(parameter, x)| match parameter.domain {
         Domain::Continuous { low, high, .. } => low <= *x && *x <= high,

@@ -1,5 +1,6 @@
-//! What happens in a campaign, in one stream: progress bar, JSON lines and whoever else listens get the
-//! same. There is no clock in it; a listener that wants rates has one of its own.
+//! Events of a campaign: one stream for the progress bar, JSON lines and other listeners.
+//!
+//! Events have no time stamp. A listener that computes rates uses its own clock.
 
 use robogate_core::{Episode, Outcome};
 use schemars::JsonSchema;
@@ -7,75 +8,75 @@ use serde::{Deserialize, Serialize};
 
 use crate::{BoundaryReport, OutcomeCounts, Stage, Summary};
 
-/// Something that happened. Written as JSON, its name is in the field `event`.
+/// An event of a campaign. In JSON, the field `event` has its name.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
-    /// A run begins, or goes on.
+    /// A run starts or resumes.
     Started {
         /// Episodes of all stages.
         episodes: u64,
-        /// How many of them an earlier process has recorded.
+        /// The number of episodes recorded by earlier processes.
         already_done: u64,
-        /// Threads that will run them.
+        /// The number of threads that run episodes.
         threads: usize,
     },
-    /// A stage begins, or goes on.
+    /// A stage starts or resumes.
     StageStarted {
         /// The stage.
         stage: Stage,
-        /// Its episodes.
+        /// Episodes of the stage.
         episodes: u64,
-        /// How those went that an earlier process has recorded.
+        /// Outcomes of the episodes recorded by earlier processes.
         already_done: OutcomeCounts,
     },
-    /// An episode was run and recorded. They come in the order in which they finish.
+    /// An episode ran and was recorded. Events arrive in the order in which episodes finish.
     Episode {
-        /// Its stage.
+        /// The stage of the episode.
         stage: Stage,
-        /// Its index in the campaign.
+        /// The index of the episode in the campaign.
         index: u64,
         /// `success`, the failure mode, or `invalid`.
         outcome: String,
-        /// Why it is invalid.
+        /// The fault of an invalid episode.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         fault: Option<String>,
-        /// When it was decided, in simulated seconds.
+        /// Simulated time of the decisive event, in seconds.
         time_s: f64,
-        /// Control ticks run.
+        /// The number of control periods that ran.
         ticks: u32,
     },
     /// A stage is complete.
     StageFinished {
         /// The stage.
         stage: Stage,
-        /// How its episodes went.
+        /// The outcomes of its episodes.
         outcomes: OutcomeCounts,
     },
-    /// The first stage shows where success turns into failure.
+    /// The first stage found the boundary between success and failure.
     BoundaryFound {
-        /// What was found.
+        /// The boundary report.
         boundary: BoundaryReport,
     },
-    /// Something that a person should know; the run goes on.
+    /// A condition that the user should know about. The run continues.
     Warning {
-        /// What it is.
+        /// The warning as data.
         warning: Warning,
-        /// The same in words.
+        /// The warning as text.
         message: String,
     },
-    /// The run was stopped; it can be resumed.
+    /// The run was stopped. It can be resumed.
     Interrupted {
-        /// Episodes that are recorded.
+        /// The number of recorded episodes.
         done: u64,
         /// Episodes of all stages.
         episodes: u64,
     },
-    /// The run is complete and its files are there.
+    /// The run is complete and all files are written.
     Finished {
-        /// Whether it was so before: then nothing was done.
+        /// Whether the run was already complete and nothing was done.
         already: bool,
-        /// What came of it.
+        /// The summary of the campaign.
         summary: Box<Summary>,
     },
 }
@@ -100,31 +101,31 @@ impl Event {
     }
 }
 
-/// Something that a person should know.
+/// A condition that the user should know about.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, thiserror::Error)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Warning {
-    /// No evidence so far.
+    /// All episodes so far are invalid.
     #[error(
-        "all {episodes} episodes so far are invalid, the first because of {first}\nhint: stop and mend this; the run goes on meanwhile"
+        "all {episodes} episodes so far are invalid, the first because of {first}\nhint: stop the run and fix the cause; the run continues until then"
     )]
     AllInvalid {
-        /// Episodes so far.
+        /// The number of episodes so far.
         episodes: u64,
-        /// Why the first one is invalid.
+        /// The fault of the first one.
         first: String,
     },
-    /// The first stage says nothing about the boundary.
+    /// The first stage has no valid episodes.
     #[error(
-        "no episode of the uniform stage is valid, so the boundary stage has nothing to go by and draws from its fallback ranges"
+        "no episode of the uniform stage is valid, so no boundary is known; the boundary stage samples its fallback ranges"
     )]
     NoEvidence,
-    /// The process that ran before died while it recorded an episode.
+    /// An earlier process was killed while it recorded an episode.
     #[error(
-        "the last record was unfinished ({bytes} bytes) and was cut off: its episode is run again, nothing else is lost"
+        "the last record of the journal was incomplete ({bytes} bytes) and was removed: its episode runs again, all others are intact"
     )]
     RecordCut {
-        /// What was cut off.
+        /// The number of removed bytes.
         bytes: u64,
     },
 }

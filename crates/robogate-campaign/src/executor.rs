@@ -1,4 +1,4 @@
-//! What runs episodes.
+//! Executors and the workers that run episodes.
 
 use std::fmt;
 use std::io;
@@ -6,11 +6,11 @@ use std::ops::ControlFlow;
 
 use robogate_core::{Environment, Episode, Fault, Policy, Scenario};
 
-/// An environment and a policy. A worker stays in the thread that made it.
+/// An environment with a policy. A worker stays in the thread that created it.
 pub struct Worker {
-    /// The world and its task.
+    /// The environment with its task.
     pub environment: Box<dyn Environment>,
-    /// What drives the robot.
+    /// The policy that drives the robot.
     pub policy: Box<dyn Policy>,
 }
 
@@ -20,20 +20,21 @@ impl fmt::Debug for Worker {
     }
 }
 
-/// Makes workers, each within the thread that uses it. All must behave alike: which one runs an episode is arbitrary.
+/// Creates workers, each in the thread that uses it. All workers must behave the same, because any of them may run an
+/// episode.
 pub trait WorkerFactory: Sync {
-    /// A new worker, or why there can be none.
+    /// Creates a worker. Returns a fault if that is impossible.
     fn worker(&self) -> Result<Worker, Fault>;
 }
 
-/// Runs the episodes of a stage: in threads here ([`crate::ThreadPool`]), or anywhere else.
+/// Runs the episodes of a stage, in threads of this process ([`crate::ThreadPool`]) or elsewhere.
 pub trait Executor {
-    /// How many episodes run at once.
+    /// The number of episodes that run at once.
     fn parallelism(&self) -> usize;
 
-    /// Runs `scenario(0)`, `scenario(1)`, ... up to the first `None`, and hands each episode to `receive`, on the calling
-    /// thread, in the order in which they finish. Returns early, without an error, where `receive` breaks or the
-    /// executor is told to stop.
+    /// Runs `scenario(0)`, `scenario(1)`, ... up to the first `None`. Passes each episode to `receive` on the calling
+    /// thread, in the order in which episodes finish. Returns early without an error if `receive` breaks or the
+    /// executor is stopped.
     fn execute(
         &self,
         scenario: &(dyn Fn(usize) -> Option<Scenario> + Sync),
@@ -41,13 +42,13 @@ pub trait Executor {
     ) -> Result<(), ExecuteError>;
 }
 
-/// Why not all episodes were run. The receiver has those that were.
+/// The reason why not all episodes ran. The receiver has the finished ones.
 #[derive(Debug, thiserror::Error)]
 pub enum ExecuteError {
-    /// A worker could not be made, at the start or after another one panicked.
+    /// A worker could not be created, at the start or after another one panicked.
     #[error("cannot set up environment and policy: {0}")]
     Worker(Fault),
-    /// The operating system provides no thread.
+    /// The operating system could not start a thread.
     #[error("cannot start a thread: {0}\nhint: use fewer threads")]
     Thread(io::Error),
 }

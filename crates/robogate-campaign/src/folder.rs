@@ -1,4 +1,4 @@
-//! The folder of a run.
+//! The folder of a run: file names, lock, and atomic writes.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
@@ -9,32 +9,32 @@ use serde::de::DeserializeOwned;
 
 use crate::RunError;
 
-/// Everything that the run depends on; written first.
+/// The plan: everything that the run depends on. Written first.
 pub const PLAN: &str = "plan.json";
-/// The episodes of an unfinished run.
+/// The journal: the episodes of an unfinished run.
 pub const JOURNAL: &str = "journal.rgj";
-/// What the first stage found.
+/// The boundary found by the first stage.
 pub const BOUNDARY: &str = "boundary.json";
-/// The record of a finished run.
+/// The dictionary of a finished run.
 pub const DICTIONARY: &str = "dictionary.parquet";
-/// What came of a finished run; written last.
+/// The summary of a finished run. Written last.
 pub const SUMMARY: &str = "summary.json";
 
-/// A folder that this process alone works in, as long as this lives.
+/// A locked folder, in which only this process works while the value lives.
 #[derive(Debug)]
 pub(crate) struct Folder {
     dir: PathBuf,
-    /// The lock: given back by the operating system, however the process ends.
+    /// The lock. The operating system releases it when the process ends for any reason.
     _lock: Option<File>,
 }
 
 impl Folder {
-    /// Locks the folder `dir`, which is there already.
+    /// Locks the existing folder `dir`.
     pub(crate) fn lock(dir: &Path) -> Result<Self, RunError> {
         let dir = dir.to_owned();
-        // The folder itself is locked: a lock file would have to stay behind, or be removed while another
-        // process waits for it. Where folders cannot be opened or locked (Windows, some network
-        // file systems), the journal's own lock holds for as long as there is a journal.
+        // The lock is on the folder itself. A lock file would have to remain in the folder, or be deleted while another
+        // process waits for it. If folders cannot be opened or locked (Windows, some network file systems), the
+        // journal's lock protects the run while a journal exists.
         let lock = match File::open(&dir) {
             Ok(opened) => match opened.try_lock() {
                 Ok(()) => Some(opened),
@@ -54,7 +54,7 @@ impl Folder {
         self.path(name).exists()
     }
 
-    /// What stands in the folder, partial files of our own left out.
+    /// The names of the files in the folder, without our own partial files.
     pub(crate) fn names(&self) -> Result<Vec<String>, RunError> {
         let listed = fs::read_dir(&self.dir).and_then(|entries| {
             entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect::<io::Result<Vec<_>>>()
@@ -65,7 +65,7 @@ impl Folder {
         Ok(names)
     }
 
-    /// Writes a JSON document that is there whole or not at all, even after a power failure.
+    /// Writes a JSON document atomically: complete or not at all, even after a power failure.
     pub(crate) fn write(&self, name: &str, document: &impl Serialize) -> Result<(), RunError> {
         let path = self.path(name);
         let part = self.path(&partial(name));
@@ -79,7 +79,7 @@ impl Folder {
             self.sync()
         };
         write().map_err(|error: io::Error| {
-            // What is left of it would be written over by the next attempt.
+            // The next attempt overwrites the remains.
             let _ = fs::remove_file(&part);
             RunError::io(&path, "write")(error)
         })
@@ -90,11 +90,11 @@ impl Folder {
         fs::remove_file(&path).and_then(|()| self.sync()).map_err(RunError::io(&path, "remove"))
     }
 
-    /// Forces the folder's list of names onto the disk.
+    /// Flushes the folder's directory entries to disk.
     fn sync(&self) -> io::Result<()> {
         match File::open(&self.dir).and_then(|dir| dir.sync_all()) {
             Err(error) if cfg!(unix) && error.kind() != io::ErrorKind::InvalidInput => Err(error),
-            // Not all systems can; the names are there all the same.
+            // Not all systems support this. The entries exist in any case.
             _ => Ok(()),
         }
     }
@@ -104,7 +104,7 @@ fn partial(name: &str) -> String {
     format!(".{name}.part")
 }
 
-/// Reads a JSON document of ours.
+/// Reads a JSON document that this crate wrote.
 pub(crate) fn read<T: DeserializeOwned>(dir: &Path, name: &str) -> Result<T, RunError> {
     let path = dir.join(name);
     let text = fs::read(&path).map_err(RunError::io(&path, "read"))?;

@@ -1,13 +1,12 @@
-//! Many episodes.
+//! Campaigns: sets of episodes with a plan, stages, execution and resume.
 //!
-//! A [`Plan`] says how many and where; [`start`] runs them in a folder and [`resume`] goes on where
-//! a run was stopped or killed. The first stage covers the operating space. From its results
-//! [`boundary`] finds where success turns into failure, and the second stage looks closer there:
+//! A [`Plan`] defines the number of episodes and their region. [`start`] runs them in a folder, and [`resume`]
+//! continues a run that was stopped or killed. The first stage covers the operating space. From its results,
+//! [`boundary`] finds the region where success turns into failure, and the second stage samples that region. This is
 //! the only loop in the flow from space to dictionary.
 //!
-//! Episode `i` depends on the plan's seed and on `i`, and every file of a finished run depends on the
-//! plan and its provenance: neither on the number of threads, nor on the order in which
-//! episodes finish, nor on where a run was interrupted.
+//! Episode `i` depends only on the plan's seed and on `i`. Every file of a finished run depends only on the plan and
+//! its provenance: the number of threads, the order in which episodes finish, and interruptions have no effect.
 //!
 //! ```
 //! let plan = robogate_campaign::Preset::Quick.plan()?.with_total(300);
@@ -15,11 +14,11 @@
 //! # Ok::<(), robogate_campaign::PlanError>(())
 //! ```
 //!
-//! In place of both stages a plan may name a suite ([`Plan::of_suite`]): every scenario once in each round, and
-//! [`start_in_rounds`] asks after each whether that is enough.
+//! Instead of both stages, a plan may name a suite ([`Plan::of_suite`]). Every scenario then runs once per round, and
+//! [`start_in_rounds`] calls a closure after each round to decide whether to stop.
 //!
-//! Episodes are run by an [`Executor`], whose workers come from a [`WorkerFactory`]: this crate knows no environment and
-//! no policy by name. What happens is reported in one stream of [`Event`]s.
+//! An [`Executor`] runs the episodes with workers from a [`WorkerFactory`]. This crate knows no specific environment or
+//! policy. Progress is reported as one stream of [`Event`]s.
 
 pub mod boundary;
 mod events;

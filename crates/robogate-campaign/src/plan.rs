@@ -1,8 +1,7 @@
-//! What a campaign shall do.
+//! Campaign plans.
 //!
-//! A [`Plan`] is read from TOML; the embedded presets are both its defaults and its reference. What is wrong
-//! within the plan is found when it is read, what does not fit a parameter space when both are at hand
-//! ([`Plan::check`]).
+//! A [`Plan`] is read from TOML. The embedded presets contain the defaults and document every setting. Errors within
+//! the plan are found on reading; conflicts with a parameter space are found by [`Plan::check`].
 
 use std::fmt;
 use std::fs;
@@ -15,56 +14,54 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Bins, SuiteStage, suite_sha256};
 
-/// What a campaign shall do: seed, sampler, and the two stages.
+/// A campaign plan: seed, sampler, and the two stages.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
-    /// Everything random in the campaign comes from this number. The stages draw from separate
-    /// streams of it.
+    /// The seed of all randomness in the campaign. The stages use separate streams of it.
     #[serde(default = "default_seed")]
     pub seed: u64,
-    /// What draws the points: `latin_hypercube`, `sobol` or `uniform`.
+    /// The sampler of the points: `latin_hypercube`, `sobol` or `uniform`.
     #[serde(default = "default_sampler")]
     pub sampler: String,
     /// The first stage, over the operating space.
     pub uniform: UniformStage,
-    /// The second stage, where success turns into failure.
+    /// The second stage, around the boundary between success and failure.
     #[serde(default)]
     pub boundary: BoundaryStage,
-    /// In place of these two: the scenarios of a suite, in rounds.
+    /// The suite that replaces both stages: its scenarios run in rounds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub suite: Option<SuiteStage>,
 }
 
-/// The first stage: every parameter uniform in its own scale.
+/// The first stage: every parameter is uniform in its scale.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct UniformStage {
-    /// How many episodes.
+    /// The number of episodes.
     pub episodes: u64,
 }
 
-/// The second stage: closer where the first one found the boundary (paper, section 5.2 and appendix F).
+/// The second stage: it samples around the boundary that the first stage found (paper, section 5.2 and appendix F).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BoundaryStage {
-    /// How many episodes; 0 for none, and then there is no second stage.
+    /// The number of episodes. With 0 there is no second stage.
     #[serde(default)]
     pub episodes: u64,
-    /// Into how many bins of equal width, in its own unit, each continuous parameter is cut.
+    /// The number of bins of equal width per continuous parameter, in the parameter's unit.
     #[serde(default = "default_bins")]
     pub bins: usize,
-    /// Success rates, both ends included, between which a bin is boundary.
+    /// Success rates, both ends included, between which a bin belongs to the boundary.
     #[serde(default = "default_band")]
     pub band: [f64; 2],
-    /// Where a share of the episodes is drawn besides.
+    /// A region that gets an additional share of the episodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub emphasis: Option<Emphasis>,
-    /// For continuous parameters without any bin in the band: what is drawn from in place of its
-    /// whole range.
+    /// Ranges for continuous parameters without a bin in the band. They replace the whole range.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub fallback: Vec<Range>,
-    /// Whole-number parameters that are held to a part of their range, both ends included.
+    /// Integer parameters that are restricted to a part of their range, both ends included.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub restrict: Vec<Range>,
 }
@@ -82,27 +79,26 @@ impl Default for BoundaryStage {
     }
 }
 
-/// A place that gets a fixed share of the second stage.
+/// A region that gets a fixed share of the second stage.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Emphasis {
-    /// Its share of the stage's episodes, from 0 to 1.
+    /// The share of the stage's episodes, from 0 to 1.
     pub share: f64,
-    /// What holds there, all at once.
+    /// The conditions of the region. All must hold.
     #[serde(rename = "where")]
     pub conditions: Vec<Range>,
 }
 
-/// A range of one parameter, in its own unit; an end left out is that of the parameter space.
+/// A range of one parameter, in its unit. A missing end is the end of the parameter space.
 ///
-/// Of a continuous parameter the lower end belongs to it and the upper does not, of a whole-number
-/// one both do.
+/// For a continuous parameter the upper end is excluded. For an integer parameter both ends are included.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Range {
     /// The parameter's name.
     pub parameter: String,
-    /// The lower end.
+    /// The lower end, included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub low: Option<f64>,
     /// The upper end.
@@ -110,7 +106,7 @@ pub struct Range {
     pub high: Option<f64>,
 }
 
-/// The seed of a campaign where nobody chose another.
+/// The seed of a campaign if the user does not choose one.
 pub const DEFAULT_SEED: u64 = 2026;
 
 fn default_seed() -> u64 {
@@ -129,10 +125,10 @@ fn default_band() -> [f64; 2] {
     [0.30, 0.70]
 }
 
-/// A plan that comes with the tool.
+/// A built-in plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Preset {
-    /// A first picture: 2,000 + 1,000 episodes.
+    /// A quick overview: 2,000 + 1,000 episodes.
     #[default]
     Quick,
     /// The paper's budgets: 10,000 + 10,000 episodes.
@@ -143,7 +139,7 @@ impl Preset {
     /// Every preset.
     pub const ALL: [Self; 2] = [Self::Quick, Self::Paper];
 
-    /// Its name on the command line.
+    /// The name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Quick => "quick",
@@ -151,12 +147,12 @@ impl Preset {
         }
     }
 
-    /// The preset of that name.
+    /// The preset with this name.
     pub fn by_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|preset| preset.name() == name)
     }
 
-    /// Its commented TOML: the reference of every setting.
+    /// The commented TOML text, which documents every setting.
     pub fn text(self) -> &'static str {
         match self {
             Self::Quick => include_str!("../../../assets/presets/quick.toml"),
@@ -164,7 +160,7 @@ impl Preset {
         }
     }
 
-    /// The preset as a plan.
+    /// Parses the preset into a plan.
     pub fn plan(self) -> Result<Plan, PlanError> {
         Plan::from_toml(self.text())
     }
@@ -176,10 +172,10 @@ impl fmt::Display for Preset {
     }
 }
 
-/// More points than this in one stage are a slip of the keyboard: their table alone would not fit.
+/// Largest number of points in one stage. More is probably a typing error: the table alone would not fit into memory.
 const MOST_EPISODES: u64 = 100_000_000;
 
-/// More bins than this resolve nothing that a campaign could fill.
+/// Largest number of bins. No campaign has enough episodes to fill more.
 const MOST_BINS: usize = 10_000;
 
 impl Plan {
@@ -190,15 +186,14 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Reads a plan from a TOML file. Errors name the file as well.
+    /// Reads a plan from a TOML file. Errors also name the file.
     pub fn load(path: &Path) -> Result<Self, PlanError> {
         let text =
             fs::read_to_string(path).map_err(|source| PlanError::Unreadable { path: path.to_owned(), source })?;
         Self::from_toml(&text).map_err(|error| PlanError::InFile { path: path.to_owned(), error: Box::new(error) })
     }
 
-    /// The same plan with `total` episodes: two thirds, rounded up, in the first stage, the others in
-    /// the second.
+    /// Sets the total number of episodes: two thirds, rounded up, in the first stage, the others in the second.
     #[must_use]
     pub fn with_total(mut self, total: u64) -> Self {
         self.boundary.episodes = total / 3;
@@ -206,11 +201,11 @@ impl Plan {
         self
     }
 
-    /// The plan that runs a suite in at most `rounds` rounds.
+    /// Creates a plan that runs a suite in at most `rounds` rounds.
     pub fn of_suite(suite: Suite, rounds: u64, seed: u64) -> Self {
         Self {
             seed,
-            // What a scenario leaves open is drawn uniformly and by itself.
+            // Ranges within a scenario are always sampled independently and uniformly.
             sampler: "uniform".to_owned(),
             uniform: UniformStage { episodes: 0 },
             boundary: BoundaryStage::default(),
@@ -218,22 +213,22 @@ impl Plan {
         }
     }
 
-    /// How many episodes all stages have.
+    /// The number of episodes of all stages.
     pub fn episodes(&self) -> u64 {
         self.uniform.episodes + self.boundary.episodes + self.suite.as_ref().map_or(0, SuiteStage::episodes)
     }
 
-    /// The plan without the ranges that mean nothing in `space`, and a sentence about each that was left out.
+    /// Removes the ranges that do not apply to `space`. Returns a sentence about each removed range.
     ///
-    /// For the presets, which speak of the Franka's parameters, with a robot whose space has others. For
-    /// a plan that a user wrote [`Self::check`] is right: there an unknown name is a mistake.
+    /// This is for the presets, which name the Franka's parameters, with a robot whose space has other parameters. Use
+    /// [`Self::check`] for a plan that a user wrote: there an unknown name is a mistake.
     #[must_use]
     pub fn fitted_to(mut self, space: &ParameterSpace) -> (Self, Vec<String>) {
         let mut left_out = Vec::new();
         let mut fits = |key: &str, kind: Kind, range: &Range| match check_range(space, key, kind, range) {
             Ok(()) => true,
             Err(error) => {
-                // Without the hint, which is for somebody who wrote the range.
+                // The hint is omitted: it is for the author of a range, and presets have no such author.
                 let error = error.to_string();
                 left_out.push(format!("left out: {}", error.lines().next().unwrap_or_default()));
                 false
@@ -250,7 +245,7 @@ impl Plan {
         (self, left_out)
     }
 
-    /// Refuses a plan that is wrong in itself or does not fit `space`.
+    /// Rejects a plan that is invalid or does not fit `space`.
     pub fn check(&self, space: &ParameterSpace) -> Result<(), PlanError> {
         self.check_alone()?;
         if let Some(stage) = &self.suite {
@@ -299,7 +294,7 @@ impl Plan {
             return Err(PlanError::Bins { found: stage.bins, most: MOST_BINS });
         }
         let [low, high] = stage.band;
-        // Written so that NaN is refused as well.
+        // Written in this form to reject NaN as well.
         if !(0.0 <= low && low <= high && high <= 1.0) {
             return Err(PlanError::Band { low, high });
         }
@@ -316,7 +311,7 @@ impl Plan {
         check_ends("boundary.restrict", &stage.restrict)
     }
 
-    /// The sampler that the plan names.
+    /// The sampler of the plan.
     pub fn sampler(&self) -> Result<Box<dyn Sampler>, PlanError> {
         samplers::by_name(&self.sampler).ok_or_else(|| PlanError::UnknownSampler {
             name: self.sampler.clone(),
@@ -332,7 +327,7 @@ fn check_most(key: &'static str, episodes: u64) -> Result<(), PlanError> {
     Ok(())
 }
 
-/// Which parameters a list of ranges may speak of.
+/// The kind of parameters that a list of ranges accepts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Continuous,
@@ -351,14 +346,14 @@ impl Kind {
 
     fn word(self) -> &'static str {
         match self {
-            Self::Continuous => "continuous parameters",
-            Self::Integer => "whole-number parameters",
-            Self::Number => "parameters that are numbers",
+            Self::Continuous => "a continuous parameter",
+            Self::Integer => "an integer parameter",
+            Self::Number => "a numeric parameter",
         }
     }
 }
 
-/// What needs no space to be seen.
+/// Checks that need no parameter space.
 fn check_ends(list: &str, ranges: &[Range]) -> Result<(), PlanError> {
     for (i, range) in ranges.iter().enumerate() {
         let key = || format!("{list}[{i}]");
@@ -409,7 +404,7 @@ fn check_range(space: &ParameterSpace, key: &str, kind: Kind, range: &Range) -> 
     }
 }
 
-/// Both ends of a number's domain; of a category's codes, which no range speaks of.
+/// Both ends of a numeric domain. For a categorical domain, the ends of its codes, which no range uses.
 fn ends(domain: &Domain) -> (f64, f64) {
     match domain {
         Domain::Continuous { low, high, .. } => (*low, *high),
@@ -419,7 +414,7 @@ fn ends(domain: &Domain) -> (f64, f64) {
 }
 
 impl Range {
-    /// `domain` cut down to this range; `None` where nothing is left of it.
+    /// `domain` restricted to this range. `None` if the result is empty.
     pub(crate) fn within(&self, domain: &Domain) -> Option<Domain> {
         let low = self.low.unwrap_or(f64::NEG_INFINITY);
         let high = self.high.unwrap_or(f64::INFINITY);
@@ -429,7 +424,7 @@ impl Range {
                 (low < high).then_some(Domain::Continuous { low, high, scale: *scale })
             }
             Domain::Integer { low: least, high: most } => {
-                // A float beyond the range of i64 becomes its end.
+                // A float beyond the range of i64 becomes the nearest i64.
                 let (low, high) = ((low.ceil() as i64).max(*least), (high.floor() as i64).min(*most));
                 (low <= high).then_some(Domain::Integer { low, high })
             }
@@ -438,7 +433,7 @@ impl Range {
     }
 }
 
-/// The hint that ends an error about an unknown word: the nearest known one, or all of them.
+/// The hint of an error about an unknown name: the nearest known name, or all of them.
 fn hint<'a>(word: &str, known: impl Iterator<Item = &'a str> + Clone) -> String {
     let near = known
         .clone()
@@ -449,11 +444,11 @@ fn hint<'a>(word: &str, known: impl Iterator<Item = &'a str> + Clone) -> String 
         .min_by_key(|(distance, _)| *distance);
     match near {
         Some((distance, candidate)) if distance <= 1 + word.len() / 4 => format!("did you mean `{candidate}`?"),
-        _ => format!("there are {}", known.collect::<Vec<_>>().join(", ")),
+        _ => format!("expected one of: {}", known.collect::<Vec<_>>().join(", ")),
     }
 }
 
-/// Levenshtein's distance over bytes: how many have to be put in, taken out or changed.
+/// Levenshtein distance over bytes: the number of insertions, deletions and substitutions.
 fn distance(a: &str, b: &str) -> usize {
     let mut row: Vec<usize> = (0..=b.len()).collect();
     for (i, x) in a.bytes().enumerate() {
@@ -468,7 +463,7 @@ fn distance(a: &str, b: &str) -> usize {
     row[b.len()]
 }
 
-/// Why a plan is none.
+/// The reason why a plan is invalid.
 #[derive(Debug, thiserror::Error)]
 pub enum PlanError {
     /// The file cannot be read.
@@ -476,39 +471,41 @@ pub enum PlanError {
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// What the operating system answered.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// Something is wrong in a file.
+    /// A file contains an error.
     #[error("{}: {error}", path.display())]
     InFile {
         /// The file.
         path: PathBuf,
-        /// What it is.
+        /// The error.
         error: Box<PlanError>,
     },
-    /// Not TOML, or not of the right form; the text has line, column and key.
+    /// Invalid TOML or an invalid structure. The text has line, column and key.
     #[error("{0}")]
     Syntax(String),
-    /// Nothing to do.
+    /// The plan has no episodes.
     #[error("`uniform.episodes` and `boundary.episodes` are both 0\nhint: a campaign needs at least one episode")]
     NoEpisodes,
-    /// A suite beside what it replaces.
+    /// A plan with both a suite and stages.
     #[error(
-        "`suite` stands beside `uniform.episodes` or `boundary.episodes`\nhint: a plan runs a suite or stages, not both"
+        "`suite` cannot be combined with `uniform.episodes` or `boundary.episodes`\nhint: a plan runs either a suite or stages"
     )]
     SuiteAndStages,
-    /// A suite that is never run.
-    #[error("a suite needs at least one round\nhint: in a plan it is `suite.rounds`, at the command `--rounds`")]
+    /// A suite with zero rounds.
+    #[error("a suite needs at least one round\nhint: set `suite.rounds` in the plan or `--rounds` on the command line")]
     NoRounds,
-    /// A suite that is not the one of its hash.
-    #[error("`suite.suite` is not the suite whose SHA-256 `suite.sha256` states ({found})")]
+    /// A suite that does not match its hash.
+    #[error("`suite.sha256` does not match `suite.suite`: it states {found}")]
     SuiteHash {
-        /// The hash that is stated.
+        /// The hash in the plan.
         found: String,
     },
-    /// A suite over another space.
-    #[error("the parameter space is not that of the suite\nhint: a suite brings its own; leave the space out")]
+    /// A suite with another parameter space.
+    #[error(
+        "the parameter space does not match the suite\nhint: a suite defines its own space; remove the separate one"
+    )]
     SuiteSpace,
     /// A second stage without a first.
     #[error(
@@ -518,59 +515,59 @@ pub enum PlanError {
         /// Episodes of the second stage.
         boundary: u64,
     },
-    /// More episodes than can be meant.
-    #[error("`{key}` is {found}, and {most} is the most")]
+    /// A number of episodes above the limit.
+    #[error("`{key}` is {found}; the maximum is {most}")]
     TooMany {
         /// The key.
         key: &'static str,
-        /// Its value.
+        /// The value.
         found: u64,
         /// The limit.
         most: u64,
     },
-    /// Bins that bin nothing.
-    #[error("`boundary.bins` is {found}; it must be from 2 to {most}")]
+    /// An invalid number of bins.
+    #[error("`boundary.bins` is {found}; expected 2 to {most}")]
     Bins {
-        /// Its value.
+        /// The value.
         found: usize,
         /// The limit.
         most: usize,
     },
-    /// A range that cannot be cut.
+    /// A range that is too narrow for the bins.
     #[error("`boundary.bins`: the range of `{parameter}` is too narrow for {bins} bins")]
     TooNarrow {
         /// The parameter.
         parameter: String,
-        /// The bins asked for.
+        /// The requested number of bins.
         bins: usize,
     },
-    /// A band that holds no success rate.
-    #[error("`boundary.band` is [{low}, {high}]; its ends must rise and lie from 0 to 1")]
+    /// An invalid band of success rates.
+    #[error("`boundary.band` is [{low}, {high}]; expected two increasing numbers from 0 to 1")]
     Band {
-        /// Its lower end.
+        /// The lower end.
         low: f64,
-        /// Its upper end.
+        /// The upper end.
         high: f64,
     },
-    /// A share that is none.
-    #[error("`boundary.emphasis.share` is {share}; it must be from 0 to 1\nhint: write 30 % as 0.30")]
+    /// A share out of range.
+    #[error("`boundary.emphasis.share` is {share}; expected a number from 0 to 1\nhint: write 30 % as 0.30")]
     Share {
-        /// Its value.
+        /// The value.
         share: f64,
     },
-    /// An emphasis on everything.
-    #[error("`boundary.emphasis` has no [[boundary.emphasis.where]]\nhint: leave the table out for no emphasis")]
+    /// An emphasis without conditions.
+    #[error("`boundary.emphasis` has no [[boundary.emphasis.where]]\nhint: remove the table if no emphasis is needed")]
     NoConditions,
-    /// No sampler of that name.
+    /// An unknown sampler.
     #[error("`sampler`: `{name}` is unknown\nhint: {hint}")]
     UnknownSampler {
         /// The name.
         name: String,
-        /// What could be meant.
+        /// The nearest known name, or all of them.
         hint: String,
     },
-    /// A range of a parameter that the space has not.
-    #[error("`{key}`: the parameter space `{space}` has no `{parameter}`\nhint: {hint}")]
+    /// A range of a parameter that is not in the space.
+    #[error("`{key}`: the parameter space `{space}` has no parameter `{parameter}`\nhint: {hint}")]
     UnknownParameter {
         /// The key.
         key: String,
@@ -578,29 +575,29 @@ pub enum PlanError {
         parameter: String,
         /// The space's name.
         space: String,
-        /// What could be meant.
+        /// The nearest known name, or all of them.
         hint: String,
     },
-    /// A range of a parameter that can have none here.
-    #[error("`{key}`: `{parameter}` is none of the {wanted} that can stand here")]
+    /// A range of a parameter of the wrong kind.
+    #[error("`{key}`: `{parameter}` is not {wanted}, which this list requires")]
     WrongKind {
         /// The key.
         key: String,
         /// The parameter.
         parameter: String,
-        /// What can stand there.
+        /// The required kind.
         wanted: &'static str,
     },
-    /// A whole-number parameter between two whole numbers.
-    #[error("`{key}`: the ends of the whole-number parameter `{parameter}` must be whole numbers")]
+    /// A fractional end for an integer parameter.
+    #[error("`{key}`: the ends of the integer parameter `{parameter}` must be integers")]
     NotWhole {
         /// The key.
         key: String,
         /// The parameter.
         parameter: String,
     },
-    /// A range that shares nothing with the operating space.
-    #[error("`{key}`: nothing of the range of `{parameter}` lies in the operating space, which has {low} to {high}")]
+    /// A range outside the operating space.
+    #[error("`{key}`: the range of `{parameter}` is outside the operating space: expected values from {low} to {high}")]
     Outside {
         /// The key.
         key: String,
@@ -619,7 +616,7 @@ pub enum PlanError {
         /// The parameter.
         parameter: String,
     },
-    /// An end that is no number.
+    /// An end that is not a finite number.
     #[error("`{key}`: `low` and `high` of `{parameter}` must be finite numbers")]
     NotFinite {
         /// The key.
@@ -627,20 +624,20 @@ pub enum PlanError {
         /// The parameter.
         parameter: String,
     },
-    /// A range that holds nothing.
+    /// A range whose low end is above its high end.
     #[error("`{key}`: `low` {low} of `{parameter}` is above `high` {high}")]
     UpsideDown {
         /// The key.
         key: String,
         /// The parameter.
         parameter: String,
-        /// Its lower end.
+        /// The lower end.
         low: f64,
-        /// Its upper end.
+        /// The upper end.
         high: f64,
     },
-    /// Two ranges of one parameter in one list.
-    #[error("`{key}`: `{parameter}` stands in this list twice\nhint: one range can have both a `low` and a `high`")]
+    /// Two ranges of the same parameter in one list.
+    #[error("`{key}`: `{parameter}` is in this list twice\nhint: one range can have both a `low` and a `high`")]
     Twice {
         /// The key.
         key: String,
@@ -649,17 +646,17 @@ pub enum PlanError {
     },
     /// A boundary stage in a space whose parameters are correlated.
     #[error(
-        "the boundary stage takes parameters for independent, and the space correlates `{first}` with `{second}`: its points \
-         and weights would be wrong\nhint: give a plan without a [boundary] table (--plan FILE); the uniform stage knows \
+        "the boundary stage needs independent parameters, but the space correlates `{first}` with `{second}`: its points \
+         and weights would be wrong\nhint: use a plan without a [boundary] table (--plan FILE); the uniform stage supports \
          correlations"
     )]
     CorrelatedBoundary {
-        /// One parameter.
+        /// One of the parameters.
         first: String,
-        /// The other.
+        /// The other parameter.
         second: String,
     },
-    /// A narrowed space is none.
+    /// The restricted space is invalid.
     #[error(transparent)]
     Space(#[from] robogate_core::SpaceError),
 }
@@ -669,15 +666,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_hint_is_the_nearest_word_or_all_of_them() {
+    fn hint_names_nearest_word_or_all() {
         let known = ["friction", "mass_kg", "size_m"];
         assert_eq!(hint("fricton", known.into_iter()), "did you mean `friction`?");
         assert_eq!(hint("mass", known.into_iter()), "did you mean `mass_kg`?");
-        assert_eq!(hint("temperature", known.into_iter()), "there are friction, mass_kg, size_m");
+        assert_eq!(hint("temperature", known.into_iter()), "expected one of: friction, mass_kg, size_m");
     }
 
     #[test]
-    fn distance_counts_single_changes() {
+    fn distance_counts_single_edits() {
         for (a, b, d) in [("", "abc", 3), ("kitten", "sitting", 3), ("same", "same", 0), ("ab", "ba", 2)] {
             assert_eq!((distance(a, b), distance(b, a)), (d, d), "{a} {b}");
         }

@@ -1,16 +1,16 @@
-//! A campaign in its folder: begun, interrupted, resumed, finished.
+//! Runs a campaign in its folder: start, interrupt, resume, finish.
 //!
 //! ```text
 //! DIR/plan.json            everything the run depends on; written first, never changed
-//! DIR/journal.rgj          the episodes so far, as long as the run is unfinished
-//! DIR/boundary.json        what the first stage found
-//! DIR/dictionary.parquet   the record, in order of index
-//! DIR/summary.json         what came of it; written last, then the journal goes
+//! DIR/journal.rgj          the episodes of an unfinished run
+//! DIR/boundary.json        the boundary found by the first stage
+//! DIR/dictionary.parquet   the episodes in order of index
+//! DIR/summary.json         the summary; written last, then the journal is deleted
 //! ```
 //!
-//! Whatever is killed at whatever moment leaves one of three states: no `plan.json` (nothing has
-//! happened), a journal (resume), or a summary without a journal (finished). A file is replaced as a
-//! whole or not at all; of the journal at most its unfinished last record is lost.
+//! A process that is killed at any moment leaves one of three states: no `plan.json` (nothing has happened), a journal
+//! (resume it), or a summary without a journal (finished). Files are replaced atomically. At most the incomplete last
+//! record of the journal is lost.
 
 use std::io;
 use std::ops::ControlFlow;
@@ -30,44 +30,44 @@ use crate::{
     SuiteStage, Summary, Warning,
 };
 
-/// What stands in `plan.json`: everything that a run's results depend on.
+/// The content of `plan.json`: everything that the results of a run depend on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Settings {
-    /// The version of this form.
+    /// The version of the file format.
     pub version: u32,
-    /// What shall be done.
+    /// The plan of the campaign.
     pub plan: Plan,
-    /// With what: tool, engine, robot, policy, space, platform. It goes into the dictionary.
+    /// Tool, engine, robot, policy, space and platform. The dictionary stores it as well.
     pub provenance: Provenance,
 }
 
 impl Settings {
-    /// The version of this form that is written here, and the newest that is read.
+    /// The version of the file format that is written, and the newest one that is read.
     pub const VERSION: u32 = 2;
 }
 
-/// How a run came to its end.
+/// How a run ended.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Completion {
-    /// Every episode was run and every file is there.
+    /// Every episode ran and every file is written.
     Finished {
-        /// What came of it.
+        /// The summary of the campaign.
         summary: Box<Summary>,
-        /// What the first stage found, where there was a second.
+        /// The boundary found by the first stage, if there was a second stage.
         boundary: Option<Box<BoundaryReport>>,
     },
-    /// It was stopped before; [`resume`] goes on.
+    /// The run was stopped. [`resume`] continues it.
     Interrupted {
-        /// Episodes that are recorded.
+        /// The number of recorded episodes.
         done: u64,
         /// Episodes of the whole campaign.
         episodes: u64,
     },
 }
 
-/// Begins a campaign in the folder `dir`, which must be empty or not there yet, and runs it.
+/// Starts a campaign in the folder `dir`, which must be empty or not exist, and runs it.
 ///
-/// Of `provenance`, `plan` and `seed` are filled in here.
+/// This function fills in `plan` and `seed` of `provenance`.
 pub fn start(
     dir: &Path,
     plan: &Plan,
@@ -78,13 +78,14 @@ pub fn start(
     start_in_rounds(dir, plan, provenance, executor, events, &mut |_| ControlFlow::Continue(()))
 }
 
-/// [`start`] of a plan that runs a suite, with somebody who is shown each round and may say that it was the last.
+/// Starts a plan that runs a suite, like [`start`], and calls `after_round` after each round.
 ///
-/// `after_round` gets the rounds in order, each once it is recorded as a whole. The campaign is finished
-/// after the round on which it breaks, or after the plan's last; its files are then those of a plan with just as many
-/// rounds, but for the plan itself. Where a plan has no suite it is never called.
+/// `after_round` gets the rounds in order, each once it is completely recorded. The campaign is finished after the
+/// round on which it breaks, or after the plan's last round. Except for the plan itself, the files are then those of a
+/// plan with this number of rounds. If the plan has no suite, `after_round` is never called.
 ///
-/// What it answers must depend on the entries alone, so that a run that was interrupted ends like one that was not.
+/// The result of `after_round` must depend only on the entries. Otherwise an interrupted run could end differently from
+/// an uninterrupted one.
 pub fn start_in_rounds(
     dir: &Path,
     plan: &Plan,
@@ -110,11 +111,12 @@ pub fn start_in_rounds(
     Run::new(folder, settings, executor, events, after_round)?.run()
 }
 
-/// Goes on with the campaign in `dir` and ends with the same bytes in every file as if it had never been
-/// interrupted. Of one that is finished nothing changes.
+/// Resumes the campaign in `dir`. The resulting files are byte-identical to those of an uninterrupted run. A finished
+/// campaign does not change.
 ///
-/// `provenance` is what would be used now: where tool, engine, robot, policy, world, space or platform are not those
-/// that the run was begun with, the rest of it would not be the same campaign, and this is an error.
+/// `provenance` describes the present setup. If its tool, engine, robot, policy, world, space or platform differ from
+/// those of the recorded run, the function returns an error, because the remaining episodes would belong to another
+/// campaign.
 pub fn resume(
     dir: &Path,
     provenance: &Provenance,
@@ -124,8 +126,8 @@ pub fn resume(
     resume_in_rounds(dir, provenance, executor, events, &mut |_| ControlFlow::Continue(()))
 }
 
-/// [`resume`] of what [`start_in_rounds`] began: `after_round` is shown every round again, from the first on. It is
-/// not called where the campaign is finished.
+/// Resumes a run of [`start_in_rounds`], like [`resume`]. `after_round` gets every round again, from the first on. It
+/// is not called if the campaign is finished.
 pub fn resume_in_rounds(
     dir: &Path,
     provenance: &Provenance,
@@ -147,12 +149,12 @@ pub fn resume_in_rounds(
     Run::new(folder, settings, executor, events, after_round)?.run()
 }
 
-/// What the run in `dir` was begun with: what must be known to make workers for [`resume`] or a replay.
+/// Reads the settings of the run in `dir`, which are needed to create workers for [`resume`] or a replay.
 pub fn settings(dir: &Path) -> Result<Settings, RunError> {
     if !dir.join(PLAN).is_file() {
         return Err(RunError::NotARun { dir: dir.to_owned() });
     }
-    /// The version alone: a later form may differ in everything else.
+    /// The version alone, because a later format may differ in everything else.
     #[derive(Deserialize)]
     struct Version {
         version: u32,
@@ -160,7 +162,7 @@ pub fn settings(dir: &Path) -> Result<Settings, RunError> {
     let Version { version } = folder::read(dir, PLAN)?;
     known_version(dir, PLAN, version, Settings::VERSION)?;
     let settings: Settings = folder::read(dir, PLAN)?;
-    // The plan stands in the provenance too, which goes into the dictionary: the two must say the same.
+    // The provenance, which the dictionary stores, contains the plan as well. Both must agree.
     let plan = serde_json::from_value::<Plan>(settings.provenance.plan.clone());
     if !plan.is_ok_and(|plan| plan == settings.plan) || settings.provenance.seed != settings.plan.seed {
         let source =
@@ -170,7 +172,7 @@ pub fn settings(dir: &Path) -> Result<Settings, RunError> {
     Ok(settings)
 }
 
-/// Episode `index` of the run in `dir`, finished or not: its scenario and how it went, for a replay.
+/// Reads episode `index` of the run in `dir`, finished or not: its scenario and its outcome, for a replay.
 pub fn recorded(dir: &Path, index: u64) -> Result<Entry, RunError> {
     let settings = settings(dir)?;
     let folder = Folder::lock(dir)?;
@@ -194,7 +196,7 @@ pub fn recorded(dir: &Path, index: u64) -> Result<Entry, RunError> {
     Err(missing())
 }
 
-/// The journal goes last, so its absence beside a summary means that all else is there.
+/// The journal is deleted last. A summary without a journal means that all files are complete.
 fn is_finished(folder: &Folder) -> bool {
     folder.has(SUMMARY) && folder.has(DICTIONARY) && !folder.has(JOURNAL)
 }
@@ -206,7 +208,7 @@ fn known_version(dir: &Path, name: &str, found: u32, known: u32) -> Result<(), R
     Ok(())
 }
 
-/// Refuses to go on with something else than what the run was begun with.
+/// Rejects a setup that differs from the one of the recorded run.
 fn same_origin(recorded: &Provenance, present: &Provenance) -> Result<(), RunError> {
     let text = |value: &Option<String>| value.clone().unwrap_or_else(|| "unknown".to_owned());
     let of = |p: &Provenance| {
@@ -244,7 +246,7 @@ fn same_origin(recorded: &Provenance, present: &Provenance) -> Result<(), RunErr
     Ok(())
 }
 
-/// Where two settings first differ, by name, and what stands there in each.
+/// The first difference between two settings: its name and both values.
 fn difference(name: String, recorded: &Value, present: &Value) -> Option<(String, String, String)> {
     match (recorded, present) {
         (Value::Object(a), Value::Object(b)) => a.keys().chain(b.keys()).find_map(|key| {
@@ -256,10 +258,10 @@ fn difference(name: String, recorded: &Value, present: &Value) -> Option<(String
     }
 }
 
-/// How many episodes from the start may all be invalid before a person is told.
+/// Number of invalid episodes from the start after which a warning is issued.
 const INVALID_FROM_START: u64 = 50;
 
-/// Is shown a round and says whether another shall follow.
+/// The closure that gets each round and decides whether another one follows.
 type AfterRound<'a> = dyn FnMut(&Round<'_>) -> ControlFlow<()> + 'a;
 
 struct Run<'a> {
@@ -267,16 +269,16 @@ struct Run<'a> {
     settings: Settings,
     space: Arc<ParameterSpace>,
     journal: Journal,
-    /// What the first stage's episodes say along each continuous parameter.
+    /// The counts of the first stage along each continuous parameter.
     bins: Bins,
     executor: &'a dyn Executor,
     events: &'a mut dyn FnMut(&Event),
     after_round: &'a mut AfterRound<'a>,
-    /// How many episodes this process ran, and why the first is invalid, as long as none was valid.
+    /// The number of episodes that this process ran and the fault of the first one, as long as none was valid.
     invalid_so_far: Option<(u64, String)>,
 }
 
-/// Whether a stage came to its end.
+/// Whether a stage is complete.
 #[derive(PartialEq, Eq)]
 enum Progress {
     Complete,
@@ -316,8 +318,8 @@ impl<'a> Run<'a> {
         let completion = self.stages();
         if !matches!(completion, Ok(Completion::Finished { .. })) {
             let synced = self.journal.sync();
-            // After an error that error is what matters: without this flush too the record survives all but
-            // a power failure.
+            // After an error, that error is reported instead. Without this flush the record still survives everything
+            // but a power failure.
             let completion = completion?;
             synced?;
             if let Completion::Interrupted { done, episodes } = completion {
@@ -326,7 +328,7 @@ impl<'a> Run<'a> {
             return Ok(completion);
         }
         let Self { folder, journal, events, .. } = self;
-        // Not every system removes a file that is open.
+        // Not every system can delete an open file.
         drop(journal);
         folder.remove(JOURNAL)?;
         if let Ok(Completion::Finished { summary, .. }) = &completion {
@@ -366,7 +368,7 @@ impl<'a> Run<'a> {
         Completion::Interrupted { done: self.journal.len(), episodes: self.settings.plan.episodes() }
     }
 
-    /// Runs what the journal does not hold yet of one stage.
+    /// Runs the episodes of one stage that are not in the journal yet.
     fn stage(&mut self, points: &Points) -> Result<Progress, RunError> {
         let stage = points.stage();
         let (mut outcomes, pending) = self.already_done(points)?;
@@ -378,8 +380,8 @@ impl<'a> Run<'a> {
         Ok(Progress::Complete)
     }
 
-    /// Runs a suite round by round, as far as the journal does not hold it yet. Answers how many rounds it was
-    /// in the end, or `None` where it was stopped.
+    /// Runs the rounds of a suite that are not in the journal yet. Returns the number of rounds, or `None` if the run
+    /// was stopped.
     fn suite(&mut self, suite: &SuiteStage) -> Result<Option<u64>, RunError> {
         let points = Points::suite(suite, self.settings.plan.seed);
         let stage = points.stage();
@@ -437,7 +439,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// What the journal holds of a stage: how it went, and which indices are missing.
+    /// Reads the episodes of a stage from the journal: their outcomes, and the missing indices.
     fn already_done(&mut self, points: &Points) -> Result<(OutcomeCounts, Vec<u64>), RunError> {
         let mut outcomes = OutcomeCounts::default();
         let mut pending = Vec::new();
@@ -446,8 +448,8 @@ impl<'a> Run<'a> {
                 pending.push(index);
                 continue;
             };
-            // The same settings give the same points; anything else is another campaign's journal, or
-            // a platform on which they are others.
+            // The same settings give the same points. Otherwise the journal belongs to another campaign, or to a
+            // platform with different rounding.
             if Some(&entry.episode.scenario) != points.scenario(index).as_ref() {
                 return Err(RunError::ForeignEpisode { path: self.folder.path(JOURNAL), index });
             }
@@ -487,7 +489,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Says once that nothing was valid so far.
+    /// Issues one warning if no episode was valid so far.
     fn say_all_invalid(&mut self) {
         if let Some((episodes @ 1.., first)) = self.invalid_so_far.take() {
             (self.events)(&Event::warning(Warning::AllInvalid { episodes, first }));
@@ -504,7 +506,7 @@ impl<'a> Run<'a> {
         Ok(report)
     }
 
-    /// Writes the record and what came of it; of a suite, its first `rounds` rounds.
+    /// Writes the dictionary and the summary. For a suite, `rounds` is the number of rounds to keep.
     fn finish(&mut self, rounds: u64) -> Result<Summary, RunError> {
         let plan = &self.settings.plan;
         let mut writer = DictionaryWriter::create(&self.folder.path(DICTIONARY), &self.settings.provenance)?;
@@ -512,7 +514,7 @@ impl<'a> Run<'a> {
         for entry in self.journal.ordered() {
             let entry = entry?;
             let stage = match &plan.suite {
-                // An earlier process, told otherwise, may have gone further.
+                // An earlier process may have run more rounds, if its closure decided differently.
                 Some(suite) if entry.index() >= rounds * suite.scenarios() => break,
                 Some(_) => Stage::Suite,
                 None if entry.index() < plan.uniform.episodes => Stage::Uniform,
@@ -527,28 +529,28 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Why a campaign could not be run to its end. What was recorded before is intact.
+/// The reason why a campaign could not be completed. Episodes recorded before are intact.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// The operating system refused.
+    /// The operating system returned an error.
     #[error("cannot {action} {}: {source}{}", path.display(), io_hint(source))]
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What was tried.
+        /// The attempted action.
         action: &'static str,
-        /// What it answered.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// Something else is in the folder.
-    #[error("{} is not empty (it holds `{name}`) and is no run of robogate\nhint: choose a folder that is empty or not there yet", dir.display())]
+    /// The folder contains other files.
+    #[error("{} is not empty (it contains `{name}`) and is not a robogate run\nhint: choose an empty or new folder", dir.display())]
     NotEmpty {
         /// The folder.
         dir: PathBuf,
-        /// Something in it.
+        /// A file in the folder.
         name: String,
     },
-    /// A run is in the folder.
+    /// The folder already contains a run.
     #[error("{}", already_a_run(dir, *finished))]
     AlreadyARun {
         /// The folder.
@@ -556,62 +558,62 @@ pub enum RunError {
         /// Whether it is finished.
         finished: bool,
     },
-    /// No run is in the folder.
-    #[error("{} holds no run (there is no {PLAN} in it)\nhint: check the path; `robogate run --out DIR` begins one", dir.display())]
+    /// The folder contains no run.
+    #[error("{} is not a robogate run: it has no {PLAN}\nhint: check the path, or start a run with `robogate run --out DIR`", dir.display())]
     NotARun {
         /// The folder.
         dir: PathBuf,
     },
-    /// Another process works there.
-    #[error("{} is in use by another process\nhint: a campaign is run or resumed by one process at a time", dir.display())]
+    /// Another process uses the folder.
+    #[error("{} is in use by another process\nhint: only one process at a time can run or resume a campaign", dir.display())]
     Locked {
         /// The folder.
         dir: PathBuf,
     },
-    /// A file of the run is not what was written.
-    #[error("{}: {source}\nhint: this file is written by robogate and must not be changed; restore it from a copy", path.display())]
+    /// A file of the run cannot be parsed.
+    #[error("{}: {source}\nhint: robogate writes this file, and it must not be edited; restore it from a copy", path.display())]
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// What is wrong and where.
+        /// The problem and its position.
         source: serde_json::Error,
     },
-    /// A file of the run was written by a later version of the tool.
-    #[error("{} has version {found}, and this robogate reads {known} at most\nhint: upgrade robogate; nothing was changed", path.display())]
+    /// A file of the run was written by a later version of robogate.
+    #[error("{} has format version {found}, but this robogate reads versions up to {known}\nhint: upgrade robogate; nothing was changed", path.display())]
     NewerVersion {
         /// The file.
         path: PathBuf,
-        /// Its version.
+        /// The version of the file.
         found: u32,
-        /// The newest that is known.
+        /// The newest known version.
         known: u32,
     },
-    /// What would be used now is not what the run was begun with.
+    /// The present setup differs from that of the run.
     #[error(
-        "the run was begun with another {what}: {recorded}, now {present}\nhint: its episodes could not be compared; resume it with what it was begun with, or begin a new run"
+        "the run was started with another {what}: {recorded}, now {present}\nhint: resume it with the original {what}, or start a new run; episodes of both cannot be compared"
     )]
     Mismatch {
-        /// What differs.
+        /// The differing item.
         what: String,
-        /// As it was.
+        /// The value in the recorded run.
         recorded: String,
-        /// As it is.
+        /// The present value.
         present: String,
     },
-    /// The journal holds an episode that the plan does not ask for.
-    #[error("{}: episode {index} is not the one that the plan asks for\nhint: the journal belongs to another run, or was begun on another platform", path.display())]
+    /// The journal contains an episode that is not in the plan.
+    #[error("{}: episode {index} does not match the plan\nhint: the journal belongs to another run, or was started on another platform", path.display())]
     ForeignEpisode {
         /// The journal.
         path: PathBuf,
         /// The episode's index.
         index: u64,
     },
-    /// No such episode is recorded.
-    #[error("{} has no record of episode {index}; the campaign has {episodes}, counted from 0, and an unfinished one may lack any", dir.display())]
+    /// The episode is not recorded.
+    #[error("{} has no record of episode {index}. The campaign has {episodes} episodes, counted from 0; an unfinished campaign lacks some of them", dir.display())]
     NoSuchEpisode {
         /// The run's folder.
         dir: PathBuf,
-        /// The index asked for.
+        /// The requested index.
         index: u64,
         /// Episodes of the whole campaign.
         episodes: u64,
@@ -619,13 +621,13 @@ pub enum RunError {
     /// Not all episodes could be run.
     #[error(transparent)]
     Execute(#[from] ExecuteError),
-    /// The plan is none, or does not fit the space.
+    /// The plan is invalid or does not fit the space.
     #[error(transparent)]
     Plan(#[from] PlanError),
     /// The sampler cannot draw the points.
     #[error(transparent)]
     Design(#[from] DesignError),
-    /// The record cannot be written or read.
+    /// The dictionary or journal cannot be written or read.
     #[error(transparent)]
     Dictionary(#[from] DictionaryError),
 }
@@ -639,10 +641,10 @@ impl RunError {
 fn already_a_run(dir: &Path, finished: bool) -> String {
     let dir = dir.display();
     if finished {
-        format!("{dir} holds a finished run already\nhint: choose another folder")
+        format!("{dir} already contains a finished run\nhint: choose another folder")
     } else {
         format!(
-            "{dir} holds an unfinished run\nhint: go on with it by `robogate resume {dir}`, or choose another folder"
+            "{dir} contains an unfinished run\nhint: resume it with `robogate resume {dir}`, or choose another folder"
         )
     }
 }
@@ -650,10 +652,10 @@ fn already_a_run(dir: &Path, finished: bool) -> String {
 fn io_hint(source: &io::Error) -> &'static str {
     match source.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "\nhint: make room on that disk, then resume; what was recorded before is intact"
+            "\nhint: free space on that disk, then resume; recorded episodes are intact"
         }
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
-            "\nhint: choose a folder that you may write to"
+            "\nhint: choose a folder with write permission"
         }
         _ => "",
     }

@@ -15,16 +15,16 @@ use crate::{BoundaryReport, Plan, RunError, SuiteStage};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Stage {
-    /// The first: the operating space.
+    /// The first stage, over the operating space.
     Uniform,
-    /// The second: where the first found the boundary.
+    /// The second stage, around the boundary found by the first one.
     Boundary,
-    /// In place of both: the scenarios of a suite.
+    /// The scenarios of a suite, which replace both stages.
     Suite,
 }
 
 impl Stage {
-    /// Its name in the dictionary and reports.
+    /// The name in the dictionary and in reports.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Uniform => "uniform",
@@ -40,10 +40,10 @@ impl fmt::Display for Stage {
     }
 }
 
-/// The points of one stage, their indices in the campaign and their weights.
+/// The points of one stage, with their indices in the campaign and their weights.
 ///
-/// Those of a suite are its scenarios, round after round. Every design is drawn from a stream of its own, so that neither its points nor those of another
-/// change with how many the other has.
+/// The points of a suite are its scenarios, round after round. Each design uses a separate random stream. Its points do
+/// not depend on the number of points in the other design.
 #[derive(Debug)]
 pub struct Points {
     stage: Stage,
@@ -53,21 +53,21 @@ pub struct Points {
     source: Source,
 }
 
-/// Where points come from.
+/// The source of points.
 #[derive(Debug)]
 enum Source {
-    /// Drawn from a space.
+    /// Sampled from a space.
     Drawn {
-        /// One after the other: of the second stage the emphasis, then the volume.
+        /// The designs in order. The second stage has the emphasis first, then the volume.
         designs: Vec<Design>,
         weights: Option<Weights>,
     },
-    /// Chosen one by one.
+    /// Scenarios of a suite.
     Chosen(Box<SuiteStage>),
 }
 
 impl Points {
-    /// The points of the first stage.
+    /// Draws the points of the first stage.
     pub fn uniform(plan: &Plan, space: &Arc<ParameterSpace>) -> Result<Self, RunError> {
         let sampler = plan.sampler()?;
         let seed = Seed::campaign(plan.seed);
@@ -76,7 +76,7 @@ impl Points {
         Ok(Self { stage: Stage::Uniform, seed, sampler: sampler.name(), first_index: 0, source })
     }
 
-    /// The points of the second stage, given what the first one found. `space` is the operating space.
+    /// Draws the points of the second stage from the boundary report. `space` is the operating space.
     pub fn boundary(plan: &Plan, space: &Arc<ParameterSpace>, report: &BoundaryReport) -> Result<Self, RunError> {
         let sampler = plan.sampler()?;
         let seed = Seed::campaign(plan.seed);
@@ -110,12 +110,12 @@ impl Points {
         self.stage
     }
 
-    /// The name of the sampler that drew them.
+    /// The name of the sampler.
     pub fn sampler(&self) -> &'static str {
         self.sampler
     }
 
-    /// How many there are.
+    /// The number of points.
     pub fn len(&self) -> u64 {
         match &self.source {
             Source::Drawn { designs, .. } => designs.iter().map(|design| design.len() as u64).sum(),
@@ -123,17 +123,17 @@ impl Points {
         }
     }
 
-    /// Whether there is none.
+    /// Whether there are no points.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The indices in the campaign, rising.
+    /// The indices in the campaign, in increasing order.
     pub fn indices(&self) -> std::ops::Range<u64> {
         self.first_index..self.first_index + self.len()
     }
 
-    /// What episode `index` of the campaign shall be, if it is of this stage.
+    /// The scenario of episode `index` of the campaign, if it belongs to this stage.
     pub fn scenario(&self, index: u64) -> Option<Scenario> {
         match &self.source {
             Source::Drawn { designs, .. } => {
@@ -144,12 +144,12 @@ impl Points {
         }
     }
 
-    /// What is asked for in episode `index` of the campaign, if it is of this stage.
+    /// The requested parameters of episode `index` of the campaign, if it belongs to this stage.
     pub fn requested(&self, index: u64) -> Option<Assignment> {
         self.scenario(index).map(|scenario| scenario.requested)
     }
 
-    /// Which scenario of a suite episode `index` is of; empty where points are drawn from a space.
+    /// The suite scenario of episode `index`. Empty if points are sampled from a space.
     pub fn label(&self, index: u64) -> Label {
         match &self.source {
             Source::Drawn { .. } => Label::default(),
@@ -157,8 +157,8 @@ impl Points {
         }
     }
 
-    /// The weight p(x)/q(x) of episode `index`: 1 in the first stage, whose density is the operating one, and
-    /// in a suite, which speaks of no density.
+    /// The weight p(x)/q(x) of episode `index`. It is 1 in the first stage, which samples the operating density, and in
+    /// a suite, which has no density.
     pub fn weight(&self, index: u64) -> Option<f64> {
         match &self.source {
             Source::Drawn { designs, weights } => {
@@ -189,6 +189,6 @@ fn draw(
     seed: Seed,
     purpose: &str,
 ) -> Result<Design, RunError> {
-    // A plan's limit lies far below the range of usize.
+    // The limits of a plan are far below the range of usize.
     Ok(sampler.design(space, n as usize, seed.stream(purpose))?)
 }

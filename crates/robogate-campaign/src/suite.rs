@@ -1,4 +1,4 @@
-//! A suite as a campaign: its scenarios in rounds, each round with fresh seeds.
+//! Campaigns over a suite: its scenarios run in rounds, each with fresh seeds.
 
 use std::ops::Range;
 
@@ -13,38 +13,38 @@ use crate::OutcomeCounts;
 /// The 68 scenarios of the paper's industrial suite, as TOML.
 pub const INDUSTRIAL_68: &str = include_str!("../../../assets/suites/industrial-68.toml");
 
-/// The suites that come with RoboGate, by name, and their commented TOML.
+/// The built-in suites: names and commented TOML.
 pub const BUILT_IN_SUITES: [(&str, &str); 1] = [("industrial-68", INDUSTRIAL_68)];
 
-/// The built-in suite of that name, if there is one.
+/// The built-in suite with this name.
 pub fn built_in_suite(name: &str) -> Option<Result<Suite, SuiteError>> {
     BUILT_IN_SUITES.iter().find(|(known, _)| *known == name).map(|(_, text)| Suite::from_toml(text))
 }
 
-/// What takes the place of both stages where a suite is run.
+/// The plan for a suite, which replaces both stages.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SuiteStage {
-    /// How often each scenario is run at most; whoever runs it may stop after any round.
+    /// The maximum number of rounds. A caller may stop after any round.
     pub rounds: u64,
-    /// The suite's [`suite_sha256`].
+    /// The [`suite_sha256`] of the suite.
     pub sha256: String,
     /// The suite.
     pub suite: Suite,
 }
 
 impl SuiteStage {
-    /// The suite in at most so many rounds.
+    /// Creates a stage with at most `rounds` rounds.
     pub fn new(suite: Suite, rounds: u64) -> Self {
         Self { rounds, sha256: suite_sha256(&suite), suite }
     }
 
-    /// How many episodes all rounds have.
+    /// The number of episodes of all rounds.
     pub fn episodes(&self) -> u64 {
         self.rounds.saturating_mul(self.scenarios())
     }
 
-    /// How many episodes one round has.
+    /// The number of episodes of one round.
     pub fn scenarios(&self) -> u64 {
         self.suite.cases().len() as u64
     }
@@ -54,7 +54,7 @@ impl SuiteStage {
         round * self.scenarios()..(round + 1) * self.scenarios()
     }
 
-    /// What the dictionary says about episode `index`.
+    /// The columns of the dictionary that identify the scenario of episode `index`.
     pub(crate) fn label(&self, index: u64) -> Label {
         let case = self.suite.case(index);
         Label { case: Some(case.id.clone()), category: Some(case.category.clone()), group: Some(case.group.clone()) }
@@ -64,41 +64,41 @@ impl SuiteStage {
 /// A round that is complete and recorded.
 #[derive(Debug)]
 pub struct Round<'a> {
-    /// Its number, from 0.
+    /// The round number, from 0.
     pub number: u64,
-    /// Its episodes, one for each scenario, in the suite's order.
+    /// The episodes, one per scenario, in the suite's order.
     pub entries: &'a [Entry],
 }
 
-/// How the scenarios of a suite went.
+/// The outcomes of a suite.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SuiteSummary {
     /// The suite's name.
     pub name: String,
-    /// Its version.
+    /// The version of the suite.
     pub version: String,
-    /// Its [`suite_sha256`].
+    /// The [`suite_sha256`] of the suite.
     pub sha256: String,
-    /// How many rounds were run.
+    /// The number of completed rounds.
     pub rounds: u64,
-    /// Its groups, in its order.
+    /// The groups, in the suite's order.
     pub groups: Vec<GroupSummary>,
 }
 
-/// How the scenarios of one group went.
+/// The outcomes of one group.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GroupSummary {
     /// The category.
     pub category: String,
     /// The group.
     pub group: String,
-    /// How many scenarios it has.
+    /// The number of scenarios.
     pub scenarios: u64,
-    /// How its episodes went.
+    /// The outcomes of the episodes.
     pub outcomes: OutcomeCounts,
-    /// The share of successes among the valid ones; absent where none is valid.
+    /// The share of successes among the valid episodes. Absent if none is valid.
     pub success_rate: Option<f64>,
-    /// Wilson's 95 % interval of it; [0, 1] where none is valid.
+    /// Wilson's 95 % interval of the success rate. [0, 1] if no episode is valid.
     pub interval_95: [f64; 2],
 }
 

@@ -14,42 +14,42 @@ use crate::{Bins, MarginalEffect, OutcomeCounts, Plan, PlanError, Stage, SuiteSu
 /// Campaign summary.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Summary {
-    /// The version of this form.
+    /// The version of the file format.
     pub version: u32,
     /// The campaign's seed.
     pub seed: u64,
-    /// What drew the points.
+    /// The sampler of the points.
     pub sampler: String,
-    /// The content hash of the dictionary's rows: equal hashes, equal data.
+    /// The content hash of the dictionary's rows. Equal hashes mean equal data.
     pub dataset_hash: String,
     /// Episodes of all stages.
     pub episodes: u64,
-    /// The success rate of the policy over the operating space, or over the suite where one was run.
+    /// The success rate of the policy over the operating space, or over the suite if one was run.
     pub estimate: Estimate,
-    /// The stages that were run.
+    /// The completed stages.
     pub stages: Vec<StageSummary>,
-    /// How the groups of the suite went, where one was run.
+    /// The outcomes of the suite's groups, if one was run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub suite: Option<SuiteSummary>,
 }
 
 impl Summary {
-    /// The version of this form that is written here, and the newest that is read.
+    /// The version of the file format that is written, and the newest one that is read.
     pub const VERSION: u32 = 2;
 }
 
-/// A success rate and how far it can be trusted.
+/// A success rate with its confidence interval.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Estimate {
     /// The population that it estimates.
     pub population: Population,
-    /// The stages whose episodes it is made from.
+    /// The stages whose episodes are used.
     pub stages: Vec<Stage>,
-    /// The same in words.
+    /// The population as text.
     pub note: String,
-    /// The rate; absent where no episode is valid.
+    /// The success rate. Absent if no episode is valid.
     pub success_rate: Option<f64>,
-    /// Wilson's 95 % interval; [0, 1] where no episode is valid.
+    /// Wilson's 95 % interval. [0, 1] if no episode is valid.
     pub interval_95: [f64; 2],
 }
 
@@ -57,87 +57,87 @@ pub struct Estimate {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Population {
-    /// The operating space, every parameter uniform in its own scale.
+    /// The operating space, with every parameter uniform in its scale.
     OperatingSpace,
-    /// The points of the boundary stage, crowded where success turns into failure: no rate over them is
-    /// one of the operating space.
+    /// The points of the boundary stage. They concentrate around the boundary, so a rate over them does not estimate
+    /// the operating space.
     FocusedDesign,
-    /// The scenarios of a suite, each as often as any other: they were chosen, and no rate over them is one of
-    /// an operating space.
+    /// The scenarios of a suite, equally weighted. They were chosen, so a rate over them does not estimate an operating
+    /// space.
     Suite,
 }
 
 impl Population {
-    /// The population in words.
+    /// The population as text.
     pub fn describe(self) -> &'static str {
         match self {
-            Self::OperatingSpace => "the operating space, every parameter uniform in its own scale",
-            Self::Suite => "the scenarios of the suite, each as often as any other, not an operating space",
+            Self::OperatingSpace => "the operating space, with every parameter uniform in its scale",
+            Self::Suite => "the scenarios of the suite, equally weighted, not an operating space",
             Self::FocusedDesign => "the focused design around the failure boundary, not the operating space",
         }
     }
 }
 
-/// How one stage went.
+/// The summary of one stage.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StageSummary {
     /// The stage.
     pub stage: Stage,
     /// The population that its rates estimate.
     pub population: Population,
-    /// The same in words.
+    /// The population as text.
     pub note: String,
-    /// Its episodes.
+    /// Episodes of the stage.
     pub episodes: u64,
-    /// How many of them are evidence.
+    /// The number of valid episodes.
     pub valid: u64,
-    /// How many are not, because the infrastructure failed.
+    /// The number of invalid episodes, ended by a fault.
     pub invalid: u64,
-    /// How many of the valid ones succeeded.
+    /// The number of successes among the valid episodes.
     pub successes: u64,
-    /// Their share; absent where no episode is valid.
+    /// The share of successes among the valid episodes. Absent if none is valid.
     pub success_rate: Option<f64>,
-    /// Wilson's 95 % interval of it; [0, 1] where no episode is valid.
+    /// Wilson's 95 % interval of the success rate. [0, 1] if no episode is valid.
     pub interval_95: [f64; 2],
-    /// Every failure mode, also those that did not happen.
+    /// Every failure mode, including those that did not occur.
     pub failure_modes: Vec<ModeCount>,
-    /// Why episodes are invalid.
+    /// The faults of invalid episodes.
     pub faults: Vec<FaultCount>,
-    /// The marginal effect of each continuous parameter; of the uniform stage only.
+    /// The marginal effect of each continuous parameter, for the uniform stage only.
     #[serde(default, skip_serializing_if = "Vec::is_empty", alias = "along")]
     pub marginal_effects: Vec<MarginalEffect>,
 }
 
-/// How often the policy failed in one way.
+/// The count of one failure mode.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ModeCount {
     /// The failure mode.
     #[schemars(with = "String")]
     pub mode: FailureMode,
-    /// Whether the task declares it; else the failure is of unknown kind.
+    /// Whether the task declares the mode. Otherwise the failure has an unknown kind.
     #[serde(default = "declared")]
     pub declared: bool,
-    /// How often.
+    /// The number of episodes.
     pub episodes: u64,
-    /// Its share of the failures; absent where nothing failed.
+    /// The share of the failures. Absent if there are none.
     pub share_of_failures: Option<f64>,
 }
 
-/// Summaries of earlier versions know declared modes alone.
+/// The default for summaries of earlier versions, which contain only declared modes.
 fn declared() -> bool {
     true
 }
 
-/// How often one class of fault occurred.
+/// The count of one class of fault.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct FaultCount {
     /// The class of fault (`diverged`, `setup`, `not_applied`, `bad_action`, `unavailable`).
     pub fault: String,
-    /// How often.
+    /// The number of episodes.
     pub episodes: u64,
 }
 
-/// Counts a campaign's entries, one at a time, in memory that does not grow with their number.
+/// Counts the entries of a campaign one at a time, in constant memory.
 #[derive(Debug)]
 pub(crate) struct Summing {
     uniform: OutcomeCounts,
@@ -182,7 +182,7 @@ impl Summing {
         }
     }
 
-    /// `rounds` of a suite were run.
+    /// Completes the summary. `rounds` is the number of completed rounds of a suite.
     pub(crate) fn finish(mut self, plan: &Plan, rounds: u64, dataset_hash: String) -> Summary {
         let first = if plan.suite.is_some() { Stage::Suite } else { Stage::Uniform };
         let mut stages = vec![self.stage(first)];

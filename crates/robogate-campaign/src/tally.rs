@@ -1,9 +1,8 @@
-//! Counts of outcomes, in all and in bins of each continuous parameter.
+//! Counts of outcomes, in total and in bins of each continuous parameter.
 //!
-//! A tally keeps counts alone: its size does not depend on the number of episodes, and the order in which they are
-//! added does not matter. Intervals are Wilson's at 95 %; they take episodes for
-//! independent draws, which is conservative for a Latin hypercube where the outcome varies
-//! smoothly. Invalid episodes are counted, and count in no rate.
+//! The size of a tally does not depend on the number of episodes, and their order has no effect. Intervals are Wilson's
+//! at 95 %. They treat episodes as independent draws, which is conservative for a Latin hypercube if the outcome varies
+//! smoothly. Invalid episodes are counted separately and enter no rate.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -16,20 +15,20 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Plan, PlanError};
 
-/// How many episodes ended in which way.
+/// Counts of episodes by outcome.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct OutcomeCounts {
-    /// The task was done.
+    /// Successful episodes.
     pub success: u64,
-    /// Failures by mode, those that happened.
+    /// Failures by mode, for modes that occurred.
     #[serde(flatten)]
     pub failures: BTreeMap<FailureMode, u64>,
-    /// No evidence: the infrastructure failed.
+    /// Invalid episodes.
     pub invalid: u64,
 }
 
 impl OutcomeCounts {
-    /// Counts one more.
+    /// Counts one more outcome.
     pub fn add(&mut self, outcome: &Outcome) {
         *match outcome {
             Outcome::Success => &mut self.success,
@@ -38,33 +37,33 @@ impl OutcomeCounts {
         } += 1;
     }
 
-    /// How many failed in this way.
+    /// The number of failures with this mode.
     pub fn failures(&self, mode: FailureMode) -> u64 {
         self.failures.get(&mode).copied().unwrap_or_default()
     }
 
-    /// The modes of `task` in its order, then those that it does not declare, each with its count.
+    /// The declared modes of `task` in order, then the undeclared ones, each with its count.
     pub fn modes<'a>(&'a self, task: &'a TaskSpec) -> impl Iterator<Item = (FailureMode, u64)> + 'a {
         let undeclared = self.failures.keys().copied().filter(|mode| !task.declares(*mode));
         task.modes().chain(undeclared).map(|mode| (mode, self.failures(mode)))
     }
 
-    /// How many are evidence: all but the invalid ones.
+    /// The number of valid episodes.
     pub fn valid(&self) -> u64 {
         self.success + self.failures.values().sum::<u64>()
     }
 
-    /// How many there are.
+    /// The number of all episodes.
     pub fn total(&self) -> u64 {
         self.valid() + self.invalid
     }
 
-    /// Successes among the valid ones; `None` where there is none.
+    /// The share of successes among the valid episodes. `None` if none is valid.
     pub fn success_rate(&self) -> Option<f64> {
         rate(self.success, self.valid())
     }
 
-    /// Wilson's 95 % interval of the success rate; [0, 1] where nothing is valid.
+    /// Wilson's 95 % interval of the success rate. [0, 1] if no episode is valid.
     pub fn interval_95(&self) -> [f64; 2] {
         interval_95(self.success, self.valid())
     }
@@ -75,7 +74,7 @@ fn rate(successes: u64, valid: u64) -> Option<f64> {
 }
 
 fn interval_95(successes: u64, valid: u64) -> [f64; 2] {
-    // Never more successes than valid episodes, by construction; no evidence would be the honest answer.
+    // Successes never exceed valid episodes, so this cannot fail. The fallback is the interval without evidence.
     let trials = Trials::new(successes, valid).unwrap_or(Trials::NONE);
     let interval = wilson(trials, Confidence::P95);
     [interval.low, interval.high]
@@ -90,13 +89,13 @@ struct Marginal {
     parameter: Arc<str>,
     scale: Scale,
     edges: Edges,
-    /// For each bin how many are valid and how many of these succeeded.
+    /// For each bin, the numbers of valid episodes and of successes.
     counts: Vec<(u64, u64)>,
 }
 
 impl Bins {
-    /// `bins` empty ones over the range of each continuous parameter, in its own unit: on a
-    /// log-scaled parameter they are of equal width in the number, as in the paper, not in its logarithm.
+    /// Creates `bins` empty bins over the range of each continuous parameter, in its unit. As in the paper, the bins of
+    /// a log-scaled parameter have equal width in the number, not in its logarithm.
     pub fn new(space: &ParameterSpace, bins: usize) -> Result<Self, PlanError> {
         let along = space.parameters().iter().filter_map(|parameter| match parameter.domain {
             Domain::Continuous { low, high, scale } => Some((parameter, low, high, scale)),
@@ -113,12 +112,12 @@ impl Bins {
             .map(Self)
     }
 
-    /// The bins of a plan's uniform stage; none where it runs a suite, whose points were chosen.
+    /// The bins of a plan's uniform stage. None for a suite, whose points were chosen.
     pub(crate) fn of(plan: &Plan, space: &ParameterSpace) -> Result<Self, PlanError> {
         if plan.suite.is_some() { Ok(Self(Vec::new())) } else { Self::new(space, plan.boundary.bins) }
     }
 
-    /// Counts one more episode, in one bin of each parameter; an invalid one in none.
+    /// Counts one more episode in one bin of each parameter. Invalid episodes are not counted.
     pub fn add(&mut self, requested: &Assignment, outcome: &Outcome) {
         let success = match outcome {
             Outcome::Success => true,
@@ -134,7 +133,7 @@ impl Bins {
         }
     }
 
-    /// What was counted, with rates and intervals, in the order of the space.
+    /// The counts with rates and intervals, in the order of the space.
     pub fn marginal_effects(&self) -> Vec<MarginalEffect> {
         self.0
             .iter()
@@ -160,30 +159,30 @@ impl Bins {
     }
 }
 
-/// Success in bins of one continuous parameter, averaged over the others.
+/// The success rate in bins of one continuous parameter, averaged over the others.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MarginalEffect {
     /// The parameter's name.
     pub parameter: String,
-    /// The scale in which it was drawn; its bins are linear all the same.
+    /// The scale in which the parameter was sampled. The bins are linear in any case.
     pub scale: Scale,
-    /// Its bins, rising.
+    /// The bins, in increasing order.
     pub bins: Vec<Bin>,
 }
 
-/// One bin: from `low` up to but without `high`, which the last bin holds too.
+/// One bin: from `low` up to `high`. Only the last bin includes `high`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Bin {
-    /// Its lower end, in the parameter's unit.
+    /// Lower end, in the parameter's unit.
     pub low: f64,
-    /// Its upper end.
+    /// Upper end, in the parameter's unit.
     pub high: f64,
-    /// Valid episodes in it.
+    /// Valid episodes in the bin.
     pub valid: u64,
-    /// How many of these succeeded.
+    /// The number of successes among them.
     pub successes: u64,
-    /// Their share; absent where no episode is valid.
+    /// The share of successes. Absent if no episode is valid.
     pub success_rate: Option<f64>,
-    /// Wilson's 95 % interval of it.
+    /// Wilson's 95 % interval of the success rate.
     pub interval_95: [f64; 2],
 }

@@ -1,8 +1,8 @@
-//! Runs episodes in threads.
+//! A thread pool that runs episodes.
 //!
-//! Each thread has a worker of its own and takes the next index from a shared counter. Finished episodes go over a
-//! bounded channel to the calling thread. So the order of results is free, and nothing else is: an episode depends on
-//! its scenario and a worker that was reset.
+//! Each thread has one worker and takes the next index from a shared counter. Finished episodes pass through a bounded
+//! channel to the calling thread. Only the order of the results depends on timing: an episode depends on its scenario
+//! and on a worker that was reset.
 
 use std::any::Any;
 use std::fmt;
@@ -17,14 +17,14 @@ use robogate_core::{Assignment, Episode, Fault, FaultKind, Measures, Outcome, Sc
 
 use crate::{ExecuteError, Executor, Worker, WorkerFactory};
 
-/// Threads of this process.
+/// An executor with threads of this process.
 #[derive(Clone, Copy)]
 pub struct ThreadPool<'a> {
-    /// Where workers come from.
+    /// The source of workers.
     pub factory: &'a dyn WorkerFactory,
-    /// How many threads run episodes; the calling thread records them.
+    /// The number of threads that run episodes. The calling thread records them.
     pub threads: NonZeroUsize,
-    /// Once this is set (by Ctrl-C, say), no further episode begins; those in flight are finished.
+    /// Stop flag, for example set by Ctrl-C. No further episode starts; running ones are finished.
     pub stop: &'a AtomicBool,
 }
 
@@ -39,8 +39,8 @@ enum Message {
     NoWorker(Fault),
 }
 
-/// A panic in an environment or a policy costs the episode, which becomes [`Outcome::Invalid`], and the worker, which is
-/// made anew.
+/// After a panic in an environment or a policy, the episode becomes [`Outcome::Invalid`], and a new worker replaces the
+/// old one.
 impl Executor for ThreadPool<'_> {
     fn parallelism(&self) -> usize {
         self.threads.get()
@@ -55,7 +55,8 @@ impl Executor for ThreadPool<'_> {
         let halt = AtomicBool::new(false);
         let threads = self.threads.get();
         let thread = EpisodeThread { pool: self, scenario, next: &next, halt: &halt };
-        // No thread waits while the receiver records another's episode; more room would only add to what a kill loses.
+        // The channel has room for one episode per thread, so no thread waits while the receiver records another
+        // episode. More room would only increase the loss when the process is killed.
         let (sender, receiver) = sync_channel(threads);
         thread::scope(|scope| {
             let mut problem = None;
@@ -70,7 +71,7 @@ impl Executor for ThreadPool<'_> {
                 }
             }
             drop(sender);
-            // Ends once every thread has dropped its sender.
+            // The loop ends when every thread has dropped its sender.
             while let Ok(message) = receiver.recv() {
                 match message {
                     Message::Done(episode) => {
@@ -85,7 +86,7 @@ impl Executor for ThreadPool<'_> {
                     }
                 }
             }
-            // A thread that waits for room in the channel is released.
+            // This releases threads that wait for room in the channel.
             drop(receiver);
             problem.map_or(Ok(()), Err)
         })
@@ -126,7 +127,7 @@ impl EpisodeThread<'_> {
             None => catch_unwind(AssertUnwindSafe(|| self.pool.factory.worker()))
                 .unwrap_or_else(|panic| Err(panicked("the worker factory", &*panic)))?,
         };
-        // Unwind safe: after a panic the worker is not used again.
+        // Unwind safe: the worker is not used again after a panic.
         let run = AssertUnwindSafe(|| rollout(&mut *ready.environment, &mut *ready.policy, &scenario));
         match catch_unwind(run) {
             Ok(episode) => {
@@ -143,7 +144,7 @@ impl EpisodeThread<'_> {
 
 /// Drops a worker that may be in any state.
 fn discard(worker: Option<Worker>) {
-    // A second panic says nothing that the first did not.
+    // A panic while dropping is ignored, because the first one is already reported.
     let _ = catch_unwind(AssertUnwindSafe(|| drop(worker)));
 }
 
@@ -152,7 +153,7 @@ fn panicked(who: &str, panic: &(dyn Any + Send)) -> Fault {
     Fault::new(FaultKind::Unavailable, format!("{who} panicked: {}", text.unwrap_or("without a message")))
 }
 
-/// The record of an episode of which nothing is left.
+/// The record of an episode whose worker panicked.
 fn lost(scenario: Scenario, fault: Fault) -> Episode {
     Episode {
         scenario,

@@ -1,19 +1,19 @@
-//! What a policy answers, and what a task takes.
+//! Actions of a policy, and the specification of the actions that a task accepts.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::Word;
 
-/// What a policy answers to an observation.
+/// The action of a policy for one control period.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Action {
-    /// The motion.
+    /// The motion of the arm.
     pub command: Command,
-    /// The gripper: from -1 (open fully, or let go) to 1 (close with the set force, or take hold). A binary gripper
-    /// closes above 0. `None` where the task has no gripper of its own.
+    /// The gripper command: from -1 (open fully, or release) to 1 (close with the set force, or grip). A binary gripper
+    /// closes above 0. `None` if the task has no separate gripper command.
     pub gripper: Option<f64>,
-    /// The phase that the policy reports: recorded, never judged.
+    /// The phase that the policy reports. It is recorded and has no effect on the outcome.
     pub phase: Option<Word>,
 }
 
@@ -24,34 +24,34 @@ impl Action {
     pub const CLOSE: f64 = 1.0;
 }
 
-/// A motion until the next action.
+/// The motion until the next action.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Command {
     /// Reach these measured joint positions (rad; m for a sliding joint) at the end of the control period.
     JointPosition(Vec<f64>),
-    /// Move the tool centre point relative to where it was last sent to.
+    /// Move the tool centre point relative to its last commanded pose.
     ToolDelta {
         /// Translation along the axes of the base frame, in metres.
         translation_m: [f64; 3],
         /// Rotation about the axes of the base frame, as a rotation vector (axis times angle) in radians.
         rotation_rad: [f64; 3],
     },
-    /// Numbers whose meaning is the task's own.
+    /// A vector of numbers with a meaning that the task defines.
     Vector(Vec<f64>),
 }
 
-/// The actions that a task takes.
+/// The specification of the actions that a task accepts.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ActionSpec {
-    /// The kinds of command, at least one in a task that runs; the first is the task's own.
+    /// The accepted kinds of command. A task that runs has at least one. The first is the task's native one.
     #[serde(default)]
     pub spaces: Vec<ActionSpace>,
-    /// The gripper beside the command; absent where there is none, or where it is part of the vector.
+    /// The gripper command beside the motion. Absent if there is no gripper, or if it is part of the vector.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gripper: Option<GripperKind>,
 }
 
-/// A kind of command.
+/// A kind of command and its limits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum ActionSpace {
@@ -62,37 +62,37 @@ pub enum ActionSpace {
     },
     /// [`Command::ToolDelta`].
     ToolDelta {
-        /// The unit of a translation on the wire, and the largest one in a control period, in metres.
+        /// The unit of a translation on the wire, in metres. Also the largest translation in a control period.
         translation_m: f64,
-        /// The unit of a rotation on the wire, and the largest one in a control period, in radians.
+        /// The unit of a rotation on the wire, in radians. Also the largest rotation in a control period.
         rotation_rad: f64,
     },
     /// [`Command::Vector`].
     Vector {
-        /// What each number is; their number is that of the action's numbers.
+        /// The names of the numbers. Their count is the length of the vector.
         names: Vec<String>,
-        /// The smallest value of each.
+        /// The lower bound of each number.
         low: Vec<f64>,
-        /// The largest value of each.
+        /// The upper bound of each number.
         high: Vec<f64>,
     },
 }
 
-/// What a gripper can be commanded.
+/// The commands that a gripper accepts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum GripperKind {
-    /// Open or closed: above 0 it closes.
+    /// Open or closed. A command above 0 closes.
     Binary,
-    /// Anything between.
+    /// Any opening between open and closed.
     Continuous,
 }
 
-/// How far beyond its bound a number may be by rounding, as a share of the range.
+/// Tolerance at a bound for rounding errors, as a fraction of the range.
 const ROUNDING: f64 = 1e-6;
 
 impl ActionSpec {
-    /// The joints, where joint positions are taken.
+    /// The joint names, if joint positions are accepted.
     pub fn joints(&self) -> Option<&[String]> {
         self.spaces.iter().find_map(|space| match space {
             ActionSpace::JointPosition { joints } => Some(&**joints),
@@ -100,7 +100,7 @@ impl ActionSpec {
         })
     }
 
-    /// What 1 means in a tool delta on the wire, in metres and radians, where tool deltas are taken.
+    /// The unit of a tool delta on the wire, in metres and radians, if tool deltas are accepted.
     pub fn tool_delta(&self) -> Option<(f64, f64)> {
         self.spaces.iter().find_map(|space| match space {
             ActionSpace::ToolDelta { translation_m, rotation_rad } => Some((*translation_m, *rotation_rad)),
@@ -108,7 +108,7 @@ impl ActionSpec {
         })
     }
 
-    /// Lower and upper bounds, where vectors are taken.
+    /// Lower and upper bounds, if vectors are accepted.
     pub fn vector(&self) -> Option<(&[f64], &[f64])> {
         self.spaces.iter().find_map(|space| match space {
             ActionSpace::Vector { low, high, .. } => Some((&**low, &**high)),
@@ -116,13 +116,13 @@ impl ActionSpec {
         })
     }
 
-    /// The accepted kinds of command, for messages.
+    /// The accepted kinds of command as text, for messages.
     pub fn kinds(&self) -> String {
         let kinds: Vec<&str> = self.spaces.iter().map(ActionSpace::as_str).collect();
         kinds.join(" or ")
     }
 
-    /// Whether `action` is one of these; the error says what was expected.
+    /// Checks that `action` matches this specification. The error names the expected action.
     pub fn accepts(&self, action: &Action) -> Result<(), String> {
         let other = |what: &str| Err(format!("{what} is not an action of this task; expected {}", self.kinds()));
         match &action.command {
@@ -170,7 +170,7 @@ impl ActionSpec {
         }
     }
 
-    /// Rejects a declaration that no action can meet.
+    /// Rejects a specification that no action can satisfy.
     pub(crate) fn check(&self) -> Result<(), String> {
         if self.spaces.is_empty() {
             return Err("`spaces` is empty; expected joint_position, tool_delta or vector".to_owned());
@@ -181,23 +181,24 @@ impl ActionSpec {
         }
         self.spaces.iter().try_for_each(|space| match space {
             ActionSpace::JointPosition { joints } if joints.is_empty() => {
-                Err("joint_position has no joints".to_owned())
+                Err("joint_position has no joints; expected at least one".to_owned())
             }
             ActionSpace::ToolDelta { translation_m, rotation_rad }
                 if !(*translation_m > 0.0 && *rotation_rad > 0.0 && finite(&[*translation_m, *rotation_rad])) =>
             {
-                Err("the unit of tool_delta must be positive".to_owned())
+                Err("tool_delta: `translation_m` and `rotation_rad` must be positive".to_owned())
             }
             ActionSpace::Vector { names, low, high } => {
                 let same = names.len() == low.len() && low.len() == high.len();
                 if names.is_empty() || !same {
-                    return Err("vector needs a name, a low and a high for each of its numbers".to_owned());
+                    return Err("vector: `names`, `low` and `high` must have the same length, at least 1".to_owned());
                 }
                 match low.iter().zip(high).position(|(low, high)| !(low < high && low.is_finite() && high.is_finite()))
                 {
-                    Some(i) => {
-                        Err(format!("`{}`: low {} is not below high {}, both finite", names[i], low[i], high[i]))
-                    }
+                    Some(i) => Err(format!(
+                        "`{}`: low {} must be below high {}, and both must be finite",
+                        names[i], low[i], high[i]
+                    )),
                     None => Ok(()),
                 }
             }
@@ -207,7 +208,7 @@ impl ActionSpec {
 }
 
 impl ActionSpace {
-    /// Its name in data.
+    /// The name in data files.
     pub fn as_str(&self) -> &'static str {
         match self {
             Self::JointPosition { .. } => "joint_position",

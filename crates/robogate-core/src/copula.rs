@@ -5,22 +5,22 @@ use robogate_maths::normal::{cdf, quantile};
 
 use crate::{ParameterSpace, SpaceError};
 
-/// A correlation matrix with a smaller pivot is not safely positive definite.
+/// Smallest pivot of a correlation matrix that counts as positive definite.
 pub(crate) const SMALLEST_PIVOT: f64 = 1e-6;
 
 /// The correlated parameters of a space and the correlations of their normal scores.
 #[derive(Debug, Clone)]
 pub(crate) struct Copula {
-    /// Positions in the space, rising.
+    /// Positions of the correlated parameters in the space, in increasing order.
     columns: Vec<usize>,
-    /// Correlations of normal scores, row by row.
+    /// Correlations of the normal scores, row by row.
     target: Vec<f64>,
-    /// L with target = L L'.
+    /// The Cholesky factor L of `target` = L L'.
     factor: Cholesky,
 }
 
 impl Copula {
-    /// `None` where the parameters are independent.
+    /// Builds the copula of a space. Returns `None` if its parameters are independent.
     pub(crate) fn of(space: &ParameterSpace) -> Result<Option<Self>, SpaceError> {
         let position = |name: &str| space.position(name).unwrap_or(usize::MAX);
         let pairs: Vec<([usize; 2], f64)> =
@@ -40,20 +40,20 @@ impl Copula {
         Ok(Some(Self { columns, target, factor }))
     }
 
-    /// Turns a point of independent coordinates in [0, 1) into one of correlated coordinates, each still uniform.
+    /// Transforms independent coordinates in [0, 1) into correlated ones. Each stays uniform.
     pub(crate) fn join(&self, point: &mut [f64]) {
         let d = self.columns.len();
         let factor = self.factor.lower();
-        // 0 has no normal score; the smallest number drawn beside it has 2^-53.
+        // 0 has no normal score. The smallest number that a sampler draws above it is 2^-53.
         let z: Vec<f64> = self.columns.iter().map(|c| quantile(point[*c].max(0.5_f64.powi(54)))).collect();
-        // The first is its own.
+        // The first coordinate does not change.
         for i in 1..d {
             let y: f64 = factor[i * d..=i * d + i].iter().zip(&z).map(|(l, z)| l * z).sum();
             point[self.columns[i]] = cdf(y).min(1.0 - f64::EPSILON / 2.0);
         }
     }
 
-    /// The correlations of normal scores between these columns of the space; those that the copula does not hold are 0.
+    /// The correlations of the normal scores between these columns of the space. Columns outside the copula have 0.
     pub(crate) fn target(&self, columns: &[usize]) -> Vec<f64> {
         let own = |column: &usize| self.columns.iter().position(|c| c == column);
         let mut target = Vec::with_capacity(columns.len() * columns.len());
@@ -67,7 +67,7 @@ impl Copula {
     }
 }
 
-/// The matrix of 2 sin(π rank / 6), 1 on the diagonal.
+/// The matrix of 2 sin(π rank / 6) with a diagonal of 1.
 fn between(columns: &[usize], pairs: &[([usize; 2], f64)]) -> Vec<f64> {
     let entry = |a: &usize, b: &usize| {
         let rank = pairs.iter().find(|(pair, _)| pair.contains(a) && pair.contains(b)).map_or(0.0, |(_, rank)| *rank);
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scores_correlation_of_a_rank_correlation_is_the_one_that_quadrature_finds() {
+    fn score_correlations_match_quadrature() {
         for case in reference()["copula"].as_array().unwrap() {
             let [rank, pearson] = ["rank", "pearson"].map(|key| case[key].as_f64().unwrap());
             let ours = joined(rank).target[1];
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn joined_coordinates_stay_within_the_cube_and_uniform() {
+    fn joined_coordinates_stay_uniform() {
         let copula = joined(-0.9);
         for corner in [[0.0, 0.0], [0.0, 1.0 - f64::EPSILON / 2.0], [1.0 - f64::EPSILON / 2.0; 2]] {
             let mut point = corner;
@@ -117,7 +117,7 @@ mod tests {
             copula.join(&mut point);
             cells[(point[1] * 20.0) as usize] += 1;
         }
-        // 20 cells of 10,000 +- 97; five of those.
+        // 20 cells of 10,000 +- 97 (one standard deviation). The tolerance is five standard deviations.
         assert!(cells.iter().all(|c| c.abs_diff(10_000) < 490), "{cells:?}");
     }
 }

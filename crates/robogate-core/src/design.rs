@@ -1,20 +1,20 @@
-//! Sets of points and what draws them.
+//! Designs (sets of points) and the samplers that draw them.
 
 use std::sync::Arc;
 
 use crate::{Assignment, ParameterSpace, SpaceError, Stream};
 
-/// A set of points of a space, in one flat table: a million points of eight parameters are 64 MB.
+/// A set of points of a space, stored as one flat table. A million points of eight parameters take 64 MB.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Design {
     space: Arc<ParameterSpace>,
-    /// (points x parameters), row by row; a category is the index of its choice.
+    /// Coded values (points x parameters), row by row. A category is the index of its choice.
     coded: Vec<f64>,
 }
 
 impl Design {
-    /// The design whose points stand in the unit cube, row by row: `unit` has
-    /// `space.len()` entries in [0, 1) for each point, mapped by [`crate::Domain::from_unit`].
+    /// Builds a design from points in the unit cube. `unit` holds `space.len()` entries in [0, 1) per point, row by
+    /// row; [`crate::Domain::from_unit`] maps them to values.
     pub fn from_unit(space: Arc<ParameterSpace>, mut unit: Vec<f64>) -> Self {
         let d = space.len();
         debug_assert!(d > 0 && unit.len().is_multiple_of(d));
@@ -26,28 +26,28 @@ impl Design {
         Self { space, coded: unit }
     }
 
-    /// The space the points belong to.
+    /// The space of the points.
     pub fn space(&self) -> &ParameterSpace {
         &self.space
     }
 
-    /// How many points there are.
+    /// The number of points.
     pub fn len(&self) -> usize {
         self.coded.len() / self.space.len()
     }
 
-    /// Whether there is none.
+    /// Whether the design has no points.
     pub fn is_empty(&self) -> bool {
         self.coded.is_empty()
     }
 
-    /// Point `i` as coded numbers (a category is the index of its choice), if there is one.
+    /// Point `i` as coded numbers (a category is the index of its choice). `None` if `i` is out of range.
     pub fn coded(&self, i: usize) -> Option<&[f64]> {
         let d = self.space.len();
         self.coded.get(i * d..(i + 1) * d)
     }
 
-    /// Point `i` as named values, if there is one.
+    /// Point `i` as named values. `None` if `i` is out of range.
     pub fn assignment(&self, i: usize) -> Option<Assignment> {
         let coded = self.coded(i)?;
         Some(
@@ -61,34 +61,34 @@ impl Design {
     }
 }
 
-/// Draws designs. The same (space, n, stream) gives the same design.
+/// A method that draws designs. The same (space, n, stream) gives the same design.
 pub trait Sampler {
-    /// The sampler's name in data and settings.
+    /// The sampler's name in data files and settings.
     fn name(&self) -> &'static str;
 
-    /// `n` points of `space`.
+    /// Draws `n` points of `space`.
     fn design(&self, space: &Arc<ParameterSpace>, n: usize, stream: Stream) -> Result<Design, DesignError>;
 }
 
-/// Why a design could not be drawn.
+/// The reason why a design could not be drawn.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum DesignError {
-    /// A design of no points is no design.
-    #[error("a design needs at least one point (asked for 0)")]
+    /// The requested design has no points.
+    #[error("a design needs at least one point (requested: 0)")]
     Empty,
-    /// Correlations that no distribution has.
+    /// The space has invalid correlations.
     #[error(transparent)]
     Space(#[from] SpaceError),
-    /// The sampler's tables end before.
-    #[error("{sampler} is defined up to {limit} {what} (asked for {asked})")]
+    /// The request exceeds a limit of the sampler.
+    #[error("{sampler} is defined up to {limit} {what} (requested: {asked})")]
     Limit {
         /// The sampler.
         sampler: &'static str,
-        /// Of what there are too many: points or parameters.
+        /// The exceeded quantity: points or parameters.
         what: &'static str,
-        /// How many it can.
+        /// The largest accepted number.
         limit: usize,
-        /// How many were asked for.
+        /// The requested number.
         asked: usize,
     },
 }

@@ -1,39 +1,39 @@
-//! The record of one closed-loop run.
+//! The record of one closed-loop episode.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{Assignment, Measures, Outcome, Scenario, Word};
 
-/// A contact between two bodies.
+/// A contact between the robot and another body.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Contact {
     /// The robot's body.
     pub robot_body: String,
     /// The other body.
     pub other_body: String,
-    /// Largest normal force within the control period of first touch, in newtons.
+    /// Largest normal force in newtons, within the control period of the first touch.
     pub force_n: f64,
 }
 
-/// One closed-loop run.
+/// The record of one closed-loop episode.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Episode {
     /// The requested scenario.
     pub scenario: Scenario,
-    /// The parameters read back from the environment; empty where the reset failed.
+    /// The parameters read back from the environment. Empty if the reset failed.
     pub applied: Assignment,
-    /// How it ended.
+    /// How the episode ended.
     pub outcome: Outcome,
-    /// When it was decided, in simulated seconds from the start.
+    /// Simulated time of the decisive event, in seconds from the start.
     pub time_s: f64,
-    /// The phase that the policy reported then.
+    /// The phase that the policy reported at that time.
     pub phase: Option<Word>,
-    /// The contact that decided it.
+    /// The contact that decided the outcome, if there was one.
     pub contact: Option<Contact>,
-    /// What was measured.
+    /// The measured values.
     pub measures: Measures,
-    /// Control ticks run.
+    /// The number of control periods that ran.
     pub ticks: u32,
-    /// Hash over the environment's state at every control tick: equal hashes, equal trajectories.
+    /// Hash over the environment's state at every control period. Equal hashes mean equal trajectories.
     pub trajectory_hash: u64,
 }

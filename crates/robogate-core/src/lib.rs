@@ -1,10 +1,14 @@
 //! Domain types of RoboGate.
 //!
-//! What varies ([`ParameterSpace`]) or was chosen one by one ([`Suite`]), one fixed assignment of it ([`Scenario`]), a
-//! set of points ([`Design`]) and what draws them ([`Sampler`]); the task as data ([`TaskSpec`]); what runs an episode
-//! ([`Environment`], [`Policy`], [`rollout`]) and its record ([`Episode`], [`Outcome`]).
+//! - [`ParameterSpace`]: the parameters that vary, with their ranges and correlations.
+//! - [`Suite`]: scenarios that were chosen one by one.
+//! - [`Scenario`]: one assignment of values to the parameters.
+//! - [`Design`] and [`Sampler`]: a set of points of a space, and the method that draws it.
+//! - [`TaskSpec`]: a task as data.
+//! - [`Environment`], [`Policy`] and [`rollout`]: the components and the loop of an episode.
+//! - [`Episode`] and [`Outcome`]: the record of an episode and how it ended.
 //!
-//! This crate uses no file, socket, thread or clock. Everything random takes a [`Seed`].
+//! The crate uses no file, socket, thread or clock. All randomness comes from a [`Seed`].
 
 mod action;
 mod copula;

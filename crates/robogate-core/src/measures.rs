@@ -1,11 +1,10 @@
-//! What is measured during an episode.
+//! Measured values of an episode.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::Word;
 
-/// Measured values by name. A name that is absent was not measured. The order in which they were set is kept, and does
-/// not matter for equality.
+/// Measured values by name. An absent name was not measured. Insertion order is kept and does not affect equality.
 #[derive(Debug, Clone, Default)]
 pub struct Measures(Vec<(Word, f64)>);
 
@@ -21,7 +20,7 @@ impl Measures {
         self.0.iter().find(|(known, _)| *known == name).map(|(_, value)| *value)
     }
 
-    /// Sets a measure; `None` takes it away.
+    /// Sets a measure. `None` removes it.
     pub fn set(&mut self, name: Word, value: Option<f64>) {
         let at = self.0.iter().position(|(known, _)| *known == name);
         match (at, value) {
@@ -32,17 +31,17 @@ impl Measures {
         }
     }
 
-    /// Names and values.
+    /// Iterates over names and values.
     pub fn iter(&self) -> impl Iterator<Item = (Word, f64)> {
         self.0.iter().copied()
     }
 
-    /// How many were measured.
+    /// The number of measures.
     pub fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// Whether nothing was measured.
+    /// Whether there are no measures.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -56,18 +55,18 @@ impl FromIterator<(Word, Option<f64>)> for Measures {
     }
 }
 
-/// A map from name to number.
+/// Serializes as a map from name to number.
 impl Serialize for Measures {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_map(self.iter())
     }
 }
 
-/// A map from name to number; null is a measure without a value.
+/// Deserializes a map from name to number. Null stands for a measure without a value.
 impl<'de> Deserialize<'de> for Measures {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let map = std::collections::BTreeMap::<Word, Option<f64>>::deserialize(deserializer)?;
-        // The names of a map differ already.
+        // The keys of a map are already distinct.
         Ok(Self(map.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()))
     }
 }

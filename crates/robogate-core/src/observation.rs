@@ -1,8 +1,8 @@
-//! What a policy sees.
+//! Observations: the sensor values and images that a policy receives.
 
 use crate::{Pose, Word};
 
-/// What a policy sees. Values are measured ones: a sensor's error is in them.
+/// An observation: the sensor values that a policy receives in one control period. They include sensor errors.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Observation {
     /// Simulated time since the start, in seconds.
@@ -13,7 +13,7 @@ pub struct Observation {
     pub images: Vec<Image>,
 }
 
-/// Names of vectors that mean the same in every task that has them.
+/// Names of vectors with the same meaning in every task.
 pub mod vectors {
     use crate::Word;
 
@@ -21,7 +21,7 @@ pub mod vectors {
     pub const JOINT_POSITIONS: Word = Word::constant("joint_positions");
     /// Measured joint velocities of the arm, in rad/s (m/s for a sliding joint).
     pub const JOINT_VELOCITIES: Word = Word::constant("joint_velocities");
-    /// Opening between the fingers, in metres; one number. A gripper without fingers has none.
+    /// Opening between the fingers in metres, as one number. Absent for a gripper without fingers.
     pub const GRIPPER_OPENING: Word = Word::constant("gripper_opening");
     /// Pose of the tool centre point in the base frame, at the measured joint positions: x, y, z in metres, then the
     /// unit quaternion w, x, y, z. The tool points along its z axis; fingers close along y.
@@ -29,17 +29,17 @@ pub mod vectors {
 }
 
 impl Observation {
-    /// The vector of this name.
+    /// The vector with this name.
     pub fn vector(&self, name: &str) -> Option<&[f64]> {
         self.vectors.iter().find(|(known, _)| *known == name).map(|(_, values)| &**values)
     }
 
-    /// Measured joint positions ([`vectors::JOINT_POSITIONS`]); empty where the task has none.
+    /// Measured joint positions ([`vectors::JOINT_POSITIONS`]). Empty if the task has none.
     pub fn joint_positions(&self) -> &[f64] {
         self.vector(vectors::JOINT_POSITIONS.as_str()).unwrap_or_default()
     }
 
-    /// Measured joint velocities ([`vectors::JOINT_VELOCITIES`]); empty where the task has none.
+    /// Measured joint velocities ([`vectors::JOINT_VELOCITIES`]). Empty if the task has none.
     pub fn joint_velocities(&self) -> &[f64] {
         self.vector(vectors::JOINT_VELOCITIES.as_str()).unwrap_or_default()
     }
@@ -61,9 +61,9 @@ impl Observation {
 pub struct Image {
     /// The camera's name.
     pub camera: String,
-    /// Pixels in a row.
+    /// Width in pixels.
     pub width: usize,
-    /// Rows.
+    /// Height in pixels.
     pub height: usize,
     /// Red, green and blue (sRGB, 8 bits each) of each pixel, row by row from the top left:
     /// `3 x width x height` bytes.

@@ -1,4 +1,4 @@
-//! How an episode ended.
+//! Outcomes: how episodes end.
 
 use std::fmt;
 
@@ -7,15 +7,15 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Word, WordError};
 
-/// How an episode ended. A fault is not a failure: it says nothing about the policy.
+/// How an episode ended. A fault is not a failure, because it says nothing about the policy.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// The task was done.
+    /// The policy completed the task.
     Success,
-    /// The policy failed, in this way.
+    /// The policy failed with this failure mode.
     Failure(FailureMode),
-    /// No evidence about the policy: the infrastructure failed.
+    /// Infrastructure fault: the episode says nothing about the policy.
     Invalid(Fault),
 }
 
@@ -30,10 +30,10 @@ impl Outcome {
     }
 }
 
-/// How a policy failed: a word that the task declares, or one that it does not.
+/// The way in which a policy failed, declared by the task or not.
 ///
-/// Any word is a failure mode, except those that mean something else in an `outcome` column: `success`, `invalid` and
-/// `none`. A mode that the task did not declare counts as a failure like any other, and reports mark it.
+/// Any word can be a failure mode, except the reserved values of an `outcome` column: `success`, `invalid` and `none`.
+/// An undeclared mode counts as a failure, and reports mark it.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "Word", into = "Word")]
 #[schemars(with = "Word")]
@@ -43,28 +43,28 @@ impl FailureMode {
     /// The time limit passed before the episode ended. Every task has this mode.
     pub const TIMEOUT: Self = Self(Word::constant("timeout"));
 
-    /// A failure that nothing usable was said about.
+    /// A failure without a usable description.
     pub const UNKNOWN: Self = Self(Word::constant("unknown"));
 
     const RESERVED: [&'static str; 3] = ["success", "invalid", "none"];
 
-    /// The failure mode of this name.
+    /// The failure mode with this name.
     pub fn new(name: &str) -> Result<Self, FailureModeError> {
         Self::try_from(Word::new(name)?)
     }
 
-    /// A failure mode that is known when the program is compiled.
+    /// Creates a failure mode at compile time.
     pub const fn constant(name: &'static str) -> Self {
         Self(Word::constant(name))
     }
 
-    /// The failure mode for the word of an environment or file that is not ours: always a failure, by the nearest
-    /// possible name, [`Self::UNKNOWN`] where nothing is left of it.
+    /// Converts the word of an external environment or file to a failure mode. It always gives a failure: the nearest
+    /// valid name, or [`Self::UNKNOWN`] if no valid character is left.
     pub fn from_foreign(name: &str) -> Self {
         Word::nearest(name).and_then(|word| Self::try_from(word).ok()).unwrap_or(Self::UNKNOWN)
     }
 
-    /// Its name in data and reports.
+    /// The name in data files and reports.
     pub const fn as_str(self) -> &'static str {
         self.0.as_str()
     }
@@ -86,7 +86,7 @@ impl TryFrom<Word> for FailureMode {
     type Error = FailureModeError;
 
     fn try_from(name: Word) -> Result<Self, FailureModeError> {
-        // Whatever its case: an `Invalid` beside `invalid` would be taken for it by a reader that ignores case.
+        // The comparison ignores case, because some readers of the file treat `Invalid` and `invalid` as the same.
         match Self::RESERVED.iter().any(|reserved| reserved.eq_ignore_ascii_case(name.as_str())) {
             true => Err(FailureModeError::Reserved { name }),
             false => Ok(Self(name)),
@@ -100,32 +100,32 @@ impl From<FailureMode> for Word {
     }
 }
 
-/// Why a name cannot be a failure mode.
+/// The reason why a name cannot be a failure mode.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum FailureModeError {
     /// It is not a word.
     #[error(transparent)]
     Word(#[from] WordError),
-    /// It already means something else.
-    #[error("`{name}` cannot be a failure mode: `success`, `invalid` and `none` have a meaning of their own")]
+    /// The name is reserved.
+    #[error("`{name}` cannot be a failure mode: `success`, `invalid` and `none` are reserved")]
     Reserved {
         /// The name.
         name: Word,
     },
 }
 
-/// Why an episode is no evidence.
+/// A technical problem that makes an episode invalid.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[error("{kind}: {detail}")]
 pub struct Fault {
     /// The class of fault.
     pub kind: FaultKind,
-    /// What happened, with the offending values.
+    /// The problem, with the offending values.
     pub detail: String,
 }
 
 impl Fault {
-    /// A fault of this kind.
+    /// Creates a fault of this kind.
     pub fn new(kind: FaultKind, detail: impl Into<String>) -> Self {
         Self { kind, detail: detail.into() }
     }
@@ -135,15 +135,15 @@ impl Fault {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FaultKind {
-    /// The environment's state is not finite, or its engine reported that it diverged.
+    /// The environment's state is not finite, or its engine reported divergence.
     Diverged,
     /// The scenario could not be set up (an object that starts in contact, an unknown parameter).
     Setup,
     /// A parameter read back from the environment differs from the requested one.
     NotApplied,
-    /// The policy's answer is not an action of the task (wrong length, not finite, out of bounds).
+    /// The policy's answer is not a valid action of the task (wrong length, not finite or out of bounds).
     BadAction,
-    /// The policy or environment went away or did not answer in time.
+    /// The policy or environment disconnected or did not answer in time.
     Unavailable,
 }
 

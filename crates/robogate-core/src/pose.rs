@@ -1,4 +1,4 @@
-//! Rigid-body poses, as plain numbers that any engine can take.
+//! Rigid-body poses as plain numbers, independent of any engine.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,10 +12,10 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// The base frame itself.
+    /// The pose of the base frame: no translation, no rotation.
     pub const IDENTITY: Self = Self { position: [0.0; 3], orientation: [1.0, 0.0, 0.0, 0.0] };
 
-    /// A pose turned by `yaw` radians about the vertical.
+    /// A pose rotated by `yaw` radians about the vertical axis.
     pub fn upright(position: [f64; 3], yaw: f64) -> Self {
         let half = 0.5 * yaw;
         Self { position, orientation: [half.cos(), 0.0, 0.0, half.sin()] }
@@ -23,7 +23,7 @@ impl Pose {
 }
 
 impl Pose {
-    /// x, y, z in metres, then the quaternion w, x, y, z.
+    /// The pose as seven numbers: x, y, z in metres, then the quaternion w, x, y, z.
     pub fn to_array(&self) -> [f64; 7] {
         let ([x, y, z], [w, i, j, k]) = (self.position, self.orientation);
         [x, y, z, w, i, j, k]

@@ -1,4 +1,4 @@
-//! What runs an episode: the two traits and the loop between them.
+//! The [`Environment`] and [`Policy`] traits, and the loop that runs an episode.
 
 use std::sync::Arc;
 
@@ -7,27 +7,27 @@ use crate::{
     Scenario, Seed, TaskInstance, TaskSpec,
 };
 
-/// What an environment answers to a reset.
+/// The result of a reset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Start {
-    /// What is special about this episode, as the policy may know it.
+    /// Information about this episode that the policy may use.
     pub instance: TaskInstance,
     /// The first observation.
     pub observation: Observation,
-    /// The parameters read back after they were applied.
+    /// The parameters read back after they were set.
     pub applied: Assignment,
 }
 
-/// What an environment answers to an action.
+/// The result of one step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Step {
-    /// What the policy sees next.
+    /// The next observation.
     pub observation: Observation,
-    /// Measurements so far.
+    /// Measurements up to now.
     pub measures: Measures,
-    /// The decisive event, once there was one.
+    /// The decisive event, if there was one.
     pub ending: Option<Ending>,
-    /// What happened in this step, for the timeline of a replay.
+    /// Events in this step, for the timeline of a replay.
     pub events: Vec<String>,
     /// Hash of the environment's full state.
     pub state_hash: u64,
@@ -36,66 +36,67 @@ pub struct Step {
 /// The decisive event of an episode.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ending {
-    /// `None` is success.
+    /// The failure mode. `None` means success.
     pub failure: Option<FailureMode>,
-    /// When it happened, in simulated seconds.
+    /// Simulated time of the event, in seconds.
     pub time_s: f64,
-    /// The contact that decided it, where one did.
+    /// The contact that decided the outcome, if there was one.
     pub contact: Option<Contact>,
 }
 
-/// A world with a task in it.
+/// A world in which a policy performs a task.
 pub trait Environment {
-    /// The task: the same for every episode.
+    /// The task. It is the same for every episode.
     fn task(&self) -> &Arc<TaskSpec>;
 
-    /// Sets the scenario up. Calling it again starts over, whatever happened before.
+    /// Sets up a scenario. A second call starts over, independent of earlier episodes.
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault>;
 
     /// Runs one control period.
     fn step(&mut self, action: &Action) -> Result<Step, Fault>;
 
-    /// Renders the cameras as the world is now. It changes nothing: an episode is the same with and without it.
+    /// Renders the cameras in the current state. Rendering does not change the episode.
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
         Err(Fault::new(FaultKind::Setup, "this environment has no cameras"))
     }
 }
 
-/// What drives the robot.
+/// A policy that drives the robot.
 pub trait Policy {
-    /// Whether the policy can drive this task; the error says what it lacks. Asked once, before any episode.
+    /// Checks that the policy can drive this task. The error names the missing capability. Called once, before any
+    /// episode.
     fn check(&self, task: &TaskSpec) -> Result<(), String>;
 
-    /// Starts the next episode and forgets the last. `seed` feeds all randomness of the policy.
+    /// Starts an episode and clears all state of the previous one. `seed` is the source of the policy's randomness.
     fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, seed: Seed) -> Result<(), Fault>;
 
-    /// Whether the next [`Policy::act`] uses images. A policy without cameras, or in the middle of a chunk of
-    /// actions, saves the environment the rendering.
+    /// Whether the next call of [`Policy::act`] uses images. Without images, or in the middle of a chunk of actions,
+    /// the environment skips rendering.
     fn wants_images(&self) -> bool {
         false
     }
 
-    /// The next action.
+    /// Returns the next action.
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault>;
 }
 
-/// One control tick, as an observer sees it.
+/// One control period, as an observer sees it.
 #[derive(Debug)]
 pub struct Tick<'a> {
-    /// What the policy saw.
+    /// The observation that the policy received.
     pub observation: &'a Observation,
-    /// What the policy answered.
+    /// The action that the policy returned.
     pub action: &'a Action,
-    /// What followed.
+    /// The resulting step.
     pub step: &'a Step,
 }
 
-/// Runs one episode. It always returns one: what breaks becomes [`Outcome::Invalid`].
+/// Runs one episode. It always returns a record: a fault becomes [`Outcome::Invalid`].
 pub fn rollout(environment: &mut dyn Environment, policy: &mut dyn Policy, scenario: &Scenario) -> Episode {
     rollout_with(environment, policy, scenario, &mut |_| {})
 }
 
-/// [`rollout`] with an observer, which sees every control tick and changes nothing.
+/// Runs an episode like [`rollout`], with an observer that is called after every control period.
 pub fn rollout_with(
     environment: &mut dyn Environment,
     policy: &mut dyn Policy,
@@ -157,7 +158,7 @@ fn drive(
 
 const HASH_START: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// Order-dependent combination of two hashes (the finaliser of SplitMix64 over their sum).
+/// Combines two hashes in an order-dependent way (the finaliser of SplitMix64 over their sum).
 fn chain(hash: u64, next: u64) -> u64 {
     let mut z = hash.rotate_left(23).wrapping_add(next).wrapping_add(HASH_START);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -165,14 +166,14 @@ fn chain(hash: u64, next: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// Relative difference up to which a number read back counts as the requested one. Engines that
-/// keep a quantity in another form (a density, a single-precision mass) return it rounded.
+/// Largest relative difference between a requested and an applied number. Engines that store a quantity in another form
+/// (a density, a single-precision mass) return it rounded.
 const APPLIED_TOLERANCE: f64 = 1e-6;
 
-/// Below this size the difference itself counts: a small offset is read out of a position in single precision.
+/// Below this magnitude the tolerance is absolute: a small offset is computed from a position in single precision.
 const APPLIED_FLOOR: f64 = 0.1;
 
-/// Whether every requested parameter was applied: numbers within the rounding of single precision, words exactly.
+/// Checks that every requested parameter was applied: numbers to single precision, words exactly.
 pub fn check_applied(requested: &Assignment, applied: &Assignment) -> Result<(), Fault> {
     for (name, want) in requested.iter() {
         let same = match (requested.number(name), applied.number(name)) {
@@ -183,7 +184,7 @@ pub fn check_applied(requested: &Assignment, applied: &Assignment) -> Result<(),
             let got = applied.get(name).map_or_else(|| "nothing".to_owned(), ToString::to_string);
             return Err(Fault::new(
                 FaultKind::NotApplied,
-                format!("requested {name} = {want}, the environment has {got}"),
+                format!("requested {name} = {want}, but the environment applied {got}"),
             ));
         }
     }

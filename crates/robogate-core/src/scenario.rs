@@ -1,4 +1,4 @@
-//! One fixed assignment of a parameter space.
+//! Scenarios: one assignment of values to the parameters of a space.
 
 use std::fmt;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use crate::Seed;
 pub enum Value {
     /// An integer parameter's value.
     Integer(i64),
-    /// A continuous parameter's value, in the unit that the parameter's name carries.
+    /// A continuous parameter's value, in the unit that ends the parameter's name.
     Number(f64),
     /// A categorical parameter's value.
     Category(Arc<str>),
@@ -35,7 +35,7 @@ impl fmt::Display for Value {
 pub struct Assignment(Vec<(Arc<str>, Value)>);
 
 impl Assignment {
-    /// The value of `name`, if it is assigned.
+    /// The value of `name`, if assigned.
     pub fn get(&self, name: &str) -> Option<&Value> {
         self.0.iter().find(|(n, _)| &**n == name).map(|(_, v)| v)
     }
@@ -57,22 +57,22 @@ impl Assignment {
         }
     }
 
-    /// Names and values in order.
+    /// Iterates over names and values in order.
     pub fn iter(&self) -> impl Iterator<Item = (&str, &Value)> {
         self.0.iter().map(|(name, value)| (&**name, value))
     }
 
-    /// How many parameters are assigned.
+    /// The number of assigned parameters.
     pub fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// Whether nothing is assigned.
+    /// Whether no parameter is assigned.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Assigns `value` to `name`, in place where the name is there already.
+    /// Assigns `value` to `name`. An existing parameter keeps its position.
     pub fn set(&mut self, name: impl Into<Arc<str>>, value: Value) {
         let name = name.into();
         match self.0.iter_mut().find(|(n, _)| *n == name) {
@@ -88,13 +88,13 @@ impl FromIterator<(Arc<str>, Value)> for Assignment {
     }
 }
 
-/// What a simulator is asked to set up: parameter values and the seed of everything left to chance.
+/// The parameter values that an environment must set up, and the seed of everything else that is random.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scenario {
     /// The episode's index in its campaign.
     pub index: u64,
     /// The seed of this episode's randomness.
     pub seed: Seed,
-    /// The parameters asked for.
+    /// The requested parameter values.
     pub requested: Assignment,
 }

@@ -1,15 +1,15 @@
-//! Randomness as an argument.
+//! Reproducible randomness.
 //!
-//! A [`Seed`] names a campaign and, inside it, an episode. A [`Stream`] is drawn from a seed for one
-//! named purpose ("encoder-bias", "obstacles", ...), so that a new purpose never shifts the numbers
-//! of another. Streams are ChaCha8 keyed by (campaign, episode, purpose): no two share a key, and
-//! none depends on the order in which they are asked for.
+//! A [`Seed`] identifies a campaign and, within it, an episode. A [`Stream`] is derived from a seed for one named
+//! purpose ("encoder-bias", "obstacles", ...), which keeps the numbers of one purpose independent of all others.
+//! Streams are ChaCha8 keyed by (campaign, episode, purpose): no two share a key, and the order of creation has no
+//! effect.
 
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
-/// What an episode's randomness depends on: the campaign's seed and the episode's index, nothing else.
+/// The source of an episode's randomness: it depends only on the campaign's seed and the episode's index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Seed {
     campaign: u64,
@@ -17,7 +17,7 @@ pub struct Seed {
 }
 
 impl Seed {
-    /// The seed of a whole campaign (designs are drawn from it).
+    /// The seed of a campaign. Designs are drawn from it.
     pub fn campaign(campaign: u64) -> Self {
         Self { campaign, episode: None }
     }
@@ -27,16 +27,16 @@ impl Seed {
         Self { campaign: self.campaign, episode: Some(index) }
     }
 
-    /// The number the user chose for the campaign.
+    /// The number that the user chose for the campaign.
     pub fn campaign_number(self) -> u64 {
         self.campaign
     }
 
-    /// A stream of random numbers for one purpose. The same (seed, purpose) gives the same stream.
+    /// Creates the stream of random numbers for one purpose. The same (seed, purpose) gives the same stream.
     pub fn stream(self, purpose: &str) -> Stream {
         let mut key = [0_u8; 32];
         key[..8].copy_from_slice(&self.campaign.to_le_bytes());
-        // The campaign itself is told apart from every episode by a marker, not by a reserved index.
+        // A marker distinguishes the campaign from its episodes, so no episode index is reserved.
         key[8..16].copy_from_slice(&self.episode.unwrap_or(0).to_le_bytes());
         key[16] = u8::from(self.episode.is_some());
         key[24..].copy_from_slice(&fnv1a(purpose.as_bytes()).to_le_bytes());
@@ -54,29 +54,29 @@ fn fnv1a(bytes: &[u8]) -> u64 {
 pub struct Stream(ChaCha8Rng);
 
 impl Stream {
-    /// The next 64 random bits.
+    /// Draws the next 64 random bits.
     pub fn bits(&mut self) -> u64 {
         self.0.next_u64()
     }
 
-    /// Uniform on [0, 1), a multiple of 2^-53.
+    /// Draws a uniform number in [0, 1), a multiple of 2^-53.
     pub fn uniform(&mut self) -> f64 {
         const SCALE: f64 = 1.0 / (1_u64 << 53) as f64;
         (self.bits() >> 11) as f64 * SCALE
     }
 
-    /// Uniform on [low, high).
+    /// Draws a uniform number in [low, high).
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.uniform()
     }
 
-    /// Uniform on 0..n without bias (rejection); 0 where n is 0.
+    /// Draws a uniform integer in 0..n without bias (rejection). Returns 0 if n is 0.
     pub fn below(&mut self, n: usize) -> usize {
         let n = n as u64;
         if n < 2 {
             return 0;
         }
-        // The largest multiple of n that fits: draws beyond it would favour small remainders.
+        // The largest multiple of n that fits. Draws beyond it would favour small remainders.
         let limit = u64::MAX - u64::MAX % n;
         loop {
             let draw = self.bits();
@@ -86,7 +86,7 @@ impl Stream {
         }
     }
 
-    /// Puts `items` in a uniformly random order (Fisher and Yates).
+    /// Shuffles `items` uniformly (Fisher and Yates).
     pub fn shuffle<T>(&mut self, items: &mut [T]) {
         for last in (1..items.len()).rev() {
             let other = self.below(last + 1);
@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_same_purpose_repeats_and_another_does_not() {
+    fn same_purpose_repeats() {
         let seed = Seed::campaign(2026).episode(7);
         let draw = |seed: Seed, purpose| seed.stream(purpose).bits();
         assert_eq!(draw(seed, "obstacles"), draw(seed, "obstacles"));
@@ -110,19 +110,19 @@ mod tests {
     }
 
     #[test]
-    fn episode_zero_is_not_the_campaign() {
+    fn episode_zero_differs_from_campaign() {
         let campaign = Seed::campaign(1);
         assert_ne!(campaign.stream("x").bits(), campaign.episode(0).stream("x").bits());
     }
 
     #[test]
-    fn below_reaches_every_value_about_equally() {
+    fn below_is_uniform() {
         let mut stream = Seed::campaign(3).stream("below");
         let mut counts = [0_u32; 6];
         for _ in 0..60_000 {
             counts[stream.below(6)] += 1;
         }
-        // Six cells of 10,000 +- 91 (one standard deviation); five of those.
+        // Six cells of 10,000 +- 91 (one standard deviation). The tolerance is five standard deviations.
         assert!(counts.iter().all(|c| c.abs_diff(10_000) < 456), "{counts:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! Ranges and distributions of what varies between episodes.
+//! Parameter spaces: ranges and distributions of the parameters that vary between episodes.
 
 use std::sync::Arc;
 
@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 use crate::Value;
 use crate::copula::Copula;
 
-/// What varies between episodes, and in which ranges: the operating distribution.
+/// A parameter space: the parameters that vary between episodes, with their ranges and distribution.
 ///
-/// Each parameter is uniform in its own scale, and independent of the others unless a [`Correlation`] says
-/// otherwise. Written in TOML:
+/// Each parameter is uniform in its scale, and independent of the others unless a [`Correlation`] states otherwise. The
+/// TOML form:
 ///
 /// ```
 /// let space = robogate_core::ParameterSpace::from_toml(
@@ -42,7 +42,7 @@ pub struct ParameterSpace {
 }
 
 impl ParameterSpace {
-    /// A space of these parameters; each must have a range, and no two the same name.
+    /// Creates a space. Each parameter must have a non-empty range, and names must be distinct.
     pub fn new(name: impl Into<String>, parameters: Vec<Parameter>) -> Result<Self, SpaceError> {
         if parameters.is_empty() {
             return Err(SpaceError::NoParameters);
@@ -56,8 +56,8 @@ impl ParameterSpace {
         Ok(Self { name: name.into(), parameters, correlations: Vec::new() })
     }
 
-    /// The same space with these correlations in place of its own. Each must be between two continuous parameters of
-    /// the space, and all together must be those of some distribution.
+    /// Replaces the correlations of the space. Each must be between two continuous parameters of the space, and
+    /// together they must form a positive definite matrix.
     pub fn with_correlations(mut self, correlations: Vec<Correlation>) -> Result<Self, SpaceError> {
         correlations.iter().enumerate().try_for_each(|(i, c)| c.check(&self, &correlations[..i]))?;
         self.correlations = correlations;
@@ -67,7 +67,7 @@ impl ParameterSpace {
 
     /// Reads a space from TOML. Errors name the line and key, or the parameter.
     pub fn from_toml(text: &str) -> Result<Self, SpaceError> {
-        // In two steps, so that an error of meaning keeps its type.
+        // Parsing and validation are separate steps, which keeps the type of a validation error.
         let file: SpaceFile = toml::from_str(text)
             .map_err(|e| SpaceError::Syntax(in_parameter(text).unwrap_or_else(|| e.to_string())))?;
         Self::try_from(file)
@@ -83,7 +83,7 @@ impl ParameterSpace {
         &self.parameters
     }
 
-    /// How parameters hang together; empty where they are independent.
+    /// The correlations between parameters. Empty if all are independent.
     pub fn correlations(&self) -> &[Correlation] {
         &self.correlations
     }
@@ -93,23 +93,23 @@ impl ParameterSpace {
         self.parameters.iter().position(|p| &*p.name == name)
     }
 
-    /// How many parameters there are: at least one.
+    /// The number of parameters, at least one.
     #[expect(clippy::len_without_is_empty, reason = "a space is never empty")]
     pub fn len(&self) -> usize {
         self.parameters.len()
     }
 }
 
-/// One parameter: a name that carries its unit, and its domain.
+/// A parameter: a name with its unit, and a domain.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameter {
-    /// The name, with the unit as its ending where there is one (`mass_kg`).
+    /// The name. It ends with the unit, if there is one (`mass_kg`).
     pub name: Arc<str>,
-    /// What it may be.
+    /// The accepted values.
     pub domain: Domain,
 }
 
-/// What a parameter may be.
+/// The values of a parameter and their distribution.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Domain {
     /// A real number in [low, high), uniform in `scale`.
@@ -118,26 +118,26 @@ pub enum Domain {
         low: f64,
         /// Upper end.
         high: f64,
-        /// In which scale it is uniform.
+        /// The scale in which the parameter is uniform.
         scale: Scale,
     },
-    /// A whole number in low..=high, each as likely as the other.
+    /// An integer in low..=high; all are equally likely.
     Integer {
         /// Smallest value.
         low: i64,
         /// Largest value.
         high: i64,
     },
-    /// One of several words, each as likely as the other.
+    /// One of several choices; all are equally likely.
     Categorical {
-        /// The words.
+        /// The choices.
         choices: Vec<Arc<str>>,
     },
 }
 
 impl Domain {
-    /// The coded value at `u` in [0, 1): for a continuous parameter the number with that share of
-    /// the scale below it, else the cell of `u` in equal parts.
+    /// The coded value at `u` in [0, 1). For a continuous parameter this is the quantile of `u` in its scale, otherwise
+    /// the index of the cell of `u` among equal parts.
     pub fn from_unit(&self, u: f64) -> f64 {
         match self {
             Self::Continuous { low, high, scale: Scale::Linear } => (low + u * (high - low)).clamp(*low, *high),
@@ -150,8 +150,8 @@ impl Domain {
         }
     }
 
-    /// The inverse of [`Self::from_unit`] for a continuous parameter; for a discrete one the middle
-    /// of the value's cell.
+    /// The inverse of [`Self::from_unit`] for a continuous parameter. For a discrete one, the middle of the value's
+    /// cell.
     pub fn to_unit(&self, coded: f64) -> f64 {
         match self {
             Self::Continuous { low, high, scale: Scale::Linear } => (coded - low) / (high - low),
@@ -161,7 +161,7 @@ impl Domain {
         }
     }
 
-    /// Both ends of a range, or every word: an environment that accepts these accepts all.
+    /// Both ends of a range, or every choice. An environment that accepts these values accepts all.
     pub fn extremes(&self) -> Vec<Value> {
         match self {
             Self::Continuous { low, high, .. } => vec![Value::Number(*low), Value::Number(*high)],
@@ -170,7 +170,7 @@ impl Domain {
         }
     }
 
-    /// How many values a discrete domain has; `None` for a continuous one.
+    /// The number of values of a discrete domain. `None` for a continuous one.
     pub fn levels(&self) -> Option<usize> {
         match self {
             Self::Continuous { .. } => None,
@@ -179,7 +179,7 @@ impl Domain {
         }
     }
 
-    /// The value that a code stands for.
+    /// Converts a code to its value.
     pub fn decode(&self, coded: f64) -> Value {
         match self {
             Self::Continuous { .. } => Value::Number(coded),
@@ -190,8 +190,8 @@ impl Domain {
         }
     }
 
-    /// The code of a value; `None` where the value is not of this domain's kind or choices.
-    /// A number outside [low, high] has a code: data may hold what a space did not foresee.
+    /// Converts a value to its code. `None` if the value has the wrong type or is not a choice. A number outside [low,
+    /// high] has a code, because data may contain values outside the space.
     pub fn encode(&self, value: &Value) -> Option<f64> {
         match (self, value) {
             (Self::Continuous { .. } | Self::Integer { .. }, Value::Number(x)) => Some(*x),
@@ -209,14 +209,14 @@ impl Domain {
     }
 }
 
-/// In which scale a continuous parameter is uniform.
+/// The scale in which a continuous parameter is uniform.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Scale {
-    /// In the number itself.
+    /// Uniform in the number itself.
     #[default]
     Linear,
-    /// In its logarithm.
+    /// Uniform in the logarithm.
     Log,
 }
 
@@ -254,10 +254,12 @@ impl Parameter {
     }
 }
 
-/// How two continuous parameters hang together: by a Gaussian copula, which leaves both uniform in their scales.
+/// The rank correlation of two continuous parameters. A Gaussian copula creates it and leaves both uniform in their
+/// scales.
 ///
-/// Their joint distribution is that of Φ(x) and Φ(y) with x, y normal of correlation 2 sin(π rank / 6), which gives them
-/// this rank correlation (Kruskal 1958, JASA 53). A rank correlation does not care for scales: that of the
+/// Their joint distribution is that of Φ(x) and Φ(y) with x, y normal of correlation 2 sin(π rank / 6), which gives
+/// them this rank correlation (Kruskal 1958, JASA 53). A rank correlation is independent of scales: the logarithms have
+/// the same rank correlation as the numbers.
 /// logarithms is that of the numbers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -284,7 +286,7 @@ impl Correlation {
         if first == second {
             return Err(SpaceError::CorrelationWithItself { parameter: first.to_string() });
         }
-        // Written so that NaN is refused as well.
+        // Written in this form to reject NaN as well.
         if !(-1.0 < self.rank && self.rank < 1.0) {
             return Err(SpaceError::CorrelationOutside { pair: pair(), rank: self.rank });
         }
@@ -296,109 +298,109 @@ impl Correlation {
     }
 }
 
-/// Why a parameter space is none.
+/// The reason why a parameter space is invalid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SpaceError {
-    /// Not TOML, or not of the right form; the text has line, column and key.
+    /// Invalid TOML or an invalid structure. The text has line, column and key.
     #[error("{0}")]
     Syntax(String),
-    /// Nothing varies.
+    /// The space has no parameters.
     #[error("the space has no [[parameter]]")]
     NoParameters,
-    /// Two parameters of one name.
-    #[error("parameter `{parameter}` is there twice")]
+    /// Two parameters have the same name.
+    #[error("parameter `{parameter}` is defined twice")]
     Duplicate {
         /// The name.
         parameter: String,
     },
-    /// A name that cannot be a column.
-    #[error("parameter name `{parameter}` is not made of letters, digits and underscores")]
+    /// A name that cannot be a column name.
+    #[error("parameter name `{parameter}` is invalid: expected letters, digits and underscores")]
     Name {
         /// The name.
         parameter: String,
     },
-    /// A range that holds nothing.
-    #[error("parameter `{parameter}`: low {low} is not below high {high}")]
+    /// An empty range.
+    #[error("parameter `{parameter}`: low {low} must be below high {high}")]
     EmptyRange {
         /// The name.
         parameter: String,
-        /// Its lower end.
+        /// The lower end.
         low: f64,
-        /// Its upper end.
+        /// The upper end.
         high: f64,
     },
-    /// A range without ends.
+    /// An infinite range or a bound that is not a number.
     #[error("parameter `{parameter}`: low and high must be finite numbers")]
     NotFinite {
         /// The name.
         parameter: String,
     },
-    /// A logarithm that is not there.
-    #[error("parameter `{parameter}`: a log scale needs low above 0 (it is {low})")]
+    /// A log scale with a non-positive bound.
+    #[error("parameter `{parameter}`: a log scale needs low above 0 (got {low})")]
     LogOfNonPositive {
         /// The name.
         parameter: String,
-        /// Its lower end.
+        /// The lower end.
         low: f64,
     },
-    /// A correlation of what is not there.
-    #[error("[[correlation]]: there is no parameter `{parameter}`\nhint: there are {known}")]
+    /// A correlation names an unknown parameter.
+    #[error("[[correlation]]: unknown parameter `{parameter}`. Expected one of: {known}")]
     UnknownInCorrelation {
         /// The name.
         parameter: String,
-        /// The names there are.
+        /// The known names.
         known: String,
     },
-    /// A correlation of whole numbers or words.
-    #[error("[[correlation]]: `{parameter}` is not continuous, and ranks of whole numbers and words are ties")]
+    /// A correlation of an integer or categorical parameter.
+    #[error("[[correlation]]: `{parameter}` is not continuous. Rank correlations need continuous parameters")]
     CorrelationOfDiscrete {
         /// The name.
         parameter: String,
     },
     /// A correlation of a parameter with itself.
-    #[error("[[correlation]]: `{parameter}` stands there twice; a correlation is between two parameters")]
+    #[error("[[correlation]]: `{parameter}` is listed twice. Expected two different parameters")]
     CorrelationWithItself {
         /// The name.
         parameter: String,
     },
-    /// A correlation that is none.
+    /// A rank correlation out of range.
     #[error(
-        "[[correlation]] of {pair}: rank {rank} is not above -1 and below 1\nhint: what follows exactly from another parameter is no parameter of its own"
+        "[[correlation]] of {pair}: rank {rank} is out of range: expected a number in (-1, 1)\nhint: if one parameter determines the other, remove one of them"
     )]
     CorrelationOutside {
         /// The parameters.
         pair: String,
-        /// What was asked for.
+        /// The requested rank correlation.
         rank: f64,
     },
-    /// Two correlations of one pair.
-    #[error("[[correlation]] of {pair} is there twice")]
+    /// Two correlations of the same pair.
+    #[error("[[correlation]] of {pair} is defined twice")]
     CorrelationTwice {
         /// The parameters.
         pair: String,
     },
-    /// Correlations that no distribution has together.
+    /// Correlations that contradict each other.
     #[error(
-        "the correlations of {parameters} contradict each other (the matrix is not positive definite)\nhint: two parameters that both follow a third must follow each other"
+        "the correlations of {parameters} contradict each other (the matrix is not positive definite)\nhint: two parameters that are strongly correlated with a third must be correlated with each other"
     )]
     CorrelationsContradict {
-        /// The parameters up to the first that cannot be joined to those before it.
+        /// The parameters up to the first that contradicts the ones before it.
         parameters: String,
     },
-    /// An integer range beyond any use.
-    #[error("parameter `{parameter}`: more than 2^32 integers; make it continuous")]
+    /// An integer range with too many values.
+    #[error("parameter `{parameter}`: more than 2^32 integers. Use `kind = \"continuous\"` instead")]
     TooManyLevels {
         /// The name.
         parameter: String,
     },
-    /// No choice to choose from.
-    #[error("parameter `{parameter}`: `choices` is empty")]
+    /// A categorical parameter without choices.
+    #[error("parameter `{parameter}`: `choices` is empty; expected at least one")]
     NoChoices {
         /// The name.
         parameter: String,
     },
-    /// The same choice twice.
-    #[error("parameter `{parameter}`: choice `{choice}` is there twice")]
+    /// A choice that is listed twice.
+    #[error("parameter `{parameter}`: choice `{choice}` is listed twice")]
     DuplicateChoice {
         /// The name.
         parameter: String,
@@ -407,8 +409,8 @@ pub enum SpaceError {
     },
 }
 
-/// What is wrong with the first `[[parameter]]` that is none, and the line where it begins: an enum told
-/// apart by `kind` is read from a copy that has forgotten where each table stood.
+/// Describes the first invalid `[[parameter]]` table, with the line where it begins. The parser reads a tagged enum
+/// from a copy without positions, so its own error has no line.
 fn in_parameter(text: &str) -> Option<String> {
     #[derive(Deserialize)]
     struct Tables {
@@ -424,16 +426,16 @@ fn in_parameter(text: &str) -> Option<String> {
     })
 }
 
-/// The TOML form of a space.
+/// The TOML form of a parameter space.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(rename = "ParameterSpace")]
 struct SpaceFile {
-    /// The space's name, kept in the provenance of what is drawn from it.
+    /// The space's name. The provenance records it.
     name: String,
     /// The parameters, in the order of the dictionary's columns.
     parameter: Vec<ParameterFile>,
-    /// How parameters hang together; left out, they are independent.
+    /// Correlations between parameters. Without this list, parameters are independent.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     correlation: Vec<Correlation>,
 }
@@ -450,11 +452,11 @@ enum ParameterFile {
         low: f64,
         /// Upper end.
         high: f64,
-        /// In which scale the number is uniform.
+        /// The scale in which the number is uniform.
         #[serde(default)]
         scale: Scale,
     },
-    /// A whole number, both ends included.
+    /// An integer, both ends included.
     Integer {
         /// The name, with its unit.
         name: Arc<str>,
@@ -463,11 +465,11 @@ enum ParameterFile {
         /// Largest value.
         high: i64,
     },
-    /// One of several words.
+    /// One of several choices.
     Categorical {
         /// The name.
         name: Arc<str>,
-        /// The words.
+        /// The choices.
         choices: Vec<Arc<str>>,
     },
 }

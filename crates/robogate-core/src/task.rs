@@ -1,4 +1,4 @@
-//! A task as data: everything that RoboGate knows about it.
+//! Task specifications: tasks declared as data.
 
 use std::sync::Arc;
 
@@ -7,45 +7,43 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Action, ActionSpec, Domain, FailureMode, Observation, Parameter, ParameterSpace, Scale, Value, Word};
 
-/// A task, as the component that holds the world declares it.
+/// A task, as declared by the component that holds the world.
 ///
-/// Everything downstream derives from this declaration: the columns of the dictionary, the metrics of the gate, the
-/// sections of a report, the reference of the monitor. It is sent in the hello of a remote environment and stored
-/// with every run.
+/// All other components use this declaration: the columns of the dictionary, the metrics of the gate, the sections of a
+/// report and the reference of the monitor. A remote environment sends it in its hello, and every run stores it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TaskSpec {
     /// The task's name (`pick_place`).
     pub name: Word,
-    /// Changes where a failure mode, a measure or the rule for success changes its meaning.
+    /// The version. Increase it when a failure mode, a measure or the rule for success changes its meaning.
     pub version: u32,
-    /// The task in words.
+    /// The task in natural language.
     pub instruction: String,
-    /// Time between two actions, in seconds. Zero, and left out of files, where it is not known: in the task of an
-    /// imported dictionary.
+    /// Time between two actions, in seconds. Zero, and absent in files, if unknown, as in the task of an imported
+    /// dictionary.
     #[serde(default, skip_serializing_if = "unknown")]
     pub control_period_s: f64,
-    /// An episode that lasts this long is a timeout, in simulated seconds. Zero where it is not known.
+    /// Time limit of an episode in simulated seconds. An episode that reaches it is a timeout. Zero if unknown.
     #[serde(default, skip_serializing_if = "unknown")]
     pub time_limit_s: f64,
-    /// How a policy can fail, in the order in which reports list it. Every task also has `timeout`, whether or not
-    /// it is listed.
+    /// The failure modes, in the order of reports. Every task also has `timeout`, listed or not.
     pub failure_modes: Vec<FailureModeSpec>,
-    /// What is measured in each episode.
+    /// The measures of each episode.
     #[serde(default)]
     pub measures: Vec<MeasureSpec>,
-    /// The phases that a policy may report, in order; empty where the task has none.
+    /// The phases that a policy may report, in order. Empty if the task has none.
     #[serde(default)]
     pub phases: Vec<Word>,
-    /// What can be varied.
+    /// The parameters that can vary.
     #[serde(default)]
     pub parameters: Vec<ParameterSpec>,
-    /// What a policy sees.
+    /// The observations that the policy receives.
     #[serde(default)]
     pub observation: ObservationSpec,
-    /// What a policy may answer.
+    /// The actions that the task accepts.
     #[serde(default)]
     pub action: ActionSpec,
-    /// Data that only this task's own components understand.
+    /// Data for the task's own components. Other code ignores it.
     #[serde(default, skip_serializing_if = "serde_json::Value::is_null")]
     pub details: serde_json::Value,
 }
@@ -54,79 +52,79 @@ fn unknown(seconds: &f64) -> bool {
     *seconds <= 0.0
 }
 
-/// A way to fail.
+/// A declared failure mode.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct FailureModeSpec {
-    /// Its name in data and reports.
+    /// The name in data files and reports.
     pub name: FailureMode,
     /// What happened, in one sentence.
     #[serde(default)]
     pub meaning: String,
-    /// How bad it is.
+    /// The severity of the failure.
     #[serde(default)]
     pub severity: Severity,
 }
 
-/// How bad a failure is.
+/// The severity of a failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
-    /// Time is lost.
+    /// The failure costs time.
     Minor,
-    /// The task is not done.
+    /// The task is not completed.
     #[default]
     Major,
-    /// Parts, robot or people are at risk.
+    /// Parts, the robot or people are at risk.
     Critical,
 }
 
-/// Something that is measured in each episode.
+/// A declared measure: a number that is recorded per episode.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct MeasureSpec {
-    /// Its name: the column in the dictionary.
+    /// The name of the measure and of its column in the dictionary.
     pub name: Word,
-    /// Its unit, as people write it (`N`, `m`); empty where it has none.
+    /// The unit as text (`N`, `m`). Empty for a number without unit.
     #[serde(default)]
     pub unit: String,
-    /// What it is, in one sentence.
+    /// The meaning, in one sentence.
     #[serde(default)]
     pub meaning: String,
-    /// Which values are better.
+    /// Whether smaller or larger values are better.
     #[serde(default)]
     pub better: Better,
 }
 
-/// Which values of a measure are better.
+/// Whether smaller or larger values of a measure are better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Better {
-    /// Small ones.
+    /// Smaller values are better.
     Lower,
-    /// Large ones.
+    /// Larger values are better.
     Higher,
-    /// Neither: the measure describes and does not judge.
+    /// Neither: the measure is descriptive.
     #[default]
     Neither,
 }
 
-/// Something that can be varied between episodes.
+/// A declared parameter: a property of a scenario that can vary.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ParameterSpec {
-    /// Its name, with the unit as its ending where there is one (`mass_kg`).
+    /// The name. It ends with the unit, if there is one (`mass_kg`).
     pub name: Arc<str>,
-    /// Its unit, as people write it; empty where it has none.
+    /// The unit as text. Empty for a value without unit.
     #[serde(default)]
     pub unit: String,
-    /// What it is, in one sentence.
+    /// The meaning, in one sentence.
     #[serde(default)]
     pub meaning: String,
-    /// What it may be.
+    /// The accepted values.
     #[serde(flatten)]
     pub allowed: Allowed,
-    /// What it is where nothing else is requested; absent where it then follows something else.
+    /// The default value. Absent if the default depends on other parameters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub nominal: Option<Value>,
-    /// Where its applied value is read.
+    /// Where the applied value is read back.
     #[serde(default)]
     pub read_from: String,
 }
@@ -149,17 +147,17 @@ pub enum Allowed {
         /// Largest value.
         high: i64,
     },
-    /// A word.
+    /// A choice.
     Categorical {
-        /// The words to choose from.
+        /// The listed choices.
         choices: Vec<Arc<str>>,
-        /// Whether other words of the same form are accepted, too.
+        /// Whether other words of the same form are also accepted.
         #[serde(default)]
         open: bool,
     },
 }
 
-/// What a policy sees.
+/// The specification of the observations.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ObservationSpec {
     /// Named vectors of numbers.
@@ -172,11 +170,11 @@ pub struct ObservationSpec {
 /// A named vector of an observation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct VectorSpec {
-    /// Its name. The names in [`crate::vectors`] have a fixed meaning.
+    /// The name. The names in [`crate::vectors`] have a fixed meaning.
     pub name: Word,
-    /// How many numbers it has.
+    /// The length of the vector.
     pub length: usize,
-    /// The unit of its numbers; empty where they have none or several.
+    /// The unit of the numbers. Empty for numbers without unit or with different units.
     #[serde(default)]
     pub unit: String,
 }
@@ -184,26 +182,26 @@ pub struct VectorSpec {
 /// A camera.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct CameraSpec {
-    /// Its name.
+    /// The name.
     pub name: String,
-    /// Pixels in a row.
+    /// Width in pixels.
     pub width: usize,
-    /// Rows.
+    /// Height in pixels.
     pub height: usize,
 }
 
-/// What is special about one episode of a task: what an engineer of the cell would know beforehand, not what the
-/// episode's noise made of it.
+/// Information about one episode that the policy may use. It contains only facts that are known before the episode,
+/// without the episode's noise.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct TaskInstance {
-    /// The task in words, for language-conditioned policies.
+    /// The task in natural language, for language-conditioned policies.
     pub instruction: String,
-    /// Data that only the task's own components understand (where the part nominally is, say).
+    /// Data for the task's own components, for example the nominal position of the part.
     #[serde(default, skip_serializing_if = "serde_json::Value::is_null")]
     pub details: serde_json::Value,
 }
 
-/// The most entries of each list of a task.
+/// Largest number of entries in each list of a task.
 const MOST: usize = 1024;
 
 impl TaskSpec {
@@ -231,9 +229,9 @@ impl TaskSpec {
         self.parameters.iter().try_for_each(ParameterSpec::check)
     }
 
-    /// How many control periods an episode has at most.
+    /// The time limit as a number of control periods.
     pub fn limit_ticks(&self) -> Result<u32, TaskError> {
-        // Counted, not summed: sums of a period drift, and the limit would depend on rounding.
+        // Compared as a count: a sum of periods accumulates rounding errors, which would change the limit.
         let limit = (self.time_limit_s / self.control_period_s).round();
         if (1.0..=f64::from(u32::MAX)).contains(&limit) {
             Ok(limit as u32)
@@ -242,7 +240,7 @@ impl TaskSpec {
         }
     }
 
-    /// Every failure mode of the task, in the order of reports; `timeout` is last where it is not declared.
+    /// Every failure mode of the task, in the order of reports. `timeout` is last unless it is declared.
     pub fn modes(&self) -> impl Iterator<Item = FailureMode> + '_ {
         let declared = self.failure_modes.iter().map(|mode| mode.name);
         let timeout =
@@ -250,12 +248,12 @@ impl TaskSpec {
         declared.chain(timeout)
     }
 
-    /// Whether the task has this failure mode. A failure by another is of unknown kind.
+    /// Whether the task declares this failure mode. Any other failure has an unknown kind.
     pub fn declares(&self, mode: FailureMode) -> bool {
         self.modes().any(|known| known == mode)
     }
 
-    /// What a failure mode means, where the task says so.
+    /// The meaning of a failure mode, if the task declares one.
     pub fn meaning_of(&self, mode: FailureMode) -> Option<&str> {
         self.failure_modes
             .iter()
@@ -264,18 +262,18 @@ impl TaskSpec {
             .filter(|text| !text.is_empty())
     }
 
-    /// A measure by its name.
+    /// The measure with this name.
     pub fn measure(&self, name: &str) -> Option<&MeasureSpec> {
         self.measures.iter().find(|measure| measure.name == name)
     }
 
-    /// A parameter by its name.
+    /// The parameter with this name.
     pub fn parameter(&self, name: &str) -> Option<&ParameterSpec> {
         self.parameters.iter().find(|parameter| &*parameter.name == name)
     }
 
-    /// The space of everything that the task lets vary, over the whole of each declared range. Fails where the task
-    /// declares no parameter.
+    /// The space of all parameters that the task allows to vary, over their full declared ranges. Returns an error if
+    /// the task declares no parameter.
     pub fn declared_space(&self) -> Result<ParameterSpace, crate::SpaceError> {
         let varies = self
             .parameters
@@ -284,14 +282,14 @@ impl TaskSpec {
         ParameterSpace::new(format!("{} (declared ranges)", self.name), varies.collect())
     }
 
-    /// Whether `observation` has the vectors that the task declares, each of its length.
+    /// Checks that `observation` has the declared vectors with their lengths.
     pub fn check_observation(&self, observation: &Observation) -> Result<(), String> {
         for spec in &self.observation.vectors {
             match observation.vector(spec.name.as_str()) {
                 None => return Err(format!("the observation has no vector `{}`", spec.name)),
                 Some(vector) if vector.len() != spec.length => {
                     let (name, found, due) = (spec.name, vector.len(), spec.length);
-                    return Err(format!("the observation's `{name}` has {found} numbers; the task declares {due}"));
+                    return Err(format!("the observation's `{name}` has {found} numbers; expected {due}"));
                 }
                 Some(_) => {}
             }
@@ -302,14 +300,14 @@ impl TaskSpec {
         }
     }
 
-    /// Whether `action` is one that the task takes.
+    /// Checks that the task accepts `action`.
     pub fn check_action(&self, action: &Action) -> Result<(), String> {
         self.action.accepts(action)
     }
 }
 
 impl ParameterSpec {
-    /// The domain that holds every accepted value; `None` where there is only one, so that nothing varies.
+    /// The domain of all accepted values. `None` if there is only one value.
     pub fn domain(&self) -> Option<Domain> {
         match &self.allowed {
             Allowed::Continuous { low, high } if low < high => {
@@ -323,7 +321,7 @@ impl ParameterSpec {
         }
     }
 
-    /// Whether a value is one that the environment accepts; the error says what would be.
+    /// Checks that the environment accepts a value. The error names the accepted values.
     pub fn accepts(&self, value: &Value) -> Result<(), String> {
         let wrong = |expected: String| Err(format!("parameter `{}` = {value}: expected {expected}", self.name));
         match (&self.allowed, value) {
@@ -347,20 +345,24 @@ impl ParameterSpec {
     fn check(&self) -> Result<(), TaskError> {
         let wrong = |problem: String| Err(TaskError::Parameter { parameter: self.name.to_string(), problem });
         if self.name.is_empty() || !self.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') {
-            return wrong("its name must be letters, digits and underscores".to_owned());
+            return wrong("the name is invalid: expected letters, digits and underscores".to_owned());
         }
         match &self.allowed {
             Allowed::Continuous { low, high } if !(low.is_finite() && high.is_finite() && low <= high) => {
-                return wrong(format!("its range {low} to {high} is not valid: expected two rising finite numbers"));
+                return wrong(format!(
+                    "the range {low} to {high} is not valid: expected finite numbers in increasing order"
+                ));
             }
             Allowed::Integer { low, high } if low > high => {
-                return wrong(format!("its range {low} to {high} is not valid: expected rising integers"));
+                return wrong(format!("the range {low} to {high} is not valid: expected integers in increasing order"));
             }
-            Allowed::Categorical { choices, .. } if choices.is_empty() => return wrong("it has no choices".to_owned()),
+            Allowed::Categorical { choices, .. } if choices.is_empty() => {
+                return wrong("`choices` is empty; expected at least one".to_owned());
+            }
             _ => {}
         }
         match &self.nominal {
-            Some(value) => self.accepts(value).or_else(|why| wrong(format!("its nominal value is not allowed: {why}"))),
+            Some(value) => self.accepts(value).or_else(|why| wrong(format!("the nominal value is not allowed: {why}"))),
             None => Ok(()),
         }
     }
@@ -369,7 +371,7 @@ impl ParameterSpec {
 fn unique<'a>(list: &'static str, names: impl Iterator<Item = &'a str>) -> Result<(), TaskError> {
     let mut seen = std::collections::BTreeSet::new();
     for name in names {
-        // Columns that differ in case alone are one column to some readers.
+        // Some file readers ignore case, so names that differ only in case are duplicates.
         if !seen.insert(name.to_ascii_lowercase()) {
             return Err(TaskError::Duplicate { list, name: name.to_owned() });
         }
@@ -377,10 +379,10 @@ fn unique<'a>(list: &'static str, names: impl Iterator<Item = &'a str>) -> Resul
     Ok(())
 }
 
-/// Why a task's declaration is not valid.
+/// The reason why a task declaration is invalid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TaskError {
-    /// The time limit is not a number of control periods.
+    /// The time limit is not a positive number of control periods.
     #[error("time limit {limit_s} s in control periods of {period_s} s is not a positive number of periods")]
     TimeLimit {
         /// The time limit, in seconds.
@@ -396,25 +398,25 @@ pub enum TaskError {
         /// The name.
         name: String,
     },
-    /// A list without end.
+    /// A list with too many entries.
     #[error("`{list}` has {found} entries; at most {most} are accepted")]
     TooMany {
         /// The list.
         list: &'static str,
-        /// Its length.
+        /// The length.
         found: usize,
         /// The limit.
         most: usize,
     },
-    /// A parameter that cannot be varied as it is declared.
+    /// A parameter with an invalid declaration.
     #[error("parameter `{parameter}`: {problem}")]
     Parameter {
-        /// Its name.
+        /// The name.
         parameter: String,
-        /// What is wrong.
+        /// The problem.
         problem: String,
     },
-    /// An action that nothing can be.
+    /// An invalid action specification.
     #[error("action: {0}")]
     Action(String),
 }

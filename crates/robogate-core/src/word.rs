@@ -10,20 +10,20 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// A short name of 1 to 64 ASCII letters, digits, `_`, `-` and `.`.
-///
-/// Words are compared by their text. They are interned for the life of the process and are as cheap to copy as a
+/// Words are compared by their text. They are interned for the life of the process and copy as a reference: a million
+/// episodes share one text per failure mode.
 /// reference, so a million episodes share one text for each failure mode.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Word(&'static str);
 
-/// The text of every word that was made at run time.
+/// The text of every word that was created at run time.
 static INTERNED: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
 
 impl Word {
-    /// The most bytes of a word.
+    /// Maximum length in bytes.
     pub const MAX_LENGTH: usize = 64;
 
-    /// The word for this text, if the text is one.
+    /// The word with this text. Returns an error if the text is not a valid word.
     pub fn new(text: &str) -> Result<Self, WordError> {
         if is_word(text.as_bytes()) {
             Ok(Self::intern(text))
@@ -32,13 +32,13 @@ impl Word {
         }
     }
 
-    /// A word that is known when the program is compiled. Panics at compile time where the text is not a word.
+    /// Creates a word at compile time. Compilation fails if the text is not a valid word.
     pub const fn constant(text: &'static str) -> Self {
         assert!(is_word(text.as_bytes()), "not a word");
         Self(text)
     }
 
-    /// The word nearest to any text: other characters become `_`, and what is too long is cut. `None` for a text
+    /// The nearest valid word for any text: invalid characters become `_`, and long text is cut. `None` for a text
     /// without a letter or digit.
     pub fn nearest(text: &str) -> Option<Self> {
         let text = text.trim();
@@ -47,13 +47,13 @@ impl Word {
         cut.chars().any(|c| c.is_ascii_alphanumeric()).then(|| Self::intern(&cut))
     }
 
-    /// Its text.
+    /// The text of the word.
     pub const fn as_str(self) -> &'static str {
         self.0
     }
 
     fn intern(text: &str) -> Self {
-        // A panic elsewhere leaves the set as it was.
+        // A panic in another thread cannot leave the set inconsistent.
         let mut interned = INTERNED.lock().unwrap_or_else(PoisonError::into_inner);
         match interned.get(text) {
             Some(known) => Self(known),
@@ -128,11 +128,11 @@ impl JsonSchema for Word {
     }
 }
 
-/// A text that cannot be a word.
+/// A text that is not a valid word.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{text:?} is not a valid name: expected 1 to 64 letters, digits, `_`, `-` and `.`")]
 pub struct WordError {
-    /// The text, cut where it is long.
+    /// The text, truncated if long.
     pub text: String,
 }
 
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn nearest_word_keeps_what_it_can() {
+    fn nearest_word_replaces_invalid_characters() {
         let nearest = |text| Word::nearest(text).map(Word::as_str);
         assert_eq!(nearest(" Object dropped! "), Some("Object_dropped_"));
         assert_eq!(nearest("??"), None);

@@ -1,4 +1,4 @@
-//! The loop between simulator and policy, with a world of one number.
+//! Tests of the rollout loop, with an environment whose state is one number.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use robogate_core::{
 const POSITION: Word = Word::constant("position");
 const COLLISION: FailureMode = FailureMode::constant("collision");
 
-/// The task of a line: reach its end.
+/// A task on a line: reach its end.
 fn task(period_s: f64, limit_s: f64) -> Arc<TaskSpec> {
     Arc::new(TaskSpec {
         name: Word::constant("line"),
@@ -35,14 +35,14 @@ fn task(period_s: f64, limit_s: f64) -> Arc<TaskSpec> {
     })
 }
 
-/// A number that the policy sets.
+/// An environment whose state is one number that the policy sets.
 struct Line {
     task: Arc<TaskSpec>,
-    /// What happens in the step of this number, from 1.
+    /// Endings by step number, from 1.
     endings: Vec<(u32, Option<FailureMode>)>,
     breaks_at: Option<u32>,
     refuses: bool,
-    /// Changes what was asked for before it is read back.
+    /// Alters the requested parameters before they are read back.
     alter: fn(&mut Assignment),
     position: f64,
     steps: u32,
@@ -95,12 +95,12 @@ impl Environment for Line {
             return Err(Fault::new(FaultKind::Diverged, "position is NaN"));
         }
         let Command::Vector(target) = &action.command else {
-            return Err(Fault::new(FaultKind::BadAction, "one position was due"));
+            return Err(Fault::new(FaultKind::BadAction, "expected one position"));
         };
         self.position = target[0];
         let ending = self.endings.iter().find(|(at, _)| *at == self.steps).map(|(_, failure)| Ending {
             failure: *failure,
-            // Within the period, as a real simulator would say it.
+            // Within the period, as a real simulator would report it.
             time_s: (f64::from(self.steps) - 0.5) * self.task.control_period_s,
             contact: failure.is_some().then(|| Contact {
                 robot_body: "hand".to_owned(),
@@ -118,7 +118,7 @@ impl Environment for Line {
     }
 }
 
-/// Walks by random strides.
+/// A policy that moves by random steps.
 #[derive(Default)]
 struct Walker {
     stream: Option<robogate_core::Stream>,
@@ -134,7 +134,7 @@ impl Policy for Walker {
 
     fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, seed: Seed) -> Result<(), Fault> {
         if self.faults_on_reset {
-            return Err(Fault::new(FaultKind::Unavailable, "no answer in 5 s"));
+            return Err(Fault::new(FaultKind::Unavailable, "no answer within 5 s"));
         }
         self.stream = Some(seed.stream("walk"));
         self.acts = 0;
@@ -144,7 +144,7 @@ impl Policy for Walker {
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
         self.acts += 1;
         if self.faults_at == Some(self.acts) {
-            return Err(Fault::new(FaultKind::BadAction, "7 joints wanted, 6 given"));
+            return Err(Fault::new(FaultKind::BadAction, "expected 7 joints, got 6"));
         }
         let stride = self.stream.as_mut().map_or(0.0, robogate_core::Stream::uniform);
         Ok(Action {
@@ -208,7 +208,7 @@ fn first_ending_wins() {
     let episode = rollout(&mut line, &mut walker, &scenario(0));
     assert_eq!(episode.outcome, Outcome::Failure(COLLISION));
     assert_eq!((episode.ticks, line.steps, walker.acts), (4, 4, 4));
-    assert!((episode.time_s - 0.35).abs() < 1e-12, "when it happened, not when the period was over");
+    assert!((episode.time_s - 0.35).abs() < 1e-12, "the time of the event, not the end of the period");
     assert_eq!(episode.contact.unwrap().other_body, "table");
     assert_eq!(episode.phase, Some(Word::constant("stride")));
 }
@@ -225,14 +225,14 @@ fn environment_decides_success() {
 fn policy_fault_is_invalid() {
     let mut walker = Walker { faults_at: Some(3), ..Walker::default() };
     let episode = rollout(&mut Line::default(), &mut walker, &scenario(0));
-    assert_eq!(invalid(&episode), &Fault::new(FaultKind::BadAction, "7 joints wanted, 6 given"));
-    assert_eq!(episode.ticks, 2, "what ran before is kept");
+    assert_eq!(invalid(&episode), &Fault::new(FaultKind::BadAction, "expected 7 joints, got 6"));
+    assert_eq!(episode.ticks, 2, "earlier steps are kept");
     assert!(episode.measures.get("position").is_some());
     let mut walker = Walker { faults_on_reset: true, ..Walker::default() };
     let episode = rollout(&mut Line::default(), &mut walker, &scenario(0));
     assert_eq!(invalid(&episode).kind, FaultKind::Unavailable);
     assert_eq!(episode.ticks, 0);
-    assert_eq!(episode.applied, scenario(0).requested, "the simulator had got so far");
+    assert_eq!(episode.applied, scenario(0).requested, "the reset had succeeded");
 }
 
 #[test]
@@ -243,7 +243,7 @@ fn environment_fault_is_invalid() {
     let episode = run(Line { refuses: true, ..Line::default() });
     assert_eq!(invalid(&episode).kind, FaultKind::Setup);
     assert!(episode.applied.is_empty());
-    assert_eq!(episode.measures, Measures::default(), "nothing measured is nothing, not zero");
+    assert_eq!(episode.measures, Measures::default(), "a missing measure is not zero");
 }
 
 #[test]
@@ -256,16 +256,22 @@ fn fault_beats_ending() {
 fn unapplied_parameter_is_invalid() {
     type Alteration = fn(&mut Assignment);
     let alterations: [(Alteration, &str); 4] = [
-        (|a| a.set("start", Value::Number(0.250_001)), "requested start = 0.25, the environment has 0.250001"),
-        (|a| a.set("start", Value::Category("0.25".into())), "requested start = 0.25, the environment has 0.25"),
-        (|a| a.set("shape", Value::Category("sphere".into())), "requested shape = box, the environment has sphere"),
-        (|a| *a = Assignment::default(), "requested start = 0.25, the environment has nothing"),
+        (|a| a.set("start", Value::Number(0.250_001)), "requested start = 0.25, but the environment applied 0.250001"),
+        (
+            |a| a.set("start", Value::Category("0.25".into())),
+            "requested start = 0.25, but the environment applied 0.25",
+        ),
+        (
+            |a| a.set("shape", Value::Category("sphere".into())),
+            "requested shape = box, but the environment applied sphere",
+        ),
+        (|a| *a = Assignment::default(), "requested start = 0.25, but the environment applied nothing"),
     ];
     for (alter, detail) in alterations {
         let mut walker = Walker::default();
         let episode = rollout(&mut Line { alter, ..Line::default() }, &mut walker, &scenario(0));
         assert_eq!(invalid(&episode), &Fault::new(FaultKind::NotApplied, detail));
-        assert_eq!((episode.ticks, walker.acts), (0, 0), "nothing is run in a world that was not asked for");
+        assert_eq!((episode.ticks, walker.acts), (0, 0), "no step runs after a failed check");
     }
 }
 
@@ -286,7 +292,7 @@ fn single_precision_is_applied() {
     request.requested.set("offset_x_m", Value::Number(0.003));
     let alter = |a: &mut Assignment| {
         a.set("mass_kg", Value::Number(f64::from(0.1_f32)));
-        // Read out of where the object stands.
+        // The value is computed from the object's position.
         a.set("offset_x_m", Value::Number(f64::from(0.503_f32) - 0.5));
         a.set("gravity", Value::Number(9.81));
     };
@@ -302,7 +308,7 @@ fn same_inputs_same_trajectory() {
     let mut walker = Walker::default();
     let first = rollout(&mut used, &mut walker, &scenario(7));
     rollout(&mut used, &mut walker, &scenario(8));
-    // Again after another episode, in the same world, and in a new one.
+    // Repeated after another episode, in the same environment and in a new one.
     assert_eq!(rollout(&mut used, &mut walker, &scenario(7)), first);
     let fresh = rollout(&mut Line::default(), &mut Walker::default(), &scenario(7));
     assert_eq!(fresh, first);
@@ -341,10 +347,10 @@ fn undeclared_ending_is_a_failure() {
     assert!(!task(0.1, 1.0).declares(jam));
 }
 
-/// Answers with one action again and again.
-struct Stubborn(Action);
+/// A policy that always returns the same action.
+struct Constant(Action);
 
-impl Policy for Stubborn {
+impl Policy for Constant {
     fn check(&self, _: &TaskSpec) -> Result<(), String> {
         Ok(())
     }
@@ -359,7 +365,7 @@ impl Policy for Stubborn {
 }
 
 #[test]
-fn action_outside_the_spec_is_a_fault() {
+fn action_outside_spec_is_fault() {
     let commands = [
         Command::Vector(vec![]),
         Command::Vector(vec![f64::NAN]),
@@ -368,7 +374,7 @@ fn action_outside_the_spec_is_a_fault() {
     ];
     for command in commands {
         let action = Action { command: command.clone(), gripper: None, phase: None };
-        let episode = rollout(&mut Line::default(), &mut Stubborn(action), &scenario(0));
+        let episode = rollout(&mut Line::default(), &mut Constant(action), &scenario(0));
         assert_eq!(invalid(&episode).kind, FaultKind::BadAction, "{command:?}");
         assert_eq!(episode.ticks, 0);
     }

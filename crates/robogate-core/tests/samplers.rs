@@ -1,6 +1,6 @@
-//! What every sampler promises, and what each one promises alone.
+//! Tests of the properties that all samplers share, and of those of each sampler.
 #![expect(clippy::disallowed_methods, reason = "tests measure times")]
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on panics")]
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::sync::Arc;
 
@@ -68,7 +68,7 @@ fn largest_correlation(cloud: &[Vec<f64>]) -> f64 {
 }
 
 #[test]
-fn each_name_gives_the_sampler_of_that_name_and_no_other_name_gives_one() {
+fn names_match_samplers() {
     for name in NAMES {
         assert_eq!(by_name(name).unwrap().name(), name);
     }
@@ -77,27 +77,27 @@ fn each_name_gives_the_sampler_of_that_name_and_no_other_name_gives_one() {
 }
 
 #[test]
-fn a_design_of_no_points_is_refused() {
+fn empty_design_is_rejected() {
     for name in NAMES {
         assert_eq!(by_name(name).unwrap().design(&franka(), 0, stream(1)), Err(DesignError::Empty), "{name}");
     }
 }
 
 #[test]
-fn a_design_beyond_a_sampler_s_limit_is_refused_with_the_limit() {
+fn exceeded_limit_is_rejected() {
     let many = (1 << 31) + 1;
     let error = Sobol.design(&franka(), many, stream(1)).unwrap_err();
     assert_eq!(error, DesignError::Limit { sampler: "sobol", what: "points", limit: 1 << 31, asked: many });
     let error = Sobol.design(&cube(65), 8, stream(1)).unwrap_err();
     assert_eq!(error, DesignError::Limit { sampler: "sobol", what: "parameters", limit: 64, asked: 65 });
-    assert_eq!(error.to_string(), "sobol is defined up to 64 parameters (asked for 65)");
+    assert_eq!(error.to_string(), "sobol is defined up to 64 parameters (requested: 65)");
     assert!(Sobol.design(&cube(64), 8, stream(1)).is_ok());
     let error = LatinHypercube::default().design(&franka(), many, stream(1)).unwrap_err();
     assert_eq!(error, DesignError::Limit { sampler: "latin_hypercube", what: "points", limit: 1 << 26, asked: many });
 }
 
 #[test]
-fn the_same_stream_gives_the_same_design_and_another_one_another() {
+fn design_depends_only_on_stream() {
     for name in NAMES {
         for n in [1, 2, 3, 7, 100] {
             let draw = |seed| by_name(name).unwrap().design(&franka(), n, stream(seed)).unwrap();
@@ -108,7 +108,7 @@ fn the_same_stream_gives_the_same_design_and_another_one_another() {
 }
 
 #[test]
-fn each_value_lies_in_its_domain() {
+fn values_are_in_their_domains() {
     for name in NAMES {
         for n in [1, 2, 3, 7, 100, 10_000] {
             let design = by_name(name).unwrap().design(&franka(), n, stream(n as u64)).unwrap();
@@ -128,7 +128,7 @@ fn each_value_lies_in_its_domain() {
 }
 
 #[test]
-fn each_level_occurs_equally_often_up_to_one() {
+fn levels_are_balanced() {
     for sampler in [&LatinHypercube::default() as &dyn Sampler, &Sobol] {
         for n in [1, 2, 3, 7, 8, 100, 128, 1_000, 10_000] {
             let design = sampler.design(&franka(), n, stream(n as u64)).unwrap();
@@ -147,8 +147,8 @@ fn each_level_occurs_equally_often_up_to_one() {
 }
 
 #[test]
-fn the_level_of_a_single_point_is_uniform_over_streams() {
-    // Six levels of 1,000 +- 29 each; five of those.
+fn single_point_level_is_uniform() {
+    // Six levels of 1,000 +- 29 each. The tolerance is five standard deviations.
     for sampler in [&LatinHypercube::default() as &dyn Sampler, &Sobol] {
         let obstacles = franka().position("obstacles").unwrap();
         let mut counts = [0_i32; 6];
@@ -161,8 +161,9 @@ fn the_level_of_a_single_point_is_uniform_over_streams() {
 }
 
 #[test]
-fn discrete_columns_of_a_hypercube_are_independent_of_the_rest() {
-    // Mean friction within each shape, 2,000 points of a column with deviation 1/sqrt(12) each: five standard errors.
+fn discrete_columns_are_independent() {
+    // Mean friction within each shape: 2,000 points of a column with standard deviation 1/sqrt(12). The tolerance is
+    // five standard errors.
     let design = LatinHypercube::default().design(&franka(), 10_000, stream(4)).unwrap();
     let shape = column(&design, franka().position("shape").unwrap());
     for j in 0..5 {
@@ -176,18 +177,18 @@ fn discrete_columns_of_a_hypercube_are_independent_of_the_rest() {
 }
 
 #[test]
-fn each_stratum_holds_exactly_one_point() {
+fn each_stratum_has_one_point() {
     for space in [franka(), cube(1), cube(2), decades()] {
         for n in [1, 2, 3, 7, 100, 10_000] {
             let design = LatinHypercube::default().design(&space, n, stream(n as u64)).unwrap();
             for j in continuous(&space) {
                 let domain = &space.parameters()[j].domain;
                 let mut values = column(&design, j);
-                // Back to the unit interval: points keep away from the edges by more than this rounds.
+                // Mapped back to the unit interval. Points are farther from the edges than the rounding error.
                 let mut strata: Vec<_> = values.iter().map(|x| (domain.to_unit(*x) * n as f64) as usize).collect();
                 strata.sort_unstable();
                 assert!(strata.into_iter().eq(0..n), "{} n {n} column {j}", space.name());
-                // And with no inverse at all: the k-th smallest value lies in the image of the k-th stratum.
+                // Also without the inverse: the k-th smallest value is in the image of the k-th stratum.
                 values.sort_by(f64::total_cmp);
                 for (k, x) in values.into_iter().enumerate() {
                     let edge = |k: usize| domain.from_unit(k as f64 / n as f64);
@@ -199,8 +200,8 @@ fn each_stratum_holds_exactly_one_point() {
 }
 
 #[test]
-fn moving_points_apart_multiplies_the_smallest_distance() {
-    // (n, d, gain): the gain that is asked for grows with n, for so does what chance leaves undone.
+fn maximin_increases_smallest_distance() {
+    // (n, d, gain): the expected gain grows with n, because random designs get worse with n.
     for (n, d, gain) in [(10, 2, 1.2), (20, 5, 1.2), (100, 2, 2.0), (100, 5, 1.7), (1_000, 5, 2.5), (1_000, 10, 1.4)] {
         for seed in 0..5 {
             let drawn = LatinHypercube { budget: 0 }.design(&cube(d), n, stream(seed)).unwrap();
@@ -212,7 +213,7 @@ fn moving_points_apart_multiplies_the_smallest_distance() {
 }
 
 #[test]
-fn ten_thousand_points_of_the_franka_space_are_moved_apart_too() {
+fn maximin_handles_ten_thousand_points() {
     let drawn = LatinHypercube { budget: 0 }.design(&franka(), 10_000, stream(2026)).unwrap();
     let moved = LatinHypercube::default().design(&franka(), 10_000, stream(2026)).unwrap();
     let (before, after) = (smallest_distance(&cloud(&drawn)), smallest_distance(&cloud(&moved)));
@@ -220,7 +221,7 @@ fn ten_thousand_points_of_the_franka_space_are_moved_apart_too() {
 }
 
 #[test]
-fn no_budget_ever_lowers_the_smallest_distance() {
+fn budget_never_lowers_smallest_distance() {
     for (n, d) in [(2, 2), (3, 5), (7, 3), (50, 4)] {
         for seed in 0..20 {
             let mut last = 0.0;
@@ -235,17 +236,17 @@ fn no_budget_ever_lowers_the_smallest_distance() {
 }
 
 #[test]
-fn columns_of_a_hypercube_are_hardly_correlated() {
+fn hypercube_columns_are_nearly_uncorrelated() {
     for (n, d) in [(100, 2), (100, 5), (1_000, 5), (1_000, 10), (10_000, 5)] {
         let design = LatinHypercube::default().design(&cube(d), n, stream(6)).unwrap();
         let largest = largest_correlation(&cloud(&design));
-        // A twentieth at a hundred points; chance would leave a standard deviation of 1/sqrt(n) for each pair.
+        // 0.05 at a hundred points. Random columns have a standard deviation of 1/sqrt(n) per pair.
         assert!(largest < 2.0 / (n as f64).sqrt(), "n {n} d {d}: {largest}");
     }
 }
 
 #[test]
-fn a_sobol_design_of_a_power_of_two_has_one_point_in_each_stratum() {
+fn sobol_fills_each_stratum() {
     let design = Sobol.design(&franka(), 1_024, stream(8)).unwrap();
     for (j, _) in continuous(&franka()).into_iter().enumerate() {
         let mut strata: Vec<_> = cloud(&design).iter().map(|x| (x[j] * 1_024.0) as usize).collect();
@@ -255,8 +256,8 @@ fn a_sobol_design_of_a_power_of_two_has_one_point_in_each_stratum() {
 }
 
 #[test]
-fn uniform_points_are_independent_draws_and_not_balanced() {
-    // A subset of a uniform design is the smaller design: draws neither know n nor each other.
+fn uniform_points_are_independent() {
+    // The first points of a larger uniform design are the smaller design: draws are independent of n and of each other.
     let many = Uniform.design(&franka(), 100, stream(1)).unwrap();
     let few = Uniform.design(&franka(), 10, stream(1)).unwrap();
     assert!((0..10).all(|i| many.coded(i) == few.coded(i)));
@@ -306,13 +307,13 @@ fn figures() {
     println!("latin_hypercube: 1,000,000 points in {:?}", start.elapsed());
 }
 
-/// The hash of a thousand points of the Franka's space, as they were drawn before spaces could have correlations.
+/// Hashes of a thousand points of the Franka's space, recorded before spaces could have correlations.
 const BITS: [(&str, u64); 3] =
     [("latin_hypercube", 0x869c_6235_57b2_ca33), ("sobol", 0x5688_d737_45c7_6b02), ("uniform", 0xf023_0cca_b5e2_a83a)];
 
 #[test]
 #[cfg_attr(not(all(target_os = "linux", target_arch = "x86_64")), ignore = "ln and exp differ between platforms")]
-fn a_space_without_correlations_keeps_its_bits() {
+fn uncorrelated_space_keeps_its_bits() {
     for (name, bits) in BITS {
         let design = by_name(name).unwrap().design(&franka(), 1000, stream(2026)).unwrap();
         let bytes = (0..1000).flat_map(|i| design.coded(i).unwrap().to_vec()).flat_map(|x| x.to_bits().to_le_bytes());
@@ -322,7 +323,7 @@ fn a_space_without_correlations_keeps_its_bits() {
     }
 }
 
-/// The Franka's space, heavy objects large, rough ones light.
+/// The Franka's space with correlations: heavy objects are large, rough ones light.
 fn correlated() -> Arc<ParameterSpace> {
     let more = "[[correlation]]\nparameters = [\"mass_kg\", \"size_m\"]\nrank = 0.8\n\
                 [[correlation]]\nparameters = [\"friction\", \"mass_kg\"]\nrank = -0.4\n";
@@ -347,10 +348,10 @@ fn spearman(design: &Design, a: &str, b: &str) -> f64 {
 }
 
 #[test]
-fn every_sampler_gives_the_rank_correlations_asked_for_and_no_others() {
+fn samplers_match_requested_correlations() {
     for (name, n) in NAMES.into_iter().flat_map(|name| [(name, 200), (name, 4000)]) {
         let design = by_name(name).unwrap().design(&correlated(), n, stream(1)).unwrap();
-        // Five standard errors of independent draws; a reordered hypercube is held to far less.
+        // Five standard errors of independent draws. A reordered hypercube must be far closer.
         let off = if name == "latin_hypercube" { 1.0 / n as f64 } else { 5.0 / (n as f64).sqrt() };
         let asked = [
             ("mass_kg", "size_m", 0.8),
@@ -367,7 +368,7 @@ fn every_sampler_gives_the_rank_correlations_asked_for_and_no_others() {
 }
 
 #[test]
-fn a_correlated_hypercube_has_one_point_in_each_stratum_and_levels_in_equal_shares() {
+fn correlated_hypercube_keeps_strata_and_levels() {
     for n in [1, 2, 5, 6, 100, 2001] {
         let design = LatinHypercube::default().design(&correlated(), n, stream(3)).unwrap();
         for j in continuous(design.space()) {
@@ -386,7 +387,7 @@ fn a_correlated_hypercube_has_one_point_in_each_stratum_and_levels_in_equal_shar
 }
 
 #[test]
-fn correlated_columns_stay_evenly_spread_and_the_draw_repeats() {
+fn correlated_columns_stay_even_and_repeatable() {
     for name in NAMES {
         let sampler = by_name(name).unwrap();
         let design = sampler.design(&correlated(), 4096, stream(5)).unwrap();
@@ -395,7 +396,7 @@ fn correlated_columns_stay_evenly_spread_and_the_draw_repeats() {
             let domain = &design.space().parameters()[j].domain;
             let mut cells = [0_u32; 16];
             column(&design, j).iter().for_each(|x| cells[((domain.to_unit(*x) * 16.0) as usize).min(15)] += 1);
-            // 16 cells of 256 +- 15.5 for independent draws; five of those.
+            // 16 cells of 256 +- 15.5 for independent draws. The tolerance is five standard deviations.
             assert!(cells.iter().all(|c| c.abs_diff(256) < 78), "{name} {j}: {cells:?}");
         }
     }

@@ -1,4 +1,4 @@
-//! What a parameter space accepts, what it refuses and how it says so.
+//! Tests of valid and invalid parameter spaces and of the error messages.
 
 use robogate_core::{Domain, Parameter, ParameterSpace, Scale, SpaceError, Value};
 
@@ -21,7 +21,7 @@ fn whole(name: &str, low: i64, high: i64) -> String {
 }
 
 #[test]
-fn the_franka_space_keeps_its_order_and_kinds() {
+fn franka_space_keeps_order_and_kinds() {
     let franka = ParameterSpace::from_toml(FRANKA).unwrap();
     let names: Vec<&str> = franka.parameters().iter().map(|p| &*p.name).collect();
     let expected = ["friction", "mass_kg", "com_offset", "size_m", "ik_noise_rad", "obstacles", "shape", "placement"];
@@ -34,17 +34,17 @@ fn the_franka_space_keeps_its_order_and_kinds() {
 }
 
 #[test]
-fn an_upside_down_or_empty_range_is_refused_with_its_ends() {
+fn empty_range_is_rejected() {
     let empty = |low, high| SpaceError::EmptyRange { parameter: "x".into(), low, high };
     assert_eq!(space(&number("x", "1.2", "0.1", "")).unwrap_err(), empty(1.2, 0.1));
     assert_eq!(space(&number("x", "0.5", "0.5", "")).unwrap_err(), empty(0.5, 0.5));
     assert_eq!(space(&whole("x", 3, 2)).unwrap_err(), empty(3.0, 2.0));
-    assert_eq!(empty(1.2, 0.1).to_string(), "parameter `x`: low 1.2 is not below high 0.1");
-    assert!(space(&whole("x", 3, 3)).is_ok(), "one whole number is a range");
+    assert_eq!(empty(1.2, 0.1).to_string(), "parameter `x`: low 1.2 must be below high 0.1");
+    assert!(space(&whole("x", 3, 3)).is_ok(), "one integer is a valid range");
 }
 
 #[test]
-fn an_endless_range_is_refused() {
+fn infinite_range_is_rejected() {
     for (low, high) in [("nan", "1.0"), ("0.0", "nan"), ("-inf", "1.0"), ("0.0", "inf")] {
         let error = space(&number("x", low, high, "")).unwrap_err();
         assert_eq!(error, SpaceError::NotFinite { parameter: "x".into() }, "{low} {high}");
@@ -52,7 +52,7 @@ fn an_endless_range_is_refused() {
 }
 
 #[test]
-fn a_log_scale_that_reaches_zero_is_refused() {
+fn log_scale_rejects_zero() {
     for low in [0.0, -1.0] {
         let error = space(&number("x", &format!("{low:?}"), "1.0", "scale = \"log\"")).unwrap_err();
         assert_eq!(error, SpaceError::LogOfNonPositive { parameter: "x".into(), low });
@@ -61,8 +61,8 @@ fn a_log_scale_that_reaches_zero_is_refused() {
 }
 
 #[test]
-fn an_unknown_key_is_refused_with_its_name_and_the_line_of_its_table() {
-    // The second [[parameter]] stands on line 8.
+fn unknown_key_is_located() {
+    // The second [[parameter]] is on line 8.
     let second = number("y", "0.0", "1.0", "unit = \"m\"");
     let error = space(&format!("{}\n{second}", whole("x", 0, 1))).unwrap_err();
     let SpaceError::Syntax(text) = &error else { panic!("{error:?}") };
@@ -73,7 +73,7 @@ fn an_unknown_key_is_refused_with_its_name_and_the_line_of_its_table() {
 }
 
 #[test]
-fn a_kind_or_scale_that_is_none_is_refused_with_what_there_is() {
+fn unknown_kind_lists_valid_kinds() {
     let error = space("[[parameter]]\nname = \"x\"\nkind = \"real\"\nlow = 0\nhigh = 1").unwrap_err().to_string();
     assert!(error.contains("`real`") && error.contains("`continuous`"), "{error}");
     let error = space(&number("x", "0.1", "1.0", "scale = \"ln\"")).unwrap_err().to_string();
@@ -81,20 +81,20 @@ fn a_kind_or_scale_that_is_none_is_refused_with_what_there_is() {
 }
 
 #[test]
-fn text_that_is_not_toml_is_refused_with_its_line() {
+fn invalid_toml_is_located() {
     let error = ParameterSpace::from_toml("name = \"test\"\nparameter = [").unwrap_err().to_string();
     assert!(error.contains("line 2"), "{error}");
 }
 
 #[test]
-fn a_space_of_nothing_is_refused() {
+fn empty_space_is_rejected() {
     assert_eq!(space("parameter = []").unwrap_err(), SpaceError::NoParameters);
     assert_eq!(ParameterSpace::new("none", Vec::new()).unwrap_err(), SpaceError::NoParameters);
     assert_eq!(space(&words("x", "[]")).unwrap_err(), SpaceError::NoChoices { parameter: "x".into() });
 }
 
 #[test]
-fn the_same_name_twice_is_refused() {
+fn duplicate_names_are_rejected() {
     let error = space(&format!("{}{}", number("x", "0.0", "1.0", ""), whole("x", 0, 1))).unwrap_err();
     assert_eq!(error, SpaceError::Duplicate { parameter: "x".into() });
     let error = space(&words("shape", "[\"box\", \"sphere\", \"box\"]")).unwrap_err();
@@ -102,14 +102,14 @@ fn the_same_name_twice_is_refused() {
 }
 
 #[test]
-fn a_name_that_cannot_be_a_column_is_refused() {
+fn invalid_column_name_is_rejected() {
     for name in ["", "mass kg", "mass-kg", "µ", "a.b"] {
         assert_eq!(space(&number(name, "0.0", "1.0", "")).unwrap_err(), SpaceError::Name { parameter: name.into() });
     }
 }
 
 #[test]
-fn an_integer_range_beyond_any_use_is_refused() {
+fn huge_integer_range_is_rejected() {
     for (low, high) in [(0, 1 << 32), (i64::MIN, i64::MAX)] {
         assert_eq!(space(&whole("x", low, high)).unwrap_err(), SpaceError::TooManyLevels { parameter: "x".into() });
     }
@@ -118,13 +118,13 @@ fn an_integer_range_beyond_any_use_is_refused() {
 }
 
 #[test]
-fn a_scale_is_linear_where_none_is_given() {
+fn default_scale_is_linear() {
     let linear = space(&number("x", "0.0", "1.0", "")).unwrap();
     assert_eq!(linear.parameters()[0].domain, Domain::Continuous { low: 0.0, high: 1.0, scale: Scale::Linear });
 }
 
 #[test]
-fn the_way_to_the_unit_interval_and_back_is_the_identity() {
+fn unit_interval_round_trips() {
     let franka = ParameterSpace::from_toml(FRANKA).unwrap();
     for Parameter { name, domain } in franka.parameters() {
         for i in 0..1_000 {
@@ -132,7 +132,7 @@ fn the_way_to_the_unit_interval_and_back_is_the_identity() {
             let coded = domain.from_unit(u);
             match domain.levels() {
                 None => assert!((domain.to_unit(coded) - u).abs() < 1e-14, "{name} {u}"),
-                // A level comes back as the middle of its cell.
+                // A level maps back to the middle of its cell.
                 Some(levels) => {
                     let back = domain.to_unit(coded);
                     assert!((back - u).abs() <= 0.5 / levels as f64 + 1e-12, "{name} {u}");
@@ -144,7 +144,7 @@ fn the_way_to_the_unit_interval_and_back_is_the_identity() {
 }
 
 #[test]
-fn the_ends_of_the_unit_interval_stay_inside_the_range() {
+fn interval_ends_stay_in_range() {
     let almost_one = 1.0 - f64::EPSILON / 2.0;
     for Parameter { name, domain } in ParameterSpace::from_toml(FRANKA).unwrap().parameters() {
         let (first, last) = match domain {
@@ -159,14 +159,14 @@ fn the_ends_of_the_unit_interval_stay_inside_the_range() {
 }
 
 #[test]
-fn half_of_a_log_scale_is_the_geometric_mean() {
+fn log_scale_midpoint_is_geometric_mean() {
     let log = Domain::Continuous { low: 0.01, high: 1.0, scale: Scale::Log };
     assert!((log.from_unit(0.5) - 0.1).abs() < 1e-16);
     assert!((log.to_unit(0.1) - 0.5).abs() < 1e-15);
 }
 
 #[test]
-fn each_level_of_a_discrete_domain_has_an_equal_cell() {
+fn discrete_levels_have_equal_cells() {
     let five = Domain::Integer { low: -2, high: 2 };
     let counts = (0..1_000).fold([0; 5], |mut counts, i| {
         counts[(five.from_unit((f64::from(i) + 0.5) / 1_000.0) + 2.0) as usize] += 1;
@@ -176,23 +176,23 @@ fn each_level_of_a_discrete_domain_has_an_equal_cell() {
 }
 
 #[test]
-fn each_value_has_a_code_and_each_code_its_value() {
+fn values_and_codes_round_trip() {
     let shape = Domain::Categorical { choices: vec!["box".into(), "sphere".into()] };
     assert_eq!(shape.encode(&Value::Category("sphere".into())), Some(1.0));
     assert_eq!(shape.decode(1.0), Value::Category("sphere".into()));
-    assert_eq!(shape.encode(&Value::Category("cone".into())), None, "a word that is no choice");
-    assert_eq!(shape.encode(&Value::Number(1.0)), None, "a number is no word");
+    assert_eq!(shape.encode(&Value::Category("cone".into())), None, "not one of the choices");
+    assert_eq!(shape.encode(&Value::Number(1.0)), None, "a number is not a choice");
     let count = Domain::Integer { low: 0, high: 5 };
     assert_eq!(count.decode(3.0), Value::Integer(3));
-    assert_eq!(count.encode(&Value::Integer(9)), Some(9.0), "data may hold what a space did not foresee");
+    assert_eq!(count.encode(&Value::Integer(9)), Some(9.0), "data may have values outside the space");
     assert_eq!(count.encode(&Value::Category("3".into())), None);
     let size = Domain::Continuous { low: 0.0, high: 1.0, scale: Scale::Linear };
     assert_eq!(size.decode(0.25), Value::Number(0.25));
-    assert_eq!(size.encode(&Value::Integer(1)), Some(1.0), "a whole number is a number");
+    assert_eq!(size.encode(&Value::Integer(1)), Some(1.0), "an integer is a number");
 }
 
 #[test]
-fn a_space_written_as_toml_reads_back_the_same() {
+fn toml_round_trips() {
     let all = format!(
         "{}{}{}{}",
         number("friction", "0.05", "1.2", "scale = \"log\""),
@@ -209,13 +209,13 @@ fn a_space_written_as_toml_reads_back_the_same() {
 }
 
 #[test]
-fn a_space_inside_a_larger_file_is_checked_too() {
-    // The way through serde, which has no type for the error but its text.
+fn embedded_space_is_checked() {
+    // Serde keeps only the text of the error, not its type.
     let error = toml::from_str::<ParameterSpace>(&format!("name = \"test\"\n{}", number("x", "2.0", "1.0", "")));
-    assert!(error.unwrap_err().to_string().contains("low 2 is not below high 1"));
+    assert!(error.unwrap_err().to_string().contains("low 2 must be below high 1"));
 }
 
-/// Three numbers and a word, with what `[[correlation]]` tables say.
+/// A space of three numbers, an integer and a word, with these `[[correlation]]` tables.
 fn correlated(tables: &[(&str, &str, f64)]) -> Result<ParameterSpace, SpaceError> {
     let three: String = ["a", "b", "c"].iter().map(|name| number(name, "0.0", "1.0", "")).collect();
     let tables: String = tables
@@ -226,7 +226,7 @@ fn correlated(tables: &[(&str, &str, f64)]) -> Result<ParameterSpace, SpaceError
 }
 
 #[test]
-fn a_correlation_that_means_nothing_is_named() {
+fn invalid_correlation_is_named() {
     for (tables, parts) in [
         (&[("a", "mass", 0.5)][..], &["`mass`", "a, b, c, shape, count"][..]),
         (&[("a", "shape", 0.5)], &["`shape`", "not continuous"]),
@@ -243,7 +243,7 @@ fn a_correlation_that_means_nothing_is_named() {
 }
 
 #[test]
-fn a_correlated_space_reads_back_the_same_and_one_without_does_not_speak_of_it() {
+fn correlations_round_trip() {
     let written = correlated(&[("a", "b", 0.5), ("b", "c", -0.25)]).unwrap();
     assert_eq!(written.correlations().len(), 2);
     let text = toml::to_string(&written).unwrap();

@@ -1,4 +1,4 @@
-//! What a suite promises, and that each mistake in one is named.
+//! Tests of suites and of the error message for each mistake in one.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use robogate_core::{Domain, Seed, Suite, SuiteError, SuiteProblem, Value};
@@ -35,7 +35,7 @@ fn problems(text: &str) -> Vec<SuiteProblem> {
 }
 
 #[test]
-fn a_scenario_has_what_it_says_then_what_its_group_says_then_what_the_suite_says() {
+fn defaults_apply_in_order() {
     let suite = two();
     let ids: Vec<&str> = suite.cases().iter().map(|case| case.id.as_str()).collect();
     assert_eq!(ids, ["light-1", "light-2", "crowd-1", "crowd-2"]);
@@ -47,7 +47,7 @@ fn a_scenario_has_what_it_says_then_what_its_group_says_then_what_the_suite_says
 }
 
 #[test]
-fn ranges_are_drawn_in_each_round_within_their_ends_and_the_rest_stays() {
+fn ranges_are_sampled_each_round() {
     let suite = two();
     let seed = Seed::campaign(2026);
     let mut seen = (Vec::new(), Vec::new(), Vec::new());
@@ -60,19 +60,19 @@ fn ranges_are_drawn_in_each_round_within_their_ends_and_the_rest_stays() {
         seen.0.push(mass.to_bits());
         seen.1.push(scenario.requested.category("shape").unwrap().to_owned());
         let Some(Value::Integer(n)) = suite.scenario(seed, 4 * round + 2).requested.get("obstacles").cloned() else {
-            panic!("obstacles are whole")
+            panic!("expected an integer for obstacles")
         };
         seen.2.push(n);
     }
     seen.0.sort_unstable();
     seen.0.dedup();
-    assert_eq!(seen.0.len(), 200, "no mass twice");
+    assert_eq!(seen.0.len(), 200, "every mass is different");
     assert!(["sphere", "box"].iter().all(|word| seen.1.iter().any(|seen| seen == word)));
     assert!([2, 3, 4].iter().all(|n| seen.2.contains(n)) && seen.2.iter().all(|n| (2..=4).contains(n)));
 }
 
 #[test]
-fn an_episode_is_a_function_of_the_campaigns_seed_and_its_index() {
+fn episode_depends_on_seed_and_index() {
     let suite = two();
     let one = suite.scenario(Seed::campaign(7), 9);
     assert_eq!(one, suite.scenario(Seed::campaign(7).episode(3), 9));
@@ -80,7 +80,7 @@ fn an_episode_is_a_function_of_the_campaigns_seed_and_its_index() {
 }
 
 #[test]
-fn giving_one_parameter_a_range_does_not_shift_the_numbers_of_another() {
+fn parameters_have_separate_streams() {
     let wider = Suite::from_toml(&TWO.replace("friction = 0.8", "friction = { low = 0.7, high = 0.9 }")).unwrap();
     for index in 0..40 {
         let mass = |suite: &Suite| suite.scenario(Seed::campaign(3), index).requested.number("mass_kg");
@@ -89,13 +89,13 @@ fn giving_one_parameter_a_range_does_not_shift_the_numbers_of_another() {
 }
 
 #[test]
-fn the_space_holds_every_scenario() {
+fn space_contains_every_scenario() {
     let suite = two();
     let of = |name: &str| suite.space().parameters()[suite.space().position(name).unwrap()].domain.clone();
     assert!(matches!(of("mass_kg"), Domain::Continuous { low, high, .. } if (low, high) == (0.1, 1.0)));
     assert!(matches!(of("obstacles"), Domain::Integer { low: 0, high: 5 }));
     assert!(matches!(of("shape"), Domain::Categorical { choices } if choices.len() == 2));
-    // A constant gets a narrow range, since a space knows no constants.
+    // A constant gets a narrow range, because a space has no constants.
     assert!(matches!(of("friction"), Domain::Continuous { low, high, .. } if low == 0.8 && high > 0.8 && high < 0.802));
     for index in 0..40 {
         let scenario = suite.scenario(Seed::campaign(3), index);
@@ -112,19 +112,19 @@ fn the_space_holds_every_scenario() {
 }
 
 #[test]
-fn json_gives_the_same_suite_back() {
+fn json_round_trips() {
     let json = serde_json::to_string(&two()).unwrap();
     assert_eq!(serde_json::from_str::<Suite>(&json).unwrap(), two());
 }
 
 #[test]
-fn a_duplicate_id_is_named() {
+fn duplicate_id_is_named() {
     let error = Suite::from_toml(&TWO.replace("crowd-1", "light-2")).unwrap_err();
-    assert_eq!(error.to_string(), "scenario id `light-2` is there twice");
+    assert_eq!(error.to_string(), "scenario id `light-2` is used twice");
 }
 
 #[test]
-fn all_problems_are_told_at_once() {
+fn all_problems_are_reported_at_once() {
     let text = TWO
         .replace("schema = 1", "schema = 9")
         .replace("name = \"crowd\"", "name = \"a crowd\"")
@@ -132,22 +132,22 @@ fn all_problems_are_told_at_once() {
         .replace("{ low = 0.1, high = 0.2 }", "{ low = 0.3, high = 0.2 }")
         .replace("obstacles = 5", "obstacles = \"many\", glare = 1.0");
     let found = problems(&text);
-    let told = SuiteError::Problems(found.clone()).to_string();
+    let message = SuiteError::Problems(found.clone()).to_string();
     for expected in [
         "schema = 9",
         "the name of a group in category `adversarial` is \"a crowd\"",
-        "scenario id `light-1` is there twice",
-        "scenario `light-2`: parameter `mass_kg`: low 0.3 is not below high 0.2",
+        "scenario id `light-1` is used twice",
+        "scenario `light-2`: parameter `mass_kg`: low 0.3 must be below high 0.2",
         "`obstacles` is a number in scenario `light-1` and a word in `crowd-2`",
         "scenario `light-2` has no `glare`",
     ] {
-        assert!(told.contains(expected), "{expected} is not in\n{told}");
+        assert!(message.contains(expected), "{expected} is not in\n{message}");
     }
-    assert_eq!(told.lines().count(), found.len());
+    assert_eq!(message.lines().count(), found.len());
 }
 
 #[test]
-fn a_suite_or_group_without_scenarios_is_refused() {
+fn empty_suite_or_group_is_rejected() {
     let none = "schema = 1\nname = \"n\"\nversion = \"1\"\ndescription = \"\"\ngroup = []";
     assert_eq!(problems(none), [SuiteProblem::Empty]);
     let empty = format!("{TWO}\n[[group]]\nname = \"void\"\ncategory = \"nominal\"\nscenarios = []");
@@ -155,7 +155,7 @@ fn a_suite_or_group_without_scenarios_is_refused() {
 }
 
 #[test]
-fn a_syntax_error_names_the_line_and_what_was_expected() {
+fn syntax_error_names_line_and_expectation() {
     for (what, wrong, expected) in [
         ("mass_kg = 0.5", "mass_kg = true", "{ low, high }"),
         ("{ low = 0.1, high = 0.2 }", "{ low = 0.1, hihg = 0.2 }", "hihg"),

@@ -1,4 +1,4 @@
-//! Tasks as data: what a declaration must hold, and what follows from it.
+//! Tests of task declarations and of the values derived from them.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use robogate_core::{Domain, FailureMode, TaskError, TaskSpec, Value};
@@ -45,7 +45,7 @@ fn timeout_is_always_declared() {
 fn declared_ranges_make_a_space() {
     let space = read(door()).declared_space().unwrap();
     let names: Vec<&str> = space.parameters().iter().map(|parameter| &*parameter.name).collect();
-    assert_eq!(names, ["friction", "color"], "one value does not vary");
+    assert_eq!(names, ["friction", "color"], "a constant parameter is not in the space");
     assert!(matches!(space.parameters()[0].domain, Domain::Continuous { .. }));
 }
 

@@ -1,4 +1,4 @@
-//! LeRobotDataset 3.0 on disk.
+//! Writes a LeRobotDataset 3.0 to disk.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,61 +15,61 @@ use crate::moments::Moments;
 use crate::table::{Column, Table};
 use crate::{Demonstration, Frame};
 
-/// The version of the layout.
+/// The version of the dataset format.
 pub const CODEBASE_VERSION: &str = "v3.0";
 
-/// A data file is followed by the next one from this size on, in bytes (LeRobot's own default: 100 MB).
+/// Size in bytes from which a new data file starts (LeRobot's default: 100 MB).
 const FILE_BYTES: usize = 100 << 20;
-/// Files of a folder of data (LeRobot's own default).
+/// Number of files per data folder (LeRobot's default).
 const FILES_PER_CHUNK: usize = 1000;
 
-/// What was written.
+/// The size of the written dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Written {
-    /// Episodes.
+    /// The number of episodes.
     pub episodes: usize,
-    /// Frames of all of them.
+    /// The number of frames of all episodes.
     pub frames: usize,
 }
 
-/// A dataset that cannot be written.
+/// The reason why a dataset cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
-    /// The folder or a file in it.
+    /// The folder or a file in it cannot be written.
     #[error("cannot {what} {}: {source}", .path.display())]
     Io {
-        /// Which file or folder.
+        /// The file or folder.
         path: PathBuf,
-        /// What was tried.
+        /// The attempted action.
         what: &'static str,
-        /// What the system says.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// There is something where the dataset shall be.
-    #[error("{} is there already: name a folder that is not", .0.display())]
+    /// The target folder exists.
+    #[error("{}: the folder exists. Expected a new folder", .0.display())]
     Exists(PathBuf),
-    /// A table.
+    /// A table cannot be written.
     #[error("cannot write {}: {source}", .path.display())]
     Table {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// Parquet's words.
+        /// The error of the Parquet library.
         source: ParquetError,
     },
-    /// An episode that is not like the first.
-    #[error("episode {episode} does not fit: {why}")]
+    /// An episode that differs in structure from the first one.
+    #[error("episode {episode} cannot be added: {why}")]
     Episode {
-        /// Which, from 0.
+        /// The episode number, from 0.
         episode: usize,
-        /// What differs.
+        /// The difference.
         why: String,
     },
-    /// Nothing was recorded.
-    #[error("there is no episode to write")]
+    /// The dataset has no episodes.
+    #[error("the dataset has no episodes. Expected at least one")]
     Empty,
 }
 
-/// A dataset under way, beside its place; it is there only once it is complete.
+/// A dataset that is being written, under a temporary name. The target folder appears only once it is complete.
 pub struct Dataset {
     path: PathBuf,
     partial: PathBuf,
@@ -77,7 +77,7 @@ pub struct Dataset {
     robot: String,
     form: Option<Form>,
     tasks: Vec<String>,
-    /// The data file under way, and its number.
+    /// The current data file and its number.
     data: Option<Table>,
     file: usize,
     episodes: Vec<EpisodeRow>,
@@ -86,12 +86,12 @@ pub struct Dataset {
     finished: bool,
 }
 
-/// What all frames have alike.
+/// The properties that all frames have in common.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Form {
     joints: usize,
     has_opening: bool,
-    /// Name, height and width of each camera's picture.
+    /// Name, height and width of each camera image.
     cameras: Vec<(String, usize, usize)>,
 }
 
@@ -103,7 +103,7 @@ struct EpisodeRow {
 }
 
 impl Dataset {
-    /// Begins a dataset that will be the folder `path`: `fps` frames a second, of this robot.
+    /// Starts a dataset in the folder `path`, with `fps` frames per second, for this robot.
     pub fn create(path: &Path, fps: u32, robot: &str) -> Result<Self, DatasetError> {
         if path.exists() {
             return Err(DatasetError::Exists(path.to_owned()));
@@ -112,7 +112,7 @@ impl Dataset {
         name.push(path.file_name().unwrap_or_default());
         name.push(".part");
         let partial = path.with_file_name(name);
-        // What a killed process left.
+        // Remains of a killed process.
         if partial.exists() {
             fs::remove_dir_all(&partial).map_err(io_error(&partial, "clear"))?;
         }
@@ -143,7 +143,9 @@ impl Dataset {
         let first = demonstration.frames.first().ok_or_else(|| unfit("it has no frames"))?;
         let form = self.form.get_or_insert_with(|| Form::of(first)).clone();
         if let Some(i) = demonstration.frames.iter().position(|frame| Form::of(frame) != form) {
-            return Err(unfit(&format!("frame {i} has other joints, cameras or pictures than the first")));
+            return Err(unfit(&format!(
+                "frame {i} differs from the first frame in its joints, cameras or image sizes"
+            )));
         }
         let task = self.tasks.iter().position(|task| *task == demonstration.task).unwrap_or_else(|| {
             self.tasks.push(demonstration.task.clone());
@@ -170,7 +172,7 @@ impl Dataset {
         Ok(())
     }
 
-    /// Completes the dataset and puts it in its place.
+    /// Completes the dataset and renames it to its final path.
     pub fn finish(mut self) -> Result<Written, DatasetError> {
         let form = self.form.clone().ok_or(DatasetError::Empty)?;
         self.close_file()?;
@@ -180,7 +182,7 @@ impl Dataset {
         let stats: serde_json::Map<String, Value> =
             self.moments.iter().map(|(name, m)| (name.clone(), m.json(name.starts_with(IMAGES)))).collect();
         self.write_json("meta/stats.json", &Value::Object(stats))?;
-        fs::rename(&self.partial, &self.path).map_err(io_error(&self.path, "put in its place"))?;
+        fs::rename(&self.partial, &self.path).map_err(io_error(&self.path, "rename to"))?;
         self.finished = true;
         Ok(Written { episodes: self.episodes.len(), frames: self.frames })
     }
@@ -281,13 +283,13 @@ impl Dataset {
         let tool = ["x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"].map(|part| format!("tool_{part}"));
         let opening = form.has_opening.then(|| "gripper_opening_m".to_owned());
         let delta = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"].map(|part| format!("tool_delta_{part}"));
-        let told = ["x_m", "y_m", "z_m", "edge_m"].map(|part| format!("object_{part}"));
+        let object = ["x_m", "y_m", "z_m", "edge_m"].map(|part| format!("object_{part}"));
         let names: [Vec<String>; 5] = [
             joints.clone().chain(tool.clone()).chain(opening).collect(),
             joints.chain(["gripper_open".to_owned()]).collect(),
             tool.into(),
             delta.into(),
-            told.into(),
+            object.into(),
         ];
         for ((feature, size, _), names) in VECTORS.into_iter().zip(names) {
             let feature_json = json!({"dtype": "float32", "shape": [size(form)], "names": names, "fps": self.fps});
@@ -338,19 +340,20 @@ impl Dataset {
 impl Drop for Dataset {
     fn drop(&mut self) {
         if !self.finished {
-            // Nobody can be told of what cannot be cleared away; the next dataset of this name clears it.
+            // A failure to delete the temporary folder cannot be reported here. The next dataset with this name deletes
+            // it.
             let _ = fs::remove_dir_all(&self.partial);
         }
     }
 }
 
-/// What the features of images are called, before the camera's name.
+/// Prefix of the image features, before the camera's name.
 const IMAGES: &str = "observation.images.";
 
 type Size = fn(&Form) -> usize;
 type Values = fn(&Frame) -> Vec<f64>;
 
-/// The features that are vectors: name, size, numbers. Their meaning stands in `meta/info.json`.
+/// The vector features: name, size, values. `meta/info.json` documents their meaning.
 const VECTORS: [(&str, Size, Values); 5] = [
     (
         "observation.state",
@@ -367,7 +370,8 @@ const VECTORS: [(&str, Size, Values); 5] = [
     ),
     ("action.tool_pose", |_| 7, |frame| flat(&frame.wanted_tool).collect()),
     ("action.tool_delta", |_| 6, |frame| frame.wanted_delta.to_vec()),
-    // What the expert was told at the start, the same in all frames: for losses and analysis, never for the policy.
+    // Information that the expert had at the start, the same in all frames. It is for losses and analysis, never for
+    // the policy.
     ("observation.environment_state", |_| 4, |frame| frame.told.to_vec()),
 ];
 
@@ -382,12 +386,12 @@ impl Form {
     }
 }
 
-/// Where data file `file` is in the dataset.
+/// The path of data file `file` within the dataset.
 fn data_path(file: usize) -> String {
     format!("data/chunk-{:03}/file-{:03}.parquet", file / FILES_PER_CHUNK, file % FILES_PER_CHUNK)
 }
 
-/// LeRobot reads the tasks by pandas and wants the words as their index, which pandas keeps here.
+/// LeRobot reads the tasks with pandas and expects the task text as the index, which pandas records here.
 fn pandas_metadata() -> Vec<KeyValue> {
     let column = |name: &str, kind: &str, numpy: &str| json!({"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": null});
     let pandas = json!({

@@ -1,8 +1,8 @@
-//! Demonstrations for learning: what an expert saw and did, episode by episode.
+//! Demonstrations for learning: the observations and actions of an expert, recorded per episode.
 //!
-//! A [`Recorder`] stands between the expert and the simulator: it notes each observation and what the expert would do, and
-//! may push the arm off the expert's path meanwhile ([`Push`]), so that what is learned includes the way back.
-//! A [`Dataset`] writes the episodes in the layout of LeRobotDataset 3.0. Images are PNG in the Parquet files.
+//! A [`Recorder`] wraps the expert and records each observation and the expert's action. It can push the arm off the
+//! expert's path ([`Push`]), so the data include recoveries. A [`Dataset`] writes the episodes in the layout of
+//! LeRobotDataset 3.0. Images are stored as PNG in the Parquet files.
 
 mod dataset;
 mod moments;

@@ -1,24 +1,24 @@
-//! Least, greatest, mean and deviation of what passes by.
+//! Streaming minimum, maximum, mean and standard deviation.
 
 use serde_json::{Value, json};
 
-/// Of each number of a feature. Deviations are of the population, as LeRobot has them.
+/// Statistics of each number of a feature. Standard deviations are those of the population, as in LeRobot.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Moments {
     frames: u64,
-    /// How many numbers went into each of the entries below.
+    /// The number of values in each entry below.
     count: f64,
     entries: Vec<[f64; 4]>,
 }
 
 impl Moments {
-    /// The values of one frame.
+    /// Adds the values of one frame.
     pub(crate) fn note(&mut self, values: &[f64]) {
         let moments: Vec<[f64; 4]> = values.iter().map(|x| [*x, *x, *x, x * x]).collect();
         self.note_all(&moments, 1.0);
     }
 
-    /// Least, greatest, sum and sum of squares of `count` values of one frame.
+    /// Adds minimum, maximum, sum and sum of squares of `count` values of one frame.
     pub(crate) fn note_all(&mut self, moments: &[[f64; 4]], count: f64) {
         if self.frames == 0 {
             self.entries = moments.iter().map(|_| [f64::INFINITY, f64::NEG_INFINITY, 0.0, 0.0]).collect();
@@ -30,7 +30,7 @@ impl Moments {
         self.count += count;
     }
 
-    /// As `meta/stats.json` has them; an image's with a row and a column of one.
+    /// The statistics in the form of `meta/stats.json`. Those of an image have two additional dimensions of size 1.
     pub(crate) fn json(&self, is_image: bool) -> Value {
         let n = self.count;
         let list = |of: &dyn Fn(&[f64; 4]) -> f64| -> Value {
@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_deviation_is_the_population_s() {
+    fn deviation_is_of_the_population() {
         let mut moments = Moments::default();
         [1.0, 2.0, 3.0, 6.0].iter().for_each(|x| moments.note(&[*x]));
         // Python: statistics.pstdev([1, 2, 3, 6]) = 1.8708286933869707

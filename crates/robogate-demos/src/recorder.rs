@@ -1,4 +1,4 @@
-//! Between the expert and the simulator.
+//! Records an expert while it controls the simulator.
 
 use nalgebra::{Isometry3, Translation3};
 use robogate_core::{
@@ -9,59 +9,60 @@ use robogate_tasks::pick_place::spec::Briefing;
 
 use crate::Push;
 
-/// What the expert saw, and what it did.
+/// One frame: the observation and action of the expert in one control period.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
     /// Simulated time, in seconds.
     pub time_s: f64,
     /// Measured joint positions, in radians.
     pub joints: Vec<f64>,
-    /// The tool's pose at these.
+    /// The tool's pose at the measured joint positions.
     pub tool: Pose,
     /// Opening between the fingers, in metres.
     pub opening_m: Option<f64>,
-    /// What the cameras showed, as PNG.
+    /// The camera images as PNG.
     pub pictures: Vec<Picture>,
-    /// Joint positions that the expert asked for, in radians.
+    /// Joint positions that the expert commanded, in radians.
     pub wanted: Vec<f64>,
-    /// The tool's pose at these.
+    /// The tool's pose at the commanded joint positions.
     pub wanted_tool: Pose,
-    /// The tool's way from the pose asked for before: along (m) and about (rad, rotation vector) the base's axes.
+    /// The tool's motion from the previously commanded pose: translation (m) along and rotation vector (rad) about the
+    /// base's axes.
     pub wanted_delta: [f64; 6],
-    /// What the expert asked of the gripper.
+    /// The gripper command of the expert.
     pub gripper: GripperCommand,
-    /// What the expert was told of the object, and a learner is not: where its middle stood at the start, and its edge, in
-    /// metres.
+    /// Information about the object that the expert has and a learner does not: the initial position of its centre and
+    /// its edge length, in metres.
     pub told: [f64; 4],
 }
 
-/// A camera's picture, compressed.
+/// A compressed camera image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
     /// The camera's name.
     pub camera: String,
-    /// Pixels in a row.
+    /// Width in pixels.
     pub width: usize,
-    /// Rows.
+    /// Height in pixels.
     pub height: usize,
     /// The PNG file.
     pub png: Vec<u8>,
-    /// Of red, green and blue (0 to 1): least, greatest, sum and sum of squares over the pixels.
+    /// For red, green and blue (0 to 1): minimum, maximum, sum and sum of squares over the pixels.
     pub moments: [[f64; 4]; 3],
 }
 
-/// An episode of the expert.
+/// One recorded episode of the expert.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Demonstration {
-    /// The task in words.
+    /// The task in natural language.
     pub task: String,
-    /// The frames, one for each control tick.
+    /// The frames, one per control period.
     pub frames: Vec<Frame>,
 }
 
-/// A policy that does what the expert does, pushed about, and notes it.
+/// A policy that follows the expert with random pushes and records it.
 ///
-/// The expert must answer with joint positions. It is shown the arm as if nobody pushed it, so that it keeps to its way.
+/// The expert must return joint positions. It receives the observations of an undisturbed arm, so it stays on its path.
 #[derive(Debug)]
 pub struct Recorder<P> {
     expert: P,
@@ -71,13 +72,13 @@ pub struct Recorder<P> {
     push: Push,
     period_s: f64,
     told: [f64; 4],
-    /// The last two commands: the expert's, and what was made of them. Older first.
+    /// The last two commands of the expert, each with the command that was sent. The older one comes first.
     sent: Vec<(Vec<f64>, Vec<f64>)>,
     demonstration: Demonstration,
 }
 
 impl<P: Policy> Recorder<P> {
-    /// Records `expert` on the arm `chain`, which waits at `rest` (rad), with pushes of `sigma_m` ([`Push`]).
+    /// Records `expert` on the arm `chain` with the rest posture `rest` (rad), and with pushes of `sigma_m` ([`Push`]).
     pub fn new(expert: P, chain: Chain, rest: Vec<f64>, sigma_m: f64) -> Self {
         Self {
             expert,
@@ -92,13 +93,13 @@ impl<P: Policy> Recorder<P> {
         }
     }
 
-    /// What was recorded since the last reset.
+    /// Takes the frames recorded since the last reset.
     pub fn take(&mut self) -> Demonstration {
         let empty = Demonstration { task: self.demonstration.task.clone(), frames: Vec::new() };
         std::mem::replace(&mut self.demonstration, empty)
     }
 
-    /// The observation as it would be without the pushes: the arm is half way between its last two commands.
+    /// The observation without the pushes: the arm is half way between its last two commands.
     fn undisturbed(&self, observation: &Observation) -> Observation {
         let mut seen = Observation { images: Vec::new(), ..observation.clone() };
         if !self.sent.is_empty() {
@@ -145,7 +146,7 @@ impl<P: Policy> Policy for Recorder<P> {
     fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
         let action = self.expert.act(&self.undisturbed(observation))?;
         let Command::JointPosition(wanted) = &action.command else {
-            return Err(Fault::new(FaultKind::BadAction, "demonstrations are of an expert that sends joint positions"));
+            return Err(Fault::new(FaultKind::BadAction, "demonstrations need an expert that returns joint positions"));
         };
         let goal = self.chain.tcp_at(wanted);
         let off = self.push.next(self.period_s, goal.translation.z);
@@ -159,8 +160,8 @@ impl<P: Policy> Policy for Recorder<P> {
             Some((expert, _)) => self.chain.tcp_at(expert),
             None => self.chain.tcp_at(observation.joint_positions()),
         };
-        let way = goal.translation.vector - before.translation.vector;
-        let turn = (goal.rotation * before.rotation.inverse()).scaled_axis();
+        let translation = goal.translation.vector - before.translation.vector;
+        let rotation = (goal.rotation * before.rotation.inverse()).scaled_axis();
         self.demonstration.frames.push(Frame {
             time_s: observation.time_s,
             joints: observation.joint_positions().to_vec(),
@@ -169,7 +170,7 @@ impl<P: Policy> Policy for Recorder<P> {
             pictures: observation.images.iter().map(Picture::of).collect::<Result<_, _>>()?,
             wanted: wanted.clone(),
             wanted_tool: pose(&goal),
-            wanted_delta: [way.x, way.y, way.z, turn.x, turn.y, turn.z],
+            wanted_delta: [translation.x, translation.y, translation.z, rotation.x, rotation.y, rotation.z],
             gripper: GripperCommand::of(&action),
             told: self.told,
         });

@@ -1,4 +1,4 @@
-//! Parquet tables with the columns that LeRobot's have: numbers, lists of numbers or words, and images.
+//! Parquet tables with the column types of LeRobot: numbers, lists of numbers or words, and images.
 
 use std::fs::File;
 use std::io::Write;
@@ -19,21 +19,21 @@ pub(crate) enum Column {
     Longs(Vec<i64>),
     Floats(Vec<f32>),
     Texts(Vec<String>),
-    /// Each row a list of so many numbers.
+    /// Each row is a list with this number of values.
     FloatLists(usize, Vec<f32>),
-    /// Each row a list of one word.
+    /// Each row is a list of one text.
     TextLists(Vec<String>),
-    /// Each row a struct of the file's bytes and a path that is null.
+    /// Each row is a struct of the image bytes and a null path.
     Images(Vec<Vec<u8>>),
 }
 
-/// A Parquet file under way. All row groups have the columns of the first.
+/// A Parquet file that is being written. All row groups have the columns of the first one.
 pub(crate) struct Table {
     writer: SerializedFileWriter<File>,
 }
 
 impl Table {
-    /// Begins a file with columns such as these.
+    /// Creates a file with columns like these.
     pub(crate) fn create(
         path: &Path,
         like: &[(String, Column)],
@@ -53,7 +53,7 @@ impl Table {
         Ok(Self { writer: SerializedFileWriter::new(file, Arc::new(schema), Arc::new(properties))? })
     }
 
-    /// Adds a row group; the bytes written so far come back.
+    /// Adds a row group. Returns the number of bytes written so far.
     pub(crate) fn push(&mut self, columns: &[(String, Column)]) -> Result<usize, ParquetError> {
         let mut group = self.writer.next_row_group()?;
         for (_, column) in columns {
@@ -79,7 +79,7 @@ fn leaf(name: &str, physical: Physical, is_text: bool) -> Result<TypePtr, Parque
         .map(Arc::new)
 }
 
-/// The three levels that the format has for a list.
+/// The three schema levels of a list.
 fn list(name: &str, element: TypePtr) -> Result<TypePtr, ParquetError> {
     let repeated = Type::group_type_builder("list").with_repetition(Repetition::REPEATED).with_fields(vec![element]);
     Type::group_type_builder(name)
@@ -90,7 +90,7 @@ fn list(name: &str, element: TypePtr) -> Result<TypePtr, ParquetError> {
         .map(Arc::new)
 }
 
-/// Levels at which a value of a flat column, of an image and of a list is there.
+/// Definition levels at which a value is present: in a flat column, an image and a list.
 const FLAT: i16 = 1;
 const MEMBER: i16 = 2;
 const ELEMENT: i16 = 3;

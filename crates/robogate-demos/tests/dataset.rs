@@ -1,4 +1,4 @@
-//! The layout of a dataset on disk, read back by a Parquet reader.
+//! Tests of the layout of a dataset on disk, with an independent Parquet reader.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -12,7 +12,7 @@ use robogate_demos::{Dataset, DatasetError, Demonstration, Recorder};
 use robogate_physics::{Engine, MujocoEngine, built_in_robot};
 use robogate_tasks::pick_place::spec::{Briefing, spec};
 
-/// An expert that goes on along the first joint.
+/// An expert that keeps moving the first joint.
 struct Onward;
 
 impl Policy for Onward {
@@ -76,7 +76,7 @@ fn demonstration(frames: usize, sigma_m: f64) -> (Demonstration, Vec<Action>) {
 }
 
 #[test]
-fn every_frame_of_a_dataset_comes_back_with_its_pictures_and_its_place() {
+fn frames_round_trip() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("demos");
     let mut dataset = Dataset::create(&path, 20, "franka").unwrap();
@@ -107,26 +107,26 @@ fn every_frame_of_a_dataset_comes_back_with_its_pictures_and_its_place() {
     assert_eq!(info["features"]["observation.images.front"]["shape"], serde_json::json!([2, 4, 3]));
     assert_eq!(info["splits"]["train"], "0:2");
     let stats: serde_json::Value = serde_json::from_slice(&fs::read(path.join("meta/stats.json")).unwrap()).unwrap();
-    // Red is 0, 30, 60 ... 210 of 255 in every picture.
+    // Red is 0, 30, 60 ... 210 of 255 in every image.
     let red = stats["observation.images.front"]["mean"][0][0][0].as_f64().unwrap();
     assert!((red - 105.0 / 255.0).abs() < 1e-12, "{red}");
 }
 
 #[test]
-fn the_label_is_what_the_expert_wanted_and_not_what_the_push_made_of_it() {
+fn label_excludes_the_push() {
     let (demonstration, actions) = demonstration(40, 0.02);
     let mut strayed = 0.0_f64;
     for (frame, action) in demonstration.frames.iter().zip(actions) {
         let Command::JointPosition(made) = action.command else { panic!("joint positions") };
         strayed = strayed.max(made.iter().zip(&frame.wanted).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max));
-        // The expert goes on by 0.01 rad from where it is shown the arm; it never sees where the push made it go.
+        // The expert advances by 0.01 rad from the arm position in its observation, which never contains the push.
         assert!((frame.wanted[6] - READY[6]).abs() < 0.2);
     }
     assert!(strayed > 0.005, "{strayed}");
 }
 
 #[test]
-fn what_is_there_is_not_overwritten_and_what_breaks_leaves_nothing() {
+fn existing_folder_is_not_overwritten() {
     let folder = tempfile::tempdir().unwrap();
     assert!(matches!(Dataset::create(folder.path(), 20, "franka"), Err(DatasetError::Exists(_))));
     let path = folder.path().join("demos");

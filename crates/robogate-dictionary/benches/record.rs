@@ -1,9 +1,9 @@
-//! How many rows a second each form of the record takes and gives, and in how much memory.
+//! Benchmark: rows per second and peak memory for each file format of the record.
 //!
-//! `cargo bench -p robogate-dictionary [-- ROWS]` prints one line for each operation. Peak memory is
-//! that of the process so far, so it may only rise; flat lines are bounded memory.
+//! `cargo bench -p robogate-dictionary [-- ROWS]` prints one line per operation. Peak memory is that of the process so
+//! far. If it stays constant from line to line, memory is bounded.
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
-#![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a program that prints what it measures")]
+#![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a benchmark prints its results")]
 
 use std::fs;
 use std::io::sink;
@@ -66,7 +66,7 @@ fn report(what: &str, rows: u64, run: impl FnOnce()) {
     println!("{what:36} {:9.0} rows/s  {seconds:7.2} s  peak {}", rows as f64 / seconds, peak_memory());
 }
 
-/// The largest resident memory of this process so far, as Linux says it.
+/// The peak resident memory of this process, as reported by Linux.
 fn peak_memory() -> String {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));

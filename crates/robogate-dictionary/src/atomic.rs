@@ -1,4 +1,4 @@
-//! A file that is complete or absent.
+//! Atomic file writes: a file is complete or absent.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -7,27 +7,30 @@ use std::path::{Path, PathBuf};
 use crate::DictionaryError;
 use crate::journal::sync_folder;
 
-/// A file written beside its place and moved there once it is complete.
+/// A file that is written under a temporary name and renamed once it is complete.
 ///
-/// Its name while it is written is fixed (`.NAME.part`): what a killed process left is overwritten by the next one.
+/// The temporary name is fixed (`.NAME.part`), so the next process overwrites the remains of a killed one.
 #[derive(Debug)]
 pub(crate) struct AtomicFile {
-    /// `None` once it is in its place.
+    /// `None` after the rename.
     file: Option<BufWriter<File>>,
     partial: PathBuf,
     path: PathBuf,
 }
 
 impl AtomicFile {
-    /// Begins the file that will be at `path`.
+    /// Creates the temporary file for `path`.
     pub(crate) fn create(path: &Path) -> Result<Self, DictionaryError> {
         let name = path.file_name().ok_or_else(|| {
-            DictionaryError::io(path, "create")(io::Error::new(io::ErrorKind::InvalidInput, "it has no file name"))
+            DictionaryError::io(path, "create")(io::Error::new(
+                io::ErrorKind::InvalidInput,
+                "the path has no file name",
+            ))
         })?;
         if path.is_dir() {
             return Err(DictionaryError::io(path, "create")(io::ErrorKind::IsADirectory.into()));
         }
-        // A device or a pipe would be replaced by a file of its name.
+        // Renaming over a device or a pipe would replace it with a regular file.
         if fs::metadata(path).is_ok_and(|there| !there.is_file()) {
             return Err(DictionaryError::io(path, "create")(io::Error::new(
                 io::ErrorKind::InvalidInput,
@@ -42,7 +45,7 @@ impl AtomicFile {
         Ok(Self { file: Some(BufWriter::new(file)), partial, path: path.to_owned() })
     }
 
-    /// Puts the complete file in its place, where it survives a power failure.
+    /// Renames the complete file to its final path and flushes both, so that it survives a power failure.
     pub(crate) fn commit(mut self) -> Result<(), DictionaryError> {
         let committed = self.try_commit();
         if committed.is_ok() {
@@ -74,7 +77,7 @@ impl Write for AtomicFile {
 impl Drop for AtomicFile {
     fn drop(&mut self) {
         if self.file.take().is_some() {
-            // An error or a panic is on its way already; a leftover is overwritten by the next run.
+            // The write has already failed. The next run overwrites the remaining file.
             let _ = fs::remove_file(&self.partial);
         }
     }

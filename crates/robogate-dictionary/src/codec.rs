@@ -1,12 +1,12 @@
-//! An entry as bytes.
+//! Binary encoding of entries.
 //!
-//! One encoding, little-endian and self-delimiting, in two strictnesses. The *exact* form gives back
-//! the same entry to the bit (the journal). The *canonical* form is one for all entries that say the
-//! same (the dataset hash): assignments stand in order of name, an integer is the same as integer
-//! and as real number, and a measure that is not finite counts as missing, as it does in Parquet.
+//! One encoding, little-endian and self-delimiting, has two forms. The *exact* form, used in the journal, restores the
+//! same entry to the bit. The *canonical* form, used for the dataset hash, is the same for all equivalent entries:
+//! assignments are sorted by name, an integer equals the same real number, and a measure that is not finite counts as
+//! missing, as in Parquet.
 //!
-//! The canonical form writes failure modes and phases by their place in the task, where they have one, and the task's
-//! measures in its order. So the hashes of earlier versions, which knew one task, remain valid.
+//! The canonical form writes failure modes and phases by their position in the task if declared, and the task's
+//! measures in their order. This keeps the hashes of earlier versions, which knew one task, valid.
 
 use std::sync::Arc;
 
@@ -17,12 +17,12 @@ use robogate_core::{
 
 use crate::{Entry, Label};
 
-/// Every class of fault, in the order of their codes.
+/// Every class of fault, in the order of the codes.
 pub(crate) const FAULT_KINDS: [FaultKind; 5] =
     [FaultKind::Diverged, FaultKind::Setup, FaultKind::NotApplied, FaultKind::BadAction, FaultKind::Unavailable];
 
-/// The code of a class of fault: its place in [`FAULT_KINDS`]. A match, so that a class that core
-/// adds cannot be forgotten here.
+/// The code of a class of fault: its index in [`FAULT_KINDS`]. A match, because the compiler then reports a missing
+/// class.
 fn fault_code(kind: FaultKind) -> u8 {
     match kind {
         FaultKind::Diverged => 0,
@@ -33,15 +33,15 @@ fn fault_code(kind: FaultKind) -> u8 {
     }
 }
 
-/// The largest magnitude up to which every integer is a double.
+/// Largest magnitude up to which every integer is exact as a double.
 pub(crate) const EXACT_INTEGER: i64 = 1 << 53;
 
-/// The integer as a double, where that loses nothing.
+/// Converts an integer to a double if that is exact.
 pub(crate) fn integer_as_number(n: i64) -> Option<f64> {
     (-EXACT_INTEGER..=EXACT_INTEGER).contains(&n).then_some(n as f64)
 }
 
-/// The double as an integer, where that loses nothing (-0.0 would lose its sign).
+/// Converts a double to an integer if that is exact. -0.0 would lose its sign and is not converted.
 pub(crate) fn number_as_integer(x: f64) -> Option<i64> {
     let whole = x.trunc().to_bits() == x.to_bits() && x.abs() <= EXACT_INTEGER as f64;
     (whole && (x != 0.0 || x.is_sign_positive())).then_some(x as i64)
@@ -59,7 +59,7 @@ pub(crate) fn encode_canonical(entry: &Entry, task: &TaskSpec, out: &mut Vec<u8>
 
 struct Encoder<'a> {
     out: &'a mut Vec<u8>,
-    /// The task, in the canonical form.
+    /// The task, for the canonical form only.
     canonical: Option<&'a TaskSpec>,
 }
 
@@ -85,8 +85,8 @@ impl Encoder<'_> {
         }
         self.f64(*time_s);
         self.phase(*phase);
-        // One byte marks what follows. Without a label it is the byte that schema 1.0 wrote: records and hashes of
-        // unlabelled episodes are unchanged.
+        // One byte marks which parts follow. Without a label it equals the byte of schema 1.0, which keeps records and
+        // hashes of unlabelled episodes unchanged.
         self.u8(u8::from(contact.is_some()) * CONTACT + u8::from(!label.is_empty()) * LABEL);
         if let Some(Contact { robot_body, other_body, force_n }) = contact {
             self.text(robot_body);
@@ -204,11 +204,11 @@ impl Encoder<'_> {
     }
 }
 
-/// The code of an invalid episode; the first four modes of a task have the codes below it.
+/// The code of an invalid episode. Lower codes are the first failure modes of a task.
 const INVALID: u8 = 5;
-/// The code of a failure mode that is written by its name.
+/// The code of a failure mode that is stored by name.
 const BY_NAME: u8 = 6;
-/// The same for a phase.
+/// The code of a phase that is stored by name.
 const PHASE_BY_NAME: u8 = u8::MAX;
 
 const CONTACT: u8 = 1;
@@ -218,12 +218,12 @@ const NUMBER: u8 = b'n';
 const INTEGER: u8 = b'i';
 const CATEGORY: u8 = b'c';
 
-/// The shared names and words of a data set: without it each row would own some twenty strings.
+/// Shares names and words within a data set. Otherwise each row would own about twenty strings.
 #[derive(Debug, Default)]
 pub(crate) struct Interner(Vec<Arc<str>>);
 
 impl Interner {
-    /// Beyond this number, looking words up costs more than sharing them saves.
+    /// Above this number, the lookup costs more than sharing saves.
     const LIMIT: usize = 256;
 
     pub(crate) fn get(&mut self, text: &str) -> Arc<str> {
@@ -238,17 +238,17 @@ impl Interner {
     }
 }
 
-/// Reads the exact form back. The error says what is wrong.
+/// Decodes the exact form. The error names the problem.
 pub(crate) fn decode(bytes: &[u8], words: &mut Interner) -> Result<Entry, String> {
     let mut decoder = Decoder { rest: bytes, words };
     let entry = decoder.entry()?;
     match decoder.rest.len() {
         0 => Ok(entry),
-        n => Err(format!("{n} bytes follow the episode")),
+        n => Err(format!("{n} unexpected bytes after the episode")),
     }
 }
 
-/// The index of the entry that `bytes` encode, without the rest.
+/// Decodes only the index of an entry.
 pub(crate) fn decode_index(bytes: &[u8]) -> Option<u64> {
     Some(u64::from_le_bytes(*bytes.first_chunk()?))
 }
@@ -366,7 +366,7 @@ impl<'a> Decoder<'a> {
     }
 
     fn array<const N: usize>(&mut self) -> Result<[u8; N], String> {
-        let (head, rest) = self.rest.split_first_chunk().ok_or("it ends early")?;
+        let (head, rest) = self.rest.split_first_chunk().ok_or("unexpected end of the record")?;
         self.rest = rest;
         Ok(*head)
     }

@@ -1,4 +1,4 @@
-//! What can go wrong, and where.
+//! Error types with their locations.
 
 use std::fmt;
 use std::io;
@@ -8,7 +8,7 @@ use robogate_core::SpaceError;
 
 use crate::{SCHEMA_VERSION, SchemaVersion};
 
-/// A row of a table, counted from 0 as indices are.
+/// A row of a table, counted from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Row(pub u64);
 
@@ -18,17 +18,17 @@ impl fmt::Display for Row {
     }
 }
 
-/// Why a record could not be written or read.
+/// The reason why a record could not be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum DictionaryError {
-    /// The operating system refused an operation.
+    /// The operating system returned an error.
     #[error("cannot {action} {}: {source}{}", path.display(), io_hint(source))]
     Io {
         /// The file.
         path: PathBuf,
-        /// What was tried.
+        /// The attempted action.
         action: &'static str,
-        /// Its answer.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file is not a dictionary, or is truncated.
@@ -36,25 +36,25 @@ pub enum DictionaryError {
     NotADictionary {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it, with a hint.
+        /// The problem, with a hint.
         reason: String,
     },
-    /// A part of a dictionary changed after it was written.
+    /// A part of a dictionary has changed since it was written.
     #[error("{}: {place} is damaged: {reason}\nhint: restore the file from a backup, or run its campaign again", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
-        /// Which rows or which part.
+        /// The affected rows or part.
         place: String,
-        /// What is wrong.
+        /// The problem.
         reason: String,
     },
-    /// Written by a later version of the tool.
+    /// The file was written by a later version of robogate.
     #[error("{}: schema version {found} is newer than {known}, the newest that this version of robogate reads\nhint: upgrade robogate; the file was not changed", path.display(), known = SCHEMA_VERSION)]
     NewerSchema {
         /// The file.
         path: PathBuf,
-        /// Its version.
+        /// The version.
         found: SchemaVersion,
     },
     /// A parameter or measure has the name of another column.
@@ -80,12 +80,12 @@ pub enum DictionaryError {
         path: PathBuf,
         /// The column.
         column: String,
-        /// What it holds.
+        /// The type of the column.
         found: &'static str,
-        /// What was requested.
+        /// The requested type.
         wanted: &'static str,
     },
-    /// A value that its column cannot hold, or that contradicts another.
+    /// A value that does not fit its column, or that contradicts another value.
     #[error("{}: {row}, column `{column}`: {value} {reason}", path.display())]
     Value {
         /// The file.
@@ -96,7 +96,7 @@ pub enum DictionaryError {
         column: String,
         /// The offending value.
         value: String,
-        /// What is wrong with it, with a hint.
+        /// The problem, with a hint.
         reason: String,
     },
     /// A requested parameter that does not fit the space.
@@ -106,7 +106,7 @@ pub enum DictionaryError {
         index: u64,
         /// The parameter.
         parameter: String,
-        /// What is wrong with it.
+        /// The problem.
         reason: String,
     },
     /// A weight that is negative or not finite.
@@ -117,54 +117,52 @@ pub enum DictionaryError {
         /// The weight.
         weight: f64,
     },
-    /// The seed of another episode.
-    #[error("episode {index}: its seed is not the one that its campaign gives to this index")]
+    /// A seed that does not belong to the episode.
+    #[error("episode {index}: its seed does not match the campaign's seed and this index")]
     ForeignSeed {
         /// The episode's index.
         index: u64,
     },
     /// Two episodes of different campaigns in one dictionary.
-    #[error(
-        "episode {index} belongs to a campaign with seed {found}. Expected seed {expected}, that of the dictionary"
-    )]
+    #[error("episode {index} belongs to a campaign with seed {found}. Expected seed {expected}, as in the dictionary")]
     ForeignCampaign {
         /// The episode's index.
         index: u64,
-        /// Its campaign's seed.
+        /// The campaign's seed.
         found: u64,
-        /// The dictionary's.
+        /// The dictionary's seed.
         expected: u64,
     },
-    /// An index that does not rise.
-    #[error("episode {index} follows episode {previous}. Expected each index once, in rising order")]
+    /// An index that is not larger than the previous one.
+    #[error("episode {index} follows episode {previous}. Expected each index once, in increasing order")]
     Order {
         /// The episode's index.
         index: u64,
-        /// The one before it.
+        /// The previous index.
         previous: u64,
     },
-    /// The file is not a journal that can be read.
+    /// The file is not a readable journal.
     #[error("{}: not a readable journal: {reason}", path.display())]
     NotAJournal {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The problem.
         reason: String,
     },
-    /// A record before the journal's end changed after it was written.
+    /// A record before the journal's end has changed since it was written.
     #[error("{}: the record at byte {offset} is damaged: {reason}\nhint: to keep the {intact} episodes before it and run the others again, truncate the file there (truncate -s {offset})", path.display())]
     DamagedJournal {
         /// The file.
         path: PathBuf,
-        /// Where the record begins, in bytes from the file's start.
+        /// Start of the record, in bytes from the file's start.
         offset: u64,
-        /// How many records before it are intact.
+        /// The number of intact records before it.
         intact: u64,
-        /// What is wrong.
+        /// The problem.
         reason: String,
     },
-    /// The journal already holds this episode.
-    #[error("{} already holds episode {index}", path.display())]
+    /// The journal already contains this episode.
+    #[error("{} already contains episode {index}", path.display())]
     Duplicate {
         /// The journal.
         path: PathBuf,
@@ -183,12 +181,12 @@ pub enum DictionaryError {
         /// The journal.
         path: PathBuf,
     },
-    /// The file is not valid JSON, or not of the published form.
+    /// The file is not valid JSON, or does not have the published structure.
     #[error("{}: {source}", path.display())]
     Json {
         /// The file.
         path: PathBuf,
-        /// What and where (line and column).
+        /// The problem with line and column.
         source: serde_json::Error,
     },
     /// The totals of a published file contradict its rows.
@@ -196,7 +194,7 @@ pub enum DictionaryError {
     Published {
         /// The file.
         path: PathBuf,
-        /// What contradicts what.
+        /// The contradiction.
         reason: String,
     },
     /// Results of another tool that cannot be imported.
@@ -204,7 +202,7 @@ pub enum DictionaryError {
     Results {
         /// The file.
         path: PathBuf,
-        /// What is wrong and where, with a hint.
+        /// The problem and its position, with a hint.
         reason: String,
     },
     /// A mapping of columns that is not valid.
@@ -212,7 +210,7 @@ pub enum DictionaryError {
     Mapping {
         /// The mapping file, or the option.
         origin: String,
-        /// What is wrong and where, with a hint.
+        /// The problem and its position, with a hint.
         reason: String,
     },
     /// The parameter space is not valid.
@@ -232,7 +230,7 @@ impl DictionaryError {
                 Self::Results { path: path.to_owned(), reason: io::Error::from(source).to_string() }
             }
             Some(kind) => Self::io(path, "read")(kind.into()),
-            // Python's json module writes NaN for a missing number; other readers of JSON do not accept it.
+            // Python's json module writes NaN for a missing number, which is not valid JSON.
             None if source.to_string().starts_with("expected value") => Self::Results {
                 path: path.to_owned(),
                 reason: format!("{source}\nhint: JSON has no NaN or Infinity; write null in their place"),

@@ -1,8 +1,8 @@
-//! The dictionary in other forms: CSV, JSON Lines, and the published JSON.
+//! Exports the dictionary as CSV, JSON Lines, or the published JSON.
 //!
-//! CSV and JSON Lines hold the same rows under the same column names as Parquet. A missing value is an empty field in CSV
-//! and `null` in JSON; neither has NaN. Both can be imported again without loss ([`crate::results`]). Every form is
-//! written as a stream of one row group at a time.
+//! CSV and JSON Lines have the same rows and column names as Parquet. A missing value is an empty field in CSV and
+//! `null` in JSON; neither has NaN. Both can be imported again without loss ([`crate::results`]). All formats are
+//! written as a stream with one row group in memory.
 
 use std::fmt::Write as _;
 use std::io::{self, Write};
@@ -14,7 +14,7 @@ use crate::atomic::AtomicFile;
 use crate::columns::{Cell, Columns};
 use crate::{Dictionary, DictionaryError, published};
 
-/// A form that a dictionary can be exported to.
+/// A format for export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     /// CSV after RFC 4180 ([`csv()`]).
@@ -25,8 +25,7 @@ pub enum Format {
     Published,
 }
 
-/// Exports the dictionary to the file `path`, which is complete or absent. Returns the number of
-/// rows in it.
+/// Exports the dictionary to the file `path`, which is complete or absent. Returns the number of rows.
 pub fn write_file(dictionary: &Dictionary, format: Format, path: &Path) -> Result<u64, DictionaryError> {
     let mut file = AtomicFile::create(path)?;
     let rows = match format {
@@ -66,11 +65,11 @@ pub fn csv(dictionary: &Dictionary, out: impl Write) -> Result<u64, DictionaryEr
             // Writing to a string cannot fail.
             let _ = match cell {
                 Cell::Null => Ok(()),
-                // Debug: the shortest digits that read back to the same double, with its point.
+                // The Debug format has the shortest digits that parse to the same double, with a decimal point.
                 Cell::Number(x) => write!(text, "{x:?}"),
                 Cell::Integer(n) => write!(text, "{n}"),
                 Cell::Count(n) => write!(text, "{n}"),
-                // Only quotes tell a category of digits from a number.
+                // Quotes distinguish a category of digits from a number.
                 Cell::Text(word) if parameters.contains(&i) && number(word).is_some() => write!(text, "\"{word}\""),
                 Cell::Text(word) => {
                     quote(text, word);
@@ -85,7 +84,8 @@ pub fn csv(dictionary: &Dictionary, out: impl Write) -> Result<u64, DictionaryEr
 
 /// Writes the dictionary as JSON Lines: one object for each row. Returns the number of rows.
 ///
-/// Integers are written in full: a reader that keeps all numbers as doubles loses the last digits of a `seed` above 2^53.
+/// Integers are written in full. A reader that stores all numbers as doubles loses the last digits of a `seed` above
+/// 2^53.
 pub fn json_lines(dictionary: &Dictionary, out: impl Write) -> Result<u64, DictionaryError> {
     let columns = dictionary.columns();
     rows(dictionary, out, String::new(), |cells, text| {
@@ -96,7 +96,7 @@ pub fn json_lines(dictionary: &Dictionary, out: impl Write) -> Result<u64, Dicti
     })
 }
 
-/// Text is written in pieces of this size: `out` needs no buffer.
+/// Text is written in pieces of this size, so `out` needs no buffer.
 const PIECE: usize = 1 << 16;
 
 fn rows(
@@ -127,7 +127,7 @@ fn separate(text: &mut String, i: usize) {
     }
 }
 
-/// Appends a text. An empty one is quoted, too: without quotes it would be a missing value.
+/// Appends a text. An empty text is quoted, because an unquoted empty field is a missing value.
 fn quote(text: &mut String, field: &str) {
     if field.is_empty() || field.contains([',', '"', '\r', '\n']) {
         text.push('"');
@@ -138,14 +138,14 @@ fn quote(text: &mut String, field: &str) {
     }
 }
 
-/// What a field of CSV without quotes is, where it is a number.
+/// The number in an unquoted CSV field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Number {
     Integer(i64),
     Real(f64),
 }
 
-/// A text as the number that this module writes so; `inf`, `nan` and `+1` are words.
+/// Parses a text as a number in the format of this module. `inf`, `nan` and `+1` are words.
 pub(crate) fn number(text: &str) -> Option<Number> {
     let digits = text.strip_prefix('-').unwrap_or(text);
     if !digits.starts_with(|c: char| c.is_ascii_digit()) {

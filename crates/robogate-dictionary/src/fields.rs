@@ -1,4 +1,4 @@
-//! What the fields of another tool's rows hold. The parameter space of an import is made of it.
+//! Collects the fields of another tool's rows, from which an import derives the parameter space.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -9,15 +9,15 @@ use robogate_core::{Domain, Scale};
 use crate::DictionaryError;
 use crate::raw::{MOST_FIELDS, RawRow, Scalar};
 
-/// A field with more distinct words than this is text about each row and not a category.
+/// Maximum number of distinct words of a category. A field with more contains free text.
 pub(crate) const MOST_WORDS: usize = 1000;
 
-/// The fields of all rows so far, in the order in which they came up.
+/// The fields of all rows so far, in order of appearance.
 #[derive(Debug, Default)]
 pub(crate) struct Fields(Vec<Field>);
 
 impl Fields {
-    /// Takes in the value that `row` has in the field `name`; a field of two kinds is an error.
+    /// Adds the value of `row` in the field `name`. Returns an error if a field has values of two kinds.
     pub(crate) fn take(
         &mut self,
         path: &Path,
@@ -28,21 +28,22 @@ impl Fields {
         match self.field(row.number, name) {
             Some(field) => {
                 let fits = field.take(row.number, value);
-                fits.then_some(()).ok_or_else(|| row.wrong(path, name, "is of another kind than the values before it"))
+                fits.then_some(()).ok_or_else(|| row.wrong(path, name, "has another type than the earlier values"))
             }
             None => {
-                let reason = format!("is in a field beyond the {MOST_FIELDS} that a file can have");
+                let reason = format!("is in a new field, but a file can have at most {MOST_FIELDS}");
                 Err(row.wrong(path, name, reason))
             }
         }
     }
 
-    /// The same for a field that is not required: one of two kinds, or one too many, does not become a parameter.
+    /// Adds an optional value like [`Self::take`]. A field with two kinds, or beyond the limit, does not become a
+    /// parameter.
     pub(crate) fn take_if_it_fits(&mut self, row: &RawRow, name: &Arc<str>, value: &Scalar) {
         if let Some(field) = self.field(row.number, name)
             && !field.take(row.number, value)
         {
-            field.kind = FieldKind::Other("its values are of several kinds");
+            field.kind = FieldKind::Other("its values have several types");
         }
     }
 
@@ -64,13 +65,13 @@ impl Fields {
     }
 }
 
-/// A field that is not an outcome: what values it has in which rows.
+/// The values of a field that is not an outcome.
 #[derive(Debug)]
 pub(crate) struct Field {
     pub(crate) name: Arc<str>,
     /// The first row without a value.
     missing: Option<u64>,
-    /// The row after the last one with a value.
+    /// The row after the last row with a value.
     seen: u64,
     kind: FieldKind,
 }
@@ -85,7 +86,7 @@ enum FieldKind {
     Numbers { low: f64, high: f64 },
     /// Words.
     Words(BTreeSet<String>),
-    /// Something that cannot be a parameter, and why.
+    /// Values that cannot be a parameter, with the reason.
     Other(&'static str),
 }
 
@@ -95,12 +96,12 @@ impl FieldKind {
             Scalar::Integer(n) => Self::Integers { low: *n, high: *n },
             Scalar::Number(x) => Self::Numbers { low: *x, high: *x },
             Scalar::Text(text) => Self::Words(BTreeSet::from([text.clone()])),
-            Scalar::Bool(_) => Self::Other("it holds true or false"),
-            Scalar::Null | Scalar::Nested => Self::Other("it holds arrays or objects"),
+            Scalar::Bool(_) => Self::Other("it contains truth values"),
+            Scalar::Null | Scalar::Nested => Self::Other("it contains arrays or objects"),
         }
     }
 
-    /// Takes in one more value; `false` where it is of another kind than those before.
+    /// Adds one more value. Returns `false` if it has another kind than the earlier ones.
     fn take(&mut self, value: &Scalar) -> bool {
         match (&mut *self, value) {
             (Self::Nothing, value) => {
@@ -147,23 +148,23 @@ impl Field {
         self.kind.take(value)
     }
 
-    /// The first of `rows` rows that has no value.
+    /// The first of `rows` rows without a value.
     pub(crate) fn missing_of(&self, rows: u64) -> Option<u64> {
         self.missing.or((self.seen < rows).then_some(self.seen))
     }
 
-    /// The observed range as that of a parameter, or why it cannot be one.
+    /// The observed range as the domain of a parameter, or the reason why it cannot be one.
     pub(crate) fn domain(&self) -> Result<Domain, &'static str> {
         self.domain_as(&self.name)
     }
 
-    /// The same for a parameter that will be called `name`.
+    /// The observed range as the domain of a parameter with the name `name`.
     pub(crate) fn domain_as(&self, name: &str) -> Result<Domain, &'static str> {
         let column = name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') && !name.is_empty();
         match &self.kind {
             FieldKind::Nothing => Err("it has no value"),
             FieldKind::Other(why) => Err(why),
-            _ if !column => Err("its name has other characters than letters, digits and underscores"),
+            _ if !column => Err("its name must be letters, digits and underscores"),
             FieldKind::Integers { low, high } => Ok(integers(*low, *high)),
             FieldKind::Numbers { low, high } => Ok(continuous(*low, *high)),
             FieldKind::Words(words) => {
@@ -173,12 +174,12 @@ impl Field {
     }
 }
 
-/// The range of observed integers; a wide one is continuous, as an integer parameter spans less than 2^32.
+/// The domain of observed integers. A wide range is continuous, because an integer parameter must span less than 2^32.
 pub(crate) fn integers(low: i64, high: i64) -> Domain {
     if high.abs_diff(low) < 1 << 32 { Domain::Integer { low, high } } else { continuous(low as f64, high as f64) }
 }
 
-/// The range of observed numbers; a single value is widened by the least that a double can.
+/// The domain of observed numbers. A single value is widened to the next larger double.
 pub(crate) fn continuous(low: f64, high: f64) -> Domain {
     let high = if low < high { high } else { low.next_up() };
     Domain::Continuous { low, high, scale: Scale::Linear }

@@ -9,12 +9,12 @@ use sha2::{Digest, Sha256};
 
 use crate::{DictionaryError, Entry, codec};
 
-/// SHA-256 over the canonical form of every entry, in order: the identity of a dataset in any file.
+/// SHA-256 over the canonical form of every entry, in order. It identifies a dataset in any file format.
 ///
 /// The bytes of a Parquet file depend on its writer's version and settings; this hash does not. Two campaigns have the
-/// same hash exactly if they agree on every value of every row. It does not distinguish what Parquet does not
-/// distinguish: the order of the parameters, an integer as integer or as real number, and a measure that is missing or
-/// not finite.
+/// same hash exactly if they agree on every value of every row. Like Parquet, it ignores the order of the parameters,
+/// the difference between an integer and the same real number, and the difference between a missing measure and one
+/// that is not finite.
 #[derive(Debug, Clone)]
 pub struct DatasetHash {
     task: Arc<TaskSpec>,
@@ -23,9 +23,9 @@ pub struct DatasetHash {
 }
 
 impl DatasetHash {
-    /// Of no entries yet; those that follow are episodes of `task`.
+    /// Starts a hash without entries. The entries that follow are episodes of `task`.
     pub fn new(task: Arc<TaskSpec>) -> Self {
-        // The canonical form is part of the hash: a change to it must not look like other data.
+        // The prefix names the canonical form, so a change of the form changes every hash.
         Self { task, state: Sha256::new_with_prefix(b"robogate dataset 1\n"), row: Vec::new() }
     }
 
@@ -42,7 +42,7 @@ impl DatasetHash {
     }
 }
 
-/// The [`DatasetHash`] over entries of one task that may fail to be read; the first error ends it.
+/// The [`DatasetHash`] over entries of one task that may fail to be read. The first error ends it.
 pub fn dataset_hash<E: Borrow<Entry>>(
     task: Arc<TaskSpec>,
     entries: impl IntoIterator<Item = Result<E, DictionaryError>>,
@@ -54,7 +54,7 @@ pub fn dataset_hash<E: Borrow<Entry>>(
     Ok(hash.finish())
 }
 
-/// Bytes in lower-case hexadecimal.
+/// Formats bytes as lower-case hexadecimal.
 pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
         // Writing to a string cannot fail.

@@ -1,4 +1,4 @@
-//! The identities of suites and tasks, as a dictionary's provenance states them.
+//! Identities of suites and tasks, as recorded in the provenance of a dictionary.
 
 use robogate_core::{Suite, TaskSpec};
 use schemars::JsonSchema;
@@ -7,20 +7,20 @@ use sha2::{Digest, Sha256};
 
 use crate::hex;
 
-/// The identity of a suite: SHA-256 (hex) of its JSON without white space, in which neither the comments nor
-/// the layout of its file are left.
+/// The identity of a suite: SHA-256 (hex) of its JSON without white space. Comments and the layout of the TOML file
+/// have no effect.
 pub fn suite_sha256(suite: &Suite) -> String {
     // A tree of strings, finite numbers and maps with string keys cannot fail to serialise.
     let json = serde_json::to_vec(suite).unwrap_or_default();
     hex(&Sha256::digest(json))
 }
 
-/// Which task it is, exactly.
+/// The exact identity of a task.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct TaskIdentity {
-    /// Its name.
+    /// The name.
     pub name: String,
-    /// Its version.
+    /// The version.
     pub version: u32,
     /// SHA-256 (hex) of its declaration as JSON.
     pub sha256: String,

@@ -1,9 +1,9 @@
-//! The crash-safe record that a running campaign appends to.
+//! The crash-safe journal of a running campaign.
 //!
-//! A header of 16 bytes, then one frame for each episode: the length of its body, the CRC-32 of the body, the CRC-32 of
-//! these two, and the body. A frame is written with one `write`: a killed process leaves at most one unfinished frame, at
-//! the end. The checksum of the frame's head tells an unfinished frame (its head is right, the file ends too early) from
-//! a damaged one.
+//! The file has a header of 16 bytes, then one frame per episode: the length of its body, the CRC-32 of the body, the
+//! CRC-32 of these two fields, and the body. Each frame is written with one `write` call, so a killed process leaves at
+//! most one incomplete frame, at the end. The checksum of the frame's head distinguishes an incomplete frame (valid
+//! head, file too short) from a damaged one.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
@@ -14,37 +14,38 @@ use crate::{DictionaryError, Entry};
 
 const MAGIC: [u8; 8] = *b"RGJOURNL";
 const VERSION: u32 = 2;
-/// The version of RoboGate 0.1, which numbered the failure modes and measures of its one task.
+/// The version of RoboGate 0.1, which stored failure modes and measures of its one task by number.
 const BEFORE_TASKS: u32 = 1;
 const HEADER: u64 = 16;
 const HEAD: usize = 12;
 
-/// What opening a journal had to repair.
+/// The repair done when a journal was opened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Recovery {
-    /// Bytes of an unfinished last record that were cut off; 0 where the journal was whole.
+    /// Bytes of an incomplete last record that were removed. 0 if the journal was intact.
     pub dropped_bytes: u64,
 }
 
-/// The append-only record of a running campaign. It takes 16 bytes of memory for each episode, in any order.
+/// The append-only journal of a running campaign. It takes 16 bytes of memory per episode, in any order.
 ///
-/// One process at a time: the file is locked as long as the journal is open.
+/// Only one process at a time can open it: the file is locked while the journal is open.
 #[derive(Debug)]
 pub struct Journal {
     file: File,
     path: PathBuf,
-    /// (index, offset of the frame), by rising index. Episodes come nearly in order: most insertions are at the end.
+    /// (index, offset of the frame), sorted by index. Episodes arrive nearly in order, so most insertions are at the
+    /// end.
     places: Vec<(u64, u64)>,
-    /// Where the last whole frame ends.
+    /// End of the last complete frame.
     end: u64,
-    /// A failed append that could not be undone.
+    /// Whether an append failed and could not be undone.
     broken: bool,
     buffer: Vec<u8>,
     words: Interner,
 }
 
 impl Journal {
-    /// Creates the journal `path`, which must not exist yet.
+    /// Creates the journal `path`. Returns an error if the file exists.
     pub fn create(path: &Path) -> Result<Self, DictionaryError> {
         let file = OpenOptions::new()
             .read(true)
@@ -54,14 +55,14 @@ impl Journal {
             .map_err(DictionaryError::io(path, "create"))?;
         let mut journal = Self::over(file, path)?;
         journal.write_header()?;
-        // The name of a new file is in its folder: without this a power failure could remove it.
+        // Flushes the directory entry. Without this, a power failure could remove the new file.
         sync_folder(path).map_err(DictionaryError::io(path, "flush the folder of"))?;
         Ok(journal)
     }
 
-    /// Opens the journal `path`; a record that was being written when its writer died is cut off.
+    /// Opens the journal `path`. An incomplete last record, left by a killed writer, is removed.
     ///
-    /// A record that is damaged before the end is an error with its offset: without it the episodes behind it would be lost
+    /// A damaged record before the end is an error with its offset, because skipping it would lose the later episodes
     /// silently.
     pub fn open(path: &Path) -> Result<(Self, Recovery), DictionaryError> {
         let file = OpenOptions::new().read(true).append(true).open(path).map_err(DictionaryError::io(path, "open"))?;
@@ -81,7 +82,7 @@ impl Journal {
         match file.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(DictionaryError::Locked { path: path.to_owned() }),
-            // Some network file systems have no locks; the record itself does not depend on them.
+            // Some network file systems have no locks. The journal works without them.
             Err(TryLockError::Error(e)) if e.kind() == io::ErrorKind::Unsupported => {}
             Err(TryLockError::Error(e)) => return Err(DictionaryError::io(path, "lock")(e)),
         }
@@ -103,7 +104,7 @@ impl Journal {
         Ok(())
     }
 
-    /// Reads every frame once. Returns where the last whole one ends.
+    /// Reads every frame once. Returns the end of the last complete one.
     fn scan(&mut self, length: u64) -> Result<u64, DictionaryError> {
         let file = self.file.try_clone().map_err(DictionaryError::io(&self.path, "read"))?;
         let mut reader = BufReader::with_capacity(1 << 16, file);
@@ -120,7 +121,7 @@ impl Journal {
         Ok(self.end)
     }
 
-    /// `false` where the file ends inside its header: its writer died while creating it.
+    /// Checks the header. Returns `false` if the file ends inside it, because its writer was killed while creating it.
     fn scan_header(&self, reader: &mut impl Read) -> Result<bool, DictionaryError> {
         let refuse = |reason: String| Err(DictionaryError::NotAJournal { path: self.path.clone(), reason });
         let mut found = Vec::new();
@@ -138,15 +139,15 @@ impl Journal {
                 "version {version} is newer than {VERSION}, the newest that this version of robogate reads\nhint: upgrade robogate"
             )),
             (Some(&MAGIC), Some(BEFORE_TASKS)) if found == header_of(BEFORE_TASKS) => refuse(
-                "this run was begun with robogate 0.1\nhint: finish it with that version, or begin it anew".to_owned(),
+                "this run was started with robogate 0.1\nhint: finish it with that version, or start it again"
+                    .to_owned(),
             ),
             (Some(&MAGIC), _) => refuse("its header is damaged".to_owned()),
-            _ => refuse("it does not begin with the header of a journal\nhint: check the path".to_owned()),
+            _ => refuse("it does not start with the header of a journal\nhint: check the path".to_owned()),
         }
     }
 
-    /// The size of the frame at `self.end`, of which `left` bytes are in the file; `None` where the
-    /// file ends before the frame does.
+    /// The size of the frame at `self.end`, with `left` bytes remaining in the file. `None` if the frame is incomplete.
     fn scan_frame(&mut self, reader: &mut impl Read, left: u64) -> Result<Option<u64>, DictionaryError> {
         let Some(rest) = left.checked_sub(HEAD as u64) else {
             return Ok(None);
@@ -154,7 +155,7 @@ impl Journal {
         let mut bytes = [0; HEAD];
         reader.read_exact(&mut bytes).map_err(DictionaryError::io(&self.path, "read"))?;
         let Some((size, crc)) = parse_head(&bytes) else {
-            // After a power failure a file may have grown before its data reached the disk.
+            // After a power failure a file may be longer than the data that reached the disk.
             if bytes.iter().all(|b| *b == 0) && only_zeros(reader).map_err(DictionaryError::io(&self.path, "read"))? {
                 return Ok(None);
             }
@@ -167,7 +168,8 @@ impl Journal {
         reader.read_exact(&mut self.buffer).map_err(DictionaryError::io(&self.path, "read"))?;
         if crc32fast::hash(&self.buffer) != crc {
             if u64::from(size) == rest {
-                // The last one, whole in length only: as good as unfinished, and it will be run again.
+                // The last frame has its full length but wrong content. It counts as incomplete, and its episode runs
+                // again.
                 return Ok(None);
             }
             return Err(self.damaged(self.end, "its content does not match its checksum"));
@@ -176,7 +178,7 @@ impl Journal {
             return Err(self.damaged(self.end, "it is too short for an episode"));
         };
         if !self.place(index, self.end) {
-            return Err(self.damaged(self.end, &format!("the journal already holds episode {index}")));
+            return Err(self.damaged(self.end, &format!("the journal already contains episode {index}")));
         }
         Ok(Some(HEAD as u64 + u64::from(size)))
     }
@@ -186,7 +188,7 @@ impl Journal {
         DictionaryError::DamagedJournal { path: self.path.clone(), offset, intact, reason: reason.to_owned() }
     }
 
-    /// Notes where episode `index` is; `false` where it already has a place.
+    /// Records the position of episode `index`. Returns `false` if it already has one.
     fn place(&mut self, index: u64, offset: u64) -> bool {
         match self.places.last() {
             Some((last, _)) if *last >= index => match self.places.binary_search_by_key(&index, |(i, _)| *i) {
@@ -203,10 +205,10 @@ impl Journal {
         }
     }
 
-    /// Appends one entry with one `write`: a process that dies loses at most this one.
+    /// Appends one entry with one `write` call. A process that is killed loses at most this entry.
     ///
-    /// An error (a full disk) leaves the journal as it was: its episodes stay readable, and an append succeeds once there is
-    /// disk space.
+    /// An error (a full disk) leaves the journal unchanged: its episodes stay readable, and an append succeeds once
+    /// there is disk space.
     pub fn append(&mut self, entry: &Entry) -> Result<(), DictionaryError> {
         entry.check()?;
         let index = entry.index();
@@ -226,12 +228,12 @@ impl Journal {
                 frame[..HEAD].copy_from_slice(&head);
                 self.file.write_all(&frame)
             }
-            Err(_) => Err(io::Error::new(io::ErrorKind::InvalidInput, "an episode of more than 4 GiB")),
+            Err(_) => Err(io::Error::new(io::ErrorKind::InvalidInput, "the episode is larger than 4 GiB")),
         };
         let size = frame.len() as u64;
         self.buffer = frame;
         if let Err(error) = written {
-            // A part of the frame may be there: the next one must not follow it.
+            // A part of the frame may be in the file. The next frame must not follow it.
             self.broken = self.file.set_len(self.end).is_err();
             return Err(DictionaryError::io(&self.path, "append to")(error));
         }
@@ -240,42 +242,42 @@ impl Journal {
         Ok(())
     }
 
-    /// Flushes what was appended to the disk: at the ends of stages, against a power failure.
+    /// Flushes appended entries to disk. Called at the end of a stage, to survive a power failure.
     pub fn sync(&mut self) -> Result<(), DictionaryError> {
         self.file.sync_data().map_err(DictionaryError::io(&self.path, "flush"))
     }
 
-    /// The file.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// How many episodes it holds.
+    /// The number of episodes.
     pub fn len(&self) -> u64 {
         self.places.len() as u64
     }
 
-    /// Whether it holds none.
+    /// Whether the journal has no episodes.
     pub fn is_empty(&self) -> bool {
         self.places.is_empty()
     }
 
-    /// Whether it holds the episode `index`.
+    /// Whether the journal contains episode `index`.
     pub fn contains(&self, index: u64) -> bool {
         self.offset(index).is_some()
     }
 
-    /// The indices of the episodes it holds, rising.
+    /// The indices of the episodes, in increasing order.
     pub fn indices(&self) -> impl Iterator<Item = u64> {
         self.places.iter().map(|(index, _)| *index)
     }
 
-    /// The entry of the episode `index`, if the journal holds it.
+    /// Reads the entry of episode `index`, if it is in the journal.
     pub fn read(&mut self, index: u64) -> Result<Option<Entry>, DictionaryError> {
         self.offset(index).map(|offset| self.read_at(offset)).transpose()
     }
 
-    /// Every entry in rising order of index, one in memory at a time.
+    /// Reads every entry in increasing order of index, with one in memory at a time.
     pub fn ordered(&mut self) -> impl Iterator<Item = Result<Entry, DictionaryError>> {
         (0..self.places.len()).map(|i| self.read_at(self.places[i].1))
     }
@@ -289,7 +291,7 @@ impl Journal {
         let mut bytes = [0; HEAD];
         self.file.seek(SeekFrom::Start(offset)).map_err(DictionaryError::io(&self.path, "read"))?;
         self.file.read_exact(&mut bytes).map_err(DictionaryError::io(&self.path, "read"))?;
-        // Checked when it was opened; checked again because a disk may fail in between.
+        // The head was checked on opening. It is checked again because the disk may have failed since.
         let Some((size, crc)) = parse_head(&bytes).filter(|(size, _)| offset + u64::from(*size) <= self.end) else {
             return Err(self.damaged(offset, "its head does not match its checksum"));
         };
@@ -304,8 +306,8 @@ impl Journal {
 
 impl Drop for Journal {
     fn drop(&mut self) {
-        // Closing alone would leave it locked while a forked child that has not yet executed its program holds a copy of the
-        // handle.
+        // Closing alone would keep the lock while a forked child process that has not yet called exec holds a copy of
+        // the handle.
         let _ = self.file.unlock();
     }
 }
@@ -328,7 +330,7 @@ fn make_head(size: u32, crc: u32) -> [u8; HEAD] {
     head
 }
 
-/// Size and checksum of the body, where the head matches its checksum.
+/// Size and checksum of the body, if the head matches its checksum.
 fn parse_head(head: &[u8; HEAD]) -> Option<(u32, u32)> {
     let word = |at: usize| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
     (crc32fast::hash(&head[..8]) == word(8)).then(|| (word(0), word(4)))
@@ -345,7 +347,7 @@ fn only_zeros(reader: &mut impl Read) -> io::Result<bool> {
     }
 }
 
-/// Flushes the folder of `path` to the disk, where folders can be opened.
+/// Flushes the folder of `path` to disk, if the system can open folders.
 pub(crate) fn sync_folder(path: &Path) -> io::Result<()> {
     if cfg!(not(unix)) {
         return Ok(());
@@ -355,7 +357,7 @@ pub(crate) fn sync_folder(path: &Path) -> io::Result<()> {
         _ => Path::new("."),
     };
     match fs::File::open(folder)?.sync_all() {
-        // Some file systems cannot; the file itself is written all the same.
+        // Some file systems do not support this. The file itself is written in any case.
         Err(e) if e.kind() == io::ErrorKind::InvalidInput => Ok(()),
         other => other,
     }

@@ -1,13 +1,13 @@
 //! The failure dictionary: the record of every episode.
 //!
-//! While a campaign runs, each [`Entry`] is appended to a [`Journal`], which survives a `kill -9`. At the end the entries,
-//! in order of their index, become one Parquet file ([`write_parquet`]), which [`Dictionary`] reads. The file also holds
-//! the [`Provenance`] with the task. Neither holds a clock or a thread count: the same settings give the same bytes.
-//! [`dataset_hash`] identifies the rows in any file.
+//! While a campaign runs, each [`Entry`] is appended to a [`Journal`], which survives a `kill -9`. At the end the
+//! entries, sorted by index, are written to one Parquet file ([`write_parquet`]), which [`Dictionary`] reads. The file
+//! also contains the [`Provenance`] with the task. Neither file contains times or thread counts, so the same settings
+//! give the same bytes. [`dataset_hash`] identifies the rows in any file format.
 //!
-//! [`published`] reads and writes the JSON of the dictionaries released with the paper, [`results`] reads the per-episode
-//! results of other tools, [`export`] writes CSV and JSON Lines. [`fixed_columns`] documents each column. Beside these the
-//! measures of the task and the parameters of the space are columns.
+//! [`published`] reads and writes the JSON of the dictionaries released with the paper, [`results`] reads the
+//! per-episode results of other tools, and [`export`] writes CSV and JSON Lines. [`fixed_columns`] documents the fixed
+//! columns. The other columns are the measures of the task and the parameters of the space.
 
 mod atomic;
 mod codec;

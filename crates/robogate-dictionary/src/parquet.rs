@@ -1,9 +1,9 @@
-//! The Parquet record.
+//! Reads and writes the dictionary as Parquet.
 //!
-//! Row groups of [`ROWS_PER_GROUP`] rows, snappy, no page index, a `created_by` that names this tool: the same provenance
-//! and entries give the same bytes. The footer holds the schema version, the provenance, the dataset hash and a CRC-32 for
-//! each column chunk. A chunk is decoded only from bytes that match its CRC: damage is an error with its place, never other
-//! data.
+//! The file has row groups of [`ROWS_PER_GROUP`] rows, snappy compression, no page index, and a `created_by` with the
+//! version of this tool: the same provenance and entries give the same bytes. The footer contains the schema version,
+//! the provenance, the dataset hash and a CRC-32 for each column chunk. A chunk is decoded only if its bytes match the
+//! CRC. Damage is reported with its position and never returned as data.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -29,10 +29,10 @@ use crate::codec::Interner;
 use crate::columns::{Cell, ColumnSpec, Columns, Kind, WrongCell};
 use crate::{DatasetHash, DictionaryError, Entry, Provenance, Row, SCHEMA_VERSION, SchemaVersion};
 
-/// Rows of a row group. A reader or writer holds one in memory, a few megabytes.
+/// Rows of a row group. A reader or writer keeps one group in memory, a few megabytes.
 const ROWS_PER_GROUP: usize = 1 << 14;
 
-/// The most rows of a row group that is read: a bound on memory for any file.
+/// Maximum rows of a row group that is read, which bounds memory for any file.
 const MOST_ROWS_PER_GROUP: usize = 1 << 20;
 
 const KEY_VERSION: &str = "robogate.schema_version";
@@ -43,13 +43,13 @@ const KEY_CHECKSUMS: &str = "robogate.checksums";
 /// The result of writing a dictionary.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Written {
-    /// How many rows.
+    /// The number of rows.
     pub rows: u64,
     /// The content hash of the rows ([`crate::dataset_hash`]), which is also in the file.
     pub dataset_hash: String,
 }
 
-/// Writes the dictionary `path` from entries in rising order of index.
+/// Writes the dictionary `path` from entries in increasing order of index.
 pub fn write_parquet(
     path: &Path,
     provenance: &Provenance,
@@ -62,8 +62,8 @@ pub fn write_parquet(
     writer.finish()
 }
 
-/// Writes a dictionary row by row: memory is bounded by one row group, and the file appears at `path` only once it is
-/// complete. A writer that is dropped before [`Self::finish`] leaves nothing behind.
+/// Writes a dictionary row by row. Memory is bounded by one row group, and the file appears at `path` only once it is
+/// complete. A writer that is dropped before [`Self::finish`] leaves no file.
 pub struct DictionaryWriter {
     writer: SerializedFileWriter<Sink>,
     path: PathBuf,
@@ -85,7 +85,7 @@ impl fmt::Debug for DictionaryWriter {
 }
 
 impl DictionaryWriter {
-    /// Starts a dictionary that will be at `path`, in this crate's schema version.
+    /// Starts a dictionary at `path`, in this crate's schema version.
     pub fn create(path: &Path, provenance: &Provenance) -> Result<Self, DictionaryError> {
         let columns = Columns::of(&provenance.task, &provenance.space, SCHEMA_VERSION)?;
         let provenance = Provenance { schema_version: SCHEMA_VERSION, ..provenance.clone() };
@@ -110,7 +110,8 @@ impl DictionaryWriter {
         })
     }
 
-    /// Adds the next entry; its index must be above the one before, its seed that of the provenance.
+    /// Adds the next entry. Its index must be larger than the previous one, and its seed must be that of the
+    /// provenance.
     pub fn push(&mut self, entry: &Entry) -> Result<(), DictionaryError> {
         let index = entry.index();
         if let Some(previous) = self.last_index.filter(|previous| *previous >= index) {
@@ -135,7 +136,7 @@ impl DictionaryWriter {
         Ok(())
     }
 
-    /// Completes the file and puts it in its place.
+    /// Completes the file and renames it to its final path.
     pub fn finish(mut self) -> Result<Written, DictionaryError> {
         let dataset_hash = self.hash.clone().finish();
         self.close(&dataset_hash).map_err(|e| write_error(&self.path, e))?;
@@ -182,7 +183,7 @@ impl DictionaryWriter {
                     sink.recent.get(start..start.checked_add(length)?)
                 })
                 .ok_or_else(|| {
-                    ParquetError::General("a column chunk is not at the place in its metadata".to_owned())
+                    ParquetError::General("a column chunk is not at the position in its metadata".to_owned())
                 })?;
             self.checksums.push(hex_crc(bytes));
         }
@@ -192,7 +193,7 @@ impl DictionaryWriter {
     }
 }
 
-/// Destination of the Parquet writer: the file, and the bytes of the current row group for their checksum.
+/// The destination of the Parquet writer. It keeps the bytes of the current row group for their checksum.
 struct Sink {
     /// `None` once the file is complete.
     file: Option<AtomicFile>,
@@ -215,7 +216,7 @@ impl Write for Sink {
 
 /// The values of one column in the current row group.
 struct Chunk {
-    /// For each row 1 where there is a value, 0 where it is missing: Parquet's definition level.
+    /// Parquet's definition level per row: 1 for a value, 0 for a missing value.
     present: Vec<i16>,
     values: Values,
 }
@@ -240,7 +241,7 @@ impl Chunk {
         match (&mut self.values, cell) {
             (Values::Numbers(values), Cell::Number(x)) => values.push(*x),
             (Values::Longs(values), Cell::Integer(n)) => values.push(*n),
-            // Parquet stores unsigned numbers as the signed ones of the same bits.
+            // Parquet stores unsigned numbers as signed numbers with the same bits.
             (Values::Longs(values), Cell::Count(n)) => values.push(n.cast_signed()),
             (Values::Texts(values), Cell::Text(text)) => values.push(ByteArray::from(text.as_bytes().to_vec())),
             _ => return self.present.push(0),
@@ -307,7 +308,7 @@ fn hex_crc(bytes: &[u8]) -> String {
     format!("{:08x}", crc32fast::hash(bytes))
 }
 
-/// Start and length of a column chunk in its file, where they are not negative.
+/// Start and length of a column chunk in its file, if they are not negative.
 fn byte_range(column: &ColumnChunkMetaData) -> Option<(u64, usize)> {
     let start = column.dictionary_page_offset().unwrap_or_else(|| column.data_page_offset());
     Some((u64::try_from(start).ok()?, usize::try_from(column.compressed_size()).ok()?))
@@ -326,14 +327,14 @@ fn write_error(path: &Path, error: ParquetError) -> DictionaryError {
 
 /// A dictionary on disk.
 ///
-/// Opening it reads its footer; rows are read on demand, one row group in memory at a time.
+/// Opening it reads the footer. Rows are read on demand, with one row group in memory.
 #[derive(Debug)]
 pub struct Dictionary {
     file: File,
     path: PathBuf,
     metadata: ParquetMetaData,
     columns: Columns,
-    /// For each column where it is in the file.
+    /// The position of each column in the file.
     leaves: Vec<usize>,
     version: SchemaVersion,
     provenance: Provenance,
@@ -344,7 +345,7 @@ pub struct Dictionary {
 }
 
 impl Dictionary {
-    /// Opens a dictionary: its schema and provenance are read and checked, its rows are not.
+    /// Opens a dictionary. It reads and checks the schema and provenance, but no rows.
     pub fn open(path: &Path) -> Result<Self, DictionaryError> {
         let mut file = File::open(path).map_err(DictionaryError::io(path, "open"))?;
         check_ends(&mut file, path)?;
@@ -399,12 +400,12 @@ impl Dictionary {
         })
     }
 
-    /// The file.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Where it comes from.
+    /// The provenance.
     pub fn provenance(&self) -> &Provenance {
         &self.provenance
     }
@@ -414,22 +415,22 @@ impl Dictionary {
         self.version
     }
 
-    /// How many rows it has.
+    /// The number of rows.
     pub fn len(&self) -> u64 {
         self.rows
     }
 
-    /// Whether it has none.
+    /// Whether there are no rows.
     pub fn is_empty(&self) -> bool {
         self.rows == 0
     }
 
-    /// The content hash that was stored when it was written. [`Self::entries`] checks it.
+    /// The stored content hash. [`Self::entries`] verifies it.
     pub fn dataset_hash(&self) -> &str {
         &self.dataset_hash
     }
 
-    /// The names of its columns, in order.
+    /// The column names, in order.
     pub fn column_names(&self) -> impl Iterator<Item = &str> {
         self.columns.specs().iter().map(|spec| spec.name.as_str())
     }
@@ -438,9 +439,9 @@ impl Dictionary {
         &self.columns
     }
 
-    /// Every entry in order, one row group in memory at a time.
+    /// Reads every entry in order, with one row group in memory.
     ///
-    /// After the last entry comes an error where their hash differs from the stored dataset hash.
+    /// After the last entry, an error follows if the rows do not match the stored dataset hash.
     pub fn entries(&self) -> Entries<'_> {
         Entries {
             dictionary: self,
@@ -456,7 +457,7 @@ impl Dictionary {
         }
     }
 
-    /// One whole column in memory.
+    /// Reads one whole column into memory.
     pub fn column(&self, name: &str) -> Result<Column, DictionaryError> {
         let Some(at) = self.columns.specs().iter().position(|spec| spec.name == name) else {
             let names: Vec<&str> = self.column_names().collect();
@@ -474,7 +475,7 @@ impl Dictionary {
         Ok(column)
     }
 
-    /// One whole column as real numbers; integers are converted, words are an error.
+    /// Reads one whole column as real numbers. Integers are converted; words are an error.
     pub fn numbers(&self, name: &str) -> Result<Vec<Option<f64>>, DictionaryError> {
         match self.column(name)? {
             Column::Numbers(values) => Ok(values),
@@ -518,7 +519,7 @@ impl Dictionary {
         let group_metadata = self.metadata.row_group(group);
         let rows = group_metadata.num_rows() as usize;
         let metadata = group_metadata.column(leaf);
-        let (start, length) = byte_range(metadata).ok_or_else(|| wrong("its place is negative".to_owned()))?;
+        let (start, length) = byte_range(metadata).ok_or_else(|| wrong("its position is negative".to_owned()))?;
         let length_of_file = self.file.metadata().map_err(DictionaryError::io(&self.path, "inspect"))?.len();
         if start.checked_add(length as u64).is_none_or(|end| end > length_of_file) {
             return Err(wrong(format!("bytes {start} to {start}+{length} are beyond the file's end")));
@@ -561,7 +562,7 @@ impl Dictionary {
     }
 }
 
-/// Checks the two ends of a Parquet file: they tell another format or a truncated file before parsing.
+/// Checks both ends of a Parquet file, which detects other formats and truncated files before parsing.
 fn check_ends(file: &mut File, path: &Path) -> Result<(), DictionaryError> {
     let read = |file: &mut File, from| -> io::Result<[u8; 4]> {
         let mut magic = [0; 4];
@@ -575,12 +576,12 @@ fn check_ends(file: &mut File, path: &Path) -> Result<(), DictionaryError> {
         return Err(DictionaryError::not_a_dictionary(path, reason));
     }
     if read(file, SeekFrom::Start(0)).map_err(DictionaryError::io(path, "read"))? != *b"PAR1" {
-        let reason = "it does not begin as a Parquet file\nhint: read results of other tools with `robogate import`";
+        let reason = "it is not a Parquet file\nhint: read results of other tools with `robogate import`";
         return Err(DictionaryError::not_a_dictionary(path, reason));
     }
     if read(file, SeekFrom::End(-4)).map_err(DictionaryError::io(path, "read"))? != *b"PAR1" {
         let reason = format!(
-            "it begins as a Parquet file but does not end as one at byte {length}: it is truncated\nhint: restore it from a backup, or run its campaign again"
+            "it starts as a Parquet file but ends at byte {length} without a footer: it is truncated\nhint: restore it from a backup, or run its campaign again"
         );
         return Err(DictionaryError::not_a_dictionary(path, reason));
     }
@@ -610,16 +611,18 @@ fn count_rows(metadata: &ParquetMetaData, checksums: usize) -> Result<u64, Strin
     for (i, group) in metadata.row_groups().iter().enumerate() {
         match usize::try_from(group.num_rows()) {
             Ok(n) if (1..=MOST_ROWS_PER_GROUP).contains(&n) => rows += n as u64,
-            _ => return Err(format!("row group {i} claims {} rows", group.num_rows())),
+            _ => return Err(format!("row group {i} declares {} rows", group.num_rows())),
         }
     }
     if u64::try_from(metadata.file_metadata().num_rows()) != Ok(rows) {
         let claimed = metadata.file_metadata().num_rows();
-        return Err(format!("its footer says {claimed} rows, its row groups have {rows}"));
+        return Err(format!("its footer declares {claimed} rows, but its row groups have {rows}"));
     }
     let chunks: usize = metadata.row_groups().iter().map(|group| group.num_columns()).sum();
     if chunks != checksums {
-        return Err(format!("{checksums} checksums for {chunks} column chunks: another program rewrote the file"));
+        return Err(format!(
+            "expected {chunks} checksums, one per column chunk, got {checksums}: another program rewrote the file"
+        ));
     }
     Ok(rows)
 }
@@ -633,11 +636,11 @@ pub(crate) fn guarded<T>(read: impl FnOnce() -> Result<T, ParquetError>) -> Resu
     match std::panic::catch_unwind(std::panic::AssertUnwindSafe(read)) {
         Ok(Ok(value)) => Ok(value),
         Ok(Err(error)) => Err(error.to_string()),
-        Err(_) => Err("the Parquet library failed on it".to_owned()),
+        Err(_) => Err("the Parquet library panicked on this file".to_owned()),
     }
 }
 
-/// Definition levels (empty where every row has a value) and values of one column chunk.
+/// Definition levels (empty if every row has a value) and values of one column chunk.
 fn records<T: DataType>(
     mut reader: ColumnReaderImpl<T>,
     rows: usize,
@@ -647,12 +650,12 @@ fn records<T: DataType>(
     let levels = optional.then_some(&mut present);
     let (found, _, _) = reader.read_records(rows, levels, None, &mut values)?;
     if found != rows {
-        return Err(ParquetError::General(format!("it holds {found} of {rows} rows")));
+        return Err(ParquetError::General(format!("it contains {found} of {rows} rows")));
     }
     Ok((present, values))
 }
 
-/// A column chunk in memory, at its place in the file.
+/// A column chunk in memory, with its position in the file.
 struct ChunkBytes {
     start: u64,
     bytes: Bytes,
@@ -680,20 +683,20 @@ impl ChunkReader for ChunkBytes {
     }
 }
 
-/// A column in memory; `None` is a missing value.
+/// A column in memory. `None` is a missing value.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Column {
     /// Real numbers.
     Numbers(Vec<Option<f64>>),
     /// Signed integers.
     Integers(Vec<Option<i64>>),
-    /// Integers from 0.
+    /// Integers of at least 0.
     Counts(Vec<Option<u64>>),
-    /// Words: each row has the position of its word in `words`, which are in order of appearance.
+    /// Words. Each row has the index of its word in `words`, which are in order of appearance.
     Categories {
         /// The distinct words.
         words: Vec<String>,
-        /// For each row the position of its word.
+        /// The index of the word of each row.
         codes: Vec<Option<u32>>,
     },
 }
@@ -708,7 +711,7 @@ impl Column {
         }
     }
 
-    /// How many rows it has.
+    /// The number of rows.
     pub fn len(&self) -> usize {
         match self {
             Self::Numbers(values) => values.len(),
@@ -718,7 +721,7 @@ impl Column {
         }
     }
 
-    /// Whether it has none.
+    /// Whether there are no rows.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -778,7 +781,7 @@ impl Column {
     }
 }
 
-/// Puts the values in the rows that have one; without levels every row has.
+/// Distributes the values to the rows that have one. Without levels every row has one.
 fn spread<T>(column: &mut Vec<Option<T>>, present: &[i16], mut values: impl Iterator<Item = T>) {
     if present.is_empty() {
         column.extend(values.map(Some));
@@ -795,7 +798,7 @@ pub struct Entries<'a> {
     group: usize,
     /// The columns of the current row group.
     data: Vec<Column>,
-    /// The next row in it.
+    /// The next row within the group.
     at: usize,
     rows_in_group: usize,
     /// The next row in the file.

@@ -1,4 +1,4 @@
-//! Where a dictionary comes from.
+//! Provenance: the record of how a dictionary was made.
 
 use std::sync::Arc;
 
@@ -9,51 +9,51 @@ use sha2::{Digest, Sha256};
 
 use crate::{SCHEMA_VERSION, SchemaVersion, hex};
 
-/// Where a dictionary comes from: everything that its rows depend on.
+/// The provenance of a dictionary: everything that its rows depend on.
 ///
-/// It holds no clock, thread count or path: two runs with the same settings on the same platform have the same
-/// provenance to the byte ([`Self::to_json`]).
+/// It contains no times, thread counts or paths: two runs with the same settings on the same platform have
+/// byte-identical provenance ([`Self::to_json`]).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Provenance {
-    /// What wrote it.
+    /// The tool that wrote the file.
     pub tool: Tool,
     /// Version of the dictionary's schema.
     pub schema_version: SchemaVersion,
-    /// What stepped the physics.
+    /// The physics engine.
     pub engine: Engine,
-    /// The task, as the environment declared it. Its measures are columns of the rows.
+    /// The task, as declared by the environment. Its measures are columns of the rows.
     #[serde(default = "before_tasks")]
     pub task: Arc<TaskSpec>,
-    /// The robot that was judged.
+    /// The robot.
     pub robot: Robot,
-    /// The policy that drove it.
+    /// The policy.
     pub policy: String,
-    /// The settings of the world (its time step, for example) in the environment's own form.
+    /// The settings of the environment (for example its time step), in the environment's format.
     #[serde(default, skip_serializing_if = "serde_json::Value::is_null")]
     pub world: serde_json::Value,
-    /// The parameter space: its parameters are columns of the rows, in this order.
+    /// The parameter space. Its parameters are columns of the rows, in this order.
     pub space: ParameterSpace,
-    /// The settings of the campaign (stages, budgets, designs, limits) in the campaign's own form.
+    /// The settings of the campaign (stages, budgets, designs, limits), in the campaign's format.
     pub plan: serde_json::Value,
     /// The campaign's seed.
     pub seed: u64,
-    /// On what it ran; absent where that is not known (an imported dictionary).
+    /// The platform. Absent if unknown, as in an imported dictionary.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub platform: Option<Platform>,
-    /// The file it was imported from; absent where it was measured here.
+    /// The imported file. Absent if RoboGate recorded the episodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<Source>,
 }
 
 impl Provenance {
-    /// The canonical JSON: the same provenance gives the same bytes.
+    /// The canonical JSON. The same provenance gives the same bytes.
     pub fn to_json(&self) -> String {
         // A tree of strings, numbers and maps with string keys cannot fail to serialise.
         serde_json::to_string(self).unwrap_or_default()
     }
 }
 
-/// The task of a dictionary that does not say it.
+/// The task of a dictionary that does not name one.
 fn before_tasks() -> Arc<TaskSpec> {
     Arc::new(crate::v1::task())
 }
@@ -61,14 +61,14 @@ fn before_tasks() -> Arc<TaskSpec> {
 /// The tool that wrote a dictionary.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Tool {
-    /// Its name.
+    /// The name.
     pub name: String,
-    /// Its version.
+    /// The version.
     pub version: String,
 }
 
 impl Tool {
-    /// This tool in this version.
+    /// This tool with its version.
     pub fn robogate() -> Self {
         Self { name: "robogate".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() }
     }
@@ -77,12 +77,12 @@ impl Tool {
 /// The physics engine.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Engine {
-    /// Its name (`mujoco`).
+    /// The name (`mujoco`).
     pub name: String,
-    /// Its version, where it is known.
+    /// The version, if known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub version: Option<String>,
-    /// SHA-256 (hex) of the library that was loaded: the same version built otherwise gives other bits.
+    /// SHA-256 (hex) of the loaded library. Another build of the same version can give different bits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub build_sha256: Option<String>,
 }
@@ -90,23 +90,23 @@ pub struct Engine {
 /// The robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Robot {
-    /// Its name (`franka`).
+    /// The name (`franka`).
     pub name: String,
-    /// SHA-256 (hex) over the files of its folder, where there was one.
+    /// SHA-256 (hex) over the files of its folder, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sha256: Option<String>,
-    /// What it can reach and carry, where that is known.
+    /// Reach, payload and workspace distance, if known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dimensions: Option<Dimensions>,
 }
 
-/// The identity of a robot: SHA-256 (hex) over names and contents of its files, in order of name.
+/// The identity of a robot: SHA-256 (hex) over names and contents of its files, sorted by name.
 pub fn robot_sha256<'a>(files: impl IntoIterator<Item = (&'a str, &'a [u8])>) -> String {
     let mut files: Vec<_> = files.into_iter().collect();
     files.sort_unstable();
     let mut hash = Sha256::new();
     for (name, bytes) in files {
-        // Lengths before contents: no two folders have the same stream.
+        // Each length precedes its content, so different folders always give different byte streams.
         hash.update((name.len() as u64).to_le_bytes());
         hash.update(name.as_bytes());
         hash.update((bytes.len() as u64).to_le_bytes());
@@ -115,7 +115,7 @@ pub fn robot_sha256<'a>(files: impl IntoIterator<Item = (&'a str, &'a [u8])>) ->
     hex(&hash.finalize())
 }
 
-/// What a robot can reach and carry, and where its work lies.
+/// Reach and payload of a robot, and the distance of its workspace.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Dimensions {
     /// Published reach in metres.
@@ -126,7 +126,7 @@ pub struct Dimensions {
     pub workspace_m: f64,
 }
 
-/// The platform: what decides which bits a libm or a compiler yields, and nothing of one machine.
+/// The platform: operating system and architecture, on which the bits of math functions and compiled code depend.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Platform {
     /// Operating system (`linux`).
@@ -136,28 +136,28 @@ pub struct Platform {
 }
 
 impl Platform {
-    /// The platform this was compiled for.
+    /// The platform that this program was compiled for.
     pub fn here() -> Self {
         Self { os: std::env::consts::OS.to_owned(), arch: std::env::consts::ARCH.to_owned() }
     }
 }
 
-/// The file an imported dictionary was made from.
+/// The file from which a dictionary was imported.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Source {
-    /// Its format (`published_json`).
+    /// The format (`published_json`).
     pub format: String,
     /// SHA-256 (hex) of its bytes.
     pub sha256: String,
-    /// What the import decided or left out, in sentences.
+    /// Decisions and omissions of the import, as sentences.
     pub notes: Vec<String>,
-    /// What the source does not record, so that no rate of it can be estimated: names of failure modes (with `jammed` here,
-    /// any failure may have been one) and `cycle_time_s`.
+    /// Quantities that the source does not record, for which no rate can be estimated: names of failure modes (if
+    /// `jammed` is listed, any failure may have been one) and `cycle_time_s`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_recorded: Vec<String>,
 }
 
-/// The schema version that a new dictionary is written in.
+/// The schema version of new dictionaries.
 impl Default for SchemaVersion {
     fn default() -> Self {
         SCHEMA_VERSION

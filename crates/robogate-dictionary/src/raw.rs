@@ -1,4 +1,4 @@
-//! Rows of other tools, before the meaning of their fields is known.
+//! Rows of other tools before their fields are interpreted.
 
 use std::cell::Cell;
 use std::fs::File;
@@ -14,10 +14,10 @@ use crate::codec::Interner;
 use crate::hash::hex;
 use crate::{DictionaryError, Row};
 
-/// The most fields of a row: each can become two columns.
+/// Maximum number of fields per row. Each can become two columns.
 pub(crate) const MOST_FIELDS: usize = 1000;
 
-/// The most failure modes of a file: more are descriptions of single episodes.
+/// Maximum number of failure modes per file. More would be descriptions of single episodes.
 pub(crate) const MOST_MODES: usize = 1000;
 
 /// One value of a row.
@@ -33,7 +33,7 @@ pub(crate) enum Scalar {
 }
 
 impl Scalar {
-    /// As an error message shows it.
+    /// The value as shown in an error message.
     pub(crate) fn show(&self) -> String {
         match self {
             Self::Null => "a missing value".to_owned(),
@@ -70,11 +70,11 @@ impl RawRow {
     }
 }
 
-/// The most bytes of JSON between two rows: a bound on memory for a file of any size.
+/// Maximum bytes of JSON between two rows, which bounds memory for a file of any size.
 pub(crate) const MOST_JSON: u64 = 16 << 20;
 
-/// A file that is hashed as it is read. Reading fails where more than `most` bytes pass without a row: a bound on memory
-/// for formats that have none.
+/// A file that is hashed while it is read. Reading fails if more than `most` bytes pass without a row, which bounds
+/// memory for formats without a limit.
 #[derive(Debug)]
 pub(crate) struct Metered {
     inner: File,
@@ -83,12 +83,12 @@ pub(crate) struct Metered {
     most: u64,
 }
 
-/// Counts what was read since the last row.
+/// The number of bytes read since the last row.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Meter(Rc<Cell<u64>>);
 
 impl Meter {
-    /// A row was read, and the bytes before it were released.
+    /// Resets the count after a row was read and its bytes were released.
     pub(crate) fn reset(&self) {
         self.0.set(0);
     }
@@ -104,7 +104,7 @@ impl Metered {
         self.meter.clone()
     }
 
-    /// The hash of what was read; of the file where that was all.
+    /// The hash of the bytes read so far, or of the whole file at its end.
     pub(crate) fn sha256(self) -> String {
         hex(&self.hash.finalize())
     }
@@ -118,7 +118,7 @@ impl Read for Metered {
         self.meter.0.set(since);
         if since > self.most {
             let reason = format!(
-                "{} MiB without a row. Expected smaller rows: a larger piece is refused to bound memory",
+                "{} MiB without a row. Expected smaller rows: larger ones are rejected to bound memory",
                 self.most >> 20
             );
             return Err(io::Error::new(io::ErrorKind::InvalidData, reason));
@@ -127,7 +127,7 @@ impl Read for Metered {
     }
 }
 
-/// A field's name: one of a few, shared between rows.
+/// A field name, shared between rows.
 pub(crate) struct Name<'a>(pub(crate) &'a mut Interner);
 
 impl<'de> DeserializeSeed<'de> for Name<'_> {
@@ -150,7 +150,7 @@ impl Visitor<'_> for Name<'_> {
     }
 }
 
-/// Any value; what is in an array or object is skipped.
+/// Any value. The content of an array or object is skipped.
 pub(crate) struct AnyScalar;
 
 impl<'de> DeserializeSeed<'de> for AnyScalar {
@@ -181,7 +181,7 @@ impl<'de> Visitor<'de> for AnyScalar {
     }
 
     fn visit_u64<E: Error>(self, n: u64) -> Result<Scalar, E> {
-        // Beyond 2^63 it is an identifier or a huge measure; as a real number it keeps its size.
+        // Above 2^63 the value is an identifier or a huge measure. A real number keeps its magnitude.
         Ok(i64::try_from(n).map_or(Scalar::Number(n as f64), Scalar::Integer))
     }
 

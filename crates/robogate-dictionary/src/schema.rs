@@ -1,4 +1,4 @@
-//! The schema and its version.
+//! The version of the dictionary's schema.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -7,36 +7,36 @@ use std::str::FromStr;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
-/// The version that this crate writes, and the newest that it knows.
+/// The version that this crate writes, and the newest one that it knows.
 pub const SCHEMA_VERSION: SchemaVersion = SchemaVersion { major: 2, minor: 0 };
 
-/// The oldest version that this crate reads. Version 2 added the task and took nothing away.
+/// The oldest version that this crate reads. Version 2 added the task and removed no column.
 pub(crate) const OLDEST: SchemaVersion = SchemaVersion { major: 1, minor: 0 };
 
 /// The version that added the columns of a suite's scenarios (`case`, `category`, `group`).
 pub(crate) const LABELLED: SchemaVersion = SchemaVersion { major: 1, minor: 1 };
 
-/// A version of the dictionary's schema, written `major.minor`.
+/// A version of the dictionary's schema, in the form `major.minor`.
 ///
-/// A minor version adds columns: older and newer ones of the same major are readable. A major version changes which
-/// columns there are or what they mean, so a newer one is refused. Every older one can be read.
+/// A minor version adds columns: older and newer ones of the same major version are readable. A major version changes
+/// the columns or their meaning, so newer ones are rejected. All older versions are readable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct SchemaVersion {
-    /// Changes where a column changes its meaning or goes away.
+    /// Increases when the meaning of a column changes or a column is removed.
     pub major: u32,
-    /// Changes where a column is added.
+    /// Increases when a column is added.
     pub minor: u32,
 }
 
 impl SchemaVersion {
-    /// Whether a file of this version can be read here.
+    /// Whether this crate can read a file of this version.
     pub fn is_readable(self) -> bool {
         OLDEST <= self && self.major <= SCHEMA_VERSION.major
     }
 
-    /// Whether rows may be added to a file of this version here. Not where it is newer by a minor
-    /// version: its added columns would stay empty without a reason.
+    /// Whether this crate can add rows to a file of this version. A newer minor version is excluded, because its
+    /// additional columns would stay empty.
     pub fn is_writable(self) -> bool {
         self.is_readable() && self <= SCHEMA_VERSION
     }

@@ -34,7 +34,7 @@ assert not table.schema.field("outcome").nullable and table.schema.field("depth_
 
 
 def same(value, text):
-    """A value that a reader returned against a field of the CSV."""
+    """Compares a value from a reader with a field of the CSV."""
     if value is None or (isinstance(value, float) and math.isnan(value)) or value is pandas.NA:
         return text == ""
     if isinstance(value, str):
@@ -45,7 +45,7 @@ def same(value, text):
 
 
 def compare(reader, columns):
-    """Every value of every column against the CSV."""
+    """Compares every value of every column with the CSV."""
     for at, name in enumerate(names):
         values = columns[name]
         assert len(values) == len(rows), (reader, name, len(values), len(rows))

@@ -74,7 +74,7 @@ fn beta_tails(a: f64, b: f64, x: f64, y: f64) -> (f64, f64) {
     }
 }
 
-/// ln I_x(a, b), finite where I itself underflows; the caller gives y = 1 - x, which keeps the digits of x near 1.
+/// ln I_x(a, b), finite even if I underflows. The caller gives y = 1 - x, which keeps the digits of x near 1.
 pub fn ln_beta_cdf(a: f64, b: f64, x: f64, y: f64) -> f64 {
     if x <= 0.0 {
         return f64::NEG_INFINITY;
@@ -89,9 +89,9 @@ pub fn ln_beta_cdf(a: f64, b: f64, x: f64, y: f64) -> f64 {
     }
 }
 
-/// The point x with I_x(a, b) = `p`, for 0 < p < 1.
+/// The quantile: the x with I_x(a, b) = `p`, for 0 < p < 1.
 ///
-/// Found on the logarithm of x, so that a bound of 1e-9 has as many digits as one of 0.5.
+/// The search uses the logarithm of x, so small quantiles such as 1e-9 have full relative precision.
 pub fn beta_quantile(a: f64, b: f64, p: f64) -> f64 {
     let mut low = f64::MIN_POSITIVE.ln();
     let mut high = 0.0_f64;
@@ -127,9 +127,10 @@ pub fn ln_student_two_sided(df: f64, t: f64) -> f64 {
     ln_beta_cdf(0.5 * df, 0.5, df / total, t * t / total)
 }
 
-/// The point t with P(|T| <= t) = the level, for Student's t with `df` > 0 degrees of freedom, an integer or not.
+/// The quantile t with P(|T| <= t) = `level`, for Student's t with `df` > 0 degrees of freedom, not necessarily an
+/// integer.
 pub fn student_quantile(df: f64, level: f64) -> f64 {
-    // t^2/(df + t^2) is a beta variable; this end of it keeps its digits where df is large.
+    // t^2/(df + t^2) is a beta variable. This form keeps its digits for large df.
     let y = beta_quantile(0.5, 0.5 * df, level);
     (df * y / (1.0 - y)).sqrt()
 }
@@ -140,7 +141,7 @@ mod tests {
     use crate::reference::check;
 
     #[test]
-    fn tails_agree_with_scipy() {
+    fn tails_match_scipy() {
         check("beta", "cdf", 1e-12, |g| ln_beta_cdf(g("a"), g("b"), g("x"), 1.0 - g("x")).exp());
         check("student", "ln_p", 1e-11, |g| ln_student_two_sided(g("df"), g("t")));
     }

@@ -1,4 +1,4 @@
-//! Small dense symmetric matrices, row-major in a `Vec<f64>`: enough algebra for regressions of a few dozen columns.
+//! Small dense symmetric matrices, stored row-major in a `Vec<f64>`, for regressions of a few dozen columns.
 
 /// Lower Cholesky factor L of a symmetric positive definite matrix, A = L Lᵀ.
 #[derive(Debug, Clone)]
@@ -11,7 +11,7 @@ impl Cholesky {
     /// Factors `matrix`.
     ///
     /// # Errors
-    /// The first row whose pivot is not above `tolerance` times its diagonal entry: the rows before it explain it.
+    /// The index of the first row whose pivot is at most `tolerance` times its diagonal entry: earlier rows explain it.
     pub fn new(matrix: &[f64], size: usize, tolerance: f64) -> Result<Self, usize> {
         let (lower, kept) = pivots(matrix, size, tolerance);
         match (0..size).find(|i| kept.get(*i) != Some(i)) {
@@ -75,9 +75,9 @@ impl Cholesky {
     }
 }
 
-/// Cholesky in the given order. It leaves out each column that the ones before it explain.
+/// Cholesky factorization in the given order. Columns that earlier ones explain are left out.
 ///
-/// Returns the factor, where the rows of left-out columns are zero, and the indices of the kept columns.
+/// Returns the factor, with zero rows for left-out columns, and the indices of the kept columns.
 fn pivots(matrix: &[f64], size: usize, tolerance: f64) -> (Vec<f64>, Vec<usize>) {
     let mut lower = vec![0.0; size * size];
     let mut kept = Vec::with_capacity(size);
@@ -89,7 +89,7 @@ fn pivots(matrix: &[f64], size: usize, tolerance: f64) -> (Vec<f64>, Vec<usize>)
         }
         let explained: f64 = kept.iter().map(|&k| lower[i * size + k] * lower[i * size + k]).sum();
         let pivot = matrix[i * size + i] - explained;
-        // The comparison is written so that NaN is refused.
+        // Written in this form to reject NaN as well.
         if pivot > tolerance * matrix[i * size + i] && pivot.is_finite() {
             lower[i * size + i] = pivot.sqrt();
             kept.push(i);
@@ -131,7 +131,7 @@ pub fn dependent_columns(gram: &[f64], size: usize, tolerance: f64) -> Vec<(usiz
     dependent
 }
 
-/// Sum of products, in eight lanes so that it vectorises; the order of additions is fixed.
+/// Dot product in eight lanes to vectorise. The order of additions is fixed.
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut lanes = [0.0; 8];
     let (a_chunks, a_rest) = a.as_chunks::<8>();
@@ -162,8 +162,8 @@ mod tests {
     }
 
     #[test]
-    fn a_dependent_column_names_the_columns_that_explain_it() {
-        // Columns u, v, w, u + w with u, v, w orthonormal.
+    fn dependent_column_names_its_sources() {
+        // Columns u, v, w, u + w with orthonormal u, v, w.
         let gram = [
             1.0, 0.0, 0.0, 1.0, //
             0.0, 1.0, 0.0, 0.0, //

@@ -8,7 +8,7 @@
 
 /// ln of the square root of 2 pi.
 pub(crate) const LN_SQRT_2PI: f64 = 0.918_938_533_204_672_8;
-/// Keeps a continued fraction from dividing by zero.
+/// Lower bound that prevents division by zero in a continued fraction.
 const TINY: f64 = 1e-300;
 
 /// ln Gamma(x) for x > 0.
@@ -43,7 +43,7 @@ pub fn ln_chi_squared_sf(df: f64, x: f64) -> f64 {
     ln_gamma_sf(0.5 * df, 0.5 * x)
 }
 
-/// Gamma(a, x) e^x x^(-a) by its continued fraction, for x > a + 1 or so.
+/// Gamma(a, x) e^x x^(-a) by its continued fraction, for x greater than about a + 1.
 pub(crate) fn upper_gamma_fraction(a: f64, x: f64) -> f64 {
     let mut b = x + 1.0 - a;
     let mut c = 1.0 / TINY;
@@ -64,7 +64,7 @@ pub(crate) fn upper_gamma_fraction(a: f64, x: f64) -> f64 {
     value
 }
 
-/// `x`, or a tiny number in place of zero.
+/// Returns `x`, or a tiny number if x is zero.
 pub(crate) fn nonzero(x: f64) -> f64 {
     if x.abs() < TINY { TINY } else { x }
 }
@@ -109,7 +109,7 @@ mod tests {
     use crate::reference::check;
 
     #[test]
-    fn chi_squared_tails_agree_with_scipy() {
+    fn chi_squared_tails_match_scipy() {
         check("chi_squared", "ln_sf", 1e-12, |g| ln_chi_squared_sf(g("df"), g("x")));
     }
 

@@ -1,4 +1,4 @@
-//! Values of SciPy that the tests compare with: `tests/reference/reference.json`.
+//! SciPy reference values of the tests, from `tests/reference/reference.json`.
 
 use serde_json::Value;
 
@@ -7,12 +7,12 @@ fn section(name: &str) -> Value {
     all[name].clone()
 }
 
-/// A list of numbers of a section.
+/// Reads a list of numbers from a section.
 pub(crate) fn list(name: &str, key: &str) -> Vec<f64> {
     serde_json::from_value(section(name)[key].clone()).unwrap()
 }
 
-/// Compares a function with the field `answer` of each case of a section, relative to its size (at least 1e-3).
+/// Compares a function with the field `answer` of each case of a section, relative to its magnitude (at least 1e-3).
 pub(crate) fn check(name: &str, answer: &str, tolerance: f64, f: impl Fn(&dyn Fn(&str) -> f64) -> f64) {
     for case in section(name).as_array().unwrap() {
         let get = |key: &str| case[key].as_f64().unwrap();

@@ -28,7 +28,7 @@ pub struct Description {
 /// One rigid body.
 #[derive(Debug, Clone)]
 pub struct Link {
-    /// How it moves against its parent; `None` for the base.
+    /// The motion relative to its parent. `None` for the base.
     pub joint: Option<LinkJoint>,
     /// Mass in kilograms.
     pub mass: f64,
@@ -42,14 +42,14 @@ pub struct Link {
     pub looks: Vec<LinkLook>,
 }
 
-/// How a link moves against its parent.
+/// The motion of a link relative to its parent.
 #[derive(Debug, Clone)]
 pub struct LinkJoint {
     /// Name of the joint.
     pub name: String,
     /// Index of the parent link.
     pub parent: usize,
-    /// The joint's frame in the parent's frame at joint position 0. The joint moves about or along its own x axis.
+    /// The joint's frame in the parent's frame at joint position 0. The joint moves about or along its x axis.
     pub in_parent: Isometry3<f64>,
     /// The joint's frame in the link's frame.
     pub in_link: Isometry3<f64>,
@@ -68,7 +68,7 @@ pub struct LinkJoint {
 pub struct LinkShape {
     /// The solid.
     pub solid: Solid,
-    /// Its pose in the link's frame.
+    /// The pose in the link's frame.
     pub pose: Isometry3<f64>,
     /// Name of the MJCF body that it belongs to.
     pub body: String,
@@ -79,7 +79,7 @@ pub struct LinkShape {
 pub struct LinkLook {
     /// The solid. The points of a mesh are the corners of its triangles, three for each; none if its file has no faces.
     pub solid: Solid,
-    /// Its pose in the link's frame.
+    /// The pose in the link's frame.
     pub pose: Isometry3<f64>,
     /// Red, green, blue and opacity from 0 to 1, if the model gives them.
     pub rgba: Option<[f64; 4]>,
@@ -181,23 +181,23 @@ impl Reader<'_> {
             looks: Vec::new(),
         };
         let mut links = vec![base];
-        // For each MJCF body the link that it is part of, and its pose there at joint positions 0.
+        // For each MJCF body: the link that it is part of, and its pose there at joint positions 0.
         let mut places: Vec<(usize, Isometry3<f64>)> = Vec::with_capacity(self.model.bodies.len());
         for (id, entry) in self.model.bodies.iter().enumerate() {
             let body = &entry.body;
             let name = body.name.clone().unwrap_or_else(|| format!("body {id}"));
-            let (parent, way) = match entry.parent {
+            let (parent, placement) = match entry.parent {
                 Some(parent) => {
-                    let (link, way) = *places.get(parent).ok_or("a body comes before its parent")?;
-                    (link, way * isometry(&body.pose))
+                    let (link, placement) = *places.get(parent).ok_or("a body comes before its parent")?;
+                    (link, placement * isometry(&body.pose))
                 }
                 None => (0, Isometry3::identity()),
             };
             let place = match body.joints.as_slice() {
-                [] => (parent, way),
+                [] => (parent, placement),
                 [joint] => {
                     links.push(Link {
-                        joint: Some(self.joint(joint, parent, &way, &name)?),
+                        joint: Some(self.joint(joint, parent, &placement, &name)?),
                         mass: 0.0,
                         centre: Vector3::zeros(),
                         inertia: Matrix3::zeros(),
@@ -206,17 +206,17 @@ impl Reader<'_> {
                     });
                     (links.len() - 1, Isometry3::identity())
                 }
-                _ => return Err(format!("body `{name}` has several joints; give each a body of its own")),
+                _ => return Err(format!("body `{name}` has several joints; give each joint a separate body")),
             };
             places.push(place);
             let (link, within) = (&mut links[place.0], place.1);
             for geom in &body.geoms {
-                // What neither touches nor is touched is there to be seen.
+                // A shape without contacts is visual only.
                 if geom.contype != 0 || geom.conaffinity != 0 {
                     let (solid, at) = self.solid(geom)?;
                     link.shapes.push(LinkShape { solid, pose: within * at, body: name.clone() });
                 }
-                // What cannot be drawn is not missed by physics: it is left out.
+                // An unreadable visual shape does not affect physics and is skipped.
                 link.looks.extend(self.look(geom, &within).ok());
             }
             if let Some(inertial) = &body.inertial {
@@ -225,10 +225,10 @@ impl Reader<'_> {
                     InertiaSpec::Diagonal(d) => Matrix3::from_diagonal(&Vector3::from(d)),
                     InertiaSpec::Full([xx, yy, zz, xy, xz, yz]) => Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz),
                 };
-                let turn = frame.rotation.to_rotation_matrix();
-                link.add(inertial.mass, frame.translation.vector, turn * about * turn.inverse());
+                let rotation = frame.rotation.to_rotation_matrix();
+                link.add(inertial.mass, frame.translation.vector, rotation * about * rotation.inverse());
             } else if !body.joints.is_empty() {
-                return Err(format!("body `{name}` moves and has no <inertial>, which Rapier requires"));
+                return Err(format!("body `{name}` moves but has no <inertial>, which Rapier requires"));
             }
         }
         let site = |wanted: &str| {
@@ -237,10 +237,10 @@ impl Reader<'_> {
                 let body = body.ok_or_else(|| format!("[[site]] `{wanted}`: the model has no body `{}`", site.body))?;
                 let (link, within) = places[body];
                 let [roll, pitch, yaw] = site.rpy_rad;
-                let turn = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
+                let rotation = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
                 return Ok((
                     link,
-                    within * Isometry3::from_parts(Translation3::from(Vector3::from(site.position_m)), turn),
+                    within * Isometry3::from_parts(Translation3::from(Vector3::from(site.position_m)), rotation),
                 ));
             }
             let (body, site) = self
@@ -259,7 +259,7 @@ impl Reader<'_> {
         Ok(Description { chain, couplings: self.couplings()?, links, tcp, bodies })
     }
 
-    fn joint(&self, joint: &Joint, parent: usize, way: &Isometry3<f64>, body: &str) -> Result<LinkJoint, String> {
+    fn joint(&self, joint: &Joint, parent: usize, placement: &Isometry3<f64>, body: &str) -> Result<LinkJoint, String> {
         let name = joint.name.clone().unwrap_or_else(|| format!("the joint of body `{body}`"));
         let slides = match joint.type_ {
             JointType::Hinge => false,
@@ -267,14 +267,14 @@ impl Reader<'_> {
             JointType::Ball | JointType::Free => return Err(format!("`{name}` is neither a hinge nor a slide")),
         };
         let axis = Unit::try_new(Vector3::from(joint.axis), 1e-12).ok_or_else(|| format!("`{name}` has no axis"))?;
-        let turn = UnitQuaternion::rotation_between_axis(&Vector3::x_axis(), &axis)
+        let rotation = UnitQuaternion::rotation_between_axis(&Vector3::x_axis(), &axis)
             .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI));
-        let in_link = Isometry3::from_parts(Translation3::from(Vector3::from(joint.pos)), turn);
+        let in_link = Isometry3::from_parts(Translation3::from(Vector3::from(joint.pos)), rotation);
         let limited = joint.limited.resolve(self.model.compiler.autolimits, joint.range.is_some());
         Ok(LinkJoint {
             name,
             parent,
-            in_parent: way * in_link,
+            in_parent: placement * in_link,
             in_link,
             slides,
             range: joint.range.filter(|_| limited),
@@ -290,9 +290,9 @@ impl Reader<'_> {
         if let Some([x1, y1, z1, x2, y2, z2]) = geom.fromto {
             let (from, to) = (Vector3::new(x1, y1, z1), Vector3::new(x2, y2, z2));
             let along = to - from;
-            let turn = UnitQuaternion::rotation_between(&Vector3::z(), &along)
+            let rotation = UnitQuaternion::rotation_between(&Vector3::z(), &along)
                 .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
-            let at = Isometry3::from_parts(Translation3::from(0.5 * (from + to)), turn);
+            let at = Isometry3::from_parts(Translation3::from(0.5 * (from + to)), rotation);
             let half_height = 0.5 * along.norm();
             return match geom.type_ {
                 GeomType::Capsule => Ok((Solid::Capsule { radius: a, half_height }, at)),
@@ -333,7 +333,7 @@ impl Reader<'_> {
         })
     }
 
-    /// The corners of a mesh's triangles, by the numbers of its vertices.
+    /// The corners of a mesh's triangles as vertex indices.
     fn faces(&self, geom: &Geom) -> Result<Vec<usize>, String> {
         let wanted = geom.mesh.as_deref().unwrap_or_default();
         let mesh = self.model.assets.mesh(wanted).ok_or_else(|| format!("the model has no mesh `{wanted}`"))?;
@@ -345,7 +345,7 @@ impl Reader<'_> {
         Ok(faces(&bytes).unwrap_or_default())
     }
 
-    /// The vertices of a mesh, of which Rapier takes the convex hull, as MuJoCo does.
+    /// The vertices of a mesh. Rapier uses their convex hull, as MuJoCo does.
     fn hull(&self, geom: &Geom, name: &str) -> Result<Vec<Point3<f64>>, String> {
         let wanted = geom.mesh.as_deref().ok_or_else(|| format!("shape `{name}` names no mesh"))?;
         let mesh = self.model.assets.mesh(wanted).ok_or_else(|| format!("the model has no mesh `{wanted}`"))?;
@@ -414,8 +414,8 @@ impl Link {
 /// Converts a pose of the MJCF reader, which Rapier shares, to nalgebra's type.
 pub(crate) fn isometry(pose: &mjcf_rs::Pose) -> Isometry3<f64> {
     let (t, r) = (pose.translation, pose.rotation);
-    let turn = UnitQuaternion::new_normalize(Quaternion::new(r.w, r.x, r.y, r.z));
-    Isometry3::from_parts(Translation3::new(t.x, t.y, t.z), turn)
+    let rotation = UnitQuaternion::new_normalize(Quaternion::new(r.w, r.x, r.y, r.z));
+    Isometry3::from_parts(Translation3::new(t.x, t.y, t.z), rotation)
 }
 
 /// The serial chain of the arm's joints, tool and flange at its end.
@@ -426,16 +426,16 @@ fn chain(
     flange: (usize, Isometry3<f64>),
 ) -> Result<Chain, String> {
     let arm = &robot.settings.arm;
-    let mut way = vec![tcp.0];
-    while let Some(joint) = links[way[way.len() - 1]].joint.as_ref() {
-        way.push(joint.parent);
+    let mut path = vec![tcp.0];
+    while let Some(joint) = links[path[path.len() - 1]].joint.as_ref() {
+        path.push(joint.parent);
     }
-    way.pop();
-    way.reverse();
-    let names: Vec<&str> = way.iter().filter_map(|l| links[*l].joint.as_ref()).map(|j| j.name.as_str()).collect();
+    path.pop();
+    path.reverse();
+    let names: Vec<&str> = path.iter().filter_map(|l| links[*l].joint.as_ref()).map(|j| j.name.as_str()).collect();
     if names != arm.joints {
         return Err(format!(
-            "between base and `{}` lie the joints {}; arm.joints has {}: list every joint of the arm, base to tip",
+            "the joints between base and `{}` are {}, but arm.joints has {}: list every joint of the arm, base to tip",
             arm.tcp_site,
             names.join(", "),
             arm.joints.join(", ")
@@ -445,9 +445,9 @@ fn chain(
         return Err(format!("site `{}` is not on the arm's last link", arm.flange_site));
     }
     let mut joints = Vec::new();
-    // From a link's frame back to its joint's, in which the next placement is counted.
+    // Transform from a link's frame to its joint's frame, in which the next placement is expressed.
     let mut back = Isometry3::identity();
-    for joint in way.iter().filter_map(|l| links[*l].joint.as_ref()) {
+    for joint in path.iter().filter_map(|l| links[*l].joint.as_ref()) {
         if joint.slides {
             return Err(format!("joint `{}` is not a hinge: arms with sliding joints are not supported", joint.name));
         }
@@ -481,11 +481,11 @@ fn vertices(bytes: &[u8]) -> Option<Vec<f64>> {
     (!found.is_empty()).then_some(found)
 }
 
-/// The corners of the triangles of an STL or OBJ file, by the numbers of their vertices: three for each.
+/// The triangles of an STL or OBJ file as vertex indices, three per triangle.
 fn faces(bytes: &[u8]) -> Option<Vec<usize>> {
     let text = std::str::from_utf8(bytes).ok().filter(|text| text.lines().any(|line| line.starts_with("f ")));
     let Some(text) = text else {
-        // In STL each triangle has vertices of its own.
+        // In STL each triangle has separate vertices.
         return Some((0..vertices(bytes)?.len() / 3).collect());
     };
     let count = text.lines().filter(|line| line.starts_with("v ")).count() as i64;

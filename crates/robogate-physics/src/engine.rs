@@ -1,4 +1,4 @@
-//! The interface of a rigid-body engine. It knows no task.
+//! The interface of a rigid-body engine. It is independent of the task.
 
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::Fault;
@@ -13,7 +13,7 @@ pub trait Engine {
     /// The robot that the engine was made for.
     fn robot(&self) -> &Robot;
 
-    /// The robot's kinematics, as the engine holds them.
+    /// The robot's kinematics, as used by the engine.
     fn chain(&self) -> &Chain;
 
     /// The time step in seconds.
@@ -22,7 +22,7 @@ pub trait Engine {
     /// Builds the scene and puts the arm at `joints` (rad), at rest, the gripper open.
     fn load(&mut self, scene: &Scene, joints: &[f64]) -> Result<(), Fault>;
 
-    /// Reads from the engine's own state what it holds of the scene.
+    /// Reads the physical quantities of the scene from the engine's state.
     fn read_back(&self) -> Result<Readback, Fault>;
 
     /// Advances one time step towards these targets.
@@ -83,7 +83,7 @@ pub trait Engine {
 pub struct EngineBuild {
     /// The engine's name in commands.
     pub name: &'static str,
-    /// Its version.
+    /// The version.
     pub version: String,
     /// SHA-256 digest of the shared library that it runs from, if there is one, in lower-case hexadecimal digits.
     pub sha256: Option<String>,
@@ -114,7 +114,7 @@ impl Wrench {
     pub const ZERO: Self = Self { force: Vector3::new(0.0, 0.0, 0.0), torque: Vector3::new(0.0, 0.0, 0.0) };
 }
 
-/// Physical quantities of the scene as an engine holds them.
+/// Physical quantities of the scene, as read from an engine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Readback {
     /// Friction coefficient that acts between the object and everything but the table.
@@ -135,16 +135,16 @@ pub struct Readback {
     pub fixtures: Vec<FixtureRead>,
 }
 
-/// A fixture as an engine holds it.
+/// A fixture, as read from an engine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FixtureRead {
-    /// Its index in the scene.
+    /// The index in the scene.
     pub fixture: usize,
-    /// Its shape; `None` if it is not a primitive.
+    /// The shape; `None` if it is not a primitive.
     pub primitive: Option<Primitive>,
-    /// Its pose.
+    /// The pose.
     pub pose: Isometry3<f64>,
-    /// Its motion, if it moves.
+    /// The motion, if it moves.
     pub motion: Option<Motion>,
 }
 

@@ -1,23 +1,23 @@
-//! What a gripper is told.
+//! Gripper commands.
 
 use robogate_core::Action;
 
-/// What a gripper is told. Every gripper here is binary.
+/// A gripper command. All grippers are binary.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GripperCommand {
-    /// Open fully, or let go.
+    /// Open fully, or release.
     Open,
-    /// Close with the set force, or take hold.
+    /// Close with the set force, or grip.
     Close,
 }
 
 impl GripperCommand {
-    /// The command of an action: above 0 it closes. Without one the gripper opens.
+    /// The command of an action: close if its number is above 0. Without a number the gripper opens.
     pub fn of(action: &Action) -> Self {
         if action.gripper.is_some_and(|command| command > 0.0) { Self::Close } else { Self::Open }
     }
 
-    /// The same as the number in an [`Action`].
+    /// The command as the number in an [`Action`].
     pub fn number(self) -> f64 {
         match self {
             Self::Open => Action::OPEN,

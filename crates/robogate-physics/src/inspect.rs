@@ -1,4 +1,4 @@
-//! Inspection of a robot before anything runs with it: all problems at once, and what the robot can do.
+//! Inspects a robot before use: reports all problems at once, and the robot's measurements.
 
 use std::f64::consts::{FRAC_PI_4, PI};
 use std::path::Path;
@@ -21,7 +21,8 @@ const REACH_MARGIN: f64 = 1.1;
 /// Spacing of the grid of tool positions over the table, in metres.
 const GRID_M: f64 = 0.05;
 
-/// Bodies that penetrate each other deeper than this are in contact, in metres. Shapes of neighbours overlap by less.
+/// Two bodies are in contact if they penetrate each other deeper than this, in metres. Shapes of neighbouring links
+/// overlap by less.
 const DEEP_M: f64 = 1e-3;
 
 /// How long the arm holds its position before and after it moves, in seconds.
@@ -55,12 +56,12 @@ pub struct Measured {
     pub masses_kg: Vec<(String, f64)>,
     /// Largest distance of the flange from the first joint's axis over many random postures, in metres.
     pub flange_reach_m: f64,
-    /// The same for the tool centre point.
+    /// Largest distance of the tool centre point from the first joint's axis over the same postures, in metres.
     pub tool_reach_m: f64,
     /// Fraction of the positions over the table that the tool reaches pointing down, low and high above the table:
     /// 0.30 to 0.70 m in front of the base, 0.30 m to the right to 0.40 m to the left.
     pub workspace_share: f64,
-    /// For each position that the caller asked for, whether the tool reaches it in the same way.
+    /// For each position of the caller, whether the tool reaches it pointing down.
     #[serde(skip)]
     pub reaches: Vec<bool>,
     /// Largest tracking error of any joint in a short trial of holding and moving, in radians; `None` without a trial.
@@ -68,7 +69,7 @@ pub struct Measured {
 }
 
 /// Inspects a robot: a built-in one by its name, any other by its folder. `positions` (x, y in metres on the table) are
-/// places of which the caller wants to know whether the tool reaches them.
+/// tested for whether the tool reaches them.
 pub fn inspect(robot: &str, positions: &[[f64; 2]]) -> Inspection {
     let folder = Path::new(robot);
     let read = if is_folder(robot) { Robot::read(folder) } else { built_in_robot(robot).map(|r| (r, Vec::new())) };
@@ -174,7 +175,7 @@ fn workspace(chain: &Chain, home: &[f64], positions: &[[f64; 2]]) -> (f64, Vec<b
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
     let at_home = chain.tcp_at(home);
     let x = at_home.rotation * Vector3::x();
-    // The tool is turned with the arm's base, which keeps the wrist as it is.
+    // The tool rotates with the arm's base, which keeps the wrist posture.
     let heading = x.y.atan2(x.x) - at_home.translation.y.atan2(at_home.translation.x);
     let reached = |[x, y]: [f64; 2]| {
         [GRID_M, 5.0 * GRID_M].iter().all(|z| {
@@ -190,7 +191,7 @@ fn workspace(chain: &Chain, home: &[f64], positions: &[[f64; 2]]) -> (f64, Vec<b
     (share, positions.iter().copied().map(reached).collect())
 }
 
-/// The scene of the trial: a table with a box of 5 cm at the workspace centre.
+/// The scene of the trial: a table with a 5 cm box at the workspace centre.
 fn trial_scene() -> Scene {
     let [x, y] = WORKSPACE_CENTRE;
     let parts = vec![Part { primitive: Primitive::Box { half: [0.025; 3] }, pose: Isometry3::identity() }];
@@ -206,7 +207,7 @@ fn trial_scene() -> Scene {
     }
 }
 
-/// Holds at home, moves a little and holds again, then closes the gripper on nothing.
+/// Holds at home, moves a little and holds again, then closes the empty gripper.
 fn trial(engine: &mut MujocoEngine, settings: &RobotSettings, problems: &mut Vec<Problem>) -> Option<f64> {
     let arm = &settings.arm;
     let home = &arm.home_rad;
@@ -221,7 +222,7 @@ fn trial(engine: &mut MujocoEngine, settings: &RobotSettings, problems: &mut Vec
     let before = problems.len();
     home_is_free(engine, &scene, problems);
     if problems.len() > before {
-        // In contact the arm's motion says nothing about its servos.
+        // While the arm is in contact, its motion does not show the quality of its servos.
         return None;
     }
 

@@ -14,7 +14,7 @@ const OUTER_WEIGHT: f64 = 0.1;
 /// A descent from a random posture ends after this many steps without reducing the error by a tenth.
 const STALLED_STEPS: usize = 12;
 
-/// One joint of a chain: a hinge about its own axis.
+/// A joint of a chain: a hinge about its axis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChainJoint {
     /// The joint's frame in the frame of the joint before it, at joint position 0.
@@ -36,7 +36,7 @@ pub struct Chain {
     pub tcp: Isometry3<f64>,
 }
 
-/// A pose that no joint positions were found for.
+/// The error for a pose without joint positions.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("({:.3}, {:.3}, {:.3}) m is out of reach: the nearest pose found is {position_error_m:.4} m and {angle_error_rad:.4} rad off", .position[0], .position[1], .position[2])]
 pub struct Unreachable {
@@ -84,7 +84,7 @@ impl Chain {
     }
 
     /// Joint positions that put the tool centre point at `goal` to within 1e-6 m and rad, in the posture nearest to
-    /// `rest`, within the joints' ranges and without needless full rotations.
+    /// `rest`, within the joints' ranges and without unnecessary full rotations.
     ///
     /// An arm of six joints reaches a pose in up to sixteen postures: elbow up or down, shoulder left or right, wrist
     /// flipped; more if a joint can rotate more than once. The posture of `rest`, in which the arm waits, is preferred.
@@ -118,7 +118,7 @@ impl Chain {
             .map(|q| self.unwound(q, rest));
         let squares = |q: &[f64], rest: &[f64]| q.iter().zip(rest).map(|(q, rest)| (q - rest).powi(2)).sum::<f64>();
         let turned = |q: &[f64]| squares(inner(q), inner(rest)) + OUTER_WEIGHT * squares(q, rest);
-        // Of equally near postures the first one, so that the result is deterministic.
+        // Among equally near postures the first one wins, which makes the result deterministic.
         let nearest = first.iter().cloned().chain(others).min_by(|a, b| turned(a).total_cmp(&turned(b)));
         nearest.map_or(first, Ok)
     }
@@ -137,7 +137,7 @@ impl Chain {
         q
     }
 
-    /// The same posture with every joint as few full rotations from `rest` as its range allows.
+    /// The same posture with as few full rotations of each joint from `rest` as its range allows.
     fn unwound(&self, mut q: Vec<f64>, rest: &[f64]) -> Vec<f64> {
         for ((q, rest), joint) in q.iter_mut().zip(rest).zip(&self.joints) {
             let [low, high] = joint.range;

@@ -1,8 +1,8 @@
 //! Physics of a robot cell: robots, engines, servo, kinematics and suction, without a task.
 //!
-//! A [`Robot`] is a folder with an MJCF or URDF model and a `robot.toml`. A [`Scene`] describes in plain data what
-//! stands in the cell. An [`Engine`] gives robot and scene their physics; MuJoCo and Rapier are features of this crate.
-//! A [`Plant`] is an engine together with the drives that follow joint commands and the cup that holds an object.
+//! A [`Robot`] is a folder with an MJCF or URDF model and a `robot.toml`. A [`Scene`] describes the bodies in the cell
+//! as plain data. An [`Engine`] simulates robot and scene; MuJoCo and Rapier are features of this crate. A [`Plant`]
+//! combines an engine with the drives that follow joint commands and the suction cup that holds an object.
 
 pub mod contact;
 pub mod description;

@@ -16,15 +16,15 @@ pub struct MassProperties {
 }
 
 impl MassProperties {
-    /// Mass properties of parts of one density that together weigh `mass_kg`.
+    /// Mass properties of parts with the same density and a total mass of `mass_kg`.
     pub fn homogeneous(parts: &[Part], mass_kg: f64) -> Self {
         Self::with_ballast(parts, mass_kg, 0.0, Vector3::zeros())
     }
 
-    /// Mass properties of a body of which the share `share` of the mass is a point at `at` (m, in the body's frame);
-    /// the parts share the rest by their volume.
+    /// Mass properties of a body with a point mass: the fraction `share` of the mass is at `at` (m, in the body's
+    /// frame), and the parts share the rest by volume.
     ///
-    /// The inertia is the exact one of parts and point together (parallel axes).
+    /// The inertia is exact for parts and point together (parallel axes).
     pub fn with_ballast(parts: &[Part], mass_kg: f64, share: f64, at: Vector3<f64>) -> Self {
         let volume: f64 = parts.iter().map(|part| part.primitive.volume()).sum();
         let mut masses: Vec<(f64, Vector3<f64>, Matrix3<f64>)> = parts

@@ -1,4 +1,4 @@
-//! A MuJoCo model by itself, for tasks that bring their own world.
+//! A MuJoCo model without a robot, for tasks with their own world.
 
 use mujoco_loader::LoadError;
 use mujoco_rs::prelude::*;
@@ -19,14 +19,14 @@ impl std::fmt::Debug for MujocoModel {
 }
 
 impl MujocoModel {
-    /// Compiles an MJCF text; the state is the model's initial one.
+    /// Compiles an MJCF text. The state is the model's initial one.
     ///
     /// # Errors
     /// A setup fault: MuJoCo cannot be loaded, or rejects the model.
     pub fn from_xml(xml: &str) -> Result<Self, Fault> {
         load_mujoco().map_err(setup)?;
         let model = MjModel::from_xml_string(xml)
-            .map_err(|why| Fault::new(FaultKind::Setup, format!("MuJoCo does not compile the model: {why}")))?;
+            .map_err(|why| Fault::new(FaultKind::Setup, format!("MuJoCo cannot compile the model: {why}")))?;
         Ok(Self { data: MjData::new(Box::new(model)) })
     }
 
@@ -38,12 +38,12 @@ impl MujocoModel {
         load_mujoco().map(build).map_err(setup)
     }
 
-    /// The state, and the model in it.
+    /// The state, which contains the model.
     pub fn data(&self) -> &MjData<Box<MjModel>> {
         &self.data
     }
 
-    /// The state, to set positions and controls.
+    /// The mutable state, to set positions and controls.
     pub fn data_mut(&mut self) -> &mut MjData<Box<MjModel>> {
         &mut self.data
     }
@@ -51,7 +51,7 @@ impl MujocoModel {
     /// Advances one time step.
     ///
     /// # Errors
-    /// A fault of kind `Diverged` where MuJoCo warns or the state is not finite.
+    /// A fault of kind `Diverged` if MuJoCo issues a warning or the state is not finite.
     pub fn step(&mut self) -> Result<(), Fault> {
         self.data.step();
         if let Some(warning) = warning(&self.data) {

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-/// A straight path at constant speed in a window of time; before and after it the body stands still.
+/// A straight path at constant speed within a time window. Before and after it the body does not move.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {
     /// Velocity in the base frame, in m/s.
@@ -30,7 +30,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_stands_then_moves_at_its_speed_then_stands() {
+    fn motion_is_limited_to_its_window() {
         let motion = Motion { velocity: Vector3::new(0.0, 0.2, 0.0), starts_s: 1.0, ends_s: 3.0 };
         for (time, path) in [(0.0, 0.0), (1.0, 0.0), (1.5, 0.1), (3.0, 0.4), (15.0, 0.4)] {
             assert!((motion.offset(time) - Vector3::new(0.0, path, 0.0)).norm() < 1e-12, "{time}");

@@ -1,6 +1,6 @@
-//! The driven plant: an engine with the drives that follow commands and the cup that holds an object.
+//! The plant: an engine with the drives that follow commands and the suction cup that holds an object.
 //!
-//! It draws nothing at random and judges nothing.
+//! It uses no randomness and does not decide outcomes.
 
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::Fault;
@@ -8,10 +8,10 @@ use robogate_core::Fault;
 use crate::suction::{self, Change, Suction};
 use crate::{Engine, Gripper, GripperCommand, JointTargets, Part, Scene, Servo, SuctionLaw, Touches};
 
-/// What an observer sees after one time step.
+/// The state that an observer gets after each time step.
 #[derive(Debug)]
 pub struct StepView<'a> {
-    /// Fraction of the control period that has passed, from above 0 to 1.
+    /// Elapsed fraction of the control period, above 0 and at most 1.
     pub fraction: f64,
     /// State of the gripper.
     pub gripper: GripperState,
@@ -25,7 +25,7 @@ pub struct StepView<'a> {
     pub tcp: Isometry3<f64>,
 }
 
-/// What can be seen of a gripper besides its contacts.
+/// The state of a gripper, without its contacts.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum GripperState {
     /// Fingers: the opening between the pads, in metres.
@@ -58,13 +58,13 @@ pub struct Plant<E> {
     drives: Option<Drives>,
 }
 
-/// State of the drives that the engine does not hold.
+/// State of the drives outside the engine.
 struct Drives {
     servo: Servo,
     targets: JointTargets,
-    /// The suction cup, where the gripper has one.
+    /// The suction cup, if the gripper has one.
     suction: Option<Suction>,
-    /// Parts of the object, which the cup looks at.
+    /// Parts of the object, for the distance measurement of the cup.
     parts: Vec<Part>,
 }
 
@@ -88,7 +88,7 @@ impl<E: Engine> Plant<E> {
         Ok(Self { engine, control_period_s, grip_force_n, suction_law, steps_per_period, drives: None })
     }
 
-    /// The same plant with a suction cup that holds by this law.
+    /// The same plant with this law for its suction cup.
     #[must_use]
     pub fn with_suction(mut self, law: SuctionLaw) -> Self {
         self.suction_law = law;
@@ -105,14 +105,13 @@ impl<E: Engine> Plant<E> {
         self.steps_per_period
     }
 
-    /// The distance within which the suction cup takes hold, in metres; `None` without a cup or before
-    /// [`Plant::load`].
+    /// The distance at which the suction cup grips, in metres. `None` without a cup or before [`Plant::load`].
     pub fn grip_threshold_m(&self) -> Option<f64> {
         self.drives.as_ref()?.suction.as_ref().map(Suction::threshold_m)
     }
 
-    /// Sets the scene up: the arm at home and at rest, the gripper open. A suction cup takes hold within
-    /// `grip_threshold_m` of the object; fingers ignore it.
+    /// Sets the scene up: the arm at home and at rest, the gripper open. A suction cup grips within `grip_threshold_m`
+    /// of the object; fingers ignore the threshold.
     pub fn load(&mut self, scene: &Scene, grip_threshold_m: f64) -> Result<(), Fault> {
         self.drives = None;
         let settings = &self.engine.robot().settings;
@@ -133,7 +132,7 @@ impl<E: Engine> Plant<E> {
         Ok(())
     }
 
-    /// Runs one control period towards these joint positions (rad). `observe` sees each of its time steps.
+    /// Runs one control period towards these joint positions (rad). `observe` is called after each time step.
     pub fn run(
         &mut self,
         command: &[f64],
@@ -144,13 +143,13 @@ impl<E: Engine> Plant<E> {
         let settings = &self.engine.robot().settings;
         drives.servo.command(command, &settings.arm, self.engine.chain());
         let jaw = settings.gripper.jaw().map(|jaw| {
-            // Closing drives past the closed position: what stops the fingers is the object or each other.
+            // The closing target is beyond the closed position: the object or the other finger stops the fingers.
             let goal = match gripper {
                 GripperCommand::Open => 0.5 * jaw.opening_m,
                 GripperCommand::Close => -0.5 * jaw.opening_m,
             };
-            // The fingers press with the grip force: their target leads them by no more than the distance over
-            // which the servo's spring builds up that force.
+            // The fingers press with the grip force: their target is ahead of them by at most the distance over which
+            // the servo's spring builds up that force.
             (goal, self.grip_force_n / jaw.stiffness_n_m, jaw.finger_speed_m_s * self.engine.time_step())
         });
         for k in 1..=self.steps_per_period {
@@ -207,7 +206,7 @@ pub struct ArmState {
     pub opening_m: Option<f64>,
 }
 
-/// The grip force in newtons: the gripper's setting, or `wanted` if the gripper can hold that.
+/// The grip force in newtons: the gripper's setting, or `wanted` if the gripper can apply it.
 ///
 /// # Errors
 /// If `wanted` is outside the gripper's limit, or the gripper has no fingers.

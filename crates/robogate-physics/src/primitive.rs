@@ -64,6 +64,6 @@ impl Primitive {
 pub struct Part {
     /// The primitive.
     pub primitive: Primitive,
-    /// Its pose in the body's frame.
+    /// The pose in the body's frame.
     pub pose: Isometry3<f64>,
 }

@@ -1,4 +1,4 @@
-//! A robot is a folder: an MJCF or URDF model, and a `robot.toml` with what the model cannot express.
+//! Robots: a folder with an MJCF or URDF model, and a `robot.toml` with settings that the model cannot express.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ pub struct Robot {
 /// Location of a robot's model.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum RobotSource {
-    /// In this binary. The MJCF refers to no other file.
+    /// Embedded in this binary. The MJCF refers to no other file.
     BuiltIn {
         /// Text of the MJCF.
         model: &'static str,
@@ -54,14 +54,14 @@ pub struct RobotSettings {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Site {
-    /// Its name. The model must not have a site of this name.
+    /// The name. The model must not have a site of this name.
     pub name: String,
     /// The body that carries it: a `body` of an MJCF, a `link` of a URDF.
     pub body: String,
-    /// Its position in the body's frame, in metres.
+    /// The position in the body's frame, in metres.
     #[serde(default)]
     pub position_m: [f64; 3],
-    /// Its orientation in the body's frame, in radians: roll, pitch and yaw about the fixed x, y and z axes, as in URDF.
+    /// The orientation in the body's frame, in radians: roll, pitch and yaw about the fixed x, y and z axes, as in URDF.
     #[serde(default)]
     pub rpy_rad: [f64; 3],
 }
@@ -72,7 +72,7 @@ pub struct Site {
 pub struct Arm {
     /// Names of the arm's joints in the model.
     pub joints: Vec<String>,
-    /// Joint positions in which the arm waits, in radians.
+    /// Joint positions at the start of an episode, in radians.
     pub home_rad: Vec<f64>,
     /// Largest joint speeds, in rad/s.
     pub velocity_limit_rad_s: Vec<f64>,
@@ -130,7 +130,7 @@ pub struct ParallelJaw {
     pub palm_m: f64,
 }
 
-/// A suction cup: its lip is a circle about the tool centre point, across the tool's z axis.
+/// A suction cup. Its lip is a circle around the tool centre point, perpendicular to the tool's z axis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SuctionCup {
@@ -159,7 +159,7 @@ impl Gripper {
         }
     }
 
-    /// Its kind as text with an article, for messages.
+    /// The kind of gripper as text with an article, for messages.
     pub fn description(&self) -> &'static str {
         match self {
             Self::ParallelJaw(_) => "a parallel jaw",
@@ -167,7 +167,7 @@ impl Gripper {
         }
     }
 
-    /// All names of the model that it refers to.
+    /// All names of the model that the gripper refers to.
     fn names(&self) -> Vec<&String> {
         match self {
             Self::ParallelJaw(jaw) => jaw.finger_joints.iter().chain(&jaw.finger_bodies).collect(),
@@ -175,7 +175,7 @@ impl Gripper {
         }
     }
 
-    /// Its quantities by their keys. All must be positive.
+    /// The quantities with their keys. All must be positive.
     fn quantities(&self) -> Vec<(&'static str, f64)> {
         match self {
             Self::ParallelJaw(jaw) => vec![
@@ -194,7 +194,7 @@ impl Gripper {
         }
     }
 
-    /// A contradiction between its quantities.
+    /// Describes a contradiction between the quantities.
     fn contradiction(&self) -> Option<String> {
         match self {
             Self::ParallelJaw(ParallelJaw { force_n, force_limit_n, .. }) => (force_n > force_limit_n)
@@ -238,12 +238,12 @@ pub fn built_in_robots() -> impl Iterator<Item = &'static str> {
     BUILT_IN.iter().map(|(name, ..)| *name)
 }
 
-/// Whether `robot` is a folder. The name of a built-in robot never is, even if a folder of that name exists.
+/// Whether `robot` is a folder. The name of a built-in robot never counts as one, even if such a folder exists.
 pub fn is_folder(robot: &str) -> bool {
     Path::new(robot).is_dir() && !built_in_robots().any(|name| name == robot)
 }
 
-/// The built-in robot of that name.
+/// The built-in robot with this name.
 pub fn built_in_robot(name: &str) -> Result<Robot, RobotError> {
     let Some((_, model, settings)) = BUILT_IN.iter().find(|(n, ..)| *n == name) else {
         let known = built_in_robots().collect::<Vec<_>>().join(", ");
@@ -274,7 +274,7 @@ impl Robot {
         if problems.is_empty() && !folder.join(&settings.model).is_file() {
             problems.push(Problem::new(
                 format!("model = \"{}\": the file does not exist beside robot.toml", settings.model),
-                "put the MJCF or URDF into the robot's folder and give its name here",
+                "put the MJCF or URDF into the robot's folder and give its file name here",
             ));
         }
         Ok((Self { settings, source: RobotSource::Folder(folder.to_owned()) }, problems))
@@ -341,18 +341,18 @@ impl RobotSettings {
         if Path::new(&self.model).components().count() != 1 || self.model.starts_with('.') {
             problem(
                 format!("model = {:?} is not the name of a file in the robot's folder", self.model),
-                "put the model beside robot.toml and give its name alone",
+                "put the model beside robot.toml and give only its file name",
             );
         }
         let arm = &self.arm;
         if arm.joints.is_empty() {
-            problem("arm.joints is empty".to_owned(), "name every joint of the arm, base to tip");
+            problem("arm.joints is empty".to_owned(), "list every joint of the arm, base to tip");
         }
         let sites = [&arm.flange_site, &arm.tcp_site];
         let added = self.sites.iter().flat_map(|site| [&site.name, &site.body]);
         for name in arm.joints.iter().chain(sites).chain(added).chain(self.gripper.names()) {
             if name.is_empty() || name.contains('\0') {
-                problem(format!("{name:?} is not a valid name in a model"), "give a name of the model");
+                problem(format!("{name:?} is not a valid name in a model"), "give a name from the model");
             }
         }
         for (key, values, positive) in [
@@ -370,11 +370,11 @@ impl RobotSettings {
                     "give one entry for each joint, in the order of arm.joints",
                 );
             }
-            // No arm has a value below 0.001: it would be a mistake of units.
+            // No arm has a value below 0.001. A smaller value indicates wrong units.
             if let Some(bad) = values.iter().find(|v| !v.is_finite() || (positive && **v < 1e-3)) {
                 let wanted = if positive { "a number of at least 0.001" } else { "a finite number" };
                 problem(
-                    format!("arm.{key} holds {bad}, which is not {wanted}"),
+                    format!("arm.{key} contains {bad}. Expected {wanted}"),
                     "the key ends with its unit: rad, s, N m",
                 );
             }
@@ -387,7 +387,10 @@ impl RobotSettings {
         let arm = [("arm.reach_m", arm.reach_m), ("arm.payload_kg", arm.payload_kg)];
         for (key, value) in arm.into_iter().chain(self.gripper.quantities()) {
             if !value.is_finite() || value <= 0.0 {
-                problem(format!("{key} = {value} is not a positive number"), "the key ends with its unit");
+                problem(
+                    format!("{key} = {value} is out of range. Expected a positive number"),
+                    "the key ends with its unit",
+                );
             }
         }
         if let Some(why) = self.gripper.contradiction() {
@@ -400,14 +403,14 @@ impl RobotSettings {
 /// A problem of a robot, with a hint.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Problem {
-    /// What is wrong with which input.
+    /// The problem and the affected input.
     pub what: String,
-    /// What to do about it.
+    /// The hint.
     pub hint: String,
 }
 
 impl Problem {
-    /// A problem with its hint.
+    /// Creates a problem with its hint.
     pub(crate) fn new(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self { what: what.into(), hint: hint.into() }
     }
@@ -419,7 +422,7 @@ impl fmt::Display for Problem {
     }
 }
 
-/// Why a robot cannot be used.
+/// The reason why a robot cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RobotError {
     /// The physics engine cannot be used.

@@ -1,4 +1,4 @@
-//! From a robot's folder to a MuJoCo model with the drives of `robot.toml`. All problems are reported at once.
+//! Builds a MuJoCo model from a robot's folder, with the drives of `robot.toml`. All problems are reported at once.
 
 use std::path::PathBuf;
 
@@ -63,7 +63,7 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain), Ve
     check_gripper(&model, settings, &mut problems);
     check_shapes(&model, settings, &mut problems);
     check_alone(&model, settings, &mut problems);
-    // With a missing name the chain cannot be followed.
+    // Without all names the chain cannot be followed.
     let chain = if named { chain(&model, settings, &mut problems) } else { None };
     match chain {
         Some(chain) if problems.is_empty() => Ok((spec, chain)),
@@ -71,7 +71,7 @@ pub(crate) fn build(robot: &Robot, time_step: f64) -> Result<(MjSpec, Chain), Ve
     }
 }
 
-/// Removes everything from the model that is not the robot: options, actuators, keyframes, contact settings.
+/// Removes everything from the model that is not part of the robot: options, actuators, keyframes, contact settings.
 fn prepare(spec: &mut MjSpec, time_step: f64) {
     *spec.option_mut() = MjSpec::new().option().clone();
     spec.set_memory(MjSpec::new().memory());
@@ -79,7 +79,7 @@ fn prepare(spec: &mut MjSpec, time_step: f64) {
     compiler.set_boundmass(0.0);
     compiler.set_boundinertia(0.0);
     compiler.set_balanceinertia(false);
-    // Links of a URDF that are fixed to each other stay separate bodies: robot.toml names them.
+    // Links of a URDF that are fixed to each other stay separate bodies, because robot.toml names them.
     compiler.set_fusestatic(false);
     for actuator in spec.actuator_iter_mut() {
         actuator.set_group(OFF_GROUP);
@@ -87,7 +87,7 @@ fn prepare(spec: &mut MjSpec, time_step: f64) {
     // A keyframe is a state of the robot without a scene.
     while let Some(key) = spec.key_iter_mut().next() {
         // SAFETY: the handle comes directly from the spec, is used once, and no other handle is held.
-        #[expect(unsafe_code, reason = "the binding has no safe way to delete")]
+        #[expect(unsafe_code, reason = "the binding has no safe deletion")]
         if unsafe { key.delete() }.is_err() {
             break;
         }
@@ -114,7 +114,7 @@ fn prepare(spec: &mut MjSpec, time_step: f64) {
     option.disableactuator = 1 << OFF_GROUP;
 }
 
-/// Compensates the weight of the robot, as every arm's controller does, but not that of its load.
+/// Compensates the weight of the robot, as every arm's controller does, but not the weight of its load.
 fn compensate_weight(body: &mut MjsBody) {
     for child in body.body_iter_mut() {
         child.set_gravcomp(1.0);
@@ -148,7 +148,7 @@ fn add_site(spec: &mut MjSpec, site: &Site, problems: &mut Vec<Problem>) {
 fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
     let names: Vec<String> =
         names.filter(|name| !name.is_empty() && *name != "world").map(|n| format!("`{n}`")).collect();
-    if names.is_empty() { "no named one".to_owned() } else { names.join(", ") }
+    if names.is_empty() { "none with a name".to_owned() } else { names.join(", ") }
 }
 
 /// Checks that the model has all names of robot.toml.
@@ -181,7 +181,7 @@ fn check_names(spec: &MjSpec, settings: &RobotSettings, problems: &mut Vec<Probl
 /// Adds a servo to every joint that robot.toml names.
 fn add_drives(spec: &mut MjSpec, settings: &RobotSettings, problems: &mut Vec<Problem>) {
     let arm = &settings.arm;
-    // An array that is too short is a problem of the settings, which is reported there.
+    // An array that is too short is reported as a problem of the settings.
     let entry = |values: &[f64], i: usize| values.get(i).copied().unwrap_or(1.0);
     let joints = arm.joints.iter().enumerate().map(|(i, name)| {
         let [stiffness, damping, limit] =
@@ -209,7 +209,7 @@ fn add_drives(spec: &mut MjSpec, settings: &RobotSettings, problems: &mut Vec<Pr
             problems
                 .push(Problem::new(format!("joint `{joint}` is named twice in robot.toml"), "name each joint once"));
             // SAFETY: the handle was created above, is used for the last time, and no other handle is held.
-            #[expect(unsafe_code, reason = "the binding has no safe way to delete")]
+            #[expect(unsafe_code, reason = "the binding has no safe deletion")]
             let _ = unsafe { actuator.delete() };
             continue;
         }
@@ -245,7 +245,7 @@ fn leave_out_missing_meshes(spec: &mut MjSpec, robot: &Robot) -> Vec<Problem> {
     for (name, _) in &missing {
         if let Some(mesh) = spec.mesh_mut(name) {
             // SAFETY: the handle comes directly from the spec, is used once, and no geom refers to the mesh.
-            #[expect(unsafe_code, reason = "the binding has no safe way to delete")]
+            #[expect(unsafe_code, reason = "the binding has no safe deletion")]
             let _ = unsafe { mesh.delete() };
         }
     }
@@ -379,7 +379,7 @@ fn check_jaw(model: &MjModel, jaw: &ParallelJaw, problems: &mut Vec<Problem>) {
     }
 }
 
-/// Checks that the model holds the robot alone: other shapes would be unknown obstacles.
+/// Checks that the model contains only the robot: other shapes would be unknown obstacles.
 fn check_alone(model: &MjModel, settings: &RobotSettings, problems: &mut Vec<Problem>) {
     let Some(tcp) = model.name_to_id(MjtObjBase::mjOBJ_SITE, &settings.arm.tcp_site) else { return };
     let root = model.body_rootid()[model.site_bodyid()[tcp] as usize];

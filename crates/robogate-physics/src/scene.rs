@@ -1,4 +1,4 @@
-//! The scene that an engine loads: plain data, without a task.
+//! The scene that an engine loads, as plain data without a task.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Pose;
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{MassProperties, Motion, Part, Primitive, Visual};
 
-/// Gravity on Earth, in m/s^2.
+/// Standard gravity on Earth, in m/s^2.
 pub const GRAVITY: f64 = 9.81;
 
 /// Centre of the workspace on the table, in metres in front of the base.
@@ -18,7 +18,7 @@ pub const TABLE_CENTRE: [f64; 2] = [0.55, 0.0];
 /// Half extents of the table, in metres (x, y).
 pub const TABLE_HALF: [f64; 2] = [0.4, 0.7];
 
-/// A scenario's world, before an engine gives it physics.
+/// The world of a scenario, before an engine simulates it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     /// The object: the one body that moves freely.
@@ -27,13 +27,13 @@ pub struct Scene {
     pub object_pose: Isometry3<f64>,
     /// Coulomb friction coefficient of the object against everything.
     pub friction: f64,
-    /// Coulomb friction coefficient of the object against the table, where it differs.
+    /// Coulomb friction coefficient of the object against the table, if different.
     pub table_friction: Option<f64>,
     /// The table first, then all other bodies that the robot must not touch.
     pub fixtures: Vec<Fixture>,
     /// Gravity, in m/s^2.
     pub gravity: f64,
-    /// Centre (x, y) in metres of a ring that is painted on the table; physics does not feel it.
+    /// Centre (x, y) in metres of a ring painted on the table. It has no effect on physics.
     pub marker: Option<[f64; 2]>,
     /// Appearance of the scene.
     pub visual: Visual,
@@ -48,16 +48,16 @@ pub struct Object {
     pub mass: MassProperties,
 }
 
-/// A body that stands still or follows a prescribed motion. If the robot touches it, that is a collision.
+/// A body that stands still or follows a prescribed motion. Contact of the robot with it is a collision.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fixture {
-    /// Its name in contact reports.
+    /// The name in contact reports.
     pub name: String,
-    /// Its role in the scene.
+    /// The role in the scene.
     pub kind: FixtureKind,
-    /// Its shape, and its pose in the base frame at the start.
+    /// The shape, and its pose in the base frame at the start.
     pub part: Part,
-    /// Its motion, if it moves. An engine drives it, and it pushes the object.
+    /// The motion, if it moves. An engine drives it, and it pushes the object.
     pub motion: Option<Motion>,
 }
 
@@ -84,8 +84,8 @@ impl Fixture {
         Self { name: "table".to_owned(), kind: FixtureKind::Table, part, motion: None }
     }
 
-    /// A lower bound of the distance from a ball (centre and radius in metres) to the fixture when it stands at
-    /// `pose`, in metres. It is negative where they overlap.
+    /// A lower bound of the distance from a ball (centre and radius in metres) to the fixture at `pose`, in metres.
+    /// Negative if they overlap.
     pub fn distance_bound_at(&self, pose: &Isometry3<f64>, centre: [f64; 3], radius: f64) -> f64 {
         let local = pose.inverse_transform_point(&Point3::from(centre));
         let beyond = local.coords.abs() - Vector3::from(self.part.primitive.half_extent());

@@ -1,4 +1,4 @@
-//! The joint servo: from a policy's commands at the control rate to smooth targets at every time step.
+//! The joint servo, which converts commands at the control rate to smooth targets at every time step.
 
 use crate::{Arm, Chain};
 

@@ -1,18 +1,18 @@
-//! From a policy's arm command to joint positions.
+//! Converts a policy's arm command to joint positions.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Command, Fault, FaultKind};
 
 use crate::Chain;
 
-/// A tool delta starts at the last commanded pose while the tool is within this distance of it, in metres. Beyond, it
-/// starts at the measured pose: a tool that is pushed against something must not accumulate a lead that it would jump
-/// once it is free.
+/// A tool delta starts at the last commanded pose while the tool is within this distance of it, in metres. Beyond this
+/// distance it starts at the measured pose. Otherwise the command of a tool pushed against an obstacle would run ahead,
+/// and the tool would jump once it is free.
 const LEAD_M: f64 = 0.04;
-/// The same limit for the tool's orientation, in radians.
+/// The corresponding limit for the orientation of the tool, in radians.
 const LEAD_RAD: f64 = 0.2;
 
-/// Converts arm commands to joint positions, as the encoders measure them.
+/// Converts arm commands to joint positions in encoder coordinates.
 #[derive(Debug, Clone, Default)]
 pub struct Steering {
     /// The last commanded joint positions, in radians.
@@ -20,11 +20,11 @@ pub struct Steering {
 }
 
 impl Steering {
-    /// The joint positions (rad) for `command`, where the encoders read `measured`.
+    /// The joint positions (rad) for `command`, with the encoder readings `measured`.
     ///
-    /// A tool delta is added to the last commanded pose, so that the arm's lag is not lost. The inverse kinematics start
-    /// at the last commanded joint positions and keep a redundant arm near `rest`. If the new pose is out of reach, the
-    /// command does not change.
+    /// A tool delta is added to the last commanded pose, so the lag of the arm does not accumulate. The inverse
+    /// kinematics start at the last commanded joint positions and keep a redundant arm near `rest`. If the new pose is
+    /// out of reach, the command does not change.
     ///
     /// # Errors
     /// A fault of kind `BadAction` if the command has the wrong length or is not finite.

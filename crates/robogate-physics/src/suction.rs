@@ -1,9 +1,9 @@
-//! When a suction cup takes hold of the object, and when it loses it. The rules are the same for all engines.
+//! Decides when a suction cup grips the object and when it loses it. The rules are the same for all engines.
 //!
-//! A cup that is commanded to grip looks along the tool's z axis at the object, from the centre of its lip and from
-//! [`RIM_POINTS`] points around it. It takes hold if the distance from the centre to the object is at most the grip
-//! threshold; by vacuum also at most what the lip can follow. The engine then attaches the object
-//! ([`crate::Engine::attach`]). What happens next depends on the law:
+//! A cup with a grip command measures distances along the tool's z axis to the object, from the centre of its lip and
+//! from [`RIM_POINTS`] points around it. It grips if the distance from the centre to the object is at most the grip
+//! threshold. With vacuum, the distance must also be within the range that the lip can follow. The engine then attaches
+//! the object ([`crate::Engine::attach`]). The following behaviour depends on the law:
 //!
 //! [`SuctionLaw::Surface`] is the surface gripper of the paper (section 4.1): the joint never breaks.
 //!
@@ -21,10 +21,11 @@
 //! - M <= N R: beyond, the object tips over the edge of the lip. (From N R / 2 on, one side of the ring bears no load. The
 //!   rubber follows the surface there, and the seal is assumed to last until the object tips: this is the cup's upper bound.)
 //!
-//! An overloaded cup leaks and has lost the object. It takes hold again only after a command to release.
+//! An overloaded cup leaks and has lost the object. It grips again only after a release command.
 //!
-//! The vacuum is reached after [`BUILD_UP_S`] of uninterrupted sealing. The joint is stiff but the lip is rubber: the lip
-//! feels the load with a time constant of [`LIP_LAG_S`], so that impacts of a few milliseconds do not peel it off.
+//! The vacuum is reached after [`BUILD_UP_S`] of uninterrupted sealing. The joint is stiff but the lip is rubber: the
+//! load on the lip is low-pass filtered with a time constant of [`LIP_LAG_S`], so impacts of a few milliseconds do not
+//! peel it off.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt;
@@ -35,7 +36,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{GripperCommand, Part, Primitive, SuctionCup, Wrench};
 
-/// Number of points of the lip that look at the surface.
+/// Number of points of the lip from which the distance to the surface is measured.
 pub const RIM_POINTS: usize = 16;
 
 /// Largest deviation of the surface from the lip's plane that the lip can follow, as a fraction of its diameter.
@@ -44,13 +45,14 @@ pub const LIP_SHARE: f64 = 0.1;
 /// Time that a sealed cup takes to reach its vacuum, in seconds: ejectors at the tool need 50 to 200 ms.
 pub const BUILD_UP_S: f64 = 0.1;
 
-/// Time constant of the load that a lip feels, in seconds.
+/// Time constant of the load on a lip, in seconds.
 pub const LIP_LAG_S: f64 = 0.02;
 
-/// Start of a cup's view behind its lip, in metres: a lip that is pressed into the surface still sees it.
+/// Start of the distance measurement behind the lip, in metres, so that a lip pressed into the surface still detects
+/// it.
 const BEHIND_M: f64 = 0.02;
 
-/// How a suction cup holds an object.
+/// The law by which a suction cup holds an object.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SuctionLaw {
@@ -64,7 +66,7 @@ impl SuctionLaw {
     /// Every law.
     pub const ALL: [Self; 2] = [Self::Surface, Self::Vacuum];
 
-    /// Its name on the command line.
+    /// The name on the command line.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Surface => "surface",
@@ -100,16 +102,16 @@ impl SuctionCup {
     }
 }
 
-/// A cup's view of the object.
+/// The result of a cup's distance measurement.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct View {
     /// Distance from the centre of the lip to the object along the tool's z axis, in metres; negative if they overlap.
     pub gap_m: f64,
-    /// Fraction of the suction force that the seal leaves; `None` if the lip does not seal.
+    /// Fraction of the suction force that the seal retains. `None` if the lip does not seal.
     pub seal: Option<f64>,
 }
 
-/// The view of a cup at `tcp` of an object of these parts; `None` if there is no object in front of it.
+/// Measures the distance from a cup at `tcp` to an object of these parts. `None` if no object is in front of it.
 pub fn look(cup: &SuctionCup, tcp: &Isometry3<f64>, parts: &[Part], object: &Isometry3<f64>) -> Option<View> {
     let depth = |x: f64, y: f64| {
         let from = object.inverse_transform_point(&(tcp * Point3::new(x, y, -BEHIND_M)));
@@ -142,7 +144,7 @@ pub fn look(cup: &SuctionCup, tcp: &Isometry3<f64>, parts: &[Part], object: &Iso
     Some(View { gap_m, seal })
 }
 
-/// Distance at which a ray from `from` along the unit vector `direction` enters a primitive; `None` if it misses it or
+/// Distance at which a ray from `from` along the unit vector `direction` enters a primitive. `None` if it misses it or
 /// starts inside.
 fn enters(primitive: &Primitive, from: &Point3<f64>, direction: &Vector3<f64>) -> Option<f64> {
     let slab = |axis: usize, half: f64| -> Option<(f64, f64)> {
@@ -185,7 +187,7 @@ pub fn holds(suction: f64, radius: f64, friction: f64, load: &Wrench) -> bool {
     across <= friction * pressing && load.torque.xy().norm() <= radius * pressing
 }
 
-/// A cup at work.
+/// The state of a working cup.
 #[derive(Debug, Clone)]
 pub(crate) struct Suction {
     law: SuctionLaw,
@@ -201,13 +203,13 @@ enum State {
     Idle,
     /// Sealed for this long, in seconds.
     Sealed(f64),
-    /// Holding with this suction force in newtons, and feeling this load.
+    /// Holding with this suction force in newtons, under this filtered load.
     Holding(f64, Wrench),
     /// Overloaded: the vacuum is lost.
     Leaked,
 }
 
-/// What the engine must do.
+/// The change that the engine must make.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Change {
     Attach,
@@ -215,12 +217,13 @@ pub(crate) enum Change {
 }
 
 impl Suction {
-    /// A cup that takes hold within `threshold` (m) of an object with this friction coefficient, for steps of `time_step` (s).
+    /// Creates a cup that grips within `threshold` (m) of an object with this friction coefficient, for steps of
+    /// `time_step` (s).
     pub(crate) fn new(law: SuctionLaw, cup: SuctionCup, threshold: f64, friction: f64, time_step: f64) -> Self {
         Self { law, cup, threshold, friction, time_step, state: State::Idle }
     }
 
-    /// The distance within which the cup takes hold, in metres.
+    /// The distance at which the cup grips, in metres.
     pub(crate) fn threshold_m(&self) -> f64 {
         self.threshold
     }
@@ -230,7 +233,7 @@ impl Suction {
         matches!(self.state, State::Holding(..))
     }
 
-    /// One time step: the command, the cup's view of the object and its load.
+    /// Advances one time step with the command, the measured distances and the load.
     pub(crate) fn step(
         &mut self,
         command: GripperCommand,
@@ -302,7 +305,7 @@ mod tests {
         Primitive::Sphere { radius: 0.5 * size }
     }
 
-    /// A cup that looks down from `height` above the top of a primitive at the origin, off its middle by `at`.
+    /// The view of a cup that points down from `height` above the top of a primitive at the origin, offset by `at`.
     fn view(primitive: Primitive, at: [f64; 2], height: f64, tilt: f64) -> Option<View> {
         let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI + tilt);
         let top = primitive.half_extent()[2];
@@ -316,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gap_may_be_negative() {
+    fn gap_may_be_negative() {
         let cylinder = Primitive::Cylinder { radius: 0.025, half_height: 0.025 };
         for (primitive, height) in [(cube(0.05), 0.01), (cylinder, 0.002), (ball(0.05), -0.003)] {
             let gap = view(primitive, [0.0, 0.0], height, 0.0).unwrap().gap_m;
@@ -326,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lip_seals_on_planes_only() {
+    fn lip_seals_only_on_planes() {
         assert_eq!(view(cube(0.05), [0.004, 0.0], 0.002, 0.0).unwrap().seal, Some(1.0));
         assert_eq!(view(cube(0.05), [0.006, 0.0], 0.002, 0.0).unwrap().seal, None);
         assert!(view(cube(0.05), [0.0, 0.0], 0.002, 0.09).unwrap().seal.unwrap() > 0.999);
@@ -334,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ball_bends_the_lip() {
+    fn ball_bends_the_lip() {
         // The cap of a ball of radius r under a lip of radius R is r - sqrt(r^2 - R^2) high.
         let r: f64 = 0.1;
         let cap = r - (r * r - 0.02 * 0.02_f64).sqrt();
@@ -357,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn a_leaked_cup_must_release_first() {
+    fn leaked_cup_must_release_first() {
         use GripperCommand::{Close, Open};
         let near = |_: &SuctionCup| Some(View { gap_m: 0.001, seal: Some(1.0) });
         let heavy = Wrench { force: Vector3::new(0.0, 0.0, -800.0), torque: Vector3::zeros() };
@@ -370,7 +373,7 @@ mod tests {
             assert_eq!(suction.step(Close, near, None), None);
             assert_eq!(suction.step(Open, near, None), None);
         }
-        // A broken seal starts from the beginning.
+        // After a broken seal, the build-up starts again.
         assert_eq!(suction.step(Close, near, None), None);
         assert_eq!(suction.step(Close, |_| None, None), None);
         assert_eq!(suction.step(Close, near, None), None);
@@ -379,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vacuum_needs_contact() {
+    fn vacuum_needs_contact() {
         let mut suction = Suction::new(SuctionLaw::Vacuum, cup(), 0.02, 0.8, BUILD_UP_S);
         let before = |gap_m: f64| move |_: &SuctionCup| Some(View { gap_m, seal: Some(1.0) });
         for _ in 0..5 {
@@ -390,7 +393,7 @@ mod tests {
     }
 
     #[test]
-    fn a_surface_gripper_never_loses_the_object() {
+    fn surface_gripper_never_loses_object() {
         use GripperCommand::{Close, Open};
         let heavy = Wrench { force: Vector3::new(0.0, 0.0, -8000.0), torque: Vector3::zeros() };
         let mut surface = Suction::new(SuctionLaw::Surface, cup(), 0.01, 0.8, 0.002);

@@ -1,4 +1,4 @@
-//! Joint trajectories from rest to rest, within the joints' limits.
+//! Rest-to-rest joint trajectories within the joints' limits.
 
 use nalgebra::{Isometry3, Translation3};
 
@@ -12,7 +12,7 @@ const LIMIT_SHARE: f64 = 0.7;
 const PEAK_SPEED: f64 = 1.875;
 const PEAK_ACCELERATION: f64 = 5.773_502_691_896_258;
 
-/// A straight path that would take longer counts as unreachable, in seconds.
+/// Longest accepted duration of a straight path, in seconds. A longer one counts as unreachable.
 const SLOWEST_S: f64 = 60.0;
 
 fn min_jerk(u: f64) -> f64 {
@@ -100,7 +100,7 @@ pub fn straight_path(
     }
 }
 
-/// Factor by which the path must be stretched in time to keep every joint's limits; below 1 it keeps them already.
+/// Factor by which the path must be stretched in time to respect every joint's limits. Below 1 it already does.
 fn overload(from: &[f64], path: &[Vec<f64>], arm: &Arm, period: f64) -> f64 {
     let mut worst: f64 = 0.0;
     for i in 0..from.len() {

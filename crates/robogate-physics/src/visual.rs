@@ -1,4 +1,4 @@
-//! Appearance of a scene: what cameras see and physics does not feel.
+//! Appearance of a scene: properties that affect cameras but not physics.
 
 use std::fmt;
 
@@ -54,7 +54,7 @@ impl TableMaterial {
     /// Every material.
     pub const ALL: [Self; 5] = [Self::Wood, Self::Steel, Self::Laminate, Self::Rubber, Self::Cardboard];
 
-    /// Its name in data and settings.
+    /// The name in data files and settings.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Wood => "wood",
@@ -65,7 +65,7 @@ impl TableMaterial {
         }
     }
 
-    /// The material of that name.
+    /// The material with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|material| material.as_str() == name)
     }
@@ -99,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_color_is_six_lower_case_digits_after_a_hash() {
+    fn color_syntax_is_strict() {
         assert_eq!(Color::from_hex("#c83c28"), Some(Color([200, 60, 40])));
         assert_eq!(Color([0, 10, 255]).to_string(), "#000aff");
         for wrong in ["", "c83c28", "#C83C28", "#c83c2", "#c83c289", "#+83c28", "#é3c28"] {

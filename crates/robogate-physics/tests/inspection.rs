@@ -1,4 +1,4 @@
-//! Inspection of robots: everything that may be wrong with one.
+//! Tests of the inspection of robots, with every problem that it detects.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -24,14 +24,14 @@ fn look(folder: &Path) -> Inspection {
     inspect(folder.to_str().unwrap(), &[])
 }
 
-/// Replaces `from`, which is there.
+/// Replaces `from`, which must occur in the text.
 fn change(text: &str, from: &str, to: &str) -> String {
     assert!(text.contains(from), "{from}");
     text.replace(from, to)
 }
 
 #[test]
-fn every_built_in_robot_passes_its_inspection() {
+fn built_in_robots_pass_inspection() {
     for name in built_in_robots() {
         let inspection = inspect(name, &[[0.4, 0.0], [3.0, 0.0]]);
         assert!(inspection.problems.is_empty(), "{name}: {:#?}", inspection.problems);
@@ -41,19 +41,19 @@ fn every_built_in_robot_passes_its_inspection() {
     }
 }
 
-/// Asserts that the inspection says each of these, with a hint each.
+/// Asserts that the inspection reports each of these problems, each with a hint.
 fn assert_says(name: &str, model: &str, settings: &str, parts: &[&str]) {
     let inspection = look(&folder(name, &[("franka.xml", model), ("robot.toml", settings)]));
     for part in parts {
         let found = inspection.problems.iter().find(|problem| problem.what.contains(part));
-        let found = found.unwrap_or_else(|| panic!("{name} does not say {part:?}: {:#?}", inspection.problems));
+        let found = found.unwrap_or_else(|| panic!("{name} does not report {part:?}: {:#?}", inspection.problems));
         assert!(!found.hint.is_empty(), "{name}: no hint for {part:?}");
     }
     assert_eq!(inspection.problems.len(), parts.len(), "{name}: {:#?}", inspection.problems);
 }
 
 #[test]
-fn a_robot_that_nothing_touches_is_refused() {
+fn robot_without_collision_shapes_is_rejected() {
     let untouchable =
         change(MODEL, "<default class=\"arm\">", "<default class=\"arm\"><geom contype=\"0\" conaffinity=\"0\"/>");
     let untouchable = change(&untouchable, "<geom rgba=\"0.93 0.93 0.95 1\"/>", "");
@@ -72,13 +72,13 @@ fn a_robot_that_nothing_touches_is_refused() {
 }
 
 #[test]
-fn a_built_in_robots_name_is_that_robot_whatever_folders_lie_about() {
+fn built_in_name_ignores_folders() {
     assert!(!robogate_physics::is_folder("ur5e"));
     assert!(robogate_physics::is_folder(&std::env::temp_dir().to_string_lossy()));
 }
 
 #[test]
-fn all_that_is_wrong_is_said_at_once() {
+fn all_problems_are_reported_at_once() {
     let mut model = change(MODEL, "name=\"joint3\" range=\"-2.8973 2.8973\"", "name=\"joint3\"");
     model = change(&model, "name=\"joint5\" range=\"-2.8973 2.8973\"", "name=\"joint5\"");
     model = change(
@@ -115,7 +115,7 @@ fn all_that_is_wrong_is_said_at_once() {
 }
 
 #[test]
-fn what_only_a_trial_shows_is_said_too() {
+fn trial_reports_dynamic_problems() {
     let into_table = change(
         SETTINGS,
         "[0.0, -0.785398, 0.0, -2.356194, 0.0, 1.570796, 0.785398]",
@@ -139,7 +139,7 @@ fn what_only_a_trial_shows_is_said_too() {
 }
 
 #[test]
-fn a_folder_without_what_it_needs_says_what_that_is() {
+fn incomplete_folder_names_missing_files() {
     for (name, files, part) in [
         ("empty", vec![("readme.txt", "")], "robot.toml"),
         ("no-model", vec![("robot.toml", SETTINGS)], "franka.xml"),

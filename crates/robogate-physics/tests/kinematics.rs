@@ -1,4 +1,4 @@
-//! Inverse kinematics, and mass properties against MuJoCo's own.
+//! Tests of inverse kinematics, and of mass properties against MuJoCo.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -16,7 +16,7 @@ fn engine() -> MujocoEngine {
 }
 
 #[test]
-fn inverse_kinematics_finds_what_forward_kinematics_reached() {
+fn inverse_kinematics_inverts_forward() {
     let engine = engine();
     let home = &engine.robot().settings.arm.home_rad;
     let mut found = 0;
@@ -39,7 +39,7 @@ fn inverse_kinematics_finds_what_forward_kinematics_reached() {
 }
 
 #[test]
-fn a_pose_out_of_reach_is_an_error() {
+fn unreachable_pose_is_an_error() {
     let engine = engine();
     let home = &engine.robot().settings.arm.home_rad;
     let goal = Isometry3::translation(1.2, 0.0, 0.3);
@@ -47,7 +47,7 @@ fn a_pose_out_of_reach_is_an_error() {
     assert!(unreachable.position_error_m > 0.2, "{unreachable}");
 }
 
-/// Bodies of one part and of several that do not overlap.
+/// Bodies with one part, and with several parts that do not overlap.
 fn bodies() -> Vec<Vec<Part>> {
     let part = |primitive, x: f64, z: f64, yaw: f64| Part {
         primitive,
@@ -64,7 +64,7 @@ fn bodies() -> Vec<Vec<Part>> {
 }
 
 #[test]
-fn mass_properties_agree_with_mujocos() {
+fn mass_properties_match_mujoco() {
     use mujoco_rs::prelude::MjModel;
     for parts in bodies() {
         let mass = MassProperties::homogeneous(&parts, 0.6);

@@ -1,4 +1,4 @@
-//! A robot's folder is checked when it is read.
+//! Tests of the checks of a robot's folder.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -9,7 +9,7 @@ use robogate_physics::{MujocoEngine, Robot};
 const MODEL: &str = include_str!("../../../assets/robots/franka/franka.xml");
 const SETTINGS: &str = include_str!("../../../assets/robots/franka/robot.toml");
 
-/// A folder with the Franka, changed.
+/// A folder with a modified Franka.
 fn folder(name: &str, model: &str, settings: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     fs::create_dir_all(&folder).unwrap();
@@ -26,12 +26,12 @@ fn engine(name: &str, model: &str, settings: &str) -> Result<MujocoEngine, Strin
 fn assert_refused(name: &str, model: &str, settings: &str, parts: &[&str]) {
     let error = engine(name, model, settings).err().unwrap();
     for part in parts {
-        assert!(error.contains(part), "{name} does not say {part:?}: {error}");
+        assert!(error.contains(part), "{name} does not report {part:?}: {error}");
     }
 }
 
 #[test]
-fn an_impossible_robot_is_refused() {
+fn invalid_robot_is_rejected() {
     let floor = MODEL.replace("<worldbody>", "<worldbody><geom name=\"floor\" type=\"plane\" size=\"1 1 1\"/>");
     assert_refused("floor", &floor, SETTINGS, &["floor", "must not contain a scene"]);
     let change = |from: &str, to: &str| {

@@ -1,4 +1,4 @@
-//! Tool deltas move the tool along the axes of the base frame.
+//! Tests that tool deltas move the tool along the axes of the base frame.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use nalgebra::Isometry3;
@@ -73,7 +73,7 @@ fn tool_deltas_add_up() {
 }
 
 #[test]
-fn a_rotation_keeps_the_tool_in_place() {
+fn rotation_keeps_tool_position() {
     let (mut world, start) = World::new();
     world.go(&delta([0.0; 3], [0.0, 0.0, 0.02]), 20);
     let end = world.go(&STAY, 20);
@@ -83,14 +83,14 @@ fn a_rotation_keeps_the_tool_in_place() {
 }
 
 #[test]
-fn an_unreachable_delta_keeps_the_command() {
+fn unreachable_delta_keeps_command() {
     let (mut world, start) = World::new();
     let end = world.go(&delta([3.0, 0.0, 0.0], [0.0; 3]), 10);
     assert!((end.translation.vector - start.translation.vector).amax() < 1e-3);
 }
 
 #[test]
-fn a_delta_that_is_not_finite_is_a_bad_action() {
+fn non_finite_delta_is_bad_action() {
     let (mut world, _) = World::new();
     let fault = world.step(&delta([f64::NAN, 0.0, 0.0], [0.0; 3])).unwrap_err();
     assert_eq!(fault.kind, FaultKind::BadAction);

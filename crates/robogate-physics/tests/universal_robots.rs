@@ -1,4 +1,4 @@
-//! The UR3e, UR5e and UR10e against the manufacturer's tables.
+//! Compares the UR3e, UR5e and UR10e with the manufacturer's tables.
 #![expect(clippy::disallowed_methods, reason = "tests measure times")]
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -9,7 +9,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 use robogate_core::Seed;
 use robogate_physics::{Chain, ChainJoint, load_mujoco};
 
-/// One arm's tables: "DH parameters for calculations of kinematics and dynamics".
+/// The table of one arm: "DH parameters for calculations of kinematics and dynamics".
 struct Table {
     name: &'static str,
     model: &'static str,
@@ -17,7 +17,7 @@ struct Table {
     d: [f64; 4],
     mass: [f64; 6],
     centre: [[f64; 3]; 6],
-    /// Of link 2, about its centre of mass.
+    /// Inertia of link 2 about its centre of mass.
     inertia: [f64; 3],
 }
 
@@ -75,17 +75,16 @@ const TABLES: [Table; 3] = [
 
 const LINKS: [&str; 6] = ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"];
 const ELBOW: usize = 2;
-/// From flange to lip.
+/// Distance from flange to lip, in metres.
 const TOOL_M: f64 = 0.12;
 const HOME: [f64; 6] = [0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0];
 
-/// One row of the standard (Denavit and Hartenberg's) table, written out from the definition:
-/// T = Rz(theta) Tz(d) Tx(a) Rx(alpha).
+/// One row of the standard Denavit-Hartenberg table: T = Rz(theta) Tz(d) Tx(a) Rx(alpha).
 fn standard(theta: f64, d: f64, a: f64, alpha: f64) -> Isometry3<f64> {
-    let turn = |axis: &nalgebra::Unit<Vector3<f64>>, angle| {
+    let rotation = |axis: &nalgebra::Unit<Vector3<f64>>, angle| {
         Isometry3::from_parts(Translation3::identity(), UnitQuaternion::from_axis_angle(axis, angle))
     };
-    turn(&Vector3::z_axis(), theta) * Isometry3::translation(a, 0.0, d) * turn(&Vector3::x_axis(), alpha)
+    rotation(&Vector3::z_axis(), theta) * Isometry3::translation(a, 0.0, d) * rotation(&Vector3::x_axis(), alpha)
 }
 
 /// The rows (d, a, alpha) of joints 1 to 6.
@@ -95,8 +94,8 @@ fn rows(table: &Table) -> [(f64, f64, f64); 6] {
     [(d1, 0.0, FRAC_PI_2), (0.0, a2, 0.0), (0.0, a3, 0.0), (d4, 0.0, FRAC_PI_2), (d5, 0.0, -FRAC_PI_2), (d6, 0.0, 0.0)]
 }
 
-/// The frames of links 1 to 6 where the table puts them, the base turned by half a turn as the ROS description
-/// has it; the last is the flange.
+/// The frames of links 1 to 6 from the table, with the base rotated by half a turn as in the ROS description. The last
+/// frame is the flange.
 fn frames_by_table(table: &Table, q: &[f64]) -> Vec<Isometry3<f64>> {
     let mut frame = standard(PI, 0.0, 0.0, 0.0);
     let link = |((d, a, alpha), theta): ((f64, f64, f64), &f64)| {
@@ -106,7 +105,7 @@ fn frames_by_table(table: &Table, q: &[f64]) -> Vec<Isometry3<f64>> {
     rows(table).into_iter().zip(q).map(link).collect()
 }
 
-/// The arm as a chain, from the table alone.
+/// The arm as a chain, computed only from the table.
 fn chain(table: &Table) -> Chain {
     let mut placement = standard(PI, 0.0, 0.0, 0.0);
     let joints = rows(table).into_iter().enumerate().map(|(i, (d, a, alpha))| {
@@ -126,9 +125,9 @@ fn model(xml: &str) -> MjModel {
 
 fn site(data: &MjData<Box<MjModel>>, name: &str) -> Isometry3<f64> {
     let id = data.model().name_to_id(MjtObjBase::mjOBJ_SITE, name).unwrap();
-    let turn = Rotation3::from_matrix_unchecked(Matrix3::from_row_slice(&data.site_xmat()[id]));
+    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_row_slice(&data.site_xmat()[id]));
     let at = Translation3::from(Vector3::from(data.site_xpos()[id]));
-    Isometry3::from_parts(at, UnitQuaternion::from_rotation_matrix(&turn))
+    Isometry3::from_parts(at, UnitQuaternion::from_rotation_matrix(&rotation))
 }
 
 fn assert_same(name: &str, a: &Isometry3<f64>, b: &Isometry3<f64>) {
@@ -138,7 +137,7 @@ fn assert_same(name: &str, a: &Isometry3<f64>, b: &Isometry3<f64>) {
 }
 
 #[test]
-fn the_models_stand_where_the_denavit_hartenberg_table_puts_them() {
+fn kinematics_match_dh_table() {
     for table in &TABLES {
         let mut data = MjData::new(Box::new(model(table.model)));
         for index in 0..1000 {
@@ -157,7 +156,7 @@ fn the_models_stand_where_the_denavit_hartenberg_table_puts_them() {
 }
 
 #[test]
-fn the_links_weigh_and_turn_as_the_table_says() {
+fn masses_and_inertias_match_table() {
     for table in &TABLES {
         let model = model(table.model);
         for (i, link) in LINKS.iter().enumerate() {
@@ -177,7 +176,7 @@ fn the_links_weigh_and_turn_as_the_table_says() {
 }
 
 #[test]
-fn joints_turn_all_the_way_round_twice_but_the_elbow_once() {
+fn joint_ranges_match_data_sheet() {
     for table in &TABLES {
         let model = model(table.model);
         for (joint, range) in model.jnt_range().iter().enumerate() {
@@ -188,7 +187,7 @@ fn joints_turn_all_the_way_round_twice_but_the_elbow_once() {
 }
 
 #[test]
-fn at_home_the_tool_points_down_in_front_and_nothing_touches() {
+fn home_pose_is_free() {
     for table in &TABLES {
         let floor = "<worldbody><geom name=\"table\" type=\"box\" size=\"0.4 0.7 0.02\" pos=\"0.55 0 -0.02\"/>";
         let model = model(&table.model.replace("<worldbody>", floor));
@@ -203,19 +202,19 @@ fn at_home_the_tool_points_down_in_front_and_nothing_touches() {
     }
 }
 
-/// How far the arm is stretched, as a share of upper arm and forearm, with the tool down at this point: the arm's
-/// plane passes the base's axis at the distance d4, and the wrist's centre stands d5 nearer to the base than the tool
-/// and d6 above the flange.
+/// The stretch of the arm with the tool down at this point, as a fraction of the length of upper arm and forearm. The
+/// arm's plane passes the base's axis at the distance d4. The wrist's centre is d5 nearer to the base than the tool and
+/// d6 above the flange.
 fn stretch(table: &Table, at: &Vector3<f64>) -> f64 {
     let [d1, d4, d5, d6] = table.d;
     let along = (at.x * at.x + at.y * at.y - d4 * d4).sqrt() - d5;
     along.hypot(at.z + TOOL_M + d6 - d1) / (table.a[0].abs() + table.a[1].abs())
 }
 
-/// The tool above this point, pointing down, turned by `yaw` from where it is at home.
+/// The tool at this point, pointing down, rotated by `yaw` from its orientation at home.
 fn down(chain: &Chain, at: &Vector3<f64>, yaw: f64) -> Isometry3<f64> {
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
-    Isometry3::from_parts(Translation3::from(*at), turn * chain.tcp_at(&HOME).rotation)
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+    Isometry3::from_parts(Translation3::from(*at), rotation * chain.tcp_at(&HOME).rotation)
 }
 
 /// The grid of tool positions: 5 cm apart across the table and over it.
@@ -228,7 +227,7 @@ fn point((x, y, z): (i32, i32, i32)) -> Vector3<f64> {
 }
 
 #[test]
-fn over_the_workspace_the_arm_reaches_just_what_its_links_allow_elbow_up_and_unwound() {
+fn workspace_matches_link_lengths() {
     for table in &TABLES {
         let chain = chain(table);
         for cell in grid() {
@@ -248,7 +247,7 @@ fn over_the_workspace_the_arm_reaches_just_what_its_links_allow_elbow_up_and_unw
                     }
                     let frames = frames_by_table(table, &q);
                     let [shoulder, elbow, wrist] = [0, 1, 2].map(|i| frames[i].translation.z);
-                    // Its height above the middle of the line from shoulder to wrist.
+                    // Height of the elbow relative to the middle of the line from shoulder to wrist.
                     assert!(elbow > 0.5 * (shoulder + wrist), "{}: elbow down at {at}: {q:?}", table.name);
                     assert!((q[4] - HOME[4]).abs() < 1e-4, "{}: the wrist is turned over at {at}: {q:?}", table.name);
                 }
@@ -258,7 +257,7 @@ fn over_the_workspace_the_arm_reaches_just_what_its_links_allow_elbow_up_and_unw
 }
 
 #[test]
-fn neighbouring_poses_have_neighbouring_postures() {
+fn postures_are_continuous() {
     for table in &TABLES {
         let chain = chain(table);
         let posture = |cell| {
@@ -273,13 +272,13 @@ fn neighbouring_poses_have_neighbouring_postures() {
                 widest = q.iter().zip(near).map(|(a, b)| (a - b).abs()).fold(widest, f64::max);
             }
         }
-        // The next posture over is more than a quarter turn away.
+        // A different posture is more than a quarter turn away.
         assert!(widest < 0.8, "{}: a joint jumps by {widest} rad over 5 cm", table.name);
     }
 }
 
 #[test]
-fn what_is_out_of_reach_is_soon_said_to_be() {
+fn out_of_reach_fails_fast() {
     for table in &TABLES {
         let chain = chain(table);
         let begun = std::time::Instant::now();
@@ -289,12 +288,12 @@ fn what_is_out_of_reach_is_soon_said_to_be() {
             assert!(unreachable.position_error_m > 0.02 || unreachable.angle_error_rad > 0.02, "{unreachable}");
         }
         let each = begun.elapsed() / 50;
-        // Far above what it takes, far below what would hold an episode up.
+        // Far above the typical time, and far below a duration that would delay an episode.
         assert!(each.as_millis() < 20, "{}: {each:?} for each", table.name);
     }
 }
 
-/// Unimation's Puma 560, an arm with a spherical wrist: none of the three above. Parameters as in Corke, "Robotics,
+/// Unimation's Puma 560, an arm with a spherical wrist, unlike the three above. Parameters as in Corke, "Robotics,
 /// Vision and Control".
 fn puma() -> (Chain, [f64; 6]) {
     let rows = [
@@ -319,7 +318,7 @@ fn puma() -> (Chain, [f64; 6]) {
 }
 
 #[test]
-fn the_posture_found_is_near_home_or_hardly_ever_farther_than_one_that_is_known() {
+fn posture_is_near_home() {
     let arms = TABLES.iter().map(|table| (table.name, chain(table), HOME)).chain([("puma", puma().0, puma().1)]);
     for (name, chain, home) in arms {
         let n = 400;
@@ -333,7 +332,7 @@ fn the_posture_found_is_near_home_or_hardly_ever_farther_than_one_that_is_known(
             let turns = |q: &[f64]| (1..5).map(|i| (q[i] - home[i]).abs()).collect::<Vec<_>>();
             let sum = |q: &[f64]| turns(q).iter().map(|turn| turn * turn).sum::<f64>();
             let near = turns(&q).iter().all(|turn| *turn < FRAC_PI_2);
-            // The first and the last joint weigh a tenth.
+            // The first and the last joint have a weight of 0.1.
             farther += u64::from(!near && sum(&q) > sum(&known) + 0.1 * 2.0 * PI * PI);
         }
         assert!(100 * farther <= 3 * n, "{name}: {farther} of {n} farther");

@@ -1,8 +1,8 @@
-"""Times statsmodels, scikit-learn and SciPy on the columns that the benchmark wrote; one JSON line with seconds.
+"""Times statsmodels, scikit-learn and SciPy on the columns written by the benchmark. Prints one JSON line with seconds.
 
     python peers.py FOLDER ROWS COLUMNS
 
-FOLDER holds x.f64 (COLUMNS runs of ROWS little-endian doubles), outcomes.u8, scores.f64. Packages as in
+FOLDER contains x.f64 (COLUMNS runs of ROWS little-endian doubles), outcomes.u8, scores.f64. Packages as in
 ../tests/reference/requirements.txt. The thresholds take the first 20,000 rows and five columns, as the benchmark does.
 """
 

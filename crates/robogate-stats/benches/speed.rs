@@ -1,10 +1,11 @@
-//! The large cases beside statsmodels, scikit-learn and SciPy, on the same data in one run:
-//! `ROBOGATE_BENCH_PYTHON=venv/bin/python cargo bench -p robogate-stats [-- ROWS]`, the packages as in
-//! `tests/reference/requirements.txt`. Without that Python only our own times are printed.
+//! Compares the speed of large fits with statsmodels, scikit-learn and SciPy, on the same data in one run.
+//!
+//! Run `ROBOGATE_BENCH_PYTHON=venv/bin/python cargo bench -p robogate-stats [-- ROWS]` with the packages of
+//! `tests/reference/requirements.txt`. Without that variable only RoboGate's times are printed.
 
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock and finds its Python in the environment")]
-#![expect(clippy::print_stdout, reason = "a benchmark prints what it measured")]
-#![expect(clippy::unwrap_used, reason = "a benchmark that cannot run should stop")]
+#![expect(clippy::print_stdout, reason = "a benchmark prints its results")]
+#![expect(clippy::unwrap_used, reason = "a benchmark fails by panicking")]
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -39,7 +40,7 @@ fn timed<T>(times: &mut BTreeMap<&'static str, f64>, name: &'static str, work: i
 
 fn main() {
     let rows: usize = std::env::args().skip(1).find_map(|word| word.parse().ok()).unwrap_or(1_000_000);
-    assert!(rows >= BOOTSTRAP_ROWS, "at least {BOOTSTRAP_ROWS} rows");
+    assert!(rows >= BOOTSTRAP_ROWS, "expected at least {BOOTSTRAP_ROWS} rows");
     let x: Vec<Vec<f64>> = MULTIPLIERS.iter().map(|m| formula(rows as u64, *m, 1_000_003)).collect();
     let noise = formula(rows as u64, 179_424_673, 999_983);
     let outcomes: Vec<bool> =
@@ -59,7 +60,7 @@ fn main() {
         }
     });
     timed(&mut ours, "spearman", || spearman(&x[0], &scores, Confidence::P95).unwrap());
-    // A tenth of the rows, marked by a column, in which nothing ever succeeds.
+    // A column marks a tenth of the rows, in which no episode succeeds.
     let mut marked = columns.clone();
     let mark: Vec<f64> = (0..rows).map(|i| f64::from(u8::from(i % 10 == 3))).collect();
     marked[COLUMNS - 1] = &mark;
@@ -73,7 +74,7 @@ fn main() {
         println!("{name:<66} {seconds:>9.3} s");
     }
     let Some(python) = std::env::var_os("ROBOGATE_BENCH_PYTHON") else {
-        println!("no ROBOGATE_BENCH_PYTHON: no peer was measured");
+        println!("ROBOGATE_BENCH_PYTHON is not set: the Python packages were not measured");
         return;
     };
     let folder = tempfile::tempdir().unwrap();
@@ -91,7 +92,7 @@ fn main() {
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let peers: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    // A ratio means something only where both found the same.
+    // A ratio is meaningful only if both results agree.
     for (ours, theirs) in model.raw_coefficients().iter().zip(peers["coefficients"].as_array().unwrap()) {
         assert!((ours - theirs.as_f64().unwrap()).abs() < 1e-6, "coefficients differ: {ours} and {theirs}");
     }

@@ -1,7 +1,7 @@
-//! Tests of a success rate that stay valid for any number of looks.
+//! Sequential tests of a success rate, valid for any number of looks at the data.
 //!
-//! The hypothesis "the rate is at most p₀" is compared with each larger rate q, with equal weights. After k successes in n trials the evidence is the mean
-//! likelihood ratio
+//! The hypothesis "the rate is at most p₀" is compared with each larger rate q, with equal weights. After k successes
+//! in n trials the evidence is the mean likelihood ratio
 //!
 //! ```text
 //! E(p₀) = 1/(1-p₀) ∫ (q/p₀)^k ((1-q)/(1-p₀))^(n-k) dq,  q from p₀ to 1
@@ -9,27 +9,29 @@
 //! ```
 //!
 //! with the binomial distribution function F and mass f. For every true rate up to p₀, E is a non-negative
-//! supermartingale that starts at 1: the probability that it ever reaches 1/α is at most α (Ville). The test may therefore stop as soon as
-//! it does, and min(1, 1/max E) is a p-value at every moment.
+//! supermartingale that starts at 1: the probability that it ever reaches 1/α is at most α (Ville). The test may
+//! therefore stop as soon as E reaches 1/α, and min(1, 1/max E) is a p-value at any time.
 //!
 //! **Rounds of different scenarios.** If every round runs the same scenarios, the tested rate is their mean, and each
-//! scenario may have its own rate. For each q the ratio of one trial is 1 + λ(x - p₀) with λ = (q-p₀)/(p₀(1-p₀)), and over
-//! a round the means 1 + λ(pᵢ - p₀) multiply to at most 1 where the pᵢ average at most p₀ (the geometric mean is never
-//! above the arithmetic). So all of this holds for the mean, **if the looks are at the end of complete rounds**.
+//! scenario may have a different rate. For each q the ratio of one trial is 1 + λ(x - p₀) with λ = (q-p₀)/(p₀(1-p₀)).
+//! Over a round, the means 1 + λ(pᵢ - p₀) multiply to at most 1 if the average of pᵢ is at most p₀ (the geometric mean
+//! never exceeds the arithmetic mean). All statements then hold for the mean rate, **if the looks are at the end of
+//! complete rounds**.
 //!
-//! E falls in p₀ wherever it is at least e, so the p₀ that are not rejected form an interval ([`Bounds`]) for every
-//! level above 1 - 1/e.
+//! E decreases in p₀ wherever it is at least e. The p₀ that are not rejected therefore form an interval ([`Bounds`])
+//! for every level above 1 - 1/e.
 //!
-//! Limit: trials are independent given their scenario; p₀ strictly between 0 and 1.
-//! Sources: Robbins (1970), Annals of Mathematical Statistics 41; Howard, Ramdas, McAuliffe and Sekhon (2021), Annals of
-//! Statistics 49 (beta-binomial mixture); Ville (1939).
+//! Limit: trials are independent given their scenario, and p₀ is strictly between 0 and 1. Sources: Robbins (1970),
+//! Annals of Mathematical Statistics 41; Howard, Ramdas, McAuliffe and Sekhon (2021), Annals of Statistics 49
+//! (beta-binomial mixture); Ville (1939).
 
 use crate::interval::{Interval, Trials};
 use robogate_maths::beta::{ln_beta_cdf, ln_binomial_pmf};
 
-/// ln of the evidence against "the rate is at most `p0`".
+/// ln of the evidence against the hypothesis "the rate is at most `p0`".
 ///
-/// 0 without trials; at `p0` = 0 any success is infinite evidence, and there is never evidence against `p0` = 1.
+/// Without trials it is 0. For `p0` = 0 any success is infinite evidence, and for `p0` = 1 the evidence is never
+/// positive.
 pub fn ln_evidence_above(trials: Trials, p0: f64) -> f64 {
     let (k, n) = (trials.successes() as f64, trials.n() as f64);
     if p0.is_nan() || p0 >= 1.0 || n <= 0.0 {
@@ -42,7 +44,7 @@ pub fn ln_evidence_above(trials: Trials, p0: f64) -> f64 {
     ln_beta_cdf(n - k + 1.0, k + 1.0, q0, p0) - (n + 1.0).ln() - q0.ln() - ln_binomial_pmf(k, n, p0)
 }
 
-/// ln of the evidence against "the rate is at least `p0`".
+/// ln of the evidence against the hypothesis "the rate is at least `p0`".
 pub fn ln_evidence_below(trials: Trials, p0: f64) -> f64 {
     ln_evidence_above(mirrored(trials), 1.0 - p0)
 }
@@ -51,9 +53,9 @@ fn mirrored(trials: Trials) -> Trials {
     Trials::new(trials.failures(), trials.n()).unwrap_or(Trials::NONE)
 }
 
-/// The rates that looks at growing numbers of trials have not rejected.
+/// The confidence sequence of a rate: the rates that no look has rejected so far.
 ///
-/// The true rate is in it at all times at once with probability 1 - 2 tail.
+/// It contains the true rate at all looks simultaneously with probability 1 - 2 tail.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
     tail: f64,
@@ -61,25 +63,26 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// Before the first trial; each side may be wrong with probability `tail`, cut to [1e-300, 1/e].
+    /// Creates bounds without trials. Each side has the error probability `tail`, clamped to [1e-300, 1/e].
     pub fn new(tail: f64) -> Self {
         Self { tail: tail.clamp(1e-300, (-1.0_f64).exp()), interval: Interval::UNIT }
     }
 
-    /// Looks at all the trials so far.
+    /// Adds a look at all trials so far.
     pub fn look(&mut self, trials: Trials) {
         let low = lower_end(trials, self.tail);
         let high = 1.0 - lower_end(mirrored(trials), self.tail);
         self.interval = Interval { low: low.max(self.interval.low), high: high.min(self.interval.high) };
     }
 
-    /// What is left; `low` above `high` has probability 2 tail at most, and says that a premise does not hold.
+    /// The interval that is not rejected. `low` exceeds `high` with probability at most 2 tail; this indicates a
+    /// violated assumption.
     pub fn interval(&self) -> Interval {
         self.interval
     }
 }
 
-/// The largest p₀ with evidence of at least 1/tail against "at most p₀"; 0 without such evidence.
+/// The largest p₀ with evidence of at least 1/tail against "at most p₀". 0 if there is none.
 fn lower_end(trials: Trials, tail: f64) -> f64 {
     let Some(rate) = trials.rate() else { return 0.0 };
     if trials.successes() == 0 {
@@ -106,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_tried_is_no_evidence() {
+    fn no_trials_give_no_evidence() {
         assert_eq!((ln_evidence_above(Trials::NONE, 0.5), ln_evidence_below(Trials::NONE, 0.5)), (0.0, 0.0));
         let mut bounds = Bounds::new(0.05);
         bounds.look(Trials::NONE);
@@ -114,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn the_expected_evidence_is_one_at_the_limit_and_less_below_it() {
+    fn expected_evidence_is_at_most_one() {
         for n in [1, 7, 68, 300] {
             for p0 in [0.02, 0.5, 0.92] {
                 let expected = |p: f64| -> f64 {
@@ -129,14 +132,14 @@ mod tests {
     }
 
     #[test]
-    fn a_round_of_unlike_scenarios_with_that_mean_expects_no_more() {
-        // Half of the scenarios always succeed, the other half never: the mean rate is one half, the count fixed.
+    fn mixed_rounds_keep_expected_evidence() {
+        // Half of the scenarios always succeed and the others never: the mean rate is one half, and the count is fixed.
         let even = ln_evidence_above(t(34, 68), 0.5);
         assert!(even < 0.0, "{even}");
     }
 
     #[test]
-    fn evidence_falls_in_the_limit_wherever_it_is_at_least_e() {
+    fn evidence_decreases_in_the_limit() {
         for n in 1..=60_u64 {
             for k in 0..=n {
                 let mut last = f64::INFINITY;
@@ -150,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ends_are_where_the_evidence_is_that_of_the_level() {
+    fn bounds_match_the_evidence_level() {
         let mut bounds = Bounds::new(0.05);
         bounds.look(t(60, 68));
         let Interval { low, high } = bounds.interval();
@@ -159,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn looking_again_never_widens() {
+    fn looks_never_widen_bounds() {
         let mut bounds = Bounds::new(0.05);
         bounds.look(t(68, 68));
         let first = bounds.interval();

@@ -1,11 +1,11 @@
 //! Success counts per bin, per category and per pair of parameters.
 //!
-//! A bin contains edge ≤ value < next edge; the last one contains its upper edge too (as numpy.histogram does).
-//! Limit: values outside the edges are counted apart, never put into the nearest bin.
+//! A bin contains edge ≤ value < next edge. The last bin also contains its upper edge (as in numpy.histogram). Values
+//! outside the edges are counted separately and never assigned to the nearest bin.
 
 use crate::interval::Trials;
 
-/// Why values cannot be binned.
+/// The reason why values cannot be binned.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum BinningError {
     /// Two inputs differ in length.
@@ -24,7 +24,7 @@ pub enum BinningError {
         /// Value found.
         value: f64,
     },
-    /// No values, or all the same: there is nothing to cut.
+    /// No values, or all values are equal.
     #[error("fewer than two distinct values cannot be cut into bins")]
     OneValue,
     /// Zero bins were requested.
@@ -50,7 +50,7 @@ pub enum BinningError {
 pub struct Edges(Vec<f64>);
 
 impl Edges {
-    /// Accepts at least two strictly increasing finite numbers.
+    /// Creates edges from at least two strictly increasing finite numbers.
     ///
     /// # Errors
     /// [`BinningError::BadEdges`] otherwise.
@@ -59,7 +59,7 @@ impl Edges {
         if edges.len() >= 2 && increasing { Ok(Self(edges)) } else { Err(BinningError::BadEdges) }
     }
 
-    /// `bins` of equal width over the observed range.
+    /// Creates `bins` bins of equal width over the observed range.
     ///
     /// # Errors
     /// Zero bins, a value that is not finite, or fewer than two distinct values.
@@ -74,7 +74,7 @@ impl Edges {
         Self::new(edges).map_err(|_| BinningError::OneValue)
     }
 
-    /// At most `bins` of nearly equal count; equal values stay together, so there may be fewer.
+    /// Creates at most `bins` bins of nearly equal count. Equal values stay together, so there may be fewer bins.
     ///
     /// # Errors
     /// As [`Edges::equal_width`].
@@ -96,7 +96,7 @@ impl Edges {
         Self::new(edges)
     }
 
-    /// The edges in order, one more than there are bins.
+    /// The edges in order. There is one more edge than bins.
     pub fn as_slice(&self) -> &[f64] {
         &self.0
     }
@@ -106,7 +106,7 @@ impl Edges {
         self.0.len() - 1
     }
 
-    /// Bin of a value; `None` outside the edges and for NaN.
+    /// The bin of a value. `None` outside the edges and for NaN.
     pub fn bin(&self, value: f64) -> Option<usize> {
         let last = self.0.len() - 1;
         if !(value >= self.0[0] && value <= self.0[last]) {
@@ -129,10 +129,10 @@ fn same_length(expected: usize, found: usize) -> Result<(), BinningError> {
     if expected == found { Ok(()) } else { Err(BinningError::Length { expected, found }) }
 }
 
-/// Counts of a table of cells, with what fell outside.
+/// Counts per cell of a table, and of the rows outside it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cells {
-    /// One for each cell; with two parameters, the second one runs fastest.
+    /// One count per cell. With two parameters, the index of the second one varies fastest.
     pub cells: Vec<Trials>,
     /// Rows outside the edges.
     pub outside: usize,
@@ -166,7 +166,7 @@ pub fn per_bin(values: &[f64], outcomes: &[bool], edges: &Edges) -> Result<Cells
     Ok(tally(outcomes, edges.bins(), |row| edges.bin(values[row])))
 }
 
-/// Success counts per cell of two parameters; cell (i, j) is at index i · `y_edges.bins()` + j.
+/// Success counts per cell of two parameters. Cell (i, j) has index i · `y_edges.bins()` + j.
 ///
 /// # Errors
 /// Unequal lengths.
@@ -200,14 +200,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_last_bin_holds_its_upper_edge_and_nothing_beyond() {
+    fn last_bin_includes_upper_edge() {
         let edges = Edges::new(vec![0.0, 1.0, 2.0]).unwrap();
         let bins: Vec<Option<usize>> = [-0.1, 0.0, 0.999, 1.0, 2.0, 2.1, f64::NAN].map(|v| edges.bin(v)).to_vec();
         assert_eq!(bins, [None, Some(0), Some(0), Some(1), Some(1), None, None]);
     }
 
     #[test]
-    fn every_row_is_in_one_cell_or_outside() {
+    fn rows_are_counted_once() {
         let x: Vec<f64> = (0..100).map(f64::from).collect();
         let outcomes: Vec<bool> = (0..100).map(|i| i % 3 == 0).collect();
         let edges = Edges::new(vec![10.0, 20.0, 90.0]).unwrap();
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn one_value_cannot_be_cut() {
+    fn single_value_is_rejected() {
         assert_eq!(Edges::equal_width(&[2.0, 2.0], 4), Err(BinningError::OneValue));
         assert_eq!(Edges::equal_width(&[], 4), Err(BinningError::OneValue));
         assert!(per_category(&[0, 3], &[true, false], 3).is_err());

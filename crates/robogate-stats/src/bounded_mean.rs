@@ -1,22 +1,22 @@
-//! Tests of the mean of a bounded quantity that make no assumption about its distribution and stay valid for any number of looks.
+//! Sequential tests of the mean of a bounded quantity, without an assumption about its distribution.
 //!
-//! Values lie from 0 to a known ceiling. Against "the mean is at least m" a gambler stakes the same share c of what may be
-//! lost on every value x being below m: the capital is multiplied by 1 + c (m - x)/(u - m), u the ceiling. If the mean is
-//! m or more, no stake can be expected to grow, so the mean capital of several gamblers reaches 1/α at any time
-//! with probability at most α. The shares form a geometric grid from 0.99 down, because the best one depends on a spread that
-//! is unknown in advance.
+//! Values are between 0 and a known ceiling u. To test "the mean is at least m", a gambler bets a fixed fraction c of
+//! the possible loss on each value x being below m. The capital is multiplied by 1 + c (m - x)/(u - m). If the mean is
+//! m or more, no bet has a positive expected gain, and the mean capital of several gamblers ever reaches 1/α with
+//! probability at most α. The fractions form a geometric grid from 0.99 downwards, because the best fraction depends on
+//! the unknown spread.
 //!
-//! The stakes are constant, so the argument of [`crate::anytime`] about rounds of different scenarios holds here: the tested mean
-//! is that over the scenarios, and looks are at the end of complete rounds. The capital grows in m, so the m that are not
-//! rejected form an interval.
+//! The bets are constant, so the argument of [`crate::anytime`] about rounds of different scenarios applies: the tested
+//! mean is the mean over the scenarios, and looks are at the end of complete rounds. The capital increases in m, so the
+//! m that are not rejected form an interval.
 //!
-//! Limit: the ceiling is a fact (a time limit), not the largest value seen; a needlessly high one costs episodes.
-//! Source: Waudby-Smith and Ramdas (2024), Journal of the Royal Statistical Society B 86 (betting; here a grid of
-//! constant stakes).
+//! Limit: the ceiling must be known in advance (a time limit), not the largest observed value. An unnecessarily high
+//! ceiling costs episodes. Source: Waudby-Smith and Ramdas (2024), Journal of the Royal Statistical Society B 86
+//! (betting; here a grid of constant bets).
 
 use crate::interval::Interval;
 
-/// Shares of what may be lost: 0.99 halved again and again.
+/// Number of bet sizes: 0.99, halved repeatedly.
 const STAKES: u32 = 12;
 
 /// A value outside its stated bounds.
@@ -31,7 +31,7 @@ pub struct OutOfBounds {
     pub ceiling: f64,
 }
 
-/// Values from 0 to a ceiling, in the order in which they were looked at.
+/// Values from 0 to a ceiling, in the order of observation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoundedMean<'a> {
     values: &'a [f64],
@@ -40,8 +40,8 @@ pub struct BoundedMean<'a> {
 }
 
 impl<'a> BoundedMean<'a> {
-    /// `looks` are the numbers of values at each look, in increasing order; one look at them all is a sample of fixed
-    /// size.
+    /// Creates the test. `looks` are the numbers of values at each look, in increasing order. A single look at all
+    /// values is a sample of fixed size.
     ///
     /// # Errors
     /// [`OutOfBounds`] for the first value below 0, above `ceiling` or not a number.
@@ -52,17 +52,17 @@ impl<'a> BoundedMean<'a> {
         }
     }
 
-    /// ln of the largest evidence at any look against "the mean is at least `m`".
+    /// ln of the largest evidence over all looks against "the mean is at least `m`".
     pub fn ln_evidence_below(&self, m: f64) -> f64 {
         self.evidence(m / self.ceiling, |x| x)
     }
 
-    /// ln of the largest evidence at any look against "the mean is at most `m`".
+    /// ln of the largest evidence over all looks against "the mean is at most `m`".
     pub fn ln_evidence_above(&self, m: f64) -> f64 {
         self.evidence(1.0 - m / self.ceiling, |x| 1.0 - x)
     }
 
-    /// The means that no look rejected; each side may be wrong with probability `tail`.
+    /// The means that no look rejects. Each side has the error probability `tail`.
     pub fn interval(&self, tail: f64) -> Interval {
         let wanted = -tail.ln();
         let high = boundary(|m| self.evidence(m, |x| x) < wanted);
@@ -70,13 +70,13 @@ impl<'a> BoundedMean<'a> {
         Interval { low: low * self.ceiling, high: high * self.ceiling }
     }
 
-    /// Against "the mean of `side(x / ceiling)` is at least m", all within 0 to 1.
+    /// Evidence against "the mean of `side(x / ceiling)` is at least m", with all values from 0 to 1.
     fn evidence(&self, m: f64, side: impl Fn(f64) -> f64) -> f64 {
         if m.is_nan() || m <= 0.0 {
             return 0.0;
         }
         if m >= 1.0 {
-            // The mean can be the ceiling only where every value is.
+            // The mean can equal the ceiling only if every value does.
             let seen = self.looks.last().map_or(&[][..], |&n| &self.values[..n.min(self.values.len())]);
             let below = m > 1.0 || seen.iter().any(|&x| side(x / self.ceiling) < 1.0);
             return if below { f64::INFINITY } else { 0.0 };
@@ -104,7 +104,7 @@ fn ln_mean_exp(values: &[f64]) -> f64 {
     top + (values.iter().map(|v| (v - top).exp()).sum::<f64>() / values.len() as f64).ln()
 }
 
-/// The largest m in [0, 1] for which `open` holds, of those below which it holds too; 1 where it always does.
+/// The largest m in [0, 1] up to which `open` holds everywhere. 1 if it always holds.
 fn boundary(open: impl Fn(f64) -> bool) -> f64 {
     if open(1.0) {
         return 1.0;
@@ -122,28 +122,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_seen_leaves_the_whole_range() {
+    fn no_values_leave_whole_range() {
         let none = BoundedMean::new(&[], &[0], 15.0).unwrap();
         assert_eq!(none.interval(0.05), Interval { low: 0.0, high: 15.0 });
         assert_eq!(none.ln_evidence_below(4.0), 0.0);
     }
 
     #[test]
-    fn a_value_beyond_the_ceiling_is_named() {
+    fn value_above_ceiling_is_named() {
         let error = BoundedMean::new(&[3.0, 17.2], &[2], 15.0).unwrap_err();
         assert_eq!((error.index, error.value), (1, 17.2));
         assert!(BoundedMean::new(&[f64::NAN], &[1], 15.0).is_err());
     }
 
     #[test]
-    fn the_expected_capital_is_one_where_the_mean_is_the_limit() {
-        // All sequences of eight values of 3 and 12 with mean 6 under a ceiling of 15: chances 2/3 and 1/3.
+    fn expected_capital_is_one_at_limit() {
+        // All sequences of eight values of 3 and 12 with mean 6 and a ceiling of 15: probabilities 2/3 and 1/3.
         let mut expected = 0.0;
         for code in 0..256_u32 {
             let values: Vec<f64> = (0..8).map(|i| if code >> i & 1 == 1 { 12.0 } else { 3.0 }).collect();
             let chance =
                 (1.0_f64 / 3.0).powi(code.count_ones() as i32) * (2.0_f64 / 3.0).powi(8 - code.count_ones() as i32);
-            // One look: the maximum with 1 before it is not taken, so that the mean is exact.
+            // One look: the maximum with the initial capital 1 is not taken, which keeps the mean exact.
             let mut capital = [0.0_f64; STAKES as usize];
             for x in &values {
                 for (ln, i) in capital.iter_mut().zip(0..) {
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn evidence_grows_with_the_limit_and_the_interval_holds_the_mean() {
+    fn interval_contains_the_mean() {
         let values: Vec<f64> = (0..136).map(|i| 3.5 + f64::from(i % 7) * 0.2).collect();
         let mean = values.iter().sum::<f64>() / 136.0;
         let data = BoundedMean::new(&values, &[68, 136], 15.0).unwrap();

@@ -1,19 +1,20 @@
 //! Calibration: whether predicted probabilities match observed rates.
 //!
 //! - Brier score: mean of (p - y)².
-//! - Log loss: mean of -ln P(outcome seen); infinite if an outcome with probability 0 occurred; the result states this.
-//! - Reliability: rows in bins of p; in each, mean p against the observed rate with its Wilson interval.
-//! - Expected calibration error: Σ share of the bin · |observed - mean p|. Biased upwards when bins are thin, and it
-//!   depends on the bins, so their number is part of the figure.
+//! - Log loss: mean of -ln P(observed outcome). Infinite if an outcome with probability 0 occurred; the result reports
+//!   this.
+//! - Reliability: rows in bins of p. Each bin compares the mean p with the observed rate and its Wilson interval.
+//! - Expected calibration error: Σ share of the bin · |observed - mean p|. It is biased upwards if bins have few rows,
+//!   and it depends on the bins, so their number is part of the figure.
 //!
-//! Weights, where given, make every mean a weighted mean; bin intervals then use Kish's effective counts.
-//! Limit: a good score in sample does not imply a good score out of sample.
-//! Sources: Brier (1950); Good (1952); Murphy and Winkler (1977); Naeini, Cooper and Hauskrecht (2015).
+//! With weights, every mean is a weighted mean, and bin intervals use Kish's effective counts. Limit: a good score in
+//! sample does not imply a good score out of sample. Sources: Brier (1950); Good (1952); Murphy and Winkler (1977);
+//! Naeini, Cooper and Hauskrecht (2015).
 
 use crate::interval::{Confidence, Interval, wilson_real};
 use crate::weighted::is_weight;
 
-/// Why probabilities cannot be judged.
+/// The reason why probabilities cannot be scored.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum CalibrationError {
     /// Lengths differ.
@@ -41,26 +42,26 @@ pub enum CalibrationError {
         value: f64,
     },
     /// No row has positive weight.
-    #[error("there are no rows to judge")]
+    #[error("no row has positive weight. Expected at least one")]
     NoRows,
     /// Reliability needs at least one bin.
     #[error("the number of bins is 0. Expected at least 1")]
     NoBins,
 }
 
-/// How the unit interval is cut.
+/// How the interval [0, 1] is divided into bins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Bins {
-    /// This many of equal width over [0, 1].
+    /// This number of bins of equal width over [0, 1].
     EqualWidth(usize),
-    /// This many of (nearly) equal row count; equal probabilities stay together.
+    /// This number of bins with nearly equal row counts. Equal probabilities stay together.
     EqualCount(usize),
 }
 
 /// One bin of a reliability diagram.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReliabilityBin {
-    /// Smallest and largest stated probability that may fall in the bin.
+    /// Smallest and largest stated probability that can be in the bin.
     pub range: Interval,
     /// Rows of positive weight in the bin.
     pub rows: usize,
@@ -81,24 +82,24 @@ pub struct Calibration {
     pub rows: usize,
     /// Mean of (p - y)².
     pub brier: f64,
-    /// Brier score of always stating the overall rate: what the model must beat.
+    /// Brier score of a constant prediction of the overall rate: the baseline for the model.
     pub brier_of_the_rate: f64,
-    /// Mean of -ln P(outcome seen); `None` where it is infinite, see `certain_and_wrong`.
+    /// Mean of -ln P(observed outcome). `None` if infinite, see `certain_and_wrong`.
     pub log_loss: Option<f64>,
-    /// Rows where 0 or 1 was stated and the other came.
+    /// Rows with a stated probability of 0 or 1 and the opposite outcome.
     pub certain_and_wrong: usize,
     /// Expected calibration error over `bins`.
     pub expected_error: f64,
     /// Largest |observed - stated| over `bins`.
     pub largest_error: f64,
-    /// Bins that hold rows, in order.
+    /// Non-empty bins, in order.
     pub bins: Vec<ReliabilityBin>,
 }
 
-/// Judges stated probabilities of success.
+/// Scores stated probabilities of success.
 ///
 /// # Errors
-/// Unequal lengths, something that is no probability or weight, no rows, or zero bins.
+/// Unequal lengths, an invalid probability or weight, no rows, or zero bins.
 pub fn calibration(
     probabilities: &[f64],
     outcomes: &[bool],
@@ -215,13 +216,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_certain_statement_that_was_wrong_is_counted_and_not_clipped() {
+    fn certain_errors_are_counted() {
         let c = calibration(&[1.0, 0.5], &[false, true], None, Bins::EqualWidth(10), Confidence::P95).unwrap();
         assert_eq!((c.log_loss, c.certain_and_wrong), (None, 1));
     }
 
     #[test]
-    fn stating_the_rate_scores_exactly_the_rate() {
+    fn constant_prediction_scores_baseline() {
         let outcomes = [true, false, false, true, false];
         let c = calibration(&[0.4; 5], &outcomes, None, Bins::EqualCount(4), Confidence::P95).unwrap();
         assert!((c.brier - c.brier_of_the_rate).abs() < 1e-15 && c.expected_error < 1e-15);
@@ -229,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_probability_is_refused() {
+    fn invalid_probability_is_rejected() {
         for p in [-0.1, 1.1, f64::NAN] {
             let found = calibration(&[p], &[true], None, Bins::EqualWidth(1), Confidence::P95);
             assert!(matches!(found, Err(CalibrationError::NotAProbability { row: 0, .. })));

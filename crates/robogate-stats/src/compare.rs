@@ -1,39 +1,40 @@
-//! Two success rates: two robots, two policies, two simulators.
+//! Comparison of two success rates, for example of two robots, policies or simulators.
 //!
 //! - [`z_test`]: pooled two-sample test of equal rates, z = (p̂₁ - p̂₂) / sqrt(p̄(1-p̄)(1/n₁ + 1/n₂)). Approximate;
-//!   needs some successes and failures in all.
-//! - [`newcombe`]: interval for p₁ - p₂ from two Wilson intervals (his method 10); good at small counts.
-//! - [`newcombe_paired`]: the same where both ran the same scenarios, with the correlation φ of the pairs (his
+//!   needs at least some successes and failures.
+//! - [`newcombe`]: interval for p₁ - p₂ from two Wilson intervals (his method 10). Accurate at small counts.
+//! - [`newcombe_paired`]: the interval for runs of the same scenarios, with the correlation φ of the pairs (his
 //!   method 10 for paired data, φ corrected for continuity).
-//! - [`mcnemar_exact`]: the same scenarios, exact: given b + c discordant pairs, b is binomial(b + c, ½).
-//! - [`at_most`], [`at_least`]: exact one-sided binomial tests against a fixed rate (a danger zone: rate at most 30 %).
+//! - [`mcnemar_exact`]: exact test for the same scenarios: given b + c discordant pairs, b is binomial(b + c, ½).
+//! - [`at_most`], [`at_least`]: exact one-sided binomial tests against a fixed rate (for example a danger zone of 30
+//!   %).
 //!
-//! Limit: independence between scenarios; a rate of one population against a rate of another says nothing about
-//! the same population unless both were drawn alike.
-//! Sources: Newcombe (1998), Statistics in Medicine 17, 873-890 (unpaired) and 2635-2650 (paired); McNemar (1947).
+//! Limit: scenarios are independent. Rates of two samples are comparable only if both were sampled from the same
+//! population. Sources: Newcombe (1998), Statistics in Medicine 17, 873-890 (unpaired) and 2635-2650 (paired); McNemar
+//! (1947).
 
 use crate::interval::{Confidence, Interval, Trials, wilson};
 use robogate_maths::{beta::ln_beta_cdf, normal::ln_two_sided};
 
-/// Result of a test on a normal statistic.
+/// The result of a test with a normal statistic.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ZTest {
-    /// First rate less second, in standard errors under equality.
+    /// First rate minus second, in standard errors under equality.
     pub z: f64,
     /// ln of the two-sided p-value.
     pub ln_p: f64,
 }
 
-/// A difference of two rates.
+/// The difference of two rates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Difference {
-    /// First rate less second; `None` where one was never tried.
+    /// First rate minus second. `None` if one has no trials.
     pub estimate: Option<f64>,
-    /// Interval for it, within [-1, 1].
+    /// The confidence interval, within [-1, 1].
     pub interval: Interval,
 }
 
-/// Tests equal rates; `None` where one was never tried, or where both always or never succeeded.
+/// Tests whether two rates are equal. `None` if one has no trials, or if both always or never succeeded.
 pub fn z_test(first: Trials, second: Trials) -> Option<ZTest> {
     let (p1, p2) = (first.rate()?, second.rate()?);
     let (n1, n2) = (first.n() as f64, second.n() as f64);
@@ -45,7 +46,7 @@ pub fn z_test(first: Trials, second: Trials) -> Option<ZTest> {
     })
 }
 
-/// Newcombe's interval for the difference of two independent rates; [-1, 1] at most.
+/// Newcombe's interval for the difference of two independent rates, within [-1, 1].
 pub fn newcombe(first: Trials, second: Trials, confidence: Confidence) -> Difference {
     let (Some(p1), Some(p2)) = (first.rate(), second.rate()) else {
         return Difference { estimate: None, interval: Interval { low: -1.0, high: 1.0 } };
@@ -75,7 +76,7 @@ pub struct Pairs {
 }
 
 impl Pairs {
-    /// Counts two lists of outcomes of the same scenarios in the same order; `None` where their lengths differ.
+    /// Counts two lists of outcomes of the same scenarios in the same order. `None` if their lengths differ.
     pub fn count(first: &[bool], second: &[bool]) -> Option<Self> {
         if first.len() != second.len() {
             return None;
@@ -131,22 +132,22 @@ pub fn newcombe_paired(pairs: Pairs, confidence: Confidence) -> Difference {
     }
 }
 
-/// ln of McNemar's exact two-sided p-value that both conditions succeed equally often; 0 (p = 1) without discordant pairs.
+/// ln of McNemar's exact two-sided p-value for equal success rates. 0 (p = 1) without discordant pairs.
 pub fn mcnemar_exact(pairs: Pairs) -> f64 {
     let (b, c) = (pairs.first_only, pairs.second_only);
     sign_test(b, c)
 }
 
-/// ln of the exact two-sided p-value that two counts come from equal chances.
+/// ln of the exact two-sided p-value for two counts with equal probabilities.
 pub(crate) fn sign_test(b: u64, c: u64) -> f64 {
     let smaller = b.min(c);
     let Ok(trials) = Trials::new(smaller, b + c) else { return 0.0 };
     (at_most(trials, 0.5) + std::f64::consts::LN_2).min(0.0)
 }
 
-/// ln P(as few successes or fewer | rate `p0`): small where the true rate is below `p0`. 0 (p = 1) without trials.
+/// ln P(at most this many successes | rate `p0`). Small if the true rate is below `p0`. 0 (p = 1) without trials.
 ///
-/// `p0` is cut to [0, 1]; a NaN is compared with nothing and gives 0 (p = 1).
+/// `p0` is clamped to [0, 1]. A NaN gives 0 (p = 1).
 pub fn at_most(trials: Trials, p0: f64) -> f64 {
     let (k, n) = (trials.successes() as f64, trials.n() as f64);
     if k >= n || p0.is_nan() {
@@ -156,9 +157,9 @@ pub fn at_most(trials: Trials, p0: f64) -> f64 {
     ln_beta_cdf(n - k, k + 1.0, 1.0 - p0, p0)
 }
 
-/// ln P(as many successes or more | rate `p0`): small where the true rate is above `p0`. 0 (p = 1) without trials.
+/// ln P(at least this many successes | rate `p0`). Small if the true rate is above `p0`. 0 (p = 1) without trials.
 ///
-/// `p0` is cut to [0, 1]; a NaN is compared with nothing and gives 0 (p = 1).
+/// `p0` is clamped to [0, 1]. A NaN gives 0 (p = 1).
 pub fn at_least(trials: Trials, p0: f64) -> f64 {
     let (k, n) = (trials.successes() as f64, trials.n() as f64);
     if k <= 0.0 || p0.is_nan() {
@@ -177,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn untried_conditions_leave_everything_open() {
+    fn no_trials_give_no_result() {
         assert_eq!(z_test(t(3, 5), Trials::NONE), None);
         let d = newcombe(t(3, 5), Trials::NONE, Confidence::P95);
         assert_eq!((d.estimate, d.interval), (None, Interval { low: -1.0, high: 1.0 }));
@@ -187,14 +188,14 @@ mod tests {
     }
 
     #[test]
-    fn two_perfect_scores_are_no_test_but_still_an_interval() {
+    fn perfect_scores_have_an_interval() {
         assert_eq!(z_test(t(5, 5), t(9, 9)), None);
         let d = newcombe(t(5, 5), t(9, 9), Confidence::P95);
         assert!(d.interval.low < -0.3 && d.interval.high > 0.2);
     }
 
     #[test]
-    fn swapping_the_conditions_mirrors_every_answer() {
+    fn swapping_inputs_mirrors_results() {
         let (a, b) = (t(31, 50), t(12, 47));
         let (x, y) = (newcombe(a, b, Confidence::P95), newcombe(b, a, Confidence::P95));
         assert!((x.interval.low + y.interval.high).abs() < 1e-15);
@@ -206,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn agreeing_pairs_make_the_difference_sharper() {
+    fn agreeing_pairs_narrow_the_interval() {
         let pairs = Pairs { both: 60, first_only: 6, second_only: 2, neither: 32 };
         let paired = newcombe_paired(pairs, Confidence::P95).interval.width();
         let unpaired = newcombe(t(66, 100), t(62, 100), Confidence::P95).interval.width();
@@ -214,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn the_unpaired_interval_covers_near_its_level_by_exact_sums() {
+    fn unpaired_interval_has_nominal_coverage() {
         let pmf = |n: u64, p: f64| {
             let mut mass = vec![(1.0 - p).powi(n as i32)];
             for k in 0..n {

@@ -1,19 +1,22 @@
 //! Correlation of two quantities.
 //!
-//! - [`pearson`]: linear correlation r; with a success column of 0 and 1 it is the point-biserial one
-//!   ([`point_biserial`]). p from Student's t with n - 2 degrees of freedom, interval by Fisher's transform atanh r ± z/sqrt(n-3).
-//! - [`spearman`]: Pearson of midranks; monotone association, ties kept. Its t approximation is good from ten rows.
-//! - [`cramers_v`]: categories. V = sqrt(χ²/(n (min(r, c) - 1))), |φ| for a 2 × 2 table; with the bias-corrected form.
+//! - [`pearson`]: linear correlation r. With a success column of 0 and 1 it is the point-biserial correlation
+//!   ([`point_biserial`]). p from Student's t with n - 2 degrees of freedom, interval by Fisher's transform atanh r ±
+//!   z/sqrt(n-3).
+//! - [`spearman`]: Pearson's correlation of midranks, for monotone association with ties. The t approximation is good
+//!   from ten rows.
+//! - [`cramers_v`]: association of categories. V = sqrt(χ²/(n (min(r, c) - 1))), |φ| for a 2 × 2 table; also
+//!   bias-corrected.
 //!
-//! Limit: a zero correlation is not independence (an island of success has r near 0), and with thousands of rows
-//! very small effects are significant: look at the effect size, not only at p.
-//! Sources: Fisher (1915, 1921); Spearman (1904); Cramer (1946); Bergsma (2013) for the bias correction.
+//! Limit: zero correlation does not imply independence (an island of success has r near 0), and with thousands of rows
+//! very small effects are significant. Look at the effect size, not only at p. Sources: Fisher (1915, 1921); Spearman
+//! (1904); Cramer (1946); Bergsma (2013) for the bias correction.
 
 use crate::interval::{Confidence, Interval};
 use robogate_maths::beta::ln_student_two_sided;
 use robogate_maths::gamma::ln_chi_squared_sf;
 
-/// Why there is no correlation.
+/// The reason why a correlation is undefined.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum CorrelationError {
     /// Lengths differ.
@@ -44,8 +47,8 @@ pub enum CorrelationError {
         /// "first" or "second".
         side: &'static str,
     },
-    /// Chi-squared needs a table of two rows and two columns at least that hold anything.
-    #[error("a table needs two categories that occur on each side")]
+    /// Chi-squared needs a table with at least two non-empty rows and columns.
+    #[error("each input needs at least two categories that occur")]
     DegenerateTable,
 }
 
@@ -54,11 +57,11 @@ pub enum CorrelationError {
 pub struct Correlation {
     /// Coefficient, within [-1, 1].
     pub r: f64,
-    /// ln of the two-sided p-value of no correlation; `None` below three rows, or where |r| = 1.
+    /// ln of the two-sided p-value for zero correlation. `None` below three rows, or if |r| = 1.
     pub ln_p: Option<f64>,
-    /// Interval by Fisher's transform; [-1, 1] below four rows.
+    /// Interval by Fisher's transform. [-1, 1] below four rows.
     pub interval: Interval,
-    /// Rows.
+    /// The number of rows.
     pub n: usize,
 }
 
@@ -121,7 +124,7 @@ pub fn point_biserial(x: &[f64], outcomes: &[bool], confidence: Confidence) -> R
     pearson(x, &y, confidence)
 }
 
-/// Spearman's rank correlation, ties sharing their mean rank.
+/// Spearman's rank correlation. Ties share their mean rank.
 ///
 /// # Errors
 /// As [`pearson`].
@@ -134,7 +137,7 @@ pub fn spearman(x: &[f64], y: &[f64], confidence: Confidence) -> Result<Correlat
     pearson(&midranks(x), &midranks(y), confidence)
 }
 
-/// Ranks from 1; equal values share the mean of theirs.
+/// Ranks from 1. Equal values share their mean rank.
 pub fn midranks(values: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..values.len()).collect();
     order.sort_unstable_by(|&a, &b| values[a].total_cmp(&values[b]));
@@ -157,9 +160,9 @@ pub fn midranks(values: &[f64]) -> Vec<f64> {
 /// Association of two categorical quantities.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Association {
-    /// Cramer's V, within [0, 1]; |φ| for two categories on each side.
+    /// Cramer's V, within [0, 1]. |φ| for two categories on each side.
     pub v: f64,
-    /// V less its bias under independence (Bergsma).
+    /// V corrected for its bias under independence (Bergsma).
     pub v_corrected: f64,
     /// φ with its sign, for a 2 × 2 table: positive if the codes are positively correlated.
     pub phi: Option<f64>,
@@ -167,15 +170,15 @@ pub struct Association {
     pub chi_squared: f64,
     /// Degrees of freedom.
     pub df: usize,
-    /// ln of the p-value of independence.
+    /// ln of the p-value for independence.
     pub ln_p: f64,
-    /// Smallest expected count: below 5 the p-value is rough.
+    /// Smallest expected count. Below 5 the p-value is inaccurate.
     pub smallest_expected: f64,
-    /// Rows.
+    /// The number of rows.
     pub n: usize,
 }
 
-/// Cramer's V of two columns of category codes; codes that never occur do not count as categories.
+/// Cramer's V of two columns of category codes. Codes that never occur do not count as categories.
 ///
 /// # Errors
 /// Unequal lengths, or fewer than two categories that occur on a side.
@@ -238,14 +241,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_constant_side_is_refused_not_called_uncorrelated() {
+    fn constant_input_is_rejected() {
         let found = point_biserial(&[1.0, 2.0, 3.0], &[true; 3], Confidence::P95);
         assert_eq!(found, Err(CorrelationError::Constant { side: "second" }));
         assert_eq!(cramers_v(&[0, 0], &[0, 1]), Err(CorrelationError::DegenerateTable));
     }
 
     #[test]
-    fn two_points_always_correlate_and_prove_nothing() {
+    fn two_points_have_no_p_value() {
         let c = pearson(&[0.0, 1.0], &[5.0, 7.0], Confidence::P95).unwrap();
         assert_eq!((c.ln_p, c.interval), (None, Interval { low: -1.0, high: 1.0 }));
     }

@@ -1,10 +1,10 @@
-//! The mean of a quantity over repeats of an experiment that were all judged on the same rows.
+//! Means over repeats of an experiment that are all evaluated on the same rows.
 //!
-//! `x[r][i]`, repeat r at test row i, varies from two sources: another repeat would have been trained on other data,
-//! and other rows would have been judged. With v_r the variance of the repeats' means over their number and v_i that of
-//! the rows' means over theirs, the variance of the grand mean is taken as v_r + v_i, which counts what the two have
-//! in common twice which is conservative. The interval is Student's with Satterthwaite's degrees of freedom,
-//! (v_r + v_i)² / (v_r²/(k - 1) + v_i²/(n - 1)).
+//! `x[r][i]`, repeat r at test row i, varies from two sources: the training data of the repeat, and the choice of rows.
+//! Let v_r be the variance of the repeats' means divided by the number of repeats, and v_i that of the rows' means
+//! divided by the number of rows. The variance of the grand mean is estimated as v_r + v_i, which counts the common
+//! part twice and is conservative. The interval is Student's with Satterthwaite's degrees of freedom, (v_r + v_i)² /
+//! (v_r²/(k - 1) + v_i²/(n - 1)).
 //!
 //! Limit: with few repeats the interval is wide; with one repeat there is no interval.
 //! Sources: Satterthwaite (1946), Biometrics Bulletin 2(6); Owen (2007), Annals of Applied Statistics 1(2), for
@@ -13,20 +13,20 @@
 use crate::interval::{Confidence, Interval};
 use robogate_maths::beta::student_quantile;
 
-/// Why there is no mean.
+/// The reason why there is no mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum CrossedError {
-    /// No repeat, or no row.
-    #[error("there are no measurements")]
+    /// No repeats or no rows.
+    #[error("no measurements. Expected at least one repeat with one row")]
     Empty,
-    /// Repeats judged on different numbers of rows.
+    /// Repeats with different numbers of rows.
     #[error("repeat {repeat} has {found} rows. Expected {expected}, as in the first repeat")]
     Length {
         /// The repeat, from 0.
         repeat: usize,
-        /// Rows of the first.
+        /// Rows of the first repeat.
         expected: usize,
-        /// Rows of this one.
+        /// Rows of this repeat.
         found: usize,
     },
 }
@@ -38,18 +38,18 @@ pub struct CrossedMean {
     pub mean: f64,
     /// The mean of each repeat.
     pub repeats: Vec<f64>,
-    /// Standard error from the repeats; `None` with one alone.
+    /// Standard error over the repeats. `None` with one repeat.
     pub se_repeats: Option<f64>,
-    /// Standard error from the rows; `None` with one alone.
+    /// Standard error over the rows. `None` with one row.
     pub se_rows: Option<f64>,
-    /// Student's interval; `None` with one repeat or one row, or where nothing varies.
+    /// Student's interval. `None` with one repeat or one row, or if the values do not vary.
     pub interval: Option<Interval>,
 }
 
 /// The mean of `table[r][i]`, repeat by row.
 ///
 /// # Errors
-/// Nothing to average, or repeats of unequal length.
+/// An empty table, or repeats of unequal length.
 pub fn crossed_mean(table: &[Vec<f64>], confidence: Confidence) -> Result<CrossedMean, CrossedError> {
     let expected = table.first().map_or(0, Vec::len);
     if expected == 0 {
@@ -95,20 +95,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_repeat_has_a_mean_and_no_interval() {
+    fn single_repeat_has_no_interval() {
         let found = crossed_mean(&[vec![1.0, 2.0, 4.0]], Confidence::P95).unwrap();
         assert!((found.mean - 7.0 / 3.0).abs() < 1e-15);
         assert_eq!((found.se_repeats, found.interval), (None, None));
     }
 
     #[test]
-    fn what_never_varies_is_not_printed_as_certainty() {
+    fn constant_values_have_no_interval() {
         let found = crossed_mean(&[vec![0.0; 5], vec![0.0; 5]], Confidence::P95).unwrap();
         assert_eq!((found.mean, found.interval), (0.0, None));
     }
 
     #[test]
-    fn ragged_and_empty_tables_are_refused() {
+    fn invalid_tables_are_rejected() {
         assert_eq!(crossed_mean(&[], Confidence::P95), Err(CrossedError::Empty));
         assert_eq!(crossed_mean(&[vec![], vec![]], Confidence::P95), Err(CrossedError::Empty));
         let ragged = crossed_mean(&[vec![1.0, 2.0], vec![1.0]], Confidence::P95);
@@ -116,10 +116,10 @@ mod tests {
     }
 
     #[test]
-    fn the_interval_covers_where_repeats_and_rows_both_have_their_chance() {
-        // x = a_r + b_i + noise about 0.
+    fn interval_has_nominal_coverage() {
+        // x = a_r + b_i + noise, with mean 0.
         let mut rng = <rand_chacha::ChaCha8Rng as rand_core::SeedableRng>::seed_from_u64(3);
-        // A sum of twelve: normal enough.
+        // A sum of twelve uniform numbers is close enough to a normal one.
         let mut normal = || (0..12).map(|_| crate::resample::uniform(&mut rng)).sum::<f64>() - 6.0;
         let (trials, mut covered) = (2000, 0);
         for _ in 0..trials {

@@ -1,15 +1,15 @@
-//! Numbers as text: the one place where figures for people are rounded and written.
+//! Formats numbers for people. All rounding of displayed figures happens here.
 //!
-//! Every function gives the same text on every machine. A minus sign is U+2212, a missing figure is "-", and a value that
-//! rounds to zero has no sign.
+//! Every function gives the same text on every machine. A minus sign is U+2212, a missing figure is "-", and a value
+//! that rounds to zero has no sign.
 
 /// A number with three significant digits.
 pub fn number(x: f64) -> String {
     significant(x, 3)
 }
 
-/// A number with `digits` significant digits. Integers below a million keep all of theirs, and an exponent is written below
-/// 1e-5 and from 1e6 on.
+/// A number with `digits` significant digits. Integers below a million keep all digits. Exponents are used below 1e-5
+/// and from 1e6 on.
 pub fn significant(x: f64, digits: i32) -> String {
     if !x.is_finite() {
         return "-".to_owned();
@@ -23,12 +23,12 @@ pub fn significant(x: f64, digits: i32) -> String {
         return minus(format!("{x:.*e}", (digits - 1).max(0) as usize));
     }
     let text = format!("{x:.*}", (digits - 1 - exponent).max(0) as usize);
-    // 0.0500 says no more than 0.05 here: the interval beside it tells the precision.
+    // Trailing zeros are removed: 0.0500 becomes 0.05, because the interval already shows the precision.
     let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text };
     minus(text)
 }
 
-/// A number with this many decimals.
+/// A number with a fixed number of decimals.
 pub fn fixed(x: f64, decimals: usize) -> String {
     if x.is_finite() { minus(format!("{x:.decimals$}")) } else { "-".to_owned() }
 }
@@ -47,22 +47,22 @@ pub fn range([low, high]: [f64; 2]) -> String {
     format!("{} to {}", number(low), number(high))
 }
 
-/// A share as a percentage with one decimal: "29.3 %".
+/// A fraction as a percentage with one decimal: "29.3 %".
 pub fn percent(share: f64) -> String {
     format!("{:.1} %", 100.0 * share)
 }
 
-/// A share as a percentage, or "-" without one.
+/// A fraction as a percentage, or "-" if it is missing.
 pub fn percent_or_dash(share: Option<f64>) -> String {
     share.map_or_else(|| "-".to_owned(), percent)
 }
 
-/// A range of shares: "21.0 to 38.9 %".
+/// A range of fractions: "21.0 to 38.9 %".
 pub fn percent_range([low, high]: [f64; 2]) -> String {
     format!("{:.1} to {:.1} %", 100.0 * low, 100.0 * high)
 }
 
-/// A difference of shares in percentage points, with its sign: "+3.1".
+/// A difference of fractions in percentage points, with its sign: "+3.1".
 pub fn points(difference: f64) -> String {
     let text = fixed(100.0 * difference, 1);
     if difference > 0.0 && text != "0.0" { format!("+{text}") } else { text }
@@ -73,7 +73,7 @@ pub fn points_range([low, high]: [f64; 2]) -> String {
     format!("{} to {}", points(low), points(high))
 }
 
-/// A count with its thousands separated: "12,345".
+/// A count with thousands separators: "12,345".
 pub fn count(n: u64) -> String {
     let digits = n.to_string();
     let mut text = String::with_capacity(digits.len() + digits.len() / 3);
@@ -86,7 +86,7 @@ pub fn count(n: u64) -> String {
     text
 }
 
-/// A number of things: "1 row", "2 rows".
+/// A count with its noun: "1 row", "2 rows".
 pub fn counted(n: u64, thing: &str) -> String {
     if n == 1 { format!("1 {thing}") } else { format!("{} {thing}s", count(n)) }
 }

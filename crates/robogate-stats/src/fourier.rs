@@ -19,10 +19,10 @@ pub struct Fourier {
 }
 
 impl Fourier {
-    /// Draws `frequencies` of them; the same seed gives the same.
+    /// Draws `frequencies` random frequencies. The same seed gives the same frequencies.
     pub fn new(dimensions: usize, frequencies: usize, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        // Box and Muller (1958): two normal numbers from two uniform ones, of which the first is not 0.
+        // Box and Muller (1958): two normal numbers from two uniform ones. The first must not be 0.
         let mut normal = || {
             let radius = (-2.0 * (1.0 - uniform(&mut rng)).ln()).sqrt();
             radius * (std::f64::consts::TAU * uniform(&mut rng)).cos()
@@ -30,8 +30,8 @@ impl Fourier {
         Self { frequencies: (0..dimensions * frequencies).map(|_| normal()).collect(), dimensions }
     }
 
-    /// The columns at the rows whose coordinates are given column by column, at one length scale for all;
-    /// `None` where the number of coordinates or their lengths do not fit.
+    /// The feature columns of rows with these coordinates (column by column), with one length scale for all. `None` if
+    /// the number of coordinates or their lengths do not match.
     pub fn columns(&self, coordinates: &[&[f64]], length_scale: f64) -> Option<Vec<Vec<f64>>> {
         let rows = coordinates.first()?.len();
         if coordinates.len() != self.dimensions || coordinates.iter().any(|c| c.len() != rows) {
@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn products_of_features_are_the_gaussian_kernel() {
+    fn feature_products_match_gaussian_kernel() {
         let m = 20_000;
         let fourier = Fourier::new(3, m, 1);
         let (a, b, c) = ([0.0, 0.3, 1.5, 0.0], [0.0, -0.4, 0.2, 2.0], [0.0, 0.9, -1.0, 0.0]);
@@ -68,7 +68,7 @@ mod tests {
                     let product: f64 = columns.iter().map(|column| column[i] * column[j]).sum();
                     let square = (a[i] - a[j]).powi(2) + (b[i] - b[j]).powi(2) + (c[i] - c[j]).powi(2);
                     let kernel = (-square / (2.0 * l * l)).exp();
-                    // Five standard errors.
+                    // The tolerance is five standard errors.
                     assert!((product - kernel).abs() < 5.0 / (2.0 * m as f64).sqrt(), "{product} {kernel}");
                 }
             }
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn coordinates_that_do_not_fit_are_refused() {
+    fn mismatched_coordinates_are_rejected() {
         let fourier = Fourier::new(2, 4, 1);
         assert!(fourier.columns(&[&[1.0]], 1.0).is_none());
         assert!(fourier.columns(&[&[1.0], &[1.0, 2.0]], 1.0).is_none());

@@ -1,24 +1,24 @@
-//! Intervals for one success probability.
+//! Confidence intervals for a success probability.
 //!
 //! With k successes in n independent trials, p̂ = k/n and z the two-sided normal point of the level:
 //!
-//! - [`wilson`]: the p with (p̂ - p)² = z² p (1 - p) / n. Coverage is near the level on average over p and may
-//!   fall below it for a given p (most where p is near 0 or 1); the interval never leaves [0, 1] and never has
+//! - [`wilson`]: the p with (p̂ - p)² = z² p (1 - p) / n. Coverage is near the level on average over p, and can be
+//!   below it for a given p (most where p is near 0 or 1). The interval never leaves [0, 1] and never has
 //!   zero width at finite n.
 //! - [`clopper_pearson`]: Beta quantiles B(α/2; k, n-k+1) and B(1-α/2; k+1, n-k), 0 at k = 0 and 1 at k = n.
 //!   Coverage is at least the level for every n and p; the interval is wide when n is small.
 //!
-//! Without trials the interval is [0, 1]: no evidence is not zero.
+//! Without trials the interval is [0, 1].
 //!
-//! Limit: both hold for independent draws from the population of interest and for an n fixed in advance. A
-//! Latin hypercube is dependent (usually conservative here), a boundary-focused design is not
-//! representative (see [`crate::weighted`]), and looking repeatedly while sampling voids the level.
+//! Limit: both assume independent draws from the population of interest and an n fixed in advance. A Latin hypercube is
+//! dependent (usually conservative here), a boundary-focused design is not representative (see [`crate::weighted`]),
+//! and repeated looks during sampling invalidate the level.
 //! Sources: Wilson (1927), JASA 22; Clopper and Pearson (1934), Biometrika 26(4); Brown, Cai and DasGupta
 //! (2001), Statistical Science 16(2), on their coverage.
 
 use robogate_maths::{beta::beta_quantile, normal};
 
-/// Why numbers cannot be counts, a level or an interval.
+/// The reason why counts or a confidence level are invalid.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum IntervalError {
     /// More successes than trials.
@@ -37,7 +37,7 @@ pub enum IntervalError {
     },
 }
 
-/// How often something succeeded, out of how many attempts; never more often than attempted.
+/// A number of successes out of a number of trials.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Trials {
     successes: u64,
@@ -45,10 +45,10 @@ pub struct Trials {
 }
 
 impl Trials {
-    /// Nothing was tried.
+    /// No trials.
     pub const NONE: Self = Self { successes: 0, n: 0 };
 
-    /// Accepts `successes` ≤ `n`.
+    /// Creates a count with `successes` ≤ `n`.
     ///
     /// # Errors
     /// [`IntervalError::MoreSuccessesThanTrials`] otherwise.
@@ -80,12 +80,12 @@ impl Trials {
         self.n
     }
 
-    /// Number of trials that did not succeed, n - k.
+    /// Number of failed trials, n - k.
     pub fn failures(self) -> u64 {
         self.n - self.successes
     }
 
-    /// Observed rate k/n; `None` where nothing was tried.
+    /// Observed rate k/n. `None` without trials.
     pub fn rate(self) -> Option<f64> {
         (self.n > 0).then(|| self.successes as f64 / self.n as f64)
     }
@@ -96,10 +96,10 @@ impl Trials {
 pub struct Confidence(f64);
 
 impl Confidence {
-    /// The customary 95 %.
+    /// The usual level of 95 %.
     pub const P95: Self = Self(0.95);
 
-    /// Accepts 0 < `level` < 1.
+    /// Creates a level with 0 < `level` < 1.
     ///
     /// # Errors
     /// [`IntervalError::LevelOutsideUnit`] otherwise, NaN included.
@@ -107,26 +107,26 @@ impl Confidence {
         if level > 0.0 && level < 1.0 { Ok(Self(level)) } else { Err(IntervalError::LevelOutsideUnit { level }) }
     }
 
-    /// The level itself, 0.95 for 95 %.
+    /// The level, for example 0.95 for 95 %.
     pub fn level(self) -> f64 {
         self.0
     }
 
-    /// Probability left out on each side, (1 - level) / 2.
+    /// Error probability on each side, (1 - level) / 2.
     pub fn tail(self) -> f64 {
         0.5 * (1.0 - self.0)
     }
 
-    /// Two-sided point of the standard normal distribution: 1.95996 at 95 %.
+    /// Two-sided quantile of the standard normal distribution: 1.95996 at 95 %.
     pub fn z(self) -> f64 {
         -normal::quantile(self.tail())
     }
 
-    /// The level that each of `comparisons` statements needs for all to hold together (Bonferroni).
+    /// The level per statement at which `comparisons` statements hold simultaneously (Bonferroni).
     ///
-    /// No comparison counts as one.
+    /// Zero comparisons count as one.
     pub fn shared_by(self, comparisons: usize) -> Self {
-        // The largest double below one keeps the level a level when the share is too small to represent.
+        // If the share is too small to represent, the largest double below 1 keeps the level valid.
         let level = 1.0 - (1.0 - self.0) / comparisons.max(1) as f64;
         Self(level.min(1.0 - f64::EPSILON / 2.0))
     }
@@ -142,7 +142,7 @@ pub struct Interval {
 }
 
 impl Interval {
-    /// Everything a probability can be.
+    /// The interval [0, 1] of all probabilities.
     pub const UNIT: Self = Self { low: 0.0, high: 1.0 };
 
     /// Length, high - low.
@@ -150,7 +150,7 @@ impl Interval {
         self.high - self.low
     }
 
-    /// Whether `value` lies inside, ends included.
+    /// Whether `value` is in the interval, ends included.
     pub fn contains(self, value: f64) -> bool {
         self.low <= value && value <= self.high
     }
@@ -174,7 +174,8 @@ pub(crate) fn wilson_real(k: f64, n: f64, z: f64) -> Interval {
     Interval { low: wilson_low(k, n, z), high: 1.0 - wilson_low(n - k, n, z) }
 }
 
-/// Smaller root of the score equation, from the product of both: exact at k = 0 and without cancellation near it.
+/// Smaller root of the score equation, computed from the product of both roots: exact at k = 0 and without cancellation
+/// near it.
 fn wilson_low(k: f64, n: f64, z: f64) -> f64 {
     let zz = z * z;
     let larger = (2.0 * k + zz + z * (zz + 4.0 * k * (n - k) / n).sqrt()) / (2.0 * (n + zz));
@@ -188,7 +189,7 @@ pub fn clopper_pearson(trials: Trials, confidence: Confidence) -> Interval {
     Interval { low: exact_low(k, n, tail), high: 1.0 - exact_low(n - k, n, tail) }
 }
 
-/// The p at which k or more successes in n have probability `tail`; 0 at k = 0.
+/// The p at which k or more successes in n trials have probability `tail`. 0 at k = 0.
 fn exact_low(k: f64, n: f64, tail: f64) -> f64 {
     if k <= 0.0 { 0.0 } else { beta_quantile(k, n - k + 1.0, tail) }
 }
@@ -201,7 +202,7 @@ mod tests {
         Trials::new(k, n).unwrap()
     }
 
-    /// Probability that the interval made from Binomial(n, p) contains p, by the exact sum.
+    /// Probability that the interval from a Binomial(n, p) count contains p, as an exact sum.
     fn coverage(n: u64, p: f64, make: fn(Trials, Confidence) -> Interval) -> f64 {
         let mut probability = (n as f64 * (1.0 - p).ln()).exp();
         let mut covered = 0.0;
@@ -215,14 +216,14 @@ mod tests {
     }
 
     #[test]
-    fn zero_trials_give_the_whole_unit_interval() {
+    fn no_trials_give_unit_interval() {
         assert_eq!(wilson(Trials::NONE, Confidence::P95), Interval::UNIT);
         assert_eq!(clopper_pearson(Trials::NONE, Confidence::P95), Interval::UNIT);
         assert_eq!(Trials::NONE.rate(), None);
     }
 
     #[test]
-    fn no_success_reaches_zero_and_no_failure_reaches_one() {
+    fn extreme_counts_reach_the_ends() {
         for make in [wilson, clopper_pearson] {
             for n in [1, 7, 1_000_000] {
                 let none = make(trials(0, n), Confidence::P95);
@@ -234,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn successes_and_failures_are_mirror_images() {
+    fn successes_and_failures_are_symmetric() {
         for make in [wilson, clopper_pearson] {
             let a = make(trials(3, 41), Confidence::P95);
             let b = make(trials(38, 41), Confidence::P95);
@@ -243,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn clopper_pearson_covers_at_least_its_level_everywhere() {
+    fn clopper_pearson_is_conservative() {
         for n in [1, 2, 5, 20, 60] {
             for i in 1..100 {
                 let p = f64::from(i) / 100.0;
@@ -253,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn wilson_covers_its_level_on_average_though_not_everywhere() {
+    fn wilson_covers_on_average() {
         for n in [5, 20, 60] {
             let all: Vec<f64> = (1..200).map(|i| coverage(n, f64::from(i) / 200.0, wilson)).collect();
             let mean = all.iter().sum::<f64>() / all.len() as f64;
@@ -263,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_counts_and_levels_are_refused() {
+    fn invalid_counts_and_levels_are_rejected() {
         assert!(Trials::new(2, 1).is_err());
         for level in [0.0, 1.0, -0.1, 95.0, f64::NAN] {
             assert!(Confidence::new(level).is_err());
@@ -271,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn sharing_a_level_never_reaches_certainty() {
+    fn shared_level_stays_below_one() {
         assert!((Confidence::P95.shared_by(5).level() - 0.99).abs() < 1e-15);
         assert!(Confidence::P95.shared_by(usize::MAX).z().is_finite());
         assert_eq!(Confidence::P95.shared_by(0), Confidence::P95);

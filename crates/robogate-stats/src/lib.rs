@@ -1,8 +1,8 @@
 //! Statistical inference on episodes: numbers in, numbers out.
 //!
-//! Slices of `f64`, `bool` and `usize` go in; estimates come out with their uncertainty, or with the
-//! reason why there is no estimate. Nothing here reads a file or a clock, and randomness is a seed
-//! that the caller gives.
+//! The inputs are slices of `f64`, `bool` and `usize`. The outputs are estimates with their uncertainty, or the reason
+//! why there is no estimate. No function reads a file or a clock, and all randomness comes from a seed that the caller
+//! gives.
 //!
 //! | question | module |
 //! |---|---|

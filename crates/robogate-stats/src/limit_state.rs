@@ -1,49 +1,48 @@
-//! The success-failure frontier of two parameters in closed form.
+//! The boundary between success and failure for two parameters, in closed form.
 //!
 //! Model: logit P(success) = β₀ + β₁ x + β₂ y + β₃ x y (any two parameters; in the paper x = friction, y = mass).
 //! P = π where
 //!
 //! x*(y) = (t - β₀ - β₂ y) / (β₁ + β₃ y),  t = ln(π/(1-π)),
 //!
-//! with a pole at y = -β₁/β₃. Delta method: se(x*) = se(η)/|β₁ + β₃ y|, where se(η) is that of the linear predictor
-//! at (x*, y). The band x* ± z se is symmetric and fails near the pole; [`FrontierPoint::set`] is the exact set
-//! (Fieller): every x whose linear predictor is compatible with t at this y, which opens to a half-line or
-//! more exactly when the slope in x does not differ significantly from zero.
+//! with a pole at y = -β₁/β₃. Delta method: se(x*) = se(η)/|β₁ + β₃ y|, where se(η) is the standard error of the linear
+//! predictor at (x*, y). The band x* ± z se is symmetric and invalid near the pole. [`FrontierPoint::set`] is the exact
+//! set (Fieller): every x whose linear predictor is compatible with t at this y. It is unbounded exactly if the slope
+//! in x does not differ significantly from zero.
 //!
-//! Guarantee: both are pointwise in y, not simultaneous over the curve.
-//! Limit: the frontier is that of the model; beyond the observed range of x or y, or past the pole, it is
-//! extrapolation, and every point says which.
-//! Sources: robogate paper, equations for mu*(m); Fieller (1954), JRSS B 16(2); Ditlevsen and Madsen (1996) for limit states.
+//! Guarantee: both are pointwise in y, not simultaneous over the curve. Limit: the frontier is that of the model.
+//! Beyond the observed range of x or y, or past the pole, it is extrapolation, and every point reports this. Sources:
+//! robogate paper, equations for mu*(m); Fieller (1954), JRSS B 16(2); Ditlevsen and Madsen (1996) for limit states.
 
 use crate::interval::{Confidence, Interval};
 use crate::logistic::{Data, Fit, Options, RegressionError, fit, interaction};
 
-/// Side of the frontier on which the chance of success is above the target.
+/// The side of the frontier with the higher probability of success.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SuccessSide {
-    /// Success is likelier at x above the frontier.
+    /// Success is more likely at x above the frontier.
     Above,
-    /// Success is likelier at x below it.
+    /// Success is more likely at x below the frontier.
     Below,
 }
 
-/// All x that are compatible with the target at one y.
+/// The set of x that are compatible with the target at one y.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum CompatibleSet {
     /// An interval.
     Bounded(Interval),
-    /// Everything but an open interval: the slope in x cannot be told from zero here.
+    /// Everything except an open interval: the slope in x does not differ significantly from zero.
     Outside(Interval),
-    /// Any x at all.
+    /// All x.
     Everything,
 }
 
-/// The frontier at one y.
+/// A point of the frontier at one y.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrontierPoint {
     /// Second parameter.
     pub y: f64,
-    /// First parameter at which the chance of success is the target.
+    /// First parameter at which the probability of success equals the target.
     pub x: f64,
     /// Delta-method standard error of `x`.
     pub se: f64,
@@ -51,9 +50,9 @@ pub struct FrontierPoint {
     pub band: Interval,
     /// Exact compatible set.
     pub set: CompatibleSet,
-    /// Where success is likelier.
+    /// The side with the higher probability of success.
     pub success: SuccessSide,
-    /// Whether (x, y) lies within the observed ranges: otherwise the point is extrapolated.
+    /// Whether (x, y) is within the observed ranges. Otherwise the point is an extrapolation.
     pub observed: bool,
 }
 
@@ -67,13 +66,13 @@ pub struct LimitState {
     target: f64,
 }
 
-/// Why there is no limit state.
+/// The reason why there is no limit state.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LimitStateError {
     /// The regression failed.
     #[error(transparent)]
     Regression(#[from] RegressionError),
-    /// A column takes no part in the fit, so the frontier is not determined.
+    /// A column was dropped from the fit, so the frontier is undetermined.
     #[error("term {term} of (x, y, x*y) has no coefficient: it is constant or explained by the others")]
     MissingTerm {
         /// 0 for x, 1 for y, 2 for their product.
@@ -91,10 +90,10 @@ pub enum LimitStateError {
 }
 
 impl LimitState {
-    /// From coefficients in the order (1, x, y, xy), raw units, and the ranges over which they were observed.
+    /// Creates a limit state from coefficients in the order (1, x, y, xy), in raw units, and the observed ranges.
     ///
     /// # Errors
-    /// A target outside (0, 1), or something that is not finite.
+    /// A target outside (0, 1), or a number that is not finite.
     pub fn new(
         beta: [f64; 4],
         covariance: [[f64; 4]; 4],
@@ -111,10 +110,10 @@ impl LimitState {
         Ok(Self { beta, covariance, x_range, y_range, target })
     }
 
-    /// Fits the model to two columns and their product; returns the fit beside the frontier.
+    /// Fits the model to two columns and their product. Returns the frontier and the fit.
     ///
     /// # Errors
-    /// What the regression says, or a term without a coefficient.
+    /// An error of the regression, or a term without a coefficient.
     pub fn fit(
         x: &[f64],
         y: &[f64],
@@ -145,7 +144,7 @@ impl LimitState {
         Ok((this, found))
     }
 
-    /// The y at which the frontier runs to infinity; `None` where there is no interaction.
+    /// The y at which the frontier goes to infinity. `None` without interaction.
     pub fn pole(&self) -> Option<f64> {
         let pole = -self.beta[1] / self.beta[3];
         pole.is_finite().then_some(pole)
@@ -156,13 +155,13 @@ impl LimitState {
         self.beta[1] + self.beta[3] * y
     }
 
-    /// Range of y for which the frontier is inside the observed ranges of both parameters, on one side of the pole.
+    /// The range of y for which the frontier is within the observed ranges of both parameters, on one side of the pole.
     ///
-    /// `None` where it never is. Where the pole splits the observed range of y, the longer piece is given.
+    /// `None` if there is no such y. If the pole splits the observed range of y, the longer part is returned.
     pub fn validity(&self) -> Option<Interval> {
         let Interval { low, high } = self.y_range;
-        // x*(y) is monotone on each side of the pole, so it meets the ends of the x range at most once each:
-        // x (β₁ + β₃ y) = t - β₀ - β₂ y.
+        // x*(y) is monotone on each side of the pole, so it reaches each end of the x range at most once: x (β₁ + β₃ y)
+        // = t - β₀ - β₂ y.
         let meets = |x: f64| (self.logit() - self.beta[0] - self.beta[1] * x) / (self.beta[2] + self.beta[3] * x);
         let mut cuts: Vec<f64> =
             [Some(low), Some(high), self.pole(), Some(meets(self.x_range.low)), Some(meets(self.x_range.high))]
@@ -186,13 +185,13 @@ impl LimitState {
         (self.target / (1.0 - self.target)).ln()
     }
 
-    /// x*(y); `None` at the pole.
+    /// The frontier x*(y). `None` at the pole.
     pub fn x_at(&self, y: f64) -> Option<f64> {
         let x = (self.logit() - self.beta[0] - self.beta[2] * y) / self.slope(y);
         x.is_finite().then_some(x)
     }
 
-    /// The frontier at `y` with its uncertainty; `None` at the pole.
+    /// The frontier at `y` with its uncertainty. `None` at the pole.
     pub fn at(&self, y: f64, confidence: Confidence) -> Option<FrontierPoint> {
         let x = self.x_at(y)?;
         let slope = self.slope(y);
@@ -209,7 +208,7 @@ impl LimitState {
         })
     }
 
-    /// The frontier at `points` values of y spread evenly over the observed range, the pole left out.
+    /// The frontier at `points` values of y, evenly spaced over the observed range. The pole is skipped.
     pub fn curve(&self, points: usize, confidence: Confidence) -> Vec<FrontierPoint> {
         let last = points.saturating_sub(1).max(1) as f64;
         (0..points)
@@ -245,7 +244,7 @@ impl LimitState {
         if discriminant < 0.0 {
             return CompatibleSet::Everything;
         }
-        // The root of larger magnitude first, the other from the product of roots.
+        // The root of larger magnitude comes first, the other one from the product of the roots.
         let q = -(half_linear + discriminant.sqrt().copysign(half_linear));
         let (r1, r2) = (q / quadratic, constant / q);
         if !(r1.is_finite() && r2.is_finite()) {
@@ -269,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn the_published_equation_gives_its_anchors_and_not_its_text() {
+    fn published_equation_gives_anchors() {
         let f = published();
         assert!((f.x_at(0.1).unwrap() - 0.42549).abs() < 5e-6);
         assert!((f.x_at(1.0).unwrap() - 0.82409).abs() < 5e-6);
@@ -277,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn validity_ends_where_the_frontier_leaves_the_observed_friction() {
+    fn validity_ends_at_observed_range() {
         let v = published().validity().unwrap();
         assert!((v.low - 0.05).abs() < 1e-12);
         // (1.469 + 0.419 m) / (3.691 - 1.4 m) = 1.2
@@ -286,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn the_delta_band_is_the_gradient_of_the_closed_form() {
+    fn delta_band_matches_gradient() {
         let f = published();
         let y = 0.7;
         let mut variance = 0.0;
@@ -305,10 +304,10 @@ mod tests {
     }
 
     #[test]
-    fn near_the_pole_the_exact_set_opens_where_the_band_still_pretends() {
+    fn exact_set_is_unbounded_near_pole() {
         let f = published();
         let CompatibleSet::Bounded(near) = f.at(0.3, Confidence::P95).unwrap().set else {
-            panic!("far from the pole the set is an interval")
+            panic!("expected an interval far from the pole")
         };
         let band = f.at(0.3, Confidence::P95).unwrap().band;
         assert!((near.low - band.low).abs() < 0.02 && (near.high - band.high).abs() < 0.02);
@@ -318,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn the_pole_itself_has_no_point() {
+    fn pole_has_no_point() {
         let mut f = published();
         f.beta = [-1.0, 2.0, 0.5, -1.0];
         assert_eq!(f.at(2.0, Confidence::P95), None);

@@ -1,36 +1,36 @@
-//! Shares of failure modes, the dominant mode, and where it changes.
+//! Shares of failure modes, the dominant mode, and its changes along a parameter.
 //!
 //! - [`distribution`]: share of each failure mode with its interval: Wilson per mode, or Wilson at a level shared over
 //!   the modes, which is Goodman's simultaneous interval (all shares hold together).
-//! - [`dominance`]: is the most frequent mode significantly ahead of the second? Exact sign test on their two counts,
-//!   Bonferroni over the modes it could have been compared with.
+//! - [`dominance`]: tests whether the most frequent mode is significantly ahead of the second: exact sign test on their
+//!   two counts, Bonferroni over the modes it could have been compared with.
 //! - [`transitions`]: bins along a parameter in which a mode dominates significantly (p-values of all bins adjusted by
-//!   Holm), and the places where the dominant mode changes.
+//!   Holm), and the positions where the dominant mode changes.
 //!
-//! Limit: shares are of the failures that the design produced; a focused design has its own mix. Bins without
-//! a significant mode belong to no mode; between two bins with different modes the change may be anywhere in the gap.
-//! Sources: Goodman (1965), Technometrics 7; Holm (1979); robogate paper, table of transitions.
+//! Limit: shares apply to the failures of the design; a focused design has a different mix. Bins without a significant
+//! mode have no mode. Between two bins with different modes the change may be anywhere in the gap. Sources: Goodman
+//! (1965), Technometrics 7; Holm (1979); robogate paper, table of transitions.
 
 use crate::binning::{BinningError, Edges};
 use crate::compare::sign_test;
 use crate::interval::{Confidence, Interval, Trials, wilson};
 use crate::multiplicity::holm;
 
-/// Whether the intervals of a distribution hold one by one or all together.
+/// Whether the intervals of a distribution hold individually or simultaneously.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Joint {
-    /// Each interval holds at the level.
+    /// Each interval has the confidence level by itself.
     PerMode,
-    /// All intervals hold together at the level (Goodman).
+    /// All intervals hold simultaneously at the confidence level (Goodman).
     Simultaneous,
 }
 
-/// One mode's part of the failures.
+/// The share of one failure mode.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ModeShare {
     /// Failures of this mode.
     pub count: u64,
-    /// Share of all failures; `None` without failures.
+    /// Share of all failures. `None` without failures.
     pub share: Option<f64>,
     /// Interval of the share.
     pub interval: Interval,
@@ -46,29 +46,29 @@ pub fn distribution(counts: &[u64], joint: Joint, confidence: Confidence) -> Vec
     counts
         .iter()
         .map(|&count| {
-            // A count never exceeds the sum it is part of.
+            // A count never exceeds the sum that contains it.
             let trials = Trials::new(count, total).unwrap_or(Trials::NONE);
             ModeShare { count, share: trials.rate(), interval: wilson(trials, level) }
         })
         .collect()
 }
 
-/// The most frequent mode against the second.
+/// The most frequent mode, compared with the second.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dominance {
     /// Index of the most frequent mode; the first of equals.
     pub mode: usize,
-    /// Index of the second; `None` where there is only one mode to choose from.
+    /// Index of the second. `None` if there is only one mode.
     pub runner_up: Option<usize>,
     /// Failures of the most frequent mode.
     pub count: u64,
     /// All failures.
     pub failures: u64,
-    /// ln of the p-value that it is not truly the most frequent; `None` with one mode to choose from.
+    /// ln of the p-value for the hypothesis that another mode is more frequent. `None` if there is only one mode.
     pub ln_p: Option<f64>,
 }
 
-/// The dominant mode of a set of failures; `None` where nothing failed.
+/// The dominant mode of a set of failures. `None` without failures.
 pub fn dominance(counts: &[u64]) -> Option<Dominance> {
     let failures: u64 = counts.iter().sum();
     if failures == 0 {
@@ -91,9 +91,9 @@ pub struct ModeBin {
     pub range: Interval,
     /// Failures of each mode.
     pub counts: Vec<u64>,
-    /// Dominant mode; `None` where nothing failed.
+    /// Dominant mode. `None` without failures.
     pub dominance: Option<Dominance>,
-    /// Whether the dominant mode is sure, all bins considered together.
+    /// Whether the dominant mode is significant after correction over all bins.
     pub sure: bool,
 }
 
@@ -104,8 +104,8 @@ pub struct Transition {
     pub from: usize,
     /// Mode after.
     pub to: usize,
-    /// From the lower edge of the gap (upper edge of the last sure bin before) to the lower edge of the first sure bin
-    /// after; a single edge where the bins touch.
+    /// From the lower edge of the gap (upper edge of the last significant bin before it) to the lower edge of the first
+    /// significant bin after it. A single edge if the bins are adjacent.
     pub between: Interval,
 }
 
@@ -114,15 +114,15 @@ pub struct Transition {
 pub struct Transitions {
     /// All bins, in order.
     pub bins: Vec<ModeBin>,
-    /// Changes between sure bins, in order.
+    /// Changes between significant bins, in order.
     pub transitions: Vec<Transition>,
     /// Failures outside the edges.
     pub outside: usize,
 }
 
-/// How the dominant failure mode changes along `values`.
+/// Finds changes of the dominant failure mode along `values`.
 ///
-/// Rows are failures only: `modes[i]`, below `mode_count`, is the mode of the failure at `values[i]`.
+/// All rows are failures: `modes[i]`, below `mode_count`, is the mode of the failure at `values[i]`.
 ///
 /// # Errors
 /// Unequal lengths or a mode out of range.
@@ -186,7 +186,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_failures_leave_every_share_open() {
+    fn no_failures_give_no_share() {
         let shares = distribution(&[0, 0], Joint::PerMode, Confidence::P95);
         assert!(shares.iter().all(|s| s.share.is_none() && s.interval == Interval::UNIT));
         assert_eq!(dominance(&[0, 0, 0]), None);
@@ -194,15 +194,16 @@ mod tests {
     }
 
     #[test]
-    fn simultaneous_intervals_are_wider_than_single_ones() {
+    fn simultaneous_intervals_are_wider() {
         let one = distribution(&[40, 30, 20, 10], Joint::PerMode, Confidence::P95);
         let all = distribution(&[40, 30, 20, 10], Joint::Simultaneous, Confidence::P95);
         assert!(one.iter().zip(&all).all(|(a, b)| a.interval.width() < b.interval.width()));
     }
 
     #[test]
-    fn the_published_mixed_bin_is_not_a_sure_mode() {
-        // grip_loss 33.1 % of 1,067 failures, between two bins of timeout: significantly ahead only if far ahead of the second.
+    fn published_mixed_bin_is_not_significant() {
+        // grip_loss is 33.1 % of 1,067 failures, between two bins of timeout. It is significant only if far ahead of
+        // the second mode.
         let close = dominance(&[340, 353, 214, 160]).unwrap();
         assert_eq!(close.mode, 1);
         assert!(close.ln_p.unwrap().exp() > 0.05);
@@ -211,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn a_transition_is_reported_between_sure_bins_with_its_gap() {
+    fn transition_spans_the_gap() {
         let edges = Edges::new(vec![0.0, 1.0, 2.0, 3.0]).unwrap();
         let mut values = Vec::new();
         let mut modes = Vec::new();
@@ -230,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mode_without_rivals_is_named_but_not_proved() {
+    fn single_mode_has_no_p_value() {
         let d = dominance(&[7]).unwrap();
         assert_eq!((d.mode, d.runner_up, d.ln_p), (0, None, None));
     }

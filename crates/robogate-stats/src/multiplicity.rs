@@ -1,13 +1,13 @@
-//! Corrections for several tests on one data set.
+//! Corrections for multiple tests on one data set.
 //!
-//! - [`holm`]: step-down adjusted p-values. The chance of any false rejection stays at most α under any dependence.
-//! - [`intersection_union`]: "it holds in all of them" is shown at level α when each is shown at level α, so the
-//!   p-value of the joint claim is the largest. No further adjustment within; between several joint claims use Holm.
+//! - [`holm`]: step-down adjusted p-values. The probability of any false rejection is at most α under any dependence.
+//! - [`intersection_union`]: tests the claim "it holds in all of them". The claim is shown at level α if each part is,
+//!   so its p-value is the largest. No adjustment is needed within a claim; use Holm between several joint claims.
 //!
-//! Limit: p-values must be valid one by one, and the family must be fixed before the data are seen.
-//! Sources: Holm (1979), Scandinavian Journal of Statistics 6; Berger (1982), Technometrics 24.
+//! Limit: each p-value must be valid by itself, and the family must be fixed before looking at the data. Sources: Holm
+//! (1979), Scandinavian Journal of Statistics 6; Berger (1982), Technometrics 24.
 
-/// Something that is no p-value.
+/// A number that is not a p-value.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error("p-value {index} is {value}. Expected a number from 0 to 1")]
 pub struct NotAPValue {
@@ -24,7 +24,7 @@ fn check(p_values: &[f64]) -> Result<(), NotAPValue> {
     }
 }
 
-/// Holm's adjusted p-values, in the order given: reject where the adjusted value is at most α.
+/// Holm's adjusted p-values, in the input order. Reject a hypothesis if its adjusted value is at most α.
 ///
 /// # Errors
 /// [`NotAPValue`] for anything outside [0, 1].
@@ -42,7 +42,7 @@ pub fn holm(p_values: &[f64]) -> Result<Vec<f64>, NotAPValue> {
     Ok(adjusted)
 }
 
-/// p-value of "every one of these claims holds"; `None` where there is no claim.
+/// The p-value of the claim "every one of these claims holds". `None` without claims.
 ///
 /// # Errors
 /// [`NotAPValue`] for anything outside [0, 1].
@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn adjusted_values_never_fall_below_the_given_ones_and_keep_their_order() {
+    fn adjustment_keeps_order() {
         let p = [0.04, 0.001, 0.03, 0.03, 0.9];
         let a = holm(&p).unwrap();
         for i in 0..5 {
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_claimed_is_nothing_shown() {
+    fn no_claims_give_no_p_value() {
         assert_eq!(intersection_union(&[]), Ok(None));
         assert_eq!(intersection_union(&[0.01, 0.2]), Ok(Some(0.2)));
         assert!(holm(&[f64::NAN]).is_err());

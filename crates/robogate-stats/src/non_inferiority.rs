@@ -1,6 +1,7 @@
-//! May B replace A? Both ran the same scenarios; B may be worse by less than a margin δ.
+//! Non-inferiority test: whether B may replace A. Both ran the same scenarios, and B may be worse by less than a margin
+//! δ.
 //!
-//! Of n pairs, c succeeded with B only and b with A only. Tango's score statistic tests "p_B - p_A ≤ -δ"
+//! Of n pairs, c succeeded only with B and b only with A. Tango's score statistic tests "p_B - p_A ≤ -δ"
 //!
 //! ```text
 //! Z = (c - b + nδ) / sqrt(n (2q - δ(1+δ)))
@@ -8,12 +9,12 @@
 //! ```
 //!
 //! where q is the most likely probability of "A only" if B is worse by exactly δ. Its normal p-value ([`tango`]) is an
-//! approximation, and where discordant pairs are few the true level can lie above the nominal one. [`exact`] takes the
-//! same statistic as an order of the tables and the largest probability, over every q, of one at least as extreme: its level
-//! holds at every n.
+//! approximation. With few discordant pairs its true level can exceed the nominal one. [`exact`] orders the tables by
+//! the same statistic and takes the largest probability, over every q, of a table at least as extreme. Its level holds
+//! for every n.
 //!
-//! Limit: pairs are independent and alike. The nuisance chance q is searched on a grid of 400 with a refinement around
-//! the largest value.
+//! Limit: pairs are independent and identically distributed. The nuisance parameter q is searched on a grid of 400
+//! points with a refinement around the largest value.
 //! Sources: Tango (1998), Statistics in Medicine 17, 891-908; Hsueh, Liu and Chen (2001), Biometrics 57, 478-483 (exact,
 //! unconditional, and why the boundary of the hypothesis is enough).
 
@@ -21,7 +22,7 @@ use crate::compare::{Pairs, at_least, at_most};
 use crate::interval::Trials;
 use robogate_maths::{beta::ln_binomial_pmf, normal};
 
-/// A margin out of range.
+/// A margin that is out of range.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error("the margin {margin} is out of range. Expected a number in (0, 1). Hint: write 5 percentage points as 0.05")]
 pub struct NotAMargin {
@@ -29,7 +30,7 @@ pub struct NotAMargin {
     pub margin: f64,
 }
 
-/// The margin, if it is one.
+/// Checks the margin.
 ///
 /// # Errors
 /// [`NotAMargin`] unless 0 < `margin` < 1.
@@ -37,7 +38,7 @@ pub fn check(margin: f64) -> Result<f64, NotAMargin> {
     if margin > 0.0 && margin < 1.0 { Ok(margin) } else { Err(NotAMargin { margin }) }
 }
 
-/// The score statistic of [`tango`]: large where the second is not worse by `margin`.
+/// The score statistic of [`tango`]. Large if the second is not worse by `margin`.
 fn statistic(first_only: u64, second_only: u64, n: u64, margin: f64) -> f64 {
     let (b, c, n, d) = (first_only as f64, second_only as f64, n as f64, margin);
     let linear = -b - c - (2.0 * n - c + b) * d;
@@ -57,8 +58,8 @@ fn statistic(first_only: u64, second_only: u64, n: u64, margin: f64) -> f64 {
     }
 }
 
-/// ln of Tango's approximate one-sided p-value against "the second is worse than the first by `margin` or more".
-/// 0 (p = 1) without pairs.
+/// ln of Tango's approximate one-sided p-value for the hypothesis "the second is worse than the first by `margin` or
+/// more". 0 (p = 1) without pairs.
 ///
 /// # Errors
 /// [`NotAMargin`] unless 0 < `margin` < 1.
@@ -70,7 +71,7 @@ pub fn tango(pairs: Pairs, margin: f64) -> Result<f64, NotAMargin> {
     Ok(normal::ln_sf(statistic(pairs.first_only, pairs.second_only, pairs.n(), margin)))
 }
 
-/// ln of the exact p-value of the same question. 0 (p = 1) without pairs.
+/// ln of the exact p-value for the hypothesis of [`tango`]. 0 (p = 1) without pairs.
 ///
 /// # Errors
 /// [`NotAMargin`] unless 0 < `margin` < 1.
@@ -78,8 +79,8 @@ pub fn exact(pairs: Pairs, margin: f64) -> Result<f64, NotAMargin> {
     largest_tail(pairs, margin, Side::Better)
 }
 
-/// ln of the exact p-value against the contrary, "the second is worse than the first by `margin` at most": small where it is
-/// shown to be worse by more. 0 (p = 1) without pairs.
+/// ln of the exact p-value for the hypothesis "the second is worse than the first by at most `margin`". Small if it is
+/// significantly worse by more. 0 (p = 1) without pairs.
 ///
 /// # Errors
 /// [`NotAMargin`] unless 0 < `margin` < 1.
@@ -87,12 +88,12 @@ pub fn exact_worse(pairs: Pairs, margin: f64) -> Result<f64, NotAMargin> {
     largest_tail(pairs, margin, Side::Worse)
 }
 
-/// Which tables are at least as extreme as the one that was seen.
+/// The tables that are at least as extreme as the observed one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Side {
-    /// Those with as large a statistic.
+    /// Tables with a statistic at least as large.
     Better,
-    /// Those with as small a statistic.
+    /// Tables with a statistic at most as large.
     Worse,
 }
 
@@ -104,7 +105,7 @@ fn largest_tail(pairs: Pairs, margin: f64, side: Side) -> Result<f64, NotAMargin
     }
     let seen = statistic(pairs.first_only, pairs.second_only, n, margin);
     let least = thresholds(n, margin, seen, side);
-    // "A only" has chance q, "B only" q - margin: both and their sum are chances.
+    // "A only" has probability q, "B only" q - margin. Both and their sum must be probabilities.
     let (low, high) = (margin, 0.5 * (1.0 + margin));
     let at = |q: f64| tail(&least, n, q, margin, side);
     let grid = 400;
@@ -130,16 +131,16 @@ fn largest_tail(pairs: Pairs, margin: f64, side: Side) -> Result<f64, NotAMargin
     Ok(most.min(1.0).ln())
 }
 
-/// For each number of "first only", the fewest "second only" whose statistic is as large as `seen`, or above it where the
-/// tail is the lower one.
+/// For each number of "first only", the smallest "second only" whose statistic is at least `seen`, or above it for the
+/// lower tail.
 fn thresholds(n: u64, margin: f64, seen: f64, side: Side) -> Vec<u64> {
-    // Rounding must not put the table that was seen outside its own tail.
+    // The tolerance prevents rounding from excluding the observed table from its tail.
     let slack = 1e-10 * (1.0 + seen.abs());
     let wanted = if side == Side::Better { seen - slack } else { seen + slack };
     (0..=n)
         .map(|b| {
             let (mut below, mut reached) = (0, n - b + 1);
-            // The statistic rises with the number of "second only".
+            // The statistic increases with the number of "second only".
             while below < reached {
                 let c = below + (reached - below) / 2;
                 if statistic(b, c, n, margin) >= wanted { reached = c } else { below = c + 1 }
@@ -149,7 +150,7 @@ fn thresholds(n: u64, margin: f64, seen: f64, side: Side) -> Vec<u64> {
         .collect()
 }
 
-/// Probability of a table at least as extreme, "first only" having chance `q`.
+/// Probability of a table at least as extreme, if "first only" has probability `q`.
 fn tail(least: &[u64], n: u64, q: f64, margin: f64, side: Side) -> f64 {
     let other = (q - margin).max(0.0);
     let mut sum = 0.0;
@@ -180,26 +181,26 @@ mod tests {
     }
 
     #[test]
-    fn without_pairs_nothing_is_shown() {
+    fn no_pairs_show_nothing() {
         assert_eq!((tango(Pairs::default(), 0.05), exact(Pairs::default(), 0.05)), (Ok(0.0), Ok(0.0)));
     }
 
     #[test]
-    fn a_margin_is_strictly_between_zero_and_one() {
+    fn margin_must_be_a_fraction() {
         for margin in [0.0, 1.0, -0.1, 5.0, f64::NAN] {
             assert!(exact(pairs(9, 1, 1, 0), margin).is_err());
         }
     }
 
     #[test]
-    fn full_agreement_on_59_pairs_shows_a_margin_of_five_points_and_on_58_does_not() {
-        // If "A only" has chance 0.05, no such pair in n has probability 0.95^n.
+    fn full_agreement_needs_59_pairs() {
+        // With a margin of 0.05: if "A only" has probability 0.05, n pairs without one have probability 0.95^n.
         let p = |n: u64| exact(pairs(n, 0, 0, 0), 0.05).unwrap().exp();
         assert!((p(59) - 0.95_f64.powi(59)).abs() < 1e-9 && p(59) <= 0.05 && p(58) > 0.05, "{}", p(59));
     }
 
     #[test]
-    fn one_table_is_never_evidence_for_both() {
+    fn table_never_shows_both() {
         for (b, c) in [(0, 0), (3, 1), (20, 0), (0, 20), (12, 10)] {
             let pairs = pairs(60 - b - c, b, c, 0);
             let (better, worse) = (exact(pairs, 0.05).unwrap().exp(), exact_worse(pairs, 0.05).unwrap().exp());
@@ -209,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn the_exact_level_holds_for_every_nuisance_chance() {
+    fn exact_test_keeps_its_level() {
         let (n, margin) = (40_u64, 0.1);
         let mut rejected = Vec::new();
         for b in 0..=n {

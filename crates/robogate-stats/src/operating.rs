@@ -1,27 +1,27 @@
-//! Operating characteristics of a gate on one rate, computed before anything runs.
+//! Operating characteristics of a gate on one rate, computed before any episode runs.
 //!
-//! A requirement "at least p₀" is met once it is shown at error α, and violated once the contrary is shown at error β. With a
-//! fixed number of trials both are exact binomial tests at its end; in rounds both are the tests of
-//! [`crate::anytime`] after each round, and the first that answers ends it. The probabilities follow exactly, by carrying
-//! the distribution of the number of successes from round to round.
+//! A requirement "at least p₀" is met once it is shown at error α, and violated once the opposite is shown at error β.
+//! With a fixed number of trials, both are exact binomial tests at the end. In rounds, both are the tests of
+//! [`crate::anytime`] after each round, and the first decision ends the run. The probabilities are exact: the
+//! distribution of the number of successes is propagated from round to round.
 //!
-//! Limit: every trial has the same chance p. Rounds of different scenarios with that mean vary less, so the figures are those
-//! of the suite with the largest variance.
+//! Limit: every trial has the same success probability p. Rounds of different scenarios with the same mean vary less,
+//! so the figures apply to the suite with the largest variance.
 
 use crate::anytime::{ln_evidence_above, ln_evidence_below};
 use crate::compare::{at_least, at_most};
 use crate::interval::Trials;
 use robogate_maths::beta::ln_binomial_pmf;
 
-/// How many trials there will be.
+/// The number of trials.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Schedule {
-    /// This many, judged once.
+    /// A fixed number, evaluated once.
     Fixed {
         /// Trials.
         n: u64,
     },
-    /// Rounds, judged after each.
+    /// Rounds, evaluated after each.
     Rounds {
         /// Trials in a round.
         per_round: u64,
@@ -30,35 +30,35 @@ pub enum Schedule {
     },
 }
 
-/// A demand on a rate and its two error probabilities. "At most" is "at least" of the failures.
+/// A requirement on a rate, with its two error probabilities. Express "at most" as "at least" of the failures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RateTest {
-    /// The rate must be at least this.
+    /// The smallest accepted rate.
     pub at_least: f64,
-    /// Largest probability of "met" where it is not.
+    /// Largest probability of "met" if the requirement does not hold.
     pub alpha: f64,
-    /// Largest probability of "violated" where it is met.
+    /// Largest probability of "violated" if the requirement holds.
     pub beta: f64,
 }
 
-/// What one test on a rate says.
+/// The result of one test on a rate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Answer {
-    /// The demand is shown to hold.
+    /// The requirement is shown to hold.
     Met,
-    /// The contrary is shown.
+    /// The requirement is shown to be violated.
     Violated,
-    /// Neither.
+    /// Undecided.
     Open,
 }
 
 impl RateTest {
-    /// After a fixed number of trials.
+    /// The result after a fixed number of trials.
     pub fn fixed(&self, trials: Trials) -> Answer {
         self.answer(at_least(trials, self.at_least), at_most(trials, self.at_least))
     }
 
-    /// At one look among any number.
+    /// The result at one of any number of looks.
     pub fn look(&self, trials: Trials) -> Answer {
         self.answer(-ln_evidence_above(trials, self.at_least), -ln_evidence_below(trials, self.at_least))
     }
@@ -73,7 +73,7 @@ impl RateTest {
         }
     }
 
-    /// The fewest trials after which it can be met at all: every one a success. `None` beyond `most`.
+    /// The smallest number of trials after which the requirement can be met, if all succeed. `None` above `most`.
     pub fn fewest(&self, schedule: Schedule, most: u64) -> Option<u64> {
         let met = |n: u64| {
             let all = Trials::new(n, n).unwrap_or(Trials::NONE);
@@ -85,7 +85,7 @@ impl RateTest {
         if !met(most) {
             return None;
         }
-        // All-success evidence grows with every trial.
+        // The evidence of an all-success sequence increases with every trial.
         let (mut open, mut done) = (0, most);
         while done - open > 1 {
             let middle = open + (done - open) / 2;
@@ -95,20 +95,20 @@ impl RateTest {
     }
 }
 
-/// What happens with which probability.
+/// The probabilities of the results.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Characteristic {
-    /// Of "met".
+    /// Probability of "met".
     pub met: f64,
-    /// Of "violated".
+    /// Probability of "violated".
     pub violated: f64,
-    /// Of neither at the end.
+    /// Probability of no decision at the end.
     pub open: f64,
     /// Expected number of trials.
     pub trials: f64,
 }
 
-/// What the test does under `schedule` if the true rate is `p`.
+/// Computes the characteristic of the test under `schedule` if the true rate is `p`.
 pub fn characteristic(test: RateTest, schedule: Schedule, p: f64) -> Characteristic {
     let p = p.clamp(0.0, 1.0);
     let (per_round, rounds, fixed) = match schedule {
@@ -141,7 +141,7 @@ pub fn characteristic(test: RateTest, schedule: Schedule, p: f64) -> Characteris
     out
 }
 
-/// Binomial mass, also at the ends of p.
+/// Binomial probability mass, also for p = 0 and p = 1.
 fn mass(k: u64, n: u64, p: f64) -> f64 {
     if p <= 0.0 {
         f64::from(u8::from(k == 0))
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn neither_error_exceeds_its_level_at_the_limit() {
+    fn errors_keep_their_levels() {
         for schedule in [ROUNDS, Schedule::Fixed { n: 68 }, Schedule::Fixed { n: 1_360 }] {
             let c = characteristic(GATE, schedule, 0.92);
             assert!(c.met <= 0.05 && c.violated <= 0.05, "{schedule:?} {c:?}");
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn a_perfect_policy_needs_36_trials_of_a_fixed_number_and_few_more_with_looks() {
+    fn perfect_policy_needs_few_trials() {
         assert_eq!(GATE.fewest(Schedule::Fixed { n: 0 }, 10_000), Some(36));
         let looking = GATE.fewest(ROUNDS, 10_000).unwrap();
         assert!((37..=68).contains(&looking), "{looking}");
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_demand_of_certainty_is_never_met() {
+    fn rate_of_one_is_never_met() {
         assert_eq!(RateTest { at_least: 1.0, ..GATE }.fewest(ROUNDS, 1_000_000), None);
     }
 }

@@ -1,61 +1,64 @@
-//! Groups of trials (the robots of one recipe, say): how much their success rates differ beyond chance, and which group is an
-//! outlier.
+//! Overdispersion between groups of trials, and outliers among the groups.
 //!
-//! Model: group i succeeds k_i times in n_i trials with its own rate, from a Beta distribution with mean μ and
-//! overdispersion ρ = 1 / (a + b + 1). The variance of the rates is ρ μ (1 - μ); at ρ = 0 all rates are equal. Both are estimated by
-//! maximum likelihood. The 95 % interval of ρ is that of the profile likelihood: its deviance is compared with 3.841, the 95 % point of
-//! chi squared with one degree of freedom.
+//! Groups are, for example, the robots of one recipe.
 //!
-//! A group is an outlier if its count lies in a tail of the beta-binomial distribution fitted to the other groups by moments. The two-sided
-//! p-values (twice the smaller tail) are compared with α after Holm's correction over the groups.
+//! Model: group i succeeds k_i times in n_i trials. Its rate comes from a Beta distribution with mean μ and
+//! overdispersion ρ = 1 / (a + b + 1). The variance of the rates is ρ μ (1 - μ); at ρ = 0 all rates are equal. Both are
+//! estimated by maximum likelihood. The 95 % interval of ρ comes from the profile likelihood: its deviance is compared
+//! with 3.841, the 95 % quantile of chi squared with one degree of freedom.
 //!
-//! Limit: the fitted parameters are taken as known, which makes the tails too light with few groups. [`outliers`] therefore
-//! needs at least four groups. At ρ = 0 the interval is conservative.
-//! Sources: Skellam (1948), JRSS B 10 (the beta-binomial); Holm (1979), Scand. J. Statist. 6.
+//! A group is an outlier if its count is in a tail of the beta-binomial distribution fitted to the other groups by
+//! moments. The two-sided p-values (twice the smaller tail) are compared with α after Holm's correction over the
+//! groups.
+//!
+//! Limit: the fitted parameters are treated as known, which makes the tails too light with few groups. [`outliers`]
+//! therefore needs at least four groups. At ρ = 0 the interval is conservative. Sources: Skellam (1948), JRSS B 10 (the
+//! beta-binomial); Holm (1979), Scand. J. Statist. 6.
 
 use robogate_maths::gamma::ln_gamma;
 
 use crate::Trials;
 use crate::multiplicity::holm;
 
-/// The smallest number of groups among which one may be called an outlier.
+/// Smallest number of groups for outlier detection.
 pub const FEWEST: usize = 4;
-/// 95 % point of chi squared with one degree of freedom.
+/// 95 % quantile of chi squared with one degree of freedom.
 const CHI_SQUARED_95: f64 = 3.841_458_820_694_124;
 
-/// How much the groups differ.
+/// The differences between groups.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spread {
     /// Mean success rate of a group, μ.
     pub mean: f64,
     /// Overdispersion ρ, from 0 (equal rates) to 1 (each group always succeeds or always fails).
     pub rho: f64,
-    /// Its 95 % interval.
+    /// 95 % interval of ρ.
     pub rho_95: [f64; 2],
     /// Standard deviation of the groups' rates, √(ρ μ (1 - μ)).
     pub deviation: f64,
-    /// The interval of that deviation, from the one of ρ at the estimated mean.
+    /// The interval of the deviation, from the interval of ρ at the estimated mean.
     pub deviation_95: [f64; 2],
     /// Number of groups with trials.
     pub groups: usize,
 }
 
-/// A group whose rate differs significantly from its peers.
+/// A group whose rate differs significantly from the other groups.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outlier {
-    /// Its position in the input.
+    /// The position in the input.
     pub index: usize,
-    /// Its trials.
+    /// The trials of the group.
     pub trials: Trials,
-    /// Whether it is worse than its peers, not better.
+    /// Whether the group is worse than the others; otherwise it is better.
     pub worse: bool,
     /// The two-sided p-value after Holm's correction.
     pub p: f64,
 }
 
-/// ln of the beta-binomial likelihood of one group, without the binomial coefficient, which no parameter changes.
+/// ln of the beta-binomial likelihood of one group, without the binomial coefficient, which does not depend on the
+/// parameters.
 ///
-/// The logarithms are summed by Stirling's series; ρ = 0 is its binomial limit.
+/// The logarithms are summed by Stirling's series. ρ = 0 is the binomial limit.
 fn ln_likelihood(k: f64, n: f64, mean: f64, rho: f64) -> f64 {
     if rho <= 0.0 {
         let term = |count: f64, p: f64| if count > 0.0 { count * p.ln() } else { 0.0 };
@@ -70,12 +73,12 @@ fn rising(x: f64, m: f64) -> f64 {
     ln_gamma(x + m) - ln_gamma(x)
 }
 
-/// The maximum of a unimodal function in [low, high], by golden sections: its position and its value.
+/// Maximises a unimodal function in [low, high] by golden-section search. Returns position and value.
 fn maximum(mut low: f64, mut high: f64, f: impl Fn(f64) -> f64) -> (f64, f64) {
     const SECTION: f64 = 0.618_033_988_749_895;
     let (mut a, mut b) = (high - SECTION * (high - low), low + SECTION * (high - low));
     let (mut at_a, mut at_b) = (f(a), f(b));
-    // Each section keeps one of the two points: 0.618^36 is 3e-8 of the range.
+    // Each step keeps one of the two points: 0.618^36 is 3e-8 of the range.
     for _ in 0..36 {
         if at_a >= at_b {
             (high, b, at_b) = (b, a, at_a);
@@ -91,14 +94,14 @@ fn maximum(mut low: f64, mut high: f64, f: impl Fn(f64) -> f64) -> (f64, f64) {
     (at, f(at))
 }
 
-/// The profile likelihood at ρ: the best mean, and ln L there.
+/// The profile likelihood at ρ: the best mean, and its ln L.
 fn profile(groups: &[(f64, f64)], rho: f64) -> (f64, f64) {
     maximum(1e-9, 1.0 - 1e-9, |mean| groups.iter().map(|(k, n)| ln_likelihood(*k, *n, mean, rho)).sum())
 }
 
-/// Estimates how much the groups differ.
+/// Estimates the differences between groups.
 ///
-/// `None` with fewer than two groups that have trials, or where all trials have one outcome.
+/// `None` with fewer than two groups with trials, or if all trials have the same outcome.
 pub fn spread(tallies: &[Trials]) -> Option<Spread> {
     let groups: Vec<(f64, f64)> =
         tallies.iter().filter(|t| t.n() > 0).map(|t| (t.successes() as f64, t.n() as f64)).collect();
@@ -106,7 +109,7 @@ pub fn spread(tallies: &[Trials]) -> Option<Spread> {
     if groups.len() < 2 || total.0 <= 0.0 || total.0 >= total.1 {
         return None;
     }
-    // ρ is searched in its logarithm; below 1e-7 it cannot be told from 0.
+    // ρ is searched on a log scale. Below 1e-7 it is indistinguishable from 0.
     let (low, high) = (1e-7_f64.ln(), 0.999_f64.ln());
     let at = |log: f64| profile(&groups, log.exp()).1;
     let (log, inside) = maximum(low, high, at);
@@ -139,7 +142,7 @@ pub fn spread(tallies: &[Trials]) -> Option<Spread> {
     })
 }
 
-/// The groups whose rate differs from their peers at the level `alpha` over all of them, the smallest p-value first.
+/// The outliers among the groups at the level `alpha` over all of them, smallest p-value first.
 pub fn outliers(tallies: &[Trials], alpha: f64) -> Vec<Outlier> {
     let active: Vec<(usize, Trials)> = tallies.iter().copied().enumerate().filter(|(_, t)| t.n() > 0).collect();
     if active.len() < FEWEST {
@@ -159,9 +162,9 @@ pub fn outliers(tallies: &[Trials], alpha: f64) -> Vec<Outlier> {
     found
 }
 
-/// Mean and overdispersion by moments (Kleinman 1973, JASA 68), cheap enough to leave each group out in turn.
+/// Mean and overdispersion by moments (Kleinman 1973, JASA 68), fast enough to leave out each group in turn.
 ///
-/// Half a success and half a failure are added to the pooled counts, which keeps the mean off 0 and 1.
+/// Half a success and half a failure are added to the pooled counts, which keeps the mean away from 0 and 1.
 fn moments(tallies: &[Trials]) -> (f64, f64) {
     let n: f64 = tallies.iter().map(|t| t.n() as f64).sum();
     let k: f64 = tallies.iter().map(|t| t.successes() as f64).sum();
@@ -174,7 +177,7 @@ fn moments(tallies: &[Trials]) -> (f64, f64) {
     (mean, if rho.is_finite() { rho.clamp(0.0, 0.999) } else { 0.0 })
 }
 
-/// The two-sided p-value of one group among its peers, and whether it is worse.
+/// The two-sided p-value of one group among the others, and whether it is worse.
 fn judge(active: &[(usize, Trials)], own: usize) -> (f64, bool) {
     let trials = active[own].1;
     let peers: Vec<Trials> = active.iter().enumerate().filter(|(at, _)| *at != own).map(|(_, (_, t))| *t).collect();
@@ -186,7 +189,7 @@ fn judge(active: &[(usize, Trials)], own: usize) -> (f64, bool) {
         ln_gamma(n + 1.0) - ln_gamma(k + 1.0) - ln_gamma(n - k + 1.0)
     };
     let chance = |k: u64| (ln_choose(k) + ln_likelihood(k as f64, n as f64, mean, rho)).exp();
-    // The tail on its own side, its own count included; summed outwards until nothing is added.
+    // The tail on the side of the group's count, including that count. Terms are added until they no longer contribute.
     let mut tail = 0.0;
     let mut at = k;
     loop {
@@ -232,17 +235,17 @@ mod tests {
     }
 
     #[test]
-    fn only_the_worse_group_is_an_outlier() {
+    fn only_worse_group_is_outlier() {
         let mut groups = [trials(474, 500); 5];
         assert_eq!(outliers(&groups, 0.05), []);
         groups[3] = trials(430, 500);
         let found = outliers(&groups, 0.05);
         assert_eq!(found.iter().map(|o| (o.index, o.worse)).collect::<Vec<_>>(), [(3, true)]);
-        assert!(outliers(&groups[2..], 0.05).is_empty(), "three groups are too few");
+        assert!(outliers(&groups[2..], 0.05).is_empty(), "three groups are not enough");
     }
 
     #[test]
-    fn no_evidence_has_no_spread() {
+    fn no_trials_give_no_spread() {
         assert_eq!(spread(&[]), None);
         assert_eq!(spread(&[trials(3, 5)]), None);
         assert_eq!(spread(&[trials(5, 5), trials(7, 7)]), None);

@@ -1,21 +1,21 @@
-//! Bootstrap on counts, and percentiles.
+//! Bootstrap on counts, and percentile intervals.
 //!
-//! Sampling n rows with replacement changes a statistic of binned data only through the cell counts, and those
-//! are multinomial with the observed shares. Sampling the counts directly is the same bootstrap at a cost that does not
-//! depend on n. Each count is a conditional binomial, sampled by inversion from zero or outward from the mode.
-//! Sources: Efron and Tibshirani (1993), chapters 6 and 13; Devroye (1986), X.4, for inversion from the mode.
+//! Resampling n rows with replacement changes a statistic of binned data only through the cell counts, and these are
+//! multinomial with the observed shares. Sampling the counts directly is the same bootstrap at a cost independent of n.
+//! Each count is a conditional binomial, sampled by inversion from zero or outward from the mode. Sources: Efron and
+//! Tibshirani (1993), chapters 6 and 13; Devroye (1986), X.4, for inversion from the mode.
 
 use crate::interval::Confidence;
 use rand_chacha::ChaCha8Rng;
 use rand_core::Rng;
 use robogate_maths::beta::ln_binomial_pmf;
 
-/// Uniform on [0, 1) with 53 bits.
+/// Draws a uniform number in [0, 1) with 53 bits.
 pub(crate) fn uniform(rng: &mut ChaCha8Rng) -> f64 {
     (rng.next_u64() >> 11) as f64 * (1.0 / (1_u64 << 53) as f64)
 }
 
-/// A binomial count.
+/// Draws a binomial count.
 pub(crate) fn binomial(rng: &mut ChaCha8Rng, n: u64, p: f64) -> u64 {
     if n == 0 || p <= 0.0 {
         return 0;
@@ -68,13 +68,13 @@ pub(crate) fn binomial(rng: &mut ChaCha8Rng, n: u64, p: f64) -> u64 {
             u -= down_mass;
         }
         if !moved {
-            // Rounding left a crumb of probability over after every mass underflowed.
+            // Reached only if rounding leaves a remainder after every mass has underflowed.
             return mode as u64;
         }
     }
 }
 
-/// Fills `drawn` with multinomial counts of the same total as `observed` and its shares.
+/// Fills `drawn` with multinomial counts that have the total and the shares of `observed`.
 pub(crate) fn multinomial(rng: &mut ChaCha8Rng, observed: &[u64], drawn: &mut [u64]) {
     let mut left_observed: u64 = observed.iter().sum();
     let mut left = left_observed;
@@ -89,10 +89,10 @@ pub(crate) fn multinomial(rng: &mut ChaCha8Rng, observed: &[u64], drawn: &mut [u
     }
 }
 
-/// Percentile ends of replicates, by linear interpolation between order statistics (numpy's default).
+/// Percentile interval of bootstrap replicates, by linear interpolation between order statistics (numpy's default).
 ///
-/// Replicates may be infinite ("beyond the range"); an end next to an infinite one is infinite. Sorts its input.
-/// `None` without replicates or where one is NaN.
+/// Replicates may be infinite ("beyond the range"); an end next to an infinite replicate is infinite. The function
+/// sorts its input. `None` without replicates or if one is NaN.
 pub fn percentile_ends(replicates: &mut [f64], confidence: Confidence) -> Option<(f64, f64)> {
     if replicates.is_empty() || replicates.iter().any(|r| r.is_nan()) {
         return None;
@@ -102,7 +102,7 @@ pub fn percentile_ends(replicates: &mut [f64], confidence: Confidence) -> Option
     Some((quantile(replicates, tail), quantile(replicates, 1.0 - tail)))
 }
 
-/// Quantile of sorted values; there is at least one.
+/// A quantile of sorted values. There must be at least one value.
 fn quantile(sorted: &[f64], q: f64) -> f64 {
     let h = (sorted.len() - 1) as f64 * q;
     let i = h.floor() as usize;
@@ -117,8 +117,8 @@ fn quantile(sorted: &[f64], q: f64) -> f64 {
     }
 }
 
-/// Standard deviation of replicates (divisor n - 1): the bootstrap standard error. `None` below two, or where one is
-/// not finite.
+/// Standard deviation of replicates (divisor n - 1), which is the bootstrap standard error. `None` for fewer than two
+/// replicates, or if one is not finite.
 pub fn standard_error(replicates: &[f64]) -> Option<f64> {
     let n = replicates.len() as f64;
     if replicates.len() < 2 || replicates.iter().any(|r| !r.is_finite()) {
@@ -134,7 +134,7 @@ mod tests {
     use rand_core::SeedableRng;
 
     #[test]
-    fn binomial_counts_have_the_mean_and_variance_of_the_law_in_every_branch() {
+    fn binomial_moments_are_correct() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         for (n, p) in [(7, 0.3), (10_000, 0.002), (10_000, 0.4), (500, 0.93), (1_000_000, 0.5)] {
             let draws: Vec<f64> = (0..20_000).map(|_| binomial(&mut rng, n, p) as f64).collect();
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn the_law_around_the_mode_fits_the_exact_probabilities() {
+    fn binomial_fits_exact_probabilities() {
         // Chi-squared over k = 90..=150 of Binomial(400, 0.3).
         let mut rng = ChaCha8Rng::seed_from_u64(11);
         let mut counts = [0.0_f64; 401];
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn multinomial_counts_keep_the_total_and_never_fill_an_empty_cell() {
+    fn multinomial_keeps_total_and_empty_cells() {
         let mut rng = ChaCha8Rng::seed_from_u64(5);
         let observed = [0, 10, 0, 90, 400, 0];
         let mut drawn = [0; 6];
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn an_end_among_infinite_replicates_is_infinite() {
+    fn infinite_replicates_give_infinite_end() {
         let mut r = vec![f64::NEG_INFINITY; 10];
         r.extend((0..90).map(f64::from));
         let (low, high) = percentile_ends(&mut r, Confidence::P95).unwrap();

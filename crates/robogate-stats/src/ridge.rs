@@ -1,36 +1,36 @@
-//! Logistic regression with a normal prior on its coefficients, for many columns that may explain each other.
+//! Logistic regression with a normal prior on its coefficients, for many correlated columns.
 //!
 //! logit P(success | x) = β₀ + Σ βⱼ xⱼ with βⱼ ~ N(0, s²) and a flat prior on β₀. The fit is the posterior mode, which
-//! exists for every data set with both outcomes, separated or not. Columns are taken as they are: one prior for all
-//! is sensible only where the caller has brought them to one scale.
+//! exists for every data set with both outcomes, separated or not. Columns are not rescaled: the caller must bring them
+//! to a common scale, because all share one prior.
 //!
 //! - Evidence, by Laplace's approximation: ln L - |β|²/(2 s²) - (q/2) ln s² - ½ ln det H, with q columns and H the
-//!   curvature of the penalised likelihood. Comparable between fits to the same rows, up to one constant.
+//!   curvature of the penalised likelihood. Fits to the same rows are comparable, up to one constant.
 //! - Prediction averages over the posterior: P = logistic(η / sqrt(1 + π v / 8)), with v the variance of η.
-//!   Which side of 50 % a row lies on does not change by that.
+//!   This never moves a row to the other side of 50 %.
 //!
 //! Sources: MacKay (1992), Neural Computation 4(5), for evidence and moderated output; Bishop (2006), 4.4 and 4.5.
 
 use crate::logistic::{Data, RegressionError, logistic_and_log};
 use robogate_maths::dense::{Cholesky, dot};
 
-/// Rows handled together.
+/// Rows per block.
 const BLOCK: usize = 128;
-/// Pivots below this share of their diagonal count as none.
+/// Smallest pivot, as a fraction of its diagonal, that counts as positive.
 const PIVOT: f64 = 1e-14;
-/// Steps after which a fit that has not settled is given up.
-const PATIENCE: usize = 100;
+/// Maximum number of steps.
+const MOST_STEPS: usize = 100;
 
 /// A fitted model.
 #[derive(Debug, Clone)]
 pub struct RidgeFit {
-    /// β₀ first, then one for each column.
+    /// β₀ first, then one coefficient per column.
     pub coefficients: Vec<f64>,
-    /// s², the prior variance of every coefficient but β₀.
+    /// s², the prior variance of every coefficient except β₀.
     pub prior_variance: f64,
     /// ln L at the mode, without the prior.
     pub log_likelihood: f64,
-    /// ln of the evidence, up to a constant of the rows.
+    /// ln of the evidence, up to a constant that depends on the rows.
     pub log_evidence: f64,
     /// Newton steps taken.
     pub iterations: usize,
@@ -40,12 +40,12 @@ pub struct RidgeFit {
 /// Fits the model at one prior variance.
 ///
 /// # Errors
-/// No rows, one class, or steps that do not settle. A prior variance that is no positive number settles nothing.
+/// No rows, one class, or no convergence. A prior variance that is not positive never converges.
 pub fn fit(data: Data<'_>, prior_variance: f64) -> Result<RidgeFit, RegressionError> {
     from(data, prior_variance, start(data)?)
 }
 
-/// Fits the model at each of the prior variances and keeps the fit of most evidence; `None` where none is given.
+/// Fits the model at each prior variance and returns the fit with the largest evidence. `None` for an empty list.
 ///
 /// # Errors
 /// As [`fit`].
@@ -63,7 +63,7 @@ pub fn by_evidence(data: Data<'_>, prior_variances: &[f64]) -> Result<Option<Rid
 }
 
 impl RidgeFit {
-    /// Moderated log-odds of success for whole columns; `None` where their number or lengths do not fit.
+    /// Moderated log-odds of success for whole columns. `None` if their number or lengths do not match.
     pub fn log_odds(&self, columns: &[&[f64]]) -> Option<Vec<f64>> {
         let rows = columns.first().map_or(0, |c| c.len());
         if columns.len() + 1 != self.coefficients.len() || columns.iter().any(|c| c.len() != rows) {
@@ -84,7 +84,7 @@ impl RidgeFit {
     }
 }
 
-/// No column matters and β₀ is the log-odds of the weighted rate.
+/// The start of the search: all slopes are 0, and β₀ is the log-odds of the weighted rate.
 fn start(data: Data<'_>) -> Result<Vec<f64>, RegressionError> {
     let (mut weight, mut successes) = ([0.0; 2], 0);
     let mut rows = 0;
@@ -107,13 +107,13 @@ fn start(data: Data<'_>) -> Result<Vec<f64>, RegressionError> {
     Ok(beta)
 }
 
-/// Newton's method on the penalised likelihood, which is concave; a step that lowers it is halved.
+/// Newton's method on the penalised likelihood, which is concave. A step that lowers it is halved.
 fn from(data: Data<'_>, prior_variance: f64, start: Vec<f64>) -> Result<RidgeFit, RegressionError> {
     let q = start.len();
     let precision = 1.0 / prior_variance;
     let mut beta = start;
     let mut here = evaluate(data, &beta, precision);
-    for iterations in 1..=PATIENCE {
+    for iterations in 1..=MOST_STEPS {
         let unsettled = RegressionError::NotSettled { iterations };
         let Ok(factor) = Cholesky::new(&here.curvature, q, PIVOT) else { return Err(unsettled) };
         let mut step = here.gradient.clone();
@@ -146,7 +146,7 @@ fn from(data: Data<'_>, prior_variance: f64, start: Vec<f64>) -> Result<RidgeFit
             });
         }
     }
-    Err(RegressionError::NotSettled { iterations: PATIENCE })
+    Err(RegressionError::NotSettled { iterations: MOST_STEPS })
 }
 
 /// The penalised likelihood and its derivatives at one point.
@@ -155,7 +155,7 @@ struct Local {
     /// ln L - |β|²/(2 s²).
     objective: f64,
     gradient: Vec<f64>,
-    /// Minus its second derivatives.
+    /// The negative second derivatives.
     curvature: Vec<f64>,
 }
 
@@ -211,7 +211,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn separated_data_have_a_finite_fit_that_grows_with_the_prior() {
+    fn separated_data_have_finite_fit() {
         let x = [-2.0, -1.0, 1.0, 2.0];
         let y = [false, false, true, true];
         let columns: [&[f64]; 1] = [&x];
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn no_prior_and_one_class_are_refused() {
+    fn invalid_prior_and_class_are_rejected() {
         let x = [1.0, 2.0];
         let columns: [&[f64]; 1] = [&x];
         let one = Data::new(&columns, &[true, true], None).unwrap();
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn far_from_the_data_the_chance_returns_towards_one_half() {
+    fn distant_predictions_approach_one_half() {
         let x: Vec<f64> = (0..40).map(|i| f64::from(i) / 20.0 - 1.0).collect();
         let y: Vec<bool> = x.iter().enumerate().map(|(i, x)| *x > 0.0 || i % 7 == 0).collect();
         let columns: [&[f64]; 1] = [&x];

@@ -1,15 +1,16 @@
-//! How well a score separates successes from failures.
+//! ROC analysis: how well a score separates successes from failures.
 //!
 //! AUC = P(score of a success > score of a failure) + ½ P(equal), from midranks in O(n log n). Its variance is
-//! DeLong's: with vᵢ the share of failures that success i beats and uⱼ the share of successes that beat
-//! failure j, var = S²(v)/m + S²(u)/n, computed from pooled and within-class midranks (Sun and Xu).
+//! DeLong's: with vᵢ the fraction of failures with a lower score than success i, and uⱼ the fraction of successes with
+//! a higher score than failure j, var = S²(v)/m + S²(u)/n, computed from pooled and within-class midranks (Sun and Xu).
 //!
-//! Where that variance is zero (perfect order) it is no evidence of certainty; the interval then comes from
-//! min(m, n) disjoint pairs, which are independent trials of the event behind the AUC (Clopper-Pearson).
+//! If that variance is zero (perfect order), the interval instead comes from min(m, n) disjoint pairs, which are
+//! independent trials of the event behind the AUC (Clopper-Pearson).
 //!
-//! Limits: at an area of 0.76 the 95 % interval covers 95.1 % with 100 and 300 rows in the classes, 94.0 % with 40 and 40, 92.4 %
-//! with 15 and 200 (`tests/coverage.rs`). An AUC applies to the population that its rows were sampled from. AUCs of two designs, or in sample against
-//! out of sample, are not comparable; [`compare`] is for two scores on the same rows.
+//! Limits: at an area of 0.76 the 95 % interval covers 95.1 % with 100 and 300 rows in the classes, 94.0 % with 40 and
+//! 40, and 92.4 % with 15 and 200 (`tests/coverage.rs`). An AUC applies to the population that its rows were sampled
+//! from. AUCs of two designs, or in sample against out of sample, are not comparable. [`compare`] is for two scores on
+//! the same rows.
 //! Sources: DeLong, DeLong and Clarke-Pearson (1988), Biometrics 44; Sun and Xu (2014), IEEE Signal
 //! Processing Letters 21(11); LeDell, Petersen and van der Laan (2015) for the pooled variance over folds.
 
@@ -18,7 +19,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
 use robogate_maths::normal::ln_two_sided;
 
-/// Why a score cannot be judged.
+/// The reason why a score cannot be evaluated.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum RocError {
     /// Scores, outcomes or folds differ in length.
@@ -35,7 +36,7 @@ pub enum RocError {
         /// Index of the row.
         row: usize,
     },
-    /// Every outcome is the same, or there are no rows.
+    /// All outcomes are equal, or there are no rows.
     #[error("there are {successes} successes and {failures} failures. An AUC needs both")]
     OneClass {
         /// Rows that succeeded.
@@ -45,14 +46,14 @@ pub enum RocError {
     },
 }
 
-/// How an interval for an AUC was made.
+/// The method of an AUC interval.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AucMethod {
-    /// DeLong's variance, normal, cut at 0 and 1.
+    /// DeLong's variance with a normal approximation, clamped to [0, 1].
     DeLong,
-    /// Disjoint pairs, because the order is perfect and DeLong's variance zero.
+    /// Disjoint pairs, because the order is perfect and DeLong's variance is zero.
     DisjointPairs,
-    /// Nothing but [0, 1]: a class has a single row.
+    /// The interval is [0, 1], because a class has only one row.
     Unknown,
 }
 
@@ -61,11 +62,11 @@ pub enum AucMethod {
 pub struct Auc {
     /// Estimate.
     pub auc: f64,
-    /// DeLong's standard error; `None` where a class has fewer than two rows.
+    /// DeLong's standard error. `None` if a class has fewer than two rows.
     pub se: Option<f64>,
     /// Interval at the requested level.
     pub interval: Interval,
-    /// How the interval was made.
+    /// The method of the interval.
     pub method: AucMethod,
     /// Rows that succeeded.
     pub successes: usize,
@@ -73,7 +74,7 @@ pub struct Auc {
     pub failures: usize,
 }
 
-/// Share of the other class that each row beats, kept per class in row order.
+/// For each row, the fraction of the other class that it is ahead of. Stored per class in row order.
 struct Placements {
     auc: f64,
     of_successes: Vec<f64>,
@@ -94,7 +95,7 @@ fn placements(scores: &[f64], outcomes: &[bool]) -> Result<Placements, RocError>
     }
     let mut order: Vec<u32> = (0..scores.len() as u32).collect();
     order.sort_unstable_by(|&a, &b| scores[a as usize].total_cmp(&scores[b as usize]));
-    // One walk over groups of equal scores gives, per row, how much of the other class lies below it.
+    // One pass over groups of equal scores gives the fraction of the other class below each row.
     let mut below = vec![0.0; scores.len()];
     let (mut lower_successes, mut lower_failures) = (0.0, 0.0);
     let mut at = 0;
@@ -131,7 +132,7 @@ fn placements(scores: &[f64], outcomes: &[bool]) -> Result<Placements, RocError>
     Ok(Placements { auc: of_successes.iter().sum::<f64>() / m, of_successes, of_failures })
 }
 
-/// Sample covariance (divisor n - 1); `None` below two values.
+/// Sample covariance (divisor n - 1). `None` below two values.
 fn covariance(a: &[f64], b: &[f64]) -> Option<f64> {
     let n = a.len() as f64;
     if a.len() < 2 {
@@ -164,7 +165,7 @@ pub fn auc(scores: &[f64], outcomes: &[bool], confidence: Confidence) -> Result<
             let interval = Interval { low: (p.auc - half).max(0.0), high: (p.auc + half).min(1.0) };
             (interval, AucMethod::DeLong)
         }
-        // Zero variance with every pair won, or every pair lost.
+        // Zero variance and a perfect or perfectly reversed order.
         Some(_) if p.auc >= 1.0 || p.auc <= 0.0 => {
             let won = if p.auc >= 1.0 { pairs } else { 0 };
             let interval = Trials::new(won, pairs).map_or(Interval::UNIT, |t| clopper_pearson(t, confidence));
@@ -175,11 +176,12 @@ pub fn auc(scores: &[f64], outcomes: &[bool], confidence: Confidence) -> Result<
     Ok(Auc { auc: p.auc, se: variance.map(f64::sqrt), interval, method, successes, failures })
 }
 
-/// What each row adds to the AUC: numbers whose mean is the AUC and whose spread is DeLong's.
+/// The contribution of each row to the AUC. The mean of the contributions is the AUC, and their variance is DeLong's.
 ///
-/// A success has AUC + (N/m)(v - AUC), a failure AUC + (N/n)(u - AUC), with m successes and n failures among N rows and v, u
-/// the share of the other class that the row beats. Their variance over N is DeLong's variance, but for N/(N-1) in
-/// place of m/(m-1) and n/(n-1). So AUCs can be averaged and subtracted row by row, as other scores are.
+/// A success contributes AUC + (N/m)(v - AUC) and a failure AUC + (N/n)(u - AUC), with m successes and n failures among
+/// N rows, and v, u the fraction of the other class that the row is ahead of. Their variance divided by N is DeLong's
+/// variance, except for N/(N-1) instead of m/(m-1) and n/(n-1). AUCs can therefore be averaged and subtracted row by
+/// row, like other scores.
 ///
 /// # Errors
 /// As [`auc`].
@@ -195,20 +197,20 @@ pub fn contributions(scores: &[f64], outcomes: &[bool]) -> Result<Vec<f64>, RocE
     Ok(outcomes.iter().map(one).collect())
 }
 
-/// Two scores judged on the same rows.
+/// A comparison of two scores on the same rows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AucComparison {
-    /// AUC of the first less AUC of the second.
+    /// AUC of the first minus AUC of the second.
     pub difference: f64,
     /// Standard error of the difference.
     pub se: f64,
     /// Normal interval for the difference.
     pub interval: Interval,
-    /// ln of the two-sided p-value of no difference; `None` where both order the rows alike in every pair (se = 0).
+    /// ln of the two-sided p-value for equal AUCs. `None` if both scores order every pair the same (se = 0).
     pub ln_p: Option<f64>,
 }
 
-/// Compares two scores on the same rows; `None` where a class has fewer than two rows.
+/// Compares two scores on the same rows. `None` if a class has fewer than two rows.
 ///
 /// # Errors
 /// As [`auc`].
@@ -237,15 +239,15 @@ pub fn compare(
 /// One point of a ROC curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RocPoint {
-    /// Rows at or above this score are called successes; infinite at the start, where none is.
+    /// Rows at or above this score are classified as successes. Infinite at the start, without such rows.
     pub threshold: f64,
-    /// Share of failures called successes.
+    /// Fraction of failures classified as successes.
     pub false_positive_rate: f64,
-    /// Share of successes called successes.
+    /// Fraction of successes classified as successes.
     pub true_positive_rate: f64,
 }
 
-/// The curve from (0, 0) to (1, 1), one point for each distinct score.
+/// The curve from (0, 0) to (1, 1), with one point per distinct score.
 ///
 /// # Errors
 /// As [`auc`].
@@ -271,9 +273,10 @@ pub fn curve(scores: &[f64], outcomes: &[bool]) -> Result<Vec<RocPoint>, RocErro
     Ok(points)
 }
 
-/// Assigns each row to one of `k` folds so that both classes are spread evenly; a pure function of the seed.
+/// Assigns each row to one of `k` folds with both classes spread evenly. The result depends only on the inputs and the
+/// seed.
 ///
-/// `k` below 2 is taken as 2.
+/// `k` below 2 counts as 2.
 pub fn stratified_folds(outcomes: &[bool], k: usize, seed: u64) -> Vec<usize> {
     let k = k.max(2);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -302,27 +305,28 @@ fn below(rng: &mut ChaCha8Rng, bound: u64) -> u64 {
     }
 }
 
-/// AUC of scores that each fold got from a model which had not seen it.
+/// AUC of out-of-fold scores.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CrossValidated {
     /// Mean of the folds' AUCs.
     pub auc: f64,
-    /// Standard error over folds, from DeLong's variance in each; `None` where a fold has none.
+    /// Standard error over folds, from DeLong's variance in each. `None` if a fold has none.
     pub se: Option<f64>,
-    /// Normal interval cut at 0 and 1; [0, 1] where there is no standard error.
+    /// Normal interval clamped to [0, 1]. [0, 1] without a standard error.
     pub interval: Interval,
-    /// AUC of each fold; `None` where its test rows had one class only.
+    /// AUC of each fold. `None` if its test rows have only one class.
     pub folds: Vec<Option<f64>>,
     /// Out-of-fold score of each row.
     pub scores: Vec<f64>,
 }
 
-/// Cross-validates: for each fold, `score` gets the training rows and the test rows and returns one score per test row.
+/// Cross-validates a score: for each fold, `score` gets the training rows and the test rows and returns one score per
+/// test row.
 ///
-/// `folds[i]` names the fold of row i. The mean leaves out folds with one class only.
+/// `folds[i]` is the fold of row i. The mean excludes folds with only one class.
 ///
 /// # Errors
-/// What `score` returns, or a [`RocError`] turned into the same type.
+/// An error of `score`, or a [`RocError`] converted to its type.
 pub fn cross_validate<E: From<RocError>>(
     outcomes: &[bool],
     folds: &[usize],
@@ -377,14 +381,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_perfect_order_is_not_printed_as_certainty() {
+    fn perfect_order_has_an_interval() {
         let a = auc(&[0.1, 0.2, 0.8, 0.9], &[false, false, true, true], Confidence::P95).unwrap();
         assert_eq!((a.auc, a.method), (1.0, AucMethod::DisjointPairs));
         assert!(a.interval.low < 0.2 && a.interval.high >= 1.0);
     }
 
     #[test]
-    fn a_single_success_says_nothing_about_precision() {
+    fn single_success_has_no_standard_error() {
         let a = auc(&[0.1, 0.5, 0.3], &[false, true, false], Confidence::P95).unwrap();
         assert_eq!((a.se, a.interval, a.method), (None, Interval::UNIT, AucMethod::Unknown));
     }
@@ -397,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn contributions_average_to_the_auc_and_vary_as_delong_says() {
+    fn contributions_match_auc_and_variance() {
         let outcomes: Vec<bool> = (0..400).map(|i| i * 7 % 10 < 4).collect();
         let scores: Vec<f64> =
             (0..400).map(|i| f64::from(i * 37 % 101) + if i * 7 % 10 < 4 { 30.0 } else { 0.0 }).collect();
@@ -410,13 +414,13 @@ mod tests {
     }
 
     #[test]
-    fn one_class_and_nan_are_refused() {
+    fn one_class_and_nan_are_rejected() {
         assert!(matches!(auc(&[0.1], &[true], Confidence::P95), Err(RocError::OneClass { .. })));
         assert!(matches!(auc(&[0.1, f64::NAN], &[true, false], Confidence::P95), Err(RocError::NotANumber { row: 1 })));
     }
 
     #[test]
-    fn folds_hold_their_share_of_each_class_and_follow_the_seed() {
+    fn folds_are_stratified_and_seeded() {
         let outcomes: Vec<bool> = (0..103).map(|i| i % 4 == 0).collect();
         let folds = stratified_folds(&outcomes, 5, 7);
         for f in 0..5 {
@@ -429,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn cross_validation_scores_each_row_once_without_its_own_outcome() {
+    fn cross_validation_is_out_of_fold() {
         let outcomes: Vec<bool> = (0..40).map(|i| i % 2 == 0).collect();
         let folds = stratified_folds(&outcomes, 4, 1);
         let mut seen = [0; 40];

@@ -1,21 +1,20 @@
-//! Where the success rate crosses a level along one parameter.
+//! Thresholds: where the success rate crosses a level along one parameter.
 //!
-//! The rows are cut into bins; the binned rates are made monotone (isotonic regression, rising or falling,
-//! whichever leaves the smaller weighted squares); the threshold is where the straight line between neighbouring bins'
-//! mean positions crosses the level. Its uncertainty is a bootstrap of rows, done on the cell counts
-//! ([`crate::resample`]): percentile interval and standard error, direction and positions held as observed. A replicate
+//! The rows are divided into bins. Isotonic regression makes the binned rates monotone, rising or falling, whichever
+//! has the smaller weighted squared error. The threshold is where the line between the mean positions of neighbouring
+//! bins crosses the level. Its uncertainty comes from a bootstrap of rows, computed on the cell counts
+//! ([`crate::resample`]): percentile interval and standard error, with direction and positions as observed. A replicate
 //! that does not cross counts as "beyond the range" on its side, so an interval can be open.
 //!
-//! "More than once" is a significant result: bins whose Wilson interval, at a level shared over all bins
-//! (Bonferroni), lies on one side of the level must change sides twice.
+//! "More than once" is a significant result: bins whose Wilson interval, at a level shared over all bins (Bonferroni),
+//! is entirely on one side of the level must change sides twice.
 //!
-//! Weights enter as sums per bin; the bootstrap draws counts of up to 16 weight classes per cell. That is the
-//! bootstrap of rows where there are no more distinct weights, otherwise the spread inside a class is left out.
+//! Weights enter as sums per bin. The bootstrap samples counts of up to 16 weight classes per cell. With at most 16
+//! distinct weights this equals the bootstrap of rows; otherwise the spread within a class is ignored.
 //!
-//! Limit: marginal over the other parameters as they were drawn, so it belongs to that design; resolution is a bin;
-//! a Latin hypercube makes the interval conservative.
-//! Sources: robogate paper, table of critical thresholds; Barlow et al. (1972) for isotonic regression; Efron and
-//! Tibshirani (1993), chapter 13.
+//! Limit: the threshold is marginal over the other parameters and applies to their design. The resolution is one bin. A
+//! Latin hypercube makes the interval conservative. Sources: robogate paper, table of critical thresholds; Barlow et
+//! al. (1972) for isotonic regression; Efron and Tibshirani (1993), chapter 13.
 
 use crate::binning::{BinningError, Edges};
 use crate::interval::{Confidence, Interval, wilson_real};
@@ -24,17 +23,17 @@ use crate::weighted::is_weight;
 use rand_chacha::ChaCha8Rng;
 use rand_core::SeedableRng;
 
-/// Weight classes kept apart in one cell.
+/// Maximum number of weight classes per cell.
 const CLASSES: usize = 16;
 
-/// How thresholds are looked for.
+/// Options of the threshold search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ThresholdOptions {
-    /// Success rate to be crossed, strictly between 0 and 1.
+    /// Success rate of the crossing, strictly between 0 and 1.
     pub level: f64,
-    /// Bootstrap replicates; the paper uses 1,000.
+    /// Number of bootstrap replicates. The paper uses 1,000.
     pub replicates: usize,
-    /// Level of the interval.
+    /// Confidence level of the interval.
     pub confidence: Confidence,
     /// Seed of the bootstrap.
     pub seed: u64,
@@ -46,16 +45,16 @@ impl Default for ThresholdOptions {
     }
 }
 
-/// Whether success grows or shrinks along the parameter.
+/// Whether the success rate increases or decreases along the parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
-    /// The rate grows.
+    /// The rate increases.
     Rising,
-    /// The rate shrinks.
+    /// The rate decreases.
     Falling,
 }
 
-/// On which side of the level the rate stays.
+/// The side of the level on which the rate stays.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StaysAt {
     /// At or above the level everywhere.
@@ -64,42 +63,42 @@ pub enum StaysAt {
     Below,
 }
 
-/// What was found along the parameter.
+/// The result along the parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Threshold {
     /// The rate crosses the level once.
     Crosses {
         /// Value of the parameter at the crossing.
         at: f64,
-        /// Whether success grows or shrinks.
+        /// Whether the success rate increases or decreases.
         direction: Direction,
-        /// Lower end of the percentile interval; `None` where it lies beyond the observed range.
+        /// Lower end of the percentile interval. `None` if it is outside the observed range.
         low: Option<f64>,
-        /// Upper end of the percentile interval; `None` where it lies beyond the observed range.
+        /// Upper end of the percentile interval. `None` if it is outside the observed range.
         high: Option<f64>,
-        /// Bootstrap standard error; `None` where some replicates do not cross.
+        /// Bootstrap standard error. `None` if some replicates do not cross.
         se: Option<f64>,
-        /// Share of replicates that cross within the range.
+        /// Fraction of replicates that cross within the range.
         crossing_share: f64,
     },
     /// The rate crosses the level more than once: no single threshold exists.
     CrossesMoreThanOnce {
-        /// Ranges of the parameter, in order, in each of which it crosses.
+        /// The ranges of the parameter that contain one crossing each, in order.
         between: Vec<Interval>,
     },
     /// The rate stays on one side.
     DoesNotCross {
-        /// Side.
+        /// The side.
         stays: StaysAt,
-        /// Share of replicates that do cross: the uncertainty of this result.
+        /// Fraction of replicates that cross: the uncertainty of this result.
         crossing_share: f64,
     },
 }
 
-/// Rates along the parameter and what they say.
+/// The rates along the parameter and the resulting threshold.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ThresholdResult {
-    /// What was found.
+    /// The threshold.
     pub threshold: Threshold,
     /// Non-empty bins: mean position, observed rate, monotone rate.
     pub bins: Vec<ThresholdBin>,
@@ -114,16 +113,16 @@ pub struct ThresholdBin {
     pub rate: f64,
     /// Rate after isotonic regression.
     pub monotone_rate: f64,
-    /// Wilson interval at the level shared over all bins, with Kish's effective count under weights.
+    /// Wilson interval at the level shared over all bins. With weights it uses Kish's effective count.
     pub interval: Interval,
-    /// Rows of positive weight.
+    /// Rows with positive weight.
     pub rows: usize,
 }
 
-/// Why no threshold can be looked for.
+/// The reason why the search for a threshold is impossible.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ThresholdError {
-    /// Lengths or values do not fit.
+    /// Lengths or values do not match.
     #[error(transparent)]
     Binning(#[from] BinningError),
     /// A weight is negative, NaN, or so large or small that its square over- or underflows.
@@ -140,7 +139,7 @@ pub enum ThresholdError {
         /// Value found.
         level: f64,
     },
-    /// Fewer than two bins hold rows.
+    /// Fewer than two bins contain rows.
     #[error("{filled} bins contain rows. A crossing needs at least 2")]
     TooFewBins {
         /// Bins with rows of positive weight.
@@ -155,10 +154,10 @@ struct Cell {
     weight: f64,
 }
 
-/// Looks for the crossing of `options.level` along `values`, cut at `edges`; rows outside the edges take no part.
+/// Searches for a crossing of `options.level` along `values`, binned at `edges`. Rows outside the edges are ignored.
 ///
 /// # Errors
-/// Inputs that do not fit, or fewer than two bins with rows.
+/// Inputs that do not match, or fewer than two bins with rows.
 pub fn threshold(
     values: &[f64],
     outcomes: &[bool],
@@ -312,7 +311,7 @@ impl Table {
         }
     }
 
-    /// Success rate and weight of every bin for the given cell counts; an empty bin has weight 0 and rate 0.
+    /// Success rate and weight of every bin for the given cell counts. An empty bin has weight 0 and rate 0.
     fn rates(&self, counts: &[u64], rates: &mut [f64], sizes: &mut [f64]) {
         let wide = 2 * self.classes;
         for (b, (rate, size)) in rates.iter_mut().zip(sizes).enumerate() {
@@ -327,7 +326,7 @@ impl Table {
     }
 }
 
-/// Upper ends of all weight classes but the last: the distinct weights, or quantiles where there are many.
+/// Upper ends of all weight classes except the last: the distinct weights, or quantiles if there are many.
 fn class_cuts(weights: &[f64]) -> Vec<f64> {
     let mut sorted: Vec<f64> = weights.iter().copied().filter(|w| *w > 0.0).collect();
     sorted.sort_unstable_by(f64::total_cmp);
@@ -342,7 +341,7 @@ fn class_cuts(weights: &[f64]) -> Vec<f64> {
     cuts
 }
 
-/// Isotonic regression by pooling adjacent violators; bins of zero size follow their neighbours.
+/// Isotonic regression by pooling adjacent violators. Bins of zero size take the value of their neighbours.
 fn isotonic(rates: &[f64], sizes: &[f64], direction: Direction) -> Vec<f64> {
     let sign = match direction {
         Direction::Rising => 1.0,
@@ -371,12 +370,12 @@ fn isotonic(rates: &[f64], sizes: &[f64], direction: Direction) -> Vec<f64> {
     fitted
 }
 
-/// Where monotone rates cross the level; minus or plus infinity where they do so before or beyond the range.
+/// The position where monotone rates cross the level. Infinite, with sign, if they cross outside the range.
 fn crossing(positions: &[f64], fitted: &[f64], sizes: &[f64], level: f64, direction: Direction) -> f64 {
     if sizes.iter().all(|s| *s <= 0.0) {
         return f64::INFINITY;
     }
-    // Seen from the crossing, "before" is below the level when rising and above it when falling.
+    // Before the crossing, a rising rate is below the level and a falling rate above it.
     let sign = match direction {
         Direction::Rising => 1.0,
         Direction::Falling => -1.0,
@@ -390,7 +389,7 @@ fn crossing(positions: &[f64], fitted: &[f64], sizes: &[f64], level: f64, direct
             let part = (level - fitted[i]) / (fitted[j] - fitted[i]);
             positions[i] + part * (positions[j] - positions[i])
         }
-        // A plateau exactly at the level: its middle.
+        // A plateau exactly at the level gives its middle.
         (Some(i), Some(j)) => 0.5 * (positions[i + 1] + positions[j - 1]),
         (Some(_), None) => f64::INFINITY,
         (None, _) => f64::NEG_INFINITY,
@@ -401,7 +400,7 @@ fn crossing(positions: &[f64], fitted: &[f64], sizes: &[f64], level: f64, direct
 mod tests {
     use super::*;
 
-    /// 2,000 rows over [0, 1] with success wherever `law` exceeds an even spread of chances.
+    /// 2,000 rows over [0, 1]. A row succeeds if `law` exceeds its number from an even grid of probabilities.
     fn rows(law: impl Fn(f64) -> f64) -> (Vec<f64>, Vec<bool>) {
         let values: Vec<f64> = (0..2_000).map(|i| (f64::from(i) + 0.5) / 2_000.0).collect();
         let outcomes = values.iter().enumerate().map(|(i, v)| law(*v) > ((i * 787) % 2_000) as f64 / 2_000.0).collect();
@@ -415,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rising_rate_crosses_where_it_must() {
+    fn rising_rate_crosses() {
         let Threshold::Crosses { at, direction, low, high, se, crossing_share } = look(|v| v) else {
             panic!("it crosses")
         };
@@ -425,20 +424,20 @@ mod tests {
     }
 
     #[test]
-    fn a_falling_rate_crosses_too() {
+    fn falling_rate_crosses() {
         let Threshold::Crosses { at, direction, .. } = look(|v| 0.9 - v) else { panic!("it crosses") };
         assert_eq!(direction, Direction::Falling);
         assert!((at - 0.4).abs() < 0.03);
     }
 
     #[test]
-    fn a_rate_on_one_side_does_not_cross() {
+    fn one_sided_rate_does_not_cross() {
         assert_eq!(look(|v| 0.1 + 0.1 * v), Threshold::DoesNotCross { stays: StaysAt::Below, crossing_share: 0.0 });
         assert_eq!(look(|v| 0.9 - 0.1 * v), Threshold::DoesNotCross { stays: StaysAt::Above, crossing_share: 0.0 });
     }
 
     #[test]
-    fn an_island_of_success_is_crossed_twice_and_has_no_threshold() {
+    fn island_has_no_threshold() {
         let found = look(|v| if (0.3..0.7).contains(&v) { 0.9 } else { 0.1 });
         let Threshold::CrossesMoreThanOnce { between } = found else { panic!("twice: {found:?}") };
         assert_eq!(between.len(), 2);
@@ -446,8 +445,8 @@ mod tests {
     }
 
     #[test]
-    fn a_rate_that_may_not_cross_has_an_open_end() {
-        // Ends at 51 %: many replicates never get there.
+    fn uncertain_crossing_has_open_end() {
+        // The rate ends at 51 %, so many replicates never reach the level.
         let Threshold::Crosses { high, low, se, crossing_share, .. } = look(|v| 0.2 + 0.34 * v) else {
             panic!("it crosses")
         };
@@ -455,7 +454,7 @@ mod tests {
     }
 
     #[test]
-    fn the_seed_decides_and_equal_weights_change_nothing() {
+    fn seed_matters_equal_weights_do_not() {
         let (values, outcomes) = rows(|v| v);
         let edges = Edges::equal_width(&values, 10).unwrap();
         let run = |weights: Option<&[f64]>, seed| {
@@ -468,8 +467,8 @@ mod tests {
     }
 
     #[test]
-    fn weights_move_the_rates_they_should() {
-        // Successes count double, so the balance point of rate v moves to 2v / (2v + 1 - v) = ½, v = ⅓.
+    fn weights_shift_rates() {
+        // Successes count double, so the crossing of rate v moves to 2v / (2v + 1 - v) = ½, v = ⅓.
         let (values, outcomes) = rows(|v| v);
         let weights: Vec<f64> = outcomes.iter().map(|o| if *o { 2.0 } else { 1.0 }).collect();
         let edges = Edges::equal_width(&values, 20).unwrap();
@@ -479,7 +478,7 @@ mod tests {
     }
 
     #[test]
-    fn three_rows_and_bad_levels_are_answered_not_guessed() {
+    fn invalid_input_is_handled() {
         let edges = Edges::new(vec![0.0, 1.0]).unwrap();
         let one_bin = threshold(&[0.1, 0.2, 0.3], &[true, false, true], None, &edges, ThresholdOptions::default());
         assert_eq!(one_bin, Err(ThresholdError::TooFewBins { filled: 1 }));

@@ -1,23 +1,22 @@
-//! Estimates for a population from rows that were sampled with unequal probabilities.
+//! Estimates for a population from rows sampled with unequal probabilities.
 //!
-//! wᵢ is the weight of row i: operating density over design density, up to a
-//! constant.
+//! wᵢ is the weight of row i: operating density over design density, up to a constant factor.
 //!
-//! - [`hajek`]: m = Σ w y / Σ w, with the linearised variance n/(n-1) · Σ w²(y - m)² / (Σ w)². The constant in w
-//!   cancels; bias of order 1/n.
-//! - [`horvitz_thompson`]: Σ w y / N for weights that are inverse inclusion probabilities and a known N; unbiased, but
-//!   may leave [0, 1] and varies more where Σ w does.
+//! - [`hajek`]: m = Σ w y / Σ w, with the linearised variance n/(n-1) · Σ w²(y - m)² / (Σ w)². The constant factor of w
+//!   cancels; the bias is of order 1/n.
+//! - [`horvitz_thompson`]: Σ w y / N for weights that are inverse inclusion probabilities and a known N. It is
+//!   unbiased, but may leave [0, 1] and varies more if Σ w varies.
 //! - Effective sample size (Kish): (Σ w)² / Σ w².
 //!
-//! The interval is Wilson's at an effective count: the smaller of Kish's and m(1-m)/variance, so outcomes
-//! that are correlated with large weights are not counted twice. With no success or no failure, Kish's alone.
-//! Limit: parts of the operating space where the design density is zero are not represented by any weight.
-//! Sources: Hajek (1971); Horvitz and Thompson (1952), JASA 47; Kish (1965); Korn and Graubard (1998) for
-//! binomial intervals at effective counts.
+//! The interval is Wilson's at an effective count: the smaller of Kish's and m(1-m)/variance, which prevents double
+//! counting of outcomes that are correlated with large weights. Without successes or without failures, only Kish's is
+//! used. Limit: weights cannot represent parts of the operating space where the design density is zero. Sources: Hajek
+//! (1971); Horvitz and Thompson (1952), JASA 47; Kish (1965); Korn and Graubard (1998) for binomial intervals at
+//! effective counts.
 
 use crate::interval::{Confidence, Interval, wilson_real};
 
-/// Why weighted rows cannot be summed up.
+/// The reason why weighted rows cannot be evaluated.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum WeightError {
     /// Lengths differ.
@@ -44,15 +43,15 @@ pub enum WeightError {
     },
 }
 
-/// A rate in the population that the weights describe.
+/// A success rate of the population that the weights describe.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WeightedRate {
-    /// Estimate; `None` where no row has weight.
+    /// Estimate. `None` if no row has weight.
     pub rate: Option<f64>,
-    /// Standard error; `None` below two rows of positive weight, or where every outcome is the same (a zero would
-    /// claim certainty).
+    /// Standard error. `None` below two rows of positive weight, or if all outcomes are equal (a zero would claim
+    /// certainty).
     pub se: Option<f64>,
-    /// Interval at the requested level; [0, 1] if no row has weight.
+    /// Interval at the requested level. [0, 1] if no row has weight.
     pub interval: Interval,
     /// Kish's effective sample size.
     pub effective: f64,
@@ -62,7 +61,7 @@ pub struct WeightedRate {
     pub total_weight: f64,
 }
 
-/// Zero, or positive with a square and a reciprocal that are ordinary numbers.
+/// Whether a weight is zero, or positive with a normal square and reciprocal.
 pub(crate) fn is_weight(w: f64) -> bool {
     w >= 0.0 && (w <= 0.0 || (1e-150..=1e150).contains(&w))
 }
@@ -77,9 +76,9 @@ fn check(outcomes: &[bool], weights: &[f64]) -> Result<(), WeightError> {
     }
 }
 
-/// (Σ w)² / Σ w²; 0 where no weight is positive.
+/// Kish's effective sample size (Σ w)² / Σ w². 0 if no weight is positive.
 pub fn effective_sample_size(weights: &[f64]) -> f64 {
-    // Dividing by the largest keeps squares finite.
+    // Division by the largest weight keeps squares finite.
     let largest = weights.iter().copied().fold(0.0, f64::max);
     let sum: f64 = weights.iter().map(|w| w / largest).sum();
     let square: f64 = weights.iter().map(|w| (w / largest).powi(2)).sum();
@@ -89,7 +88,7 @@ pub fn effective_sample_size(weights: &[f64]) -> f64 {
 /// Success rate of the population by Hajek's ratio.
 ///
 /// # Errors
-/// Unequal lengths or something that is no weight.
+/// Unequal lengths or an invalid weight.
 pub fn hajek(outcomes: &[bool], weights: &[f64], confidence: Confidence) -> Result<WeightedRate, WeightError> {
     check(outcomes, weights)?;
     let rows = weights.iter().filter(|w| **w > 0.0).count();
@@ -105,7 +104,7 @@ pub fn hajek(outcomes: &[bool], weights: &[f64], confidence: Confidence) -> Resu
             total_weight: total,
         });
     }
-    // Shares first: sums of huge weights may not be finite, shares of the largest are.
+    // Weights are divided by their sum via the largest one first, because the sum of huge weights may not be finite.
     let largest = weights.iter().copied().fold(0.0, f64::max);
     let share = |i: usize| weights[i] / largest;
     let sum: f64 = (0..weights.len()).map(share).sum();
@@ -130,21 +129,21 @@ pub fn hajek(outcomes: &[bool], weights: &[f64], confidence: Confidence) -> Resu
     })
 }
 
-/// An unbiased estimate that may leave [0, 1].
+/// An unbiased estimate, which may leave [0, 1].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HorvitzThompson {
     /// Σ w y / N.
     pub rate: f64,
-    /// Standard error for draws with replacement (Hansen and Hurwitz 1943); `None` below two rows.
+    /// Standard error for draws with replacement (Hansen and Hurwitz 1943). `None` below two rows.
     pub se: Option<f64>,
-    /// Σ w / N: near 1 where the weights describe the population.
+    /// Σ w / N, near 1 if the weights describe the population.
     pub weight_share: f64,
 }
 
-/// Success rate of a population of known size by Horvitz and Thompson; weights are inverse inclusion probabilities.
+/// Success rate of a population of known size by Horvitz and Thompson. Weights are inverse inclusion probabilities.
 ///
 /// # Errors
-/// Unequal lengths, something that is no weight, or a population that is not positive.
+/// Unequal lengths, an invalid weight, or a population that is not positive.
 pub fn horvitz_thompson(outcomes: &[bool], weights: &[f64], population: f64) -> Result<HorvitzThompson, WeightError> {
     check(outcomes, weights)?;
     if !(population > 0.0 && population.is_finite()) {
@@ -167,14 +166,14 @@ mod tests {
     use crate::interval::{Trials, wilson};
 
     #[test]
-    fn no_weight_is_no_evidence() {
+    fn no_weight_gives_no_rate() {
         let r = hajek(&[true, true], &[0.0, 0.0], Confidence::P95).unwrap();
         assert_eq!((r.rate, r.interval, r.rows), (None, Interval::UNIT, 0));
         assert_eq!(r.effective, 0.0);
     }
 
     #[test]
-    fn equal_weights_give_the_plain_rate_and_nearly_its_interval() {
+    fn equal_weights_give_plain_rate() {
         let outcomes: Vec<bool> = (0..200).map(|i| i % 4 == 0).collect();
         let r = hajek(&outcomes, &vec![3.0; 200], Confidence::P95).unwrap();
         let plain = wilson(Trials::new(50, 200).unwrap(), Confidence::P95);
@@ -183,14 +182,14 @@ mod tests {
     }
 
     #[test]
-    fn never_a_success_still_leaves_room_above() {
+    fn zero_successes_leave_an_interval() {
         let r = hajek(&[false; 30], &[1.0; 30], Confidence::P95).unwrap();
         assert_eq!((r.rate, r.se, r.interval.low), (Some(0.0), None, 0.0));
         assert!(r.interval.high > 0.1);
     }
 
     #[test]
-    fn one_heavy_row_is_worth_one_row() {
+    fn heavy_row_counts_as_one() {
         let mut weights = vec![1e-6; 100];
         weights[0] = 1.0;
         let r = hajek(&[true; 100], &weights, Confidence::P95).unwrap();
@@ -198,8 +197,8 @@ mod tests {
     }
 
     #[test]
-    fn weights_undo_a_design_that_looked_where_things_fail() {
-        // Population: 80 % easy at rate 0.9, 20 % hard at 0.1; the design drew half and half.
+    fn weights_correct_a_focused_design() {
+        // Population: 80 % easy with rate 0.9, 20 % hard with rate 0.1. The design samples half of each.
         let outcomes: Vec<bool> = (0..1000).map(|i| if i < 500 { i % 10 != 0 } else { i % 10 == 0 }).collect();
         let weights: Vec<f64> = (0..1000).map(|i| if i < 500 { 1.6 } else { 0.4 }).collect();
         let r = hajek(&outcomes, &weights, Confidence::P95).unwrap();

@@ -1,16 +1,17 @@
 //! Classifies a cell as safe, boundary or danger from its count.
 //!
-//! The paper calls a cell safe above 70 % success, danger below 30 %, boundary between. Here a zone is stated only
-//! where the cell's whole interval lies in it; otherwise the cell is too thin, and what the interval does exclude is kept.
+//! As in the paper, a cell is safe above 70 % success, in danger below 30 %, and boundary between. A zone is assigned
+//! only if the whole interval of the cell is in it. Otherwise the cell has too few episodes, and the zones that the
+//! interval excludes are reported.
 //!
-//! Guarantee: with Wilson or Clopper-Pearson at 95 %, a stated zone is wrong in at most about one cell of twenty; for
-//! a statement about a whole map, share the level over its cells ([`Confidence::shared_by`]).
-//! Limit: a cell whose true rate is on a limit never leaves "too thin", however many rows it has.
-//! Source: robogate paper, zones of the failure dictionary; RoboGate's own rule for thin cells.
+//! Guarantee: with Wilson or Clopper-Pearson at 95 %, about one assigned zone in twenty is wrong at most. For a
+//! statement about a whole map, share the level over its cells ([`Confidence::shared_by`]). Limit: a cell whose true
+//! rate equals a limit stays "too thin" for any number of rows. Source: robogate paper, zones of the failure
+//! dictionary; the rule for thin cells is RoboGate's.
 
 use crate::interval::{Confidence, Interval, Trials, wilson};
 
-/// Success rates that part the zones.
+/// Success rates that separate the zones.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ZoneLimits {
     danger_below: f64,
@@ -21,7 +22,7 @@ impl ZoneLimits {
     /// The paper's 30 % and 70 %.
     pub const PAPER: Self = Self { danger_below: 0.3, safe_above: 0.7 };
 
-    /// Accepts 0 ≤ `danger_below` ≤ `safe_above` ≤ 1; `None` otherwise.
+    /// Creates limits with 0 ≤ `danger_below` ≤ `safe_above` ≤ 1. `None` otherwise.
     pub fn new(danger_below: f64, safe_above: f64) -> Option<Self> {
         (0.0 <= danger_below && danger_below <= safe_above && safe_above <= 1.0)
             .then_some(Self { danger_below, safe_above })
@@ -37,11 +38,11 @@ pub enum Zone {
     Boundary,
     /// The whole interval is at or below the lower limit.
     Danger,
-    /// The interval reaches over a limit.
+    /// The interval contains a limit.
     TooThin {
-        /// Safe is not excluded.
+        /// Whether the interval allows "safe".
         may_be_safe: bool,
-        /// Danger is not excluded.
+        /// Whether the interval allows "danger".
         may_be_danger: bool,
     },
 }
@@ -62,7 +63,7 @@ pub fn zone(interval: Interval, limits: ZoneLimits) -> Zone {
     }
 }
 
-/// Zone of each cell, by Wilson intervals at the level given for each.
+/// The zone of each cell, by Wilson intervals at the given level per cell.
 pub fn zones(cells: &[Trials], limits: ZoneLimits, confidence: Confidence) -> Vec<Zone> {
     cells.iter().map(|c| zone(wilson(*c, confidence), limits)).collect()
 }
@@ -76,24 +77,24 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_or_thin_cell_has_no_zone() {
+    fn thin_cell_has_no_zone() {
         let open = Zone::TooThin { may_be_safe: true, may_be_danger: true };
         assert_eq!((of(0, 0), of(1, 1)), (open, Zone::TooThin { may_be_safe: true, may_be_danger: true }));
         assert_eq!(of(8, 10), Zone::TooThin { may_be_safe: true, may_be_danger: false });
     }
 
     #[test]
-    fn a_full_cell_is_placed_where_its_rate_is() {
+    fn full_cell_has_its_zone() {
         assert_eq!((of(90, 100), of(50, 100), of(10, 100)), (Zone::Safe, Zone::Boundary, Zone::Danger));
     }
 
     #[test]
-    fn a_rate_on_the_limit_is_never_placed() {
+    fn rate_on_limit_has_no_zone() {
         assert!(matches!(of(700_000, 1_000_000), Zone::TooThin { may_be_safe: true, may_be_danger: false }));
     }
 
     #[test]
-    fn stated_zones_are_wrong_at_most_as_often_as_the_level_allows() {
+    fn zones_keep_their_error_level() {
         // Exact sum over Binomial(80, p) for rates just outside "safe" and just outside "danger".
         for p in [0.699, 0.301_f64] {
             let mut mass = (1.0 - p).powi(80);
@@ -109,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_out_of_order_are_refused() {
+    fn invalid_limits_are_rejected() {
         assert_eq!(ZoneLimits::new(0.7, 0.3), None);
         assert_eq!(ZoneLimits::new(f64::NAN, 0.3), None);
     }

@@ -1,8 +1,8 @@
-//! Whatever comes in, an answer or a typed error comes out: nothing panics, no probability leaves [0, 1], no NaN is
-//! passed off as an estimate.
+//! Tests that any input gives a result or a typed error: no panic, no probability outside [0, 1], and no NaN as an
+//! estimate.
 
 #![expect(clippy::disallowed_methods, reason = "tests measure times and find their settings in the environment")]
-#![expect(clippy::unwrap_used, reason = "helpers of tests; a panic here is a failed test")]
+#![expect(clippy::unwrap_used, reason = "test helpers fail by panicking")]
 
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
@@ -19,7 +19,7 @@ use robogate_stats::threshold::{Threshold, ThresholdOptions, threshold};
 use robogate_stats::weighted::{hajek, horvitz_thompson};
 use robogate_stats::{Confidence, Interval, Trials, clopper_pearson, wilson};
 
-/// Values that real files hold when something went wrong, among ordinary ones.
+/// Values of damaged real files, among ordinary ones.
 fn value(rng: &mut ChaCha8Rng, finite: bool) -> f64 {
     const ODD: [f64; 14] = [
         0.0,
@@ -52,7 +52,7 @@ fn values(rng: &mut ChaCha8Rng, n: usize, finite: bool) -> Vec<f64> {
     (0..n).map(|_| value(rng, finite)).collect()
 }
 
-/// Weights that are allowed, from the smallest to the largest.
+/// Valid weights, from the smallest to the largest.
 fn weight(rng: &mut ChaCha8Rng) -> f64 {
     match rng.next_u32() % 12 {
         0 | 1 => 0.0,
@@ -165,7 +165,7 @@ fn regressions(rng: &mut ChaCha8Rng, x: &[f64], y: &[f64], outcomes: &[bool], we
 }
 
 #[test]
-fn garbage_is_answered_or_refused_and_never_panics() {
+fn garbage_never_panics() {
     let mut rng = ChaCha8Rng::seed_from_u64(20_261_121);
     for _ in 0..400 {
         one_round(&mut rng);
@@ -173,7 +173,7 @@ fn garbage_is_answered_or_refused_and_never_panics() {
 }
 
 #[test]
-#[ignore = "ten minutes of the same; run after changes to the numerics"]
+#[ignore = "takes ten minutes; run after changes to the numerics"]
 fn garbage_for_ten_minutes() {
     let start = std::time::Instant::now();
     let mut rng = ChaCha8Rng::seed_from_u64(1);

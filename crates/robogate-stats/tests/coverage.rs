@@ -1,5 +1,5 @@
-//! Intervals whose coverage has no closed form, by simulation. The bounds are the nominal 95 % with the asymptotic
-//! method's known error at these sizes and three Monte-Carlo standard errors.
+//! Simulated coverage of intervals without a closed form. The bounds are the nominal 95 %, with the known error of the
+//! asymptotic method at these sizes and three Monte-Carlo standard errors.
 
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
@@ -19,17 +19,17 @@ fn normal(random: &mut ChaCha8Rng) -> f64 {
     (-2.0 * unit(random).ln()).sqrt() * (std::f64::consts::TAU * unit(random)).cos()
 }
 
-/// Share of `runs` intervals that hold `truth`.
+/// Fraction of `runs` intervals that contain `truth`.
 fn coverage(runs: u64, truth: f64, mut interval: impl FnMut(&mut ChaCha8Rng) -> Interval) -> f64 {
     let held = (0..runs).filter(|run| interval(&mut ChaCha8Rng::seed_from_u64(*run)).contains(truth)).count();
     held as f64 / runs as f64
 }
 
 #[test]
-fn delong_s_interval_covers_the_area_between_two_normal_laws() {
+fn delong_interval_has_nominal_coverage() {
     // Scores N(1, 1) for successes and N(0, 1) for failures: the area is Phi(1 / sqrt 2).
     let truth = 0.760_249_938_906_523;
-    // With few rows in a class the normal interval is known to be short: the second case is that.
+    // With few rows in a class the normal interval is known to be too short, as in the second case.
     for (successes, failures, least) in [(100, 300, 0.935), (40, 40, 0.93), (15, 200, 0.91)] {
         let covered = coverage(2_000, truth, |random| {
             let outcomes: Vec<bool> = (0..successes + failures).map(|i| i < successes).collect();
@@ -41,8 +41,8 @@ fn delong_s_interval_covers_the_area_between_two_normal_laws() {
 }
 
 #[test]
-fn the_bootstrap_interval_of_a_threshold_covers_the_crossing() {
-    // Success with probability x, so that one half is crossed at 0.5.
+fn threshold_interval_covers_crossing() {
+    // Success has probability x, so the rate crosses one half at 0.5.
     let options = ThresholdOptions { replicates: 300, ..ThresholdOptions::default() };
     let edges = Edges::new((0..=10).map(|i| f64::from(i) / 10.0).collect()).unwrap();
     let covered = coverage(500, 0.5, |random| {
@@ -52,15 +52,15 @@ fn the_bootstrap_interval_of_a_threshold_covers_the_crossing() {
             Threshold::Crosses { low, high, .. } => {
                 Interval { low: low.unwrap_or(f64::NEG_INFINITY), high: high.unwrap_or(f64::INFINITY) }
             }
-            other => panic!("one crossing, not {other:?}"),
+            other => panic!("expected one crossing, got {other:?}"),
         }
     });
     assert!((0.92..=1.0).contains(&covered), "{covered}");
 }
 
 #[test]
-fn firth_s_profile_interval_covers_where_wald_has_no_standard_error() {
-    // A rare category of true effect -2: in a good part of the samples nothing succeeds in it.
+fn firth_profile_has_nominal_coverage() {
+    // A rare category with a true effect of -2. In many of the samples it has no success.
     let mut separated = 0;
     let covered = coverage(1_000, -2.0, |random| {
         let mark: Vec<f64> = (0..120).map(|i| f64::from(u8::from(i % 8 == 0))).collect();
@@ -69,13 +69,13 @@ fn firth_s_profile_interval_covers_where_wald_has_no_standard_error() {
         let columns: [&[f64]; 1] = [&mark];
         firth_profile(Data::new(&columns, &outcomes, None).unwrap(), 0, Confidence::P95).unwrap().interval
     });
-    assert!(separated > 100, "separation is what it is asked for: {separated} of 1,000");
+    assert!(separated > 100, "too few separated samples: {separated} of 1,000");
     assert!((0.925..=0.985).contains(&covered), "{covered}");
 }
 
 #[test]
-fn the_paired_interval_covers_the_difference_of_dependent_rates() {
-    // Both succeed 0.6, first alone 0.2, second alone 0.1, neither 0.1.
+fn paired_interval_covers_difference() {
+    // Probabilities: both succeed 0.6, only the first 0.2, only the second 0.1, neither 0.1.
     let covered = coverage(4_000, 0.1, |random| {
         let (first, second): (Vec<bool>, Vec<bool>) = (0..68)
             .map(|_| match unit(random) {

@@ -1,10 +1,10 @@
-//! Cost of a picture.
+//! Benchmark: cost of a rendered image.
 //!
-//! `cargo bench -p robogate-tasks --bench camera [-- FOLDER]` prints processor milliseconds a picture (mean of front and wrist, 256 x 256
-//! pixels, with shadows and smooth edges), and the ratio to the time without acceleration structures. With a folder it
-//! writes the pictures there as PPM.
+//! `cargo bench -p robogate-tasks --bench camera [-- FOLDER]` prints processor milliseconds per image (mean of front
+//! and wrist, 256 x 256 pixels, with shadows and antialiasing), and the ratio to the time without acceleration
+//! structures. With a folder it writes the images there as PPM.
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
-#![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a program that prints what it measures")]
+#![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a benchmark prints its results")]
 
 use std::time::SystemTime;
 
@@ -45,9 +45,9 @@ fn main() {
     }
 }
 
-/// Processor time of one picture, in milliseconds.
+/// Processor time per image, in milliseconds.
 fn milliseconds<T>(work: impl Fn() -> T) -> f64 {
-    /// A single picture is shorter than the system's clock tick.
+    /// Repeats per measurement, because one image takes less than the system's clock tick.
     const REPEATS: u32 = 12;
     let start = busy();
     for _ in 0..REPEATS {
@@ -56,8 +56,7 @@ fn milliseconds<T>(work: impl Fn() -> T) -> f64 {
     (busy() - start) * 1e3 / f64::from(2 * REPEATS)
 }
 
-/// Processor time of this process in seconds, so that other load does not count; wall time if the system does not report
-/// it.
+/// Processor time of this process in seconds, which excludes other load. Wall time if the system does not report it.
 fn busy() -> f64 {
     let nanoseconds = std::fs::read_to_string("/proc/self/schedstat")
         .ok()

@@ -1,8 +1,9 @@
-//! Cost of a picture by MuJoCo's renderer.
+//! Benchmark: cost of an image with MuJoCo's renderer.
 //!
-//! `cargo bench -p robogate-tasks --features egl --bench egl` prints processor milliseconds, all threads of the process together: of a picture (mean
-//! of front and wrist, 256 x 256 pixels), and of the first two of an episode, which upload the scene to the device.
-#![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a program that prints what it measures")]
+//! `cargo bench -p robogate-tasks --features egl --bench egl` prints processor milliseconds over all threads of the
+//! process: per image (mean of front and wrist, 256 x 256 pixels), and for the first two images of an episode, which
+//! upload the scene to the device.
+#![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a benchmark prints its results")]
 
 use robogate_camera::EglRenderer;
 use robogate_core::{Assignment, Environment, Scenario, Seed, Value};
@@ -38,7 +39,7 @@ fn main() {
     }
 }
 
-/// Processor time of all threads; the system's resolution is 10 ms.
+/// Processor time of all threads in milliseconds. The system's resolution is 10 ms.
 fn milliseconds(work: impl FnOnce()) -> f64 {
     let busy = || {
         let text = std::fs::read_to_string("/proc/self/stat").unwrap();

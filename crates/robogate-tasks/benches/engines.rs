@@ -1,8 +1,8 @@
-//! Cost of an episode in each engine, as a ratio in one run.
+//! Benchmark: cost of an episode in each engine, as a ratio within one run.
 //!
 //! `cargo bench -p robogate-tasks --bench engines [-- EPISODES]`
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark prints, and stops where it cannot go on")]
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark prints its results and fails by panicking")]
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -23,7 +23,7 @@ fn main() {
         let index = i as u64;
         let requested = design.assignment(i).unwrap();
         let scenario = Scenario { index, seed: Seed::campaign(1).episode(index), requested };
-        // Alternating, so that both run under the same load of the machine.
+        // Alternating, so that both engines run under the same machine load.
         for (k, (simulator, policy)) in [&mut mujoco, &mut rapier].into_iter().enumerate() {
             let start = Instant::now();
             simulated[k] += rollout(&mut **simulator, &mut **policy, &scenario).time_s;

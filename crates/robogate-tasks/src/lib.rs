@@ -1,8 +1,8 @@
 //! The built-in tasks, one folder each.
 //!
-//! A task owns its scene, its referee, its scripted controller, its parameters and the claims about its physics. Nothing
-//! outside its folder uses the task's vocabulary. A task that brings its own world implements [`SelfContained`].
-//! [`Random`] is a policy for any task with bounded actions.
+//! Each task folder contains its scene, referee, scripted controller, parameters and physics claims. Code outside the
+//! folder does not use the task's vocabulary. A task with its own world implements [`SelfContained`]. [`Random`] is a
+//! policy for any task with bounded actions.
 
 #[cfg(feature = "mujoco")]
 pub mod pendulum;

@@ -1,9 +1,10 @@
-//! A random policy: the lower bound of a ranking.
+//! A random policy, as a lower bound of a ranking.
 
 use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, Stream, TaskInstance, TaskSpec};
 
-/// Draws every number of an action uniformly within the bounds of the task: those of a vector, or the six of a tool delta,
-/// and one for the gripper, which opens above 0. The draws depend on the episode's seed only.
+/// A policy that samples every number of an action uniformly within the bounds of the task: the numbers of a vector, or
+/// the six of a tool delta, and one for the gripper, which opens above 0. The samples depend only on the episode's
+/// seed.
 #[derive(Debug, Clone)]
 pub struct Random {
     stream: Stream,
@@ -12,12 +13,12 @@ pub struct Random {
     gripper: bool,
 }
 
-/// The actions to draw from.
+/// The bounds of the sampled actions.
 #[derive(Debug, Clone, PartialEq)]
 enum Bounds {
-    /// Numbers between these.
+    /// Numbers within these bounds.
     Vector { low: Vec<f64>, high: Vec<f64> },
-    /// Motions of the tool up to these, in metres and radians.
+    /// Tool motions up to these limits, in metres and radians.
     ToolDelta { translation_m: f64, rotation_rad: f64 },
 }
 
@@ -38,7 +39,7 @@ impl Bounds {
 }
 
 impl Random {
-    /// A random policy. Each episode has its own draws.
+    /// Creates a random policy. Each episode has different samples.
     pub fn new() -> Self {
         Self {
             stream: stream(Seed::campaign(0)),
@@ -116,7 +117,8 @@ mod tests {
             })
             .collect();
         let (mean, square) = (x.iter().sum::<f64>() / 500.0, x.iter().map(|x| x * x).sum::<f64>() / 500.0);
-        // Four standard errors of the mean (1/sqrt(3)) and of the mean square (1/3 with deviation 0.298).
+        // The tolerance is four standard errors of the mean (1/sqrt(3)) and of the mean square (1/3 with standard
+        // deviation 0.298).
         assert!(mean.abs() < 0.103 && (square - 1.0 / 3.0).abs() < 0.053, "{mean} {square}");
         let open = actions.iter().filter(|action| action.gripper == Some(Action::OPEN)).count();
         assert!((205..=295).contains(&open), "{open}");
@@ -134,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn unbounded_actions_are_refused() {
+    fn unbounded_actions_are_rejected() {
         let mut task = arm();
         task.action.spaces.truncate(1);
         assert!(Random::new().check(&task).unwrap_err().contains("joint_position"));

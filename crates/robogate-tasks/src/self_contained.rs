@@ -1,22 +1,22 @@
-//! Tasks that bring their own world.
+//! Tasks with their own world.
 
 use std::sync::Arc;
 
 use robogate_core::{Environment, Fault, Policy, TaskSpec};
 use robogate_physics::EngineBuild;
 
-/// A built-in task with a world and an engine of its own: no robot and no engine has to be chosen.
+/// A built-in task with its own world and engine. The user chooses neither robot nor engine.
 pub trait SelfContained: Sync {
-    /// Its name on the command line: that of its declaration.
+    /// The name on the command line, as in the declaration.
     fn name(&self) -> &'static str;
 
-    /// What it is, in a few words.
+    /// A short description.
     fn summary(&self) -> &'static str;
 
-    /// Its declaration.
+    /// The task specification.
     fn task(&self) -> Arc<TaskSpec>;
 
-    /// Its parameter space, as TOML.
+    /// The parameter space, as TOML.
     fn space(&self) -> &'static str;
 
     /// Identifies the engine that steps its physics.
@@ -25,12 +25,12 @@ pub trait SelfContained: Sync {
     /// A fault if the engine cannot be loaded.
     fn engine(&self) -> Result<EngineBuild, Fault>;
 
-    /// A new environment.
+    /// Creates an environment.
     ///
     /// # Errors
-    /// A fault where the world cannot be set up.
+    /// A fault if the world cannot be set up.
     fn environment(&self) -> Result<Box<dyn Environment>, Fault>;
 
-    /// Its scripted controller.
+    /// The scripted controller.
     fn controller(&self) -> Box<dyn Policy>;
 }

@@ -1,4 +1,4 @@
-//! The physics claims for every engine, with few episodes. `robogate check physics` runs them at full length.
+//! Tests of the physics claims for every engine, with few episodes. `robogate check physics` runs them at full length.
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test fails by panicking, and prints its figures")]
 
 mod common;
@@ -13,7 +13,7 @@ use robogate_physics::{FixtureKind, JointTargets, Scene, built_in_robot};
 use robogate_tasks::pick_place::claims::{self, ClaimResult, Workbench};
 use robogate_tasks::pick_place::{self, Placement, SceneParameters, Shape, built_in_space};
 
-/// Makes one test for each claim and engine.
+/// Creates one test per claim and engine.
 macro_rules! of_every_engine {
     ($($(#[$doc:meta])* fn $claim:ident($on:ident: EngineKind) $body:block)*) => {
         $($(#[$doc])* fn $claim($on: EngineKind) $body)*
@@ -85,7 +85,8 @@ fn franka_flange(q: &[f64]) -> Isometry3<f64> {
 }
 
 /// The flange by standard parameters (a, alpha, d): Universal Robots, "DH parameters for calculations of kinematics and
-/// dynamics", UR5e; the base turned by half a turn as the ROS description has it. T = Rz(theta) Tz(d) Tx(a) Rx(alpha).
+/// dynamics", UR5e, with the base rotated by half a turn as in the ROS description. T = Rz(theta) Tz(d) Tx(a)
+/// Rx(alpha).
 fn ur5e_flange(q: &[f64]) -> Isometry3<f64> {
     let rows = [
         (0.0, FRAC_PI_2, 0.1625),
@@ -151,13 +152,13 @@ fn is_read_back(on: EngineKind, robot: &str, parameters: &[(&str, Value)]) {
 }
 
 of_every_engine! {
-    fn franka_kinematics_match_the_manufacturers_table(on: EngineKind) {
+    fn franka_kinematics_match_data_sheet(on: EngineKind) {
         // The hand is rotated by -45 degrees about the flange's z axis; the tool centre point is 0.1034 m beyond it.
         let hand = Isometry3::translation(0.0, 0.0, 0.1034) * turned(&Vector3::z_axis(), -FRAC_PI_4);
         moves_as(on, "franka", franka_flange, hand);
     }
 
-    fn ur5e_kinematics_match_the_manufacturers_table(on: EngineKind) {
+    fn ur5e_kinematics_match_data_sheet(on: EngineKind) {
         moves_as(on, "ur5e", ur5e_flange, Isometry3::translation(0.0, 0.0, 0.12));
     }
 
@@ -165,11 +166,11 @@ of_every_engine! {
         confirm(claims::coulomb(&on.franka(), &[3.0]));
     }
 
-    fn a_too_wide_object_is_never_picked(on: EngineKind) {
+    fn wide_object_is_never_picked(on: EngineKind) {
         confirm(claims::opening(&on.franka(), on.episodes(28)));
     }
 
-    fn the_easy_region_is_easy(on: EngineKind) {
+    fn easy_region_is_easy(on: EngineKind) {
         confirm(claims::easy_region(&on.franka(), on.episodes(140)));
     }
 
@@ -177,7 +178,7 @@ of_every_engine! {
         confirm(claims::no_creep(&on.franka(), on.episodes(56)));
     }
 
-    fn a_half_time_step_changes_few_outcomes(on: EngineKind) {
+    fn half_time_step_changes_few_outcomes(on: EngineKind) {
         confirm(claims::time_step(&on.franka(), &space("franka"), on.episodes(200)));
     }
 
@@ -194,9 +195,9 @@ of_every_engine! {
         confirm(claims::position_jitter(&on.ur5e(), on.episodes(28)));
     }
 
-    /// An object at rest pulls with its weight m g, and bends the lip by m g times the lateral offset of its centre of
-    /// mass. Lifted with acceleration a it pulls with m (g + a).
-    fn a_cups_load_is_the_objects_weight(on: EngineKind) {
+    /// Checks that an object at rest loads the cup with its weight m g, and bends the lip by m g times the lateral
+    /// offset of its centre of mass. Lifted with acceleration a it pulls with m (g + a).
+    fn cup_load_equals_object_weight(on: EngineKind) {
         let mut engine = on.ur5e().engine();
         for (mass, com_offset) in [(0.4, 0.0), (1.3, 0.0), (1.3, 0.3), (3.0, 0.2)] {
             let size = 0.06;
@@ -212,7 +213,7 @@ of_every_engine! {
             let mut joints = engine.chain().inverse(&at, &home, &home).unwrap();
             engine.load(&scene, &joints).unwrap();
             engine.attach();
-            // Half a second of rest, half a second of constant acceleration, as much of braking, and rest.
+            // Half a second of rest, half a second of constant acceleration, half a second of braking, and rest.
             let acceleration = 0.8;
             let dt = engine.time_step();
             let height = |t: f64| {
@@ -249,11 +250,11 @@ of_every_engine! {
         }
     }
 
-    fn a_vacuum_cup_lifts_up_to_its_force(on: EngineKind) {
+    fn vacuum_cup_lifts_up_to_its_force(on: EngineKind) {
         confirm(claims::vacuum_limit(&on.ur5e()));
     }
 
-    fn lifted_mass_grows_with_the_cups_area(on: EngineKind) {
+    fn lifted_mass_grows_with_cup_area(on: EngineKind) {
         confirm(claims::cup_area(&on.ur5e()));
     }
 
@@ -261,11 +262,11 @@ of_every_engine! {
         confirm(claims::gravity(&on.ur5e()));
     }
 
-    fn a_surface_gripper_never_reports_grip_loss(on: EngineKind) {
+    fn surface_gripper_never_reports_grip_loss(on: EngineKind) {
         confirm(claims::surface_keeps(&on.ur5e(), &space("ur"), on.episodes(80)));
     }
 
-    fn the_easy_region_is_easy_for_a_cup(on: EngineKind) {
+    fn easy_region_is_easy_for_cup(on: EngineKind) {
         confirm(claims::easy_region(&on.ur5e(), on.episodes(56)));
     }
 
@@ -273,8 +274,8 @@ of_every_engine! {
         confirm(claims::repeatable(&on.ur5e(), &space("ur-wide"), on.episodes(30)));
     }
 
-    /// The target and all placements except those on the near side are beyond the reach of a UR3e, 0.5 m.
-    fn a_ur3e_times_out_beyond_its_reach(on: EngineKind) {
+    /// The target and all placements except the near ones are beyond the reach of a UR3e, 0.5 m.
+    fn ur3e_times_out_beyond_reach(on: EngineKind) {
         let cell = on.robot("ur3e");
         let (mut simulator, mut policy) = cell.bench(&cell.setup()).unwrap();
         for name in ["edge_0", "edge_90", "left_0"] {
@@ -305,7 +306,7 @@ of_every_engine! {
         is_read_back(on, "franka", &crossing());
     }
 
-    fn a_moving_fixture_follows_its_path(on: EngineKind) {
+    fn moving_fixture_follows_path(on: EngineKind) {
         let mut engine = on.franka().engine();
         let scene = scene(on, "franka", &crossing());
         let home = engine.robot().settings.arm.home_rad.clone();
@@ -327,17 +328,17 @@ of_every_engine! {
                 pushed_at.get_or_insert(time);
             }
         }
-        // Faces meet when the box has come 0.4 m less half of each: 0.345 m, 1.725 s after 0.5 s.
+        // Faces meet when the box has moved 0.4 m less half of each box: 0.345 m, 1.725 s after the start at 0.5 s.
         let pushed_at = pushed_at.unwrap();
         assert!((2.2..2.3).contains(&pushed_at), "{pushed_at}");
-        // At its halt its face stands at y = 0.13, and the object's middle half its edge beyond.
+        // When it stops, its face is at y = 0.13, and the object's centre is half its edge beyond.
         let end = engine.object().translation.vector;
         assert!((end.y - 0.155).abs() < 0.004 && (end.x - start.x).abs() < 0.01, "{end}");
         engine.health().unwrap();
     }
 
-    /// A box that slides on the table after a push decelerates by mu g, mu being the table's own coefficient.
-    fn the_tables_friction_stops_the_object(on: EngineKind) {
+    /// Checks that a box sliding on the table after a push decelerates by mu g, with the table's coefficient mu.
+    fn table_friction_stops_object(on: EngineKind) {
         for (friction, table_friction) in [(0.9, 0.2), (0.1, 0.2)] {
             let mut engine = on.franka().engine();
             let mut parameters = crossing().to_vec();
@@ -352,7 +353,7 @@ of_every_engine! {
             let mut sliding = Vec::new();
             for step in 1..=(4.0 / dt).round() as usize {
                 engine.advance(&targets);
-                // The pusher stops after 0.5 s of waiting and 0.5 m.
+                // The pusher stops after 0.5 s of waiting and a path of 0.5 m.
                 let (time, speed) = (step as f64 * dt, engine.object_velocity().0.norm());
                 if time > 0.5 + 0.5 / 0.8 + 0.01 && speed > 0.1 {
                     sliding.push((time, speed));
@@ -365,8 +366,8 @@ of_every_engine! {
         }
     }
 
-    /// One round of the 68.
-    fn the_industrial_suite_is_solved(on: EngineKind) {
+    /// One round of the 68 scenarios.
+    fn industrial_suite_is_solved(on: EngineKind) {
         let suite = Suite::from_toml(include_str!("../../../assets/suites/industrial-68.toml")).unwrap();
         let cell = on.franka();
         let (mut simulator, mut policy) = cell.bench(&cell.setup()).unwrap();
@@ -380,7 +381,7 @@ of_every_engine! {
 }
 
 #[test]
-fn a_parameter_of_another_gripper_is_refused() {
+fn parameter_of_other_gripper_is_rejected() {
     let gripper = |robot| built_in_robot(robot).unwrap().settings.gripper;
     SceneParameters::check_space(&space("ur-wide"), Some(&gripper("ur5e"))).unwrap();
     let error = SceneParameters::check_space(&space("ur"), Some(&gripper("franka"))).unwrap_err().to_string();

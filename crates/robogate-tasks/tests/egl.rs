@@ -1,4 +1,4 @@
-//! MuJoCo's renderer compared with the embedded one. Without an EGL device the tests are skipped with a message.
+//! Compares MuJoCo's renderer with the embedded one. Without an EGL device the tests are skipped with a message.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeSet;
@@ -27,7 +27,7 @@ fn embedded(robot: &str) -> PickPlace<MujocoEngine> {
     PickPlace::new(MujocoEngine::new(robot, MujocoEngine::TIME_STEP_S).unwrap(), None).unwrap()
 }
 
-/// The same cell with MuJoCo's renderer, if there is a device for it.
+/// The same cell with MuJoCo's renderer, if a device exists.
 fn egl(robot: &str) -> Option<PickPlace<MujocoEngine>> {
     let engine = MujocoEngine::new(built_in_robot(robot).unwrap(), MujocoEngine::TIME_STEP_S).unwrap();
     match EglRenderer::new(&engine) {
@@ -39,7 +39,7 @@ fn egl(robot: &str) -> Option<PickPlace<MujocoEngine>> {
     }
 }
 
-/// The pictures after this number of steps of the scripted controller.
+/// The images after this number of steps of the scripted controller.
 fn pictures(cell: &mut PickPlace<MujocoEngine>, robot: &str, settings: &[(&str, Value)], steps: usize) -> Vec<Image> {
     let scenario = scenario(settings);
     let start = cell.reset(&scenario).unwrap();
@@ -54,7 +54,7 @@ fn pictures(cell: &mut PickPlace<MujocoEngine>, robot: &str, settings: &[(&str, 
     cell.render().unwrap()
 }
 
-/// The pixels that differ between two pictures.
+/// The pixels that differ between two images.
 fn differing(a: &Image, b: &Image) -> BTreeSet<(i64, i64)> {
     let differ = |(a, b): (&[u8], &[u8])| a.iter().zip(b).any(|(a, b)| a.abs_diff(*b) > 24);
     let pairs = a.rgb.chunks_exact(3).zip(b.rgb.chunks_exact(3));
@@ -67,13 +67,13 @@ fn centroid(pixels: &BTreeSet<(i64, i64)>) -> [f64; 2] {
     [pixels.iter().map(|p| p.0 as f64).sum::<f64>() / n, pixels.iter().map(|p| p.1 as f64).sum::<f64>() / n]
 }
 
-/// The number of these pixels without any of the others within two pixels.
+/// The number of these pixels without a pixel of the other set within two pixels.
 fn alone(these: &BTreeSet<(i64, i64)>, others: &BTreeSet<(i64, i64)>) -> usize {
     let near = |(x, y): &(i64, i64)| (-2..=2).any(|dx| (-2..=2).any(|dy| others.contains(&(x + dx, y + dy))));
     these.iter().filter(|pixel| !near(pixel)).count()
 }
 
-/// The object's pixels, by pictures of it in two colours.
+/// The object's pixels, from images with two object colours.
 fn outlines(
     cell: &mut PickPlace<MujocoEngine>,
     robot: &str,
@@ -90,7 +90,7 @@ fn outlines(
 }
 
 #[test]
-fn the_objects_outline_agrees() {
+fn object_outline_matches() {
     let cases: Vec<(&str, Settings<'_>, usize)> = vec![
         ("franka", vec![], 0),
         ("franka", vec![("shape", word("sphere")), ("size_m", Value::Number(0.08)), ("placement", word("left_0"))], 0),
@@ -110,7 +110,7 @@ fn the_objects_outline_agrees() {
         let other = outlines(&mut other, robot, &settings, steps);
         for (camera, (one, other)) in one.iter().zip(&other).enumerate() {
             let what = format!("{robot} {settings:?} {}: {} and {} pixels", CAMERAS[camera], one.len(), other.len());
-            // A sliver at the picture's edge has no middle to speak of.
+            // A sliver at the image border has no meaningful centre.
             if one.len() < 40 {
                 assert!(other.len() < 60, "{what}");
                 continue;
@@ -121,11 +121,11 @@ fn the_objects_outline_agrees() {
             assert!(alone(one, other) == 0 && alone(other, one) == 0, "{what}");
         }
     }
-    assert!(seen[0] >= 5 && seen[1] >= 4, "the object is hardly seen: {seen:?}");
+    assert!(seen[0] >= 5 && seen[1] >= 4, "the object is visible in too few images: {seen:?}");
 }
 
 #[test]
-fn outlines_before_the_wall_agree() {
+fn outlines_against_background_match() {
     for (robot, steps) in [("franka", 0), ("franka", 25), ("ur5e", 0), ("ur10e", 25)] {
         let Some(mut other) = egl(robot) else { return };
         let wall = |cell: &mut PickPlace<MujocoEngine>| {
@@ -140,10 +140,10 @@ fn outlines_before_the_wall_agree() {
 }
 
 #[test]
-fn the_marker_agrees() {
+fn marker_matches() {
     let Some(mut other) = egl("franka") else { return };
     for material in ["wood", "steel", "laminate", "rubber", "cardboard"] {
-        // What is green: the ring and the cross.
+        // The green pixels: the ring and the cross.
         let mark = |cell: &mut PickPlace<MujocoEngine>| {
             let image = &pictures(cell, "franka", &[("table_material", word(material))], 0)[0];
             let green = |p: &[u8]| f64::from(p[1]) > 1.2 * f64::from(p[0]) && f64::from(p[1]) > 1.1 * f64::from(p[2]);
@@ -162,7 +162,7 @@ fn brightness(image: &Image) -> f64 {
 }
 
 #[test]
-fn brightness_agrees() {
+fn brightness_matches() {
     let Some(mut other) = egl("franka") else { return };
     for material in ["wood", "laminate", "rubber"] {
         for lux in [50.0, 200.0, 500.0, 2000.0] {
@@ -186,7 +186,7 @@ fn mean(image: &Image, pixels: &BTreeSet<(i64, i64)>) -> [f64; 3] {
 }
 
 #[test]
-fn transparency_agrees() {
+fn transparency_matches() {
     let Some(mut other) = egl("franka") else { return };
     let size = ("size_m", Value::Number(0.08));
     let place = outlines(&mut embedded("franka"), "franka", &vec![size.clone()], 0).swap_remove(0);
@@ -216,7 +216,7 @@ fn equal_scenes_give_equal_bytes() {
 }
 
 #[test]
-fn the_renderer_does_not_change_physics() {
+fn renderer_does_not_change_physics() {
     let settings = vec![
         ("friction", Value::Number(0.7)),
         ("lighting_lux", Value::Number(873.25)),
@@ -256,7 +256,7 @@ fn the_renderer_does_not_change_physics() {
 }
 
 #[test]
-fn pictures_have_the_requested_size() {
+fn images_have_the_requested_size() {
     let Some(cell) = egl("franka") else { return };
     let mut cell = cell.with_picture_size(93, 41);
     let fault = cell.render().unwrap_err().to_string();

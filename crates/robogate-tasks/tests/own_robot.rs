@@ -1,4 +1,4 @@
-//! Robots of a user: in the style of MuJoCo Menagerie, and as URDF.
+//! Tests with robots of users: one in the style of MuJoCo Menagerie, and one as URDF.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fmt::Write;
@@ -35,15 +35,15 @@ fn look(folder: &Path) -> Inspection {
     inspect(folder.to_str().unwrap())
 }
 
-/// Replaces `from`, which must occur.
+/// Replaces `from`, which must occur in the text.
 fn change(text: &str, from: &str, to: &str) -> String {
     assert!(text.contains(from), "{from}");
     text.replace(from, to)
 }
 
 /// The Panda in the style of MuJoCo Menagerie: meshes in a separate folder, visual and collision classes, general
-/// actuators, fingers coupled by an equality and driven through a tendon, an exclusion, a keyframe; no site at flange or
-/// tool.
+/// actuators, fingers coupled by an equality and driven through a tendon, an exclusion and a keyframe, but no site at
+/// flange or tool.
 fn menagerie() -> (String, String) {
     let mut model = change(MODEL, "<compiler angle=\"radian\"/>", "<compiler angle=\"radian\" meshdir=\"assets\"/>");
     model = change(
@@ -81,7 +81,7 @@ fn menagerie() -> (String, String) {
 }
 
 #[test]
-fn a_menagerie_robot_picks_and_places() {
+fn menagerie_robot_picks_and_places() {
     let (model, settings) = menagerie();
     let own = folder("menagerie", &[("franka.xml", &model), ("robot.toml", &settings), ("assets/wrist.obj", MESH)]);
     let inspection = look(&own);
@@ -96,7 +96,7 @@ fn a_menagerie_robot_picks_and_places() {
     assert_eq!(rollout(&mut simulator, &mut policy, &scenario).outcome, Outcome::Success);
     assert_eq!(simulator.render().unwrap().len(), 2);
 
-    // Its visual mesh is drawn; the collision shapes in group 3 are not.
+    // The visual mesh is rendered; the collision shapes in group 3 are not.
     let without = change(&model, "<geom mesh=\"wrist\" class=\"visual\"/>", "");
     let files = [("franka.xml", without.as_str()), ("robot.toml", &settings), ("assets/wrist.obj", MESH)];
     let bare = Robot::from_folder(&folder("menagerie-bare", &files)).unwrap();
@@ -105,7 +105,7 @@ fn a_menagerie_robot_picks_and_places() {
     assert!(changed > 100, "{changed} pixels");
 }
 
-/// A picture of the last link at home, from 35 cm beside it.
+/// An image of the last link at home, from 35 cm beside it.
 fn wrist_from_the_side(robot: &Robot) -> Image {
     let parameters = SceneParameters::default();
     let placement = Placement::from_name(&parameters.placement).unwrap();
@@ -131,7 +131,7 @@ const UR5E: [(f64, f64, f64); 6] = [
     (0.0996, 0.0, 0.0),
 ];
 
-/// A URDF of the UR5e's kinematics with a cup fixed to it, each link a small ball but the last.
+/// A URDF with the UR5e's kinematics and a fixed cup. Each link except the last is a small ball.
 fn urdf() -> String {
     let names = ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"];
     let link = |name: &str, shape: &str| {
@@ -166,7 +166,7 @@ fn urdf() -> String {
 }
 
 #[test]
-fn a_urdf_matches_its_kinematic_table() {
+fn urdf_matches_kinematic_table() {
     let settings = change(UR5E_SETTINGS, "ur5e.xml", "own.urdf")
         + "\n[[site]]\nname = \"flange\"\nbody = \"suction_cup\"\n\n[[site]]\nname = \"tcp\"\nbody = \"suction_cup\"\nposition_m = [0.0, 0.0, 0.12]\n";
     let own = folder("urdf", &[("own.urdf", &urdf()), ("robot.toml", &settings)]);
@@ -177,15 +177,15 @@ fn a_urdf_matches_its_kinematic_table() {
     for index in 0..100 {
         let mut stream = Seed::campaign(15).episode(index).stream("joints");
         let q: Vec<f64> = (0..6).map(|_| stream.between(-3.0, 3.0)).collect();
-        let turn = |axis: &nalgebra::Unit<Vector3<f64>>, angle| {
+        let rotation = |axis: &nalgebra::Unit<Vector3<f64>>, angle| {
             Isometry3::from_parts(Translation3::identity(), UnitQuaternion::from_axis_angle(axis, angle))
         };
-        let base = turn(&Vector3::z_axis(), std::f64::consts::PI);
+        let base = rotation(&Vector3::z_axis(), std::f64::consts::PI);
         let flange = UR5E.iter().zip(&q).fold(base, |frame, ((d, a, alpha), theta)| {
             frame
-                * turn(&Vector3::z_axis(), *theta)
+                * rotation(&Vector3::z_axis(), *theta)
                 * Isometry3::translation(*a, 0.0, *d)
-                * turn(&Vector3::x_axis(), *alpha)
+                * rotation(&Vector3::x_axis(), *alpha)
         });
         let off = (flange * Isometry3::translation(0.0, 0.0, 0.12)).inverse() * engine.chain().tcp_at(&q);
         assert!(off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-6);
@@ -194,11 +194,11 @@ fn a_urdf_matches_its_kinematic_table() {
     let mut simulator = PickPlace::new(engine, None).unwrap();
     let scenario = Scenario { index: 0, seed: Seed::campaign(1).episode(0), requested: Assignment::default() };
     let why = simulator.reset(&scenario).and_then(|_| simulator.render()).unwrap_err().to_string();
-    assert!(why.contains("this robot cannot be drawn"), "{why}");
+    assert!(why.contains("this robot cannot be rendered"), "{why}");
 }
 
 #[test]
-fn only_a_short_arm_misses_the_target() {
+fn only_short_arm_misses_target() {
     for name in built_in_robots() {
         let inspection = inspect(name);
         assert!(inspection.problems.is_empty(), "{name}: {:#?}", inspection.problems);

@@ -1,4 +1,4 @@
-//! Every row of the parameter table is applied and read back, and a value that does not act is noticed.
+//! Tests that every row of the parameter table is applied and read back, and that a value without effect is detected.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod common;
@@ -26,7 +26,7 @@ fn robot_for(row: &ParameterRow) -> &'static str {
     if row.acts_on == ActsOn::Cup { "ur5e" } else { "franka" }
 }
 
-/// A value that is not the nominal one.
+/// A value other than the nominal one.
 fn unusual(row: &ParameterRow) -> Value {
     let inside = |low: f64, high: f64| low + 0.37 * (high - low);
     match row.allowed() {
@@ -37,7 +37,7 @@ fn unusual(row: &ParameterRow) -> Value {
             match choices.into_iter().find(|choice| **choice != *nominal) {
                 Some(choice) => Value::Category(choice),
                 None => {
-                    assert!(open, "{} has one choice only", row.name);
+                    assert!(open, "{} has only one choice", row.name);
                     Value::Category("#12ab34".into())
                 }
             }
@@ -45,7 +45,7 @@ fn unusual(row: &ParameterRow) -> Value {
     }
 }
 
-/// A scenario with this value, and with what it takes to make the value act.
+/// A scenario with this value, and with the other parameters that it needs to take effect.
 fn scenario(row: &ParameterRow, value: Value) -> Scenario {
     let mut requested = Assignment::default();
     if row.name.starts_with("disturbance_") {
@@ -59,7 +59,7 @@ fn scenario(row: &ParameterRow, value: Value) -> Scenario {
 }
 
 #[test]
-fn every_row_is_applied_and_read_back() {
+fn rows_are_applied_and_read_back() {
     for on in engines() {
         for row in parameters() {
             let cell = on.robot(robot_for(row));
@@ -74,9 +74,9 @@ fn every_row_is_applied_and_read_back() {
     }
 }
 
-/// The same seed and other values: the reader follows what acts.
+/// Tests the readers with the same seed and other values.
 #[test]
-fn every_number_is_read_over_its_range() {
+fn numbers_are_read_over_their_range() {
     let on = engines()[0];
     for row in parameters() {
         let cell = on.robot(robot_for(row));
@@ -84,17 +84,17 @@ fn every_number_is_read_over_its_range() {
         let Allowed::Continuous { low, high } = row.allowed() else { continue };
         for share in [0.0, 0.11, 0.5, 0.8] {
             let scenario = scenario(row, Value::Number(low + share * (high - low)));
-            // Not every offset leaves the object on the table, and not every gap leaves room.
+            // Some offsets move the object off the table, and some gaps leave no room.
             let Ok(start) = simulator.reset(&scenario) else { continue };
             check_applied(&scenario.requested, &start.applied).unwrap();
         }
     }
 }
 
-/// A change of a scene.
+/// A modification of a scene.
 type Change = fn(&mut Scene);
 
-/// An engine that loads another scene than it was given.
+/// An engine that loads a modified scene.
 struct Tampered {
     engine: Box<dyn Engine>,
     change: Change,
@@ -193,7 +193,7 @@ impl Engine for Tampered {
 }
 
 #[test]
-fn a_tampered_scene_is_not_applied() {
+fn tampered_scene_is_not_applied() {
     let cases: [(&str, Value, Change); 12] = [
         ("friction", Value::Number(0.6), |scene| scene.friction *= 1.01),
         ("table_friction", Value::Number(0.3), |scene| scene.table_friction = None),
@@ -228,7 +228,7 @@ fn a_tampered_scene_is_not_applied() {
             let start = simulator.reset(&scenario).unwrap();
             let requested: Assignment = [((*name).into(), value.clone())].into_iter().collect();
             let checked = check_applied(&requested, &start.applied);
-            let fault = checked.expect_err(&format!("{on:?} applies {name} to a tampered scene"));
+            let fault = checked.expect_err(&format!("{on:?} reports {name} as applied in a tampered scene"));
             assert_eq!(fault.kind, FaultKind::NotApplied, "{on:?} {name}: {fault}");
         }
     }

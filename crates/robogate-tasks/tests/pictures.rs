@@ -1,4 +1,4 @@
-//! The cell's pictures agree with the engine that moves it.
+//! Tests that rendered images match the state of the engine.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use nalgebra::Point3;
@@ -20,7 +20,7 @@ fn mujoco(robot: Robot) -> PickPlace<MujocoEngine> {
 }
 
 #[test]
-fn both_engines_give_the_same_picture() {
+fn engines_give_the_same_image() {
     let scenario = scenario(&[("obstacles", Value::Integer(3)), ("shape", Value::Category("L_shape".into()))]);
     let mut one = mujoco(built_in_robot("franka").unwrap());
     one.reset(&scenario).unwrap();
@@ -36,13 +36,13 @@ fn both_engines_give_the_same_picture() {
 }
 
 #[test]
-fn without_a_scenario_there_is_no_picture() {
+fn rendering_needs_a_scenario() {
     let fault = mujoco(built_in_robot("franka").unwrap()).render().unwrap_err();
     assert!(fault.to_string().contains("no scenario is set up"), "{fault}");
 }
 
 #[test]
-fn the_wrist_camera_moves_with_the_engines_tool() {
+fn wrist_camera_moves_with_the_tool() {
     for name in built_in_robots() {
         let robot = built_in_robot(name).unwrap();
         let mut cell = mujoco(robot.clone());
@@ -55,7 +55,7 @@ fn the_wrist_camera_moves_with_the_engines_tool() {
             fixtures: Vec::new(),
         };
         let [_, wrist] = Cameras::new(&robot).unwrap().pinholes(&posture);
-        // The tool centre point is a little below the middle of the wrist camera's picture.
+        // The tool centre point is slightly below the centre of the wrist camera's image.
         let tcp = Point3::from(engine.tcp().translation.vector);
         let [u, v, depth] = wrist.project(&tcp).unwrap();
         assert!((u - 128.0).abs() < 1e-6 && (128.0..200.0).contains(&v) && depth < 0.2, "{name}: {u} {v} {depth}");

@@ -1,4 +1,4 @@
-//! Episodes on a remote engine are those on a local one.
+//! Tests that episodes on a remote engine equal those on a local one.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::sync::Arc;
@@ -47,7 +47,7 @@ impl<E: Engine> Environment for Remote<E> {
     }
 }
 
-/// The observation of an arm whose tool is this much higher.
+/// The observation of an arm with the tool raised by this much.
 fn raise_tool(observation: &mut Observation, by_m: f64) {
     let tool = observation.vectors.iter_mut().find(|(name, _)| *name == vectors::TOOL_POSE);
     tool.unwrap().1[2] += by_m;

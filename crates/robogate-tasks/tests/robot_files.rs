@@ -1,4 +1,4 @@
-//! A robot's folder says what the robot is, and nothing about the cell.
+//! Tests that a robot's folder defines only the robot and not the cell.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -11,7 +11,7 @@ use robogate_tasks::pick_place::{PickPlace, Scripted};
 const MODEL: &str = include_str!("../../../assets/robots/franka/franka.xml");
 const SETTINGS: &str = include_str!("../../../assets/robots/franka/robot.toml");
 
-/// A folder with the Franka, changed.
+/// A folder with a modified Franka.
 fn folder(name: &str, model: &str, settings: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     fs::create_dir_all(&folder).unwrap();
@@ -37,14 +37,14 @@ fn outcome(name: &str, model: &str, friction: f64) -> Outcome {
 }
 
 #[test]
-fn a_robots_file_does_not_change_the_world() {
-    // 1 kg held with twice 30 N needs a friction of 0.16.
+fn robot_file_does_not_change_world() {
+    // 1 kg held with twice 30 N needs a friction coefficient of 0.16.
     assert_ne!(outcome("plain", MODEL, 0.1), Outcome::Success);
     assert_eq!(outcome("plain", MODEL, 0.4), Outcome::Success);
     let sticky = MODEL
         .replace("name=\"left_pad\"", "name=\"left_pad\" friction=\"1.5 0 0\" priority=\"1\"")
         .replace("name=\"right_pad\"", "name=\"right_pad\" friction=\"1.5 0 0\" priority=\"1\"");
-    assert_ne!(outcome("sticky", &sticky, 0.1), Outcome::Success, "the pads' own friction won");
+    assert_ne!(outcome("sticky", &sticky, 0.1), Outcome::Success, "the friction of the pads took effect");
     for (name, element) in [
         ("weightless", "<option gravity=\"0 0 0\"><flag gravity=\"disable\"/></option>"),
         ("ghostly", "<option><flag contact=\"disable\"/></option>"),

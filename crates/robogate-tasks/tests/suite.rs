@@ -1,4 +1,4 @@
-//! The industrial suite, and the fixtures that suites use.
+//! Tests of the industrial suite and of the fixtures that suites use.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod common;
@@ -59,7 +59,7 @@ fn groups_have_the_papers_sizes() {
     assert_eq!(suite().cases().len(), 68);
 }
 
-/// The smallest and largest value of a number over all scenarios.
+/// The smallest and largest value of a parameter over all scenarios.
 fn ends(suite: &Suite, name: &str) -> (f64, f64) {
     let mut ends = (f64::INFINITY, f64::NEG_INFINITY);
     for case in suite.cases() {
@@ -111,9 +111,9 @@ fn problems_are_reported_with_their_scenarios() {
         .replace("\"#f0f0f0\", \"#e8e0d0\"", "\"white\", \"#e8e0d0\"");
     let misfits =
         check_suite(&Suite::from_toml(&text).unwrap(), Some(&built_in_robot("franka").unwrap().settings.gripper));
-    let told: Vec<String> = misfits.iter().map(ToString::to_string).collect();
-    assert_eq!(told.len(), 3, "{told:?}");
-    let find = |what: &str| told.iter().find(|told| told.contains(what)).unwrap();
+    let messages: Vec<String> = misfits.iter().map(ToString::to_string).collect();
+    assert_eq!(messages.len(), 3, "{messages:?}");
+    let find = |what: &str| messages.iter().find(|message| message.contains(what)).unwrap();
     assert!(find("friction").starts_with("scenario `slippery_surface-1`: parameter `friction` = 11 is out of range"));
     assert!(find("humidity").starts_with("scenario `standard_objects-1` and 67 more: unknown parameter `humidity`"));
     assert!(find("white").starts_with("scenario `color-5`: parameter `object_color`: unknown value `white`"));
@@ -131,7 +131,7 @@ fn run(suite: &Suite, indices: impl Iterator<Item = u64>) -> Vec<Episode> {
 }
 
 #[test]
-fn the_scripted_controller_solves_all_68() {
+fn scripted_controller_solves_all_68() {
     let suite = suite();
     let episodes = run(&suite, 0..3 * 68);
     let failed: Vec<_> = episodes
@@ -144,7 +144,7 @@ fn the_scripted_controller_solves_all_68() {
         .collect();
     assert!(failed.is_empty(), "{failed:#?}");
     for (one, other) in episodes[..68].iter().zip(&episodes[68..136]) {
-        assert_ne!(one.trajectory_hash, other.trajectory_hash, "each round is another");
+        assert_ne!(one.trajectory_hash, other.trajectory_hash, "rounds have different trajectories");
     }
 }
 
@@ -193,7 +193,7 @@ impl Policy for Late<Box<dyn Policy>> {
 }
 
 #[test]
-fn a_late_policy_meets_the_disturbance() {
+fn late_policy_meets_the_disturbance() {
     let suite = suite();
     let case = suite.cases().iter().position(|case| case.id == "moving_disturbance-1").unwrap() as u64;
     let (mut simulator, policy) = bench();
@@ -206,7 +206,7 @@ fn a_late_policy_meets_the_disturbance() {
 }
 
 #[test]
-fn occluders_and_distant_obstacles_do_not_block() {
+fn occluders_and_far_obstacles_are_harmless() {
     let (mut simulator, mut policy) = bench();
     for index in 0..20 {
         let placement = Placement::NAMES[index as usize % Placement::NAMES.len()];
@@ -223,13 +223,13 @@ fn occluders_and_distant_obstacles_do_not_block() {
 }
 
 #[test]
-fn an_object_beside_the_table_is_a_fault() {
+fn object_off_table_is_fault() {
     let (mut simulator, mut policy) = bench();
     let beside = scenario(&[("offset_x_m", number(0.5))], 0);
     let episode = rollout(&mut *simulator, &mut *policy, &beside);
     assert!(
         matches!(&episode.outcome, Outcome::Invalid(fault) if fault.kind == FaultKind::Setup
-            && fault.to_string().contains("beside the table")),
+            && fault.to_string().contains("is not on the table")),
         "{:?}",
         episode.outcome
     );

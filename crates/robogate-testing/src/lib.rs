@@ -1,7 +1,7 @@
-//! Tools and data that some tests need and that may be missing on a machine.
+//! External tools and data that some tests need and that a machine may lack.
 //!
-//! Cargo counts a test that returns early as passed. A test that lacks a tool therefore calls one of the functions here. They
-//! write a line `skipped: TEST: REASON` to stderr and append it to the file that `ROBOGATE_SKIPPED_FILE` names;
+//! Cargo counts a test that returns early as passed. A test without its tool therefore calls a function of this crate,
+//! which writes a line `skipped: TEST: REASON` to stderr and appends it to the file named by `ROBOGATE_SKIPPED_FILE`.
 //! `scripts/test.sh` prints these lines at the end. With `ROBOGATE_TESTS_STRICT=1` a missing tool fails the test.
 //!
 //! ```no_run
@@ -16,17 +16,18 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::PathBuf;
 
-/// Set to `1`: a missing tool fails the test.
+/// Environment variable. With the value `1` a missing tool fails the test.
 pub const STRICT: &str = "ROBOGATE_TESTS_STRICT";
-/// Tools that may be missing even in a strict run, by the names that the tests use, separated by commas.
+/// Environment variable with the tools that may be missing even in a strict run, by the names in the tests, separated
+/// by commas.
 pub const OPTIONAL: &str = "ROBOGATE_TESTS_OPTIONAL";
-/// The file that lines about skipped tests are appended to.
+/// Environment variable with the file to which lines about skipped tests are appended.
 pub const SKIPPED_FILE: &str = "ROBOGATE_SKIPPED_FILE";
 
-/// The path in the environment variable `variable`, which should name `what`. `None` where it is not set.
+/// The path in the environment variable `variable`. `what` describes the expected content. `None` if it is not set.
 ///
 /// # Panics
-/// In a strict run, where the variable is not set.
+/// In a strict run, if the variable is not set.
 #[must_use]
 pub fn path(variable: &str, what: &str) -> Option<PathBuf> {
     let value = env::var_os(variable).filter(|value| !value.is_empty());
@@ -36,10 +37,10 @@ pub fn path(variable: &str, what: &str) -> Option<PathBuf> {
     value.map(PathBuf::from)
 }
 
-/// The program `name`, from `PATH` or `/usr/sbin`. `None` where it is not installed.
+/// The program `name`, from `PATH` or `/usr/sbin`. `None` if it is not installed.
 ///
 /// # Panics
-/// In a strict run, where the program is not installed.
+/// In a strict run, if the program is not installed.
 #[must_use]
 pub fn program(name: &str) -> Option<PathBuf> {
     let folders = env::var_os("PATH").unwrap_or_default();
@@ -61,18 +62,15 @@ pub fn skip(tool: &str, reason: &str) {
     let line = format!("skipped: {}: {reason}", test_name());
     let optional = env::var(OPTIONAL).is_ok_and(|list| list.split(',').any(|name| name.trim() == tool));
     let strict = env::var(STRICT).is_ok_and(|value| value == "1");
-    assert!(
-        !strict || optional,
-        "{line}. {STRICT}=1 forbids this. Hint: scripts/test.sh installs what the tests need."
-    );
+    assert!(!strict || optional, "{line}. {STRICT}=1 forbids this. Hint: scripts/test.sh installs the required tools.");
     note(&line);
 }
 
-#[expect(clippy::print_stderr, reason = "the person who runs the tests reads that a test is skipped")]
+#[expect(clippy::print_stderr, reason = "skipped tests are reported to the user")]
 fn note(line: &str) {
     eprintln!("{line}");
     let Some(path) = env::var_os(SKIPPED_FILE) else { return };
-    // One write: tests in other processes append to the same file.
+    // A single write call, because tests in other processes append to the same file.
     let written = OpenOptions::new()
         .create(true)
         .append(true)
@@ -81,7 +79,7 @@ fn note(line: &str) {
     assert!(written.is_ok(), "{}: cannot append a line: {written:?}. Check {SKIPPED_FILE}.", path.display());
 }
 
-/// The crate and the name of the running test.
+/// The crate and name of the running test.
 fn test_name() -> String {
     let thread = std::thread::current();
     // cargo-nextest sets the name; otherwise the test harness names the thread of each test.
@@ -96,7 +94,7 @@ mod tests {
 
     use super::*;
 
-    /// Runs the test below in a process of its own with these variables.
+    /// Runs the test below in a separate process with these variables.
     fn outer(variables: &[(&str, &str)], folder: &std::path::Path) -> Output {
         let mut command = Command::new(env::current_exe().unwrap());
         command.args(["--exact", "tests::inner", "--ignored", "--nocapture"]);

@@ -14,7 +14,7 @@ pub struct Address {
 }
 
 impl Address {
-    /// The endpoint of a socket.
+    /// Creates the endpoint of a socket.
     pub(super) fn of(socket: SocketAddr) -> Self {
         Self { host: socket.ip().to_string(), port: socket.port() }
     }

@@ -1,4 +1,4 @@
-//! A connection, from the handshake on.
+//! A ZMTP connection after TCP connect: handshake, sending and receiving.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -10,7 +10,7 @@ use super::{Decoder, Item, Limits, ZmtpError};
 /// Bytes per read.
 const CHUNK: usize = 1 << 16;
 
-/// The time by which an operation must be finished.
+/// The time at which an operation must be finished.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Deadline {
     limit: Duration,
@@ -50,7 +50,7 @@ impl Kind {
         }
     }
 
-    /// Types of peers to which it may connect (RFC 28).
+    /// The types of peers that it may connect to (RFC 28).
     fn peers(self) -> [&'static str; 2] {
         match self {
             Self::Req => ["REP", "ROUTER"],
@@ -76,7 +76,7 @@ impl Connection {
         connection.flush(deadline)?;
         match connection.next(deadline)? {
             Item::Greeting(_) => {}
-            _ => return Err(ZmtpError::Handshake("it sent no ZMTP greeting".to_owned())),
+            _ => return Err(ZmtpError::Handshake("the peer sent no ZMTP greeting".to_owned())),
         }
         let mut ready = b"\x05READY\x0bSocket-Type\x00\x00\x00\x03".to_vec();
         ready.extend_from_slice(kind.as_str().as_bytes());
@@ -88,14 +88,14 @@ impl Connection {
                 if kind.peers().iter().all(|known| known.as_bytes() != peer) {
                     let (peer, kind) = (peer.escape_ascii(), kind.as_str());
                     return Err(ZmtpError::Handshake(format!(
-                        "it is a {peer} socket, which cannot be the peer of a {kind} socket"
+                        "the peer is a {peer} socket, which cannot connect to a {kind} socket"
                     )));
                 }
             }
             Item::Command(name, reason) if name == b"ERROR" => {
-                return Err(ZmtpError::Handshake(format!("it reports {}", reason.escape_ascii())));
+                return Err(ZmtpError::Handshake(format!("the peer reports {}", reason.escape_ascii())));
             }
-            _ => return Err(ZmtpError::Handshake("it sent no READY".to_owned())),
+            _ => return Err(ZmtpError::Handshake("the peer sent no READY".to_owned())),
         }
         Ok(connection)
     }
@@ -126,8 +126,8 @@ impl Connection {
         }
     }
 
-    /// Receive the next message. Returns `None` if no byte arrives within `idle`. A message that has begun must be
-    /// complete within `limit`.
+    /// Receive the next message. Returns `None` if no byte arrives within `idle`. After its first byte, a message must
+    /// be complete within `limit`.
     pub(super) fn receive_if_any(
         &mut self,
         idle: Duration,
@@ -145,8 +145,8 @@ impl Connection {
         self.message(item, deadline)
     }
 
-    /// Process what has arrived since the last call, without waiting. Fails if the peer closed the connection or sent a
-    /// message without a request.
+    /// Process the bytes that have arrived since the last call, without waiting. Fails if the peer closed the
+    /// connection or sent a message without a request.
     pub(super) fn catch_up(&mut self, deadline: Deadline) -> Result<(), ZmtpError> {
         loop {
             self.stream.set_nonblocking(true).map_err(ZmtpError::Io)?;
@@ -183,7 +183,7 @@ impl Connection {
                 self.flush(deadline)?;
             }
             Item::Command(name, reason) if name == b"ERROR" => {
-                return Err(ZmtpError::Framing(format!("it reports {}", reason.escape_ascii())));
+                return Err(ZmtpError::Framing(format!("the peer reports {}", reason.escape_ascii())));
             }
             Item::Command(..) | Item::Greeting(_) => {}
         }

@@ -1,4 +1,4 @@
-//! Decodes the bytes of a peer. Independent of sockets, so that tests can feed any bytes.
+//! Decodes the bytes of a peer. It is independent of sockets, so tests can use any bytes.
 
 use super::{Limits, ZmtpError};
 
@@ -59,7 +59,7 @@ pub struct Decoder {
     limits: Limits,
     greeted: bool,
     bytes: Vec<u8>,
-    /// Number of bytes that are decoded already.
+    /// Number of bytes that are already decoded.
     used: usize,
     /// Frames of the incomplete message, and the sum of their sizes.
     frames: Vec<Vec<u8>>,
@@ -67,7 +67,7 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// A decoder at the start of a connection.
+    /// Create a decoder at the start of a connection.
     pub fn new(limits: Limits) -> Self {
         Self { limits, greeted: false, bytes: Vec::new(), used: 0, frames: Vec::new(), size: 0 }
     }
@@ -86,7 +86,7 @@ impl Decoder {
         self.used < self.bytes.len() || !self.frames.is_empty()
     }
 
-    /// The next item; `None` if more bytes are needed. After an error the decoder must not be used again.
+    /// The next item. `None` if more bytes are needed. After an error the decoder must not be used again.
     pub fn next_item(&mut self) -> Result<Option<Item>, ZmtpError> {
         if !self.greeted {
             return self.next_greeting();
@@ -144,16 +144,16 @@ impl Decoder {
         let rest = &self.bytes[self.used..];
         let wrong = |what: &str| Err(ZmtpError::Handshake(what.to_owned()));
         if rest.first().is_some_and(|byte| *byte != 0xff) || rest.get(9).is_some_and(|byte| byte & 1 == 0) {
-            return wrong("it sent no ZMTP greeting");
+            return wrong("the peer sent no ZMTP greeting");
         }
         if let Some(major) = rest.get(10).filter(|major| **major < 3) {
-            return wrong(&format!("it uses version {major}"));
+            return wrong(&format!("the peer uses version {major}"));
         }
         let Some(rest) = rest.get(..GREETING) else { return Ok(None) };
         let mechanism = &rest[12..32];
         if mechanism.strip_prefix(b"NULL").is_none_or(|padding| padding.iter().any(|byte| *byte != 0)) {
             let name = mechanism.split(|byte| *byte == 0).next().unwrap_or_default();
-            return wrong(&format!("it requires the security mechanism {}", name.escape_ascii()));
+            return wrong(&format!("the peer requires the security mechanism {}", name.escape_ascii()));
         }
         let version = (rest[10], rest[11]);
         self.used += GREETING;
@@ -175,7 +175,7 @@ fn command(mut body: Vec<u8>) -> Result<Item, ZmtpError> {
 
 /// The value of a property in the body of READY.
 pub(super) fn property<'a>(mut list: &'a [u8], wanted: &str) -> Result<Option<&'a [u8]>, ZmtpError> {
-    let broken = || ZmtpError::Handshake("its READY is truncated".to_owned());
+    let broken = || ZmtpError::Handshake("the READY of the peer is truncated".to_owned());
     let mut found = None;
     while let Some((&length, rest)) = list.split_first() {
         let (name, rest) = rest.split_at_checked(usize::from(length)).ok_or_else(broken)?;

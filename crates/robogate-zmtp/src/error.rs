@@ -3,7 +3,7 @@
 use std::io;
 use std::time::Duration;
 
-/// Why a socket operation failed. The connection is closed after any of these errors.
+/// The reason why a socket operation failed. The connection is closed after any of these errors.
 #[derive(Debug, thiserror::Error)]
 pub enum ZmtpError {
     /// The text is not a TCP endpoint.
@@ -43,13 +43,13 @@ pub enum ZmtpError {
     /// The peer sent more than the limits allow.
     #[error("the peer sent {what} of {size} {unit}; at most {limit} are allowed")]
     TooLarge {
-        /// What is too large.
+        /// The part that is too large.
         what: &'static str,
         /// Unit of the sizes.
         unit: &'static str,
-        /// Its size.
+        /// The size.
         size: u64,
-        /// Largest size that is allowed.
+        /// Largest allowed size.
         limit: u64,
     },
 }

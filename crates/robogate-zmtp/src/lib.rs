@@ -1,8 +1,9 @@
-//! REQ and REP sockets of ZeroMQ over TCP: the parts of ZMTP 3 (RFC 23 and 37) that they need, with the NULL security
-//! mechanism.
+//! REQ and REP sockets of ZeroMQ over TCP.
 //!
-//! A [`Requester`] sends requests, a [`Replier`] answers them. Both block, with a deadline for each call. The size of
-//! what a peer sends is checked before memory is allocated for it.
+//! The crate implements the parts of ZMTP 3 (RFC 23 and 37) that these sockets need, with the NULL security mechanism.
+//!
+//! A [`Requester`] sends requests, and a [`Replier`] answers them. Both block, with a deadline for each call. The size
+//! of received data is checked before memory is allocated for it.
 
 mod address;
 mod connection;
@@ -20,7 +21,7 @@ pub use requester::Requester;
 /// Limits on the size of messages from a peer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Most frames of a message, without the empty delimiter frame.
+    /// Maximum number of frames of a message, without the empty delimiter frame.
     pub frames: usize,
     /// Largest frame, in bytes.
     pub frame_bytes: usize,

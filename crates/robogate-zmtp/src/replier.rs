@@ -8,11 +8,11 @@ use std::time::Duration;
 use super::connection::{Connection, Deadline, Kind};
 use super::{Address, Limits, ZmtpError};
 
-/// How often waiting threads check whether to stop.
+/// Interval in which waiting threads check the stop flag.
 const POLL: Duration = Duration::from_millis(50);
-/// Time that a peer has for the handshake, for completing a message, and for receiving a reply.
+/// Time limit of a peer for the handshake, for completing a message, and for receiving a reply.
 const PEER_TIMEOUT: Duration = Duration::from_secs(30);
-/// Most peers at a time; further connections are closed.
+/// Maximum number of simultaneous peers. Further connections are closed.
 const MAX_PEERS: usize = 32;
 
 /// The frames of a message.
@@ -64,7 +64,7 @@ impl Replier {
                     }
                     let requests = requests.clone();
                     scope.spawn(move || {
-                        // An error concerns this peer only, and its connection is closed.
+                        // An error affects only this peer, whose connection is then closed.
                         drop(serve_peer(stream, limits, stop, &requests));
                         peers.fetch_sub(1, Ordering::Relaxed);
                     });
@@ -78,7 +78,7 @@ impl Replier {
 fn answer_all(stop: &AtomicBool, pending: &Receiver<Pending>, answer: &mut dyn FnMut(Frames) -> Frames) {
     while !stop.load(Ordering::Relaxed) {
         match pending.recv_timeout(POLL) {
-            // The peer may have disconnected meanwhile.
+            // The peer may have disconnected in the meantime.
             Ok((request, to)) => drop(to.send(answer(request))),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return,

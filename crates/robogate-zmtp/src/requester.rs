@@ -9,7 +9,7 @@ use super::{Address, Limits, ZmtpError};
 /// A REQ socket with one peer. Each request gets one reply.
 ///
 /// The first request opens the connection. After an error the connection is closed, and the next request opens a new
-/// one, so that a late reply is never taken for the reply to a later request.
+/// one. A late reply can therefore never be mistaken for the reply to a later request.
 #[derive(Debug)]
 pub struct Requester {
     address: Address,
@@ -18,7 +18,7 @@ pub struct Requester {
 }
 
 impl Requester {
-    /// A requester for this peer, with limits on the size of replies.
+    /// Create a requester for this peer, with limits on the size of replies.
     pub fn new(address: Address, limits: Limits) -> Self {
         Self { address, limits, connection: None }
     }
@@ -32,7 +32,7 @@ impl Requester {
     pub fn request<F: AsRef<[u8]>>(&mut self, frames: &[F], timeout: Duration) -> Result<Vec<Vec<u8>>, ZmtpError> {
         let deadline = Deadline::new(timeout);
         let mut connection = match self.connection.take() {
-            // No request is pending, so that a peer that restarted can be connected to again.
+            // No request is pending, so a peer that restarted can be reconnected.
             Some(mut connection) => match connection.catch_up(deadline) {
                 Ok(()) => connection,
                 Err(_) => self.connect(deadline)?,

@@ -1,4 +1,4 @@
-//! The sockets against captured bytes of libzmq, against libzmq itself, and against peers that break the protocol.
+//! Tests of the sockets with captured bytes of libzmq, with libzmq itself, and with peers that violate the protocol.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -73,7 +73,7 @@ fn libzmq_answers_requests() {
     for frames in [vec![&b"one"[..]], vec![b"", &big[..255], &big[..256]], vec![&big, b"end"]] {
         let answer = requester.request(&frames, 10 * SECOND).unwrap();
         assert_eq!(answer, frames.iter().rev().map(|frame| frame.to_vec()).collect::<Vec<_>>());
-        // libzmq sends heartbeats meanwhile.
+        // libzmq sends heartbeats in the meantime.
         std::thread::sleep(Duration::from_millis(120));
     }
 }
@@ -82,7 +82,7 @@ fn libzmq_answers_requests() {
 fn with_replier(client: impl FnOnce(&Address)) {
     let replier = Replier::bind(&"tcp://127.0.0.1:*".parse().unwrap(), LIMITS).unwrap();
     let (address, stop) = (replier.address().clone(), AtomicBool::new(false));
-    /// Stops the replier, also if the client panics.
+    /// Stops the replier, even if the client panics.
     struct Stop<'a>(&'a AtomicBool);
     impl Drop for Stop<'_> {
         fn drop(&mut self) {
@@ -172,13 +172,13 @@ fn protocol_errors_are_reported_in_time() {
     assert!(ask(b"HTTP/1.1 400 Bad Request\r\n\r\n".to_vec()).contains("sent no ZMTP greeting"));
     let mut curve = greeted(b"");
     curve[12..17].copy_from_slice(b"CURVE");
-    assert!(ask(curve).contains("requires the security mechanism CURVE"));
+    assert!(ask(curve).contains("the peer requires the security mechanism CURVE"));
     let mut old = greeted(b"");
     old[10] = 1;
-    assert!(ask(old).contains("it uses version 1"));
+    assert!(ask(old).contains("the peer uses version 1"));
     let mut publisher = greeted(b"");
     publisher[64 + 24..].copy_from_slice(b"PUB");
-    assert!(ask(publisher).contains("it is a PUB socket"));
+    assert!(ask(publisher).contains("the peer is a PUB socket"));
     assert!(ask(greeted(b"\x02\xff\xff\xff\xff\xff\xff\xff\xff")).contains("at most"));
     assert!(ask(greeted(b"\x00\x02hi")).contains("delimiter frame"));
     assert!(ask(greeted(b"\x08\x00")).contains("flags 0x08"));
@@ -187,7 +187,7 @@ fn protocol_errors_are_reported_in_time() {
 }
 
 #[test]
-fn an_unreachable_address_is_an_error() {
+fn unreachable_address_is_an_error() {
     let gone = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let mut requester = Requester::new(format!("tcp://{gone}").parse().unwrap(), LIMITS);
     let why = requester.request(&[b"?"], SECOND).unwrap_err();
@@ -195,7 +195,7 @@ fn an_unreachable_address_is_an_error() {
 }
 
 #[test]
-fn a_late_reply_is_dropped() {
+fn late_reply_is_dropped() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = format!("tcp://{}", listener.local_addr().unwrap()).parse().unwrap();
     std::thread::spawn(move || {
@@ -217,7 +217,7 @@ fn a_late_reply_is_dropped() {
 }
 
 #[test]
-fn the_decoder_keeps_its_limits() {
+fn decoder_enforces_its_limits() {
     let mut random = support::Random(6);
     let (began, time) = (Instant::now(), support::fuzz_time());
     let limits = Limits { frames: 3, frame_bytes: 4096, message_bytes: 8192 };

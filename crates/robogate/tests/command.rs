@@ -247,7 +247,7 @@ fn wrong_suites_are_usage_errors() {
     );
     assert_usage(&["run", "--suite", &suite], &["`friction` = 20 is out of range", "unknown parameter `glare`"]);
     write("{ id = \"a\" }, { id = \"a\" }");
-    assert_usage(&["suites", "check", &suite], &["scenario id `a` is there twice"]);
+    assert_usage(&["suites", "check", &suite], &["scenario id `a` is used twice"]);
     assert_usage(&["run", "--suite", "industrial-67"], &["unknown suite `industrial-67`", "industrial-68"]);
     assert_usage(&["run", "--suite", "industrial-68", "-n", "10"], &["cannot be used with"]);
     assert_usage(&["run", "--rounds", "10"], &["--suite"]);

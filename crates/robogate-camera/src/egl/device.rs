@@ -1,12 +1,12 @@
-//! An OpenGL context without a window, on the first EGL device that supports it.
+//! An OpenGL context without a window, on the first EGL device that supports OpenGL.
 
 use std::env;
 use std::ffi::{CStr, c_char, c_uint, c_void};
 
 use khronos_egl as egl;
 
-/// Environment variable with the index of the device, as in MuJoCo's Python package. Without it the first device that
-/// works is used.
+/// Environment variable with the index of the device, as in MuJoCo's Python package. Without it the first working
+/// device is used.
 const DEVICE_VARIABLE: &str = "MUJOCO_EGL_DEVICE_ID";
 
 /// `EGL_PLATFORM_DEVICE_EXT` (EGL_EXT_platform_device).
@@ -93,11 +93,11 @@ impl Gl {
     fn describe(&self) -> Result<String, String> {
         let entry = self.egl.get_proc_address("glGetString").ok_or("OpenGL has no function glGetString")?;
         // SAFETY: this is the signature of `glGetString`, and the context is current.
-        #[expect(unsafe_code, reason = "OpenGL's own entry is called")]
+        #[expect(unsafe_code, reason = "calls an OpenGL function")]
         let get = unsafe { std::mem::transmute::<extern "system" fn(), GetString>(entry) };
         let text = |what: c_uint| {
             // SAFETY: the context is current; OpenGL returns null or a static string.
-            #[expect(unsafe_code, reason = "OpenGL's own entry is called")]
+            #[expect(unsafe_code, reason = "calls an OpenGL function")]
             unsafe {
                 let text = get(what);
                 (!text.is_null()).then(|| CStr::from_ptr(text).to_string_lossy().into_owned())
@@ -114,7 +114,7 @@ impl Gl {
 
 impl Drop for Gl {
     fn drop(&mut self) {
-        // The process shares the display, so it stays. Errors cannot be reported in a destructor.
+        // The process shares the display, so it stays open. A destructor cannot report errors.
         if self.egl.get_current_context() == Some(self.context) {
             let _ = self.egl.make_current(self.display, None, None, None);
         }
@@ -123,10 +123,10 @@ impl Drop for Gl {
     }
 }
 
-/// The displays to try: every device in EGL's order and then Mesa's surfaceless platform, or the requested device only.
+/// The displays to try: the requested device only, or every device in EGL's order and then Mesa's surfaceless platform.
 fn displays(egl: &egl::DynamicInstance<egl::EGL1_5>, wanted: Option<usize>) -> Vec<egl::Display> {
     let platform = |platform: egl::Enum, native: *mut c_void| {
-        // SAFETY: a device comes from EGL's own list; the surfaceless platform has none.
+        // SAFETY: a device comes from EGL's list; the surfaceless platform has none.
         #[expect(unsafe_code, reason = "EGL takes a device as a bare pointer")]
         unsafe { egl.get_platform_display(platform, native, &[egl::ATTRIB_NONE]) }.ok()
     };
@@ -135,7 +135,7 @@ fn displays(egl: &egl::DynamicInstance<egl::EGL1_5>, wanted: Option<usize>) -> V
     if let Some(entry) = egl.get_proc_address("eglQueryDevicesEXT") {
         // SAFETY: this is the signature of `eglQueryDevicesEXT` (EGL_EXT_device_enumeration), which writes no more
         // devices than fit into the array.
-        #[expect(unsafe_code, reason = "an extension's entry is called")]
+        #[expect(unsafe_code, reason = "calls an extension function")]
         unsafe {
             let query = std::mem::transmute::<extern "system" fn(), QueryDevices>(entry);
             if query(devices.len() as egl::Int, devices.as_mut_ptr(), &raw mut count) != egl::TRUE {
@@ -156,7 +156,7 @@ fn displays(egl: &egl::DynamicInstance<egl::EGL1_5>, wanted: Option<usize>) -> V
     found
 }
 
-/// An OpenGL context on a display, and a surface that stays unused: MuJoCo renders into its own buffers.
+/// An OpenGL context on a display, with an unused surface: MuJoCo renders into its own buffers.
 fn context(
     egl: &egl::DynamicInstance<egl::EGL1_5>,
     display: egl::Display,

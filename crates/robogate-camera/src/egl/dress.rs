@@ -1,7 +1,7 @@
-//! A model with the cell's appearance: the engine's model with colours, lights, a room and the robot's outfit.
+//! Adds the cell's appearance to the engine's model: colours, lights, a room and the robot's outfit.
 //!
-//! OpenGL's fixed pipeline has no sensor model. So every colour is the sensor's response in full light, and shade removes
-//! the fraction of it that a middle grey would lose.
+//! OpenGL's fixed pipeline has no sensor model. Every colour is therefore the sensor's response in full light, and
+//! shade removes the fraction that a middle grey would lose.
 
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::{MjsBody, MjsGeom};
@@ -21,7 +21,7 @@ use crate::table;
 const SHOWN: i32 = 0;
 const HIDDEN: i32 = 5;
 
-/// Texels along a side of the shadow map, and the distance in metres that it covers to each side of the workspace.
+/// Texels along a side of the shadow map, and the distance in metres that the map covers to each side of the workspace.
 const SHADOW_PX: i32 = 2048;
 const SHADOW_REACH: f64 = 1.3;
 
@@ -35,7 +35,7 @@ const SAMPLES: i32 = 4;
 /// Exponent of the cosine in a highlight, as in the embedded caster; OpenGL takes it in 128ths.
 const HIGHLIGHT: f32 = 32.0 / 128.0;
 
-/// Visualisation options: geoms of the visible groups, and none of MuJoCo's additions.
+/// Visualisation options: geoms of the visible groups, without MuJoCo's additions.
 pub(super) fn options() -> MjvOption {
     MjvOption {
         geomgroup: [1, 1, 1, 0, 0, 0],
@@ -47,7 +47,7 @@ pub(super) fn options() -> MjvOption {
     }
 }
 
-/// The model to draw, with the same joints as the engine's in the same order.
+/// The model to render. Its joints and their order equal those of the engine's model.
 pub(super) fn model(
     engine: &MujocoEngine,
     scene: &Scene,
@@ -103,7 +103,7 @@ fn set(spec: &mut MjSpec, stage: &Stage, [width, height]: [usize; 2]) {
     texture(spec, "room", MjtTexture::mjTEXTURE_SKYBOX, [ROOM_PX, 6 * ROOM_PX], &faces);
 }
 
-/// Fractions of a colour in full light that a surface shows.
+/// Fractions of a colour in full light that a surface shows in different orientations.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Shares {
     /// In any orientation.
@@ -117,7 +117,8 @@ pub(super) struct Shares {
 }
 
 impl Shares {
-    /// Chosen so that an upward surface shows all of its colour in full light, and in shade as much as a middle grey would.
+    /// Chosen so that an upward surface shows its full colour in full light, and in shade the same fraction as a middle
+    /// grey.
     pub(super) fn of(light: &Light) -> Self {
         let seen = |radiance: f32| f32::from(exposed(&Vector3::repeat(radiance))[0]);
         let full = seen(MIDDLE_ALBEDO * light.full());
@@ -129,7 +130,7 @@ impl Shares {
     }
 }
 
-/// Gives every surface its material.
+/// Assigns a material to every surface.
 struct Wardrobe {
     light: Light,
     /// Mean reflectances of the table's top.
@@ -139,7 +140,7 @@ struct Wardrobe {
 }
 
 impl Wardrobe {
-    /// The robot in its outfit, or in its own colours under these lights.
+    /// The robot in its outfit, or in the colours of its model under these lights.
     fn robot(&mut self, spec: &mut MjSpec, outfit: Option<&RobotLooks>) {
         let Some(looks) = outfit else {
             self.own_colours(spec);
@@ -172,7 +173,7 @@ impl Wardrobe {
         }
     }
 
-    /// A robot without an outfit: as in MuJoCo's viewer, under these lights.
+    /// A robot without an outfit, as in MuJoCo's viewer, under these lights.
     fn own_colours(&mut self, spec: &mut MjSpec) {
         let any = spec.geom_iter().any(|geom| geom.group() <= SHOWN_GROUPS);
         let light = self.light;
@@ -267,8 +268,8 @@ impl Wardrobe {
         self.material(spec, color, opacity, finish.gloss, None)
     }
 
-    /// Colour and opacity of a finish. OpenGL blends sensor responses instead of light, so they are chosen to be correct over
-    /// the table.
+    /// Colour and opacity of a finish. OpenGL blends sensor responses instead of light, so they are chosen to be
+    /// correct above the table.
     fn clear(&self, finish: &Finish) -> ([f32; 3], f32) {
         let own = in_full_light(&self.light, &finish.albedo);
         let share = finish.transparency as f32;

@@ -1,8 +1,8 @@
-//! MuJoCo's rasteriser as the second renderer: OpenGL, offscreen, by EGL.
+//! MuJoCo's rasteriser as the second renderer: OpenGL, offscreen with EGL.
 //!
-//! It draws the same cameras and colours as the embedded caster, with MuJoCo's own kinematics and code, so that the effect
-//! of pictures on a policy can be separated from the effect of physics. It draws a model of its own: that of the engine
-//! with appearance added. It changes neither the engine's model nor its state.
+//! It renders the same cameras and colours as the embedded caster, with MuJoCo's kinematics and code. This separates
+//! the effect of images on a policy from the effect of physics. It renders a separate model: the engine's model with
+//! added appearance. It changes neither the engine's model nor its state.
 
 mod device;
 mod dress;
@@ -27,11 +27,11 @@ const DEPTHS: [f32; 2] = [0.01, 20.0];
 pub struct EglRenderer {
     gl: Gl,
     mounts: Mounts,
-    /// The robot's outfit; `None` if its model is drawn as MuJoCo draws it.
+    /// The robot's outfit. `None` if the model is rendered as in MuJoCo.
     outfit: Option<RobotLooks>,
     size: [usize; 2],
     scene: Option<(Scene, Stage)>,
-    /// The scene on the device, from the first picture on.
+    /// The scene on the device, from the first image on.
     drawn: Option<Drawn>,
 }
 
@@ -43,7 +43,7 @@ struct Drawn {
 }
 
 impl EglRenderer {
-    /// A renderer for this engine's robot. Pictures are [`SIZE_PX`] wide and high.
+    /// Creates a renderer for this engine's robot. Images are [`SIZE_PX`] wide and high.
     ///
     /// # Errors
     /// If the system has no EGL library, or no device that supports OpenGL.
@@ -60,10 +60,10 @@ impl EglRenderer {
         self.gl.name()
     }
 
-    /// Compiles the scene to a model that MuJoCo draws, and uploads it to the device.
+    /// Compiles the scene to a model for rendering, and uploads it to the device.
     fn draw(&self, engine: &MujocoEngine, scene: &Scene, stage: &Stage) -> Result<Drawn, String> {
         let model = dress::model(engine, scene, stage, self.outfit.as_ref(), self.size)
-            .map_err(|error| format!("MuJoCo cannot compile the scene to draw: {error}"))?;
+            .map_err(|error| format!("MuJoCo cannot compile the scene for rendering: {error}"))?;
         let geoms = model.geom_bodyid().len();
         let mut seen = MjvScene::new(&model, geoms + 64);
         self.gl.make_current()?;
@@ -90,7 +90,7 @@ impl Drawn {
     fn take(&mut self, positions: &[f64], camera: &Pinhole) -> Result<Vec<u8>, String> {
         let own = self.data.qpos_mut();
         if own.len() != positions.len() {
-            return Err(format!("the drawn model has {} joint positions. Expected {}", own.len(), positions.len()));
+            return Err(format!("the rendered model has {} joint positions. Expected {}", own.len(), positions.len()));
         }
         own.copy_from_slice(positions);
         self.data.kinematics();
@@ -101,17 +101,17 @@ impl Drawn {
         let mut user = MjvCamera::new_user();
         self.scene.update(&mut self.data, &options, &MjvPerturb::default(), &mut user);
         // SAFETY: only numbers of the two cameras change, no pointer or count.
-        #[expect(unsafe_code, reason = "the binding has no safe way to place a user camera")]
+        #[expect(unsafe_code, reason = "the binding has no safe setter for a user camera")]
         let cameras = unsafe { &mut self.scene.ffi_mut().camera };
         let half = (0.5 * camera.field_of_view_rad).tan() as f32 * DEPTHS[0];
-        let turn = camera.pose.rotation;
+        let rotation = camera.pose.rotation;
         let single = |v: Vector3<f64>| v.map(|x| x as f32).into();
         for eye in cameras {
             eye.pos = single(camera.pose.translation.vector);
-            eye.forward = single(turn * Vector3::z());
-            eye.up = single(turn * -Vector3::y());
+            eye.forward = single(rotation * Vector3::z());
+            eye.up = single(rotation * -Vector3::y());
             eye.frustum_center = 0.0;
-            // Zero: the width follows from the aspect ratio.
+            // Zero, because the width follows from the aspect ratio.
             eye.frustum_width = 0.0;
             (eye.frustum_bottom, eye.frustum_top) = (-half, half);
             [eye.frustum_near, eye.frustum_far] = DEPTHS;

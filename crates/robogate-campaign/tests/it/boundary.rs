@@ -1,4 +1,4 @@
-//! Where the second stage looks, and what its points weigh.
+//! Tests of the boundary stage: its region and the weights of its points.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use robogate_core::{Assignment, Domain, FailureMode, Fault, FaultKind, Outcome, 
 
 use crate::world;
 
-/// A linear parameter from 0 to 10, a log-scaled one from 1 to 101, a whole number.
+/// A linear parameter from 0 to 10, a log-scaled one from 1 to 101, and an integer.
 fn space() -> ParameterSpace {
     ParameterSpace::from_toml(
         r#"
@@ -52,7 +52,7 @@ fn invalid() -> Outcome {
     Outcome::Invalid(Fault::new(FaultKind::Diverged, "test"))
 }
 
-/// Ten valid episodes in each of the ten bins of `x`, with as many successes as `successes` says.
+/// Ten valid episodes in each of the ten bins of `x`, with `successes` successes.
 fn counted(successes: [usize; 10]) -> Bins {
     let mut bins = Bins::new(&space(), 10).unwrap();
     for (bin, successes) in successes.into_iter().enumerate() {
@@ -60,7 +60,7 @@ fn counted(successes: [usize; 10]) -> Bins {
             let outcome = if i < successes { Outcome::Success } else { failure() };
             bins.add(&at(bin as f64 + 0.05 + 0.1 * i as f64, 1.0), &outcome);
         }
-        // Must count nowhere.
+        // An invalid episode is counted in no bin.
         bins.add(&at(bin as f64, 1.0), &invalid());
     }
     bins
@@ -72,8 +72,8 @@ fn find(plan: &Plan, bins: &Bins) -> BoundaryReport {
 }
 
 #[test]
-fn the_span_goes_from_the_first_to_the_last_bin_in_the_band() {
-    // Rates 0.0, 0.1, ..., 0.9: those from 0.3 to 0.7 are the bins 3 to 7, which is 3.0 to 8.0.
+fn span_covers_bins_in_band() {
+    // Rates 0.0, 0.1, ..., 0.9: those from 0.3 to 0.7 are the bins 3 to 7, with the span 3.0 to 8.0.
     let report = find(&plan(""), &counted([0, 1, 2, 3, 4, 5, 6, 7, 8, 9]));
     let x = &report.parameters[0];
     assert_eq!(x.in_band, [3, 4, 5, 6, 7]);
@@ -82,7 +82,7 @@ fn the_span_goes_from_the_first_to_the_last_bin_in_the_band() {
     // Wilson at 95 % for 4 of 10, from R: prop.test(4, 10, correct = FALSE).
     let [low, high] = x.effect.bins[4].interval_95;
     assert!((low - 0.168_180_3).abs() < 1e-6 && (high - 0.687_326_2).abs() < 1e-6, "{low} {high}");
-    // Only the first bin of y has evidence: 45 of 100.
+    // Only the first bin of y has valid episodes: 45 of 100 succeed.
     let y = &report.parameters[1];
     assert_eq!((y.in_band.as_slice(), y.span), ([0].as_slice(), Some([1.0, 11.0])));
     assert!(y.effect.bins[1..].iter().all(|bin| bin.success_rate.is_none() && bin.interval_95 == [0.0, 1.0]));
@@ -92,7 +92,7 @@ fn the_span_goes_from_the_first_to_the_last_bin_in_the_band() {
 }
 
 #[test]
-fn bins_between_two_in_the_band_are_drawn_from_too() {
+fn span_includes_bins_between() {
     let report = find(&plan(""), &counted([0, 10, 5, 10, 0, 0, 10, 3, 0, 0]));
     assert_eq!(
         (report.parameters[0].in_band.as_slice(), report.parameters[0].span),
@@ -101,7 +101,7 @@ fn bins_between_two_in_the_band_are_drawn_from_too() {
 }
 
 #[test]
-fn bins_are_linear_on_a_log_scale_and_the_narrowed_space_stays_logarithmic() {
+fn log_parameter_has_linear_bins() {
     let report = find(&plan(""), &counted([5; 10]));
     assert_eq!((report.parameters[1].effect.bins[0].low, report.parameters[1].effect.bins[0].high), (1.0, 11.0));
     let focus = report.focus(&space()).unwrap();
@@ -113,38 +113,38 @@ fn bins_are_linear_on_a_log_scale_and_the_narrowed_space_stays_logarithmic() {
 }
 
 #[test]
-fn the_fallback_is_used_where_no_bin_is_in_the_band_and_clipped_to_the_space() {
+fn fallback_replaces_missing_boundary() {
     let text = "[[boundary.fallback]]\nparameter = \"x\"\nlow = -3\nhigh = 4";
     for successes in [[0; 10], [10; 10]] {
         let report = find(&plan(text), &counted(successes));
         let x = &report.parameters[0];
         assert_eq!((x.in_band.len(), x.span, x.drawn, x.drawn_from), (0, None, [0.0, 4.0], DrawnFrom::Fallback));
     }
-    // Not used where there is a bin.
+    // Not used if a bin is in the band.
     let report = find(&plan(text), &counted([0, 0, 0, 0, 0, 0, 0, 0, 0, 5]));
     assert_eq!((report.parameters[0].drawn, report.parameters[0].drawn_from), ([9.0, 10.0], DrawnFrom::Bins));
 }
 
 #[test]
-fn without_bins_and_without_a_fallback_the_whole_range_is_drawn_from() {
+fn whole_range_is_last_fallback() {
     let report = find(&plan(""), &counted([0; 10]));
     assert_eq!((report.parameters[0].drawn, report.parameters[0].drawn_from), ([0.0, 10.0], DrawnFrom::WholeRange));
 }
 
 #[test]
-fn a_bin_without_evidence_is_never_in_the_band() {
+fn empty_bin_is_never_boundary() {
     let mut bins = Bins::new(&space(), 10).unwrap();
     for x in 0..10 {
         bins.add(&at(f64::from(x) + 0.5, 2.0), &invalid());
     }
-    // Even a band that takes every rate.
+    // Also for a band that contains every rate.
     let report = find(&plan("band = [0.0, 1.0]"), &bins);
     assert!(report.parameters.iter().all(|p| p.in_band.is_empty() && p.drawn_from == DrawnFrom::WholeRange));
     assert!(report.is_without_evidence());
 }
 
 #[test]
-fn the_ends_of_the_range_belong_to_the_first_and_the_last_bin() {
+fn outer_bins_include_range_ends() {
     let mut bins = Bins::new(&space(), 10).unwrap();
     bins.add(&at(0.0, 1.0), &Outcome::Success);
     bins.add(&at(10.0, 101.0), &Outcome::Success);
@@ -154,7 +154,7 @@ fn the_ends_of_the_range_belong_to_the_first_and_the_last_bin() {
 }
 
 #[test]
-fn an_emphasis_that_the_volume_does_not_meet_is_drawn_beyond_it_and_said() {
+fn emphasis_can_leave_the_volume() {
     let text = "[boundary.emphasis]\nshare = 0.3\nwhere = [{ parameter = \"x\", high = 2 }]";
     let plan = plan(text);
     let report = find(&plan, &counted([0, 0, 0, 5, 5, 0, 0, 0, 0, 0]));
@@ -168,29 +168,29 @@ fn an_emphasis_that_the_volume_does_not_meet_is_drawn_beyond_it_and_said() {
         let (region, share, range) =
             if index < 115 { (emphasis.region, 0.3, 0.0..2.0) } else { (report.volume, 0.7, 3.0..5.0) };
         assert!(range.contains(&x), "{index}: {x}");
-        // E and V are apart: each point has the density of its own part alone.
+        // E and V are disjoint: each point has only the density of its own region.
         let weight = points.weight(index).unwrap();
         assert!((weight - region.share_of_operating_space / share).abs() < 1e-12, "{index}: {weight}");
     }
 }
 
 #[test]
-fn a_condition_that_leaves_one_point_of_a_span_is_not_met_by_it() {
+fn single_point_overlap_is_empty() {
     // x < 3 within 3 <= x < 5.
     let text = "[boundary.emphasis]\nshare = 0.3\nwhere = [{ parameter = \"x\", high = 3 }]";
     let report = find(&plan(text), &counted([0, 0, 0, 5, 5, 0, 0, 0, 0, 0]));
     assert_eq!(report.emphasis.unwrap().beyond, ["x"]);
 }
 
-/// A report over the synthetic space whose volume is known, and the plan it came from.
+/// A report over the synthetic space with a known volume, and its plan.
 fn synthetic(episodes: u64, share: f64) -> (Plan, Arc<ParameterSpace>, BoundaryReport) {
     let space = Arc::new(world::space());
     let mut plan = world::plan(100, episodes);
     plan.boundary.emphasis.as_mut().unwrap().share = share;
     let mut bins = Bins::new(&space, 10).unwrap();
-    // Success in three of four with friction in the bins 0 to 3 and mass in the bins 1 to 9. So along friction the
-    // rate is 27 of 40 in the bins 0 to 3, along mass 12 of 40 in the bins 1 to 9, and along size 108 of 400 in
-    // the only bin that has any: its fallback.
+    // Three of four succeed with friction in the bins 0 to 3 and mass in the bins 1 to 9. The rate along friction is 27
+    // of 40 in the bins 0 to 3, along mass 12 of 40 in the bins 1 to 9, and along size 108 of 400 in the only bin with
+    // episodes, which gives the fallback.
     for friction in 0..10 {
         for mass in 0..10 {
             for turn in 0..4 {
@@ -211,7 +211,7 @@ fn synthetic(episodes: u64, share: f64) -> (Plan, Arc<ParameterSpace>, BoundaryR
 }
 
 #[test]
-fn the_emphasis_gets_exactly_its_share_and_every_point_is_where_it_must_be() {
+fn emphasis_gets_its_exact_share() {
     for (episodes, share, expected) in
         [(1000, 0.3, 300), (10_000, 0.3, 3000), (7, 0.3, 2), (5, 0.3, 2), (1, 0.3, 0), (9, 1.0, 9), (9, 0.0, 0)]
     {
@@ -240,21 +240,21 @@ fn the_emphasis_gets_exactly_its_share_and_every_point_is_where_it_must_be() {
 }
 
 #[test]
-fn the_mean_weight_is_the_share_of_the_operating_space_in_the_volume() {
+fn mean_weight_is_volume_share() {
     let (plan, space, report) = synthetic(40_000, 0.3);
     let points = Points::boundary(&plan, &space, &report).unwrap();
     let weights: Vec<f64> = points.indices().map(|index| points.weight(index).unwrap()).collect();
     let n = weights.len() as f64;
     let mean = weights.iter().sum::<f64>() / n;
     let variance = weights.iter().map(|w| (w - mean).powi(2)).sum::<f64>() / (n - 1.0);
-    // By hand, from the report's ranges: logarithms for friction and mass, 5 of 6 numbers of obstacles.
+    // Computed by hand from the report's ranges: logarithms for friction and mass, 5 of 6 numbers of obstacles.
     let range = |i: usize| report.parameters[i].drawn;
     let log = |[a, b]: [f64; 2], [low, high]: [f64; 2]| (b / a).ln() / (high / low).ln();
     let [size_low, size_high] = range(2);
     let volume = log(range(0), [0.05, 1.2]) * log(range(1), [0.05, 2.0]) * (size_high - size_low) / 0.10 * 5.0 / 6.0;
     assert!((report.volume.share_of_operating_space / volume - 1.0).abs() < 1e-12);
     assert!((mean - volume).abs() < 4.0 * (variance / n).sqrt(), "{mean} {volume} {variance}");
-    // Two weights: in the emphasis and outside it.
+    // There are two weights: inside and outside the emphasis.
     let mut distinct = weights.clone();
     distinct.sort_by(f64::total_cmp);
     distinct.dedup();
@@ -262,10 +262,10 @@ fn the_mean_weight_is_the_share_of_the_operating_space_in_the_volume() {
 }
 
 #[test]
-fn the_weighted_mean_is_that_of_the_operating_distribution_within_the_volume() {
+fn weighted_mean_matches_operating_mean() {
     let (plan, space, report) = synthetic(40_000, 0.3);
     let points = Points::boundary(&plan, &space, &report).unwrap();
-    // f = log friction * log mass + obstacles: known mean over the volume, where all are independent and uniform.
+    // f = log friction * log mass + obstacles has a known mean over the volume, where all are independent and uniform.
     let middle = |i: usize| 0.5 * (report.parameters[i].drawn[0].ln() + report.parameters[i].drawn[1].ln());
     let expected = middle(0) * middle(1) + 3.0;
     let (mut total, mut weighted, mut plain) = (0.0, 0.0, 0.0);
@@ -283,15 +283,15 @@ fn the_weighted_mean_is_that_of_the_operating_distribution_within_the_volume() {
     let error = squares.sqrt() / total;
     let estimate = weighted / total;
     assert!((estimate - expected).abs() < 4.0 * error, "{estimate} {expected} {error}");
-    // And the weights matter: without them the emphasis pulls the mean away.
+    // Without the weights, the emphasis biases the mean.
     let plain = plain / points.len() as f64;
     assert!((plain - expected).abs() > 10.0 * error, "{plain} {expected} {error}");
 }
 
 #[test]
-fn pooled_weights_make_both_stages_speak_of_the_operating_space() {
+fn pooled_weights_estimate_operating_space() {
     let (plan, space, report) = synthetic(20_000, 0.3);
-    // A second stage as large as the first: unweighted it would rule the mean.
+    // The second stage is as large as the first. Without weights it would dominate the mean.
     let plan = Plan { uniform: robogate_campaign::UniformStage { episodes: 20_000 }, ..plan };
     let pooled = PooledWeights::new(&plan, &space, &report).unwrap();
     let stages = [Points::uniform(&plan, &space).unwrap(), Points::boundary(&plan, &space, &report).unwrap()];
@@ -320,7 +320,7 @@ fn pooled_weights_make_both_stages_speak_of_the_operating_space() {
 }
 
 #[test]
-fn the_first_stage_weighs_one_and_does_not_change_with_the_second() {
+fn first_stage_is_independent_of_second() {
     let space = Arc::new(world::space());
     let points = Points::uniform(&world::plan(50, 100), &space).unwrap();
     let other = Points::uniform(&world::plan(50, 7), &space).unwrap();
@@ -332,12 +332,12 @@ fn the_first_stage_weighs_one_and_does_not_change_with_the_second() {
 }
 
 #[test]
-fn the_three_designs_draw_from_separate_streams() {
+fn designs_use_separate_streams() {
     let (plan, space, report) = synthetic(1000, 0.3);
     let focus = report.focus(&space).unwrap();
     let uniform = Points::uniform(&plan, &space).unwrap();
     let boundary = Points::boundary(&plan, &space, &report).unwrap();
-    // The first point of each, as shares of its own space: the same stream would give the same shares.
+    // The first point of each design, as fractions of its space. The same stream would give the same fractions.
     let share = |points: &Points, index, space: &ParameterSpace| {
         let parameter = &space.parameters()[0];
         let requested = points.requested(index).unwrap();
@@ -354,7 +354,7 @@ fn the_three_designs_draw_from_separate_streams() {
 }
 
 #[test]
-fn the_report_in_its_file_is_enough_to_draw_the_second_stage_again() {
+fn second_stage_redraws_from_report_file() {
     let (plan, space, report) = synthetic(200, 0.3);
     let copy: BoundaryReport = serde_json::from_str(&serde_json::to_string_pretty(&report).unwrap()).unwrap();
     assert_eq!(copy, report);

@@ -1,4 +1,4 @@
-//! The same plan gives the same bytes, whatever the threads, the order and the interruptions.
+//! Tests that the same plan gives the same bytes for any number of threads, any order and any interruptions.
 
 use std::fs::{self, OpenOptions};
 use std::path::Path;
@@ -13,7 +13,7 @@ use robogate_dictionary::Dictionary;
 use crate::world::{self, Synthetic, files, plan, provenance, resume, start, stop_after, summary, with_pool};
 
 #[test]
-fn one_and_two_threads_give_the_same_bytes_in_every_file() {
+fn thread_count_does_not_change_files() {
     let base = tempfile::tempdir().unwrap();
     let runs = [1, 2, 5].map(|threads| {
         let dir = base.path().join(threads.to_string());
@@ -27,7 +27,7 @@ fn one_and_two_threads_give_the_same_bytes_in_every_file() {
 }
 
 #[test]
-fn every_sampler_runs_both_stages_and_resumes_to_the_same_bytes() {
+fn all_samplers_resume_identically() {
     for sampler in robogate_core::samplers::NAMES {
         let base = tempfile::tempdir().unwrap();
         let mut plan = plan(80, 40);
@@ -47,7 +47,7 @@ fn every_sampler_runs_both_stages_and_resumes_to_the_same_bytes() {
 }
 
 #[test]
-fn another_seed_gives_other_data() {
+fn seed_changes_data() {
     let base = tempfile::tempdir().unwrap();
     let run = |name: &str, seed: u64| {
         let mut plan = plan(30, 10);
@@ -59,7 +59,7 @@ fn another_seed_gives_other_data() {
 }
 
 #[test]
-fn twenty_interruptions_and_torn_journals_end_with_the_same_bytes() {
+fn interruptions_do_not_change_files() {
     let base = tempfile::tempdir().unwrap();
     let plan = plan(240, 120);
     let undisturbed = base.path().join("undisturbed");
@@ -75,7 +75,7 @@ fn twenty_interruptions_and_torn_journals_end_with_the_same_bytes() {
             with_pool(&factory, threads, &mut stop, |pool, events| start_run(&dir, &plan, provenance(), pool, events));
         let Completion::Interrupted { done, episodes: 360 } = first.unwrap() else { panic!() };
         tear(&dir, &mut chance);
-        // A second interruption, now and then before the first episode.
+        // Sometimes a second interruption, occasionally before the first episode.
         let mut stop = stop_after(chance.below(40) as u64);
         let second = with_pool(&factory, 1 + chance.below(3), &mut stop, |pool, events| {
             resume_run(&dir, &provenance(), pool, events)
@@ -89,17 +89,17 @@ fn twenty_interruptions_and_torn_journals_end_with_the_same_bytes() {
     }
 }
 
-/// Cuts the journal's end off at any byte, as a kill or a power failure may.
+/// Cuts off the journal at a random byte, as a kill or a power failure may.
 fn tear(dir: &Path, chance: &mut robogate_core::Stream) {
     let file = OpenOptions::new().write(true).open(dir.join("journal.rgj")).unwrap();
     let length = file.metadata().unwrap().len();
-    // Mostly within the last records, now and then far back.
+    // Mostly within the last records, sometimes far back.
     let cut = if chance.below(4) == 0 { chance.below(length as usize) } else { chance.below(600.min(length as usize)) };
     file.set_len(length - cut as u64).unwrap();
 }
 
 #[test]
-fn a_run_killed_between_its_last_episode_and_its_last_file_is_finished_without_a_station() {
+fn missing_files_are_completed_without_worker() {
     let base = tempfile::tempdir().unwrap();
     let dir = base.path().join("run");
     let kept = base.path().join("journal");
@@ -124,7 +124,7 @@ fn a_run_killed_between_its_last_episode_and_its_last_file_is_finished_without_a
 }
 
 #[test]
-fn resuming_a_finished_run_changes_nothing_and_needs_no_station() {
+fn resuming_finished_run_changes_nothing() {
     let base = tempfile::tempdir().unwrap();
     let first = start(base.path(), &plan(40, 20), &Synthetic::default(), 2).unwrap();
     let before = files(base.path());
@@ -139,7 +139,7 @@ fn resuming_a_finished_run_changes_nothing_and_needs_no_station() {
 }
 
 #[test]
-fn an_episode_of_the_record_replays_to_the_bit() {
+fn recorded_episode_replays_exactly() {
     let base = tempfile::tempdir().unwrap();
     start(base.path(), &plan(50, 30), &Synthetic::default(), 2).unwrap();
     for index in [0, 49, 50, 79] {
@@ -152,7 +152,7 @@ fn an_episode_of_the_record_replays_to_the_bit() {
 }
 
 #[test]
-fn the_record_holds_every_episode_once_in_order_with_its_stage_design_and_weight() {
+fn dictionary_lists_every_episode_once() {
     let base = tempfile::tempdir().unwrap();
     start(base.path(), &plan(100, 50), &Synthetic::default(), 3).unwrap();
     let dictionary = Dictionary::open(&base.path().join("dictionary.parquet")).unwrap();
@@ -172,9 +172,9 @@ fn the_record_holds_every_episode_once_in_order_with_its_stage_design_and_weight
 
 const CHILD: &str = "ROBOGATE_CAMPAIGN_TEST_CHILD";
 
-/// The other process of the tests below: not a test by itself.
+/// The child process of the tests below. It is not a test by itself.
 #[test]
-#[ignore = "the child process of other tests"]
+#[ignore = "child process of other tests"]
 fn child() {
     let Ok(dir) = std::env::var(CHILD) else { return };
     let factory = Synthetic { tick: Duration::from_micros(300), ..Synthetic::default() };
@@ -197,7 +197,7 @@ pub(crate) fn child_command(dir: &Path) -> Command {
     command
 }
 
-/// A child that has recorded at least so many bytes.
+/// Starts a child and waits until it has recorded at least `bytes` bytes.
 fn running_child(dir: &Path, bytes: u64) -> Child {
     let mut child = child_command(dir).spawn().unwrap();
     for _ in 0..20_000 {
@@ -211,7 +211,7 @@ fn running_child(dir: &Path, bytes: u64) -> Child {
 }
 
 #[test]
-fn a_killed_process_is_resumed_to_the_same_bytes() {
+fn killed_process_resumes_identically() {
     let base = tempfile::tempdir().unwrap();
     let undisturbed = base.path().join("undisturbed");
     start(&undisturbed, &plan(300, 150), &Synthetic::default(), 2).unwrap();
@@ -219,18 +219,18 @@ fn a_killed_process_is_resumed_to_the_same_bytes() {
     let mut kills = 0;
     for bytes in [1, 3_000, 20_000, 60_000, 90_000, 120_000] {
         let mut child = running_child(&dir, bytes);
-        // Not a signal to be handled: SIGKILL.
+        // SIGKILL cannot be handled.
         child.kill().unwrap();
         child.wait().unwrap();
         kills += u32::from(dir.join("journal.rgj").exists());
     }
-    assert!(kills >= 3, "the child was too quick: {kills} kills hit");
+    assert!(kills >= 3, "the child finished too early: only {kills} kills took effect");
     resume(&dir, &Synthetic::default(), 2).unwrap();
     assert_eq!(files(&dir), files(&undisturbed));
 }
 
 #[test]
-fn a_second_process_is_refused_and_does_no_harm() {
+fn second_process_is_rejected() {
     let base = tempfile::tempdir().unwrap();
     let dir = base.path().join("run");
     let mut child = running_child(&dir, 1);
@@ -252,10 +252,10 @@ fn a_second_process_is_refused_and_does_no_harm() {
 
 #[cfg(unix)]
 #[test]
-fn a_disk_that_takes_no_more_is_an_error_and_loses_nothing() {
+fn full_disk_loses_nothing() {
     let base = tempfile::tempdir().unwrap();
     let dir = base.path().join("run");
-    // A limit on the size of files stands for a full disk: writes beyond 24 KiB fail.
+    // A limit on the size of files simulates a full disk: writes beyond 24 KiB fail.
     let child = child_command(&dir);
     let mut limited = Command::new("bash");
     limited
@@ -275,8 +275,8 @@ fn a_disk_that_takes_no_more_is_an_error_and_loses_nothing() {
 }
 
 #[test]
-fn the_order_of_results_is_not_the_order_of_indices() {
-    // Otherwise the tests above would prove little.
+fn results_arrive_out_of_order() {
+    // If results arrived in order, the tests above would not test reordering.
     let base = tempfile::tempdir().unwrap();
     let mut indices = Vec::new();
     let factory = Synthetic { tick: Duration::from_micros(100), ..Synthetic::default() };

@@ -1,4 +1,4 @@
-//! What breaks under a campaign costs what broke and no more.
+//! Tests that a fault makes only the affected episodes invalid.
 
 use robogate_campaign::{Completion, Event, ExecuteError, RunError, Warning, recorded, start as start_run};
 use robogate_core::{FaultKind, Outcome};
@@ -10,7 +10,7 @@ fn some_panic(index: u64) -> Trouble {
 }
 
 #[test]
-fn a_panicking_simulator_costs_invalid_episodes_only() {
+fn panics_make_episodes_invalid() {
     let base = tempfile::tempdir().unwrap();
     let factory = Synthetic { trouble: some_panic, ..Synthetic::default() };
     let done = start(&base.path().join("1"), &plan(100, 50), &factory, 1).unwrap();
@@ -18,15 +18,15 @@ fn a_panicking_simulator_costs_invalid_episodes_only() {
     assert_eq!((uniform.episodes, uniform.valid, uniform.invalid), (100, 90, 10));
     assert_eq!((boundary.episodes, boundary.valid, boundary.invalid), (50, 45, 5));
     assert_eq!((uniform.faults[0].fault.as_str(), uniform.faults[0].episodes), ("unavailable", 10));
-    // One worker for each stage, and one for each panic.
+    // One worker per stage, and one per panic.
     assert_eq!(factory.workers.into_inner(), 2 + 15);
-    // The rate is over the valid ones, and says so.
+    // The rate is over the valid episodes only.
     assert_eq!(uniform.success_rate, Some(uniform.successes as f64 / 90.0));
     let entry = recorded(&base.path().join("1"), 13).unwrap();
     let Outcome::Invalid(fault) = &entry.episode.outcome else { panic!("{entry:?}") };
     assert_eq!(fault.kind, FaultKind::Unavailable);
-    assert!(fault.detail.ends_with("panicked: the world of episode 13 ends"), "{fault}");
-    // And what comes after a panic is as if there had been none.
+    assert!(fault.detail.ends_with("panicked: simulator crash in episode 13"), "{fault}");
+    // Episodes after a panic are the same as without it.
     let calm = base.path().join("calm");
     start(&calm, &plan(100, 0), &Synthetic::default(), 1).unwrap();
     assert_eq!(recorded(&base.path().join("1"), 14).unwrap(), recorded(&calm, 14).unwrap());
@@ -36,7 +36,7 @@ fn a_panicking_simulator_costs_invalid_episodes_only() {
 }
 
 #[test]
-fn without_a_station_nothing_is_recorded_and_the_run_can_be_resumed() {
+fn missing_worker_leaves_run_resumable() {
     let base = tempfile::tempdir().unwrap();
     let dir = base.path().join("run");
     let none = Synthetic { most_workers: 0, ..Synthetic::default() };
@@ -51,12 +51,12 @@ fn without_a_station_nothing_is_recorded_and_the_run_can_be_resumed() {
 }
 
 #[test]
-fn a_station_that_cannot_be_made_again_ends_the_run_and_keeps_what_there_is() {
+fn lost_worker_keeps_episodes() {
     let base = tempfile::tempdir().unwrap();
     let dir = base.path().join("run");
     let one = Synthetic { trouble: some_panic, most_workers: 1, ..Synthetic::default() };
     assert!(matches!(start(&dir, &plan(40, 20), &one, 1), Err(RunError::Execute(ExecuteError::Worker(_)))));
-    // 0 to 2 succeeded, 3 panicked and is on record.
+    // Episodes 0 to 2 succeeded; episode 3 panicked and is recorded.
     assert!(matches!(recorded(&dir, 3).unwrap().episode.outcome, Outcome::Invalid(_)));
     assert!(matches!(recorded(&dir, 4), Err(RunError::NoSuchEpisode { index: 4, .. })));
 }
@@ -66,7 +66,7 @@ fn all_invalid(_: u64) -> Trouble {
 }
 
 #[test]
-fn a_campaign_without_evidence_goes_on_says_so_and_claims_nothing() {
+fn all_invalid_campaign_warns_and_continues() {
     let base = tempfile::tempdir().unwrap();
     let factory = Synthetic { trouble: all_invalid, ..Synthetic::default() };
     let mut warnings = Vec::new();
@@ -89,7 +89,7 @@ fn a_campaign_without_evidence_goes_on_says_so_and_claims_nothing() {
 }
 
 #[test]
-fn a_small_campaign_without_evidence_says_so_as_well() {
+fn small_all_invalid_campaign_warns() {
     let base = tempfile::tempdir().unwrap();
     let factory = Synthetic { trouble: all_invalid, ..Synthetic::default() };
     let mut warnings = 0;
@@ -102,7 +102,7 @@ fn a_small_campaign_without_evidence_says_so_as_well() {
 }
 
 #[test]
-fn a_stop_before_the_first_episode_and_one_after_the_last_are_both_kept() {
+fn stop_is_kept_at_both_ends() {
     let base = tempfile::tempdir().unwrap();
     for episodes in [0, 7] {
         let dir = base.path().join(episodes.to_string());
@@ -117,7 +117,7 @@ fn a_stop_before_the_first_episode_and_one_after_the_last_are_both_kept() {
         });
         let Completion::Interrupted { done, episodes: 30 } = done.unwrap() else { panic!() };
         assert_eq!(last, Some(Event::Interrupted { done, episodes: 30 }));
-        // Besides those seen: one in flight, one handed over, one waiting to be.
+        // In addition to the observed episodes: one running, one passed on, one waiting.
         assert!((episodes..=episodes + 3 * episodes.min(1)).contains(&done), "{done} for {episodes}");
     }
     let mut stop = stop_after(30);
@@ -128,24 +128,24 @@ fn a_stop_before_the_first_episode_and_one_after_the_last_are_both_kept() {
 }
 
 #[test]
-fn the_stream_of_events_tells_the_whole_story_in_order_and_survives_json() {
+fn event_stream_is_complete_and_ordered() {
     let base = tempfile::tempdir().unwrap();
-    let mut story = Vec::new();
+    let mut seen = Vec::new();
     let mut stop = stop_after(25);
     let mut watch = |event: &Event, flag: &_| {
         stop(event, flag);
-        story.push(event.clone());
+        seen.push(event.clone());
     };
     let plan = plan(20, 10);
     with_pool(&Synthetic::default(), 1, &mut watch, |pool, events| {
         start_run(base.path(), &plan, provenance(), pool, events)
     })
     .unwrap();
-    with_pool(&Synthetic::default(), 1, &mut |event, _| story.push(event.clone()), |pool, events| {
+    with_pool(&Synthetic::default(), 1, &mut |event, _| seen.push(event.clone()), |pool, events| {
         robogate_campaign::resume(base.path(), &provenance(), pool, events)
     })
     .unwrap();
-    let json: Vec<serde_json::Value> = story.iter().map(|event| serde_json::to_value(event).unwrap()).collect();
+    let json: Vec<serde_json::Value> = seen.iter().map(|event| serde_json::to_value(event).unwrap()).collect();
     let mut words: Vec<&str> = json.iter().map(|event| event["event"].as_str().unwrap()).collect();
     words.dedup();
     let first = [
@@ -170,14 +170,14 @@ fn the_stream_of_events_tells_the_whole_story_in_order_and_survives_json() {
     ];
     assert_eq!(words, [&first[..], &second[..]].concat());
     let back: Vec<Event> = json.into_iter().map(|event| serde_json::from_value(event).unwrap()).collect();
-    assert_eq!(back, story);
-    // What was found does not change on the way.
-    let found: Vec<&Event> = story.iter().filter(|event| matches!(event, Event::BoundaryFound { .. })).collect();
+    assert_eq!(back, seen);
+    // The boundary does not change during the run.
+    let found: Vec<&Event> = seen.iter().filter(|event| matches!(event, Event::BoundaryFound { .. })).collect();
     assert_eq!(found[0], found[1]);
 }
 
 #[test]
-fn the_summary_says_of_what_each_rate_speaks() {
+fn summary_names_each_population() {
     let base = tempfile::tempdir().unwrap();
     let done = start(base.path(), &plan(200, 100), &Synthetic::default(), 2).unwrap();
     let summary = summary(&done);

@@ -1,4 +1,4 @@
-//! Folders that are not what they should be.
+//! Tests of folders with unexpected contents.
 
 use std::fs;
 
@@ -16,7 +16,7 @@ fn interrupted(dir: &std::path::Path) {
 }
 
 #[test]
-fn a_folder_with_something_else_in_it_is_refused_and_left_alone() {
+fn foreign_folder_is_rejected() {
     let base = tempfile::tempdir().unwrap();
     fs::write(base.path().join("thesis.tex"), "mine").unwrap();
     let error = start(base.path(), &plan(5, 0), &Synthetic::default(), 1).unwrap_err();
@@ -25,7 +25,7 @@ fn a_folder_with_something_else_in_it_is_refused_and_left_alone() {
 }
 
 #[test]
-fn a_folder_with_a_run_is_not_begun_again_and_the_error_says_how_to_go_on() {
+fn existing_run_is_not_overwritten() {
     let base = tempfile::tempdir().unwrap();
     interrupted(base.path());
     let before = files(base.path());
@@ -40,7 +40,7 @@ fn a_folder_with_a_run_is_not_begun_again_and_the_error_says_how_to_go_on() {
 }
 
 #[test]
-fn what_a_kill_left_of_the_first_file_does_not_stand_in_the_way() {
+fn partial_plan_file_is_ignored() {
     let base = tempfile::tempdir().unwrap();
     fs::write(base.path().join(".plan.json.part"), "{\"ver").unwrap();
     start(base.path(), &plan(5, 0), &Synthetic::default(), 1).unwrap();
@@ -48,7 +48,7 @@ fn what_a_kill_left_of_the_first_file_does_not_stand_in_the_way() {
 }
 
 #[test]
-fn a_folder_without_a_run_cannot_be_resumed() {
+fn resume_needs_a_run() {
     let base = tempfile::tempdir().unwrap();
     for dir in [base.path().to_owned(), base.path().join("nowhere")] {
         let error = resume(&dir, &Synthetic::default(), 1).unwrap_err();
@@ -57,7 +57,7 @@ fn a_folder_without_a_run_cannot_be_resumed() {
 }
 
 #[test]
-fn a_folder_that_cannot_be_made_is_a_located_error() {
+fn uncreatable_folder_is_located() {
     let base = tempfile::tempdir().unwrap();
     let file = base.path().join("file");
     fs::write(&file, "").unwrap();
@@ -70,7 +70,7 @@ fn a_folder_that_cannot_be_made_is_a_located_error() {
 type Change = fn(&mut Provenance);
 
 #[test]
-fn something_else_than_at_the_beginning_is_refused_by_name() {
+fn changed_provenance_is_rejected() {
     let base = tempfile::tempdir().unwrap();
     interrupted(base.path());
     let before = files(base.path());
@@ -97,7 +97,7 @@ fn something_else_than_at_the_beginning_is_refused_by_name() {
 }
 
 #[test]
-fn the_settings_of_a_run_can_be_read_back_whole() {
+fn settings_round_trip() {
     let base = tempfile::tempdir().unwrap();
     interrupted(base.path());
     let settings = settings(base.path()).unwrap();
@@ -107,7 +107,7 @@ fn the_settings_of_a_run_can_be_read_back_whole() {
 }
 
 #[test]
-fn a_file_of_a_later_version_is_refused_and_not_touched() {
+fn newer_file_version_is_rejected() {
     let base = tempfile::tempdir().unwrap();
     interrupted(base.path());
     let path = base.path().join("plan.json");
@@ -126,7 +126,7 @@ fn a_file_of_a_later_version_is_refused_and_not_touched() {
 }
 
 #[test]
-fn the_journal_of_another_run_is_refused() {
+fn foreign_journal_is_rejected() {
     let base = tempfile::tempdir().unwrap();
     let (ours, theirs) = (base.path().join("ours"), base.path().join("theirs"));
     interrupted(&ours);
@@ -143,7 +143,7 @@ fn the_journal_of_another_run_is_refused() {
 }
 
 #[test]
-fn a_damaged_journal_is_an_error_that_says_what_to_do() {
+fn damaged_journal_error_has_hint() {
     let base = tempfile::tempdir().unwrap();
     interrupted(base.path());
     let path = base.path().join("journal.rgj");

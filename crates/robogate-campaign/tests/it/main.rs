@@ -1,6 +1,6 @@
-//! What a campaign promises, held against a small synthetic world.
+//! Tests of campaigns with a small synthetic environment.
 #![expect(clippy::disallowed_methods, reason = "tests measure times and find their settings in the environment")]
-#![expect(clippy::unwrap_used, reason = "helpers of tests are tests, which may")]
+#![expect(clippy::unwrap_used, reason = "test helpers fail by panicking")]
 
 mod boundary;
 mod determinism;

@@ -1,14 +1,14 @@
-//! What the machinery itself costs.
+//! Measures the overhead of the campaign code.
 
 use std::time::Instant;
 
 use crate::world::{Synthetic, plan, start};
 
-/// Prints the cost of one episode beyond its simulation (design, threads, channel, journal, events, the record at
-/// the end) and the memory that it took.
+/// Prints the cost of one episode without its simulation (design, threads, channel, journal, events, final files) and
+/// the peak memory.
 #[test]
 #[ignore = "a measurement; run it in release"]
-fn the_machinery_costs_microseconds_per_episode() {
+fn overhead_per_episode() {
     for (n, threads) in [(3_000, 1), (30_000, 1), (30_000, 2), (300_000, 2)] {
         let base = tempfile::tempdir().unwrap();
         let factory = Synthetic::default();

@@ -1,4 +1,4 @@
-//! What a plan may say.
+//! Tests of valid and invalid plans.
 
 use robogate_campaign::{Plan, PlanError, Preset};
 use robogate_core::ParameterSpace;
@@ -10,7 +10,7 @@ fn franka() -> ParameterSpace {
 }
 
 #[test]
-fn the_presets_are_the_papers_method_and_differ_in_their_budgets_alone() {
+fn presets_match_the_paper() {
     let [quick, paper] = Preset::ALL.map(|preset| preset.plan().unwrap());
     assert_eq!((quick.uniform.episodes, quick.boundary.episodes), (2_000, 1_000));
     assert_eq!((paper.uniform.episodes, paper.boundary.episodes), (10_000, 10_000));
@@ -45,7 +45,7 @@ fn the_presets_are_the_papers_method_and_differ_in_their_budgets_alone() {
 }
 
 #[test]
-fn a_total_is_split_two_thirds_to_one() {
+fn total_is_split_two_to_one() {
     let split = |n| {
         let plan = Preset::Quick.plan().unwrap().with_total(n);
         (plan.uniform.episodes, plan.boundary.episodes)
@@ -59,7 +59,7 @@ fn a_total_is_split_two_thirds_to_one() {
 }
 
 #[test]
-fn what_has_a_default_may_be_left_out() {
+fn defaults_may_be_omitted() {
     let plan = Plan::from_toml("[uniform]\nepisodes = 10").unwrap();
     assert_eq!(
         (plan.seed, plan.sampler.as_str(), plan.boundary.episodes, plan.boundary.bins),
@@ -70,7 +70,7 @@ fn what_has_a_default_may_be_left_out() {
 }
 
 #[test]
-fn every_mistake_is_an_error_that_names_its_key() {
+fn errors_name_their_key() {
     let cases = [
         ("[uniform]\nepisodes = 0", "`uniform.episodes` and `boundary.episodes` are both 0"),
         ("[uniform]\nepisodes = 0\n[boundary]\nepisodes = 5", "found from the uniform stage"),
@@ -80,7 +80,7 @@ fn every_mistake_is_an_error_that_names_its_key() {
         ("seeed = 5\n[uniform]\nepisodes = 5", "unknown field `seeed`"),
         ("[uniform\nepisodes = 5", "line 1"),
         ("sampler = \"sobo\"\n[uniform]\nepisodes = 5", "did you mean `sobol`?"),
-        ("sampler = \"grid\"\n[uniform]\nepisodes = 5", "there are latin_hypercube, sobol, uniform"),
+        ("sampler = \"grid\"\n[uniform]\nepisodes = 5", "expected one of: latin_hypercube, sobol, uniform"),
         ("[uniform]\nepisodes = 5\n[boundary]\nbins = 1", "`boundary.bins` is 1"),
         ("[uniform]\nepisodes = 5\n[boundary]\nband = [0.7, 0.3]", "`boundary.band` is [0.7, 0.3]"),
         ("[uniform]\nepisodes = 5\n[boundary]\nband = [0.3, 70]", "`boundary.band`"),
@@ -102,7 +102,7 @@ fn every_mistake_is_an_error_that_names_its_key() {
         ("[uniform]\nepisodes = 5\n[[boundary.fallback]]\nparameter = \"friction\"\nlow = inf", "finite"),
         (
             "[uniform]\nepisodes = 5\n[boundary]\nrestrict = [{parameter = \"obstacles\", low = 1}, {parameter = \"obstacles\", high = 4}]",
-            "`boundary.restrict[1]`: `obstacles` stands in this list twice",
+            "`boundary.restrict[1]`: `obstacles` is in this list twice",
         ),
         (
             "[uniform]\nepisodes = 5\n[[boundary.fallback]]\nparameter = \"frictoin\"\nlow = 1",
@@ -111,23 +111,20 @@ fn every_mistake_is_an_error_that_names_its_key() {
         ("[uniform]\nepisodes = 5\n[[boundary.fallback]]\nparameter = \"mass\"\nlow = 1", "did you mean `mass_kg`?"),
         (
             "[uniform]\nepisodes = 5\n[[boundary.fallback]]\nparameter = \"obstacles\"\nlow = 1",
-            "none of the continuous parameters",
+            "is not a continuous parameter",
         ),
         (
             "[uniform]\nepisodes = 5\n[[boundary.restrict]]\nparameter = \"friction\"\nlow = 1",
-            "none of the whole-number parameters",
+            "is not an integer parameter",
         ),
         (
             "[uniform]\nepisodes = 5\n[[boundary.restrict]]\nparameter = \"shape\"\nlow = 1",
-            "none of the whole-number parameters",
+            "is not an integer parameter",
         ),
-        (
-            "[uniform]\nepisodes = 5\n[[boundary.restrict]]\nparameter = \"obstacles\"\nlow = 1.5",
-            "must be whole numbers",
-        ),
+        ("[uniform]\nepisodes = 5\n[[boundary.restrict]]\nparameter = \"obstacles\"\nlow = 1.5", "must be integers"),
         (
             "[uniform]\nepisodes = 5\n[[boundary.fallback]]\nparameter = \"friction\"\nlow = 1.5",
-            "nothing of the range of `friction` lies in the operating space, which has 0.05 to 1.2",
+            "the range of `friction` is outside the operating space: expected values from 0.05 to 1.2",
         ),
     ];
     for (text, expected) in cases {
@@ -137,7 +134,7 @@ fn every_mistake_is_an_error_that_names_its_key() {
 }
 
 #[test]
-fn an_error_in_a_file_names_the_file() {
+fn file_errors_name_the_file() {
     let base = tempfile::tempdir().unwrap();
     let path = base.path().join("my-plan.toml");
     let error = Plan::load(&path).unwrap_err().to_string();
@@ -148,7 +145,7 @@ fn an_error_in_a_file_names_the_file() {
 }
 
 #[test]
-fn a_preset_is_fitted_to_a_space_that_lacks_its_parameters() {
+fn preset_fits_other_spaces() {
     let plan = Preset::Quick.plan().unwrap();
     assert_eq!(plan.clone().fitted_to(&franka()), (plan.clone(), Vec::new()));
     assert!(plan.check(&world::space()).is_err());
@@ -160,7 +157,7 @@ fn a_preset_is_fitted_to_a_space_that_lacks_its_parameters() {
 }
 
 #[test]
-fn the_forms_have_a_json_schema() {
+fn plan_has_json_schema() {
     for (schema, words) in [
         (schemars::schema_for!(Plan), &["\"where\"", "\"band\"", "\"additionalProperties\""][..]),
         (schemars::schema_for!(robogate_campaign::Summary), &["\"dataset_hash\"", "\"interval_95\""]),
@@ -174,7 +171,7 @@ fn the_forms_have_a_json_schema() {
 }
 
 #[test]
-fn a_correlated_space_is_for_the_uniform_stage_alone() {
+fn boundary_stage_rejects_correlations() {
     let correlation = robogate_core::Correlation { parameters: ["friction".into(), "mass_kg".into()], rank: 0.5 };
     let space = world::space().with_correlations(vec![correlation]).unwrap();
     let error = world::plan(10, 5).check(&space).unwrap_err().to_string();

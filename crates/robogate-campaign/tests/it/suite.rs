@@ -1,4 +1,4 @@
-//! A suite as a campaign.
+//! Tests of campaigns over a suite.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -36,7 +36,7 @@ fn origin() -> Provenance {
     Provenance { space: suite().space().clone(), ..provenance() }
 }
 
-/// Runs the suite; `last` is the number of the round on which it stops.
+/// Runs the suite and stops after round `last`.
 fn run(dir: &Path, rounds: u64, last: u64, threads: usize) -> (Completion, Vec<u64>) {
     let plan = Plan::of_suite(suite(), rounds, 7);
     let mut seen = Vec::new();
@@ -55,7 +55,7 @@ fn entries(dir: &Path) -> Vec<Entry> {
 }
 
 #[test]
-fn every_scenario_is_run_once_in_each_round_and_says_which_it_is() {
+fn rounds_run_every_scenario_once() {
     let base = tempfile::tempdir().unwrap();
     let (done, _) = run(base.path(), 4, u64::MAX, 2);
     let rows = entries(base.path());
@@ -75,7 +75,7 @@ fn every_scenario_is_run_once_in_each_round_and_says_which_it_is() {
 }
 
 #[test]
-fn one_and_two_threads_give_the_same_bytes_in_every_file() {
+fn thread_count_does_not_change_files() {
     let base = tempfile::tempdir().unwrap();
     let runs = [1, 2].map(|threads| {
         let dir = base.path().join(threads.to_string());
@@ -86,7 +86,7 @@ fn one_and_two_threads_give_the_same_bytes_in_every_file() {
 }
 
 #[test]
-fn a_run_that_stops_after_a_round_has_the_rows_of_one_with_so_many() {
+fn early_stop_equals_shorter_plan() {
     let base = tempfile::tempdir().unwrap();
     let [short, stopped] = ["short", "stopped"].map(|name| base.path().join(name));
     run(&short, 3, u64::MAX, 1);
@@ -97,7 +97,7 @@ fn a_run_that_stops_after_a_round_has_the_rows_of_one_with_so_many() {
 }
 
 #[test]
-fn an_interrupted_run_is_shown_all_its_rounds_again_and_ends_with_the_same_bytes() {
+fn resume_replays_all_rounds() {
     let base = tempfile::tempdir().unwrap();
     let [whole, pieces] = ["whole", "pieces"].map(|name| base.path().join(name));
     run(&whole, 20, 8, 2);
@@ -123,7 +123,7 @@ fn an_interrupted_run_is_shown_all_its_rounds_again_and_ends_with_the_same_bytes
 }
 
 #[test]
-fn the_hash_is_of_what_the_suite_says_and_not_of_how_it_is_written() {
+fn suite_hash_ignores_formatting() {
     let commented = SUITE.replace("schema = 1", "# A comment.\n    schema   =   1");
     assert_eq!(suite_sha256(&Suite::from_toml(&commented).unwrap()), suite_sha256(&suite()));
     let heavier = SUITE.replace("mass_kg = 0.3", "mass_kg = 0.31");
@@ -131,7 +131,7 @@ fn the_hash_is_of_what_the_suite_says_and_not_of_how_it_is_written() {
 }
 
 #[test]
-fn a_plan_of_a_suite_that_contradicts_itself_is_refused() {
+fn contradictory_suite_plan_is_rejected() {
     let plan = Plan::of_suite(suite(), 2, 7);
     assert!(plan.check(suite().space()).is_ok());
     assert!(matches!(plan.check(&crate::world::space()), Err(PlanError::SuiteSpace)));
@@ -148,7 +148,7 @@ fn a_plan_of_a_suite_that_contradicts_itself_is_refused() {
 }
 
 #[test]
-fn the_built_in_suites_are_suites() {
+fn built_in_suites_are_valid() {
     for (name, _) in BUILT_IN_SUITES {
         assert_eq!(built_in_suite(name).unwrap().unwrap().name(), name);
     }

@@ -1,4 +1,4 @@
-//! A synthetic world: how an episode goes is a fixed function of its parameters and its seed.
+//! A synthetic environment: the outcome of an episode is a fixed function of its parameters and its seed.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -95,7 +95,7 @@ pub(crate) fn provenance() -> Provenance {
 
 const DISTANCE: Word = Word::constant("target_distance_m");
 
-/// The task of the synthetic world. It does not declare that the part is lost.
+/// The task of the synthetic environment. Its failure mode for a lost part is undeclared on purpose.
 pub(crate) fn task() -> Arc<TaskSpec> {
     let mode =
         |name| FailureModeSpec { name: FailureMode::constant(name), meaning: String::new(), severity: Severity::Major };
@@ -123,7 +123,7 @@ pub(crate) fn task() -> Arc<TaskSpec> {
     })
 }
 
-/// What goes wrong in an episode, by its index.
+/// The injected problem of an episode, by index.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Trouble {
     None,
@@ -133,13 +133,13 @@ pub(crate) enum Trouble {
 
 pub(crate) type Troubles = fn(u64) -> Trouble;
 
-/// Makes synthetic workers.
+/// A factory of synthetic workers.
 pub(crate) struct Synthetic {
     pub(crate) trouble: Troubles,
-    /// How long a control tick takes in the real world.
+    /// Wall-clock duration of a control period.
     pub(crate) tick: Duration,
     pub(crate) workers: AtomicU64,
-    /// How many workers can be made.
+    /// The number of workers that can be created.
     pub(crate) most_workers: u64,
 }
 
@@ -176,7 +176,7 @@ impl World {
     }
 }
 
-/// Success is likely where friction holds the mass; small things are missed; obstacles are touched.
+/// The outcome: friction that holds the mass gives success, small objects are missed, obstacles are touched.
 fn ending(scenario: &Scenario) -> Option<Option<FailureMode>> {
     let of = |name: &str| scenario.requested.number(name).unwrap();
     let mut chance = scenario.seed.stream("outcome");
@@ -190,7 +190,7 @@ fn ending(scenario: &Scenario) -> Option<Option<FailureMode>> {
     if chance.uniform() < 1.0 / (1.0 + (2.0 * (grip + 0.5)).exp()) {
         return Some(Some(FailureMode::constant("grip_loss")));
     }
-    // One in fifty goes on until the time limit.
+    // One of fifty episodes runs until the time limit.
     (chance.uniform() > 0.02).then_some(None)
 }
 
@@ -219,7 +219,7 @@ impl Environment for World {
         let scenario = self.scenario.as_ref().unwrap();
         self.ticks += 1;
         if let (Trouble::Panic, 2) = ((self.trouble)(scenario.index), self.ticks) {
-            panic!("the world of episode {} ends", scenario.index);
+            panic!("simulator crash in episode {}", scenario.index);
         }
         let mut state = scenario.seed.stream("state");
         let due = 2 + (state.bits() % 5) as u32;
@@ -254,7 +254,7 @@ impl Policy for Waits {
     }
 }
 
-/// Runs with so many threads; `watch` sees the events and may set the flag.
+/// Runs with `threads` threads. `watch` sees the events and may set the stop flag.
 pub(crate) fn with_pool<T>(
     factory: &dyn WorkerFactory,
     threads: usize,
@@ -283,7 +283,7 @@ pub(crate) fn resume(dir: &Path, factory: &dyn WorkerFactory, threads: usize) ->
     })
 }
 
-/// Stops after so many episodes of this process.
+/// Stops after `episodes` episodes of this process.
 pub(crate) fn stop_after(episodes: u64) -> impl FnMut(&Event, &AtomicBool) {
     let mut seen = 0;
     move |event, stop| {
@@ -301,7 +301,7 @@ pub(crate) fn summary(completion: &Completion) -> &robogate_campaign::Summary {
     }
 }
 
-/// Every file of a folder and its bytes.
+/// Every file of a folder with its bytes.
 pub(crate) fn files(dir: &Path) -> BTreeMap<String, Vec<u8>> {
     fs::read_dir(dir)
         .unwrap()

@@ -6,14 +6,14 @@ use robogate_maths::normal::quantile;
 use super::latin_hypercube::ranks;
 use crate::copula::SMALLEST_PIVOT;
 
-/// Reorders the columns, each a permutation of 0..n, so that their rank correlations come near to those of a Gaussian copula
-/// with the correlations `target`, a positive definite matrix, row by row.
+/// Reorders the columns to approximate the rank correlations of a Gaussian copula. Each column is a permutation of
+/// 0..n. `target` holds the correlations of the copula: a positive definite matrix, row by row.
 ///
-/// With M the scores Φ⁻¹((rank + 1)/(n + 1)), E = F F' their correlations and target = L L', the rows of M F'^-1 L' have exactly
-/// the correlations asked for, and each column takes the ranks of its own in that (Iman and Conover 1982,
-/// Communications in Statistics B11(3)). The ranks then have them nearly: what is missing is added to the target of another
-/// pass, as long as that helps. Where E has no factor (as many columns as points) F = 1, which leaves the
-/// correlations to chance about the target.
+/// Let M be the scores Φ⁻¹((rank + 1)/(n + 1)), E = F F' their correlations and target = L L'. The rows of M F'^-1 L'
+/// have exactly the target correlations. Each column is reordered to the ranks of its column in that matrix (Iman and
+/// Conover 1982, Communications in Statistics B11(3)). The ranks then have the correlations approximately. The
+/// remaining difference is added to the target of another pass, as long as this reduces it. If E has no factor (as many
+/// columns as points), F = 1, and the correlations vary randomly about the target.
 pub(super) fn correlate(columns: &mut Vec<Vec<u32>>, target: &[f64]) {
     const ROUNDS: usize = 8;
     let d = columns.len();
@@ -38,7 +38,7 @@ pub(super) fn correlate(columns: &mut Vec<Vec<u32>>, target: &[f64]) {
     }
 }
 
-/// The ranks of M F'^-1 L', column by column.
+/// Computes the ranks of M F'^-1 L', column by column.
 fn pass(columns: &[Vec<u32>], scores: &[f64], present: Option<&[f64]>, wanted: &[f64]) -> Vec<Vec<u32>> {
     let d = columns.len();
     let mut free: Vec<Vec<f64>> = Vec::with_capacity(d);
@@ -63,7 +63,7 @@ fn pass(columns: &[Vec<u32>], scores: &[f64], present: Option<&[f64]>, wanted: &
     (0..d).map(joined).collect()
 }
 
-/// The correlations of the columns' scores, row by row: all columns have the same scores, of mean 0.
+/// The correlations of the columns' scores, row by row. All columns have the same scores, with mean 0.
 fn correlations(columns: &[Vec<u32>], scores: &[f64]) -> Vec<f64> {
     let square: f64 = scores.iter().map(|s| s * s).sum();
     let product = |a: &[u32], b: &[u32]| -> f64 {
@@ -72,7 +72,7 @@ fn correlations(columns: &[Vec<u32>], scores: &[f64]) -> Vec<f64> {
     columns.iter().flat_map(|a| columns.iter().map(move |b| product(a, b))).collect()
 }
 
-/// The correlations that normal scores would have if these ranks came from a Gaussian copula: 2 sin(π rank correlation / 6).
+/// The correlations of normal scores for these ranks under a Gaussian copula: 2 sin(π rank correlation / 6).
 fn of_ranks(columns: &[Vec<u32>]) -> Vec<f64> {
     let n = columns.first().map_or(0, Vec::len);
     let centred: Vec<f64> = (0..n).map(|rank| rank as f64 - 0.5 * (n as f64 - 1.0)).collect();
@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_pass_gives_the_ranks_that_numpy_and_scipy_give() {
+    fn one_pass_matches_numpy_and_scipy() {
         let reference: serde_json::Value =
             serde_json::from_str(include_str!("../../tests/reference/correlation.json")).unwrap();
         let case = &reference["iman_conover"];

@@ -1,4 +1,4 @@
-//! Latin hypercubes.
+//! Latin hypercube sampling.
 
 use std::sync::Arc;
 
@@ -8,49 +8,46 @@ use super::{balance::Shares, iman_conover::correlate, maximin::spread};
 use crate::copula::{Copula, SMALLEST_PIVOT};
 use crate::{Design, DesignError, ParameterSpace, Sampler, Stream};
 
-/// Most points of one design: up to here a point's distance from the edge of its stratum exceeds every
-/// rounding error of u = (s + j)/n and of s = floor(n u).
+/// Most points of one design. Up to this number, a point's distance from the edge of its stratum exceeds the rounding
+/// errors of u = (s + j)/n and of s = floor(n u).
 const MOST_POINTS: usize = 1 << 26;
 
-/// Where in its stratum a point may stand: in the middle of one of 2^24 equal parts, hence never
-/// within 2^-25 of a stratum's width from its edge.
+/// Number of equal parts of a stratum. A point is placed in the middle of a part, hence never within 2^-25 of a
+/// stratum's width from its edge.
 const PARTS: u64 = 1 << 24;
 
-/// A Latin hypercube whose points keep their distance.
+/// Latin hypercube sampling with decorrelation and maximin improvement.
 ///
-/// Each continuous parameter's range, in its own scale, is cut into n equal strata, and exactly one
-/// point stands in each: u = (s + j)/n with s a random permutation of 0..n and j uniform in (0, 1)
-/// (McKay, Beckman and Conover 1979, Technometrics 21(2)). Each level of an integer or categorical
-/// parameter goes to floor(n/k) or ceil(n/k) of the points, in a random order that depends on nothing else.
+/// Each continuous parameter's range, in its scale, is cut into n equal strata with exactly one point in each: u = (s +
+/// j)/n with s a random permutation of 0..n and j uniform in (0, 1) (McKay, Beckman and Conover 1979, Technometrics
+/// 21(2)). Each level of an integer or categorical parameter goes to floor(n/k) or ceil(n/k) of the points, in a random
+/// order that is independent of the other parameters.
 ///
-/// Over the continuous parameters the columns are first decorrelated (Iman and Conover 1982,
-/// Communications in Statistics B11(3), with the identity as the target), then coordinates are
-/// exchanged between points so that the smallest distance between any two grows (maximin;
-/// Johnson, Moore and Ylvisaker 1990, J. Stat. Plan. Inference 26(2); Morris and Mitchell 1995,
-/// ibid. 43(3)). Distance is Euclidean in the unit cube, over continuous parameters only. Both steps keep
-/// every stratum. The improvement is local: the best design there is, is not promised.
+/// The columns of the continuous parameters are first decorrelated (Iman and Conover 1982, Communications in Statistics
+/// B11(3), with the identity as the target). Then points exchange coordinates to increase the smallest distance between
+/// any two (maximin; Johnson, Moore and Ylvisaker 1990, J. Stat. Plan. Inference 26(2); Morris and Mitchell 1995, ibid.
+/// 43(3)). Distance is Euclidean in the unit cube, over continuous parameters only. Both steps keep every stratum. The
+/// improvement is a local search and may miss the global optimum.
 ///
-/// Where parameters are correlated, the columns are reordered by the method of Iman and Conover with normal scores, so that
-/// their rank correlations come near to those asked for; every stratum still holds exactly one point. Points are then not
-/// moved apart.
+/// If parameters are correlated, the columns are reordered by the method of Iman and Conover with normal scores, which
+/// approximates the requested rank correlations. Every stratum still holds exactly one point. The maximin step is then
+/// skipped.
 ///
-/// Points are dependent, and a binomial interval taken from them is not exact. For a hypercube as drawn
-/// the mean has at most n/(n-1) times the variance of independent draws (Owen 1997, SIAM J. Numer.
-/// Anal. 34(5)); no such bound is known once points were moved apart. They are not a sequence: the first
-/// m of n points are no hypercube.
-/// Up to 2^26 points, any number of parameters.
+/// The points are dependent, and a binomial interval computed from them is not exact. Without the maximin step the mean
+/// has at most n/(n-1) times the variance of independent draws (Owen 1997, SIAM J. Numer. Anal. 34(5)). No such bound
+/// is known with it. The points are not a sequence: the first m of n points are not a hypercube. The limit is 2^26
+/// points; the number of parameters is unlimited.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LatinHypercube {
-    /// How much work may go into moving points apart, counted in looks at a point or at a cell of the
-    /// neighbour index: never in time, so that a slow machine draws the same design. At 0 the
-    /// hypercube is only decorrelated.
+    /// The work limit of the maximin step, in visits of a point or of a cell of the neighbour index. It is independent
+    /// of time, which makes the design the same on a slow machine. With 0, the hypercube is only decorrelated.
     pub budget: u64,
 }
 
 impl Default for LatinHypercube {
-    /// Thirty million looks, which is under a second of work. At 10,000 points in five dimensions the
-    /// smallest distance becomes about seven times what chance leaves; beyond 300,000 points, or
-    /// 5,000 in twenty dimensions, it is too little for one round and changes nothing.
+    /// Thirty million visits, less than one second of work. At 10,000 points in five dimensions the smallest distance
+    /// becomes about seven times that of a random hypercube. Beyond 300,000 points, or 5,000 in twenty dimensions, the
+    /// budget is too small for one round and has no effect.
     fn default() -> Self {
         Self { budget: 30_000_000 }
     }
@@ -67,7 +64,7 @@ impl Sampler for LatinHypercube {
 }
 
 impl LatinHypercube {
-    /// The design in the unit cube, row by row.
+    /// Draws the design in the unit cube, row by row.
     fn unit(&self, space: &ParameterSpace, n: usize, mut stream: Stream) -> Result<Vec<f64>, DesignError> {
         if n == 0 {
             return Err(DesignError::Empty);
@@ -101,7 +98,7 @@ impl LatinHypercube {
             let jitter = (part as f64 + 0.5) / PARTS as f64;
             *u = (f64::from(strata[column][row]) + jitter) / n as f64;
         }
-        // Points that are moved apart lose what correlation they have.
+        // The maximin step removes correlation, which is unwanted for correlated parameters.
         if copula.is_none() {
             spread(&mut cloud, continuous.len(), self.budget, &mut stream);
         }
@@ -116,7 +113,7 @@ impl LatinHypercube {
     }
 }
 
-/// Which of `n` equal parts of [0, 1) holds `u`.
+/// The index of the stratum of `u` among `n` equal parts of [0, 1).
 pub(super) fn stratum(u: f64, n: usize) -> usize {
     ((u * n as f64) as usize).min(n - 1)
 }
@@ -127,11 +124,11 @@ fn permutation(n: usize, stream: &mut Stream) -> Vec<u32> {
     order
 }
 
-/// Reorders the columns, each a permutation, so that their linear correlations come near to 0.
+/// Reorders the columns, each a permutation, to bring their linear correlations near 0.
 ///
-/// With C = L L' their correlation matrix, the rows of X L'^-1 are uncorrelated; each column takes the ranks of
-/// its own in that. Repeated while the largest |correlation| falls. Where C has no such factor (as many
-/// columns as points) nothing is done.
+/// With C = L L' their correlation matrix, the rows of X L'^-1 are uncorrelated; each column is reordered to the ranks
+/// of its column in that matrix. This repeats while the largest |correlation| decreases. If C has no such factor (as
+/// many columns as points), the columns do not change.
 fn decorrelate(columns: &mut Vec<Vec<u32>>) {
     const ROUNDS: usize = 4;
     let d = columns.len();
@@ -141,7 +138,7 @@ fn decorrelate(columns: &mut Vec<Vec<u32>>) {
         let Ok(factor) = Cholesky::new(&correlations, d, SMALLEST_PIVOT) else { return };
         let factor = factor.lower();
         let mean = (n as f64 - 1.0) / 2.0;
-        // Solved column by column, in place: y_j = (x_j - sum over k < j of L_jk y_k) / L_jj.
+        // Forward substitution by columns, in place: y_j = (x_j - sum over k < j of L_jk y_k) / L_jj.
         let mut solved: Vec<Vec<f64>> = Vec::with_capacity(d);
         for (j, column) in columns.iter().enumerate() {
             let mut y: Vec<f64> = column.iter().map(|s| f64::from(*s) - mean).collect();
@@ -178,7 +175,7 @@ fn largest_off_diagonal(matrix: &[f64], d: usize) -> f64 {
     (0..d).flat_map(|i| (0..i).map(move |j| matrix[i * d + j].abs())).fold(0.0, f64::max)
 }
 
-/// The rank of each number, from 0; equal ones in the order in which they stand.
+/// The rank of each number, from 0. Equal numbers keep their order.
 pub(super) fn ranks(numbers: &[f64]) -> Vec<u32> {
     let mut order: Vec<u32> = (0..numbers.len() as u32).collect();
     order.sort_by(|a, b| numbers[*a as usize].total_cmp(&numbers[*b as usize]));
@@ -201,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn each_stratum_of_the_unit_interval_holds_exactly_one_point() {
+    fn each_stratum_has_one_point() {
         for (n, d) in [(1, 1), (2, 1), (3, 2), (7, 5), (100, 5), (1_000, 3), (10_000, 5), (100_000, 1)] {
             let unit = LatinHypercube { budget: 1_000_000 }.unit(&cube(d), n, Seed::campaign(5).stream("s")).unwrap();
             for column in 0..d {
@@ -213,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn no_rounding_moves_an_edge_of_a_stratum_into_the_next_one() {
+    fn rounding_keeps_points_in_stratum() {
         for n in [1, 3, 7, 49, 9_999, 10_000, 1_000_003, MOST_POINTS - 1, MOST_POINTS] {
             for s in [0, n / 5, n / 3, n / 2, n.saturating_sub(2), n - 1] {
                 for part in [0, PARTS - 1] {
@@ -226,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn decorrelation_leaves_columns_with_almost_no_correlation() {
+    fn decorrelation_removes_correlation() {
         for n in [20, 100, 1_000] {
             let mut stream = Seed::campaign(n as u64).stream("columns");
             let mut columns: Vec<_> = (0..5).map(|_| permutation(n, &mut stream)).collect();
@@ -242,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_that_cannot_be_decorrelated_stay_as_they_are() {
+    fn singular_columns_stay_unchanged() {
         for (n, d) in [(1, 3), (2, 2), (3, 5)] {
             let mut stream = Seed::campaign(1).stream("columns");
             let mut columns: Vec<_> = (0..d).map(|_| permutation(n, &mut stream)).collect();

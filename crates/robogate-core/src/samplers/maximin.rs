@@ -1,50 +1,50 @@
-//! Moves the points of a Latin hypercube apart by exchanging coordinates, which keeps every stratum.
+//! Maximin improvement of a Latin hypercube by exchanging coordinates, which keeps every stratum.
 
 use super::latin_hypercube::stratum;
 use crate::Stream;
 
-/// By how much the distance aimed at exceeds the one reached, to begin with.
+/// Initial relative increase of the target distance over the present smallest distance.
 const FIRST_STEP: f64 = 0.1;
-/// A smaller gain than this is not worth the work.
+/// Smallest relative increase that is still attempted.
 const LAST_STEP: f64 = 0.002;
-/// Exchanges tried for a crowded point before the next one has its turn.
+/// Exchanges tried for a crowded point before the next point.
 const TRIES: usize = 40;
-/// Points that have had their turn before an aim may be given up: with few crowded points, several rounds.
+/// Smallest number of points to try before a target distance may be given up. With few crowded points this is several
+/// rounds.
 const PATIENCE: usize = 50;
-/// An exchange may raise a column's correlations with the others up to this root mean square, in units of
-/// 1/sqrt(n), what chance would leave; or up to `GRAIN`, in units of 1/n, what a single exchange changes.
+/// Limit on the root mean square of a column's correlations with the others after an exchange, in units of 1/sqrt(n),
+/// the value for random columns. The limit is at least `GRAIN` in units of 1/n, the effect of a single exchange.
 const CORRELATION: f64 = 0.1;
 /// See [`CORRELATION`].
 const GRAIN: f64 = 2.0;
-/// Of a uniform number, the inverse of its variance.
+/// Inverse variance of a uniform number in [0, 1).
 const VARIANCE_INVERSE: f64 = 12.0;
-/// Half the range from which the partner of a local exchange comes, in units of the distance aimed at.
+/// Half the range from which the partner of a local exchange is chosen, in units of the target distance.
 const LOCAL_RANGE: f64 = 2.0;
 
-/// Raises the smallest Euclidean distance between any two of the n points in `at`: `d` columns, row by
-/// row, each column with one number in each n-th of [0, 1).
+/// Increases the smallest Euclidean distance between any two of the n points in `at`. `at` has `d` columns, stored row
+/// by row; each column has one number in each of n equal parts of [0, 1).
 ///
-/// A distance a little above the smallest present one is aimed at. Each point with a neighbour nearer
-/// than that, closest pair first, exchanges one coordinate with another point; the exchange stands
-/// only if neither then has a neighbour nearer than the aim. So each exchange lowers the number of
-/// pairs below the aim, makes no new one, and never lowers the smallest distance. Half of the partners
-/// come from nearby along the axis, which suits a dense design, half from anywhere. An exchange
-/// that would bring correlation back into the columns is not made. Where all that stalls, the
-/// next aim is nearer, until it is within 0.2 % or `budget` is spent. Nothing says that the end
-/// is the best design there is.
+/// The search sets a target distance a little above the present smallest one. Each point with a neighbour nearer than
+/// the target, closest pair first, exchanges one coordinate with another point. The exchange is kept only if neither
+/// point then has a neighbour nearer than the target. Each exchange therefore removes pairs below the target, adds
+/// none, and never lowers the smallest distance. Half of the partners come from nearby along the axis, which suits a
+/// dense design, and half from anywhere. An exchange that would bring correlation back into the columns is rejected.
+/// When the search stalls, the next target is lower, until the increase is below 0.2 % or `budget` is spent. The result
+/// is a local optimum.
 ///
-/// The budget counts looks: at a cell of the neighbour index or at a point in it. Looks, and not
-/// exchanges tried, because a look has a fixed price and an exchange in twenty dimensions has a
-/// thousand of them. No clock is read: a slow or busy machine gives the same points.
+/// The budget counts visits of a cell of the neighbour index or of a point in it. A visit has a fixed cost, whereas one
+/// exchange in twenty dimensions needs a thousand of them. The function reads no clock: a slow or busy machine gives
+/// the same points.
 pub(super) fn spread(at: &mut [f64], d: usize, budget: u64, stream: &mut Stream) {
     let n = at.len() / d.max(1);
-    // One column is the same set in any order; a single point has no neighbour.
+    // With one column, any order gives the same set. A single point has no neighbour.
     if d < 2 || n < 2 {
         return;
     }
     let mut cloud = Cloud::new(at, d, budget);
     let mut step = FIRST_STEP;
-    // Half the side of the cube that a point would have to itself: easily reached.
+    // Half the side of the cube that each point would have for itself. This is easy to reach.
     let mut aim = 0.5 * (n as f64).powf(-1.0 / d as f64);
     while step > LAST_STEP && cloud.looks_left > 0 {
         let reached = cloud.relieve(aim, stream);
@@ -55,14 +55,14 @@ pub(super) fn spread(at: &mut [f64], d: usize, budget: u64, stream: &mut Stream)
     }
 }
 
-/// The points, with the two indexes that make an exchange cheap to find and to judge.
+/// The points with two indexes that make exchanges fast to find and to check.
 struct Cloud<'a> {
     n: usize,
     d: usize,
     at: &'a mut [f64],
-    /// Which point holds each stratum, column by column.
+    /// The point in each stratum, column by column.
     holder: Vec<u32>,
-    /// Correlation of each column with each, row by row.
+    /// Correlation of each pair of columns, row by row.
     correlations: Vec<f64>,
     allowed_correlation: f64,
     grid: Grid,
@@ -94,8 +94,8 @@ impl<'a> Cloud<'a> {
         &self.at[p as usize * self.d..][..self.d]
     }
 
-    /// Frees as many points as it can of neighbours nearer than `aim`; returns the smallest distance
-    /// then, or `aim` where none is below it.
+    /// Separates as many points as possible from neighbours nearer than `aim`. Returns the smallest distance
+    /// afterwards, or `aim` if no distance is below it.
     fn relieve(&mut self, aim: f64, stream: &mut Stream) -> f64 {
         self.grid = Grid::over(self.at, self.d, aim);
         let everyone = (0..self.n as u32).collect();
@@ -106,7 +106,7 @@ impl<'a> Cloud<'a> {
             turns += before;
             let unhelped = crowded.into_iter().map(|(_, p)| p).filter(|p| !self.help(*p, aim, stream)).collect();
             crowded = self.crowded(unhelped, aim);
-            // A round that frees fewer than one in twenty has stalled.
+            // A round that separates fewer than 5 % of the points has stalled.
             if crowded.len() * 20 > before * 19 && turns >= PATIENCE {
                 break;
             }
@@ -114,7 +114,7 @@ impl<'a> Cloud<'a> {
         crowded.first().map_or(aim, |(distance, _)| *distance)
     }
 
-    /// Those of `points` that have a neighbour nearer than `aim`, with its distance, closest first.
+    /// The members of `points` that have a neighbour nearer than `aim`, with its distance, closest first.
     fn crowded(&mut self, points: Vec<u32>, aim: f64) -> Vec<(f64, u32)> {
         let mut crowded: Vec<_> = points
             .into_iter()
@@ -132,10 +132,10 @@ impl<'a> Cloud<'a> {
         crowded
     }
 
-    /// Tries exchanges until `p` has no neighbour nearer than `aim`; whether it came to that.
+    /// Tries exchanges until `p` has no neighbour nearer than `aim`. Returns whether that succeeded.
     fn help(&mut self, p: u32, aim: f64, stream: &mut Stream) -> bool {
         let range = ((LOCAL_RANGE * aim * self.n as f64) as usize).clamp(1, self.n - 1);
-        // An earlier exchange may have taken the neighbour away.
+        // An earlier exchange may have removed the neighbour.
         let here = self.point(p).to_vec();
         if !self.any_nearer(&here, [p, p], aim) {
             return true;
@@ -148,7 +148,7 @@ impl<'a> Cloud<'a> {
             let j = stream.below(self.d);
             let from = stratum(here[j], self.n);
             let to = if attempt % 2 == 0 {
-                // Cut at both ends of the axis.
+                // Clamped at both ends of the axis.
                 let low = from.saturating_sub(range);
                 low + stream.below((from + range).min(self.n - 1) - low + 1)
             } else {
@@ -157,7 +157,7 @@ impl<'a> Cloud<'a> {
             let q = self.holder[j * self.n + to];
             new_p.copy_from_slice(&here);
             new_q.copy_from_slice(self.point(q));
-            // An exchange leaves the distance between the two as it is.
+            // An exchange does not change the distance between the two points.
             if q == p
                 || squared_distance(&new_p, &new_q) < aim * aim
                 || !self.correlations_allow(j, &new_p, &new_q, &mut correlations)
@@ -180,14 +180,14 @@ impl<'a> Cloud<'a> {
         false
     }
 
-    /// Whether column `j`'s correlations, left in `after`, stay within what is allowed once points at `p`
-    /// and `q` have exchanged that coordinate.
+    /// Whether the correlations of column `j` stay within the limit after the points at `p` and `q` exchange that
+    /// coordinate. The new correlations are left in `after`.
     fn correlations_allow(&self, j: usize, p: &[f64], q: &[f64], after: &mut [f64]) -> bool {
         let before = &self.correlations[j * self.d..][..self.d];
         let moved = (q[j] - p[j]) * VARIANCE_INVERSE / self.n as f64;
         let (mut squares_before, mut squares_after) = (0.0, 0.0);
         for k in 0..self.d {
-            // A column's correlation with itself stays.
+            // A column's correlation with itself does not change.
             after[k] = if k == j { before[k] } else { before[k] + moved * (p[k] - q[k]) };
             squares_before += before[k] * before[k];
             squares_after += after[k] * after[k];
@@ -197,7 +197,7 @@ impl<'a> Cloud<'a> {
         squares_after <= squares_before.max(allowed)
     }
 
-    /// Whether a point outside `skip` would be nearer to `x` than `aim`.
+    /// Whether a point outside `skip` is nearer to `x` than `aim`.
     fn any_nearer(&mut self, x: &[f64], skip: [u32; 2], aim: f64) -> bool {
         let mut search = Search::new(&self.grid, self.at, x, skip, aim, Wanted::Any);
         let found = search.run().is_some();
@@ -212,20 +212,20 @@ impl<'a> Cloud<'a> {
     }
 }
 
-/// The neighbour index: equal cells over the first axes, no narrower than the distance asked about, so
-/// that a point nearer than that lies in the same cell or in one beside it. About one point to a
-/// cell; a single cell where the distance exceeds half the cube.
+/// The neighbour index: equal cells over the first axes, at least as wide as the query distance. A point nearer than
+/// that is in the same cell or in an adjacent one. There is about one point per cell, and a single cell if the distance
+/// exceeds half the cube.
 #[derive(Default)]
 struct Grid {
     axes: usize,
     cells_per_axis: usize,
-    /// The first point of each cell's chain, and after each point the next.
+    /// The first point of each cell's chain, and the next point after each point.
     first: Vec<u32>,
     next: Vec<u32>,
 }
 
-/// The end of a chain.
-const NOBODY: u32 = u32::MAX;
+/// Marks the end of a chain.
+const END: u32 = u32::MAX;
 
 impl Grid {
     fn over(at: &[f64], d: usize, distance: f64) -> Self {
@@ -235,7 +235,7 @@ impl Grid {
         let cells_per_axis = ((1.0 / distance) as usize).clamp(1, by_room);
         let axes = if cells_per_axis == 1 { 0 } else { (room.ln() / (cells_per_axis as f64).ln()) as usize }.min(d);
         let cells = cells_per_axis.pow(axes as u32);
-        let mut grid = Self { axes, cells_per_axis, first: vec![NOBODY; cells], next: vec![NOBODY; n] };
+        let mut grid = Self { axes, cells_per_axis, first: vec![END; cells], next: vec![END; n] };
         for (p, point) in at.chunks_exact(d).enumerate() {
             grid.insert(grid.cell(point), p as u32);
         }
@@ -264,21 +264,21 @@ impl Grid {
     }
 }
 
-/// What a search is to find within its distance.
+/// What a search looks for within its distance.
 #[derive(PartialEq)]
 enum Wanted {
     Nearest,
     Any,
 }
 
-/// One question to the grid.
+/// A query to the grid.
 struct Search<'a> {
     grid: &'a Grid,
     at: &'a [f64],
     x: &'a [f64],
     skip: [u32; 2],
     wanted: Wanted,
-    /// Squared; shrinks to what was found.
+    /// Squared search radius. It shrinks to the distance of the nearest point found.
     within: f64,
     found: bool,
     looks: u64,
@@ -289,7 +289,7 @@ impl<'a> Search<'a> {
         Self { grid, at, x, skip, wanted, within: distance * distance, found: false, looks: 0 }
     }
 
-    /// The distance of what was found.
+    /// Runs the search and returns the distance of the point found.
     fn run(&mut self) -> Option<f64> {
         self.descend(0, 0, 0.0);
         self.found.then(|| self.within.sqrt())
@@ -299,8 +299,8 @@ impl<'a> Search<'a> {
         self.found && self.wanted == Wanted::Any
     }
 
-    /// Goes through the cells that agree with `cell` on the axes before `axis`; `gap` is the squared distance
-    /// to them along those axes.
+    /// Visits the cells that agree with `cell` on the axes before `axis`. `gap` is the squared distance to them along
+    /// those axes.
     fn descend(&mut self, axis: usize, cell: usize, gap: f64) {
         if axis == self.grid.axes {
             return self.look_into(cell);
@@ -322,7 +322,7 @@ impl<'a> Search<'a> {
     fn look_into(&mut self, cell: usize) {
         self.looks += 1;
         let mut p = self.grid.first[cell];
-        while p != NOBODY && !self.done() {
+        while p != END && !self.done() {
             self.looks += 1;
             if !self.skip.contains(&p) {
                 let squared = squared_distance(self.x, &self.at[p as usize * self.x.len()..][..self.x.len()]);
@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn the_index_finds_the_neighbour_that_looking_at_everyone_finds() {
+    fn index_matches_brute_force_search() {
         for (n, d, distance) in [(400, 5, 0.2), (400, 2, 0.03), (50, 3, 0.6), (300, 12, 0.45), (400, 1, 0.001)] {
             let at = cloud(n, d);
             let grid = Grid::over(&at, d, distance);
@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_moves_without_a_budget() {
+    fn zero_budget_moves_nothing() {
         let n = 500;
         let mut at: Vec<f64> =
             (0..n).flat_map(|i| [i, i * 7 % n, i * 11 % n].map(|s| (s as f64 + 0.5) / n as f64)).collect();

@@ -14,10 +14,10 @@ pub use uniform::Uniform;
 
 use crate::Sampler;
 
-/// The names by which settings call a sampler.
+/// The names of the samplers in settings.
 pub const NAMES: [&str; 3] = ["latin_hypercube", "sobol", "uniform"];
 
-/// The sampler of this name, as it is by default; `None` where there is none.
+/// The sampler with this name, with default settings. `None` if the name is unknown.
 ///
 /// ```
 /// use robogate_core::samplers;

@@ -14,29 +14,28 @@ const MOST_PARAMETERS: usize = DIRECTIONS.len() + 1;
 
 /// The first n points of a scrambled Sobol sequence.
 ///
-/// Sobol's sequence fills the unit cube evenly: with n = 2^m points, each of the n equal strata of each
-/// parameter holds exactly one, and so does each of many boxes over several parameters ((t, m, s)-nets; Sobol
-/// 1967). Direction numbers are those of Joe and Kuo (2008, SIAM J. Sci. Comput. 30(5), `new-joe-kuo-6`),
-/// points come in the Gray-code order of Antonov and Saleev (1979), and none is left out at the start
-/// (Owen 2022, "On dropping the first Sobol' point").
+/// Sobol's sequence fills the unit cube evenly. With n = 2^m points, each of the n equal strata of each parameter holds
+/// exactly one, and so does each of many boxes over several parameters ((t, m, s)-nets; Sobol 1967). Direction numbers
+/// are those of Joe and Kuo (2008, SIAM J. Sci. Comput. 30(5), `new-joe-kuo-6`). Points are in the Gray-code order of
+/// Antonov and Saleev (1979), including the first point (Owen 2022, "On dropping the first Sobol' point").
 ///
-/// Each coordinate is scrambled by nested uniform digit permutations (Owen 1995): digit i is flipped by a
-/// random bit that belongs to the digits before it. The bits come from a hash keyed by the stream instead of a
-/// stored tree; the first 32 digits are Sobol's, the other 21 are random, which is what the full scrambling
-/// gives for up to 2^32 points. Every point alone is uniform, the net property stays, so a mean over
-/// the points is unbiased, with a variance of o(1/n) for square-integrable functions (Owen 1997).
+/// Each coordinate is scrambled by nested uniform digit permutations (Owen 1995): digit i is flipped by a random bit
+/// that depends on the preceding digits. The bits come from a hash keyed by the stream instead of a stored tree. The
+/// first 32 digits are Sobol's and the other 21 are random, which equals full scrambling for up to 2^32 points. Every
+/// single point is uniform, and the net property is kept. A mean over the points is unbiased, with a variance of o(1/n)
+/// for square-integrable functions (Owen 1997).
 ///
-/// Integers and categories take their levels by the rank of their scrambled coordinate, so that each
-/// occurs floor(n/k) or ceil(n/k) times at any n. Where k divides n = 2^m those are the levels that the sequence
-/// itself would give; else a few points move to the neighbouring level. At n other than a power of two the
-/// continuous parameters are still evenly spread, but not one to a stratum.
+/// Integers and categories take their levels by the rank of their scrambled coordinate: each occurs floor(n/k) or
+/// ceil(n/k) times for any n. If k divides n = 2^m, these are the levels of the sequence itself; otherwise a few points
+/// move to the neighbouring level. If n is not a power of two, the continuous parameters are still evenly spread, but
+/// strata can hold zero or several points.
 ///
-/// Correlated parameters come from their Gaussian copula, by the conditional (Rosenblatt) transformation of the points:
-/// means stay unbiased and each parameter uniform, but of correlated parameters only the first still has one point to a
-/// stratum.
+/// Correlated parameters use a Gaussian copula with the conditional (Rosenblatt) transformation of the points. Means
+/// stay unbiased and each parameter stays uniform, but among correlated parameters only the first still has one point
+/// per stratum.
 ///
-/// Points are dependent: a binomial interval taken from them is not exact. Up to 2^31 points and
-/// 64 parameters.
+/// The points are dependent, and a binomial interval computed from them is not exact. The limits are 2^31 points and 64
+/// parameters.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Sobol;
 
@@ -76,7 +75,7 @@ impl Sobol {
     }
 }
 
-/// The first `n` points over `d` dimensions, scrambled, row by row, as multiples of 2^-53.
+/// The first `n` scrambled points in `d` dimensions, row by row, as multiples of 2^-53.
 fn scrambled(n: usize, d: usize, stream: &mut Stream) -> Vec<f64> {
     const SCALE: f64 = 1.0 / (1_u64 << 53) as f64;
     let keys: Vec<u64> = (0..d).map(|_| stream.bits()).collect();
@@ -87,7 +86,7 @@ fn scrambled(n: usize, d: usize, stream: &mut Stream) -> Vec<f64> {
     unit
 }
 
-/// Shows the first `n` points of the sequence as 32-bit fractions.
+/// Calls `show` with each of the first `n` points of the sequence, as 32-bit fractions.
 fn for_each_point(n: usize, d: usize, mut show: impl FnMut(&[u32])) {
     let directions: Vec<[u32; 32]> = (0..d).map(direction_numbers).collect();
     let mut point = vec![0; d];
@@ -101,7 +100,7 @@ fn for_each_point(n: usize, d: usize, mut show: impl FnMut(&[u32])) {
 
 /// The direction numbers v_1..v_32 of a dimension (from 0), as 32-bit fractions.
 fn direction_numbers(dimension: usize) -> [u32; 32] {
-    // The first dimension is van der Corput's sequence: m_i = 1 throughout.
+    // The first dimension is the van der Corput sequence: m_i = 1 for all i.
     let Some(&(degree, coefficients, initial)) = dimension.checked_sub(1).and_then(|i| DIRECTIONS.get(i)) else {
         return std::array::from_fn(|i| 1 << (31 - i));
     };
@@ -119,9 +118,9 @@ fn direction_numbers(dimension: usize) -> [u32; 32] {
     v
 }
 
-/// Owen's scrambling of one coordinate: 53 digits, the first 32 of them `x`'s, permuted.
+/// Owen's scrambling of one coordinate. The result has 53 digits; the first 32 are the permuted digits of `x`.
 fn scramble(x: u32, key: u64) -> u64 {
-    // A node of the digit tree is the digits before, with a leading 1 to tell 0 from 00.
+    // A node of the digit tree is the preceding digits with a leading 1, which distinguishes 0 from 00.
     let node = |digits: u32| (1_u64 << digits) | (u64::from(x) >> (32 - digits));
     let flips = (0..32).fold(0_u32, |flips, digit| flips << 1 | (hash(key, node(digit)) >> 63) as u32);
     u64::from(x ^ flips) << 21 | hash(key, node(32)) >> 43
@@ -180,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn unscrambled_points_are_those_of_scipy() {
+    fn unscrambled_points_match_scipy() {
         let Reference { near_bits, near, far_index, far_bits, far, .. } = reference();
         let mut i = 0;
         for_each_point(far_index + far.len(), MOST_PARAMETERS, |point| {
@@ -202,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn direction_numbers_are_odd_and_below_their_power_of_two() {
+    fn direction_numbers_are_valid() {
         for (degree, coefficients, initial) in DIRECTIONS {
             assert_eq!(initial.len(), degree);
             assert!(coefficients < 1 << (degree - 1));
@@ -211,14 +210,14 @@ mod tests {
     }
 
     #[test]
-    fn the_discrepancy_measured_here_is_that_of_scipy() {
+    fn discrepancy_matches_scipy() {
         let expected = reference().centred_discrepancy_of_first_50_points_in_5_dimensions;
         let got = centred_discrepancy(&unscrambled(50, 5), 5);
         assert!((got - expected).abs() < 1e-13, "{got} {expected}");
     }
 
     #[test]
-    fn scrambled_points_are_spread_more_evenly_than_independent_ones() {
+    fn scrambling_beats_independent_points() {
         for (n, d) in [(64, 3), (256, 5), (250, 5), (512, 8)] {
             for seed in 0..10 {
                 let sobol = centred_discrepancy(&scrambled(n, d, &mut stream(seed)), d);
@@ -231,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn each_stratum_of_each_dimension_holds_one_of_a_power_of_two_points() {
+    fn power_of_two_fills_each_stratum() {
         for m in [0, 1, 3, 8, 12] {
             let n = 1 << m;
             let unit = scrambled(n, MOST_PARAMETERS, &mut stream(m));
@@ -245,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn each_elementary_box_of_the_first_two_dimensions_holds_one_point() {
+    fn elementary_boxes_have_one_point() {
         // A (0, m, 2)-net: 2^m boxes of any shape 2^-a x 2^-(m-a).
         let m = 10;
         let unit = scrambled(1 << m, 2, &mut stream(1));
@@ -260,8 +259,8 @@ mod tests {
     }
 
     #[test]
-    fn each_orthant_holds_one_of_as_many_points() {
-        // Sobol's property A, which Joe and Kuo's numbers have and scrambling keeps.
+    fn each_orthant_has_one_point() {
+        // Sobol's property A, which Joe and Kuo's numbers have and scrambling preserves.
         let d = 12;
         let unit = scrambled(1 << d, d, &mut stream(2));
         let orthant = |point: &[f64]| point.iter().fold(0, |cell, u| cell << 1 | usize::from(*u >= 0.5));
@@ -271,9 +270,9 @@ mod tests {
     }
 
     #[test]
-    fn each_scrambled_point_alone_is_uniform() {
-        // The first point, at 0 before scrambling, over 40,000 streams: mean and variance of its coordinates
-        // within five standard errors, sqrt(1/12 / N) and sqrt(1/180 / N).
+    fn single_scrambled_point_is_uniform() {
+        // The first point is 0 before scrambling. Over 40,000 streams, mean and variance of its coordinates are within
+        // five standard errors, sqrt(1/12 / N) and sqrt(1/180 / N).
         let numbers: Vec<f64> = (0..20_000).flat_map(|seed| scrambled(1, 2, &mut stream(seed))).collect();
         let n = numbers.len() as f64;
         let mean = numbers.iter().sum::<f64>() / n;
@@ -283,8 +282,8 @@ mod tests {
     }
 
     #[test]
-    fn digits_of_one_node_are_flipped_alike_and_of_two_nodes_apart() {
-        // Nested: two coordinates that agree in i digits agree in i digits after, and not in the next.
+    fn scrambling_is_nested() {
+        // Two coordinates that agree in their first i digits still agree in exactly i digits after scrambling.
         let mut draws = stream(3);
         for _ in 0..1_000 {
             let x = draws.bits() as u32;

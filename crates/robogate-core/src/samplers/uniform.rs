@@ -1,15 +1,16 @@
-//! Independent uniform draws.
+//! Independent uniform sampling.
 
 use std::sync::Arc;
 
 use crate::copula::Copula;
 use crate::{Design, DesignError, ParameterSpace, Sampler, Stream};
 
-/// Independent draws, uniform in each parameter's own scale: the plain Monte Carlo design, whose
-/// points are exchangeable and whose binomial intervals are exact.
+/// Independent draws, uniform in each parameter's scale: the plain Monte Carlo design. Its points are exchangeable, and
+/// binomial intervals are exact.
 ///
-/// Integers and categories are drawn like the rest and so are not balanced: balance would make
-/// the points dependent. Correlated parameters come from their Gaussian copula, exactly. Any subset of the points is again such a design. Any number of points and parameters.
+/// Integers and categories are also drawn independently and are not balanced, because balancing would make the points
+/// dependent. Correlated parameters have exactly the distribution of their Gaussian copula. Any subset of the points is
+/// again such a design. Points and parameters are unlimited.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Uniform;
 

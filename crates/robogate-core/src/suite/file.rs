@@ -1,4 +1,4 @@
-//! The form in which a suite is written, and what it comes to.
+//! The TOML form of a suite and its conversion to scenarios.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -18,51 +18,51 @@ type Table = BTreeMap<Arc<str>, Given>;
 #[serde(deny_unknown_fields)]
 #[schemars(rename = "Suite")]
 pub(super) struct SuiteFile {
-    /// The version of this form: 1.
+    /// The version of the file format: 1.
     schema: u32,
     /// The suite's name.
     pub(super) name: String,
-    /// Its version, in your own counting.
+    /// The version of the suite, chosen by its author.
     pub(super) version: String,
-    /// What it is for.
+    /// The purpose of the suite.
     pub(super) description: String,
-    /// What every scenario has where neither it nor its group says otherwise.
+    /// Parameters of every scenario, unless the scenario or its group sets them.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     defaults: Table,
-    /// The groups, in the order in which they are run.
+    /// The groups, in execution order.
     group: Vec<GroupFile>,
 }
 
-/// Scenarios that ask the same question.
+/// A group of related scenarios.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(rename = "SuiteGroup")]
 struct GroupFile {
-    /// Its name, once in its category.
+    /// The name, unique within the category.
     name: String,
-    /// The category that it counts for.
+    /// The category in which the group counts.
     category: String,
-    /// What it asks.
+    /// The purpose of the group.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     description: Option<String>,
-    /// What its scenarios have where they do not say otherwise.
+    /// Parameters of the group's scenarios, unless a scenario sets them.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     defaults: Table,
-    /// Its scenarios, at least one.
+    /// The scenarios, at least one.
     scenarios: Vec<ScenarioFile>,
 }
 
-/// One scenario: its id, and the parameters in which it differs from the defaults.
+/// One scenario: its id and the parameters that differ from the defaults.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[schemars(rename = "SuiteScenario")]
 struct ScenarioFile {
-    /// Its name, once in the suite.
+    /// The id, unique in the suite.
     id: String,
     #[serde(flatten)]
     parameters: Table,
 }
 
-/// A number, a word, a list of words or a range `{ low, high }`. What is no single value is drawn in each round.
+/// A number, a word, a list of words or a range `{ low, high }`. A list or a range is sampled again in each round.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[serde(untagged)]
 enum Given {
@@ -74,7 +74,7 @@ enum Given {
     Range(Ends<f64>),
 }
 
-/// Whole ends make a whole-number range, both included.
+/// The ends of a range. Two integer ends give an integer range, both included.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[schemars(rename = "SuiteRange")]
 struct Ends<T> {
@@ -82,7 +82,7 @@ struct Ends<T> {
     high: T,
 }
 
-/// Read by hand: a flattened table would forget in which line its keys stood.
+/// Implemented by hand, because a flattened table loses the line numbers of its keys.
 impl<'de> Deserialize<'de> for ScenarioFile {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct Keys;
@@ -109,7 +109,7 @@ impl<'de> Deserialize<'de> for ScenarioFile {
     }
 }
 
-/// Read by hand: of an untagged enum an error would not say what was expected.
+/// Implemented by hand, because the error for an untagged enum does not name the expected forms.
 impl<'de> Deserialize<'de> for Given {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct Any;
@@ -168,7 +168,7 @@ impl<'de> Deserialize<'de> for Given {
     }
 }
 
-/// Numbers are of one kind, words of the other.
+/// The kind of a value: number or word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Integer,
@@ -199,7 +199,7 @@ impl Given {
         }
     }
 
-    /// The same as a domain, where it is one that is not empty.
+    /// The same value as a domain. `None` for a single value or an empty domain.
     fn domain(&self) -> Option<Domain> {
         match self {
             Self::Integer(_) | Self::Number(_) | Self::Word(_) => None,
@@ -211,17 +211,17 @@ impl Given {
         }
     }
 
-    /// What is wrong with it by itself.
+    /// Checks the value by itself.
     fn check(&self, name: &Arc<str>) -> Result<(), crate::SpaceError> {
         let domain = self.domain().unwrap_or_else(|| match self {
-            // A value stands for the narrowest range about it: what this lacks, the value lacks too.
+            // A value is checked as the narrowest range around it, which gives the same errors.
             Self::Number(x) => Domain::Continuous { low: *x, high: x.next_up(), scale: Scale::Linear },
             _ => Domain::Integer { low: 0, high: 0 },
         });
         ParameterSpace::new("", vec![Parameter { name: Arc::clone(name), domain }]).map(drop)
     }
 
-    /// As part of a parameter of this kind in all.
+    /// The value as part of a parameter that has this kind in the whole suite.
     fn spread(&self, kind: Kind) -> Spread {
         match (self, kind) {
             (Self::Integer(n), Kind::Number) => Spread::Fixed(Value::Number(*n as f64)),
@@ -240,7 +240,7 @@ impl Given {
 }
 
 impl SuiteFile {
-    /// The scenarios with all their parameters, and the space of these; or everything that is wrong.
+    /// Returns the scenarios with all their parameters and the space of these, or all problems.
     pub(super) fn resolve(&self) -> Result<(Vec<Case>, ParameterSpace), Vec<SuiteProblem>> {
         let mut problems = Vec::new();
         if self.schema != Suite::SCHEMA {
@@ -318,7 +318,7 @@ impl SuiteFile {
         problems.extend(twice.map(|same| SuiteProblem::DuplicateId { id: same[0].to_owned() }));
     }
 
-    /// Each value where it stands, used or not.
+    /// Checks each value in the file, used or not.
     fn check_values(&self, problems: &mut Vec<SuiteProblem>) {
         let mut table = |place: &dyn Fn() -> String, table: &Table| {
             let errors = table.iter().filter_map(|(name, given)| given.check(name).err());
@@ -333,7 +333,7 @@ impl SuiteFile {
         }
     }
 
-    /// Every parameter of the suite and of which kind it is in all.
+    /// Returns every parameter of the suite with its kind.
     fn kinds(&self, problems: &mut Vec<SuiteProblem>) -> BTreeMap<Arc<str>, Kind> {
         let mut kinds: BTreeMap<Arc<str>, (Kind, &str)> = BTreeMap::new();
         let names = self.group.iter().map(|group| &group.defaults).chain([&self.defaults]);
@@ -367,10 +367,10 @@ impl SuiteFile {
     }
 }
 
-/// Width of the range of a continuous parameter that is one number throughout, relative to it or to 1.
+/// Relative width of the range of a continuous parameter that is constant (relative to the larger of its value and 1).
 const CONSTANT_WIDTH: f64 = 1e-3;
 
-/// The least domain that holds all of them; they are of one kind.
+/// The smallest domain that holds all values. They have the same kind.
 fn cover<'a>(spreads: impl Iterator<Item = &'a Spread>) -> Domain {
     let mut all: Option<Domain> = None;
     for spread in spreads {
@@ -392,7 +392,7 @@ fn cover<'a>(spreads: impl Iterator<Item = &'a Spread>) -> Domain {
                 let new: Vec<_> = more.into_iter().filter(|word| !choices.contains(word)).collect();
                 choices.extend(new);
             }
-            // Of another kind there is none: that would have been a problem.
+            // Values of mixed kinds were already reported as a problem.
             _ => {}
         }
     }

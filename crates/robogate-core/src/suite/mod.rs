@@ -1,4 +1,4 @@
-//! Scenarios that were chosen one by one: a gate's questions, in place of a space to draw from.
+//! Suites: scenarios that were chosen one by one, in place of a parameter space.
 
 mod file;
 mod problem;
@@ -13,11 +13,11 @@ pub use self::problem::{SuiteError, SuiteProblem};
 use crate::samplers::LatinHypercube;
 use crate::{Assignment, Domain, ParameterSpace, Sampler, Scenario, Seed, Value};
 
-/// A list of scenarios in groups, each with a value or a small range for every parameter of the suite.
+/// A suite: a list of scenarios in groups. Each scenario has a value or a small range for every parameter of the suite.
 ///
-/// Written in TOML. What a scenario does not say stands in its group's `defaults`, and what these do not say in the
-/// suite's. A range `{ low, high }` or a list of words is drawn from anew in each round; everything else
-/// is as it stands there:
+/// Suites are written in TOML. A parameter that a scenario does not set comes from its group's `defaults`, and
+/// otherwise from the suite's. A range `{ low, high }` or a list of words is sampled again in each round; single values
+/// stay the same:
 ///
 /// ```
 /// let suite = robogate_core::Suite::from_toml(
@@ -43,7 +43,7 @@ use crate::{Assignment, Domain, ParameterSpace, Sampler, Scenario, Seed, Value};
 /// # Ok::<(), robogate_core::SuiteError>(())
 /// ```
 ///
-/// What its parameters mean, and in which range, is the simulator's to say.
+/// The environment defines the meaning and the allowed range of each parameter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "SuiteFile", into = "SuiteFile")]
 #[schemars(with = "SuiteFile")]
@@ -56,27 +56,27 @@ pub struct Suite {
 /// One scenario of a suite.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Case {
-    /// Its name, once in the suite.
+    /// The id, unique in the suite.
     pub id: String,
     /// The category of its group.
     pub category: String,
-    /// Its group.
+    /// The group.
     pub group: String,
-    /// For every parameter of the suite, in the order of its space.
+    /// A value or range for every parameter of the suite, in the order of its space.
     pub parameters: Vec<(Arc<str>, Spread)>,
 }
 
-/// What one parameter may be in one scenario.
+/// The value or range of one parameter in one scenario.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Spread {
-    /// The same in every round.
+    /// The same value in every round.
     Fixed(Value),
-    /// Drawn in every round.
+    /// Sampled again in every round.
     Drawn(Domain),
 }
 
 impl Suite {
-    /// A suite of `scenarios` points of `space`, drawn by a Latin hypercube with this seed. It has one group.
+    /// Builds a suite of `scenarios` points of `space`, sampled by a Latin hypercube with this seed. It has one group.
     pub fn sampled(space: &Arc<ParameterSpace>, scenarios: usize, seed: u64) -> Result<Self, SuiteError> {
         let stream = Seed::campaign(seed).stream("sampled suite");
         let wrong = |why: String| SuiteError::Syntax(why);
@@ -103,10 +103,10 @@ impl Suite {
         serde_json::from_value(file).map_err(|why| wrong(why.to_string()))
     }
 
-    /// The version of the file's form that is written here, and the newest that is read.
+    /// The version of the file format that is written, and the newest one that is read.
     pub const SCHEMA: u32 = 1;
 
-    /// Reads a suite from TOML. A syntax error names line and key; of errors of meaning all are told at once.
+    /// Reads a suite from TOML. A syntax error names line and key. Errors of content are all reported at once.
     pub fn from_toml(text: &str) -> Result<Self, SuiteError> {
         let file: SuiteFile = toml::from_str(text).map_err(|e| SuiteError::Syntax(e.to_string()))?;
         Self::try_from(file)
@@ -117,47 +117,47 @@ impl Suite {
         &self.file.name
     }
 
-    /// Its version, in its author's own counting.
+    /// The version, chosen by the suite's author.
     pub fn version(&self) -> &str {
         &self.file.version
     }
 
-    /// What it is for.
+    /// The purpose of the suite.
     pub fn description(&self) -> &str {
         &self.file.description
     }
 
-    /// What a group asks, where its author said so.
+    /// The description of a group, if its author wrote one.
     pub fn group_description(&self, category: &str, group: &str) -> Option<&str> {
         self.file.group_description(category, group)
     }
 
-    /// The scenarios, in the file's order: at least one.
+    /// The scenarios in the order of the file, at least one.
     pub fn cases(&self) -> &[Case] {
         &self.cases
     }
 
-    /// The least space that holds every scenario: what the dictionary's columns are made of.
+    /// The smallest space that contains every scenario. It defines the columns of the dictionary.
     ///
-    /// A number is continuous where any scenario gives it a fraction, else whole. A continuous parameter that
-    /// is one number throughout gets a range a thousandth wide, since a space knows no constants.
+    /// A number is continuous if any scenario gives it a fraction, otherwise an integer. A continuous parameter that is
+    /// constant gets a range with a relative width of 0.001, because a space has no constants.
     pub fn space(&self) -> &ParameterSpace {
         &self.space
     }
 
-    /// The scenario of episode `index`: the suite is run through in rounds, each in the file's order.
+    /// The case of episode `index`. The suite runs in rounds, each in the order of the file.
     pub fn case(&self, index: u64) -> &Case {
-        // Both fit: a suite has fewer scenarios than there are addresses.
+        // The conversion cannot overflow: a suite has fewer scenarios than there are addresses.
         &self.cases[(index % self.cases.len() as u64) as usize]
     }
 
-    /// Episode `index` of a campaign over the suite: a function of the campaign's seed and the index. `seed` may be
-    /// that of the campaign or of any of its episodes.
+    /// The scenario of episode `index` of a campaign over the suite. It depends only on the campaign's seed and the
+    /// index. `seed` may be the seed of the campaign or of any of its episodes.
     pub fn scenario(&self, seed: Seed, index: u64) -> Scenario {
         let seed = seed.episode(index);
         let value = |name: &str, spread: &Spread| match spread {
             Spread::Fixed(value) => value.clone(),
-            // A stream for each parameter: giving one a range does not shift another's numbers.
+            // Each parameter has a separate stream: giving one a range does not change the numbers of another.
             Spread::Drawn(domain) => domain.decode(domain.from_unit(seed.stream(&format!("suite-{name}")).uniform())),
         };
         let requested: Assignment =

@@ -1,13 +1,13 @@
-//! What can be wrong with a suite.
+//! Errors in a suite file.
 
 use std::fmt;
 
-/// Why a suite is none.
+/// The reason why a suite is invalid.
 #[derive(Debug, Clone, PartialEq)]
 pub enum SuiteError {
-    /// Not TOML, or not of the right form; the text has line, column and key.
+    /// Invalid TOML or an invalid structure. The text has line, column and key.
     Syntax(String),
-    /// It can be read and is wrong: everything that is, at least one.
+    /// The file can be read, but its content is invalid. Lists all problems, at least one.
     Problems(Vec<SuiteProblem>),
 }
 
@@ -30,27 +30,27 @@ impl fmt::Display for SuiteError {
     }
 }
 
-/// One thing that is wrong in a suite.
+/// One problem in a suite.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SuiteProblem {
-    /// A form that this version does not know.
-    #[error("schema = {found}, and this robogate reads schema {known}")]
+    /// An unsupported version of the file format.
+    #[error("schema = {found} is not supported: this version of robogate reads schema {known}")]
     Schema {
-        /// The file's.
+        /// The version in the file.
         found: u32,
-        /// Ours.
+        /// The supported version.
         known: u32,
     },
-    /// A word that is missing or can be none.
-    #[error("{what} is {text:?}; it must be made of letters, digits, `_`, `-` and `.`")]
+    /// A name that is missing or invalid.
+    #[error("{what} is {text:?}; expected letters, digits, `_`, `-` and `.`")]
     Word {
-        /// Whose it is.
+        /// What the name belongs to.
         what: String,
-        /// What stands there.
+        /// The text in the file.
         text: String,
     },
-    /// No scenario at all.
-    #[error("there is no scenario")]
+    /// The suite has no scenario.
+    #[error("the suite has no scenario; expected at least one")]
     Empty,
     /// A group without a scenario.
     #[error("group `{group}` has no scenario")]
@@ -58,23 +58,23 @@ pub enum SuiteProblem {
         /// The group.
         group: String,
     },
-    /// A group twice in its category.
-    #[error("group `{group}` of category `{category}` is there twice")]
+    /// A group that is listed twice in its category.
+    #[error("group `{group}` of category `{category}` is defined twice")]
     DuplicateGroup {
         /// The group.
         group: String,
-        /// Its category.
+        /// The category.
         category: String,
     },
-    /// Two scenarios of one id.
-    #[error("scenario id `{id}` is there twice")]
+    /// Two scenarios with the same id.
+    #[error("scenario id `{id}` is used twice")]
     DuplicateId {
         /// The id.
         id: String,
     },
-    /// A parameter that one scenario has and another has not.
+    /// A parameter that is set in one scenario and missing in another.
     #[error(
-        "scenario `{case}` has no `{parameter}`, which others have: give it there, or in the defaults of its group or of the suite"
+        "scenario `{case}` has no `{parameter}`, but other scenarios do: set it in the scenario, or in the defaults of its group or of the suite"
     )]
     Missing {
         /// The scenario.
@@ -82,29 +82,29 @@ pub enum SuiteProblem {
         /// The parameter.
         parameter: String,
     },
-    /// A parameter that is a number here and a word there.
+    /// A parameter that is a number in one scenario and a word in another.
     #[error("`{parameter}` is a {one} in scenario `{first}` and a {other} in `{case}`")]
     Mixed {
         /// The parameter.
         parameter: String,
-        /// What it is first.
+        /// The kind in the first scenario.
         one: &'static str,
-        /// Where.
+        /// The first scenario.
         first: String,
-        /// What it is then.
+        /// The kind in the other scenario.
         other: &'static str,
-        /// Where.
+        /// The other scenario.
         case: String,
     },
-    /// A value or range that is none.
+    /// An invalid value or range.
     #[error("{place}: {error}")]
     Value {
-        /// Whose defaults, or which scenario.
+        /// Where the value is: defaults or a scenario.
         place: String,
-        /// What is wrong.
+        /// The problem.
         error: crate::SpaceError,
     },
-    /// The parameters make no space together.
+    /// The parameters do not form a valid space.
     #[error(transparent)]
     Space(crate::SpaceError),
 }

@@ -1,4 +1,4 @@
-"""Writes correlation.json: what SciPy and NumPy say about Gaussian copulas and Iman and Conover's method.
+"""Writes correlation.json: SciPy and NumPy reference values for Gaussian copulas and Iman and Conover's method.
 
     python3 -m venv venv && venv/bin/pip install numpy==2.4.6 scipy==1.17.1 && venv/bin/python correlation.py
 """

@@ -1,4 +1,4 @@
-"""Writes sobol.json: what SciPy says about the unscrambled Sobol sequence.
+"""Writes sobol.json: SciPy reference values for the unscrambled Sobol sequence.
 
     pip install numpy==2.4.6 scipy==1.17.1
     python sobol.py > sobol.json
@@ -36,7 +36,7 @@ document = {
     "far_index": FAR,
     "far_bits": 30,
     "far": integers(far, 30),
-    # Squared, as SciPy returns it; an n that is no power of two and no multiple of four.
+    # Squared, as SciPy returns it; n is neither a power of two nor a multiple of four.
     "centred_discrepancy_of_first_50_points_in_5_dimensions": qmc.discrepancy(near[:50, :5], method="CD"),
 }
 print("{")

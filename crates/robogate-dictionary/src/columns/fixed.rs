@@ -1,38 +1,38 @@
-//! The columns that every dictionary has.
+//! The fixed columns of every dictionary.
 
-/// What a column holds.
+/// The data type of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// A real number, never NaN or infinite.
     Number,
     /// A signed integer.
     Integer,
-    /// An integer from 0.
+    /// An integer of at least 0.
     Count,
     /// A word or text.
     Text,
 }
 
-/// A column that every dictionary has.
+/// A column of every dictionary.
 #[derive(Debug, Clone, Copy)]
 pub struct FixedColumn {
-    /// Its name.
+    /// The name.
     pub name: &'static str,
-    /// What it holds.
+    /// The data type.
     pub kind: Kind,
-    /// Whether every row has a value; else a missing one is null, never 0 or NaN.
+    /// Whether every row has a value. Otherwise a missing value is null, never 0 or NaN.
     pub required: bool,
-    /// Whether few distinct values are expected.
+    /// Whether the column has few distinct values.
     pub(super) repeats: bool,
-    /// What it means.
+    /// The meaning of the column.
     pub meaning: &'static str,
 }
 
-/// The fixed columns in order; the last three exist since version 1.1.
+/// The fixed columns in order. The last three exist since version 1.1.
 ///
-/// Between `seed` and `applied_other` each parameter of the space has a column of its name (the requested value). After
-/// these each has one with the prefix `applied_` (the value read back from the environment, null where the reset failed).
-/// Before `ticks` each measure of the task has a column.
+/// Each parameter of the space has a column of its name with the requested value, between `seed` and `applied_other`.
+/// After these, each parameter has a column with the prefix `applied_`: the value read back from the environment, null
+/// if the reset failed. The measures of the task have columns before `ticks`.
 pub fn fixed_columns() -> impl Iterator<Item = &'static FixedColumn> {
     LEADING.iter().chain(&TRAILING).chain(&CLOSING).chain(&LABEL)
 }
@@ -44,7 +44,7 @@ pub(super) static LEADING: [FixedColumn; 5] = [
         kind: Kind::Count,
         required: true,
         repeats: false,
-        meaning: "the episode's index in its campaign; rows are in rising order of it",
+        meaning: "the episode's index in its campaign; rows are sorted by it",
     },
     FixedColumn {
         name: "stage",
@@ -53,7 +53,13 @@ pub(super) static LEADING: [FixedColumn; 5] = [
         repeats: true,
         meaning: "the stage of the campaign that ran it",
     },
-    FixedColumn { name: "design", kind: Kind::Text, required: true, repeats: true, meaning: "what sampled its point" },
+    FixedColumn {
+        name: "design",
+        kind: Kind::Text,
+        required: true,
+        repeats: true,
+        meaning: "the sampler of the point",
+    },
     FixedColumn {
         name: "weight",
         kind: Kind::Number,
@@ -66,7 +72,7 @@ pub(super) static LEADING: [FixedColumn; 5] = [
         kind: Kind::Count,
         required: true,
         repeats: true,
-        meaning: "the campaign's seed; with the index it determines everything random in the episode",
+        meaning: "the campaign's seed; with the index it determines all randomness of the episode",
     },
 ];
 
@@ -77,14 +83,14 @@ pub(super) static TRAILING: [FixedColumn; 10] = [
         kind: Kind::Text,
         required: false,
         repeats: false,
-        meaning: "applied values that fit no column: JSON [[name, number|integer|category, value], ...]",
+        meaning: "applied values that do not fit a column: JSON [[name, number|integer|category, value], ...]",
     },
     FixedColumn {
         name: "outcome",
         kind: Kind::Text,
         required: true,
         repeats: true,
-        meaning: "success, a failure mode, or invalid (no evidence)",
+        meaning: "success, a failure mode, or invalid",
     },
     FixedColumn {
         name: "failure_type",
@@ -105,7 +111,7 @@ pub(super) static TRAILING: [FixedColumn; 10] = [
         kind: Kind::Text,
         required: false,
         repeats: false,
-        meaning: "what happened in an invalid episode",
+        meaning: "the fault of an invalid episode as text",
     },
     FixedColumn {
         name: "cycle_time_s",
@@ -119,7 +125,7 @@ pub(super) static TRAILING: [FixedColumn; 10] = [
         kind: Kind::Text,
         required: false,
         repeats: true,
-        meaning: "the phase that the policy reported then",
+        meaning: "the phase that the policy reported at that time",
     },
     FixedColumn {
         name: "contact_robot_body",
@@ -133,7 +139,7 @@ pub(super) static TRAILING: [FixedColumn; 10] = [
         kind: Kind::Text,
         required: false,
         repeats: true,
-        meaning: "what it touched",
+        meaning: "the other body in the deciding contact",
     },
     FixedColumn {
         name: "contact_force_n",
@@ -146,13 +152,19 @@ pub(super) static TRAILING: [FixedColumn; 10] = [
 
 /// The columns after the measures.
 pub(super) static CLOSING: [FixedColumn; 2] = [
-    FixedColumn { name: "ticks", kind: Kind::Count, required: true, repeats: false, meaning: "control ticks run" },
+    FixedColumn {
+        name: "ticks",
+        kind: Kind::Count,
+        required: true,
+        repeats: false,
+        meaning: "number of control periods that ran",
+    },
     FixedColumn {
         name: "trajectory_hash",
         kind: Kind::Text,
         required: true,
         repeats: false,
-        meaning: "hash over the state at every tick, 16 hexadecimal digits: equal hashes, equal runs",
+        meaning: "hash over the state at every control period, 16 hexadecimal digits; equal hashes mean equal runs",
     },
 ];
 

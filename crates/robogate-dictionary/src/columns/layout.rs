@@ -1,4 +1,4 @@
-//! Where the columns of parameters and measures stand in a table.
+//! Positions of the parameter and measure columns in a table.
 
 use std::ops::Range;
 
@@ -6,20 +6,20 @@ use super::fixed::{CLOSING, LABEL, LEADING, TRAILING};
 use crate::schema::OLDEST;
 use crate::{SCHEMA_VERSION, SchemaVersion};
 
-/// Where the columns of parameters and measures stand in the table of a dictionary.
+/// Positions of the parameter and measure columns in the table of a dictionary.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Layout {
-    /// The requested parameters; as many applied ones follow.
+    /// The requested parameters. The same number of applied ones follows.
     pub(crate) parameters: Range<usize>,
     /// The measures.
     pub(crate) measures: Range<usize>,
-    /// A schema version with these fixed columns.
+    /// The schema version with these fixed columns.
     pub(crate) version: SchemaVersion,
 }
 
 impl Layout {
-    /// The layout of a table with columns of these names, in this order, where it can be one of a dictionary. Whether it
-    /// is one shows when its columns are compared with those of [`super::Columns::of`].
+    /// The layout for these column names, in this order. `None` if no dictionary can have them. The caller must still
+    /// compare them with the columns of [`super::Columns::of`].
     pub(crate) fn of(names: &[String]) -> Option<Self> {
         let place = |name: &str| names.iter().position(|column| column == name);
         let first = LEADING.len();

@@ -1,4 +1,4 @@
-//! An entry as a flat row, the form that Parquet, CSV and JSON Lines share.
+//! Conversion between entries and flat rows, for Parquet, CSV and JSON Lines.
 
 mod fixed;
 mod layout;
@@ -23,28 +23,28 @@ use crate::{DictionaryError, Entry, Label, SchemaVersion};
 /// One column.
 #[derive(Debug, Clone)]
 pub(crate) struct ColumnSpec {
-    /// Its name.
+    /// The name.
     pub(crate) name: String,
-    /// What it holds.
+    /// The data type.
     pub(crate) kind: Kind,
     /// Whether every row has a value.
     pub(crate) required: bool,
-    /// Whether few distinct values are expected.
+    /// Whether the column has few distinct values.
     pub(crate) repeats: bool,
 }
 
 /// One value of a row.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Cell<'a> {
-    /// Missing.
+    /// A missing value.
     Null,
-    /// Of a [`Kind::Number`].
+    /// A value of a [`Kind::Number`] column.
     Number(f64),
-    /// Of a [`Kind::Integer`].
+    /// A value of a [`Kind::Integer`] column.
     Integer(i64),
-    /// Of a [`Kind::Count`].
+    /// A value of a [`Kind::Count`] column.
     Count(u64),
-    /// Of a [`Kind::Text`].
+    /// A value of a [`Kind::Text`] column.
     Text(Cow<'a, str>),
 }
 
@@ -55,11 +55,11 @@ pub(crate) struct WrongCell {
     pub(crate) column: String,
     /// The offending value.
     pub(crate) value: String,
-    /// What is wrong with it.
+    /// The problem.
     pub(crate) reason: String,
 }
 
-/// Prefix of a parameter's name for its applied value.
+/// Prefix of the columns of applied values.
 const APPLIED: &str = "applied_";
 
 /// The columns of a dictionary of one task over one space.
@@ -68,13 +68,13 @@ pub(crate) struct Columns {
     space: ParameterSpace,
     measures: Vec<Word>,
     specs: Vec<ColumnSpec>,
-    /// Whether the last three are those of a suite's scenarios.
+    /// Whether the last three columns are those of a suite's scenarios.
     labelled: bool,
 }
 
 impl Columns {
-    /// The columns of `task` over `space` in this version of the schema; a parameter or measure must not take the name
-    /// of another column.
+    /// The columns of `task` over `space` in this version of the schema. Returns an error if a parameter or measure has
+    /// the name of another column.
     pub(crate) fn of(task: &TaskSpec, space: &ParameterSpace, version: SchemaVersion) -> Result<Self, DictionaryError> {
         let spec = |name, kind, required, repeats| ColumnSpec { name, kind, required, repeats };
         let fixed = |column: &FixedColumn| spec(column.name.to_owned(), column.kind, column.required, column.repeats);
@@ -101,7 +101,7 @@ impl Columns {
             .chain(CLOSING.iter().map(fixed))
             .chain(LABEL.iter().filter(|_| labelled).map(fixed))
             .collect();
-        // Readers on case-insensitive engines (DuckDB) would not tell `Mass` from `mass`.
+        // Case-insensitive readers (DuckDB) cannot distinguish `Mass` from `mass`.
         let mut names: Vec<(String, usize)> =
             specs.iter().enumerate().map(|(i, spec)| (spec.name.to_ascii_lowercase(), i)).collect();
         names.sort();
@@ -121,15 +121,15 @@ impl Columns {
         &self.specs
     }
 
-    /// Where the columns of requested and applied parameters stand.
+    /// Positions of the columns of requested and applied parameters.
     pub(crate) fn parameters(&self) -> Range<usize> {
         parameter_columns(&self.space)
     }
 
-    /// Writes `entry` as one cell for each column.
+    /// Writes `entry` as one cell per column.
     ///
-    /// What the columns cannot hold without loss is kept elsewhere or missing: an applied value of another kind or name is
-    /// in `applied_other`, a measure that is not finite is null.
+    /// Values that do not fit their column are kept elsewhere or dropped: an applied value of another kind or name goes
+    /// to `applied_other`, and a measure that is not finite becomes null.
     pub(crate) fn flatten<'a>(&self, entry: &'a Entry, cells: &mut Vec<Cell<'a>>) -> Result<(), DictionaryError> {
         entry.check()?;
         let Entry { stage, design, weight, label, episode } = entry;
@@ -179,9 +179,10 @@ impl Columns {
         };
         for parameter in self.space.parameters() {
             let name = &parameter.name;
-            let value = scenario.requested.get(name).ok_or_else(|| wrong(name, "was not requested".to_owned()))?;
+            let value =
+                scenario.requested.get(name).ok_or_else(|| wrong(name, "is missing in the request".to_owned()))?;
             let cell = fit(&parameter.domain, value).ok_or_else(|| {
-                wrong(name, format!("is {value}. Expected {}, as the space says", kind_word(&parameter.domain)))
+                wrong(name, format!("is {value}. Expected {}, as defined by the space", kind_word(&parameter.domain)))
             })?;
             cells.push(cell);
         }
@@ -202,7 +203,7 @@ impl Columns {
             match place.and_then(|i| Some((i, fit(&parameters[i].domain, value)?))) {
                 Some((i, cell)) => cells[start + i] = cell,
                 None => other.push(match value {
-                    // Debug is the shortest text that reads back to the same double, and has NaN and inf.
+                    // The Debug format is the shortest text that parses to the same double, and supports NaN and inf.
                     Value::Number(x) => (name, "number", format!("{x:?}")),
                     Value::Integer(n) => (name, "integer", n.to_string()),
                     Value::Category(word) => (name, "category", word.to_string()),
@@ -215,7 +216,7 @@ impl Columns {
         });
     }
 
-    /// The entry of a row of cells, one for each column.
+    /// Builds the entry of a row from one cell per column.
     pub(crate) fn unflatten(&self, cells: &[Cell<'_>], words: &mut Interner) -> Result<Entry, WrongCell> {
         let mut row = RowReader { specs: &self.specs, cells, at: 0 };
         let index = row.count()?;
@@ -257,12 +258,12 @@ impl Columns {
                 other_body: other.to_owned(),
                 force_n: force.unwrap_or(f64::NAN),
             }),
-            _ => return Err(row.wrong("belongs to a contact without one of its two bodies")),
+            _ => return Err(row.wrong("belongs to a contact that lacks one of its two bodies")),
         };
         let measures: Measures = self.measures.iter().map(|name| (*name, row.optional_number())).collect();
         let ticks = u32::try_from(row.count()?).map_err(|_| row.wrong("does not fit in 32 bits"))?;
         let hash = row.text()?;
-        // `from_str_radix` alone would take a sign and fewer digits, which no writer leaves.
+        // `from_str_radix` alone would accept a sign and fewer digits.
         let trajectory_hash = u64::from_str_radix(hash, 16)
             .ok()
             .filter(|_| hash.len() == 16 && !hash.starts_with('+'))
@@ -283,7 +284,7 @@ fn parameter_columns(space: &ParameterSpace) -> Range<usize> {
     LEADING.len()..LEADING.len() + 2 * space.len()
 }
 
-/// The text of the `failure_type` column; `None` for an invalid episode.
+/// The text of the `failure_type` column. `None` for an invalid episode.
 pub(crate) fn failure_type(outcome: &Outcome) -> Option<&'static str> {
     match outcome {
         Outcome::Success => Some("none"),
@@ -322,7 +323,7 @@ fn outcome(row: &mut RowReader<'_>) -> Result<Outcome, WrongCell> {
     }
 }
 
-/// The cells of one row, read in the order of the columns.
+/// Reads the cells of one row in the order of the columns.
 struct RowReader<'a> {
     specs: &'a [ColumnSpec],
     cells: &'a [Cell<'a>],
@@ -338,7 +339,7 @@ impl<'a> RowReader<'a> {
     fn count(&mut self) -> Result<u64, WrongCell> {
         match self.next() {
             Cell::Count(n) => Ok(*n),
-            _ => Err(self.wrong("is not an integer from 0")),
+            _ => Err(self.wrong("is not an integer of at least 0")),
         }
     }
 
@@ -364,7 +365,7 @@ impl<'a> RowReader<'a> {
         }
     }
 
-    /// An error about the cell that was read last.
+    /// An error about the last cell that was read.
     fn wrong(&self, reason: &str) -> WrongCell {
         let at = self.at.saturating_sub(1);
         let value = match self.cells.get(at) {
@@ -387,7 +388,7 @@ fn number(x: Option<f64>) -> Cell<'static> {
     x.filter(|x| x.is_finite()).map_or(Cell::Null, Cell::Number)
 }
 
-/// The value as a cell of a column of this domain, where that loses nothing.
+/// The value as a cell of a column of this domain, if the conversion is exact.
 fn fit<'a>(domain: &Domain, value: &'a Value) -> Option<Cell<'a>> {
     match (domain, value) {
         (Domain::Continuous { .. }, Value::Number(x)) if x.is_finite() => Some(Cell::Number(*x)),

@@ -1,4 +1,4 @@
-//! To the published JSON.
+//! Export to the published JSON.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -15,10 +15,10 @@ use crate::columns::failure_type;
 use crate::export::write_error;
 use crate::{Dictionary, DictionaryError, Entry};
 
-/// Writes the dictionary in the published schema, one row a line. Returns the number of rows.
+/// Writes the dictionary in the published schema, one row per line. Returns the number of rows.
 ///
-/// The schema has no place for invalid episodes: they are left out, and `metadata` gives their number. `metadata` also
-/// says that `zone` and `fail_prob` are left out. Parameters are the requested ones.
+/// The schema has no field for invalid episodes. They are omitted, and `metadata` gives their number. `metadata` also
+/// states that `zone` and `fail_prob` are omitted. Parameters are the requested values.
 pub fn export(dictionary: &Dictionary, mut out: impl Write) -> Result<u64, DictionaryError> {
     let mut counts = Counts::default();
     for entry in dictionary.entries() {
@@ -55,7 +55,7 @@ fn to_json(text: &mut Vec<u8>, value: &impl Serialize) -> Result<(), DictionaryE
     serde_json::to_writer(text, value).map_err(|e| write_error(e.into()))
 }
 
-/// The outcomes of a dictionary.
+/// Counts of the outcomes.
 #[derive(Default)]
 struct Counts {
     successes: u64,
@@ -85,7 +85,7 @@ impl Counts {
             "failure_count": self.total() - self.successes,
             "failure_types": types,
         });
-        // No episodes have no rate.
+        // Without episodes there is no rate.
         if self.total() > 0 {
             summary["success_rate"] = (self.successes as f64 / self.total() as f64).into();
         }
@@ -132,7 +132,7 @@ fn parameter_space(space: &ParameterSpace) -> Json {
 
 struct PublishedRow<'a> {
     entry: &'a Entry,
-    /// The flags of failure modes that the task has.
+    /// The flags of the task's failure modes.
     flags: &'a [&'a Flag],
 }
 

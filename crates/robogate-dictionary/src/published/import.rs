@@ -1,4 +1,4 @@
-//! From the published JSON.
+//! Import from the published JSON.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -26,7 +26,7 @@ use crate::{
 /// The result of an import.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Imported {
-    /// The provenance that was written; its `source` lists what was decided or left out.
+    /// The written provenance. Its `source` lists decisions and omissions.
     pub provenance: Provenance,
     /// The rows.
     pub written: Written,
@@ -34,9 +34,9 @@ pub struct Imported {
 
 /// Imports the published file `from` as the dictionary `to`.
 ///
-/// The file is read twice: once to derive the parameter space (observed ranges and words) and to check every row, once to
-/// write. Nothing is written where a row is wrong. Each row has weight 1: rates apply to the distribution that the rows
-/// were sampled from.
+/// The file is read twice: once to derive the parameter space (observed ranges and words) and to check every row, and
+/// once to write. If a row is invalid, no file is written. Each row has weight 1: rates apply to the distribution that
+/// the rows were sampled from.
 pub fn import(from: &Path, to: &Path) -> Result<Imported, DictionaryError> {
     let mut survey = Survey::default();
     let frame = rows::read(from, &mut |row| survey.row(from, row))?;
@@ -46,14 +46,14 @@ pub fn import(from: &Path, to: &Path) -> Result<Imported, DictionaryError> {
     let mut words = Interner::default();
     let again = rows::read(from, &mut |row| writer.push(&plan.entry(from, row, &mut words)?))?;
     if again.sha256 != frame.sha256 {
-        let reason = "it changed while it was read\nhint: import it once it is complete".to_owned();
+        let reason = "it changed during the import\nhint: import it once it is complete".to_owned();
         return Err(DictionaryError::Published { path: from.to_owned(), reason });
     }
     let written = writer.finish()?;
     Ok(Imported { provenance: plan.provenance, written })
 }
 
-/// What the first reading finds out.
+/// The results of the first pass.
 #[derive(Default)]
 struct Survey {
     rows: u64,
@@ -61,7 +61,7 @@ struct Survey {
     failures: BTreeMap<FailureMode, u64>,
     flagged_later: u64,
     fields: Fields,
-    /// The last sample index; `None` once they do not rise, or one is missing.
+    /// The last sample index. `None` once an index is missing or does not increase.
     last_sample: Option<i64>,
     samples_rise: bool,
 }
@@ -79,7 +79,7 @@ impl Survey {
                     return Err(row.wrong(
                         path,
                         FAILURE_TYPE,
-                        format!("is one failure mode too many. Expected at most {MOST_MODES} in a file"),
+                        format!("exceeds the limit of {MOST_MODES} failure modes per file"),
                     ));
                 }
                 let raised = FLAGS.iter().filter(|flag| row.get(flag.column) == Some(&Scalar::Bool(true))).count();
@@ -109,11 +109,11 @@ impl Survey {
         self.last_sample = sample;
     }
 
-    /// The totals of the file must be those of its rows.
+    /// Checks that the totals of the file match its rows.
     fn check_frame(&self, path: &Path, frame: &Frame) -> Result<(), DictionaryError> {
         let refuse = |reason: String| Err(DictionaryError::Published { path: path.to_owned(), reason });
         if self.rows == 0 {
-            return refuse("its `experiments` are empty. Expected at least one row".to_owned());
+            return refuse("its `experiments` array is empty. Expected at least one row".to_owned());
         }
         let failures = self.rows - self.successes;
         let whole = [
@@ -134,7 +134,7 @@ impl Survey {
         Ok(())
     }
 
-    /// The space, the provenance, and how rows become entries.
+    /// Returns the space, the provenance, and the conversion from rows to entries.
     fn plan(self, path: &Path, frame: &Frame) -> Result<Plan, DictionaryError> {
         let mut notes = Vec::new();
         let (mut fields, mut parameters) = (Vec::new(), Vec::new());
@@ -158,7 +158,7 @@ impl Survey {
                     row: Row(row),
                     column: field.name.to_string(),
                     value: "a missing value".to_owned(),
-                    reason: "cannot be used. Expected a value in every row, as other rows have it".to_owned(),
+                    reason: "cannot be used. Expected a value in every row, because other rows have one".to_owned(),
                 });
             }
             let here = free_name(&field.name);
@@ -209,13 +209,13 @@ impl Survey {
                 not_recorded: Vec::new(),
             }),
         };
-        // Refused here, before anything is written.
+        // Rejected here, before any file is written.
         Columns::of(&provenance.task, &provenance.space, SCHEMA_VERSION)?;
         Ok(Plan { provenance, fields, by_sample: self.samples_rise })
     }
 }
 
-/// Our name of a published parameter; it differs from the names of the other columns.
+/// The parameter name for a published name, distinct from all other columns.
 fn free_name(published: &str) -> String {
     let here = name_here(published);
     let parameter = |name: &str| Parameter { name: name.into(), domain: Domain::Integer { low: 0, high: 0 } };
@@ -229,12 +229,12 @@ fn is_parameter(name: &str) -> bool {
         && FLAGS.iter().all(|flag| flag.column != name)
 }
 
-/// How a row becomes an entry.
+/// The conversion from rows to entries.
 struct Plan {
     provenance: Provenance,
     /// The published names of the parameters, in the order of the space.
     fields: Vec<Arc<str>>,
-    /// Whether the index is the sample's, or the row's number.
+    /// Whether the index is the sample's index or the row number.
     by_sample: bool,
 }
 
@@ -251,13 +251,13 @@ impl Plan {
                     (Some(Scalar::Integer(n)), Domain::Continuous { .. })
                         if n.unsigned_abs() > EXACT_INTEGER.unsigned_abs() =>
                     {
-                        return Err(row.wrong(path, field, "has more digits than a real number keeps"));
+                        return Err(row.wrong(path, field, "has more digits than a double can represent"));
                     }
                     (Some(Scalar::Integer(n)), Domain::Continuous { .. }) => Value::Number(*n as f64),
                     (Some(Scalar::Integer(n)), _) => Value::Integer(*n),
                     (Some(Scalar::Number(x)), _) => Value::Number(*x),
                     (Some(Scalar::Text(text)), _) => Value::Category(words.get(text)),
-                    _ => return Err(row.wrong(path, field, "is not a value that a parameter can have")),
+                    _ => return Err(row.wrong(path, field, "cannot be the value of a parameter")),
                 };
                 Ok((Arc::clone(&parameter.name), value))
             })
@@ -283,12 +283,12 @@ impl Plan {
     }
 }
 
-/// The flag that a failure of this mode raises.
+/// The flag column of this failure mode.
 fn flag_of(mode: FailureMode) -> Option<&'static str> {
     FLAGS.iter().find(|flag| flag.mode == mode).map(|flag| flag.column)
 }
 
-/// How the row's episode ended, by all of its fields.
+/// The outcome of the row's episode, from all of its fields.
 fn outcome(path: &Path, row: &RawRow) -> Result<Outcome, DictionaryError> {
     let Some(Scalar::Bool(success)) = row.get(SUCCESS) else {
         return Err(row.wrong(path, SUCCESS, "is neither true nor false"));
@@ -329,7 +329,7 @@ fn outcome(path: &Path, row: &RawRow) -> Result<Outcome, DictionaryError> {
 /// The row's cycle time, in seconds.
 fn cycle_time(path: &Path, row: &RawRow) -> Result<f64, DictionaryError> {
     non_negative(path, row, CYCLE_TIME)?
-        .ok_or_else(|| row.wrong(path, CYCLE_TIME, "is not a time. Expected seconds in every row"))
+        .ok_or_else(|| row.wrong(path, CYCLE_TIME, "is not a time. Expected a number of seconds in every row"))
 }
 
 /// The row's distance of the object from its target, in metres.

@@ -1,4 +1,4 @@
-//! The rows of a published file, one at a time.
+//! Reads the rows of a published file, one at a time.
 
 use std::io::BufReader;
 use std::path::Path;
@@ -10,7 +10,7 @@ use crate::DictionaryError;
 use crate::codec::Interner;
 use crate::raw::{AnyScalar, MOST_FIELDS, MOST_JSON, Metered, Name, RawRow};
 
-/// The file without its rows.
+/// The content of the file except its rows.
 #[derive(Debug)]
 pub(super) struct Frame {
     pub(super) metadata: Json,
@@ -19,7 +19,7 @@ pub(super) struct Frame {
     pub(super) sha256: String,
 }
 
-/// Reads the published file `path` and hands every row to `sink`.
+/// Reads the published file `path` and passes every row to `sink`.
 pub(super) fn read(
     path: &Path,
     sink: &mut dyn FnMut(&RawRow) -> Result<(), DictionaryError>,
@@ -42,14 +42,14 @@ pub(super) fn read(
     if !whole.experiments {
         return Err(DictionaryError::Published {
             path: path.to_owned(),
-            reason: "it has no `experiments`. Expected rows: a summary alone cannot be imported".to_owned(),
+            reason: "it has no `experiments`. Expected an array of rows: a summary alone cannot be imported".to_owned(),
         });
     }
     let Whole { metadata, summary, .. } = whole;
     Ok(Frame { metadata, summary, sha256: reader.sha256() })
 }
 
-/// The outermost object. Serde's errors are text; a typed error of `sink` waits in `error`.
+/// The outermost object. Serde errors are text only, so `error` keeps a typed error of `sink`.
 struct Whole<'a> {
     sink: &'a mut dyn FnMut(&RawRow) -> Result<(), DictionaryError>,
     error: Option<DictionaryError>,
@@ -116,7 +116,7 @@ impl<'de> Visitor<'de> for Rows<'_, '_> {
         while seq.next_element_seed(OneRow { row: &mut row, names: &mut names })?.is_some() {
             if let Err(error) = (self.0.sink)(&row) {
                 self.0.error = Some(error);
-                return Err(A::Error::custom("a row was refused"));
+                return Err(A::Error::custom("a row was rejected"));
             }
             row.number += 1;
         }
@@ -124,7 +124,7 @@ impl<'de> Visitor<'de> for Rows<'_, '_> {
     }
 }
 
-/// One flat object; the row's memory is reused.
+/// One flat object. The memory of the row is reused.
 struct OneRow<'a> {
     row: &'a mut RawRow,
     names: &'a mut Interner,

@@ -1,4 +1,4 @@
-//! Separated values with a header.
+//! Reads separated values with a header.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -10,7 +10,7 @@ use super::{Frame, Sink};
 use crate::DictionaryError;
 use crate::raw::{MOST_FIELDS, Metered, RawRow, Scalar};
 
-/// The longest record, in bytes. Without a bound a quote that is never closed would take in the whole file.
+/// Maximum bytes per record. Without it, an unclosed quote would consume the whole file.
 const LONGEST: u64 = 1 << 20;
 
 pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
@@ -53,7 +53,7 @@ fn delimiter(header: &[u8]) -> u8 {
     if count(most) == 0 { b',' } else { most }
 }
 
-/// The value of a field. Other tools write `nan` and the like for a missing value.
+/// Parses the value of a field. Other tools write `nan` and similar words for a missing value.
 fn scalar(text: &str) -> Scalar {
     let text = text.trim();
     if ["", "nan", "null", "none", "na", "n/a"].contains(&text.to_ascii_lowercase().as_str()) {
@@ -78,7 +78,7 @@ fn refuse(path: &Path, error: &::csv::Error) -> DictionaryError {
     let line = error.position().map_or_else(String::new, |position| format!("line {}: ", position.line()));
     let reason = match error.kind() {
         ErrorKind::Io(e) if e.kind() == std::io::ErrorKind::InvalidData => {
-            format!("{line}{e}\nhint: look for a quote that is opened and never closed")
+            format!("{line}{e}\nhint: look for a quote that is never closed")
         }
         ErrorKind::Utf8 { err, .. } => format!("{line}{err}. Expected UTF-8"),
         ErrorKind::UnequalLengths { expected_len, len, .. } => {

@@ -1,4 +1,4 @@
-//! Columns that hold one failure mode each: whether it happened.
+//! Flag columns: each indicates one failure mode.
 
 use robogate_core::FailureMode;
 
@@ -6,22 +6,22 @@ use super::Mapping;
 use super::role::Role;
 use crate::published;
 
-/// A column that holds one failure mode: whether it happened.
+/// A column that indicates one failure mode.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Flag {
     /// The failure mode.
     pub(super) mode: FailureMode,
-    /// The column; `None` where the one of that name is something else.
+    /// The column. `None` if the mapping uses the column of that name for another role.
     pub(super) column: Option<String>,
-    /// Whether an episode can have it and succeed all the same.
+    /// Whether an episode can have the flag and still succeed.
     pub(super) tolerated: bool,
-    /// Whether the source should have it: where it is missing, its failure mode is not recorded.
+    /// Whether the source should have the column. If it is missing, its failure mode is not recorded.
     pub(super) expected: bool,
 }
 
-/// The flags of a table: those of the published files, by the names of their columns, and those of the mapping.
+/// The flags of a table: the flags of the published files, by column name, and those of the mapping.
 ///
-/// A mapping with a flag of its own describes another task. Of such a source the published flags are not expected.
+/// A mapping with its own flags describes another task. The published flags are then not expected.
 pub(super) fn of(mapping: &Mapping) -> Vec<Flag> {
     let is_published = |mode: FailureMode| published::FLAGS.iter().any(|flag| flag.mode == mode);
     let another_task = mapping.flags.keys().any(|mode| !is_published(*mode));
@@ -44,7 +44,7 @@ pub(super) fn of(mapping: &Mapping) -> Vec<Flag> {
     published.chain(own).collect()
 }
 
-/// Whether the mapping names this column for something else.
+/// Whether the mapping uses this column for another role.
 fn is_taken(mapping: &Mapping, column: &str) -> bool {
     mapping.names_parameter(column)
         || mapping.flags.values().any(|named| named == column)

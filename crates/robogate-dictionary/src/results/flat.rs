@@ -1,4 +1,4 @@
-//! A JSON object as a flat row: a nested field has a name with dots (`metrics.success`).
+//! Flattens a JSON object to a row. Names of nested fields contain dots (`metrics.success`).
 
 use std::fmt;
 use std::io::{BufReader, Read};
@@ -12,11 +12,11 @@ use crate::DictionaryError;
 use crate::codec::Interner;
 use crate::raw::{MOST_FIELDS, MOST_JSON, Meter, Metered, RawRow, Scalar};
 
-/// Adds the fields of one object to a row; the row is not emptied first.
+/// Adds the fields of one object to a row without clearing the row first.
 pub(super) struct FlatRow<'a> {
     pub(super) row: &'a mut RawRow,
     pub(super) names: &'a mut Interner,
-    /// The prefix of each name, with its dot.
+    /// The prefix of each name, including the dot.
     pub(super) prefix: &'a str,
 }
 
@@ -109,7 +109,7 @@ impl<'de> Visitor<'de> for OneField<'_> {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<(), A::Error> {
-        // Names grow with depth; longer ones are not columns.
+        // Names grow with depth. Longer ones cannot be columns.
         const LONGEST: usize = 200;
         if self.name.len() > LONGEST {
             return Err(A::Error::custom(format!("row {} is nested too deeply", self.row.number)));
@@ -119,7 +119,7 @@ impl<'de> Visitor<'de> for OneField<'_> {
     }
 }
 
-/// Rows read from a JSON document. Serde's errors are text; a typed one is kept here.
+/// Rows read from a JSON document. Serde errors are text only, so a typed error is kept here.
 pub(super) struct Rows<'a> {
     sink: Sink<'a>,
     meter: Meter,
@@ -129,7 +129,7 @@ pub(super) struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    /// Reads the JSON document `path`: `visit` reads it and passes on its rows. Returns its hash.
+    /// Reads the JSON document `path`. `visit` reads it and passes on its rows. Returns the hash of the file.
     pub(super) fn read(
         path: &Path,
         sink: Sink<'a>,
@@ -154,12 +154,12 @@ impl<'a> Rows<'a> {
         self.row.fields.push((name, value));
     }
 
-    /// Passes on the current row and starts the next.
+    /// Passes on the current row and starts the next one.
     pub(super) fn finish_row<E: Error>(&mut self) -> Result<(), E> {
         self.meter.reset();
         if let Err(error) = (self.sink)(&self.row) {
             self.error = Some(error);
-            return Err(E::custom("a row was refused"));
+            return Err(E::custom("a row was rejected"));
         }
         self.row.number += 1;
         self.row.fields.clear();
@@ -170,7 +170,7 @@ impl<'a> Rows<'a> {
 /// The reader of a JSON document.
 pub(super) type Json<'a> = serde_json::Deserializer<serde_json::de::IoRead<Box<dyn Read + 'a>>>;
 
-/// The scalars of an object as metadata, with prefixed names; arrays are left out.
+/// Collects the scalars of an object as metadata with prefixed names. Arrays are omitted.
 pub(super) struct Scalars<'a>(pub(super) &'a mut serde_json::Map<String, serde_json::Value>);
 
 impl<'de> DeserializeSeed<'de> for Scalars<'_> {
@@ -188,7 +188,7 @@ impl<'de> DeserializeSeed<'de> for Scalars<'_> {
     }
 }
 
-/// A scalar as metadata; a long text is left out.
+/// A scalar as metadata. A long text is omitted.
 pub(super) fn metadata(value: Scalar) -> Option<serde_json::Value> {
     const LONGEST: usize = 1000;
     Some(match value {

@@ -1,4 +1,4 @@
-//! Which layout a file has.
+//! File formats of results, and their recognition.
 
 use std::fmt;
 use std::fs::File;
@@ -10,18 +10,18 @@ use serde::de::{Deserializer, Error, IgnoredAny, MapAccess, Visitor};
 use super::Mapping;
 use crate::DictionaryError;
 
-/// A layout of per-episode results.
+/// A file format of per-episode results.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     /// The JSON of the dictionaries released with the paper ([`crate::published`]).
     Published,
-    /// LeRobot's `eval_info.json`: `per_episode`, or `per_task` since evaluations have several tasks.
+    /// LeRobot's `eval_info.json`: `per_episode`, or `per_task` in newer versions with several tasks.
     LeRobot,
     /// The aggregate JSON of vla-eval: `tasks` with `episodes`.
     VlaEval,
     /// Comma, semicolon or tab separated values with a header.
     Csv,
-    /// One JSON object on each line.
+    /// One JSON object per line.
     JsonLines,
     /// A flat Parquet file, uncompressed or snappy.
     Parquet,
@@ -32,7 +32,7 @@ impl Format {
     pub const ALL: [Self; 6] =
         [Self::Published, Self::LeRobot, Self::VlaEval, Self::Csv, Self::JsonLines, Self::Parquet];
 
-    /// Its name in options and provenance.
+    /// The name in options and provenance.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Published => "published_json",
@@ -44,7 +44,7 @@ impl Format {
         }
     }
 
-    /// Where its fields are, unless the user's mapping says otherwise.
+    /// The default mapping of the format.
     pub(super) fn mapping(self) -> Mapping {
         match self {
             Self::LeRobot => super::lerobot::mapping(),
@@ -60,10 +60,10 @@ impl fmt::Display for Format {
     }
 }
 
-/// The most bytes that are read to recognise a JSON object.
+/// Maximum number of bytes that are read to recognise a JSON object.
 const FIRST_LOOK: u64 = 16 << 20;
 
-/// Recognises a file by its content; its name is not used.
+/// Recognises the format by the content of the file. The file name is not used.
 pub(super) fn recognise(path: &Path) -> Result<Format, DictionaryError> {
     let file = File::open(path).map_err(DictionaryError::io(path, "open"))?;
     let mut reader = BufReader::with_capacity(1 << 16, file.take(FIRST_LOOK));
@@ -72,7 +72,7 @@ pub(super) fn recognise(path: &Path) -> Result<Format, DictionaryError> {
         DictionaryError::results(
             path,
             format!(
-                "{what}. Expected LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON, CSV, JSON Lines or Parquet\nhint: where it is one of them, name it with --format"
+                "{what}. Expected LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON, CSV, JSON Lines or Parquet\nhint: if it has one of these formats, select it with --format"
             ),
         )
     };
@@ -81,9 +81,9 @@ pub(super) fn recognise(path: &Path) -> Result<Format, DictionaryError> {
     }
     let text = start.strip_prefix(b"\xef\xbb\xbf").unwrap_or(start);
     match text.iter().find(|byte| !byte.is_ascii_whitespace()) {
-        None => return Err(unknown("it is empty")),
+        None => return Err(unknown("the file is empty")),
         Some(b'{') => {}
-        Some(b'[') => return Err(unknown("it is a JSON array, not one object on each line (JSON Lines)")),
+        Some(b'[') => return Err(unknown("it is a JSON array; expected one object per line (JSON Lines)")),
         Some(_) => {
             let line = text.split(|byte| *byte == b'\n').next().unwrap_or_default();
             let plain = std::str::from_utf8(line).is_ok_and(|line| !line.contains('\0'));
@@ -96,14 +96,14 @@ pub(super) fn recognise(path: &Path) -> Result<Format, DictionaryError> {
     match look.0 {
         Some(Seen::Format(format)) => Ok(format),
         Some(Seen::Whole) => Ok(Format::JsonLines),
-        None => Err(unknown("it begins as JSON, but is neither a known layout nor one object on each line")),
+        None => Err(unknown("it starts as JSON, but has neither a known layout nor one object per line")),
     }
 }
 
-/// What the keys of the first object show.
+/// The layout that the keys of the first object indicate.
 enum Seen {
     Format(Format),
-    /// The object ended, and no key belongs to a layout.
+    /// The object ended without a key of a known layout.
     Whole,
 }
 

@@ -1,4 +1,4 @@
-//! One JSON object on each line.
+//! Reads JSON Lines: one JSON object per line.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -11,10 +11,10 @@ use crate::DictionaryError;
 use crate::codec::Interner;
 use crate::raw::{Metered, RawRow};
 
-/// The longest line, in bytes.
+/// Maximum bytes per line.
 const LONGEST: u64 = 1 << 20;
 
-/// The lines of a file that are not blank.
+/// The non-blank lines of a file.
 #[derive(Debug)]
 pub(super) struct Lines {
     path: PathBuf,
@@ -25,12 +25,12 @@ pub(super) struct Lines {
 
 impl Lines {
     pub(super) fn open(path: &Path) -> Result<Self, DictionaryError> {
-        // The meter is not needed: a line is bounded here, where its number is known.
+        // The meter is unnecessary: the length of each line is limited here, where its number is known.
         let reader = BufReader::with_capacity(1 << 16, Metered::open(path, u64::MAX)?);
         Ok(Self { path: path.to_owned(), reader, line: Vec::new(), number: 0 })
     }
 
-    /// The next line.
+    /// Reads the next line.
     pub(super) fn next(&mut self) -> Result<Option<&[u8]>, DictionaryError> {
         loop {
             self.line.clear();
@@ -42,7 +42,7 @@ impl Lines {
             }
             if n as u64 == LONGEST && self.line.last() != Some(&b'\n') {
                 let reason =
-                    format!("line {} has more than {LONGEST} bytes. Expected one episode on each line", self.number);
+                    format!("line {} has more than {LONGEST} bytes. Expected one episode per line", self.number);
                 return Err(DictionaryError::results(&self.path, reason));
             }
             if self.number == 1 && self.line.starts_with(b"\xef\xbb\xbf") {
@@ -55,18 +55,18 @@ impl Lines {
         Ok(Some(&self.line))
     }
 
-    /// An error about the line that was read last.
+    /// An error about the last line that was read.
     pub(super) fn wrong(&self, error: &serde_json::Error) -> DictionaryError {
         let reason = format!("line {}, column {}: {error}", self.number, error.column());
-        DictionaryError::results(&self.path, format!("{reason}. Expected one JSON object on each line"))
+        DictionaryError::results(&self.path, format!("{reason}. Expected one JSON object per line"))
     }
 
-    /// The number of the line that was read last, from 1.
+    /// The number of the last line that was read, from 1.
     pub(super) fn number(&self) -> u64 {
         self.number
     }
 
-    /// The hash of what was read.
+    /// The hash of the bytes read so far.
     pub(super) fn sha256(self) -> String {
         self.reader.into_inner().sha256()
     }

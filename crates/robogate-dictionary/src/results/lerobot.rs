@@ -1,8 +1,9 @@
-//! LeRobot's `eval_info.json`, as `lerobot-eval` writes it.
+//! Reads LeRobot's `eval_info.json`, as written by `lerobot-eval`.
 //!
-//! Two layouts: `per_episode`, an array of objects with `success` and `seed` (one environment), and `per_task`, an array of
-//! `task_group`, `task_id` and `metrics`, whose `successes` has one entry for each episode (several tasks). LeRobot does not
-//! record crashed episodes: an error ends the evaluation, and no file is written. Only a missing `success` is invalid here.
+//! There are two layouts: `per_episode`, an array of objects with `success` and `seed` (one environment), and
+//! `per_task`, an array of `task_group`, `task_id` and `metrics`, whose `successes` has one entry per episode (several
+//! tasks). LeRobot does not record crashed episodes: an error ends the evaluation, and no file is written. Here an
+//! episode is invalid only if its `success` is missing.
 
 use std::fmt;
 use std::path::Path;
@@ -14,7 +15,7 @@ use super::{Frame, Mapping, Sink};
 use crate::DictionaryError;
 use crate::raw::{AnyScalar, Scalar};
 
-/// Rewards and costs are results of an episode: only its seed is a parameter.
+/// Rewards and costs are results of an episode. Only its seed is a parameter.
 pub(super) fn mapping() -> Mapping {
     Mapping { parameters: Some(std::collections::BTreeMap::new()), ..Mapping::default() }
 }
@@ -41,7 +42,7 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
     Ok(frame)
 }
 
-/// Totals of the rows.
+/// Totals over the rows.
 #[derive(Default)]
 struct Counts {
     episodes: u64,
@@ -50,7 +51,7 @@ struct Counts {
 }
 
 impl Counts {
-    /// The file's own averages must be those of its rows.
+    /// Checks that the file's averages match its rows.
     fn check(&self, path: &Path, frame: &Frame) -> Result<(), DictionaryError> {
         let claimed = |key: &str| frame.metadata.get(key).and_then(serde_json::Value::as_f64);
         if let Some(n) = claimed("n_episodes")
@@ -241,7 +242,7 @@ impl<'de> Visitor<'de> for Metrics {
         let mut successes = None;
         while let Some(key) = map.next_key::<String>()? {
             if key == "successes" {
-                // A byte each; the meter of the file bounds their number.
+                // One byte each. The meter of the file limits their number.
                 successes = Some(map.next_value()?);
             } else {
                 map.next_value::<IgnoredAny>()?;

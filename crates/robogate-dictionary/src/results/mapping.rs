@@ -1,4 +1,4 @@
-//! Which column of a table is what.
+//! The mapping from table columns to roles, flags and parameters.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -11,10 +11,10 @@ use super::role::Role;
 use crate::DictionaryError;
 use crate::published::FLAGS;
 
-/// Which column of a table is what.
+/// A mapping from table columns to roles, flags and parameters.
 ///
-/// A role that the mapping does not name is looked for in the column of its own name (`success`, `cycle_time_s`). Each
-/// column that is then left over becomes a parameter. As TOML:
+/// A role that the mapping does not name uses the column with the name of the role (`success`, `cycle_time_s`). Every
+/// remaining column becomes a parameter. The TOML form:
 ///
 /// ```
 /// let mapping = robogate_dictionary::results::Mapping::from_toml(
@@ -39,24 +39,24 @@ use crate::published::FLAGS;
 /// # Ok::<(), robogate_dictionary::DictionaryError>(())
 /// ```
 ///
-/// The names of the flags in the published JSON are keys, too: mappings of version 0.1 use them.
+/// The flag names of the published JSON are also accepted as keys, for mappings of version 0.1.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Mapping {
-    /// The column of each role that is not in the column of its own name.
+    /// The columns of roles, unless a column has the role's name.
     pub roles: BTreeMap<Role, String>,
-    /// Failure modes with a column of their own, true or false: the mode and its column.
+    /// Failure modes with a true/false column: the mode and its column.
     pub flags: BTreeMap<FailureMode, String>,
-    /// Parameters: their names here and the columns they are in. Absent: every column left over.
+    /// Parameters: their names and columns. If absent, every remaining column is a parameter.
     pub parameters: Option<BTreeMap<String, String>>,
     /// Columns that are not parameters.
     pub ignore: Vec<String>,
-    /// Words of the failure mode's column and the failure mode of each. Any other word is a failure mode of its own.
+    /// Failure modes for values of the failure-mode column. Any other value is a failure mode by itself.
     pub failure_modes: BTreeMap<String, FailureMode>,
-    /// The origin of the file, where the file does not hold it.
+    /// The origin of the file, if the file does not state it.
     pub about: About,
 }
 
-/// What was judged, and in which environment.
+/// The task, policy, robot and environment of the results.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct About {
@@ -71,12 +71,12 @@ pub struct About {
 }
 
 impl Mapping {
-    /// Reads a mapping from TOML; `origin` names it in errors.
+    /// Reads a mapping from TOML. `origin` names it in errors.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, DictionaryError> {
         toml::from_str(text).map_err(|e| DictionaryError::Mapping { origin: origin.to_owned(), reason: e.to_string() })
     }
 
-    /// Adds pairs as on a command line: `success=ok,flag.jammed=jam,parameter.mass_kg=mass`.
+    /// Adds pairs in the command-line form: `success=ok,flag.jammed=jam,parameter.mass_kg=mass`.
     pub fn add(&mut self, pairs: &str, origin: &str) -> Result<(), DictionaryError> {
         let wrong = |reason: String| DictionaryError::Mapping { origin: origin.to_owned(), reason };
         for pair in pairs.split(',').map(str::trim) {
@@ -102,12 +102,12 @@ impl Mapping {
         Ok(())
     }
 
-    /// Whether it is empty.
+    /// Whether the mapping is empty.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Whether it names no column.
+    /// Whether the mapping names no column.
     pub(super) fn names_no_column(&self) -> bool {
         Self { about: About::default(), ..self.clone() }.is_empty()
     }
@@ -117,12 +117,12 @@ impl Mapping {
         self.roles.get(&role).map_or(role.as_str(), String::as_str)
     }
 
-    /// Whether the mapping names this column for a parameter.
+    /// Whether the mapping uses this column as a parameter.
     pub(super) fn names_parameter(&self, column: &str) -> bool {
         self.parameters.iter().flat_map(BTreeMap::values).any(|named| named == column)
     }
 
-    /// This mapping, and that of the format for what it does not say.
+    /// This mapping, completed with that of the format.
     pub(super) fn over(&self, of_format: &Self) -> Self {
         let mut mapping = self.clone();
         for (role, column) in &of_format.roles {
@@ -136,7 +136,7 @@ impl Mapping {
     }
 }
 
-/// The failure mode of a flag that the published files have, by the flag's name.
+/// The failure mode of a flag of the published files, by the flag's name.
 fn flagged(key: &str) -> Option<FailureMode> {
     FLAGS.iter().find(|flag| flag.column == key).map(|flag| flag.mode)
 }
@@ -208,7 +208,7 @@ impl<'de> Visitor<'de> for MappingVisitor {
         for (mode, column) in flags {
             if let Some(other) = mapping.flags.insert(mode, column.clone()) {
                 return Err(A::Error::custom(format!(
-                    "the failure mode `{mode}` has two columns, `{other}` and `{column}`. Expected one"
+                    "the failure mode `{mode}` has two columns, `{other}` and `{column}`. Expected one column per failure mode"
                 )));
             }
         }

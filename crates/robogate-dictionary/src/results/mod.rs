@@ -1,12 +1,12 @@
-//! Per-episode results of other tools as a dictionary: policies can be judged in simulators that RoboGate never saw.
+//! Imports per-episode results of other tools, so policies can be judged in any simulator.
 //!
-//! Six layouts are read: LeRobot's `eval_info.json`, the aggregate JSON of vla-eval, tables (CSV, JSON Lines, Parquet) whose
-//! columns a [`Mapping`] names, and the CSV and JSON Lines that [`crate::export`] writes. A file is read twice as a stream
-//! of rows: once to learn which parameters there are and to check every row, once to write. Memory does not grow with the
+//! Six formats are supported: LeRobot's `eval_info.json`, the aggregate JSON of vla-eval, tables (CSV, JSON Lines,
+//! Parquet) with a [`Mapping`] of columns, and the CSV and JSON Lines of [`crate::export`]. A file is read twice as a
+//! stream of rows: once to find the parameters and to check every row, and once to write. Memory does not grow with the
 //! number of rows.
 //!
-//! What a source does not record stays missing. An episode that ended in an error is invalid, not a failure. A failure
-//! without a failure mode has [`FailureMode::UNKNOWN`](robogate_core::FailureMode::UNKNOWN), and
+//! Values that a source does not record stay missing. An episode that ended in an error is invalid, not a failure. A
+//! failure without a failure mode has [`FailureMode::UNKNOWN`](robogate_core::FailureMode::UNKNOWN), and
 //! [`crate::Source::not_recorded`] lists the modes that it may have been.
 
 mod csv;
@@ -37,23 +37,23 @@ use crate::published::{self, Imported};
 use crate::raw::RawRow;
 use crate::{Dictionary, DictionaryError, DictionaryWriter};
 
-/// What a reader finds in a file beside its rows.
+/// The content of a file except its rows.
 #[derive(Debug, Default)]
 struct Frame {
     /// SHA-256 of the file.
     sha256: String,
-    /// Numbers and words beside the rows (version, date, seed), as the tool wrote them.
+    /// Numbers and words outside the rows (version, date, seed), as written by the tool.
     metadata: serde_json::Map<String, serde_json::Value>,
-    /// What the reader left out or decided, in sentences.
+    /// Omissions and decisions of the reader, as sentences.
     notes: Vec<String>,
 }
 
-/// Receives the rows.
+/// A function that receives the rows.
 type Sink<'a> = &'a mut dyn FnMut(&RawRow) -> Result<(), DictionaryError>;
 
 /// Imports the results in `from` as the dictionary `to`.
 ///
-/// The format is recognised by content where none is given. Nothing is written where a row is wrong.
+/// If no format is given, it is recognised from the content. If a row is invalid, no file is written.
 pub fn import(from: &Path, to: &Path, format: Option<Format>, mapping: &Mapping) -> Result<Imported, DictionaryError> {
     let format = match format {
         Some(format) => format,
@@ -72,7 +72,7 @@ pub fn import(from: &Path, to: &Path, format: Option<Format>, mapping: &Mapping)
         return exported::import(from, to, format, &mapping.about);
     }
     if format == Format::Parquet && Dictionary::open(from).is_ok() {
-        return Err(DictionaryError::results(from, "it is a dictionary already\nhint: use it as it is"));
+        return Err(DictionaryError::results(from, "it is already a dictionary\nhint: use it without importing it"));
     }
     let mapping = mapping.over(&format.mapping());
     let mut survey = survey::Survey::new(from, &mapping);
@@ -88,17 +88,17 @@ pub fn import(from: &Path, to: &Path, format: Option<Format>, mapping: &Mapping)
     Ok(Imported { provenance: plan.provenance, written })
 }
 
-/// A mapping for a file whose columns are fixed.
+/// The error about a mapping for a file with fixed columns.
 fn fixed_columns(from: &Path, what: &str) -> DictionaryError {
     DictionaryError::Mapping {
         origin: from.display().to_string(),
-        reason: format!("the columns of {what} are fixed\nhint: leave the mapping out"),
+        reason: format!("the columns of {what} are fixed\nhint: remove the mapping"),
     }
 }
 
-/// The second reading found another file than the first.
+/// The error about a file that changed between the two passes.
 fn changed(from: &Path) -> DictionaryError {
-    DictionaryError::results(from, "it changed while it was read\nhint: import it once it is complete")
+    DictionaryError::results(from, "it changed during the import\nhint: import it once it is complete")
 }
 
 fn read(format: Format, path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
@@ -108,6 +108,6 @@ fn read(format: Format, path: &Path, sink: Sink<'_>) -> Result<Frame, Dictionary
         Format::Csv => csv::read(path, sink),
         Format::JsonLines => json_lines::read(path, sink),
         Format::Parquet => parquet::read(path, sink),
-        Format::Published => Err(DictionaryError::results(path, "the published JSON has an importer of its own")),
+        Format::Published => Err(DictionaryError::results(path, "the published JSON has a separate importer")),
     }
 }

@@ -1,4 +1,4 @@
-//! How a row's episode ended.
+//! The outcome of a row's episode.
 
 use std::path::Path;
 
@@ -10,28 +10,28 @@ use super::role::{FAILURE_TYPE, Role};
 use crate::DictionaryError;
 use crate::raw::{RawRow, Scalar};
 
-/// How a row's episode ended, and how the row says so.
+/// The outcome of a row's episode, and how the row reports it.
 #[derive(Debug, PartialEq)]
 pub(super) struct Ended {
     pub(super) outcome: Outcome,
-    /// Seconds; `None` where the row has none.
+    /// Time in seconds. `None` if the row has none.
     pub(super) time_s: Option<f64>,
-    /// Whether the row has a failure mode for its failure; else it is [`FailureMode::UNKNOWN`].
+    /// Whether the row names the failure mode of its failure. Otherwise it is [`FailureMode::UNKNOWN`].
     pub(super) kind_known: bool,
-    /// The value of each flag, in the order of [`Results::flags`]; empty for an invalid episode.
+    /// The value of each flag, in the order of [`Results::flags`]. Empty for an invalid episode.
     pub(super) flags: Vec<Option<bool>>,
-    /// Whether the row reports success and a flag that rules it out.
+    /// Whether the row reports both success and a flag that excludes it.
     pub(super) contradicted: bool,
-    /// Whether `success` is missing and no error is named.
+    /// Whether `success` is missing and no error is reported.
     pub(super) silent: bool,
 }
 
-/// The columns that say how an episode ended.
+/// The columns that determine the outcome.
 #[derive(Debug)]
 pub(super) struct Results<'a> {
     mapping: &'a Mapping,
     pub(super) flags: Vec<Flag>,
-    /// The columns with the failure mode; the first that has a word counts.
+    /// The columns with the failure mode. The first non-empty one counts.
     failure_columns: Vec<&'a str>,
 }
 
@@ -54,19 +54,19 @@ impl<'a> Results<'a> {
         Self { mapping, flags, failure_columns }
     }
 
-    /// Whether a column of this name says how the episode ended. It is then never a parameter.
+    /// Whether this column determines the outcome. Such a column is never a parameter.
     pub(super) fn has(&self, column: &str) -> bool {
         column == FAILURE_TYPE
             || Role::ALL.into_iter().any(|role| role.is_result() && self.mapping.column(role) == column)
             || self.flags.iter().any(|flag| flag.column.as_deref() == Some(column))
     }
 
-    /// Whether the row has anything in a column for the failure mode.
+    /// Whether the row has a value in a failure-mode column.
     pub(super) fn names_mode(&self, row: &RawRow) -> bool {
         self.failure_columns.iter().any(|column| row.get(column).is_some_and(|value| *value != Scalar::Null))
     }
 
-    /// How the row's episode ended.
+    /// The outcome of the row's episode.
     pub(super) fn of(&self, path: &Path, row: &RawRow) -> Result<Ended, DictionaryError> {
         let time_s = self.time(path, row)?;
         let invalid = |detail: String, silent| Ended {
@@ -103,15 +103,15 @@ impl<'a> Results<'a> {
         match success {
             Success::Known(true) => {
                 if let Some((mode, at)) = mode {
-                    return Err(row.wrong(path, at, format!("({mode}) contradicts `{column}`, which says success")));
+                    return Err(row.wrong(path, at, format!("({mode}) contradicts `{column}`, which is success")));
                 }
-                // A tolerated flag can be raised in a success; any other makes it a failure.
+                // A tolerated flag may be set in a success. Any other flag makes the episode a failure.
                 return Ok(match raised(false) {
                     Some(mode) => ended(Outcome::Failure(mode), true, true, flags),
                     None => ended(Outcome::Success, true, false, flags),
                 });
             }
-            // What is known to have failed must not be left out: that would raise the success rate.
+            // A known failure must be counted. Dropping it would raise the success rate.
             Success::Missing if mode.is_none() && raised(false).is_none() => {
                 return Ok(invalid(format!("`{column}` is missing"), true));
             }
@@ -121,14 +121,14 @@ impl<'a> Results<'a> {
             let lowered =
                 self.flags.iter().zip(&flags).find(|(flag, value)| flag.mode == mode && **value == Some(false));
             if let Some(column) = lowered.and_then(|(flag, _)| flag.column.as_deref()) {
-                return Err(row.wrong(path, column, format!("contradicts `{at}`, which says {mode}")));
+                return Err(row.wrong(path, column, format!("contradicts `{at}`, which is {mode}")));
             }
         }
-        // All flags lowered say what it was not: the task was not done in time.
+        // All flags are false, which excludes every other mode: the task was not completed in time.
         let all_lowered = (self.flags.iter().zip(&flags))
             .all(|(flag, value)| *value == Some(false) || (value.is_none() && !flag.expected));
-        let told = mode.map(|(mode, _)| mode).or(raised(true)).or(all_lowered.then_some(FailureMode::TIMEOUT));
-        Ok(ended(Outcome::Failure(told.unwrap_or(FailureMode::UNKNOWN)), told.is_some(), false, flags))
+        let failure_mode = mode.map(|(mode, _)| mode).or(raised(true)).or(all_lowered.then_some(FailureMode::TIMEOUT));
+        Ok(ended(Outcome::Failure(failure_mode.unwrap_or(FailureMode::UNKNOWN)), failure_mode.is_some(), false, flags))
     }
 
     fn success(&self, path: &Path, row: &RawRow) -> Result<Success, DictionaryError> {
@@ -155,13 +155,13 @@ impl<'a> Results<'a> {
             let hint = if self.mapping.flags.contains_key(&flag.mode) {
                 String::new()
             } else {
-                "\nhint: where it is a parameter, name it under [parameters] in a mapping".to_owned()
+                "\nhint: if it is a parameter, list it under [parameters] in a mapping".to_owned()
             };
             row.wrong(path, column, format!("is neither true nor false, as the flag of {} must be{hint}", flag.mode))
         })
     }
 
-    /// The failure mode of the row's word, and the word's column.
+    /// The failure mode named by the row, with its column.
     fn failure_mode(&self, path: &Path, row: &RawRow) -> Result<Option<(FailureMode, &'a str)>, DictionaryError> {
         for column in self.failure_columns.iter().copied() {
             let word = match row.get(column) {
@@ -181,7 +181,7 @@ impl<'a> Results<'a> {
         Ok(None)
     }
 
-    /// The error of the infrastructure, where the row names one.
+    /// The infrastructure error, if the row reports one.
     fn error(&self, row: &RawRow) -> Option<String> {
         let column = self.mapping.column(Role::Error);
         let text = match row.get(column)? {
@@ -193,7 +193,7 @@ impl<'a> Results<'a> {
             Scalar::Text(text) => text.clone(),
             other => format!("`{column}` is {}", other.show()),
         };
-        // Tracebacks can be long; the dictionary keeps what tells one from another.
+        // Tracebacks can be long. The dictionary keeps the part that distinguishes errors.
         const MOST: usize = 2000;
         Some(match text.char_indices().nth(MOST) {
             Some((end, _)) => format!("{}...", &text[..end]),
@@ -213,7 +213,7 @@ impl<'a> Results<'a> {
     }
 }
 
-/// A value as a truth value, where it is one.
+/// Interprets a value as a truth value, if possible.
 fn truth(value: &Scalar) -> Option<bool> {
     match value {
         Scalar::Bool(truth) => Some(*truth),
@@ -230,7 +230,7 @@ fn truth(value: &Scalar) -> Option<bool> {
     }
 }
 
-/// The class of fault by the words that tools use; where they say nothing, the policy or the simulator went away.
+/// The class of fault for the words of common tools. The default is an unavailable policy or simulator.
 fn fault_kind(detail: &str) -> FaultKind {
     let word = detail.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_')).find(|word| !word.is_empty());
     match word {

@@ -1,4 +1,4 @@
-//! A flat Parquet file of another tool.
+//! Reads a flat Parquet file of another tool.
 
 use std::io;
 use std::path::Path;
@@ -14,10 +14,10 @@ use crate::DictionaryError;
 use crate::parquet::guarded;
 use crate::raw::{MOST_FIELDS, Metered, RawRow, Scalar};
 
-/// Rows that are decoded at a time.
+/// Number of rows decoded at a time.
 const BATCH: usize = 4096;
 
-/// The most bytes that a column may take in one row group, unpacked.
+/// Maximum unpacked size of a column in one row group, in bytes.
 const MOST_COLUMN: i64 = 1 << 30;
 
 pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
@@ -49,7 +49,7 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
         } else {
             frame
                 .notes
-                .push(format!("Column `{name}` is ignored: it does not hold plain numbers, truth values or texts."));
+                .push(format!("Column `{name}` is ignored: it does not contain plain numbers, truth values or texts."));
         }
     }
     let mut row = RawRow::default();
@@ -64,7 +64,7 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
             if packed.is_none() || !(0..=MOST_COLUMN).contains(&column.uncompressed_size()) {
                 let (packed, whole) = (column.compressed_size(), column.uncompressed_size());
                 return Err(refuse(format!(
-                    "column `{name}` of row group {at} claims {packed} bytes packed, {whole} unpacked"
+                    "column `{name}` of row group {at} declares {packed} bytes packed and {whole} unpacked"
                 )));
             }
         }
@@ -127,12 +127,12 @@ fn values(reader: &mut ColumnReader, n: usize) -> Result<Vec<Scalar>, ParquetErr
             read!(reader, |text: ::parquet::data_type::ByteArray| Ok(Scalar::Text(text.as_utf8()?.to_owned())))
         }
         ColumnReader::Int96ColumnReader(_) | ColumnReader::FixedLenByteArrayColumnReader(_) => {
-            Err(ParquetError::General("a column of a type that is not read".to_owned()))
+            Err(ParquetError::General("a column has an unsupported type".to_owned()))
         }
     }
 }
 
-/// Data frames write a missing value as NaN. A parameter cannot be infinite.
+/// Data frames store a missing value as NaN. A parameter cannot be infinite.
 fn number(x: f64) -> Scalar {
     if x.is_nan() {
         Scalar::Null

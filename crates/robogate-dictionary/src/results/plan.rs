@@ -1,4 +1,4 @@
-//! The second reading: how rows become entries.
+//! The second pass: converts rows to entries.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -12,13 +12,13 @@ use crate::codec::{EXACT_INTEGER, Interner};
 use crate::raw::{RawRow, Scalar};
 use crate::{DictionaryError, Entry, Label, Provenance};
 
-/// How a row becomes an entry.
+/// The conversion from rows to entries.
 pub(super) struct Plan<'a> {
     pub(super) path: &'a Path,
     pub(super) mapping: &'a Mapping,
     pub(super) results: Results<'a>,
     pub(super) provenance: Provenance,
-    /// For each parameter its column; `None` for the row's number.
+    /// The column of each parameter. `None` stands for the row number.
     pub(super) columns: Vec<Option<Arc<str>>>,
     pub(super) format: Format,
 }
@@ -41,7 +41,7 @@ impl Plan<'_> {
             scenario: Scenario { index, seed: Seed::campaign(self.provenance.seed).episode(index), requested },
             applied: Assignment::default(),
             outcome: ended.outcome,
-            // Missing in the record.
+            // A missing value.
             time_s: ended.time_s.unwrap_or(f64::NAN),
             phase: None,
             contact: None,
@@ -57,7 +57,7 @@ impl Plan<'_> {
         Ok(Entry { stage: "imported".to_owned(), design: self.format.as_str().to_owned(), weight: 1.0, label, episode })
     }
 
-    /// A word of the label, where the row has one; a number is the word that it is written as.
+    /// A word of the label, if the row has one. A number becomes its text.
     fn word(&self, row: &RawRow, role: Role) -> Result<Option<String>, DictionaryError> {
         let column = self.mapping.column(role);
         match row.get(column) {
@@ -81,14 +81,14 @@ impl Plan<'_> {
                 if n.unsigned_abs() > EXACT_INTEGER.unsigned_abs() =>
             {
                 return wrong(
-                    "has more digits than a real number keeps\nhint: name the column under `ignore` in a mapping",
+                    "has more digits than a double can represent\nhint: list the column under `ignore` in a mapping",
                 );
             }
             (Some(Scalar::Integer(n)), Domain::Continuous { .. }) => Value::Number(*n as f64),
             (Some(Scalar::Integer(n)), _) => Value::Integer(*n),
             (Some(Scalar::Number(x)), _) => Value::Number(*x),
             (Some(Scalar::Text(text)), _) => Value::Category(words.get(text)),
-            _ => return wrong("is not a value that a parameter can have"),
+            _ => return wrong("cannot be the value of a parameter"),
         })
     }
 }

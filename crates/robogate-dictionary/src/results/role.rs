@@ -1,17 +1,17 @@
-//! What a column of a table can be.
+//! Roles of table columns.
 
-/// What a column can be, beside a parameter and the flag of a failure mode.
+/// The role of a column that is neither a parameter nor the flag of a failure mode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
     /// Whether the episode succeeded: true or false, 1 or 0, or the words success, fail, failure, failed, error, invalid.
     Success,
-    /// How it failed: any word. Empty, `none` or `success` where it did not.
+    /// The failure mode as any word. Empty, `none` or `success` if the episode did not fail.
     FailureMode,
-    /// Time until the task was done or given up, in seconds.
+    /// Time until the task ended, in seconds.
     CycleTime,
-    /// What broke under the policy: anything but empty, false or 0 makes the episode invalid.
+    /// The infrastructure error. Any value except empty, false or 0 makes the episode invalid.
     Error,
-    /// The environment's seed; kept as the parameter `source_seed`.
+    /// The environment's seed. It is kept as the parameter `source_seed`.
     Seed,
     /// The case of the suite.
     Case,
@@ -34,7 +34,7 @@ impl Role {
         Self::Group,
     ];
 
-    /// Its key in a mapping, and the column in which it is expected where the mapping names none.
+    /// The key in a mapping, and the default column name of the role.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Success => "success",
@@ -48,16 +48,16 @@ impl Role {
         }
     }
 
-    /// The role of this key.
+    /// The role with this key.
     pub(super) fn of_key(key: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|role| role.as_str() == key)
     }
 
-    /// Whether it says how the episode ended. Such a column is never a parameter: it would predict itself.
+    /// Whether the role determines the outcome. Such a column is never a parameter, because it would predict itself.
     pub(super) fn is_result(self) -> bool {
         matches!(self, Self::Success | Self::FailureMode | Self::CycleTime | Self::Error)
     }
 }
 
-/// The name that our own exports and the published files use for the failure mode.
+/// The name of the failure-mode column in RoboGate's exports and in the published files.
 pub(super) const FAILURE_TYPE: &str = "failure_type";

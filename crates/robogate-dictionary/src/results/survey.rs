@@ -1,4 +1,4 @@
-//! The first reading: which parameters and failure modes there are, and what the source does not record.
+//! The first pass: finds parameters and failure modes, and which quantities the source does not record.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -16,16 +16,16 @@ use crate::fields::{Field, Fields};
 use crate::raw::{MOST_MODES, RawRow, Scalar};
 use crate::{DictionaryError, Engine, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool, published};
 
-/// The parameter that an environment's seed becomes.
+/// The parameter that stores an environment's seed.
 pub const SOURCE_SEED: &str = "source_seed";
 
-/// The parameter of a source that has none, numbering its rows: a space must have one.
+/// The parameter that numbers the rows of a source without parameters, because a space needs at least one.
 pub const SOURCE_ROW: &str = "source_row";
 
-/// The column of a parameter (`None` for the row's number) and the parameter.
+/// The column of a parameter (`None` for the row number) and the parameter.
 type FromColumn = (Option<Arc<str>>, Parameter);
 
-/// What the first reading finds out.
+/// The results of the first pass.
 pub(super) struct Survey<'a> {
     path: &'a Path,
     mapping: &'a Mapping,
@@ -33,12 +33,12 @@ pub(super) struct Survey<'a> {
     rows: u64,
     fields: Fields,
     modes: BTreeSet<FailureMode>,
-    /// Which columns of roles and flags exist.
+    /// Whether the column of each role exists.
     roles: [bool; Role::ALL.len()],
     flags: Vec<FlagUse>,
-    /// Whether there is a column [`FAILURE_TYPE`].
+    /// Whether the column [`FAILURE_TYPE`] exists.
     failure_type: bool,
-    /// Whether any row has a word for its failure mode.
+    /// Whether any row names a failure mode.
     names_modes: bool,
     unknown_failures: u64,
     contradicted: u64,
@@ -48,16 +48,16 @@ pub(super) struct Survey<'a> {
     without_time: u64,
 }
 
-/// How the rows use a flag.
+/// The use of a flag in the rows.
 #[derive(Debug, Clone, Default)]
 struct FlagUse {
-    /// Its column exists.
+    /// The column exists.
     present: bool,
-    /// A row has a value.
+    /// At least one row has a value.
     used: bool,
-    /// A failure without a failure mode has no value.
+    /// At least one failure without a failure mode has no value.
     lacked_by_failure: bool,
-    /// A success has no value.
+    /// At least one success has no value.
     lacked_by_success: bool,
 }
 
@@ -142,10 +142,10 @@ impl<'a> Survey<'a> {
         !(is_role || is_flag || self.results.has(name) || self.mapping.ignore.iter().any(|ignored| ignored == name))
     }
 
-    /// The space, the provenance, and how rows become entries.
+    /// Returns the space, the provenance, and the conversion from rows to entries.
     pub(super) fn plan(mut self, format: Format, frame: &Frame) -> Result<Plan<'a>, DictionaryError> {
         if self.rows == 0 {
-            return Err(DictionaryError::results(self.path, "it has no episodes: nothing was evaluated"));
+            return Err(DictionaryError::results(self.path, "it has no episodes. Expected at least one row"));
         }
         self.check_columns()?;
         let mut notes = frame.notes.clone();
@@ -180,12 +180,12 @@ impl<'a> Survey<'a> {
                 not_recorded,
             }),
         };
-        // Refused here, before anything is written.
+        // Rejected here, before any file is written.
         Columns::of(&provenance.task, &provenance.space, SCHEMA_VERSION)?;
         Ok(Plan { path: self.path, mapping: self.mapping, results: self.results, provenance, columns, format })
     }
 
-    /// The parameters that the rows show.
+    /// Derives the parameters from the rows.
     fn parameters(&mut self, task: &TaskSpec, notes: &mut Vec<String>) -> Result<Vec<FromColumn>, DictionaryError> {
         let mut parameters: Vec<FromColumn> = Vec::new();
         for field in std::mem::take(&mut self.fields).into_iter() {
@@ -213,7 +213,7 @@ impl<'a> Survey<'a> {
             return Err(DictionaryError::results(self.path, reason));
         }
         if parameters.is_empty() {
-            // Row numbers beyond 2^32 are beyond what an integer parameter can span.
+            // Row numbers above 2^32 exceed the range of an integer parameter.
             let high = i64::try_from(self.rows - 1).unwrap_or(i64::MAX).min((1 << 32) - 1);
             let domain = Domain::Integer { low: 0, high };
             parameters.push((None, Parameter { name: SOURCE_ROW.into(), domain }));
@@ -222,7 +222,7 @@ impl<'a> Survey<'a> {
         Ok(parameters)
     }
 
-    /// The domain of a parameter that the mapping names: every row must have it.
+    /// The domain of a parameter that the mapping names. Every row must have a value.
     fn required(&self, field: &Field, name: &str) -> Result<Domain, DictionaryError> {
         if let Some(row) = field.missing_of(self.rows) {
             return Err(DictionaryError::Value {
@@ -242,7 +242,7 @@ impl<'a> Survey<'a> {
         })
     }
 
-    /// A column that the mapping names must be there, and something must say how episodes ended.
+    /// Checks that the columns of the mapping exist and that a column determines the outcome.
     fn check_columns(&self) -> Result<(), DictionaryError> {
         let absent = |column: &str, what: &str| {
             let reason = format!("no row has the column `{column}`, which the mapping names for {what}");
@@ -263,13 +263,13 @@ impl<'a> Survey<'a> {
         for (name, column) in self.mapping.parameters.iter().flatten() {
             if self.results.has(column) {
                 let reason =
-                    format!("column `{column}` says how the episode ended: it cannot be the parameter `{name}`");
+                    format!("column `{column}` determines the outcome, so it cannot be the parameter `{name}`");
                 return Err(DictionaryError::results(self.path, reason));
             }
         }
         if self.silent == self.rows {
             let reason = format!(
-                "no row says in `{}` how its episode ended\nhint: name the column, as in --map success=COLUMN",
+                "no row has an outcome in `{}`\nhint: name the column, for example with --map success=COLUMN",
                 self.mapping.column(Role::Success)
             );
             return Err(DictionaryError::results(self.path, reason));
@@ -277,8 +277,8 @@ impl<'a> Survey<'a> {
         Ok(())
     }
 
-    /// The failure modes that the source can tell: those of its rows, those that its words are mapped to, and those
-    /// whose flag it records.
+    /// The failure modes that the source can report: the ones in its rows, the targets of the mapping, and the ones
+    /// with a recorded flag.
     fn declared_modes(&self, not_recorded: &[String]) -> Vec<FailureMode> {
         let mut modes: Vec<FailureMode> = self.modes.iter().copied().collect();
         let recorded =
@@ -295,7 +295,7 @@ impl<'a> Survey<'a> {
     }
 
     fn not_recorded(&self, notes: &mut Vec<String>) -> Vec<String> {
-        // A success needs no flag where failures are named by their mode.
+        // If failures are named by their mode, a success needs no flag.
         let lacks = |found: &FlagUse| found.lacked_by_failure || (!self.names_modes && found.lacked_by_success);
         let lacked = self.flags.iter().zip(&self.results.flags).filter(|(found, flag)| flag.expected && lacks(found));
         let lacked: BTreeSet<FailureMode> = lacked.map(|(_, flag)| flag.mode).collect();
@@ -337,7 +337,7 @@ impl<'a> Survey<'a> {
     }
 }
 
-/// The domain of a column that the mapping does not mention, or why it is ignored.
+/// The domain of a column that the mapping does not mention, or the reason why it is ignored.
 fn optional(field: &Field, name: &str, rows: u64, task: &TaskSpec) -> Result<Domain, String> {
     if let Some(row) = field.missing_of(rows) {
         return Err(format!("{} has no value", Row(row)));

@@ -9,7 +9,7 @@ use super::About;
 /// The name of a task that the source does not name.
 const UNNAMED: Word = Word::constant("imported");
 
-/// What the rows of a source tell about its task: control period, time limit, observation and action are not known.
+/// Builds a task from the rows of a source. Control period, time limit, observation and action are unknown.
 pub(super) fn of_rows(
     about: &About,
     modes: impl IntoIterator<Item = FailureMode>,

@@ -1,8 +1,8 @@
-//! The aggregate JSON of vla-eval: `tasks`, each with its name and `episodes`.
+//! Reads the aggregate JSON of vla-eval: `tasks`, each with its name and `episodes`.
 //!
-//! An episode has `metrics` (with `success`) and `steps`. Where the infrastructure failed it has a `failure_reason`
-//! (server_unreachable, connection_closed, timeout, env_start, env_step, model_act, exception) with a `failure_detail`: such
-//! an episode is invalid here. Its `elapsed_sec` is wall-clock time and not a cycle time.
+//! An episode has `metrics` (with `success`) and `steps`. After an infrastructure failure it has a `failure_reason`
+//! (server_unreachable, connection_closed, timeout, env_start, env_step, model_act, exception) with a `failure_detail`.
+//! Such an episode is invalid here. Its `elapsed_sec` is wall-clock time, not a cycle time.
 
 use std::fmt;
 use std::path::Path;
@@ -14,7 +14,7 @@ use super::{Frame, Mapping, Sink};
 use crate::DictionaryError;
 use crate::raw::{AnyScalar, Scalar};
 
-/// Steps, times and identifiers are results of an episode: it has no parameters.
+/// Steps, times and identifiers are results of an episode. There are no parameters.
 pub(super) fn mapping() -> Mapping {
     Mapping { parameters: Some(std::collections::BTreeMap::new()), ..Mapping::default() }
 }
@@ -52,7 +52,7 @@ impl<'de> Visitor<'de> for Whole<'_, '_> {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
-        // Unknown keys are few in an aggregate. Each is held in memory.
+        // An aggregate has few unknown keys. Each one is kept in memory.
         const MOST_KEYS: usize = 1000;
         while let Some(key) = map.next_key::<String>()? {
             match key.as_str() {
@@ -77,7 +77,7 @@ impl<'de> Visitor<'de> for Whole<'_, '_> {
     }
 }
 
-/// An object's scalars, or null.
+/// The scalars of an object, or null.
 struct OptionalScalars<'a>(&'a mut serde_json::Map<String, serde_json::Value>);
 
 impl<'de> DeserializeSeed<'de> for OptionalScalars<'_> {
@@ -156,7 +156,7 @@ impl<'de> Visitor<'de> for OneTask<'_, '_> {
                 "task" => task = Some(map.next_value()?),
                 "episodes" => {
                     found = true;
-                    // Rows are passed on as they come: the name must come before them.
+                    // Rows are passed on immediately, so the task name must precede them.
                     let Some(task) = &task else {
                         return Err(A::Error::custom("a task has its `episodes` before its name `task`"));
                     };
@@ -203,7 +203,7 @@ impl<'de> Visitor<'de> for Episodes<'_, '_> {
     }
 }
 
-/// Gives the row the fields that every format has, where the episode does not have them itself.
+/// Adds the fields that every format has, unless the episode has them.
 fn complete(rows: &mut Rows<'_>, task: &str) {
     let text = |name: &str| match rows.row.get(name) {
         Some(Scalar::Text(text)) if !text.is_empty() => Some(text.clone()),

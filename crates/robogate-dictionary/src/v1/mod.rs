@@ -1,7 +1,7 @@
-//! The task that dictionaries of schema 1 do not name.
+//! The implied task of dictionaries with schema 1.
 //!
-//! RoboGate 0.1 knew one task, pick and place, and did not write it down. Its dictionaries and the published ones
-//! have this task's failure modes, measures and phases.
+//! RoboGate 0.1 had one task, pick and place, and did not record it. Its dictionaries and the published ones have the
+//! failure modes, measures and phases of this task.
 
 use std::sync::OnceLock;
 
@@ -10,7 +10,7 @@ use robogate_core::TaskSpec;
 /// The task of every dictionary of schema 1.
 pub fn task() -> TaskSpec {
     static TASK: OnceLock<TaskSpec> = OnceLock::new();
-    // The file is a part of this crate, and a test reads it.
+    // The file is part of this crate, and a test parses it.
     #[expect(clippy::expect_used, reason = "the embedded file is valid")]
     TASK.get_or_init(|| serde_json::from_str(include_str!("pick_place.json")).expect("valid task")).clone()
 }
@@ -18,7 +18,7 @@ pub fn task() -> TaskSpec {
 #[cfg(test)]
 mod tests {
     #[test]
-    fn task_can_be_read() {
+    fn task_is_valid() {
         let task = super::task();
         let modes: Vec<&str> = task.modes().map(|mode| mode.as_str()).collect();
         assert_eq!(modes, ["grasp_miss", "grip_loss", "collision", "timeout"]);

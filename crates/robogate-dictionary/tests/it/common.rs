@@ -1,4 +1,4 @@
-//! Entries for tests: plausible ones, and ones that go to the edges of what an entry can be.
+//! Entries for tests: typical ones and edge cases.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, LazyLock};
@@ -11,7 +11,7 @@ use robogate_dictionary::{Engine, Entry, Label, Platform, Provenance, Robot, SCH
 
 pub(crate) const SEED: u64 = 2026;
 
-/// A task that has nothing to do with the built-in one.
+/// A task that is unrelated to the built-in one.
 static TASK: LazyLock<Arc<TaskSpec>> = LazyLock::new(|| {
     let task = serde_json::from_str(
         r#"{
@@ -42,7 +42,7 @@ pub(crate) fn task() -> Arc<TaskSpec> {
     Arc::clone(&TASK)
 }
 
-/// The task of the dictionaries of schema 1.
+/// The implied task of dictionaries with schema 1.
 pub(crate) fn pick_place() -> Arc<TaskSpec> {
     Arc::clone(&PICK_PLACE)
 }
@@ -107,7 +107,7 @@ pub(crate) fn entry(index: u64) -> Entry {
     entry_of(&task(), index)
 }
 
-/// Episode `index` of `task`, in part drawn from its own seed, and with every kind of outcome among a few.
+/// Episode `index` of `task`, partly random from its seed. Every kind of outcome occurs among a few episodes.
 pub(crate) fn entry_of(task: &TaskSpec, index: u64) -> Entry {
     let modes: Vec<FailureMode> = task.modes().collect();
     let seed = Seed::campaign(SEED).episode(index);
@@ -115,7 +115,7 @@ pub(crate) fn entry_of(task: &TaskSpec, index: u64) -> Entry {
     let requested = draw(&mut stream);
     let mut applied = requested.clone();
     let mass = requested.number("mass_kg").unwrap();
-    // Read back in single precision, as an engine might.
+    // Read back in single precision, like from an engine.
     applied.set("mass_kg", Value::Number(f64::from(mass as f32)));
     let outcome = match index % 7 {
         0..=2 => Outcome::Success,
@@ -151,7 +151,7 @@ pub(crate) fn entry_of(task: &TaskSpec, index: u64) -> Entry {
             time_s: stream.between(0.0, 15.0),
             phase: task.phases.get((index % 8) as usize).copied(),
             contact,
-            // The last one is always measured.
+            // The last measure always has a value.
             measures: (1..)
                 .zip(&task.measures)
                 .map(|(i, measure)| {
@@ -176,7 +176,7 @@ pub(crate) fn draw(stream: &mut Stream) -> Assignment {
         .collect()
 }
 
-/// An entry that no sound campaign leaves, and that the record must keep nevertheless.
+/// An entry that no normal campaign creates, but that must be recordable.
 pub(crate) fn strange_entry(index: u64) -> Entry {
     let mut entry = entry(index);
     let episode = &mut entry.episode;
@@ -203,13 +203,13 @@ pub(crate) fn strange_entry(index: u64) -> Entry {
     entry
 }
 
-/// Equality to the bit: NaN is itself, and -0.0 is not 0.0.
+/// Bitwise equality: NaN equals NaN, and -0.0 differs from 0.0.
 pub(crate) fn same(a: &Entry, b: &Entry) -> bool {
-    // Debug writes doubles with their sign, NaN included, and the shortest digits that tell them apart.
+    // The Debug format writes the sign and the shortest distinguishing digits of a double, also for NaN.
     format!("{a:?}") == format!("{b:?}")
 }
 
-/// A folder of one test, removed when it is over.
+/// A temporary folder of one test.
 pub(crate) struct Folder(PathBuf);
 
 impl Folder {

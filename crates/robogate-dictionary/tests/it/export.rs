@@ -14,7 +14,7 @@ fn dictionary(folder: &Folder) -> Dictionary {
     Dictionary::open(&path).unwrap()
 }
 
-/// A reader of RFC 4180 that knows nothing of the writer: `None` is an unquoted empty field.
+/// An independent parser for RFC 4180. `None` is an unquoted empty field.
 fn parse_csv(text: &str) -> Vec<Vec<Option<String>>> {
     let (mut rows, mut row, mut field) = (Vec::new(), Vec::new(), String::new());
     let (mut quoted, mut was_quoted) = (false, false);
@@ -93,7 +93,7 @@ fn exports_are_reproducible() {
         let error = write_file(&dictionary, format, &folder.join("no/where")).unwrap_err().to_string();
         assert!(error.contains("where"), "{error}");
     }
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3, "nothing is left behind");
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3, "no temporary file is left");
 }
 
 #[test]

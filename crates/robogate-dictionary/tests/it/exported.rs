@@ -1,4 +1,4 @@
-//! Our own exports are imported without loss.
+//! Tests that exports can be imported without loss.
 
 use std::fs;
 use std::path::Path;
@@ -23,7 +23,7 @@ fn imported(from: &Path, to: &Path) -> Dictionary {
     Dictionary::open(to).unwrap()
 }
 
-/// Exports the dictionary in each format, imports it again and compares the entries to the bit.
+/// Exports the dictionary in each format, imports it again and compares the entries bit for bit.
 fn round_trip(folder: &Folder, original: &Dictionary) -> Vec<Provenance> {
     let round_trip = |(format, name)| {
         let (from, to) = (folder.join("export"), folder.join("again.parquet"));
@@ -34,7 +34,7 @@ fn round_trip(folder: &Folder, original: &Dictionary) -> Vec<Provenance> {
             let (before, after) = (before.unwrap(), after.unwrap());
             assert!(same(&before, &after), "{before:#?}\n{after:#?}");
         }
-        // The rows are the same data, whatever was learnt about their task.
+        // The rows are the same data, independent of what is known about their task.
         let task = Arc::clone(&original.provenance().task);
         assert_eq!(dataset_hash(task, again.entries()).unwrap(), original.dataset_hash());
         assert_eq!(again.provenance().source.as_ref().unwrap().format, name);
@@ -87,7 +87,7 @@ fn strange_values_survive_the_round_trip() {
     let folder = Folder::new("exported-strange");
     let strange = |index| {
         let mut entry = strange_entry(index);
-        // Texts that a careless reader takes for something else.
+        // Texts that a simple parser would misread.
         let words = ["", " ", "nan", "none", "true", "1e400", "a,b", "\"", "x\r\ny", "-", "\u{feff}"];
         entry.stage = words[index as usize % words.len()].to_owned();
         entry.label.case = Some(words[(index as usize + 1) % words.len()].to_owned());
@@ -138,11 +138,11 @@ fn labels_may_be_missing() {
 fn published_form_survives_the_round_trip() {
     let folder = Folder::new("exported-published");
     let (from, to) = (folder.join("p.json"), folder.join("again.parquet"));
-    // Rows of a task with modes of its own; its measures have no place in the published form.
+    // Rows of a task with other failure modes. The published form has no fields for its measures.
     let original = dictionary(&folder.join("d.parquet"), &provenance_of(task()), (0..700).map(entry));
     let rows = write_file(&original, Format::Published, &from).unwrap();
     let text = fs::read_to_string(&from).unwrap();
-    assert!(!text.contains("grasp_miss"), "a task has no flag of a mode that it does not have");
+    assert!(!text.contains("grasp_miss"), "flags exist only for declared modes");
     let done = published::import(&from, &to).unwrap();
     assert_eq!((done.written.rows, done.provenance.task.name.as_str()), (rows, "pick_place"));
     let again = Dictionary::open(&to).unwrap();
@@ -156,12 +156,12 @@ fn published_form_survives_the_round_trip() {
 }
 
 #[test]
-fn file_of_a_data_frame_is_read() {
+fn data_frame_file_is_read() {
     let folder = Folder::new("exported-frame");
     let original = dictionary(&folder.join("d.parquet"), &provenance(), (0..7).map(entry));
     let (from, to) = (folder.join("e.csv"), folder.join("again.parquet"));
     write_file(&original, Format::Csv, &from).unwrap();
-    // As pandas writes it: plain line ends, integers that may be missing as real numbers, no quotes around nothing.
+    // As written by pandas: plain line ends, integers with missing values as real numbers, and no quotes.
     let text = fs::read_to_string(&from).unwrap().replace("\r\n", "\n").replace(",\"\"", ",");
     let column = original.column_names().position(|name| name == "applied_obstacles").unwrap();
     let as_real = |line: &str| {
@@ -183,7 +183,7 @@ fn file_of_a_data_frame_is_read() {
 }
 
 #[test]
-fn edited_exports_are_refused() {
+fn edited_exports_are_rejected() {
     let folder = Folder::new("exported-edited");
     let original = dictionary(&folder.join("d.parquet"), &provenance(), (0..14).map(entry));
     let (from, to) = (folder.join("e.csv"), folder.join("again.parquet"));
@@ -194,17 +194,17 @@ fn edited_exports_are_refused() {
         (cut(",jammed,jammed,", ",jammed,tilted,"), "column `failure_type`: `tilted` contradicts the outcome jammed"),
         (cut(",jammed,jammed,", ",stuck fast,jammed,"), "\"stuck fast\" is not a valid name"),
         (cut(",setup,", ",sunspots,"), "`sunspots` is not a class of fault"),
-        (cut("\r\n1,", "\r\nx,"), "row 1, column `index`: `x` is not an integer from 0"),
-        (cut("\r\n1,", "\r\n\"1\","), "`1` is not an integer from 0 without quotes"),
+        (cut("\r\n1,", "\r\nx,"), "row 1, column `index`: `x` is not an integer of at least 0"),
+        (cut("\r\n1,", "\r\n\"1\","), "`1` is not an integer of at least 0 without quotes"),
         (cut("\r\n1,", "\r\n5,"), "episode 2 follows episode 5"),
         (cut(",2026,", ",2027,"), "2027"),
         (cut("\r\n2,", "\r\n2,2,"), "line 4: 32 fields. Expected 31"),
-        (cut("index,stage,", "stage,index,"), "not all of them in their order"),
+        (cut("index,stage,", "stage,index,"), "not all of them in order"),
         (cut(",ticks,", ",colour,ticks,"), "31 fields. Expected 32"),
-        (cut(",seed,friction,", ",seed,Friction,"), "not all of them in their order"),
+        (cut(",seed,friction,", ",seed,Friction,"), "not all of them in order"),
         (cut(",depth_m,", ",depth in m,"), "\"depth in m\" is not a valid name"),
-        (format!("{}\"open", whole.trim_end()), "a quote is opened and never closed"),
-        (cut(",uniform,", ",\"uniform\"ly,"), "text follows a closing quote"),
+        (format!("{}\"open", whole.trim_end()), "a quote is never closed"),
+        (cut(",uniform,", ",\"uniform\"ly,"), "text after a closing quote"),
         (whole.lines().next().unwrap().to_owned(), "it has no episodes"),
     ] {
         fs::write(&from, text).unwrap();
@@ -218,7 +218,7 @@ fn edited_exports_are_refused() {
             whole.replacen("\"stage\":\"uniform\",", "", 2).replacen("{", "{\"stage\":\"uniform\",", 1),
             "line 2: its fields",
         ),
-        (whole.replace("\"ticks\":", "\"ticks\":[1],\"x\":"), "no row says in `success`"),
+        (whole.replace("\"ticks\":", "\"ticks\":[1],\"x\":"), "no row has an outcome in `success`"),
         (whole.replacen("\"index\":1,", "\"index\":true,", 1), "line 2"),
         (whole.replacen("\"friction\":", "\"friction\":null,\"was\":", 1), "column `friction`: a missing value"),
     ] {
@@ -229,15 +229,15 @@ fn edited_exports_are_refused() {
 }
 
 #[test]
-fn mapping_of_an_export_is_refused() {
+fn mapping_of_export_is_rejected() {
     let folder = Folder::new("exported-mapping");
     let original = dictionary(&folder.join("d.parquet"), &provenance(), (0..5).map(entry));
     let (from, to) = (folder.join("e.csv"), folder.join("again.parquet"));
     write_file(&original, Format::Csv, &from).unwrap();
     let mapping = Mapping::from_toml("success = 'outcome'", "m.toml").unwrap();
     let error = import(&from, &to, None, &mapping).unwrap_err();
-    assert!(matches!(error, DictionaryError::Mapping { .. }) && error.to_string().contains("leave the mapping out"));
-    // What the export does not hold may be given.
+    assert!(matches!(error, DictionaryError::Mapping { .. }) && error.to_string().contains("remove the mapping"));
+    // Information that the export lacks may be given.
     let mapping = Mapping::from_toml("[about]\ntask = 'press_fit'\nrobot = 'ur5e'", "m.toml").unwrap();
     let provenance = import(&from, &to, None, &mapping).unwrap().provenance;
     assert_eq!((provenance.task.name.as_str(), provenance.robot.name.as_str()), ("press_fit", "ur5e"));

@@ -1,14 +1,14 @@
-//! Mutation fuzzing of everything that reads a file: the importers, the Parquet reader, the journal.
+//! Mutation fuzzing of all file readers: the importers, the Parquet reader, the journal.
 //!
-//! A damaged file must be refused or read, in bounded time and without a panic. An ordinary test run tries
-//! each reader a few hundred times. Longer:
+//! A damaged file must be rejected or read in bounded time and without a panic. A normal test run tries each reader a
+//! few hundred times. For a longer run:
 //!
 //! ```text
 //! ROBOGATE_FUZZ_SECONDS=600 cargo test --release -p robogate-dictionary --test it fuzz -- --nocapture
 //! ```
 //!
-//! `ROBOGATE_FUZZ_SEED` begins elsewhere. A find is printed with its round, which alone gives the file
-//! again, and the file is kept beside the others of the run.
+//! `ROBOGATE_FUZZ_SEED` sets the first round. A finding is printed with its round, which reproduces the file. The file
+//! is also kept in the run's folder.
 
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -21,17 +21,17 @@ use robogate_dictionary::{Dictionary, Journal, export, published, write_parquet}
 
 use crate::common::{Folder, entry, provenance};
 
-/// What reads a file; `true` where it was read, `false` where it was refused.
+/// A file reader under test. `read` returns `true` for an accepted file and `false` for a rejected one.
 struct Target {
     name: &'static str,
-    /// Sound files.
+    /// Valid files.
     corpus: Vec<Vec<u8>>,
-    /// Words that mean something to the reader.
+    /// Words with a meaning for the reader.
     words: &'static [&'static str],
     read: fn(&Path) -> bool,
 }
 
-/// Everything that a file claims must be readable once it was accepted.
+/// Every declared part of an accepted file must be readable.
 fn read_dictionary(path: &Path) -> bool {
     let Ok(dictionary) = Dictionary::open(path) else {
         return false;
@@ -45,14 +45,14 @@ fn read_journal(path: &Path) -> bool {
     Journal::open(path).is_ok_and(|(mut journal, _)| journal.ordered().all(|entry| entry.is_ok()))
 }
 
-/// What is imported must be a dictionary that opens, or the import lied.
+/// An imported file must be a dictionary that can be opened.
 fn import_as(path: &Path, format: Option<Format>) -> bool {
     let to = path.with_extension("imported");
     match import(path, &to, format, &Mapping::default()) {
         Err(_) => false,
         Ok(imported) => {
             assert!(read_dictionary(&to), "an imported dictionary cannot be read");
-            assert!(imported.written.rows > 0, "nothing was imported and nothing refused");
+            assert!(imported.written.rows > 0, "the import accepted a file without rows");
             true
         }
     }
@@ -67,7 +67,7 @@ fn targets(folder: &Folder) -> Vec<Target> {
     drop(journal);
     let mut as_published = Vec::new();
     let valid = folder.join("valid.parquet");
-    // Faults have no place in the published form.
+    // The published form has no faults.
     write_parquet(&valid, &provenance(), (0..6).map(|i| Ok(entry(i)))).unwrap();
     published::export(&Dictionary::open(&valid).unwrap(), &mut as_published).unwrap();
     let exported = [export::Format::Csv, export::Format::JsonLines].map(|format| {
@@ -156,7 +156,7 @@ fn targets(folder: &Folder) -> Vec<Target> {
     ]
 }
 
-/// One to four damages on a sound file.
+/// Applies one to four mutations to a valid file.
 fn mutate(target: &Target, stream: &mut Stream) -> Vec<u8> {
     let mut bytes = target.corpus[stream.below(target.corpus.len())].clone();
     for _ in 0..=stream.below(4) {
@@ -164,7 +164,7 @@ fn mutate(target: &Target, stream: &mut Stream) -> Vec<u8> {
             break;
         }
         let at = stream.below(bytes.len());
-        // Half of the time near the end, where Parquet keeps what it claims.
+        // Half of the mutations are near the end, where Parquet stores its metadata.
         let at = if stream.below(2) == 0 { at } else { bytes.len() - 1 - at / 4 };
         match stream.below(9) {
             0 => bytes[at] ^= 1 << stream.below(8),
@@ -184,7 +184,7 @@ fn mutate(target: &Target, stream: &mut Stream) -> Vec<u8> {
                 bytes.splice(at..end, word.iter().copied());
             }
             6 => {
-                // A piece of it again, once or many times.
+                // Repeats a piece of the file, once or many times.
                 let piece = bytes[at..(at + 1 + stream.below(64)).min(bytes.len())].to_vec();
                 let again = piece.repeat(1 << stream.below(10));
                 let to = stream.below(bytes.len());
@@ -209,7 +209,7 @@ fn mutate(target: &Target, stream: &mut Stream) -> Vec<u8> {
 
 fn number(name: &str) -> Option<u64> {
     let text = std::env::var(name).ok()?;
-    Some(text.parse().unwrap_or_else(|_| panic!("{name} is `{text}`, not an integer from 0")))
+    Some(text.parse().unwrap_or_else(|_| panic!("{name} is `{text}`, not an integer of at least 0")))
 }
 
 #[test]
@@ -223,7 +223,7 @@ fn fuzzed_files_never_panic_or_hang() {
             let path = folder.join("sound");
             fs::write(&path, whole).unwrap();
             let needs_mapping = whole.starts_with(b"trial;ok");
-            assert!((target.read)(&path) != needs_mapping, "{} file {i} is sound", target.name);
+            assert!((target.read)(&path) != needs_mapping, "{} file {i} is valid", target.name);
         }
     }
     let start = Instant::now();
@@ -248,7 +248,7 @@ fn fuzzed_files_never_panic_or_hang() {
             }
             let mut took = began.elapsed();
             if took > Duration::from_secs(5) {
-                // The file, or a machine that did something else meanwhile: the second time tells.
+                // The cause may be the file or a busy machine. A second run decides.
                 let began = Instant::now();
                 let _ = catch_unwind(AssertUnwindSafe(|| (target.read)(&path)));
                 took = took.min(began.elapsed());
@@ -263,7 +263,7 @@ fn fuzzed_files_never_panic_or_hang() {
     println!("rounds {first} to {round} in {:.0?}; slowest {slowest:?}", start.elapsed());
     assert!(finds.is_empty(), "{finds:#?}");
     assert!(slowest.0 < Duration::from_secs(20), "{slowest:?}");
-    // A fuzz whose files are all refused at the door tests nothing behind it.
+    // If every file were rejected at the first check, the fuzzing would test only that check.
     let enough = round - first >= 300;
     for (target, (read, refused)) in targets.iter().zip(&counts) {
         assert!(!enough || (*refused > 0 && *read > 0), "{}", target.name);

@@ -1,4 +1,4 @@
-//! Damaged and hostile files are read or refused, without a panic.
+//! Tests that damaged and hostile files are read or rejected without a panic.
 
 use std::fs;
 use std::path::Path;
@@ -9,7 +9,7 @@ use robogate_dictionary::{Dictionary, Entry, Journal, write_parquet};
 
 use crate::common::{Folder, entry, provenance};
 
-/// Reads the file in every way that a dictionary can be read.
+/// Reads the file with every reading function of a dictionary.
 fn read_parquet(path: &Path) -> Result<Vec<Entry>, String> {
     let dictionary = Dictionary::open(path).map_err(|e| e.to_string())?;
     let names: Vec<String> = dictionary.column_names().map(ToOwned::to_owned).collect();
@@ -32,7 +32,7 @@ fn read_published(path: &Path) -> Result<Vec<Entry>, String> {
 
 type Reader = fn(&Path) -> Result<Vec<Entry>, String>;
 
-/// A sound file of each kind, and its reader.
+/// A valid file of each kind with its reader.
 fn kinds(folder: &Folder) -> [(&'static str, Vec<u8>, Reader); 3] {
     let parquet = folder.join("whole.parquet");
     write_parquet(&parquet, &provenance(), (0..40).map(|i| Ok(entry(i)))).unwrap();
@@ -53,7 +53,7 @@ fn damage(whole: &[u8], stream: &mut Stream) -> Vec<u8> {
     match stream.below(5) {
         0 => bytes.truncate(stream.below(whole.len())),
         1 => {
-            // More often in the footer of a Parquet file than its share.
+            // Mutations hit the footer of a Parquet file more often than its size alone would give.
             let from = if stream.below(2) == 0 { 0 } else { whole.len() - whole.len() / 3 };
             for _ in 0..=stream.below(8) {
                 let at = from + stream.below(whole.len() - from);
@@ -70,7 +70,7 @@ fn damage(whole: &[u8], stream: &mut Stream) -> Vec<u8> {
             bytes[at..end].fill(if stream.below(2) == 0 { 0 } else { 0xff });
         }
         _ => {
-            // A piece of the file over another one: sound parts in the wrong place.
+            // Copies a piece of the file over another one: valid parts at the wrong position.
             let n = stream.below(200.min(whole.len()));
             let (from, to) = (stream.below(whole.len() - n), stream.below(whole.len() - n));
             bytes.copy_within(from..from + n, to);
@@ -95,7 +95,7 @@ fn damaged_files_never_panic() {
                     assert!(error.contains("damaged") || error.contains(folder.path().to_str().unwrap()), "{error}");
                     refused += 1;
                 }
-                // The checksums of our own files leave no damage to pass for data. JSON has none.
+                // The checksums of our files detect all damage. JSON has none.
                 Ok(entries) if kind == "parquet" => assert_eq!(entries, sound, "case {case}"),
                 Ok(entries) if kind == "journal" => assert!(entries[..] == sound[..entries.len()], "case {case}"),
                 Ok(_) => other += 1,
@@ -106,7 +106,7 @@ fn damaged_files_never_panic() {
 }
 
 #[test]
-fn flipped_bits_are_refused_or_harmless() {
+fn flipped_bits_are_rejected_or_harmless() {
     let folder = Folder::new("hostile-flip");
     let path = folder.join("d.parquet");
     write_parquet(&path, &provenance(), (0..3).map(|i| Ok(entry(i)))).unwrap();
@@ -132,7 +132,7 @@ fn flipped_bits_are_refused_or_harmless() {
 }
 
 #[test]
-fn random_bytes_are_refused() {
+fn random_bytes_are_rejected() {
     let folder = Folder::new("hostile-random");
     let path = folder.join("random");
     for case in 0..1000 {
@@ -140,7 +140,7 @@ fn random_bytes_are_refused() {
         let n = stream.below(400);
         let mut bytes: Vec<u8> = (0..n).map(|_| stream.bits() as u8).collect();
         if case % 2 == 0 && n > 12 {
-            // Past the first look.
+            // Longer than the part that format recognition reads.
             bytes[..4].copy_from_slice(b"PAR1");
             bytes[n - 4..].copy_from_slice(b"PAR1");
             let footer = stream.below(n) as u32;
@@ -154,7 +154,7 @@ fn random_bytes_are_refused() {
 }
 
 #[test]
-fn oversized_json_is_refused() {
+fn oversized_json_is_rejected() {
     let folder = Folder::new("hostile-json");
     let path = folder.join("p.json");
     let rows = |row: String| format!("{{\"experiments\": [{row}]}}");

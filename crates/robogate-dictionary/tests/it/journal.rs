@@ -8,7 +8,7 @@ use crate::common::{Folder, entry, same, strange_entry, task};
 use robogate_core::Seed;
 use robogate_dictionary::{DictionaryError, Entry, Journal, Recovery, dataset_hash};
 
-/// A journal with the entries of these indices; where each record ends is returned too.
+/// Creates a journal with the entries of these indices. Also returns the end of each record.
 fn journal(path: &std::path::Path, indices: impl IntoIterator<Item = u64>) -> Vec<u64> {
     let mut journal = Journal::create(path).unwrap();
     let mut ends = vec![fs::metadata(path).unwrap().len()];
@@ -113,7 +113,7 @@ fn flipped_bits_name_their_record() {
             }
             other => panic!("{other}"),
         }
-        // Nothing was changed by looking.
+        // Opening did not change the file.
         assert!(fs::read(&path).unwrap() == flipped);
     }
 }
@@ -135,7 +135,7 @@ fn truncation_hint_works() {
 }
 
 #[test]
-fn duplicate_episode_is_refused() {
+fn duplicate_episode_is_rejected() {
     let folder = Folder::new("journal-once");
     let mut journal = Journal::create(&folder.join("j")).unwrap();
     journal.append(&entry(1)).unwrap();
@@ -144,7 +144,7 @@ fn duplicate_episode_is_refused() {
 }
 
 #[test]
-fn second_writer_is_refused() {
+fn second_writer_is_rejected() {
     let folder = Folder::new("journal-lock");
     let path = folder.join("j");
     let journal = Journal::create(&path).unwrap();
@@ -155,7 +155,7 @@ fn second_writer_is_refused() {
 }
 
 #[test]
-fn invalid_weight_or_seed_is_refused() {
+fn invalid_weight_or_seed_is_rejected() {
     let folder = Folder::new("journal-refuse");
     let mut journal = Journal::create(&folder.join("j")).unwrap();
     for weight in [f64::NAN, f64::INFINITY, -1.0] {
@@ -180,8 +180,8 @@ fn newer_journal_asks_for_upgrade() {
     assert!(error.contains("upgrade"), "{error}");
 }
 
-/// The other side of the tests below: appends entries to the journal that the environment names
-/// until it is killed or cannot, and says how many it has.
+/// The child process of the tests below: appends entries to the journal named by the environment variable until it is
+/// killed or a write fails, and prints their number.
 #[test]
 #[ignore = "run by other tests"]
 fn writer() {
@@ -191,7 +191,7 @@ fn writer() {
     for index in journal.len().. {
         if let Err(error) = journal.append(&entry(index)) {
             println!("stopped at {index}: {error}");
-            // The same again: a full disk stays full, and the journal stays whole.
+            // Repeated: a full disk stays full, and the journal stays intact.
             assert!(journal.append(&entry(index)).is_err());
             assert_eq!(journal.ordered().map(Result::unwrap).count() as u64, index);
             return;
@@ -237,8 +237,8 @@ fn killed_writer_loses_nothing() {
 fn full_disk_keeps_the_journal() {
     let folder = Folder::new("journal-full");
     let path = folder.join("j");
-    // A limit on the size of files, in blocks of 512 or 1024 bytes: the write that meets it is cut
-    // short, the next one fails, as on a full disk.
+    // A limit on the file size, in blocks of 512 or 1024 bytes, simulates a full disk: the write that reaches it is cut
+    // short, and the next one fails.
     let output = Command::new("sh")
         .args(["-c", "trap '' XFSZ; ulimit -f 20; exec \"$0\" journal::writer --exact --ignored --nocapture"])
         .arg(std::env::current_exe().unwrap())

@@ -1,6 +1,6 @@
-//! Tests of the dictionary, one module for each part.
+//! Tests of the dictionary, one module per part.
 #![expect(clippy::disallowed_methods, reason = "tests measure times and find their settings in the environment")]
-#![expect(clippy::unwrap_used, reason = "helpers of tests are tests, which may")]
+#![expect(clippy::unwrap_used, reason = "test helpers fail by panicking")]
 
 mod common;
 mod export;

@@ -24,7 +24,7 @@ fn replace(path: &Path, old: &str, new: &str) {
             found += 1;
         }
     }
-    assert!(found > 0, "{old} is not there");
+    assert!(found > 0, "{old} not found");
     fs::write(path, bytes).unwrap();
 }
 
@@ -68,7 +68,7 @@ fn unfitting_values_are_kept_aside() {
     let dictionary = Dictionary::open(&path).unwrap();
     let found = dictionary.entries().next().unwrap().unwrap();
     let mut expected = strange_entry(4);
-    // Order is that of the space; what is not finite and no parameter has one form, missing or NaN.
+    // The order is that of the space. Values that are not finite and no parameters have one form, missing or NaN.
     expected.episode.measures = found.episode.measures.clone();
     assert_eq!(found.episode.measures.get("peak_force_n"), None, "NaN is missing");
     assert_eq!(found.episode.measures.get("depth_m").map(f64::to_bits), Some((-0.0_f64).to_bits()));
@@ -82,7 +82,7 @@ fn unfitting_values_are_kept_aside() {
     expected.episode.applied = found.episode.applied.clone();
     assert!(same(&expected, &found), "{expected:#?}\n{found:#?}");
     assert_eq!(dataset_hash(task(), [Ok(strange_entry(4))]).unwrap(), dictionary.dataset_hash());
-    // A reader of the plain columns meets no NaN.
+    // The plain columns contain no NaN.
     for name in ["applied_friction", "applied_mass_kg", "applied_obstacles", "peak_force_n", "cycle_time_s"] {
         assert_eq!(dictionary.numbers(name).unwrap(), [None], "{name}");
     }
@@ -138,7 +138,7 @@ fn file_is_complete_or_absent() {
     abandoned.push(&entry(0)).unwrap();
     drop(abandoned);
     assert!(fs::read(&path).unwrap() == before);
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left behind");
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file is left");
 }
 
 fn failure() -> DictionaryError {
@@ -156,7 +156,7 @@ fn unusable_path_is_named() {
 }
 
 #[test]
-fn contradicting_entries_are_refused() {
+fn contradicting_entries_are_rejected() {
     let folder = Folder::new("parquet-refuse");
     let path = folder.join("d.parquet");
     let mut writer = DictionaryWriter::create(&path, &provenance()).unwrap();
@@ -196,7 +196,7 @@ fn contradicting_entries_are_refused() {
 }
 
 #[test]
-fn column_name_clash_is_refused() {
+fn column_name_clash_is_rejected() {
     let folder = Folder::new("parquet-clash");
     let domain = || Domain::Continuous { low: 0.0, high: 1.0, scale: Scale::Linear };
     let of = |names: &[&str]| {
@@ -214,10 +214,10 @@ fn column_name_clash_is_refused() {
 }
 
 #[test]
-fn newer_schema_is_refused_or_read_only() {
+fn newer_schema_is_rejected_or_read_only() {
     let folder = Folder::new("parquet-version");
     let path = folder.join("d.parquet");
-    // A name in the provenance as long as the version leaves room for: the key-value pair alone is replaced.
+    // A provenance name with the same length as the version string: only the key-value pair is replaced.
     write(&path, (0..3).map(entry));
     let bytes = fs::read(&path).unwrap();
     let with_version = |version: &str| {
@@ -251,7 +251,7 @@ fn edited_provenance_is_noticed() {
 }
 
 #[test]
-fn foreign_and_truncated_files_are_refused() {
+fn foreign_and_truncated_files_are_rejected() {
     let folder = Folder::new("parquet-foreign");
     let path = folder.join("d.parquet");
     write(&path, (0..50).map(entry));
@@ -285,7 +285,7 @@ fn python_readers_agree() {
     println!("{out}");
 }
 
-/// The other side of the test below: writes a dictionary larger than it may be.
+/// The child process of the test below: writes a dictionary that exceeds the size limit.
 #[test]
 #[ignore = "run by another test"]
 fn writer() {
@@ -302,7 +302,7 @@ fn full_disk_keeps_the_old_file() {
     let path = folder.join("d.parquet");
     write(&path, (0..10).map(entry));
     let before = fs::read(&path).unwrap();
-    // As in the journal's test: a limit on the size of files acts as a full disk does.
+    // As in the journal's test, a limit on the file size simulates a full disk.
     let output = Command::new("sh")
         .args(["-c", "trap '' XFSZ; ulimit -f 1000; exec \"$0\" parquet::writer --exact --ignored --nocapture"])
         .arg(std::env::current_exe().unwrap())
@@ -312,7 +312,7 @@ fn full_disk_keeps_the_old_file() {
     let output = String::from_utf8_lossy(&output.stdout);
     assert!(output.contains("stopped: cannot write") && output.contains("1 passed"), "{output}");
     assert!(fs::read(&path).unwrap() == before);
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left behind");
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file is left");
 }
 
 #[test]

@@ -14,7 +14,7 @@ fn imported(folder: &Folder, json: &str) -> Result<Dictionary, DictionaryError> 
     let _ = fs::remove_file(&to);
     fs::write(&from, json).unwrap();
     let result = import(&from, &to);
-    assert_eq!(to.exists(), result.is_ok(), "nothing is written where a row is wrong");
+    assert_eq!(to.exists(), result.is_ok(), "no file is written if a row is invalid");
     result.map(|_| Dictionary::open(&to).unwrap())
 }
 
@@ -45,7 +45,7 @@ fn released_ur5e_file_is_imported() {
     let names: Vec<&str> = provenance.space.parameters().iter().map(|p| &*p.name).collect();
     assert_eq!(names, ["ik_noise_rad", "mass_kg", "grip_threshold_m", "obstacles", "placement"]);
     let domain = |name: &str| &provenance.space.parameters()[provenance.space.position(name).unwrap()].domain;
-    // Not what the paper says of it: 0..3 obstacles, 8 placements.
+    // This differs from the paper's description: 0..3 obstacles, 8 placements.
     assert_eq!(*domain("obstacles"), Domain::Integer { low: 0, high: 4 });
     assert_eq!(domain("placement").levels(), Some(14));
 
@@ -70,7 +70,7 @@ fn released_ur5e_file_is_imported() {
         *all += 1;
     }
     assert_eq!((successes, misses), (7432, 2568));
-    // Ten equal widths over the observed range; the fourth to seventh span 0.935 to 2.114 kg.
+    // Ten equal bins over the observed range. The fourth to seventh span 0.935 to 2.114 kg.
     let edge = |i: u32| low + f64::from(i) * (high - low) / 10.0;
     let edges: Vec<String> = (3..8).map(|i| format!("{:.3}", edge(i))).collect();
     assert_eq!(edges, ["0.935", "1.230", "1.524", "1.819", "2.114"]);
@@ -182,7 +182,7 @@ fn contradicting_rows_are_named() {
 }
 
 #[test]
-fn contradicting_totals_are_refused() {
+fn contradicting_totals_are_rejected() {
     let folder = Folder::new("whole");
     for (wrong, says) in [
         ("{\"metadata\": {\"total_experiments\": 2}, \"experiments\": [ROW]}", "total_experiments"),
@@ -221,7 +221,7 @@ fn unknown_fields_become_parameters() {
     assert_eq!(requested.number("gravity_scale"), Some(1.0));
     assert_eq!(requested.category("lamp"), Some("on"));
     assert_eq!(requested.number("published_weight"), Some(1.0));
-    assert_eq!(entries[1].index(), 1, "samples that fall are no indices");
+    assert_eq!(entries[1].index(), 1, "decreasing sample numbers are not used as indices");
     let notes = dictionary.provenance().source.as_ref().unwrap().notes.join("\n");
     for field in ["`camera`", "`ok`", "`a b`", "`weight`", "`sample_idx`"] {
         assert!(notes.contains(field), "{notes}");

@@ -1,4 +1,4 @@
-//! Results of other tools, in the layouts in which those tools write them.
+//! Tests of imports from other tools, with files in the layouts of those tools.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -27,7 +27,7 @@ fn refused(name: &str, content: impl AsRef<[u8]>, mapping: &Mapping) -> String {
     let (from, to) = (folder.join(name), folder.join("d.parquet"));
     fs::write(&from, content).unwrap();
     let error = import(&from, &to, None, mapping).unwrap_err().to_string();
-    assert!(!to.exists(), "nothing is written where {error}");
+    assert!(!to.exists(), "no file is written on error: {error}");
     error
 }
 
@@ -67,7 +67,7 @@ fn lerobot_tasks_become_cases() {
 }
 
 #[test]
-fn contradicting_averages_are_refused() {
+fn contradicting_averages_are_rejected() {
     let text = fs::read_to_string(fixture("lerobot_one_environment.json")).unwrap();
     let error = refused("edited.json", text.replace("75.0", "100.0"), &Mapping::default());
     assert!(error.contains("`pc_success` is 100") && error.contains("3 successes in 4 episodes"), "{error}");
@@ -99,7 +99,7 @@ fn mapping_names_the_columns() {
     let text = fs::read_to_string(fixture("table.toml")).unwrap();
     let mapping = Mapping::from_toml(&text, "table.toml").unwrap();
     let (provenance, entries) = imported(&fixture("table.csv"), None, &mapping);
-    // The last one says success beside a collision.
+    // The last row reports success together with a collision.
     assert_eq!(words(&entries), ["success", "grip_loss", "collision", "invalid", "collision"]);
     assert!(
         source(&provenance)
@@ -138,7 +138,7 @@ fn nested_json_gets_dotted_names() {
     assert_eq!(entries[3].episode.outcome, Outcome::Invalid(Fault::new(FaultKind::Diverged, "diverged: NaN in qpos")));
     assert_eq!(entries[2].episode.scenario.requested.number("lux"), Some(350.5));
     assert_eq!(entries[2].episode.scenario.requested.number("source_seed"), Some(13.0));
-    // All three flags are given, and all times: whatever is asked of these rows is in them.
+    // All three flags and all times are present, so every requested quantity is recorded.
     assert!(source(&provenance).not_recorded.is_empty());
 }
 
@@ -168,10 +168,10 @@ fn wrong_values_are_located() {
         ),
         ("e.csv", "success,cycle_time_s\n1,-2\n", &["-2 is negative"]),
         ("f.csv", "success,cycle_time_s\n1,soon\n", &["`soon` is not a time in seconds"]),
-        ("g.csv", "result,mass\n1,2\n", &["no row says in `success` how its episode ended", "--map success=COLUMN"]),
+        ("g.csv", "result,mass\n1,2\n", &["no row has an outcome in `success`", "--map success=COLUMN"]),
         ("h.csv", "success,success\n1,2\n", &["the column `success` twice"]),
         ("i.csv", "success,mass\n1,2\n1\n", &["line 3", "1 fields. Expected 2"]),
-        ("j.csv", "success,mass\n", &["no episodes", "nothing was evaluated"]),
+        ("j.csv", "success,mass\n", &["no episodes", "Expected at least one row"]),
         ("k.jsonl", "{\"success\": true}\n{\"success\": tru}\n", &["line 2", "one JSON object"]),
         ("l.jsonl", "{\"success\": true, \"success\": false}\n{}\n", &["line 1", "`success` twice"]),
         ("m.json", "[{\"success\": true}]", &["JSON array", "JSON Lines"]),
@@ -186,7 +186,7 @@ fn wrong_values_are_located() {
         ("r.json", "{\"per_episode\": [{\"success\": NaN}]}", &["line 1 column 30", "JSON has no NaN"]),
         ("s.csv", "success,case\n1,2.5\n", &["2.5 is not a word, as a case must be"]),
         ("u.csv", "success,drop\n1,0.3\n", &["column `drop`: 0.3 is neither true nor false", "[parameters]"]),
-        ("s", "", &["it is empty"]),
+        ("s", "", &["the file is empty"]),
         ("t", "\u{1}\0\u{2}", &["its format is unknown", "--format"]),
     ] {
         let error = refused(name, content, &none);
@@ -195,7 +195,7 @@ fn wrong_values_are_located() {
 }
 
 #[test]
-fn mapping_of_absent_columns_is_refused() {
+fn mapping_of_absent_columns_is_rejected() {
     let table = "ok,mass\n1,2\n";
     let mapping = |text: &str| Mapping::from_toml(text, "m.toml").unwrap();
     let error = refused("a.csv", table, &mapping("success = 'okay'"));
@@ -205,7 +205,7 @@ fn mapping_of_absent_columns_is_refused() {
     let error = refused("c.csv", table, &mapping("success = 'ok'\n[flags]\njammed = 'jam'"));
     assert!(error.contains("`jam`") && error.contains("the flag of jammed"), "{error}");
     let error = refused("d.csv", "success,failure_type\n1,none\n", &mapping("[parameters]\nkind = 'failure_type'"));
-    assert!(error.contains("`failure_type` says how the episode ended"), "{error}");
+    assert!(error.contains("`failure_type` determines the outcome"), "{error}");
 }
 
 #[test]
@@ -247,11 +247,11 @@ fn flags_give_the_failure_mode() {
 }
 
 #[test]
-fn endless_input_is_refused() {
+fn endless_input_is_rejected() {
     let none = Mapping::default();
     let long = |mib: usize| "a".repeat(mib << 20);
     let error = refused("quote.csv", format!("success,x\n1,\"{}", long(2)), &none);
-    assert!(error.contains("1 MiB without a row") && error.contains("a quote that is opened"), "{error}");
+    assert!(error.contains("1 MiB without a row") && error.contains("a quote that is never closed"), "{error}");
     let error = refused("line.jsonl", format!("{{\"success\": true, \"x\": \"{}\"}}\n", long(2)), &none);
     assert!(error.contains("line 1 has more than"), "{error}");
     let error =
@@ -261,7 +261,7 @@ fn endless_input_is_refused() {
     assert!(error.contains("16 MiB without a row"), "{error}");
 }
 
-/// The modes that a table of `rows` under `header` is said not to record.
+/// The failure modes that an imported table of `rows` under `header` lists as not recorded.
 fn unrecorded(name: &str, header: &str, rows: &[&str]) -> Vec<String> {
     let folder = Folder::new(&format!("results-unrecorded-{name}"));
     let (from, to) = (folder.join("t.csv"), folder.join("d.parquet"));
@@ -282,16 +282,16 @@ fn empty_flags_record_nothing() {
 #[test]
 fn missing_flag_leaves_mode_unrecorded() {
     let header = "success,mass,collision,drop,grasp_miss,failure_mode";
-    // A failure of unknown kind may have been a collision.
+    // A failure with an unknown mode may have been a collision.
     assert_eq!(unrecorded("one", header, &["false,1,0,0,0,", "false,2,,0,0,", "true,3,0,0,0,"]), ["collision"]);
-    // So may a success, where no row names its mode; a success beside a touch is a collision here.
+    // A success may also hide one if no row names its mode: here a success with a touch is a collision.
     assert_eq!(unrecorded("success", header, &["false,1,0,0,0,", "true,2,0,,0,"]), ["grip_loss"]);
-    // A failure whose kind is named was nothing else, and an invalid episode says nothing of any kind.
+    // A failure with a named mode was no other mode, and an invalid episode has no mode.
     assert!(unrecorded("named", header, &["false,1,,,,timeout", "true,2,,,,", "error,3,,,,"]).is_empty());
     assert!(unrecorded("raised", header, &["false,1,1,,,", "true,2,0,0,0,"]).is_empty());
 }
 
-/// The outcomes and failure modes of the task of a table.
+/// The outcomes of a table, and the failure modes of its task.
 fn table(name: &str, content: &str, mapping: &str) -> (Vec<String>, Vec<String>, Provenance) {
     let folder = Folder::new(&format!("results-table-{name}"));
     let path = folder.join("t");
@@ -307,7 +307,7 @@ fn any_word_is_a_failure_mode() {
         "success,failure_mode,x\n0,jammed,1\n0,Object fell!,2\n0,stuck,3\n1,None,4\n0,,5\n0,Invalid,6\n0,???,7\n";
     let (outcomes, modes, provenance) = table("words", rows, "[failure_modes]\nstuck = 'jammed'\ncrash = 'collision'");
     assert_eq!(outcomes, ["jammed", "Object_fell_", "jammed", "success", "unknown", "unknown", "unknown"]);
-    // Those of the rows, then the one that a word of the mapping stands for.
+    // The modes of the rows, then the one that the mapping assigns to a word.
     assert_eq!(modes, ["Object_fell_", "jammed", "unknown", "collision"]);
     let task = &provenance.task;
     assert_eq!((task.name.as_str(), task.version, task.measures.len()), ("imported", 1, 0));
@@ -323,11 +323,11 @@ fn failure_type_is_the_failure_mode() {
     let (outcomes, _, provenance) = table("type", "success,failure_type,x\n0,jammed,1\n1,none,2\n0,,3\n", "");
     assert_eq!(outcomes, ["jammed", "success", "unknown"]);
     assert_eq!(provenance.space.len(), 1);
-    // Beside a column of the usual name it fills the gaps.
+    // Beside a column with the default name it fills missing values.
     let both = "success,failure_mode,failure_type,x\n0,tilted,jammed,1\n0,,jammed,2\n0,none,jammed,3\n1,,,4\n";
     let (outcomes, _, provenance) = table("both", both, "");
     assert_eq!((outcomes.join(" "), provenance.space.len()), ("tilted jammed jammed success".to_owned(), 1));
-    // Beside a column that the mapping names it is left out, and the notes say so.
+    // Beside a column named by the mapping it is ignored, and the notes report that.
     let (outcomes, _, provenance) =
         table("named", "success,how,failure_type,x\n0,tilted,a,1\n1,,,4\n", "failure_mode = 'how'");
     assert_eq!((outcomes.join(" "), provenance.space.len()), ("tilted success".to_owned(), 1));
@@ -342,7 +342,7 @@ fn own_flags_give_own_modes() {
     assert_eq!(outcomes, ["jammed", "spilled", "timeout", "success", "jammed"]);
     assert_eq!((modes.join(" "), provenance.task.name.as_str()), ("jammed spilled timeout".to_owned(), "pouring"));
     assert_eq!(source(&provenance).not_recorded, ["cycle_time_s"]);
-    // A flag that is missing once leaves its mode unrecorded.
+    // A flag with one missing value leaves its mode unrecorded.
     let (outcomes, modes, provenance) = table("gap", "success,jam,spill,x\n0,0,,1\n1,0,0,2\n", mapping);
     assert_eq!((outcomes.join(" "), modes.join(" ")), ("unknown success".to_owned(), "unknown jammed".to_owned()));
     assert_eq!(source(&provenance).not_recorded, ["spilled", "cycle_time_s"]);
@@ -353,11 +353,7 @@ fn published_flags_are_understood() {
     let rows = "success,bump,drop,grasp_miss,x\n1,0,0,1,1\n1,0,1,0,2\n1,1,0,0,3\n0,0,0,0,4\n";
     for mapping in ["collision = 'bump'", "[flags]\ncollision = 'bump'"] {
         let (outcomes, modes, provenance) = table("old", rows, mapping);
-        assert_eq!(
-            outcomes,
-            ["success", "grip_loss", "collision", "timeout"],
-            "a missed grasp is made up for by a success"
-        );
+        assert_eq!(outcomes, ["success", "grip_loss", "collision", "timeout"], "a success outweighs a missed grasp");
         assert_eq!(modes, ["collision", "grip_loss", "timeout", "grasp_miss"]);
         assert_eq!(provenance.space.len(), 1);
     }
@@ -379,7 +375,7 @@ fn failure_without_outcome_is_a_failure() {
 }
 
 #[test]
-fn too_many_failure_modes_are_refused() {
+fn too_many_failure_modes_are_rejected() {
     let row = |i: u32| format!("0,word {i}\n");
     let rows = |n: u32| format!("success,failure_mode\n{}", (0..n).map(row).collect::<String>());
     let error = refused("modes.csv", rows(1001), &Mapping::default());
@@ -393,7 +389,7 @@ fn ignored_columns_are_named() {
     let notes = &source(&provenance).notes;
     for note in [
         "Column `mu` is ignored: row 1 has no value.",
-        "Column `ok` is ignored: it holds true or false.",
+        "Column `ok` is ignored: it contains truth values.",
         "Column `weight` is ignored: another column of the dictionary has its name.",
     ] {
         assert!(notes.iter().any(|found| found == note), "{note} {notes:?}");
@@ -405,5 +401,5 @@ fn dictionary_is_not_imported() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/v0.1/run/dictionary.parquet");
     let folder = Folder::new("results-dictionary");
     let error = import(&path, &folder.join("d.parquet"), None, &Mapping::default()).unwrap_err().to_string();
-    assert!(error.contains("it is a dictionary already"), "{error}");
+    assert!(error.contains("it is already a dictionary"), "{error}");
 }

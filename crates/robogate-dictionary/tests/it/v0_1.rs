@@ -1,4 +1,4 @@
-//! Files that RoboGate 0.1 wrote are read as they were meant.
+//! Tests that files of RoboGate 0.1 are read correctly.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/v0.1").join(name)
 }
 
-/// The rows; the last one would be an error if the dataset hash were another.
+/// The rows. The last one would be an error if the dataset hash differed.
 fn entries(dictionary: &Dictionary) -> Vec<Entry> {
     dictionary.entries().collect::<Result<_, _>>().unwrap()
 }
@@ -22,7 +22,7 @@ fn csv(dictionary: &Dictionary) -> String {
     String::from_utf8(csv).unwrap()
 }
 
-/// The same rows in a file of the present schema.
+/// The same rows in a file of the current schema.
 fn rewritten(old: &Dictionary) -> (SchemaVersion, String) {
     let folder = Folder::new("v0.1");
     let path = folder.join(old.dataset_hash());
@@ -66,7 +66,7 @@ fn rewritten_rows_keep_their_hash() {
     }
 }
 
-/// Recorded before there were labels.
+/// Recorded before labels existed.
 #[test]
 fn schema_1_0_has_no_labels() {
     let old = Dictionary::open(&fixture("schema-1.0.parquet")).unwrap();
@@ -78,11 +78,11 @@ fn schema_1_0_has_no_labels() {
 }
 
 #[test]
-fn begun_run_must_be_finished_by_0_1() {
+fn unfinished_0_1_run_is_rejected() {
     let folder = Folder::new("v0.1-journal");
     let path = folder.join("journal.rgj");
     fs::copy(fixture("journal.rgj"), &path).unwrap();
     let error = Journal::open(&path).unwrap_err().to_string();
-    assert!(error.contains("begun with robogate 0.1") && error.contains("finish it with that version"), "{error}");
-    assert!(fs::read(&path).unwrap() == fs::read(fixture("journal.rgj")).unwrap(), "nothing was changed");
+    assert!(error.contains("started with robogate 0.1") && error.contains("finish it with that version"), "{error}");
+    assert!(fs::read(&path).unwrap() == fs::read(fixture("journal.rgj")).unwrap(), "the file is unchanged");
 }

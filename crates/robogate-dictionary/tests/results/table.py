@@ -1,4 +1,4 @@
-"""Writes table.parquet, a table as a lab would write it: pandas' missing values, a nested column, snappy.
+"""Writes table.parquet, a typical lab table with pandas' missing values, a nested column and snappy compression.
 
 Usage: python table.py   (packages: ../requirements.txt)
 """

@@ -1,4 +1,4 @@
-"""Writes reference.json: values of SciPy for the special functions.
+"""Writes reference.json: SciPy reference values for the special functions.
 
     python3 -m venv venv && venv/bin/pip install -r requirements.txt && venv/bin/python generate.py
 """

@@ -12,7 +12,7 @@ use crate::friction::{Coefficients, Friction};
 use crate::{FixtureKind, Touches, Wrench};
 
 impl Loaded {
-    /// The friction coefficients that act between the object and everything that it can touch.
+    /// The friction coefficients that act between the object and every body that it can touch.
     pub(super) fn friction(&self) -> Result<Friction, Fault> {
         let model = self.data.model();
         let object: Vec<usize> = (0..self.kinds.len()).filter(|geom| self.kinds[*geom] == Kind::Object).collect();
@@ -28,7 +28,7 @@ impl Loaded {
         friction.finish()
     }
 
-    /// Sums up the contacts of the last step: if two bodies touch at several points, the sum of the forces counts.
+    /// Sums up the contacts of the last step. If two bodies touch at several points, their forces are added.
     pub(super) fn read_touches(&mut self) {
         let touches = &mut self.touches;
         *touches = Touches::default();
@@ -36,7 +36,7 @@ impl Loaded {
         self.support = Wrench::ZERO;
         let joined = self.weld.is_some_and(|weld| self.data.eq_active()[weld.equality]);
         for (i, contact) in self.data.contact().iter().enumerate() {
-            // Bodies that are near but do not touch have no constraint.
+            // Bodies that are close but do not touch have no constraint.
             if contact.efc_address < 0 || contact.geom1 < 0 || contact.geom2 < 0 {
                 continue;
             }
@@ -81,8 +81,8 @@ impl Loaded {
     }
 
     /// The wrench on the object in the last step without weight and support, about the tool centre point, by inverse
-    /// dynamics (Newton and Euler). The force of the weld alone is not enough: where the cup also presses on the object,
-    /// weld and contact bear against each other.
+    /// dynamics (Newton and Euler). The force of the weld alone is insufficient: if the cup also presses on the object,
+    /// weld and contact forces oppose each other.
     pub(super) fn load_about(&self, tcp: &Isometry3<f64>, object: &Isometry3<f64>) -> Wrench {
         let mass = &self.scene.object.mass;
         let rotation = object.rotation;
@@ -101,8 +101,8 @@ impl Loaded {
     }
 }
 
-/// The sliding friction coefficient of a contact of two geoms, by MuJoCo's rule ("Computation", "Contact"): that of the
-/// geom with the higher priority, or the larger one at equal priority.
+/// The sliding friction coefficient of a contact of two geoms, by MuJoCo's rule ("Computation", "Contact"): the
+/// coefficient of the geom with the higher priority, or the larger one at equal priority.
 fn contact_friction(model: &MjModel, a: usize, b: usize) -> f64 {
     let [(first, friction), (second, other)] =
         [a, b].map(|geom| (model.geom_priority()[geom], model.geom_friction()[geom][0]));

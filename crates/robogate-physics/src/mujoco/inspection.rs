@@ -1,10 +1,10 @@
-//! Measurements of a robot alone, for its inspection.
+//! Measurements of a robot without a scene, for its inspection.
 
 use super::{Kind, MujocoEngine, load_mujoco};
 use crate::{Engine, Problem, Robot, RobotError, robot_model};
 
 impl MujocoEngine {
-    /// All problems of a robot's model. The robot's settings may have problems of their own.
+    /// All problems of a robot's model. The settings are checked separately.
     pub(crate) fn problems(robot: &Robot) -> Vec<Problem> {
         match load_mujoco() {
             Ok(_) => robot_model::build(robot, Self::TIME_STEP_S).err().unwrap_or_default(),

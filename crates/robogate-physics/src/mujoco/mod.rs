@@ -1,9 +1,9 @@
 //! The MuJoCo engine.
 //!
-//! Each scene is compiled from the robot's model and the scene's bodies, which takes about a millisecond, so that no state
-//! of one episode can reach the next. These settings make grasps correct (`robogate check physics` measures them):
-//! implicit integration, elliptic friction cones with `impratio` 10, and contacts of the object as stiff as the default
-//! time step allows.
+//! Each scene is compiled from the robot's model and the scene's bodies, which takes about a millisecond and prevents
+//! any state from carrying over to the next episode. These settings make grasps correct (`robogate check physics`
+//! measures them): implicit integration, elliptic friction cones with `impratio` 10, and contacts of the object as
+//! stiff as the default time step allows.
 
 mod contacts;
 mod inspection;
@@ -24,7 +24,7 @@ use crate::{
 };
 
 /// Contact masks (`contype`, `conaffinity`). The robot collides with object and fixtures, the object with fixtures. The
-/// robot does not collide with itself: fingers that close on nothing touch each other.
+/// robot does not collide with itself, because the fingers of an empty gripper touch each other when closed.
 pub(crate) const ROBOT: (i32, i32) = (1, 0);
 const OBJECT: (i32, i32) = (2, 1);
 const FIXTURE: (i32, i32) = (0, 3);
@@ -60,9 +60,9 @@ struct Loaded {
     kinds: Vec<Kind>,
     /// Addresses of the arm's joints in qpos and qvel.
     arm: Vec<(usize, usize)>,
-    /// The same for the fingers; empty without fingers.
+    /// Addresses of the finger joints in qpos and qvel. Empty without fingers.
     fingers: Vec<(usize, usize)>,
-    /// The weld between cup and object, where the gripper has a cup.
+    /// The weld between cup and object, if the gripper has a cup.
     weld: Option<Weld>,
     object_body: usize,
     object_qpos: usize,
@@ -83,7 +83,7 @@ struct Loaded {
 /// A fixture that moves.
 #[derive(Debug, Clone, Copy)]
 struct Mover {
-    /// Its index in the scene.
+    /// The index in the scene.
     fixture: usize,
     /// Addresses of its joint.
     qpos: usize,
@@ -91,7 +91,7 @@ struct Mover {
     motion: Motion,
 }
 
-/// The weld between cup and object: part of the model from the start, and switched on and off.
+/// The weld between cup and object. It is always part of the model and is switched on and off.
 #[derive(Debug, Clone, Copy)]
 struct Weld {
     equality: usize,
@@ -116,7 +116,7 @@ impl MujocoEngine {
 
     /// The loaded scene. All methods that read the state require one.
     fn loaded(&self) -> &Loaded {
-        self.loaded.as_ref().expect("a scene is loaded before it is read")
+        self.loaded.as_ref().expect("a scene must be loaded before it is read")
     }
 
     /// Compiles robot and scene to a MuJoCo model.
@@ -143,7 +143,7 @@ pub(crate) fn build(library: &Library) -> EngineBuild {
     EngineBuild { name: "mujoco", version, sha256: Some(library.sha256.clone()) }
 }
 
-/// Description of the first warning that MuJoCo has raised since the state was created.
+/// The first warning that MuJoCo has issued since the state was created.
 pub(crate) fn warning(data: &MjData<Box<MjModel>>) -> Option<String> {
     let kind = data.warning().iter().position(|warning| warning.number > 0)?;
     let info = data.warning()[kind].lastinfo;
@@ -170,7 +170,7 @@ pub fn load_mujoco() -> Result<&'static Library, LoadError> {
     let library = mujoco_loader::load()?;
     ONCE.call_once(|| {
         // SAFETY: all use of MuJoCo begins with a constructor that waits for this call, so MuJoCo is not in use.
-        #[expect(unsafe_code, reason = "the binding has no safe way to set it")]
+        #[expect(unsafe_code, reason = "the binding has no safe setter")]
         unsafe {
             set_log_config(log_config().with_logto_file(false));
         }
@@ -183,7 +183,7 @@ pub fn wxyz(rotation: &UnitQuaternion<f64>) -> [f64; 4] {
     [rotation.w, rotation.i, rotation.j, rotation.k]
 }
 
-/// The primitive that MuJoCo holds; `None` for another shape.
+/// Converts a MuJoCo geom to a primitive. `None` for another shape.
 fn primitive(model: &MjModel, geom: usize) -> Option<Primitive> {
     let [a, b, c] = model.geom_size()[geom];
     match model.geom_type()[geom] {
@@ -333,7 +333,7 @@ impl Engine for MujocoEngine {
         let first = loaded.data.ctrl().len() - arm.joints.len() - loaded.fingers.len();
         let ctrl = &mut loaded.data.ctrl_mut()[first..];
         for (i, ctrl) in ctrl[..arm.joints.len()].iter_mut().enumerate() {
-            // The servo's velocity target as an offset of its position target.
+            // The servo's velocity target is expressed as an offset of its position target.
             *ctrl = targets.positions[i] + targets.velocities[i] * arm.damping_nms_rad[i] / arm.stiffness_nm_rad[i];
         }
         ctrl[arm.joints.len()..].fill(targets.finger);
@@ -382,7 +382,7 @@ impl Engine for MujocoEngine {
         let lip = Point3::from(tcp.translation.vector);
         let (in_object, in_cup) = (object.inverse_transform_point(&lip), cup.inverse_transform_point(&lip));
         // SAFETY: only numbers of an equality of this model change; no size and no address depends on them.
-        #[expect(unsafe_code, reason = "the binding has no safe way to set it")]
+        #[expect(unsafe_code, reason = "the binding has no safe setter")]
         let numbers = unsafe { &mut loaded.data.model_mut().eq_data_mut()[weld.equality] };
         numbers[..3].copy_from_slice(in_object.coords.as_slice());
         numbers[3..6].copy_from_slice(in_cup.coords.as_slice());
@@ -439,7 +439,7 @@ impl Engine for MujocoEngine {
         let loaded = self.loaded.as_mut()?;
         let mut best = bound;
         for robot in 0..loaded.kinds.len() {
-            // Fixed parts of the base stand at the table's level and have no clearance.
+            // Fixed parts of the base are at the table's level and have no clearance.
             let Kind::Robot { body, .. } = loaded.kinds[robot] else { continue };
             if loaded.data.model().body_weldid()[body] == 0 {
                 continue;

@@ -1,4 +1,4 @@
-//! A scene as a MuJoCo model.
+//! Converts a scene to a MuJoCo model.
 
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_editing::MjsGeom;
@@ -16,8 +16,8 @@ impl MujocoEngine {
             let name = format!("{PREFIX}{}", fixture.name);
             let Part { primitive, pose } = &fixture.part;
             let geom = if let Some(motion) = &fixture.motion {
-                // Its joint is set to the prescribed position at every step. It has a joint so that contacts see its
-                // speed, and a mass so large that what it pushes does not slow it down.
+                // Its joint is set to the prescribed position at every step. The joint gives contacts the correct
+                // speed, and the large mass keeps pushed objects from slowing it down.
                 let body = world.add_body().with_name(&name);
                 place(pose, body.pos_mut());
                 *body.quat_mut() = wxyz(&pose.rotation);
@@ -35,7 +35,7 @@ impl MujocoEngine {
             };
             geom.set_contype(FIXTURE.0);
             geom.set_conaffinity(FIXTURE.1);
-            // A table with a friction coefficient of its own takes precedence over the object.
+            // A table with a separate friction coefficient takes precedence over the object.
             if let (0, Some(friction)) = (i, scene.table_friction) {
                 geom.set_priority(2);
                 let balls = scene.object.parts.iter().map(|part| &part.primitive);
@@ -58,7 +58,7 @@ impl MujocoEngine {
             geom.set_contype(OBJECT.0);
             geom.set_conaffinity(OBJECT.1);
             geom.set_mass(0.0);
-            // The object's friction coefficient is that of all of its contacts.
+            // The object's friction coefficient applies to all of its contacts.
             geom.set_priority(1);
             object_contact(geom, scene.friction, matches!(part.primitive, Primitive::Sphere { .. }));
         }
@@ -69,7 +69,7 @@ impl MujocoEngine {
             weld.set_name1(&cup.cup_body);
             weld.set_name2(&format!("{PREFIX}object"));
             weld.set_active(false);
-            // Without these numbers MuJoCo's compiler would fix the poses of the start.
+            // Without these numbers MuJoCo's compiler would compute reference poses from the initial state.
             weld.data_mut()[..11].copy_from_slice(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
             weld.solref_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);
             weld.solimp_mut()[..3].copy_from_slice(&contact::IMPEDANCE);
@@ -100,7 +100,7 @@ fn shape(geom: &mut MjsGeom, primitive: &Primitive, pose: &Isometry3<f64>) {
 
 /// Sets the contact properties of the object, or of a table that takes precedence over it.
 fn object_contact(geom: &mut MjsGeom, friction: f64, rolls: bool) {
-    // Sliding and torsional friction; a ball also has rolling friction, or it would never rest.
+    // Sliding and torsional friction. A ball also has rolling friction; otherwise it would never come to rest.
     geom.set_condim(if rolls { 6 } else { 4 });
     *geom.friction_mut() = [friction, friction * contact::PATCH_RADIUS_M * 2.0 / 3.0, contact::ROLLING_M];
     geom.solref_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);

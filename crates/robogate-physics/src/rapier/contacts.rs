@@ -13,7 +13,7 @@ use crate::friction::{Coefficients, Friction};
 use crate::{FixtureKind, Touches, Wrench, contact};
 
 impl Loaded {
-    /// The friction coefficients that act between the object and everything that it can touch, by Rapier's rule.
+    /// The friction coefficients that act between the object and every body that it can touch, by Rapier's rule.
     pub(super) fn friction(&self) -> Result<Friction, Fault> {
         let mut friction = Coefficients::default();
         for (handle, kind) in &self.colliders {
@@ -50,7 +50,7 @@ impl Loaded {
 
     /// The wrench on the object in the last step without weight and support, about the tool centre point, by inverse
     /// dynamics (Newton and Euler) from the momentum `before`. The tool centre point is at `lip` in the cup's link.
-    /// Rapier's own joint impulse cannot be used: it is that of the last iteration only, along axes of the solver's choice.
+    /// Rapier's joint impulse cannot be used: it belongs to the last iteration only, along axes chosen by the solver.
     pub(super) fn load_about(&self, lip: &Isometry3<f64>, before: [Vector3<f64>; 2]) -> Wrench {
         let dt = self.world.integration_parameters.dt;
         let tcp = isometry(self.world.bodies[self.tcp].position()) * lip;
@@ -87,7 +87,7 @@ impl Loaded {
                     pressed += point.data.impulse;
                     last = Some(&point.data);
                 }
-                // Friction is solved once for the whole manifold; each point holds the result of the last iteration.
+                // Friction is solved once for the whole manifold. Each point stores the result of the last iteration.
                 if let Some(last) = last {
                     let share = SUBSTEPS as f64 / settings.dt;
                     let tangential = plain(last.warmstart_tangent_world) * (-sign * share);
@@ -119,7 +119,7 @@ impl Loaded {
         let spin = body.angvel();
         let speed = spin.length();
         if pressed > 0.0 && speed > 0.0 {
-            // No more than what stops it within this step.
+            // Limited to the moment that stops the rotation within this step.
             let inertia = body.mass_properties().local_mprops.principal_inertia().x;
             let moment = (contact::ROLLING_M * pressed).min(inertia * speed / dt);
             body.add_torque(spin * (-moment / speed), false);
@@ -133,7 +133,7 @@ impl Loaded {
         pairs.map(|pair| impulse(pair) / dt).sum()
     }
 
-    /// Contacts before the first step, by distance: no force has acted yet.
+    /// Contacts before the first step, determined by distance because no force has acted yet.
     pub(super) fn read_touches_at_start(&mut self) {
         self.touches = Touches::default();
         for (robot, kind) in &self.colliders {
@@ -158,7 +158,7 @@ impl Loaded {
         }
     }
 
-    /// Sums up the contacts of the last step: if two bodies touch at several points, the sum of the forces counts.
+    /// Sums up the contacts of the last step. If two bodies touch at several points, their forces are added.
     pub(super) fn read_touches(&mut self) {
         let dt = self.world.integration_parameters.dt;
         self.touches = Touches::default();
@@ -170,7 +170,7 @@ impl Loaded {
             };
             let (Some(one), Some(two)) = (kind(pair.collider1), kind(pair.collider2)) else { continue };
             let deepest = pair.find_deepest_contact().map(|(_, contact)| contact.dist);
-            // Bodies that are near but do not touch have no force.
+            // Bodies that are close but do not touch have no force.
             if deepest.is_none_or(|dist| dist > 0.0) && impulse(pair) == 0.0 {
                 continue;
             }
@@ -209,7 +209,7 @@ impl Loaded {
     }
 }
 
-/// The points of a manifold that the last step solved; the others hold old values.
+/// The points of a manifold that the last step solved. The others contain old values.
 fn solved(manifold: &ContactManifold) -> impl Iterator<Item = &Contact> {
     let ids = manifold.data.solver_contacts.iter().flat_map(|contact| contact.contact_indices());
     ids.filter_map(|id| manifold.points.get(id as usize))

@@ -17,7 +17,7 @@ pub(super) fn pose(pose: &Isometry3<f64>) -> Pose {
     Pose { translation: vector(&pose.translation.vector), rotation: Rotation::from_xyzw(q.i, q.j, q.k, q.w) }
 }
 
-/// Rotation from Rapier's cylinders and capsules, which stand along y, to ours along z.
+/// Rotation from Rapier's cylinders and capsules (axis y) to ours (axis z).
 pub(super) fn quarter() -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2)
 }
@@ -30,7 +30,8 @@ pub(super) fn solid(solid: &Solid, at: &Isometry3<f64>) -> Result<(SharedShape, 
         Solid::Capsule { radius, half_height } => (SharedShape::capsule_y(*half_height, *radius), at * quarter()),
         Solid::Hull { points } => {
             let points: Vec<Vector> = points.iter().map(|p| vector(&p.coords)).collect();
-            let hull = SharedShape::convex_hull(&points).ok_or("a mesh has no convex hull: its vertices lie flat")?;
+            let hull =
+                SharedShape::convex_hull(&points).ok_or("a mesh has no convex hull: its vertices are coplanar")?;
             (hull, *at)
         }
     })

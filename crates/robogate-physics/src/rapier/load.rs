@@ -1,4 +1,4 @@
-//! Building a robot and a scene in Rapier.
+//! Builds a robot and a scene in Rapier.
 
 use nalgebra::Isometry3;
 use rapier3d_f64::dynamics::{
@@ -20,10 +20,10 @@ const ROBOT: Group = Group::GROUP_1;
 const OBJECT: Group = Group::GROUP_2;
 const FIXTURE: Group = Group::GROUP_3;
 
-/// Natural frequency with which a contact separates shapes that penetrate each other, in Hz. Rapier detects a contact anew
-/// only after a rotation by one degree; until then the contact point moves with the object. Under stiffer contacts
-/// (150 Hz) a cylinder between two pads therefore rotates faster and faster. From 60 to 100 Hz it stays, with a
-/// penetration of 0.1 mm in each pad.
+/// Natural frequency with which a contact separates penetrating shapes, in Hz. Rapier detects a contact again only
+/// after a rotation by one degree; until then the contact point moves with the object. With stiffer contacts (150 Hz) a
+/// cylinder between two pads therefore rotates faster and faster. From 60 to 100 Hz it is stable, with a penetration of
+/// 0.1 mm in each pad.
 const CONTACT_HZ: f64 = 80.0;
 
 /// Damping ratio of contacts.
@@ -44,7 +44,7 @@ struct Build<'a> {
 }
 
 impl RapierEngine {
-    /// Builds robot and scene, the arm at `joints` (rad), the gripper open.
+    /// Builds robot and scene with the arm at `joints` (rad) and the gripper open.
     pub(super) fn build_scene(&self, scene: &Scene, joints: &[f64]) -> Result<Loaded, Fault> {
         let mut build = Build {
             engine: self,
@@ -55,17 +55,17 @@ impl RapierEngine {
             links: Vec::new(),
             joints: Vec::new(),
         };
-        // The order of insertion is part of the results.
+        // The order of insertion affects the results.
         build.add_links()?;
         build.add_joints()?;
         build.configure_drives(joints)?;
         let movers = build.add_fixtures()?;
         let (object, object_shapes) = build.add_object()?;
         for (_, body) in build.world.bodies.iter_mut() {
-            // Known before the first step, so that it can be read back.
+            // Set before the first step, because the read-back happens before it.
             body.recompute_mass_properties_from_colliders(&build.world.colliders);
         }
-        // Colliders follow their bodies in a step, and none has been taken yet.
+        // Colliders follow their bodies during a step, but no step has run yet.
         build.world.bodies.propagate_modified_body_positions_to_colliders(&mut build.world.colliders);
         let settings = &self.robot.settings;
         let fingers = settings.gripper.jaw().map_or(&[][..], |jaw| &jaw.finger_joints);
@@ -122,7 +122,7 @@ impl Build<'_> {
             let builder = match link.joint {
                 Some(_) => RigidBodyBuilder::dynamic()
                     .additional_mass_properties(mass_properties(link))
-                    // The weight of the arm is compensated, as by every arm's controller.
+                    // The weight of the arm is compensated, as in every arm's controller.
                     .gravity_scale(0.0)
                     .can_sleep(false),
                 None => RigidBodyBuilder::fixed(),
@@ -209,7 +209,7 @@ impl Build<'_> {
             .and_then(|joint| self.world.multibody_joints.get_mut(joint))
             .ok_or_else(|| setup("the arm has no joint".to_owned()))?;
         multibody.set_self_contacts_enabled(false);
-        // Only after this call do the per-joint vectors have their final order.
+        // The per-joint vectors have their final order only after this call.
         multibody.forward_kinematics(&self.world.bodies, true);
         let mut start = vec![0.0; multibody.ndofs()];
         let at_start = arm.joints.iter().zip(joints).map(|(name, q)| (name, *q));
@@ -265,7 +265,7 @@ impl Build<'_> {
         Ok(())
     }
 
-    /// The fixtures; returns the index and body of each one that moves.
+    /// Adds the fixtures. Returns the index and body of each moving one.
     fn add_fixtures(&mut self) -> Result<Vec<(usize, RigidBodyHandle)>, Fault> {
         let ground = self.world.insert_body(RigidBodyBuilder::fixed());
         let mut movers = Vec::new();
@@ -296,7 +296,7 @@ impl Build<'_> {
         Ok(movers)
     }
 
-    /// The object: its body and its shapes. Its friction coefficient is that of all of its contacts.
+    /// Adds the object: its body and its shapes. Its friction coefficient applies to all of its contacts.
     fn add_object(&mut self) -> Result<(RigidBodyHandle, Vec<ColliderHandle>), Fault> {
         let mass = &self.scene.object.mass;
         let link = Link {
@@ -328,12 +328,14 @@ impl Build<'_> {
     }
 }
 
-/// The table's own coefficient that gives a contact with an object of coefficient `object` the coefficient `friction`.
+/// The table's coefficient that gives `friction` in contact with an object of coefficient `object`.
 ///
-/// The geometric mean is the only rule that takes precedence over the object's own rule and can give any coefficient.
+/// The geometric mean is the only rule that takes precedence over the object's rule and can give any coefficient.
 fn table_coefficient(friction: f64, object: f64) -> Result<f64, String> {
     if friction > 0.0 && object <= 0.0 {
-        return Err(format!("table_friction = {friction}: in Rapier an object without friction has none on the table"));
+        return Err(format!(
+            "table_friction = {friction}: in Rapier an object without friction has no friction on the table either"
+        ));
     }
     Ok(if friction > 0.0 { friction * friction / object } else { 0.0 })
 }

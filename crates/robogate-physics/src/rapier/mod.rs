@@ -1,9 +1,9 @@
-//! The Rapier engine: pure Rust, a different solver, the same robot folders and scenes.
+//! The Rapier engine: pure Rust with a different solver, for the same robot folders and scenes.
 //!
 //! The arm is a multibody in reduced coordinates. These settings make grasps correct (`robogate check physics --engine
-//! rapier` measures them): contacts are detected anew in every step and stiff, the prediction distance is small, friction
-//! is solved together with position correction, and friction coefficients are the object's alone. Rapier has no rolling
-//! friction, so that of a ball is added as a moment.
+//! rapier` measures them): contacts are stiff and detected again in every step, the prediction distance is small,
+//! friction is solved together with position correction, and only the object's friction coefficients count. Rapier has
+//! no rolling friction, so a ball gets an additional moment.
 
 mod contacts;
 mod convert;
@@ -29,8 +29,8 @@ use crate::{
 /// Number of solver substeps in a time step.
 const SUBSTEPS: usize = 4;
 
-/// Stiffness of a cup's lip, in N/m: 3 kg pull it down by 0.3 mm. A rigid joint would transmit the arm's own compliance
-/// to an object that still stands on the table: a few newtons of shear, and a moment that peels the lip off.
+/// Stiffness of a cup's lip, in N/m: a load of 3 kg stretches it by 0.3 mm. A rigid joint would transmit the arm's
+/// compliance to an object that still stands on the table: a few newtons of shear, and a moment that peels the lip off.
 const LIP_STIFFNESS_N_M: f64 = 1e5;
 
 /// Damping of a cup's lip, in N s/m: critical for 0.5 kg.
@@ -96,7 +96,7 @@ impl RapierEngine {
 
     /// The loaded scene. All methods that read the state require one.
     fn loaded(&self) -> &Loaded {
-        self.loaded.as_ref().expect("a scene is loaded before it is read")
+        self.loaded.as_ref().expect("a scene must be loaded before it is read")
     }
 }
 
@@ -216,7 +216,7 @@ impl Engine for RapierEngine {
                 LIP_DAMPING_NS_M,
             );
         }
-        // Springs along a circle give half the radius squared. Rapier takes the sine of half an angle as the angle.
+        // Springs along a circle give half the radius squared. Rapier uses the sine of half the angle as the angle.
         let inertia = 0.5 * (0.5 * cup.cup_diameter_m).powi(2);
         let (stiffness, damping) = (2.0 * inertia * LIP_STIFFNESS_N_M, inertia * LIP_DAMPING_NS_M);
         for axis in [JointAxis::AngX, JointAxis::AngY, JointAxis::AngZ] {
@@ -260,8 +260,8 @@ impl Engine for RapierEngine {
         let loaded = self.loaded();
         let body = &loaded.world.bodies[loaded.object];
         let at = body.velocity_at_point(body.position().translation);
-        let turn = body.angvel();
-        (Vector3::new(at.x, at.y, at.z), Vector3::new(turn.x, turn.y, turn.z))
+        let angular = body.angvel();
+        (Vector3::new(at.x, at.y, at.z), Vector3::new(angular.x, angular.y, angular.z))
     }
 
     fn touches(&self) -> &Touches {
@@ -272,7 +272,7 @@ impl Engine for RapierEngine {
         let loaded = self.loaded();
         let mut best = bound;
         for (robot, kind) in &loaded.colliders {
-            // Fixed parts of the base stand at the table's level and have no clearance.
+            // Fixed parts of the base are at the table's level and have no clearance.
             let Kind::Robot { fixed: false, .. } = kind else { continue };
             let robot = &loaded.world.colliders[*robot];
             let ball = robot.shape().compute_bounding_sphere(robot.position());

@@ -1,16 +1,17 @@
-//! The rows of a regression, checked once and then walked in blocks.
+//! Rows of a regression: checked once, then processed in blocks.
 
 use super::RegressionError;
 use crate::weighted::is_weight;
 use robogate_maths::dense::{dependent_columns, dot};
 
-/// Rows handled together; fits the first-level cache with a few dozen columns.
+/// Rows per block. A block with a few dozen columns fits into the first-level cache.
 pub(super) const BLOCK: usize = 128;
 
-/// Share of a column's variance that the others must leave unexplained for it to count as a column of its own.
+/// Smallest fraction of a column's variance that the other columns must leave unexplained. Below it the column is
+/// collinear.
 const COLLINEAR: f64 = 1e-9;
 
-/// Columns, outcomes and optional weights of equal length, finite, with at least one row of positive weight.
+/// Columns, outcomes and optional weights of equal length. All are finite, and at least one row has positive weight.
 #[derive(Debug, Clone, Copy)]
 pub struct Data<'a> {
     columns: &'a [&'a [f64]],
@@ -19,12 +20,12 @@ pub struct Data<'a> {
 }
 
 impl<'a> Data<'a> {
-    /// Checks lengths and values; an intercept is added by the fit, not given here.
+    /// Checks lengths and values. The fit adds the intercept.
     ///
-    /// `weights` count how many rows of the population each row speaks for; zero leaves a row out.
+    /// `weights` state how many rows of the population each row represents. A weight of zero excludes a row.
     ///
     /// # Errors
-    /// What is wrong, with the index of the column and row where it was found.
+    /// The problem, with the index of its column and row.
     pub fn new(
         columns: &'a [&'a [f64]],
         outcomes: &'a [bool],
@@ -50,27 +51,27 @@ impl<'a> Data<'a> {
         Ok(Self { columns, outcomes, weights })
     }
 
-    /// Number of columns, the intercept not counted.
+    /// Number of columns, without the intercept.
     pub fn width(&self) -> usize {
         self.columns.len()
     }
 
-    /// Number of rows, those of zero weight included.
+    /// Number of rows, including those with zero weight.
     pub fn rows(&self) -> usize {
         self.outcomes.len()
     }
 
-    /// Outcomes as given.
+    /// The outcomes.
     pub fn outcomes(&self) -> &'a [bool] {
         self.outcomes
     }
 
-    /// Columns as given.
+    /// The columns.
     pub fn columns(&self) -> &'a [&'a [f64]] {
         self.columns
     }
 
-    /// Weights as given.
+    /// The weights.
     pub fn weights(&self) -> Option<&'a [f64]> {
         self.weights
     }
@@ -80,32 +81,32 @@ impl<'a> Data<'a> {
     }
 }
 
-/// Why a column takes no part in a fit.
+/// The reason why a column is not part of a fit.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Dropped {
-    /// It has one value only, so it says nothing beside the intercept.
+    /// The column is constant, like the intercept.
     Constant,
-    /// It is a linear function of these columns (and the intercept).
+    /// The column is a linear function of these columns (and the intercept).
     CollinearWith(Vec<usize>),
 }
 
-/// Columns that take part, centred and scaled to unit variance, with an intercept in front.
+/// The columns of the fit, centred and scaled to unit variance, after an intercept.
 pub(super) struct Standardized<'a> {
     data: Data<'a>,
-    /// Index in the caller's columns of each column that takes part.
+    /// Index of each kept column among the caller's columns.
     pub(super) kept: Vec<usize>,
-    /// Why each of the others does not.
+    /// The dropped columns with the reason.
     pub(super) dropped: Vec<(usize, Dropped)>,
     pub(super) means: Vec<f64>,
     pub(super) deviations: Vec<f64>,
-    /// Rows of positive weight, and among them the successes.
+    /// Rows with positive weight, and the successes among them.
     pub(super) rows: usize,
     pub(super) successes: usize,
     pub(super) weight: f64,
     pub(super) success_weight: f64,
 }
 
-/// Up to [`BLOCK`] rows: intercept and standardized columns one after the other, `BLOCK` apart, zero-padded.
+/// Up to [`BLOCK`] rows: the intercept and the standardized columns one after the other, `BLOCK` apart, zero-padded.
 pub(super) struct Block {
     pub(super) first_row: usize,
     pub(super) rows: usize,
@@ -117,7 +118,7 @@ pub(super) struct Block {
 }
 
 impl Block {
-    /// Column `j` of the block, the intercept being column 0.
+    /// Column `j` of the block. Column 0 is the intercept.
     pub(super) fn column(&self, j: usize) -> &[f64] {
         &self.x[j * BLOCK..(j + 1) * BLOCK]
     }
@@ -134,7 +135,7 @@ impl Block {
 }
 
 impl<'a> Standardized<'a> {
-    /// Finds what each column is worth: constant, collinear, or kept.
+    /// Classifies each column as constant, collinear, or kept.
     pub(super) fn new(data: Data<'a>) -> Self {
         let n = data.rows();
         let mut rows = 0;
@@ -180,9 +181,9 @@ impl<'a> Standardized<'a> {
         this
     }
 
-    /// Weighted mean and standard deviation (divisor: total weight); `None` for a column of one value.
+    /// Weighted mean and standard deviation (divisor: total weight). `None` for a constant column.
     fn moments(&self, values: &[f64]) -> Option<(f64, f64)> {
-        // Dividing by the largest magnitude first keeps squares of extreme values finite.
+        // Division by the largest magnitude first keeps squares of extreme values finite.
         let largest = values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
         if largest <= 0.0 {
             return None;
@@ -225,7 +226,7 @@ impl<'a> Standardized<'a> {
         self.dropped.sort_by_key(|(column, _)| *column);
     }
 
-    /// Number of coefficients, the intercept included.
+    /// Number of coefficients, including the intercept.
     pub(super) fn parameters(&self) -> usize {
         self.kept.len() + 1
     }

@@ -1,20 +1,20 @@
-//! Logistic regression: how the probability of success depends on the parameters, with uncertainty.
+//! Logistic regression of success on the parameters.
 //!
 //! logit P(success | x) = β₀ + Σ βⱼ xⱼ, fitted by maximum likelihood (Newton with step-halving) on internally
-//! standardized columns and reported raw or standardized. Standard errors come from the inverse information,
-//! or from the sandwich I⁻¹ (Σ w² (y-p)² x xᵀ) I⁻¹ where weights are not counts; z = β/se; the p-value is kept as its
-//! logarithm, so 1e-300 and beyond stay numbers.
+//! standardized columns and reported raw or standardized. Standard errors come from the inverse information, or from
+//! the sandwich I⁻¹ (Σ w² (y-p)² x xᵀ) I⁻¹ if weights are not counts. z = β/se. The p-value is stored as its logarithm,
+//! which represents values below 1e-300.
 //!
-//! What cannot be estimated is reported:
-//! - a column of one value, or one that others explain, is [`Term::Dropped`] with the reason;
-//! - data that a linear function separates have no finite maximum likelihood estimate: [`Separation`] names kind,
-//!   columns and rows, and Firth's penalised fit answers instead ([`Estimator::FirthIfSeparated`], the default).
-//!   Firth maximises ln L + ½ ln det I(β), which is finite always and removes the bias of order 1/n; its Wald
-//!   errors are poor under separation, so use [`firth_profile`] for intervals there;
-//! - fewer than ten events per coefficient is a [`Caution`].
+//! Quantities that cannot be estimated are reported:
+//! - A constant column, or one that other columns explain, is [`Term::Dropped`] with the reason.
+//! - Data that a linear function separates have no finite maximum likelihood estimate. [`Separation`] names the kind,
+//!   the columns and the rows, and Firth's penalised fit is used instead ([`Estimator::FirthIfSeparated`], the
+//!   default). Firth maximises ln L + ½ ln det I(β), which is always finite and removes the bias of order 1/n. Its Wald
+//!   errors are inaccurate under separation; use [`firth_profile`] for intervals there.
+//! - Fewer than ten events per coefficient give a [`Caution`].
 //!
-//! Guarantee: a fit that is returned has settled (last Newton step below 1e-8 of a standardized unit).
-//! Limit: rows are taken as independent; a wrong functional form is not noticed here, see [`crate::calibration`].
+//! Guarantee: a returned fit has converged (last Newton step below 1e-8 of a standardized unit). Limit: rows are
+//! assumed independent. A wrong functional form is not detected; see [`crate::calibration`].
 //! Sources: McCullagh and Nelder (1989), chapter 4; Albert and Anderson (1984); Firth (1993), Biometrika 80(1); Heinze
 //! and Schemper (2002), Statistics in Medicine 21; White (1982) for the sandwich; Peduzzi et al. (1996) for ten events.
 
@@ -30,10 +30,10 @@ pub(crate) use newton::logistic_and_log;
 use robogate_maths::normal::ln_two_sided;
 pub use separation::{Separation, SeparationKind};
 
-/// Why there is no fit.
+/// The reason why there is no fit.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RegressionError {
-    /// A column has another length than the outcomes.
+    /// A column and the outcomes have different lengths.
     #[error("column {column} has {found} rows. Expected {expected}, one for each outcome")]
     ColumnLength {
         /// Index of the column.
@@ -43,7 +43,7 @@ pub enum RegressionError {
         /// Rows of the column.
         found: usize,
     },
-    /// The weights have another length than the outcomes.
+    /// The weights and the outcomes have different lengths.
     #[error("{found} weights. Expected {expected}, one for each outcome")]
     WeightLength {
         /// Rows of the outcomes.
@@ -70,29 +70,29 @@ pub enum RegressionError {
         value: f64,
     },
     /// No row has positive weight.
-    #[error("there are no rows to estimate from")]
+    #[error("no row has positive weight. Expected at least one")]
     NoRows,
-    /// Every outcome is the same, so no coefficient can be estimated.
+    /// All outcomes are equal, so no coefficient can be estimated.
     #[error("all {rows} rows have the same outcome (success: {success}); no coefficient can be estimated")]
     OneClass {
         /// Rows of positive weight.
         rows: usize,
-        /// The outcome that all share.
+        /// The common outcome.
         success: bool,
     },
-    /// Separated data, although only maximum likelihood was requested.
+    /// The data are separated, but only maximum likelihood was requested.
     #[error(
         "{kind:?} separation by columns {columns:?}: there is no finite maximum likelihood estimate. Hint: use Firth's fit",
         kind = .0.kind, columns = .0.columns
     )]
     Separated(Separation),
-    /// The steps did not settle and no separation explains why.
+    /// The steps did not converge, and there is no separation.
     #[error("the fit did not converge in {iterations} steps. Hint: check for nearly collinear columns")]
     NotSettled {
         /// Steps taken.
         iterations: usize,
     },
-    /// A profile was requested for a column that is not part of the fit.
+    /// A profile was requested for a column that is not in the fit.
     #[error("column {column} is not part of the fit")]
     NotInFit {
         /// Index of the column.
@@ -100,29 +100,29 @@ pub enum RegressionError {
     },
 }
 
-/// Units in which coefficients are reported.
+/// The units of reported coefficients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Scale {
-    /// Per unit of the column as given.
+    /// Per unit of the original column.
     #[default]
     Raw,
     /// Per standard deviation (divisor: total weight) of the column, about its mean.
     Standardized,
 }
 
-/// Which likelihood is maximised.
+/// The maximised likelihood.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Estimator {
-    /// Plain maximum likelihood; separation is an error.
+    /// Plain maximum likelihood. Separation is an error.
     MaximumLikelihood,
     /// Firth's penalised likelihood.
     Firth,
-    /// Maximum likelihood where it exists, Firth's where separation leaves none.
+    /// Maximum likelihood, or Firth's likelihood if the data are separated.
     #[default]
     FirthIfSeparated,
 }
 
-/// Where standard errors come from.
+/// The estimator of standard errors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Covariance {
     /// Inverse information: rows are independent and weights are counts.
@@ -132,7 +132,7 @@ pub enum Covariance {
     Sandwich,
 }
 
-/// How to fit and what to report.
+/// Options of the fit and the report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Options {
     /// Units of the coefficients.
@@ -163,7 +163,7 @@ impl Coefficient {
         Self { estimate, se, z, ln_p: ln_two_sided(z) }
     }
 
-    /// Two-sided p-value; 0 where it is below the smallest number, see `ln_p`.
+    /// Two-sided p-value. 0 if it is below the smallest double; see `ln_p`.
     pub fn p(&self) -> f64 {
         self.ln_p.exp()
     }
@@ -175,17 +175,17 @@ impl Coefficient {
     }
 }
 
-/// What became of one column.
+/// The result for one column.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Term {
-    /// It has a coefficient.
+    /// The column has a coefficient.
     Estimated(Coefficient),
-    /// It takes no part.
+    /// The column was dropped.
     Dropped(Dropped),
 }
 
 impl Term {
-    /// The coefficient, where there is one.
+    /// The coefficient, if the column has one.
     pub fn coefficient(&self) -> Option<&Coefficient> {
         match self {
             Self::Estimated(coefficient) => Some(coefficient),
@@ -194,16 +194,16 @@ impl Term {
     }
 }
 
-/// What a reader should know beside the coefficients.
+/// A warning about a fit.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Caution {
-    /// The data are separated; the figures are Firth's.
+    /// The data are separated. The figures come from Firth's fit.
     Separated(Separation),
     /// The rarer outcome has fewer than ten rows per coefficient.
     FewEvents {
         /// Rows of the rarer outcome.
         events: usize,
-        /// Coefficients, the intercept not counted.
+        /// Number of coefficients, without the intercept.
         coefficients: usize,
     },
 }
@@ -213,23 +213,23 @@ pub enum Caution {
 pub struct Fit {
     /// Intercept β₀, in the reported scale (log-odds at the mean row when standardized).
     pub intercept: Coefficient,
-    /// One for each column as given.
+    /// One term per column.
     pub terms: Vec<Term>,
     /// Units of the coefficients.
     pub scale: Scale,
-    /// Likelihood that was maximised: never [`Estimator::FirthIfSeparated`].
+    /// The maximised likelihood: never [`Estimator::FirthIfSeparated`].
     pub estimator: Estimator,
     /// ln L at the estimate, without penalty.
     pub log_likelihood: f64,
-    /// ½ ln det I on the standardized scale, where Firth's penalty took part.
+    /// ½ ln det I on the standardized scale, if Firth's penalty was used.
     pub penalty: Option<f64>,
-    /// ln L of the intercept alone.
+    /// ln L of the model with only an intercept.
     pub null_log_likelihood: f64,
     /// Steps taken.
     pub iterations: usize,
-    /// Rows of positive weight.
+    /// Rows with positive weight.
     pub rows: usize,
-    /// What to know beside the coefficients.
+    /// Warnings about the fit.
     pub cautions: Vec<Caution>,
     /// Raw coefficients, intercept first, 0 for dropped columns.
     raw: Vec<f64>,
@@ -247,34 +247,34 @@ impl Fit {
 
     /// Covariance of two parameters in the reported scale: 0 is the intercept, c + 1 is column c.
     ///
-    /// `None` for an index that does not exist or a column that was dropped.
+    /// `None` for an index that does not exist or a dropped column.
     pub fn covariance(&self, a: usize, b: usize) -> Option<f64> {
         let in_fit = |i: usize| i == 0 || self.terms.get(i - 1).is_some_and(|t| t.coefficient().is_some());
         (in_fit(a) && in_fit(b)).then(|| self.covariance[a * (self.terms.len() + 1) + b])
     }
 
-    /// Coefficients per raw unit, intercept first, 0 for dropped columns, for any reported scale.
+    /// Coefficients per raw unit, intercept first, 0 for dropped columns. They do not depend on the reported scale.
     pub fn raw_coefficients(&self) -> &[f64] {
         &self.raw
     }
 
-    /// Their covariance, row-major, 0 for dropped columns.
+    /// The covariance of the raw coefficients, row-major, 0 for dropped columns.
     pub fn raw_covariance(&self) -> &[f64] {
         &self.raw_covariance
     }
 
-    /// Log-odds of success of one raw row; `None` where its length is not the number of columns.
+    /// Log-odds of success for one raw row. `None` if its length differs from the number of columns.
     pub fn log_odds(&self, row: &[f64]) -> Option<f64> {
         (row.len() == self.terms.len())
             .then(|| self.raw[0] + row.iter().zip(&self.raw[1..]).map(|(x, b)| x * b).sum::<f64>())
     }
 
-    /// Chance of success of one raw row; `None` where its length is not the number of columns.
+    /// Probability of success for one raw row. `None` if its length differs from the number of columns.
     pub fn probability(&self, row: &[f64]) -> Option<f64> {
         self.log_odds(row).map(|t| logistic_and_log(t).0)
     }
 
-    /// Interval for the chance of success of one raw row, from the Wald interval of its log-odds.
+    /// Interval for the probability of success of one raw row, from the Wald interval of its log-odds.
     pub fn probability_interval(&self, row: &[f64], confidence: Confidence) -> Option<Interval> {
         let t = self.log_odds(row)?;
         let q = self.raw.len();
@@ -289,7 +289,7 @@ impl Fit {
         Some(Interval { low: logistic_and_log(t - half).0, high: logistic_and_log(t + half).0 })
     }
 
-    /// Chances of success for whole columns; `None` where their number or lengths do not fit.
+    /// Probabilities of success for whole columns. `None` if their number or lengths do not match.
     pub fn probabilities(&self, columns: &[&[f64]]) -> Option<Vec<f64>> {
         let rows = columns.first().map_or(0, |c| c.len());
         if columns.len() != self.terms.len() || columns.iter().any(|c| c.len() != rows) {
@@ -309,7 +309,7 @@ impl Fit {
 /// Fits the model.
 ///
 /// # Errors
-/// No rows, one class, separation where Firth's fit was not allowed, or steps that do not settle.
+/// No rows, one class, separation although Firth's fit is not allowed, or no convergence.
 pub fn fit(data: Data<'_>, options: Options) -> Result<Fit, RegressionError> {
     let x = prepare(data)?;
     let mut cautions = Vec::new();
@@ -334,10 +334,10 @@ pub fn fit(data: Data<'_>, options: Options) -> Result<Fit, RegressionError> {
     Ok(report(&x, &solution, options, cautions))
 }
 
-/// Looks for separation without fitting anything else; `None` where the outcomes overlap.
+/// Tests for separation without another fit. `None` if the outcomes overlap.
 ///
 /// # Errors
-/// No rows, one class, or steps that do not settle although nothing is separated.
+/// No rows, one class, or no convergence without separation.
 pub fn separation(data: Data<'_>) -> Result<Option<Separation>, RegressionError> {
     let x = prepare(data)?;
     match maximum_likelihood(&x) {
@@ -347,7 +347,7 @@ pub fn separation(data: Data<'_>) -> Result<Option<Separation>, RegressionError>
     }
 }
 
-/// How maximum likelihood ended.
+/// The result of maximum likelihood.
 enum Answer {
     Settled(Solution),
     Separated(Separation),
@@ -375,16 +375,16 @@ fn maximum_likelihood(x: &Standardized<'_>) -> Answer {
 pub struct Profile {
     /// Estimate per raw unit.
     pub estimate: f64,
-    /// Interval per raw unit; an end is infinite where the profile stays above the limit as far as it was followed.
+    /// Interval per raw unit. An end is infinite if the profile does not fall below the limit within the search range.
     pub interval: Interval,
-    /// ln of the p-value of the penalised likelihood ratio test that the coefficient is zero.
+    /// ln of the p-value of the penalised likelihood ratio test for a zero coefficient.
     pub ln_p: f64,
 }
 
-/// Profile penalised likelihood of one column: valid under separation, where Wald errors are not.
+/// Profile penalised likelihood of one column. It is valid under separation, where Wald errors are not.
 ///
-/// The interval holds the values b with 2 (l* - l*(b)) ≤ χ²₁, where l*(b) is the penalised likelihood maximised
-/// over the other coefficients (Heinze and Schemper 2002).
+/// The interval contains the values b with 2 (l* - l*(b)) ≤ χ²₁, where l*(b) is the penalised likelihood maximised over
+/// the other coefficients (Heinze and Schemper 2002).
 ///
 /// # Errors
 /// As [`fit`], or [`RegressionError::NotInFit`].
@@ -465,14 +465,14 @@ fn not_settled(unsettled: newton::Unsettled) -> RegressionError {
     RegressionError::NotSettled { iterations: unsettled.iterations }
 }
 
-/// Back from standardized columns to those of the caller.
+/// Transforms the solution from standardized columns to the caller's columns.
 fn report(x: &Standardized<'_>, solution: &Solution, options: Options, cautions: Vec<Caution>) -> Fit {
     let q = x.parameters();
     let covariance = match options.covariance {
         Covariance::Model => solution.inverse_information.clone(),
         Covariance::Sandwich => newton::sandwich(x, solution),
     };
-    // Raw = T standardized: slopes divide by the deviation, the intercept gives up what the means carried.
+    // Raw = T standardized: slopes are divided by the standard deviation, and the intercept absorbs the means.
     let mut transform = vec![0.0; q * q];
     transform[0] = 1.0;
     for j in 1..q {
@@ -540,8 +540,8 @@ pub fn interaction(a: &[f64], b: &[f64]) -> Vec<f64> {
     a.iter().zip(b).map(|(x, y)| x * y).collect()
 }
 
-/// A column about its mean in units of its standard deviation (divisor n), as an interaction of standardized columns
-/// needs it; `None` where it has one value only or none.
+/// Centres a column and scales it to unit standard deviation (divisor n), as needed for an interaction of standardized
+/// columns. `None` if the column is constant or empty.
 pub fn standardized(column: &[f64]) -> Option<Vec<f64>> {
     let n = column.len() as f64;
     let mean = column.iter().sum::<f64>() / n;

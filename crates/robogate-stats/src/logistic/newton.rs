@@ -1,13 +1,13 @@
-//! Newton steps for both likelihoods, on standardized columns.
+//! Newton's method for both likelihoods, on standardized columns.
 
 use super::data::{BLOCK, Standardized, add_weighted_gram, mirror};
 use robogate_maths::dense::{Cholesky, dot};
 
-/// Pivots of the information below this share of their diagonal mean that a direction has (nearly) no curvature left.
+/// Smallest pivot of the information, as a fraction of its diagonal. Below it a direction has almost no curvature.
 const PIVOT: f64 = 1e-12;
-/// Steps after which a fit that has not settled is given up.
-const PATIENCE: usize = 50;
-/// Steps after which a fit that still strides is suspected of separation.
+/// Maximum number of steps.
+const MOST_STEPS: usize = 50;
+/// Number of steps after which large steps indicate separation.
 const SUSPICION: usize = 10;
 
 /// Log-likelihood, its gradient and the information XᵀWX at one point.
@@ -17,23 +17,23 @@ pub(super) struct Local {
     pub(super) information: Vec<f64>,
 }
 
-/// A settled fit.
+/// A converged fit.
 pub(super) struct Solution {
     pub(super) beta: Vec<f64>,
     pub(super) log_likelihood: f64,
-    /// ln of the Jeffreys penalty, ½ ln det I, where it took part.
+    /// ln of the Jeffreys penalty, ½ ln det I, if it was used.
     pub(super) penalty: Option<f64>,
     pub(super) inverse_information: Vec<f64>,
     pub(super) iterations: usize,
 }
 
-/// A fit that did not settle, with where it was.
+/// A fit that did not converge, with its last point.
 pub(super) struct Unsettled {
     pub(super) beta: Vec<f64>,
     pub(super) iterations: usize,
 }
 
-/// 1/(1+e^-t) and ln of it.
+/// 1/(1+e^-t) and its logarithm.
 pub(crate) fn logistic_and_log(t: f64) -> (f64, f64) {
     let e = (-t.abs()).exp();
     let log = t.min(0.0) - e.ln_1p();
@@ -53,7 +53,7 @@ pub(super) fn evaluate(x: &Standardized<'_>, beta: &[f64]) -> Local {
         block.predictor(beta, &mut eta);
         let mut sum = 0.0;
         for i in 0..BLOCK {
-            // Probability of the outcome that was seen, and of the other.
+            // Probability of the observed outcome and of the other one.
             let margin = block.sign[i] * eta[i];
             let (p, log) = logistic_and_log(margin);
             let (other, _) = logistic_and_log(-margin);
@@ -72,7 +72,7 @@ pub(super) fn evaluate(x: &Standardized<'_>, beta: &[f64]) -> Local {
     Local { log_likelihood, gradient, information }
 }
 
-/// Start: no column matters and the intercept is the log-odds of the weighted rate.
+/// The start of the search: all slopes are 0, and the intercept is the log-odds of the weighted rate.
 fn start(x: &Standardized<'_>) -> Vec<f64> {
     let mut beta = vec![0.0; x.parameters()];
     let failures = x.weight - x.success_weight;
@@ -87,10 +87,10 @@ fn settled(step: &[f64], beta: &[f64]) -> bool {
     step.iter().all(|s| s.abs() <= 1e-8 * scale)
 }
 
-/// Maximum likelihood by Newton's method; a step that lowers the likelihood is halved.
+/// Maximum likelihood by Newton's method. A step that lowers the likelihood is halved.
 ///
-/// Towards a finite estimate the steps shrink quadratically; under separation they stay near one unit of log-odds
-/// for ever. A fit that still strides after a few steps is shown to `separated`, which may end it.
+/// Towards a finite estimate the steps shrink quadratically. Under separation they stay near one unit of log-odds. If
+/// the steps are still large after a few iterations, `separated` is called and may stop the fit.
 pub(super) fn maximum_likelihood(
     x: &Standardized<'_>,
     mut separated: impl FnMut(&[f64]) -> bool,
@@ -98,7 +98,7 @@ pub(super) fn maximum_likelihood(
     let q = x.parameters();
     let mut beta = start(x);
     let mut here = evaluate(x, &beta);
-    for iteration in 1..=PATIENCE {
+    for iteration in 1..=MOST_STEPS {
         let Ok(factor) = Cholesky::new(&here.information, q, PIVOT) else {
             return Err(Unsettled { beta, iterations: iteration });
         };
@@ -138,10 +138,10 @@ pub(super) fn maximum_likelihood(
             });
         }
     }
-    Err(Unsettled { beta, iterations: PATIENCE })
+    Err(Unsettled { beta, iterations: MOST_STEPS })
 }
 
-/// Point of the penalised likelihood, and Firth's modified score there.
+/// A point of the penalised likelihood with Firth's modified score.
 struct Penalised {
     local: Local,
     factor: Cholesky,
@@ -157,7 +157,7 @@ impl Penalised {
         let q = x.parameters();
         let local = evaluate(x, beta);
         let factor = Cholesky::new(&local.information, q, 1e-14).ok()?;
-        // Uⱼ = Σ (w (y - p) + h (½ - p)) xⱼ with h the leverage w p (1-p) xᵀ I⁻¹ x.
+        // Uⱼ = Σ (w (y - p) + h (½ - p)) xⱼ with the leverage h = w p (1-p) xᵀ I⁻¹ x.
         let mut score = local.gradient.clone();
         let inverse = factor.inverse();
         let mut eta = [0.0; BLOCK];
@@ -165,7 +165,7 @@ impl Penalised {
         let mut image = [0.0; BLOCK];
         x.for_each_block(|block| {
             block.predictor(beta, &mut eta);
-            // xᵀ I⁻¹ x of every row of the block, column by column so that it vectorises.
+            // xᵀ I⁻¹ x of every row of the block, column by column to vectorise.
             distance.fill(0.0);
             for a in 0..q {
                 image.fill(0.0);
@@ -192,7 +192,7 @@ impl Penalised {
     }
 }
 
-/// Inverse of the rows and columns `free` of a matrix.
+/// Inverse of the submatrix with the rows and columns `free`.
 fn inverse_of_part(matrix: &[f64], q: usize, free: &[usize]) -> Option<Vec<f64>> {
     let m = free.len();
     let mut part = vec![0.0; m * m];
@@ -204,10 +204,10 @@ fn inverse_of_part(matrix: &[f64], q: usize, free: &[usize]) -> Option<Vec<f64>>
     Some(Cholesky::new(&part, m, 1e-14).ok()?.inverse())
 }
 
-/// Firth's penalised likelihood; `fixed` holds one coefficient at a value (for profiles).
+/// Firth's penalised likelihood. `fixed` keeps one coefficient at a value (for profiles).
 ///
-/// The modified score is the gradient of ln L + ½ ln det I, so the search is BFGS started from the inverse
-/// information. Plain Fisher scoring leaves out the curvature of the penalty and may not settle in small data.
+/// The modified score is the gradient of ln L + ½ ln det I, so the search is BFGS that starts from the inverse
+/// information. Plain Fisher scoring ignores the curvature of the penalty and may not converge for small data.
 pub(super) fn firth(
     x: &Standardized<'_>,
     fixed: Option<(usize, f64)>,
@@ -256,7 +256,7 @@ pub(super) fn firth(
             return give_up(beta, iteration);
         };
         let done = settled(&step, &trial);
-        // Change of the descent gradient along the step.
+        // Change of the gradient along the step.
         let change: Vec<f64> = free.iter().map(|&i| here.score[i] - there.score[i]).collect();
         beta = trial;
         here = there;
@@ -271,7 +271,7 @@ pub(super) fn firth(
         }
         let along: f64 = step.iter().zip(&change).map(|(s, y)| s * y).sum();
         if done || along <= 0.0 {
-            // A small step of a stale approximation proves nothing: look again from the information itself.
+            // A small step of an outdated approximation does not imply convergence. Restart from the information.
             let Some(renewed) = inverse_of_part(&here.local.information, q, &free) else {
                 return give_up(beta, iteration);
             };
@@ -298,7 +298,7 @@ fn update(inverse: &mut [f64], step: &[f64], change: &[f64], along: f64) {
     }
 }
 
-/// I⁻¹ (Σ w² (y-p)² x xᵀ) I⁻¹: the covariance that does not trust the weights to be counts.
+/// I⁻¹ (Σ w² (y-p)² x xᵀ) I⁻¹: the covariance for weights that are not counts.
 pub(super) fn sandwich(x: &Standardized<'_>, solution: &Solution) -> Vec<f64> {
     let q = x.parameters();
     let mut meat = vec![0.0; q * q];
@@ -317,7 +317,7 @@ pub(super) fn sandwich(x: &Standardized<'_>, solution: &Solution) -> Vec<f64> {
     product(bread, &product(&meat, bread, q), q)
 }
 
-/// A B for square row-major matrices.
+/// The product A B of square row-major matrices.
 pub(super) fn product(a: &[f64], b: &[f64], q: usize) -> Vec<f64> {
     let mut c = vec![0.0; q * q];
     for i in 0..q {

@@ -1,24 +1,24 @@
 //! Detects a direction along which the likelihood increases without limit.
 //!
-//! With aᵢ = ±(1, xᵢ), + for a success, the rows are separated when some d ≠ 0 has aᵢ·d ≥ 0 for every row and
-//! aᵢ·d > 0 for one (quasi-complete) or all (complete). Then no maximum likelihood estimate exists
-//! (Albert and Anderson 1984). The direction is the solution of a linear programme (Konis 2007)
+//! With aᵢ = ±(1, xᵢ), + for a success, the rows are separated if some d ≠ 0 has aᵢ·d ≥ 0 for every row and aᵢ·d > 0
+//! for one (quasi-complete) or all (complete). Then no maximum likelihood estimate exists (Albert and Anderson 1984).
+//! The direction is the solution of a linear program (Konis 2007)
 //!
 //! maximise Σ aᵢ·d  subject to  aᵢ·d ≥ 0,  -1 ≤ dⱼ ≤ 1,
 //!
-//! solved on the few rows that matter: rows that the solution violates are added until none is left, so the
-//! answer holds for all rows. Limit: margins below 1e-8 of a standardized unit count as zero.
-//! Sources: Albert and Anderson (1984), Biometrika 71(1); Konis (2007), DPhil thesis, Oxford; the dictionary form of the
-//! simplex method as in Chvátal (1983), with Bland's rule (1977) once a run of steps gains nothing.
+//! solved with constraint generation: rows that the solution violates are added until there are none, so the result
+//! holds for all rows. Limit: margins below 1e-8 of a standardized unit count as zero. Sources: Albert and Anderson
+//! (1984), Biometrika 71(1); Konis (2007), DPhil thesis, Oxford; the dictionary form of the simplex method as in
+//! Chvátal (1983), with Bland's rule (1977) after a run of steps without progress.
 
 use super::data::{BLOCK, Standardized};
 
-/// How the rows are separated.
+/// The kind of separation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SeparationKind {
-    /// A linear function of the columns tells every success from every failure.
+    /// A linear function of the columns separates every success from every failure.
     Complete,
-    /// A linear function tells some of them apart and is zero on the rest (a category in which nothing succeeds, say).
+    /// A linear function separates some of them and is zero on the rest (for example a category without successes).
     Quasi,
 }
 
@@ -27,18 +27,18 @@ pub enum SeparationKind {
 pub struct Separation {
     /// Complete or quasi-complete.
     pub kind: SeparationKind,
-    /// Columns, by the caller's index, on which the separating direction depends; empty where the intercept alone does.
+    /// Columns, by the caller's index, on which the separating direction depends. Empty if only the intercept does.
     pub columns: Vec<usize>,
     /// Rows whose outcome the direction predicts without error.
     pub rows: usize,
-    /// For each of `columns`, +1 where larger values lean to success and -1 where they lean to failure.
+    /// For each of `columns`, +1 if larger values indicate success and -1 if they indicate failure.
     pub signs: Vec<i8>,
 }
 
 const MARGIN: f64 = 1e-8;
 const ROUNDS: usize = 200;
 
-/// Looks for separation, starting from the rows with the smallest margin under `beta`.
+/// Searches for separation, starting from the rows with the smallest margin under `beta`.
 pub(super) fn find(x: &Standardized<'_>, beta: &[f64]) -> Option<Separation> {
     let q = x.parameters();
     let batch = 4 * q;
@@ -64,7 +64,7 @@ pub(super) fn find(x: &Standardized<'_>, beta: &[f64]) -> Option<Separation> {
         return None;
     }
     let complete = start.smallest > 0.0 || found.positive == x.rows || {
-        // The same programme for the widest margin: one more variable t, a·d ≥ t, and t alone is maximised.
+        // The same program for the widest margin: one more variable t with a·d ≥ t, and only t is maximised.
         let mut margin = vec![0.0; q];
         margin.push(1.0);
         let with_t = start.worst.into_iter().map(|row| row.into_iter().chain([-1.0]).collect()).collect();
@@ -79,8 +79,8 @@ pub(super) fn find(x: &Standardized<'_>, beta: &[f64]) -> Option<Separation> {
     })
 }
 
-/// Solves the programme for all rows, from the constraints given: rows that the solution violates are added until
-/// none is left. An objective with one more entry than there are parameters has the margin t as its last variable.
+/// Solves the program for all rows, starting from the given constraints. Violated rows are added until there are none.
+/// If the objective has one more entry than there are parameters, its last variable is the margin t.
 fn seek(x: &Standardized<'_>, objective: &[f64], mut constraints: Vec<Vec<f64>>) -> Option<(Vec<f64>, Scan)> {
     let q = x.parameters();
     for _ in 0..ROUNDS {
@@ -102,7 +102,7 @@ struct Scan {
     /// Signed rows with the smallest margins below the limit, at most the given number.
     worst: Vec<Vec<f64>>,
     smallest: f64,
-    /// Rows whose margin is positive.
+    /// Rows with a positive margin.
     positive: usize,
 }
 
@@ -124,7 +124,8 @@ fn scan(x: &Standardized<'_>, direction: &[f64], below: f64, at_most: usize) -> 
             let enters = worst.len() < at_most || worst.last().is_some_and(|(m, _)| margin < *m);
             if margin < below && enters {
                 let row: Vec<f64> = (0..q).map(|j| block.sign[i] * block.column(j)[i]).collect();
-                // Equal rows (categories, repeated scenarios) would fill the batch with one constraint.
+                // Equal rows (categories, repeated scenarios) are skipped, because they would all add the same
+                // constraint.
                 if worst.iter().any(|(_, kept)| *kept == row) {
                     continue;
                 }
@@ -228,14 +229,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_programme_finds_the_corner_of_the_cone() {
-        // d0 >= d1 >= 0 in the box, most of d0 + d1: (1, 1).
+    fn program_finds_corner_of_cone() {
+        // Maximum of d0 + d1 with d0 >= d1 >= 0 in the box: (1, 1).
         let d = maximise(&[1.0, 1.0], &[vec![1.0, -1.0], vec![0.0, 1.0]]);
         assert!((d[0] - 1.0).abs() < 1e-12 && (d[1] - 1.0).abs() < 1e-12);
     }
 
     #[test]
-    fn opposed_constraints_leave_only_the_origin() {
+    fn opposed_constraints_give_origin() {
         let d = maximise(&[1.0, 0.5], &[vec![1.0, 0.0], vec![-1.0, 0.0], vec![0.0, 1.0], vec![1.0, -1.0]]);
         assert!(d.iter().all(|v| v.abs() < 1e-12));
     }

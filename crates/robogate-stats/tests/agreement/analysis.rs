@@ -1,4 +1,4 @@
-//! ROC, calibration, frontier, thresholds, comparisons, weights, correlations, modes.
+//! Agreement tests for ROC, calibration, frontier, thresholds, comparisons, weights, correlations and modes.
 
 use crate::{all_close, bools, close, count, float, floats, formula, list, reference};
 use robogate_stats::binning::Edges;
@@ -25,7 +25,7 @@ fn plain(reference: &Value) -> (Vec<Vec<f64>>, Vec<bool>, Vec<f64>) {
 }
 
 #[test]
-fn auc_and_its_variance_agree_with_scikit_learn_and_the_full_kernel_under_ties() {
+fn auc_matches_scikit_learn() {
     let reference = reference();
     let (_, outcomes, _) = plain(&reference);
     let case = &reference["roc"];
@@ -61,7 +61,7 @@ impl From<RegressionError> for Failed {
 }
 
 #[test]
-fn cross_validated_auc_agrees_with_scikit_learn_fold_by_fold() {
+fn cross_validation_matches_scikit_learn() {
     let reference = reference();
     let (columns, outcomes, _) = plain(&reference);
     let folds: Vec<usize> = (0..outcomes.len()).map(|i| i % 5).collect();
@@ -79,7 +79,7 @@ fn cross_validated_auc_agrees_with_scikit_learn_fold_by_fold() {
 }
 
 #[test]
-fn calibration_agrees_with_scikit_learn_plain_and_weighted() {
+fn calibration_matches_scikit_learn() {
     let reference = reference();
     let (_, outcomes, weights) = plain(&reference);
     let case = &reference["calibration"];
@@ -98,7 +98,7 @@ fn calibration_agrees_with_scikit_learn_plain_and_weighted() {
 }
 
 #[test]
-fn the_frontier_agrees_with_numerical_gradients_and_a_root_search() {
+fn frontier_matches_numerical_solution() {
     let reference = reference();
     let (columns, outcomes, _) = plain(&reference);
     let (state, _) = LimitState::fit(&columns[0], &columns[1], &outcomes, None, Options::default(), 0.5).unwrap();
@@ -115,7 +115,7 @@ fn the_frontier_agrees_with_numerical_gradients_and_a_root_search() {
 }
 
 #[test]
-fn thresholds_agree_with_isotonic_regression_and_a_bootstrap_of_rows() {
+fn thresholds_match_row_bootstrap() {
     let u = formula(4_000, 7919, 4_001);
     let v = formula(4_000, 104_729, 99_991);
     let outcomes: Vec<bool> = u.iter().zip(&v).map(|(u, v)| 0.15 + 0.6 * u > *v).collect();
@@ -129,7 +129,8 @@ fn thresholds_agree_with_isotonic_regression_and_a_bootstrap_of_rows() {
         all_close("monotone", &monotone, &floats(&case["monotone"]), 1e-12);
         let Threshold::Crosses { at, low, high, se, .. } = found.threshold else { panic!("it crosses") };
         close(name, at, float(&case["at"]), 1e-10);
-        // Two bootstraps of 4,000: the error of an SE is about 1.1 %, that of a percentile end about 4 % of the SE.
+        // Two bootstraps of 4,000 replicates: the error of an SE is about 1.1 %, that of a percentile end about 4 % of
+        // the SE.
         let (se, theirs) = (se.unwrap(), float(&case["se"]));
         assert!((se / theirs - 1.0).abs() < 0.05, "{name}: {se} against {theirs}");
         for (ours, end) in [low.unwrap(), high.unwrap()].iter().zip(floats(&case["interval"])) {
@@ -139,7 +140,7 @@ fn thresholds_agree_with_isotonic_regression_and_a_bootstrap_of_rows() {
 }
 
 #[test]
-fn comparisons_of_two_rates_agree_with_statsmodels() {
+fn rate_comparisons_match_statsmodels() {
     for case in list(&reference()["two_rates"]) {
         let trials = |k, n| Trials::new(count(&case[k]), count(&case[n])).unwrap();
         let (a, b) = (trials("k1", "n1"), trials("k2", "n2"));
@@ -147,7 +148,7 @@ fn comparisons_of_two_rates_agree_with_statsmodels() {
         close("z", test.z, float(&case["z"]), 1e-12);
         close("p", test.ln_p, float(&case["ln_p"]), 1e-11);
         let d = newcombe(a, b, P95);
-        // The reference does not cut at ±1.
+        // The reference does not clamp at ±1.
         let theirs: Vec<f64> = floats(&case["newcombe"]).iter().map(|e| e.clamp(-1.0, 1.0)).collect();
         for (ours, end) in [d.interval.low, d.interval.high].iter().zip(theirs) {
             assert!((ours - end).abs() < 1e-12, "{case}: {ours} against {end}");
@@ -156,7 +157,7 @@ fn comparisons_of_two_rates_agree_with_statsmodels() {
 }
 
 #[test]
-fn paired_comparisons_agree_with_statsmodels_and_newcombe_written_twice() {
+fn paired_comparisons_match_reference() {
     for case in list(&reference()["pairs"]) {
         let t: Vec<u64> = list(&case["table"]).iter().map(count).collect();
         let pairs = Pairs { both: t[0], first_only: t[1], second_only: t[2], neither: t[3] };
@@ -170,7 +171,7 @@ fn paired_comparisons_agree_with_statsmodels_and_newcombe_written_twice() {
 }
 
 #[test]
-fn exact_tests_of_one_rate_agree_far_beyond_the_smallest_double() {
+fn exact_tests_match_in_far_tails() {
     for case in list(&reference()["one_rate"]) {
         let trials = Trials::new(count(&case["k"]), count(&case["n"])).unwrap();
         let p0 = float(&case["p0"]);
@@ -183,13 +184,13 @@ fn exact_tests_of_one_rate_agree_far_beyond_the_smallest_double() {
 }
 
 #[test]
-fn holm_agrees_with_statsmodels() {
+fn holm_matches_statsmodels() {
     let case = &reference()["holm"];
     all_close("holm", &holm(&floats(&case["p"])).unwrap(), &floats(&case["adjusted"]), 1e-14);
 }
 
 #[test]
-fn weighted_rates_agree_with_weighted_least_squares() {
+fn weighted_rates_match_least_squares() {
     let reference = reference();
     let (_, outcomes, weights) = plain(&reference);
     let case = &reference["weighted"];
@@ -203,7 +204,7 @@ fn weighted_rates_agree_with_weighted_least_squares() {
 }
 
 #[test]
-fn correlations_agree_with_scipy_under_ties() {
+fn correlations_match_scipy() {
     let reference = reference();
     let (columns, outcomes, _) = plain(&reference);
     let (s1, s2) = (floats(&reference["roc"]["first"]), floats(&reference["roc"]["second"]));
@@ -233,7 +234,7 @@ fn correlations_agree_with_scipy_under_ties() {
 }
 
 #[test]
-fn simultaneous_shares_agree_with_goodman_in_statsmodels() {
+fn simultaneous_shares_match_statsmodels() {
     let case = &reference()["modes"];
     let counts: Vec<u64> = list(&case["counts"]).iter().map(count).collect();
     let shares = distribution(&counts, Joint::Simultaneous, P95);
@@ -244,7 +245,7 @@ fn simultaneous_shares_agree_with_goodman_in_statsmodels() {
 }
 
 #[test]
-fn percentiles_agree_with_numpy() {
+fn percentiles_match_numpy() {
     let case = &reference()["percentile"];
     let mut values = floats(&case["values"]);
     close("sd", standard_error(&values).unwrap(), float(&case["sd"]), 1e-12);

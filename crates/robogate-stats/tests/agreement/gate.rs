@@ -6,7 +6,7 @@ use robogate_stats::operating::{RateTest, Schedule, characteristic};
 use robogate_stats::{Trials, non_inferiority};
 
 #[test]
-fn the_evidence_about_a_rate_is_the_integral_that_defines_it() {
+fn anytime_evidence_matches_integral() {
     for case in list(&reference()["anytime"]) {
         let (k, n, p0) = (count(&case["k"]), count(&case["n"]), float(&case["p0"]));
         let trials = Trials::new(k, n).unwrap();
@@ -23,7 +23,7 @@ fn the_evidence_about_a_rate_is_the_integral_that_defines_it() {
 }
 
 #[test]
-fn the_capital_of_the_gamblers_is_that_of_a_second_account() {
+fn bounded_mean_matches_reference() {
     let all = &reference()["bounded_mean"];
     let values = floats(&all["values"]);
     let looks: Vec<usize> = list(&all["looks"]).iter().map(|l| count(l) as usize).collect();
@@ -36,7 +36,7 @@ fn the_capital_of_the_gamblers_is_that_of_a_second_account() {
 }
 
 #[test]
-fn a_gate_in_rounds_does_what_a_second_walk_says() {
+fn operating_characteristic_matches_reference() {
     for case in list(&reference()["operating"]) {
         let get = |key: &str| float(&case[key]);
         let test = RateTest { at_least: get("p0"), alpha: get("alpha"), beta: get("beta") };
@@ -50,7 +50,7 @@ fn a_gate_in_rounds_does_what_a_second_walk_says() {
 }
 
 #[test]
-fn non_inferiority_agrees_with_the_likelihood_maximised_and_the_tables_enumerated() {
+fn non_inferiority_matches_enumeration() {
     for case in list(&reference()["non_inferiority"]) {
         let pairs = Pairs {
             both: count(&case["both"]),

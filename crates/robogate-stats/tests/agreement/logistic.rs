@@ -40,7 +40,7 @@ fn agrees(name: &str, fit: &Fit, expected: &Value, tolerance: f64) {
 }
 
 #[test]
-fn maximum_likelihood_agrees_with_statsmodels_raw_standardized_and_weighted() {
+fn maximum_likelihood_matches_statsmodels() {
     let case = &reference()["plain"];
     let owned = columns(&case["columns"]);
     let columns = borrowed(&owned);
@@ -48,7 +48,7 @@ fn maximum_likelihood_agrees_with_statsmodels_raw_standardized_and_weighted() {
     let weights = floats(&case["weights"]);
     let plain = Data::new(&columns, &outcomes, None).unwrap();
     let weighted = Data::new(&columns, &outcomes, Some(&weights)).unwrap();
-    // The third column sits at 1000 ± 3, so the reference itself loses digits on the raw scale.
+    // The third column is at 1000 ± 3, so the reference itself loses digits on the raw scale.
     agrees("raw", &fit(plain, ML).unwrap(), &case["raw"], 1e-7);
     let standardized = Options { scale: Scale::Standardized, ..ML };
     agrees("standardized", &fit(plain, standardized).unwrap(), &case["standardized"], 1e-9);
@@ -58,7 +58,7 @@ fn maximum_likelihood_agrees_with_statsmodels_raw_standardized_and_weighted() {
 }
 
 #[test]
-fn firth_agrees_with_direct_maximisation_of_the_penalised_likelihood() {
+fn firth_matches_direct_maximisation() {
     let case = &reference()["plain"];
     let owned = columns(&case["columns"]);
     let columns = borrowed(&owned);
@@ -76,7 +76,7 @@ fn firth_agrees_with_direct_maximisation_of_the_penalised_likelihood() {
 }
 
 #[test]
-fn ten_successes_in_ten_thousand_agree_and_are_flagged() {
+fn rare_events_match_and_are_flagged() {
     let case = &reference()["rare"];
     let owned = [formula(10_000, 7919, 10_007), formula(10_000, 104_729, 99_991)];
     let columns = borrowed(&owned);
@@ -92,7 +92,7 @@ fn ten_successes_in_ten_thousand_agree_and_are_flagged() {
 }
 
 #[test]
-fn p_values_below_the_smallest_double_stay_numbers() {
+fn tiny_p_values_stay_finite() {
     let case = &reference()["overwhelming"]["raw"];
     let u = formula(20_000, 7919, 20_011);
     let v = formula(20_000, 104_729, 99_991);
@@ -104,13 +104,13 @@ fn p_values_below_the_smallest_double_stay_numbers() {
 }
 
 #[test]
-fn complete_separation_is_named_and_answered_by_firth() {
+fn complete_separation_uses_firth() {
     let case = &reference()["complete"];
     let owned = columns(&case["columns"]);
     let columns = borrowed(&owned);
     let outcomes = bools(&case["outcomes"]);
     let data = Data::new(&columns, &outcomes, None).unwrap();
-    let Err(RegressionError::Separated(found)) = fit(data, ML) else { panic!("separation was not found") };
+    let Err(RegressionError::Separated(found)) = fit(data, ML) else { panic!("expected separation") };
     assert_eq!((found.kind, found.rows), (SeparationKind::Complete, 8));
     assert_eq!((found.columns, found.signs), (vec![0], vec![1]));
     let answer = fit(data, Options::default()).unwrap();
@@ -124,7 +124,7 @@ fn complete_separation_is_named_and_answered_by_firth() {
 }
 
 #[test]
-fn a_placement_at_which_nothing_succeeds_is_named_and_answered_by_firth() {
+fn quasi_separation_uses_firth() {
     let case = &reference()["quasi"];
     let owned = columns(&case["columns"]);
     let columns = borrowed(&owned);
@@ -143,7 +143,7 @@ fn a_placement_at_which_nothing_succeeds_is_named_and_answered_by_firth() {
 }
 
 #[test]
-fn separation_and_its_kind_agree_with_linear_programming_in_scipy() {
+fn separation_matches_scipy() {
     let mut kinds = std::collections::BTreeMap::new();
     for case in list(&reference()["separation"]) {
         let owned = columns(&case["columns"]);
@@ -163,7 +163,7 @@ fn separation_and_its_kind_agree_with_linear_programming_in_scipy() {
 }
 
 #[test]
-fn overlapping_outcomes_are_not_called_separated() {
+fn overlapping_outcomes_are_not_separated() {
     let case = &reference()["plain"];
     let owned = columns(&case["columns"]);
     let columns = borrowed(&owned);
@@ -172,7 +172,7 @@ fn overlapping_outcomes_are_not_called_separated() {
 }
 
 #[test]
-fn constant_and_collinear_columns_are_dropped_by_name_and_change_nothing_else() {
+fn redundant_columns_are_dropped() {
     let case = &reference()["plain"];
     let owned = columns(&case["columns"]);
     let outcomes = bools(&case["outcomes"]);
@@ -189,7 +189,7 @@ fn constant_and_collinear_columns_are_dropped_by_name_and_change_nothing_else() 
 }
 
 #[test]
-fn impossible_data_are_refused_with_the_place() {
+fn invalid_data_are_located() {
     let column = [0.0, f64::NAN];
     let columns = [column.as_slice()];
     assert!(matches!(
@@ -210,7 +210,7 @@ fn impossible_data_are_refused_with_the_place() {
 }
 
 #[test]
-fn a_model_without_columns_is_the_weighted_rate() {
+fn empty_model_gives_weighted_rate() {
     let none: [&[f64]; 0] = [];
     let data = Data::new(&none, &[true, false, false], Some(&[3.0, 1.0, 0.0])).unwrap();
     let found = fit(data, ML).unwrap();
@@ -219,7 +219,7 @@ fn a_model_without_columns_is_the_weighted_rate() {
 }
 
 #[test]
-fn extreme_magnitudes_neither_panic_nor_settle_on_nonsense() {
+fn extreme_magnitudes_are_handled() {
     let big = [1e308, -1e308, 1e308, -1e308, 3.0, 2e307];
     let tiny = [1e-320, 0.0, 2e-320, 1e-320, 0.0, 3e-320];
     let outcomes = [true, false, false, true, true, false];

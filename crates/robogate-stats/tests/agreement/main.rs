@@ -1,8 +1,9 @@
-//! Every estimator against SciPy, statsmodels, scikit-learn or a second implementation in Python.
+//! Compares every estimator with SciPy, statsmodels, scikit-learn or an independent implementation in Python.
 //!
-//! The values come from `tests/reference/generate.py` and `ridge.py`; their `requirements.txt` pins the versions.
+//! `tests/reference/generate.py` and `ridge.py` compute the reference values. Their `requirements.txt` pins the
+//! versions.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests; a panic here is a failed test")]
+#![expect(clippy::unwrap_used, reason = "test helpers fail by panicking")]
 
 mod analysis;
 mod gate;
@@ -36,12 +37,12 @@ fn bools(value: &Value) -> Vec<bool> {
     list(value).iter().map(|v| v.as_bool().unwrap()).collect()
 }
 
-/// ((i * multiplier) mod modulus) / modulus, the same doubles as in generate.py.
+/// ((i * multiplier) mod modulus) / modulus, with the same doubles as generate.py.
 fn formula(n: u64, multiplier: u64, modulus: u64) -> Vec<f64> {
     (0..n).map(|i| (i * multiplier % modulus) as f64 / modulus as f64).collect()
 }
 
-/// |a - b| within `tolerance` of |b|.
+/// Asserts that a and b differ by at most `tolerance` relative to |b|.
 #[track_caller]
 fn close(name: &str, a: f64, b: f64, tolerance: f64) {
     let error = (a - b).abs() / b.abs().max(1e-300);

@@ -1,4 +1,4 @@
-//! Penalised fits and crossed means against `tests/reference/ridge.py`.
+//! Compares penalised fits and crossed means with `tests/reference/ridge.py`.
 
 use robogate_stats::Confidence;
 use robogate_stats::crossed::crossed_mean;
@@ -17,7 +17,7 @@ fn logistic(t: f64) -> f64 {
 }
 
 #[test]
-fn ridge_fits_agree_with_scikit_learn_and_their_evidence_with_explicit_determinants() {
+fn ridge_matches_scikit_learn() {
     let n = 300;
     let centred = |multiplier, modulus| formula(n, multiplier, modulus).iter().map(|v| v * 2.0 - 1.0).collect();
     let (a, b, c): (Vec<f64>, Vec<f64>, Vec<f64>) = (centred(37, 101), centred(53, 211), centred(71, 307));
@@ -49,12 +49,12 @@ fn ridge_fits_agree_with_scikit_learn_and_their_evidence_with_explicit_determina
     let data = Data::new(&columns, &y, None).unwrap();
     let best = by_evidence(data, &evidence.iter().map(|(s2, _)| *s2).collect::<Vec<_>>()).unwrap().unwrap();
     let most = evidence.iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
-    close("the most evidence", best.log_evidence, most.1, 1e-9);
+    close("largest evidence", best.log_evidence, most.1, 1e-9);
     close("its prior", best.prior_variance, most.0, 0.0);
 }
 
 #[test]
-fn a_crossed_mean_is_students_over_repeats_where_rows_agree_and_satterthwaites_else() {
+fn crossed_mean_matches_reference() {
     let reference = reference();
     let values = floats(&reference["repeats"]["values"]);
     let table: Vec<Vec<f64>> = values.iter().map(|v| vec![*v; 3]).collect();

@@ -1,10 +1,10 @@
-"""Writes reference.json: what SciPy, statsmodels and scikit-learn say about the cases in tests/.
+"""Writes reference.json: reference values of SciPy, statsmodels and scikit-learn for the tests.
 
     python3 -m venv venv && venv/bin/pip install -r requirements.txt && venv/bin/python generate.py
 
-Large data sets are given by formula (see `formula` here and in tests/common), small ones are stored.
-Where no library has the estimator (Firth, Newcombe's paired interval, thresholds), it is written here a second
-time from its source, by another route than the Rust code takes.
+Large data sets are computed by formula (see `formula` here and in tests/agreement), small ones are stored.
+Estimators without a library implementation (Firth, Newcombe's paired interval, thresholds) are implemented here
+independently from their source, with a different method than the Rust code.
 """
 
 import json
@@ -77,7 +77,7 @@ def penalised(beta, design, y, w):
 
 
 def firth_reference(x, y, weights=None):
-    """Maximises ln L + 1/2 ln det I directly: Nelder-Mead to get near, then roots of its numerical gradient."""
+    """Maximises ln L + 1/2 ln det I directly: Nelder-Mead for the start, then roots of its numerical gradient."""
     design = sm.add_constant(np.column_stack(x))
     w = np.ones(len(y)) if weights is None else weights
     q = design.shape[1]
@@ -161,7 +161,7 @@ yr = np.zeros(10_000, bool)
 yr[rare_rows] = True
 OUT["rare"] = {"rows": rare_rows, "raw": logit_reference([u, v], yr), "firth": firth_reference([u, v], yr)}
 
-# Overwhelming evidence, by formula: p far below the smallest double.
+# A very strong effect, by formula: p is far below the smallest double.
 u = formula(20_000, 7919, 20_011)
 v = formula(20_000, 104_729, 99_991)
 OUT["overwhelming"] = {"raw": logit_reference([u], (u + 0.8 * (v - 0.5)) > 0.5)}
@@ -376,7 +376,7 @@ values = np.round(rng.normal(size=37), 3)
 OUT["percentile"] = {"values": lst(values), "ends": lst(np.percentile(values, [5, 95])), "sd": float(values.std(ddof=1))}
 
 
-# ---------------------------------------------------------------- separation: the truth by SciPy's linear programmes
+# ---------------------------------------------------------------- separation: reference by linear programs of SciPy
 sep_rng = np.random.default_rng(5)
 OUT["separation"] = []
 while len(OUT["separation"]) < 90:
@@ -429,9 +429,9 @@ for m in [4.0, 5.2, 5.5, 7.0, 12.0]:
     mirrored = [15.0 - v for v in times]
     OUT["bounded_mean"]["cases"].append({"m": m, "below": ln_capital(times, [68, 136], 15.0, m), "above": ln_capital(mirrored, [68, 136], 15.0, 15.0 - m)})
 
-# ---------------------------------------------------------------- what a gate in rounds does, by a second walk
+# ---------------------------------------------------------------- operating characteristic of a gate in rounds, by an independent implementation
 def walk(p0, alpha, beta, per_round, rounds, p):
-    """All paths by their counts, with the closed form of the evidence from scipy's binomial."""
+    """Propagates the counts of all paths, with the closed form of the evidence from SciPy's binomial."""
     def above(k, n, p0):
         return st.binom.logcdf(k, n + 1, p0) - math.log((n + 1) * (1 - p0)) - st.binom.logpmf(k, n, p0)
     alive, met, violated, trials = {0: 1.0}, 0.0, 0.0, 0.0
@@ -469,7 +469,7 @@ def tango_z(b, c, n, d):
 
 
 def exact_p(b, c, n, d):
-    """Largest tail probability over the nuisance chance, every table enumerated."""
+    """Largest tail probability over the nuisance parameter, with every table enumerated."""
     seen = tango_z(b, c, n, d)
     extreme = [(i, j) for i in range(n + 1) for j in range(n - i + 1) if tango_z(i, j, n, d) >= seen - 1e-6]
     i, j = np.array(extreme).T

@@ -1,4 +1,4 @@
-"""Writes ridge.json: what scikit-learn and SciPy say about penalised fits, Student quantiles and crossed means.
+"""Writes ridge.json: scikit-learn and SciPy reference values for penalised fits, Student quantiles and crossed means.
 
     python3 -m venv venv && venv/bin/pip install -r requirements.txt && venv/bin/python ridge.py
 """
@@ -24,7 +24,7 @@ def formula(n, multiplier, modulus):
     return ((np.arange(n) * multiplier) % modulus) / modulus
 
 
-# The last two columns follow from each other but for the prior.
+# The last two columns determine each other; only the prior separates them.
 n = 300
 a, b, c = formula(n, 37, 101) * 2 - 1, formula(n, 53, 211) * 2 - 1, formula(n, 71, 307) * 2 - 1
 X = np.column_stack([a, b, a * b, c, 2 * c])
@@ -57,7 +57,7 @@ for s2, weights in [(0.01, None), (1.0, None), (100.0, None), (1.0, w)]:
         }
     )
 
-# One row judges nothing else: the interval is Student's over repeats, up to rows that all say the same.
+# With equal rows, the interval is Student's over repeats.
 repeats = np.array([0.031, 0.027, 0.044, 0.012, 0.029])
 OUT["repeats"] = {
     "values": lst(repeats),

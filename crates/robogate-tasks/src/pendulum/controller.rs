@@ -1,8 +1,8 @@
-//! Swing-up by energy, then balance by a PD law.
+//! The scripted controller of the pendulum: energy swing-up, then balancing by a PD law.
 //!
-//! The energy of the pole about its hinge is E = I w²/2 - m g l cos(a), with the angle a from hanging and the centre of mass
-//! at l. A torque along the speed adds energy; the controller pumps until the energy is that of the upright pole
-//! (Åström and Furuta 2000, Automatica 36). It knows the nominal pole, whatever the episode's is.
+//! The energy of the pole about its hinge is E = I w²/2 - m g l cos(a), with the angle a from hanging and the centre of
+//! mass at l. A torque in the direction of motion adds energy. The controller adds energy until it reaches that of the
+//! upright pole (Åström and Furuta 2000, Automatica 36). It always uses the nominal parameters of the pole.
 
 use robogate_core::{Action, Command, Fault, FaultKind, Observation, Policy, Seed, TaskInstance, TaskSpec, Word};
 
@@ -15,14 +15,14 @@ const MASS: f64 = 0.5;
 const LENGTH: f64 = 0.5;
 const TORQUE_LIMIT: f64 = 0.5;
 
-/// Within this angle of upright, in rad, the controller balances ...
+/// The controller balances within this angle of upright, in rad ...
 const CATCH_RAD: f64 = 0.35;
-/// ... below this speed, in rad/s.
+/// ... and below this speed, in rad/s.
 const CATCH_SPEED: f64 = 4.0;
-/// Gains of the balance, in N m/rad and N m s/rad.
+/// Gains of the balancing controller, in N m/rad and N m s/rad.
 const STIFFNESS: f64 = 4.0;
 const DAMPING: f64 = 0.6;
-/// Torque for each joule that is missing, in N m/J.
+/// Torque per joule of missing energy, in N m/J.
 const PUMP: f64 = 2.0;
 
 /// The scripted controller.
@@ -31,7 +31,11 @@ pub(super) struct SwingUp;
 
 impl Policy for SwingUp {
     fn check(&self, task: &TaskSpec) -> Result<(), String> {
-        if task.name == "pendulum" { Ok(()) } else { Err(format!("it drives the pendulum, not {}", task.name)) }
+        if task.name == "pendulum" {
+            Ok(())
+        } else {
+            Err(format!("this controller drives the pendulum, not {}", task.name))
+        }
     }
 
     fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, _: Seed) -> Result<(), Fault> {
@@ -50,7 +54,7 @@ impl Policy for SwingUp {
             let inertia = MASS * LENGTH * LENGTH / 3.0;
             let weight = MASS * GRAVITY * 0.5 * LENGTH;
             let missing = weight * (1.0 + angle.cos()) - 0.5 * inertia * speed * speed;
-            // From rest, any direction will do.
+            // At rest, either direction works.
             let along = if speed.abs() > 1e-3 { speed.signum() } else { 1.0 };
             (PUMP * missing * along, SWING)
         };

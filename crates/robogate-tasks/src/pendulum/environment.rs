@@ -1,4 +1,4 @@
-//! The bench: a pole on a hinge with a motor, in MuJoCo.
+//! The pendulum environment: a pole on a hinge with a motor, in MuJoCo.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -16,22 +16,22 @@ use super::{ANGLE, ENERGY, ERROR, FELL, OVERSPEED, PEAK_SPEED, SPEED};
 pub(super) const CONTROL_PERIOD_S: f64 = 0.02;
 /// The time limit of an episode, in seconds.
 pub(super) const TIME_LIMIT_S: f64 = 10.0;
-/// The engine's time step, in seconds: ten in a control period.
+/// The engine's time step, in seconds. A control period has ten.
 const TIME_STEP_S: f64 = 0.002;
 const STEPS_PER_PERIOD: u32 = 10;
 
-/// The pole is upright within this angle, in rad ...
+/// The pole counts as upright within this angle, in rad ...
 const UPRIGHT_RAD: f64 = 0.2;
-/// ... and held there for this long, in seconds: success.
+/// ... and the episode succeeds after it has been upright for this long, in seconds.
 const HOLD_S: f64 = 0.5;
-/// It has been upright once it was so for this long, in seconds ...
+/// The pole has reached upright after this long within the angle, in seconds ...
 const REACHED_S: f64 = 0.1;
-/// ... and has fallen beyond this angle, in rad.
+/// ... and has fallen if it then exceeds this angle, in rad.
 const FALLEN_RAD: f64 = 0.6;
-/// Faster than this is not allowed, in rad/s.
+/// Speed limit, in rad/s.
 const SPEED_LIMIT: f64 = 25.0;
 
-/// A pole, a motor and a referee.
+/// The test bench: a pole, a motor and a referee.
 pub(super) struct Bench {
     task: Arc<TaskSpec>,
     episode: Option<Episode>,
@@ -41,7 +41,7 @@ struct Episode {
     model: MujocoModel,
     settings: Settings,
     ticks: u32,
-    /// Since when the pole is upright, in seconds.
+    /// Time since which the pole is upright, in seconds.
     upright_since: Option<f64>,
     reached: bool,
     peak_speed: f64,
@@ -54,7 +54,7 @@ impl Bench {
     }
 }
 
-/// The model of an episode: hanging down at angle 0, turning about the y axis.
+/// The MJCF model of an episode: hanging down at angle 0, rotating about the y axis.
 fn mjcf(settings: &Settings) -> String {
     let Settings { mass, length, damping, torque_limit, gravity, .. } = settings;
     let g = GRAVITY * gravity;
@@ -74,7 +74,7 @@ fn mjcf(settings: &Settings) -> String {
     )
 }
 
-/// The distance of an angle from upright, from -pi to pi.
+/// The angle from upright, from -pi to pi.
 pub(super) fn from_upright(angle: f64) -> f64 {
     angle.rem_euclid(TAU) - PI
 }
@@ -96,7 +96,7 @@ impl Episode {
         }
     }
 
-    /// Advances one time step that ends at `time`; the decisive event, if it was in this step.
+    /// Advances one time step that ends at `time`. Returns the decisive event, if it occurred in this step.
     fn advance(&mut self, torque: f64, time: f64) -> Result<Option<Option<FailureMode>>, Fault> {
         self.model.data_mut().ctrl_mut()[0] = torque;
         self.model.step()?;
@@ -138,7 +138,7 @@ impl Environment for Bench {
 
     fn step(&mut self, action: &Action) -> Result<Step, Fault> {
         let (Some(mut episode), Command::Vector(command)) = (self.episode.take(), &action.command) else {
-            return Err(Fault::new(FaultKind::Setup, "no episode is under way, or the action is not a vector"));
+            return Err(Fault::new(FaultKind::Setup, "no episode is running, or the action is not a vector"));
         };
         let torque = command.first().copied().unwrap_or_default();
         let begun = f64::from(episode.ticks) * CONTROL_PERIOD_S;
@@ -176,7 +176,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn upright_is_half_a_turn() {
+    fn upright_is_half_a_rotation() {
         assert!(
             from_upright(PI).abs() < 1e-12 && from_upright(-PI).abs() < 1e-12 && from_upright(3.0 * PI).abs() < 1e-12
         );

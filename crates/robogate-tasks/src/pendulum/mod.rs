@@ -1,6 +1,7 @@
-//! Pendulum swing-up: bring a hanging pole upright with a motor that is too weak to lift it, and hold it there.
+//! The pendulum task: swing a hanging pole upright with a motor that is too weak to lift it directly, and hold it
+//! there.
 //!
-//! A small task without a robot, with failure modes, measures and an action of its own. It is the shortest example of a
+//! A small task without a robot, with separate failure modes, measures and actions. It is the shortest example of a
 //! built-in task.
 
 mod controller;
@@ -19,9 +20,9 @@ use self::controller::SwingUp;
 use self::environment::{Bench, CONTROL_PERIOD_S, TIME_LIMIT_S};
 use crate::SelfContained;
 
-/// The pole was upright and came down again.
+/// The pole was upright and fell again.
 const FELL: FailureMode = FailureMode::constant("fell");
-/// The pole turned faster than the bench allows.
+/// The pole exceeded the speed limit.
 const OVERSPEED: FailureMode = FailureMode::constant("overspeed");
 
 const PEAK_SPEED: Word = Word::constant("peak_speed_rad_s");

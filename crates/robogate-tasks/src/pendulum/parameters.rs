@@ -1,9 +1,9 @@
-//! What can be varied on the bench: one row for each parameter.
+//! The parameter table of the pendulum: one row per parameter.
 
 use robogate_core::{Allowed, Assignment, Fault, FaultKind, ParameterSpec, Value};
 use robogate_physics::MujocoModel;
 
-/// Everything that an episode's model is made from.
+/// The settings from which an episode's model is built.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Settings {
     /// Mass of the pole, in kg.
@@ -14,26 +14,26 @@ pub(super) struct Settings {
     pub(super) damping: f64,
     /// Largest torque of the motor, in N m.
     pub(super) torque_limit: f64,
-    /// Gravity as a multiple of the Earth's.
+    /// Gravity as a multiple of standard gravity.
     pub(super) gravity: f64,
     /// Angle at the start, from hanging, in rad.
     pub(super) start: f64,
-    /// What the encoder reads too much, in rad.
+    /// Bias of the encoder: reading minus true angle, in rad.
     pub(super) bias: f64,
 }
 
 /// Gravity on Earth, in m/s².
 pub(super) const GRAVITY: f64 = 9.81;
 
-/// What a parameter is read back from.
+/// The sources of applied values.
 pub(super) struct Applied<'a> {
-    /// The model after it was set up.
+    /// The compiled model.
     pub(super) model: &'a MujocoModel,
-    /// What the encoder of the episode adds.
+    /// The encoder bias of the episode.
     pub(super) bias: f64,
 }
 
-/// One parameter: what it is, how it is set, and how it is read back.
+/// One parameter: its declaration, its setter and its reader.
 struct Row {
     name: &'static str,
     unit: &'static str,
@@ -116,7 +116,7 @@ const ROWS: [Row; 7] = [
     Row {
         name: "angle_bias_rad",
         unit: "rad",
-        meaning: "What the encoder reads too much.",
+        meaning: "Bias of the encoder: reading minus true angle.",
         low: -0.5,
         high: 0.5,
         nominal: 0.0,
@@ -126,7 +126,7 @@ const ROWS: [Row; 7] = [
     },
 ];
 
-/// The parameters as the task declares them.
+/// The parameters as declared by the task.
 pub(super) fn specs() -> Vec<ParameterSpec> {
     let spec = |row: &Row| ParameterSpec {
         name: row.name.into(),
@@ -140,7 +140,7 @@ pub(super) fn specs() -> Vec<ParameterSpec> {
 }
 
 impl Settings {
-    /// The settings of a scenario. What it does not name is nominal.
+    /// The settings of a scenario. Parameters that it does not name are nominal.
     pub(super) fn of(requested: &Assignment) -> Result<Self, Fault> {
         let mut settings =
             Self { mass: 0.0, length: 0.0, damping: 0.0, torque_limit: 0.0, gravity: 0.0, start: 0.0, bias: 0.0 };
@@ -161,7 +161,7 @@ impl Settings {
     }
 }
 
-/// The requested parameters as they act.
+/// The applied values of the requested parameters.
 pub(super) fn applied(requested: &Assignment, of: &Applied<'_>) -> Assignment {
     let read = |name: &str| ROWS.iter().find(|row| row.name == name).map(|row| (row.read)(of));
     requested.iter().filter_map(|(name, _)| Some((name.into(), Value::Number(read(name)?)))).collect()

@@ -14,11 +14,11 @@ pub const TIME_LIMIT_S: f64 = 15.0;
 /// Success is within this distance of the target, in metres (paper, section 4.3).
 pub(crate) const TOLERANCE_M: f64 = 0.03;
 
-/// Everything about an episode that is settled before it starts.
+/// Everything about an episode that is fixed before it starts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResolvedCell {
     pub(crate) parameters: SceneParameters,
-    /// Placement of the object that the policy is told.
+    /// Placement of the object that the policy is given.
     placement: Placement,
     pub(crate) scene: Scene,
     /// Where the object's centre must come to rest, in metres.
@@ -28,7 +28,7 @@ pub struct ResolvedCell {
     pub(crate) draws: Draws,
 }
 
-/// The episode's random draws that parameters scale, before they are scaled.
+/// The episode's random draws before scaling by parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Draws {
     /// From the unit disc: the direction and fraction of the position jitter.
@@ -38,7 +38,7 @@ pub(crate) struct Draws {
 }
 
 impl ResolvedCell {
-    /// The cell of a scenario for this robot. It depends on nothing else.
+    /// Resolves the cell of a scenario for this robot. The result depends only on these inputs.
     pub fn new(scenario: &Scenario, robot: &Robot) -> Result<Self, Fault> {
         let setup = |why: String| Fault::new(FaultKind::Setup, why);
         let gripper = &robot.settings.gripper;
@@ -70,7 +70,7 @@ impl ResolvedCell {
         &self.scene
     }
 
-    /// What the policy is told.
+    /// The briefing that the policy receives.
     pub fn briefing(&self) -> Briefing {
         let size = self.parameters.size_m;
         Briefing {

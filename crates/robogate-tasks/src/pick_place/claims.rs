@@ -1,7 +1,7 @@
-//! Claims about the physics, as repeatable experiments.
+//! Claims about the physics, tested by repeatable experiments.
 //!
-//! Each experiment makes fresh simulators and controllers, runs episodes, and returns its figures together with whether the
-//! claim holds. The tests of this crate and `robogate check physics` run the same code for every engine.
+//! Each experiment creates new simulators and controllers, runs episodes, and returns its figures and whether the claim
+//! holds. The tests of this crate and `robogate check physics` run the same code for every engine.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
@@ -26,15 +26,15 @@ pub struct Setup {
     pub robot: Robot,
     /// The engine's time step in seconds.
     pub time_step_s: f64,
-    /// How a suction cup holds an object.
+    /// The law by which a suction cup holds an object.
     pub suction: SuctionLaw,
 }
 
-/// Makes benches.
+/// A factory of benches.
 pub trait Workbench {
-    /// The settings that a claim starts from.
+    /// The default settings of a claim.
     fn setup(&self) -> Setup;
-    /// A fresh bench with these settings.
+    /// Creates a bench with these settings.
     fn bench(&self, setup: &Setup) -> Result<Bench, String>;
 }
 
@@ -57,11 +57,11 @@ fn assign(pairs: &[(&str, Value)]) -> Assignment {
     pairs.iter().map(|(name, value)| (Arc::from(*name), value.clone())).collect()
 }
 
-/// The lowest friction coefficient that holds a box is that of Coulomb's law.
+/// Claim: the lowest friction coefficient that holds a box follows Coulomb's law.
 ///
-/// Two pads press with F each, so friction carries at most 2 mu F. A box at rest needs m g, so no coefficient below
-/// m g / (2 F) holds it; a box lifted with acceleration a needs m (g + a), for which the limit of 1.25 leaves room. Found by
-/// bisection over whole episodes, to 1 %, for each grip force: `sevenths` of the gripper's limit.
+/// Two pads press with F each, so friction carries at most 2 mu F. A box at rest needs m g, so no coefficient below m g
+/// / (2 F) holds it. A box lifted with acceleration a needs m (g + a); the limit of 1.25 includes this. The threshold
+/// is found by bisection over whole episodes, to 1 %, for each grip force in `sevenths` of the gripper's limit.
 pub fn coulomb(workbench: &dyn Workbench, sevenths: &[f64]) -> Result<ClaimResult, String> {
     let mut result = ClaimResult {
         claim: "the lowest friction coefficient that holds a box is between m g / (2 F) and 1.25 m g / (2 F)"
@@ -110,15 +110,15 @@ pub fn coulomb(workbench: &dyn Workbench, sevenths: &[f64]) -> Result<ClaimResul
     Ok(result)
 }
 
-/// An object wider than the hand's opening is never picked. (This holds without encoder bias: fingers that are off the
-/// equator may pinch the cap of a slightly wider ball.)
+/// Claim: an object wider than the hand's opening is never picked. (This applies without encoder bias: fingers that are
+/// off the equator may pinch the cap of a slightly wider ball.)
 pub fn opening(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimResult, String> {
     let (mut simulator, mut policy) = workbench.bench(&workbench.setup())?;
     let mut tally = Tally::default();
     let widest = jaw(&mut workbench.setup())?.opening_m;
     for i in 0..episodes {
         let mut stream = Seed::campaign(2026).episode(i as u64).stream("claims/opening");
-        // Shapes whose width across the fingers is their size; the lump is narrower.
+        // Shapes whose width across the fingers equals their size. The lump is narrower.
         let shape = [Shape::Box, Shape::Cylinder, Shape::Sphere, Shape::L][i % 4];
         let values = assign(&[
             ("friction", Value::Number(stream.between(0.3, 1.2))),
@@ -136,8 +136,8 @@ pub fn opening(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimResult
     })
 }
 
-/// In the easy region the controller succeeds in at least 99 of 100 episodes. For a cup this is the region of objects with
-/// a flat top that is at least as wide as its lip.
+/// Claim: in the easy region the controller succeeds in at least 99 of 100 episodes. For a cup this is the region of
+/// objects with a flat top that is at least as wide as its lip.
 pub fn easy_region(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimResult, String> {
     let (mut simulator, mut policy) = workbench.bench(&workbench.setup())?;
     let cup = workbench.setup().robot.settings.gripper.cup().is_some();
@@ -170,8 +170,8 @@ pub fn easy_region(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimRe
     })
 }
 
-/// A round object neither rotates nor creeps out of the pads: its centre stays within 4 mm of its first position in the
-/// hand, on the whole path to the target.
+/// Claim: a round object neither rotates nor creeps out of the pads. Its centre stays within 4 mm of its first position
+/// in the hand, on the whole path to the target.
 pub fn no_creep(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimResult, String> {
     let (mut simulator, mut policy) = workbench.bench(&workbench.setup())?;
     jaw(&mut workbench.setup())?;
@@ -198,7 +198,7 @@ pub fn no_creep(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimResul
     })
 }
 
-/// Halving the time step changes at most 2 % of the outcomes over the default space.
+/// Claim: halving the time step changes at most 2 % of the outcomes over the default space.
 pub fn time_step(
     workbench: &dyn Workbench,
     space: &Arc<ParameterSpace>,
@@ -229,7 +229,7 @@ pub fn time_step(
     })
 }
 
-/// The same scenario gives the same bits after any other scenarios on the same simulator.
+/// Claim: a scenario gives the same bits after any other scenarios on the same simulator.
 pub fn repeatable(
     workbench: &dyn Workbench,
     space: &Arc<ParameterSpace>,
@@ -251,8 +251,8 @@ pub fn repeatable(
     })
 }
 
-/// The arm keeps its joints' speed limits, and the controller's commands keep their acceleration limits. (Torques are
-/// clamped by the engine's force range.)
+/// Claim: the arm respects its joints' speed limits, and the controller's commands respect their acceleration limits.
+/// (The engine clamps torques to its force range.)
 pub fn joint_limits(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimResult, String> {
     let (mut simulator, mut policy) = workbench.bench(&workbench.setup())?;
     let arm = workbench.setup().robot.settings.arm;
@@ -298,8 +298,7 @@ pub fn joint_limits(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimR
     })
 }
 
-/// The mass (kg) at which the outcome of an episode changes, between `low`, which must hold, and `high`, which must not; to
-/// half a percent.
+/// The mass (kg) at which the outcome of an episode changes, to 0.5 %. The object must hold at `low` and not at `high`.
 fn threshold(mut holds: impl FnMut(f64) -> bool, mut low: f64, mut high: f64) -> Result<f64, String> {
     if !holds(low) || holds(high) {
         return Err(format!("no threshold between {low:.3} and {high:.3} kg"));
@@ -315,7 +314,7 @@ fn threshold(mut holds: impl FnMut(f64) -> bool, mut low: f64, mut high: f64) ->
 /// control periods.
 const LIFT_M_S2: f64 = 1.155;
 
-/// The largest mass (kg) that this setup's cup lifts from the table to the transit height, with scaled gravity.
+/// The largest mass (kg) that the cup of this setup lifts from the table to the transit height, with scaled gravity.
 fn heaviest(workbench: &dyn Workbench, setup: &Setup, gravity_scale: f64) -> Result<f64, String> {
     let Some(force) = setup.robot.settings.gripper.cup().map(SuctionCup::force_n) else {
         return Err("the robot has no suction cup".to_owned());
@@ -325,7 +324,7 @@ fn heaviest(workbench: &dyn Workbench, setup: &Setup, gravity_scale: f64) -> Res
     let lifts = |mass: f64| {
         let values = assign(&[
             ("mass_kg", Value::Number(mass)),
-            // High friction: an object that is lost during the lift is lost by its weight.
+            // High friction ensures that an object lost during the lift is lost by its weight.
             ("friction", Value::Number(2.0)),
             ("gravity_scale", Value::Number(gravity_scale)),
             ("size_m", Value::Number(0.06)),
@@ -338,7 +337,7 @@ fn heaviest(workbench: &dyn Workbench, setup: &Setup, gravity_scale: f64) -> Res
     threshold(lifts, 0.4 * law, 1.1 * law)
 }
 
-/// The setup with a vacuum cup of this suction force in newtons, set by its pressure.
+/// The setup with a vacuum cup of this suction force in newtons, obtained by its pressure.
 fn with_force(workbench: &dyn Workbench, force: f64) -> Result<Setup, String> {
     let mut setup = workbench.setup();
     setup.suction = SuctionLaw::Vacuum;
@@ -347,7 +346,7 @@ fn with_force(workbench: &dyn Workbench, force: f64) -> Result<Setup, String> {
     Ok(setup)
 }
 
-/// A vacuum cup lifts masses up to m (g + a) = p A.
+/// Claim: a vacuum cup lifts masses up to m (g + a) = p A.
 pub fn vacuum_limit(workbench: &dyn Workbench) -> Result<ClaimResult, String> {
     let mut result = ClaimResult {
         claim: "lifted with acceleration a, a vacuum cup holds a mass m up to m (g + a) = p A, within 3 %".to_owned(),
@@ -363,7 +362,7 @@ pub fn vacuum_limit(workbench: &dyn Workbench) -> Result<ClaimResult, String> {
     Ok(result)
 }
 
-/// Doubling the cup's area doubles the mass that it holds.
+/// Claim: doubling the cup's area doubles the mass that it holds.
 pub fn cup_area(workbench: &dyn Workbench) -> Result<ClaimResult, String> {
     let small = with_force(workbench, 6.0)?;
     let mut large = small.clone();
@@ -376,19 +375,20 @@ pub fn cup_area(workbench: &dyn Workbench) -> Result<ClaimResult, String> {
     })
 }
 
-/// Doubling gravity changes the mass that a vacuum cup lifts to (g + a) / (2 g + a).
+/// Claim: doubling gravity changes the mass that a vacuum cup lifts to (g + a) / (2 g + a).
 pub fn gravity(workbench: &dyn Workbench) -> Result<ClaimResult, String> {
     let setup = with_force(workbench, 10.0)?;
     let (one, two) = (heaviest(workbench, &setup, 1.0)?, heaviest(workbench, &setup, 2.0)?);
     let law = (GRAVITY + LIFT_M_S2) / (2.0 * GRAVITY + LIFT_M_S2);
     Ok(ClaimResult {
-        claim: "doubling gravity takes the mass that a vacuum cup lifts to (g + a) / (2 g + a), within 4 %".to_owned(),
+        claim: "doubling gravity reduces the mass that a vacuum cup lifts to (g + a) / (2 g + a), within 4 %"
+            .to_owned(),
         holds: (two / one / law - 1.0).abs() <= 0.04,
         figures: vec![format!("{one:.3} kg, then {two:.3} kg: {:.3} x. Expected {law:.3} x", two / one)],
     })
 }
 
-/// A surface gripper never loses an object, for any mass.
+/// Claim: a surface gripper never loses an object of any mass.
 pub fn surface_keeps(
     workbench: &dyn Workbench,
     space: &Arc<ParameterSpace>,
@@ -407,7 +407,7 @@ pub fn surface_keeps(
     })
 }
 
-/// An object off its placement is picked less often.
+/// Claim: an object off its placement is picked less often.
 pub fn position_jitter(workbench: &dyn Workbench, episodes: usize) -> Result<ClaimResult, String> {
     let (mut simulator, mut policy) = workbench.bench(&workbench.setup())?;
     let mut run = |jitter: f64| {
@@ -425,7 +425,7 @@ pub fn position_jitter(workbench: &dyn Workbench, episodes: usize) -> Result<Cla
     Ok(ClaimResult {
         claim: "objects up to 50 mm off their placement are picked less often than those on it".to_owned(),
         holds: none.invalid + much.invalid == 0 && much.successes < none.successes,
-        figures: vec![format!("on it {}", none.line()), format!("off it {}", much.line())],
+        figures: vec![format!("on the placement: {}", none.line()), format!("off the placement: {}", much.line())],
     })
 }
 

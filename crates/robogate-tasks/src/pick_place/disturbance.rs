@@ -1,4 +1,4 @@
-//! A body that crosses the workspace, independent of the robot.
+//! The disturbance: a body that crosses the workspace independently of the robot.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_physics::{Fixture, FixtureKind, Motion, Part, Primitive};
@@ -6,14 +6,14 @@ use robogate_physics::{Fixture, FixtureKind, Motion, Part, Primitive};
 /// Half extents of the body, in metres: a box of 6 cm x 6 cm, 8 cm high.
 const HALF: [f64; 3] = [0.03, 0.03, 0.04];
 
-/// Gap between its lower side and the table, in metres: it moves without contact.
+/// Gap between its lower side and the table, in metres, so that it moves without contact.
 const FLOAT: f64 = 1e-3;
 
-/// A box that crosses the table in a straight line, from the parameters `disturbance_...`. It is driven like the pusher of
-/// a conveyor: nothing stops it, and it pushes what it meets.
+/// A box that crosses the table in a straight line, from the parameters `disturbance_...`. It moves like the pusher of
+/// a conveyor: nothing stops it, and it pushes objects in its path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Disturbance {
-    /// Speed in m/s; at 0 there is no box.
+    /// Speed in m/s. At 0 there is no box.
     pub speed_m_s: f64,
     /// Start of its motion, in seconds.
     pub start_s: f64,
@@ -26,7 +26,7 @@ pub struct Disturbance {
 }
 
 impl Disturbance {
-    /// The moving body, if the speed is above 0.
+    /// The moving body. `None` if the speed is 0.
     pub(crate) fn fixture(&self) -> Option<Fixture> {
         if self.speed_m_s <= 0.0 {
             return None;
@@ -44,7 +44,7 @@ impl Disturbance {
         })
     }
 
-    /// The disturbance whose body has this pose and motion.
+    /// The disturbance that corresponds to this pose and motion.
     fn of(pose: &Isometry3<f64>, motion: &Motion) -> Self {
         let speed_m_s = motion.velocity.norm();
         Self {
@@ -56,7 +56,7 @@ impl Disturbance {
         }
     }
 
-    /// The disturbance as an engine moves it: `body` is the pose and motion of the engine's moving body.
+    /// The disturbance as read from an engine. `body` is the pose and motion of the engine's moving body.
     pub(crate) fn read(self, body: Option<(&Isometry3<f64>, &Motion)>) -> Self {
         match body {
             Some((pose, motion)) => Self::of(pose, motion),

@@ -1,4 +1,4 @@
-//! Inspection of a robot for this task.
+//! Inspects a robot for this task.
 
 use robogate_physics::{self as physics, Problem, RobotSettings};
 use serde::Serialize;

@@ -1,8 +1,7 @@
-//! The task around a plant: it resolves scenarios, adds encoder errors, turns actions into joint commands and scores the
-//! episode.
+//! The judge: resolves scenarios, adds encoder errors, converts actions to joint commands and decides outcomes.
 //!
-//! It is the same for an engine in this process ([`super::PickPlace`]) and in another one ([`super::remote`]): one set of
-//! random draws, one read-back, one referee.
+//! The same judge serves an engine in this process ([`super::PickPlace`]) and in another one ([`super::remote`]), with
+//! the same random draws, read-back and referee.
 
 use robogate_core::{Action, Fault, FaultKind, Observation, Scenario, Start, Step};
 use robogate_physics::{ArmState, Chain, GripperCommand, Readback, Robot, Steering, StepView, Touches, Visual, pose};
@@ -12,10 +11,10 @@ use super::parameters::ReadbackContext;
 use super::referee::{self, Referee};
 use super::spec::observation;
 
-/// Clearance beyond this is not measured, in metres.
+/// Largest clearance that is measured, in metres.
 const CLEARANCE_LIMIT_M: f64 = 0.25;
 
-/// The task on a robot.
+/// The judge of the task on a robot.
 pub(crate) struct Judge {
     robot: Robot,
     chain: Chain,
@@ -23,7 +22,7 @@ pub(crate) struct Judge {
     episode: Option<Episode>,
 }
 
-/// What acts in a cell that a plant has set up, for reading parameters back.
+/// The components of a cell from which parameters are read back.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Acting<'a> {
     /// State of the engine.
@@ -58,13 +57,13 @@ impl Judge {
         &self.chain
     }
 
-    /// The cell that a plant must set up for a scenario. Ends the running episode.
+    /// Resolves the cell that a plant must set up for a scenario. Ends the running episode.
     pub(crate) fn resolve(&mut self, scenario: &Scenario) -> Result<ResolvedCell, Fault> {
         self.episode = None;
         ResolvedCell::new(scenario, &self.robot)
     }
 
-    /// Starts the episode in a cell that a plant has set up. `touches` and `arm_state` are those of the start.
+    /// Starts the episode in a cell that a plant has set up. `touches` and `arm_state` are the initial ones.
     pub(crate) fn start(
         &mut self,
         scenario: &Scenario,
@@ -102,7 +101,7 @@ impl Judge {
         let home = &self.robot.settings.arm.home_rad;
         let wanted = episode.steering.joints(&action.command, &episode.measured, &self.chain, home)?;
         episode.gripper = GripperCommand::of(action);
-        // The servo closes its loop on the encoders, so the arm is off by their bias.
+        // The servo closes its loop on the encoders, so the true joint positions are off by the bias.
         Ok(wanted.iter().zip(&episode.cell.bias).map(|(q, bias)| q - bias).collect())
     }
 
@@ -120,14 +119,14 @@ impl Judge {
         });
     }
 
-    /// A clearance (m) of this or more changes no measure.
+    /// The clearance (m) at or above which no measure changes.
     pub(crate) fn clearance_bound(&self) -> f64 {
         let smallest = self.episode.as_ref().and_then(|episode| episode.referee.min_clearance());
         smallest.unwrap_or(CLEARANCE_LIMIT_M)
     }
 
-    /// Ends the control period. `clearance` is the distance between robot and fixtures in metres, if it is small; `body`
-    /// gives the name of a body of the robot.
+    /// Ends the control period. `clearance` is the distance between robot and fixtures in metres, if it is small.
+    /// `body` returns the name of a body of the robot.
     pub(crate) fn finish(
         &mut self,
         arm_state: ArmState,

@@ -1,7 +1,7 @@
-//! Pick and place: take an object from the table and put it at a target.
+//! Pick and place: pick up an object from the table and place it at a target.
 //!
-//! [`PickPlace`] makes an engine, a robot and this task a [`robogate_core::Environment`]. [`Scripted`] is the controller of
-//! the paper's baseline. [`remote`] runs the task in an engine of another process.
+//! [`PickPlace`] combines an engine, a robot and this task into a [`robogate_core::Environment`]. [`Scripted`] is the
+//! controller of the paper's baseline. [`remote`] runs the task on an engine in another process.
 
 mod cell;
 pub mod claims;
@@ -25,7 +25,7 @@ mod suite;
 /// The task's name.
 pub const NAME: &str = "pick_place";
 
-/// What the task is, in a few words.
+/// A short description of the task.
 pub const SUMMARY: &str = "pick a part from a table with a robot arm and place it at a target";
 
 pub use cell::{CONTROL_PERIOD_S, ResolvedCell, TIME_LIMIT_S};

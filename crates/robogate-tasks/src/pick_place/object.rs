@@ -8,7 +8,7 @@ use robogate_physics::{MassProperties, Object, Part, Primitive};
 pub enum Shape {
     /// A cube.
     Box,
-    /// An upright cylinder as high as wide.
+    /// An upright cylinder with equal height and diameter.
     Cylinder,
     /// A ball.
     Sphere,
@@ -33,12 +33,12 @@ impl Shape {
         }
     }
 
-    /// The shape of that name.
+    /// The shape with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|shape| shape.as_str() == name)
     }
 
-    /// The rotation about the vertical after which a grasp across y meets the same shape again, in radians.
+    /// The rotation about the vertical after which a grasp across y is equivalent, in radians.
     pub fn grasp_symmetry(self) -> f64 {
         use std::f64::consts::{FRAC_PI_2, PI};
         match self {
@@ -47,17 +47,17 @@ impl Shape {
         }
     }
 
-    /// Centre of the highest face of an object of this size (m), relative to the object's centre, in metres: a cup that
-    /// comes from above meets this face.
+    /// Centre of the highest face of an object of this size (m), relative to the object's centre, in metres. A cup that
+    /// comes from above touches this face.
     pub fn top(self, size: f64) -> [f64; 2] {
         let height = |part: &Part| part.pose.translation.z + part.primitive.half_extent()[2];
         let highest = self.parts(size).into_iter().max_by(|a, b| height(a).total_cmp(&height(b)));
         highest.map_or([0.0; 2], |part| [part.pose.translation.x, part.pose.translation.y])
     }
 
-    /// Direction from the centre to the ballast of a shifted centre of mass: the +x face, across the direction in which
-    /// the fingers close, so that the weight twists the object in the grip. A ball rests with its heavy side down, so
-    /// its ballast is at the bottom.
+    /// Direction from the centre to the ballast of a shifted centre of mass. It is the +x face, perpendicular to the
+    /// closing direction of the fingers, so the weight twists the object in the grip. A ball rests with its heavy side
+    /// down, so its ballast is at the bottom.
     fn ballast(self) -> Vector3<f64> {
         match self {
             Self::Sphere => -Vector3::z(),
@@ -95,10 +95,10 @@ impl Shape {
         }
     }
 
-    /// An object of this shape, size (m), mass (kg) and centre-of-mass offset.
+    /// Creates an object of this shape, size (m), mass (kg) and centre-of-mass offset.
     ///
     /// `com_offset` is the fraction of the mass that is a point at the centre of one face (+x; the bottom of a ball).
-    /// The rest is homogeneous. The centre of mass so moves by that fraction of its distance to the face.
+    /// The rest is homogeneous. The centre of mass therefore moves by that fraction of its distance to the face.
     pub fn object(self, size_m: f64, mass_kg: f64, com_offset: f64) -> Object {
         let parts = self.parts(size_m);
         let mass = MassProperties::with_ballast(&parts, mass_kg, com_offset, self.ballast() * (0.5 * size_m));
@@ -119,13 +119,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_shape_fits_its_cube() {
+    fn shapes_fit_their_cube() {
         for shape in Shape::ALL {
             for part in shape.object(0.1, 1.0, 0.0).parts {
-                let turn = part.pose.rotation.to_rotation_matrix().into_inner().abs();
+                let rotation = part.pose.rotation.to_rotation_matrix().into_inner().abs();
                 let reach = match part.primitive {
                     Primitive::Sphere { radius } => Vector3::repeat(radius),
-                    other => turn * Vector3::from(other.half_extent()),
+                    other => rotation * Vector3::from(other.half_extent()),
                 };
                 let reach = reach + part.pose.translation.vector.abs();
                 assert!(reach.max() <= 0.05 + 1e-12, "{shape:?} reaches {reach}");
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn the_offset_moves_the_centre_of_mass() {
+    fn offset_moves_centre_of_mass() {
         let cube = Shape::Box.object(0.06, 0.5, 0.4);
         assert!((cube.mass.centre - Vector3::new(0.4 * 0.03, 0.0, 0.0)).norm() < 1e-15);
         for shape in Shape::ALL {

@@ -1,21 +1,21 @@
-//! Panels between the object and the front camera.
+//! The occluders: panels between the object and the front camera.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_camera::FRONT_CAMERA;
 use robogate_physics::{Fixture, FixtureKind, Part, Primitive};
 
-/// Half extents of a panel, in metres: 1 cm thick, 1.5 cm wide and 16 cm high. The camera sees the object's centre over
-/// a lower panel.
+/// Half extents of a panel, in metres: 1 cm thick, 1.5 cm wide and 16 cm high. A lower panel would not hide the
+/// object's centre.
 const HALF: [f64; 3] = [0.005, 0.0075, 0.08];
 
-/// Distance from the object's centre to the panels, in metres: a hand that comes from above clears them at any yaw.
+/// Distance from the object's centre to the panels, in metres. A hand that comes from above clears them at any yaw.
 const DISTANCE: f64 = 0.15;
 
 /// Distance between the centres of two panels, in metres.
 const SPACING: f64 = 0.017;
 
-/// `count` panels side by side across the front camera's line of sight to an object at `object` (m). One panel hides a
-/// third of an object that is 5 cm wide, two hide three quarters and three hide nearly all.
+/// Creates `count` panels side by side across the front camera's line of sight to an object at `object` (m). One panel
+/// hides a third of an object that is 5 cm wide, two hide three quarters and three hide nearly all.
 pub(crate) fn panels(count: usize, object: [f64; 2]) -> Vec<Fixture> {
     let (camera, _) = FRONT_CAMERA;
     let bearing = (camera[1] - object[1]).atan2(camera[0] - object[0]);
@@ -32,7 +32,7 @@ pub(crate) fn panels(count: usize, object: [f64; 2]) -> Vec<Fixture> {
     (0..count).map(panel).collect()
 }
 
-/// The circles on the table that the panels need: centre and radius, in metres.
+/// The circles on the table that the panels occupy: centre and radius, in metres.
 pub(crate) fn footprints(panels: &[Fixture]) -> impl Iterator<Item = ([f64; 2], f64)> {
     panels.iter().map(|panel| {
         let at = panel.part.pose.translation;

@@ -42,7 +42,7 @@ impl Placement {
         "rotated_135",
     ];
 
-    /// The placement of that name. The angle may be any integer from 0 to 359.
+    /// The placement with this name. The angle may be any integer from 0 to 359.
     pub fn from_name(name: &str) -> Option<Self> {
         let (place, angle) = name.rsplit_once('_')?;
         let angle = angle.parse::<u16>().ok().filter(|a| *a < 360)?;
@@ -65,7 +65,7 @@ impl Placement {
         self
     }
 
-    /// Pose of an object of this height (m) that stands there.
+    /// Pose of an object of this height (m) at the placement.
     pub fn pose(&self, height_m: f64) -> Pose {
         Pose::upright([self.position[0], self.position[1], 0.5 * height_m], self.yaw)
     }

@@ -1,4 +1,4 @@
-//! The referee: the outcome of an episode from contacts, motion and gripper commands alone.
+//! The referee: determines the outcome of an episode from contacts, motion and gripper commands.
 //!
 //! It does not use the policy's phases, so the same rules apply to all policies. The first decisive event ends the episode:
 //!
@@ -18,17 +18,17 @@ use robogate_physics::{Collision, GripperCommand, GripperState, Touches};
 
 use super::spec::{COLLISION, GRASP_MISS, GRIP_LOSS, MIN_CLEARANCE, PEAK_CONTACT_FORCE, SLIP, TARGET_DISTANCE};
 
-/// The gripper is at rest when its opening changed less than this in [`SETTLE_S`], in metres.
+/// The gripper is at rest if its opening changed by less than this within [`SETTLE_S`], in metres.
 const SETTLED_M: f64 = 2e-4;
-/// A tool with a cup is at rest when it moved less than this, in metres, because a cup may grip while it moves ...
+/// A tool with a cup is at rest if it moved by less than this, in metres, because a cup may grip while it moves ...
 const TOOL_SETTLED_M: f64 = 2e-3;
-/// ... in this time, in seconds, which is longer than a vacuum takes to build up.
+/// ... within this time, in seconds, which is longer than the build-up of the vacuum.
 const TOOL_SETTLE_S: f64 = 0.2;
-/// How long the gripper must have been at rest, in seconds.
+/// Time over which the gripper must be at rest, in seconds.
 const SETTLE_S: f64 = 0.1;
-/// A finger that presses with less than this fraction of the grip force does not hold the object.
+/// A finger holds the object only if it presses with at least this fraction of the grip force.
 const HOLD_SHARE: f64 = 0.2;
-/// A held object that no finger touches for this long is lost, in seconds.
+/// A held object is lost after this long without contact to a finger, in seconds.
 const LOSS_S: f64 = 0.05;
 /// The object is at rest below this speed, in m/s ...
 const REST_SPEED: f64 = 0.01;
@@ -36,10 +36,10 @@ const REST_SPEED: f64 = 0.01;
 const REST_SPIN: f64 = 0.2;
 /// ... for this long, in seconds.
 const REST_S: f64 = 0.2;
-/// An object that is released more than this above its resting height is dropped, in metres.
+/// An object is dropped if it is released more than this above its resting height, in metres.
 const DROP_M: f64 = 0.05;
 
-/// What the referee sees of one time step.
+/// The state that the referee gets after one time step.
 pub(crate) struct Sight<'a> {
     /// Simulated time after the step, in seconds.
     pub(crate) time: f64,
@@ -66,7 +66,8 @@ impl Sight<'_> {
         }
     }
 
-    /// The position that must come to rest for a grasp, the largest motion that counts as rest (m), and for how long (s).
+    /// The position that must come to rest for a grasp, the largest motion that counts as rest (m), and the required
+    /// time (s).
     fn settling(&self) -> (Vector3<f64>, f64, f64) {
         match self.hand {
             GripperState::Fingers(opening) => (Vector3::new(opening, 0.0, 0.0), SETTLED_M, SETTLE_S),
@@ -75,20 +76,20 @@ impl Sight<'_> {
     }
 }
 
-/// State of the hold on the object.
+/// The state of the grasp.
 #[derive(Debug, Clone, PartialEq)]
 enum Grip {
     /// Not closed on anything yet.
     Free,
     /// Closing; the position that must come to rest, and the time of its last motion.
     Closing { at: Vector3<f64>, moved_at: f64 },
-    /// The object is held. Its first pose in the hand, and the time since which nothing touches it.
+    /// The object is held. Its first pose in the hand, and the time since it has no contact.
     Held { in_hand: Isometry3<f64>, untouched_since: Option<f64> },
     /// Released at this height of the object above its resting height.
     Released { height: f64, calm_since: Option<f64> },
 }
 
-/// What was measured so far; `None` where there was nothing to measure.
+/// The measured values so far. `None` without a measurement.
 #[derive(Debug, Clone, Copy, Default)]
 struct Measured {
     peak_contact_force_n: Option<f64>,
@@ -97,7 +98,7 @@ struct Measured {
     target_distance_m: Option<f64>,
 }
 
-/// The referee of an episode.
+/// The referee of one episode.
 #[derive(Debug, Clone)]
 pub(crate) struct Referee {
     target: [f64; 3],
@@ -112,7 +113,8 @@ pub(crate) struct Referee {
 }
 
 impl Referee {
-    /// A referee for an object that must come to rest within `tolerance` of `target` (m) and is held with `grip_force` (N).
+    /// Creates a referee for an object that must come to rest within `tolerance` of `target` (m). `grip_force` (N)
+    /// holds it.
     pub(crate) fn new(target: [f64; 3], tolerance: f64, grip_force: f64) -> Self {
         Self {
             target,
@@ -208,7 +210,8 @@ impl Referee {
                     }
                 }
             }
-            // Closing on nothing after the release, such as on the path home, has no effect; grasping again has.
+            // Closing without the object after the release, for example on the path home, has no effect. Another grasp
+            // has.
             (GripperCommand::Close, Grip::Released { .. }) => {
                 if sight.in_touch() {
                     self.grip = Grip::Closing { at: sight.settling().0, moved_at: sight.time };
@@ -228,7 +231,7 @@ impl Referee {
         }
     }
 
-    /// The gripper has come to rest, on the object or on nothing.
+    /// The gripper has come to rest, with or without the object.
     fn settle(&mut self, sight: &Sight<'_>) {
         let (held, what) = match sight.hand {
             GripperState::Fingers(opening) => {
@@ -298,7 +301,7 @@ impl Referee {
                 self.events.push("object off the table".to_owned());
             }
         }
-        // The first collision counts. Its force is the largest of that contact until the period ends.
+        // The first collision counts. Its force is the largest of that contact until the end of the control period.
         match (&mut self.collision, sight.touches.collision) {
             (None, Some(found)) if self.ending.is_none() => {
                 self.collision = Some((sight.time, found));

@@ -1,4 +1,4 @@
-//! Construction of the scene from parameters: table, object, obstacles, panels and disturbance.
+//! Builds the scene from parameters: table, object, obstacles, panels and disturbance.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Stream;
@@ -9,7 +9,7 @@ use robogate_physics::{
 use super::cell::TOLERANCE_M;
 use super::{Placement, SceneParameters, occluder};
 
-/// The target on the table, in metres: outside the circle of the obstacles.
+/// The target on the table, in metres. It is outside the circle of the obstacles.
 pub(crate) const TARGET: [f64; 2] = [0.4, 0.4];
 
 /// Obstacles stand within this distance of the workspace centre, in metres (paper, section 4.2).
@@ -18,22 +18,22 @@ const OBSTACLE_RADIUS: f64 = 0.3;
 /// Smallest free space between an obstacle and the object, the target area or another obstacle, in metres.
 pub(crate) const OBSTACLE_GAP: f64 = 0.01;
 
-/// The scene of these parameters, the object at `placement`. `stream` draws the obstacles.
+/// Builds the scene of these parameters with the object at `placement`. `stream` samples the obstacles.
 ///
 /// # Errors
-/// If the object does not stand on the table, or there is no room for the obstacles.
+/// If the object is not on the table, or there is no room for the obstacles.
 pub fn scene(parameters: &SceneParameters, placement: &Placement, stream: &mut Stream) -> Result<Scene, String> {
     let object = parameters.object();
     let half = 0.5 * parameters.size_m;
     let mut fixtures = vec![Fixture::table()];
     let [x, y] = placement.position;
     if (x - TABLE_CENTRE[0]).abs() > TABLE_HALF[0] || (y - TABLE_CENTRE[1]).abs() > TABLE_HALF[1] {
-        return Err(format!("the object at ({x:.3}, {y:.3}) m would stand beside the table"));
+        return Err(format!("the object at ({x:.3}, {y:.3}) m is not on the table"));
     }
     let panels = occluder::panels(parameters.occluders, placement.position);
-    // The parameter may require more free space around object and target than obstacles keep from each other.
+    // The parameter may require more free space around object and target than obstacles need from each other.
     let room = parameters.obstacle_gap_m - OBSTACLE_GAP;
-    // The object may be rotated: its footprint is within the circle around its square.
+    // The object may be rotated, so its footprint is bounded by the circle around its square.
     let mut taken = vec![
         (placement.position, half * std::f64::consts::SQRT_2 + room),
         (TARGET, half * std::f64::consts::SQRT_2 + TOLERANCE_M + room),
@@ -61,8 +61,8 @@ pub fn scene(parameters: &SceneParameters, placement: &Placement, stream: &mut S
     })
 }
 
-/// A box or cylinder, 3 to 6 cm wide and 4 to 14 cm high, drawn uniformly from the circle around the workspace centre,
-/// clear of the circles in `taken` (centre and radius). Returns the part and its own circle.
+/// A box or cylinder, 3 to 6 cm wide and 4 to 14 cm high, sampled uniformly from the circle around the workspace centre
+/// and clear of the circles in `taken` (centre and radius). Returns the part and its bounding circle.
 fn obstacle(stream: &mut Stream, taken: &[([f64; 2], f64)]) -> Option<(Part, ([f64; 2], f64))> {
     let half_width = stream.between(0.015, 0.03);
     let half_height = stream.between(0.02, 0.07);
@@ -74,7 +74,7 @@ fn obstacle(stream: &mut Stream, taken: &[([f64; 2], f64)]) -> Option<(Part, ([f
         let half = [half_width, half_width, half_height];
         (Primitive::Box { half }, half_width * std::f64::consts::SQRT_2)
     };
-    // A few draws are enough; the bound ends the search in an impossible scene.
+    // A few draws are usually enough. The bound ends the search in an impossible scene.
     (0..10_000).find_map(|_| {
         let distance = OBSTACLE_RADIUS * stream.uniform().sqrt();
         let (sin, cos) = stream.between(0.0, std::f64::consts::TAU).sin_cos();

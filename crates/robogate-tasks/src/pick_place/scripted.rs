@@ -1,11 +1,11 @@
 //! The scripted controller: the paper's baseline (section 4.1).
 //!
-//! Six phases are planned at the start from nominal data: the object's pose and dimensions, the target, the robot. A phase
-//! ends when its path has been commanded and the measured pose of the tool is within 5 mm and 0.05 rad of its end, and the
-//! gripper is at rest if it moves in this phase. The controller knows neither the encoders' bias nor the true pose of the
-//! object.
+//! Six phases are planned at the start from nominal data: the object's pose and dimensions, the target and the robot. A
+//! phase ends when its path has been commanded, the measured tool pose is within 5 mm and 0.05 rad of the end, and the
+//! gripper is at rest if it moves in this phase. The encoders' bias and the true pose of the object are unknown to the
+//! controller.
 //!
-//! A tool that is pushed more than 10 mm off its path stops there and waits, as a robot with a contact guard does.
+//! A tool that is pushed more than 10 mm off its path stops there and waits, like a robot with a contact guard.
 
 use std::f64::consts::PI;
 
@@ -22,7 +22,7 @@ use super::spec::{Briefing, phases};
 const POSITION_TOLERANCE_M: f64 = 0.005;
 /// ... and this angle, in radians (paper, section 4.1).
 const ANGLE_TOLERANCE_RAD: f64 = 0.05;
-/// A tool that is off its path by more than this stops, in metres.
+/// The tool stops if it is off its path by more than this, in metres.
 const GUARD_M: f64 = 0.01;
 /// Height of the tool above the table on transit paths, in metres: the carried object passes over the highest obstacle.
 const TRANSIT_HEIGHT_M: f64 = 0.25;
@@ -30,17 +30,18 @@ const TRANSIT_HEIGHT_M: f64 = 0.25;
 const TIP_ROOM_M: f64 = 0.004;
 /// Gap between palm and object in the grasp, in metres.
 const PALM_ROOM_M: f64 = 0.002;
-/// Gap between a cup and the top of the object, in metres: well below the grip threshold.
+/// Gap between a cup and the top of the object, in metres. It is well below the grip threshold.
 const CUP_ROOM_M: f64 = 0.002;
 /// Height of the object above the table at its release, in metres.
 const RELEASE_ROOM_M: f64 = 0.003;
-/// The gripper is at rest when its opening changed less than this in a control period, in metres.
+/// The gripper is at rest if its opening changed by less than this in a control period, in metres.
 const GRIPPER_SETTLED_M: f64 = 1e-4;
 /// ... for this many control periods: it needs time to start and to build up its force.
 const SETTLE_TICKS: usize = 4;
 /// Limits of free motion.
 const FREE: ToolLimit = ToolLimit { speed: 0.5, acceleration: 2.0 };
-/// Limits of motion with the object in hand: low, so that weight and not acceleration decides whether it slips.
+/// Limits of motion with the object in hand. They are low, so that weight and not acceleration decides whether it
+/// slips.
 const CARRY: ToolLimit = ToolLimit { speed: 0.6, acceleration: 1.2 };
 
 /// The scripted controller.
@@ -53,7 +54,7 @@ pub struct Scripted {
     current: usize,
     tick: usize,
     last_opening: Option<f64>,
-    /// The last two commands, older first.
+    /// The last two commands, the older one first.
     commanded: Option<[Vec<f64>; 2]>,
     /// Joint positions at which the guard stopped the arm.
     stopped: Option<Vec<f64>>,
@@ -65,7 +66,7 @@ pub struct Scripted {
 #[derive(Debug, Clone)]
 struct Stage {
     phase: Word,
-    /// Joint positions at every control tick; the last one is held until the phase ends.
+    /// Joint positions for every control period. The last one is kept until the phase ends.
     path: Vec<Vec<f64>>,
     gripper: GripperCommand,
     /// Whether the gripper must be at rest for the phase to end.
@@ -73,7 +74,7 @@ struct Stage {
 }
 
 impl Scripted {
-    /// The controller for a robot with these kinematics.
+    /// Creates the controller for a robot with these kinematics.
     pub fn new(robot: Robot, chain: Chain) -> Self {
         Self {
             robot,
@@ -88,8 +89,9 @@ impl Scripted {
         }
     }
 
-    /// Height of the tool centre point above the table in the grasp. Fingers: the object's centre, but high enough that the
-    /// fingertips do not touch the table and the palm does not touch the object. A cup: just above the object.
+    /// Height of the tool centre point above the table during the grasp. For fingers it is the object's centre, but
+    /// high enough to keep the fingertips off the table and the palm off the object. For a cup it is just above the
+    /// object.
     fn grasp_height(&self, extent: &[f64; 3]) -> f64 {
         match &self.robot.settings.gripper {
             Gripper::ParallelJaw(jaw) => {
@@ -110,15 +112,15 @@ impl Scripted {
         }
     }
 
-    /// The tool above `at`, pointing down. The fingers close along the direction `yaw` + 90 degrees.
+    /// The tool pose above `at`, pointing down. The fingers close along the direction `yaw` + 90 degrees.
     fn above(at: &[f64; 3], height: f64, yaw: f64) -> Isometry3<f64> {
         let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
         Isometry3::from_parts(Translation3::new(at[0], at[1], height), rotation * down)
     }
 
-    /// Candidate yaws of the tool at an object with this `yaw`. Fingers: the yaws in which the object is symmetric. A cup is
-    /// symmetric in all yaws: its yaw follows the arm's base, which keeps the wrist as it is.
+    /// Candidate yaws of the tool for an object with this `yaw`. For fingers these are the symmetric yaws of the
+    /// object. A cup is symmetric in all yaws: its yaw follows the arm's base, which keeps the wrist posture.
     fn grasp_yaws(&self, task: &Briefing, at: &[f64; 3], yaw: f64) -> Vec<f64> {
         let home = &self.robot.settings.arm.home_rad;
         match &self.robot.settings.gripper {
@@ -134,7 +136,7 @@ impl Scripted {
         }
     }
 
-    /// The grasp yaw with the smallest joint motion from home, and the joint positions above the object with it.
+    /// The grasp yaw with the smallest joint motion from home, and the joint positions above the object with this yaw.
     fn choose_grasp(&self, task: &Briefing, at: &[f64; 3], yaw: f64) -> Result<(f64, Vec<f64>), Unreachable> {
         let home = &self.robot.settings.arm.home_rad;
         let mut best: Option<(f64, f64, Vec<f64>)> = None;
@@ -212,7 +214,7 @@ impl Scripted {
         Ok(())
     }
 
-    /// Whether the tool is off its commanded path. The servo trails the commands by half a control period, so the tool
+    /// Whether the tool is off its commanded path. The servo lags the commands by half a control period, so the tool
     /// should be halfway between the last two.
     fn pushed_off(&self, measured: &[f64]) -> bool {
         let Some([before, last]) = &self.commanded else { return false };
@@ -221,7 +223,7 @@ impl Scripted {
         off.norm() > GUARD_M
     }
 
-    /// Yaw of the tool at the target: it follows the arm's base, which keeps the wrist as it is.
+    /// Yaw of the tool at the target. It follows the arm's base, which keeps the wrist posture.
     fn carry_yaw(&self, joints: &[f64], yaw: f64, target: &[f64; 3]) -> f64 {
         let from = self.chain.tcp_at(joints).translation.vector;
         yaw + target[1].atan2(target[0]) - from.y.atan2(from.x)

@@ -1,4 +1,4 @@
-//! The task on an engine of this process, as an environment.
+//! The task as an environment on an engine in this process.
 
 use std::sync::Arc;
 
@@ -15,18 +15,18 @@ pub struct PickPlace<E> {
     task: Arc<TaskSpec>,
     plant: Plant<E>,
     judge: Judge,
-    /// The cameras, or why the robot cannot be drawn.
+    /// The cameras, or the reason why the robot cannot be rendered.
     cameras: Result<Cameras, String>,
-    /// Replaces the cameras.
+    /// A renderer that replaces the cameras.
     renderer: Option<Box<dyn Renderer<E>>>,
 }
 
 impl<E: Engine> PickPlace<E> {
-    /// The task on this engine. `grip_force_n` replaces the robot's own setting. A suction cup holds by vacuum unless
-    /// [`Self::with_suction`] changes it.
+    /// Creates the task on this engine. `grip_force_n` replaces the robot's setting. A suction cup uses the vacuum law
+    /// unless [`Self::with_suction`] changes it.
     ///
     /// # Errors
-    /// If the control period is not an integer multiple of the engine's time step, or the gripper cannot hold the grip
+    /// If the control period is not an integer multiple of the engine's time step, or the gripper cannot apply the grip
     /// force.
     pub fn new(engine: E, grip_force_n: Option<f64>) -> Result<Self, String> {
         let plant = Plant::new(engine, CONTROL_PERIOD_S, grip_force_n)?;
@@ -36,14 +36,14 @@ impl<E: Engine> PickPlace<E> {
         Ok(Self { task, plant, judge, cameras, renderer: None })
     }
 
-    /// The same task with a suction cup that holds by this law.
+    /// The same task with this law for its suction cup.
     #[must_use]
     pub fn with_suction(mut self, law: SuctionLaw) -> Self {
         self.plant = self.plant.with_suction(law);
         self
     }
 
-    /// The same task with pictures of this size in pixels.
+    /// The same task with images of this size in pixels.
     #[must_use]
     pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
         self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
@@ -120,7 +120,7 @@ impl<E: Engine> Environment for PickPlace<E> {
     }
 }
 
-/// The cameras as the task declares them: none where the robot cannot be rendered.
+/// The cameras as declared by the task. Empty if the robot cannot be rendered.
 pub(crate) fn camera_specs(cameras: &Result<Cameras, String>) -> Vec<CameraSpec> {
     let specs = |cameras: &Cameras| {
         let (width, height) = cameras.size();
@@ -129,8 +129,8 @@ pub(crate) fn camera_specs(cameras: &Result<Cameras, String>) -> Vec<CameraSpec>
     cameras.as_ref().map(specs).unwrap_or_default()
 }
 
-/// Sets a cell up for the cameras and returns its appearance as they hold it. If the robot cannot be drawn, nothing shows
-/// the cell, and its own values are returned.
+/// Sets up a cell for the cameras and returns its appearance as the cameras have it. If the robot cannot be rendered,
+/// no camera shows the cell, and the requested values are returned.
 pub(crate) fn show(cameras: &mut Result<Cameras, String>, cell: &ResolvedCell) -> Visual {
     match cameras {
         Ok(cameras) => {
@@ -141,13 +141,13 @@ pub(crate) fn show(cameras: &mut Result<Cameras, String>, cell: &ResolvedCell) -
     }
 }
 
-/// Renders the cell. `posture` gives the positions of everything that moves, for a number of fixtures.
+/// Renders the cell. `posture` returns the positions of all moving bodies, for a number of fixtures.
 pub(crate) fn render(
     cameras: &Result<Cameras, String>,
     posture: impl FnOnce(usize) -> Posture,
 ) -> Result<Vec<Image>, Fault> {
     let setup = |why: String| Fault::new(FaultKind::Setup, why);
-    let cameras = cameras.as_ref().map_err(|why| setup(format!("this robot cannot be drawn: {why}")))?;
+    let cameras = cameras.as_ref().map_err(|why| setup(format!("this robot cannot be rendered: {why}")))?;
     let fixtures = cameras.fixtures().ok_or_else(|| setup("no scenario is set up".to_owned()))?;
     Ok(cameras.render(&posture(fixtures)))
 }

@@ -17,12 +17,12 @@ pub fn built_in_spaces() -> impl Iterator<Item = &'static str> {
     SPACES.iter().map(|(name, _)| *name)
 }
 
-/// The built-in parameter space of that name, as TOML.
+/// The built-in parameter space with this name, as TOML.
 pub fn built_in_space(name: &str) -> Option<&'static str> {
     SPACES.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
-/// Name of the default parameter space for a robot with this gripper.
+/// The name of the default parameter space for a robot with this gripper.
 pub fn default_space(gripper: &Gripper) -> &'static str {
     match gripper {
         Gripper::ParallelJaw(_) => "franka",

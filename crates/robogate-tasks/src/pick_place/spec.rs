@@ -1,4 +1,4 @@
-//! Pick and place as data: what the task declares.
+//! The declaration of pick and place as data.
 
 use robogate_core::{
     ActionSpace, ActionSpec, Better, CameraSpec, FailureMode, FailureModeSpec, Fault, FaultKind, MeasureSpec,
@@ -17,7 +17,7 @@ pub const GRIP_LOSS: FailureMode = FailureMode::constant("grip_loss");
 /// A robot link or finger touched something other than the object.
 pub const COLLISION: FailureMode = FailureMode::constant("collision");
 
-/// Largest normal force between a body of the robot and anything, in newtons.
+/// Largest normal force between any body of the robot and another body, in newtons.
 pub const PEAK_CONTACT_FORCE: Word = Word::constant("peak_contact_force_n");
 /// Largest displacement of the object relative to the hand since it was held, in metres.
 pub const SLIP: Word = Word::constant("slip_m");
@@ -47,10 +47,10 @@ pub mod phases {
     pub const ALL: [Word; 6] = [APPROACH_ABOVE, DESCEND, GRASP, LIFT, MOVE_TO_TARGET, RELEASE];
 }
 
-/// What 1 means in a tool delta: metres along, and radians about, each axis (paper, section 7.1).
+/// The unit of a tool delta: metres along, and radians about, each axis (paper, section 7.1).
 pub const TOOL_DELTA: (f64, f64) = (0.02, 0.05);
 
-/// The task on this robot, its cameras of this kind.
+/// The task specification for this robot with these cameras.
 pub fn spec(robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
     let joints = robot.settings.arm.joints.clone();
     let gripper = &robot.settings.gripper;
@@ -108,7 +108,7 @@ fn measures() -> Vec<MeasureSpec> {
     ]
 }
 
-/// What a policy may know about one episode: what an engineer of the cell would know beforehand.
+/// Information that a policy may use about one episode: facts that are known before the episode.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Briefing {
     /// The object's shape.
@@ -117,11 +117,11 @@ pub struct Briefing {
     pub object_extent_m: [f64; 3],
     /// Nominal pose of the centre of the object's bounding box, in the base frame.
     pub object_pose: Pose,
-    /// Where the bounding box's centre has to come to rest, in the base frame.
+    /// Target position of the bounding box's centre, in the base frame.
     pub target_pose: Pose,
     /// Success means at rest within this horizontal distance of the target, in metres.
     pub tolerance_m: f64,
-    /// How fast the tool may come down to the object, in m/s; `None` leaves it to the policy.
+    /// Speed limit of the tool on its way down to the object, in m/s. `None` leaves it to the policy.
     pub approach_speed_m_s: Option<f64>,
 }
 
@@ -135,17 +135,18 @@ impl Briefing {
         }
     }
 
-    /// The briefing in the details of an episode.
+    /// Reads the briefing from the details of an episode.
     ///
     /// # Errors
-    /// A setup fault where the details are not those of pick and place.
+    /// A setup fault if the details are not those of pick and place.
     pub fn of(instance: &TaskInstance) -> Result<Self, Fault> {
-        Self::deserialize(&instance.details)
-            .map_err(|why| Fault::new(FaultKind::Setup, format!("the episode has no briefing of pick_place: {why}")))
+        Self::deserialize(&instance.details).map_err(|why| {
+            Fault::new(FaultKind::Setup, format!("the episode details are not a briefing of pick_place: {why}"))
+        })
     }
 }
 
-/// An arm as an observation: the tool at `tool_pose`, everything as measured.
+/// Converts an arm state to an observation with the tool at `tool_pose`. All values are as measured.
 pub(crate) fn observation(time_s: f64, arm: ArmState, tool_pose: Pose) -> Observation {
     let mut vectors =
         vec![(vectors::JOINT_POSITIONS, arm.joint_positions), (vectors::JOINT_VELOCITIES, arm.joint_velocities)];

@@ -1,4 +1,4 @@
-//! Check of a suite against the task's parameters.
+//! Checks a suite against the task's parameters.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -8,7 +8,7 @@ use robogate_physics::Gripper;
 
 use super::{ParameterError, SceneParameters};
 
-/// A parameter of one or more scenarios of a suite that the task does not accept.
+/// A parameter that the task does not accept, with the scenarios that use it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SuiteMisfit {
     /// The problem.
@@ -27,8 +27,8 @@ impl fmt::Display for SuiteMisfit {
     }
 }
 
-/// All problems of a suite, each once with all scenarios that have it. The list is empty if the task accepts every
-/// parameter of every scenario over its whole range, and this gripper has it.
+/// All problems of a suite, each once with all affected scenarios. The list is empty if the task accepts every
+/// parameter of every scenario over its whole range and all apply to this gripper.
 pub fn check_suite(suite: &Suite, gripper: Option<&Gripper>) -> Vec<SuiteMisfit> {
     let mut found: BTreeMap<String, SuiteMisfit> = BTreeMap::new();
     for case in suite.cases() {

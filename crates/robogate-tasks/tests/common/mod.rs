@@ -1,6 +1,6 @@
 //! Test cells: a robot in an engine.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-#![allow(dead_code, reason = "each test binary uses its part")]
+#![allow(dead_code, reason = "each test binary uses only some items")]
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ pub(crate) enum EngineKind {
 }
 
 impl EngineKind {
-    /// A robot of the repository in this engine, by the name of its folder.
+    /// A robot of the repository in this engine, by folder name.
     pub(crate) fn robot(self, name: &str) -> TestCell {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/robots").join(name);
         TestCell { on: self, robot: Robot::from_folder(&folder).unwrap() }
@@ -63,7 +63,7 @@ pub(crate) struct TestCell {
 }
 
 impl TestCell {
-    /// The engine alone.
+    /// The engine without the task.
     pub(crate) fn engine(&self) -> Box<dyn Engine> {
         let (robot, step) = (self.robot.clone(), self.on.time_step());
         match self.on {

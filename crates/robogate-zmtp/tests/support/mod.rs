@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-/// The interpreter. Where there is none, the test is reported as skipped.
+/// The interpreter. If there is none, the test is reported as skipped.
 pub(crate) fn python() -> Option<PathBuf> {
     robogate_testing::path("ROBOGATE_BRIDGE_PYTHON", "a Python with pyzmq and msgpack")
 }
@@ -16,7 +16,7 @@ pub(crate) fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// A process that ends with the test.
+/// A process that is stopped at the end of the test.
 pub(crate) struct Peer {
     child: Child,
     /// First line of its output.
@@ -32,11 +32,11 @@ impl Peer {
             .env("PYTHONPATH", root().join("bridges/common"))
             .stdout(Stdio::piped())
             .spawn()
-            .expect("the interpreter starts");
+            .expect("cannot start the interpreter");
         let mut first_line = String::new();
         BufReader::new(child.stdout.take().expect("stdout is piped"))
             .read_line(&mut first_line)
-            .expect("the script prints a line");
+            .expect("the script must print a line");
         Self { child, first_line: first_line.trim().to_owned() }
     }
 

@@ -1,7 +1,7 @@
 //! The rows of an exported CSV.
 //!
-//! RFC 4180, read here and not by the reader of other tools' tables: only quotes tell an empty text from a missing value,
-//! and a text of digits from a number.
+//! A separate parser for RFC 4180, because the parser for other tools' tables ignores quotes. Only quotes distinguish
+//! an empty text from a missing value, and a text of digits from a number.
 
 use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -10,10 +10,10 @@ use super::Field;
 use crate::DictionaryError;
 use crate::raw::{MOST_FIELDS, Meter, Metered};
 
-/// The most bytes without a whole row.
+/// Maximum bytes without a complete row.
 const LONGEST: u64 = 1 << 20;
 
-/// The rows of a file, after its line of names.
+/// The rows of a file after its header line.
 pub(super) struct Rows {
     path: PathBuf,
     reader: BufReader<Metered>,
@@ -23,18 +23,18 @@ pub(super) struct Rows {
     pub(super) names: Vec<String>,
 }
 
-/// Where in a field the reader is.
+/// The state of the parser within a field.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum State {
     Start,
     Bare,
     Quoted,
-    /// Behind a closing quote.
+    /// After a closing quote.
     Closed,
 }
 
 impl Rows {
-    /// Opens the file and reads its line of names; `None` where it has none.
+    /// Opens the file and reads its header line. `None` if it has none.
     pub(super) fn open(path: &Path) -> Result<Option<Self>, DictionaryError> {
         let metered = Metered::open(path, LONGEST)?;
         let meter = metered.meter();
@@ -71,7 +71,7 @@ impl Rows {
         }
     }
 
-    /// Reads one record; `false` at the end of the file.
+    /// Reads one record. Returns `false` at the end of the file.
     fn record(&mut self, fields: &mut Vec<Field>) -> Result<bool, DictionaryError> {
         let line = self.breaks + 1;
         let (mut state, mut field) = (State::Start, Vec::new());
@@ -80,16 +80,14 @@ impl Rows {
             let buffer = match self.reader.fill_buf() {
                 Ok(buffer) => buffer,
                 Err(e) if e.kind() == io::ErrorKind::InvalidData => {
-                    return Err(
-                        self.wrong(line, format!("{e}\nhint: look for a quote that is opened and never closed"))
-                    );
+                    return Err(self.wrong(line, format!("{e}\nhint: look for a quote that is never closed")));
                 }
                 Err(e) => return Err(DictionaryError::io(&self.path, "read")(e)),
             };
             if buffer.is_empty() {
                 return match state {
                     State::Start if fields.is_empty() => Ok(false),
-                    State::Quoted => Err(self.wrong(line, "a quote is opened and never closed".to_owned())),
+                    State::Quoted => Err(self.wrong(line, "a quote is never closed".to_owned())),
                     _ => self.finish(line, state, &mut field, fields).map(|()| true),
                 };
             }
@@ -112,14 +110,14 @@ impl Rows {
                         state = State::Bare;
                         field.push(*byte);
                     }
-                    // Two quotes within quotes are one.
+                    // Two quotes within a quoted field stand for one.
                     (State::Closed, b'"') => {
                         state = State::Quoted;
                         field.push(b'"');
                     }
                     (State::Closed, b'\r') => {}
                     (State::Closed, _) => {
-                        return Err(self.wrong(line, "text follows a closing quote. Expected a comma".to_owned()));
+                        return Err(self.wrong(line, "text after a closing quote. Expected a comma".to_owned()));
                     }
                 }
             }

@@ -11,7 +11,7 @@ use crate::DictionaryError;
 use crate::raw::MOST_FIELDS;
 use crate::results::json_lines::Lines;
 
-/// The rows of a file; the first one has been read.
+/// The rows of a file. The first one is already read.
 pub(super) struct Rows {
     path: PathBuf,
     lines: Lines,
@@ -20,7 +20,7 @@ pub(super) struct Rows {
 }
 
 impl Rows {
-    /// Opens the file and reads its first row; `None` where it has none.
+    /// Opens the file and reads its first row. `None` if it has none.
     pub(super) fn open(path: &Path) -> Result<Option<Self>, DictionaryError> {
         let mut lines = Lines::open(path)?;
         let Some(row) = read(&mut lines)? else { return Ok(None) };
@@ -35,8 +35,10 @@ impl Rows {
         }
         let Some(row) = read(&mut self.lines)? else { return Ok(false) };
         if !row.0.iter().map(|(name, _)| name).eq(&self.names) {
-            let reason =
-                format!("line {}: its fields are not those of the first line, in their order", self.lines.number());
+            let reason = format!(
+                "line {}: its fields differ from those of the first line. Expected the same names in the same order",
+                self.lines.number()
+            );
             return Err(DictionaryError::results(&self.path, reason));
         }
         fields.clear();
@@ -114,7 +116,7 @@ impl Visitor<'_> for FieldVisitor {
         Ok(Field::Bare(n.to_string()))
     }
 
-    /// The shortest digits that read back to the same double.
+    /// The shortest digits that parse to the same double.
     fn visit_f64<E: Error>(self, x: f64) -> Result<Field, E> {
         Ok(Field::Bare(format!("{x:?}")))
     }

@@ -1,8 +1,8 @@
-//! Our own exports, read back without loss.
+//! Imports exports of RoboGate without loss.
 //!
-//! The CSV and JSON Lines of [`crate::export`] have the dictionary's columns under their names, in their order. So stages,
-//! weights, applied values, measures and hashes come back, and each entry equals the one that was exported. An export has
-//! no provenance: what can be known of space and task is taken from the rows.
+//! The CSV and JSON Lines of [`crate::export`] have the dictionary's column names in the same order. Stages, weights,
+//! applied values, measures and hashes are restored, and each entry equals the exported one. An export has no
+//! provenance; space and task are derived from the rows.
 
 mod csv;
 mod json_lines;
@@ -21,14 +21,14 @@ use crate::{DictionaryError, DictionaryWriter};
 enum Field {
     /// No value.
     Missing,
-    /// In CSV a field without quotes: a number or a text. In JSON a number.
+    /// An unquoted CSV field (a number or a text), or a JSON number.
     Bare(String),
-    /// Certainly a text.
+    /// A quoted text.
     Text(String),
 }
 
 impl Field {
-    /// Its text, where it has a value.
+    /// The text of the field, if it has a value.
     fn text(&self) -> Option<&str> {
         match self {
             Self::Missing => None,
@@ -37,7 +37,7 @@ impl Field {
     }
 }
 
-/// The columns by which an export is recognised.
+/// The columns that identify an export.
 const MARKS: [&str; 8] = ["index", "stage", "design", "weight", "seed", "outcome", "failure_type", "trajectory_hash"];
 
 /// The rows of an exported table.
@@ -47,7 +47,7 @@ enum Table {
 }
 
 impl Table {
-    /// Opens the file; `None` where it has no row of names.
+    /// Opens the file. `None` if it has no header.
     fn open(path: &Path, format: Format) -> Result<Option<Self>, DictionaryError> {
         Ok(match format {
             Format::Csv => csv::Rows::open(path)?.map(Self::Csv),
@@ -63,7 +63,7 @@ impl Table {
         }
     }
 
-    /// Reads the next row into `fields`, one for each name; `false` after the last.
+    /// Reads the next row into `fields`, one per column. Returns `false` after the last row.
     fn next(&mut self, fields: &mut Vec<Field>) -> Result<bool, DictionaryError> {
         match self {
             Self::Csv(rows) => rows.next(fields),
@@ -80,7 +80,8 @@ impl Table {
     }
 }
 
-/// Whether the file is an export, by its columns. Where it cannot be read, the reader of its format says why.
+/// Whether the file is an export, judged by its columns. If the file cannot be read, the reader of its format reports
+/// the error.
 pub(super) fn is_export(path: &Path, format: Format) -> bool {
     let table = Table::open(path, format).ok().flatten();
     table.is_some_and(|table| MARKS.iter().all(|mark| table.names().iter().any(|name| name == mark)))

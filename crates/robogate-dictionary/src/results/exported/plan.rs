@@ -1,4 +1,4 @@
-//! The second reading of an export: rows become entries.
+//! The second pass over an export: converts rows to entries.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use crate::columns::{Cell, Columns, Kind};
 use crate::export::{Number, number};
 use crate::{DictionaryError, Entry, Provenance, Row};
 
-/// How a row becomes an entry.
+/// The conversion from rows to entries.
 pub(super) struct Plan<'a> {
     pub(super) path: &'a Path,
     pub(super) provenance: Provenance,
@@ -40,7 +40,7 @@ impl Plan<'_> {
     }
 }
 
-/// The field as a cell of a column of this kind; the error says what was expected.
+/// The field as a cell of a column of this kind. The error names the expected value.
 fn cell(kind: Kind, field: &Field) -> Result<Cell<'_>, &'static str> {
     let (text, number) = match field {
         Field::Missing => return Ok(Cell::Null),
@@ -52,7 +52,7 @@ fn cell(kind: Kind, field: &Field) -> Result<Cell<'_>, &'static str> {
         (Kind::Number, Some(Number::Real(x))) => Ok(Cell::Number(x)),
         (Kind::Number, Some(Number::Integer(n))) => Ok(Cell::Number(n as f64)),
         (Kind::Number, None) => Err("a number without quotes"),
-        // A reader in between may have made real numbers of integers.
+        // Another tool may have converted integers to real numbers.
         (Kind::Integer, number) => match number {
             Some(Number::Integer(n)) => Some(n),
             Some(Number::Real(x)) => number_as_integer(x),
@@ -60,7 +60,7 @@ fn cell(kind: Kind, field: &Field) -> Result<Cell<'_>, &'static str> {
         }
         .map(Cell::Integer)
         .ok_or("an integer without quotes"),
-        (Kind::Count, _) if *field == Field::Text(text.clone()) => Err("an integer from 0 without quotes"),
-        (Kind::Count, _) => text.parse().map(Cell::Count).map_err(|_| "an integer from 0 without quotes"),
+        (Kind::Count, _) if *field == Field::Text(text.clone()) => Err("an integer of at least 0 without quotes"),
+        (Kind::Count, _) => text.parse().map(Cell::Count).map_err(|_| "an integer of at least 0 without quotes"),
     }
 }

@@ -1,4 +1,4 @@
-//! The first reading of an export: its space and task, as far as its rows show them.
+//! The first pass over an export: derives space and task from the rows.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -15,7 +15,7 @@ use crate::raw::MOST_MODES;
 use crate::results::{About, Format, task};
 use crate::{DictionaryError, Engine, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool};
 
-/// What the first reading finds out.
+/// The results of the first pass.
 pub(super) struct Survey<'a> {
     path: &'a Path,
     names: Vec<String>,
@@ -24,7 +24,7 @@ pub(super) struct Survey<'a> {
     places: Places,
     parameters: Vec<Observed>,
     modes: BTreeSet<FailureMode>,
-    /// In order of appearance.
+    /// The phases, in order of appearance.
     phases: Vec<Word>,
     seed: Option<u64>,
     rows: u64,
@@ -32,7 +32,7 @@ pub(super) struct Survey<'a> {
     without_time: u64,
 }
 
-/// Where the columns stand that the survey reads.
+/// Positions of the columns that this pass reads.
 struct Places {
     seed: usize,
     outcome: usize,
@@ -43,7 +43,7 @@ struct Places {
 /// The values of one parameter.
 struct Observed {
     numbers: Numbers,
-    /// The distinct texts; `None` where they are too many for a category.
+    /// The distinct texts. `None` if there are too many for a category.
     words: Option<BTreeSet<String>>,
 }
 
@@ -127,10 +127,10 @@ impl<'a> Survey<'a> {
         Ok(())
     }
 
-    /// The provenance, and how rows become entries.
+    /// Returns the provenance and the conversion from rows to entries.
     pub(super) fn plan(self, format: Format, sha256: &str, about: &About) -> Result<Plan<'a>, DictionaryError> {
         if self.rows == 0 {
-            return Err(DictionaryError::results(self.path, "it has no episodes: nothing was evaluated"));
+            return Err(DictionaryError::results(self.path, "it has no episodes. Expected at least one row"));
         }
         let parameters = self.names[self.layout.parameters.clone()].iter().zip(self.parameters);
         let parameters = parameters
@@ -226,7 +226,7 @@ impl Observed {
 fn other_columns(path: &Path) -> DictionaryError {
     DictionaryError::results(
         path,
-        "it has columns of an export, and not all of them in their order\nhint: import the file as `robogate export` wrote it",
+        "it has some columns of an export, but not all of them in order\nhint: import the unmodified file that `robogate export` wrote",
     )
 }
 

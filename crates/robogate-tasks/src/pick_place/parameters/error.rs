@@ -1,6 +1,6 @@
-//! Errors of parameters.
+//! Errors in parameters.
 
-/// Why the task does not accept a parameter.
+/// The reason why the task does not accept a parameter.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ParameterError {
     /// The task has no parameter of this name.

@@ -1,7 +1,7 @@
-//! The parameters of a scenario.
+//! Parameters of a scenario.
 //!
-//! [`table`] has one row for each parameter: its name, unit, meaning, range, nominal value, how it is set and how its
-//! applied value is read back. Everything else derives from that table.
+//! [`table`] has one row per parameter: its name, unit, meaning, range, nominal value, setter and reader. All other
+//! code derives from this table.
 
 mod error;
 mod readback;
@@ -80,7 +80,7 @@ impl Default for SceneParameters {
 }
 
 impl SceneParameters {
-    /// Placeholders, which the nominal values of the table replace.
+    /// Placeholders that the nominal values of the table replace.
     fn unset() -> Self {
         Self {
             friction: f64::NAN,
@@ -110,7 +110,8 @@ impl SceneParameters {
         }
     }
 
-    /// Checks that the task accepts every parameter of `space` over its whole range, and that this gripper has it.
+    /// Checks that the task accepts every parameter of `space` over its whole range, and that they apply to this
+    /// gripper.
     pub fn check_space(space: &ParameterSpace, gripper: Option<&Gripper>) -> Result<(), ParameterError> {
         for parameter in space.parameters() {
             let row = row_for(&parameter.name, gripper)?;
@@ -151,18 +152,18 @@ impl SceneParameters {
         Ok(parameters)
     }
 
-    /// The object of these parameters.
+    /// The object described by these parameters.
     pub fn object(&self) -> Object {
         self.shape.object(self.size_m, self.mass_kg, self.com_offset)
     }
 }
 
 impl ReadbackContext<'_> {
-    /// The requested parameters as they act, read by their rows.
+    /// The applied values of the requested parameters, read by their rows.
     pub(crate) fn applied(&self, requested: &Assignment) -> Assignment {
         let mut applied = Assignment::default();
         for (name, value) in requested.iter() {
-            // A name without a row was refused when the scenario was decoded.
+            // A name without a row was rejected when the scenario was decoded.
             if let Some(row) = find(name) {
                 applied.set(name, row.read(self, value));
             }
@@ -204,7 +205,7 @@ mod tests {
 
     #[test]
     fn every_field_has_a_nominal_value() {
-        // A field that no row sets keeps its placeholder, and `NaN` is not equal to itself.
+        // A field that no row sets keeps its placeholder, and `NaN` does not equal itself.
         let nominal = SceneParameters::default();
         assert_eq!(nominal, nominal.clone());
         assert!(!nominal.placement.is_empty());
@@ -221,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn values_outside_a_range_are_refused() {
+    fn values_outside_a_range_are_rejected() {
         for row in parameters() {
             let outside = match row.allowed() {
                 Allowed::Continuous { high, .. } => Value::Number(high + 1.0),
@@ -235,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn a_count_must_be_an_integer() {
+    fn count_must_be_an_integer() {
         let half = [("obstacles".into(), Value::Number(2.5))].into_iter().collect();
         let error = SceneParameters::from_assignment(&half, None).unwrap_err();
         assert!(error.to_string().contains("an integer"), "{error}");

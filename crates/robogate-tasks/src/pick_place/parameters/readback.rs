@@ -1,8 +1,8 @@
-//! How applied values are read: from what acts in the episode, never from the request.
+//! Readers of applied values. They use the state that acts in the episode, never the request.
 //!
-//! Where a parameter scales a random draw (encoder bias, position jitter), the reader divides what acts by the draw. The
-//! request is used for two things only: to interpret what is read (of which shape a size is the size), and to round what
-//! is computed from it where the two differ by less than the state can resolve.
+//! If a parameter scales a random draw (encoder bias, position jitter), the reader divides the acting value by the
+//! draw. The request is used for two purposes only: to interpret the state (the shape to which a size refers), and to
+//! round a computed value if both differ by less than the resolution of the state.
 
 use nalgebra::{Isometry3, Vector2};
 use robogate_physics::{FixtureKind, FixtureRead, GRAVITY, Primitive, Readback, Visual, isometry};
@@ -12,15 +12,15 @@ use crate::pick_place::scene::TARGET;
 use crate::pick_place::spec::Briefing;
 use crate::pick_place::{Disturbance, Placement, Shape};
 
-/// Poses within this distance (m) and angle (rad) are equal. Engines may hold poses in single precision.
+/// Poses within this distance (m) and angle (rad) are equal. Engines may store poses in single precision.
 const POSE_TOLERANCE: f64 = 1e-6;
 
-/// A value that is computed from doubles equals the request within this distance, in metres or radians.
+/// A value computed from doubles equals the request within this distance, in metres or radians.
 const ROUNDING: f64 = 1e-12;
 
-/// Everything that acts in an episode once it is set up.
+/// All components that act in an episode after its setup.
 pub(crate) struct ReadbackContext<'a> {
-    /// The resolved cell: its encoder biases are those that the episode uses.
+    /// The resolved cell, with the encoder biases of the episode.
     pub(crate) cell: &'a ResolvedCell,
     /// State of the engine.
     pub(crate) engine: &'a Readback,
@@ -28,12 +28,12 @@ pub(crate) struct ReadbackContext<'a> {
     pub(crate) visual: &'a Visual,
     /// Threshold of the suction cup in metres; `None` without a cup.
     pub(crate) grip_threshold_m: Option<f64>,
-    /// What the policy is told.
+    /// The briefing that the policy receives.
     pub(crate) briefing: &'a Briefing,
 }
 
 impl ReadbackContext<'_> {
-    /// The fixtures of this kind that the engine holds exactly where and as the cell has them.
+    /// The engine's fixtures of this kind that match the cell exactly in pose and shape.
     fn fixtures(&self, kind: FixtureKind) -> impl Iterator<Item = &FixtureRead> {
         self.engine.fixtures.iter().filter(move |read| {
             self.cell.scene.fixtures.get(read.fixture).is_some_and(|fixture| {
@@ -51,12 +51,12 @@ impl ReadbackContext<'_> {
         self.engine.object.translation.vector.xy() - Vector2::from(nominal)
     }
 
-    /// The offset that the position jitter gives the object, in metres (x, y).
+    /// The displacement of the object by the position jitter, in metres (x, y).
     fn jitter(&self) -> Vector2<f64> {
         Vector2::from(self.cell.draws.jitter) * self.cell.parameters.position_jitter_m
     }
 
-    /// Whether the engine has the object where this placement puts it, with offset and jitter.
+    /// Whether the engine has the object at this placement, with offset and jitter.
     fn stands_at(&self, placement: &Placement) -> bool {
         let placement = placement.moved(self.cell.parameters.offset_m).moved(self.jitter().into());
         let pose = placement.pose(self.cell.parameters.size_m);
@@ -69,13 +69,13 @@ fn same_pose(a: &Isometry3<f64>, b: &Isometry3<f64>) -> bool {
     off.translation.vector.norm() < POSE_TOLERANCE && off.rotation.angle() < POSE_TOLERANCE
 }
 
-/// An engine may hold its shapes in single precision.
+/// Compares shapes in single precision, the precision of some engines.
 fn same_primitive(a: &Primitive, b: &Primitive) -> bool {
     std::mem::discriminant(a) == std::mem::discriminant(b)
         && a.half_extent().iter().zip(b.half_extent()).all(|(a, b)| (a - b).abs() < 1e-7)
 }
 
-/// The size at which the requested shape has the engine's first part.
+/// The size for which the requested shape has the engine's first part.
 pub(super) fn size(context: &ReadbackContext<'_>) -> f64 {
     let unit = context.cell.parameters.shape.object(1.0, 1.0, 0.0);
     let extent = |part: &Primitive| part.half_extent()[0];
@@ -86,7 +86,7 @@ pub(super) fn com_offset(context: &ReadbackContext<'_>) -> f64 {
     context.cell.parameters.shape.com_offset_of(size(context), &context.engine.centre_of_mass)
 }
 
-/// The shape whose parts the engine holds.
+/// The shape whose parts the engine has.
 pub(super) fn shape(context: &ReadbackContext<'_>) -> String {
     let read = &context.engine.parts;
     let same = |shape: &Shape| {
@@ -100,7 +100,7 @@ pub(super) fn gravity_scale(context: &ReadbackContext<'_>) -> f64 {
     context.engine.gravity / GRAVITY
 }
 
-/// The placement where the engine has the object, or its position.
+/// The placement of the object in the engine, or its position if no placement matches.
 pub(super) fn placement(context: &ReadbackContext<'_>) -> String {
     let requested = context.cell.parameters.placement.as_str();
     let stands = |name: &&str| Placement::from_name(name).is_some_and(|placement| context.stands_at(&placement));
@@ -115,8 +115,8 @@ pub(super) fn offset(context: &ReadbackContext<'_>) -> [f64; 2] {
     [0, 1].map(|axis| if (read[axis] - requested[axis]).abs() < ROUNDING { requested[axis] } else { read[axis] })
 }
 
-/// The radius of the disc from which the object's displacement was drawn; `NaN` if the displacement has another
-/// direction, or the object another height or yaw.
+/// The radius of the disc from which the object's displacement was sampled. `NaN` if the direction of the displacement,
+/// or the object's height or yaw, is wrong.
 pub(super) fn position_jitter(context: &ReadbackContext<'_>) -> f64 {
     let parameters = &context.cell.parameters;
     let draw = Vector2::from(context.cell.draws.jitter);
@@ -131,7 +131,7 @@ pub(super) fn position_jitter(context: &ReadbackContext<'_>) -> f64 {
     if (displacement - draw * radius).norm() < POSE_TOLERANCE { radius } else { f64::NAN }
 }
 
-/// The bound of the encoder biases that the episode uses; `NaN` if they are not this episode's draws.
+/// The bound of the episode's encoder biases. `NaN` if they do not match this episode's draws.
 pub(super) fn encoder_bias(context: &ReadbackContext<'_>) -> f64 {
     let (biases, draws) = (&context.cell.bias, &context.cell.draws.encoders);
     let requested = context.cell.parameters.ik_noise_rad;
@@ -151,7 +151,7 @@ pub(super) fn occluders(context: &ReadbackContext<'_>) -> usize {
     context.fixtures(FixtureKind::Occluder).count()
 }
 
-/// The requested gap if all obstacles of the engine keep it, otherwise the smallest free space that there is.
+/// The requested gap if all obstacles of the engine respect it, otherwise the smallest actual gap.
 pub(super) fn obstacle_gap(context: &ReadbackContext<'_>) -> f64 {
     let object = context.engine.object.translation.vector.xy();
     let half_diagonal = 0.5 * size(context) * std::f64::consts::SQRT_2;
@@ -171,7 +171,7 @@ pub(super) fn obstacle_gap(context: &ReadbackContext<'_>) -> f64 {
     gaps.filter(|gap| !keeps(gap)).reduce(f64::min).unwrap_or(requested)
 }
 
-/// Radius of the circle around a primitive's footprint, in metres.
+/// Radius of the bounding circle of a primitive's footprint, in metres.
 fn footprint(primitive: Primitive) -> f64 {
     match primitive {
         Primitive::Box { half: [x, y, _] } => x.hypot(y),
@@ -179,7 +179,7 @@ fn footprint(primitive: Primitive) -> f64 {
     }
 }
 
-/// The disturbance that the engine moves.
+/// The disturbance in the engine.
 pub(super) fn disturbance(context: &ReadbackContext<'_>) -> Disturbance {
     let mover = context.fixtures(FixtureKind::Disturbance).find_map(|read| Some((&read.pose, read.motion.as_ref()?)));
     context.cell.parameters.disturbance.read(mover)
@@ -192,7 +192,7 @@ mod tests {
 
     use super::*;
 
-    /// An engine that holds exactly the cell's scene.
+    /// The readback of an engine with exactly the cell's scene.
     fn faithful(cell: &ResolvedCell) -> Readback {
         let scene = &cell.scene;
         let fixtures = scene.fixtures.iter().enumerate().map(|(i, fixture)| FixtureRead {
@@ -213,7 +213,7 @@ mod tests {
         }
     }
 
-    /// Requests one parameter, lets `change` tamper with what acts, and checks what is read.
+    /// Requests one parameter, lets `change` modify the acting state, and checks the value that is read.
     fn check(
         robot: &str,
         (name, value): (&str, Value),
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn encoder_noise_is_read_from_the_biases() {
+    fn encoder_noise_is_read_from_biases() {
         let noise = || ("ik_noise_rad", Value::Number(0.02));
         check("franka", noise(), |_, _, _| {}).unwrap();
         assert_not_applied(check("franka", noise(), |cell, _, _| cell.bias.fill(0.0)));
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn the_approach_speed_is_read_from_the_briefing() {
+    fn approach_speed_is_read_from_briefing() {
         let speed = || ("approach_speed_m_s", Value::Number(0.2));
         check("franka", speed(), |_, _, _| {}).unwrap();
         assert_not_applied(check("franka", speed(), |_, briefing, _| briefing.approach_speed_m_s = None));
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn the_grip_threshold_is_read_from_the_cup() {
+    fn grip_threshold_is_read_from_cup() {
         let threshold = || ("grip_threshold_m", Value::Number(0.015));
         check("ur5e", threshold(), |_, _, _| {}).unwrap();
         assert_not_applied(check("ur5e", threshold(), |_, _, cup| *cup = Some(0.01)));
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn jitter_that_was_never_resolved_is_noticed() {
+    fn missing_jitter_is_detected() {
         let jitter = || ("position_jitter_m", Value::Number(0.03));
         check("franka", jitter(), |_, _, _| {}).unwrap();
         let forgotten = |cell: &mut ResolvedCell, _: &mut Briefing, _: &mut Option<f64>| {

@@ -1,4 +1,4 @@
-//! The parameter table: one row for each parameter.
+//! The parameter table: one row per parameter.
 
 use std::f64::consts::PI;
 
@@ -12,7 +12,7 @@ use crate::pick_place::{Placement, Shape};
 
 /// One parameter of the task.
 ///
-/// A row always has a reader: a parameter whose applied value cannot be read does not exist.
+/// Every row has a reader: a parameter without a readable applied value is not allowed.
 #[derive(Debug)]
 pub struct ParameterRow {
     /// Name, which ends with the unit if there is one.
@@ -61,22 +61,22 @@ impl ActsOn {
 
 type Read<T> = fn(&ReadbackContext<'_>) -> T;
 
-/// How a parameter is set and read.
+/// The setter and reader of a parameter.
 #[derive(Debug)]
 pub(super) enum Access {
     /// A number. Without a nominal value it is unset, as `meaning` says.
     Number { range: [f64; 2], nominal: Option<f64>, set: fn(&mut SceneParameters, f64), read: Read<f64> },
     /// A count.
     Integer { range: [usize; 2], nominal: usize, set: fn(&mut SceneParameters, usize), read: Read<usize> },
-    /// A word. `set` returns `None` for a word that it does not know.
+    /// A word. `set` returns `None` for an unknown word.
     Word { words: Words, nominal: &'static str, set: fn(&mut SceneParameters, &str) -> Option<()>, read: Read<String> },
 }
 
-/// The words of a parameter.
+/// The accepted words of a parameter.
 #[derive(Debug)]
 pub(super) struct Words {
     choices: fn() -> Vec<&'static str>,
-    /// The form of further words that are accepted.
+    /// The pattern of further accepted words.
     form: Option<&'static str>,
 }
 
@@ -93,7 +93,7 @@ impl ParameterRow {
         }
     }
 
-    /// The row as a part of the task.
+    /// The row as a declaration of the task.
     pub(super) fn spec(&self) -> ParameterSpec {
         ParameterSpec {
             name: self.name.into(),
@@ -105,8 +105,7 @@ impl ParameterRow {
         }
     }
 
-    /// The value that a scenario has unless it names the parameter; `None` if the value then follows something else, as
-    /// the meaning says.
+    /// The default value. `None` if the default depends on another value, as the meaning states.
     pub fn nominal(&self) -> Option<Value> {
         match &self.access {
             Access::Number { nominal, .. } => nominal.map(Value::Number),
@@ -115,7 +114,7 @@ impl ParameterRow {
         }
     }
 
-    /// Whether a robot with this gripper has the parameter.
+    /// Whether the parameter applies to a robot with this gripper.
     pub fn applies_to(&self, gripper: &Gripper) -> bool {
         self.acts_on != ActsOn::Cup || gripper.cup().is_some()
     }
@@ -184,7 +183,7 @@ impl ParameterRow {
 
     /// The applied value, of the same kind as the `requested` one.
     pub(super) fn read(&self, context: &ReadbackContext<'_>, requested: &Value) -> Value {
-        // What was requested as an integer comes back as one.
+        // An integer request is returned as an integer.
         let number = |x: f64| match requested {
             Value::Integer(_) if (x - x.round()).abs() < 1e-6 => Value::Integer(x.round() as i64),
             _ => Value::Number(x),

@@ -7,16 +7,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::pick_place::cell::{CONTROL_PERIOD_S, ResolvedCell};
 
-/// The whole cell of an episode after every random draw. Metres, radians, newtons, in the robot's base frame.
+/// The whole cell of an episode after every random draw. Units are metres, radians and newtons, in the robot's base
+/// frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
     /// Time between two commands, in seconds.
     pub control_period_s: f64,
-    /// Gravity, downwards.
+    /// Gravity, downwards, in m/s^2.
     pub gravity_m_s2: f64,
     /// Coulomb friction coefficient of every contact of the object.
     pub friction: f64,
-    /// The same between the object and the table.
+    /// Coulomb friction coefficient between the object and the table.
     pub table_friction: f64,
     /// Constants of contacts.
     pub contact: CellContact,
@@ -30,7 +31,7 @@ pub struct Cell {
     pub visual: CellVisual,
 }
 
-/// Constants of contacts, those of [`robogate_physics::contact`].
+/// Constants of contacts, as in [`robogate_physics::contact`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CellContact {
     /// Radius of a soft contact patch: torsional friction is 2/3 of friction times this.
@@ -43,50 +44,50 @@ pub struct CellContact {
     pub impedance: [f64; 3],
     /// MuJoCo's constraint impedance of joint end stops.
     pub limit_impedance: [f64; 3],
-    /// Mass of a fixture that moves.
+    /// Mass of a moving fixture.
     pub driven_mass_kg: f64,
 }
 
 /// The object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CellObject {
-    /// Its parts in its own frame.
+    /// The parts in its own frame.
     pub parts: Vec<CellPart>,
-    /// Its pose at the start.
+    /// The pose at the start.
     pub pose: Pose,
-    /// Its mass in kilograms.
+    /// The mass in kilograms.
     pub mass_kg: f64,
-    /// Its centre of mass in its own frame.
+    /// The centre of mass in its own frame.
     pub centre_of_mass: [f64; 3],
-    /// Its inertia about the centre of mass along its own axes, row by row.
+    /// The inertia about the centre of mass along its own axes, row by row.
     pub inertia_kg_m2: [[f64; 3]; 3],
 }
 
 /// A part of the object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CellPart {
-    /// Its shape.
+    /// The shape.
     pub primitive: Primitive,
-    /// Its pose in the object's frame.
+    /// The pose in the object's frame.
     pub pose: Pose,
 }
 
 /// A body that stands still or follows a prescribed motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CellFixture {
-    /// Its name.
+    /// The name.
     pub name: String,
-    /// Its role.
+    /// The role.
     pub kind: FixtureKind,
-    /// Its shape.
+    /// The shape.
     pub primitive: Primitive,
-    /// Its pose at the start.
+    /// The pose at the start.
     pub pose: Pose,
-    /// Its motion, if it moves.
+    /// The motion, if it moves.
     pub motion: Option<CellMotion>,
 }
 
-/// A straight path at constant speed in a window of time.
+/// A straight path at constant speed within a time window.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CellMotion {
     /// Velocity.
@@ -112,7 +113,7 @@ impl From<CellMotion> for Motion {
 /// The robot's drives. Arrays have one entry per arm joint, from base to tip.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CellRobot {
-    /// Its name.
+    /// The name.
     pub name: String,
     /// Hash of its files.
     pub sha256: Option<String>,

@@ -1,4 +1,4 @@
-//! One of our engines as a physics server: it sets cells up, runs them and reports, and scores nothing.
+//! An engine as a physics server: it sets up cells, runs them and reports, but does not score.
 
 use robogate_core::{Fault, FaultKind, Observation, Scenario};
 use robogate_physics::{Engine, GripperCommand, GripperState, Plant, StepView, pose};
@@ -7,7 +7,7 @@ use super::{RemotePeriod, RemoteReadback, RemoteSight};
 use crate::pick_place::cell::{CONTROL_PERIOD_S, ResolvedCell};
 use crate::pick_place::spec::observation;
 
-/// Clearance beyond this is not measured, in metres.
+/// Largest clearance that is measured, in metres.
 const CLEARANCE_LIMIT_M: f64 = 0.25;
 
 /// An engine as a physics server: the reference implementation for other servers.
@@ -17,7 +17,7 @@ pub struct PhysicsHost<E> {
 }
 
 impl<E: Engine> PhysicsHost<E> {
-    /// A host of this engine. `grip_force_n` replaces the robot's own setting.
+    /// Creates a host for this engine. `grip_force_n` replaces the robot's setting.
     pub fn new(engine: E, grip_force_n: Option<f64>) -> Result<Self, String> {
         Ok(Self { plant: Plant::new(engine, CONTROL_PERIOD_S, grip_force_n)?, ticks: 0 })
     }
@@ -48,7 +48,7 @@ impl<E: Engine> PhysicsHost<E> {
 
     /// Runs one control period towards these joint positions (rad).
     pub fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<RemotePeriod, Fault> {
-        // The engine is borrowed while it reports a step: until then a body is named by its index.
+        // The engine is borrowed while it reports a step, so bodies are identified by index until then.
         let mut sights = Vec::with_capacity(self.plant.steps_per_period());
         self.plant.run(joints, gripper, &mut |view| sights.push(RemoteSight::of(view, |body| body.to_string())))?;
         let engine = &self.plant.engine;

@@ -1,8 +1,8 @@
-//! The task on an engine of another process, which simulates physics only.
+//! The task on an engine in another process, which only simulates the physics.
 //!
-//! [`RemotePickPlace`] sends the whole [`Cell`] to the engine and scores the episode by what the engine reports, with the
-//! same code as for an engine in this process. [`PhysicsHost`] is the other side: one of our engines that sets a cell up and
-//! reports.
+//! [`RemotePickPlace`] sends the whole [`Cell`] to the engine and scores the episode from the engine's reports, with
+//! the same code as for an engine in this process. [`PhysicsHost`] is the other side: a built-in engine that sets up a
+//! cell and reports.
 
 mod cell;
 mod host;
@@ -25,8 +25,8 @@ use crate::pick_place::parameters;
 use crate::pick_place::simulator::{camera_specs, render, show};
 use crate::pick_place::spec::spec;
 
-/// Largest distance between the reported tool pose and that of the reported joint positions at the start, in metres;
-/// beyond, the engine has a different robot ...
+/// Largest distance between the reported tool pose and the tool pose computed from the reported joint positions at the
+/// start, in metres. Beyond this the engine has a different robot ...
 const TOOL_OFF_M: f64 = 2e-3;
 /// ... and the largest angle, in radians.
 const TOOL_OFF_RAD: f64 = 0.02;
@@ -42,17 +42,17 @@ pub struct RemotePickPlace {
     fixtures: Vec<Fixture>,
     /// Names of the robot's bodies that were reported so far.
     bodies: Vec<String>,
-    /// The cameras, or why the robot cannot be drawn.
+    /// The cameras, or the reason why the robot cannot be rendered.
     cameras: Result<Cameras, String>,
     /// The last reported positions.
     seen: Option<Posture>,
 }
 
 impl RemotePickPlace {
-    /// The task on this robot, whose files have the hash `sha256`. `grip_force_n` replaces the robot's own setting.
+    /// The task on this robot with the file hash `sha256`. `grip_force_n` replaces the robot's setting.
     ///
     /// # Errors
-    /// If the gripper is a suction cup, whose hold must be decided in every time step.
+    /// If the gripper is a suction cup, because its hold must be decided in every time step.
     pub fn new(robot: Robot, chain: Chain, sha256: Option<String>, grip_force_n: Option<f64>) -> Result<Self, String> {
         if let Gripper::Suction(_) = robot.settings.gripper {
             return Err(format!("{} has a suction cup, which is supported by the built-in engines only", robot.name()));
@@ -73,7 +73,7 @@ impl RemotePickPlace {
         })
     }
 
-    /// The same task with pictures of this size in pixels.
+    /// The same task with images of this size in pixels.
     #[must_use]
     pub fn with_picture_size(mut self, width: usize, height: usize) -> Self {
         self.cameras = self.cameras.map(|cameras| cameras.with_size(width, height));
@@ -103,7 +103,7 @@ impl RemotePickPlace {
         Ok(cell)
     }
 
-    /// Starts the episode with what the engine reports of the cell. `observation` has no encoder bias.
+    /// Starts the episode from the engine's report of the cell. `observation` has no encoder bias.
     pub fn start(
         &mut self,
         held: RemoteReadback,
@@ -132,7 +132,7 @@ impl RemotePickPlace {
         let visual = show(&mut self.cameras, &cell);
         self.seen = Some(self.posture(observation, seen.object));
         let engine = held.into();
-        // A suction cup works in an engine of this process only.
+        // Suction cups are supported only by an engine in this process.
         let acting = Acting { engine: &engine, visual: &visual, grip_threshold_m: None };
         self.judge.start(&scenario, cell, acting, &touches, arm_state(observation))
     }
@@ -142,7 +142,7 @@ impl RemotePickPlace {
         self.judge.command(action)
     }
 
-    /// Scores a control period by the reports of its time steps.
+    /// Scores a control period from the reports of its time steps.
     pub fn finish(
         &mut self,
         sights: &[RemoteSight],
@@ -190,7 +190,7 @@ impl RemotePickPlace {
     }
 }
 
-/// Whether a parameter acts in this process, on encoders, policy or cameras, so that the engine need not apply it.
+/// Whether a parameter acts in this process (on encoders, policy or cameras), so the engine need not apply it.
 pub fn is_local(parameter: &str) -> bool {
     parameters().iter().any(|row| row.name == parameter && row.acts_on.is_local())
 }

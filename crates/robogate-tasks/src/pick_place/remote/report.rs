@@ -1,4 +1,4 @@
-//! Reports of a remote engine, as plain data.
+//! Reports of a remote engine as plain data.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Fault, FaultKind, Observation, Pose};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::CellMotion;
 
-/// The cell as the engine holds it, read from its own state.
+/// The cell as read from the engine's state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RemoteReadback {
     /// Friction coefficient of the object's contacts.
@@ -28,16 +28,16 @@ pub struct RemoteReadback {
     pub fixtures: Vec<RemoteFixture>,
 }
 
-/// A fixture as an engine holds it.
+/// A fixture as read from an engine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RemoteFixture {
-    /// Its index in the cell's list.
+    /// The index in the cell's list.
     pub fixture: usize,
-    /// Its shape.
+    /// The shape.
     pub primitive: Option<Primitive>,
-    /// Its pose.
+    /// The pose.
     pub pose: Pose,
-    /// Its motion, if it moves.
+    /// The motion, if it moves.
     pub motion: Option<CellMotion>,
 }
 
@@ -91,7 +91,7 @@ pub struct RemotePeriod {
     pub observation: Observation,
     /// Hash of the engine's full state.
     pub state_hash: u64,
-    /// One report for each time step.
+    /// One report per time step.
     pub sights: Vec<RemoteSight>,
     /// Smallest distance between robot and fixtures, in metres.
     pub clearance_m: Option<f64>,
@@ -114,7 +114,8 @@ impl BareView {
 }
 
 impl RemoteSight {
-    /// The contacts and the view of the time step, in a cell with this number of fixtures. New bodies are added to `bodies`.
+    /// The contacts and the view of the time step, in a cell with this number of fixtures. New body names are added to
+    /// `bodies`.
     pub(super) fn read(
         &self,
         fixtures: usize,
@@ -154,7 +155,7 @@ impl RemoteSight {
         Ok((touches, bare))
     }
 
-    /// The report of a view. `body` gives the names of the robot's bodies.
+    /// Builds the report of a view. `body` returns the names of the robot's bodies.
     pub(super) fn of(view: &StepView<'_>, body: impl Fn(usize) -> String) -> Self {
         let touches = view.touches;
         Self {
@@ -181,7 +182,7 @@ impl RemoteSight {
     }
 }
 
-/// A pose whose quaternion is kept bit for bit: normalising it would change what the engine computed.
+/// Converts a pose without normalising its quaternion, which would change the engine's bits.
 fn unit(pose: &Pose) -> Result<Isometry3<f64>, String> {
     let [w, x, y, z] = pose.orientation;
     let quaternion = Quaternion::new(w, x, y, z);
@@ -194,7 +195,7 @@ fn unit(pose: &Pose) -> Result<Isometry3<f64>, String> {
 
 impl From<RemoteReadback> for Readback {
     fn from(held: RemoteReadback) -> Self {
-        // An invalid rotation makes a pose that equals no requested one.
+        // An invalid rotation gives a pose that equals no requested one.
         let place = |pose: &Pose| unit(pose).unwrap_or_else(|_| Isometry3::translation(f64::NAN, f64::NAN, f64::NAN));
         Self {
             friction: held.friction,
