@@ -1,4 +1,4 @@
-//! `robogate leaderboard`: policies in a row.
+//! `robogate leaderboard`: ranks policies.
 
 use std::path::{Path, PathBuf};
 
@@ -40,9 +40,9 @@ pub(crate) struct Rank {
 enum Form {
     /// One self-contained file
     Html,
-    /// A table for a page or a pull request
+    /// A Markdown table for a page or a pull request
     Md,
-    /// One versioned document
+    /// One versioned JSON document
     Json,
 }
 
@@ -96,7 +96,7 @@ impl Rank {
     }
 }
 
-/// NAME=PATH, or a path by its last part.
+/// Parses NAME=PATH. A path without a name is named after its last component.
 fn named(run: &str) -> (String, PathBuf) {
     if let Some((name, path)) = run.split_once('=')
         && !Path::new(run).exists()
