@@ -52,7 +52,9 @@ impl Chunk {
             rows.iter_mut().zip(part).for_each(|(row, more)| row.extend(more));
         } else {
             let (got, expected) = (part.len(), rows.len());
-            return Err(PolicyError::Shape(format!("`{key}` has {got} actions, but the parts before it have {expected}")));
+            return Err(PolicyError::Shape(format!(
+                "`{key}` has {got} actions, but the parts before it have {expected}"
+            )));
         }
         Ok(())
     }

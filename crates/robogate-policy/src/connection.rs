@@ -78,7 +78,7 @@ fn check_address(url: &str, profile: &Profile) -> Result<(), PolicyError> {
     let why = match (dialect.is_file(), is_url) {
         (true, false) => return Ok(()),
         (true, true) => format!(
-            "profile {name} has the dialect onnx, which needs a file. Expected FILE.onnx. Hint: for a server, use a profile \
+            "profile {name} has the dialect onnx and takes a file. Expected FILE.onnx. Hint: for a server, use a profile \
              with its dialect (robogate policy profiles)"
         ),
         (false, false) => {
@@ -87,7 +87,7 @@ fn check_address(url: &str, profile: &Profile) -> Result<(), PolicyError> {
             let hint = "Hint: for an ONNX file, use a profile with the dialect onnx, such as `learned`";
             let hint = if is_file { format!(". {hint}") } else { String::new() };
             format!(
-                "profile {name} has the dialect {dialect} which needs the address of a server. Expected {expected}{hint}"
+                "profile {name} has the dialect {dialect} and takes the address of a server. Expected {expected}{hint}"
             )
         }
         (false, true) if url.starts_with("wss://") || url.starts_with("https://") => {

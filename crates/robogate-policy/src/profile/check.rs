@@ -172,7 +172,7 @@ impl Profile {
     fn check_dialect(&self) -> Checked {
         match &self.dialect {
             Dialect::LeRobot(_) if self.chunk.length.is_none() => {
-                invalid("chunk.length", "missing. A lerobot server must be told how many actions to send")
+                invalid("chunk.length", "missing. A lerobot server needs the number of actions per reply")
             }
             Dialect::Gr00tN15(names) | Dialect::Gr00tN16(names) | Dialect::Gr00tN15Http(names)
                 if names.action_keys.is_empty() =>

@@ -86,7 +86,7 @@ impl<'a> Checker<'a> {
     ];
 
     fn scenario(&self, i: usize) -> Result<&Scenario, String> {
-        self.scenarios.get(i % self.scenarios.len().max(1)).ok_or_else(|| "no scenario to try".to_owned())
+        self.scenarios.get(i % self.scenarios.len().max(1)).ok_or_else(|| "no scenario to test".to_owned())
     }
 
     fn reset(&mut self, i: usize) -> Result<Start, String> {
