@@ -1,4 +1,4 @@
-//! Links MuJoCo into the command, where it has it.
+//! Links MuJoCo into the command, if the feature `mujoco` is enabled.
 
 #[cfg(feature = "mujoco")]
 fn main() -> std::process::ExitCode {

@@ -22,7 +22,7 @@ mod support;
 const PERIODS: usize = 4000;
 /// Control periods of an episode, within the time limit of the toy simulator.
 const EPISODE: usize = 99;
-/// Limits of a round trip: of state alone, and with an image of 256 x 256 pixels.
+/// Limits of a round trip: of the state only, and with an image of 256 x 256 pixels.
 const STATE: Duration = Duration::from_micros(150);
 const IMAGE: Duration = Duration::from_micros(500);
 

@@ -33,7 +33,7 @@ pub(super) fn section(pair: &PairedComparison, at: usize) -> Section {
     ];
     blocks.push(match &pair.disagreement {
         Finding::Estimated(map) => Block::Figure(map_figure(pair, map)),
-        Finding::CannotBeEstimated { because } => Block::Text(format!("No map can be drawn because {because}.")),
+        Finding::CannotBeEstimated { because } => Block::Text(format!("No map: {because}.")),
     });
     blocks.push(Block::Table(cross_table(pair)));
     if !pair.flips.is_empty() {
