@@ -21,8 +21,8 @@ const MIN_EPISODES: u64 = 20;
 /// The claims that the headline may state.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Claims {
-    /// Where the policy fails: neighbouring cells of one parameter that are all danger zones and below the overall rate. The
-    /// parameter that is most correlated with success comes first.
+    /// Where the policy fails: neighbouring cells of one parameter that are all danger zones and below the overall
+    /// rate. The parameter that is most correlated with success comes first.
     pub failure_regions: Vec<FailureRegion>,
     /// Recommendations, the most urgent first.
     pub advice: Vec<Advice>,

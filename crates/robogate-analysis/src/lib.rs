@@ -1,9 +1,9 @@
 //! Analysis of failure dictionaries, as data: rates, marginal effects, frontiers, risk models, comparisons and studies.
 //!
 //! [`Source::open`] takes a run's folder, a Parquet dictionary or a published JSON dictionary. [`Analysis::of`] computes one
-//! versioned document from it. Every figure names the population that it applies to, and a figure that cannot be estimated
-//! states the reason. The same rows give the same figures: the only random numbers are those of bootstrap and folds, with
-//! fixed seeds. Sentences and pages are written by `robogate-report`.
+//! versioned document from it. Every figure names the population that it applies to, and a figure that cannot be
+//! estimated states the reason. The same rows give the same figures: the only random numbers are those of bootstrap and
+//! folds, with fixed seeds. Sentences and pages are written by `robogate-report`.
 //!
 //! | from | to |
 //! |---|---|

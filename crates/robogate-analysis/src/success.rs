@@ -162,10 +162,10 @@ fn weighted(success: &[bool], weights: &[f64]) -> Result<WeightedRate, String> {
 /// Combines both designs by post-stratification on the focused region R.
 ///
 /// The stored weights p/q of the focused rows describe the operating density inside R and nothing outside it, so
-/// concatenating the two sets would count R twice. Here the rows outside R (all of them from the uniform design) share the
-/// mass 1 - P(R) equally. Inside R, the mass P(R) is divided between the two designs in proportion to their effective
-/// sample sizes: equally among the uniform rows, by stored weight among the focused ones. R is the bounding box of the
-/// focused rows, and P(R) its share of the operating distribution, whose parameters are independent.
+/// concatenating the two sets would count R twice. Here the rows outside R (all of them from the uniform design) share
+/// the mass 1 - P(R) equally. Inside R, the mass P(R) is divided between the two designs in proportion to their
+/// effective sample sizes: equally among the uniform rows, by stored weight among the focused ones. R is the bounding
+/// box of the focused rows, and P(R) its share of the operating distribution, whose parameters are independent.
 fn reweighted(table: &EpisodeTable, base: &Sample, focused: &Sample) -> Finding<Reweighted> {
     match combined_weights(table, base, focused) {
         Ok((success, weights, region_share)) => match weighted(&success, &weights) {

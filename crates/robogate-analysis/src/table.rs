@@ -260,8 +260,8 @@ fn categories(dictionary: &Dictionary, name: &str) -> Result<(Vec<String>, Vec<O
     }
 }
 
-/// A stage is focused if its points were not sampled from the operating distribution: the boundary stage, and any unknown
-/// stage whose weights are not all 1.
+/// A stage is focused if its points were not sampled from the operating distribution: the boundary stage, and any
+/// unknown stage whose weights are not all 1.
 fn stages(
     names: &[String],
     codes: &[Option<u32>],

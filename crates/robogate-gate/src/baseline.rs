@@ -22,8 +22,9 @@ pub struct BaselineFigure {
 
 /// The recorded figures of a policy, stored as JSON. Other runs are compared with them.
 ///
-/// A relative limit takes the baseline's figure as exact: the requirement is "at most 1.1 times this number", not "at most
-/// 1.1 times the true value of the other policy". For the second question, compare the two runs ([`crate::Against`]).
+/// A relative limit takes the baseline's figure as exact: the requirement is "at most 1.1 times this number", not "at
+/// most 1.1 times the true value of the other policy". For the second question, compare the two runs
+/// ([`crate::Against`]).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Baseline {

@@ -1,10 +1,10 @@
 //! Non-inferiority test: may policy B replace policy A?
 //!
-//! Both policies ran the same scenarios with the same seeds, so the episodes form pairs. B may replace A if its success rate
-//! is shown to be less than a margin below A's: non-inferiority. With a fixed number of pairs the test is the exact
-//! unconditional one ([`robogate_stats::non_inferiority`]). Sequential tests bet on the mean difference
-//! ([`robogate_stats::bounded_mean`]), at the end of each round. McNemar's exact test is reported in addition: whether the
-//! policies differ at all.
+//! Both policies ran the same scenarios with the same seeds, so the episodes form pairs. B may replace A if its success
+//! rate is shown to be less than a margin below A's: non-inferiority. With a fixed number of pairs the test is the
+//! exact unconditional one ([`robogate_stats::non_inferiority`]). Sequential tests bet on the mean difference
+//! ([`robogate_stats::bounded_mean`]), at the end of each round. McNemar's exact test is reported in addition: whether
+//! the policies differ at all.
 //!
 //! A pair with an invalid episode counts for A in the test of "not worse", and for B in the test of the opposite.
 
@@ -80,8 +80,8 @@ pub struct Planned {
     pub alpha: f64,
 }
 
-/// Rejects an impossible comparison before anything runs: other scenarios, another seed, an invalid margin, or so few pairs
-/// that even a policy without failures would not pass.
+/// Rejects an impossible comparison before anything runs: other scenarios, another seed, an invalid margin, or so few
+/// pairs that even a policy without failures would not pass.
 ///
 /// # Errors
 /// The first of these problems.

@@ -1,9 +1,9 @@
 //! Evaluates every requirement and derives the verdict.
 //!
 //! **Pass** claims that every requirement is met. Each must be shown at error α. The joint claim is then wrong with
-//! probability α at most, without adjustment: an intersection-union test (Berger 1982). **Fail** claims that at least one
-//! requirement is violated. That is a union of tests, so Holm's procedure divides the error α among them. Both error rates
-//! are controlled at the same time.
+//! probability α at most, without adjustment: an intersection-union test (Berger 1982). **Fail** claims that at least
+//! one requirement is violated. That is a union of tests, so Holm's procedure divides the error α among them. Both
+//! error rates are controlled at the same time.
 //!
 //! If each "met" must also hold on its own, [`Family::Holm`] adjusts these as well.
 
@@ -95,8 +95,8 @@ pub struct RequirementResult {
     pub invalid: u64,
     /// The observed figure.
     pub figure: Extremes,
-    /// One-sided bounds of the true figure, each at the confidence level of the requirements. They hold for any outcome of
-    /// the invalid episodes. `None` in point mode and for quantiles.
+    /// One-sided bounds of the true figure, each at the confidence level of the requirements. They hold for any outcome
+    /// of the invalid episodes. `None` in point mode and for quantiles.
     pub interval: Option<[f64; 2]>,
     /// p-value of the hypothesis "not met", for the worst outcome of the invalid episodes. `None` in point mode.
     pub p_met: Option<f64>,
@@ -104,8 +104,8 @@ pub struct RequirementResult {
     pub p_violated: Option<f64>,
     /// The status of the requirement.
     pub status: Status,
-    /// Number of episodes of the run at which the requirement would be decided if the observed figure stayed the same. `None`
-    /// if it is decided, or if the number is unreasonably large.
+    /// Number of episodes of the run at which the requirement would be decided if the observed figure stayed the same.
+    /// `None` if it is decided, or if the number is unreasonably large.
     pub decided_at_episodes: Option<u64>,
 }
 
@@ -175,8 +175,8 @@ pub struct Evaluation {
     pub groups: Vec<GroupResult>,
     /// The confidence score. `None` if the requirements define none.
     pub score: Option<ConfidenceScore>,
-    /// Number of episodes at which the gate would decide if the observed figures stayed the same. `None` if it has decided, or
-    /// if the number is unreasonably large.
+    /// Number of episodes at which the gate would decide if the observed figures stayed the same. `None` if it has
+    /// decided, or if the number is unreasonably large.
     pub decided_at_episodes: Option<u64>,
 }
 

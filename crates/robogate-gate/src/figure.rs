@@ -66,8 +66,8 @@ impl Tally {
     }
 }
 
-/// The value of a metric over some trials: the number of trials with and without a value, and the figure. Its values lie
-/// in `range`, as far as that is known.
+/// The value of a metric over some trials: the number of trials with and without a value, and the figure. Its values
+/// lie in `range`, as far as that is known.
 pub(crate) fn figure<'a>(
     metric: Metric,
     trials: impl Iterator<Item = &'a Trial>,

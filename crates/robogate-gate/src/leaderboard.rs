@@ -1,9 +1,9 @@
 //! Ranking of policies by the paper's confidence score, with bootstrap intervals.
 //!
-//! The score of each policy is computed over its own episodes. A bootstrap estimates how much the ranking depends on the
-//! choice of scenarios: scenarios are resampled with replacement within each category, which keeps the mix of categories.
-//! Every policy gets the same scenarios, each with all its episodes. The intervals of scores and ranks are percentiles over
-//! 2,000 replicates.
+//! The score of each policy is computed over its own episodes. A bootstrap estimates how much the ranking depends on
+//! the choice of scenarios: scenarios are resampled with replacement within each category, which keeps the mix of
+//! categories. Every policy gets the same scenarios, each with all its episodes. The intervals of scores and ranks are
+//! percentiles over 2,000 replicates.
 //!
 //! Limitation: resampling only sees observed outcomes. If all replicates are equal, no interval is given; use the exact
 //! interval of the success rate instead. Source: Efron and Tibshirani (1993), chapters 6 and 13.
@@ -22,7 +22,8 @@ use crate::{Baseline, ConfidenceScore, Ending, GateError, Population, Record, Sc
 
 /// The number of bootstrap replicates.
 const DRAWS: usize = 2_000;
-/// The campaign seed of the bootstrap. It is used by no campaign, so its random streams are independent of all episodes.
+/// The campaign seed of the bootstrap. It is used by no campaign, so its random streams are independent of all
+/// episodes.
 const SEED: u64 = 0x1EAD_E2B0;
 
 /// One policy of a leaderboard.

@@ -2,8 +2,8 @@
 //!
 //! [`Requirements`] set limits, [`Trial`]s are the episodes. An [`Evaluation`] contains every figure with its interval, and
 //! ends in a [`Verdict`]. It is a pure function of requirements and trials (and of the [`Baseline`] of relative
-//! requirements): it uses no file, no clock and no random numbers. [`evidence`] stores all of it in a folder that others
-//! can check.
+//! requirements): it uses no file, no clock and no random numbers. [`evidence`] stores all of it in a folder that
+//! others can check.
 //!
 //! | from | to |
 //! |---|---|

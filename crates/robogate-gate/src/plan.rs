@@ -1,9 +1,9 @@
 //! The plan of a gate: its operating characteristic, computed before a run.
 //!
 //! For each requirement on a rate and for a range of true rates, the plan states the probabilities of met, violated and
-//! undecided, and the expected number of episodes. In confidence mode the figures come from [`robogate_stats::operating`],
-//! in point mode from the binomial distribution. Each requirement is evaluated alone; a gate with several passes at most as
-//! often as its least likely requirement.
+//! undecided, and the expected number of episodes. In confidence mode the figures come from
+//! [`robogate_stats::operating`], in point mode from the binomial distribution. Each requirement is evaluated alone; a
+//! gate with several passes at most as often as its least likely requirement.
 
 use robogate_core::Measures;
 use robogate_dictionary::Label;
@@ -50,8 +50,8 @@ pub struct RequirementPlan {
     pub bound: Bound,
     /// Episodes per round in its scope.
     pub per_round: u64,
-    /// Smallest number of rounds after which the requirement is met, if no failure happens. `None` if that is too large, or in
-    /// point mode.
+    /// Smallest number of rounds after which the requirement is met, if no failure happens. `None` if that is too
+    /// large, or in point mode.
     pub fewest_rounds: Option<u64>,
     /// Probabilities for several true rates. Empty for a duration, because its distribution is unknown.
     pub at: Vec<Operating>,
@@ -79,8 +79,8 @@ impl GatePlan {
     /// Computes the plan for a suite with these scenarios and at most `rounds` rounds.
     ///
     /// # Errors
-    /// A requirement that cannot be met at any number of episodes, or not by a perfect policy within the rounds; a scope
-    /// without scenarios; a relative requirement without a baseline.
+    /// A requirement that cannot be met at any number of episodes, or not by a perfect policy within the rounds; a
+    /// scope without scenarios; a relative requirement without a baseline.
     pub fn of(
         requirements: &Requirements,
         baseline: Option<&Baseline>,
@@ -201,8 +201,8 @@ fn point(allowed: f64, n: u64, p: f64) -> f64 {
     at_least(Trials::new(good, n).unwrap_or(Trials::NONE), p).exp()
 }
 
-/// Smallest number of rounds after which a requirement on the duration is met, if every episode takes the baseline's mean
-/// (half the limit without a baseline).
+/// Smallest number of rounds after which a requirement on the duration is met, if every episode takes the baseline's
+/// mean (half the limit without a baseline).
 fn fewest_steady(plan: &RequirementPlan, alpha: f64, baseline: Option<&Baseline>) -> Option<u64> {
     let [floor, ceiling] = plan.requirement.range();
     let floor = floor?;

@@ -125,8 +125,8 @@ impl Record {
         })
     }
 
-    /// How the number of episodes was chosen. `stated` is what the user says. Fewer episodes than planned mean that the run
-    /// was stopped, so the sampling was sequential even if the user states otherwise.
+    /// How the number of episodes was chosen. `stated` is what the user says. Fewer episodes than planned mean that the
+    /// run was stopped, so the sampling was sequential even if the user states otherwise.
     pub fn sampling(&self, stated: Sampling) -> Sampling {
         let stopped = self.planned.is_some_and(|planned| (self.trials.len() as u64) < planned);
         if stopped { Sampling::Sequential } else { stated }

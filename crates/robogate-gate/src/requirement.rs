@@ -9,8 +9,8 @@ use crate::{Baseline, GateError, Metric, Mode, Statistic};
 
 /// A limit on one metric.
 ///
-/// It has either `at_least` or `at_most`. `at_most_times_baseline` can replace `at_most` or be combined with it; the larger
-/// limit then applies.
+/// It has either `at_least` or `at_most`. `at_most_times_baseline` can replace `at_most` or be combined with it; the
+/// larger limit then applies.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Requirement {

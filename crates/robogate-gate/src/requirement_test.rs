@@ -1,14 +1,14 @@
 //! The two hypothesis tests of one requirement.
 //!
-//! Each requirement has two tests: one of the hypothesis "not met", and one of the hypothesis "met". The first assumes the
-//! worst outcome for every invalid episode, the second the best. Invalid episodes therefore never support either
+//! Each requirement has two tests: one of the hypothesis "not met", and one of the hypothesis "met". The first assumes
+//! the worst outcome for every invalid episode, the second the best. Invalid episodes therefore never support either
 //! conclusion.
 //!
-//! Rates are counted as good events (successes, episodes without a collision), so that every requirement on a rate reads
-//! "at least". With a fixed number of episodes the tests are exact binomial tests. Each scenario of a suite has its own
-//! rate; the binomial distribution at their mean has heavier tails wherever a test at error 0.25 or less rejects (Hoeffding
-//! 1956), except for a single event, where the union bound n p is used instead. Sequential tests are those of
-//! [`robogate_stats::anytime`], and for durations those of [`robogate_stats::bounded_mean`].
+//! Rates are counted as good events (successes, episodes without a collision), so that every requirement on a rate
+//! reads "at least". With a fixed number of episodes the tests are exact binomial tests. Each scenario of a suite has
+//! its own rate; the binomial distribution at their mean has heavier tails wherever a test at error 0.25 or less
+//! rejects (Hoeffding 1956), except for a single event, where the union bound n p is used instead. Sequential tests are
+//! those of [`robogate_stats::anytime`], and for durations those of [`robogate_stats::bounded_mean`].
 
 use robogate_stats::anytime::{Bounds, ln_evidence_above, ln_evidence_below};
 use robogate_stats::bounded_mean::BoundedMean;

@@ -24,7 +24,8 @@ pub struct Requirements {
     pub task: Option<String>,
     /// How a metric is compared with its limit.
     pub mode: Mode,
-    /// In confidence mode: the confidence level of a pass and of a fail. At 0.95, each is wrong in at most 5 % of gates.
+    /// In confidence mode: the confidence level of a pass and of a fail. At 0.95, each is wrong in at most 5 % of
+    /// gates.
     #[serde(default = "default_confidence")]
     pub confidence: f64,
     /// In confidence mode: the meaning of the confidence level for several requirements.
@@ -55,9 +56,9 @@ pub enum Mode {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Family {
-    /// A pass claims that all requirements are met: an intersection-union test, in which each is shown at the full level
-    /// (Berger 1982). A fail claims that at least one is violated: a union of tests, which divides its error by Holm's
-    /// procedure.
+    /// A pass claims that all requirements are met: an intersection-union test, in which each is shown at the full
+    /// level (Berger 1982). A fail claims that at least one is violated: a union of tests, which divides its error by
+    /// Holm's procedure.
     #[default]
     IntersectionUnion,
     /// As `joint`, and each "met" also holds on its own: these p-values are adjusted by Holm's procedure too.
@@ -95,8 +96,8 @@ impl Requirements {
     /// The names of the built-in sets.
     pub const NAMES: [&'static str; 2] = [BUILT_IN[0].0, BUILT_IN[1].0];
 
-    /// Opens a built-in set or a TOML file, for `task`. For a task without its own set, `default` requires a success rate of
-    /// at least 92 %, and at most 1 % of each critical failure mode.
+    /// Opens a built-in set or a TOML file, for `task`. For a task without its own set, `default` requires a success
+    /// rate of at least 92 %, and at most 1 % of each critical failure mode.
     ///
     /// # Errors
     /// A problem in the file, with its location.
@@ -147,7 +148,8 @@ impl Requirements {
 
     /// Prepares the record for these requirements.
     ///
-    /// An import declares the failure modes that occurred in it. For other modes it is unknown whether they were recorded.
+    /// An import declares the failure modes that occurred in it. For other modes it is unknown whether they were
+    /// recorded.
     ///
     /// # Errors
     /// If the requirements are for another task, or if the task does not have a failure mode or measure.
@@ -176,8 +178,8 @@ impl Requirements {
     /// Parses TOML.
     ///
     /// # Errors
-    /// A problem with its location: an unknown key, a requirement without a limit, or one that cannot be met at any number
-    /// of episodes.
+    /// A problem with its location: an unknown key, a requirement without a limit, or one that cannot be met at any
+    /// number of episodes.
     pub fn from_toml(text: &str) -> Result<Self, GateError> {
         let requirements: Self = toml::from_str(text).map_err(|error| GateError::Syntax(error.to_string()))?;
         requirements.check()?;

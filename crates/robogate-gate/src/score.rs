@@ -1,10 +1,10 @@
 //! The confidence score, 0 to 100 (the paper's section 3.4 and appendix E).
 //!
-//! C = 100 Σ wᵢ sᵢ, with weights and terms as data ([`ScoreTerm`]). It summarises observed figures and has no error bound,
-//! so the verdict does not depend on it. The cycle-time term 1 - |Δt/t_base| is limited to 0, because it would be negative
-//! beyond twice the baseline. The paper's baseline term max(0, 1 + ΔSR) exceeds 1 if a policy is better than its baseline,
-//! and the score may then exceed 100. Requirements can limit the term to 1 as well.
-//! where a policy is better than its baseline; a set of requirements may ask for the term cut off at 1 as well.
+//! C = 100 Σ wᵢ sᵢ, with weights and terms as data ([`ScoreTerm`]). It summarises observed figures and has no error
+//! bound, so the verdict does not depend on it. The cycle-time term 1 - |Δt/t_base| is limited to 0, because it would
+//! be negative beyond twice the baseline. The paper's baseline term max(0, 1 + ΔSR) exceeds 1 if a policy is better
+//! than its baseline, and the score may then exceed 100. Requirements can limit the term to 1 as well. where a policy
+//! is better than its baseline; a set of requirements may ask for the term cut off at 1 as well.
 
 use robogate_stats::Interval;
 use schemars::JsonSchema;
@@ -56,7 +56,8 @@ impl Scoring {
         matches!(self, Self::BaselineDeviation | Self::BaselineDelta | Self::BaselineDeltaCapped)
     }
 
-    /// Converts the figure `x` to a number from 0 to 1, with the baseline's figure `b`. `None` if a baseline is missing.
+    /// Converts the figure `x` to a number from 0 to 1, with the baseline's figure `b`. `None` if a baseline is
+    /// missing.
     pub fn of(self, x: f64, b: Option<f64>) -> Option<f64> {
         let scored = match self {
             Self::Linear { full_at } => (x / full_at).min(1.0),

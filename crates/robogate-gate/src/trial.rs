@@ -63,8 +63,8 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// The trial of a row whose source does not record these failure modes. Imports of version 0.1 store a failure of unknown
-    /// kind as a timeout.
+    /// The trial of a row whose source does not record these failure modes. Imports of version 0.1 store a failure of
+    /// unknown kind as a timeout.
     pub fn of(entry: &Entry, unseen: &[FailureMode], version: SchemaVersion) -> Self {
         let trial = Self::from(entry);
         let ending = match trial.ending {

@@ -3,8 +3,8 @@
 //! `cargo bench -p robogate-monitor --features service --bench service [-- FOLDER]`
 //!
 //! The service is a separate process, pinned to one core with `taskset`. Its store is in FOLDER (default: the system's
-//! temporary folder), which must be on a real disk. This process is the sender. It waits for each reply, so acknowledged
-//! cycles are on disk.
+//! temporary folder), which must be on a real disk. This process is the sender. It waits for each reply, so
+//! acknowledged cycles are on disk.
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::unwrap_used, reason = "a measurement that fails ends")]
 #![expect(clippy::print_stdout, reason = "it prints what it measured")]

@@ -111,7 +111,8 @@ pub enum Rule {
 pub enum Happening {
     /// The alarm was raised and is active.
     Raised,
-    /// The alarm is no longer active: the window recovered, or there was no further evidence for a sufficient number of cycles.
+    /// The alarm is no longer active: the window recovered, or there was no further evidence for a sufficient number of
+    /// cycles.
     Cleared,
 }
 

@@ -26,7 +26,8 @@ pub struct Cycle {
     pub time_s: f64,
     /// Whether the task succeeded.
     pub success: bool,
-    /// The failure mode. Every word is accepted, because the task names its modes (`jammed`, `timeout`). Absent for a success.
+    /// The failure mode. Every word is accepted, because the task names its modes (`jammed`, `timeout`). Absent for a
+    /// success.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub failure_mode: Option<String>,
     /// Whether a part was dropped. Absent if the cell cannot detect it.

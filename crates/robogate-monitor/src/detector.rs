@@ -1,21 +1,23 @@
 //! The mixture Shiryaev-Roberts e-detector: evidence for a change at an unknown time.
 //!
-//! The input is a stream of symbols (failed or not; the bin of a cycle time; a failure mode). An alternative k maps a symbol
-//! x to a factor e_k(x) ≥ 0. Without a change, its expectation given the past is at most 1. The statistic of each alternative is
+//! The input is a stream of symbols (failed or not; the bin of a cycle time; a failure mode). An alternative k maps a
+//! symbol x to a factor e_k(x) ≥ 0. Without a change, its expectation given the past is at most 1. The statistic of
+//! each alternative is
 //!
 //! M_k ← (1 + M_k) e_k(x),   M_k = 0 at the start,   M = Σ w_k M_k with Σ w_k = 1,
 //!
-//! which sums the evidence since every possible start of the change. Without a change, M_t - t is a supermartingale, so the
-//! mean number of symbols until M ≥ A is at least A. This bound needs no simulation and no large-sample approximation. It
-//! holds for any number of detectors together: see [`crate::Shares`].
+//! which sums the evidence since every possible start of the change. Without a change, M_t - t is a supermartingale, so
+//! the mean number of symbols until M ≥ A is at least A. This bound needs no simulation and no large-sample
+//! approximation. It holds for any number of detectors together: see [`crate::Shares`].
 //!
 //! Numerical range: M stays between the smallest factor and A times the largest, because an alarm restarts it at 0 and
-//! 1 + M ≥ 1. It cannot overflow or underflow. One update costs one multiplication and two additions per alternative, and
-//! allocates nothing.
+//! 1 + M ≥ 1. It cannot overflow or underflow. One update costs one multiplication and two additions per alternative,
+//! and allocates nothing.
 //!
-//! Limitation: the bound is on the mean, and it assumes that the expectation is at most 1. Each builder states its assumption.
-//! Sources: Shiryaev (1963), Theory Probab. Appl. 8; Roberts (1966), Technometrics 8; Shin, Ramdas and Rinaldo (2024),
-//! "E-detectors: a nonparametric framework for sequential change detection", New England J. Stat. Data Sci. 2.
+//! Limitation: the bound is on the mean, and it assumes that the expectation is at most 1. Each builder states its
+//! assumption. Sources: Shiryaev (1963), Theory Probab. Appl. 8; Roberts (1966), Technometrics 8; Shin, Ramdas and
+//! Rinaldo (2024), "E-detectors: a nonparametric framework for sequential change detection", New England J. Stat. Data
+//! Sci. 2.
 
 use serde::{Deserialize, Serialize};
 
@@ -60,8 +62,8 @@ impl Factors {
         self.factors.get(at..at + k).unwrap_or_default()
     }
 
-    /// The largest expectation of any alternative's factor, for these probabilities of the symbols. The bound on false alarms
-    /// requires at most 1.
+    /// The largest expectation of any alternative's factor, for these probabilities of the symbols. The bound on false
+    /// alarms requires at most 1.
     pub fn largest_expectation(&self, probabilities: &[f64]) -> f64 {
         let mean = |k: usize| -> f64 {
             let factor = |s: usize| self.factors.get(s * self.weights.len() + k).copied().unwrap_or(0.0);
@@ -129,8 +131,8 @@ pub struct ChangePoint {
 
 /// Estimates the start of a change from the stored symbols, newest first.
 ///
-/// Each start s has the weight Σ_k w_k Π_{i ≥ s} e_k(x_i), its posterior for a uniform prior over the stored symbols. The
-/// interval excludes 2.5 % on each side. `None` without symbols. It allocates, but runs only at an alarm.
+/// Each start s has the weight Σ_k w_k Π_{i ≥ s} e_k(x_i), its posterior for a uniform prior over the stored symbols.
+/// The interval excludes 2.5 % on each side. `None` without symbols. It allocates, but runs only at an alarm.
 pub fn change_point(factors: &Factors, newest_first: impl Iterator<Item = u8>) -> Option<ChangePoint> {
     let mut logs = vec![0.0_f64; factors.alternatives()];
     let mut weights = Vec::new();

@@ -9,10 +9,10 @@
 //! - **Risk**: p = 1 / (1 + exp(-x' b)), with the coefficients b of the logistic risk model. A category is replaced by its
 //!   penalty. The cycle must report every parameter of the model.
 //!
-//! Limitations: an envelope of ranges is a box, and x' V x is an ellipsoid around the mean; neither detects a hole inside. The
-//! risk model has the limitations that the analysis states. A parameter that is not in the envelope is not checked.
-//! Source for x' V x as the domain of a regression: Montgomery, Peck and Vining, Introduction to Linear Regression Analysis,
-//! "hidden extrapolation".
+//! Limitations: an envelope of ranges is a box, and x' V x is an ellipsoid around the mean; neither detects a hole
+//! inside. The risk model has the limitations that the analysis states. A parameter that is not in the envelope is not
+//! checked. Source for x' V x as the domain of a regression: Montgomery, Peck and Vining, Introduction to Linear
+//! Regression Analysis, "hidden extrapolation".
 use std::collections::BTreeMap;
 
 use schemars::JsonSchema;
@@ -135,7 +135,8 @@ impl Domain {
         if all.all(|x| x.is_finite()) { Ok(()) } else { Err(DomainError::NotFinite) }
     }
 
-    /// Judges a cycle. Calls `outside` with the index in the envelope and the value of each parameter that lies outside.
+    /// Judges a cycle. Calls `outside` with the index in the envelope and the value of each parameter that lies
+    /// outside.
     pub fn judge(&self, cycle: &Cycle, mut outside: impl FnMut(usize, &ParameterValue)) -> Judged {
         let (mut reported, mut beyond) = (false, false);
         for (place, (name, validated)) in self.envelope.iter().enumerate() {

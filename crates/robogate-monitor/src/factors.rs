@@ -1,7 +1,7 @@
 //! The factors of each metric's detector, with their assumptions.
 //!
-//! All use a confidence bound of the baseline, not its point estimate. The bound on false alarms holds for every true value
-//! within that confidence bound. `baseline_confidence` is the probability that the confidence bound is correct.
+//! All use a confidence bound of the baseline, not its point estimate. The bound on false alarms holds for every true
+//! value within that confidence bound. `baseline_confidence` is the probability that the confidence bound is correct.
 
 use crate::detector::Factors;
 
@@ -14,21 +14,21 @@ const ODDS: [(f64, f64); 8] =
 /// Fractions of the largest bet for which no factor is negative.
 const BETS: [f64; 6] = [0.08, 0.16, 0.3, 0.45, 0.65, 0.9];
 
-/// Factors for an event (a failure, a drop, a collision) whose probability is at most `bound` before the change. Symbols: 0
-/// without the event, 1 with it.
+/// Factors for an event (a failure, a drop, a collision) whose probability is at most `bound` before the change.
+/// Symbols: 0 without the event, 1 with it.
 ///
-/// The factor is the likelihood ratio of q > bound to the bound. It grows with the event, so its expectation is at most 1 for
-/// every probability up to the bound. Assumption: given the past, the event has at most this probability.
-/// `None` unless the bound lies strictly between 0 and 1.
+/// The factor is the likelihood ratio of q > bound to the bound. It grows with the event, so its expectation is at most
+/// 1 for every probability up to the bound. Assumption: given the past, the event has at most this probability. `None`
+/// unless the bound lies strictly between 0 and 1.
 pub fn event(bound: f64) -> Option<Factors> {
     Factors::new(&odds(bound)?.map(|(weight, no, yes)| (weight, vec![no, yes])))
 }
 
-/// Factors for the shares of categories (failure modes), each at most its `bounds` before the change. Symbols: the code of the
-/// category.
+/// Factors for the shares of categories (failure modes), each at most its `bounds` before the change. Symbols: the code
+/// of the category.
 ///
-/// Each category has the alternatives of [`event`]: if the mix changes, some share grows. A category whose bound is 0 or 1 has
-/// no alternatives. `None` if no category has any.
+/// Each category has the alternatives of [`event`]: if the mix changes, some share grows. A category whose bound is 0
+/// or 1 has no alternatives. `None` if no category has any.
 pub fn shares(bounds: &[f64]) -> Option<Factors> {
     let one = |(kind, bound): (usize, &f64)| {
         let table = |(weight, no, yes): (f64, f64, f64)| {
@@ -54,7 +54,8 @@ fn odds(bound: f64) -> Option<[(f64, f64, f64); 8]> {
     })
 }
 
-/// Factors for a score from 0 to 1 whose mean is at most `bound` before the change: 1 + λ (score - bound), a bet on the mean.
+/// Factors for a score from 0 to 1 whose mean is at most `bound` before the change: 1 + λ (score - bound), a bet on the
+/// mean.
 ///
 /// `scores` contains the score of each symbol. The only assumption is the bound on the mean, given the past.
 fn bets(scores: &[f64], bound: f64) -> Vec<(f64, Vec<f64>)> {
@@ -79,7 +80,8 @@ pub(crate) fn risk_of(step: u8) -> f64 {
     ((f64::from(step) + 0.5) / f64::from(RISK_STEPS)).powi(2)
 }
 
-/// Factors for a risk (predicted P(failure)) whose mean is at most `bound` before the change. Symbols: the step of `risk_step`.
+/// Factors for a risk (predicted P(failure)) whose mean is at most `bound` before the change. Symbols: the step of
+/// `risk_step`.
 ///
 /// The score is the lower end of the step, so a mean risk within the bound has a mean score within it.
 pub fn risk(bound: f64) -> Option<Factors> {
@@ -143,11 +145,12 @@ impl Binned {
         self.shares.iter().zip(scores).map(|(share, score)| share * score).sum()
     }
 
-    /// Factors for a shift of the location, slower or faster. Symbols: the bin. The first half of the alternatives is slower.
+    /// Factors for a shift of the location, slower or faster. Symbols: the bin. The first half of the alternatives is
+    /// slower.
     ///
-    /// The score is the rank in the baseline. Its mean is at most the baseline's own plus ε = √(ln(2/α) / 2n), because the
-    /// Dvoretzky-Kiefer-Wolfowitz inequality bounds all half-lines at once, hence all monotone scores. No shape of the distribution
-    /// is assumed.
+    /// The score is the rank in the baseline. Its mean is at most the baseline's own plus ε = √(ln(2/α) / 2n), because
+    /// the Dvoretzky-Kiefer-Wolfowitz inequality bounds all half-lines at once, hence all monotone scores. No shape of
+    /// the distribution is assumed.
     pub fn location(&self, alpha: f64) -> Option<Factors> {
         let margin = ((2.0 / alpha).ln() / (2.0 * self.n as f64)).sqrt();
         let up = self.ranks();
@@ -159,9 +162,9 @@ impl Binned {
 
     /// Factors for a wider spread. Symbols: the bin.
     ///
-    /// The score is the distance of the rank from the middle, |2u - 1|. Its upper sets are two half-lines, so the margin is twice
-    /// that of Dvoretzky, Kiefer and Wolfowitz. It also grows if the location moves far. `None` if the baseline is too small for a
-    /// bound below 1.
+    /// The score is the distance of the rank from the middle, |2u - 1|. Its upper sets are two half-lines, so the
+    /// margin is twice that of Dvoretzky, Kiefer and Wolfowitz. It also grows if the location moves far. `None` if the
+    /// baseline is too small for a bound below 1.
     pub fn spread(&self, alpha: f64) -> Option<Factors> {
         let margin = 2.0 * ((2.0 / alpha).ln() / (2.0 * self.n as f64)).sqrt();
         let scores: Vec<f64> = self.ranks().iter().map(|rank| (2.0 * rank - 1.0).abs()).collect();

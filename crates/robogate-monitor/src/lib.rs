@@ -1,10 +1,11 @@
 //! Monitoring after deployment: detects changes of a robot's behaviour, with a bounded false-alarm rate.
 //!
-//! The input is one cycle at a time, the output are [`Alarm`]s. In addition to the paper's moving window ([`paper`]), each
-//! metric of each recipe has a mixture Shiryaev-Roberts e-detector ([`detector`]). The mean number of cycles until a false
-//! alarm is at least the configured one, over all metrics and recipes together.
+//! The input is one cycle at a time, the output are [`Alarm`]s. In addition to the paper's moving window ([`paper`]),
+//! each metric of each recipe has a mixture Shiryaev-Roberts e-detector ([`detector`]). The mean number of cycles until
+//! a false alarm is at least the configured one, over all metrics and recipes together.
 //!
-//! The library uses no clock, file, socket or thread and allocates no memory per cycle, so it can run on a robot controller:
+//! The library uses no clock, file, socket or thread and allocates no memory per cycle, so it can run on a robot
+//! controller:
 //!
 //! ```
 //! use robogate_monitor::{Baseline, Count, Cycle, Monitor, Settings};

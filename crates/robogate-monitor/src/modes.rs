@@ -11,7 +11,8 @@ pub const MOST_MODES: usize = 32;
 /// The modes of files and stores that contain counts without names, in the order of the counts.
 const UNNAMED: [&str; 5] = ["grasp_miss", "grip_loss", "collision", "timeout", OTHER_MODE];
 
-/// Failures by mode, serialised as a map from mode to count. Reads the five numbers without names of older versions too.
+/// Failures by mode, serialised as a map from mode to count. Reads the five numbers without names of older versions
+/// too.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(from = "Form", into = "BTreeMap<String, u64>")]
 pub struct ModeCounts(BTreeMap<String, u64>);

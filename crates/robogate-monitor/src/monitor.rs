@@ -55,11 +55,11 @@ impl Monitor {
         }
     }
 
-    /// Processes one cycle, in the order of arrival. Passes raised and cleared alarms to `emit`. Returns how the parameters
-    /// compare with the validated region.
+    /// Processes one cycle, in the order of arrival. Passes raised and cleared alarms to `emit`. Returns how the
+    /// parameters compare with the validated region.
     ///
-    /// The cycle must have passed [`Cycle::check`]. Memory is allocated only at an alarm, for a new recipe, robot or failure mode,
-    /// and when learning ends.
+    /// The cycle must have passed [`Cycle::check`]. Memory is allocated only at an alarm, for a new recipe, robot or
+    /// failure mode, and when learning ends.
     ///
     /// # Errors
     /// If the recipe is new and the limit is reached.

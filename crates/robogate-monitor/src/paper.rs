@@ -1,12 +1,13 @@
-//! The rule of the paper (section 9.5): the success rate of the last 100 cycles of a recipe, with a WARNING at a decline of
-//! 5 % and a CRITICAL at 10 %.
+//! The rule of the paper (section 9.5): the success rate of the last 100 cycles of a recipe, with a WARNING at a
+//! decline of 5 % and a CRITICAL at 10 %.
 //!
-//! The paper does not define whether the decline is absolute (0.95 to 0.90) or relative (0.95 to 0.9025), nor its reference.
-//! Here the reference is the observed rate of the baseline, [`Decline`] selects absolute or relative, and a decline of exactly
-//! the threshold counts. The thresholds are converted to integer numbers of failures once, so that rounding has no effect.
+//! The paper does not define whether the decline is absolute (0.95 to 0.90) or relative (0.95 to 0.9025), nor its
+//! reference. Here the reference is the observed rate of the baseline, [`Decline`] selects absolute or relative, and a
+//! decline of exactly the threshold counts. The thresholds are converted to integer numbers of failures once, so that
+//! rounding has no effect.
 //!
-//! Limitation: at a true rate of 0.95, the absolute rule raises a warning about every 1,150 cycles. Its false-alarm rate is not
-//! bounded, unlike that of the detectors. It raises no alarm before the window is full.
+//! Limitation: at a true rate of 0.95, the absolute rule raises a warning about every 1,150 cycles. Its false-alarm
+//! rate is not bounded, unlike that of the detectors. It raises no alarm before the window is full.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -45,8 +46,8 @@ impl Default for PaperRule {
 }
 
 impl PaperRule {
-    /// The smallest number of failures in a full window that is a decline of `decline` from `baseline`. Greater than the
-    /// window's length if there is none.
+    /// The smallest number of failures in a full window that is a decline of `decline` from `baseline`. Greater than
+    /// the window's length if there is none.
     pub fn failures_at(&self, baseline: f64, decline: f64) -> u32 {
         let lost = match self.decline {
             Decline::Absolute => decline,

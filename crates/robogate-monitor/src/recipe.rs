@@ -189,8 +189,8 @@ impl Recipe {
 
     /// Restores a recipe from its state.
     ///
-    /// If the settings define another baseline or validated region than before, learning and all evidence start again from zero.
-    /// The same happens to evidence that does not match the settings. Counts are kept.
+    /// If the settings define another baseline or validated region than before, learning and all evidence start again
+    /// from zero. The same happens to evidence that does not match the settings. Counts are kept.
     pub fn restore(name: &str, mut state: RecipeState, settings: &Settings) -> Self {
         let given = given(name, settings);
         if state.given != given {
@@ -259,8 +259,8 @@ impl Recipe {
         }
     }
 
-    /// Processes one cycle. Passes raised and cleared alarms to `emit`. Returns how the parameters compare with the validated
-    /// region.
+    /// Processes one cycle. Passes raised and cleared alarms to `emit`. Returns how the parameters compare with the
+    /// validated region.
     ///
     /// Memory is allocated only at an alarm, for a new robot or failure mode, and when learning ends.
     pub fn observe(&mut self, cycle: &Cycle, settings: &Settings, emit: &mut dyn FnMut(Alarm)) -> Judged {
@@ -322,7 +322,8 @@ impl Recipe {
 
     /// Updates the robot's detector, if the recipe has several robots.
     ///
-    /// A robot's evidence grows only with its own cycles, so all robots of all recipes share one part of the false alarms.
+    /// A robot's evidence grows only with its own cycles, so all robots of all recipes share one part of the false
+    /// alarms.
     fn update_robot(&mut self, code: u8, cycle: &Cycle, settings: &Settings, emit: &mut dyn FnMut(Alarm)) {
         let metric = Metric::Robot;
         let (now, several) = (self.state.cycles, self.state.robots.len() > 1);
@@ -413,8 +414,8 @@ impl Recipe {
         self.state.robots.values_mut().for_each(RobotState::forget);
     }
 
-    /// Each parameter of the envelope with its validated values and its cycles outside since the detectors started. The last item,
-    /// without a name, counts combinations outside.
+    /// Each parameter of the envelope with its validated values and its cycles outside since the detectors started. The
+    /// last item, without a name, counts combinations outside.
     pub fn outside(&self) -> impl Iterator<Item = (Option<(&str, &Validated)>, &OutsideTally)> {
         let named = self.domain.iter().flat_map(|domain| &domain.envelope);
         let named = named.map(|(name, validated)| Some((name.as_str(), validated)));

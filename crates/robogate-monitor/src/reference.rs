@@ -23,7 +23,8 @@ pub struct Reference {
     pub population: String,
     /// The content hash of the rows.
     pub dataset_sha256: String,
-    /// Successes and failure modes, as counts. Cycle times are learnt from the robot, because those of a simulator differ.
+    /// Successes and failure modes, as counts. Cycle times are learnt from the robot, because those of a simulator
+    /// differ.
     pub baseline: Baseline,
     /// The envelope, and the risk model if the run allows one.
     pub domain: Domain,
@@ -61,8 +62,8 @@ impl Reference {
 }
 
 impl Settings {
-    /// Applies a reference to a recipe, or to all recipes without their own. A baseline in the settings takes precedence over
-    /// the reference.
+    /// Applies a reference to a recipe, or to all recipes without their own. A baseline in the settings takes
+    /// precedence over the reference.
     pub fn refer(&mut self, recipe: Option<&str>, reference: Reference) {
         let domain = Arc::new(reference.domain);
         let baseline = match recipe {

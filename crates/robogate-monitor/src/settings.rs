@@ -79,10 +79,11 @@ impl Default for Settings {
 
 /// The share of each metric in the false alarms.
 ///
-/// A metric with the share v raises an alarm when its statistic M reaches A / v. Without a change, the mean of each M grows by
-/// at most one per cycle, and only with the cycles of its own recipe. The mean of Σ v M over all metrics and recipes is therefore
-/// at most the number of cycles, and the mean number of cycles until the first false alarm of any metric in any recipe is at
-/// least A. More recipes or robots do not weaken this bound, because each then has fewer cycles.
+/// A metric with the share v raises an alarm when its statistic M reaches A / v. Without a change, the mean of each M
+/// grows by at most one per cycle, and only with the cycles of its own recipe. The mean of Σ v M over all metrics and
+/// recipes is therefore at most the number of cycles, and the mean number of cycles until the first false alarm of any
+/// metric in any recipe is at least A. More recipes or robots do not weaken this bound, because each then has fewer
+/// cycles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Shares {

@@ -1,8 +1,8 @@
 //! Simulates false-alarm rates and detection delays of the monitor for given success rates.
 //!
 //! Streams of independent cycles are sampled from a seed, so the same question gives the same figures. False alarms are
-//! counted over one long stream without a change. The delay is the time to the first alarm in a stream whose rate drops after
-//! a period without a change. Each mean has its standard error.
+//! counted over one long stream without a change. The delay is the time to the first alarm in a stream whose rate drops
+//! after a period without a change. Each mean has its standard error.
 
 use robogate_core::Seed;
 use schemars::JsonSchema;

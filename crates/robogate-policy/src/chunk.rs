@@ -11,7 +11,8 @@ pub struct Chunk {
 }
 
 impl Chunk {
-    /// Create a chunk from an array of shape `(length, size)`, or `(size,)` for one action. Leading axes of size 1 are ignored.
+    /// Create a chunk from an array of shape `(length, size)`, or `(size,)` for one action. Leading axes of size 1 are
+    /// ignored.
     pub(crate) fn of_array(array: &Array) -> Result<Self, PolicyError> {
         let mut shape = array.shape();
         while let (3.., [1, rest @ ..]) = (shape.len(), shape) {

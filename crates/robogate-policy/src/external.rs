@@ -18,9 +18,10 @@ use super::suits;
 
 /// A model behind an inference server, or in a file, as a [`Policy`].
 ///
-/// An error during an episode makes the episode invalid and closes the connection, because a late reply must not be used for
-/// the next request. The next episode opens a new connection, with up to [`Timeouts::attempts`](super::Timeouts::attempts)
-/// attempts. The identity that the policy reports must not change between connections.
+/// An error during an episode makes the episode invalid and closes the connection, because a late reply must not be
+/// used for the next request. The next episode opens a new connection, with up to
+/// [`Timeouts::attempts`](super::Timeouts::attempts) attempts. The identity that the policy reports must not change
+/// between connections.
 pub struct ExternalPolicy {
     url: String,
     profile: Arc<Profile>,
@@ -48,8 +49,8 @@ impl std::fmt::Debug for ExternalPolicy {
 }
 
 impl ExternalPolicy {
-    /// Connect to the server at `url`, or load the file `url`, in one attempt. Checks the metadata of the policy against the
-    /// profile.
+    /// Connect to the server at `url`, or load the file `url`, in one attempt. Checks the metadata of the policy
+    /// against the profile.
     pub fn connect(url: &str, profile: Arc<Profile>) -> Result<Self, PolicyError> {
         let connection = connection::connect(url, &profile)?;
         let declared = connection.declared().clone();

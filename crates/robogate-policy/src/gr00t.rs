@@ -1,7 +1,8 @@
 //! NVIDIA's Isaac GR00T servers over ZeroMQ: msgpack that contains `.npy` files.
 //!
-//! N1.6 accepts observations in one of two layouts: nested, or flat with its simulation wrapper. Only a request shows which
-//! one. N1.5 accepts the flat layout without a batch axis. Both report the names of their images, vectors and actions.
+//! N1.6 accepts observations in one of two layouts: nested, or flat with its simulation wrapper. Only a request shows
+//! which one. N1.5 accepts the flat layout without a batch axis. Both report the names of their images, vectors and
+//! actions.
 
 use std::collections::BTreeSet;
 

@@ -1,8 +1,8 @@
 //! LeRobot's asynchronous inference server: gRPC with Python pickles as payloads.
 //!
-//! The client selects the checkpoint that the server loads. The state of the server is global, so only one client may use
-//! it. If its inference fails, it sends an empty reply and logs the cause. It executes the pickles that it receives, so only
-//! trusted clients may reach it. This client executes no pickles (see `pickle`).
+//! The client selects the checkpoint that the server loads. The state of the server is global, so only one client may
+//! use it. If its inference fails, it sends an empty reply and logs the cause. It executes the pickles that it
+//! receives, so only trusted clients may reach it. This client executes no pickles (see `pickle`).
 
 use serde_json::Value as Json;
 
@@ -195,8 +195,8 @@ fn tensor(value: &Value) -> Result<Vec<f64>, String> {
     storage_part(file, offset, size)
 }
 
-/// A range of a storage in torch's legacy format: three pickles that are skipped, a pickle that describes the storage, a
-/// pickle of its keys, the number of elements, and the elements.
+/// A range of a storage in torch's legacy format: three pickles that are skipped, a pickle that describes the storage,
+/// a pickle of its keys, the number of elements, and the elements.
 fn storage_part(file: &[u8], offset: usize, size: usize) -> Result<Vec<f64>, String> {
     let mut rest = file;
     for _ in 0..3 {

@@ -264,8 +264,9 @@ impl<'a> Machine<'a> {
 
     fn memoize(&mut self, at: usize) -> Result<(), String> {
         let top = self.stack.last().cloned().ok_or("the stack is empty")?;
-        // Python numbers the entries in order. A list or dictionary is memoised while it is empty and filled later, which
-        // the memo does not contain. A LeRobot server never refers to such an entry again, and `get_memo` rejects it.
+        // Python numbers the entries in order. A list or dictionary is memoised while it is empty and filled later,
+        // which the memo does not contain. A LeRobot server never refers to such an entry again, and `get_memo` rejects
+        // it.
         if at > self.memo.len() {
             return Err("a memo entry is out of order".to_owned());
         }

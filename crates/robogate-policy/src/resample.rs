@@ -10,8 +10,8 @@ const HALF: i32 = 1 << (PRECISION - 1);
 
 /// The neighbours and weights of each pixel of a resampled row or column.
 ///
-/// In Pillow the number of neighbours differs between pixels. Here all pixels have the largest number, with some weights of
-/// zero, because a loop of constant length is twice as fast.
+/// In Pillow the number of neighbours differs between pixels. Here all pixels have the largest number, with some
+/// weights of zero, because a loop of constant length is twice as fast.
 #[derive(Debug)]
 pub(crate) struct Taps {
     count: usize,
@@ -75,8 +75,8 @@ impl Taps {
         });
     }
 
-    /// Resample two rows at a time. A colour times a weight has 31 bits including its sign, so one 64-bit multiplication
-    /// computes two products.
+    /// Resample two rows at a time. A colour times a weight has 31 bits including its sign, so one 64-bit
+    /// multiplication computes two products.
     fn pairs(&self, picture: View<'_>, out: &mut Vec<u8>, blend: impl Fn(&[[u64; 3]], &[i32]) -> [u64; 3]) {
         let (from, to) = (3 * picture.width, 3 * self.firsts.len());
         out.resize(to * picture.height, 0);
@@ -116,8 +116,8 @@ impl Taps {
     }
 }
 
-/// Initial value of each 32-bit sum: one half for rounding, and an offset, so that a negative sum does not borrow from its
-/// neighbour.
+/// Initial value of each 32-bit sum: one half for rounding, and an offset, so that a negative sum does not borrow from
+/// its neighbour.
 const START: u64 = HALF as u64 + ((BELOW as u64) << PRECISION);
 /// Offset of the sums, in colour values. It allows for overshoot below 0 and above 255.
 const BELOW: usize = 256;

@@ -1,5 +1,5 @@
-//! HTTP servers that accept JSON with arrays at `/act`: OpenVLA, OpenVLA-OFT, GR00T N1.5 over HTTP, and servers for Octo
-//! with the `/act`, `/reset`, `/health` convention.
+//! HTTP servers that accept JSON with arrays at `/act`: OpenVLA, OpenVLA-OFT, GR00T N1.5 over HTTP, and servers for
+//! Octo with the `/act`, `/reset`, `/health` convention.
 
 use serde_json::Value as Json;
 

@@ -1,5 +1,5 @@
-//! RoboArena's WebSocket server: the encoding of openpi, with server metadata on connection, an `endpoint` in each request
-//! and a session for each episode. A text message is not always an error: the reply to `reset` is a text.
+//! RoboArena's WebSocket server: the encoding of openpi, with server metadata on connection, an `endpoint` in each
+//! request and a session for each episode. A text message is not always an error: the reply to `reset` is a text.
 
 use rmpv::ValueRef;
 use serde_json::Value as Json;

@@ -98,8 +98,8 @@ fn vla_eval_code_agrees() {
             let Motion::ToolDelta { translation_m, .. } = policy.act(&observation(256)).unwrap().command else {
                 panic!("expected a tool delta");
             };
-            // The second action comes from the server's buffer. It is one more than the first, clipped to 1. A new episode clears
-            // the buffer.
+            // The second action comes from the server's buffer. It is one more than the first, clipped to 1. A new
+            // episode clears the buffer.
             near(translation_m, if step == 0 { ECHOED.0 } else { [0.02; 3] });
         }
     }

@@ -1,5 +1,5 @@
-//! Measures the overhead of the protocol: a Rust client and Python servers on the loopback interface. The simulator does
-//! almost nothing.
+//! Measures the overhead of the protocol: a Rust client and Python servers on the loopback interface. The simulator
+//! does almost nothing.
 //!
 //! `ROBOGATE_BRIDGE_PYTHON=... cargo bench -p robogate-remote` (`bridges/common/setup.sh FOLDER` creates the Python
 //! environment). Fails if the median of a round trip exceeds its limit.

@@ -98,8 +98,8 @@ impl Connection {
 
     /// Request a new episode under a new random identifier.
     pub(crate) fn begin<T: DeserializeOwned>(&mut self, body: impl Serialize) -> Result<T, RequestError> {
-        // The identifier only has to be unique among clients. It does not influence results, so the random numbers of the
-        // standard library are sufficient.
+        // The identifier only has to be unique among clients. It does not influence results, so the random numbers of
+        // the standard library are sufficient.
         self.episode = RandomState::new().build_hasher().finish() | 1;
         self.tick = 0;
         let (reply, frames) = send(&mut self.requester, "reset", self.episode, body, self.timeouts.reset)?;

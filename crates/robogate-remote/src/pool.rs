@@ -1,11 +1,11 @@
 //! Several servers that act as one simulator for each worker.
 //!
 //! An episode runs in one server. A server failure is one of these: the server is unreachable, it does not answer in
-//! time, or its reply is invalid. A failure during an episode makes that episode Invalid. A failure at a reset sends the
-//! time, or its reply is invalid. A failure during an episode makes that episode invalid. A failure at a reset sends the
-//! episode to another server, because no part of it has run yet. After a failure, a server is not used for 1 s; after
-//! further consecutive failures, for 2 s, 4 s and 8 s. After [`MAX_FAILURES`] failures without a completed episode in
-//! between, it is not used again. When no server is left, each further episode is invalid immediately.
+//! time, or its reply is invalid. A failure during an episode makes that episode Invalid. A failure at a reset sends
+//! the time, or its reply is invalid. A failure during an episode makes that episode invalid. A failure at a reset
+//! sends the episode to another server, because no part of it has run yet. After a failure, a server is not used for 1
+//! s; after further consecutive failures, for 2 s, 4 s and 8 s. After [`MAX_FAILURES`] failures without a completed
+//! episode in between, it is not used again. When no server is left, each further episode is invalid immediately.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -26,8 +26,8 @@ const MAX_NOTES: usize = 100;
 /// Longest time that a worker waits for a free server.
 const MAX_WAIT: Duration = Duration::from_secs(600);
 
-/// Receives one line of text for each server failure (address, cause and consequence), and one for each kind of deviation
-/// from the declared task.
+/// Receives one line of text for each server failure (address, cause and consequence), and one for each kind of
+/// deviation from the declared task.
 pub type Listener = Box<dyn Fn(&str) + Send + Sync>;
 
 /// Connections to servers of the same simulator.

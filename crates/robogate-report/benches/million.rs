@@ -1,7 +1,7 @@
 //! Benchmarks a million episodes from the file to the page: `cargo bench -p robogate-report [-- ROWS [FILE]]`.
 //!
-//! Writes a synthetic dictionary of the paper's eight parameters (kept if FILE is given), then measures analysis and page,
-//! and the peak memory of the process. Exits with code 1 if a million rows take more than 10 s or 1 GB.
+//! Writes a synthetic dictionary of the paper's eight parameters (kept if FILE is given), then measures analysis and
+//! page, and the peak memory of the process. Exits with code 1 if a million rows take more than 10 s or 1 GB.
 
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::print_stdout, reason = "a benchmark prints what it measured")]

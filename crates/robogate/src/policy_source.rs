@@ -97,8 +97,8 @@ pub(crate) struct PolicyArguments {
     /// bounds of the task), the address of a policy server such as ws://127.0.0.1:8000, or an ONNX file
     #[arg(long, value_name = "URL|FILE|random|scripted")]
     policy: Option<String>,
-    /// Choose the observation and action mapping of that policy: a built-in profile (see `robogate policy profiles`), or
-    /// a TOML file
+    /// Choose the observation and action mapping of that policy: a built-in profile (see `robogate policy profiles`),
+    /// or a TOML file
     #[arg(long, value_name = "NAME|FILE", requires = "policy")]
     profile: Option<String>,
 }

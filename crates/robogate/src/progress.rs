@@ -41,7 +41,8 @@ impl Progress {
             Event::Episode { outcome, .. } => {
                 self.counts.add(&outcome_of(outcome));
                 self.bar.inc(1);
-                // The bar limits how often it is drawn. Formatting its message costs time too, so it is updated every few episodes.
+                // The bar limits how often it is drawn. Formatting its message costs time too, so it is updated every
+                // few episodes.
                 if self.counts.total().is_multiple_of(8) {
                     self.say();
                 }

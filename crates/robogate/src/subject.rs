@@ -43,8 +43,8 @@ pub(crate) struct EnvironmentArguments {
     /// Set the normal force of each gripper pad, in newtons; default: the robot's own
     #[arg(long, value_name = "NEWTONS")]
     grip_force: Option<f64>,
-    /// Choose how a suction cup holds an object: surface (a joint that never breaks, as in the paper) or vacuum (limited
-    /// by pressure and friction); default: surface with the paper preset, vacuum otherwise
+    /// Choose how a suction cup holds an object: surface (a joint that never breaks, as in the paper) or vacuum
+    /// (limited by pressure and friction); default: surface with the paper preset, vacuum otherwise
     #[arg(long, value_name = "LAW")]
     suction: Option<SuctionLaw>,
     /// Choose the renderer of the camera images: the embedded ray caster, or MuJoCo's renderer through EGL

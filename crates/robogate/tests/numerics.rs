@@ -1,8 +1,8 @@
 //! Regression tests against recorded episodes, which must stay identical unless a change of results is intended.
 //!
-//! Each file under `tests/numerics` contains outcome, time and trajectory hash of the episodes of one run. If a change of
-//! results is intended, write the files again with `ROBOGATE_WRITE_NUMERICS=1` and document the change in the changelog,
-//! under "Numerics".
+//! Each file under `tests/numerics` contains outcome, time and trajectory hash of the episodes of one run. If a change
+//! of results is intended, write the files again with `ROBOGATE_WRITE_NUMERICS=1` and document the change in the
+//! changelog, under "Numerics".
 #![cfg(all(target_os = "linux", target_arch = "x86_64", feature = "mujoco", feature = "rapier", feature = "onnx"))]
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 

@@ -149,8 +149,8 @@ impl SharedAxis {
     }
 }
 
-/// The range that all spans cover. The ends of an imported range are the extremes of its rows, so they are random. Ends that
-/// differ by at most 0.5 % of the widest span count as equal, so that no row is excluded because of them.
+/// The range that all spans cover. The ends of an imported range are the extremes of its rows, so they are random. Ends
+/// that differ by at most 0.5 % of the widest span count as equal, so that no row is excluded because of them.
 fn common(spans: &[[f64; 2]], observed: bool) -> [f64; 2] {
     let ends = |at: usize| spans.iter().map(move |span| span[at]);
     let least = |at: usize| ends(at).fold(f64::INFINITY, f64::min);

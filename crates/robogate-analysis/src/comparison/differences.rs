@@ -27,8 +27,8 @@ pub struct RateDifference {
     pub valid_pairs: Option<u64>,
     /// Pooled z statistic. `None` if both always or never succeeded, and for a paired difference.
     pub z: Option<f64>,
-    /// ln of the two-sided p-value: of McNemar's exact test for a paired difference, otherwise of the z-test. `None` without
-    /// a test.
+    /// ln of the two-sided p-value: of McNemar's exact test for a paired difference, otherwise of the z-test. `None`
+    /// without a test.
     pub ln_p: Option<f64>,
     /// The p-value, adjusted by Holm over all pairs; 1 without a test.
     pub holm_p: f64,

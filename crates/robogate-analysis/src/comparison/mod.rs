@@ -32,8 +32,8 @@ use crate::rate::Finding;
 use crate::task::TaskAnalysis;
 use crate::{AnalysisError, Population, Source, Success};
 
-/// Comparison of several datasets. Only estimates of an operating space are compared. Other datasets are listed with the
-/// reason.
+/// Comparison of several datasets. Only estimates of an operating space are compared. Other datasets are listed with
+/// the reason.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Comparison {
     /// The version of this document.
@@ -249,7 +249,8 @@ fn task(datasets: &[&Dataset<'_>]) -> &'static TaskAnalysis {
     TaskAnalysis::of(if names.all(|name| name == first) { first } else { "" })
 }
 
-/// The pair that is compared: the requested one, otherwise that of the task, otherwise the first two numeric parameters.
+/// The pair that is compared: the requested one, otherwise that of the task, otherwise the first two numeric
+/// parameters.
 fn pair(
     datasets: &[&Dataset<'_>],
     axes: &[SharedAxis],

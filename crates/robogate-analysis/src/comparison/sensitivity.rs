@@ -25,8 +25,8 @@ pub struct Sensitivity {
     pub high: [f64; 2],
     /// The effect on each compared dataset, in their order.
     pub effects: Vec<Effect>,
-    /// Names of the datasets in which larger values significantly lower success: all if every 95 % interval lies below 0
-    /// (intersection-union), otherwise those with a p-value of at most 0.05 after Holm's adjustment.
+    /// Names of the datasets in which larger values significantly lower success: all if every 95 % interval lies below
+    /// 0 (intersection-union), otherwise those with a p-value of at most 0.05 after Holm's adjustment.
     pub lowers_success_of: Vec<String>,
 }
 
@@ -35,7 +35,8 @@ pub struct Sensitivity {
 pub struct Effect {
     /// Its name.
     pub name: String,
-    /// Slope of the log-odds of success per unit of the parameter's natural logarithm: below 0, larger values lower success.
+    /// Slope of the log-odds of success per unit of the parameter's natural logarithm: below 0, larger values lower
+    /// success.
     pub slope: Finding<Slope>,
     /// Success in the lowest bin.
     pub low: Rate,
@@ -48,8 +49,8 @@ pub struct Effect {
 pub struct Slope {
     /// Change of the log-odds per unit of the natural logarithm.
     pub per_log_unit: f64,
-    /// 95 % interval: Wald's, or the profile interval of the penalised fit if success and failure are separated. An unbounded
-    /// end is `None`.
+    /// 95 % interval: Wald's, or the profile interval of the penalised fit if success and failure are separated. An
+    /// unbounded end is `None`.
     pub interval_95: [Option<f64>; 2],
     /// Factor of the odds of success when the parameter doubles.
     pub odds_per_doubling: f64,

@@ -14,8 +14,8 @@ use crate::rate::Rate;
 /// The level of significance, after Holm's adjustment.
 const LEVEL: f64 = 0.05;
 
-/// Cells in which every compared dataset fails most of the time: bins and levels of each shared parameter, and the cells of
-/// one pair.
+/// Cells in which every compared dataset fails most of the time: bins and levels of each shared parameter, and the
+/// cells of one pair.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct UniversalZones {
     /// The success rate that the rate of every dataset is tested against.
@@ -39,7 +39,8 @@ pub struct UniversalZone {
     pub sides: Vec<ZoneSide>,
     /// The rate of each compared dataset, in their order.
     pub rates: Vec<Rate>,
-    /// The p-value of "not all rates are below the limit": the largest of the exact one-sided p-values (intersection-union).
+    /// The p-value of "not all rates are below the limit": the largest of the exact one-sided p-values
+    /// (intersection-union).
     pub p: f64,
     /// The p-value, adjusted by Holm over all cells tested.
     pub holm_p: f64,

@@ -5,7 +5,8 @@ use robogate_stats::format::number;
 use crate::replay::{ReplayGroup, ReplayReason, episode, lowest};
 use crate::table::{Ending, EpisodeTable};
 
-/// The episodes of all stages that ended in a collision, sorted by contact force, the largest first. `None` without one.
+/// The episodes of all stages that ended in a collision, sorted by contact force, the largest first. `None` without
+/// one.
 pub(super) fn hardest(table: &EpisodeTable) -> Option<ReplayGroup> {
     let collision = table.modes.iter().position(|mode| mode.as_str() == "collision")?;
     let forces = table.measure("peak_contact_force_n")?;

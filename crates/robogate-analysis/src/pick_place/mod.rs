@@ -29,11 +29,11 @@ pub(crate) static PICK_PLACE: TaskAnalysis = TaskAnalysis {
 
 /// The paper's standardised model with interactions.
 ///
-/// logit P(success) on six main effects (friction, mass, centre-of-mass offset, size, inverse-kinematics noise, obstacles)
-/// and three products (friction x mass, friction x size, mass x obstacles). The paper counts ten features and names these
-/// nine; with the intercept they are ten. Each main effect is standardised (mean 0, standard deviation 1). The products are
-/// computed from standardised columns and standardised again, so that a main effect is that at the mean of the others.
-/// The paper does not define the form of its products.
+/// logit P(success) on six main effects (friction, mass, centre-of-mass offset, size, inverse-kinematics noise,
+/// obstacles) and three products (friction x mass, friction x size, mass x obstacles). The paper counts ten features
+/// and names these nine; with the intercept they are ten. Each main effect is standardised (mean 0, standard deviation
+/// 1). The products are computed from standardised columns and standardised again, so that a main effect is that at the
+/// mean of the others. The paper does not define the form of its products.
 const INTERACTIONS: InteractionModel = InteractionModel {
     name: "paper's 10 features",
     main: &["friction", "mass_kg", "com_offset", "size_m", "ik_noise_rad", "obstacles"],

@@ -1,4 +1,5 @@
-//! The learners of the study. Each is fitted to training rows and predicts the log-odds of success of training and test rows.
+//! The learners of the study. Each is fitted to training rows and predicts the log-odds of success of training and test
+//! rows.
 
 use robogate_stats::fourier::Fourier;
 use robogate_stats::logistic::{Data, Options, RegressionError, fit, interaction};
@@ -12,8 +13,8 @@ use crate::task::{InteractionModel, TaskAnalysis};
 
 /// Number of frequencies of the flexible learner. Each gives two columns.
 const FREQUENCIES: usize = 96;
-/// Its length scales, in units of the square root of the number of parameters. The typical distance of two points is the
-/// square root of two in these units.
+/// Its length scales, in units of the square root of the number of parameters. The typical distance of two points is
+/// the square root of two in these units.
 const LENGTH_SCALES: [f64; 3] = [0.35, 0.7, 1.4];
 /// Its candidate prior variances.
 const PRIOR_VARIANCES: [f64; 5] = [1.0, 5.0, 25.0, 125.0, 625.0];
@@ -28,8 +29,8 @@ pub enum Learner {
     Paper,
     /// A logistic model of all parameters, each on its own scale, with a column for each category.
     MainEffects,
-    /// Bayesian logistic regression on the same columns and on random Fourier features of them. The evidence selects length
-    /// scale and prior variance.
+    /// Bayesian logistic regression on the same columns and on random Fourier features of them. The evidence selects
+    /// length scale and prior variance.
     Flexible,
 }
 
@@ -179,9 +180,9 @@ fn interactions(sample: &Sample, model: &InteractionModel, scaling: &[(f64, f64)
     columns
 }
 
-/// One column for each numeric parameter, and one for each level of a categorical one from `first_level` on. The flexible
-/// learner uses all levels, so that two levels have the same distance as two random values of a number on average. A plain
-/// fit leaves out one level.
+/// One column for each numeric parameter, and one for each level of a categorical one from `first_level` on. The
+/// flexible learner uses all levels, so that two levels have the same distance as two random values of a number on
+/// average. A plain fit leaves out one level.
 fn coordinates(sample: &Sample, test: &Sample, first_level: usize) -> Vec<Vec<f64>> {
     let mut columns = Vec::new();
     for of in &test.parameters {
@@ -200,8 +201,8 @@ fn is(column: &ParameterColumn, level: usize) -> Vec<f64> {
     column.values.iter().map(|v| f64::from(u8::from(*v as usize == level))).collect()
 }
 
-/// A numeric parameter relative to the middle of its range, in units of its standard deviation under uniform sampling on its
-/// own scale.
+/// A numeric parameter relative to the middle of its range, in units of its standard deviation under uniform sampling
+/// on its own scale.
 fn scaled(column: &ParameterColumn, kind: &ParameterKind) -> Vec<f64> {
     let unit = |x: f64| match kind {
         ParameterKind::Continuous { low, high, log: true } => (x / low).ln() / (high / low).ln(),

@@ -1,11 +1,11 @@
 //! The study of boundary focusing: an experiment, evaluated on held-out data.
 //!
-//! Three designs of equal budget (uniform, two-stage, boundary only) are the training data of each learner. All models are
-//! evaluated on one independent uniform test set of the same simulator. [`Study::of`] is a function of the dictionaries
-//! only.
+//! Three designs of equal budget (uniform, two-stage, boundary only) are the training data of each learner. All models
+//! are evaluated on one independent uniform test set of the same simulator. [`Study::of`] is a function of the
+//! dictionaries only.
 //!
-//! Each measure is the mean over test episodes of one number per episode (for the AUC, DeLong's contribution). The intervals
-//! of means and differences therefore include both sources of variance: repeats and test episodes
+//! Each measure is the mean over test episodes of one number per episode (for the AUC, DeLong's contribution). The
+//! intervals of means and differences therefore include both sources of variance: repeats and test episodes
 //! ([`robogate_stats::crossed`]).
 
 mod evaluate;
@@ -283,8 +283,8 @@ impl Study {
     /// Evaluates the repeats on the test set.
     ///
     /// # Errors
-    /// A dictionary that cannot be read or whose parameters differ from the test set, or a wrong number of weights. A failed
-    /// fit is not an error but a [`Finding`].
+    /// A dictionary that cannot be read or whose parameters differ from the test set, or a wrong number of weights. A
+    /// failed fit is not an error but a [`Finding`].
     pub fn of(test: &Dictionary, repeats: &[Repeat<'_>]) -> Result<Self, AnalysisError> {
         let test_rows = EpisodeTable::read(test)?.valid();
         let mut data_of_repeats = Vec::new();

@@ -1,5 +1,5 @@
-//! Synthetic dictionaries: a known law, and many kinds of insufficient data. The tests of `robogate-report` use this file
-//! too.
+//! Synthetic dictionaries: a known law, and many kinds of insufficient data. The tests of `robogate-report` use this
+//! file too.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -102,7 +102,8 @@ pub(crate) fn entry(i: u64, requested: Assignment, outcome: Outcome) -> Entry {
     }
 }
 
-/// P(success) = logistic(-1 + 6 friction - 2 mass). Light objects are missed, heavy ones lost, and some episodes collide.
+/// P(success) = logistic(-1 + 6 friction - 2 mass). Light objects are missed, heavy ones lost, and some episodes
+/// collide.
 pub(crate) fn outcome(i: u64, requested: &Assignment) -> Outcome {
     let friction = requested.number("friction").unwrap();
     let mass = requested.number("mass_kg").unwrap();

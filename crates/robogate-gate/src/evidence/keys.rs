@@ -69,8 +69,8 @@ impl PrivateKey {
         Ok(Self(key))
     }
 
-    /// Writes the private key to `path`, readable only by its owner, and the public key to `path` with the suffix `.pub`.
-    /// Returns the path of the public key. Existing files are not overwritten.
+    /// Writes the private key to `path`, readable only by its owner, and the public key to `path` with the suffix
+    /// `.pub`. Returns the path of the public key. Existing files are not overwritten.
     pub fn write_new(&self, path: &Path) -> Result<PathBuf, EvidenceError> {
         let mut public = path.as_os_str().to_owned();
         public.push(".pub");

@@ -28,8 +28,8 @@ struct Statement<'a> {
 
 /// The bytes of the test-result statement.
 ///
-/// The predicate has the results PASSED, WARNED and FAILED. Only a pass is PASSED. An undecided gate has shown nothing, so
-/// a tool that looks for failures must find one.
+/// The predicate has the results PASSED, WARNED and FAILED. Only a pass is PASSED. An undecided gate has shown nothing,
+/// so a tool that looks for failures must find one.
 pub(super) fn test_result(manifest: &Manifest, manifest_sha256: &str, evaluation: &Evaluation) -> String {
     let ids = |met: bool| -> Vec<&str> {
         let results = evaluation.results.iter().map(|result| (result.id.as_str(), result.status));

@@ -51,8 +51,8 @@ pub enum Signed {
     },
 }
 
-/// Verifies a folder of evidence: all files against the manifest, evaluation and verdict against the rows, statements and
-/// signatures against both.
+/// Verifies a folder of evidence: all files against the manifest, evaluation and verdict against the rows, statements
+/// and signatures against both.
 ///
 /// With `trusted`, the folder must be signed by that key. Returns all problems, each with its file.
 pub fn verify(folder: &Path, trusted: Option<&PublicKey>) -> Result<Verified, Vec<Problem>> {

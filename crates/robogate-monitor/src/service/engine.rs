@@ -70,8 +70,8 @@ pub struct ServiceEngine {
 pub struct Handle(SyncSender<Job>);
 
 impl ServiceEngine {
-    /// Starts the thread. `say` receives a message when cycles are refused because the store failed, and when they are accepted
-    /// again.
+    /// Starts the thread. `say` receives a message when cycles are refused because the store failed, and when they are
+    /// accepted again.
     pub fn open(intake: Intake, say: impl Fn(&str) + Send + 'static) -> Self {
         let (sender, receiver) = sync_channel(WAITING);
         let mut health = Health { failed: None, probed: None, say: Box::new(say) };

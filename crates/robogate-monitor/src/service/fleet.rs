@@ -34,7 +34,8 @@ pub struct FleetStatus {
     pub all: RateStatus,
     /// The number of robots.
     pub robots_known: usize,
-    /// Each robot over all its recipes, the lowest success rate first. Recipes differ, so robots are compared in `recipes` only.
+    /// Each robot over all its recipes, the lowest success rate first. Recipes differ, so robots are compared in
+    /// `recipes` only.
     pub robots: Vec<RobotStatus>,
     /// Recipes with more than one robot, the most severe first, then the busiest.
     pub recipes: Vec<RecipeFleet>,
@@ -56,8 +57,8 @@ pub struct RecipeFleet {
     pub recipe: String,
     /// The spread. `None` if all cycles have the same outcome.
     pub spread: Option<SpreadStatus>,
-    /// Robots that differ significantly from their peers, the smallest p-value first, at the level 0.05 over all robots of the
-    /// recipe. Empty for fewer than four robots.
+    /// Robots that differ significantly from their peers, the smallest p-value first, at the level 0.05 over all robots
+    /// of the recipe. Empty for fewer than four robots.
     pub outliers: Vec<OutlierStatus>,
     /// Its robots, the lowest success rate first.
     pub robots: Vec<RobotStatus>,
@@ -128,7 +129,8 @@ fn together(a: Trials, b: Trials) -> Trials {
 }
 
 impl FleetStatus {
-    /// Compares the robots. A recipe with a thousand robots takes up to a second, so the engine's thread does not call this.
+    /// Compares the robots. A recipe with a thousand robots takes up to a second, so the engine's thread does not call
+    /// this.
     pub(super) fn of(tallies: &Tallies) -> Self {
         let robots = tallies.robots.iter().map(|(robot, trials)| (robot.as_str(), *trials));
         Self {

@@ -10,9 +10,9 @@
 //! | `GET /healthz` | 200 while cycles can be written |
 //! | `GET /` | the page |
 //!
-//! Without a token, only this machine may connect: the address must be a loopback address, requests must name it as their
-//! host, and pages of other sites may not post. With a token, all paths except `/` (which contains no data) and `/healthz`
-//! require it.
+//! Without a token, only this machine may connect: the address must be a loopback address, requests must name it as
+//! their host, and pages of other sites may not post. With a token, all paths except `/` (which contains no data) and
+//! `/healthz` require it.
 //!
 //! A slow client only occupies one of many connections: request heads, bodies and whole connections have time limits.
 
@@ -105,8 +105,8 @@ pub enum HttpError {
     },
 }
 
-/// Serves until `stop` receives a message or is dropped. `listening` receives the address, whose port the system may have
-/// chosen.
+/// Serves until `stop` receives a message or is dropped. `listening` receives the address, whose port the system may
+/// have chosen.
 ///
 /// # Errors
 /// If the server cannot start.

@@ -279,7 +279,8 @@ impl Intake {
     fn sweep(&mut self) -> Result<(), StoreError> {
         let Some(up_to) = self.store.too_old(self.newest) else { return Ok(()) };
         let mut behind = self.behind(up_to);
-        // Deletes a few at a time, so that no sender waits for a thousand deletions. The rest follows with the next batches.
+        // Deletes a few at a time, so that no sender waits for a thousand deletions. The rest follows with the next
+        // batches.
         let whole = behind.len() <= STATES_AT_ONCE;
         behind.truncate(STATES_AT_ONCE);
         self.keep_recipes(behind)?;

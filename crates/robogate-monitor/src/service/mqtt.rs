@@ -1,8 +1,8 @@
 //! MQTT 3.1.1: subscribes to cycles on one topic and publishes alarms on another.
 //!
-//! The payload has the format of `POST /v1/cycles`. A message is acknowledged to the broker (quality of service 1) after its
-//! cycles are on disk. If the monitor is killed before that, the broker sends the message again; known cycles are not counted
-//! twice.
+//! The payload has the format of `POST /v1/cycles`. A message is acknowledged to the broker (quality of service 1)
+//! after its cycles are on disk. If the monitor is killed before that, the broker sends the message again; known cycles
+//! are not counted twice.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -94,7 +94,8 @@ impl Broker {
     }
 }
 
-/// Processes a message, and waits while the store fails. Returns false on shutdown, when the broker must keep the message.
+/// Processes a message, and waits while the store fails. Returns false on shutdown, when the broker must keep the
+/// message.
 fn keep(engine: &Handle, message: &Publish, end: &AtomicBool, problem: &impl Fn(&str)) -> bool {
     while !end.load(Ordering::Acquire) {
         match engine.take(message.payload.to_vec()) {

@@ -1,5 +1,5 @@
-//! Alarm outputs. Each output stores its own position in the list of alarms on disk, so no alarm is lost during an outage. If
-//! the monitor is killed, at most the last alarm is delivered twice.
+//! Alarm outputs. Each output stores its own position in the list of alarms on disk, so no alarm is lost during an
+//! outage. If the monitor is killed, at most the last alarm is delivered twice.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -32,8 +32,8 @@ pub struct Output {
 }
 
 impl Output {
-    /// Starts an output. `name` identifies it in the store. `problem` receives a message about each failed delivery, which is
-    /// retried.
+    /// Starts an output. `name` identifies it in the store. `problem` receives a message about each failed delivery,
+    /// which is retried.
     ///
     /// A new output begins with the next alarm, so start it before cycles arrive.
     ///

@@ -1,8 +1,8 @@
 //! The store: cycles, the state of each recipe, and alarms in one SQLite file.
 //!
-//! SQLite writes a write-ahead log that is synced at each commit (`synchronous = FULL`). A completed commit survives the end of
-//! the process and a power failure. A recipe's state is written from time to time, with the number of the last cycle in it.
-//! After a restart, later cycles are processed again, which gives an identical state.
+//! SQLite writes a write-ahead log that is synced at each commit (`synchronous = FULL`). A completed commit survives
+//! the end of the process and a power failure. A recipe's state is written from time to time, with the number of the
+//! last cycle in it. After a restart, later cycles are processed again, which gives an identical state.
 
 use std::path::Path;
 

@@ -62,8 +62,8 @@ fn all_metrics_together_reach_the_bound() {
     assert!(found.mean >= 200.0 - 3.0 * found.se, "{found:?}");
 }
 
-/// Drops from 0.95 to 0.92, 0.90 and 0.85, at the mean run length of the paper's critical rule (about 98,000 cycles). The
-/// detector's limit is chosen so that its guaranteed bound, which is below its mean run length, is less than that.
+/// Drops from 0.95 to 0.92, 0.90 and 0.85, at the mean run length of the paper's critical rule (about 98,000 cycles).
+/// The detector's limit is chosen so that its guaranteed bound, which is below its mean run length, is less than that.
 #[test]
 fn detection_is_no_later_than_paper_rule() {
     let question =

@@ -29,8 +29,8 @@ pub struct Profile {
     pub instruction: Option<String>,
     /// Wire format of the server.
     pub dialect: Dialect,
-    /// Width and height in pixels at which the cameras of the cell are rendered. Default 256. Models that were trained on
-    /// small images should not receive downsampled ones, because those are smoother.
+    /// Width and height in pixels at which the cameras of the cell are rendered. Default 256. Models that were trained
+    /// on small images should not receive downsampled ones, because those are smoother.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rendered_px: Option<usize>,
     /// Images, in the order in which they are sent.

@@ -23,8 +23,8 @@ pub struct Camera {
     /// Filter for resampling.
     #[serde(default)]
     pub filter: Filter,
-    /// Whether the image is rotated by 180 degrees. Images of LIBERO are upside down, and its models were trained on rotated
-    /// images.
+    /// Whether the image is rotated by 180 degrees. Images of LIBERO are upside down, and its models were trained on
+    /// rotated images.
     #[serde(default)]
     pub turned: bool,
     /// Fraction of width and height that a centre crop keeps, before resizing.
@@ -173,7 +173,8 @@ impl Part {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tool {
-    /// Offset added to the position of the tool, in metres: the position of the robot's base in the model's world frame.
+    /// Offset added to the position of the tool, in metres: the position of the robot's base in the model's world
+    /// frame.
     #[serde(default)]
     pub shift_m: [f64; 3],
     /// Tool frame of the model relative to that of the cell, as roll, pitch and yaw in radians.

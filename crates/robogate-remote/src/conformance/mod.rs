@@ -57,8 +57,8 @@ impl Report {
 
 /// Scenarios for the conformance tests of a server with this task.
 ///
-/// Each declared parameter has its value in `base`, or one sampled from `space`, or its nominal value. A parameter with none
-/// of these is left out. `base` may only contain values that the task accepts.
+/// Each declared parameter has its value in `base`, or one sampled from `space`, or its nominal value. A parameter with
+/// none of these is left out. `base` may only contain values that the task accepts.
 pub fn scenarios(
     task: &TaskSpec,
     space: Option<&Arc<ParameterSpace>>,

@@ -23,8 +23,8 @@ pub struct ResetRequest<C> {
 
 /// Reply to `reset`.
 ///
-/// A server that scores itself sends `applied`, and `instance` if the episode has its own instruction or details. Any other
-/// server sends `readback` of type `R` and a sample of type `S`.
+/// A server that scores itself sends `applied`, and `instance` if the episode has its own instruction or details. Any
+/// other server sends `readback` of type `R` and a sample of type `S`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(bound(deserialize = "R: DeserializeOwned, S: DeserializeOwned"))]
 pub struct ResetReply<R, S> {

@@ -1,5 +1,5 @@
-//! Tests of remote environments: an episode has the same result as in this process, or it is invalid. No call waits longer
-//! than its timeout.
+//! Tests of remote environments: an episode has the same result as in this process, or it is invalid. No call waits
+//! longer than its timeout.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 

@@ -100,8 +100,8 @@ fn scale(axis: &Axis, to: [f64; 2]) -> Scale {
     if axis.log { Scale::log(ends, to) } else { Scale::linear(ends, to) }
 }
 
-/// The visible parts of the curve and its band: inside the observed ranges, where the exact interval is bounded. One more
-/// point on each side extends them to the edge. They are split at the pole.
+/// The visible parts of the curve and its band: inside the observed ranges, where the exact interval is bounded. One
+/// more point on each side extends them to the edge. They are split at the pole.
 pub(crate) fn drawable(frontier: &Frontier) -> Vec<Vec<(&FrontierPoint, [f64; 2])>> {
     let curve = &frontier.curve;
     let near = |i: usize| (i.saturating_sub(1)..=(i + 1).min(curve.len() - 1)).any(|j| curve[j].observed);

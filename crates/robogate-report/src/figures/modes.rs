@@ -23,8 +23,8 @@ pub(super) fn short_label(mode: &str) -> String {
     cut(&mode_label(mode), MAX_LABEL)
 }
 
-/// Draws the modes and their colours on one or more lines, from `top` up to the width `right`. Returns the height of the
-/// lines after the first.
+/// Draws the modes and their colours on one or more lines, from `top` up to the width `right`. Returns the height of
+/// the lines after the first.
 pub(super) fn mode_legend(svg: &mut Svg, modes: &[&str], right: f64, top: f64) -> f64 {
     let (mut x, mut y) = (0.0, top);
     for (i, mode) in modes.iter().enumerate() {

@@ -1,8 +1,8 @@
 //! Gate evaluations as JUnit XML, which CI systems display.
 //!
-//! One test suite has a case for each requirement, another one for each scenario group. A violated requirement is a failure.
-//! An undecided requirement, or one without evidence, is an error. Groups never fail, because a requirement can be set for a
-//! group. The file has no failure and no error exactly if the gate passes.
+//! One test suite has a case for each requirement, another one for each scenario group. A violated requirement is a
+//! failure. An undecided requirement, or one without evidence, is an error. Groups never fail, because a requirement
+//! can be set for a group. The file has no failure and no error exactly if the gate passes.
 //!
 //! Every element has an end tag, so the HTML template writes well-formed XML.
 

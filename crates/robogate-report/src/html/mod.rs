@@ -14,8 +14,8 @@ const SCRIPT: &str = include_str!("script.js");
 
 /// The analysis as one self-contained page. Equal analyses give equal bytes.
 ///
-/// It makes no network request, works without scripts, can be printed, and has a light and a dark theme. Text from data is
-/// escaped.
+/// It makes no network request, works without scripts, can be printed, and has a light and a dark theme. Text from data
+/// is escaped.
 pub fn html(analysis: &Analysis) -> String {
     page(&analysis_document(analysis))
 }

@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use maud::{Escaper, Render};
 
-/// Prepares a text for a page: a percent sign stays on the line of its number, and characters that XML does not allow are
-/// replaced. The template escapes markup.
+/// Prepares a text for a page: a percent sign stays on the line of its number, and characters that XML does not allow
+/// are replaced. The template escapes markup.
 pub(crate) struct Prose<'a>(&'a str);
 
 /// A text for a page.

@@ -70,7 +70,8 @@ pub(crate) struct Gate {
     policy: PolicyArguments,
     #[command(flatten)]
     how: How,
-    /// Write the run to this folder (default: a new one under runs/); with --run, write only the verdict's files (default: none)
+    /// Write the run to this folder (default: a new one under runs/); with --run, write only the verdict's files
+    /// (default: none)
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }

@@ -13,11 +13,11 @@ use crate::terminal::{foreign, grouped, note};
 
 /// Import the results of another tool as a dictionary (Parquet).
 ///
-/// Reads LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON dictionaries, and tables with one row per
-/// episode: CSV, JSON Lines or Parquet, including those of `robogate export`. The table columns success, failure_mode,
-/// failure_type, cycle_time_s, error, seed, case, category and group are recognised by name. Every other column is a
-/// parameter, unless the mapping assigns it another role (`--map flag.jammed=jam_detected`). Every word is accepted as a failure
-/// mode. Episodes that ended with an error become invalid episodes, not failures.
+/// Reads LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON dictionaries, and tables with one
+/// row per episode: CSV, JSON Lines or Parquet, including those of `robogate export`. The table columns success,
+/// failure_mode, failure_type, cycle_time_s, error, seed, case, category and group are recognised by name. Every other
+/// column is a parameter, unless the mapping assigns it another role (`--map flag.jammed=jam_detected`). Every word is
+/// accepted as a failure mode. Episodes that ended with an error become invalid episodes, not failures.
 #[derive(Debug, Args)]
 pub(crate) struct Import {
     /// File with the results
@@ -27,7 +27,8 @@ pub(crate) struct Import {
     /// Set the format of the results; default: detected from their content
     #[arg(long)]
     format: Option<Layout>,
-    /// Read the roles of the columns from this TOML file: success = "ok", and the tables parameters, flags, failure_modes, about
+    /// Read the roles of the columns from this TOML file: success = "ok", and the tables parameters, flags,
+    /// failure_modes, about
     #[arg(long, value_name = "FILE")]
     mapping: Option<PathBuf>,
     /// Set roles of columns: success=ok,cycle_time_s=duration,parameter.mass_kg=mass

@@ -19,7 +19,8 @@ pub(crate) struct Rank {
     /// Folders or dictionaries of runs; NAME=PATH sets the displayed name
     #[arg(required = true, value_name = "RUN")]
     runs: Vec<String>,
-    /// Choose the requirements that define the score: a built-in set or a TOML file; default: paper for pick_place, otherwise default
+    /// Choose the requirements that define the score: a built-in set or a TOML file; default: paper for pick_place,
+    /// otherwise default
     #[arg(long, value_name = "NAME|FILE")]
     requirements: Option<String>,
     /// Compare the score with this baseline; default: the built-in one of the suite and the robot

@@ -19,8 +19,8 @@ pub(crate) struct Report {
     /// Choose the format of the page
     #[arg(long, value_name = "FORMAT", default_value = "html")]
     format: Form,
-    /// Write to this file, - for stdout; default: report.html, .md or .json in the run's folder, or in the current folder
-    /// for a file
+    /// Write to this file, - for stdout; default: report.html, .md or .json in the run's folder, or in the current
+    /// folder for a file
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Map two more parameters; the first is on the vertical axis

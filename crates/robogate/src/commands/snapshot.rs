@@ -192,8 +192,8 @@ impl Snapshot {
     }
 }
 
-/// Runs an episode and passes on the images at these times (ascending, in seconds). If the episode ends first, it passes
-/// on the last images. Returns the time of the last images.
+/// Runs an episode and passes on the images at these times (ascending, in seconds). If the episode ends first, it
+/// passes on the last images. Returns the time of the last images.
 fn watch(
     worker: &mut Worker,
     scenario: &Scenario,

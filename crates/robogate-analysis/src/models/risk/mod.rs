@@ -1,9 +1,9 @@
 //! The risk model: P(failure) from all parameters, with categorical ones coded as penalties.
 //!
 //! The paper's model has this form but does not define the penalties. Here the penalty of a level is its failure rate,
-//! shrunk towards the overall rate with the weight of ten episodes: (f + 10 p) / (n + 10), with f failures in n episodes of
-//! the level and the overall rate p, from training rows only. In cross-validation, the penalties of each fold come from
-//! the other folds.
+//! shrunk towards the overall rate with the weight of ten episodes: (f + 10 p) / (n + 10), with f failures in n
+//! episodes of the level and the overall rate p, from training rows only. In cross-validation, the penalties of each
+//! fold come from the other folds.
 //!
 //! Limitation: in sample, the penalties are computed from the outcomes that they predict. The standard errors of their
 //! coefficients are then too small, and the in-sample AUC is too high. The cross-validated figures have no such bias.
@@ -40,7 +40,8 @@ const FOLDS: usize = 5;
 /// P(failure) from the parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RiskModel {
-    /// Whether its features are those of the paper's model. Otherwise the same form is fitted to the dataset's parameters.
+    /// Whether its features are those of the paper's model. Otherwise the same form is fitted to the dataset's
+    /// parameters.
     pub paper_features: bool,
     /// The regression with coefficients per standard deviation. A positive one raises the probability of failure.
     pub regression: Regression,

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::table::ParameterColumn;
 
-/// A logistic model of P(failure) in the parameters' own units: p = 1 / (1 + exp(-(intercept + Σ coefficient · x))), where x is
-/// the value of a numeric parameter or the penalty of a categorical one.
+/// A logistic model of P(failure) in the parameters' own units: p = 1 / (1 + exp(-(intercept + Σ coefficient · x))),
+/// where x is the value of a numeric parameter or the penalty of a categorical one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Scoring {
     /// Log-odds of failure at x = 0.

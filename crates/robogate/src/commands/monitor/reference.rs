@@ -20,9 +20,9 @@ const NEAR: f64 = 0.02;
 
 /// Write the reference file of a run: baseline, envelope and risk model.
 ///
-/// The file contains the counts of successes and failure modes, the range or the categories of each parameter in the valid episodes,
-/// and the risk model with the covariance of its coefficients. An end of the operating range counts as validated if an episode
-/// came within 2 % of the range to it.
+/// The file contains the counts of successes and failure modes, the range or the categories of each parameter in the
+/// valid episodes, and the risk model with the covariance of its coefficients. An end of the operating range counts as
+/// validated if an episode came within 2 % of the range to it.
 #[derive(Debug, Args)]
 pub(super) struct ReferenceOf {
     /// Folder of a run, or a dictionary

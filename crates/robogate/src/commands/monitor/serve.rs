@@ -30,9 +30,9 @@ const LONGEST_LINE: usize = 1 << 20;
 
 /// Ingest cycle records and raise alarms.
 ///
-/// Cycles come from a file or pipe (JSON Lines), by HTTP (POST /v1/cycles) or by MQTT. Alarms go to stdout as JSON Lines, and optionally to
-/// webhooks and MQTT. Acknowledged cycles are in the store. With only a file or pipe, the command ends with it: exit
-/// code 1 if a critical alarm is active, 4 if there was no cycle.
+/// Cycles come from a file or pipe (JSON Lines), by HTTP (POST /v1/cycles) or by MQTT. Alarms go to stdout as JSON
+/// Lines, and optionally to webhooks and MQTT. Acknowledged cycles are in the store. With only a file or pipe, the
+/// command ends with it: exit code 1 if a critical alarm is active, 4 if there was no cycle.
 #[derive(Debug, Args)]
 pub(super) struct Serve {
     /// Read cycles from this file or pipe as JSON Lines, - for stdin
@@ -40,7 +40,8 @@ pub(super) struct Serve {
     /// Store cycles, statistics and alarms in this SQLite file; default: in memory
     #[arg(long, value_name = "FILE")]
     store: Option<PathBuf>,
-    /// Serve HTTP at this address, for example 127.0.0.1:7380: /v1/cycles, /v1/status, /metrics, /healthz and the page at /
+    /// Serve HTTP at this address, for example 127.0.0.1:7380: /v1/cycles, /v1/status, /metrics, /healthz and the page
+    /// at /
     #[arg(long, value_name = "ADDRESS", requires = "store")]
     listen: Option<SocketAddr>,
     /// Read the bearer token from this file; required if other machines can connect

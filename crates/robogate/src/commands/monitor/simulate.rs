@@ -12,8 +12,8 @@ use crate::terminal::{bold, dim, line};
 
 /// Simulate false-alarm rates and detection delays.
 ///
-/// Prints false alarms per day and detection delays of the paper's rule and of the failure-rate detector, from simulated
-/// streams of independent cycles.
+/// Prints false alarms per day and detection delays of the paper's rule and of the failure-rate detector, from
+/// simulated streams of independent cycles.
 #[derive(Debug, Args)]
 pub(super) struct Simulate {
     /// Set the true success rate before a change, in (0, 1)
