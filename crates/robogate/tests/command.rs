@@ -203,7 +203,7 @@ fn finished_and_damaged_runs_are_rejected() {
 }
 
 #[test]
-fn suite_rows_do_not_depend_on_threads() {
+fn suite_rows_ignore_thread_count() {
     let dir = TempDir::new().unwrap();
     let suite = path(&dir, "two.toml");
     let text = r#"

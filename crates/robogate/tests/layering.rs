@@ -124,7 +124,7 @@ const MAY_NAME_THEM: &[&str] = &[
 ];
 
 #[test]
-fn vocabulary_of_a_task_stays_in_its_folder() {
+fn task_vocabulary_stays_in_its_folder() {
     let crates = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut files = Vec::new();
     for entry in fs::read_dir(&crates).unwrap() {

@@ -101,7 +101,7 @@ fn exit_code_reports_a_critical_alarm() {
 }
 
 #[test]
-fn empty_feeds_and_bad_settings_are_errors() {
+fn bad_feeds_and_settings_are_errors() {
     let dir = tempfile::tempdir().unwrap();
     let (empty, settings) = (path(&dir, "empty.jsonl"), path(&dir, "monitor.toml"));
     fs::write(&empty, "\nno cycle\n").unwrap();

@@ -82,7 +82,7 @@ fn outcomes(run: &str) -> Vec<String> {
 }
 
 #[test]
-fn a_policy_server_is_checked_run_and_replayed() {
+fn policy_servers_are_checked_and_replayed() {
     let dir = TempDir::new().unwrap();
     let profile = profile(&dir, "pi0-libero", &TEN);
     let (listener, url) = listener();
@@ -165,8 +165,8 @@ fn a_run_is_resumed_after_a_server_stopped() {
     assert_exit(&["resume", &run, "--threads", "1"], 0, &[]);
     let outcomes = outcomes(&run);
     let invalid: Vec<usize> = (0..outcomes.len()).filter(|i| outcomes[*i] == "invalid").collect();
-    // Resume does not repeat invalid episodes. The thread may finish one more and wait with it, and begin another,
-    // before it learns that ten were lost.
+    // Resume does not repeat invalid episodes. The thread may finish one more and wait with it, and begin another, before it
+    // learns that ten were lost.
     assert_eq!(outcomes.len(), 24);
     assert!((10..=12).contains(&invalid.len()), "{outcomes:?}");
     assert!(invalid[0] > 0 && invalid.windows(2).all(|pair| pair[1] == pair[0] + 1), "{outcomes:?}");

@@ -59,7 +59,7 @@ fn reweighting_recovers_the_operating_rate() {
 }
 
 #[test]
-fn focused_rows_do_not_estimate_operating_space() {
+fn focused_rows_are_not_operating_rates() {
     let space = space(&["box"]);
     let analysis = analysed(&space, focused(500, 0));
     assert_eq!(analysis.population, Population::FocusedDesign);
@@ -90,7 +90,7 @@ fn frontier_follows_the_law() {
 }
 
 #[test]
-fn suites_do_not_estimate_operating_space() {
+fn suites_are_not_operating_rates() {
     let space = space(&["box"]);
     let of_a_suite = |mut entry: robogate_dictionary::Entry| {
         "suite".clone_into(&mut entry.stage);

@@ -14,14 +14,14 @@ fn of_stage(stage: &str) -> (Headline, String) {
 }
 
 #[test]
-fn focused_rows_do_not_estimate_operating_space() {
+fn focused_rows_are_not_operating_rates() {
     let (headline, limit) = of_stage("boundary");
     assert!(headline.answer.contains("not the operating space"));
     assert!(limit.contains("No rate here applies to the operating space"));
 }
 
 #[test]
-fn suites_do_not_estimate_operating_space() {
+fn suites_are_not_operating_rates() {
     let (headline, limit) = of_stage("suite");
     assert!(headline.answer.contains("not the operating space"));
     assert!(limit.contains("No rate here applies to an operating space"));
