@@ -240,7 +240,7 @@ class TheServer(unittest.TestCase):
                 check(other)
 
     def test_rejects_unsupported_robots(self):
-        with self.assertRaisesRegex(Problem, "fingers"):
+        with self.assertRaisesRegex(Problem, "expected a parallel gripper"):
             Robot.read(FOLDER.parent / "ur5e")
         with self.assertRaisesRegex(Problem, "robot.toml"):
             Robot.read(HERE)
