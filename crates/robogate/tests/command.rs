@@ -145,7 +145,7 @@ fn wrong_arguments_are_usage_errors() {
         fs::write(&path, content).unwrap();
         path
     };
-    run("-n", "0", &["expected at least 1 episode"]);
+    run("-n", "0", &["at least one episode"]);
     run("--robot", "r2d2", &["unknown robot `r2d2`", "franka"]);
     run("--engine", "ode", &["no such engine", "mujoco"]);
     assert_usage(&["run", "--out", &out, "--engine", "rapier", "--renderer", "egl"], &["--engine mujoco", "rapier"]);
