@@ -72,7 +72,10 @@ fn typing_errors_are_located() {
             "cannot be combined with",
         ),
         (one("point\"\nconfidence = 95\n#", "metric = \"failure:grip_loss\"\nat_most = 0.1"), "write 95 % as 0.95"),
-        (one("point", "metric = \"failure:grip_loss\"\nat_most = 0.1\n[budget]\nrounds = 0"), "from 1 to"),
+        (
+            one("point", "metric = \"failure:grip_loss\"\nat_most = 0.1\n[budget]\nrounds = 0"),
+            "`budget.rounds` is 0; expected 1 to",
+        ),
     ] {
         let text = refused(&toml);
         assert!(text.contains(problem), "{toml}\n{text}");

@@ -60,7 +60,7 @@ fn changed_failure_mix_is_detected() {
     let critical = found.iter().find(|a| a.level == Level::Critical).unwrap();
     assert_eq!(critical.metric, Metric::FailureModes);
     assert!(critical.what.starts_with("`timeout` is"), "{}", critical.what);
-    assert!(critical.look_at.iter().any(|text| text.contains("`timeout` grew")));
+    assert!(critical.look_at.iter().any(|text| text.contains("`timeout` increased")));
 }
 
 /// Successful cycles of a cell whose gate observed 2 % failures. After cycle 1,000 the mass is sampled from `mass_kg`.
