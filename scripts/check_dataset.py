@@ -1,9 +1,9 @@
-"""Reads a dataset of `robogate demos` with LeRobot's own package and says what it finds; exit code 1 if something is wrong.
+"""Checks a dataset of `robogate demos` with LeRobot's own package; exit code 1 if there is a problem.
 
     pip install lerobot==0.4.4
     python scripts/check_dataset.py runs/demos
 
-No part of the tests: the package and what it needs take gigabytes.
+Not part of the tests, because the package and its dependencies take gigabytes.
 """
 
 import json
@@ -31,9 +31,9 @@ def main(folder):
     demand(dataset.num_episodes == info["total_episodes"], "the number of episodes")
     demand(len(dataset) == dataset.num_frames == info["total_frames"], "the number of frames")
     cameras = [name for name, feature in info["features"].items() if feature["dtype"] == "image"]
-    demand(len(cameras) > 0, "no pictures")
+    demand(len(cameras) > 0, "no images")
 
-    # Every frame as a training run gets it: pictures decoded, the next actions beside, nothing beyond an episode's end.
+    # Reads every frame as a training run does: decoded images, the next actions, nothing beyond the end of an episode.
     frames, sums = 0, {camera: 0.0 for camera in cameras}
     for batch in DataLoader(dataset, batch_size=32):
         frames += len(batch["index"])
@@ -50,7 +50,7 @@ def main(folder):
         demand(all(task in dataset.meta.tasks.index for task in batch["task"]), "a task that is not in meta/tasks")
     demand(frames == len(dataset), "frames are missing")
 
-    # What the dataset says of itself against what LeRobot finds in it.
+    # Compares the stored statistics with those that are computed from the frames.
     stats = dataset.meta.stats
     for camera in cameras:
         demand(close(stats[camera]["mean"], sums[camera] / frames), f"the mean of {camera}")

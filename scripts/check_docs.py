@@ -2,10 +2,10 @@
 
 Usage: python3 scripts/check_docs.py
 
-- Every relative link names a file or folder that git tracks (or that is new and not ignored), and every `#anchor` a heading.
-- Every page below docs/ stands in docs/SUMMARY.md, and SUMMARY.md names pages that exist.
+- Every relative link points to a file or folder that git tracks (or that is new and not ignored), and every `#anchor` to a heading.
+- Every page below docs/ is listed in docs/SUMMARY.md, and SUMMARY.md names pages that exist.
 
-Exit code 1 where something is wrong; each problem is one line `FILE:LINE: PROBLEM`.
+Exit code 1 if there are problems; each problem is one line `FILE:LINE: PROBLEM`.
 """
 
 import re
@@ -46,7 +46,7 @@ def lines(text):
 
 
 def slug(heading):
-    """The anchor that GitHub and mdBook give a heading."""
+    """The anchors that GitHub and mdBook generate for headings."""
     text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).replace("`", "").replace("*", "")
     text = unicodedata.normalize("NFC", text.strip().lower())
     kept = "".join(c for c in text if c.isalnum() or c in " -_")
@@ -90,7 +90,7 @@ def main():
             path, _, anchor = target.partition("#")
             file = (page.parent / unquote(path)).resolve() if path else page
             if file not in files and file not in folders:
-                problems.append(f"{where}: the link `{target}` names no file of the repository")
+                problems.append(f"{where}: the link `{target}` points to no file of the repository")
             elif anchor and file in known and anchor not in known[file]:
                 problems.append(f"{where}: `{file.relative_to(ROOT)}` has no heading `#{anchor}`")
     summary = ROOT / "docs/SUMMARY.md"

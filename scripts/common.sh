@@ -1,8 +1,8 @@
 # shellcheck shell=bash
 # Shared by scripts and .ci/run: source it from the root of the repository.
 
-# rust-toolchain.toml pins a release. Where the default toolchain is that release under another name, use it: nothing has to be
-# downloaded then.
+# rust-toolchain.toml pins a release. If the default toolchain is that release under another name, use it, so that nothing is
+# downloaded.
 pin=$(sed -n 's/^channel = "\(.*\)"$/\1/p' rust-toolchain.toml)
 if [ -z "${RUSTUP_TOOLCHAIN:-}" ] && command -v rustup > /dev/null && ! rustup toolchain list | grep -q "^$pin-"; then
     default=$(rustup default | cut -d ' ' -f 1)
@@ -12,7 +12,7 @@ if [ -z "${RUSTUP_TOOLCHAIN:-}" ] && command -v rustup > /dev/null && ! rustup t
 fi
 
 failed=()
-# Runs a step and goes on where it fails, so that one run reports all failures: step NAME COMMAND...
+# Runs a step and continues after a failure, so that one run reports all failures: step NAME COMMAND...
 step() {
     local name=$1
     shift
@@ -26,7 +26,7 @@ step() {
     fi
 }
 
-# Ends the script: lists the steps that failed. Exit code 1 where there is one.
+# Ends the script: lists the failed steps, with exit code 1 if there are any.
 finish() {
     if [ "${#failed[@]}" -gt 0 ]; then
         printf '\nfailed: %s\n' "${failed[@]}"
@@ -34,12 +34,12 @@ finish() {
     fi
 }
 
-# Whether a run may skip no test.
+# Whether skipped tests are failures.
 strict() {
     [ "${ROBOGATE_TESTS_STRICT:-}" = 1 ]
 }
 
-# Installs Debian packages, where that is possible. The caller checks whether the program came: debian PACKAGE...
+# Installs Debian packages, if possible. The caller checks whether the program is available: debian PACKAGE...
 debian() {
     if [ "$(id -u)" -eq 0 ] && command -v apt-get > /dev/null; then
         { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@"; } > /dev/null || true

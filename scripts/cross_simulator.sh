@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The scripted Franka on the same 2,000 scenarios in MuJoCo and in Rapier, scenario against scenario.
-# Usage: scripts/cross_simulator.sh [FOLDER]; a run that is there already is gone on with.
+# Runs the scripted Franka on the same 2,000 scenarios in MuJoCo and in Rapier, and compares them pair by pair.
+# Usage: scripts/cross_simulator.sh [FOLDER]. Existing runs are resumed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The comparison in docs/results/four-robots.md: 10,000 episodes on each built-in robot, then side by side.
-# Usage: scripts/four_robots.sh [FOLDER]; a run that is there already is gone on with.
+# Reproduces docs/results/four-robots.md: runs 10,000 episodes on each built-in robot and compares them.
+# Usage: scripts/four_robots.sh [FOLDER]. Existing runs are resumed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

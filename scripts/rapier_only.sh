@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# A build without MuJoCo: it links nothing that is not Rust but the C library, and runs a campaign.
+# Tests a build without MuJoCo: it must link no foreign library except the C library, and run a campaign.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -9,14 +9,14 @@ cargo build "${features[@]}"
 binary=${CARGO_TARGET_DIR:-target}/debug/robogate
 
 if ldd "$binary" | grep -v -E 'linux-vdso|ld-linux|libc\.|libm\.|libgcc_s\.|libpthread\.|libdl\.|librt\.'; then
-    echo "error: a build with Rapier alone links what stands above" >&2
+    echo "error: a build with Rapier only links the foreign libraries listed above" >&2
     exit 1
 fi
 out=$(mktemp -d)
 trap 'rm -rf "$out"' EXIT
 "$binary" run -n 30 --seed 1 --out "$out/run"
-# What this build cannot do it refuses by name, as wrong usage.
+# Unsupported requests are usage errors that name the missing feature.
 code=0
 "$binary" robots check franka 2> "$out/refused" || code=$?
 grep -q 'robots are checked with MuJoCo' "$out/refused" && [ "$code" = 2 ]
-echo "a build with Rapier alone runs a campaign, and links no foreign library"
+echo "a build with Rapier only runs a campaign and links no foreign library"

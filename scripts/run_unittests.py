@@ -1,4 +1,4 @@
-"""Runs the unittest suite in a folder, and records the skipped tests as the Rust tests do.
+"""Runs the unittest suite in a folder and records skipped tests, as the Rust tests do.
 
 Usage: run_unittests.py FOLDER [ARGUMENTS OF UNITTEST DISCOVERY...]
 

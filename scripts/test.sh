@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Installs what the tests need and runs all tests: Rust (with cargo-nextest where it is installed), documentation examples, and
-# the Python suites of bridges/. A failure does not stop the run; the end lists what failed and what was skipped, and why.
+# Installs the dependencies of the tests and runs all tests: Rust (with cargo-nextest if it is installed), documentation examples,
+# and the Python suites of bridges/. The run continues after failures, and lists failed and skipped tests at the end.
 #
-# Usage: scripts/test.sh [ARGUMENTS...]; arguments go to the Rust tests alone, for example `-p robogate-stats` or a part of a name.
+# Usage: scripts/test.sh [ARGUMENTS...]; arguments go to the Rust tests only, for example `-p robogate-stats` or a part of a name.
 #
 # ROBOGATE_TESTS_STRICT=1 makes a skipped test a failure; ROBOGATE_TESTS_OPTIONAL lists tools that may be missing even then.
-# The Python environments lie in the build folder. Their tests can use others: ROBOGATE_TEST_PYTHON, ROBOGATE_BRIDGE_PYTHON,
+# The Python environments are in the build folder. These variables select others: ROBOGATE_TEST_PYTHON, ROBOGATE_BRIDGE_PYTHON,
 # ROBOGATE_POLICY_PYTHON.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -20,7 +20,7 @@ if [ -z "${ROBOGATE_SKIPPED_FILE:-}" ]; then
 fi
 export ROBOGATE_SKIPPED_FILE
 
-# A suite that cannot run: skipped SUITE REASON.
+# Records a suite that cannot run: skipped SUITE REASON.
 skipped() {
     echo "skipped: $1: $2" | tee -a "$ROBOGATE_SKIPPED_FILE" >&2
     if strict; then
@@ -28,8 +28,8 @@ skipped() {
     fi
 }
 
-# The monitor is tested against a real MQTT broker and in a real browser; MuJoCo's own renderer draws by EGL, which Mesa has
-# without a GPU.
+# The monitor is tested with a real MQTT broker and a real browser. MuJoCo's renderer uses EGL, which Mesa provides without a
+# GPU.
 programs() {
     local missing=() program
     for program in mosquitto chromium; do
@@ -43,11 +43,11 @@ programs() {
     fi
 }
 
-# A Python environment in the build folder, made once for its requirements: environment NAME REQUIREMENTS...
+# Creates a Python environment in the build folder, once for its requirements: environment NAME REQUIREMENTS...
 environment() {
     local venv=$target/$1
     shift
-    # The marker is written last: an interrupted set-up is done again.
+    # The marker is written last, so an interrupted setup is repeated.
     if ! cat "$@" | cmp -s - "$venv/installed.txt"; then
         rm -rf "$venv"
         python3 -m venv "$venv" &&
@@ -66,11 +66,11 @@ python() {
     if environment "$@"; then
         export "$variable=$target/$1/bin/python"
     else
-        echo "note: the Python environment for $variable cannot be made" >&2
+        echo "note: the Python environment for $variable cannot be created" >&2
     fi
 }
 
-# cargo-nextest where it is installed, else cargo test: rust ARGUMENTS...
+# Runs cargo-nextest if it is installed, otherwise cargo test: rust ARGUMENTS...
 rust() {
     case " $* " in
         *" -p "* | *" --package "*) ;;
@@ -90,7 +90,7 @@ python ROBOGATE_BRIDGE_PYTHON bridges-venv bridges/common/requirements.txt
 
 step "Rust tests" rust "$@"
 if [ $# -eq 0 ]; then
-    # A feature of its own: the tests of MuJoCo's own renderer, with the same dependencies as above.
+    # The tests of MuJoCo's renderer, which need another feature, with the same dependencies as above.
     step "tests of the EGL renderer" rust --features robogate/egl --test egl
     step "documentation examples" cargo test --doc --no-fail-fast --workspace --locked
     if [ -n "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
@@ -98,13 +98,13 @@ if [ $# -eq 0 ]; then
     else
         skipped bridges/common "no Python with pyzmq and msgpack"
     fi
-    # Newton compiles its kernels once and keeps them in its environment.
+    # Newton compiles its kernels once and caches them in its environment.
     if bridges/common/setup.sh "$target/newton-venv" bridges/newton/requirements.txt; then
         step "bridges/newton" env ROBOGATE_NEWTON_VENV="$target/newton-venv" bridges/newton/test.sh
     else
         skipped bridges/newton "no Python with Newton"
     fi
-    # Isaac Sim itself is replaced by fakes of its classes.
+    # Fakes replace the classes of Isaac Sim.
     if bridges/common/setup.sh "$target/isaac-venv" bridges/isaac_sim/tests/requirements.txt; then
         step "bridges/isaac_sim" env ROBOGATE_ISAAC_TEST_VENV="$target/isaac-venv" bridges/isaac_sim/test.sh
     else

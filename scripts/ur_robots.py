@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Writes assets/robots/ur3e, ur5e and ur10e from Universal Robots' published figures.
+"""Writes assets/robots/ur3e, ur5e and ur10e from published data of Universal Robots.
 
 Kinematics: standard Denavit-Hartenberg parameters; masses and centres of mass: "DH parameters for
 calculations of kinematics and dynamics"; torques: "Max. joint torques"; speeds, reach and payload: the user
 manuals; inertias of the UR3e and UR5e: the manufacturer's ROS 2 description (off-diagonals left out).
 The UR10e's inertias are estimated as those of solid cylinders of the links' lengths, 0.075 m in radius
-(0.045 m for the last). Needs nothing beyond Python's own library.
+(0.045 m for the last). Needs only Python's standard library.
 """
 
 import math
@@ -16,7 +16,7 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 HOME = (0.0, -90.0, 90.0, -90.0, -90.0, 0.0)  # degrees
 
-# The suction tool: a plate on the flange, a stem, the cup. Its size and mass are choices of ours.
+# The suction tool: a plate on the flange, a stem, the cup. RoboGate chose its size and mass.
 TCP, CUP_LENGTH, CUP_RADIUS = 0.12, 0.02, 0.02
 
 ROBOTS = {
@@ -31,8 +31,8 @@ ROBOTS = {
         speed=(180, 180, 180, 360, 360, 360), torque=(56, 56, 28, 12, 12, 12),
         stiffness=(4500, 4500, 3500, 2000, 2000, 2000), damping=(300, 300, 250, 100, 100, 100),
         reach=0.5, payload=3.0,
-        # Radii: base (the footprint), shoulder and elbow, upper arm, forearm, wrist; and how far the
-        # middles of upper arm and forearm stand to the side.
+        # Radii: base (the footprint), shoulder and elbow, upper arm, forearm, wrist; and the lateral
+        # offsets of the middles of upper arm and forearm.
         base=0.064, joint=0.045, upper=0.037, fore=0.033, wrist=0.034, shoulder_offset=0.12, elbow_offset=0.027,
     ),
     "ur5e": dict(
@@ -75,7 +75,7 @@ def cylinder_inertia(mass, length, radius, axis):
 
 
 def estimated_inertia(robot):
-    """The accepted estimate; a link's long axis in its own frame is y, x, x, y, y, z."""
+    """Estimates the inertias as solid cylinders. The long axes of the links in their frames are y, x, x, y, y, z."""
     d, a = robot["d"], robot["a"]
     length = (d[0], -a[1], -a[2], d[3], d[4], d[5])
     return [
@@ -89,7 +89,7 @@ def tube(kind, name, start, end, radius):
 
 
 def shapes(robot, link):
-    """Collision shapes of a link in its Denavit-Hartenberg frame, which stands at the link's far end."""
+    """Collision shapes of a link in its Denavit-Hartenberg frame, which is at the far end of the link."""
     d, a = robot["d"], robot["a"]
     joint, wrist = robot["joint"], robot["wrist"]
     side, near = robot["shoulder_offset"], robot["elbow_offset"]
@@ -107,7 +107,7 @@ def shapes(robot, link):
         "forearm": [
             tube("capsule", "forearm", (fore, 0, near), (0, 0, near), robot["fore"]),
         ],
-        # Out to the side, then the housing whose axis is the next joint's.
+        # The lateral part, then the housing along the axis of the next joint.
         "wrist_1": [
             tube("capsule", "wrist_1", (0, -(d[3] - near), 0), (0, 0, 0), wrist),
         ],
@@ -137,7 +137,7 @@ def model(name, robot):
         put(f'<body name="{link}" pos="{text(a, 0, d)}"{quat}>')
         depth += 1
         put(f'<inertial mass="{text(robot["mass"][i])}" pos="{text(*robot["com"][i])}" diaginertia="{text(*inertia[i])}"/>')
-        # The joint turns about the z of the frame before: Rx(-alpha) z, through that frame's origin.
+        # The joint rotates about the z axis of the previous frame, Rx(-alpha) z, through its origin.
         axis, at = ((0, right, 0), (-a, -d * right, 0)) if right else ((0, 0, 1), (-a, 0, -d))
         limit = "elbow" if JOINTS[i] == "elbow" else "turn"
         put(f'<joint name="{JOINTS[i]}" class="{limit}" pos="{text(*(x + 0.0 for x in at))}" axis="{text(*axis)}"/>')

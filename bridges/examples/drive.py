@@ -1,18 +1,18 @@
-"""Drive `robogate serve` with tool deltas: pick up the object where it stands and carry it to the target.
+"""Control `robogate serve` with tool deltas: pick up the object and carry it to the target.
 
     robogate serve                                              # prints its address
     bridges/common/setup.sh .venv                               # once: a Python environment with pyzmq and msgpack
     .venv/bin/python bridges/examples/drive.py tcp://127.0.0.1:5570
 
-A proportional controller for the position of the tool. It knows what the task tells it (the nominal pose of the object and the
-target) and what it observes. Exit code 0 if every episode is a success.
+A proportional controller for the position of the tool. It uses the details of the task (nominal pose of the object, target) and the
+observations. Exit code 0 if every episode is a success.
 """
 
 import argparse
 import sys
 from pathlib import Path
 
-# The package of this repository, unless another one is installed.
+# Uses the package of this repository, unless another one is installed.
 sys.path.append(str(Path(__file__).resolve().parents[1] / "common"))
 
 try:
@@ -21,7 +21,7 @@ except ImportError as missing:
     sys.exit(f"error: {missing}. Run bridges/common/setup.sh .venv, then .venv/bin/python {sys.argv[0]}")
 
 ABOVE, GRASP, LIFT = 0.25, 0.025, 0.25  # heights of the tool above the table, in metres
-NEAR = 0.004  # distance to a way point at which it is reached, in metres
+NEAR = 0.004  # distance to a waypoint at which it is reached, in metres
 
 
 def unit(x):
@@ -29,7 +29,7 @@ def unit(x):
 
 
 class Controller:
-    """Follows way points. The gripper closes at the third and opens at the seventh."""
+    """Follows waypoints. The gripper closes at the third and opens at the seventh."""
 
     def __init__(self, details, scale):
         x, y, _ = details["object_pose"]["position"]

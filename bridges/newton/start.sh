@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # Sets up and starts the Newton server: bridges/newton/start.sh [--solver mujoco|steel] [--robot FOLDER] [--port N].
-# `--help` tells the rest. The first start takes a minute or two (packages, kernels), later ones some seconds.
+# `--help` lists all options. The first start takes one to two minutes (packages, kernels), later ones a few seconds.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 venv=${ROBOGATE_NEWTON_VENV:-$here/.venv}
 "$here/../common/setup.sh" "$venv" "$here/requirements.txt" >&2
-# Compiled kernels, kept from one start to the next.
+# The cache of compiled kernels, which is kept between starts.
 export WARP_CACHE_PATH=${WARP_CACHE_PATH:-$venv/kernels}
 export PYTHONPATH=$here${PYTHONPATH:+:$PYTHONPATH}
 exec "$venv/bin/python" -m robogate_newton "$@"

@@ -4,7 +4,7 @@ set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 export ROBOGATE_NEWTON_VENV=${ROBOGATE_NEWTON_VENV:-$here/.venv}
 "$here/../common/setup.sh" "$ROBOGATE_NEWTON_VENV" "$here/requirements.txt" >&2
-# As start.sh has it: the server that a test starts finds the kernels that the tests compiled.
+# The same cache as in start.sh, so that the server of a test finds the kernels that the tests compiled.
 export WARP_CACHE_PATH=${WARP_CACHE_PATH:-$ROBOGATE_NEWTON_VENV/kernels}
 export PYTHONPATH=$here${PYTHONPATH:+:$PYTHONPATH}
 exec "$ROBOGATE_NEWTON_VENV/bin/python" "$here/../../scripts/run_unittests.py" "$here/tests" "$@"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# From demonstrations to docs/results/learned-policy.md: record, train, find the failures, record there, train again, measure.
-# Usage: scripts/learned/run.sh [FOLDER]; what is there already is not done again.
+# Reproduces docs/results/learned-policy.md: record, train, find failures, record demonstrations of them, train again, measure.
+# Usage: scripts/learned/run.sh [FOLDER]. Steps with existing results are skipped.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
@@ -15,7 +15,7 @@ cargo build --release --locked -p robogate --features egl
 robogate=${CARGO_TARGET_DIR:-target}/release/robogate
 wide=scripts/learned/wide.toml
 
-# Runs what a folder is made by, unless it is there.
+# Runs the command that creates a folder, unless the folder exists.
 make() {
     local folder=$1
     shift
@@ -59,7 +59,7 @@ done
 if [ ! -f "$out/few-steel/summary.json" ]; then
     bridges/newton/start.sh --solver steel --port 5893 &
     trap "kill $!" EXIT
-    # The first start sets Newton up.
+    # The first start installs Newton.
     until (: < /dev/tcp/127.0.0.1/5893) 2> /dev/null; do sleep 2; done
     "$robogate" run --space learned --plan scripts/learned/few.toml --simulator tcp://127.0.0.1:5893 "${guest[@]}" --out "$out/few-steel"
 fi

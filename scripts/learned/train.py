@@ -1,13 +1,13 @@
-"""Clones the demonstrations of a dataset into a small visuomotor network and writes it as ONNX.
+"""Trains a small visuomotor network on demonstrations by behaviour cloning, and writes it as ONNX.
 
     robogate demos --out runs/demos -n 1000 --push 0.012
     python scripts/learned/train.py runs/demos --out policy.onnx
 
-The network sees the middle half of the front picture (48 x 48 pixels), the wrist picture (64 x 64), the arm's joints and the
-gripper's opening. It answers the next CHUNK actions: absolute joint positions and whether the gripper is open. On its way it says where the object
-stands, which the data tell (the expert knew); that makes it look there early in its training. Everything is seeded: on the same
-machine and with the same number of threads the same dataset gives the same network. Pictures are recoloured a little, and the
-joints that the network is shown are noisy, so that it looks at the pictures instead of continuing where the arm happens to go.
+The network observes the central half of the front image (48 x 48 pixels), the wrist image (64 x 64), the arm's joints and the
+gripper's opening. It predicts the next CHUNK actions: absolute joint positions and whether the gripper is open. An auxiliary output
+predicts the position of the object, which the dataset contains; this makes the network use the images early in its training. Everything is
+seeded: on the same machine with the same number of threads, the same dataset gives the same network. Brightness and contrast of the
+images vary slightly, and the observed joints are noisy, so that the network relies on the images instead of extrapolating the motion.
 """
 
 import argparse
@@ -25,19 +25,19 @@ from torch import nn
 from torch.nn import functional as F
 
 CHUNK = 10
-# Of each camera: the share of its picture's sides that is kept, and pixels a side after that.
+# For each camera: the fraction of the image's width and height that the crop keeps, and the side length after it in pixels.
 CAMERAS = {"front": (0.5, 48), "wrist": (1.0, 64)}
-# How far the tool moves for a radian of each joint, roughly, in metres; what a radian of the last joint is worth.
+# Approximate motion of the tool per radian of each joint, in metres. The value of the last joint is a weight.
 LEVER_M = (0.55, 0.6, 0.5, 0.5, 0.2, 0.25, 0.1)
 STATE_NOISE_RAD = 0.004
 # The workspace centre (x, y).
 WORKSPACE_M = (0.5, 0.0)
-# Points that each eye looks for.
+# Number of feature points per encoder.
 POINTS = 24
 
 
 def fitted(png, crop, side):
-    """A picture as the profile makes it: its middle cropped, then resampled by Pillow's bilinear filter."""
+    """Preprocesses an image as the profile does: centre crop, then resampling with Pillow's bilinear filter."""
     image = Image.open(io.BytesIO(png))
     keep = round(image.width * crop)
     at = (image.width - keep) // 2
@@ -46,10 +46,10 @@ def fitted(png, crop, side):
 
 
 def load(folder):
-    """Of each camera its pictures (frames x height x width x 3, bytes); states, actions, where the object stood, episodes."""
+    """Returns the images of each camera (frames x height x width x 3, bytes), states, actions, object positions and episodes."""
     info = json.loads((folder / "meta/info.json").read_text())
     if info["codebase_version"] != "v3.0":
-        raise SystemExit(f"{folder}: layout {info['codebase_version']}, this script reads v3.0")
+        raise SystemExit(f"{folder}: unsupported layout {info['codebase_version']}. Expected v3.0")
     names = info["features"]["observation.state"]["names"]
     joints = [i for i, name in enumerate(names) if name.startswith("joint_")]
     kept = joints + [names.index("gripper_opening_m")]
@@ -61,14 +61,14 @@ def load(folder):
                 pictures[camera].append(fitted(file["bytes"], crop, side))
         states.append(np.array(table["observation.state"].to_pylist(), dtype=np.float32)[:, kept])
         actions.append(np.array(table["action"].to_pylist(), dtype=np.float32))
-        told = np.array(table["observation.environment_state"].to_pylist(), dtype=np.float32)
-        objects.append(told[:, :2])
+        positions = np.array(table["observation.environment_state"].to_pylist(), dtype=np.float32)
+        objects.append(positions[:, :2])
         index.append(np.array(table["episode_index"]))
     return [np.stack(files) for files in pictures.values()], *map(np.concatenate, (states, actions, objects, index))
 
 
 class Eye(nn.Module):
-    """Where in a picture things are: convolutions and a spatial softmax (Levine et al. 2016)."""
+    """Image encoder that returns feature positions: convolutions and a spatial softmax (Levine et al. 2016)."""
 
     def __init__(self, side):
         super().__init__()
@@ -88,7 +88,7 @@ class Eye(nn.Module):
 
 
 class Network(nn.Module):
-    """Both eyes and the arm's state in, a chunk of actions out. Pictures: batch x height x width x 3, from 0 to 1."""
+    """Maps both images and the arm's state to a chunk of actions. Images: batch x height x width x 3, from 0 to 1."""
 
     def __init__(self, state_mean, state_std, action_mean, action_std):
         super().__init__()
@@ -111,7 +111,7 @@ class Network(nn.Module):
         return self.both(front, wrist, state)[0]
 
     def both(self, front, wrist, state):
-        """The actions, and where the object stood (decimetres from the workspace centre)."""
+        """Returns the actions, and the position of the object (decimetres from the workspace centre)."""
         seen = torch.cat([self.front(self.see(front)), self.wrist(self.see(wrist)),
                           (state - self.state_mean) / self.state_std], dim=1)
         place = self.finder(seen)
@@ -121,7 +121,7 @@ class Network(nn.Module):
 
 
 def augment(picture, rng):
-    """Brightness and contrast of each picture of a batch, changed a little."""
+    """Changes brightness and contrast of each image of a batch slightly."""
     gain = 1.0 + 0.1 * torch.randn(len(picture), 1, 1, 1, generator=rng)
     shift = 0.03 * torch.randn(len(picture), 1, 1, 1, generator=rng)
     return (picture * gain + shift).clamp(0, 1)
@@ -133,8 +133,8 @@ def main():
     parser.add_argument("--out", type=Path, required=True, help="the ONNX file")
     parser.add_argument("--steps", type=int, default=30000)
     parser.add_argument("--batch", type=int, default=64)
-    parser.add_argument("--rate", type=float, default=1.5e-3, help="the greatest learning rate")
-    parser.add_argument("--minutes", type=float, help="shorten the steps to what fits into this time, by their first speed")
+    parser.add_argument("--rate", type=float, default=1.5e-3, help="maximum learning rate")
+    parser.add_argument("--minutes", type=float, help="limit the number of steps to this time, estimated from the first steps")
     parser.add_argument("--seed", type=int, default=2026)
     parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
@@ -153,9 +153,9 @@ def main():
         offset += int(part[4].max()) + 1
     episode = np.concatenate(episode)
     n = len(states)
-    # The last frame of each frame's episode: chunks end there, its action repeated.
+    # The last frame of each frame's episode. Chunks end there, with its action repeated.
     last = np.empty(n, dtype=np.int64)
-    # Until it is gripped, the object is where it stood.
+    # The object is at its initial position until it is gripped.
     stands = np.zeros(n, dtype=bool)
     for e in range(offset):
         where = np.flatnonzero(episode == e)
@@ -164,7 +164,7 @@ def main():
         stands[where[: closing[0] if len(closing) else None]] = True
     last, stands = torch.from_numpy(last), torch.from_numpy(stands)
     ahead = torch.arange(CHUNK)
-    # Every twentieth episode is held back; of fewer the last.
+    # Every twentieth episode is held out, or the last one if there are fewer.
     held = torch.from_numpy(episode % 20 == 19 if offset >= 20 else episode == offset - 1)
     train, test = (~held).nonzero()[:, 0], held.nonzero()[:, 0]
     joints = actions[:, :-1]
@@ -209,8 +209,8 @@ def main():
             with torch.no_grad():
                 picked = test[torch.randint(len(test), (512,), generator=torch.Generator().manual_seed(0))]
                 held_way, held_grip, held_found = loss_of(picked, noisy=False)
-            print(f"step {step}  {time.time() - begun:.0f} s  way {1000 * way:.1f} mm  grip {grip:.4f}  "
-                  f"held back: way {1000 * held_way:.1f} mm  grip {held_grip:.4f}  object {100 * held_found:.1f} mm", flush=True)
+            print(f"step {step}  {time.time() - begun:.0f} s  path {1000 * way:.1f} mm  grip {grip:.4f}  "
+                  f"held out: path {1000 * held_way:.1f} mm  grip {held_grip:.4f}  object {100 * held_found:.1f} mm", flush=True)
     export(network.eval(), arguments.out)
 
 

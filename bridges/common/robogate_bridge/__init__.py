@@ -1,4 +1,4 @@
-"""Makes a simulator available over RoboGate's bridge protocol (bridges/PROTOCOL.md), and drives such simulators.
+"""Makes a simulator available over RoboGate's bridge protocol (bridges/PROTOCOL.md), and controls such simulators.
 
 A simulator is a class with the methods of `Simulator`. `serve` does the rest: the socket, the limits, the checks of all requests
 and replies, and the typed errors. `Client` sends requests to a server, such as `robogate serve`.

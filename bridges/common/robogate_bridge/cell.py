@@ -1,4 +1,4 @@
-"""What a server that runs RoboGate's cell needs beside the drives: who touches whom, and what moves by itself."""
+"""Helpers for servers that run RoboGate's cell: contacts between parts, and moving fixtures."""
 
 from dataclasses import dataclass, fields
 from math import inf, sqrt
@@ -10,10 +10,10 @@ TIME_LIMIT_S = 15.0
 
 
 def physics_hello(server, engine, robot, time_step_s):
-    """The reply to `hello` of a server that computes physics for RoboGate's pick-and-place cell.
+    """Returns the reply to `hello` of a server that computes physics for RoboGate's pick-and-place cell.
 
-    `server` and `engine` are the maps of the protocol. `robot` has a name, a hash and joints. No parameters are declared: all
-    of them act through the cell, which has the values after all random draws.
+    `server` and `engine` are the maps of the protocol. `robot` has a name, a hash and joints. No parameters are declared, because
+    all of them act through the cell, which contains the values after all random draws.
     """
     return {
         "server": server,
@@ -41,7 +41,7 @@ def physics_hello(server, engine, robot, time_step_s):
 
 
 def arm_observation(time_s, joint_positions, joint_velocities, opening_m, tool_pose):
-    """An observation of an arm with a parallel gripper; `tool_pose` is a pose."""
+    """Returns an observation of an arm with a parallel gripper. `tool_pose` is a pose."""
     return {
         "time_s": time_s,
         "vectors": {
@@ -55,34 +55,34 @@ def arm_observation(time_s, joint_positions, joint_velocities, opening_m, tool_p
 
 @dataclass(frozen=True)
 class Contact:
-    """Constants of contacts, from the map `contact` of a cell."""
+    """Contact constants, from the map `contact` of a cell."""
 
-    # Torsional friction is that of a disc of this radius under uniform pressure.
+    # Radius of the disc, under uniform pressure, whose torsional friction is used.
     patch_radius_m: float
     rolling_m: float
-    # Of the object's contacts and of joint end stops, at critical damping.
+    # Time constants of the object's contacts and of joint end stops, at critical damping.
     time_constant_s: float
     # MuJoCo's constraint impedance (the first three numbers of solimp), of the object's contacts and of joint end stops.
     impedance: list[float]
     limit_impedance: list[float]
-    # Of a fixture that moves.
+    # Mass of a moving fixture.
     driven_mass_kg: float
 
     @classmethod
     def of(cls, cell):
-        """The constants of a cell."""
+        """Reads the constants of a cell."""
         return cls(**{field.name: cell["contact"][field.name] for field in fields(cls)})
 
     def torsional(self, friction):
-        """Torsional friction in metres of a contact with this sliding friction coefficient."""
+        """Coefficient of torsional friction, in metres, of a contact with this sliding friction coefficient."""
         return friction * self.patch_radius_m * 2.0 / 3.0
 
 
 @dataclass(frozen=True)
 class Part:
-    """What a shape is of: the `robot` (which body; which finger, if one), the `object`, or a `fixture` (by its number).
+    """The owner of a shape: the `robot` (its body, and finger if any), the `object`, or a `fixture` (by its index).
 
-    The robot's base, which nothing moves, does not meet fixtures: leave such contacts out.
+    The fixed base of the robot has no contacts with fixtures: leave such contacts out.
     """
 
     kind: str
@@ -92,8 +92,8 @@ class Part:
 
 
 class Touches:
-    """Sums up the contacts of one time step: two bodies may touch at several points, and it is their force together
-    that counts."""
+    """Sums the contacts of one time step. Two bodies may touch at several points; the total force between them
+    counts."""
 
     def __init__(self):
         self._fingers = [None, None]
@@ -103,7 +103,7 @@ class Touches:
         self.on_object_n = 0.0
 
     def add(self, one, two, force):
-        """A contact of two parts (either may be None: it counts for nothing), and its normal force in newtons."""
+        """Adds a contact of two parts with its normal force in newtons. It is ignored if a part is None."""
         if one is None or two is None or one.kind == two.kind:
             return
         if two.kind == "robot" or (one.kind == "fixture" and two.kind == "object"):
@@ -124,7 +124,7 @@ class Touches:
         self._forces[pair] = self._forces.get(pair, 0.0) + force
 
     def sight(self):
-        """The part of a sight that contacts make."""
+        """The part of a sight that depends on contacts."""
         hits = [(force, pair) for pair, force in self._forces.items() if pair[1] is not None]
         collision = None
         if hits:
@@ -140,29 +140,29 @@ class Touches:
 
 
 class Motion:
-    """How a fixture moves: it stands, goes straight at constant speed in a window of time, and stands again."""
+    """The motion of a fixture: at rest, then straight at constant speed during an interval of time, then at rest."""
 
     def __init__(self, fixture):
-        """Of a fixture of the cell that has a motion."""
+        """Creates the motion of a fixture of the cell."""
         motion = fixture["motion"]
         self._start = fixture["pose"]["position"]
         self._velocity = motion["velocity_m_s"]
         self._window = (motion["starts_s"], max(motion["starts_s"], motion["ends_s"]))
 
     def position(self, time):
-        """Where its middle is then (m)."""
+        """Position of its centre at this time (m)."""
         low, high = self._window
         gone = min(max(time, low), high) - low
         return [x + v * gone for x, v in zip(self._start, self._velocity)]
 
     def velocity(self, time):
-        """Its velocity then (m/s)."""
+        """Its velocity at this time (m/s)."""
         low, high = self._window
         return list(self._velocity) if low <= time < high else [0.0, 0.0, 0.0]
 
 
 def turned(quaternion, vector):
-    """A vector turned by a unit quaternion (w, x, y, z)."""
+    """Rotates a vector by a unit quaternion (w, x, y, z)."""
     w, x, y, z = quaternion
     a, b, c = vector
     tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
@@ -170,7 +170,7 @@ def turned(quaternion, vector):
 
 
 def combined(one, two):
-    """The pose `two`, given in the frame of the pose `one`, where `one` is given."""
+    """Converts the pose `two` from the frame of the pose `one` to the frame of `one`'s parent."""
     (w, x, y, z), (a, b, c, d) = one["orientation"], two["orientation"]
     position = [p + q for p, q in zip(one["position"], turned(one["orientation"], two["position"]))]
     turn = [
@@ -181,7 +181,7 @@ def combined(one, two):
 
 
 def unit(quaternion):
-    """A quaternion of norm 1, out of one that single precision rounded."""
+    """Normalises a quaternion that was rounded to single precision."""
     norm = sqrt(sum(x * x for x in quaternion))
     if not 0.0 < norm < inf:
         raise Problem("diverged", f"an orientation is {list(quaternion)}")

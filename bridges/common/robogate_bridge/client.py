@@ -17,11 +17,11 @@ class Refused(Exception):
 
 
 class Unanswered(Exception):
-    """The server did not answer in time, or its reply is not one to the request."""
+    """The server did not answer in time, or its reply does not belong to the request."""
 
 
 class Client:
-    """One server, one episode at a time. Replies are the maps of bridges/PROTOCOL.md."""
+    """A client for one server, with one episode at a time. Replies are the maps of bridges/PROTOCOL.md."""
 
     def __init__(self, address, timeout_s=30.0):
         self._address = address
@@ -88,7 +88,7 @@ class Client:
         if reply.get("v") != codec.VERSION:
             self._drop()
             theirs = reply.get("v")
-            raise Unanswered(f"{self._address} speaks protocol version {theirs}; this client speaks {codec.VERSION}")
+            raise Unanswered(f"{self._address} uses protocol version {theirs}, but this client uses {codec.VERSION}")
         if reply.get("episode") != episode:
             self._drop()
             raise Unanswered(f"{self._address} answered for another episode")

@@ -1,4 +1,4 @@
-"""Headers as bytes, and the bounds of the protocol."""
+"""Encodes, checks and decodes headers. Contains the limits of the protocol."""
 
 from math import isfinite
 
@@ -26,17 +26,17 @@ class Malformed(ValueError):
 
 
 def encode(header):
-    """A header's bytes."""
+    """Encodes a header."""
     data = msgpack.packb(header, use_bin_type=True)
     if len(data) > MAX_HEADER:
-        raise Malformed(f"the header has {len(data)} bytes, {MAX_HEADER} are allowed")
+        raise Malformed(f"the header has {len(data)} bytes; at most {MAX_HEADER} are allowed")
     return data
 
 
 def decode(data):
-    """The header in these bytes, checked against the limits."""
+    """Decodes a header and checks it against the limits."""
     if len(data) > MAX_HEADER:
-        raise Malformed(f"the header has {len(data)} bytes, {MAX_HEADER} are allowed")
+        raise Malformed(f"the header has {len(data)} bytes; at most {MAX_HEADER} are allowed")
     try:
         header = msgpack.unpackb(
             data,
@@ -48,7 +48,7 @@ def decode(data):
             max_array_len=MAX_ENTRIES,
             max_map_len=MAX_ENTRIES,
         )
-    except Exception as why:  # msgpack has no common ancestor for its errors
+    except Exception as why:  # the errors of msgpack have no common base class
         raise Malformed(f"the header is not MessagePack within the limits: {why}") from why
     if not isinstance(header, dict):
         raise Malformed("the header is not a map")
@@ -62,7 +62,7 @@ def _look(value, depth, where):
             raise Malformed(f"{where or 'a number'} is not finite")
     elif isinstance(value, dict):
         if depth > MAX_NESTING:
-            raise Malformed(f"{where} is nested too deep, {MAX_NESTING} levels are allowed")
+            raise Malformed(f"{where} is nested more than {MAX_NESTING} levels deep")
         for key, item in value.items():
             if not isinstance(key, str):
                 raise Malformed(f"a key of {where or 'the header'} is not a string")
@@ -70,7 +70,7 @@ def _look(value, depth, where):
                 _look(item, depth + 1, f"{where}.{key}" if where else key)
     elif isinstance(value, list):
         if depth > MAX_NESTING:
-            raise Malformed(f"{where} is nested too deep, {MAX_NESTING} levels are allowed")
+            raise Malformed(f"{where} is nested more than {MAX_NESTING} levels deep")
         for i, item in enumerate(value):
             if not isinstance(item, (str, int)):
                 _look(item, depth + 1, f"{where}[{i}]")

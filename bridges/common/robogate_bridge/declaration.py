@@ -1,7 +1,7 @@
-"""Checks of what a simulator declares in `hello`: itself, and its task.
+"""Checks the declarations of a simulator in `hello`: its identity and its task.
 
-Each function returns the declaration with its defaults filled in, or says what is wrong with it. A key that is not known is
-an error, so that a misspelt one is found when the server starts.
+Each function returns the declaration with its defaults filled in, or raises a `Problem`. An unknown key is an error, so a misspelt
+key is reported when the server starts.
 """
 
 import re
@@ -10,12 +10,12 @@ from . import codec
 from .shape import entry, flag, integer, number, numbers, plain, text, texts, wrong
 
 NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}\Z")
-# These names have another meaning in a column of outcomes.
+# These names have another meaning in the outcome column.
 RESERVED = ("success", "invalid", "none")
 
 
 def hello(value):
-    """The reply to `hello`."""
+    """Checks the reply to `hello`."""
     w = "hello"
     known = ("server", "engine", "robot", "time_step_s", "task", "space", "scores_itself", "deterministic")
     _known(value, known, w)
@@ -44,7 +44,7 @@ def hello(value):
         spaces = out["task"]["action"]["spaces"]
         joints = [space["kind"] for space in spaces] == ["joint_position"] and "gripper" in out["task"]["action"]
         if step is None or not joints:
-            raise wrong(w, "with time_step_s, joint_position alone and a gripper, as it does not score itself")
+            raise wrong(w, "with time_step_s, joint_position only and a gripper, as it does not score itself")
     return out
 
 
@@ -58,7 +58,7 @@ def _engine(value):
 
 
 def task(value):
-    """A task."""
+    """Checks a task."""
     w = "hello.task"
     _known(value, ("name", "version", "instruction", "control_period_s", "time_limit_s", "failure_modes", "measures", "phases",
                    "parameters", "observation", "action", "details"), w)  # fmt: skip
@@ -136,7 +136,7 @@ def _parameter(value, where):
 
 
 def refusal(spec, value):
-    """What a declared parameter would accept instead of this value; None where it accepts the value."""
+    """The values that a declared parameter expects instead of this value. None if it accepts the value."""
     if spec["kind"] == "categorical":
         if isinstance(value, str) and (spec["open"] or value in spec["choices"]):
             return None

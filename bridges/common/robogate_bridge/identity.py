@@ -1,4 +1,4 @@
-"""Hashes: of a robot's files, and of a simulator's state."""
+"""Hashes of a robot's files and of a simulator's state."""
 
 import hashlib
 import struct
@@ -19,6 +19,6 @@ def robot_sha256(folder):
 
 
 def state_hash(*numbers):
-    """A 64-bit hash over these numbers, which are the full state of a simulator."""
+    """A 64-bit hash of these numbers, which must be the full state of a simulator."""
     state = struct.pack(f"<{len(numbers)}d", *numbers)
     return int.from_bytes(hashlib.blake2b(state, digest_size=8).digest(), "little")

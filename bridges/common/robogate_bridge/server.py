@@ -1,4 +1,4 @@
-"""The server loop: each request gets one reply, and no request ends the server."""
+"""The server loop. Each request gets one reply, and no request ends the server."""
 
 import ipaddress
 import json
@@ -17,7 +17,7 @@ from .errors import FATAL, Problem
 
 @dataclass(frozen=True)
 class Scenario:
-    """What to set up. All randomness must depend on `seed` and `index` alone."""
+    """The scenario of an episode. All randomness must depend on `seed` and `index` only."""
 
     index: int
     seed: int
@@ -64,8 +64,8 @@ class Image:
 class Simulator(Protocol):
     """What a server makes available. Return values are the maps of bridges/PROTOCOL.md; NumPy arrays are accepted as lists.
 
-    Raise `Problem` for an error of a kind that the protocol knows. Any other exception becomes `internal`. `render` and `close`
-    may be left out where they are not needed.
+    Raise `Problem` for an error with a kind of the protocol. Any other exception becomes `internal`. `render` and `close` are
+    optional.
     """
 
     def hello(self) -> dict:
@@ -76,16 +76,16 @@ class Simulator(Protocol):
         itself returns `readback` and `sight` instead of these."""
 
     def step(self, action: Action) -> dict:
-        """Run one control period. Return one entry of the reply's `steps`; `state_hash` may be left out."""
+        """Run one control period. Return one entry of the reply's `steps`. `state_hash` is optional."""
 
     def state_hash(self) -> int:
-        """A hash over the full state, below 2^64: `robogate_bridge.state_hash` computes one."""
+        """Return a hash of the full state, below 2^64. `robogate_bridge.state_hash` computes one."""
 
     def render(self, cameras: list[str]) -> list[Image]:
-        """The images of these cameras, in this order. Only called where the task declares cameras."""
+        """Return the images of these cameras, in this order. Only called if the task declares cameras."""
 
     def close(self) -> None:
-        """The episode is over."""
+        """End the episode."""
 
 
 class Server:
@@ -112,7 +112,7 @@ class Server:
                 request = codec.decode(frames[0])
                 episode = _u64(request, "episode")
                 if request.get("v") != codec.VERSION:
-                    detail = f"this server speaks protocol version {codec.VERSION}, the request has version {request.get('v')}"
+                    detail = f"this server uses protocol version {codec.VERSION}, but the request has version {request.get('v')}"
                     raise Problem("bad_request", detail)
                 operation = self._operations.get(request.get("op"))
                 if operation is None:
@@ -159,7 +159,7 @@ class Server:
     def _do_step(self, request, episode):
         self._running(episode)
         if _u64(request, "tick") != self._tick:
-            raise Problem("bad_request", f"the request is for tick {request['tick']}; expected tick {self._tick}")
+            raise Problem("bad_request", f"the request is for tick {request['tick']}. Expected tick {self._tick}")
         steps = []
         for action in self._actions(request):
             self._tick += 1
@@ -258,7 +258,7 @@ class Server:
         expected = count + (gripper is not None)
         out = []
         for action in actions:
-            # They are finite: the header was checked.
+            # The numbers are finite, because the header was checked.
             if not isinstance(action, list) or len(action) != expected or not all(type(x) in (float, int) for x in action):
                 raise Problem("bad_action", f"an action of {kind} has {expected} numbers, got {str(action)[:200]}")
             numbers = [float(x) for x in action[:count]]
@@ -272,10 +272,10 @@ class Server:
 
 def _bounded(numbers, space):
     for name, x, low, high in zip(space["names"], numbers, space["low"], space["high"]):
-        # Beyond a bound by rounding is within it.
+        # A value that exceeds a bound by a rounding error is accepted.
         room = 1e-6 * (high - low)
         if not low - room <= x <= high + room:
-            raise Problem("bad_action", f"{name} is {x}; expected {low} to {high}")
+            raise Problem("bad_action", f"{name} is {x}. Expected {low} to {high}")
 
 
 def _u64(request, key):
@@ -300,7 +300,7 @@ def serve(simulator: Simulator, bind: str = "tcp://127.0.0.1:5570", allow_remote
     context = zmq.Context()
     socket = context.socket(zmq.REP)
     socket.setsockopt(zmq.LINGER, 200)
-    # Requests are headers alone; a larger frame ends its connection before it is in memory.
+    # Requests consist of a header only. A larger frame ends its connection before it is in memory.
     socket.setsockopt(zmq.MAXMSGSIZE, codec.MAX_HEADER)
     for name in (signal.SIGINT, signal.SIGTERM):
         signal.signal(name, _stop)
@@ -311,7 +311,7 @@ def serve(simulator: Simulator, bind: str = "tcp://127.0.0.1:5570", allow_remote
             raise SystemExit(f"cannot listen on {bind}: {why.strerror}") from None
         print(json.dumps({"listening": socket.getsockopt(zmq.LAST_ENDPOINT).decode().rstrip("\0")}), flush=True)
         while True:
-            # A signal that arrives just before the socket blocks is only noticed when it returns.
+            # A signal that arrives just before the socket blocks is noticed only when it returns.
             if not socket.poll(500):
                 continue
             socket.send_multipart(server.answer(socket.recv_multipart()), copy=False)
@@ -327,7 +327,7 @@ def _stop(number, frame):
 
 
 def loopback(address):
-    """Whether only this machine reaches the address."""
+    """Whether only this machine can reach the address."""
     host = address.removeprefix("tcp://").rpartition(":")[0].strip("[]")
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback

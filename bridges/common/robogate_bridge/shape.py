@@ -1,6 +1,6 @@
-"""Checks of what a simulator returns. Each function returns the value in plain numbers, or says what is wrong with it.
+"""Checks the return values of a simulator. Each function returns the value in plain numbers, or raises a `Problem`.
 
-A number that is not finite is `diverged`. Anything else that is wrong is `internal`: a mistake in the simulator's code.
+A number that is not finite is `diverged`. Any other error is `internal`: a mistake in the simulator's code.
 """
 
 from math import isfinite
@@ -12,7 +12,7 @@ KINDS = ("box", "cylinder", "sphere")
 
 
 def wrong(where, due):
-    return Problem("internal", f"the simulator's answer: {where} must be {due}")
+    return Problem("internal", f"the simulator's reply: {where} must be {due}")
 
 
 def entry(value, key, where):
@@ -77,7 +77,7 @@ def integer(value, where, low=0, high=codec.MAX_NUMBER):
 
 
 def plain(value, where):
-    """Data of any form that a header may contain."""
+    """Checks data of any structure that a header may contain."""
     if value is None or isinstance(value, (bool, str)):
         return value
     if isinstance(value, dict):
@@ -97,7 +97,7 @@ def pose(value, where):
 
 
 def observation(value, task, time_s, where="observation"):
-    """An observation; `time_s` may be left out."""
+    """Checks an observation. `time_s` is optional."""
     time = number(value.get("time_s", time_s), f"{where}.time_s")
     if abs(time - time_s) > 1e-6:
         raise wrong(f"{where}.time_s", f"{time_s}, not {time}")
@@ -105,7 +105,7 @@ def observation(value, task, time_s, where="observation"):
     declared = {spec["name"]: spec["length"] for spec in task["observation"]["vectors"]}
     for name in given:
         if name not in declared:
-            raise wrong(f"{where}.vectors", f"those that the task declares; it does not declare {name!r}")
+            raise wrong(f"{where}.vectors", f"those that the task declares, which does not declare {name!r}")
     vectors = {
         name: numbers(entry(given, name, f"{where}.vectors"), length, f"{where}.vectors.{name}")
         for name, length in declared.items()
@@ -188,7 +188,7 @@ def sight(value, where="sight"):
 
 
 def instance(value, task):
-    """What is special about an episode; the instruction is that of the task where it is left out."""
+    """Checks instruction and details of an episode. The default instruction is that of the task."""
     value = value or {}
     out = {"instruction": text(value.get("instruction", task["instruction"]), "instance.instruction")}
     if value.get("details") is not None:
@@ -214,7 +214,7 @@ def measures(value, where):
 
 
 def ending(value, time_s, where):
-    """How the episode ended. `failure` is None for a success; anything else is a failure, declared or not."""
+    """Checks an ending. `failure` is None for a success; any other value is a failure, declared or not."""
     if value is None:
         return None
     failure, contact = entry(value, "failure", where), value.get("contact")
@@ -233,7 +233,7 @@ def ending(value, time_s, where):
 
 
 def step(value, hello, time_s, sights, where):
-    """One entry of the reply to `step`, without its `state_hash`."""
+    """Checks one entry of the reply to `step`, without its `state_hash`."""
     out = {"observation": observation(entry(value, "observation", where), hello["task"], time_s, f"{where}.observation")}
     if hello["scores_itself"]:
         out["measures"] = measures(value.get("measures", {}), f"{where}.measures")

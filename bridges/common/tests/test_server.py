@@ -1,4 +1,4 @@
-"""Tests of the server: it answers every request, checks everything, and sends only what keeps the protocol."""
+"""Tests of the server: it answers every request, checks everything, and sends only valid replies."""
 
 import importlib.util
 import json
@@ -78,7 +78,7 @@ class TheServer(unittest.TestCase):
         self.assertFalse(reply["ok"], reply)
         self.assertEqual(reply["error"]["kind"], kind, reply)
 
-    def test_an_ending_stops_the_episode(self):
+    def test_endings_stop_the_episode(self):
         server = Server(Gantry())
         reply = ask(server, "reset", index=3, seed=1, parameters={"offset_x_m": 0.01, "mass_kg": 1})
         self.assertEqual(reply["applied"]["mass_kg"], 1.0)
@@ -131,7 +131,7 @@ class TheServer(unittest.TestCase):
         self.assertEqual([len(frame) for frame in reply["frames"]], [3 * 256 * 256])
         self.rejects(ask(begun(), "render", cameras=["behind"]), "bad_request")
 
-    def test_invalid_answers_are_not_sent(self):
+    def test_invalid_replies_are_not_sent(self):
         changes = {
             "diverged": lambda joints: joints.__setitem__(1, math.nan),
             "internal": lambda joints: joints.append(0.0),
@@ -186,7 +186,7 @@ class TheServer(unittest.TestCase):
 
 
 class DeclaredTasks(unittest.TestCase):
-    """A task without a robot, with failure modes, measures, parameters and a vector of its own."""
+    """A task without a robot, with its own failure modes, measures, parameters and action vector."""
 
     def ask_tank(self, **parameters):
         server = Server(Tank())
@@ -198,7 +198,7 @@ class DeclaredTasks(unittest.TestCase):
         self.assertEqual(task["measures"][0]["better"], "neither")
         self.assertNotIn("gripper", task["action"])
 
-    def test_an_episode_runs_to_its_own_failure(self):
+    def test_episodes_end_with_declared_failures(self):
         server, reply = self.ask_tank(goal_m=0.5, liquid="oil")
         self.assertEqual(reply["instance"]["instruction"], "fill the tank with oil")
         self.assertEqual(reply["observation"], {"time_s": 0.0, "vectors": {"levels": [0.0, 0.5]}})
@@ -229,7 +229,7 @@ class DeclaredTasks(unittest.TestCase):
             reply = ask(server, "step", tick=0, action_space="vector", actions=[action])
             self.assertEqual(reply["error"]["kind"], "bad_action", action)
 
-    def test_any_failure_is_sent(self):
+    def test_undeclared_failures_are_sent(self):
         for failure, sent in [("jammed at 40 N", "jammed at 40 N"), (7, "7"), (["a"], "['a']"), (False, "False")]:
 
             class Jams(Tank):
@@ -264,14 +264,14 @@ class DeclaredTasks(unittest.TestCase):
         ]:
             self.assertIn(part, changed(change))
 
-    def test_version_1_is_rejected_by_name(self):
+    def test_version_1_is_rejected(self):
         reply = codec.decode(Server(Tank()).answer([codec.encode({"v": 1, "op": "hello", "episode": 0})])[0])
         self.assertEqual((reply["v"], reply["error"]["kind"]), (2, "bad_request"))
-        self.assertIn("speaks protocol version 2, the request has version 1", reply["error"]["detail"])
+        self.assertIn("uses protocol version 2, but the request has version 1", reply["error"]["detail"])
 
 
 class TheExamples(unittest.TestCase):
-    def test_the_task_server_scores_a_controller(self):
+    def test_task_server_scores_a_controller(self):
         spec = importlib.util.spec_from_file_location("task_server", ROOT / "examples/task_server.py")
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
@@ -288,13 +288,13 @@ class TheExamples(unittest.TestCase):
             outcomes.append(ending["failure"])
         self.assertEqual(outcomes, ["overspeed", None])
 
-    def test_drive_needs_no_installed_package(self):
+    def test_drive_script_needs_no_installation(self):
         done = subprocess.run(
             [sys.executable, ROOT / "bridges/examples/drive.py", "--help"], capture_output=True, text=True, env={}
         )
         self.assertEqual(done.returncode, 0, done.stderr)
 
-    def test_a_server_is_reached_over_a_socket(self):
+    def test_server_is_reachable_over_a_socket(self):
         environment = os.environ | {"PYTHONPATH": str(ROOT / "bridges/common")}
         script = ROOT / "bridges/common/tests/toy.py"
         with subprocess.Popen([sys.executable, script, "--kind", "tank"], stdout=subprocess.PIPE, env=environment) as peer:
@@ -310,7 +310,7 @@ class TheExamples(unittest.TestCase):
 
 
 class TheServo(unittest.TestCase):
-    """Against the closed form: a spline of control points 0, 0, p at share 1 is half way, at speed p / period."""
+    """Comparison with the closed form: a spline with control points 0, 0, p ends half way, with the velocity p / period."""
 
     robot = CELL["robot"]
 

@@ -1,8 +1,8 @@
-"""Simulators whose results can be computed by hand, for tests of the protocol. They have no physics and are never evidence.
+"""Simulators with results that can be computed by hand, for tests of the protocol. They have no physics and are not evidence.
 
-`Gantry` scores itself: three sliding joints carry a hand straight to where it is sent; the object goes along while it is gripped.
-`Tank` scores itself and has no robot: two valves fill a tank. `Still` computes physics only: its arm is where it was sent, and
-its object lies where the cell has it.
+`Gantry` scores itself: three sliding joints carry a hand in a straight line; the object moves along while it is gripped. `Tank`
+scores itself and has no robot: two valves fill a tank. `Still` computes physics only: its arm reaches any command immediately, and
+its object stays at rest.
 """
 
 import argparse
@@ -15,7 +15,7 @@ UP = [1.0, 0.0, 0.0, 0.0]
 
 
 def arm(joints):
-    """What an arm with these joints observes."""
+    """The observation of an arm with these joints."""
     return [
         {"name": "joint_positions", "length": len(joints), "unit": "m"},
         {"name": "joint_velocities", "length": len(joints), "unit": "m/s"},
@@ -25,7 +25,7 @@ def arm(joints):
 
 
 class Gantry:
-    """Done when the object was let go within 3 cm of the target. Cameras show one colour, that of the time."""
+    """Success if the object is released within 3 cm of the target. Images have one colour, which depends on the time."""
 
     START = [0.5, 0.0, 0.3]
     TARGET = [0.4, 0.4, 0.025]
@@ -68,7 +68,7 @@ class Gantry:
 
     def reset(self, scenario):
         self.mass = float(scenario.values["mass_kg"])
-        # All that is random depends on seed and index.
+        # All randomness depends on seed and index.
         jitter = 1e-3 * (scenario.random().random() - 0.5)
         self.object = [0.5 + float(scenario.values["offset_x_m"]), jitter, 0.025]
         self.hand, self.before, self.ticks, self.held = list(self.START), list(self.START), 0, False
@@ -113,7 +113,7 @@ class Gantry:
 
 
 class Tank:
-    """Fill the tank to a level and keep it there for half a second. A negative level never happens."""
+    """Fill the tank to a level and keep it there for half a second. The failure of a negative level cannot occur."""
 
     def hello(self):
         me = {"name": "tank", "version": "1"}
@@ -158,7 +158,7 @@ class Tank:
             ending = {"failure": "overflow"}
         elif self.held == 5:
             ending = {"failure": None}
-        # What is spilled is measured once something was.
+        # The spilled volume has no value until something is spilled.
         spilled = self.level - 1.0 if self.level > 1.0 else None
         return {
             "observation": self.observation(),
@@ -174,7 +174,7 @@ class Tank:
 
 
 class Still:
-    """A sliding joint in x, a step of 10 ms, an object that lies."""
+    """A sliding joint in x, a time step of 10 ms, and an object at rest."""
 
     def hello(self):
         me = {"name": "still", "version": "1"}

@@ -1,3 +1,3 @@
-"""RoboGate's cell in Isaac Sim, behind the bridge protocol."""
+"""RoboGate's cell in Isaac Sim, served over the bridge protocol."""
 
 __version__ = "0.2.0"

@@ -1,5 +1,5 @@
-"""python.sh -m robogate_isaac: serves the cell in Isaac Sim. It polls its socket in the main loop: Isaac Sim is not to be
-threaded."""
+"""Serves the cell in Isaac Sim: python.sh -m robogate_isaac. It polls its socket in the main loop, because Isaac Sim must not run in
+another thread."""
 
 import argparse
 import sys
@@ -14,11 +14,11 @@ ROBOT = Path(__file__).resolve().parents[3] / "assets" / "robots" / "franka"
 
 
 def main():
-    parser = argparse.ArgumentParser(prog="robogate_isaac", description="RoboGate's cell in Isaac Sim 5.1.")
-    parser.add_argument("--robot", type=Path, default=ROBOT, help="folder of the robot (default: assets/robots/franka)")
-    parser.add_argument("--port", type=int, default=5570, help="port; 0 takes a free one (default: 5570)")
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine alone)")
-    parser.add_argument("--allow-remote", action="store_true", help="let other machines in: there is no authentication")
+    parser = argparse.ArgumentParser(prog="robogate_isaac", description="Serve RoboGate's cell in Isaac Sim 5.1.")
+    parser.add_argument("--robot", type=Path, default=ROBOT, help="use this robot folder (default: assets/robots/franka)")
+    parser.add_argument("--port", type=int, default=5570, help="listen on this port; 0 takes a free one (default: 5570)")
+    parser.add_argument("--host", default="127.0.0.1", help="listen on this address (default: this machine only)")
+    parser.add_argument("--allow-remote", action="store_true", help="allow an address that other machines can reach; the protocol has no authentication")
     args = parser.parse_args()
     try:
         robot = Robot.read(args.robot)
@@ -28,11 +28,11 @@ def main():
     try:
         from isaacsim import SimulationApp
     except ImportError:
-        print("error: there is no Isaac Sim in this Python; start it with Isaac Sim's own python.sh", file=sys.stderr)
+        print("error: this Python has no Isaac Sim. Start the server with Isaac Sim's python.sh", file=sys.stderr)
         return 2
     app = SimulationApp({"headless": True})
     try:
-        # Nothing of Isaac Sim can be imported before the app runs.
+        # Modules of Isaac Sim can be imported only after the app was started.
         from .runtime import Runtime, version
         from .simulator import Isaac
 

@@ -1,4 +1,4 @@
-"""A robot's folder: its bodies, joints and shapes, read from its MJCF file by MuJoCo's own parser."""
+"""Reads a robot's folder: bodies, joints and shapes, from its MJCF file with MuJoCo's parser."""
 
 import tomllib
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ from robogate_bridge import Problem, robot_sha256
 
 @dataclass(frozen=True)
 class Shape:
-    """A collision shape in its body's frame: `box` by half extents, `sphere`, `capsule` and `cylinder` (axis z) by radius
-    and half height."""
+    """A collision shape in the frame of its body: `box` by half extents; `sphere`, `capsule` and `cylinder` (axis z) by
+    radius and half height."""
 
     kind: str
     size: list[float]
@@ -21,7 +21,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Joint:
-    """A hinge or a slide: about or along `axis` (in the body's frame) through `anchor`; 0 where the file has the body."""
+    """A hinge or slide about or along `axis` (in the body's frame) through `anchor`. It is 0 at the pose in the file."""
 
     name: str
     slides: bool
@@ -34,7 +34,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Body:
-    """A body; `pose` is in its parent's frame, or in the world's where it has none. Without a joint it is fixed there."""
+    """A body. `pose` is in its parent's frame, or in the world frame if it has no parent. It is fixed if it has no joint."""
 
     name: str
     parent: str | None
@@ -49,7 +49,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Robot:
-    """All that is there of a robot, but for the drives, which come with each cell."""
+    """A robot without its drives, which come with each cell."""
 
     name: str
     sha256: str
@@ -60,18 +60,18 @@ class Robot:
 
     @classmethod
     def read(cls, folder):
-        """The robot of this folder, or a `Problem` that says what is wrong with it."""
+        """Reads the robot of this folder. Raises a `Problem` if it cannot be used."""
         file = Path(folder) / "robot.toml"
         try:
             settings = tomllib.loads(file.read_text(encoding="utf-8"))
             name, arm, gripper = settings["name"], settings["arm"], settings["gripper"]["kind"]
             model = mujoco.MjModel.from_xml_path(str(file.parent / settings["model"]))
         except OSError as why:
-            raise Problem("setup", f"{file}: {why.strerror}; a robot is a folder with robot.toml and its model") from why
+            raise Problem("setup", f"{file}: {why.strerror}. Expected a folder with robot.toml and the model of the robot") from why
         except (tomllib.TOMLDecodeError, KeyError, ValueError) as why:
             raise Problem("setup", f"{file}: {type(why).__name__}: {why}") from why
         if gripper != "parallel_jaw":
-            raise Problem("setup", f"{file}: this server grips with fingers; the gripper is a {gripper}")
+            raise Problem("setup", f"{file}: expected a parallel gripper, found {gripper}")
         bodies = [_body(model, body) for body in range(1, model.nbody)]
         sites = {
             model.site(site).name: (model.body(model.site_bodyid[site]).name,
@@ -81,7 +81,7 @@ class Robot:
         return cls(name, robot_sha256(folder), arm["joints"], bodies, sites, model)
 
     def places(self, joints):
-        """The pose of each body with these joint positions, by name."""
+        """The pose of each body at these joint positions, by name."""
         data = mujoco.MjData(self.model)
         for name, q in joints.items():
             data.qpos[self.model.joint(name).qposadr[0]] = q
@@ -93,13 +93,13 @@ def _body(model, body):
     name, parent = model.body(body).name, int(model.body_parentid[body])
     count = int(model.body_jntnum[body])
     if count > 1:
-        raise Problem("setup", f"the body {name} has {count} joints; one is what PhysX's links have")
+        raise Problem("setup", f"the body {name} has {count} joints. Expected at most one, because a link of PhysX has one")
     shapes = []
     for geom in range(model.ngeom):
         if model.geom_bodyid[geom] == body and (model.geom_contype[geom] or model.geom_conaffinity[geom]):
             kind = mujoco.mjtGeom(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
             if kind not in ("box", "sphere", "capsule", "cylinder"):
-                raise Problem("setup", f"the body {name} has a shape of kind {kind}; this server knows primitives alone")
+                raise Problem("setup", f"the body {name} has a shape of kind {kind}. Expected a primitive")
             shapes.append(Shape(kind, model.geom_size[geom].tolist(), _pose(model.geom_pos[geom], model.geom_quat[geom])))
     return Body(
         name=name,

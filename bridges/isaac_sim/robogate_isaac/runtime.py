@@ -1,4 +1,4 @@
-"""The one place that touches Isaac Sim: a stage under PhysX, step by step. `SimulationApp` runs before this is imported."""
+"""The only module that uses Isaac Sim: a stage with PhysX, step by step. Import it after `SimulationApp` was started."""
 
 import numpy as np
 import omni.usd
@@ -13,7 +13,7 @@ from .stage import OBJECT, ROBOT, SCENE, Cell
 
 
 def version():
-    """Isaac Sim's version."""
+    """The version of Isaac Sim."""
     return get_version()[0]
 
 
@@ -25,7 +25,7 @@ class Runtime:
         omni.usd.get_context().new_stage()
         stage = omni.usd.get_context().get_stage()
         self.cell = Cell(stage, robot, cell, time_step_s)
-        # `set_defaults` would put Isaac's own gravity and settings on the scene that was authored.
+        # `set_defaults` would replace gravity and settings of the authored scene by Isaac Sim's.
         self._world = World(
             physics_dt=time_step_s,
             rendering_dt=cell["control_period_s"],
@@ -38,7 +38,7 @@ class Runtime:
         self._arm = SingleArticulation(ROBOT, name="robot", reset_xform_properties=False)
         self._object = SingleRigidPrim(OBJECT, name="object", reset_xform_properties=False)
         self._tool = SingleRigidPrim(f"{ROBOT}/{tool_body}", name="tool", reset_xform_properties=False)
-        # This runs a step: what it did is undone below.
+        # This runs a step, which is undone below.
         self._world.reset()
         for prim in (self._arm, self._object, self._tool):
             prim.initialize()
@@ -55,12 +55,12 @@ class Runtime:
         self._physx = get_physx_simulation_interface()
 
     def step(self, positions, velocities):
-        """One time step towards these targets of the arm's and the fingers' drives."""
+        """Runs one time step towards these targets of the drives of arm and fingers."""
         self._arm.apply_action(ArticulationAction(np.array(positions), np.array(velocities), joint_indices=self._dofs))
         self._world.step(render=False)
 
     def joints(self):
-        """Positions and velocities of the arm's and the fingers' joints."""
+        """Positions and velocities of the joints of arm and fingers."""
         return (
             self._arm.get_joint_positions(joint_indices=self._dofs).tolist(),
             self._arm.get_joint_velocities(joint_indices=self._dofs).tolist(),
@@ -83,17 +83,17 @@ class Runtime:
             for point in points[first : first + count]:
                 n, push = point.normal, point.impulse
                 impulse += abs(n.x * push.x + n.y * push.y + n.z * push.z)
-            # A contact that is only near has no force.
+            # A contact within the margin that does not touch has no force.
             if impulse > 0.0:
                 yield _path(header.actor0), _path(header.actor1), impulse / self._time_step
 
     def mass(self):
-        """Mass (kg) and centre of mass of the object, as PhysX has them."""
+        """Mass (kg) and centre of mass of the object in PhysX."""
         position, _ = self._object.get_com()
         return float(self._object.get_mass()), np.asarray(position).reshape(3).tolist()
 
     def gravity(self):
-        """Gravity (m/s^2), downwards, as the physics scene has it."""
+        """Downward gravity (m/s^2) of the physics scene."""
         direction, magnitude = self._world.get_physics_context().get_gravity()
         return -float(direction[2]) * float(magnitude)
 

@@ -1,4 +1,4 @@
-"""The cell in Isaac Sim as a simulator of the bridge: it computes physics, and RoboGate scores the episode."""
+"""The cell in Isaac Sim as a simulator of the bridge: the server computes physics, and RoboGate scores the episode."""
 
 import struct
 from hashlib import blake2b
@@ -24,7 +24,8 @@ TIME_STEP_S = 0.0025
 
 
 class Isaac:
-    """One robot; a fresh stage for each episode. `runtime` makes what runs it: `runtime.Runtime`, after `SimulationApp`."""
+    """A simulator for one robot, with a new stage for each episode. `runtime` creates its runtime: `runtime.Runtime`, after
+    `SimulationApp`."""
 
     def __init__(self, robot, runtime, version):
         self._robot, self._make, self._version = robot, runtime, version
@@ -35,7 +36,7 @@ class Isaac:
     def hello(self):
         server = {"name": "robogate-isaac-sim", "version": __version__}
         engine = {"name": "isaac-sim", "version": self._version, "solver": "physx TGS, CPU"}
-        # Deterministic: PhysX says so of one machine and one build; not tried here (README.md).
+        # PhysX documents determinism on one machine and build. This was not tested (README.md).
         return physics_hello(server, engine, self._robot, TIME_STEP_S)
 
     def reset(self, scenario):
@@ -111,7 +112,7 @@ class Isaac:
     def _sight(self, touches):
         pose, (u, v, w), (a, b, c) = self._runtime.object()
         pose = {**pose, "orientation": unit(pose["orientation"])}
-        # PhysX's is the velocity of the centre of mass.
+        # PhysX stores the velocity of the centre of mass.
         x, y, z = turned(pose["orientation"], self._cell["object"]["centre_of_mass"])
         return touches.sight() | {
             "object_pose": pose,

@@ -1,5 +1,5 @@
-"""A cell as a USD stage, by the schemas of UsdPhysics and, as plain attributes, of PhysX. Nothing of Isaac Sim is needed
-here: what is authored can be looked at with any USD."""
+"""A cell as a USD stage, with the schemas of UsdPhysics and, as plain attributes, of PhysX. It needs no module of Isaac Sim: any
+USD tool can open the authored stage."""
 
 from math import degrees, radians
 
@@ -16,7 +16,7 @@ SCENE = "/physicsScene"
 
 
 class Cell:
-    """A cell on a stage: authors it, and reads it back."""
+    """A cell on a stage: writes it and reads it back."""
 
     def __init__(self, stage, robot, cell, time_step_s):
         self._stage, self._robot, self._cell = stage, robot, cell
@@ -36,7 +36,7 @@ class Cell:
         scene.CreateGravityMagnitudeAttr(self._cell["gravity_m_s2"])
         prim = scene.GetPrim()
         prim.AddAppliedSchema("PhysxSceneAPI")
-        # One scene, one environment: the CPU is faster here, and the same from run to run.
+        # With one scene and one environment, the CPU is faster and its results are reproducible.
         _set(prim, "physxScene:enableGPUDynamics", Sdf.ValueTypeNames.Bool, False)
         _set(prim, "physxScene:broadphaseType", Sdf.ValueTypeNames.Token, "MBP")
         _set(prim, "physxScene:solverType", Sdf.ValueTypeNames.Token, "TGS")
@@ -44,11 +44,11 @@ class Cell:
         _set(prim, "physxScene:timeStepsPerSecond", Sdf.ValueTypeNames.UInt, round(1.0 / time_step_s))
 
     def _materials(self):
-        """The object's coefficient is that of its contacts: PhysX multiplies the two shapes', and the others' is 1, or for
-        a table with a friction of its own what gives that."""
+        """Sets the friction. The object has its own coefficient. PhysX multiplies the coefficients of two shapes, so all others
+        have 1, and a table with its own friction has the ratio."""
         friction, table = self._cell["friction"], self._cell["table_friction"]
         if friction == 0.0 and table != 0.0:
-            raise Problem("setup", "PhysX multiplies coefficients: an object without friction has none on the table")
+            raise Problem("setup", "PhysX multiplies coefficients, so an object without friction cannot have friction on the table")
         own = {"object": friction, "other": 1.0, "table": table / friction if friction else 1.0}
         for name, coefficient in own.items():
             material = UsdShade.Material.Define(self._stage, f"{MATERIALS}/{name}")
@@ -75,12 +75,12 @@ class Cell:
         for body in self._robot.bodies:
             path = f"{ROBOT}/{body.name}"
             link = self._rigid(path, places[body.name], body.mass, body.centre, body.inertia, body.axes)
-            # As every arm's controller does: the weight of the arm itself is compensated.
+            # The weight of the arm itself is compensated, as in the controller of a real arm.
             _set(link, "physxRigidBody:disableGravity", Sdf.ValueTypeNames.Bool, True)
             for i, shape in enumerate(body.shapes):
                 self._collider(f"{path}/shape_{i}", shape.kind, shape.size, shape.pose, "other")
             if body.parent is None:
-                # The base stands on the table's level: what of it touches a fixture is no contact.
+                # The base stands on the table, so its contacts with fixtures are ignored.
                 filtered = UsdPhysics.FilteredPairsAPI.Apply(link).CreateFilteredPairsRel()
                 for i in range(len(self._cell["fixtures"])):
                     filtered.AddTarget(f"{FIXTURES}/fixture_{i}")
@@ -164,7 +164,7 @@ class Cell:
         held.CreateDiagonalInertiaAttr(Gf.Vec3f(*inertia))
         held.CreatePrincipalAxesAttr(Gf.Quatf(*axes))
         prim.AddAppliedSchema("PhysxRigidBodyAPI")
-        # Every contact of the robot and of the object is reported, however light.
+        # Every contact of the robot and of the object is reported, even without a minimum force.
         prim.AddAppliedSchema("PhysxContactReportAPI")
         _set(prim, "physxContactReport:threshold", Sdf.ValueTypeNames.Float, 0.0)
         return prim
@@ -184,7 +184,7 @@ class Cell:
                 shape.CreateHeightAttr(2.0 * size[1])
                 shape.CreateAxisAttr("Z")
             case _:
-                raise Problem("setup", f"there is no primitive {kind!r}")
+                raise Problem("setup", f"unknown primitive {kind!r}")
         _place(shape, pose, scale)
         UsdPhysics.CollisionAPI.Apply(shape.GetPrim())
         binding = UsdShade.MaterialBindingAPI.Apply(shape.GetPrim())
@@ -192,12 +192,12 @@ class Cell:
         binding.Bind(bound, UsdShade.Tokens.weakerThanDescendants, "physics")
 
     def move(self, fixture, position):
-        """Sends a fixture that moves there, by the end of the next time step: PhysX gives it the speed."""
+        """Moves a fixture to a position by the end of the next time step. PhysX computes its velocity."""
         prim = self._stage.GetPrimAtPath(f"{FIXTURES}/fixture_{fixture}")
         prim.GetAttribute("xformOp:translate").Set(Gf.Vec3d(*position))
 
     def part(self, path):
-        """What the rigid body or fixture at this path is of; None for anything else."""
+        """The owner of the rigid body or fixture at this path. None for any other path."""
         if path == OBJECT or path.startswith(f"{OBJECT}/"):
             return Part("object")
         root, _, rest = path.partition(f"{FIXTURES}/fixture_")
@@ -210,7 +210,7 @@ class Cell:
         return Part("robot", body, fingers.index(body) if body in fingers else None)
 
     def friction(self):
-        """Coefficients of the object against what is not the table, and against the table."""
+        """Friction coefficients of the object with everything but the table, and with the table."""
         held = {
             name: UsdPhysics.MaterialAPI(self._stage.GetPrimAtPath(f"{MATERIALS}/{name}")).GetStaticFrictionAttr().Get()
             for name in ("object", "other", "table")
@@ -222,7 +222,7 @@ class Cell:
         return [_primitive(self._stage, f"{OBJECT}/shape_{i}") for i in range(len(self._cell["object"]["parts"]))]
 
     def fixtures(self):
-        """The fixtures as they stand now."""
+        """The fixtures in their current state."""
         out = []
         for i, fixture in enumerate(self._cell["fixtures"]):
             prim = self._stage.GetPrimAtPath(f"{FIXTURES}/fixture_{i}")
@@ -240,26 +240,26 @@ class Cell:
 
 
 def drive_of(joint, drives):
-    """Stiffness, damping and largest torque or force of a joint's drive; None where it has none."""
+    """Stiffness, damping and maximum torque or force of a joint's drive. None for a joint without one."""
     if joint in drives["joints"]:
         i = drives["joints"].index(joint)
         return drives["stiffness_nm_rad"][i], drives["damping_nms_rad"][i], drives["torque_limit_nm"][i]
     gripper = drives["gripper"]
     if joint in gripper["finger_joints"]:
-        # What limits the grip is how far the fingers' target runs ahead of them.
+        # The grip force is limited by how far the fingers' target is ahead of them.
         return gripper["stiffness_n_m"], gripper["damping_ns_m"], 10.0 * gripper["force_n"]
     return None
 
 
 def damped(velocity, damping, own):
-    """The drive's target velocity that makes a joint with damping of its own follow one without: the drive's damping is
+    """The target velocity with which a joint with its own damping follows a joint without one. The drive's damping is
     d + own, and (d + own)(v' - v) = d (target - v) - own v for v' = target d / (d + own)."""
     total = damping + own
     return velocity * damping / total if total > 0.0 else 0.0
 
 
 def principal(inertia):
-    """Principal moments and the turn (w, x, y, z) from their axes to the body's."""
+    """Principal moments, and the rotation (w, x, y, z) from their axes to those of the body."""
     moments, axes = np.linalg.eigh(np.asarray(inertia, dtype=float))
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] *= -1.0
@@ -283,7 +283,7 @@ def _sizes(primitive):
             return "cylinder", [primitive["radius"], primitive["half_height"]]
         case "sphere":
             return "sphere", [primitive["radius"]]
-    raise Problem("setup", f"there is no primitive {primitive['kind']!r}")
+    raise Problem("setup", f"unknown primitive {primitive['kind']!r}")
 
 
 def _primitive(stage, path):
@@ -301,7 +301,7 @@ def _primitive(stage, path):
 
 
 def _place(shape, pose, scale=(1.0, 1.0, 1.0)):
-    """Translate, orient, scale, in this order and in double precision: as Isaac Sim's own wrappers have them."""
+    """Adds translate, orient and scale, in this order and in double precision, as Isaac Sim's wrappers do."""
     shape.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*pose["position"]))
     shape.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Quatd(*pose["orientation"]))
     shape.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*scale))

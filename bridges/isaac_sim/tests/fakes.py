@@ -1,8 +1,8 @@
-"""Stands in for the classes of Isaac Sim that the server uses, so that all of it but Isaac Sim itself runs anywhere.
+"""Fakes of the classes of Isaac Sim that the server uses, so that all other code can be tested on any machine.
 
-No physics: joints are where they were sent, the object stays where it is and weighs on the table. The stage is a real one, and
-the links stand where the joints authored on it say. What the fakes insist on: only the parameters that the documented API has,
-`initialize` before use, indices that are not the order of the chain, and a step that `World.reset` runs by itself.
+They have no physics: joints reach any command immediately, the object stays at rest and its weight acts on the table. The stage is
+real, and the links are placed by the joints on it. The fakes check that only documented parameters are used, that `initialize` is
+called before use, that indices do not follow the order of the chain, and that `World.reset` runs a step.
 """
 
 import sys
@@ -17,7 +17,7 @@ GRAVITY_SAG = 0.01
 
 
 class Fakes:
-    """One Isaac Sim: the stage, the state, and the contacts to report beside those of the object and the table."""
+    """One Isaac Sim: the stage, the state, and the contacts to report in addition to those of object and table."""
 
     def __init__(self):
         self.stage = None
@@ -27,7 +27,7 @@ class Fakes:
         self.apps = []
 
     def install(self):
-        """Puts the modules where imports find them."""
+        """Installs the fake modules for imports."""
         modules = {
             "isaacsim": {"SimulationApp": self._app()},
             "isaacsim.core": {},
@@ -63,7 +63,7 @@ class Fakes:
         mass = UsdPhysics.MassAPI(self.stage.GetPrimAtPath("/World/object")).GetMassAttr().Get()
         weight = mass * scene.GetGravityMagnitudeAttr().Get()
         headers, points = [], []
-        # Two points share the weight.
+        # Two contact points share the weight.
         contacts = [("/World/object", "/World/fixtures/fixture_0", [weight / 2, weight / 2]), *self.more_contacts]
         for one, two, forces in contacts:
             header = SimpleNamespace(actor0=self._number(one), actor1=self._number(two),
@@ -104,7 +104,7 @@ class Fakes:
 
             def reset(self, soft=False):
                 fakes.begin()
-                # It runs a step: the object falls a little.
+                # It runs a step, in which the object falls a little.
                 fakes.object[2] -= GRAVITY_SAG
                 fakes.ready = True
 
@@ -196,7 +196,7 @@ class Fakes:
         return SingleRigidPrim
 
     def begin(self):
-        """Bodies as the stage has them; joints in an order that is not the chain's."""
+        """Bodies as on the stage, with joints in another order than that of the chain."""
         joints = [prim for prim in self.stage.Traverse() if prim.IsA(UsdPhysics.Joint)]
         self.joints = {str(joint.GetRelationship("physics:body1").GetTargets()[0]): joint for joint in joints}
         moving = sorted((prim.GetName() for prim in joints if not prim.IsA(UsdPhysics.FixedJoint)), reverse=True)
@@ -224,14 +224,14 @@ class Fakes:
             self.v[name], self.q[name] = (q - self.q[name]) / self.dt, q
 
     def link(self, path):
-        """Where the joints on the stage put a link."""
+        """The pose of a link from the joints on the stage."""
         matrix = self._matrix(path)
         turn = matrix.ExtractRotationQuat()
         return (np.array(matrix.ExtractTranslation(), dtype=np.float32),
                 np.array([turn.GetReal(), *turn.GetImaginary()], dtype=np.float32))
 
     def _matrix(self, path):
-        # USD's matrices act on rows: the first to act stands left.
+        # USD's matrices multiply row vectors, so the first transform is on the left.
         joint = UsdPhysics.Joint(self.joints[path])
         parents = joint.GetBody0Rel().GetTargets()
         outer = self._matrix(str(parents[0])) if parents else Gf.Matrix4d(1.0)

@@ -1,4 +1,4 @@
-"""Serves the fakes, for `robogate bridge check`: what it says of the protocol is so, what it says of physics means nothing."""
+"""Serves the fakes for `robogate bridge check`. Only the results on the protocol are meaningful, not those on physics."""
 
 import sys
 from pathlib import Path

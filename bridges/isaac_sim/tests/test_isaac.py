@@ -1,5 +1,5 @@
-"""The server's claims as far as they can be held without Isaac Sim: the stage is a real USD stage, its joints put the links where
-MuJoCo has them, and over fakes of Isaac Sim's classes the protocol is kept."""
+"""Tests of the server without Isaac Sim: the stage is a real USD stage, its joints place the links as MuJoCo does, and the protocol is
+tested with fakes of Isaac Sim's classes."""
 
 import sys
 import unittest
@@ -30,7 +30,7 @@ HOME = [0.0, -0.785398, 0.0, -2.356194, 0.0, 1.570796, 0.785398]
 
 
 def cell():
-    """The Franka's cell with all that can be in one."""
+    """A cell of the Franka with every kind of item."""
     motion = {"velocity_m_s": [0.0, 0.2, 0.0], "starts_s": 0.02, "ends_s": 1.0}
     place = {"position": [0.5, -0.4, 0.041], "orientation": UP}
     box = {"kind": "box", "half": [0.03, 0.03, 0.04]}
@@ -97,7 +97,7 @@ class TheStage(unittest.TestCase):
         begun()
         self.stage = FAKES.stage
 
-    def test_links_stand_where_mujoco_has_them_at_home_and_elsewhere(self):
+    def test_link_poses_match_mujoco(self):
         moved = dict(zip(FRANKA.joints, [0.4, -0.3, 0.2, -1.9, -0.5, 2.0, 1.1])) | {
             "finger_joint1": 0.013, "finger_joint2": 0.031}  # fmt: skip
         home = dict(zip(FRANKA.joints, HOME)) | {"finger_joint1": 0.04, "finger_joint2": 0.04}
@@ -111,7 +111,7 @@ class TheStage(unittest.TestCase):
             authored = UsdGeom.Xformable(self.stage.GetPrimAtPath(f"/World/robot/{body}")).GetLocalTransformation()
             np.testing.assert_allclose(authored.ExtractTranslation(), pose["position"], atol=1e-9)
 
-    def test_drives_have_the_cells_gains_in_usds_units(self):
+    def test_drive_gains_have_usd_units(self):
         joint = self.stage.GetPrimAtPath("/World/robot/joints/joint3")
         drive = UsdPhysics.DriveAPI(joint, "angular")
         self.assertAlmostEqual(drive.GetStiffnessAttr().Get(), 3500.0 * radians(1.0), places=4)
@@ -124,12 +124,12 @@ class TheStage(unittest.TestCase):
         self.assertAlmostEqual(finger.GetStiffnessAttr().Get(), 10000.0)
         self.assertAlmostEqual(finger.GetDampingAttr().Get(), 100.0)
 
-    def test_a_joints_own_damping_acts_as_the_law_has_it(self):
-        # d (target - v) - own v, whatever the velocity.
+    def test_joint_damping_follows_the_law(self):
+        # d (target - v) - own v, for any velocity.
         for v in (-1.0, 0.0, 2.0):
             self.assertAlmostEqual((250.0 + 1.0) * (damped(0.7, 250.0, 1.0) - v), 250.0 * (0.7 - v) - 1.0 * v)
 
-    def test_inertia_comes_back_from_its_principal_axes(self):
+    def test_inertia_is_preserved(self):
         inertia = np.array(cell()["object"]["inertia_kg_m2"])
         moments, (w, x, y, z) = principal(inertia)
         turn = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -137,13 +137,13 @@ class TheStage(unittest.TestCase):
                          [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])  # fmt: skip
         np.testing.assert_allclose(turn @ np.diag(moments) @ turn.T, inertia, atol=1e-12)
 
-    def test_only_what_may_touch_touches(self):
+    def test_only_allowed_pairs_collide(self):
         base = UsdPhysics.FilteredPairsAPI(self.stage.GetPrimAtPath("/World/robot/link0"))
         self.assertEqual(len(base.GetFilteredPairsRel().GetTargets()), 3)
         root = self.stage.GetPrimAtPath("/World/robot")
         self.assertFalse(root.GetAttribute("physxArticulation:enabledSelfCollisions").Get())
         for path in ("/World/object", "/World/robot/hand"):
-            # PhysX's schemas are not USD's own: here they are names.
+            # The schemas of PhysX are not part of USD, so only their names are checked.
             schemas = self.stage.GetPrimAtPath(path).GetMetadata("apiSchemas").GetAddedOrExplicitItems()
             self.assertIn("PhysxContactReportAPI", schemas)
         moving = UsdPhysics.RigidBodyAPI(self.stage.GetPrimAtPath("/World/fixtures/fixture_2"))
@@ -162,7 +162,7 @@ class TheServer(unittest.TestCase):
     def setUp(self):
         FAKES.more_contacts = []
 
-    def test_reads_back_what_was_asked_for_and_undoes_the_step_of_reset(self):
+    def test_reset_reads_back_and_undoes_its_step(self):
         self.assertGreater(GRAVITY_SAG, 0.0)
         _, reply = begun()
         self.assertTrue(reply["ok"], reply)
@@ -191,12 +191,12 @@ class TheServer(unittest.TestCase):
         last = reply["steps"][-1]["observation"]["vectors"]
         np.testing.assert_allclose(last["joint_positions"], goal, atol=1e-6)
         self.assertGreater(np.linalg.norm(np.subtract(last["tool_pose"][:3], first)), 1e-3)
-        # The weight, of both points of contact, never falls on the robot; what only slides presses nothing.
+        # The weight, from both points of contact, is never attributed to the robot. Sliding contacts have no force.
         sight = reply["steps"][-1]["sights"][-1]
         self.assertTrue(sight["object_on_fixture"])
         self.assertEqual((sight["fingers"], sight["collision"], sight["peak_force_n"]), ([None, None], None, None))
 
-    def test_sums_contacts_by_what_they_are_of(self):
+    def test_contacts_are_summed_by_owner(self):
         server, _ = begun()
         FAKES.more_contacts = [
             ("/World/robot/left_finger", "/World/object", [10.0, 5.0]),
@@ -212,13 +212,13 @@ class TheServer(unittest.TestCase):
         self.assertAlmostEqual(sight["peak_force_n"], 15.0)
         self.assertFalse(sight["body_on_object"])
 
-    def test_moves_what_moves_by_itself(self):
+    def test_moving_fixtures_move(self):
         server, _ = begun()
         ask(server, "step", tick=0, action_space="joint_position", actions=[[*HOME, -1.0]] * 2)
         place = FAKES.stage.GetPrimAtPath("/World/fixtures/fixture_2").GetAttribute("xformOp:translate").Get()
         np.testing.assert_allclose(place, [0.5, -0.4 + 0.2 * 0.08, 0.041])
 
-    def test_gives_the_same_hashes_again(self):
+    def test_hashes_are_reproducible(self):
         runs = []
         for _ in range(2):
             server, _ = begun()
@@ -228,19 +228,19 @@ class TheServer(unittest.TestCase):
         self.assertEqual(runs[0], runs[1])
         self.assertEqual(len(set(runs[0])), 5)
 
-    def test_refuses_cells_that_it_cannot_build(self):
+    def test_rejects_unsupported_cells(self):
         for broken in ({"object": {}}, {"fixtures": []}, {"friction": 0.0}, {"robot": cell()["robot"] | {"tcp_site": "no"}}):
             _, reply = begun(cell() | broken)
             self.assertEqual(reply["error"]["kind"], "setup", reply)
 
-    def test_is_written_to_one_version(self):
+    def test_requires_one_version(self):
         self.assertEqual(check(version()), "5.1.0-rc.19")
         for other in ("4.5.0", "5.0.0", "6.0.1", "newest"):
             with self.assertRaises(Problem):
                 check(other)
 
-    def test_reads_only_robots_that_it_can_run(self):
-        with self.assertRaisesRegex(Problem, "fingers"):
+    def test_rejects_unsupported_robots(self):
+        with self.assertRaisesRegex(Problem, "expected a parallel gripper"):
             Robot.read(FOLDER.parent / "ur5e")
         with self.assertRaisesRegex(Problem, "robot.toml"):
             Robot.read(HERE)

@@ -1,4 +1,4 @@
-"""What the solvers share: a world under way, time step by time step."""
+"""The common part of the solvers: a world during an episode, one time step at a time."""
 
 from hashlib import blake2b
 
@@ -10,10 +10,10 @@ from .world import pose, primitive
 
 
 class Engine:
-    """A world under way. The class of a solver says how to step, what the contacts were and what the solver holds."""
+    """A world during an episode. Each solver's class implements the step, the contacts and the read-back."""
 
-    # The solver's name in commands, its time step unless another is asked for (s), whether it takes the mean of two shapes'
-    # friction coefficients, and how near two shapes must be for it to look at them (m).
+    # The solver's name on the command line, its default time step (s), whether it uses the mean of two shapes' friction
+    # coefficients, and the distance below which it considers two shapes (m).
     name: str
     time_step_s: float
     friction_is_mean: bool
@@ -27,7 +27,7 @@ class Engine:
         self.state, self.after = model.state(), model.state()
         self.control = model.control()
         self.steps = 0
-        # Views of Newton's arrays, which stay where they are: on the CPU nothing is copied.
+        # Views of Newton's arrays, which never move: on the CPU nothing is copied.
         self._target_q, self._target_qd = self.control.joint_target_q.numpy(), self.control.joint_target_qd.numpy()
         self._views = {id(state): _views(state) for state in (self.state, self.after)}
         newton.eval_fk(model, model.joint_q, model.joint_qd, self.state)
@@ -36,7 +36,7 @@ class Engine:
         self.start()
 
     def start(self):
-        """Makes the solver for the world."""
+        """Creates the solver for the world."""
         raise NotImplementedError
 
     def integrate(self):
@@ -48,15 +48,15 @@ class Engine:
         raise NotImplementedError
 
     def friction(self):
-        """Coefficients of the object against the robot, and against the table."""
+        """Friction coefficients of the object with the robot, and with the table."""
         raise NotImplementedError
 
     def trouble(self):
-        """Why the state is not to be believed, if the solver says so."""
+        """Why the state is invalid, if the solver reports it."""
         raise NotImplementedError
 
     def advance(self, positions, velocities, finger):
-        """One time step towards these targets: rad, rad/s, and each finger's distance from closed (m)."""
+        """Runs one time step towards these targets: rad, rad/s, and each finger's distance from closed (m)."""
         world = self.world
         self._target_q[world.arm], self._target_qd[world.arm] = positions, velocities
         self._target_q[world.fingers] = finger
@@ -69,7 +69,7 @@ class Engine:
         self._place_movers()
 
     def check(self):
-        """A `Problem` where the solver says that the state is not to be believed."""
+        """Raises a `Problem` if the solver reports an invalid state."""
         if trouble := self.trouble():
             raise Problem("diverged", f"Newton ({self.name}): {trouble}")
 
@@ -86,12 +86,12 @@ class Engine:
         return combined(self._pose(self.world.tcp_body), self.world.tcp_pose)
 
     def sight(self, touches=None):
-        """What this time step looked like."""
+        """The sight of this time step."""
         touches = touches or self.touches()
         body = self.world.object_body
         place = self._pose(body)
         twist = self._views[id(self.state)]["body_qd"][body].tolist()
-        # Newton's is the velocity of the centre of mass.
+        # Newton stores the velocity of the centre of mass.
         x, y, z = turned(place["orientation"], self._cell["object"]["centre_of_mass"])
         (u, v, w), (a, b, c) = twist[:3], twist[3:]
         return touches.sight() | {
@@ -103,7 +103,7 @@ class Engine:
         }
 
     def first_sight(self):
-        """What the start looks like: no force has acted yet."""
+        """The sight of the start, before any force has acted."""
         self._move_geometry()
         touches = Touches()
         for one, two in self._geometry.touching():
@@ -115,7 +115,7 @@ class Engine:
         return self._geometry.clearance()
 
     def readback(self):
-        """What Newton holds of the cell."""
+        """The readback: Newton's values of the cell."""
         model, world = self.world.model, self.world
         body = world.object_body
         friction, table_friction = self.friction()
@@ -148,7 +148,7 @@ class Engine:
         return pose(self._views[id(self.state)]["body_q"][body])
 
     def _place_movers(self):
-        """Puts every fixture that moves where it is now, with its velocity."""
+        """Sets every moving fixture to its current position and velocity."""
         time = self.steps * self.time_step_s
         views = self._views[id(self.state)]
         for mover, motion in self._movers:

@@ -1,4 +1,4 @@
-"""A cell out of a robot's own folder: a primitive on the table, nothing else. For warming up, and for tests."""
+"""A cell from a robot's folder with one primitive on the table, for warming up and for tests."""
 
 import tomllib
 
@@ -9,7 +9,7 @@ UP = [1.0, 0.0, 0.0, 0.0]
 
 
 def example_cell(robot, shape="box", size_m=0.05, mass_kg=0.3, friction=0.8, at=(0.5, 0.0), force_n=None, fixtures=()):
-    """A homogeneous `box`, `cylinder` or `sphere` on the table, more fixtures where there are some."""
+    """A homogeneous `box`, `cylinder` or `sphere` on the table, with optional further fixtures."""
     settings = tomllib.loads((robot.model.parent / "robot.toml").read_text(encoding="utf-8"))
     arm, gripper = settings["arm"], settings["gripper"]
     model = mujoco.MjModel.from_xml_path(str(robot.model))

@@ -1,9 +1,9 @@
-"""Distances between shapes, by MuJoCo's geometry: Newton's solvers do not tell them."""
+"""Distances between shapes, computed with MuJoCo because Newton's solvers do not report them."""
 
 import mujoco
 from robogate_bridge import Part
 
-# Beyond this clearance is not measured, in metres.
+# Larger clearances are not measured, in metres.
 LIMIT_M = 0.25
 
 
@@ -31,7 +31,7 @@ class Geometry:
             elif model.geom_contype[geom] or model.geom_conaffinity[geom]:
                 word = model.body(body).name
                 finger = fingers.index(word) if word in fingers else None
-                # A part of the base that stands on the table's level has no clearance to lose.
+                # The part of the base that stands on the table has no clearance.
                 self._robot.append((geom, Part("robot", word, finger), model.body_weldid[body] != 0))
         names = [*cell["robot"]["joints"], *cell["robot"]["gripper"]["finger_joints"]]
         self._addresses = [model.joint(name).qposadr[0] for name in names]
@@ -49,14 +49,14 @@ class Geometry:
                 geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [shape["radius"], 0.0, 0.0]
 
     def move(self, joints, movers):
-        """Puts the arm's and the fingers' joints, and the fixtures that move: their position by their number."""
+        """Sets the joints of arm and fingers, and the positions of moving fixtures by their index."""
         self._data.qpos[self._addresses] = joints
         for fixture, position in movers:
             self._model.geom_pos[self._fixtures[fixture][0]] = position
         mujoco.mj_kinematics(self._model, self._data)
 
     def clearance(self):
-        """Smallest distance (m) between the robot, its base apart, and a fixture; None beyond the limit."""
+        """Smallest distance (m) between the robot, without its base, and a fixture. None beyond the limit."""
         best = LIMIT_M
         for geom, _, moves in self._robot:
             for other, _ in self._fixtures if moves else ():
@@ -65,7 +65,7 @@ class Geometry:
         return max(best, 0.0) if best < LIMIT_M else None
 
     def touching(self):
-        """Pairs of parts, one of them the robot's, that overlap."""
+        """Pairs of parts that overlap, one of which belongs to the robot."""
         for geom, part, moves in self._robot:
             for other, met in [*self._object, *(self._fixtures if moves else ())]:
                 if self._apart(geom, other) <= 0.0:

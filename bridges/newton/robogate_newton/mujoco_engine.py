@@ -1,4 +1,4 @@
-"""Newton's MuJoCo solver on the CPU, with the settings of RoboGate's own MuJoCo."""
+"""Newton's MuJoCo solver on the CPU, with the settings of RoboGate's MuJoCo engine."""
 
 import warnings
 
@@ -11,7 +11,7 @@ from .engine import Engine
 
 
 class MujocoEngine(Engine):
-    """MuJoCo behind Newton: state and controls pass through Newton's single-precision arrays at every step."""
+    """MuJoCo called through Newton: state and controls pass through Newton's single-precision arrays at every step."""
 
     name = "mujoco"
     time_step_s = 0.002
@@ -47,7 +47,7 @@ class MujocoEngine(Engine):
     def touches(self):
         touches, contact = Touches(), self._data.contact
         for i, ((one, two), row) in enumerate(zip(contact.geom.tolist(), contact.efc_address.tolist())):
-            # A contact that is only near has no constraint.
+            # A contact within the margin that does not touch has no constraint.
             if row >= 0:
                 mujoco.mj_contactForce(self._model, self._data, i, self._force)
                 touches.add(self._parts[one], self._parts[two], float(self._force[0]))
@@ -60,7 +60,7 @@ class MujocoEngine(Engine):
 
         own, own_priority = held(self.world.object_shapes[0])
         table, table_priority = held(self.world.table_shape)
-        # The higher priority says how the two meet.
+        # The geometry with the higher priority determines the contact parameters.
         return own, table if table_priority > own_priority else own
 
     def trouble(self):
@@ -70,5 +70,5 @@ class MujocoEngine(Engine):
         return None
 
 
-# Newton looks at the model with MuJoCo Warp's eyes too, which has bounds of its own for friction.
+# Newton also validates the model with MuJoCo Warp, which has its own limits for friction.
 warnings.filterwarnings("ignore", message=".*MJ_MINMU.*")

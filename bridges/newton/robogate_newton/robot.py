@@ -1,4 +1,4 @@
-"""A robot's folder, as far as the server needs it before an episode tells it the rest."""
+"""Reads the parts of a robot's folder that the server needs before the first episode."""
 
 import tomllib
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from robogate_bridge import Problem, robot_sha256
 
 @dataclass(frozen=True)
 class Robot:
-    """The robot of a folder: its model's file and what its joints are called."""
+    """A robot's folder: the file of the model, and the names of the joints."""
 
     name: str
     sha256: str
@@ -18,7 +18,7 @@ class Robot:
 
     @classmethod
     def read(cls, folder):
-        """The robot of this folder, or a `Problem` that says what is wrong with it."""
+        """Reads the robot of this folder. Raises a `Problem` if it cannot be used."""
         folder = Path(folder)
         file = folder / "robot.toml"
         try:
@@ -26,13 +26,13 @@ class Robot:
             gripper = settings["gripper"]["kind"]
             robot = cls(settings["name"], robot_sha256(folder), folder / settings["model"], settings["arm"]["joints"])
         except OSError as why:
-            raise Problem("setup", f"{file}: {why.strerror}; a robot is a folder with robot.toml and its model") from why
+            raise Problem("setup", f"{file}: {why.strerror}. Expected a folder with robot.toml and the model of the robot") from why
         except (tomllib.TOMLDecodeError, KeyError) as why:
             raise Problem("setup", f"{file}: {type(why).__name__}: {why}") from why
         if gripper != "parallel_jaw":
-            raise Problem("setup", f"{file}: this server grips with fingers; the gripper is a {gripper}")
+            raise Problem("setup", f"{file}: expected a parallel gripper, found {gripper}")
         if settings.get("site"):
-            raise Problem("setup", f"{file}: sites must be in the model itself; this server does not read [[site]]")
+            raise Problem("setup", f"{file}: [[site]] is not supported. Define the sites in the model")
         if robot.model.suffix != ".xml":
-            raise Problem("setup", f"{file}: this server reads MJCF, not {robot.model.name}")
+            raise Problem("setup", f"{file}: expected an MJCF model, found {robot.model.name}")
         return robot

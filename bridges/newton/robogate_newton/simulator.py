@@ -1,4 +1,4 @@
-"""The cell in Newton as a simulator of the bridge: it computes physics, and RoboGate scores the episode."""
+"""The cell in Newton as a simulator of the bridge: the server computes physics, and RoboGate scores the episode."""
 
 import newton
 from robogate_bridge import CONTROL_PERIOD_S, Action, Fingers, Problem, Scenario, Servo, arm_observation, physics_hello
@@ -13,7 +13,7 @@ ENGINES = {engine.name: engine for engine in (MujocoEngine, SteelEngine)}
 
 
 class Newton:
-    """One robot, one solver; a world for each episode."""
+    """A simulator for one robot and one solver. It builds a world for each episode."""
 
     def __init__(self, robot, solver, time_step_s=None):
         self._robot = robot
@@ -24,7 +24,7 @@ class Newton:
         self._engine = None
 
     def try_out(self, cell):
-        """Runs one control period: Newton compiles what it needs, and what it cannot do shows."""
+        """Runs one control period, so that Newton compiles its kernels and unsupported features are reported early."""
         self.reset(Scenario(index=0, seed=0, parameters={}, cell=cell))
         self.step(Action("joint_position", cell["robot"]["home_rad"], gripper=1.0))
         self.close()

@@ -1,6 +1,6 @@
-"""Newton's Steel solver: joint coordinates, hard contacts, projected Gauss-Seidel, friction that is anchored in patches.
+"""Newton's Steel solver: joint coordinates, hard contacts, projected Gauss-Seidel, persistent friction patches.
 
-Nothing of it is MuJoCo's: not the contact model, not the solver, not the collision detection.
+It shares nothing with MuJoCo: contact model, solver and collision detection are different.
 """
 
 import newton
@@ -11,17 +11,17 @@ from robogate_bridge import Contact, Touches
 
 from .engine import Engine
 
-# Contacts, and constraint rows, that one step may have. An episode with more is diverged, never silently wrong.
+# Maximum numbers of contacts and constraint rows per step. An episode with more is diverged, never silently wrong.
 CONTACTS = 128
 ROWS = 192
 
-# The rows of a joint's end stop are made this near to it, in rad or m.
+# Distance to a joint's end stop at which its constraint rows are created, in rad or m.
 STOP_GAP = 0.05
 
 
 class SteelEngine(Engine):
-    """Both steps, from one state to the other and back, are recorded once and replayed: the same bits, eight times
-    as fast."""
+    """Both steps, from one state to the other and back, are captured once and replayed. The results are identical, and
+    eight times as fast."""
 
     name = "steel"
     time_step_s = 0.0025
@@ -60,7 +60,7 @@ class SteelEngine(Engine):
         self._normal, self._force = self._contacts.rigid_contact_normal.numpy(), self._seen.contact_f.numpy()
         mass, gravity = model.body_mass.numpy(), model.gravity.numpy()[0]
         for views in self._views.values():
-            # As every arm's controller does: the weight of the arm itself is compensated.
+            # The weight of the arm itself is compensated, as in the controller of a real arm.
             views["body_f"][world.robot_bodies, :3] = -mass[world.robot_bodies, None] * gravity
         ball = all(part["primitive"]["kind"] == "sphere" for part in self._cell["object"]["parts"])
         self._inertia = float(model.body_inertia.numpy()[world.object_body][0, 0]) if ball else None
@@ -87,14 +87,14 @@ class SteelEngine(Engine):
         one, two = (shapes[:n].tolist() for shapes in self._pair)
         normal_forces = np.abs((self._normal[:n] * self._force[:n, :3]).sum(axis=1)).tolist()
         for a, b, force in zip(one, two, normal_forces):
-            # A contact that is only near has no force.
+            # A contact within the margin that does not touch has no force.
             if force > 0.0:
                 touches.add(parts[a], parts[b], force)
         self._pressed = touches.on_object_n
         return touches
 
     def friction(self):
-        # Steel's rule: the mean of the two shapes.
+        # Steel uses the mean of the two shapes' coefficients.
         held, world = self.world.model.shape_material_mu.numpy().astype(float), self.world
         own = held[world.object_shapes[0]]
         pad = next(shape for shape, part in enumerate(world.parts) if part is not None and part.finger is not None)
@@ -104,7 +104,7 @@ class SteelEngine(Engine):
         return f"more than {CONTACTS} contacts or {ROWS} rows" if self._overflow.any() else None
 
     def _resist_rolling(self):
-        """A ball's rolling friction, which Steel does not have: against its turning, by no more than what stops it."""
+        """Rolling friction of a sphere, which Steel lacks: a moment against the rotation, at most the one that stops it."""
         views, body = self._views[id(self.state)], self.world.object_body
         turning = views["body_qd"][body, 3:].astype(float)
         speed = float(np.linalg.norm(turning))

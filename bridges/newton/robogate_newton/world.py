@@ -8,17 +8,17 @@ import warp as wp
 from newton.solvers import SolverMuJoCo, SolverSteel
 from robogate_bridge import Contact, Part, Problem, unit
 
-# MuJoCo's defaults for the midpoint and the power of solimp, which follow a cell's impedance.
+# MuJoCo's defaults for midpoint and power of solimp. They follow the impedance of a cell.
 IMPEDANCE_SHAPE = (0.5, 2.0)
 
-# Newton takes solref as it is given.
+# Newton uses solref unchanged.
 SOLREF_AS_IT_IS = 1
 
 
 @dataclass(frozen=True)
 class Mover:
-    """A fixture that moves: its number in the cell, its body, where its joint begins in the coordinates and in the
-    velocities, and how it moves."""
+    """A moving fixture: its index in the cell, its body, the start of its joint in the coordinates and in the
+    velocities, and its motion."""
 
     fixture: int
     body: int
@@ -29,14 +29,14 @@ class Mover:
 
 @dataclass(frozen=True)
 class World:
-    """A model, and where the cell's things are in it."""
+    """A model, with the indices of the cell's items in it."""
 
     model: newton.Model
-    # What each shape is of; None for what meets nothing.
+    # The part that each shape belongs to. None for a shape without contacts.
     parts: list[Part | None]
-    # Pairs of shapes that may touch.
+    # Pairs of shapes that may collide.
     pairs: list[tuple[int, int]]
-    # The arm's joints and the fingers' in the joint coordinates (and the velocities: they are the first).
+    # Indices of the arm's and fingers' joints in the joint coordinates (and in the velocities, because they are first).
     arm: list[int]
     fingers: list[int]
     robot_bodies: list[int]
@@ -45,14 +45,14 @@ class World:
     fixture_shapes: list[int]
     table_shape: int
     movers: list[Mover]
-    # The tool centre point: its body, and its pose in it.
+    # The tool centre point: its body, and its pose in the body's frame.
     tcp_body: int
     tcp_pose: dict
 
 
 class Workshop:
-    """Builds worlds for one robot. `friction_is_mean` says that the solver takes the mean of two shapes' coefficients;
-    otherwise the object's coefficient wins. `gap` (m) is how near two shapes must be for the solver to look at them."""
+    """Builds worlds for one robot. `friction_is_mean` means that the solver uses the mean of two shapes' coefficients;
+    otherwise the object's coefficient is used. `gap` (m) is the distance below which the solver considers two shapes."""
 
     def __init__(self, robot, friction_is_mean, gap):
         self._robot = robot
@@ -64,7 +64,7 @@ class Workshop:
                 str(robot.model), floating=False, enable_self_collisions=False, parse_mujoco_options=False
             )
         except Exception as why:
-            raise Problem("setup", f"Newton does not read {robot.model}: {why}") from why
+            raise Problem("setup", f"Newton cannot read {robot.model}: {why}") from why
 
     def _builder(self):
         builder = newton.ModelBuilder()
@@ -75,17 +75,17 @@ class Workshop:
         return builder
 
     def build(self, cell):
-        """The cell's world, the arm at home and the gripper open."""
+        """The world of a cell, with the arm at home and the gripper open."""
         drives, gripper = cell["robot"], cell["robot"]["gripper"]
         contact = Contact.of(cell)
         builder = self._builder()
-        # A copied builder brings its own gravity along.
+        # A copied builder brings its own gravity.
         builder.add_builder(self._base)
         builder.gravity = (0.0, 0.0, -cell["gravity_m_s2"])
         bodies = [label.rsplit("/", 1)[-1] for label in builder.body_label]
         robot_shapes = builder.shape_count
 
-        # The robot: its drives, its weight compensated, its place at the start.
+        # The robot: drives, gravity compensation, initial state.
         arm = [self._coordinate(builder, name) for name in drives["joints"]]
         fingers = [self._coordinate(builder, name) for name in gripper["finger_joints"]]
         for i, q in enumerate(arm):
@@ -96,7 +96,7 @@ class Workshop:
         for q in fingers:
             builder.joint_target_ke[q] = gripper["stiffness_n_m"]
             builder.joint_target_kd[q] = gripper["damping_ns_m"]
-            # What limits the grip is how far the fingers' target runs ahead of them.
+            # The grip force is limited by how far the fingers' target is ahead of them.
             builder.joint_effort_limit[q] = 10.0 * gripper["force_n"]
             builder.joint_q[q] = builder.joint_target_q[q] = 0.5 * gripper["opening_m"]
         for q in arm + fingers:
@@ -120,7 +120,7 @@ class Workshop:
             collides = builder.shape_flags[shape] & newton.ShapeFlags.COLLIDE_SHAPES
             parts.append(Part("robot", body, finger) if collides else None)
 
-        # The fixtures; in Newton a shape of body -1 stands in the world.
+        # The fixtures. In Newton, a shape with body -1 is fixed in the world.
         movers, fixture_shapes = [], []
         for i, fixture in enumerate(cell["fixtures"]):
             place, body = transform(fixture["pose"]), -1
@@ -133,7 +133,7 @@ class Workshop:
                 movers.append(Mover(i, body, q, qd, fixture["motion"]))
                 place = wp.transform_identity()
             own = table_friction != friction and fixture["kind"] == "table"
-            # What gives the asked for mean with the object's own; it may be below zero, the mean is not.
+            # This gives the requested mean with the object's coefficient. It may be negative; the mean is not.
             mean = 2.0 * table_friction - friction if own else friction
             mu = mean if self._friction_is_mean else (table_friction if own else friction)
             priority = 2 if own else 0
@@ -202,7 +202,7 @@ class Workshop:
 
     @staticmethod
     def _static(builder):
-        """Bodies that no joint lets move."""
+        """Bodies that no joint can move."""
         fixed = {-1}
         for joint, kind in enumerate(builder.joint_type):
             if kind == newton.JointType.FIXED and builder.joint_parent[joint] in fixed:
@@ -211,7 +211,7 @@ class Workshop:
 
     @staticmethod
     def _pairs(parts, static):
-        """Robot and object, robot and fixtures (but for the base, which stands there), object and fixtures."""
+        """Pairs that may collide: robot and object, robot and fixtures (except its base), object and fixtures."""
         out = []
         for a, one in enumerate(parts):
             for b in range(a + 1, len(parts)):
@@ -248,38 +248,38 @@ class Workshop:
                 return builder.add_shape_cylinder(body, radius=radius, half_height=half_height, **more)
             case "sphere":
                 return builder.add_shape_sphere(body, radius=primitive["radius"], **more)
-        raise Problem("setup", f"there is no primitive {primitive['kind']!r}")
+        raise Problem("setup", f"unknown primitive {primitive['kind']!r}")
 
 
 def solref(contact):
-    """MuJoCo's solref: the time constant, and critical damping."""
+    """MuJoCo's solref: the time constant, with critical damping."""
     return wp.vec2(contact.time_constant_s, 1.0)
 
 
 def solimp(impedance):
-    """MuJoCo's solimp of a cell's impedance."""
+    """MuJoCo's solimp from the impedance of a cell."""
     return wp.types.vector(5, float)(*impedance, *IMPEDANCE_SHAPE)
 
 
 def balls(cell):
-    """Whether the object rolls on a ball."""
+    """Whether the object has a spherical part, so that it can roll."""
     return any(part["primitive"]["kind"] == "sphere" for part in cell["object"]["parts"])
 
 
 def transform(pose):
-    """A pose of the protocol as Newton has it: x, y, z, and the quaternion's scalar last."""
+    """Converts a pose of the protocol to Newton's: x, y, z, and the quaternion with its scalar last."""
     w, x, y, z = pose["orientation"]
     return wp.transform(wp.vec3(*pose["position"]), wp.quat(x, y, z, w))
 
 
 def pose(values):
-    """Seven numbers of Newton's as a pose of the protocol, its quaternion of norm 1 in double precision."""
+    """Converts seven numbers of Newton to a pose of the protocol, with its quaternion normalised in double precision."""
     x, y, z, a, b, c, w = map(float, values)
     return {"position": [x, y, z], "orientation": unit([w, a, b, c])}
 
 
 def primitive(model, shape):
-    """The primitive that Newton holds; None for any other."""
+    """The primitive that Newton stores. None for any other shape."""
     kind, (a, b, c) = int(model.shape_type.numpy()[shape]), model.shape_scale.numpy()[shape].tolist()
     if kind == int(newton.GeoType.BOX):
         return {"kind": "box", "half": [a, b, c]}

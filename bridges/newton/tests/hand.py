@@ -1,4 +1,4 @@
-"""Drives a simulator of RoboGate's cell by hand: grasps from above, lifts, and looks at what was reported."""
+"""Drives a simulator of RoboGate's cell: grasps from above, lifts, and records the reports."""
 
 import mujoco
 import numpy as np
@@ -8,7 +8,7 @@ DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 class Chain:
-    """The robot's kinematics, by MuJoCo and its own file: not Newton's."""
+    """The robot's kinematics, computed by MuJoCo from the robot's file, independently of Newton."""
 
     def __init__(self, robot):
         self.model = mujoco.MjModel.from_xml_path(str(robot.model))
@@ -22,7 +22,7 @@ class Chain:
         return self.data.site_xpos[self.site].copy(), self.data.site_xmat[self.site].reshape(3, 3).copy()
 
     def reach(self, position, near):
-        """Joint positions with the tool there, pointing down."""
+        """Joint positions with the tool at a position, pointing down."""
         joints = np.array(near, dtype=float)
         jacobian = np.zeros((6, self.model.nv))
         for _ in range(100):
@@ -40,7 +40,7 @@ class Chain:
 
 
 class Hand:
-    """One episode of a simulator, and all that it said."""
+    """One episode of a simulator, with everything that it reported."""
 
     def __init__(self, simulator, chain, cell):
         self.simulator, self.chain, self.cell = simulator, chain, cell
@@ -60,7 +60,7 @@ class Hand:
             self.run()
 
     def go(self, position, seconds):
-        """The tool straight there, from rest to rest."""
+        """Moves the tool in a straight line, from rest to rest."""
         origin, near = self.chain.tool(self.joints)[0], self.joints
         count = round(seconds / 0.05)
         for k in range(1, count + 1):
@@ -71,7 +71,7 @@ class Hand:
         self.joints = near
 
     def grasp(self, height=None):
-        """From home to the object, and closes on it."""
+        """Moves from home to the object and closes the gripper."""
         x, y, z = self.cell["object"]["pose"]["position"]
         self.go([x, y, 0.2], 1.0)
         self.go([x, y, z if height is None else height], 0.8)

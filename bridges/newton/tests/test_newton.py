@@ -1,6 +1,6 @@
-"""The physics' claims, held against what is not ours: Coulomb's law, free fall, MuJoCo's kinematics; and the server's.
+"""Tests of physics and server. References: Coulomb's law, free fall, MuJoCo's kinematics.
 
-Each holds for both solvers.
+Each test runs with both solvers.
 """
 
 import json
@@ -42,7 +42,7 @@ def begun(solver, shape="box", fixtures=(), **values):
 
 
 class ThePhysics(unittest.TestCase):
-    def test_lifts_every_primitive_with_the_grip_force(self):
+    def test_lifts_every_primitive(self):
         for solver, shape in product(ENGINES, ("box", "cylinder", "sphere")):
             with self.subTest(solver=solver, shape=shape):
                 hand = begun(solver, shape)
@@ -55,8 +55,8 @@ class ThePhysics(unittest.TestCase):
                     self.assertAlmostEqual(force, 30.0, delta=0.3)
                 self.assertAlmostEqual(hand.sight["opening_m"], 0.05, delta=5e-4)
 
-    def test_drops_below_coulombs_limit_and_holds_above_it(self):
-        # 2 mu F carries m (g + a); the lift's acceleration is at most 1.02 m/s^2: 0.175 m, rest to rest, in 1 s.
+    def test_grip_follows_coulombs_law(self):
+        # 2 mu F carries m (g + a). The acceleration of the lift is at most 1.02 m/s^2: 0.175 m, from rest to rest, in 1 s.
         mass, force = 0.5, 15.0
         law = mass * G / (2.0 * force)
         for solver, share in product(ENGINES, (0.95, 1.15)):
@@ -66,8 +66,8 @@ class ThePhysics(unittest.TestCase):
                 hand.lift()
                 self.assertEqual(hand.object[2] > 0.19, share > 1.0, hand.object)
 
-    def test_lets_the_object_fall_as_galileo_says(self):
-        # What the solvers' integrators make of it is h - g t (t + dt) / 2.
+    def test_free_fall(self):
+        # The solvers' integrators give h - g t (t + dt) / 2.
         for solver, gravity in product(ENGINES, (9.81, 3.7)):
             with self.subTest(solver=solver, gravity=gravity):
                 cell = example_cell(FRANKA, at=(0.6, 0.3)) | {"gravity_m_s2": gravity}
@@ -78,7 +78,7 @@ class ThePhysics(unittest.TestCase):
                 self.assertAlmostEqual(hand.object[2], 1.0 - fallen, delta=2e-5)
                 self.assertAlmostEqual(hand.sight["object_velocity"]["linear_m_s"][2], -gravity * 0.3, delta=1e-4)
 
-    def test_has_the_kinematics_that_mujoco_reads_from_the_same_file(self):
+    def test_kinematics_match_mujoco(self):
         for solver in ENGINES:
             with self.subTest(solver=solver):
                 hand = begun(solver)
@@ -91,10 +91,10 @@ class ThePhysics(unittest.TestCase):
                 np.testing.assert_allclose(
                     [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], turn[:, 0], atol=5e-6
                 )
-                # And the drives bring the arm where it was sent.
+                # The drives move the arm to its commanded position.
                 np.testing.assert_allclose(hand.observation["vectors"]["joint_positions"], hand.joints, atol=1e-3)
 
-    def test_reads_back_what_was_asked_for(self):
+    def test_reads_back_requested_values(self):
         motion = {"velocity_m_s": [0.0, 0.2, 0.0], "starts_s": 0.5, "ends_s": 2.0}
         more = [
             fixture("obstacle", {"kind": "cylinder", "radius": 0.02, "half_height": 0.06}, [0.6, 0.21, 0.06], 0.3),
@@ -128,7 +128,7 @@ class ThePhysics(unittest.TestCase):
                     self.assertEqual(got["motion"], want["motion"])
 
     def assertSame(self, got, want):
-        """The same keys with the same words and, in single precision, numbers."""
+        """Checks for equal keys and strings, and for numbers that are equal in single precision."""
         self.assertEqual(got.keys(), want.keys())
         for key, value in want.items():
             if isinstance(value, str):
@@ -136,7 +136,7 @@ class ThePhysics(unittest.TestCase):
             else:
                 np.testing.assert_allclose(got[key], value, atol=1e-7, err_msg=key)
 
-    def test_hands_mujoco_the_settings_of_robogates_own(self):
+    def test_mujoco_has_robogates_settings(self):
         hand = begun("mujoco", "cylinder", friction=0.3)
         model = hand.simulator._engine._model
         self.assertEqual((model.opt.impratio, model.opt.cone, model.opt.integrator, model.opt.disableflags),
@@ -151,7 +151,7 @@ class ThePhysics(unittest.TestCase):
         np.testing.assert_allclose(model.dof_armature[:9], [0.1] * 7 + [0.5] * 2)
         np.testing.assert_allclose(model.body_gravcomp[1:12], 1.0)
 
-    def test_takes_contact_constants_from_the_cell(self):
+    def test_contact_constants_come_from_the_cell(self):
         contact = {
             "patch_radius_m": 9e-3,
             "rolling_m": 2e-4,
@@ -172,21 +172,21 @@ class ThePhysics(unittest.TestCase):
         np.testing.assert_allclose(model.jnt_solimp[:9], [[0.97, 0.99, 2e-4, 0.5, 2.0]] * 9, rtol=1e-6)
         self.assertAlmostEqual(max(model.body_mass), 200.0, places=3)
 
-    def test_a_driven_fixture_keeps_its_way_and_pushes_the_object(self):
+    def test_driven_fixtures_push_the_object(self):
         motion = {"velocity_m_s": [0.0, 0.2, 0.0], "starts_s": 0.2, "ends_s": 1.2}
         pusher = fixture("disturbance", {"kind": "box", "half": [0.03, 0.03, 0.04]}, [0.5, -0.1, 0.041], 0.0, motion)
         for solver in ENGINES:
             with self.subTest(solver=solver):
                 hand = begun(solver, fixtures=[pusher])
                 hand.wait(1.5)
-                # It ends with its front at y = -0.1 + 0.2 + 0.03, the box of 5 cm before it.
-                # MuJoCo's soft contact throws it off: README.md.
+                # It ends with its front at y = -0.1 + 0.2 + 0.03, with the box of 5 cm in front of it.
+                # MuJoCo's soft contact pushes it farther, see README.md.
                 delta = {"mujoco": 0.03, "steel": 3e-3}[solver]
                 self.assertAlmostEqual(hand.object[1], 0.13 + 0.025, delta=delta)
                 self.assertLess(abs(hand.object[0] - 0.5), 5e-3)
 
-    def test_what_slides_stops_where_coulombs_law_has_it_on_a_table_with_a_friction_of_its_own(self):
-        # Pushed to 0.3 m/s and let go: v^2 / (2 mu g) further.
+    def test_sliding_stops_by_coulombs_law(self):
+        # Released at 0.3 m/s, the object slides v^2 / (2 mu g) further. The table has its own friction.
         motion = {"velocity_m_s": [0.0, 0.3, 0.0], "starts_s": 0.1, "ends_s": 0.6}
         pusher = fixture("disturbance", {"kind": "box", "half": [0.03, 0.03, 0.04]}, [0.5, -0.11, 0.041], 0.0, motion)
         for solver, (friction, on_table) in product(ENGINES, ((0.8, 0.1), (0.2, 0.6))):
@@ -198,8 +198,8 @@ class ThePhysics(unittest.TestCase):
                 delta = {"mujoco": 2.5e-3, "steel": 1e-3}[solver]
                 self.assertAlmostEqual(slid, 0.3**2 / (2.0 * on_table * G), delta=delta)
 
-    def test_a_ball_that_rolls_comes_to_rest(self):
-        # Pushed to 0.2 m/s, rolling friction of 0.5 mm stops a ball of 2.5 cm radius: the loss is 5/7 of g times
+    def test_rolling_balls_come_to_rest(self):
+        # At 0.2 m/s, rolling friction of 0.5 mm stops a ball with a radius of 2.5 cm. The deceleration is 5/7 of g times
         # 0.5 mm over the radius, 0.14 m/s^2, so it rolls 14 cm in 1.4 s.
         motion = {"velocity_m_s": [0.0, 0.2, 0.0], "starts_s": 0.0, "ends_s": 0.3}
         pusher = fixture("disturbance", {"kind": "box", "half": [0.03, 0.03, 0.04]}, [0.5, -0.09, 0.041], 0.0, motion)
@@ -210,7 +210,7 @@ class ThePhysics(unittest.TestCase):
                 self.assertGreater(hand.object[1], 0.03)
                 self.assertLess(np.linalg.norm(hand.sight["object_velocity"]["linear_m_s"]), 0.005)
 
-    def test_names_what_the_arm_runs_into(self):
+    def test_names_the_collision(self):
         wall = fixture("obstacle", {"kind": "box", "half": [0.03, 0.03, 0.1]}, [0.5, 0.2, 0.1])
         for solver in ENGINES:
             with self.subTest(solver=solver):
@@ -218,7 +218,7 @@ class ThePhysics(unittest.TestCase):
                 hand.go([0.5, 0.0, 0.15], 1.0)
                 free = hand.steps[-1]["clearance_m"]
                 self.assertIsNotNone(free)
-                # The hand is 20.4 cm wide across its fingers' way, at 3 to 9 cm above the tool: its side is at y = 0.102.
+                # The hand is 20.4 cm wide across the finger motion, at 3 to 9 cm above the tool: its side is at y = 0.102.
                 self.assertAlmostEqual(free, 0.17 - 0.102, delta=0.005)
                 self.assertTrue(all(sight["collision"] is None for step in hand.steps for sight in step["sights"]))
                 hand.go([0.5, 0.1, 0.15], 1.0)
@@ -227,7 +227,7 @@ class ThePhysics(unittest.TestCase):
                 self.assertGreater(max(hit["force_n"] for hit in hits), 1.0)
                 self.assertEqual(hand.steps[-1]["clearance_m"], 0.0)
 
-    def test_sees_an_arm_that_starts_in_contact(self):
+    def test_reports_contact_at_the_start(self):
         at = CHAIN.tool(example_cell(FRANKA)["robot"]["home_rad"])[0].tolist()
         block = fixture("obstacle", {"kind": "box", "half": [0.05, 0.05, 0.05]}, at)
         for solver in ENGINES:
@@ -236,7 +236,7 @@ class ThePhysics(unittest.TestCase):
                 sight = begun(solver).start["sight"]
                 self.assertEqual((sight["collision"], sight["fingers"]), (None, [None, None]))
 
-    def test_gives_the_same_bits_whatever_ran_before(self):
+    def test_hashes_do_not_depend_on_history(self):
         for solver in ENGINES:
             with self.subTest(solver=solver):
                 hashes = []
@@ -249,7 +249,7 @@ class ThePhysics(unittest.TestCase):
 
 
 class TheServer(unittest.TestCase):
-    def test_is_started_and_driven_over_its_socket(self):
+    def test_serves_over_a_socket(self):
         for solver in ENGINES:
             with self.subTest(solver=solver):
                 self.drive(solver)
@@ -258,7 +258,7 @@ class TheServer(unittest.TestCase):
         command = [HERE.parent / "start.sh", "--solver", solver, "--port", "0"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
             try:
-                # The first line on standard output, and nothing before it.
+                # The first line on standard output is the address.
                 address = json.loads(server.stdout.readline())["listening"]
                 with Client(address, timeout_s=60.0) as client:
                     hello = client.hello()
@@ -279,19 +279,19 @@ class TheServer(unittest.TestCase):
                     here.run()
                     here.closed = True
                     here.wait(0.15)
-                    # Another process, the same bits.
+                    # Another process gives identical results.
                     self.assertEqual(client.state_hash(), here.steps[-1]["state_hash"])
             finally:
                 server.terminate()
                 server.wait(30)
 
-    def test_refuses_what_is_no_robot_with_fingers(self):
-        with self.assertRaisesRegex(Problem, "fingers"):
+    def test_rejects_unsupported_robots(self):
+        with self.assertRaisesRegex(Problem, "expected a parallel gripper"):
             Robot.read(FOLDER.parent / "ur5e")
         with self.assertRaisesRegex(Problem, "robot.toml"):
             Robot.read(HERE)
 
-    def test_says_that_a_state_has_diverged(self):
+    def test_reports_divergence(self):
         cell = example_cell(FRANKA) | {"gravity_m_s2": 1e37}
         home = cell["robot"]["home_rad"]
         for solver in ENGINES:

@@ -18,14 +18,14 @@ use crate::table::{EpisodeTable, Sample};
 use crate::task::TaskAnalysis;
 use crate::{AnalysisError, Finding, Population, Source, Success};
 
-/// The analysis of one dictionary.
+/// The analysis of one dictionary as one document.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Analysis {
     /// The version of this document.
     pub version: u32,
-    /// What was analysed.
+    /// The dictionary that was analysed.
     pub subject: Subject,
-    /// What the headline may state.
+    /// The claims that the headline may state.
     pub claims: Claims,
     /// The population that every figure below applies to, unless it names another one.
     pub population: Population,
@@ -37,7 +37,7 @@ pub struct Analysis {
     pub marginal_effects: Vec<MarginalEffect>,
     /// How the policy fails.
     pub failure_modes: FailureModes,
-    /// Where it significantly fails most of the time.
+    /// Where the policy significantly fails most of the time.
     pub danger_zones: DangerZones,
     /// The published model of the task, standardised, with interactions.
     pub interactions: Finding<Regression>,
@@ -45,20 +45,20 @@ pub struct Analysis {
     pub risk: Finding<RiskModel>,
     /// How the points were sampled.
     pub sampling: Sampling,
-    /// Episodes worth replaying.
+    /// Episodes that are worth replaying.
     pub replay: Vec<ReplayGroup>,
-    /// Where the rows come from.
+    /// The provenance of the rows.
     pub provenance: Provenance,
 }
 
-/// What was analysed.
+/// The dictionary of an analysis.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Subject {
-    /// The run's folder or the file, as given.
+    /// The path as given: the run's folder or a file.
     pub path: String,
-    /// Whether it is a run's folder, so that its episodes can be replayed.
+    /// Whether the path is a run's folder, so that episodes can be replayed.
     pub replayable: bool,
-    /// The task; empty where it is not known.
+    /// The task. Empty if it is unknown.
     pub task: String,
     /// The robot.
     pub robot: String,
@@ -92,7 +92,7 @@ impl Subject {
     }
 }
 
-/// Success over two parameters at once.
+/// Success rates over two parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Envelope {
     /// The observed rates.
@@ -105,10 +105,10 @@ impl Analysis {
     /// The version of the document that this build writes.
     pub const VERSION: u32 = 2;
 
-    /// Analyses a source that was opened from `path`. `pairs` names the pairs that are mapped beside the default one.
+    /// Analyses a source that was opened from `path`. `pairs` are mapped in addition to the default pair.
     ///
     /// # Errors
-    /// A column that cannot be read, or a pair of parameters that does not exist.
+    /// If a column cannot be read, or if a parameter of a pair does not exist.
     pub fn of(source: &Source, path: &Path, pairs: &[(String, String)]) -> Result<Self, AnalysisError> {
         let dictionary = source.dictionary();
         let table = EpisodeTable::read(dictionary)?;
@@ -164,7 +164,7 @@ impl Analysis {
     }
 }
 
-/// The rows that figures are computed from, the focused rows beside them, and the population of the first.
+/// The rows that figures are computed from, the other focused rows, and the population of the first.
 pub(crate) fn populations(table: &EpisodeTable) -> (Sample, Option<Sample>, Population) {
     let operating = table.sample(false);
     let focused = table.sample(true);

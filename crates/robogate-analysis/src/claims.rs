@@ -1,4 +1,4 @@
-//! What the headline may state: the failure regions and the advice that the figures support, as data.
+//! Claims of the headline, as data: failure regions, and advice that the figures support.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,24 +7,24 @@ use crate::marginal::{Cell, Correlation, CriticalThreshold, MarginalEffect, Para
 use crate::replay::ReplayReason;
 use crate::{Analysis, Population};
 
-/// Failure regions that are named.
+/// Maximum number of failure regions.
 const MAX_REGIONS: usize = 3;
-/// Pieces of advice that name a parameter.
+/// Maximum number of recommendations that name a parameter.
 const MAX_ADVICE: usize = 2;
-/// Share of the bootstrap replicates that must cross 50 % for a threshold to be named in advice.
+/// Share of the bootstrap replicates that must cross 50 % before advice names a threshold.
 const MIN_CROSSING_SHARE: f64 = 0.95;
-/// Invalid episodes come first in the advice if there is more than one of them for this many valid ones.
+/// Invalid episodes come first in the advice if there is more than one of them per this many valid ones.
 const VALID_PER_INVALID: u64 = 50;
-/// Valid episodes that a cell must have to be named in advice.
+/// Valid episodes that a cell needs before advice names it.
 const MIN_EPISODES: u64 = 20;
 
-/// What the headline may state.
+/// The claims that the headline may state.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Claims {
-    /// Where the policy fails: neighbouring cells of one parameter that are all danger zones and below the overall rate. The
-    /// parameter that is most correlated with success comes first.
+    /// Where the policy fails: neighbouring cells of one parameter that are all danger zones and below the overall
+    /// rate. The parameter that is most correlated with success comes first.
     pub failure_regions: Vec<FailureRegion>,
-    /// What to do, the most urgent first.
+    /// Recommendations, the most urgent first.
     pub advice: Vec<Advice>,
 }
 
@@ -43,7 +43,7 @@ pub struct FailureRegion {
     pub n: u64,
 }
 
-/// One cell of a parameter and its observed rate.
+/// A cell of a parameter with its observed rate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RatedCell {
     /// The cell.
@@ -52,7 +52,7 @@ pub struct RatedCell {
     pub rate: f64,
 }
 
-/// One piece of advice.
+/// A recommendation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Advice {
@@ -67,7 +67,7 @@ pub enum Advice {
     Keep {
         /// The parameter.
         parameter: String,
-        /// Whether to keep it above the threshold, else below.
+        /// Whether to stay above the threshold, otherwise below it.
         above: bool,
         /// The threshold, in the parameter's unit.
         threshold: f64,
@@ -81,16 +81,16 @@ pub enum Advice {
         /// Its cell with the lowest.
         worst: RatedCell,
     },
-    /// These parameters are sampled jointly, so none of them is advised on alone.
+    /// These parameters are sampled jointly, so there is no advice on one of them alone.
     Joint {
         /// The parameters.
         parameters: Vec<String>,
     },
-    /// Operate in the safe cells of a map; rely on none of its cells if none is safe.
+    /// Operate in the safe cells of a map, or in none if none is safe.
     Operate {
         /// The parameters of the map: upwards and across.
         parameters: [String; 2],
-        /// How many of its cells are safe.
+        /// The number of safe cells.
         safe_cells: u64,
     },
     /// Replay the failures that the risk model did not expect.
@@ -104,12 +104,12 @@ pub(crate) fn claims(analysis: &Analysis) -> Claims {
     Claims { failure_regions: failure_regions(analysis), advice: advice(analysis) }
 }
 
-/// How strongly a parameter is correlated with success; 0 where that cannot be estimated.
+/// The strength of a parameter's correlation with success. 0 if it cannot be estimated.
 fn strength(effect: &MarginalEffect) -> f64 {
     effect.correlation.estimated().map_or(0.0, |c| c.strength())
 }
 
-/// For each parameter the region around its worst cell.
+/// For each parameter, the region around its worst cell.
 fn failure_regions(analysis: &Analysis) -> Vec<FailureRegion> {
     let overall = analysis.success.rate.rate.unwrap_or(0.0);
     let mut found: Vec<(f64, FailureRegion)> = Vec::new();
@@ -175,7 +175,7 @@ fn advice(analysis: &Analysis) -> Vec<Advice> {
     if !parameters.is_empty() {
         advice.push(Advice::Joint { parameters });
     }
-    // Where the scenarios were chosen, a cell of the map is a handful of scenarios and no place to operate in.
+    // In a suite, a cell of the map contains a few selected scenarios, so it cannot be recommended.
     let map = analysis.envelopes.first().and_then(|e| e.map.estimated());
     if let Some(map) = map.filter(|_| analysis.population != Population::Suite) {
         let safe = map.cells.iter().filter(|c| c.zone == Zone::Safe).count();
@@ -189,7 +189,7 @@ fn advice(analysis: &Analysis) -> Vec<Advice> {
     advice
 }
 
-/// The strongest critical thresholds.
+/// The thresholds with the highest bootstrap support.
 fn thresholds(analysis: &Analysis) -> Vec<Advice> {
     let mut found: Vec<(f64, Advice)> = analysis
         .marginal_effects
@@ -207,7 +207,7 @@ fn thresholds(analysis: &Analysis) -> Vec<Advice> {
     found.into_iter().take(MAX_ADVICE).map(|(_, advice)| advice).collect()
 }
 
-/// The parameters that matter most, with their best and worst cells.
+/// The parameters with the strongest correlation, with their best and worst cells.
 fn ranges(analysis: &Analysis) -> Vec<Advice> {
     let advised = |effect: &&MarginalEffect| matters(effect) && !analysis.is_jointly_sampled(&effect.parameter);
     let mut ranked: Vec<&MarginalEffect> = analysis.marginal_effects.iter().filter(advised).collect();
@@ -231,7 +231,7 @@ fn ranges(analysis: &Analysis) -> Vec<Advice> {
         .collect()
 }
 
-/// Whether a parameter is correlated with success: the p-value is below 0.001, so that many parameters give few false ones.
+/// Whether a parameter is correlated with success. The limit of 0.001 keeps false positives rare for many parameters.
 fn matters(effect: &MarginalEffect) -> bool {
     let ln_p = match effect.correlation.estimated() {
         Some(Correlation::Number { ln_p, .. }) => *ln_p,

@@ -13,7 +13,7 @@ pub const DANGER_LIMIT: f64 = 0.40;
 /// The level of significance, after Holm's adjustment.
 const LEVEL: f64 = 0.05;
 
-/// Bins and levels in which the policy significantly fails most of the time.
+/// Danger zones: bins and levels with a success rate significantly below the limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct DangerZones {
     /// The limit that the success rate of a zone is tested against: that of the paper's table.
@@ -24,7 +24,7 @@ pub struct DangerZones {
     pub zones: Vec<DangerZone>,
 }
 
-/// One bin or level.
+/// One bin or level with its test.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct DangerZone {
     /// The parameter.

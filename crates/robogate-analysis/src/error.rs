@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 
 use robogate_dictionary::DictionaryError;
 
-/// Why there is no analysis.
+/// An error that prevents an analysis.
 #[derive(Debug, thiserror::Error)]
 pub enum AnalysisError {
-    /// The dictionary cannot be read.
+    /// A dictionary that cannot be read.
     #[error(transparent)]
     Dictionary(#[from] DictionaryError),
-    /// Not a dictionary in any supported form.
+    /// A file that is not a dictionary in any supported format.
     #[error(
         "{}: {reason}\nhint: expected a run's folder, a dictionary (Parquet) or a published JSON dictionary",
         path.display()
@@ -18,7 +18,7 @@ pub enum AnalysisError {
     NotADictionary {
         /// The path as given.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The problem.
         reason: String,
     },
     /// A folder without a finished run.
@@ -30,20 +30,20 @@ pub enum AnalysisError {
         /// The folder.
         path: PathBuf,
     },
-    /// The system refused to read or write a file.
+    /// An error of the operating system.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
         /// The operation that failed.
         action: &'static str,
-        /// The system's error.
+        /// The error.
         source: std::io::Error,
     },
     /// Dictionaries that do not form a study.
     #[error("these dictionaries do not form a study: {reason}")]
     NoStudy {
-        /// What does not match.
+        /// The mismatch.
         reason: String,
     },
     /// A pair of parameters that cannot be mapped.
@@ -51,7 +51,7 @@ pub enum AnalysisError {
     Pair {
         /// The name as given.
         name: String,
-        /// What is wrong with it.
+        /// The problem.
         reason: &'static str,
         /// The names of the parameters.
         known: String,

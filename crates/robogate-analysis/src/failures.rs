@@ -14,13 +14,13 @@ use crate::table::{EpisodeTable, Sample};
 /// Failures by mode.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct FailureModes {
-    /// Failures among the rows of the analysis.
+    /// Number of failures in the rows of the analysis.
     pub failures: u64,
     /// Every mode, including those that did not occur.
     pub modes: Vec<ModeShare>,
     /// The most frequent mode, if it is significantly more frequent than the second.
     pub dominant: Finding<String>,
-    /// Modes that the source of imported rows does not record: any failure may be one of them.
+    /// Modes that the source of imported rows does not record. Any failure may be one of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_recorded: Vec<String>,
 }
@@ -30,14 +30,14 @@ pub struct FailureModes {
 pub struct ModeShare {
     /// The mode.
     pub mode: String,
-    /// Whether the task declares it; an undeclared mode comes from the data alone.
+    /// Whether the task declares it. Other modes occur only in the data.
     #[serde(default = "declared")]
     pub declared: bool,
-    /// Failures of this mode.
+    /// Number of failures with this mode.
     pub failures: u64,
-    /// Share of all failures; absent where nothing failed.
+    /// Share of all failures. `None` without failures.
     pub share: Option<f64>,
-    /// 95 % interval; the intervals hold for all modes together (Goodman).
+    /// 95 % interval. The intervals hold simultaneously for all modes (Goodman).
     pub interval_95: [f64; 2],
 }
 
@@ -48,7 +48,7 @@ impl ModeShare {
     }
 }
 
-/// Documents of earlier versions contain declared modes only.
+/// The default of documents from earlier versions, which contain declared modes only.
 fn declared() -> bool {
     true
 }
@@ -89,7 +89,7 @@ impl FailureModes {
     }
 }
 
-/// Counts in which the failures of unknown mode have the second most frequent mode: the least favourable case for the
+/// Counts in which all failures of unknown mode have the second most frequent mode: the least favourable case for the
 /// most frequent one.
 fn with_unknown_as_second(mut counts: Vec<u64>, unknown: Option<usize>) -> Vec<u64> {
     let Some(unknown) = unknown else { return counts };
@@ -101,7 +101,7 @@ fn with_unknown_as_second(mut counts: Vec<u64>, unknown: Option<usize>) -> Vec<u
     counts
 }
 
-/// Why modes that a source does not record make the others uncertain, as the end of a sentence.
+/// The reason why unrecorded modes make the others uncertain, as the end of a sentence.
 pub fn unrecorded(modes: &[String]) -> String {
     let modes: Vec<String> = modes.iter().map(|mode| mode_label(mode)).collect();
     format!("the source does not record {}: any failure may be one of them", list(&modes))

@@ -1,6 +1,6 @@
-//! Names of parameters and failure modes as people read them.
+//! Labels of parameters and failure modes in reports.
 
-/// Units that a parameter's name may end in, and how they are written.
+/// Units at the end of parameter names, and their notation.
 const UNITS: [(&str, &str); 14] = [
     ("_nms_rad", "N·m·s/rad"),
     ("_m_s2", "m/s²"),
@@ -18,7 +18,7 @@ const UNITS: [(&str, &str); 14] = [
     ("_s", "s"),
 ];
 
-/// The label of a parameter (its name without the unit, underscores replaced by spaces) and its unit, which may be empty.
+/// The label of a parameter (its name without the unit, with spaces for underscores) and its unit, which may be empty.
 pub fn label_and_unit(parameter: &str) -> (String, &'static str) {
     let (stem, unit) = UNITS
         .iter()

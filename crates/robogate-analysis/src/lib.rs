@@ -1,9 +1,9 @@
-//! What a failure dictionary says, as data: rates, marginal effects, frontiers, risk models, comparisons and studies.
+//! Analysis of failure dictionaries, as data: rates, marginal effects, frontiers, risk models, comparisons and studies.
 //!
-//! [`Source::open`] takes a run's folder, a Parquet dictionary or a published JSON one; [`Analysis::of`] makes one versioned
-//! document of it. Every figure names the population that it applies to, and a figure that cannot be estimated says why. The
-//! same rows give the same figures: there is no clock and no randomness here but the fixed seeds of bootstrap and folds.
-//! Sentences and pages are `robogate-report`'s.
+//! [`Source::open`] takes a run's folder, a Parquet dictionary or a published JSON dictionary. [`Analysis::of`] computes one
+//! versioned document from it. Every figure names the population that it applies to, and a figure that cannot be
+//! estimated states the reason. The same rows give the same figures: the only random numbers are those of bootstrap and
+//! folds, with fixed seeds. Sentences and pages are written by `robogate-report`.
 //!
 //! | from | to |
 //! |---|---|
@@ -11,7 +11,7 @@
 //! | a source | [`Analysis`] |
 //! | several sources | [`Comparison`] |
 //! | dictionaries of several designs and a test set | [`study::Study`] |
-//! | the name of a task | [`TaskAnalysis`]: what that task adds to the generic analysis |
+//! | the name of a task | [`TaskAnalysis`]: the additions of that task to the generic analysis |
 
 mod analysis;
 mod claims;

@@ -51,7 +51,7 @@ impl Axis {
         if self.levels.is_empty() { self.edges.len().saturating_sub(1) } else { self.levels.len() }
     }
 
-    /// The edges or the level of a cell; empty where there is no such cell.
+    /// The edges or the level of a cell; empty if there is no such cell.
     pub fn cell_label(&self, at: usize) -> String {
         match (self.levels.get(at), self.edges.get(at..at + 2)) {
             (Some(level), _) => level.clone(),
@@ -86,8 +86,8 @@ pub struct ZoneCounts {
     pub too_few_episodes: u64,
 }
 
-/// The pair that is mapped by default: the one that the task names, else the two numeric parameters that are most strongly
-/// correlated with success. The frontier is solved for the first.
+/// The pair that is mapped by default: that of the task, otherwise the two numeric parameters with the strongest
+/// correlation with success. The frontier is solved for the first.
 pub(crate) fn default_pair(base: &Sample, effects: &[MarginalEffect], task: &TaskAnalysis) -> Option<(String, String)> {
     if let Some([up, across]) = task.envelope.filter(|pair| pair.iter().all(|name| base.parameter(name).is_some())) {
         return Some((up.to_owned(), across.to_owned()));
@@ -109,7 +109,7 @@ pub(crate) fn check(base: &Sample, first: &str, second: &str) -> Result<(), Anal
     let known = || base.parameters.iter().map(|p| p.name.as_str()).collect::<Vec<_>>().join(", ");
     for name in [first, second] {
         if base.parameter(name).is_none() {
-            let reason = "no parameter has this name";
+            let reason = "unknown parameter";
             return Err(AnalysisError::Pair { name: name.to_owned(), reason, known: known() });
         }
     }
@@ -122,7 +122,7 @@ pub(crate) fn check(base: &Sample, first: &str, second: &str) -> Result<(), Anal
 
 /// The map of two parameters: `up` on the vertical axis, `across` on the horizontal one.
 pub(crate) fn map(base: &Sample, up: &ParameterColumn, across: &ParameterColumn) -> Option<PairMap> {
-    // As many cells as leave enough episodes for each.
+    // The number of cells leaves enough episodes for each.
     let side = (base.len() as f64 / EPISODES_PER_CELL as f64).sqrt() as usize;
     let bins = side.clamp(3, MAX_BINS);
     let (y_axis, y_edges) = axis(up, bins)?;

@@ -10,32 +10,34 @@ use serde::{Deserialize, Serialize};
 pub enum Population {
     /// The operating space, each parameter sampled as the space declares.
     OperatingSpace,
-    /// The unknown distribution of the imported rows; it is taken to be the operating one.
+    /// The unknown distribution of imported rows, which is assumed to be the operating one.
     AsImported,
-    /// The scenarios of a suite, which were chosen and not sampled.
+    /// The scenarios of a suite, which were selected and not sampled.
     Suite,
-    /// A focused design as it was sampled: not the operating space.
+    /// A focused design without weights. It does not estimate the operating space.
     FocusedDesign,
-    /// The part of the operating space inside the region of the focused design, by stored weights.
+    /// The part of the operating space inside the focused region, with stored weights.
     FocusedRegion,
-    /// The operating space, from all rows by their weights.
+    /// The operating space, from all rows with their weights.
     Reweighted,
 }
 
 impl Population {
-    /// The population in a sentence, as the object of "applies to".
+    /// The population as the object of "apply to".
     pub fn describe(self) -> &'static str {
         match self {
             Self::OperatingSpace => {
                 "the operating space, each parameter sampled uniformly over its range on its own scale"
             }
             Self::AsImported => "the distribution of the imported rows; how they were sampled is not known",
-            Self::Suite => "the scenarios of the suite, which were chosen: not an operating rate",
+            Self::Suite => {
+                "the scenarios of the suite, which were selected: this is not the rate of the operating space"
+            }
             Self::FocusedDesign => {
-                "the focused design only, which samples near the failure boundary: not an operating rate"
+                "the focused design only, which samples near the failure boundary: this is not the rate of the operating space"
             }
             Self::FocusedRegion => "the part of the operating space inside the focused region, by stored weights",
-            Self::Reweighted => "the operating space, from all rows: focused rows count by their stored weights",
+            Self::Reweighted => "the operating space, from all rows: focused rows are weighted",
         }
     }
 
@@ -103,11 +105,11 @@ pub struct Rate {
     pub n: u64,
     /// Successes among them.
     pub successes: u64,
-    /// Their share; absent without a valid episode.
+    /// Their share. `None` without a valid episode.
     pub rate: Option<f64>,
-    /// Wilson's 95 % interval; [0, 1] without a valid episode.
+    /// Wilson's 95 % interval. [0, 1] without a valid episode.
     pub wilson_95: [f64; 2],
-    /// The exact (Clopper-Pearson) 95 % interval; [0, 1] without a valid episode.
+    /// The exact (Clopper-Pearson) 95 % interval. [0, 1] without a valid episode.
     pub clopper_pearson_95: [f64; 2],
 }
 

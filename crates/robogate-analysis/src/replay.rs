@@ -1,4 +1,4 @@
-//! Episodes worth replaying.
+//! Episodes that are worth replaying.
 
 use robogate_stats::format::{fixed, percent};
 use schemars::JsonSchema;
@@ -8,7 +8,7 @@ use crate::models::Scored;
 use crate::table::{Ending, EpisodeTable, Sample};
 use crate::task::TaskAnalysis;
 
-/// Episodes in one group.
+/// Maximum number of episodes in a group.
 const MAX_EPISODES: usize = 5;
 
 /// Episodes that are worth replaying for one reason.
@@ -18,13 +18,13 @@ pub struct ReplayGroup {
     pub reason: ReplayReason,
     /// The reason as a heading.
     pub title: String,
-    /// The reason in a sentence.
+    /// The reason as a sentence.
     pub why: String,
     /// The episodes, the most informative first.
     pub episodes: Vec<ReplayEpisode>,
 }
 
-/// Why episodes are worth replaying.
+/// The reason why episodes are worth replaying.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ReplayReason {
@@ -34,7 +34,7 @@ pub enum ReplayReason {
     UnexpectedSuccess,
     /// The risk model predicts success and failure with about the same probability.
     Boundary,
-    /// The task declares them worth replaying.
+    /// The plug-in of the task selected them.
     Task,
     /// They are invalid.
     Invalid,
@@ -49,9 +49,9 @@ pub struct ReplayEpisode {
     pub stage: String,
     /// Its outcome.
     pub outcome: String,
-    /// The figure by which it was chosen.
+    /// The figure that selected it.
     pub figure: String,
-    /// Its parameters, name and value.
+    /// Its parameters as names and values.
     pub parameters: Vec<(String, String)>,
 }
 
@@ -77,7 +77,7 @@ pub(crate) fn replay_groups(
     groups
 }
 
-/// Episodes that the risk model did not expect, and those on its boundary.
+/// Episodes with unexpected outcomes, and those nearest to the model's boundary.
 fn by_risk(table: &EpisodeTable, base: &Sample, scored: &Scored) -> Vec<ReplayGroup> {
     let by = if scored.unseen { "a risk model that was not fitted to the episode" } else { "the risk model" };
     let risk = |i: usize| scored.p[i];
@@ -114,7 +114,7 @@ fn by_risk(table: &EpisodeTable, base: &Sample, scored: &Scored) -> Vec<ReplayGr
     groups
 }
 
-/// Positions of the smallest values; of equal values the first.
+/// Indices of the smallest values. Among equal values the first ones.
 pub(crate) fn lowest(n: usize, value: impl Fn(usize) -> Option<f64>) -> Vec<usize> {
     let mut best: Vec<(f64, usize)> = Vec::with_capacity(MAX_EPISODES + 1);
     for i in 0..n {
@@ -140,7 +140,7 @@ pub(crate) fn episode(table: &EpisodeTable, row: usize, figure: String) -> Repla
     }
 }
 
-/// A text as a POSIX shell reads it as one word.
+/// Quotes a text as one word for a POSIX shell.
 pub fn shell_word(text: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || matches!(c, '/' | '\\' | ':' | '.' | '_' | '-');
     if !text.is_empty() && text.chars().all(plain) {

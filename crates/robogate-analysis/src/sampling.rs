@@ -8,12 +8,12 @@ use crate::Source;
 use crate::table::EpisodeTable;
 use robogate_stats::format::{count, range};
 
-/// How the points of a dictionary were sampled. The success figures list the stages themselves.
+/// How the points of a dictionary were sampled. The success figures list the stages.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Sampling {
     /// The campaign's seed.
     pub seed: u64,
-    /// The operating space and, where it is known, the part of it that the focused stage sampled.
+    /// The operating space and, if it is known, the part that the focused stage sampled.
     pub ranges: Vec<SampledRange>,
     /// Share of the operating distribution that the focused stage covers, from the run's boundary report.
     pub focused_share: Option<f64>,
@@ -30,9 +30,9 @@ pub struct SampledRange {
     pub operating: String,
     /// The scale on which it is sampled uniformly.
     pub scale: String,
-    /// The range of the focused stage; absent without one, or where it is not known.
+    /// The range of the focused stage. `None` without one, or if it is unknown.
     pub focused: Option<String>,
-    /// Where that range comes from: `bins`, `fallback` or `whole_range`.
+    /// The origin of that range: `bins`, `fallback` or `whole_range`.
     pub focused_from: Option<String>,
 }
 
@@ -65,7 +65,7 @@ pub(crate) fn sampling(source: &Source, table: &EpisodeTable) -> Sampling {
     let operating: usize = (0..table.len()).filter(|row| !table.is_focused(*row)).count();
     if d > 12 && operating < 2_000 * d {
         warnings.push(format!(
-            "{d} parameters need at least {} episodes (2,000 for each: the paper's advice beyond 12 dimensions); there are \
+            "{d} parameters need at least {} episodes (2,000 for each: the paper's advice beyond 12 dimensions); there are only \
              {}. Use fewer parameters, or their principal components.",
             count(2_000 * d as u64),
             count(operating as u64)

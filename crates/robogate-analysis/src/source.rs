@@ -1,4 +1,4 @@
-//! Opening a dictionary, in any of its forms.
+//! Opens a dictionary in any supported format.
 
 use std::fs::{self, File};
 use std::io::Read;
@@ -10,22 +10,22 @@ use serde::Deserialize;
 
 use crate::AnalysisError;
 
-/// The dictionary in a run's folder.
+/// The file name of the dictionary in a run's folder.
 const DICTIONARY: &str = "dictionary.parquet";
-/// The boundary report of a run's first stage, beside it.
+/// The file name of the boundary report in a run's folder.
 const BOUNDARY: &str = "boundary.json";
 
-/// An open dictionary and the boundary report beside it.
+/// An open dictionary, with the boundary report of its run.
 #[derive(Debug)]
 pub struct Source {
     dictionary: Dictionary,
     folder: Option<PathBuf>,
     boundary: Option<BoundaryFile>,
-    /// Removed when the source is dropped.
+    /// The scratch file of an import. It is removed when the source is dropped.
     _scratch: Option<Scratch>,
 }
 
-/// What is read of a run's `boundary.json`: the ranges of the second stage.
+/// The part of a run's `boundary.json` that is used: the ranges of the second stage.
 #[derive(Debug, Clone, Deserialize)]
 pub(crate) struct BoundaryFile {
     pub(crate) parameters: Vec<BoundarySpan>,
@@ -50,14 +50,14 @@ impl Source {
     /// Opens a run's folder, a Parquet dictionary, or a published JSON dictionary (imported into a scratch file).
     ///
     /// # Errors
-    /// What is wrong with the path, with a hint.
+    /// The problem with the path, with a hint.
     pub fn open(path: &Path) -> Result<Self, AnalysisError> {
         if path.is_dir() {
             let file = path.join(DICTIONARY);
             if !file.exists() {
                 return Err(AnalysisError::NoDictionaryInFolder { path: path.to_owned() });
             }
-            // Without a readable boundary report the page lacks one table.
+            // Without a readable boundary report, one table is missing from the page.
             let boundary = fs::read(path.join(BOUNDARY)).ok().and_then(|text| serde_json::from_slice(&text).ok());
             let dictionary = Dictionary::open(&file)?;
             return Ok(Self { dictionary, folder: Some(path.to_owned()), boundary, _scratch: None });

@@ -1,4 +1,4 @@
-//! How often the policy succeeds, for each stage and for the operating space.
+//! Success rates of the stages and of the operating space.
 
 use robogate_stats::weighted::{effective_sample_size, hajek};
 use robogate_stats::{Confidence, Trials};
@@ -14,24 +14,24 @@ use crate::table::{Ending, EpisodeTable, ParameterKind, Sample};
 pub struct Success {
     /// The population of the headline rate.
     pub population: Population,
-    /// The success rate that every other figure refers to.
+    /// The success rate that all other figures refer to.
     pub rate: Rate,
-    /// Bounds of the rate, whatever the outcome of the invalid episodes would have been.
+    /// Bounds of the rate for all possible outcomes of the invalid episodes.
     pub bounds: InvalidBounds,
-    /// Each stage by itself.
+    /// Each stage separately.
     pub stages: Vec<StageSuccess>,
-    /// The rate over the operating space from all rows, if there are focused rows beside the others.
+    /// The rate over the operating space from all rows, if there are focused and other rows.
     pub reweighted: Option<Finding<Reweighted>>,
 }
 
-/// Invalid episodes: their number, and what they could change.
+/// Invalid episodes, and their possible effect on the rate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct InvalidBounds {
     /// Invalid episodes in the population of the headline.
     pub invalid: u64,
-    /// The rate if all of them had failed; absent without an episode.
+    /// The rate if all of them had failed. `None` without episodes.
     pub worst_case: Option<f64>,
-    /// The rate if all of them had succeeded; absent without an episode.
+    /// The rate if all of them had succeeded. `None` without episodes.
     pub best_case: Option<f64>,
     /// Faults of all stages, with their counts.
     pub faults: Vec<FaultCount>,
@@ -61,7 +61,7 @@ pub struct StageSuccess {
     pub invalid: u64,
     /// Its rate over valid episodes, unweighted.
     pub rate: Rate,
-    /// Smallest and largest stored weight; absent without valid episodes.
+    /// Smallest and largest stored weight. `None` without valid episodes.
     pub weights: Option<[f64; 2]>,
     /// Kish's effective sample size of its weights.
     pub effective_sample_size: f64,
@@ -74,9 +74,9 @@ pub struct StageSuccess {
 pub struct WeightedRate {
     /// The rate.
     pub rate: f64,
-    /// Its standard error; absent if every outcome is the same.
+    /// Its standard error. `None` if all outcomes are equal.
     pub se: Option<f64>,
-    /// 95 % interval: Wilson's at the effective sample size.
+    /// 95 % interval: Wilson's interval with the effective sample size.
     pub interval_95: [f64; 2],
     /// Kish's effective sample size.
     pub effective_sample_size: f64,
@@ -87,7 +87,7 @@ pub struct WeightedRate {
 pub struct Reweighted {
     /// Hajek's estimate over all valid rows.
     pub estimate: WeightedRate,
-    /// Valid rows that it is computed from.
+    /// Number of valid rows.
     pub rows: u64,
     /// Share of the operating distribution inside the focused region.
     pub region_share: f64,
@@ -162,10 +162,10 @@ fn weighted(success: &[bool], weights: &[f64]) -> Result<WeightedRate, String> {
 /// Combines both designs by post-stratification on the focused region R.
 ///
 /// The stored weights p/q of the focused rows describe the operating density inside R and nothing outside it, so
-/// concatenating the two sets would count R twice. Here the rows outside R (all of them of the uniform design) share the
-/// mass 1 - P(R) equally. Inside R the mass P(R) is divided between the two designs in proportion to their effective
-/// sample sizes: equally among the uniform rows, by stored weight among the focused ones. R is the box of the focused rows; P(R) its share of the operating distribution, whose parameters are
-/// independent.
+/// concatenating the two sets would count R twice. Here the rows outside R (all of them from the uniform design) share
+/// the mass 1 - P(R) equally. Inside R, the mass P(R) is divided between the two designs in proportion to their
+/// effective sample sizes: equally among the uniform rows, by stored weight among the focused ones. R is the bounding
+/// box of the focused rows, and P(R) its share of the operating distribution, whose parameters are independent.
 fn reweighted(table: &EpisodeTable, base: &Sample, focused: &Sample) -> Finding<Reweighted> {
     match combined_weights(table, base, focused) {
         Ok((success, weights, region_share)) => match weighted(&success, &weights) {

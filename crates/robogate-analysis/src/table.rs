@@ -1,22 +1,22 @@
-//! The columns of a dictionary in memory, and the rows that a figure is computed from.
+//! The columns of a dictionary in memory, and samples of its rows.
 
 use robogate_core::{Domain, FailureMode, Word};
 use robogate_dictionary::{Column, Dictionary, DictionaryError, results};
 
-/// The column of cycle times.
+/// The name of the column of cycle times.
 const TIME: &str = "cycle_time_s";
 
-/// The columns that the analysis reads, one value per episode: about 120 bytes a row.
+/// The columns that the analysis reads, with one value per episode. A row takes about 120 bytes.
 pub(crate) struct EpisodeTable {
     pub(crate) index: Vec<u64>,
-    /// Position of each row's stage in `stages`.
+    /// Index of each row's stage in `stages`.
     pub(crate) stage: Vec<u8>,
     pub(crate) stages: Vec<Stage>,
     pub(crate) weight: Vec<f64>,
     pub(crate) outcome: Vec<Ending>,
-    /// The failure modes of the task, then those that it does not declare and that occurred.
+    /// The failure modes of the task, then undeclared modes that occurred.
     pub(crate) modes: Vec<FailureMode>,
-    /// How many of these the task declares.
+    /// Number of declared modes.
     pub(crate) declared: usize,
     pub(crate) parameters: Vec<ParameterColumn>,
     /// The measures of the task by name.
@@ -32,19 +32,19 @@ pub(crate) struct EpisodeTable {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Ending {
     Success,
-    /// Position in [`EpisodeTable::modes`].
+    /// Index in [`EpisodeTable::modes`].
     Failure(u16),
     Invalid,
 }
 
-/// A stage and how its points were sampled.
+/// A stage and the sampler of its points.
 pub(crate) struct Stage {
     pub(crate) name: String,
     pub(crate) designs: Vec<String>,
     pub(crate) focused: bool,
 }
 
-/// The requested values of one parameter; for a categorical one the positions of its levels.
+/// The requested values of one parameter. For a categorical one, the indices of its levels.
 pub(crate) struct ParameterColumn {
     pub(crate) name: String,
     pub(crate) kind: ParameterKind,
@@ -89,7 +89,7 @@ impl EpisodeTable {
         }
         let provenance = dictionary.provenance();
         let source = provenance.source.iter().flat_map(|source| &source.not_recorded);
-        // The other names are failure modes, which the task of such a source does not declare.
+        // The task of such a source declares no failure modes, so the other names are its modes.
         let not_recorded = source.filter(|name| *name != TIME).cloned().collect();
         let measure = |name: Word| Ok((name, dictionary.numbers(name.as_str())?));
         let measures = task.measures.iter().map(|spec| measure(spec.name)).collect::<Result<_, DictionaryError>>()?;
@@ -117,12 +117,12 @@ impl EpisodeTable {
         self.outcome.len()
     }
 
-    /// A measure of the task, one value for each row.
+    /// A measure of the task, with one value per row.
     pub(crate) fn measure(&self, name: &str) -> Option<&[Option<f64>]> {
         self.measures.iter().find(|(known, _)| *known == name).map(|(_, values)| &**values)
     }
 
-    /// The name of the failure mode at a position of [`Self::modes`].
+    /// The name of the failure mode at an index of [`Self::modes`].
     pub(crate) fn mode(&self, at: usize) -> &'static str {
         self.modes.get(at).copied().unwrap_or(FailureMode::UNKNOWN).as_str()
     }
@@ -136,7 +136,7 @@ impl EpisodeTable {
         }
     }
 
-    /// The valid rows whose stage is focused, or is not.
+    /// The valid rows of the focused stages, or of all others.
     pub(crate) fn sample(&self, focused: bool) -> Sample {
         self.valid_where(|row| self.is_focused(row) == focused)
     }
@@ -161,9 +161,9 @@ impl EpisodeTable {
     }
 }
 
-/// Valid rows of one population, with their parameters gathered.
+/// Valid rows of one population, with their parameter values.
 pub(crate) struct Sample {
-    /// Position in [`EpisodeTable`].
+    /// Indices in [`EpisodeTable`].
     pub(crate) rows: Vec<u32>,
     pub(crate) success: Vec<bool>,
     pub(crate) parameters: Vec<ParameterColumn>,
@@ -178,7 +178,7 @@ impl Sample {
         self.parameters.iter().find(|p| p.name == name)
     }
 
-    /// Positions of the failures and the mode of each.
+    /// Indices of the failures, with their modes.
     pub(crate) fn failures(&self, table: &EpisodeTable) -> (Vec<usize>, Vec<usize>) {
         let modes = self.rows.iter().enumerate().filter_map(|(i, row)| match table.outcome[*row as usize] {
             Ending::Failure(mode) => Some((i, usize::from(mode))),
@@ -211,7 +211,7 @@ impl ParameterColumn {
 
     /// The values as category codes.
     pub(crate) fn codes(&self) -> Vec<usize> {
-        // Codes are positions, hence non-negative integers.
+        // Codes are indices, hence non-negative integers.
         self.values.iter().map(|v| *v as usize).collect()
     }
 
@@ -223,7 +223,7 @@ impl ParameterColumn {
         }
     }
 
-    /// A value for people.
+    /// A value for display.
     pub(crate) fn show(&self, value: f64) -> String {
         match &self.kind {
             ParameterKind::Continuous { .. } => robogate_stats::format::number(value),
@@ -233,7 +233,7 @@ impl ParameterColumn {
     }
 }
 
-/// How the episodes with this outcome ended. A failure mode that the task does not declare is added to `modes`.
+/// Parses an outcome. A failure mode that the task does not declare is added to `modes`.
 fn ending(outcome: &str, modes: &mut Vec<FailureMode>) -> Ending {
     match outcome {
         "success" => return Ending::Success,
@@ -245,7 +245,7 @@ fn ending(outcome: &str, modes: &mut Vec<FailureMode>) -> Ending {
         modes.push(mode);
         modes.len() - 1
     });
-    // A file has far fewer modes than rows.
+    // A file has far fewer modes than rows, so a linear search is fast.
     Ending::Failure(u16::try_from(at).unwrap_or(u16::MAX))
 }
 
@@ -260,8 +260,8 @@ fn categories(dictionary: &Dictionary, name: &str) -> Result<(Vec<String>, Vec<O
     }
 }
 
-/// A stage is focused if its points were not sampled from the operating distribution: the boundary stage, and any unknown
-/// stage whose weights are not all 1.
+/// A stage is focused if its points were not sampled from the operating distribution: the boundary stage, and any
+/// unknown stage whose weights are not all 1.
 fn stages(
     names: &[String],
     codes: &[Option<u32>],
@@ -303,7 +303,7 @@ fn parameter(dictionary: &Dictionary, name: &str, domain: &Domain) -> Result<Par
         Domain::Categorical { choices } => {
             let mut all: Vec<String> = choices.iter().map(|c| c.to_string()).collect();
             let (present, codes) = categories(dictionary, name)?;
-            // A value that the space does not declare is a level of its own.
+            // A value that the space does not declare becomes a level.
             let places: Vec<f64> = present
                 .into_iter()
                 .map(|level| match all.iter().position(|known| *known == level) {

@@ -1,4 +1,4 @@
-//! What one task adds to the generic analysis: its published models, its default figures, its episodes worth replaying.
+//! The analysis plug-ins of tasks: published models, default figures, episodes worth replaying.
 
 use robogate_dictionary::Provenance;
 
@@ -6,7 +6,7 @@ use crate::pick_place::PICK_PLACE;
 use crate::replay::ReplayGroup;
 use crate::table::EpisodeTable;
 
-/// The analysis plug-in of one task. Everything in it is optional: a task without a plug-in is analysed all the same.
+/// The analysis plug-in of one task. All parts are optional; a task without a plug-in is analysed too.
 #[derive(Debug)]
 pub struct TaskAnalysis {
     /// Name of the task.
@@ -15,13 +15,13 @@ pub struct TaskAnalysis {
     pub envelope: Option<[&'static str; 2]>,
     /// The published logistic model of success with interactions.
     pub interactions: Option<InteractionModel>,
-    /// The parameters of the published risk model; empty where none is published.
+    /// The parameters of the published risk model. Empty if there is none.
     pub risk_parameters: &'static [&'static str],
-    /// The form of the published risk model, in a sentence.
+    /// The form of the published risk model, in one sentence.
     pub risk_about: &'static str,
-    /// The parameter whose effect on each of several compared dictionaries is fitted over its logarithm.
+    /// The parameter whose effect is compared between dictionaries, over its logarithm.
     pub sensitivity: Option<&'static str>,
-    /// Episodes that this task finds worth replaying.
+    /// Selects episodes that are worth replaying for this task.
     pub(crate) replay: fn(&EpisodeTable) -> Option<ReplayGroup>,
 }
 
@@ -36,7 +36,7 @@ pub struct InteractionModel {
     pub products: &'static [(usize, usize)],
     /// Its form, in a few words.
     pub about: &'static str,
-    /// What the publication leaves open, in sentences.
+    /// Sentences on what the publication does not define.
     pub note: &'static str,
 }
 
@@ -55,7 +55,7 @@ static NO_PLUG_IN: TaskAnalysis = TaskAnalysis {
 };
 
 impl TaskAnalysis {
-    /// The plug-in of the task with this name; one that adds nothing where there is none.
+    /// The plug-in of the task with this name, or an empty one.
     pub fn of(task: &str) -> &'static Self {
         PLUG_INS.into_iter().find(|plug_in| plug_in.task == task).unwrap_or(&NO_PLUG_IN)
     }

@@ -1,9 +1,9 @@
-//! Prints what stopping when the answer is certain saves, as a table in Markdown.
+//! Prints how many episodes sequential testing saves, as a Markdown table.
 #![expect(clippy::print_stdout, reason = "an example that prints")]
 
 use robogate_stats::operating::{RateTest, Schedule, characteristic};
 
-/// The fewest episodes of a fixed number at which the exact test passes as often as `power`, in whole rounds.
+/// The smallest fixed number of episodes, in complete rounds, at which the exact test passes with probability `power`.
 fn fixed(test: RateTest, p: f64, power: f64) -> Option<u64> {
     (1..=200).map(|rounds| 68 * rounds).find(|n| characteristic(test, Schedule::Fixed { n: *n }, p).met >= power)
 }

@@ -1,4 +1,4 @@
-//! The question as a file, written before the first episode.
+//! The question of a gate as a file, which is written before the first episode.
 
 use std::path::Path;
 
@@ -7,19 +7,19 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Baseline, GateError, Requirements, Sampling};
 
-/// What a gate that runs episodes was asked, with everything that its answer refers to.
+/// The question of a gate that runs episodes, with everything that its verdict depends on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Asked {
-    /// Version of this form.
+    /// Version of the format.
     pub format: u32,
-    /// What is demanded.
+    /// The requirements.
     pub requirements: Requirements,
-    /// What relative demands refer to.
+    /// The baseline of relative requirements.
     pub baseline: Option<Baseline>,
     /// The policy that may be replaced.
     pub against: Option<AskedAgainst>,
-    /// Whether somebody looks after each round.
+    /// Whether the gate tests after each round, or once.
     pub sampling: Sampling,
 }
 
@@ -27,24 +27,24 @@ pub struct Asked {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AskedAgainst {
-    /// Where its run was, in full.
+    /// Absolute path of its run.
     pub path: String,
-    /// Identity of its rows (SHA-256, hex).
+    /// SHA-256 (hex) of its rows.
     pub dataset_sha256: String,
-    /// How far below its success rate the other's may lie.
+    /// The non-inferiority margin: how far the success rate may lie below that of this run.
     pub margin: f64,
 }
 
 impl Asked {
-    /// Its name in a run's folder.
+    /// The name of the file in a run's folder.
     pub const FILE: &'static str = "gate-question.json";
-    /// The version of the form that is written here, and the only one that is read.
+    /// The version that this build writes, and the only one that it reads.
     pub const FORMAT: u32 = 1;
 
-    /// The question of the run in `folder`; `None` where it was asked none.
+    /// Reads the question of the run in `folder`. `None` if a gate did not start the run.
     ///
     /// # Errors
-    /// A file that is none.
+    /// If the file is not valid.
     pub fn of(folder: &Path) -> Result<Option<Self>, GateError> {
         let path = folder.join(Self::FILE);
         if !path.is_file() {
@@ -57,16 +57,16 @@ impl Asked {
             .map_err(|error| in_file(GateError::Syntax(format!("not a gate's question: {error}"))))?;
         if asked.format != Self::FORMAT {
             let text =
-                format!("format {}, and this robogate reads {}\nhint: upgrade robogate", asked.format, Self::FORMAT);
+                format!("unsupported format {}. Expected {}\nhint: upgrade robogate", asked.format, Self::FORMAT);
             return Err(in_file(GateError::Syntax(text)));
         }
         asked.requirements.check().map_err(in_file)?;
         Ok(Some(asked))
     }
 
-    /// As a file holds it: the same question gives the same bytes.
+    /// Serialises the question. Equal questions give equal bytes.
     pub fn to_json(&self) -> String {
-        // A tree of strings and finite numbers cannot fail to serialise.
+        // Strings and finite numbers always serialise.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 }

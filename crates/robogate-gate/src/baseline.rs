@@ -1,4 +1,4 @@
-//! The figures that relative demands refer to.
+//! The baseline that relative requirements refer to.
 
 use std::path::Path;
 
@@ -14,47 +14,48 @@ use crate::{GateError, Metric, Population, Record};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BaselineFigure {
-    /// Of which metric.
+    /// The metric.
     pub metric: Metric,
-    /// Over the valid episodes.
+    /// Its value over the valid episodes.
     pub value: f64,
 }
 
-/// The figures of a policy that others are held against, stored as JSON.
+/// The recorded figures of a policy, stored as JSON. Other runs are compared with them.
 ///
-/// A limit that refers to it takes its figure as given: the demand is "at most 1.1 times this number", not "at most 1.1
-/// times whatever the other policy would do in the long run". For that question, compare the two runs ([`crate::Against`]).
+/// A relative limit takes the baseline's figure as exact: the requirement is "at most 1.1 times this number", not "at
+/// most 1.1 times the true value of the other policy". For the second question, compare the two runs
+/// ([`crate::Against`]).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Baseline {
-    /// Version of this form.
+    /// Version of the format.
     pub format: u32,
-    /// What wrote it.
+    /// The program that wrote it, with its version.
     pub tool: Tool,
-    /// What the figures speak of: a baseline of another population is no baseline.
+    /// The population of the figures. They cannot be compared with those of another population.
     pub population: Population,
     /// The robot.
     pub robot: String,
     /// The policy.
     pub policy: String,
-    /// Identity of the rows that the figures were computed from (SHA-256, hex).
+    /// SHA-256 (hex) of the rows that the figures were computed from.
     pub dataset_sha256: String,
-    /// Valid episodes.
+    /// Number of valid episodes.
     pub valid: u64,
-    /// Invalid episodes, which entered no figure.
+    /// Number of invalid episodes. They do not contribute to the figures.
     pub invalid: u64,
-    /// The figures; a metric without evidence is not there.
+    /// The figures. A metric without a value is absent.
     pub figures: Vec<BaselineFigure>,
 }
 
 impl Baseline {
-    /// The version of the form that is written here, and the newest that is read.
+    /// The version that this build writes, and the newest that it reads.
     pub const FORMAT: u32 = 1;
 
-    /// The figures of `record` over its whole rounds.
+    /// Computes the figures of `record` over its complete rounds.
     ///
     /// # Errors
-    /// [`GateError::EmptyBaseline`] without a valid episode.
+    /// [`GateError::EmptyBaseline`] if there is no valid episode.
     pub fn of(record: &Record) -> Result<Self, GateError> {
         let rounds = Rounds::of(&record.trials, &record.population)?;
         let valid = rounds.trials().filter(|trial| trial.ending.is_valid()).count() as u64;
@@ -79,32 +80,32 @@ impl Baseline {
         })
     }
 
-    /// The figure of a metric, where there is one.
+    /// The figure of a metric, if the baseline has it.
     pub fn figure(&self, metric: Metric) -> Option<f64> {
         self.figures.iter().find(|figure| figure.metric == metric).map(|figure| figure.value)
     }
 
-    /// Reads a stored baseline.
+    /// Reads a baseline file.
     ///
     /// # Errors
-    /// A file that is none, or in a later form.
+    /// If the file is not a baseline, or has a newer format.
     pub fn open(path: &Path) -> Result<Self, GateError> {
         let text =
             std::fs::read_to_string(path).map_err(|source| GateError::Unreadable { path: path.to_owned(), source })?;
         Self::from_json(&text).map_err(|error| GateError::InFile { path: path.to_owned(), error: Box::new(error) })
     }
 
-    /// Reads a stored baseline.
+    /// Parses a baseline.
     ///
     /// # Errors
-    /// A text that is none, or in a later form.
+    /// If the text is not a baseline, or has a newer format.
     pub fn from_json(text: &str) -> Result<Self, GateError> {
         #[derive(Deserialize)]
         struct Form {
             format: u32,
         }
         let syntax = |error: serde_json::Error| {
-            GateError::Syntax(format!("not a baseline: {error}\nhint: `robogate baseline RUN -o FILE` makes one"))
+            GateError::Syntax(format!("not a baseline: {error}\nhint: create one with `robogate baseline RUN -o FILE`"))
         };
         let Form { format } = serde_json::from_str(text).map_err(syntax)?;
         if format > Self::FORMAT {
@@ -122,13 +123,13 @@ impl Baseline {
         Ok(baseline)
     }
 
-    /// As a file holds it: the same baseline gives the same bytes.
+    /// Serialises the baseline. Equal baselines give equal bytes.
     pub fn to_json(&self) -> String {
-        // A tree of strings and finite numbers cannot fail to serialise.
+        // Strings and finite numbers always serialise.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
-    /// Refuses to speak of another population.
+    /// Returns an error if the population differs.
     pub(crate) fn check(&self, population: &Population) -> Result<(), GateError> {
         if self.population.is_that_of(population) {
             Ok(())

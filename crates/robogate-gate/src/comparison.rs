@@ -1,12 +1,12 @@
-//! May B replace A?
+//! Non-inferiority test: may policy B replace policy A?
 //!
-//! Both ran the same scenarios with the same seeds, so each episode of one has its twin in the other. B may replace A if
-//! its success rate is shown to be less than a margin below A's: non-inferiority. With a fixed number of pairs the test is
-//! the exact unconditional one ([`robogate_stats::non_inferiority`]); with looks it is the bet on the mean difference
-//! ([`robogate_stats::bounded_mean`]), at the end of each round. McNemar's exact test stands beside it: whether they
-//! differ at all.
+//! Both policies ran the same scenarios with the same seeds, so the episodes form pairs. B may replace A if its success
+//! rate is shown to be less than a margin below A's: non-inferiority. With a fixed number of pairs the test is the
+//! exact unconditional one ([`robogate_stats::non_inferiority`]). Sequential tests bet on the mean difference
+//! ([`robogate_stats::bounded_mean`]), at the end of each round. McNemar's exact test is reported in addition: whether
+//! the policies differ at all.
 //!
-//! A pair in which either episode is invalid counts for A where "not worse" is to be shown, and for B where the contrary is.
+//! A pair with an invalid episode counts for A in the test of "not worse", and for B in the test of the opposite.
 
 use std::collections::BTreeMap;
 
@@ -25,7 +25,7 @@ use crate::{Ending, GateError, Record, Sampling, Status, Trial};
 pub struct Against<'a> {
     /// Its episodes.
     pub record: &'a Record,
-    /// How far below its success rate the other's may lie: 0.05 for five percentage points.
+    /// The non-inferiority margin: 0.05 is five percentage points of the success rate.
     pub margin: f64,
 }
 
@@ -34,57 +34,57 @@ pub struct Against<'a> {
 pub struct Comparison {
     /// The policy that may be replaced, A.
     pub policy: String,
-    /// Identity of its rows (SHA-256, hex).
+    /// SHA-256 (hex) of its rows.
     pub dataset_sha256: String,
-    /// The margin.
+    /// The non-inferiority margin.
     pub margin: f64,
     /// Pairs in which both succeeded.
     pub both: u64,
-    /// Pairs in which A alone succeeded.
+    /// Pairs in which only A succeeded.
     pub only_other: u64,
-    /// Pairs in which B alone succeeded.
+    /// Pairs in which only B succeeded.
     pub only_this: u64,
     /// Pairs in which neither succeeded.
     pub neither: u64,
     /// Pairs in which either episode is invalid.
     pub invalid: u64,
-    /// Success rate of B less that of A over the valid pairs; absent without one.
+    /// Success rate of B minus that of A over the valid pairs. `None` without a valid pair.
     pub difference: Option<f64>,
-    /// Newcombe's 95 % interval for it, over the valid pairs, as if their number had been fixed.
+    /// Newcombe's 95 % interval of the difference over the valid pairs. It assumes a fixed number of pairs.
     pub interval_95: [f64; 2],
-    /// McNemar's exact two-sided p-value against equal rates, over the valid pairs.
+    /// McNemar's exact two-sided p-value of equal rates, over the valid pairs.
     pub p_different: f64,
-    /// p-value against "B is worse than A by the margin or more", for the worst that invalid pairs could have been.
+    /// p-value of "B is worse than A by the margin or more", for the worst outcome of invalid pairs.
     pub p_met: f64,
-    /// p-value against "B is worse than A by no more than the margin", for the best that they could have been.
+    /// p-value of "B is worse than A by less than the margin", for the best outcome of invalid pairs.
     pub p_violated: f64,
-    /// What follows.
+    /// The status of the comparison.
     pub status: Status,
 }
 
 impl Comparison {
-    /// Its name among the findings.
+    /// The name of the comparison among the requirement results.
     pub const ID: &'static str = "not worse than the other policy";
 }
 
-/// A gate that has not run yet.
+/// The plan of a gate that has not run yet.
 #[derive(Debug, Clone, Copy)]
 pub struct Planned {
     /// Its seed.
     pub seed: u64,
-    /// Its rounds at most.
+    /// Its maximum number of rounds.
     pub rounds: u64,
-    /// How their number comes about.
+    /// How the number of rounds is chosen.
     pub sampling: Sampling,
     /// The error of a pass.
     pub alpha: f64,
 }
 
-/// Refuses a comparison that could never be made, before anything runs: of other scenarios or another seed, with a
-/// margin that is none, or with so few pairs that not even a policy without a failure would pass.
+/// Rejects an impossible comparison before anything runs: other scenarios, another seed, an invalid margin, or so few
+/// pairs that even a policy without failures would not pass.
 ///
 /// # Errors
-/// Which of these it is.
+/// The first of these problems.
 pub fn check_pairing(other: &Record, this: &Record, planned: Planned, margin: f64) -> Result<(), GateError> {
     non_inferiority::check(margin)?;
     if !other.population.is_that_of(&this.population) {
@@ -113,7 +113,7 @@ pub fn check_pairing(other: &Record, this: &Record, planned: Planned, margin: f6
     Ok(())
 }
 
-/// Whether a pair's episodes succeeded; `None` where one is invalid.
+/// Whether the episodes of a pair succeeded. `None` if one is invalid.
 type Twin = Option<(bool, bool)>;
 
 impl Against<'_> {
@@ -134,7 +134,7 @@ impl Against<'_> {
         for round in &rounds.rounds {
             let found: Vec<(&Trial, &Trial)> =
                 round.iter().filter_map(|trial| Some((*others.get(&trial.index)?, *trial))).collect();
-            // The other run may have fewer rounds; of a round that it has in part nothing is taken.
+            // The other run may have fewer rounds. Incomplete rounds are not used.
             if rounds.suite && found.len() < round.len() {
                 break;
             }
@@ -159,7 +159,7 @@ impl Against<'_> {
                 )
             }
             Sampling::Sequential => {
-                // The difference of a pair, -1 to 1, moved to 0 to 2; the hypothesis is the mean 1 - margin.
+                // The difference of a pair, -1 to 1, is shifted to 0 to 2. The mean under the hypothesis is 1 - margin.
                 non_inferiority::check(self.margin)?;
                 let moved = |unknown: f64| -> Vec<f64> {
                     let difference = |(a, b): (bool, bool)| 1.0 + f64::from(u8::from(b)) - f64::from(u8::from(a));
@@ -167,7 +167,7 @@ impl Against<'_> {
                 };
                 let (worst, best) = (moved(0.0), moved(2.0));
                 let account = |values: &[f64], above: bool| {
-                    // Every value is 0, 1 or 2.
+                    // The values are 0, 1 and 2.
                     BoundedMean::new(values, looks, 2.0).map_or(0.0, |mean| {
                         let limit = 1.0 - self.margin;
                         if above { mean.ln_evidence_above(limit) } else { mean.ln_evidence_below(limit) }
@@ -187,7 +187,7 @@ impl Against<'_> {
             only_this: valid.second_only,
             neither: valid.neither,
             invalid: twins.iter().filter(|twin| twin.is_none()).count() as u64,
-            // The library subtracts the second from the first; here B stands first.
+            // The library subtracts the second rate from the first, so B comes first.
             difference: difference.estimate.map(|d| -d),
             interval_95: [-difference.interval.high, -difference.interval.low],
             p_different: mcnemar_exact(valid).exp(),
@@ -198,7 +198,7 @@ impl Against<'_> {
     }
 }
 
-/// Pairs of imported episodes: case and seed say which world an episode met, and nothing else does.
+/// Pairs imported episodes by case and seed, because nothing else identifies their scenario.
 fn imported_twins(other: &Record, this: &Record) -> Result<Vec<Twin>, GateError> {
     let (others, these) = (by_identity(other)?, by_identity(this)?);
     Ok(these.iter().filter_map(|(key, b)| Some(twin(others.get(key)?, b))).collect())
@@ -222,7 +222,7 @@ fn twin(a: &Trial, b: &Trial) -> Twin {
     both.then_some((a.ending == Ending::Success, b.ending == Ending::Success))
 }
 
-/// Counts pairs; those with an invalid episode as `unknown`, or not at all.
+/// Counts pairs. Those with an invalid episode count as `unknown`, or are skipped.
 fn count(twins: &[Twin], unknown: Twin) -> Pairs {
     let mut pairs = Pairs::default();
     for twin in twins {
@@ -241,9 +241,9 @@ fn same_world(a: &Trial, b: &Trial) -> Result<(), GateError> {
     let what = if a.seed != b.seed {
         format!("the seeds are {} and {}", a.seed, b.seed)
     } else if a.label != b.label {
-        "the scenarios are not the same".to_owned()
+        "the scenarios differ".to_owned()
     } else if a.requested != b.requested {
-        "the parameters are not the same".to_owned()
+        "the parameters differ".to_owned()
     } else {
         return Ok(());
     };

@@ -1,13 +1,13 @@
-//! Why the gate cannot answer.
+//! Errors of the gate.
 
 use std::path::PathBuf;
 
 use robogate_dictionary::DictionaryError;
 
-/// Why the gate cannot answer.
+/// An error of the gate: the question cannot be evaluated.
 #[derive(Debug, thiserror::Error)]
 pub enum GateError {
-    /// A file that is none of its form; the text has line, column and key.
+    /// A file with a syntax error. The text contains line, column and key.
     #[error("{0}")]
     Syntax(String),
     /// A file that cannot be read.
@@ -15,226 +15,228 @@ pub enum GateError {
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// What the operating system answered.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// Something is wrong in a file.
+    /// An error in a file.
     #[error("{}: {error}", path.display())]
     InFile {
         /// The file.
         path: PathBuf,
-        /// What it is.
+        /// The error.
         error: Box<GateError>,
     },
-    /// Nothing is demanded.
-    #[error("there is no [[requirement]]\nhint: a gate that demands nothing would pass everything")]
+    /// A set without requirements.
+    #[error("no [[requirement]]. Expected at least one\nhint: a gate without requirements would pass every policy")]
     NoRequirements,
-    /// A confidence that is none, or none that says anything.
-    #[error("`confidence` is {confidence}; it must be at least 0.75 and below 1\nhint: write 95 % as 0.95")]
+    /// A confidence out of range.
+    #[error("`confidence` is {confidence}; expected at least 0.75 and below 1\nhint: write 95 % as 0.95")]
     Confidence {
-        /// As given.
+        /// The given value.
         confidence: f64,
     },
-    /// Nothing may be run.
-    #[error("`budget.rounds` is {rounds}; it must be from 1 to {most}")]
+    /// A number of rounds out of range.
+    #[error("`budget.rounds` is {rounds}; expected 1 to {most}")]
     Budget {
-        /// As given.
+        /// The given value.
         rounds: u32,
         /// The limit.
         most: u32,
     },
-    /// A demand without a limit, or with contradictory ones.
+    /// A requirement without a limit, or with contradictory limits.
     #[error("requirement `{id}`: {reason}")]
     Requirement {
-        /// Which.
+        /// The requirement.
         id: String,
-        /// What is wrong, with a hint.
+        /// The problem, with a hint.
         reason: String,
     },
-    /// The same demand twice.
-    #[error("requirement `{id}` stands there twice\nhint: keep the stricter one")]
+    /// A duplicate requirement.
+    #[error("requirement `{id}`: duplicate\nhint: keep the stricter one")]
     Twice {
-        /// Which.
+        /// The requirement.
         id: String,
     },
-    /// A demand that no number of episodes can show.
+    /// A requirement that cannot be met at any number of episodes.
     #[error("requirement `{id}` ({demand}) can't be met at any number of episodes: {reason}")]
     Unmeetable {
-        /// Which.
+        /// The requirement.
         id: String,
-        /// The demand in words.
+        /// Its limit as text.
         demand: String,
-        /// Why, with a hint.
+        /// The reason, with a hint.
         reason: String,
     },
-    /// A demand that a perfect policy cannot meet within the budget.
+    /// A requirement that a perfect policy cannot meet within the budget.
     #[error(
-        "requirement `{id}` can't be met within the budget: even without a single failure it takes {fewest} episodes, and the budget allows {budget}\nhint: raise `budget.rounds`, or demand less"
+        "requirement `{id}` can't be met within the budget: without any failure it takes {fewest} episodes, but the budget allows {budget}\nhint: raise `budget.rounds`, or choose a weaker limit"
     )]
     BudgetTooSmall {
-        /// Which.
+        /// The requirement.
         id: String,
         /// Episodes that a perfect policy needs.
         fewest: u64,
         /// Episodes that the budget allows.
         budget: u64,
     },
-    /// A relative demand without a baseline.
+    /// A relative requirement without a baseline.
     #[error(
-        "{what} refers to a baseline, and there is none\nhint: make one with `robogate baseline RUN -o FILE` and pass it with --baseline"
+        "{what} refers to a baseline, but none was given\nhint: create one with `robogate baseline RUN -o FILE` and pass it with --baseline"
     )]
     NoBaseline {
-        /// Which requirement or term.
+        /// The requirement or term.
         what: String,
     },
-    /// A baseline without the figure that is asked for.
-    #[error("{what} refers to the baseline's {metric}, which the baseline does not have")]
+    /// A baseline without a required figure.
+    #[error("{what} refers to the baseline's {metric}, but the baseline has no such figure")]
     NotInBaseline {
-        /// Which requirement or term.
+        /// The requirement or term.
         what: String,
-        /// The figure.
+        /// The metric.
         metric: String,
     },
-    /// A baseline of something else.
+    /// A baseline of another population.
     #[error(
-        "the baseline is of {baseline}, the episodes are of {run}\nhint: make a baseline on the same scenarios: `robogate baseline RUN -o FILE`"
+        "the baseline is of {baseline}, but the episodes are of {run}\nhint: create a baseline from the same scenarios: `robogate baseline RUN -o FILE`"
     )]
     ForeignBaseline {
-        /// What the baseline speaks of.
+        /// The population of the baseline.
         baseline: String,
-        /// What the episodes speak of.
+        /// The population of the episodes.
         run: String,
     },
-    /// A baseline in a later form.
-    #[error("the baseline has format {found}, and this robogate reads {known} at most\nhint: upgrade robogate")]
+    /// A baseline in a newer format.
+    #[error("unsupported baseline format {found}. Expected at most {known}\nhint: upgrade robogate")]
     NewerBaseline {
-        /// Its version.
+        /// Its format.
         found: u32,
-        /// What is known.
+        /// The newest supported format.
         known: u32,
     },
-    /// A baseline made from nothing.
-    #[error("there is no valid episode to make a baseline from")]
+    /// A baseline without episodes.
+    #[error("the run has no valid episode, so it cannot be a baseline")]
     EmptyBaseline,
-    /// A scope that no episode has.
-    #[error("requirement `{id}`: no episode is of {scope}\nhint: there are {known}")]
+    /// A scope without episodes.
+    #[error("requirement `{id}`: no episode belongs to {scope}. Expected one of: {known}")]
     NoSuchScope {
-        /// Which.
+        /// The requirement.
         id: String,
         /// The scope.
         scope: String,
-        /// The scopes there are.
+        /// The existing scopes.
         known: String,
     },
-    /// A demand for each category or group, and episodes that are of none.
+    /// A requirement for each category or group, with episodes that have none.
     #[error(
-        "requirement `{id}`: there are episodes without a {what}\nhint: name the column on import (--map {what}=COLUMN), or leave out `each`"
+        "requirement `{id}`: some episodes have no {what}\nhint: set the column on import (--map {what}=COLUMN), or remove `each`"
     )]
     NoLabel {
-        /// Which.
+        /// The requirement.
         id: String,
-        /// What is missing: category or group.
+        /// The missing property: category or group.
         what: &'static str,
     },
-    /// A plan whose suite is not what it says.
-    #[error("the plan's suite {reason}\nhint: these rows were changed or are of another robogate; run the suite again")]
+    /// A plan whose suite does not match.
+    #[error(
+        "the plan's suite {reason}\nhint: the rows were changed, or written by another version of robogate. Run the suite again"
+    )]
     PlannedSuite {
-        /// What is wrong.
+        /// The problem.
         reason: String,
     },
-    /// The same episode twice among imported rows.
+    /// A duplicate episode among imported rows.
     #[error(
-        "rows {first} and {second} are the same episode: case, seed and parameters are alike, and copies are no further evidence\nhint: leave one out, or, where the seed is that of a whole series, import without its column"
+        "rows {first} and {second} are the same episode: case, seed and parameters are equal, and a copy is not independent evidence\nhint: remove one of them. If the seed belongs to a whole series, import without its column"
     )]
     Copies {
         /// The first row.
         first: u64,
-        /// The one that repeats it.
+        /// The row that repeats it.
         second: u64,
     },
-    /// Imported episodes of which nobody knows which worlds they met.
+    /// Imported episodes without scenario seeds, which cannot be paired.
     #[error(
-        "imported episodes are compared pair by pair only where case and seed are recorded for each, and those of {policy} are not\nhint: name both columns on import (--map case=COLUMN --map seed=COLUMN), or take the other's figures: `robogate baseline RUN -o FILE`"
+        "the imported episodes of {policy} cannot be paired, because case and seed are not recorded for each\nhint: set both columns on import (--map case=COLUMN --map seed=COLUMN), or compare with a baseline: `robogate baseline RUN -o FILE`"
     )]
     NoIdentity {
-        /// Whose.
+        /// The policy.
         policy: String,
     },
-    /// A comparison that the best of policies could not win.
+    /// A comparison that even a perfect policy could not pass.
     #[error(
-        "the comparison can't be decided: the other run has {pairs} episodes to pair with, and even if none of this policy's failed, that shows no margin of {margin}\nhint: run the other policy for more rounds with the same seed, or allow a wider --margin"
+        "the comparison can't be decided: the other run has {pairs} episodes to pair with, which cannot show a margin of {margin} even if this policy never fails\nhint: run the other policy for more rounds with the same seed, or allow a wider --margin"
     )]
     TooFewPairs {
-        /// Pairs there can be.
+        /// The possible number of pairs.
         pairs: u64,
         /// The margin.
         margin: f64,
     },
-    /// Episodes of a suite among others.
-    #[error("episode {index} carries no scenario id, and others do\nhint: judge a suite's episodes by themselves")]
+    /// An episode without a scenario id in a suite.
+    #[error("episode {index} has no scenario id, but others do\nhint: judge the episodes of a suite separately")]
     MixedLabels {
-        /// The first without.
+        /// The first episode without an id.
         index: u64,
     },
-    /// A value outside the range that the test of a mean was given.
+    /// A value outside the range of a test of a mean.
     #[error(
         "requirement `{id}`: episode {index} has the value {value}, outside {low} to {high}\nhint: set `floor` and `ceiling` to bounds of every value (for `cycle_time_s`, `ceiling` is the time limit of the episodes)"
     )]
     OutOfRange {
-        /// Which.
+        /// The requirement.
         id: String,
         /// The episode's index.
         index: u64,
-        /// Its value.
+        /// The value.
         value: f64,
         /// The lower bound.
         low: f64,
         /// The upper bound.
         high: f64,
     },
-    /// A metric that the task does not have.
+    /// A failure mode or measure that the task does not have.
     #[error("requirements `{requirements}`: {reason}")]
     NotOfTask {
         /// The set of requirements.
         requirements: String,
-        /// What is missing, and what there is.
+        /// The missing item, and the existing ones.
         reason: String,
     },
-    /// Weights that are none.
+    /// Invalid score terms.
     #[error("`score`: {reason}")]
     Score {
-        /// What is wrong.
+        /// The problem.
         reason: String,
     },
-    /// Two runs that did not meet the same worlds.
+    /// Two runs with different scenarios.
     #[error(
-        "episode {index} is not the same in both runs: {what}\nhint: run the other policy on the same suite with the same seed"
+        "episode {index} differs between the runs: {what}\nhint: run the other policy on the same suite with the same seed"
     )]
     NotPaired {
         /// The episode's index.
         index: u64,
-        /// What differs.
+        /// The difference.
         what: String,
     },
     /// A leaderboard without entries.
-    #[error("there is nothing to rank")]
+    #[error("no runs to rank. Expected at least one")]
     NothingToRank,
     /// Records of different scenarios in one leaderboard.
     #[error(
-        "{name} is of {population}, the first is of {first}\nhint: only policies that ran the same scenarios can be ranked"
+        "{name} is of {population}, but the first run is of {first}\nhint: rank only policies that ran the same scenarios"
     )]
     NotComparable {
         /// The record's name.
         name: String,
-        /// What it speaks of.
+        /// Its population.
         population: String,
-        /// What the first one speaks of.
+        /// The population of the first record.
         first: String,
     },
-    /// A margin that is none.
+    /// A margin out of range.
     #[error(transparent)]
     Margin(#[from] robogate_stats::non_inferiority::NotAMargin),
-    /// The record cannot be read.
+    /// A record that cannot be read.
     #[error(transparent)]
     Dictionary(#[from] DictionaryError),
 }

@@ -1,11 +1,11 @@
-//! What the evidence says about each demand, and what follows.
+//! Evaluates every requirement and derives the verdict.
 //!
-//! **Pass** claims that every demand is met. It is given only where each is shown at error α, so the claim as a whole is
-//! wrong with probability α at most, without any adjustment: an intersection-union test (Berger 1982). **Fail** claims that
-//! some demand is violated. That is a union of tests, so its error α is shared among them by Holm's procedure. Neither error
-//! is a matter of which question was asked first: both are held at once.
+//! **Pass** claims that every requirement is met. Each must be shown at error α. The joint claim is then wrong with
+//! probability α at most, without adjustment: an intersection-union test (Berger 1982). **Fail** claims that at least
+//! one requirement is violated. That is a union of tests, so Holm's procedure divides the error α among them. Both
+//! error rates are controlled at the same time.
 //!
-//! Where each "met" shall be quotable by itself, [`Family::Holm`] adjusts these too.
+//! If each "met" must also hold on its own, [`Family::Holm`] adjusts these as well.
 
 use robogate_core::TaskSpec;
 use robogate_dictionary::{Label, TaskIdentity};
@@ -24,32 +24,32 @@ use crate::{
     Trial, Verdict,
 };
 
-/// How the number of episodes came about: it decides which test is valid.
+/// How the number of episodes was chosen. It determines which test is valid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Sampling {
-    /// It was fixed before the first episode: exact tests, once.
+    /// Fixed before the first episode: one exact test.
     Fixed,
-    /// Somebody looked and decided whether to go on: anytime-valid tests, at the end of each round.
+    /// Decided while results came in: anytime-valid tests, at the end of each round.
     Sequential,
 }
 
-/// What the evidence says about one demand.
+/// The result of one requirement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
-    /// It holds.
+    /// The requirement is met.
     Met,
-    /// It does not.
+    /// The requirement is violated.
     Violated,
     /// Neither is shown.
     Undecided,
-    /// There is no evidence about it.
+    /// No episode has a value for its metric.
     NoEvidence,
 }
 
 impl Status {
-    /// The status in data and reports.
+    /// The name in data and reports.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Met => "met",
@@ -60,91 +60,91 @@ impl Status {
     }
 }
 
-/// How many episodes there are.
+/// Numbers of episodes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Counts {
-    /// All that were judged.
+    /// All episodes that were judged.
     pub episodes: u64,
-    /// Those that say something about the policy.
-    pub valid: u64,
-    /// Those that say nothing.
-    pub invalid: u64,
-    /// Whole rounds of the suite among them; absent without a suite.
-    pub rounds: Option<u64>,
-    /// Episodes after the last whole round, which are not judged.
-    pub left_over: u64,
-    /// Episodes drawn where success turns into failure, which are not judged.
-    pub focused: u64,
-}
-
-/// One demand and what the evidence says about it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct RequirementResult {
-    /// Its name in reports: metric and scope.
-    pub id: String,
-    /// The demand.
-    pub requirement: Requirement,
-    /// The unit of its metric; empty for rates and counts.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub unit: String,
-    /// The requirement with its limit as a number.
-    pub bound: Bound,
-    /// Episodes in its scope that say something about the metric.
-    pub valid: u64,
-    /// Episodes in its scope that say nothing about it: invalid ones, and failures in a way that was not recorded.
-    pub invalid: u64,
-    /// The figure.
-    pub figure: Extremes,
-    /// The true figure lies above the lower and below the upper end, each at the requirements' confidence, whatever the
-    /// invalid episodes could have been; absent in point mode and for quantiles.
-    pub interval: Option<[f64; 2]>,
-    /// p-value against "it is not met", for the worst that invalid episodes could have been; absent in point mode.
-    pub p_met: Option<f64>,
-    /// p-value against "it is met", for the best that they could have been; absent in point mode.
-    pub p_violated: Option<f64>,
-    /// What follows.
-    pub status: Status,
-    /// Episodes of the whole run at which it would be decided if all went as so far; absent where it is decided, or where
-    /// no sensible number would do.
-    pub decided_at_episodes: Option<u64>,
-}
-
-/// Success by scenario group, for reading; it decides nothing by itself.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct GroupResult {
-    /// The category; empty where the episodes have none.
-    pub category: String,
-    /// The group; empty where the episodes have none.
-    pub group: String,
     /// Valid episodes.
     pub valid: u64,
     /// Invalid episodes.
     pub invalid: u64,
-    /// Successes.
+    /// Complete rounds of the suite among them. `None` without a suite.
+    pub rounds: Option<u64>,
+    /// Episodes after the last complete round, which are not judged.
+    pub left_over: u64,
+    /// Episodes sampled near the failure boundary, which are not judged.
+    pub focused: u64,
+}
+
+/// The evaluation of one requirement.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RequirementResult {
+    /// Its name in reports: metric and scope.
+    pub id: String,
+    /// The requirement.
+    pub requirement: Requirement,
+    /// The unit of its metric. Empty for rates and counts.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub unit: String,
+    /// The requirement with its limit as a number.
+    pub bound: Bound,
+    /// Episodes in its scope that have a value for the metric.
+    pub valid: u64,
+    /// Episodes in its scope without a value: invalid ones, and failures whose mode was not recorded.
+    pub invalid: u64,
+    /// The observed figure.
+    pub figure: Extremes,
+    /// One-sided bounds of the true figure, each at the confidence level of the requirements. They hold for any outcome
+    /// of the invalid episodes. `None` in point mode and for quantiles.
+    pub interval: Option<[f64; 2]>,
+    /// p-value of the hypothesis "not met", for the worst outcome of the invalid episodes. `None` in point mode.
+    pub p_met: Option<f64>,
+    /// p-value of the hypothesis "met", for the best outcome of the invalid episodes. `None` in point mode.
+    pub p_violated: Option<f64>,
+    /// The status of the requirement.
+    pub status: Status,
+    /// Number of episodes of the run at which the requirement would be decided if the observed figure stayed the same.
+    /// `None` if it is decided, or if the number is unreasonably large.
+    pub decided_at_episodes: Option<u64>,
+}
+
+/// Success rate of one scenario group. It is informative and does not affect the verdict.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct GroupResult {
+    /// The category. Empty if the episodes have none.
+    pub category: String,
+    /// The group. Empty if the episodes have none.
+    pub group: String,
+    /// Number of valid episodes.
+    pub valid: u64,
+    /// Number of invalid episodes.
+    pub invalid: u64,
+    /// Number of successes.
     pub successes: u64,
-    /// Exact (Clopper-Pearson) 95 % interval for the success rate, as if the number of episodes had been fixed.
+    /// Exact (Clopper-Pearson) 95 % interval of the success rate. It assumes a fixed number of episodes.
     pub interval_95: [f64; 2],
-    /// How the others ended, the commonest first.
+    /// How the other episodes ended, the most frequent first.
     pub endings: Vec<EndingCount>,
 }
 
 /// How often episodes ended in one way.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct EndingCount {
-    /// A failure mode, `failure` where it is not known, or `invalid`.
+    /// A failure mode, `failure` if it is unknown, or `invalid`.
     pub ending: String,
-    /// Episodes.
+    /// Number of episodes.
     pub episodes: u64,
 }
 
-/// Everything that the gate found: one versioned document.
+/// The evaluation of a record as one versioned document.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Evaluation {
-    /// Version of this form.
+    /// Version of the format.
     pub format: u32,
-    /// The answer.
+    /// The verdict.
     pub verdict: Verdict,
-    /// Why, in a sentence.
+    /// The reason for the verdict, in one sentence.
     pub because: String,
     /// The task.
     pub task: TaskIdentity,
@@ -152,64 +152,64 @@ pub struct Evaluation {
     pub robot: String,
     /// The policy.
     pub policy: String,
-    /// Identity of the rows (SHA-256, hex).
+    /// SHA-256 (hex) of the rows.
     pub dataset_sha256: String,
-    /// What the figures speak of.
+    /// The population of the figures.
     pub population: Population,
-    /// What a figure is, in a sentence.
+    /// The estimand, in one sentence.
     pub estimand: String,
-    /// How the number of episodes came about.
+    /// How the number of episodes was chosen.
     pub sampling: Sampling,
-    /// How many there are.
+    /// Numbers of episodes.
     pub counts: Counts,
-    /// What was demanded.
+    /// The requirements.
     pub requirements: Requirements,
-    /// What relative demands referred to.
+    /// The baseline of relative requirements.
     pub baseline: Option<Baseline>,
-    /// What the evidence says about each demand.
+    /// The result of each requirement.
     #[serde(alias = "findings")]
     pub results: Vec<RequirementResult>,
-    /// Whether it may replace another policy, where that was asked.
+    /// Whether the policy may replace another one, if that was requested.
     pub comparison: Option<Comparison>,
-    /// Success by scenario group.
+    /// Success rates by scenario group.
     pub groups: Vec<GroupResult>,
-    /// The confidence score; absent where the requirements have none.
+    /// The confidence score. `None` if the requirements define none.
     pub score: Option<ConfidenceScore>,
-    /// Episodes in all at which the gate would answer if all went as so far; absent where it has answered, or where no
-    /// sensible number would do.
+    /// Number of episodes at which the gate would decide if the observed figures stayed the same. `None` if it has
+    /// decided, or if the number is unreasonably large.
     pub decided_at_episodes: Option<u64>,
 }
 
-/// What is asked of a record.
+/// The question that is evaluated on a record.
 #[derive(Debug, Clone, Copy)]
 pub struct Question<'a> {
-    /// What is demanded.
+    /// The requirements.
     pub requirements: &'a Requirements,
-    /// What relative demands refer to.
+    /// The baseline of relative requirements.
     pub baseline: Option<&'a Baseline>,
     /// The policy that may be replaced.
     pub against: Option<Against<'a>>,
-    /// How the number of episodes came about, as far as the record does not say otherwise ([`Record::sampling`]).
+    /// How the number of episodes was chosen. The record can override it ([`Record::sampling`]).
     pub sampling: Sampling,
 }
 
 impl Evaluation {
-    /// The version of the form.
+    /// The version of the format.
     pub const FORMAT: u32 = 2;
 
-    /// As a file holds it: the same evaluation gives the same bytes.
+    /// Serialises the evaluation. Equal evaluations give equal bytes.
     pub fn to_json(&self) -> String {
-        // Every number in it is finite: nothing here can fail to serialise.
+        // Every number is finite, so serialisation cannot fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 }
 
 impl Question<'_> {
-    /// The answer: the same record gives the same evaluation, to the bit.
+    /// Evaluates a record. Equal records give identical evaluations.
     ///
     /// # Errors
-    /// Where the question cannot be asked of this record: a baseline of another suite, a scope that no episode has, a
-    /// demand that can't be met at any number of episodes.
+    /// If the question cannot be evaluated on this record: a baseline of another suite, a scope without episodes, or a
+    /// requirement that cannot be met at any number of episodes.
     pub fn evaluate(&self, record: &Record) -> Result<Evaluation, GateError> {
         let requirements = self.requirements;
         requirements.check()?;
@@ -237,7 +237,7 @@ impl Question<'_> {
             }
         }
         let alpha = requirements.alpha();
-        // A comparison is one demand more.
+        // A comparison counts as one more requirement.
         let family = results.len() + usize::from(comparison.is_some());
         let how = How {
             sampling,
@@ -338,20 +338,20 @@ impl Question<'_> {
         Ok(result)
     }
 
-    /// From p-values to answers, over the whole family.
+    /// Converts the p-values of the whole family to statuses.
     fn decide(&self, results: &mut [RequirementResult], comparison: Option<&mut Comparison>, alpha: f64) {
         let other = comparison.as_ref().map(|c| (c.p_met, c.p_violated));
         let point = self.requirements.mode == Mode::Point;
         let met: Vec<f64> = results.iter().map(|f| f.p_met.unwrap_or(1.0)).chain(other.map(|o| o.0)).collect();
         let violated: Vec<f64> =
             results.iter().map(|f| f.p_violated.unwrap_or(1.0)).chain(other.map(|o| o.1)).collect();
-        // These are p-values by construction; were one not, nothing would be rejected.
+        // These are p-values by construction. Otherwise nothing is rejected.
         let adjusted = |p: &[f64]| holm(p).unwrap_or_else(|_| vec![1.0; p.len()]);
         let met = if self.requirements.family == Family::Holm { adjusted(&met) } else { met };
         let violated = adjusted(&violated);
         let status = |i: usize| {
             let below = |p: &[f64]| p.get(i).is_some_and(|p| *p <= alpha);
-            // Where both are rejected a premise does not hold; the careful answer is taken.
+            // If both hypotheses are rejected, an assumption is violated. The cautious status is used.
             if below(&violated) {
                 Status::Violated
             } else if below(&met) {
@@ -380,7 +380,7 @@ impl Question<'_> {
 fn conclude(counts: Counts, results: &[RequirementResult], comparison: Option<&Comparison>) -> (Verdict, String) {
     if counts.episodes == 0 {
         let because = if counts.left_over > 0 {
-            format!("{} episodes are no whole round of the suite", counts.left_over)
+            format!("{} episodes are less than one complete round of the suite", counts.left_over)
         } else {
             "nothing was evaluated".to_owned()
         };
@@ -408,7 +408,7 @@ fn conclude(counts: Counts, results: &[RequirementResult], comparison: Option<&C
     }
 }
 
-/// When the gate would answer: at the first violation in sight, or once the last demand is met.
+/// When the gate would decide: at the first expected violation, or when the last requirement is expected to be met.
 fn when(verdict: Verdict, results: &[RequirementResult]) -> Option<u64> {
     if verdict != Verdict::Inconclusive {
         return None;
@@ -423,7 +423,7 @@ fn when(verdict: Verdict, results: &[RequirementResult]) -> Option<u64> {
     })
 }
 
-/// The categories and groups there are.
+/// The categories and groups of the episodes.
 pub(crate) fn known<'a>(trials: impl Iterator<Item = &'a Trial>) -> String {
     let mut words: Vec<String> = Vec::new();
     for Label { category, group, .. } in trials.map(|trial| &trial.label) {
@@ -434,7 +434,7 @@ pub(crate) fn known<'a>(trials: impl Iterator<Item = &'a Trial>) -> String {
         }
     }
     if words.is_empty() {
-        "no categories or groups: these are not episodes of a suite".to_owned()
+        "no categories or groups, because these are not episodes of a suite".to_owned()
     } else {
         words.join(", ")
     }
@@ -473,7 +473,7 @@ fn group(label: &Label, trials: &[&Trial]) -> GroupResult {
     }
 }
 
-/// How trials ended that did not succeed, the commonest first.
+/// How unsuccessful trials ended, the most frequent first.
 pub(crate) fn endings(trials: &[&Trial]) -> Vec<EndingCount> {
     let mut endings: Vec<EndingCount> = Vec::new();
     for word in trials.iter().filter(|trial| trial.ending != Ending::Success).map(|trial| trial.ending.as_str()) {

@@ -1,40 +1,40 @@
-//! A metric over some trials, and what it could have been.
+//! The value of a metric over a set of trials, with bounds for its invalid episodes.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{Bound, Ending, Metric, Sense, Trial};
 
-/// A figure over the valid episodes, and what it could have been.
+/// A figure over the valid episodes, with the bounds that the invalid episodes allow.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Extremes {
-    /// The figure; absent without an episode that says something about it.
+    /// The figure. `None` if no episode has a value for it.
     pub observed: Option<f64>,
-    /// The least it could be, whatever the invalid episodes could have been; absent where nothing bounds it.
+    /// The smallest value that the figure could have for any outcome of the invalid episodes. `None` if unbounded.
     pub least: Option<f64>,
-    /// The most it could be; absent where nothing bounds it.
+    /// The largest value that the figure could have. `None` if unbounded.
     pub most: Option<f64>,
 }
 
-/// What one trial says about an event: it happened, it did not, or it is not known.
+/// Whether the event of a metric happened in one trial. `None` if the trial does not record it.
 pub(crate) fn happened(metric: Metric, bound: Bound, trial: &Trial) -> Option<bool> {
     let mode = match metric {
         Metric::Success => return trial.ending.is_valid().then_some(trial.ending == Ending::Success),
         Metric::Failure(mode) | Metric::FailureCount(mode) => mode,
-        // The value lies beyond the limit.
+        // The event of a quantile: the value lies beyond the limit.
         Metric::CycleTime(_) | Metric::Measure(..) => return value(metric, trial).map(|x| !bound.holds(x)),
     };
     match &trial.ending {
         Ending::Failure(Some(found)) if *found == mode => Some(true),
-        // A source that does not look for collisions records none.
+        // A source that does not detect collisions records none.
         _ if trial.unseen.contains(&mode) => None,
         Ending::Success | Ending::Failure(Some(_)) => Some(false),
-        // In which way it failed is not known: it may have been this one.
+        // The failure mode is unknown, so it may have been this one.
         Ending::Failure(None) | Ending::Invalid(_) => None,
     }
 }
 
-/// The duration or measure of a valid trial; `None` where it has none.
+/// The duration or measure of a valid trial. `None` if it has none.
 pub(crate) fn value(metric: Metric, trial: &Trial) -> Option<f64> {
     let value = match metric {
         Metric::CycleTime(_) => trial.time_s,
@@ -44,7 +44,7 @@ pub(crate) fn value(metric: Metric, trial: &Trial) -> Option<f64> {
     value.filter(|_| trial.ending.is_valid())
 }
 
-/// How often an event happened.
+/// Counts how often an event happened.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Tally {
     pub(crate) yes: u64,
@@ -66,8 +66,8 @@ impl Tally {
     }
 }
 
-/// A metric over some trials: how many say something about it, how many do not, and the figure. Its values lie in
-/// `range`, as far as that is known.
+/// The value of a metric over some trials: the number of trials with and without a value, and the figure. Its values
+/// lie in `range`, as far as that is known.
 pub(crate) fn figure<'a>(
     metric: Metric,
     trials: impl Iterator<Item = &'a Trial>,
@@ -80,7 +80,7 @@ pub(crate) fn figure<'a>(
         return mean(metric, trials, range);
     }
     let mut tally = Tally::default();
-    // The bound of an event is not looked at.
+    // The limit does not affect this event.
     let bound = Bound { sense: Sense::AtMost, limit: 0.0 };
     trials.for_each(|trial| tally.add(happened(metric, bound, trial)));
     let Tally { yes, no, unknown } = tally;
@@ -129,7 +129,7 @@ fn mean<'a>(
     (known, unknown, figure)
 }
 
-/// The smallest value that at least a share `q` of all does not exceed.
+/// The smallest value that at least a share `q` of all values does not exceed.
 fn quantile<'a>(metric: Metric, q: f64, trials: impl Iterator<Item = &'a Trial>) -> (u64, u64, Extremes) {
     let (mut values, mut unknown) = (Vec::new(), 0_usize);
     for trial in trials {
@@ -143,7 +143,7 @@ fn quantile<'a>(metric: Metric, q: f64, trials: impl Iterator<Item = &'a Trial>)
     let place = |n: usize| ((q * n as f64 - 1e-9).ceil() as usize).clamp(1, n.max(1)) - 1;
     let extremes = Extremes {
         observed: values.get(place(values.len())).copied(),
-        // The unknown ones below all others, or above them.
+        // The unknown values are placed below all others, or above them.
         least: place(all).checked_sub(unknown).and_then(|at| values.get(at)).copied(),
         most: values.get(place(all)).copied(),
     };

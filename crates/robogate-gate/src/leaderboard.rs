@@ -1,12 +1,12 @@
-//! Policies in a row, by the paper's confidence score, and how far that order can be trusted.
+//! Ranking of policies by the paper's confidence score, with bootstrap intervals.
 //!
-//! The score of each is over its own episodes. How much of the order hangs on the scenarios that happen to be in the suite
-//! is told by a bootstrap: scenarios are drawn anew, with replacement, within each category (so that the mix stays), the
-//! same ones for every policy; each drawn scenario brings all its episodes. The intervals are percentiles over 2,000
-//! draws, and the rank of a policy has an interval by the same draws.
+//! The score of each policy is computed over its own episodes. A bootstrap estimates how much the ranking depends on
+//! the choice of scenarios: scenarios are resampled with replacement within each category, which keeps the mix of
+//! categories. Every policy gets the same scenarios, each with all its episodes. The intervals of scores and ranks are
+//! percentiles over 2,000 replicates.
 //!
-//! Limit: resampling knows only what happened. Where every episode went alike it sees no spread at all, and then there is no
-//! interval: the exact one of the success rate stands beside it. Source: Efron and Tibshirani (1993), chapters 6 and 13.
+//! Limitation: resampling only sees observed outcomes. If all replicates are equal, no interval is given; use the exact
+//! interval of the success rate instead. Source: Efron and Tibshirani (1993), chapters 6 and 13.
 
 use std::collections::BTreeMap;
 
@@ -20,68 +20,69 @@ use crate::evaluation::EndingCount;
 use crate::rounds::Rounds;
 use crate::{Baseline, ConfidenceScore, Ending, GateError, Population, Record, ScoreTerm, Trial};
 
-/// How often scenarios are drawn anew.
+/// The number of bootstrap replicates.
 const DRAWS: usize = 2_000;
-/// A campaign's number of its own, so that the draws are those of no episode.
+/// The campaign seed of the bootstrap. It is used by no campaign, so its random streams are independent of all
+/// episodes.
 const SEED: u64 = 0x1EAD_E2B0;
 
 /// One policy of a leaderboard.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Standing {
-    /// Its rank: one more than the number of policies with a higher score; absent without a score.
+    /// Its rank: one more than the number of policies with a higher score. `None` without a score.
     pub rank: Option<u64>,
-    /// Ranks between which it lay in 95 % of the draws; absent without a score.
+    /// The range of its rank in 95 % of the replicates. `None` without a score.
     pub ranks_95: Option<[u64; 2]>,
-    /// What it is called here.
+    /// The displayed name.
     pub name: String,
     /// The robot.
     pub robot: String,
-    /// The policy, as its run calls it.
+    /// The policy's name in its run.
     pub policy: String,
-    /// Identity of its rows (SHA-256, hex).
+    /// SHA-256 (hex) of its rows.
     pub dataset_sha256: String,
     /// The score and its terms.
     pub score: ConfidenceScore,
-    /// 95 % of the draws lie in it; absent where the draws know no spread.
+    /// The interval that contains 95 % of the replicates. `None` if all replicates are equal.
     pub score_95: Option<[f64; 2]>,
-    /// Valid episodes.
+    /// Number of valid episodes.
     pub valid: u64,
-    /// Invalid episodes.
+    /// Number of invalid episodes.
     pub invalid: u64,
-    /// Successes.
+    /// Number of successes.
     pub successes: u64,
     /// Exact (Clopper-Pearson) 95 % interval of the success rate.
     pub success_95: [f64; 2],
-    /// How the others ended, the commonest first.
+    /// How the other episodes ended, the most frequent first.
     pub endings: Vec<EndingCount>,
 }
 
-/// Policies in a row: one versioned document.
+/// A ranking of policies as one versioned document.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Leaderboard {
-    /// Version of this form.
+    /// Version of the format.
     pub format: u32,
-    /// What the figures speak of.
+    /// The population of the figures.
     pub population: Population,
-    /// What relative terms refer to.
+    /// The baseline of relative terms.
     pub baseline: Option<Baseline>,
-    /// How often scenarios were drawn anew.
+    /// The number of bootstrap replicates.
     pub draws: u64,
-    /// The policies, the best first; those without a score last.
+    /// The policies, the best first. Those without a score are last.
     pub standings: Vec<Standing>,
 }
 
-/// One policy's scenarios by category.
+/// The scenarios of one policy, by category.
 type Strata<'a> = BTreeMap<&'a str, BTreeMap<String, Vec<&'a Trial>>>;
 
 impl Leaderboard {
-    /// The version of the form.
+    /// The version of the format.
     pub const FORMAT: u32 = 1;
 
     /// Ranks named records by `terms`.
     ///
     /// # Errors
-    /// Where there is nothing to rank, or the records do not speak of the same population.
+    /// If there is nothing to rank, or if the records have different populations.
     pub fn of(
         entries: &[(String, Record)],
         terms: &[ScoreTerm],
@@ -112,7 +113,7 @@ impl Leaderboard {
             let trials = judged.get(i).map_or(&[][..], Vec::as_slice);
             let scores: Option<Vec<f64>> = draws.iter().map(|d| d.get(i).copied().flatten()).collect();
             let Some(score) = ConfidenceScore::of(terms, baseline, trials.iter().copied()) else {
-                return Err(GateError::Score { reason: "there is no term to rank by".to_owned() });
+                return Err(GateError::Score { reason: "the requirements have no score term to rank by".to_owned() });
             };
             standings.push(standing(name, record, trials, score, scores));
         }
@@ -130,9 +131,9 @@ impl Leaderboard {
         })
     }
 
-    /// As a file holds it: the same leaderboard gives the same bytes.
+    /// Serialises the leaderboard. Equal leaderboards give equal bytes.
     pub fn to_json(&self) -> String {
-        // Every number in it is finite: nothing here can fail to serialise.
+        // Every number is finite, so serialisation cannot fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 }
@@ -141,17 +142,17 @@ fn strata<'a>(trials: &[&'a Trial]) -> Strata<'a> {
     let mut strata: Strata<'a> = BTreeMap::new();
     for trial in trials {
         let category = trial.label.category.as_deref().unwrap_or_default();
-        // Without a suite each episode is its own scenario.
+        // Without a suite, each episode is its own scenario.
         let case = trial.label.case.clone().unwrap_or_else(|| format!("{:020}", trial.index));
         strata.entry(category).or_default().entry(case).or_default().push(*trial);
     }
     strata
 }
 
-/// For each draw of scenarios, the score of each policy.
+/// The score of each policy in each bootstrap replicate.
 fn draw(strata: &[Strata<'_>], terms: &[ScoreTerm], baseline: Option<&Baseline>) -> Vec<Vec<Option<f64>>> {
     let mut stream = Seed::campaign(SEED).stream("leaderboard");
-    // The scenarios are those that any policy ran; one that a policy did not run brings it nothing.
+    // Scenarios that any policy ran. A policy that did not run a scenario gets no episodes from it.
     let mut cases: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     for (category, known) in strata.iter().flatten() {
         let list = cases.entry(category).or_default();
@@ -161,7 +162,7 @@ fn draw(strata: &[Strata<'_>], terms: &[ScoreTerm], baseline: Option<&Baseline>)
     }
     (0..DRAWS)
         .map(|_| {
-            let drawn: Vec<(&str, &str)> = cases
+            let resampled: Vec<(&str, &str)> = cases
                 .iter()
                 .flat_map(|(category, list)| {
                     let picks: Vec<usize> = list.iter().map(|_| stream.below(list.len())).collect();
@@ -171,7 +172,7 @@ fn draw(strata: &[Strata<'_>], terms: &[ScoreTerm], baseline: Option<&Baseline>)
             strata
                 .iter()
                 .map(|strata| {
-                    let trials: Vec<&Trial> = drawn
+                    let trials: Vec<&Trial> = resampled
                         .iter()
                         .filter_map(|(category, case)| strata.get(category)?.get(*case))
                         .flatten()
@@ -212,7 +213,7 @@ fn standing(
     }
 }
 
-/// Gives each policy its rank, and the ranks that it had in the draws.
+/// Computes the rank of each policy, and its ranks in the replicates.
 fn ranks(standings: &mut [Standing], draws: &[Vec<Option<f64>>]) {
     let above = |scores: &[Option<f64>], i: usize| {
         let own = scores.get(i).copied().flatten()?;
@@ -221,9 +222,9 @@ fn ranks(standings: &mut [Standing], draws: &[Vec<Option<f64>>]) {
     let points: Vec<Option<f64>> = standings.iter().map(|s| s.score.points).collect();
     for (i, standing) in standings.iter_mut().enumerate() {
         standing.rank = above(&points, i);
-        let mut drawn: Vec<u64> = draws.iter().filter_map(|scores| above(scores, i)).collect();
-        drawn.sort_unstable();
-        let at = |q: f64| drawn.get((q * drawn.len() as f64) as usize).copied();
+        let mut resampled: Vec<u64> = draws.iter().filter_map(|scores| above(scores, i)).collect();
+        resampled.sort_unstable();
+        let at = |q: f64| resampled.get((q * resampled.len() as f64) as usize).copied();
         standing.ranks_95 = at(0.025).zip(at(0.975)).map(|(low, high)| [low, high]);
     }
 }

@@ -1,14 +1,15 @@
-//! The decision: may this policy run in this cell?
+//! The gate: decides whether a policy may run in a cell.
 //!
-//! [`Requirements`] say what is demanded, [`Trial`]s what happened; an [`Evaluation`] holds every figure with how sure
-//! it is, and ends in a [`Verdict`]. It is a pure function of the two (and of the [`Baseline`] that relative demands
-//! refer to): no file, clock or chance stands above it. [`evidence`] keeps all of it in a folder that others can check.
+//! [`Requirements`] set limits, [`Trial`]s are the episodes. An [`Evaluation`] contains every figure with its interval, and
+//! ends in a [`Verdict`]. It is a pure function of requirements and trials (and of the [`Baseline`] of relative
+//! requirements): it uses no file, no clock and no random numbers. [`evidence`] stores all of it in a folder that
+//! others can check.
 //!
 //! | from | to |
 //! |---|---|
 //! | a TOML file | [`Requirements`] |
 //! | rows of a dictionary | [`Record`] of [`Trial`]s |
-//! | scenarios and requirements, beforehand | [`GatePlan`] |
+//! | scenarios and requirements, before a run | [`GatePlan`] |
 //! | several records | [`Leaderboard`] |
 //! | a record and requirements ([`Question`]) | [`Evaluation`], with [`ConfidenceScore`] and [`Verdict`] |
 

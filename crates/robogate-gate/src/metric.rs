@@ -1,4 +1,4 @@
-//! What a requirement is about.
+//! The metric of a requirement.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -8,20 +8,20 @@ use robogate_core::{FailureMode, TaskSpec, Word};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// A figure of a set of episodes. In files it is a text:
+/// A metric of a set of episodes. Files contain it as text:
 ///
 /// | text | figure |
 /// |---|---|
 /// | `success` | share of episodes that succeed |
 /// | `failure:<mode>` | share of episodes that fail in this way |
 /// | `failure_count:<mode>` | number of episodes that fail in this way, for point comparisons only |
-/// | `cycle_time_s`, `cycle_time_s:p95` | mean or quantile of the duration, however the episode ended, in simulated seconds |
+/// | `cycle_time_s`, `cycle_time_s:p95` | mean or quantile of the duration in simulated seconds, for all endings |
 /// | `measure:<name>`, `measure:<name>:p95` | mean or quantile of a measure of the task |
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Metric {
     /// Share of episodes that succeed.
     Success,
-    /// Duration of an episode, however it ended, in simulated seconds.
+    /// Duration of an episode with any ending, in simulated seconds.
     CycleTime(Statistic),
     /// Number of episodes that fail in this way.
     FailureCount(FailureMode),
@@ -31,12 +31,12 @@ pub enum Metric {
     Measure(Word, Statistic),
 }
 
-/// What is made of the values of all episodes.
+/// The statistic of a metric over all episodes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Statistic {
     /// Their mean.
     Mean,
-    /// The smallest value that at least so many thousandths of them do not exceed, 1 to 999.
+    /// A quantile: the smallest value that at least this many thousandths of all values do not exceed, 1 to 999.
     Quantile(u16),
 }
 
@@ -44,7 +44,7 @@ impl Metric {
     /// The mean duration.
     pub const MEAN_CYCLE_TIME: Self = Self::CycleTime(Statistic::Mean);
 
-    /// Every metric of a task that has one figure, in the order of reports.
+    /// Every metric of a task with one figure, in the order of reports.
     pub fn of_task(task: &TaskSpec) -> Vec<Self> {
         let measures = task.measures.iter().map(|measure| Self::Measure(measure.name, Statistic::Mean));
         [Self::Success, Self::MEAN_CYCLE_TIME]
@@ -55,7 +55,7 @@ impl Metric {
             .collect()
     }
 
-    /// Whether the task has what this is about; the error lists what it has.
+    /// Checks that the task has this metric. The error lists those that it has.
     pub fn check(self, task: &TaskSpec) -> Result<(), String> {
         let list = |names: Vec<&str>| if names.is_empty() { "none".to_owned() } else { names.join(", ") };
         match self {
@@ -73,7 +73,7 @@ impl Metric {
         }
     }
 
-    /// The metric in words, for people.
+    /// The metric as text for reports.
     pub fn title(self) -> String {
         match self {
             Self::Success => "success rate".to_owned(),
@@ -84,7 +84,7 @@ impl Metric {
         }
     }
 
-    /// The unit of its figure; empty for rates and counts.
+    /// The unit of its figure. Empty for rates and counts.
     pub fn unit(self, task: &TaskSpec) -> String {
         match self {
             Self::CycleTime(_) => "s".to_owned(),
@@ -95,12 +95,12 @@ impl Metric {
         }
     }
 
-    /// Whether it is the probability of something in an episode.
+    /// Whether the metric is the probability of an event in an episode.
     pub fn is_rate(self) -> bool {
         matches!(self, Self::Success | Self::Failure(_))
     }
 
-    /// The share of episodes that may lie beyond the limit, where it is a quantile: q of them at or below it.
+    /// For a quantile of order q, the share 1 - q of episodes that may lie beyond the limit.
     pub(crate) fn quantile(self) -> Option<f64> {
         match self {
             Self::CycleTime(Statistic::Quantile(q)) | Self::Measure(_, Statistic::Quantile(q)) => {
@@ -110,7 +110,7 @@ impl Metric {
         }
     }
 
-    /// Whether it is a mean of values that have a unit.
+    /// Whether the metric is a mean of values with a unit.
     pub(crate) fn is_mean(self) -> bool {
         matches!(self, Self::CycleTime(Statistic::Mean) | Self::Measure(_, Statistic::Mean))
     }
@@ -147,7 +147,7 @@ impl fmt::Display for Metric {
     }
 }
 
-/// Names of metrics in files of version 0.1, and what they are now.
+/// Names of metrics in files of version 0.1, with their current names.
 const OLD_SPELLINGS: [(&str, &str); 6] = [
     ("success_rate", "success"),
     ("collision_count", "failure_count:collision"),
@@ -164,7 +164,7 @@ impl FromStr for Metric {
         let text = OLD_SPELLINGS.iter().find(|(old, _)| *old == text).map_or(text, |(_, new)| new);
         let wrong = || {
             format!(
-                "`{text}` is not a metric; expected success, failure:<mode>, failure_count:<mode>, cycle_time_s or \
+                "`{text}` is not a metric. Expected success, failure:<mode>, failure_count:<mode>, cycle_time_s or \
                  measure:<name>, the last two with :p95 for a quantile"
             )
         };
@@ -188,7 +188,7 @@ impl FromStr for Metric {
     }
 }
 
-/// `p95` or `p99.5`.
+/// Parses `p95` or `p99.5`.
 fn parse_quantile(text: &str) -> Option<Statistic> {
     let percent: f64 = text.strip_prefix('p')?.parse().ok()?;
     let thousandths = (10.0 * percent).round();
@@ -218,7 +218,7 @@ impl JsonSchema for Metric {
         json_schema!({
             "type": "string",
             "description": "success, failure:<mode>, failure_count:<mode>, cycle_time_s or measure:<name>; the last two \
-                            are means, or quantiles with :p95 at the end. Failure modes and measures are the task's.",
+                            are means, or quantiles with the suffix :p95. The task declares the failure modes and measures.",
             "examples": ["success", "failure:timeout", "cycle_time_s", "cycle_time_s:p95", "measure:force_n:p99.5"],
         })
     }
@@ -229,7 +229,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn texts_read_back() {
+    fn names_round_trip() {
         for text in
             ["success", "failure:jam", "failure_count:jam", "cycle_time_s", "cycle_time_s:p95", "measure:force_n:p99.5"]
         {
@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_rejected() {
+    fn unknown_metrics_are_rejected() {
         for text in [
             "",
             "success:p95",

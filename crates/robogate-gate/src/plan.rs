@@ -1,9 +1,9 @@
-//! What a gate will do, before anything runs: its operating characteristic.
+//! The plan of a gate: its operating characteristic, computed before a run.
 //!
-//! For each demand on a rate, and for a range of true rates: how likely it is found met, found violated or left open, and
-//! how many episodes that takes. In confidence mode the figures come from [`robogate_stats::operating`], in point mode from
-//! the binomial law alone. Each demand is looked at by itself: a gate with several passes no more often than its least
-//! likely one.
+//! For each requirement on a rate and for a range of true rates, the plan states the probabilities of met, violated and
+//! undecided, and the expected number of episodes. In confidence mode the figures come from
+//! [`robogate_stats::operating`], in point mode from the binomial distribution. Each requirement is evaluated alone; a
+//! gate with several passes at most as often as its least likely requirement.
 
 use robogate_core::Measures;
 use robogate_dictionary::Label;
@@ -17,70 +17,70 @@ use serde::{Deserialize, Serialize};
 use crate::scope::{Scope, expand};
 use crate::{Baseline, Bound, Ending, GateError, Metric, Mode, Requirement, Requirements, Sampling, Sense, Trial};
 
-/// True rates that are planned for, as multiples of the bad rate that the limit allows.
+/// True rates of the table, as multiples of the failure rate that the limit allows.
 const MULTIPLES: [f64; 11] = [0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 5.0];
-/// Beyond this nobody waits for a verdict.
+/// Longer runs are not reported.
 const MOST_EPISODES: u64 = 1_000_000;
 
-/// What a gate will do: one versioned document.
+/// The plan of a gate as one versioned document.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GatePlan {
-    /// Version of this form.
+    /// Version of the format.
     pub format: u32,
-    /// What is demanded.
+    /// The requirements.
     pub requirements: Requirements,
-    /// Whether it looks after each round, or once.
+    /// Whether the gate tests after each round, or once.
     pub sampling: Sampling,
-    /// Episodes in a round.
+    /// Episodes per round.
     pub per_round: u64,
-    /// Rounds at most.
+    /// Maximum number of rounds.
     pub rounds: u64,
-    /// Each demand.
+    /// The requirements with their probabilities.
     pub demands: Vec<RequirementPlan>,
 }
 
-/// What the gate will find about one demand.
+/// The plan of one requirement.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RequirementPlan {
     /// Its name.
     pub id: String,
-    /// The demand.
+    /// The requirement.
     pub requirement: Requirement,
     /// Its limit.
     pub bound: Bound,
-    /// Episodes in a round that speak of it.
+    /// Episodes per round in its scope.
     pub per_round: u64,
-    /// Rounds after which it is met at the earliest, in a run without a single bad event; absent where that is beyond reason,
-    /// or in point mode.
+    /// Smallest number of rounds after which the requirement is met, if no failure happens. `None` if that is too
+    /// large, or in point mode.
     pub fewest_rounds: Option<u64>,
-    /// What happens at which true rate; empty for a duration, whose law nobody knows beforehand.
+    /// Probabilities for several true rates. Empty for a duration, because its distribution is unknown.
     pub at: Vec<Operating>,
 }
 
-/// What happens at one true rate.
+/// Probabilities for one true rate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Operating {
     /// The true rate.
     pub rate: f64,
-    /// Probability that the demand is found met.
+    /// Probability that the requirement is met.
     pub met: f64,
-    /// Probability that it is found violated.
+    /// Probability that the requirement is violated.
     pub violated: f64,
-    /// Probability that it is left open.
+    /// Probability that the requirement stays undecided.
     pub open: f64,
     /// Expected number of episodes in its scope until it is decided or the budget is spent.
     pub episodes: f64,
 }
 
 impl GatePlan {
-    /// The version of the form.
+    /// The version of the format.
     pub const FORMAT: u32 = 1;
 
-    /// The plan for a suite with these scenarios, and at most `rounds` rounds of it.
+    /// Computes the plan for a suite with these scenarios and at most `rounds` rounds.
     ///
     /// # Errors
-    /// A demand that can't be met at any number of episodes, or not by a perfect policy within the rounds; a scope
-    /// that no scenario has; a demand relative to a baseline that is not there.
+    /// A requirement that cannot be met at any number of episodes, or not by a perfect policy within the rounds; a
+    /// scope without scenarios; a relative requirement without a baseline.
     pub fn of(
         requirements: &Requirements,
         baseline: Option<&Baseline>,
@@ -124,7 +124,7 @@ impl GatePlan {
     }
 }
 
-/// An episode that has not happened: only its label is looked at.
+/// A placeholder for an episode that has not run. Only its label is used.
 fn blank(label: Label) -> Trial {
     Trial {
         index: 0,
@@ -138,7 +138,7 @@ fn blank(label: Label) -> Trial {
     }
 }
 
-#[expect(clippy::too_many_arguments, reason = "one call, right above; a struct of its own would only repeat the names")]
+#[expect(clippy::too_many_arguments, reason = "a struct for a single call would only repeat the names")]
 fn demand(
     requirement: Requirement,
     bound: Bound,
@@ -156,7 +156,7 @@ fn demand(
         plan.fewest_rounds = fewest_steady(&plan, alpha, baseline);
         return Ok(plan);
     }
-    // Of a quantile, so large a share of the values must keep the limit.
+    // For a quantile, this share of the values must meet the limit.
     let good = match (metric.quantile(), bound.sense) {
         (Some(q), Sense::AtMost) => q,
         (Some(q), Sense::AtLeast) => 1.0 - q,
@@ -171,9 +171,9 @@ fn demand(
         Schedule::Fixed { n } => n,
         Schedule::Rounds { per_round, rounds } => per_round * rounds,
     };
-    // A count allows so many among n; its share stands in for the rate.
+    // A limit on a count allows this many among n. Its share replaces the rate.
     let allowed = if let Metric::FailureCount(_) = metric { bound.limit / n as f64 } else { 1.0 - good };
-    // Where nothing bad is allowed, the multiples are of one event in n.
+    // If no event is allowed, the multiples are those of one event in n.
     let unit = if allowed > 0.0 { allowed } else { 1.0 / n as f64 };
     for bad in MULTIPLES.into_iter().map(|m| m * unit).filter(|bad| *bad <= 1.0) {
         let p = 1.0 - bad;
@@ -193,16 +193,16 @@ fn demand(
     Ok(plan)
 }
 
-/// Probability that the observed share of bad events is at most `allowed`, the chance of a good one being `p`.
+/// Probability that the observed share of bad events is at most `allowed`, if `p` is the probability of a good event.
 fn point(allowed: f64, n: u64, p: f64) -> f64 {
-    // The comparison of counts as the gate makes it: 1 - 0.92 must not turn into one event fewer.
+    // Uses the same comparison of counts as the gate. Otherwise rounding of 1 - 0.92 could remove one event.
     let bad = (allowed * n as f64 + 1e-9).floor() as u64;
     let good = n.saturating_sub(bad);
     at_least(Trials::new(good, n).unwrap_or(Trials::NONE), p).exp()
 }
 
-/// Rounds after which a demand on the duration is met at the earliest, every episode as long as the baseline's mean (half
-/// the limit, where there is none).
+/// Smallest number of rounds after which a requirement on the duration is met, if every episode takes the baseline's
+/// mean (half the limit without a baseline).
 fn fewest_steady(plan: &RequirementPlan, alpha: f64, baseline: Option<&Baseline>) -> Option<u64> {
     let [floor, ceiling] = plan.requirement.range();
     let floor = floor?;

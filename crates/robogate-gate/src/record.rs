@@ -1,4 +1,4 @@
-//! The episodes that are judged, and what they speak of.
+//! The episodes that are judged, and their population.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -13,20 +13,20 @@ use sha2::{Digest, Sha256};
 
 use crate::{GateError, Sampling, Trial};
 
-/// What a set of episodes speaks of.
+/// The population that a set of episodes represents.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Population {
-    /// The scenarios of a suite, each as often as the others: every rate is the mean over them.
+    /// The scenarios of a suite with equal weights. Every rate is a mean over them.
     Suite {
         /// Its name.
         name: String,
         /// SHA-256 (hex) over its scenarios: ids, categories, groups and parameters.
         sha256: String,
-        /// How many scenarios.
+        /// Number of scenarios.
         cases: u64,
     },
-    /// The distribution that the rows were drawn from.
+    /// The distribution that the rows were sampled from.
     Drawn {
         /// The parameter space's name.
         space: String,
@@ -36,7 +36,7 @@ pub enum Population {
 }
 
 impl Population {
-    /// Whether both are the same scenarios or the same space, whatever they are called.
+    /// Whether both are the same scenarios or the same space. Names are ignored.
     pub fn is_that_of(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Suite { sha256: a, .. }, Self::Suite { sha256: b, .. })
@@ -45,16 +45,18 @@ impl Population {
         }
     }
 
-    /// What a figure is, as a sentence: the estimand.
+    /// The estimand in one sentence.
     pub fn estimand(&self) -> String {
         match self {
             Self::Suite { name, cases, .. } => format!(
-                "Each figure is the mean over the {cases} scenarios of {name} with equal weights, over fresh seeds. It holds \
-                 for this mix of scenarios only. Gates with the same seed run the same scenarios: repeating one gives no \
-                 new evidence."
+                "Each figure is the mean over the {cases} scenarios of {name} with equal weights, over fresh seeds. It applies \
+                 to this mix of scenarios only. Gates with the same seed run the same scenarios: repeating one gives no new \
+                 evidence."
             ),
             Self::Drawn { space, .. } => {
-                format!("Each figure is that of episodes sampled from {space}. It holds for this distribution only.")
+                format!(
+                    "Each figure estimates that of episodes sampled from {space}. It applies to this distribution only."
+                )
             }
         }
     }
@@ -71,10 +73,10 @@ impl fmt::Display for Population {
     }
 }
 
-/// The episodes that are judged, and where they come from.
+/// The episodes that are judged, with their origin.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Record {
-    /// What they speak of.
+    /// The population of the episodes.
     pub population: Population,
     /// The task.
     pub task: Arc<TaskSpec>,
@@ -86,28 +88,28 @@ pub struct Record {
     pub dataset_sha256: String,
     /// The episodes, in order of their index.
     pub trials: Vec<Trial>,
-    /// Rows that were left out because they were drawn where success turns into failure: no operating rate.
+    /// Number of excluded rows that were sampled near the failure boundary. They do not estimate the operating rate.
     pub focused: u64,
-    /// How many episodes the plan of a suite has in all; `None` where no suite was run.
+    /// Number of episodes in the plan of a suite. `None` if no suite was run.
     pub planned: Option<u64>,
-    /// Whether the episodes were imported: their index then is a row's number and says nothing of the world.
+    /// Whether the episodes were imported. Their index is then a row number and does not identify a scenario.
     pub imported: bool,
 }
 
 impl Record {
-    /// The rows of a dictionary that speak of its suite or its space.
+    /// The rows of a dictionary that represent its suite or its space.
     ///
     /// # Errors
-    /// A row that cannot be read.
+    /// If a row cannot be read.
     pub fn of(dictionary: &Dictionary) -> Result<Self, GateError> {
         let hash = dictionary.dataset_hash();
         Self::collect(dictionary.provenance(), hash, dictionary.entries().map(|entry| entry.map_err(GateError::from)))
     }
 
-    /// The record of a campaign that has no row yet; `provenance` holds its plan.
+    /// The record of a campaign without rows. `provenance` contains its plan.
     ///
     /// # Errors
-    /// A plan whose suite is not what it says.
+    /// If the suite of the plan does not match its hash.
     pub fn begun(provenance: &Provenance) -> Result<Self, GateError> {
         let (population, planned) = population(provenance, &[])?;
         Ok(Self {
@@ -123,14 +125,14 @@ impl Record {
         })
     }
 
-    /// How the number of episodes came about, where `stated` is what is said of it: fewer episodes than the plan has are
-    /// a run that somebody stopped, whatever is said.
+    /// How the number of episodes was chosen. `stated` is what the user says. Fewer episodes than planned mean that the
+    /// run was stopped, so the sampling was sequential even if the user states otherwise.
     pub fn sampling(&self, stated: Sampling) -> Sampling {
         let stopped = self.planned.is_some_and(|planned| (self.trials.len() as u64) < planned);
         if stopped { Sampling::Sequential } else { stated }
     }
 
-    /// The same record, where no episode says whether it failed in one of these ways.
+    /// The same record, with the result of these failure modes unknown for every episode.
     #[must_use]
     pub(crate) fn without(&self, modes: &[FailureMode]) -> Self {
         let mut record = self.clone();
@@ -181,7 +183,7 @@ impl Record {
     }
 }
 
-/// What a run's plan says about the suite that it runs.
+/// The suite of a run's plan.
 #[derive(Deserialize)]
 struct SuitePlan {
     rounds: u64,
@@ -197,7 +199,7 @@ impl SuitePlan {
             serde_json::from_value(suite.clone()).map_err(|error| wrong(format!("cannot be read: {error}")))?;
         let found = suite_sha256(&planned.suite);
         if found != planned.sha256 {
-            return Err(wrong(format!("has SHA-256 {found}, and the plan says {}", planned.sha256)));
+            return Err(wrong(format!("has the SHA-256 {found}, but the plan states {}", planned.sha256)));
         }
         Ok(Some(planned))
     }
@@ -210,11 +212,11 @@ fn population(provenance: &Provenance, trials: &[Trial]) -> Result<(Population, 
             let name = format!("{} {}", suite.name(), suite.version());
             (Population::Suite { name, sha256, cases }, Some(rounds.saturating_mul(cases)))
         }
-        None => (drawn(provenance, trials), None),
+        None => (space_or_cases(provenance, trials), None),
     })
 }
 
-/// The seed that each row records for its world; `None` where one does not, or where it is one for all of several.
+/// The scenario seed of each row. `None` if a row has none, or if several rows share one.
 pub(crate) fn recorded_seeds(trials: &[Trial]) -> Option<Vec<i64>> {
     let seeds: Option<Vec<i64>> = trials
         .iter()
@@ -226,7 +228,7 @@ pub(crate) fn recorded_seeds(trials: &[Trial]) -> Option<Vec<i64>> {
     seeds.filter(|seeds| seeds.len() < 2 || seeds.iter().any(|seed| Some(seed) != seeds.first()))
 }
 
-/// Refuses the same episode twice, as far as rows say which episode they are.
+/// Returns an error if an episode occurs twice, as far as rows identify their episode.
 fn no_copies(trials: &[Trial]) -> Result<(), GateError> {
     let Some(seeds) = recorded_seeds(trials) else { return Ok(()) };
     let mut seen: BTreeMap<String, u64> = BTreeMap::new();
@@ -241,8 +243,8 @@ fn no_copies(trials: &[Trial]) -> Result<(), GateError> {
     Ok(())
 }
 
-/// The population of rows that are no suite's: their space, or the scenarios that their source names.
-fn drawn(provenance: &Provenance, trials: &[Trial]) -> Population {
+/// The population of rows without a suite: their space, or the scenarios that their source names.
+fn space_or_cases(provenance: &Provenance, trials: &[Trial]) -> Population {
     let space = provenance.space.name().to_owned();
     let labels: BTreeSet<[&str; 3]> = trials
         .iter()
@@ -253,7 +255,7 @@ fn drawn(provenance: &Provenance, trials: &[Trial]) -> Population {
         .collect();
     let nothing_known = provenance.space.parameters().iter().all(|parameter| &*parameter.name == SOURCE_ROW);
     let text = match &provenance.source {
-        // Rows of which only their number is known are those of their file, and of no other.
+        // Rows that are identified only by their number represent their own file and no other.
         Some(source) if labels.is_empty() && nothing_known => serde_json::to_string(&source.sha256),
         _ if labels.is_empty() => serde_json::to_string(&provenance.space),
         _ => serde_json::to_string(&labels),

@@ -1,4 +1,4 @@
-//! One demand.
+//! One requirement.
 
 use std::fmt;
 
@@ -7,22 +7,22 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Baseline, GateError, Metric, Mode, Statistic};
 
-/// One demand on one metric.
+/// A limit on one metric.
 ///
-/// It has one of `at_least` and `at_most`; `at_most_times_baseline` may stand in place of `at_most` or beside it, and
-/// then the more generous of the two holds.
+/// It has either `at_least` or `at_most`. `at_most_times_baseline` can replace `at_most` or be combined with it; the
+/// larger limit then applies.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Requirement {
-    /// What it speaks of.
+    /// The metric that is limited.
     pub metric: Metric,
-    /// The metric must be this much or more.
+    /// Lower limit of the metric.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_least: Option<f64>,
-    /// The metric must be this much or less.
+    /// Upper limit of the metric.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_most: Option<f64>,
-    /// The metric must be at most this many times the baseline's.
+    /// Upper limit as a multiple of the baseline's figure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_most_times_baseline: Option<f64>,
     /// Only scenarios of this category count.
@@ -31,18 +31,18 @@ pub struct Requirement {
     /// Only scenarios of this group count.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub group: Option<String>,
-    /// The demand stands for each category or group by itself.
+    /// The requirement applies to each category or group separately.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub each: Option<Each>,
-    /// For means: no value can be above this (of `cycle_time_s` the time limit of the task, in seconds).
+    /// For means: an upper bound of every value (for `cycle_time_s`, the time limit of the task in seconds).
     #[serde(default, skip_serializing_if = "Option::is_none", alias = "ceiling_s")]
     pub ceiling: Option<f64>,
-    /// For means of measures: no value can be below this; 0 where it is left out.
+    /// For means of measures: a lower bound of every value. Default 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub floor: Option<f64>,
 }
 
-/// For what a demand stands by itself.
+/// The partition of a requirement that applies to each part separately.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Each {
@@ -52,13 +52,13 @@ pub enum Each {
     Group,
 }
 
-/// On which side of its limit a metric must be.
+/// The side of the limit on which a metric must be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Sense {
-    /// The limit or more.
+    /// At or above the limit.
     AtLeast,
-    /// The limit or less.
+    /// At or below the limit.
     AtMost,
 }
 
@@ -71,17 +71,17 @@ impl fmt::Display for Sense {
     }
 }
 
-/// A demand with its limit as a number.
+/// A limit as a number.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Bound {
-    /// On which side.
+    /// The side of the limit.
     pub sense: Sense,
     /// The limit, in the metric's unit.
     pub limit: f64,
 }
 
 impl Bound {
-    /// Whether `value` is on the demanded side; the limit itself is.
+    /// Whether `value` is on the required side. The limit itself is.
     pub fn holds(self, value: f64) -> bool {
         match self.sense {
             Sense::AtLeast => value >= self.limit,
@@ -104,36 +104,36 @@ impl Requirement {
         }
     }
 
-    /// Refuses what is wrong whatever the evidence.
+    /// Returns an error if the requirement is invalid for any evidence.
     pub(crate) fn check(&self, mode: Mode) -> Result<(), GateError> {
         let wrong = |reason: &str| Err(GateError::Requirement { id: self.id(), reason: reason.to_owned() });
         let at_most = self.at_most.is_some() || self.at_most_times_baseline.is_some();
         if self.at_least.is_some() == at_most {
-            return wrong("it needs either `at_least` or a limit above (`at_most`, `at_most_times_baseline`)");
+            return wrong("expected either `at_least` or an upper limit (`at_most`, `at_most_times_baseline`)");
         }
         if [self.at_least, self.at_most, self.at_most_times_baseline, self.ceiling]
             .iter()
             .flatten()
             .any(|limit| !limit.is_finite() || (*limit < 0.0 && !matches!(self.metric, Metric::Measure(..))))
         {
-            return wrong("its limits must be finite numbers, 0 or more");
+            return wrong("limits must be finite numbers of at least 0");
         }
         if self.each.is_some() && (self.category.is_some() || self.group.is_some()) {
-            return wrong("`each` stands in place of `category` and `group`");
+            return wrong("`each` cannot be combined with `category` or `group`");
         }
         if self.ceiling.is_some() && !self.metric.is_mean() {
-            return wrong("`ceiling` applies to means alone: of `cycle_time_s` and of measures");
+            return wrong("`ceiling` applies to means of `cycle_time_s` and of measures only");
         }
         if self.ceiling.is_none()
             && self.metric.is_mean()
             && (mode == Mode::Confidence || self.metric == Metric::MEAN_CYCLE_TIME)
         {
             return wrong(
-                "the test of a mean needs `ceiling`, which no value exceeds (the time limit, for `cycle_time_s`)",
+                "the test of a mean needs `ceiling`, an upper bound of every value (for `cycle_time_s`, the time limit)",
             );
         }
         if self.floor.is_some() && !matches!(self.metric, Metric::Measure(_, Statistic::Mean)) {
-            return wrong("`floor` applies to means of measures alone");
+            return wrong("`floor` applies to means of measures only");
         }
         let [floor, ceiling] = self.range();
         if floor.zip(ceiling).is_some_and(|(floor, ceiling)| floor >= ceiling) {
@@ -143,17 +143,17 @@ impl Requirement {
             return Err(GateError::Unmeetable {
                 id: self.id(),
                 demand: self.demand(),
-                reason: "a count grows with the number of episodes, and that none will ever happen is shown by no number\nhint: require `failure:<mode>` with `at_most = 0.01`".to_owned(),
+                reason: "a count grows with the number of episodes, so a limit on it cannot be shown to hold\nhint: require `failure:<mode>` with `at_most = 0.01`".to_owned(),
             });
         }
         Ok(())
     }
 
-    /// The ends between which all values of a mean lie, as far as they are known.
+    /// The range of the values of a mean, as far as it is known.
     pub(crate) fn range(&self) -> [Option<f64>; 2] {
         match self.metric {
             Metric::CycleTime(_) => [Some(0.0), self.ceiling],
-            // Without a ceiling nothing is known of a measure's range, and 0 is not assumed.
+            // Without a ceiling the range of a measure is unknown, and 0 is not assumed.
             Metric::Measure(..) => [self.floor.or(self.ceiling.map(|_| 0.0)), self.ceiling],
             Metric::Success | Metric::Failure(_) | Metric::FailureCount(_) => [None, None],
         }
@@ -167,10 +167,10 @@ impl Requirement {
         parts.join(" or ")
     }
 
-    /// The demand with its limit as a number.
+    /// The limit as a number.
     ///
     /// # Errors
-    /// Where it refers to a baseline that is not there, or where no number of episodes could show it.
+    /// If the baseline is missing, or if no number of episodes could show that the requirement is met.
     pub fn bound(&self, mode: Mode, baseline: Option<&Baseline>) -> Result<Bound, GateError> {
         let bound = match (self.at_least, self.at_most_times_baseline) {
             (Some(limit), _) => Bound { sense: Sense::AtLeast, limit },
@@ -197,19 +197,19 @@ impl Requirement {
         let Bound { sense, limit } = bound;
         if self.metric.is_rate() {
             if sense == Sense::AtLeast && limit > 1.0 {
-                return refuse("a rate is never above 1\nhint: write 92 % as 0.92");
+                return refuse("a rate cannot exceed 1\nhint: write 92 % as 0.92");
             }
             if mode == Mode::Confidence {
                 if (sense == Sense::AtLeast && limit >= 1.0) || (sense == Sense::AtMost && limit <= 0.0) {
                     return refuse(
-                        "that something never happens is shown by no number of episodes without it\nhint: leave room, as 0.99 or 0.01; beside `at_most_times_baseline`, `at_most` gives a floor",
+                        "no number of episodes can show that an event never happens\nhint: use a limit such as 0.99 or 0.01; with `at_most_times_baseline`, also set `at_most` as a minimum limit",
                     );
                 }
                 if (sense == Sense::AtLeast && limit <= 0.0) || (sense == Sense::AtMost && limit >= 1.0) {
                     return Err(GateError::Requirement {
                         id: self.id(),
                         reason: format!(
-                            "`{sense} {limit}` demands nothing of a rate\nhint: leave it out, or demand more"
+                            "`{sense} {limit}` holds for every rate\nhint: remove the requirement, or choose a stricter limit"
                         ),
                     });
                 }
@@ -218,12 +218,12 @@ impl Requirement {
         if let (true, [Some(floor), ceiling]) = (self.metric.is_mean(), self.range()) {
             let ceiling = ceiling.unwrap_or(f64::INFINITY);
             let always = |end: &str| {
-                let reason = format!("`{sense} {limit}` requires nothing: no value lies beyond `{end}`");
+                let reason = format!("`{sense} {limit}` holds for every value, because no value lies beyond `{end}`");
                 Err(GateError::Requirement { id: self.id(), reason })
             };
             match sense {
                 Sense::AtMost if limit <= floor => return refuse("no value is below it\nhint: raise the limit"),
-                Sense::AtLeast if limit >= ceiling => return refuse("`ceiling` is not above it"),
+                Sense::AtLeast if limit >= ceiling => return refuse("`ceiling` is not above the limit"),
                 Sense::AtMost if limit >= ceiling => return always("ceiling"),
                 Sense::AtLeast if limit <= floor && self.floor.is_some() => return always("floor"),
                 Sense::AtLeast | Sense::AtMost => {}

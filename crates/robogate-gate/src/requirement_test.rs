@@ -1,14 +1,14 @@
-//! One demand against the evidence, both ways.
+//! The two hypothesis tests of one requirement.
 //!
-//! For a demand there are two tests: one against "it is not met", and one against "it is met". The first takes every
-//! episode that says nothing for the worst it could have been, the second for the best: invalid episodes never help
-//! either answer.
+//! Each requirement has two tests: one of the hypothesis "not met", and one of the hypothesis "met". The first assumes
+//! the worst outcome for every invalid episode, the second the best. Invalid episodes therefore never support either
+//! conclusion.
 //!
-//! Rates are counted as the good events (successes; episodes without a collision), so that every demand on a rate reads
-//! "at least". With a fixed number of episodes the tests are exact and binomial. A suite's scenarios each have a rate of their
-//! own; the binomial law of their mean has the heavier tails wherever a test at error 0.25 or less rejects (Hoeffding 1956),
-//! but for a single event, where the union bound n p takes its place. With looks the tests are those of
-//! [`robogate_stats::anytime`], for durations those of [`robogate_stats::bounded_mean`].
+//! Rates are counted as good events (successes, episodes without a collision), so that every requirement on a rate
+//! reads "at least". With a fixed number of episodes the tests are exact binomial tests. Each scenario of a suite has
+//! its own rate; the binomial distribution at their mean has heavier tails wherever a test at error 0.25 or less
+//! rejects (Hoeffding 1956), except for a single event, where the union bound n p is used instead. Sequential tests are
+//! those of [`robogate_stats::anytime`], and for durations those of [`robogate_stats::bounded_mean`].
 
 use robogate_stats::anytime::{Bounds, ln_evidence_above, ln_evidence_below};
 use robogate_stats::bounded_mean::BoundedMean;
@@ -19,32 +19,32 @@ use robogate_stats::{Confidence, Interval, Trials, clopper_pearson};
 use crate::figure::{Tally, happened, value};
 use crate::{Bound, GateError, Metric, Requirement, Sampling, Sense, Trial};
 
-/// Both p-values, the interval at the error α on each side, and when the demand would be decided.
+/// Both p-values, the interval at error α on each side, and when the requirement would be decided.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Tested {
     pub(crate) p_met: f64,
     pub(crate) p_violated: f64,
-    /// Absent for a quantile.
+    /// `None` for a quantile.
     pub(crate) interval: Option<[f64; 2]>,
-    /// Steps in all after which it would be decided if they went as those so far.
+    /// Number of steps at which the requirement would be decided if the observed figure stayed the same.
     pub(crate) decided_at_steps: Option<u64>,
 }
 
-/// How a test is made.
+/// The settings of a test.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct How {
     pub(crate) sampling: Sampling,
     /// Error of "met".
     pub(crate) alpha: f64,
-    /// Error of "violated", as the first step of Holm's procedure shares it.
+    /// Error of "violated", divided as in the first step of Holm's procedure.
     pub(crate) beta: f64,
-    /// Whether the scenarios are those of a suite, each with a rate of its own.
+    /// Whether the scenarios are those of a suite, each with its own rate.
     pub(crate) suite: bool,
-    /// In how many equal steps the episodes came: rounds of a suite, else single episodes.
+    /// Number of equal steps in which the episodes came: rounds of a suite, otherwise single episodes.
     pub(crate) steps: u64,
 }
 
-/// More steps than this are not worth naming.
+/// Larger numbers of steps are not reported.
 const MOST_STEPS: u64 = 1_000_000;
 
 pub(crate) fn test(
@@ -58,21 +58,21 @@ pub(crate) fn test(
         return mean(requirement, bound, rounds, how);
     }
     let Some(q) = metric.quantile() else { return Ok(rate(metric, bound, bound, rounds, how)) };
-    // The quantile keeps its limit exactly where a share of values small enough lies beyond it.
+    // The quantile meets its limit exactly if a sufficiently small share of the values lies beyond it.
     let beyond = if bound.sense == Sense::AtMost { 1.0 - q } else { q };
     let tested = rate(metric, bound, Bound { sense: Sense::AtMost, limit: beyond }, rounds, how);
-    // That interval is one of the share.
+    // This interval is that of the share.
     Ok(Tested { interval: None, ..tested })
 }
 
-/// Good events so far, each episode that says nothing counted as bad and as good.
+/// The good events so far, with each invalid episode counted as bad and as good.
 #[derive(Debug, Clone, Copy)]
 struct Look {
     worst: Trials,
     best: Trials,
 }
 
-/// Tests the rate of an event against `bound`. The event of a quantile is a value beyond `limit`.
+/// Tests the rate of an event against `bound`. For a quantile, the event is a value beyond `limit`.
 fn rate(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Trial>], how: How) -> Tested {
     let mut tally = Tally::default();
     let looks: Vec<Look> = rounds
@@ -118,13 +118,13 @@ fn rate(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Trial>], how:
     }
 }
 
-/// ln P(as many or more | p0), for scenarios of unlike rates where `suite`.
+/// ln P(X >= k | p0), for scenarios with different rates if `suite`.
 fn fixed_above(trials: Trials, p0: f64, suite: bool) -> f64 {
     let binomial = at_least(trials, p0);
     if suite && trials.successes() == 1 { binomial.max((trials.n() as f64 * p0).ln()).min(0.0) } else { binomial }
 }
 
-/// ln P(as many or fewer | p0), for scenarios of unlike rates where `suite`.
+/// ln P(X <= k | p0), for scenarios with different rates if `suite`.
 fn fixed_below(trials: Trials, p0: f64, suite: bool) -> f64 {
     let binomial = at_most(trials, p0);
     if suite && trials.failures() == 1 {
@@ -134,13 +134,13 @@ fn fixed_below(trials: Trials, p0: f64, suite: bool) -> f64 {
     }
 }
 
-/// The number of steps at which the rates seen so far would decide; `None` where they lie on both sides of the limit.
+/// The number of steps at which the observed rates would decide. `None` if they lie on both sides of the limit.
 fn rate_decided_at(last: Look, p0: f64, how: How) -> Option<u64> {
     let (worst, best) = (last.worst.rate()?, last.best.rate()?);
     let per_step = last.worst.n() as f64 / how.steps.max(1) as f64;
     let trials = |rate: f64, steps: u64| {
         let n = (per_step * steps as f64).round() as u64;
-        // Rounded against the answer that is asked for.
+        // Rounded against the conclusion, so that the number is not too small.
         let good = if worst > p0 { (rate * n as f64).floor() } else { (rate * n as f64).ceil() };
         Trials::new((good as u64).min(n), n).unwrap_or(Trials::NONE)
     };
@@ -158,7 +158,7 @@ fn rate_decided_at(last: Look, p0: f64, how: How) -> Option<u64> {
     }
 }
 
-/// The least number of steps at which `decided` holds, if it is a sensible one.
+/// The smallest number of steps at which `decided` holds, if it is not too large.
 fn least(decided: impl Fn(u64) -> bool) -> Option<u64> {
     let mut high = 1;
     while !decided(high) {
@@ -176,7 +176,7 @@ fn least(decided: impl Fn(u64) -> bool) -> Option<u64> {
 }
 
 fn mean(requirement: &Requirement, bound: Bound, rounds: &[Vec<&Trial>], how: How) -> Result<Tested, GateError> {
-    // Values are shifted so that they start at 0.
+    // Values are shifted so that their range starts at 0.
     let [floor, ceiling] = requirement.range();
     let floor = floor.unwrap_or(0.0);
     let ceiling = ceiling.unwrap_or(f64::INFINITY) - floor;
@@ -186,7 +186,7 @@ fn mean(requirement: &Requirement, bound: Bound, rounds: &[Vec<&Trial>], how: Ho
     for round in rounds {
         for trial in round {
             let value = value(requirement.metric, trial).map(|value| value - floor);
-            // The clock of an episode is a sum of many steps.
+            // The duration of an episode is a sum of many time steps, so it can exceed the limit by a rounding error.
             if let Some(shifted) = value
                 && !(-1e-9 * ceiling..=ceiling * (1.0 + 1e-9)).contains(&shifted)
             {
@@ -208,7 +208,7 @@ fn mean(requirement: &Requirement, bound: Bound, rounds: &[Vec<&Trial>], how: Ho
         let ln = if limit_is_above { mean.ln_evidence_below(bound.limit) } else { mean.ln_evidence_above(bound.limit) };
         Ok((ln, mean.interval(how.alpha)))
     };
-    // Short episodes are shown by the longest that the unknown ones could have been, long ones by the shortest.
+    // Short durations are shown with the longest possible unknown values, long ones with the shortest.
     let (above, of_short) = account(&short, false)?;
     let (below, of_long) = account(&long, true)?;
     let (met, violated) = match bound.sense {
@@ -223,7 +223,7 @@ fn mean(requirement: &Requirement, bound: Bound, rounds: &[Vec<&Trial>], how: Ho
     })
 }
 
-/// The episodes so far, again and again, until they would decide: a walk of 100 times their number at most.
+/// Repeats the observed episodes until they would decide, up to 100 times their number.
 fn mean_decided_at(bound: Bound, short: &[f64], long: &[f64], ceiling: f64, how: How) -> Option<u64> {
     let average = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let (values, wanted, below) = if average(long) < bound.limit {

@@ -1,4 +1,4 @@
-//! What is demanded, as a file.
+//! The requirements as a file.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -10,65 +10,66 @@ use serde::{Deserialize, Serialize};
 
 use crate::{GateError, Metric, Record, Requirement, ScoreTerm, Scoring, score};
 
-/// The most rounds that a budget may have: what is more is a slip of the finger.
+/// Upper limit of the number of rounds. Larger values are probably typing errors.
 const MOST_ROUNDS: u32 = 10_000;
 
-/// What is demanded of a policy, and how sure the gate must be.
+/// The requirements of a policy, with the confidence level of the verdict.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Requirements {
     /// Its name.
     pub name: String,
-    /// The task that it is for; where it is left out, any task that has its failure modes and measures.
+    /// The task that they apply to. Default: any task that has their failure modes and measures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub task: Option<String>,
     /// How a metric is compared with its limit.
     pub mode: Mode,
-    /// In confidence mode: how sure a pass and a fail must each be. 0.95 means that each is wrong at most once in twenty.
+    /// In confidence mode: the confidence level of a pass and of a fail. At 0.95, each is wrong in at most 5 % of
+    /// gates.
     #[serde(default = "default_confidence")]
     pub confidence: f64,
-    /// In confidence mode: what "all requirements at this confidence" means.
+    /// In confidence mode: the meaning of the confidence level for several requirements.
     #[serde(default)]
     pub family: Family,
-    /// How much a gate that runs episodes itself may spend.
+    /// The budget of a gate that runs episodes.
     #[serde(default)]
     pub budget: Budget,
-    /// The demands.
+    /// The requirements.
     #[serde(default)]
     pub requirement: Vec<Requirement>,
-    /// The terms of the confidence score; none, no score.
+    /// The terms of the confidence score. Without terms there is no score.
     #[serde(default)]
     pub score: Vec<ScoreTerm>,
 }
 
-/// How a metric is held against its limit.
+/// How a metric is compared with its limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Mode {
-    /// The observed figure is compared with the limit, however few episodes it comes from (the paper's gate).
+    /// The observed figure is compared with the limit, for any number of episodes (the paper's gate).
     Point,
-    /// The demand must be shown to hold at the stated confidence.
+    /// The requirement must be shown to hold at the confidence level.
     Confidence,
 }
 
-/// What a confidence over several requirements means.
+/// The meaning of the confidence level for several requirements.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Family {
-    /// A pass is the claim that all are met: an intersection-union test, in which each is shown at the full level and
-    /// the claim as a whole holds at it (Berger 1982). A fail is the claim that some are violated: a union of tests,
-    /// which shares its error among them by Holm's procedure.
+    /// A pass claims that all requirements are met: an intersection-union test, in which each is shown at the full
+    /// level (Berger 1982). A fail claims that at least one is violated: a union of tests, which divides its error by
+    /// Holm's procedure.
     #[default]
     IntersectionUnion,
-    /// As above, and each "met" may be read alone as well: these are adjusted by Holm's procedure too.
+    /// As `joint`, and each "met" also holds on its own: these p-values are adjusted by Holm's procedure too.
     Holm,
 }
 
-/// How much a gate that runs episodes itself may spend.
+/// The budget of a gate that runs episodes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Budget {
-    /// At most this many rounds of the suite, each with fresh seeds.
+    /// Maximum number of rounds of the suite. Each round has fresh seeds.
     pub rounds: u32,
 }
 
@@ -82,24 +83,24 @@ fn default_confidence() -> f64 {
     0.95
 }
 
-/// The set that is used where none is named.
+/// The built-in set that is used by default.
 const DEFAULT: &str = "default";
 
-/// The sets that come with RoboGate: name and TOML.
+/// The built-in sets: name and TOML.
 const BUILT_IN: [(&str, &str); 2] = [
     (DEFAULT, include_str!("../../../assets/gates/default.toml")),
     ("paper", include_str!("../../../assets/gates/paper.toml")),
 ];
 
 impl Requirements {
-    /// The names of the sets that come with RoboGate.
+    /// The names of the built-in sets.
     pub const NAMES: [&'static str; 2] = [BUILT_IN[0].0, BUILT_IN[1].0];
 
-    /// A set that comes with RoboGate, or a TOML file, for `task`. The set `default` of a task that brings none requires a
-    /// success rate of 92 %, and at most 1 % of each critical failure mode.
+    /// Opens a built-in set or a TOML file, for `task`. For a task without its own set, `default` requires a success
+    /// rate of at least 92 %, and at most 1 % of each critical failure mode.
     ///
     /// # Errors
-    /// What is wrong with the file, and where.
+    /// A problem in the file, with its location.
     pub fn open(name_or_path: &str, task: &TaskSpec) -> Result<Self, GateError> {
         if let Some((_, text)) = BUILT_IN.iter().find(|(name, _)| *name == name_or_path) {
             let set = Self::from_toml(text)?;
@@ -112,7 +113,7 @@ impl Requirements {
         Self::from_toml(&text).map_err(|error| GateError::InFile { path: path.to_owned(), error: Box::new(error) })
     }
 
-    /// What is required where nothing else is said.
+    /// The default requirements of a task without its own set.
     fn derived(task: &TaskSpec) -> Self {
         let requirement = |metric, at_least, at_most| Requirement {
             metric,
@@ -145,18 +146,22 @@ impl Requirements {
         }
     }
 
-    /// The record as these requirements may be asked of it.
+    /// Prepares the record for these requirements.
     ///
-    /// An import declares the failure modes that were found in it: of any other, it is not known whether it was recorded.
+    /// An import declares the failure modes that occurred in it. For other modes it is unknown whether they were
+    /// recorded.
     ///
     /// # Errors
-    /// Requirements for another task, or with a failure mode or measure that the task does not have.
+    /// If the requirements are for another task, or if the task does not have a failure mode or measure.
     pub(crate) fn fit<'a>(&self, record: &'a Record) -> Result<Cow<'a, Record>, GateError> {
         let task = &record.task;
         let wrong = |reason: String| GateError::NotOfTask { requirements: self.name.clone(), reason };
         if let Some(name) = self.task.as_deref().filter(|name| task.name != *name && !record.imported) {
-            let hint = "hint: use --requirements default, or a file of your own";
-            return Err(wrong(format!("they are for the task {name}; these episodes are of {}\n{hint}", task.name)));
+            let hint = "hint: use --requirements default, or your own file";
+            return Err(wrong(format!(
+                "the requirements are for the task {name}, but the episodes are of {}\n{hint}",
+                task.name
+            )));
         }
         let metrics = self.requirement.iter().map(|r| r.metric).chain(self.score.iter().map(|term| term.metric));
         let mut unseen = Vec::new();
@@ -170,24 +175,24 @@ impl Requirements {
         Ok(if unseen.is_empty() { Cow::Borrowed(record) } else { Cow::Owned(record.without(&unseen)) })
     }
 
-    /// Reads TOML.
+    /// Parses TOML.
     ///
     /// # Errors
-    /// What is wrong and where: an unknown key, a demand without a limit, one that can't be met at any number of
-    /// episodes.
+    /// A problem with its location: an unknown key, a requirement without a limit, or one that cannot be met at any
+    /// number of episodes.
     pub fn from_toml(text: &str) -> Result<Self, GateError> {
         let requirements: Self = toml::from_str(text).map_err(|error| GateError::Syntax(error.to_string()))?;
         requirements.check()?;
         Ok(requirements)
     }
 
-    /// As a file holds it: the same requirements give the same bytes.
+    /// Serialises the requirements as TOML. Equal requirements give equal bytes.
     pub fn to_toml(&self) -> String {
-        // A table of strings, finite numbers and tables cannot fail to serialise.
+        // Strings, finite numbers and tables always serialise.
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// Refuses what is wrong whatever the evidence.
+    /// Returns an error if the requirements are invalid for any evidence.
     ///
     /// # Errors
     /// As [`Self::from_toml`].
@@ -195,7 +200,7 @@ impl Requirements {
         if self.requirement.is_empty() {
             return Err(GateError::NoRequirements);
         }
-        // Below this, binomial tests of unlike scenarios lose their ground (see `Question`).
+        // At a lower confidence, binomial tests of scenarios with different rates are not valid (see `Question`).
         if !(0.75..1.0).contains(&self.confidence) {
             return Err(GateError::Confidence { confidence: self.confidence });
         }
@@ -215,13 +220,13 @@ impl Requirements {
         score::check(&self.score)
     }
 
-    /// The probability with which a pass, and with which a fail, may be wrong.
+    /// The error probability of a pass, and of a fail.
     pub fn alpha(&self) -> f64 {
-        // 1 - 0.95 is not 0.05 in floating point; twelve decimals are more than anybody writes.
+        // 1 - 0.95 is not 0.05 in floating point, so the result is rounded to 12 decimals.
         ((1.0 - self.confidence) * 1e12).round() / 1e12
     }
 
-    /// Whether a demand or a term refers to a baseline.
+    /// Whether a requirement or a score term refers to a baseline.
     pub fn needs_baseline(&self) -> bool {
         self.requirement.iter().any(|r| r.at_most_times_baseline.is_some())
     }

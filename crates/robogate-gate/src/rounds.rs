@@ -1,25 +1,25 @@
-//! Whole rounds of a suite: the moments at which anybody may look.
+//! Complete rounds of a suite. A sequential test is evaluated at the end of each.
 
 use std::collections::BTreeMap;
 
 use crate::{GateError, Population, Trial};
 
-/// The trials that are judged, round by round.
+/// The trials that are judged, in rounds.
 #[derive(Debug)]
 pub(crate) struct Rounds<'a> {
     pub(crate) rounds: Vec<Vec<&'a Trial>>,
-    /// Trials after the last whole round.
+    /// Trials after the last complete round.
     pub(crate) left_over: u64,
-    /// Whether the rounds are those of a suite; without one, all trials are one round.
+    /// Whether the rounds are those of a suite. Without a suite, all trials are one round.
     pub(crate) suite: bool,
 }
 
 impl<'a> Rounds<'a> {
-    /// Parts `trials` into rounds: the first run of each scenario, the second of each, and so on.
+    /// Splits `trials` into rounds: the first run of each scenario, the second of each, and so on.
     pub(crate) fn of(trials: &'a [Trial], population: &Population) -> Result<Self, GateError> {
         let Population::Suite { cases, .. } = population else {
-            // The order of these rows may hang on how they went: nothing may depend on where a look falls, so there is
-            // one, at the end.
+            // The rows may be sorted by outcome. The result must not depend on where the test is evaluated, so it is
+            // evaluated once, at the end.
             let rounds = if trials.is_empty() { Vec::new() } else { vec![trials.iter().collect()] };
             return Ok(Self { rounds, left_over: 0, suite: false });
         };

@@ -1,4 +1,4 @@
-//! Of which scenarios a demand speaks.
+//! The scenarios that a requirement applies to.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use robogate_dictionary::Label;
 
 use crate::{Each, GateError, Requirement, Trial};
 
-/// A category, a group, both, or everything.
+/// A category, a group, both, or all scenarios.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Scope<'a> {
     pub(crate) category: Option<&'a str>,
@@ -36,10 +36,10 @@ impl fmt::Display for Scope<'_> {
     }
 }
 
-/// One demand for each category or group where it says so, in order of first appearance.
+/// Expands a requirement with `each` to one requirement per category or group, in order of first appearance.
 ///
 /// # Errors
-/// An episode without the word that the demand is parted by: left out, it would be judged by no demand at all.
+/// If an episode has no category or group. No requirement would judge it otherwise.
 pub(crate) fn expand<'a>(
     requirement: &Requirement,
     labels: impl Iterator<Item = &'a Label>,

@@ -1,9 +1,10 @@
 //! The confidence score, 0 to 100 (the paper's section 3.4 and appendix E).
 //!
-//! C = 100 Σ wᵢ sᵢ with weights and terms as data ([`ScoreTerm`]). It is a summary of observed figures and carries no
-//! error of its own: the verdict does not look at it. The cycle-time term 1 - |Δt/t_base| is cut off at 0, because it would
-//! fall below beyond twice the baseline. The paper's baseline term max(0, 1 + ΔSR) exceeds 1, and the score may exceed 100,
-//! where a policy is better than its baseline; a set of requirements may ask for the term cut off at 1 as well.
+//! C = 100 Σ wᵢ sᵢ, with weights and terms as data ([`ScoreTerm`]). It summarises observed figures and has no error
+//! bound, so the verdict does not depend on it. The cycle-time term 1 - |Δt/t_base| is limited to 0, because it would
+//! be negative beyond twice the baseline. The paper's baseline term max(0, 1 + ΔSR) exceeds 1 if a policy is better
+//! than its baseline, and the score may then exceed 100. Requirements can limit the term to 1 as well. where a policy
+//! is better than its baseline; a set of requirements may ask for the term cut off at 1 as well.
 
 use robogate_stats::Interval;
 use schemars::JsonSchema;
@@ -17,45 +18,46 @@ use crate::{Baseline, GateError, Metric, Trial};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScoreTerm {
-    /// What it is called in reports.
+    /// The name in reports.
     pub name: String,
-    /// Of which metric.
+    /// The metric.
     pub metric: Metric,
     /// Only scenarios of this category count.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub category: Option<String>,
     /// Its weight; the weights sum to 1.
     pub weight: f64,
-    /// How the metric becomes a number from 0 to 1.
+    /// How the metric is converted to a number from 0 to 1.
     pub scoring: Scoring,
 }
 
-/// How a metric x becomes a number from 0 to 1.
+/// How a metric x is converted to a number from 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", tag = "form", deny_unknown_fields)]
 pub enum Scoring {
     /// min(1, x / full_at).
     Linear {
-        /// Where the term is full.
+        /// The value at which the term reaches 1.
         full_at: f64,
     },
-    /// 1 - |x - b| / b, cut off at 0, with the baseline's figure b.
+    /// 1 - |x - b| / b, at least 0, with the baseline's figure b.
     BaselineDeviation,
-    /// 1 at x = 0, else 0.
+    /// 1 at x = 0, otherwise 0.
     Zero,
-    /// 1 + x - b, cut off at 0, with the baseline's figure b: above 1 where the policy is the better one.
+    /// 1 + x - b, at least 0, with the baseline's figure b. It exceeds 1 if the policy is better.
     BaselineDelta,
-    /// 1 + x - b, cut off at 0 and at 1, with the baseline's figure b.
+    /// 1 + x - b, limited to 0 to 1, with the baseline's figure b.
     BaselineDeltaCapped,
 }
 
 impl Scoring {
-    /// Whether it refers to a baseline.
+    /// Whether the term refers to a baseline.
     pub fn needs_baseline(self) -> bool {
         matches!(self, Self::BaselineDeviation | Self::BaselineDelta | Self::BaselineDeltaCapped)
     }
 
-    /// The figure `x` as a number from 0 to 1, with the baseline's figure `b`; `None` without a baseline that it needs.
+    /// Converts the figure `x` to a number from 0 to 1, with the baseline's figure `b`. `None` if a baseline is
+    /// missing.
     pub fn of(self, x: f64, b: Option<f64>) -> Option<f64> {
         let scored = match self {
             Self::Linear { full_at } => (x / full_at).min(1.0),
@@ -70,7 +72,7 @@ impl Scoring {
         Some(scored)
     }
 
-    /// The least and most that it can be for a figure between `least` and `most`.
+    /// The range of the term for a figure between `least` and `most`.
     fn range(self, extremes: &Extremes, b: Option<f64>) -> Option<Interval> {
         let low = match extremes.least {
             Some(least) => self.of(least, b)?,
@@ -78,7 +80,7 @@ impl Scoring {
         };
         let high = match extremes.most {
             Some(most) => self.of(most, b)?,
-            // Only a duration has no end, and without end it scores nothing.
+            // Only a duration is unbounded, and an infinite duration scores 0.
             None => 0.0,
         };
         let inside = b.is_some_and(|b| {
@@ -89,27 +91,27 @@ impl Scoring {
     }
 }
 
-/// One term with its figures.
+/// A term with its figures.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ScoredTerm {
     /// The term.
     pub term: ScoreTerm,
-    /// The metric's figure over the valid episodes; absent where there is none.
+    /// The metric's figure over the valid episodes. `None` if there is none.
     pub value: Option<f64>,
-    /// The baseline's, where the term asks for it.
+    /// The baseline's figure, if the term uses it.
     pub baseline: Option<f64>,
-    /// From 0 to 1; absent where there is no figure.
+    /// The converted value, 0 to 1. `None` without a figure.
     pub scored: Option<f64>,
-    /// 100 times weight times that.
+    /// 100 times the weight times this value.
     pub points: Option<f64>,
 }
 
-/// The score and what it is made of.
+/// The confidence score with its terms.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ConfidenceScore {
-    /// 0 to 100 (above where an uncapped baseline term exceeds 1) over the valid episodes; absent where a term has no figure.
+    /// 0 to 100 (more if an uncapped baseline term exceeds 1) over the valid episodes. `None` if a term has no figure.
     pub points: Option<f64>,
-    /// What it could be at the least and at the most, whatever the invalid episodes could have been.
+    /// The range of the score over all outcomes that the invalid episodes could have had.
     pub bounds: [f64; 2],
     /// Its terms.
     pub terms: Vec<ScoredTerm>,
@@ -122,23 +124,23 @@ pub(crate) fn check(terms: &[ScoreTerm]) -> Result<(), GateError> {
     }
     for term in terms {
         if !(0.0..=1.0).contains(&term.weight) {
-            return wrong(format!("`{}` has weight {}; weights are from 0 to 1", term.name, term.weight));
+            return wrong(format!("`{}` has weight {}. Expected 0 to 1", term.name, term.weight));
         }
         if let Scoring::Linear { full_at } = term.scoring
             && !(full_at.is_finite() && full_at > 0.0)
         {
-            return wrong(format!("`{}` is full at {full_at}; it must be above 0", term.name));
+            return wrong(format!("`{}` has full_at = {full_at}. Expected a value above 0", term.name));
         }
     }
     let sum: f64 = terms.iter().map(|term| term.weight).sum();
     if (sum - 1.0).abs() > 1e-9 {
-        return wrong(format!("the weights sum to {sum}, not to 1"));
+        return wrong(format!("the weights sum to {sum}. Expected 1"));
     }
     Ok(())
 }
 
 impl ConfidenceScore {
-    /// The score of `trials`; `None` where there are no terms.
+    /// The score of `trials`. `None` if there are no terms.
     pub fn of<'a>(
         terms: &[ScoreTerm],
         baseline: Option<&Baseline>,

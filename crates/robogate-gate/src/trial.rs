@@ -1,21 +1,21 @@
-//! What the gate needs of a row.
+//! The part of a row that the gate uses.
 
 use robogate_core::{Assignment, FailureMode, Fault, Measures, Outcome};
 use robogate_dictionary::{Entry, Label, SchemaVersion};
 
-/// How an episode ended, as far as the gate asks.
+/// How an episode ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Ending {
-    /// The task was done.
+    /// Success.
     Success,
-    /// The policy failed; `None` where it is not known in which way (others' results often keep only success).
+    /// Failure. The mode is `None` if it is unknown (imported results often record only success).
     Failure(Option<FailureMode>),
-    /// Nothing can be said about the policy.
+    /// Invalid: no information about the policy.
     Invalid(Fault),
 }
 
 impl Ending {
-    /// `success`, the failure mode, `failure` or `invalid`.
+    /// The name: `success`, the failure mode, `failure` or `invalid`.
     pub fn as_str(&self) -> &'static str {
         match self {
             Self::Success => "success",
@@ -25,7 +25,7 @@ impl Ending {
         }
     }
 
-    /// Whether it says anything about the policy.
+    /// Whether the episode is valid.
     pub fn is_valid(&self) -> bool {
         !matches!(self, Self::Invalid(_))
     }
@@ -41,29 +41,29 @@ impl From<&Outcome> for Ending {
     }
 }
 
-/// One episode, as the gate sees it.
+/// One episode.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trial {
     /// Its index in its campaign.
     pub index: u64,
-    /// Its campaign's seed: two trials with the same seed, index and parameters met the same world.
+    /// Its campaign's seed. Two trials with equal seed, index and parameters had the same scenario.
     pub seed: u64,
-    /// Its place in a suite; empty where it was drawn from a parameter space.
+    /// Its scenario in a suite. Empty if it was sampled from a parameter space.
     pub label: Label,
     /// The requested parameters.
     pub requested: Assignment,
-    /// How it ended.
+    /// How the episode ended.
     pub ending: Ending,
-    /// How long it took, in simulated seconds; `None` where that was not recorded.
+    /// Its duration in simulated seconds. `None` if it was not recorded.
     pub time_s: Option<f64>,
-    /// What was measured.
+    /// Its measures.
     pub measures: Measures,
-    /// What its source does not record: any episode, a success too, may have been one of these.
+    /// Failure modes that its source does not record. Any episode, even a success, may have been one of these.
     pub unseen: Vec<FailureMode>,
 }
 
 impl Trial {
-    /// The trial of a row whose source does not record these modes of failure. Imports of version 0.1 hold a failure of
+    /// The trial of a row whose source does not record these failure modes. Imports of version 0.1 store a failure of
     /// unknown kind as a timeout.
     pub fn of(entry: &Entry, unseen: &[FailureMode], version: SchemaVersion) -> Self {
         let trial = Self::from(entry);

@@ -1,9 +1,10 @@
-//! How fast the service is, and how much memory it takes: the figures of docs/results/monitor.md.
+//! Measures throughput and memory of the service: the figures of docs/results/monitor.md.
 //!
 //! `cargo bench -p robogate-monitor --features service --bench service [-- FOLDER]`
 //!
-//! The service is a process of its own, held on one core by `taskset`, with its store in FOLDER (default: the system's folder for
-//! temporary files) on a real disk; this process is the sender. Each answer is waited for: what was answered is on disk.
+//! The service is a separate process, pinned to one core with `taskset`. Its store is in FOLDER (default: the system's
+//! temporary folder), which must be on a real disk. This process is the sender. It waits for each reply, so
+//! acknowledged cycles are on disk.
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::unwrap_used, reason = "a measurement that fails ends")]
 #![expect(clippy::print_stdout, reason = "it prints what it measured")]
@@ -19,11 +20,11 @@ use robogate_core::{Seed, Stream};
 use robogate_monitor::service::{Intake, ServiceEngine, ServiceSettings, Store, serve};
 use robogate_monitor::{Cycle, Monitor, Settings};
 
-/// Cycles sent in batches, and in one batch.
+/// Number of cycles that are sent in batches, and cycles per batch.
 const CYCLES: u64 = 1_000_000;
 const BATCH: u64 = 1_000;
 const RECIPES: u64 = 1_000;
-/// Single POSTs.
+/// Number of single POSTs.
 const SINGLES: u64 = 5_000;
 
 fn main() {
@@ -40,7 +41,7 @@ fn main() {
     }
 }
 
-/// The detectors alone, as a robot's own program would use them.
+/// Measures the detectors alone, as a robot controller would use them.
 fn detectors() {
     let mut monitor = Monitor::new(Settings::default()).unwrap();
     let mut stream = Seed::campaign(1).stream("speed");
@@ -59,7 +60,7 @@ fn detectors() {
     println!("detectors alone: {:.0} ns a cycle ({alarms} alarms in {n} cycles)", 1e9 * each);
 }
 
-/// The service, until it is killed.
+/// The service process. It is killed on drop.
 fn child(path: &Path) {
     let settings = ServiceSettings::default();
     let mut http = settings.http;
@@ -125,10 +126,10 @@ impl Server {
         line.split_whitespace().next().unwrap().parse::<u64>().unwrap() / 1024
     }
 
-    /// Seconds of the processor that it has used: what a busy machine does not change.
+    /// Processor time that it has used, in seconds. Other processes on the machine do not change it.
     fn processor_s(&self) -> f64 {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.process.id())).unwrap();
-        // After the name in parentheses: the 12th and 13th are user and system time, in ticks of 10 ms.
+        // After the process name in parentheses, fields 12 and 13 are user and system time in ticks of 10 ms.
         let ticks = stat.rsplit(')').next().unwrap().split_whitespace().skip(11).take(2);
         ticks.map(|ticks| ticks.parse::<f64>().unwrap() / 100.0).sum()
     }
@@ -156,7 +157,7 @@ fn service(path: &Path, recipes: u64) {
         }
     }
     println!(
-        "{recipes} recipes: {:.0} cycles/s in batches of {BATCH}, {:.0} for each second of the processor; resident after each fifth of {CYCLES} cycles: {memory:?} MiB",
+        "{recipes} recipes: {:.0} cycles/s in batches of {BATCH}, {:.0} per second of processor time; resident after each fifth of {CYCLES} cycles: {memory:?} MiB",
         CYCLES as f64 / sent.as_secs_f64(),
         CYCLES as f64 / server.processor_s()
     );
@@ -164,7 +165,7 @@ fn service(path: &Path, recipes: u64) {
         .map(|i| {
             body.clear();
             line(&mut body, &mut stream, i, recipes);
-            // An idle machine: a cell sends a cycle now and then.
+            // An idle machine, like a cell that sends a cycle now and then.
             std::thread::sleep(Duration::from_millis(1));
             let start = Instant::now();
             server.post(body.trim_end());
@@ -173,14 +174,14 @@ fn service(path: &Path, recipes: u64) {
         .collect();
     times.sort_by(f64::total_cmp);
     let at = |share: f64| times[(share * (times.len() - 1) as f64) as usize];
-    println!("  single POST: median {:.2} ms, p99 {:.2} ms, longest {:.2} ms", at(0.5), at(0.99), at(1.0));
+    println!("  single POST: median {:.2} ms, p99 {:.2} ms, maximum {:.2} ms", at(0.5), at(0.99), at(1.0));
     server.kill();
     let again = Server::start(path);
-    println!("  after kill -9 it serves again in {:.2} s", again.opened_s);
+    println!("  after kill -9, requests are answered again in {:.2} s", again.opened_s);
     again.kill();
 }
 
-/// A cycle with four parameters, one line.
+/// A cycle with four parameters, on one line.
 fn line(text: &mut String, stream: &mut Stream, i: u64, recipes: u64) {
     let success = stream.uniform() < 0.95;
     let mode = if success { "" } else { r#","failure_mode":"grasp_miss""# };

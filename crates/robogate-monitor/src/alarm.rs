@@ -1,4 +1,4 @@
-//! Alarms: what changed, how bad it is, and since when.
+//! Alarms: the change, its severity and its start.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -26,7 +26,7 @@ impl Level {
     }
 }
 
-/// A quantity that the monitor watches.
+/// A metric that the monitor watches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Metric {
@@ -38,15 +38,15 @@ pub enum Metric {
     Collision,
     /// The location of the cycle time of successful cycles.
     CycleTime,
-    /// Its spread.
+    /// The spread of the cycle time of successful cycles.
     CycleTimeSpread,
     /// The shares of the failure modes among failures.
     FailureModes,
     /// The rate of cycles outside the validated region.
     Outside,
-    /// The failure rate that the risk model expects.
+    /// The failure rate that the risk model predicts.
     Risk,
-    /// The rate of failures of one robot among several.
+    /// The failure rate of one robot among several.
     Robot,
 }
 
@@ -64,7 +64,7 @@ impl Metric {
         Self::Robot,
     ];
 
-    /// The metric in data.
+    /// The name of the metric in data.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Success => "success",
@@ -79,7 +79,7 @@ impl Metric {
         }
     }
 
-    /// The metric in text for people.
+    /// The label of the metric.
     pub fn label(self) -> &'static str {
         match self {
             Self::Success => "failure rate",
@@ -111,14 +111,15 @@ pub enum Rule {
 pub enum Happening {
     /// The alarm was raised and is active.
     Raised,
-    /// The alarm is no longer active: the window recovered, or the detector found no further evidence for long enough.
+    /// The alarm is no longer active: the window recovered, or there was no further evidence for a sufficient number of
+    /// cycles.
     Cleared,
 }
 
-/// An alarm raised or cleared: one JSON object.
+/// A raised or cleared alarm: one JSON object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Alarm {
-    /// Identifies this change of an alarm. The same cycles give the same id.
+    /// The identifier of this change of an alarm. The same cycles give the same id.
     pub id: String,
     /// Whether the alarm was raised or cleared.
     pub happening: Happening,
@@ -138,17 +139,17 @@ pub struct Alarm {
     pub robot: String,
     /// The time of that cycle on the sender's clock, in seconds since 1970-01-01 UTC.
     pub time_s: f64,
-    /// What changed, in one sentence.
+    /// The change, in one sentence.
     pub what: String,
     /// The statistical guarantee, in one sentence.
     pub how_sure: String,
-    /// When the change began. Absent for a cleared alarm and for the paper's rule.
+    /// The start of the change. `None` for a cleared alarm and for the paper's rule.
     pub since: Option<Since>,
-    /// Likely causes, the first ones first.
+    /// Likely causes, the most likely first.
     pub look_at: Vec<String>,
 }
 
-/// When a change began, counted over the cycles of the recipe that report the metric.
+/// The start of a change, in cycles of the recipe that report the metric.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Since {
     /// The most likely first cycle of the change, numbered within the recipe.
@@ -159,6 +160,6 @@ pub struct Since {
     pub cycles_95: [u64; 2],
     /// Times at the ends of that interval.
     pub times_95_s: [f64; 2],
-    /// Whether the interval reaches the oldest stored cycle. The change may have begun before it.
+    /// Whether the interval reaches the oldest stored cycle. The change may then have started earlier.
     pub or_before: bool,
 }

@@ -1,4 +1,4 @@
-//! The normal behaviour of a recipe, as counts. Counts, unlike rates, give confidence intervals.
+//! The normal behaviour of a recipe, as counts. Unlike rates, counts allow confidence intervals.
 
 use robogate_stats::{Confidence, Trials, clopper_pearson};
 use schemars::JsonSchema;
@@ -11,7 +11,7 @@ use crate::factors::{self, Binned};
 use crate::modes::{MOST_MODES, ModeCounts, ModeList, OTHER_MODE};
 use crate::settings::Settings;
 
-/// Bins of the cycle time.
+/// Number of bins of the cycle time.
 const BINS: usize = 20;
 const LEARNING: &str = "its baseline is still being learnt";
 const ROOM: &str = "the baseline has too few cycles, or too many failures, to detect a change";
@@ -24,9 +24,9 @@ const ROOM: &str = "the baseline has too few cycles, or too many failures, to de
 pub struct Baseline {
     /// Successes among cycles.
     pub success: Option<Count>,
-    /// Cycles with a dropped part, among cycles.
+    /// Cycles with a dropped part, among all cycles that report drops.
     pub drop: Option<Count>,
-    /// Cycles with a collision, among cycles.
+    /// Cycles with a collision, among all cycles that report collisions.
     pub collision: Option<Count>,
     /// Failures by mode.
     #[schemars(with = "Option<std::collections::BTreeMap<String, u64>>")]
@@ -35,24 +35,24 @@ pub struct Baseline {
     pub cycle_times_s: Option<Vec<f64>>,
 }
 
-/// Events among cycles.
+/// A number of events among a number of cycles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Count {
-    /// Events.
+    /// Number of events.
     pub count: u64,
-    /// Cycles.
+    /// Number of cycles.
     pub of: u64,
 }
 
 impl Count {
-    /// The count as trials; `None` if the count exceeds the cycles.
+    /// The count as trials. `None` if it exceeds the number of cycles.
     pub fn trials(self) -> Option<Trials> {
         Trials::new(self.count, self.of).ok()
     }
 }
 
-/// A problem of a baseline.
+/// An error in a baseline.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum BaselineError {
     /// A count that exceeds its cycles, or zero cycles.
@@ -62,9 +62,9 @@ pub enum BaselineError {
     Count {
         /// The metric.
         metric: &'static str,
-        /// The events given.
+        /// The given number of events.
         count: u64,
-        /// The cycles given.
+        /// The given number of cycles.
         of: u64,
     },
     /// A failure mode that is not a name.
@@ -95,7 +95,7 @@ impl Baseline {
             if let Some(mode) = counts.names().find(|mode| !is_name(mode)) {
                 return Err(BaselineError::Mode(mode.to_owned()));
             }
-            // One place is kept for modes that are not in the baseline.
+            // One code is reserved for modes that are not in the baseline.
             let modes = counts.names().filter(|mode| *mode != OTHER_MODE).count();
             if modes >= MOST_MODES {
                 return Err(BaselineError::Modes(modes));
@@ -107,17 +107,17 @@ impl Baseline {
         }
     }
 
-    /// The observed success rate; `None` if it is not known yet.
+    /// The observed success rate. `None` if it is not known yet.
     pub fn success_rate(&self) -> Option<f64> {
         self.success?.trials()?.rate()
     }
 
-    /// The cycle times in bins; `None` if they are not known yet, too few, or all equal.
+    /// The cycle times in bins. `None` if they are not known yet, too few, or all equal.
     pub fn binned(&self) -> Option<Binned> {
         Binned::of(self.cycle_times_s.as_deref()?, BINS)
     }
 
-    /// The factors of a metric's detector, or why the detector cannot run.
+    /// The factors of a metric's detector, or the reason why it cannot run.
     pub fn factors(&self, metric: Metric, settings: &Settings) -> Result<Factors, &'static str> {
         let alpha = settings.alpha();
         let event = |count: Option<Count>, failures: bool| {
@@ -149,7 +149,7 @@ impl Baseline {
         }
     }
 
-    /// The factors of the mix of failure modes, whose symbols are the codes of `modes`.
+    /// The factors for the mix of failure modes. The symbols are the codes of `modes`.
     pub(crate) fn mode_factors(&self, modes: &ModeList, settings: &Settings) -> Result<Factors, &'static str> {
         let counts = self.failure_modes.as_ref().ok_or(LEARNING)?;
         let (n, alpha) = (counts.total(), settings.alpha() / modes.len() as f64);
@@ -158,7 +158,7 @@ impl Baseline {
     }
 }
 
-/// The exact upper bound, at level 1 - α, of the rate of successes or of failures.
+/// The exact upper bound, at level 1 - α, of the rate of successes or failures.
 fn bound(trials: Trials, failures: bool, alpha: f64) -> f64 {
     let Ok(level) = Confidence::new(1.0 - 2.0 * alpha) else { return 1.0 };
     let interval = clopper_pearson(trials, level);

@@ -1,4 +1,4 @@
-//! One cycle of a robot, as the robot reports it.
+//! One cycle of a robot, as it reports it.
 
 use std::collections::BTreeMap;
 
@@ -7,12 +7,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::modes::OTHER_MODE;
 
-/// Longest id, robot, recipe, failure mode or parameter name, in bytes.
+/// Maximum length of an id, robot, recipe, failure mode or parameter name, in bytes.
 pub const LONGEST_NAME: usize = 128;
-/// Most parameters of one cycle.
+/// Maximum number of parameters of one cycle.
 pub const MOST_PARAMETERS: usize = 64;
 
-/// One cycle, as the robot (or the cell's controller) reports it: one JSON object.
+/// One cycle, as the robot or the cell's controller reports it: one JSON object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Cycle {
@@ -20,25 +20,26 @@ pub struct Cycle {
     pub id: String,
     /// The robot.
     pub robot: String,
-    /// What the robot did: product, program, gripper. Cycles are compared within one recipe only.
+    /// The work of the robot: product, program, gripper. Cycles are compared within one recipe only.
     pub recipe: String,
     /// The end of the cycle on the sender's clock, in seconds since 1970-01-01 UTC.
     pub time_s: f64,
     /// Whether the task succeeded.
     pub success: bool,
-    /// The failure mode, any word: the task names its failure modes (`jammed`, `timeout`). Not with a success.
+    /// The failure mode. Every word is accepted, because the task names its modes (`jammed`, `timeout`). Absent for a
+    /// success.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub failure_mode: Option<String>,
-    /// Whether a part was dropped; absent where the cell cannot tell.
+    /// Whether a part was dropped. Absent if the cell cannot detect it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drop: Option<bool>,
-    /// Whether the robot collided; absent where the cell cannot tell.
+    /// Whether the robot collided. Absent if the cell cannot detect it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub collision: Option<bool>,
     /// The duration of the cycle, in seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cycle_time_s: Option<f64>,
-    /// Parameters of this cycle that the cell measures, by the names of the parameter space (`mass_kg`, `friction`).
+    /// Measured parameters of this cycle, by the names of the parameter space (`mass_kg`, `friction`).
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub parameters: BTreeMap<String, ParameterValue>,
 }
@@ -53,7 +54,7 @@ pub enum ParameterValue {
     Word(String),
 }
 
-/// A problem of a cycle.
+/// An error in a cycle.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CycleError {
     /// A name that is empty, too long or contains control characters.
@@ -67,7 +68,7 @@ pub enum CycleError {
     Number {
         /// The field.
         field: String,
-        /// The value sent.
+        /// The given value.
         value: f64,
         /// The expected range.
         range: &'static str,
@@ -75,7 +76,7 @@ pub enum CycleError {
     /// A success with a failure mode.
     #[error("`failure_mode` is `{mode}` although `success` is true")]
     SuccessfulFailure {
-        /// The mode sent.
+        /// The given mode.
         mode: String,
     },
     /// Too many parameters.
@@ -83,7 +84,7 @@ pub enum CycleError {
     Parameters(usize),
 }
 
-/// Whether a text can name an id, robot, recipe, failure mode or parameter.
+/// Whether a text is a valid id, robot, recipe, failure mode or parameter name.
 pub(crate) fn is_name(name: &str) -> bool {
     !name.is_empty() && name.len() <= LONGEST_NAME && !name.chars().any(char::is_control)
 }
@@ -103,7 +104,7 @@ impl Cycle {
             let good = value.is_finite() && value >= 0.0 && value <= most;
             if good { Ok(()) } else { Err(CycleError::Number { field: field.to_owned(), value, range }) }
         };
-        // 253402300800 is the end of the year 9999; milliseconds sent as seconds lie beyond it.
+        // 253402300800 is the end of the year 9999. Milliseconds that are sent as seconds lie beyond it.
         number("time_s", self.time_s, 253_402_300_800.0, "seconds since 1970, from 0 to 253402300800")?;
         if let Some(time) = self.cycle_time_s {
             number("cycle_time_s", time, 1e6, "seconds from 0 to 1000000")?;
@@ -132,7 +133,7 @@ impl Cycle {
         Ok(())
     }
 
-    /// The failure mode, [`OTHER_MODE`] where the sender reports none; `None` for a success.
+    /// The failure mode, or [`OTHER_MODE`] if the sender reports none. `None` for a success.
     pub fn mode(&self) -> Option<&str> {
         (!self.success).then(|| self.failure_mode.as_deref().unwrap_or(OTHER_MODE))
     }
@@ -169,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn any_word_is_a_failure_mode() {
+    fn all_words_are_failure_modes() {
         let failed = |mode: &str| {
             let json = format!(r#"{{"id":"a","robot":"r","recipe":"x","time_s":1,"success":false{mode}}}"#);
             cycle(&json).unwrap()

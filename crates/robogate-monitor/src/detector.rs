@@ -1,36 +1,38 @@
 //! The mixture Shiryaev-Roberts e-detector: evidence for a change at an unknown time.
 //!
-//! The input is a stream of symbols (failed or not; the bin of a cycle time; a failure mode). An alternative k
-//! maps a symbol x to a factor e_k(x) ≥ 0 whose expectation, given the past, is at most 1 while nothing has changed. The statistic of each alternative is
+//! The input is a stream of symbols (failed or not; the bin of a cycle time; a failure mode). An alternative k maps a
+//! symbol x to a factor e_k(x) ≥ 0. Without a change, its expectation given the past is at most 1. The statistic of
+//! each alternative is
 //!
 //! M_k ← (1 + M_k) e_k(x),   M_k = 0 at the start,   M = Σ w_k M_k with Σ w_k = 1,
 //!
-//! the sum, over every possible start of the change, of the evidence since then. Without a change M_t - t is
-//! a supermartingale, so the mean number of symbols until M ≥ A is at least A. This bound needs no simulation
-//! and no large-sample argument. It holds for any number of detectors together: see [`crate::Shares`].
+//! which sums the evidence since every possible start of the change. Without a change, M_t - t is a supermartingale, so
+//! the mean number of symbols until M ≥ A is at least A. This bound needs no simulation and no large-sample
+//! approximation. It holds for any number of detectors together: see [`crate::Shares`].
 //!
-//! Numbers: M stays between the smallest factor and A times the largest, because an alarm restarts it at 0 and 1 + M ≥ 1;
-//! it can neither overflow nor vanish. One update costs one multiplication and two additions for each alternative and
-//! allocates nothing.
+//! Numerical range: M stays between the smallest factor and A times the largest, because an alarm restarts it at 0 and
+//! 1 + M ≥ 1. It cannot overflow or underflow. One update costs one multiplication and two additions per alternative,
+//! and allocates nothing.
 //!
-//! Limit: the bound is on the mean, and it assumes that the expectation is at most 1. Each builder states its assumption.
-//! Sources: Shiryaev (1963), Theory Probab. Appl. 8; Roberts (1966), Technometrics 8; Shin, Ramdas and Rinaldo (2024), "E-detectors: a
-//! nonparametric framework for sequential change detection", New England J. Stat. Data Sci. 2.
+//! Limitation: the bound is on the mean, and it assumes that the expectation is at most 1. Each builder states its
+//! assumption. Sources: Shiryaev (1963), Theory Probab. Appl. 8; Roberts (1966), Technometrics 8; Shin, Ramdas and
+//! Rinaldo (2024), "E-detectors: a nonparametric framework for sequential change detection", New England J. Stat. Data
+//! Sci. 2.
 
 use serde::{Deserialize, Serialize};
 
-/// The factors of a detector: the weight of each alternative, and the factor that each symbol multiplies its evidence by.
+/// The factors of a detector: the weight of each alternative, and the factor of each symbol.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Factors {
     weights: Vec<f64>,
-    /// Symbol after symbol, the factor of each alternative.
+    /// The factors of all alternatives, symbol by symbol.
     factors: Vec<f64>,
 }
 
 impl Factors {
-    /// Builds the table from (weight, factor of each symbol) for each alternative. Weights are scaled to sum to one.
+    /// Builds the table from the weight and the factors of each alternative. Weights are scaled to sum to one.
     ///
-    /// `None` without an alternative or a symbol, with tables of unequal length, or with a number that is negative or not finite.
+    /// `None` without alternatives or symbols, for tables of unequal length, and for a negative or non-finite number.
     pub fn new(alternatives: &[(f64, Vec<f64>)]) -> Option<Self> {
         let symbols = alternatives.first()?.1.len();
         let good = |x: &f64| x.is_finite() && *x >= 0.0;
@@ -53,15 +55,15 @@ impl Factors {
         self.factors.len() / self.weights.len()
     }
 
-    /// The factor of each alternative for a symbol; empty for a symbol beyond the last.
+    /// The factors of all alternatives for a symbol. Empty for an unknown symbol.
     pub fn of(&self, symbol: u8) -> &[f64] {
         let k = self.weights.len();
         let at = usize::from(symbol) * k;
         self.factors.get(at..at + k).unwrap_or_default()
     }
 
-    /// The largest expectation of any alternative's factor under these probabilities of the symbols. The bound on false alarms
-    /// requires at most 1.
+    /// The largest expectation of any alternative's factor, for these probabilities of the symbols. The bound on false
+    /// alarms requires at most 1.
     pub fn largest_expectation(&self, probabilities: &[f64]) -> f64 {
         let mean = |k: usize| -> f64 {
             let factor = |s: usize| self.factors.get(s * self.weights.len() + k).copied().unwrap_or(0.0);
@@ -71,23 +73,23 @@ impl Factors {
     }
 }
 
-/// The evidence for a change, for each alternative: the whole state of a detector.
+/// The evidence for a change, for each alternative. This is the whole state of a detector.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Evidence(Vec<f64>);
 
 impl Evidence {
-    /// Zero evidence.
+    /// Creates zero evidence.
     pub fn none(factors: &Factors) -> Self {
         Self(vec![0.0; factors.alternatives()])
     }
 
-    /// Whether the evidence fits these factors.
+    /// Whether the evidence has the size of these factors.
     pub fn fits(&self, factors: &Factors) -> bool {
         self.0.len() == factors.alternatives() && self.0.iter().all(|m| m.is_finite() && *m >= 0.0)
     }
 
-    /// Updates the evidence with one symbol and returns M. A symbol beyond the last changes nothing.
+    /// Updates the evidence with one symbol and returns M. An unknown symbol changes nothing.
     pub fn update(&mut self, factors: &Factors, symbol: u8) -> f64 {
         let mut mixture = 0.0;
         let known = factors.of(symbol);
@@ -112,7 +114,7 @@ impl Evidence {
     }
 }
 
-/// When a change began, counted in symbols back from the newest (0: with the newest itself).
+/// The start of a change, counted in symbols back from the newest (0 is the newest).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ChangePoint {
     /// The most likely start.
@@ -121,16 +123,16 @@ pub struct ChangePoint {
     pub latest: usize,
     /// The earliest start in the 95 % interval.
     pub earliest: usize,
-    /// Whether the interval reaches the oldest stored symbol. The change may have begun before it.
+    /// Whether the interval reaches the oldest stored symbol. The change may then have started earlier.
     pub or_before: bool,
-    /// The alternative that explains the symbols best.
+    /// The alternative that best explains the symbols.
     pub alternative: usize,
 }
 
-/// Estimates when a change began from the stored symbols, newest first.
+/// Estimates the start of a change from the stored symbols, newest first.
 ///
-/// Each start s gets the weight Σ_k w_k Π_{i ≥ s} e_k(x_i): its posterior under a uniform prior over the stored symbols. The
-/// interval leaves out 2.5 % on each side. `None` without symbols. Called at an alarm, not per cycle; it allocates.
+/// Each start s has the weight Σ_k w_k Π_{i ≥ s} e_k(x_i), its posterior for a uniform prior over the stored symbols.
+/// The interval excludes 2.5 % on each side. `None` without symbols. It allocates, but runs only at an alarm.
 pub fn change_point(factors: &Factors, newest_first: impl Iterator<Item = u8>) -> Option<ChangePoint> {
     let mut logs = vec![0.0_f64; factors.alternatives()];
     let mut weights = Vec::new();

@@ -1,19 +1,18 @@
-//! The validated region: whether a cycle's parameters lie inside it, and the failure probability that the risk model predicts.
+//! The validated region: whether a cycle lies inside it, and the failure probability that the risk model predicts.
 //!
-//! Both questions can be answered while the robot still succeeds:
+//! Both can be computed before a robot fails:
 //!
-//! - **Is it inside the envelope?** Each reported parameter is compared with the evaluated range or categories. If the cycle reports every
-//!   parameter of the risk model, their combination is checked too: the variance of the model's log-odds, x' V x, must not exceed the
-//!   largest one among the episodes that the model was fitted to. Beyond it the model extrapolates although each parameter
-//!   is inside its own range.
-//! - **How likely is a failure?** p = 1 / (1 + exp(-x' b)), with the coefficients b of the logistic risk model. A category is
-//!   replaced by its penalty. The cycle must report every parameter of the model.
+//! - **Envelope**: each reported parameter is compared with the evaluated range or categories. If the cycle reports every
+//!   parameter of the risk model, the combination is checked too: the variance of the model's log-odds, x' V x, must not
+//!   exceed the largest one among the episodes that the model was fitted to. Beyond it the model extrapolates, although each
+//!   parameter is inside its own range.
+//! - **Risk**: p = 1 / (1 + exp(-x' b)), with the coefficients b of the logistic risk model. A category is replaced by its
+//!   penalty. The cycle must report every parameter of the model.
 //!
-//! Limit: an envelope of ranges is a box, and x' V x is an ellipsoid around the mean; neither detects a hole inside. The risk model has
-//! the limits that the analysis states. A parameter that the envelope does not name is not checked.
-//! Source for x' V x as the domain of a regression: Montgomery, Peck and Vining, Introduction to Linear Regression Analysis, "hidden
-//! extrapolation".
-
+//! Limitations: an envelope of ranges is a box, and x' V x is an ellipsoid around the mean; neither detects a hole
+//! inside. The risk model has the limitations that the analysis states. A parameter that is not in the envelope is not
+//! checked. Source for x' V x as the domain of a regression: Montgomery, Peck and Vining, Introduction to Linear
+//! Regression Analysis, "hidden extrapolation".
 use std::collections::BTreeMap;
 
 use schemars::JsonSchema;
@@ -27,7 +26,7 @@ use crate::cycle::{Cycle, MOST_PARAMETERS, ParameterValue};
 pub struct Domain {
     /// The evaluated values of each parameter.
     pub envelope: BTreeMap<String, Validated>,
-    /// The model of P(failure); absent if the run does not allow one.
+    /// The model of P(failure). `None` if the run does not allow one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub risk: Option<Risk>,
 }
@@ -36,7 +35,7 @@ pub struct Domain {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Validated {
-    /// From low to high, both included, in the unit of the parameter's name.
+    /// A range from low to high, both inclusive, in the unit of the parameter's name.
     Range([f64; 2]),
     /// One of these categories.
     Words(Vec<String>),
@@ -46,13 +45,13 @@ pub enum Validated {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Risk {
-    /// Log-odds of a failure when every term is 0.
+    /// Log-odds of a failure if all terms are 0.
     pub intercept: f64,
     /// The parameters.
     pub terms: Vec<RiskTerm>,
     /// Covariance of the intercept and the coefficients, row by row.
     pub covariance: Vec<f64>,
-    /// The largest variance of the log-odds among the episodes that it was fitted to.
+    /// The largest variance of the log-odds among the episodes that the model was fitted to.
     pub most_variance: f64,
 }
 
@@ -69,7 +68,7 @@ pub struct RiskTerm {
     pub penalties: Option<BTreeMap<String, f64>>,
 }
 
-/// A problem of a validated region.
+/// An error in a validated region.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DomainError {
     /// An invalid range.
@@ -83,9 +82,9 @@ pub enum DomainError {
     /// A covariance matrix of the wrong size.
     #[error("the covariance of the risk model has {found} numbers. Expected {expected} for its terms")]
     Covariance {
-        /// The size found.
+        /// The given size.
         found: usize,
-        /// (terms + 1)².
+        /// The expected size: (terms + 1)².
         expected: usize,
     },
     /// A number that is not finite.
@@ -96,11 +95,11 @@ pub enum DomainError {
 /// The result for one cycle.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Judged {
-    /// Whether the cycle lies outside the validated region; `None` if it reports no parameter of the envelope.
+    /// Whether the cycle lies outside the validated region. `None` if it reports no parameter of the envelope.
     pub outside: Option<bool>,
     /// Whether only the combination of its parameters lies outside.
     pub by_combination: bool,
-    /// P(failure); `None` without a model, or if a parameter of the model is missing.
+    /// P(failure). `None` without a model, or if a parameter of the model is missing.
     pub risk: Option<f64>,
 }
 
@@ -136,7 +135,8 @@ impl Domain {
         if all.all(|x| x.is_finite()) { Ok(()) } else { Err(DomainError::NotFinite) }
     }
 
-    /// Judges a cycle. Calls `outside` with the place in the envelope, and the value, of each parameter that lies outside.
+    /// Judges a cycle. Calls `outside` with the index in the envelope and the value of each parameter that lies
+    /// outside.
     pub fn judge(&self, cycle: &Cycle, mut outside: impl FnMut(usize, &ParameterValue)) -> Judged {
         let (mut reported, mut beyond) = (false, false);
         for (place, (name, validated)) in self.envelope.iter().enumerate() {
@@ -147,18 +147,18 @@ impl Domain {
                 outside(place, value);
             }
         }
-        let asked = self.risk.as_ref().and_then(|risk| risk.of(cycle));
-        let by_combination = !beyond && asked.is_some_and(|(_, extrapolates)| extrapolates);
+        let predicted = self.risk.as_ref().and_then(|risk| risk.of(cycle));
+        let by_combination = !beyond && predicted.is_some_and(|(_, extrapolates)| extrapolates);
         Judged {
             outside: reported.then_some(beyond || by_combination),
             by_combination,
-            risk: asked.map(|(risk, _)| risk),
+            risk: predicted.map(|(risk, _)| risk),
         }
     }
 }
 
 impl Validated {
-    /// Whether a value was evaluated. A category in place of a number, or the reverse, was not.
+    /// Whether a value was evaluated. A value of another type was not.
     pub fn holds(&self, value: &ParameterValue) -> bool {
         match (self, value) {
             (Self::Range([low, high]), ParameterValue::Number(x)) => low <= x && x <= high,
@@ -169,7 +169,7 @@ impl Validated {
 }
 
 impl Risk {
-    /// P(failure), and whether the model extrapolates; `None` if a parameter is missing or unknown.
+    /// P(failure), and whether the model extrapolates. `None` if a parameter is missing or unknown.
     fn of(&self, cycle: &Cycle) -> Option<(f64, bool)> {
         let mut x = [0.0; MOST_PARAMETERS + 1];
         let x = x.get_mut(..=self.terms.len())?;
@@ -187,7 +187,7 @@ impl Risk {
         let rows = self.covariance.chunks_exact(x.len()).zip(x.iter());
         let variance: f64 = rows.map(|(row, a)| a * row.iter().zip(x.iter()).map(|(v, b)| v * b).sum::<f64>()).sum();
         let risk = 1.0 / (1.0 + (-log_odds).exp());
-        // Rounding must not put the episodes at the edge outside.
+        // Rounding must not exclude the episodes at the edge.
         let inside = variance <= self.most_variance * (1.0 + 1e-9);
         Some((if risk.is_finite() { risk } else { 1.0 }, !inside))
     }
@@ -197,7 +197,7 @@ impl Risk {
 mod tests {
     use super::*;
 
-    /// Two correlated parameters and a word, as a campaign would leave them.
+    /// Two correlated parameters and a categorical one, as in the reference of a campaign.
     fn domain() -> Domain {
         let json = r#"{
             "envelope": {"mass_kg": {"range": [0.1, 0.8]}, "friction": {"range": [0.2, 1.0]}, "shape": {"words": ["box", "can"]}},
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cycle_inside_has_the_models_risk() {
+    fn inside_cycles_have_model_risk() {
         domain().check().unwrap();
         let (found, outside) = judged(r#"{"mass_kg": 0.3, "friction": 0.5, "shape": "can"}"#);
         assert_eq!((found.outside, outside.len()), (Some(false), 0));
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn invalid_domains_are_refused() {
+    fn invalid_domains_are_rejected() {
         let with = |change: &dyn Fn(&mut Domain)| {
             let mut domain = domain();
             change(&mut domain);

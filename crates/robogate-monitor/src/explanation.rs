@@ -1,4 +1,4 @@
-//! The texts of an alarm: what changed, since when, with what guarantee, and the likely causes.
+//! The texts of an alarm: the change, its start, the guarantee, and the likely causes.
 
 use robogate_stats::format::{count, number, percent};
 use robogate_stats::overdispersion::outliers;
@@ -19,7 +19,7 @@ fn rate(trials: Trials) -> String {
     format!("{observed} ({} to {})", percent(interval.low), percent(interval.high))
 }
 
-#[expect(clippy::too_many_arguments, reason = "every field of an alarm that differs, named once")]
+#[expect(clippy::too_many_arguments, reason = "the fields of an alarm that differ between its callers")]
 fn alarm(
     recipe: &Recipe,
     cycle: &Cycle,
@@ -66,13 +66,13 @@ pub(crate) fn paper(recipe: &Recipe, cycle: &Cycle, settings: &Settings, happeni
 pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycle, settings: &Settings) -> Alarm {
     let state = recipe.state();
     let began = state.began[metric as usize];
-    // Only cycles since the detector started: those that the baseline was learnt from are not compared with it.
-    let heard = usize::try_from(state.cycles.saturating_sub(began)).unwrap_or(usize::MAX);
+    // Only cycles since the detector started. Those that the baseline was learnt from are not compared with it.
+    let compared = usize::try_from(state.cycles.saturating_sub(began)).unwrap_or(usize::MAX);
     let place = state.robots.get(&cycle.robot).map(|robot| robot.place);
     let kept: Vec<(u64, &Symbols, u8)> = state
         .history
         .newest_first()
-        .take(heard)
+        .take(compared)
         .enumerate()
         .filter(|(_, symbols)| metric != Metric::Robot || Some(symbols.robot) == place)
         .filter_map(|(back, symbols)| Some((state.cycles.saturating_sub(back as u64), symbols, symbols.code(metric)?)))
@@ -103,7 +103,7 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
     alarm(recipe, cycle, Happening::Raised, level, Rule::Detector, metric, what, how_sure, since, look_at)
 }
 
-/// Describes the end of an alarm of a detector without further evidence.
+/// Describes a cleared alarm of a detector: there was no further evidence.
 pub(crate) fn cleared(
     recipe: &Recipe,
     metric: Metric,
@@ -215,13 +215,13 @@ fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], robot: &
     }
 }
 
-/// The quartiles by order statistics; zeros without values.
+/// The quartiles as order statistics. Zeros without values.
 fn quartiles(values: &mut [f64]) -> [f64; 3] {
     values.sort_by(f64::total_cmp);
     [1, 2, 3].map(|q| values.get((q * values.len() / 4).min(values.len().saturating_sub(1))).copied().unwrap_or(0.0))
 }
 
-/// The code of the failure mode whose share grew most; `None` without failures or without a known mix.
+/// The code of the failure mode whose share grew most. `None` without failures or without a known mix.
 fn grown_mode(recipe: &Recipe, after: &[(u64, &Symbols, u8)]) -> Option<u8> {
     let counts = recipe.baseline().failure_modes.as_ref()?;
     let known = &recipe.state().modes;
@@ -256,7 +256,7 @@ fn outside(recipe: &Recipe, from: u64) -> Vec<String> {
         .collect()
 }
 
-/// Likely causes: a robot that differs from its peers, then the usual causes of such a change.
+/// Likely causes: first a robot that differs from its peers, then the usual causes of such a change.
 fn look_at(recipe: &Recipe, metric: Metric, settings: &Settings, mode: Option<u8>) -> Vec<String> {
     let mut all = Vec::new();
     if matches!(metric, Metric::Success | Metric::FailureModes) {
@@ -274,8 +274,8 @@ fn look_at(recipe: &Recipe, metric: Metric, settings: &Settings, mode: Option<u8
     }
     if let Some(mode) = mode {
         all.push(match recipe.state().modes.name(mode) {
-            OTHER_MODE => "failures of an unlisted mode grew: see the robot's own log".to_owned(),
-            mode => format!("failures with the mode `{mode}` grew: see the last cycles with this mode"),
+            OTHER_MODE => "failures with an unlisted mode increased: see the robot's log".to_owned(),
+            mode => format!("failures with the mode `{mode}` increased: see the last cycles with this mode"),
         });
     }
     let usual = match metric {

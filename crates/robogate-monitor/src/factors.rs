@@ -1,33 +1,34 @@
-//! The factors of each metric's detector, and what each assumes.
+//! The factors of each metric's detector, with their assumptions.
 //!
-//! Each uses a confidence bound of the baseline, not its point estimate. The bound on false alarms holds for every true value
-//! inside that confidence bound; `baseline_confidence` sets how often the confidence bound is right.
+//! All use a confidence bound of the baseline, not its point estimate. The bound on false alarms holds for every true
+//! value within that confidence bound. `baseline_confidence` is the probability that the confidence bound is correct.
 
 use crate::detector::Factors;
 
-/// Odds ratios of the alternatives, each with its weight.
+/// Odds ratios of the alternatives, with their weights.
 ///
 /// From 1.4 (a failure rate of 5 % becomes 6.9 %) to 30 (one drop in a thousand becomes three in a hundred).
 const ODDS: [(f64, f64); 8] =
     [(1.4, 0.18), (1.8, 0.18), (2.3, 0.18), (3.0, 0.18), (4.0, 0.13), (6.0, 0.08), (12.0, 0.04), (30.0, 0.03)];
 
-/// Shares of the largest bet that keeps a factor from becoming negative.
+/// Fractions of the largest bet for which no factor is negative.
 const BETS: [f64; 6] = [0.08, 0.16, 0.3, 0.45, 0.65, 0.9];
 
-/// Factors for an event (a failure, a drop, a collision) whose probability is at most `bound` before the change. Symbols: 0 without
-/// the event, 1 with it.
+/// Factors for an event (a failure, a drop, a collision) whose probability is at most `bound` before the change.
+/// Symbols: 0 without the event, 1 with it.
 ///
-/// The factor is the likelihood ratio of q > bound against the bound. It grows with the event, so its expectation is at most 1 for
-/// every probability up to the bound. Assumed: given the past, the event has at most this probability.
-/// `None` unless the bound lies strictly between 0 and 1.
+/// The factor is the likelihood ratio of q > bound to the bound. It grows with the event, so its expectation is at most
+/// 1 for every probability up to the bound. Assumption: given the past, the event has at most this probability. `None`
+/// unless the bound lies strictly between 0 and 1.
 pub fn event(bound: f64) -> Option<Factors> {
     Factors::new(&odds(bound)?.map(|(weight, no, yes)| (weight, vec![no, yes])))
 }
 
-/// Factors for the shares of categories (failure modes): each is at most its `bounds` before the change. Symbols: the category's code.
+/// Factors for the shares of categories (failure modes), each at most its `bounds` before the change. Symbols: the code
+/// of the category.
 ///
-/// Each category has the alternatives of [`event`]: if the mix changes, some share grows. A category whose bound is 0 or 1 has no
-/// alternatives; `None` if no category has any.
+/// Each category has the alternatives of [`event`]: if the mix changes, some share grows. A category whose bound is 0
+/// or 1 has no alternatives. `None` if no category has any.
 pub fn shares(bounds: &[f64]) -> Option<Factors> {
     let one = |(kind, bound): (usize, &f64)| {
         let table = |(weight, no, yes): (f64, f64, f64)| {
@@ -42,20 +43,21 @@ pub fn shares(bounds: &[f64]) -> Option<Factors> {
     Factors::new(&bounds.iter().enumerate().flat_map(one).collect::<Vec<_>>())
 }
 
-/// (weight, factor without the event, factor with it) for each alternative.
+/// Weight, factor without the event, and factor with it, for each alternative.
 fn odds(bound: f64) -> Option<[(f64, f64, f64); 8]> {
     (bound > 0.0 && bound < 1.0).then(|| {
         ODDS.map(|(times, weight)| {
-            // q has odds `times` those of the bound.
+            // The odds of q are `times` the odds of the bound.
             let q = times * bound / (1.0 - bound + times * bound);
             (weight, (1.0 - q) / (1.0 - bound), q / bound)
         })
     })
 }
 
-/// Factors for a score between 0 and 1 whose mean is at most `bound` before the change: 1 + λ (score - bound), a bet on the mean.
+/// Factors for a score from 0 to 1 whose mean is at most `bound` before the change: 1 + λ (score - bound), a bet on the
+/// mean.
 ///
-/// `scores` contains the score of each symbol. The only assumption is the bound of the mean, given the past.
+/// `scores` contains the score of each symbol. The only assumption is the bound on the mean, given the past.
 fn bets(scores: &[f64], bound: f64) -> Vec<(f64, Vec<f64>)> {
     if bound.is_nan() || bound <= 0.0 || bound >= 0.98 {
         return Vec::new();
@@ -64,7 +66,7 @@ fn bets(scores: &[f64], bound: f64) -> Vec<(f64, Vec<f64>)> {
     BETS.map(bet).to_vec()
 }
 
-/// Number of risk steps.
+/// Number of steps of the risk.
 const RISK_STEPS: u8 = 128;
 
 /// The step of a risk: √p in 128 equal parts, so that steps are narrow for small risks.
@@ -78,9 +80,10 @@ pub(crate) fn risk_of(step: u8) -> f64 {
     ((f64::from(step) + 0.5) / f64::from(RISK_STEPS)).powi(2)
 }
 
-/// Factors for a risk (P(failure) by a model) whose mean is at most `bound` before the change. Symbols: the step of `risk_step`.
+/// Factors for a risk (predicted P(failure)) whose mean is at most `bound` before the change. Symbols: the step of
+/// `risk_step`.
 ///
-/// The score is the lower end of the step, so that a mean risk within the bound has a mean score within it.
+/// The score is the lower end of the step, so a mean risk within the bound has a mean score within it.
 pub fn risk(bound: f64) -> Option<Factors> {
     let scores: Vec<f64> = (0..RISK_STEPS).map(|step| (f64::from(step) / f64::from(RISK_STEPS)).powi(2)).collect();
     Factors::new(&bets(&scores, bound))
@@ -89,7 +92,7 @@ pub fn risk(bound: f64) -> Option<Factors> {
 /// A distribution of cycle times in bins.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Binned {
-    /// Inner edges, increasing: bin 0 lies below the first, the last bin from the last edge on.
+    /// Inner edges, increasing. Bin 0 lies below the first edge, the last bin above the last one.
     pub edges: Vec<f64>,
     /// Share of the baseline in each bin.
     pub shares: Vec<f64>,
@@ -98,7 +101,7 @@ pub struct Binned {
 }
 
 impl Binned {
-    /// Makes bins of about equal count from finite values. `None` with fewer than 20 values or if all are equal.
+    /// Creates bins of about equal counts from finite values. `None` with fewer than 20 values, or if all are equal.
     pub fn of(values: &[f64], bins: usize) -> Option<Self> {
         if values.len() < 20 {
             return None;
@@ -123,7 +126,7 @@ impl Binned {
 
     /// The bin of a value.
     pub fn bin(&self, value: f64) -> u8 {
-        // At most a few dozen bins.
+        // There are at most a few dozen bins.
         u8::try_from(self.edges.partition_point(|edge| *edge <= value)).unwrap_or(u8::MAX)
     }
 
@@ -142,10 +145,12 @@ impl Binned {
         self.shares.iter().zip(scores).map(|(share, score)| share * score).sum()
     }
 
-    /// Factors for a shift of the location, slower or faster. Symbols: the bin. The first half of the alternatives are slower.
+    /// Factors for a shift of the location, slower or faster. Symbols: the bin. The first half of the alternatives is
+    /// slower.
     ///
-    /// The score is the rank in the baseline, and its mean is bounded by the baseline's own plus ε = √(ln(2/α) / 2n): the
-    /// Dvoretzky-Kiefer-Wolfowitz inequality bounds every half-line at once, hence every monotone score. No shape of the distribution is assumed.
+    /// The score is the rank in the baseline. Its mean is at most the baseline's own plus ε = √(ln(2/α) / 2n), because
+    /// the Dvoretzky-Kiefer-Wolfowitz inequality bounds all half-lines at once, hence all monotone scores. No shape of
+    /// the distribution is assumed.
     pub fn location(&self, alpha: f64) -> Option<Factors> {
         let margin = ((2.0 / alpha).ln() / (2.0 * self.n as f64)).sqrt();
         let up = self.ranks();
@@ -157,8 +162,9 @@ impl Binned {
 
     /// Factors for a wider spread. Symbols: the bin.
     ///
-    /// The score is the distance of the rank from the middle, |2u - 1|. Its upper sets are two half-lines, so that the margin is
-    /// twice that of Dvoretzky, Kiefer and Wolfowitz. It also grows when the location moves far. `None` if the baseline is too small to bound it below 1.
+    /// The score is the distance of the rank from the middle, |2u - 1|. Its upper sets are two half-lines, so the
+    /// margin is twice that of Dvoretzky, Kiefer and Wolfowitz. It also grows if the location moves far. `None` if the
+    /// baseline is too small for a bound below 1.
     pub fn spread(&self, alpha: f64) -> Option<Factors> {
         let margin = 2.0 * ((2.0 / alpha).ln() / (2.0 * self.n as f64)).sqrt();
         let scores: Vec<f64> = self.ranks().iter().map(|rank| (2.0 * rank - 1.0).abs()).collect();

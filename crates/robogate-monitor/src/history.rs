@@ -7,7 +7,7 @@ use crate::cycle::Cycle;
 use crate::domain::Judged;
 use crate::factors;
 
-/// The code of a value that was not reported.
+/// The code of a missing value.
 pub(crate) const ABSENT: u8 = u8::MAX;
 
 /// One cycle as symbols.
@@ -15,16 +15,16 @@ pub(crate) const ABSENT: u8 = u8::MAX;
 pub(crate) struct Symbols {
     /// Time on the sender's clock, in seconds.
     pub(crate) time_s: f64,
-    /// Cycle time of a successful cycle, in seconds; below 0 if there is none.
+    /// Cycle time of a successful cycle, in seconds. Negative if there is none.
     pub(crate) cycle_time_s: f32,
-    /// Codes of: failed, drop, collision, bin of the cycle time, failure mode, outside, step of the risk.
+    /// Codes of: failure, drop, collision, bin of the cycle time, failure mode, outside, step of the risk.
     pub(crate) codes: [u8; 7],
     /// The robot's index in its recipe.
     pub(crate) robot: u16,
 }
 
 impl Symbols {
-    /// A cycle's symbols: `mode` is the code of its failure mode, and `bin` returns the bin of a cycle time.
+    /// The symbols of a cycle: `mode` is the code of its failure mode, and `bin` returns the bin of a cycle time.
     pub(crate) fn of(cycle: &Cycle, robot: u16, judged: Judged, mode: Option<u8>, bin: impl Fn(f64) -> u8) -> Self {
         let flag = |flag: Option<bool>| flag.map_or(ABSENT, u8::from);
         let cycle_time = cycle.cycle_time_s.filter(|_| cycle.success);
@@ -44,7 +44,7 @@ impl Symbols {
         }
     }
 
-    /// The symbol of a metric's detector; `None` if it was not reported.
+    /// The symbol of a metric's detector. `None` if the metric was not reported.
     pub(crate) fn code(&self, metric: Metric) -> Option<u8> {
         let [failed, drop, collision, bin, mode, outside, risk] = self.codes;
         let code = match metric {
@@ -69,18 +69,18 @@ pub(crate) struct History {
 }
 
 impl History {
-    /// An empty ring; its memory is allocated at once.
+    /// Creates an empty buffer. All memory is allocated here.
     pub(crate) fn new(capacity: usize) -> Self {
         Self { capacity: capacity.max(1), next: 0, ring: Vec::with_capacity(capacity.max(1)) }
     }
 
-    /// Whether the stored ring is consistent and has this capacity.
+    /// Whether the stored buffer is consistent and has this capacity.
     pub(crate) fn fits(&self, capacity: usize) -> bool {
         let whole = self.ring.len() == self.capacity || self.next == self.ring.len();
         self.capacity == capacity.max(1) && self.ring.len() <= self.capacity && self.next < self.capacity && whole
     }
 
-    /// Adds a cycle in place of the oldest one.
+    /// Adds a cycle, replacing the oldest one if the buffer is full.
     pub(crate) fn push(&mut self, symbols: Symbols) {
         if self.ring.len() < self.capacity {
             self.ring.push(symbols);
@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_ring_keeps_the_newest_in_order() {
+    fn newest_cycles_are_kept_in_order() {
         let mut history = History::new(3);
         let at = |time_s| Symbols { time_s, cycle_time_s: -1.0, codes: [0; 7], robot: 0 };
         for i in 0..8 {

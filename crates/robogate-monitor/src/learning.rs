@@ -34,7 +34,7 @@ impl Tally {
 }
 
 impl Learning {
-    /// Adds one cycle. Calls `learnt` for each metric whose part of the baseline is now complete.
+    /// Adds one cycle. Calls `learnt` for each metric whose part of the baseline has become complete.
     pub(crate) fn update(
         &mut self,
         symbols: &Symbols,

@@ -1,10 +1,11 @@
-//! After deployment: detects when a robot no longer behaves as the gate saw it, with a bounded false-alarm rate.
+//! Monitoring after deployment: detects changes of a robot's behaviour, with a bounded false-alarm rate.
 //!
-//! Cycles go in one by one; an [`Alarm`] comes out when something changed. Besides the paper's moving window ([`paper`]), each
-//! metric of each recipe has a mixture Shiryaev-Roberts e-detector ([`detector`]). The mean number of cycles until a false
-//! alarm is at least the requested one, over all metrics and recipes together.
+//! The input is one cycle at a time, the output are [`Alarm`]s. In addition to the paper's moving window ([`paper`]),
+//! each metric of each recipe has a mixture Shiryaev-Roberts e-detector ([`detector`]). The mean number of cycles until
+//! a false alarm is at least the configured one, over all metrics and recipes together.
 //!
-//! The library has no clock, file, socket or thread and allocates no memory per cycle, so it can run on the robot's controller:
+//! The library uses no clock, file, socket or thread and allocates no memory per cycle, so it can run on a robot
+//! controller:
 //!
 //! ```
 //! use robogate_monitor::{Baseline, Count, Cycle, Monitor, Settings};
@@ -32,17 +33,17 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! | question | module |
+//! | topic | module |
 //! |---|---|
-//! | what does a robot report? | [`Cycle`] |
-//! | what is the normal behaviour? | [`Baseline`] |
-//! | did something change, and since when? | [`detector`], with the [`factors`] of each metric |
-//! | what does the paper's rule say? | [`paper`] |
-//! | was it validated, and what does the risk model predict? | [`domain`] |
-//! | does one robot differ from its peers? | [`robogate_stats::overdispersion`] |
-//! | how often are false alarms, how late is a detection? | [`simulate`] |
+//! | reported cycles | [`Cycle`] |
+//! | normal behaviour | [`Baseline`] |
+//! | changes and their start | [`detector`], with the [`factors`] of each metric |
+//! | the paper's rule | [`paper`] |
+//! | validated region and risk model | [`domain`] |
+//! | differences between robots | [`robogate_stats::overdispersion`] |
+//! | false-alarm rates and detection delays | [`simulate`] |
 //!
-//! The feature `service` adds the service around it: feeds, store, outputs and page.
+//! The feature `service` adds the service: feeds, store, outputs and page.
 
 mod alarm;
 mod baseline;
@@ -59,7 +60,7 @@ pub mod paper;
 mod recipe;
 mod reference;
 #[cfg(feature = "service")]
-#[expect(clippy::disallowed_methods, reason = "a service has deadlines and waits; the monitor itself has no clock")]
+#[expect(clippy::disallowed_methods, reason = "a service has deadlines and waits; the monitor itself uses no clock")]
 pub mod service;
 mod settings;
 pub mod simulate;

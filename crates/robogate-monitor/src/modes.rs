@@ -4,14 +4,15 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-/// The mode of failures whose own mode is unknown, missing, or not in the baseline.
+/// The mode of failures whose mode is unknown, missing, or not in the baseline.
 pub const OTHER_MODE: &str = "other";
-/// Most failure modes of one recipe; a failure of a further mode counts as [`OTHER_MODE`].
+/// Maximum number of failure modes of one recipe. Failures with further modes count as [`OTHER_MODE`].
 pub const MOST_MODES: usize = 32;
-/// The modes of files and stores that hold counts without names, in the order of the counts.
+/// The modes of files and stores that contain counts without names, in the order of the counts.
 const UNNAMED: [&str; 5] = ["grasp_miss", "grip_loss", "collision", "timeout", OTHER_MODE];
 
-/// Failures by mode. Written as a map from mode to count; five numbers without names, as older versions wrote them, can be read.
+/// Failures by mode, serialised as a map from mode to count. Reads the five numbers without names of older versions
+/// too.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(from = "Form", into = "BTreeMap<String, u64>")]
 pub struct ModeCounts(BTreeMap<String, u64>);
@@ -45,12 +46,12 @@ impl<S: Into<String>> FromIterator<(S, u64)> for ModeCounts {
 }
 
 impl ModeCounts {
-    /// Failures of this mode.
+    /// Number of failures with this mode.
     pub fn of(&self, mode: &str) -> u64 {
         self.0.get(mode).copied().unwrap_or(0)
     }
 
-    /// All failures.
+    /// Number of all failures.
     pub fn total(&self) -> u64 {
         self.0.values().sum()
     }
@@ -61,7 +62,7 @@ impl ModeCounts {
     }
 }
 
-/// The failure modes of one recipe. The place of a mode is its code; places never change.
+/// The failure modes of one recipe. The index of a mode is its code and never changes.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub(crate) struct ModeList(Vec<String>);
@@ -73,7 +74,7 @@ impl Default for ModeList {
 }
 
 impl ModeList {
-    /// The list of a stored recipe that has codes but no list.
+    /// The list for a stored recipe that has codes but no list.
     pub(crate) fn unnamed() -> Self {
         Self(UNNAMED.map(str::to_owned).to_vec())
     }
@@ -83,17 +84,17 @@ impl ModeList {
         counts.into_iter().flat_map(ModeCounts::names).for_each(|mode| self.add(mode));
     }
 
-    /// Adds a mode, unless it is known or there is no room.
+    /// Adds a mode, unless it is known or the list is full.
     pub(crate) fn add(&mut self, mode: &str) {
         if self.0.len() < MOST_MODES && !self.0.iter().any(|known| known == mode) {
             self.0.push(mode.to_owned());
         }
     }
 
-    /// The code of a mode; that of [`OTHER_MODE`] for a mode that is not in the list.
+    /// The code of a mode. A mode that is not in the list has the code of [`OTHER_MODE`].
     pub(crate) fn code(&self, mode: &str) -> u8 {
         let place = |name: &str| self.0.iter().position(|known| known == name);
-        // At most MOST_MODES places.
+        // There are at most MOST_MODES codes.
         place(mode).or_else(|| place(OTHER_MODE)).unwrap_or(0) as u8
     }
 
@@ -107,7 +108,7 @@ impl ModeList {
         self.0.iter().map(String::as_str)
     }
 
-    /// How many modes there are.
+    /// Number of modes.
     pub(crate) fn len(&self) -> usize {
         self.0.len()
     }

@@ -8,44 +8,44 @@ use crate::domain::Judged;
 use crate::recipe::{Recipe, RecipeState};
 use crate::settings::{Settings, SettingsError};
 
-/// The monitor: cycles in, alarms out.
+/// The monitor: takes cycles and returns alarms.
 ///
-/// It has no clock, no file and no randomness. The same settings and cycles give the same alarms, bit for bit.
+/// It uses no clock, no file and no random numbers. The same settings and cycles give identical alarms.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Monitor {
     settings: Settings,
     recipes: BTreeMap<String, Recipe>,
 }
 
-/// A cycle was refused because its recipe is new and the limit is reached.
+/// The error for a cycle of a new recipe, if the limit of recipes is reached.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("recipe `{recipe}` is new, and {most} recipes are watched already. Hint: increase `most_recipes`")]
 pub struct TooManyRecipes {
-    /// The recipe refused.
+    /// The rejected recipe.
     pub recipe: String,
     /// The limit.
     pub most: u32,
 }
 
 impl Monitor {
-    /// A monitor without cycles.
+    /// Creates a monitor without cycles.
     ///
     /// # Errors
-    /// Invalid settings.
+    /// If the settings are invalid.
     pub fn new(settings: Settings) -> Result<Self, SettingsError> {
         settings.check()?;
         Ok(Self { settings, recipes: BTreeMap::new() })
     }
 
-    /// Restores the state of a recipe: see [`Recipe::restore`].
+    /// Restores the state of a recipe, see [`Recipe::restore`].
     pub fn restore(&mut self, name: &str, state: RecipeState) {
         self.recipes.insert(name.to_owned(), Recipe::restore(name, state, &self.settings));
     }
 
-    /// Checks that a cycle of this recipe can be taken after `others` further new recipes.
+    /// Checks that a cycle of this recipe can be accepted after `others` more new recipes.
     ///
     /// # Errors
-    /// The recipe is new and the limit is reached.
+    /// If the recipe is new and the limit is reached.
     pub fn has_room(&self, recipe: &str, others: usize) -> Result<(), TooManyRecipes> {
         let most = self.settings.most_recipes;
         if self.recipes.len() + others < most as usize || self.recipes.contains_key(recipe) {
@@ -55,14 +55,14 @@ impl Monitor {
         }
     }
 
-    /// Processes one cycle, in the order of arrival. Passes raised and cleared alarms to `emit` and returns how the
+    /// Processes one cycle, in the order of arrival. Passes raised and cleared alarms to `emit`. Returns how the
     /// parameters compare with the validated region.
     ///
-    /// The cycle has passed [`Cycle::check`]. Memory is allocated only at an alarm, for a new recipe, robot or failure mode,
-    /// and when learning ends.
+    /// The cycle must have passed [`Cycle::check`]. Memory is allocated only at an alarm, for a new recipe, robot or
+    /// failure mode, and when learning ends.
     ///
     /// # Errors
-    /// The recipe is new and the limit is reached.
+    /// If the recipe is new and the limit is reached.
     pub fn observe(&mut self, cycle: &Cycle, emit: &mut dyn FnMut(Alarm)) -> Result<Judged, TooManyRecipes> {
         if let Some(recipe) = self.recipes.get_mut(cycle.recipe.as_str()) {
             return Ok(recipe.observe(cycle, &self.settings, emit));
@@ -89,12 +89,12 @@ impl Monitor {
         &self.settings
     }
 
-    /// A recipe, by name.
+    /// Finds a recipe by its name.
     pub fn recipe(&self, name: &str) -> Option<&Recipe> {
         self.recipes.get(name)
     }
 
-    /// A recipe, mutable, to restart it.
+    /// Finds a recipe by its name, to restart it.
     pub fn recipe_mut(&mut self, name: &str) -> Option<&mut Recipe> {
         self.recipes.get_mut(name)
     }

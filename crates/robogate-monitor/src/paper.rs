@@ -1,12 +1,13 @@
-//! The rule of the paper, section 9.5: the success rate of the last 100 cycles of a recipe, a WARNING at a decline of 5 %
-//! and a CRITICAL at 10 %.
+//! The rule of the paper (section 9.5): the success rate of the last 100 cycles of a recipe, with a WARNING at a
+//! decline of 5 % and a CRITICAL at 10 %.
 //!
-//! The paper does not say whether the decline is absolute (0.95 to 0.90) or relative (0.95 to 0.9025), nor what it is measured
-//! from. Here it is measured from the observed rate of the baseline, [`Decline`] selects absolute or relative, and a decline of exactly the
-//! threshold counts. The limits are converted to integer numbers of failures once, so that rounding decides no alarm.
+//! The paper does not define whether the decline is absolute (0.95 to 0.90) or relative (0.95 to 0.9025), nor its
+//! reference. Here the reference is the observed rate of the baseline, [`Decline`] selects absolute or relative, and a
+//! decline of exactly the threshold counts. The thresholds are converted to integer numbers of failures once, so that
+//! rounding has no effect.
 //!
-//! Limit: at a true rate of 0.95 the absolute rule warns about every 1,150 cycles. Its false-alarm rate is not bounded; that of the
-//! detectors is. Before the window is full it raises no alarm.
+//! Limitation: at a true rate of 0.95, the absolute rule raises a warning about every 1,150 cycles. Its false-alarm
+//! rate is not bounded, unlike that of the detectors. It raises no alarm before the window is full.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -45,14 +46,14 @@ impl Default for PaperRule {
 }
 
 impl PaperRule {
-    /// The smallest number of failures in a full window that is a decline of `decline` from `baseline`; above the window's
-    /// length if there is none.
+    /// The smallest number of failures in a full window that is a decline of `decline` from `baseline`. Greater than
+    /// the window's length if there is none.
     pub fn failures_at(&self, baseline: f64, decline: f64) -> u32 {
         let lost = match self.decline {
             Decline::Absolute => decline,
             Decline::Relative => decline * baseline,
         };
-        // failures / window ≥ 1 - baseline + lost; the slack is far below one failure and far above rounding.
+        // failures / window ≥ 1 - baseline + lost. The slack is far below one failure and far above rounding errors.
         let failures = f64::from(self.window) * (1.0 - baseline + lost) - 1e-6;
         failures.ceil().clamp(0.0, f64::from(self.window) + 1.0) as u32
     }
@@ -70,7 +71,7 @@ pub struct PaperWindow {
 }
 
 impl PaperWindow {
-    /// An empty window; `baseline` is the success rate that a decline is measured from.
+    /// Creates an empty window. `baseline` is the success rate from which a decline is measured.
     pub fn new(rule: &PaperRule, baseline: f64) -> Self {
         Self {
             failed: vec![false; rule.window.max(1) as usize],
@@ -97,7 +98,7 @@ impl PaperWindow {
         self.level()
     }
 
-    /// The level of the rule; `None` below a warning or before the window is full.
+    /// The level of the rule. `None` below a warning, and until the window is full.
     pub fn level(&self) -> Option<Level> {
         match self.failures {
             _ if !self.full => None,
@@ -107,13 +108,13 @@ impl PaperWindow {
         }
     }
 
-    /// (successes, cycles) in the window.
+    /// Successes and cycles in the window.
     pub fn counts(&self) -> (u64, u64) {
         let n = if self.full { self.failed.len() } else { self.next } as u64;
         (n - u64::from(self.failures), n)
     }
 
-    /// Failures in a full window that raise a warning and a critical alarm.
+    /// The numbers of failures in a full window that raise a warning and a critical alarm.
     pub fn limits(&self) -> (u32, u32) {
         (self.warning_at, self.critical_at)
     }

@@ -29,10 +29,10 @@ pub struct Recipe {
     pub(crate) state: RecipeState,
 }
 
-/// The state of a recipe. The same state and the same cycles give the same alarms, bit for bit.
+/// The state of a recipe. Equal states and cycles give identical alarms.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RecipeState {
-    /// A hash of the baseline and the validated region in the settings.
+    /// A hash of baseline and validated region in the settings.
     pub(crate) given: u64,
     pub(crate) baseline: Baseline,
     pub(crate) learning: Learning,
@@ -68,11 +68,11 @@ pub struct Standing {
 /// Cycles in which one parameter lay outside the validated region.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct OutsideTally {
-    /// Such cycles since the detectors started.
+    /// Number of such cycles since the detectors started.
     pub cycles: u64,
-    /// The last of them, numbered within the recipe.
+    /// The last such cycle, numbered within the recipe.
     pub last: u64,
-    /// The lowest and highest number.
+    /// The lowest and highest value.
     pub numbers: Option<[f64; 2]>,
     /// The first category.
     pub word: Option<String>,
@@ -103,9 +103,9 @@ impl RobotState {
 /// Cycles of one robot in one recipe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct RobotTally {
-    /// Successful cycles.
+    /// Number of successful cycles.
     pub successes: u64,
-    /// All cycles.
+    /// Number of all cycles.
     pub cycles: u64,
 }
 
@@ -114,7 +114,7 @@ pub struct RobotTally {
 pub struct DetectorView {
     /// The metric.
     pub metric: Metric,
-    /// Evidence and limit for a warning and a critical alarm, or why the detector does not run.
+    /// Evidence and limit for a warning and a critical alarm, or the reason why the detector does not run.
     pub levels: Result<[(f64, f64); 2], &'static str>,
     /// The active alarm of each level.
     pub standing: [Option<Standing>; 2],
@@ -139,7 +139,7 @@ enum Transition {
     Cleared(Standing),
 }
 
-/// Updates a detector with a symbol, at one level.
+/// Updates a detector with a symbol, for one level.
 fn update(
     (factors, evidence): (&Factors, &mut Evidence),
     code: u8,
@@ -164,7 +164,7 @@ fn update(
 }
 
 impl Recipe {
-    /// A recipe without cycles.
+    /// Creates a recipe without cycles.
     pub fn new(name: &str, settings: &Settings) -> Self {
         let mut state = RecipeState {
             given: given(name, settings),
@@ -189,8 +189,8 @@ impl Recipe {
 
     /// Restores a recipe from its state.
     ///
-    /// If the settings now give another baseline or validated region, learning and all evidence start again from zero. So
-    /// does evidence that does not fit the settings. Counts stay.
+    /// If the settings define another baseline or validated region than before, learning and all evidence start again
+    /// from zero. The same happens to evidence that does not match the settings. Counts are kept.
     pub fn restore(name: &str, mut state: RecipeState, settings: &Settings) -> Self {
         let given = given(name, settings);
         if state.given != given {
@@ -222,7 +222,7 @@ impl Recipe {
         recipe
     }
 
-    /// The state, which [`Self::restore`] takes.
+    /// The state, for [`Self::restore`].
     pub fn state(&self) -> &RecipeState {
         &self.state
     }
@@ -259,7 +259,7 @@ impl Recipe {
         }
     }
 
-    /// Processes one cycle. Passes raised and cleared alarms to `emit` and returns how the parameters compare with the
+    /// Processes one cycle. Passes raised and cleared alarms to `emit`. Returns how the parameters compare with the
     /// validated region.
     ///
     /// Memory is allocated only at an alarm, for a new robot or failure mode, and when learning ends.
@@ -269,7 +269,7 @@ impl Recipe {
         let robot = self.count_robot(cycle, settings);
         let binned = self.binned.as_ref();
         let mode = cycle.mode().map(|mode| {
-            // While the mix is being learnt, every new mode gets a code of its own.
+            // While the mix is being learnt, every new mode gets its own code.
             if self.state.baseline.failure_modes.is_none() {
                 self.state.modes.add(mode);
             }
@@ -306,7 +306,7 @@ impl Recipe {
         judged
     }
 
-    /// Counts the robot's cycle and returns its index.
+    /// Counts a cycle of the robot and returns its index.
     fn count_robot(&mut self, cycle: &Cycle, settings: &Settings) -> u16 {
         let robots = &mut self.state.robots;
         if !robots.contains_key(cycle.robot.as_str()) && robots.len() < settings.most_robots as usize {
@@ -320,9 +320,10 @@ impl Recipe {
         robot.place
     }
 
-    /// Updates the robot's own detector, if the recipe has several robots.
+    /// Updates the robot's detector, if the recipe has several robots.
     ///
-    /// A robot's evidence grows with its own cycles only, so all robots of all recipes have one share of the false alarms.
+    /// A robot's evidence grows only with its own cycles, so all robots of all recipes share one part of the false
+    /// alarms.
     fn update_robot(&mut self, code: u8, cycle: &Cycle, settings: &Settings, emit: &mut dyn FnMut(Alarm)) {
         let metric = Metric::Robot;
         let (now, several) = (self.state.cycles, self.state.robots.len() > 1);
@@ -404,7 +405,7 @@ impl Recipe {
         }
     }
 
-    /// Discards the evidence and the active alarms, after the cause was repaired. The baseline stays.
+    /// Discards the evidence and the active alarms, after the cause was repaired. The baseline is kept.
     pub fn restart(&mut self) {
         self.state.evidence.iter_mut().flatten().flatten().for_each(Evidence::restart);
         self.state.standing = Default::default();
@@ -413,8 +414,8 @@ impl Recipe {
         self.state.robots.values_mut().for_each(RobotState::forget);
     }
 
-    /// Each parameter of the envelope with its validated values and the cycles outside since the detectors started; then, without
-    /// a name, combinations outside.
+    /// Each parameter of the envelope with its validated values and its cycles outside since the detectors started. The
+    /// last item, without a name, counts combinations outside.
     pub fn outside(&self) -> impl Iterator<Item = (Option<(&str, &Validated)>, &OutsideTally)> {
         let named = self.domain.iter().flat_map(|domain| &domain.envelope);
         let named = named.map(|(name, validated)| Some((name.as_str(), validated)));
@@ -426,12 +427,12 @@ impl Recipe {
         &self.state.baseline
     }
 
-    /// All successes and cycles.
+    /// Successes and number of all cycles.
     pub fn trials(&self) -> Trials {
         Trials::new(self.state.successes, self.state.cycles).unwrap_or(Trials::NONE)
     }
 
-    /// Successes and cycles in the paper's window; none while the baseline is being learnt.
+    /// Successes and number of cycles in the paper's window. `None` while the baseline is being learnt.
     pub fn window(&self) -> Trials {
         let (successes, n) = self.state.paper.as_ref().map_or((0, 0), PaperWindow::counts);
         Trials::new(successes, n).unwrap_or(Trials::NONE)
@@ -442,7 +443,7 @@ impl Recipe {
         self.state.paper_level
     }
 
-    /// Alarms raised so far.
+    /// Number of alarms raised so far.
     pub fn raised(&self) -> u64 {
         self.state.raised
     }
@@ -489,7 +490,7 @@ impl Recipe {
         DetectorView { metric, levels, standing: Level::ALL.map(first) }
     }
 
-    /// The most severe active level, of any rule.
+    /// The most severe active level of any rule.
     pub fn level(&self) -> Option<Level> {
         let robots = self.state.robots.values().map(|robot| &robot.standing);
         let all = || self.state.standing.iter().chain(robots.clone());
@@ -499,7 +500,7 @@ impl Recipe {
     }
 }
 
-/// A hash of the settings of a recipe: FNV-1a over its numbers and its text. It protects no secret.
+/// A hash of the settings of a recipe: FNV-1a over numbers and text. It is not cryptographic.
 fn given(name: &str, settings: &Settings) -> u64 {
     struct Fnv(u64);
     impl Fnv {
@@ -517,7 +518,7 @@ fn given(name: &str, settings: &Settings) -> u64 {
     }
     let mut hash = Fnv(0xcbf2_9ce4_8422_2325);
     let Baseline { success, drop, collision, failure_modes, cycle_times_s } = settings.baseline_of(name);
-    // Writing to it cannot fail.
+    // Writing to the hash cannot fail.
     let _ = write!(hash, "{success:?}{drop:?}{collision:?}{failure_modes:?}{:?}", settings.domain_of(name));
     cycle_times_s.iter().flatten().for_each(|time| hash.add(time.to_bits()));
     hash.0
@@ -559,7 +560,7 @@ mod tests {
     }
 
     #[test]
-    fn states_without_mode_names_can_be_read() {
+    fn version_0_1_states_can_be_read() {
         let success = Some(Count { count: 950, of: 1_000 });
         let counts = ["grasp_miss", "grip_loss", "collision", "timeout", OTHER_MODE].into_iter().zip([9, 8, 7, 6, 5]);
         let baseline = Baseline { success, failure_modes: Some(counts.collect()), ..Baseline::default() };
@@ -567,7 +568,7 @@ mod tests {
         let mut recipe = Recipe::new("x", &settings);
         recipe.observe(&failed("timeout"), &settings, &mut |_| {});
         let mut old = serde_json::to_value(recipe.state()).unwrap();
-        // As version 0.1 wrote it: no list of modes, and counts in a fixed order.
+        // The format of version 0.1: no list of modes, and counts in a fixed order.
         old.as_object_mut().unwrap().remove("modes");
         old["baseline"]["failure_modes"] = json!([9, 8, 7, 6, 5]);
         old["learning"]["modes"] = json!([0, 0, 0, 0, 0]);
@@ -581,7 +582,7 @@ mod tests {
     }
 
     #[test]
-    fn new_modes_are_learnt_by_name() {
+    fn new_modes_are_learnt() {
         let settings = Settings { learn_failures: 4, ..Settings::default() };
         let mut recipe = Recipe::new("x", &settings);
         for mode in ["jammed", "spilled", "jammed", "jammed", "burnt"] {

@@ -13,23 +13,24 @@ use crate::settings::Settings;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Reference {
-    /// The version of this form: 1.
+    /// The version of the format: 1.
     pub version: u32,
     /// The robot that was evaluated.
     pub robot: String,
     /// The policy.
     pub policy: String,
-    /// The population that the success rate estimates.
+    /// The population whose success rate is estimated.
     pub population: String,
     /// The content hash of the rows.
     pub dataset_sha256: String,
-    /// Successes and failure modes, as counts. Cycle times are learnt from the robot, because those of a simulator differ.
+    /// Successes and failure modes, as counts. Cycle times are learnt from the robot, because those of a simulator
+    /// differ.
     pub baseline: Baseline,
     /// The envelope, and the risk model if the run allows one.
     pub domain: Domain,
 }
 
-/// A problem of a reference file.
+/// An error in a reference file.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ReferenceError {
     /// The file has another version.
@@ -44,7 +45,7 @@ pub enum ReferenceError {
 }
 
 impl Reference {
-    /// The version that is written and read here.
+    /// The version that this build writes and reads.
     pub const VERSION: u32 = 1;
 
     /// Checks the version and all parts.
@@ -61,7 +62,7 @@ impl Reference {
 }
 
 impl Settings {
-    /// Applies a reference to a recipe, or to all recipes without a reference of their own. A baseline in the settings takes
+    /// Applies a reference to a recipe, or to all recipes without their own. A baseline in the settings takes
     /// precedence over the reference.
     pub fn refer(&mut self, recipe: Option<&str>, reference: Reference) {
         let domain = Arc::new(reference.domain);

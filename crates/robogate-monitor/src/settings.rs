@@ -11,10 +11,10 @@ use crate::baseline::{Baseline, BaselineError};
 use crate::domain::{Domain, DomainError};
 use crate::paper::PaperRule;
 
-/// Number of bounds that a baseline gives: failures, drops, collisions, the cycle time's location and spread, the modes.
+/// Number of bounds of a baseline: failures, drops, collisions, location and spread of the cycle time, failure modes.
 const BOUNDS: f64 = 6.0;
 
-/// The settings of the monitor. Missing settings have their defaults.
+/// The settings of the monitor. Missing settings have their default values.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
@@ -26,27 +26,27 @@ pub struct Settings {
     pub critical_cycles: f64,
     /// The share of each metric in the false alarms.
     pub shares: Shares,
-    /// Confidence that all bounds of one recipe's baseline hold together.
+    /// Joint confidence of all bounds of one recipe's baseline.
     pub baseline_confidence: f64,
-    /// Cycles from which a recipe learns the missing parts of its baseline.
+    /// Number of cycles from which a recipe learns the missing parts of its baseline.
     pub learn_cycles: u32,
-    /// Failures from which a recipe learns the mix of failure modes.
+    /// Number of failures from which a recipe learns the mix of failure modes.
     pub learn_failures: u32,
-    /// Cycles without further evidence after which an active alarm is cleared.
+    /// Number of cycles without further evidence after which an active alarm is cleared.
     pub clear_after_cycles: u64,
-    /// Stored cycles of each recipe, from which the start of a change is estimated.
+    /// Number of stored cycles per recipe, from which the start of a change is estimated.
     pub history_cycles: u32,
-    /// Limit of recipes; a cycle of a further recipe is refused.
+    /// Maximum number of recipes. Cycles of further recipes are refused.
     pub most_recipes: u32,
-    /// Limit of robots per recipe that are watched separately.
+    /// Maximum number of robots per recipe that are monitored separately.
     pub most_robots: u32,
-    /// The baseline of recipes without one of their own.
+    /// The baseline of recipes without their own.
     pub baseline: Baseline,
     /// Baselines by recipe.
     pub recipes: BTreeMap<String, Baseline>,
     /// Accepted share of cycles outside the validated region.
     pub outside_share: f64,
-    /// The validated region of recipes without one of their own. It comes from a reference, not from the settings file.
+    /// The validated region of recipes without their own. It comes from a reference file, not from the settings file.
     #[serde(skip)]
     pub domain: Option<Arc<Domain>>,
     /// Validated regions by recipe.
@@ -79,30 +79,31 @@ impl Default for Settings {
 
 /// The share of each metric in the false alarms.
 ///
-/// A metric with the share v raises an alarm when its statistic M reaches A / v. While nothing changes, the mean of each M grows by at most
-/// one per cycle, and only with the cycles of its own recipe. The mean of Σ v M, over all metrics and recipes, is therefore at most the
-/// number of cycles, and the mean number of cycles until the first false alarm of any metric in any recipe is at least A. More recipes
-/// or robots do not weaken this bound: each has fewer cycles.
+/// A metric with the share v raises an alarm when its statistic M reaches A / v. Without a change, the mean of each M
+/// grows by at most one per cycle, and only with the cycles of its own recipe. The mean of Σ v M over all metrics and
+/// recipes is therefore at most the number of cycles, and the mean number of cycles until the first false alarm of any
+/// metric in any recipe is at least A. More recipes or robots do not weaken this bound, because each then has fewer
+/// cycles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Shares {
-    /// Of the failure rate.
+    /// Share of the failure rate.
     pub success: f64,
-    /// Of the rate of dropped parts.
+    /// Share of the rate of dropped parts.
     pub drop: f64,
-    /// Of the collision rate.
+    /// Share of the collision rate.
     pub collision: f64,
-    /// Of the cycle time.
+    /// Share of the location of the cycle time.
     pub cycle_time: f64,
-    /// Of its spread.
+    /// Share of the spread of the cycle time.
     pub cycle_time_spread: f64,
-    /// Of the mix of failure modes.
+    /// Share of the mix of failure modes.
     pub failure_modes: f64,
-    /// Of the cycles outside the validated region.
+    /// Share of the cycles outside the validated region.
     pub outside: f64,
-    /// Of the failure rate that the risk model predicts.
+    /// Share of the failure rate that the risk model predicts.
     pub risk: f64,
-    /// Of the failure rate of one robot, all robots together.
+    /// Share of the failure rates of single robots, all robots together.
     pub robot: f64,
 }
 
@@ -139,7 +140,7 @@ impl Shares {
     }
 }
 
-/// A problem of the settings.
+/// An error in the settings.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SettingsError {
     /// A number outside its range.
@@ -147,7 +148,7 @@ pub enum SettingsError {
     Range {
         /// The setting.
         setting: &'static str,
-        /// The value given.
+        /// The given value.
         value: f64,
         /// The expected range.
         range: &'static str,
@@ -158,7 +159,7 @@ pub enum SettingsError {
     /// An invalid baseline.
     #[error("recipe `{recipe}`: {error}")]
     Baseline {
-        /// The recipe; `*` for the common baseline.
+        /// The recipe, or `*` for the common baseline.
         recipe: String,
         /// The problem.
         error: BaselineError,
@@ -166,7 +167,7 @@ pub enum SettingsError {
     /// An invalid validated region.
     #[error("recipe `{recipe}`: {error}")]
     Domain {
-        /// The recipe; `*` for the common domain.
+        /// The recipe, or `*` for the common region.
         recipe: String,
         /// The problem.
         error: DomainError,
@@ -220,12 +221,12 @@ impl Settings {
         }
     }
 
-    /// The limit at which a metric's statistic raises an alarm; infinite for a metric without a share.
+    /// The limit at which a metric's statistic raises an alarm. Infinite for a metric without a share.
     pub fn limit(&self, metric: Metric, level: Level) -> f64 {
         self.promise(level) / self.shares.of(metric)
     }
 
-    /// The error probability of one bound of a baseline, by Bonferroni over all bounds.
+    /// The error probability of one bound of a baseline, with Bonferroni's correction for all bounds.
     pub fn alpha(&self) -> f64 {
         (1.0 - self.baseline_confidence) / BOUNDS
     }

@@ -1,7 +1,7 @@
-//! False-alarm rates and detection delays of the monitor, simulated for the user's rates.
+//! Simulates false-alarm rates and detection delays of the monitor for given success rates.
 //!
-//! Streams of independent cycles are sampled from a seed, so the same question gives the same figures.
-//! False alarms are counted over one long stream without a change. The delay is the time to the first alarm in a stream whose rate drops
+//! Streams of independent cycles are sampled from a seed, so the same question gives the same figures. False alarms are
+//! counted over one long stream without a change. The delay is the time to the first alarm in a stream whose rate drops
 //! after a period without a change. Each mean has its standard error.
 
 use robogate_core::Seed;
@@ -14,16 +14,16 @@ use crate::detector::{Evidence, Factors};
 use crate::paper::PaperWindow;
 use crate::settings::Settings;
 
-/// What to simulate.
+/// The settings of a simulation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Question {
     /// The true success rate before a change.
     pub rate: f64,
-    /// True success rates after it.
+    /// True success rates after the change.
     pub drops: Vec<f64>,
-    /// Cycles of one day.
+    /// Cycles per day.
     pub cycles_per_day: f64,
-    /// Streams for each delay, and cycles without a change in units of 1,000.
+    /// Number of streams for each delay, and of cycles without a change in units of 1,000.
     pub streams: u32,
     /// The seed.
     pub seed: u64,
@@ -36,11 +36,11 @@ pub struct Figures {
     pub rule: String,
     /// The level.
     pub level: Level,
-    /// Lower bound of the mean number of cycles to a false alarm; absent for a rule without a bound.
+    /// Lower bound of the mean number of cycles to a false alarm. `None` for a rule without a bound.
     pub promised_cycles: Option<f64>,
     /// Mean number of cycles from the start to the first false alarm.
     pub cycles_to_false_alarm: Mean,
-    /// False alarms per day: how often the rule would be raised anew, without a change.
+    /// False alarms per day without a change, if each alarm is cleared and can be raised again.
     pub false_alarms_per_day: f64,
     /// The delay of each drop.
     pub delays: Vec<Delay>,
@@ -55,19 +55,19 @@ pub struct Delay {
     pub cycles: Mean,
 }
 
-/// A mean of simulated streams.
+/// A mean over simulated streams.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Mean {
-    /// The mean; a lower bound if some streams were cut.
+    /// The mean. It is a lower bound if some streams were cut.
     pub mean: f64,
     /// Its standard error.
     pub se: f64,
-    /// Streams that ended before an alarm; they count with their length.
+    /// Streams that ended before an alarm. They count with their length.
     pub cut: u32,
 }
 
 impl Mean {
-    /// The mean of run lengths.
+    /// Computes the mean of run lengths.
     pub fn of(lengths: &[f64], cut: u32) -> Self {
         let n = lengths.len().max(1) as f64;
         let mean = lengths.iter().sum::<f64>() / n;
@@ -78,10 +78,10 @@ impl Mean {
 
 /// Cycles without a change before each drop.
 const BEFORE: u32 = 1_000;
-/// A stream is cut after this many cycles.
+/// Maximum number of cycles of a stream.
 const LONGEST: u32 = 2_000_000;
 
-/// One rule on one stream of successes.
+/// A rule on one stream of successes.
 trait Runner {
     /// Resets the rule.
     fn fresh(&mut self);
@@ -89,10 +89,10 @@ trait Runner {
     fn update(&mut self, success: bool) -> Now;
 }
 
-/// The state of a rule after a cycle.
+/// The result of a rule for a cycle.
 #[derive(Clone, Copy)]
 struct Now {
-    /// The rule calls for an alarm at this cycle, whether or not one is active.
+    /// The alarm condition is met at this cycle, whether or not an alarm is active.
     calls: bool,
     /// A new alarm is raised.
     raised: bool,
@@ -103,7 +103,7 @@ struct Detector<'a> {
     evidence: Evidence,
     limit: f64,
     clear_after: u64,
-    /// Cycles since the last call, while the alarm is active.
+    /// Cycles since the alarm condition was last met, while the alarm is active.
     standing: Option<u64>,
 }
 
@@ -148,9 +148,9 @@ impl Runner for Paper {
     }
 }
 
-/// Answers the question for the paper's rule and the detector of the failure rate, at both levels.
+/// Simulates the paper's rule and the detector of the failure rate, at both levels.
 ///
-/// The detector has the limit that it has among all metrics. `None` if the baseline allows no detector.
+/// The detector has the same limit as among all metrics. `None` if the baseline allows no detector.
 pub fn simulate(question: &Question, settings: &Settings, baseline: &Baseline) -> Option<Vec<Figures>> {
     let factors = baseline.factors(Metric::Success, settings).ok()?;
     let rate = baseline.success_rate()?;

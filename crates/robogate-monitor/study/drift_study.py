@@ -1,12 +1,12 @@
 """Compares drift detectors on one question: a success rate of 0.95 drops to 0.92, 0.90 or 0.85 after 1,000 cycles without a change.
 
-Rows: the paper's rule and the detectors of river at their default settings, each with its mean number of cycles to a false alarm
-and its delays; beside them the delays of the mixture Shiryaev-Roberts e-detector with its limit chosen so that it has the same mean
-number of cycles to a false alarm (or more). The e-detector is written here again in NumPy, with nothing of the Rust code but its eight
-alternatives, so that the figures of `robogate monitor simulate` have a check beside them.
+Rows: the paper's rule and the detectors of river at their default settings, with mean number of cycles to a false alarm and
+delays. Each row also has the delays of the mixture Shiryaev-Roberts e-detector, whose limit is chosen for the same mean number of
+cycles to a false alarm (or more). The e-detector is an independent NumPy implementation with the same eight alternatives as the Rust
+code, so it also verifies the figures of `robogate monitor simulate`.
 
-Two kinds of knowledge: the e-detector and the paper's rule are told the rate of 0.95, as the gate's evidence tells the monitor; river's
-detectors learn it from the stream. The last rows show the e-detector with an exact 99.2 % bound learnt from the first 500 cycles.
+The e-detector and the paper's rule know the rate of 0.95, as the monitor knows it from a reference, while river's detectors learn it from
+the stream. The last rows show the e-detector with an exact 99.2 % bound learnt from the first 500 cycles.
 
 Setup: python3 -m venv venv && venv/bin/pip install -r crates/robogate-monitor/study/requirements.txt
 Run:   venv/bin/python crates/robogate-monitor/study/drift_study.py"""
@@ -20,14 +20,14 @@ from river.drift import binary
 from scipy.stats import beta
 
 RATE, DROPS, BEFORE = 0.95, (0.92, 0.90, 0.85), 1_000
-# A stream without a change is cut here, one with a change there; a mean with cut streams is a lower bound.
+# Maximum lengths of streams without and with a change. A mean with cut streams is a lower bound.
 LONGEST_QUIET, LONGEST_DELAY = 300_000, 20_000
 ODDS = np.array([1.4, 1.8, 2.3, 3.0, 4.0, 6.0, 12.0, 30.0])
 WEIGHTS = np.array([0.18, 0.18, 0.18, 0.18, 0.13, 0.08, 0.04, 0.03])
 
 
 class Papers:
-    """Failures among the last 100 cycles, of many streams at once."""
+    """The paper's rule for many streams at once: failures among the last 100 cycles."""
 
     def __init__(self, n, failures):
         self.ring, self.t, self.failures = np.zeros((100, n), bool), 0, failures
@@ -42,7 +42,7 @@ class Papers:
 
 
 class EDetectors:
-    """M_k <- (1 + M_k) e_k of many streams at once, restarted where the mixture reaches the limit."""
+    """The e-detector for many streams at once: M_k <- (1 + M_k) e_k, restarted when the mixture reaches the limit."""
 
     def __init__(self, n, limit, bound=1 - RATE):
         bound = np.broadcast_to(np.asarray(bound, float)[..., None], (n, 1))
@@ -58,7 +58,7 @@ class EDetectors:
 
 
 class LearningEDetectors:
-    """The same with a bound learnt from each stream's first 500 cycles."""
+    """The e-detector with a bound learnt from each stream's first 500 cycles."""
 
     def __init__(self, n, limit):
         self.n, self.limit, self.t, self.failures, self.inner = n, limit, 0, np.zeros(n), None
@@ -68,7 +68,7 @@ class LearningEDetectors:
         if self.t <= 500:
             self.failures += failed
             if self.t == 500:
-                # One of six bounds that hold together with 95 %.
+                # One of six bounds with a joint confidence of 95 %.
                 bound = beta.ppf(1 - 0.05 / 6, self.failures + 1, 500 - self.failures)
                 self.inner = EDetectors(self.n, self.limit, bound)
             return np.zeros(self.n, bool)
@@ -90,7 +90,7 @@ class Rivers:
 
 
 def first(rules, n, rng, failing, longest, before=0):
-    """Cycles until each of n streams alarms; `longest` where it does not."""
+    """Number of cycles until each of n streams raises an alarm, or `longest` without one."""
     for _ in range(before):
         rules.update(rng.random(n) < 1 - RATE)
     lengths = np.full(n, longest)
@@ -118,8 +118,8 @@ def mean(lengths, longest):
 
 
 def limit_with(run_length, n, seed):
-    """The smallest limit, in steps of a tenth, at which the mean run length is seen to be at least this; at most this itself,
-    because the mean run length is proven to be no less than the limit."""
+    """The smallest limit, in steps of 10 %, with an observed mean run length of at least `run_length`. It is at most
+    `run_length`, because the mean run length is at least the limit."""
     limit = max(10.0, run_length / 2)
     while True:
         lengths = quiet(lambda n: EDetectors(n, limit), n, seed)

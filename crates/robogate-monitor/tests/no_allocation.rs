@@ -1,4 +1,4 @@
-//! A cycle costs no allocation: what lets the detectors run on the robot itself.
+//! Tests that a cycle allocates no memory, so that the detectors can run on a robot controller.
 #![expect(unsafe_code, reason = "an allocator that counts must be one")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -15,16 +15,16 @@ thread_local! {
     static CALLS: Cell<u64> = const { Cell::new(0) };
 }
 
-// SAFETY: every call goes to the system's allocator unchanged; the counter is a plain thread-local number.
+// SAFETY: all calls go to the system's allocator unchanged; the counter is a thread-local number.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         CALLS.with(|calls| calls.set(calls.get() + 1));
-        // SAFETY: the caller's promises are passed on.
+        // SAFETY: the caller fulfils the contract.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promises are passed on.
+        // SAFETY: the caller fulfils the contract.
         unsafe { System.dealloc(pointer, layout) }
     }
 }
@@ -38,7 +38,7 @@ fn cycles_without_alarm_allocate_nothing() {
         success: Some(Count { count: 900, of: 1_000 }),
         drop: Some(Count { count: 30, of: 1_000 }),
         collision: Some(Count { count: 30, of: 1_000 }),
-        // Every failure below is a timeout.
+        // All failures below are timeouts.
         failure_modes: Some([("timeout", 100)].into_iter().collect()),
         cycle_times_s: Some((0..1_000).map(|i| 3.5 + 0.001 * f64::from(i)).collect()),
     };
@@ -71,7 +71,7 @@ fn cycles_without_alarm_allocate_nothing() {
     let mut before = 0;
     for i in 0..20_000 {
         if i == 4 {
-            // The first cycles made the recipe and its two robots.
+            // The first cycles created the recipe and its two robots.
             before = CALLS.with(Cell::get);
         }
         cycle.time_s += 4.0;

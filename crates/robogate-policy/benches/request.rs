@@ -1,5 +1,5 @@
-//! Overhead of a request to a policy server: two images of 256 x 256 over the loopback interface, to a server that answers
-//! immediately.
+//! Measures the overhead of a request to a policy server: two images of 256 x 256 pixels over the loopback interface,
+//! to a server that answers immediately.
 //!
 //! `cargo bench -p robogate-policy [-- REQUESTS]`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark prints, and fails by panicking")]

@@ -1,4 +1,4 @@
-//! Converts the numbers of a model into actions of the robot.
+//! Converts the output of a model to actions of the robot.
 
 use robogate_core::{Action, Command};
 
@@ -7,9 +7,9 @@ use super::profile::{ActionForm, Arm, Rotation, Side};
 use super::rotation;
 
 impl ActionForm {
-    /// The action that the `raw` numbers of a model mean for a robot with joints at `joints`.
+    /// Convert the `raw` numbers of a model to an action, for a robot with joints at `joints`.
     ///
-    /// The numbers must be finite, and there must be [`ActionForm::size`] of them.
+    /// The numbers must be finite, and their count must be [`ActionForm::size`].
     pub fn action(&self, raw: &[f64], joints: &[f64]) -> Result<Action, PolicyError> {
         if self.arm == Arm::Vector {
             return Ok(Action { command: Command::Vector(raw.to_vec()), gripper: None, phase: None });
@@ -61,7 +61,7 @@ mod tests {
     use crate::Profile;
 
     #[test]
-    fn numbers_are_clipped_and_scaled() {
+    fn actions_are_clipped_and_scaled() {
         let mut form = Profile::from_toml(Profile::built_in("pi0-libero").unwrap()).unwrap().action;
         let action = form.action(&[0.5, -3.0, 0.0, 0.0, 0.0, 1.0, 0.2], &[]).unwrap();
         let delta = Command::ToolDelta { translation_m: [0.01, -0.02, 0.0], rotation_rad: [0.0, 0.0, 0.05] };

@@ -1,10 +1,10 @@
-//! Arrays as in NumPy, which all policy servers send and take.
+//! NumPy-style arrays, as all policy servers use them.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// Type of the elements. Little-endian, as all machines that run policy servers.
+/// Type of the elements. Little-endian, as on all machines that run policy servers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Dtype {
     /// Boolean, one byte: 0 or 1.
@@ -61,7 +61,7 @@ impl Dtype {
         (Self::F64, "<f8", 8),
     ];
 
-    /// The type with this NumPy name, such as `<f4`.
+    /// Find a type by its NumPy name, such as `<f4`.
     pub fn by_name(name: &str) -> Option<Self> {
         Self::ALL.iter().find(|(_, known, _)| *known == name).map(|(dtype, ..)| *dtype)
     }
@@ -85,7 +85,7 @@ pub struct Array {
     data: Vec<u8>,
 }
 
-/// The number of bytes does not match the shape and type of an array.
+/// An error: the number of bytes does not match shape and type of an array.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{bytes} bytes do not match an array of shape {shape:?} and type {dtype}")]
 pub struct InvalidArray {
@@ -95,7 +95,7 @@ pub struct InvalidArray {
 }
 
 impl Array {
-    /// An array from its raw bytes, in C order.
+    /// Create an array from its raw bytes, in C order.
     pub fn new(dtype: Dtype, shape: Vec<usize>, data: Vec<u8>) -> Result<Self, InvalidArray> {
         let bytes = shape.iter().try_fold(dtype.size(), |product, n| product.checked_mul(*n));
         if bytes != Some(data.len()) {
@@ -104,7 +104,7 @@ impl Array {
         Ok(Self { dtype, shape, data })
     }
 
-    /// A vector of these numbers. `dtype` is a single- or double-precision float; any other becomes double precision.
+    /// Create a vector. `dtype` is a single- or double-precision float. Any other type becomes double precision.
     pub fn vector(numbers: &[f64], dtype: Dtype) -> Self {
         let (dtype, data) = match dtype {
             Dtype::F32 => (dtype, numbers.iter().flat_map(|n| (*n as f32).to_le_bytes()).collect()),
@@ -113,7 +113,7 @@ impl Array {
         Self { dtype, shape: vec![numbers.len()], data }
     }
 
-    /// The same elements in another shape with the same number of elements.
+    /// The same elements with another shape of the same size.
     #[cfg(test)]
     #[must_use]
     pub(crate) fn reshaped(self, shape: Vec<usize>) -> Self {
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_number_of_bytes_is_an_error() {
+    fn wrong_byte_counts_are_errors() {
         assert!(Array::new(Dtype::F32, vec![2, 3], vec![0; 24]).is_ok());
         for shape in [vec![2, 2], vec![usize::MAX, 2], vec![usize::MAX, usize::MAX, 4]] {
             assert!(Array::new(Dtype::F32, shape, vec![0; 24]).is_err());

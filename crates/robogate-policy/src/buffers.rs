@@ -1,6 +1,6 @@
-//! Reuse of memory for images.
+//! Reusable memory for images.
 
-/// Buffers that are free at the moment.
+/// Buffers that are not in use.
 ///
 /// Allocating a buffer of the size of an image and touching its pages for the first time takes longer than all
 /// processing of the image.

@@ -4,14 +4,15 @@ use super::array::Array;
 use super::error::PolicyError;
 use super::profile::{MAX_CHUNK, Profile};
 
-/// The output of a model: consecutive actions as raw numbers.
+/// A chunk: consecutive actions of a model as raw numbers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chunk {
     rows: Vec<Vec<f64>>,
 }
 
 impl Chunk {
-    /// From an array of shape `(length, size)`, or `(size,)` for a single action. Leading axes of size 1 are ignored.
+    /// Create a chunk from an array of shape `(length, size)`, or `(size,)` for one action. Leading axes of size 1 are
+    /// ignored.
     pub(crate) fn of_array(array: &Array) -> Result<Self, PolicyError> {
         let mut shape = array.shape();
         while let (3.., [1, rest @ ..]) = (shape.len(), shape) {
@@ -26,7 +27,7 @@ impl Chunk {
         Self::of_rows(array.numbers().chunks_exact(width).map(<[f64]>::to_vec).collect())
     }
 
-    /// From a list of actions.
+    /// Create a chunk from a list of actions.
     pub(crate) fn of_rows(rows: Vec<Vec<f64>>) -> Result<Self, PolicyError> {
         if rows.is_empty() || rows.len() > MAX_CHUNK {
             return Err(PolicyError::Shape(format!("the reply has {} actions. Expected 1 to {MAX_CHUNK}", rows.len())));
@@ -52,7 +53,9 @@ impl Chunk {
             rows.iter_mut().zip(part).for_each(|(row, more)| row.extend(more));
         } else {
             let (got, expected) = (part.len(), rows.len());
-            return Err(PolicyError::Shape(format!("`{key}` has {got} actions, the parts before it have {expected}")));
+            return Err(PolicyError::Shape(format!(
+                "`{key}` has {got} actions, but the parts before it have {expected}"
+            )));
         }
         Ok(())
     }

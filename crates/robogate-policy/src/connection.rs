@@ -1,4 +1,4 @@
-//! Connections to policies of any dialect.
+//! Connections to policies of all dialects.
 
 use serde_json::Value as Json;
 
@@ -17,13 +17,13 @@ use super::vla_eval::VlaEval;
 
 /// A connection to a policy. It must not be used again after an error.
 pub(crate) trait Connection: Send {
-    /// Announce the begin of an episode.
+    /// Announce the start of an episode.
     fn begin(&mut self, instruction: &str, episode: u64, deadline: Deadline) -> Result<(), PolicyError>;
 
     /// Request actions for an observation.
     fn infer(&mut self, query: &Query, deadline: Deadline) -> Result<Chunk, PolicyError>;
 
-    /// What the policy reports about itself.
+    /// The metadata that the policy reports.
     fn declared(&self) -> &Json;
 }
 
@@ -31,12 +31,12 @@ pub(crate) trait Connection: Send {
 /// profiles are recorded with a run.
 const TOKEN: &str = "ROBOGATE_POLICY_TOKEN";
 
-/// The token to send, if there is one.
+/// The token, if it is set.
 pub(crate) fn token() -> Option<String> {
     std::env::var(TOKEN).ok().filter(|token| !token.is_empty())
 }
 
-/// Connect with the dialect of the profile, and check the policy's description of itself against the profile.
+/// Connect with the dialect of the profile, and check the policy's metadata against the profile.
 pub(crate) fn connect(url: &str, profile: &Profile) -> Result<Box<dyn Connection>, PolicyError> {
     check_address(url, profile)?;
     let deadline = Deadline::within(profile.server.connect_s);
@@ -61,7 +61,7 @@ pub(crate) fn connect(url: &str, profile: &Profile) -> Result<Box<dyn Connection
         Dialect::Onnx {} => load_network(url, profile),
         Dialect::VlaEval {} => VlaEval::connect(url, profile, deadline).map(boxed),
     };
-    // A server listens there but does not use the dialect: find out what it is.
+    // A server listens but does not use this dialect: identify its dialect for the error message.
     connection.map_err(|error| match error {
         PolicyError::InvalidReply { .. } | PolicyError::Closed { .. } | PolicyError::Timeout { .. } => {
             identify::describe(url, dialect)
@@ -71,7 +71,7 @@ pub(crate) fn connect(url: &str, profile: &Profile) -> Result<Box<dyn Connection
     })
 }
 
-/// Check that the address is of the kind that the dialect uses.
+/// Check that the address has the form that the dialect requires.
 fn check_address(url: &str, profile: &Profile) -> Result<(), PolicyError> {
     let (name, dialect) = (&profile.name, &profile.dialect);
     let is_url = url.contains("://");

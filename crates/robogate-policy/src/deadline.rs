@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use super::error::PolicyError;
 
-/// The time by which an operation must be finished.
+/// The time at which an operation must be finished.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Deadline {
     at: Instant,
@@ -19,7 +19,7 @@ impl Deadline {
         Self { at: Instant::now() + Duration::from_secs_f64(limit_s), limit_s }
     }
 
-    /// Time left; `None` after the deadline.
+    /// The remaining time. `None` after the deadline.
     pub(crate) fn left(&self) -> Option<Duration> {
         self.at.checked_duration_since(Instant::now()).filter(|left| !left.is_zero())
     }
@@ -30,7 +30,7 @@ impl Deadline {
     }
 }
 
-/// A TCP stream whose reads and writes end by a deadline, even if single bytes keep arriving.
+/// A TCP stream whose reads and writes end at a deadline, even if single bytes keep arriving.
 #[derive(Debug)]
 pub(crate) struct TimedStream {
     pub(crate) stream: TcpStream,

@@ -1,17 +1,17 @@
-//! Errors of external policies. They make an episode invalid and are never a failure of the policy.
+//! Errors of external policies. They make an episode invalid and never count as a failure of the policy.
 
 use robogate_core::{Fault, FaultKind};
 
-/// Why an external policy gave no action.
+/// An error of an external policy, which returned no action.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PolicyError {
-    /// The address does not fit the dialect of the profile.
+    /// The address does not have the form that the dialect requires.
     #[error("invalid address: `{url}`: {why}")]
     Address {
         /// The address.
         url: String,
-        /// What is wrong with it, and what is expected.
+        /// The problem, with the expected form.
         why: String,
     },
     /// The file of a network cannot be used.
@@ -19,7 +19,7 @@ pub enum PolicyError {
     File {
         /// Path of the file.
         path: String,
-        /// What is wrong with it, and what is expected.
+        /// The problem, with the expected content.
         why: String,
     },
     /// No server listens on the address.
@@ -27,23 +27,23 @@ pub enum PolicyError {
     Unreachable {
         /// The address.
         url: String,
-        /// Error of the operating system.
+        /// The error of the operating system.
         why: String,
     },
-    /// The deadline passed.
+    /// The deadline has passed.
     #[error("timeout: {operation} took longer than {limit_s} s")]
     Timeout {
-        /// What was waited for.
+        /// The operation.
         operation: String,
-        /// Time limit, in seconds.
+        /// The time limit, in seconds.
         limit_s: f64,
     },
     /// The server closed the connection.
     #[error("connection closed: the server closed the connection {when}{reason}")]
     Closed {
-        /// During which operation.
+        /// The operation during which it was closed.
         when: String,
-        /// The reason that the server gave, after a colon; or nothing.
+        /// The reason that the server gave, after a colon. Empty without a reason.
         reason: String,
     },
     /// The policy reported an error.
@@ -55,9 +55,9 @@ pub enum PolicyError {
     /// The bytes are not a valid reply of this dialect.
     #[error("invalid reply: {message}: {why}")]
     InvalidReply {
-        /// Which message.
+        /// The message.
         message: &'static str,
-        /// What is wrong with it.
+        /// The problem.
         why: String,
     },
     /// The reply exceeds the size limit.
@@ -71,13 +71,13 @@ pub enum PolicyError {
     WrongDialect {
         /// Dialect of the profile.
         expected: &'static str,
-        /// What listens there, and which dialect to use.
+        /// The detected server, with the matching dialects.
         found: String,
     },
-    /// The policy's description of itself contradicts the profile.
+    /// The policy's metadata contradict the profile.
     #[error("profile mismatch: {0}")]
     Mismatch(String),
-    /// The actions have another shape than the profile says.
+    /// The shape of the actions differs from the profile.
     #[error("wrong shape: {0}")]
     Shape(String),
     /// An action contains NaN or infinity.
@@ -90,18 +90,18 @@ pub enum PolicyError {
         /// The value.
         value: String,
     },
-    /// The observation lacks something that the profile requires.
+    /// The observation lacks an item that the profile requires.
     #[error("observation: {0}")]
     Observation(String),
 }
 
 impl PolicyError {
-    /// Whether a new attempt may succeed: the network or the server failed, and not the settings.
+    /// Whether a new attempt may succeed: the network or the server failed, not the settings.
     pub(crate) fn is_transient(&self) -> bool {
         matches!(self, Self::Unreachable { .. } | Self::Timeout { .. } | Self::Closed { .. })
     }
 
-    /// Whether the settings are wrong, and not the network or the server.
+    /// Whether the settings are wrong, not the network or the server.
     pub fn is_usage_error(&self) -> bool {
         matches!(
             self,
@@ -117,7 +117,7 @@ impl PolicyError {
         Self::InvalidReply { message, why: why.to_string() }
     }
 
-    /// An error in the words of the policy. Keeps the end of a long text, where a Python traceback names the error.
+    /// An error that the policy reported. Keeps the end of a long text, where a Python traceback names the error.
     pub(crate) fn reported(text: &str) -> Self {
         const KEPT: usize = 400;
         let text = text.trim();

@@ -18,23 +18,23 @@ use super::suits;
 
 /// A model behind an inference server, or in a file, as a [`Policy`].
 ///
-/// An error during an episode makes the episode invalid and closes the connection, because a late reply must not be taken
-/// for the next one. The next episode begins with a new connection, for which
-/// [`Timeouts::attempts`](super::Timeouts::attempts) attempts are made. What the policy reports about itself must not
-/// change between connections.
+/// An error during an episode makes the episode invalid and closes the connection, because a late reply must not be
+/// used for the next request. The next episode opens a new connection, with up to
+/// [`Timeouts::attempts`](super::Timeouts::attempts) attempts. The identity that the policy reports must not change
+/// between connections.
 pub struct ExternalPolicy {
     url: String,
     profile: Arc<Profile>,
     connection: Option<Box<dyn Connection>>,
     declared: Json,
-    /// Whether this connection has given actions already.
+    /// Whether this connection has already returned actions.
     warm: bool,
     instruction: String,
     episode: u64,
     step: u64,
     /// Raw actions of the chunk that are not executed yet.
     queue: VecDeque<Vec<f64>>,
-    /// Bounds of each number of a vector action; empty if the task takes none.
+    /// Bounds of each element of a vector action. Empty for other actions.
     bounds: Vec<(f64, f64)>,
     buffers: Buffers,
 }
@@ -49,8 +49,8 @@ impl std::fmt::Debug for ExternalPolicy {
 }
 
 impl ExternalPolicy {
-    /// Connect to the server at `url`, or load the file `url`, in one attempt. Checks the policy's description of
-    /// itself against the profile.
+    /// Connect to the server at `url`, or load the file `url`, in one attempt. Checks the metadata of the policy
+    /// against the profile.
     pub fn connect(url: &str, profile: Arc<Profile>) -> Result<Self, PolicyError> {
         let connection = connection::connect(url, &profile)?;
         let declared = connection.declared().clone();
@@ -69,7 +69,7 @@ impl ExternalPolicy {
         })
     }
 
-    /// What the policy reports about itself.
+    /// The metadata that the policy reports.
     pub fn declared(&self) -> &Json {
         &self.declared
     }
@@ -102,7 +102,7 @@ impl ExternalPolicy {
             let connection = connection::connect(&self.url, &self.profile)?;
             if *connection.declared() != self.declared {
                 return Err(PolicyError::Mismatch(format!(
-                    "after a reconnect the policy reports {} about itself; before it reported {}",
+                    "the policy's metadata changed after a reconnect: now {}, before {}",
                     connection.declared(),
                     self.declared
                 )));
@@ -162,7 +162,7 @@ impl Policy for ExternalPolicy {
         let raw = self.queue.pop_front().unwrap_or_default();
         let mut action = self.profile.action.action(&raw, observation.joint_positions())?;
         if let Command::Vector(numbers) = &mut action.command {
-            // Networks overshoot a little; the task would reject such an action.
+            // Networks overshoot the bounds slightly, and the task would reject such an action.
             numbers.iter_mut().zip(&self.bounds).for_each(|(n, (low, high))| *n = n.clamp(*low, *high));
         }
         Ok(action)

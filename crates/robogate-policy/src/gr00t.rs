@@ -1,8 +1,8 @@
 //! NVIDIA's Isaac GR00T servers over ZeroMQ: msgpack that contains `.npy` files.
 //!
-//! N1.6 takes observations in one of two layouts: nested, or flat with its simulation wrapper. Only a request shows which
-//! one a server takes. N1.5 takes the flat layout without a batch axis. Both report the names of their images, vectors
-//! and actions.
+//! N1.6 accepts observations in one of two layouts: nested, or flat with its simulation wrapper. Only a request shows
+//! which one. N1.5 accepts the flat layout without a batch axis. Both report the names of their images, vectors and
+//! actions.
 
 use std::collections::BTreeSet;
 
@@ -201,7 +201,7 @@ fn decode_reply<'a>(endpoint: &'static str, body: &'a [u8]) -> Result<ValueRef<'
     }
 }
 
-/// Decode the actions of a reply. N1.6 sends an array of actions and information, N1.5 the actions alone.
+/// Decode the actions of a reply. N1.6 sends an array of actions and information, N1.5 only the actions.
 fn decode_actions(reply: &ValueRef<'_>, keys: &[String]) -> Result<Chunk, PolicyError> {
     const WHAT: &str = "reply to get_action";
     let map = match reply {
@@ -374,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn the_configuration_is_compared_with_the_profile() {
+    fn configurations_are_compared_with_the_profile() {
         let capture = Capture::read("gr00t_n16/libero_panda_nested", "01_get_modality_config.rep.bin");
         let declared = super::declared(&capture.msgpack()).unwrap();
         let mut profile = Profile::from_toml(Profile::built_in("gr00t-n1.6-libero").unwrap()).unwrap();

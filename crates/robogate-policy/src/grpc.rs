@@ -1,4 +1,4 @@
-//! A minimal gRPC client over HTTP/2 without TLS, for methods whose messages have fields of bytes only.
+//! A minimal gRPC client over HTTP/2 without TLS, for messages whose fields are bytes.
 
 use std::time::Duration;
 
@@ -20,7 +20,7 @@ pub(crate) struct Channel {
     address: String,
 }
 
-/// The `host:port` of the address of a gRPC server.
+/// Extract `host:port` from the address of a gRPC server.
 fn parse(url: &str) -> Result<String, PolicyError> {
     let wrong = |why: &str| PolicyError::Address { url: url.to_owned(), why: why.to_owned() };
     let rest = url.strip_prefix("grpc://").ok_or_else(|| wrong("expected grpc://HOST:PORT"))?;
@@ -59,7 +59,7 @@ impl Channel {
         Ok(Self { runtime, requests, address })
     }
 
-    /// Call a method with one message, or several for a method that takes a stream. Returns the message of the reply.
+    /// Call a method with one message, or with several if the method takes a stream. Returns the reply.
     pub(crate) fn call(
         &mut self,
         method: &'static str,
@@ -137,7 +137,7 @@ fn status(headers: &HeaderMap) -> Result<(), PolicyError> {
     }
 }
 
-/// The only message of a body.
+/// Extract the only message of a body.
 pub(crate) fn message(body: &[u8]) -> Result<&[u8], PolicyError> {
     let wrong = |why: &str| PolicyError::invalid_reply("gRPC reply", why);
     let (prefix, message) = body.split_at_checked(5).ok_or_else(|| wrong("no message"))?;
@@ -151,7 +151,7 @@ pub(crate) fn message(body: &[u8]) -> Result<&[u8], PolicyError> {
     Ok(message)
 }
 
-/// Encode a field of bytes of a protobuf message.
+/// Encode a bytes field of a protobuf message.
 pub(crate) fn bytes_field(number: u8, bytes: &[u8]) -> Vec<u8> {
     let mut field = vec![number << 3 | 2];
     let mut length = bytes.len();
@@ -164,7 +164,7 @@ pub(crate) fn bytes_field(number: u8, bytes: &[u8]) -> Vec<u8> {
     field
 }
 
-/// The last field of bytes with this number in a protobuf message; empty if there is none, as protobuf defines.
+/// The last bytes field with this number in a protobuf message. Empty if there is none, as protobuf defines.
 pub(crate) fn read_bytes_field(mut message: &[u8], number: u64) -> Result<&[u8], PolicyError> {
     let wrong =
         || PolicyError::invalid_reply("protobuf message", "it is truncated, or has fields of an unsupported type");

@@ -1,4 +1,4 @@
-//! HTTP/1.1 without TLS, with deadlines and a limit on the size of replies.
+//! An HTTP/1.1 client without TLS, with deadlines and a size limit on replies.
 
 use super::deadline::Deadline;
 use super::error::PolicyError;
@@ -19,7 +19,7 @@ pub(crate) struct Reply {
 }
 
 impl Http {
-    /// The server at `http://host:port`.
+    /// Create a client for the server at `http://host:port`.
     pub(crate) fn new(url: &str) -> Result<Self, PolicyError> {
         let wrong = |why: &str| PolicyError::Address { url: url.to_owned(), why: why.to_owned() };
         let rest = url.strip_prefix("http://").ok_or_else(|| wrong("expected http://HOST:PORT"))?;

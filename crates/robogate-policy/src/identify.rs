@@ -1,14 +1,14 @@
-//! Finds out which kind of server listens on an address.
+//! Identifies the kind of server at an address.
 
 use std::io::{Read, Write};
 
 use super::deadline::{Deadline, TimedStream};
 use super::profile::Dialect;
 
-/// Time limit of a probe, in seconds.
+/// Timeout of a probe, in seconds.
 const PROBE_S: f64 = 1.0;
 
-/// A description of the server on an address, if it is known and does not have the expected dialect.
+/// Describes the server at an address, if it can be identified and does not have the expected dialect.
 pub(crate) fn describe(url: &str, expected: &Dialect) -> Option<String> {
     let address = url.split_once("://")?.1.split('/').next()?;
     let (found, dialects) = probe(address)?;
@@ -65,7 +65,7 @@ fn receive(address: &str, request: Option<&[u8]>) -> Vec<u8> {
     if let Ok(mut stream) = TimedStream::connect(address, address, Deadline::within(PROBE_S))
         && stream.write_all(request.unwrap_or_default()).is_ok()
     {
-        // Until the server closes the connection, the time is over or the buffer is full.
+        // Until the server closes the connection, the time is up or the buffer is full.
         while let Ok(n @ 1..) = stream.read(&mut received[length..]) {
             length += n;
             if request.is_none() {

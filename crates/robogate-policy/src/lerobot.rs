@@ -1,8 +1,8 @@
 //! LeRobot's asynchronous inference server: gRPC with Python pickles as payloads.
 //!
-//! The client tells the server which checkpoint to load. The state of the server is global: only one evaluator may use
-//! it. If its inference fails, it sends an empty reply and logs the cause. It executes the pickles that it gets, so that
-//! only trusted clients may reach it. This client executes none (see `pickle`).
+//! The client selects the checkpoint that the server loads. The state of the server is global, so only one client may
+//! use it. If its inference fails, it sends an empty reply and logs the cause. It executes the pickles that it
+//! receives, so only trusted clients may reach it. This client executes no pickles (see `pickle`).
 
 use serde_json::Value as Json;
 
@@ -25,7 +25,7 @@ pub(crate) struct LeRobotServer {
     channel: Channel,
     settings: LeRobot,
     chunk: usize,
-    /// Whether the settings were sent.
+    /// Whether the policy setup was sent.
     configured: bool,
     /// Number of observations sent. The server accepts each number only once.
     sent: u64,
@@ -46,7 +46,7 @@ impl LeRobotServer {
 
 impl Connection for LeRobotServer {
     fn begin(&mut self, _: &str, _: u64, deadline: Deadline) -> Result<(), PolicyError> {
-        // The server drops pending observations and forgets their numbers.
+        // The server drops pending observations and resets their numbers.
         self.channel.call("/transport.AsyncInference/Ready", &[Vec::new()], deadline).map(drop)
     }
 
@@ -84,7 +84,7 @@ fn split(payload: &[u8]) -> Vec<Vec<u8>> {
     payload.chunks(PART).enumerate().map(part).collect()
 }
 
-/// The name of each number of the state: the key, with an index if the array has several.
+/// The name of each element of the state: the key, with an index if the array has several elements.
 fn names(states: &[(String, Array)]) -> Vec<(String, f64)> {
     let each = |(key, array): &(String, Array)| {
         let numbers = array.numbers();
@@ -95,7 +95,7 @@ fn names(states: &[(String, Array)]) -> Vec<(String, f64)> {
     states.iter().flat_map(each).collect()
 }
 
-/// Encode which policy the server has to load, and the features of the observations.
+/// Encode the policy setup: the checkpoint to load, and the features of the observations.
 fn encode_setup(settings: &LeRobot, chunk: usize, query: &Query) -> Vec<u8> {
     fn feature(w: &mut Writer, kind: &str, shape: &[usize], names: &[&str]) {
         w.dict(|w| {
@@ -142,7 +142,7 @@ fn encode_observation(query: &Query, time_s: f64, number: i32) -> Vec<u8> {
                 w.text(&name).float(n);
             }
             for (key, array) in &query.images {
-                // Uses public functions, because NumPy's own pickles name a private module that moved in version 2.
+                // Uses public functions, because NumPy's own pickles refer to a private module that moved in version 2.
                 w.text(key).call("numpy", "reshape", |w| {
                     w.call("numpy", "frombuffer", |w| {
                         w.bytes(array.data()).text(array.dtype().name());
@@ -195,8 +195,8 @@ fn tensor(value: &Value) -> Result<Vec<f64>, String> {
     storage_part(file, offset, size)
 }
 
-/// A range of a storage in torch's legacy format: three pickles that are skipped, a pickle that describes the storage, a
-/// pickle of its keys, the number of elements, and the elements.
+/// A range of a storage in torch's legacy format: three pickles that are skipped, a pickle that describes the storage,
+/// a pickle of its keys, the number of elements, and the elements.
 fn storage_part(file: &[u8], offset: usize, size: usize) -> Result<Vec<f64>, String> {
     let mut rest = file;
     for _ in 0..3 {

@@ -1,6 +1,6 @@
-//! External policies: models behind their own inference servers, and networks in ONNX files.
+//! External policies: models behind inference servers, and networks in ONNX files.
 //!
-//! A [`Profile`] describes which observations a model takes and what its actions mean. A dialect, one module each,
+//! A [`Profile`] maps the observations and actions of a model to those of the task. A dialect, one module each,
 //! implements the wire format of a server. [`ExternalPolicy`] combines both as a [`Policy`](robogate_core::Policy).
 //! Each failure of the connection or the server is a [`PolicyError`]. It becomes a fault of the episode, and never a
 //! failure of the policy.

@@ -5,10 +5,10 @@ use rmpv::ValueRef;
 use super::array::{Array, Dtype};
 use super::error::PolicyError;
 
-/// Most levels of nesting in a reply. Real ones have four.
+/// Maximum nesting depth of a reply. Real ones have four levels.
 const MAX_DEPTH: usize = 32;
 
-/// Type of the keys of an array's map.
+/// Type of the keys of an encoded array.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Keys {
     /// Bytes: openpi and RoboArena. With string keys their servers do not recognise the array.

@@ -1,10 +1,10 @@
-//! Arrays as `.npy` files in memory (NumPy format 1.0 to 3.0), as GR00T servers send them.
+//! In-memory `.npy` files (NumPy format 1.0 to 3.0), as GR00T servers send them.
 
 use super::array::{Array, Dtype};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 
-/// The file that `numpy.save` writes for an array with `ones` additional leading axes of size 1.
+/// Write the file that `numpy.save` writes for an array with `ones` additional leading axes of size 1.
 pub(crate) fn write(array: &Array, ones: usize) -> Vec<u8> {
     let axes = std::iter::repeat_n(&1, ones).chain(array.shape());
     let axes: Vec<String> = axes.map(ToString::to_string).collect();
@@ -13,7 +13,7 @@ pub(crate) fn write(array: &Array, ones: usize) -> Vec<u8> {
         many => format!("({})", many.join(", ")),
     };
     let header = format!("{{'descr': '{}', 'fortran_order': False, 'shape': {shape}, }}", array.dtype().name());
-    // NumPy leaves room for the first axis to grow and rounds up to 64 bytes: 128 in total for arrays with few axes.
+    // NumPy reserves space for the first axis to grow and rounds up to 64 bytes: 128 in total for arrays with few axes.
     let room = (MAGIC.len() + 4 + header.len() + 1).next_multiple_of(64).max(128) - MAGIC.len() - 4;
     let mut bytes = Vec::with_capacity(MAGIC.len() + 4 + room + array.data().len());
     bytes.extend_from_slice(MAGIC);
@@ -45,7 +45,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Array, String> {
     Array::new(dtype, shape, data.to_vec()).map_err(|e| e.to_string())
 }
 
-/// Type, order and shape from a header: a Python dictionary with these three keys, in any order.
+/// Parse type, order and shape from a header: a Python dictionary with these three keys, in any order.
 fn parse(header: &str) -> Option<(&str, bool, Vec<usize>)> {
     let mut rest = header.trim().strip_prefix('{')?.strip_suffix('}')?.trim();
     let (mut dtype, mut fortran, mut shape) = (None, None, None);

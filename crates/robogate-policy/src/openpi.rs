@@ -27,7 +27,7 @@ impl Openpi {
         let metadata = match socket.receive("the metadata of the server", deadline) {
             Ok(Reply::Bytes(bytes)) => metadata(&bytes)?,
             Ok(Reply::Text(text)) => return Err(PolicyError::reported(&text)),
-            // An openpi server sends them immediately.
+            // An openpi server sends its metadata immediately.
             Err(PolicyError::Timeout { .. }) => {
                 return Err(PolicyError::WrongDialect {
                     expected: "openpi",
@@ -112,7 +112,7 @@ mod tests {
     fn captured_replies_are_decoded() {
         let libero = decode(&Capture::read(FOLDER, "s2c_01_action_libero_10x7_f64.bin").bytes).unwrap();
         assert_eq!((libero.rows().len(), libero.rows()[0].len()), (10, 7));
-        // The stub model of the captured server counts in hundredths.
+        // The model stub of the captured server returns multiples of 0.01.
         assert_eq!(libero.rows()[0][..3], [0.0, 0.01, 0.02]);
         let droid = decode(&Capture::read(FOLDER, "s2c_03_action_droid_10x8.bin").bytes).unwrap();
         assert_eq!((droid.rows().len(), droid.rows()[0].len()), (10, 8));

@@ -2,11 +2,11 @@
 //!
 //! A pickle is a program. This reader does not execute it: classes and functions stay names, and calls stay lists of
 //! arguments. Any instruction that a LeRobot server does not use is an error. The size of the pickle limits the memory:
-//! lengths are checked against the bytes that are left, and a value that is referenced twice is stored once.
+//! lengths are checked against the remaining bytes, and a value that is referenced twice is stored once.
 
 use std::rc::Rc;
 
-/// A value of a pickle.
+/// A value in a pickle.
 #[derive(Debug, Clone)]
 pub(crate) enum Value {
     /// None, or a value that actions do not need: a boolean, a float, a long integer.
@@ -25,12 +25,12 @@ pub(crate) enum Value {
     External(Rc<Value>),
 }
 
-/// Most values of a pickle. A chunk of a thousand actions has about thirty for each action.
+/// Maximum number of values in a pickle. A chunk of a thousand actions has about thirty per action.
 const MAX_VALUES: usize = 200_000;
-/// Most levels of nesting. Dropping a value uses a stack frame for each level.
+/// Maximum nesting depth. Dropping a value uses a stack frame for each level.
 const MAX_DEPTH: u32 = 64;
 
-/// A value and its depth.
+/// A value with its depth.
 type Deep = (Value, u32);
 
 struct Machine<'a> {
@@ -50,7 +50,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Value, &[u8]), String> {
 }
 
 impl<'a> Machine<'a> {
-    /// Execute one instruction. Returns whether it was the last one.
+    /// Process one instruction. Returns whether it was the last one.
     fn step(&mut self) -> Result<bool, String> {
         let opcode = self.take(1)?[0];
         match opcode {
@@ -242,7 +242,7 @@ impl<'a> Machine<'a> {
         let (top, mut depth) = self.pop()?;
         depth = items.iter().map(|(_, d)| d + 1).fold(depth, u32::max);
         self.count += items.len();
-        // A memoised list is copied before it grows, and the copy counts.
+        // A memoised list is copied before it is extended, and the copy counts.
         self.count += match &top {
             Value::List(list) | Value::Dict(list) if Rc::strong_count(list) > 1 => list.len(),
             _ => 0,
@@ -264,8 +264,9 @@ impl<'a> Machine<'a> {
 
     fn memoize(&mut self, at: usize) -> Result<(), String> {
         let top = self.stack.last().cloned().ok_or("the stack is empty")?;
-        // Python numbers the entries in order. A list or dictionary is memoised while it is empty and filled later, which
-        // the memo does not see. A LeRobot server never refers to such an entry again; `get_memo` rejects it.
+        // Python numbers the entries in order. A list or dictionary is memoised while it is empty and filled later,
+        // which the memo does not contain. A LeRobot server never refers to such an entry again, and `get_memo` rejects
+        // it.
         if at > self.memo.len() {
             return Err("a memo entry is out of order".to_owned());
         }
@@ -392,7 +393,7 @@ impl Writer {
         self.between(b"}(", content, b'u')
     }
 
-    /// A call, which the server executes.
+    /// A call. The server executes it.
     pub(crate) fn call(&mut self, module: &str, name: &str, arguments: impl FnOnce(&mut Self)) -> &mut Self {
         self.bytes.extend(format!("c{module}\n{name}\n").into_bytes());
         self.tuple(arguments);
@@ -406,7 +407,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_hostile_pickle_is_not_executed() {
+    fn hostile_pickles_are_not_executed() {
         // `pickle.dumps` of an object whose __reduce__ returns (os.system, ("touch robogate-was-here",)).
         let hostile = b"\x80\x04\x95\x36\x00\x00\x00\x00\x00\x00\x00\x8c\x05posix\x94\x8c\x06system\x94\x93\x94\x8c\x17touch robogate-was-here\x94\x85\x94R\x94.";
         let (value, rest) = read(hostile).unwrap();
@@ -425,7 +426,7 @@ mod tests {
 
     #[test]
     fn references_do_not_copy() {
-        // Each tuple holds the previous one twice: copying would make 2^59 leaves.
+        // Each tuple contains the previous one twice, so copying would create 2^59 leaves.
         let mut bytes = b"\x80\x04]\x94K\x01a".to_vec();
         bytes.extend(b"\x94");
         for i in 1..60_u8 {

@@ -1,4 +1,4 @@
-//! Images as models were trained on them: rotated, cropped, resized, padded.
+//! Image preprocessing, as in the training of models: rotation, crop, resize, padding.
 
 use robogate_core::Image;
 
@@ -25,7 +25,7 @@ impl Picture {
             return None;
         }
         let original = View { width: *width, height: *height, rgb };
-        // The official clients rotate first.
+        // The official clients rotate first, too.
         let rotated = camera.turned.then(|| original.rotated(buffers));
         let upright = rotated.as_ref().map_or(original, Self::view);
         let cropped = (camera.crop < 1.0).then(|| upright.cropped(camera.crop, buffers));
@@ -42,7 +42,7 @@ impl Picture {
         View { width: self.width, height: self.height, rgb: &self.rgb }
     }
 
-    /// The colour planes one after the other.
+    /// The colour planes one after the other (channel, height, width).
     pub(crate) fn planes(&self, buffers: &mut Buffers) -> Vec<u8> {
         let (pixels, _) = self.rgb.as_chunks::<3>();
         let mut planes = buffers.take();
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn resizing_equals_that_of_pillow() {
+    fn resizing_matches_pillow() {
         let expected: Vec<(usize, usize, &str, u64)> = include_str!("../tests/pillow.txt")
             .lines()
             .filter(|line| !line.starts_with('#'))
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn rotating_reverses_the_pixels() {
+    fn rotation_reverses_pixels() {
         let original = picture();
         let rotated = original.view().rotated(&mut Buffers::default());
         assert_eq!(rotated.rgb[..3], original.rgb[original.rgb.len() - 3..]);
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crop_keeps_the_centre() {
+    fn crops_keep_the_centre() {
         let cropped = picture().view().cropped(0.5, &mut Buffers::default());
         assert_eq!((cropped.width, cropped.height), (7, 5));
         let original = picture();

@@ -1,4 +1,4 @@
-//! Converts observations into queries to a model, as its profile says.
+//! Converts observations to queries of a model, according to its profile.
 
 use robogate_core::{Observation, Pose, Word, vectors};
 
@@ -16,7 +16,7 @@ pub struct Query {
     pub images: Vec<(String, Array)>,
     /// Vectors by name.
     pub states: Vec<(String, Array)>,
-    /// The task, in words.
+    /// The instruction.
     pub instruction: String,
     /// Index of the query in the episode, from 0.
     pub step: u64,
@@ -25,7 +25,7 @@ pub struct Query {
 }
 
 impl Query {
-    /// The query of a model for an observation.
+    /// Create the query for an observation.
     pub fn new(
         profile: &Profile,
         observation: &Observation,
@@ -92,13 +92,13 @@ impl Query {
         Ok(Self { images, states, instruction, step, time_s: observation.time_s })
     }
 
-    /// Return the buffers of the images.
+    /// Return the buffers of the images to the pool.
     pub(crate) fn recycle(self, buffers: &mut Buffers) {
         self.images.into_iter().for_each(|(_, array)| buffers.recycle(array.into_data()));
     }
 }
 
-/// A vector of the observation.
+/// Find a vector of the observation.
 fn vector(observation: &Observation, name: Word) -> Result<&[f64], PolicyError> {
     observation.vector(name.as_str()).ok_or_else(|| missing(name))
 }
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn states_have_parts_in_the_order_of_the_profile() {
+    fn states_follow_the_profile() {
         let parts = [
             "tool_position",
             "tool_yaw",
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn images_have_the_axes_of_the_profile() {
+    fn image_axes_follow_the_profile() {
         let small = |text: String| {
             text.replace("224", "2")
                 .replace("key = \"observation/image\"", "axes = \"chw\"\nkey = \"observation/image\"")
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn an_image_of_the_wrong_size_is_an_error() {
+    fn wrong_image_sizes_are_errors() {
         let mut observation = observation();
         observation.images[0].rgb.pop();
         let error = Query::new(&profile(|text| text), &observation, "go", 0).unwrap_err().to_string();

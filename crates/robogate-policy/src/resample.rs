@@ -1,16 +1,16 @@
-//! Resampling of images, bit for bit as in Pillow: two passes in fixed point, with a wider filter for downsampling.
+//! Image resampling with the same bytes as Pillow: two passes in fixed point, with a wider filter for downsampling.
 
 use super::picture::View;
 use super::profile::Filter;
 
 /// Fractional bits of a weight. They leave 8 bits for the colour and 2 for overshoot.
 const PRECISION: u32 = 32 - 8 - 2;
-/// One half, for rounding.
+/// One half in fixed point, for rounding.
 const HALF: i32 = 1 << (PRECISION - 1);
 
-/// How each pixel of a resampled row or column follows from `count` neighbours.
+/// The neighbours and weights of each pixel of a resampled row or column.
 ///
-/// In Pillow the number of neighbours differs from pixel to pixel. Here all pixels have the largest number, with some
+/// In Pillow the number of neighbours differs between pixels. Here all pixels have the largest number, with some
 /// weights of zero, because a loop of constant length is twice as fast.
 #[derive(Debug)]
 pub(crate) struct Taps {
@@ -33,7 +33,7 @@ impl Taps {
         let support = support * widening;
         let met = |x: usize| {
             let centre = (x as f64 + 0.5) * scale;
-            // Truncation towards zero below zero is what a clamp at zero gives.
+            // Truncation towards zero of a negative number equals a clamp at zero.
             let first = (centre - support + 0.5).max(0.0) as usize;
             let last = ((centre + support + 0.5) as usize).min(from);
             (centre, first, last)
@@ -75,8 +75,8 @@ impl Taps {
         });
     }
 
-    /// Resample two rows at a time. A colour times a weight has 31 bits with its sign, so that one 64-bit multiplication
-    /// computes two products.
+    /// Resample two rows at a time. A colour times a weight has 31 bits including its sign, so one 64-bit
+    /// multiplication computes two products.
     fn pairs(&self, picture: View<'_>, out: &mut Vec<u8>, blend: impl Fn(&[[u64; 3]], &[i32]) -> [u64; 3]) {
         let (from, to) = (3 * picture.width, 3 * self.firsts.len());
         out.resize(to * picture.height, 0);
@@ -85,7 +85,7 @@ impl Taps {
         for (rows, outs) in picture.rgb.chunks(2 * from).zip(out.chunks_mut(2 * to)) {
             let (upper, lower) = rows.split_at(from);
             let (upper_out, lower_out) = outs.split_at_mut(to);
-            // With an odd number of rows the last one has no partner.
+            // With an odd number of rows, the last row is processed alone.
             let (lower, lower_out) = if lower.is_empty() { (upper, &mut *discarded) } else { (lower, lower_out) };
             let pixels = upper.as_chunks::<3>().0.iter().zip(lower.as_chunks::<3>().0);
             for (both, (upper, lower)) in both.iter_mut().zip(pixels) {
@@ -116,8 +116,8 @@ impl Taps {
     }
 }
 
-/// Start value of each 32-bit sum: one half for rounding, and an offset so that a negative sum does not borrow from its
-/// neighbour.
+/// Initial value of each 32-bit sum: one half for rounding, and an offset, so that a negative sum does not borrow from
+/// its neighbour.
 const START: u64 = HALF as u64 + ((BELOW as u64) << PRECISION);
 /// Offset of the sums, in colour values. It allows for overshoot below 0 and above 255.
 const BELOW: usize = 256;

@@ -1,5 +1,5 @@
-//! Servers that take JSON with arrays at `/act`: OpenVLA, OpenVLA-OFT, GR00T N1.5 over HTTP, and the `/act`, `/reset`,
-//! `/health` convention of servers for Octo.
+//! HTTP servers that accept JSON with arrays at `/act`: OpenVLA, OpenVLA-OFT, GR00T N1.5 over HTTP, and servers for
+//! Octo with the `/act`, `/reset`, `/health` convention.
 
 use serde_json::Value as Json;
 
@@ -20,9 +20,9 @@ pub(crate) enum Api {
     },
     /// OpenVLA-OFT's `vla-scripts/deploy.py`: images, vectors and instruction in one map; a list of actions.
     OpenVlaOft,
-    /// AutoEval's servers: as OpenVLA's, with `/reset` and `/health`.
+    /// AutoEval's servers: the format of OpenVLA, with `/reset` and `/health`.
     Rest {
-        /// Training set whose statistics scale the actions, for servers that take it.
+        /// Training set whose statistics scale the actions, for servers that need it.
         unnorm_key: Option<String>,
     },
     /// GR00T N1.5's `scripts/inference_service.py --http-server`: an observation with flat keys; a map of arrays.
@@ -45,7 +45,7 @@ pub(crate) struct RestServer {
 impl RestServer {
     pub(crate) fn connect(url: &str, api: Api, deadline: Deadline) -> Result<Self, PolicyError> {
         let http = Http::new(url)?;
-        // OpenVLA's server has no /health. FastAPI's description of its paths identifies it.
+        // OpenVLA's server has no /health. The OpenAPI description of FastAPI identifies it.
         let declared = match api {
             Api::Rest { .. } | Api::Gr00tN15 { .. } => {
                 let reply = http.get("/health", deadline)?;
@@ -218,13 +218,13 @@ mod tests {
     #[test]
     fn requests_equal_captured_ones() {
         let image = vec![("image".to_owned(), picture(0..))];
-        let asked = encode(&query(image, vec![], "Pick up the block"), &openvla());
-        assert_eq!(asked.as_bytes(), Capture::read("openvla", "ok.req.body").bytes);
+        let request = encode(&query(image, vec![], "Pick up the block"), &openvla());
+        assert_eq!(request.as_bytes(), Capture::read("openvla", "ok.req.body").bytes);
         let black = || picture(std::iter::repeat(0));
         let images = vec![("full_image".to_owned(), black()), ("wrist_image".to_owned(), black())];
         let state = vec![("state".to_owned(), Array::vector(&[0.0; 8], Dtype::F64))];
-        let asked = encode(&query(images, state, "pick up"), &Api::OpenVlaOft);
-        assert_eq!(asked.as_bytes(), Capture::read("openvla_oft", "ok.req.json").bytes);
+        let request = encode(&query(images, state, "pick up"), &Api::OpenVlaOft);
+        assert_eq!(request.as_bytes(), Capture::read("openvla_oft", "ok.req.json").bytes);
         let capture = Capture::read("gr00t_n15", "http_ok.req.json");
         let captured: Json = serde_json::from_slice(&capture.bytes).unwrap();
         let arrays = |prefix: &str, names: &[&str]| {

@@ -1,5 +1,5 @@
-//! RoboArena's WebSocket server: the encoding of openpi, with a description of the server on connection, an `endpoint` in
-//! each request and a session for each episode. A text message is not always an error: the reply to `reset` is one.
+//! RoboArena's WebSocket server: the encoding of openpi, with server metadata on connection, an `endpoint` in each
+//! request and a session for each episode. A text message is not always an error: the reply to `reset` is a text.
 
 use rmpv::ValueRef;
 use serde_json::Value as Json;
@@ -24,7 +24,7 @@ pub(crate) struct RoboArena {
 impl RoboArena {
     pub(crate) fn connect(url: &str, profile: &Profile, deadline: Deadline) -> Result<Self, PolicyError> {
         let socket = Socket::connect(url, deadline)?;
-        let declared = match socket.receive("the server's description of itself", deadline)? {
+        let declared = match socket.receive("the metadata of the server", deadline)? {
             Reply::Bytes(bytes) => openpi::metadata(&bytes)?,
             Reply::Text(text) => return Err(PolicyError::reported(&text)),
         };
@@ -67,7 +67,7 @@ fn reset(session: &str) -> ValueRef<'_> {
     msgpack::map([("session_id", session.into()), ("endpoint", "reset".into())])
 }
 
-/// Check the server's description of itself against the profile.
+/// Check the server's metadata against the profile.
 fn compare(declared: &Json, profile: &Profile) -> Result<(), PolicyError> {
     let mismatch = |text: String| Err(PolicyError::Mismatch(text));
     let Some(space) = declared.get("action_space").and_then(Json::as_str) else {
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn the_description_is_compared_with_the_profile() {
+    fn metadata_are_compared_with_the_profile() {
         let declared = openpi::metadata(&Capture::read(FOLDER, "s2c_00_config_metadata.bin").bytes).unwrap();
         let mut profile = Profile::from_toml(Profile::built_in("droid-roboarena").unwrap()).unwrap();
         compare(&declared, &profile).unwrap();

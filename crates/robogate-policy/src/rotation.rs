@@ -1,4 +1,4 @@
-//! Representations of rotations that models use. Quaternions are (w, x, y, z), angles in radians.
+//! Rotation representations of models. Quaternions are (w, x, y, z), angles in radians.
 
 use robogate_core::Pose;
 
@@ -50,7 +50,7 @@ pub(crate) fn product(a: Quaternion, b: Quaternion) -> Quaternion {
     ]
 }
 
-/// The pose in the conventions of the model: with an offset, and with another tool frame (roll, pitch, yaw).
+/// The pose in the conventions of the model: with its position offset and tool frame (roll, pitch, yaw).
 pub(crate) fn model_pose(pose: &Pose, shift_m: [f64; 3], tool_frame: [f64; 3]) -> Pose {
     let mut position = pose.position;
     position.iter_mut().zip(shift_m).for_each(|(p, s)| *p += s);

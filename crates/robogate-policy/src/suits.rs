@@ -1,10 +1,10 @@
-//! Checks that a model can drive a task, as its profile says.
+//! Checks whether a task provides what a profile requires.
 
 use robogate_core::TaskSpec;
 
 use super::profile::{Arm, Profile};
 
-/// Check that the task has what the model requires. The error says what is missing.
+/// Check that the task provides what the profile requires. The error names what is missing.
 pub(crate) fn check(profile: &Profile, task: &TaskSpec) -> Result<(), String> {
     check_observation(profile, task)?;
     check_action(profile, task)

@@ -1,4 +1,4 @@
-//! Helpers for tests of dialects: captured bytes, and mutations of them.
+//! Test helpers for dialects: captured bytes, and mutations of them.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -59,7 +59,7 @@ pub(crate) fn fuzz(seeds: &[Vec<u8>], decode: impl Fn(&[u8])) {
                     0 => bytes.truncate(at),
                     1 => bytes.extend_from_slice(&seed[draw(seed.len())..]),
                     2 => bytes.insert(at, draw(256) as u8),
-                    // Lengths near the ends of their range.
+                    // Lengths near the limits of their integer types.
                     3 => bytes.splice(at..at, [0xff, 0xff, 0xff, 0x7f]).for_each(drop),
                     _ => {
                         if let Some(byte) = bytes.get_mut(at) {

@@ -103,7 +103,7 @@ impl Connection for VlaEval {
     }
 }
 
-/// Seconds since 1970, for the log of the server.
+/// Seconds since 1970. The server writes them to its log.
 fn now() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |t| t.as_secs_f64())
 }
@@ -113,7 +113,7 @@ fn message<'a>(kind: &'a str, payload: ValueRef<'a>, number: u64, timestamp: f64
     msgpack::map([("type", kind.into()), ("payload", payload), ("seq", number.into()), ("timestamp", timestamp.into())])
 }
 
-/// The payload of a request. Images are sent uncompressed. vla-eval's own client sends PNG; its server takes both.
+/// Encode the payload of a request. Images are sent uncompressed. vla-eval's client sends PNG; its server accepts both.
 fn observation(query: &Query) -> ValueRef<'_> {
     let arrays = |arrays| msgpack::arrays(arrays, Keys::Text);
     let images = ("images", msgpack::map(arrays(&query.images)));
@@ -121,7 +121,7 @@ fn observation(query: &Query) -> ValueRef<'_> {
     msgpack::map([images, task].into_iter().chain(arrays(&query.states)))
 }
 
-/// Decode the payload of a message of this kind. Returns `None` for the reply to a request before this number.
+/// Decode the payload of a message of this kind. Returns `None` for a reply to an earlier request.
 fn decode<T>(
     bytes: &[u8],
     number: u64,
@@ -257,10 +257,10 @@ mod tests {
         let capture = Capture::read(FOLDER, "c2s_05_obs_raw.bin");
         let theirs = capture.msgpack();
         let payload = captured(&theirs, "payload");
-        let mut asked = query(captured(payload, "images"), "pick up the black bowl");
-        asked.states = query(payload, "").states;
-        assert_eq!((asked.images.len(), asked.states.len()), (2, 1));
-        let ours = message("observation", observation(&asked), 6, timestamp(&theirs));
+        let mut request = query(captured(payload, "images"), "pick up the black bowl");
+        request.states = query(payload, "").states;
+        assert_eq!((request.images.len(), request.states.len()), (2, 1));
+        let ours = message("observation", observation(&request), 6, timestamp(&theirs));
         assert_eq!(msgpack::encode(&ours), capture.bytes);
         let capture = Capture::read(FOLDER, "c2s_10_episode_end.bin");
         let metrics = msgpack::map([("success", ValueRef::Boolean(true))]);
@@ -274,7 +274,7 @@ mod tests {
         let action = Capture::read(FOLDER, "s2c_01_action0.bin").bytes;
         let chunk = decode(&action, 3, "action", actions).unwrap().unwrap();
         assert_eq!((chunk.rows().len(), chunk.rows()[0].len()), (1, 7));
-        // It is the reply to number 3, too late for a client that waits for number 4.
+        // A reply to request 3 is too late for a client that waits for number 4.
         assert_eq!(decode(&action, 4, "action", actions).unwrap(), None);
         assert!(decode(&action, 2, "action", actions).is_err());
         let error = Capture::read(FOLDER, "s2c_07_error_observation_failed.bin").bytes;
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn the_description_is_compared_with_the_profile() {
+    fn descriptions_are_compared_with_the_profile() {
         let hello = Capture::read(FOLDER, "s2c_00_hello_reply.bin").bytes;
         let declared = decode(&hello, 1, "hello", |payload| Ok(msgpack::to_json(payload))).unwrap().unwrap();
         let good = Profile::from_toml(Profile::built_in("smolvla-vla-eval").unwrap()).unwrap();

@@ -16,11 +16,11 @@ use super::deadline::{Deadline, TimedStream};
 use super::error::PolicyError;
 use super::msgpack;
 
-/// Largest reply in bytes. Real ones, with a whole chunk for two arms, have tens of kilobytes.
+/// Size limit of a reply, in bytes. Real ones, with a whole chunk for two arms, have tens of kilobytes.
 pub(crate) const MAX_REPLY: usize = 8 << 20;
 /// Time between two polls of the keep-alive thread.
 const POLL: Duration = Duration::from_secs(1);
-/// Time limit of the closing handshake.
+/// Timeout of the closing handshake.
 const CLOSE: Duration = Duration::from_millis(200);
 
 /// A received message.
@@ -51,11 +51,11 @@ struct Stream {
     web: WebSocket<TimedStream>,
     /// Buffer for the next message, reused because touching new memory takes time.
     buffer: Vec<u8>,
-    /// Why the stream can no longer be used.
+    /// The reason why the stream can no longer be used.
     broken: Option<PolicyError>,
 }
 
-/// The `host:port` of the address of a WebSocket server.
+/// Extract `host:port` from the address of a WebSocket server.
 pub(crate) fn parse(url: &str) -> Result<String, PolicyError> {
     let wrong = |why: &str| PolicyError::Address { url: url.to_owned(), why: why.to_owned() };
     let rest = url.strip_prefix("ws://").ok_or_else(|| wrong("expected ws://HOST:PORT"))?;
@@ -121,13 +121,13 @@ impl Drop for Socket {
         *self.shared.stopped.lock().unwrap_or_else(PoisonError::into_inner) = true;
         self.shared.stop.notify_all();
         if let Some(thread) = self.keep_alive.take() {
-            // The thread does not panic. If it did, the connection would be closed all the same.
+            // The thread does not panic. If it did, the connection would be closed in the same way.
             let _ = thread.join();
         }
         let mut stream = self.shared.lock();
         if stream.broken.is_none() {
             stream.web.get_mut().deadline = Deadline::within(CLOSE.as_secs_f64());
-            // Errors do not matter: the connection is dropped next.
+            // Errors are ignored, because the connection is dropped next.
             let _ = stream.web.close(None).and_then(|()| stream.web.flush());
         }
     }
@@ -180,7 +180,7 @@ impl Stream {
         msgpack::encode_into(&mut bytes, message);
         let bytes = Bytes::from(bytes);
         let sent = self.web.send(Message::binary(bytes.clone())).map_err(|e| classify(e, operation, deadline));
-        // Clones share memory. The sent one is dropped by now, so that this one becomes a vector without a copy.
+        // Clones share memory. The sent one is dropped by now, so this one becomes a vector without a copy.
         self.buffer = bytes.into();
         self.broken = sent.as_ref().err().cloned();
         sent
@@ -201,13 +201,13 @@ impl Stream {
                     let reason = frame.map(|f| f.reason.to_string()).unwrap_or_default();
                     return Err(Error::Io(io::Error::new(io::ErrorKind::ConnectionAborted, reason)));
                 }
-                // Reading has queued the pong already.
+                // Reading has already queued the pong.
                 _ => self.web.flush()?,
             }
         }
     }
 
-    /// Answer pings that have arrived. Any other message breaks the connection.
+    /// Answer pings that have arrived. Any other message is an error.
     fn poll(&mut self) {
         if self.broken.is_some() || self.web.get_ref().stream.set_nonblocking(true).is_err() {
             return;

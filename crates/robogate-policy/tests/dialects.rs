@@ -1,4 +1,4 @@
-//! Conversations with GR00T, REST and LeRobot servers that answer with captured bytes.
+//! Tests with GR00T, REST and LeRobot servers that answer with captured bytes.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -29,7 +29,7 @@ fn unchanged(text: String) -> String {
     text
 }
 
-/// A REP socket whose replies depend on the endpoint and the bytes of a request.
+/// Starts a REP socket whose replies depend on the endpoint and the bytes of a request.
 fn zeromq(answer: impl Fn(&str, &[u8]) -> Vec<u8> + Send + 'static) -> String {
     let limits = Limits { frames: 4, frame_bytes: 1 << 20, message_bytes: 1 << 20 };
     let replier = Replier::bind(&"tcp://127.0.0.1:0".parse().unwrap(), limits).unwrap();
@@ -44,13 +44,13 @@ fn zeromq(answer: impl Fn(&str, &[u8]) -> Vec<u8> + Send + 'static) -> String {
 }
 
 #[test]
-fn the_layout_of_a_gr00t_server_is_found() {
+fn gr00t_layout_is_detected() {
     let url = zeromq(|endpoint, request| {
         let file = match endpoint {
             "ping" => "00_ping.rep.bin",
             "get_modality_config" => "01_get_modality_config.rep.bin",
             "reset" => "02_reset.rep.bin",
-            // The simulation wrapper takes flat keys and rejects nested ones.
+            // The simulation wrapper accepts flat keys and rejects nested ones.
             _ if request.windows(11).any(|bytes| bytes == b"video.image") => "03_get_action.rep.bin",
             _ => "06_err_other_layout.rep.bin",
         };
@@ -66,7 +66,7 @@ fn the_layout_of_a_gr00t_server_is_found() {
     }
 }
 
-/// An HTTP server with one reply for each path. Records the requested paths.
+/// An HTTP server with one reply for each path. It records the requested paths.
 fn http(answer: impl Fn(&str) -> (u16, Vec<u8>) + Send + 'static) -> (String, Arc<Mutex<Vec<String>>>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}", listener.local_addr().unwrap());
@@ -112,7 +112,7 @@ fn serve(
 }
 
 #[test]
-fn an_octo_server_is_reset_before_each_episode() {
+fn octo_servers_are_reset_each_episode() {
     let (url, paths) = http(|path| match path {
         "/health" => (200, br#"{"status":"healthy"}"#.to_vec()),
         "/reset" => (200, br#"{"status":"reset successful"}"#.to_vec()),
@@ -122,7 +122,7 @@ fn an_octo_server_is_reset_before_each_episode() {
     for _ in 0..2 {
         begin(&mut policy, "pick up the box").unwrap();
         for _ in 0..2 {
-            // The captured gripper is 0.996: open.
+            // The captured gripper value is 0.996: open.
             assert_eq!(policy.act(&observation(256)).unwrap().gripper, Some(Action::OPEN));
         }
     }
@@ -131,7 +131,7 @@ fn an_octo_server_is_reset_before_each_episode() {
 }
 
 #[test]
-fn an_openvla_error_with_status_200_is_a_fault() {
+fn openvla_errors_with_status_200_are_faults() {
     let (url, _) = http(|path| match path {
         "/openapi.json" => (200, br#"{"paths":{"/act":{}}}"#.to_vec()),
         _ => (200, br#""error""#.to_vec()),
@@ -142,7 +142,7 @@ fn an_openvla_error_with_status_200_is_a_fault() {
     assert!(fault.detail.starts_with("policy error: "), "{}", fault.detail);
 }
 
-/// A gRPC server with LeRobot's four methods. It answers GetActions with this pickle.
+/// Starts a gRPC server with LeRobot's four methods. It answers GetActions with this pickle.
 fn grpc(actions: Vec<u8>) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("grpc://{}", listener.local_addr().unwrap());
@@ -193,7 +193,7 @@ fn five(text: String) -> String {
 }
 
 #[test]
-fn a_lerobot_episode_executes_tensors() {
+fn lerobot_episodes_execute_tensors() {
     let mut policy = policy(&grpc(captured("lerobot/actions.pickle")), "smolvla", five);
     begin(&mut policy, "pick up the black bowl").unwrap();
     let Command::ToolDelta { translation_m, .. } = policy.act(&observation(256)).unwrap().command else { panic!() };
@@ -201,7 +201,7 @@ fn a_lerobot_episode_executes_tensors() {
 }
 
 #[test]
-fn a_hostile_pickle_is_a_fault() {
+fn hostile_pickles_are_faults() {
     // `pickle.dumps` of an object whose __reduce__ calls os.system.
     let hostile = b"\x80\x04\x95\x2d\x00\x00\x00\x00\x00\x00\x00\x8c\x05posix\x94\x8c\x06system\x94\x93\x94\x8c\x12touch hostile-here\x94\x85\x94R\x94.";
     for (actions, start) in

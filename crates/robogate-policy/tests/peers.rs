@@ -1,7 +1,7 @@
-//! Policies behind servers with upstream code: openpi-client's codec and image tools, vla-eval's model server.
+//! Tests against upstream code: openpi-client's codec and image tools, and vla-eval's model server.
 //!
-//! `ROBOGATE_POLICY_PYTHON` is the path of a Python interpreter with `tests/requirements.txt`; `scripts/test.sh` makes
-//! one. Without it these tests are skipped.
+//! `ROBOGATE_POLICY_PYTHON` is the path of a Python interpreter with `tests/requirements.txt`, which `scripts/test.sh`
+//! creates. Without it these tests are skipped.
 
 mod support;
 
@@ -15,7 +15,7 @@ use robogate_core::{Command as Motion, Policy};
 use robogate_policy::{ExternalPolicy, Profile};
 use support::{begin, observation};
 
-/// A process that ends with the test.
+/// A process that is stopped at the end of the test.
 struct Peer {
     child: Child,
     url: String,
@@ -67,9 +67,9 @@ fn openpi_code_agrees() {
             panic!("expected a tool delta");
         };
         near(translation_m, ECHOED.0);
-        // The rotation vector has the angle pi. It is clipped to 1 before scaling.
+        // The rotation vector has the angle pi and is clipped to 1 before scaling.
         near(rotation_rad, ECHOED.1);
-        // Longer than the server waits for a pong.
+        // Waits longer than the server waits for a pong.
         std::thread::sleep(Duration::from_secs(3));
     }
 }
@@ -98,8 +98,8 @@ fn vla_eval_code_agrees() {
             let Motion::ToolDelta { translation_m, .. } = policy.act(&observation(256)).unwrap().command else {
                 panic!("expected a tool delta");
             };
-            // The second action comes from the server's buffer: one more than the first, clipped to 1. A new episode clears the
-            // buffer.
+            // The second action comes from the server's buffer. It is one more than the first, clipped to 1. A new
+            // episode clears the buffer.
             near(translation_m, if step == 0 { ECHOED.0 } else { [0.02; 3] });
         }
     }

@@ -1,4 +1,4 @@
-//! Policies behind WebSocket servers: episodes, and the error for each kind of failure.
+//! Tests of policies behind WebSocket servers: episodes, and the error for each kind of failure.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -26,7 +26,7 @@ fn profile(server: &str) -> Profile {
     Profile::from_toml(&format!("{text}\n[server]\n{server}")).unwrap()
 }
 
-/// A server that runs this conversation on each connection.
+/// Starts a server that runs this conversation on each connection.
 fn server(converse: impl Fn(usize, &mut WebSocket<TcpStream>) + Send + 'static) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("ws://{}", listener.local_addr().unwrap());
@@ -37,7 +37,7 @@ fn server(converse: impl Fn(usize, &mut WebSocket<TcpStream>) + Send + 'static) 
     url
 }
 
-/// A server that answers each request.
+/// Starts a server that answers each request.
 fn answering(answer: impl Fn(usize) -> Message + Send + 'static) -> String {
     server(move |_, socket| {
         let mut count = 0;
@@ -61,7 +61,7 @@ fn first_fault(url: &str, server: &str) -> (FaultKind, String) {
 }
 
 #[test]
-fn the_profile_sets_how_many_actions_are_executed() {
+fn profile_sets_executed_actions() {
     let url = answering(|count| {
         Message::binary(actions(10, 7, |i, j| if j == 6 { [-1.0, 1.0][count] } else { 0.1 * i as f64 }))
     });
@@ -78,7 +78,7 @@ fn the_profile_sets_how_many_actions_are_executed() {
 }
 
 #[test]
-fn errors_are_faults_with_distinct_messages() {
+fn errors_are_distinct_faults() {
     let text = answering(|_| Message::text("Traceback (most recent call last):\n  ...\nKeyError: 'observation/image'"));
     let nan = answering(|_| Message::binary(actions(10, 7, |i, j| if (i, j) == (3, 2) { f64::NAN } else { 0.0 })));
     let six = answering(|_| Message::binary(actions(10, 6, |_, _| 0.0)));
@@ -121,7 +121,7 @@ fn claimed_frame_sizes_allocate_nothing() {
     assert!(resident_kb() < before + 100_000);
 }
 
-/// Memory of this process in kB; zero on systems that do not report it.
+/// Memory of this process in kB. Zero on systems that do not report it.
 fn resident_kb() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
@@ -129,7 +129,7 @@ fn resident_kb() -> u64 {
 }
 
 #[test]
-fn a_fault_leads_to_a_new_connection() {
+fn faults_open_a_new_connection() {
     let url = server(|number, socket| {
         while let Ok(message) = socket.read() {
             if message.is_binary() {
@@ -143,7 +143,7 @@ fn a_fault_leads_to_a_new_connection() {
     let mut policy = ExternalPolicy::connect(&url, Arc::new(profile(""))).unwrap();
     begin(&mut policy, "pick up the box").unwrap();
     assert!(policy.act(&observation(256)).is_err());
-    // The rest of the episode fails too: it must not continue on another connection.
+    // The rest of the episode fails too, because it must not continue on another connection.
     assert!(policy.act(&observation(256)).is_err());
     begin(&mut policy, "pick up the box").unwrap();
     policy.act(&observation(256)).unwrap();
@@ -197,7 +197,7 @@ fn other_dialects_are_identified() {
 }
 
 #[test]
-fn roboarena_servers_are_recognised_by_their_metadata() {
+fn roboarena_servers_are_identified() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("ws://{}", listener.local_addr().unwrap());
     thread::spawn(move || {
@@ -211,7 +211,7 @@ fn roboarena_servers_are_recognised_by_their_metadata() {
 }
 
 #[test]
-fn an_unreachable_server_is_reported_quickly() {
+fn unreachable_servers_are_reported_quickly() {
     let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let start = Instant::now();
     let error = ExternalPolicy::connect(&format!("ws://{free}"), Arc::new(profile(""))).unwrap_err().to_string();
@@ -234,7 +234,7 @@ fn addresses_are_checked_first() {
 }
 
 #[test]
-fn a_missing_camera_is_named() {
+fn missing_cameras_are_named() {
     let url = answering(|_| Message::binary(actions(10, 7, |_, _| 0.0)));
     let mut policy = ExternalPolicy::connect(&url, Arc::new(profile(""))).unwrap();
     begin(&mut policy, "pick up the box").unwrap();
@@ -246,7 +246,7 @@ fn a_missing_camera_is_named() {
 }
 
 #[test]
-fn a_task_must_have_what_the_profile_uses() {
+fn task_must_match_the_profile() {
     let url = answering(|_| Message::binary(actions(10, 7, |_, _| 0.0)));
     let policy = ExternalPolicy::connect(&url, Arc::new(profile(""))).unwrap();
     assert_eq!(policy.check(&task()), Ok(()));
@@ -265,9 +265,9 @@ fn a_task_must_have_what_the_profile_uses() {
     }
 }
 
-/// A task without a robot: the model sees a named vector and answers the numbers of the task's own action.
+/// A task without a robot: the model observes a named vector and returns the task's own action vector.
 #[test]
-fn a_vector_action_stays_within_its_bounds() {
+fn vector_actions_stay_within_bounds() {
     let text = Profile::built_in("pi0-libero").unwrap();
     let (head, _) = text.split_once("[[camera]]").unwrap();
     let rest = "[[state]]\nkey = \"state\"\nvectors = [\"levels\"]\n[action]\nsize = 2\narm = \"vector\"\n\

@@ -1,6 +1,7 @@
-//! Overhead of the protocol: a Rust client and Python servers on the loopback interface. The simulator does almost nothing.
+//! Measures the overhead of the protocol: a Rust client and Python servers on the loopback interface. The simulator
+//! does almost nothing.
 //!
-//! `ROBOGATE_BRIDGE_PYTHON=... cargo bench -p robogate-remote` (`bridges/common/setup.sh FOLDER` makes the Python
+//! `ROBOGATE_BRIDGE_PYTHON=... cargo bench -p robogate-remote` (`bridges/common/setup.sh FOLDER` creates the Python
 //! environment). Fails if the median of a round trip exceeds its limit.
 
 #![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a bench prints, and fails by panicking")]
@@ -21,7 +22,7 @@ mod support;
 const PERIODS: usize = 4000;
 /// Control periods of an episode, within the time limit of the toy simulator.
 const EPISODE: usize = 99;
-/// Limits of a round trip: of state alone, and with an image of 256 x 256 pixels.
+/// Limits of a round trip: of the state only, and with an image of 256 x 256 pixels.
 const STATE: Duration = Duration::from_micros(150);
 const IMAGE: Duration = Duration::from_micros(500);
 
@@ -112,7 +113,7 @@ fn main() -> ExitCode {
         times.sort_unstable();
         times
     };
-    print("step, state alone", &steps, STATE);
+    print("step, state only", &steps, STATE);
     let renders = times(&mut simulator, |simulator| drop(simulator.render().unwrap()));
     print("render, 256 x 256 pixels", &renders, IMAGE);
     drop(simulator);

@@ -21,11 +21,11 @@ use super::message::{
 /// How long the client waits for each kind of reply.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Timeouts {
-    /// For connecting and the reply to `hello`.
+    /// Timeout for connecting, and for the reply to `hello`.
     pub hello: Duration,
-    /// For the reply to `reset`.
+    /// Timeout for the reply to `reset`.
     pub reset: Duration,
-    /// For the reply to any other request.
+    /// Timeout for the reply to any other request.
     pub step: Duration,
 }
 
@@ -56,7 +56,7 @@ pub struct Connection {
     notes: BTreeSet<String>,
 }
 
-/// Most notes that a connection keeps.
+/// Maximum number of notes of a connection.
 const NOTES: usize = 64;
 
 impl Connection {
@@ -67,7 +67,7 @@ impl Connection {
         Ok(connection)
     }
 
-    /// Connect to a server whose reply to `hello` may break the protocol.
+    /// Connect to a server whose reply to `hello` may violate the protocol.
     pub(crate) fn open_unchecked(address: Address, timeouts: Timeouts) -> Result<Self, RequestError> {
         let mut requester = Requester::new(address, limits::REPLY);
         let (hello, _): (Hello, _) = send(&mut requester, "hello", 0, Empty {}, timeouts.hello)?;
@@ -86,7 +86,7 @@ impl Connection {
         std::mem::take(&mut self.notes)
     }
 
-    /// What the server reports about itself.
+    /// The server's reply to `hello`.
     pub fn hello(&self) -> &Hello {
         &self.hello
     }
@@ -98,8 +98,8 @@ impl Connection {
 
     /// Request a new episode under a new random identifier.
     pub(crate) fn begin<T: DeserializeOwned>(&mut self, body: impl Serialize) -> Result<T, RequestError> {
-        // The identifier only has to be unique among clients. It has no influence on results, so that the randomness of
-        // the standard library is good enough.
+        // The identifier only has to be unique among clients. It does not influence results, so the random numbers of
+        // the standard library are sufficient.
         self.episode = RandomState::new().build_hasher().finish() | 1;
         self.tick = 0;
         let (reply, frames) = send(&mut self.requester, "reset", self.episode, body, self.timeouts.reset)?;
@@ -107,7 +107,7 @@ impl Connection {
         Ok(reply)
     }
 
-    /// Send a request of the running episode. The reply must be a header alone.
+    /// Send a request of the running episode. The reply must consist of a header only.
     pub(crate) fn request<T: DeserializeOwned>(&mut self, op: &str, body: impl Serialize) -> Result<T, RequestError> {
         let (reply, frames) = self.request_with_frames(op, body)?;
         self.expect_no_frames(&frames)?;
@@ -164,7 +164,7 @@ impl Connection {
         let mut images = Vec::with_capacity(cameras.len());
         for (camera, info) in cameras.iter().zip(reply.images) {
             let rgb = info.frame.checked_sub(1).and_then(|i| frames.get_mut(i)).and_then(Option::take);
-            let rgb = rgb.ok_or_else(|| violation(format!("the image of {} has no frame of its own", camera.name)))?;
+            let rgb = rgb.ok_or_else(|| violation(format!("the image of {} has no separate frame", camera.name)))?;
             let same = (&info.camera, info.width, info.height) == (&camera.name, camera.width, camera.height);
             if !same || rgb.len() != 3 * camera.width * camera.height {
                 let (name, width, height) = (&camera.name, camera.width, camera.height);
@@ -200,7 +200,7 @@ fn send<T: DeserializeOwned>(
     let mut frames = requester.request(&[request], timeout)?;
     let header = if frames.is_empty() { Vec::new() } else { frames.remove(0) };
     let reply = read_reply(&header, episode);
-    // After an invalid reply the state of the server is unknown: begin again with a new connection.
+    // After an invalid reply the state of the server is unknown, so the client opens a new connection.
     let usable = !matches!(
         reply,
         Err(RequestError::Malformed(_) | RequestError::ProtocolViolation(_) | RequestError::OtherVersion { .. })

@@ -11,7 +11,7 @@ use super::pool::{Lease, Pool};
 use super::scored::ScoredSession;
 use super::session::Session;
 
-/// The servers of a pool cannot be used in this way.
+/// The servers of a pool do not support this use.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the simulator cannot be used for this task: {0}")]
 pub struct IncompatibleServer(String);
@@ -24,12 +24,12 @@ pub struct RemoteEnvironment {
 }
 
 impl RemoteEnvironment {
-    /// An environment in the servers of this pool, which must score themselves.
+    /// Create an environment in the servers of this pool, which must score themselves.
     pub fn new(pool: Arc<Pool>) -> Result<Self, IncompatibleServer> {
         Ok(Self { episodes: Episodes::new(pool, ScoredSession)? })
     }
 
-    /// What the servers report about themselves.
+    /// The servers' reply to `hello`.
     pub fn hello(&self) -> &Hello {
         self.episodes.pool.hello()
     }
@@ -68,7 +68,7 @@ pub struct RemotePhysics<T> {
 }
 
 impl<T: RemoteTask> RemotePhysics<T> {
-    /// This task in the servers of this pool, which must not score themselves.
+    /// Run this task in the servers of this pool, which must not score themselves.
     pub fn new(pool: Arc<Pool>, task: T) -> Result<Self, IncompatibleServer> {
         Ok(Self { episodes: Episodes::new(pool, PhysicsSession(task))? })
     }

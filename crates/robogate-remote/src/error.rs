@@ -1,4 +1,4 @@
-//! Why a request to a server failed.
+//! Errors of requests.
 
 use robogate_core::{Fault, FaultKind};
 use robogate_zmtp::{Address, ZmtpError};
@@ -7,7 +7,7 @@ use super::header::MalformedHeader;
 use super::limits::VERSION;
 use super::message::ErrorReply;
 
-/// Why a request has no usable reply.
+/// An error of a request: there is no usable reply.
 #[derive(Debug, thiserror::Error)]
 pub enum RequestError {
     /// The connection failed, or the server did not answer in time.
@@ -16,12 +16,12 @@ pub enum RequestError {
     /// The header of the reply is malformed.
     #[error("malformed reply: {0}")]
     Malformed(#[from] MalformedHeader),
-    /// The reply is well formed, but its content breaks the protocol.
+    /// The reply is well formed, but its content violates the protocol.
     #[error("protocol violation: {0}")]
     ProtocolViolation(String),
     /// The server speaks another version of the protocol.
     #[error(
-        "the server speaks protocol version {server}; this robogate speaks version {VERSION}. {}",
+        "the server uses protocol version {server}, but this robogate uses version {VERSION}. {}",
         upgrade(*.server)
     )]
     OtherVersion {
@@ -37,7 +37,7 @@ pub enum RequestError {
 }
 
 impl RequestError {
-    /// Whether the server caused the error, and not the scenario or the action.
+    /// Whether the server caused the error, rather than the scenario or the action.
     pub fn is_server_failure(&self) -> bool {
         self.kind() == FaultKind::Unavailable
     }
@@ -58,7 +58,7 @@ impl RequestError {
     }
 }
 
-/// What to do about a server of another version.
+/// The advice for a server with another protocol version.
 fn upgrade(server: u64) -> &'static str {
     if server < VERSION { "Upgrade the server (bridges/common of this release)" } else { "Upgrade robogate" }
 }

@@ -1,14 +1,14 @@
-//! Headers as bytes: encoding, decoding, and the checks that come before decoding.
+//! Encodes, checks and decodes headers.
 //!
-//! [`check`] makes one pass over the bytes and allocates nothing unless it finds an error, so that a hostile header
-//! costs no memory.
+//! [`check`] makes one pass over the bytes and allocates nothing unless it finds an error, so a hostile header cannot
+//! exhaust memory.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::limits::{ENTRIES, HEADER_BYTES, NESTING, STRING_BYTES};
 
-/// Why bytes are not a valid header.
+/// An error in a header.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum MalformedHeader {
     /// The header exceeds [`HEADER_BYTES`].
@@ -30,7 +30,7 @@ pub enum MalformedHeader {
         path: String,
         /// Its entries, or its bytes for a string.
         size: usize,
-        /// The most that is allowed.
+        /// The limit.
         limit: usize,
     },
     /// A number is NaN or infinite. Holds its path.

@@ -1,9 +1,9 @@
-//! Environments in another process, reached over the bridge protocol (`bridges/PROTOCOL.md`): both sides of it.
+//! Environments in another process: client and server of the bridge protocol (`bridges/PROTOCOL.md`).
 //!
 //! A [`Pool`] holds the connections to one or more servers. A server that scores itself becomes a
 //! [`RemoteEnvironment`]; a server that only computes physics for a [`RemoteTask`] becomes a [`RemotePhysics`]. A
-//! [`Server`] makes an environment of this process available to other programs. [`conformance`] checks whether a server
-//! keeps the protocol.
+//! [`Server`] makes an environment of this process available to other programs. [`conformance`] tests whether a server
+//! conforms to the protocol.
 
 pub mod conformance;
 mod connection;

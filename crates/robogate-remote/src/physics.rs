@@ -23,7 +23,7 @@ pub trait RemoteTask {
     /// Physical state after one time step: contacts, poses, velocities.
     type Sample: DeserializeOwned;
 
-    /// The task: that of every episode.
+    /// The task of all episodes.
     fn task(&self) -> &Arc<TaskSpec>;
 
     /// Check whether a server can run this task.
@@ -32,7 +32,7 @@ pub trait RemoteTask {
     /// Resolve a scenario into the cell of its episode. All parameters act through the cell.
     fn resolve(&mut self, scenario: &Scenario) -> Result<Self::Cell, Fault>;
 
-    /// Begin the episode. `observation` has the true joint positions, without encoder errors.
+    /// Begin the episode. `observation` contains the true joint positions, without encoder errors.
     fn start(
         &mut self,
         readback: Self::Readback,
@@ -63,7 +63,7 @@ pub struct PhysicsSession<T>(pub T);
 impl<T: RemoteTask> Session for PhysicsSession<T> {
     fn accepts(&self, hello: &Hello) -> Result<(), String> {
         if hello.scores_itself {
-            return Err("it has its own task and scores itself".to_owned());
+            return Err("the server has its own task and scores itself".to_owned());
         }
         self.0.accepts(hello)
     }
@@ -75,7 +75,7 @@ impl<T: RemoteTask> Session for PhysicsSession<T> {
     fn reset(&mut self, connection: &mut Connection, scenario: &Scenario) -> Result<Start, RequestError> {
         let Self(task) = self;
         let cell = task.resolve(scenario).map_err(RequestError::Local)?;
-        // A server that resolves scenarios itself declares the parameters that it wants to have.
+        // A server that resolves scenarios itself declares the parameters that it needs.
         let declared = |name: &str| connection.hello().task.parameter(name).is_some();
         let requested = scenario.requested.iter().filter(|(name, _)| declared(name));
         let wanted: Assignment = requested.map(|(name, value)| (name.into(), value.clone())).collect();

@@ -1,10 +1,11 @@
 //! Several servers that act as one simulator for each worker.
 //!
 //! An episode runs in one server. A server failure is one of these: the server is unreachable, it does not answer in
-//! time, or its reply is invalid. A failure during an episode makes that episode Invalid. A failure at a reset sends the
-//! episode to another server, because no part of it has run yet. After a failure a server is not used for 1 s, after
-//! further consecutive failures for 2 s, 4 s and 8 s. After [`MAX_FAILURES`] failures without a completed episode
-//! between them it is not used again. When no server is left, each further episode is Invalid immediately.
+//! time, or its reply is invalid. A failure during an episode makes that episode Invalid. A failure at a reset sends
+//! the time, or its reply is invalid. A failure during an episode makes that episode invalid. A failure at a reset
+//! sends the episode to another server, because no part of it has run yet. After a failure, a server is not used for 1
+//! s; after further consecutive failures, for 2 s, 4 s and 8 s. After [`MAX_FAILURES`] failures without a completed
+//! episode in between, it is not used again. When no server is left, each further episode is invalid immediately.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -20,13 +21,13 @@ use super::message::Hello;
 
 /// Number of consecutive failures after which a server is not used again.
 pub const MAX_FAILURES: u32 = 5;
-/// Most deviations that are reported.
+/// Maximum number of deviations that are reported.
 const MAX_NOTES: usize = 100;
 /// Longest time that a worker waits for a free server.
 const MAX_WAIT: Duration = Duration::from_secs(600);
 
-/// Receives one line of text for each server failure (address, cause and consequence), and one for each way in which
-/// servers deviate from the task that they declare.
+/// Receives one line of text for each server failure (address, cause and consequence), and one for each kind of
+/// deviation from the declared task.
 pub type Listener = Box<dyn Fn(&str) + Send + Sync>;
 
 /// Connections to servers of the same simulator.
@@ -56,11 +57,11 @@ enum State {
     Free,
     InUse,
     BackoffUntil(Instant),
-    /// Not used again, for this reason.
+    /// The server is not used again, for this reason.
     Disabled(String),
 }
 
-/// Why a pool cannot be made.
+/// An error in creating a pool.
 #[derive(Debug, thiserror::Error)]
 pub enum PoolError {
     /// The list of addresses is empty.
@@ -74,7 +75,7 @@ pub enum PoolError {
     Request {
         /// Address of the server.
         address: Address,
-        /// What is wrong.
+        /// The problem.
         why: RequestError,
     },
     /// Two servers are different simulators.
@@ -84,13 +85,13 @@ pub enum PoolError {
         first: Address,
         /// The server that differs from it.
         other: Address,
-        /// What differs.
+        /// The difference.
         difference: String,
     },
 }
 
 impl Pool {
-    /// Connect to all servers. They must report the same about themselves.
+    /// Connect to all servers. Their replies to `hello` must be equal.
     pub fn connect(addresses: &[Address], timeouts: Timeouts, listener: Listener) -> Result<Self, PoolError> {
         let mut slots: Vec<Slot> = Vec::new();
         let mut hello: Option<Hello> = None;
@@ -125,7 +126,7 @@ impl Pool {
         self
     }
 
-    /// What the servers report about themselves.
+    /// The servers' reply to `hello`.
     pub fn hello(&self) -> &Hello {
         &self.hello
     }
@@ -135,7 +136,7 @@ impl Pool {
         self.slots().len()
     }
 
-    /// Whether the pool has no servers, which [`Pool::connect`] excludes.
+    /// Whether the pool has no servers. Always false, because [`Pool::connect`] requires one.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -151,7 +152,7 @@ impl Pool {
     }
 
     fn slots(&self) -> MutexGuard<'_, Vec<Slot>> {
-        // No code panics between two related writes, so that a poisoned lock still guards valid slots.
+        // No code panics between two related writes, so a poisoned lock still guards valid slots.
         self.slots.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -209,7 +210,7 @@ impl fmt::Display for Slot {
     }
 }
 
-/// What differs between two servers, if anything. The programs that answer may differ.
+/// The difference between two servers, or `None`. Their programs may differ.
 fn difference(a: &Hello, b: &Hello) -> Option<String> {
     let a = Hello { server: b.server.clone(), ..a.clone() };
     if a == *b {
@@ -234,7 +235,7 @@ pub(crate) struct Lease {
     pool: Arc<Pool>,
     slot: usize,
     pub(crate) address: Address,
-    /// Nothing after the server was released.
+    /// `None` after the server was released.
     pub(crate) connection: Option<Connection>,
 }
 
@@ -280,7 +281,7 @@ impl Lease {
             format!("next attempt in {} s", backoff.as_secs_f64())
         };
         drop(slots);
-        // Wake all workers: one of them may use the server later, and all of them must know when none is left.
+        // Wake all workers: one may now use the server, and all must notice when none is left.
         self.pool.changed.notify_all();
         (self.pool.listener)(&format!("simulator {}: {why}; {consequence}", self.address));
     }

@@ -22,7 +22,7 @@ impl Session for ScoredSession {
         if hello.scores_itself {
             return Ok(());
         }
-        Err("it does not score itself: it only computes physics for a task of RoboGate".to_owned())
+        Err("the server does not score itself: it only computes physics for a task of RoboGate".to_owned())
     }
 
     fn task(&self, hello: &Hello) -> Arc<TaskSpec> {
@@ -72,7 +72,7 @@ fn check_parameters(task: &TaskSpec, scenario: &Scenario) -> Result<(), Fault> {
     Ok(())
 }
 
-/// An action as the server takes it: its kind, and one number for each of its dimensions.
+/// An action as the server expects it: its kind, and one number for each of its dimensions.
 fn encode_action(task: &TaskSpec, action: &Action) -> Result<(ActionKind, Vec<f64>), Fault> {
     let bad = |detail: String| Fault::new(FaultKind::BadAction, detail);
     task.check_action(action).map_err(bad)?;
@@ -80,7 +80,7 @@ fn encode_action(task: &TaskSpec, action: &Action) -> Result<(ActionKind, Vec<f6
         (Command::ToolDelta { translation_m, rotation_rad }, Some((metres, radians))) => {
             let translation = translation_m.map(|x| x / metres);
             let numbers: Vec<f64> = translation.into_iter().chain(rotation_rad.map(|x| x / radians)).collect();
-            // The server would clip it, and the action that was run would not be that of the policy.
+            // The server would clip it, and then run another action than that of the policy.
             if numbers.iter().any(|x| x.abs() > 1.0 + 1e-9) {
                 return Err(bad(format!(
                     "the tool delta {translation_m:?} m, {rotation_rad:?} rad is out of range: this task takes up to \

@@ -1,4 +1,4 @@
-//! The server side: an environment of this process, available over the protocol.
+//! The server: makes an environment of this process available over the protocol.
 
 use robogate_core::{Action, Assignment, Command, Environment, Fault, GripperKind, Image, Scenario, Seed, TaskSpec};
 use serde::Serialize;
@@ -12,7 +12,7 @@ use super::message::{
     to_wire,
 };
 
-/// What a [`Server`] makes available: an environment with its own task, or physics alone.
+/// What a [`Server`] makes available: an environment with its own task, or physics only.
 pub trait Host {
     /// Properties of the cell as read back from the engine; [`Empty`] for a host that scores itself.
     type Readback: Serialize;
@@ -99,7 +99,7 @@ struct Running {
     state_hash: Option<u64>,
 }
 
-/// The frames of a reply, or the error to send in their place.
+/// The frames of a reply, or the error that is sent instead.
 type Frames = Result<Vec<Vec<u8>>, ErrorReply>;
 
 fn reject<T>(kind: ErrorKind, detail: impl Into<String>) -> Result<T, ErrorReply> {
@@ -107,7 +107,7 @@ fn reject<T>(kind: ErrorKind, detail: impl Into<String>) -> Result<T, ErrorReply
 }
 
 impl<H: Host> Server<H> {
-    /// A server for this host.
+    /// Create a server for this host.
     pub fn new(host: H) -> Self {
         Self { host, running: None }
     }
@@ -117,7 +117,7 @@ impl<H: Host> Server<H> {
         self.host.hello()
     }
 
-    /// Answer a request. Any frames get a reply.
+    /// Answer a request. Every request gets a reply, even if it is malformed.
     pub fn answer(&mut self, frames: &[Vec<u8>]) -> Vec<Vec<u8>> {
         let mut episode = 0;
         let error = match self.try_answer(frames, &mut episode) {
@@ -221,7 +221,7 @@ impl<H: Host> Server<H> {
         let mut steps = Vec::with_capacity(actions.len());
         for action in &actions {
             let step = self.host.step(action).map_err(|fault| {
-                // Earlier actions of this request have run, so that the client cannot know the state of the episode.
+                // Earlier actions of this request have run, so the client cannot know the state of the episode.
                 self.running = None;
                 ErrorReply::from(&fault)
             })?;
@@ -260,7 +260,7 @@ impl<H: Host> Server<H> {
     }
 }
 
-/// The keys of an operation that is not known yet.
+/// The keys of an unknown operation.
 #[derive(serde::Deserialize)]
 struct AnyBody {}
 
@@ -271,7 +271,7 @@ fn read<T: DeserializeOwned>(header: &[u8]) -> Result<T, ErrorReply> {
 fn reply(episode: u64, body: impl Serialize) -> Frames {
     let envelope = Envelope { v: VERSION, episode, ok: true, error: None };
     let header = encode(&Reply { envelope, body }).and_then(|header| check(&header).map(|()| header));
-    // A reply that breaks the protocol is never sent. The common case is a number that is not finite.
+    // A reply that violates the protocol is never sent. The usual cause is a number that is not finite.
     match header {
         Ok(header) => Ok(vec![header]),
         Err(why @ MalformedHeader::NotFinite(_)) => reject(ErrorKind::Diverged, why.to_string()),

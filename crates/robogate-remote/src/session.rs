@@ -1,4 +1,4 @@
-//! The two kinds of servers, seen from the client.
+//! The two kinds of sessions with servers.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -10,12 +10,12 @@ use super::connection::Connection;
 use super::error::RequestError;
 use super::message::{Hello, ParameterValue, ResetRequest, to_wire};
 
-/// How episodes are run over a connection.
+/// The way in which episodes run over a connection.
 ///
 /// A [`ScoredSession`](super::ScoredSession) is for servers that score themselves. A
 /// [`PhysicsSession`](super::PhysicsSession) is for servers that compute physics for a task of this process.
 pub trait Session {
-    /// Check whether a server is of this kind, and whether it can run the task.
+    /// Check whether a server is of this kind and can run the task.
     fn accepts(&self, hello: &Hello) -> Result<(), String>;
 
     /// The task of the episodes: that of the server, or that of this process.
@@ -27,7 +27,7 @@ pub trait Session {
     /// Run one control period.
     fn step(&mut self, connection: &mut Connection, action: &Action) -> Result<Step, RequestError>;
 
-    /// Send a reset with these parameters, which the server may not know, and ignore the content of the reply.
+    /// Send a reset with these parameters, which the server may not know. The content of the reply is ignored.
     fn send_reset(
         &mut self,
         connection: &mut Connection,
@@ -36,7 +36,7 @@ pub trait Session {
     ) -> Result<(), RequestError>;
 }
 
-/// The reset request of a scenario with these of its parameters.
+/// The reset request of a scenario, with only these of its parameters.
 pub(crate) fn reset_request<C: Serialize>(
     scenario: &Scenario,
     parameters: &Assignment,
@@ -50,7 +50,7 @@ pub(crate) fn reset_request<C: Serialize>(
     Ok(ResetRequest { index: scenario.index, seed, parameters: to_wire(parameters), cell })
 }
 
-/// The last number of an action, for a task with this gripper.
+/// The last number of an action, if the task declares a gripper.
 pub(crate) fn gripper_number(kind: Option<GripperKind>, command: Option<f64>) -> Option<f64> {
     let command = command.unwrap_or(Action::OPEN);
     kind.map(|kind| match kind {

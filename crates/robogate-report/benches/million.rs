@@ -1,7 +1,7 @@
-//! A million episodes from the file to the page: `cargo bench -p robogate-report [-- ROWS [FILE]]`.
+//! Benchmarks a million episodes from the file to the page: `cargo bench -p robogate-report [-- ROWS [FILE]]`.
 //!
-//! Writes a made-up dictionary of the paper's eight parameters (kept where FILE names one), then measures the analysis and
-//! the page, and the most memory that the process held. Ends with 1 where a million rows took 10 s or 1 GB.
+//! Writes a synthetic dictionary of the paper's eight parameters (kept if FILE is given), then measures analysis and
+//! page, and the peak memory of the process. Exits with code 1 if a million rows take more than 10 s or 1 GB.
 
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::print_stdout, reason = "a benchmark prints what it measured")]
@@ -30,7 +30,7 @@ fn main() -> ExitCode {
         write(&path, rows);
     }
     println!("write      {:>8.2} s  {rows} rows", begun.elapsed().as_secs_f64());
-    // What writing took is none of the analysis' memory.
+    // The memory for writing must not count for the analysis.
     let before = peak_mb();
     let begun = Instant::now();
     let source = Source::open(&path).unwrap();
@@ -47,7 +47,7 @@ fn main() -> ExitCode {
     if within || rows < 1_000_000 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
-/// The most memory that the process held; 0 where the system does not say.
+/// Peak memory of the process in megabytes. 0 if the system does not report it.
 fn peak_mb() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find(|line| line.starts_with("VmHWM:"));

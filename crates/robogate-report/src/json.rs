@@ -1,4 +1,4 @@
-//! JSON documents: the figures, and the sentences that summarise them.
+//! JSON documents: the figures, with the sentences that summarise them.
 
 use robogate_analysis::study::Study;
 use robogate_analysis::{Analysis, Comparison};
@@ -38,27 +38,27 @@ pub struct StudyReport<'a> {
     /// The figures.
     #[serde(flatten)]
     pub study: &'a Study,
-    /// The answer in sentences.
+    /// The result in sentences.
     pub answer: Vec<String>,
 }
 
-/// An analysis as one versioned JSON document: the same bytes for the same rows.
+/// An analysis as one versioned JSON document. Equal rows give equal bytes.
 pub fn analysis_json(analysis: &Analysis) -> String {
     text(&AnalysisReport { analysis, headline: Headline::of(analysis), limits: limits(analysis) })
 }
 
-/// A comparison as one versioned JSON document, in the same way.
+/// A comparison as one versioned JSON document with the same properties.
 pub fn comparison_json(comparison: &Comparison) -> String {
     let headline = ComparisonHeadline::of(comparison);
     text(&ComparisonReport { comparison, headline, limits: comparison_limits(comparison) })
 }
 
-/// A study as one versioned JSON document, in the same way.
+/// A study as one versioned JSON document with the same properties.
 pub fn study_json(study: &Study) -> String {
     text(&StudyReport { study, answer: answer(study) })
 }
 
 fn text(document: &impl Serialize) -> String {
-    // Trees of strings, finite numbers and maps with string keys cannot fail to serialise.
+    // Strings, finite numbers and maps with string keys always serialise.
     serde_json::to_string_pretty(document).unwrap_or_default()
 }

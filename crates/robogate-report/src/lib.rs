@@ -1,6 +1,6 @@
-//! Reports for people: analyses, comparisons, studies and gate evaluations as HTML, Markdown, JSON and JUnit.
+//! Reports: analyses, comparisons, studies and gate evaluations as HTML, Markdown, JSON and JUnit.
 //!
-//! Every report is a pure function of its figures: the same figures give the same bytes.
+//! Every report is a pure function of its figures: equal figures give equal bytes.
 //!
 //! | from | to |
 //! |---|---|

@@ -1,23 +1,23 @@
-//! Documents as Markdown: a figure is its table.
+//! Documents as Markdown. A figure becomes its table.
 
 use std::fmt::Write;
 
 use crate::document::{Block, Document, Figure, Kind, Table, analysis_document, comparison_document};
 use robogate_analysis::{Analysis, Comparison};
 
-/// The analysis as Markdown (GitHub's flavour, for its tables).
+/// The analysis as Markdown (GitHub's flavour, because of its tables).
 pub fn markdown(analysis: &Analysis) -> String {
     page(&analysis_document(analysis))
 }
 
-/// A comparison as Markdown, in the same way.
+/// A comparison as Markdown in the same flavour.
 pub fn comparison_markdown(comparison: &Comparison) -> String {
     page(&comparison_document(comparison))
 }
 
 fn page(document: &Document) -> String {
     let mut out = String::new();
-    // Writing to a string cannot fail; so throughout this file.
+    // Writing to a string cannot fail, here and below.
     let _ = write!(out, "# {}\n\n{}\n\n", escape_markdown(&document.title), escape_markdown(&document.subtitle));
     let _ =
         write!(out, "**{}** {} ({})\n\n", document.figure, escape_markdown(&document.figure_label), document.interval);
@@ -109,7 +109,7 @@ fn table(out: &mut String, table: &Table, titled: bool) {
     }
 }
 
-/// A text with its Markdown and HTML markup escaped.
+/// Escapes the Markdown and HTML markup of a text.
 pub(crate) fn escape_markdown(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for letter in text.chars() {

@@ -1,7 +1,7 @@
-//! How much time a campaign takes beside its physics, as ratios in one run.
+//! Measures the overhead of a campaign over its physics, as ratios within one run.
 //!
 //! `cargo bench -p robogate --bench campaign [-- EPISODES]`
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark prints, and stops where it cannot go on")]
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark prints, and fails by panicking")]
 
 use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
@@ -29,7 +29,7 @@ fn main() {
     }
     let design = samplers::Uniform.design(&space, episodes, Seed::campaign(1).stream("bench")).unwrap();
 
-    // The targets of every time step, recorded on the way, let bare MuJoCo take the very same steps.
+    // The recorded targets of every time step let bare MuJoCo run the same steps.
     let tapes = record(&design);
     let steps: usize = tapes.iter().map(|tape| tape.targets.len()).sum();
     let engine = MujocoEngine::new(robot(), MujocoEngine::TIME_STEP_S).unwrap();
@@ -80,7 +80,7 @@ fn campaign(design: &Design, threads: usize) {
     pool.execute(&|i| (i < design.len()).then(|| scenario(design, i)), &mut |_| ControlFlow::Continue(())).unwrap();
 }
 
-/// What an engine was told in one episode.
+/// The commands that an engine received in one episode.
 struct Tape {
     scene: Scene,
     start: Vec<f64>,
@@ -115,7 +115,7 @@ fn record(design: &Design) -> Vec<Tape> {
     tapes.take()
 }
 
-/// An engine that keeps what it is told.
+/// An engine that records its commands.
 struct Recorder {
     inner: MujocoEngine,
     tapes: Rc<std::cell::RefCell<Vec<Tape>>>,

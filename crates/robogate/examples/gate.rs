@@ -1,6 +1,6 @@
 //! Simulate, gate, read the verdict: `cargo run --release -p robogate --example gate`.
 //!
-//! An environment and a policy of your own (two small traits of `robogate-core`) can replace those of the pendulum.
+//! Your own environment and policy (two small traits of `robogate-core`) can replace those of the pendulum.
 #![expect(clippy::print_stdout, reason = "an example prints")]
 
 use std::num::NonZeroUsize;

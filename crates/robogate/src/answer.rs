@@ -1,4 +1,4 @@
-//! The gate's answer and its plan in the terminal.
+//! The gate's evaluation and its plan in the terminal.
 
 use robogate_gate::{Evaluation, GatePlan, Metric, Mode, Sampling, Sense, Status, Verdict};
 use robogate_report::{RequirementRow, how_judged, sign, what_next};
@@ -6,7 +6,7 @@ use robogate_stats::format::number;
 
 use crate::terminal::{Styled, bold, dim, grouped, line, percent, styled};
 
-/// Prints the answer.
+/// Prints the evaluation.
 pub(crate) fn print(evaluation: &Evaluation) {
     line("");
     line(format_args!("  {}  {}", banner(evaluation.verdict), evaluation.because));
@@ -16,7 +16,7 @@ pub(crate) fn print(evaluation: &Evaluation) {
     let wide = |cell: fn(&RequirementRow) -> &str, head: &str| {
         rows.iter().map(|row| cell(row).chars().count()).max().unwrap_or(0).max(head.chars().count())
     };
-    let heads = ["requirement", "observed", "interval of the true figure"];
+    let heads = ["requirement", "observed", "confidence interval"];
     let widths = [wide(|r| &r.requirement, heads[0]), wide(|r| &r.observed, heads[1]), wide(|r| &r.interval, heads[2])];
     let point = evaluation.requirements.mode == Mode::Point;
     let [a, b, c] = widths;
@@ -53,19 +53,19 @@ fn counts(evaluation: &Evaluation) {
         None => String::new(),
     };
     let invalid = match counts.invalid {
-        0 => "none invalid".to_owned(),
-        n => format!("{} invalid: the verdict holds for any outcome that they could have had", grouped(n)),
+        0 => "0 invalid".to_owned(),
+        n => format!("{} invalid: the verdict holds for every outcome that they could have had", grouped(n)),
     };
     line(format_args!("  {} episodes{rounds}, {invalid}", grouped(counts.episodes)));
     if counts.focused > 0 {
         line(format_args!(
-            "  {} episodes sampled near the failure boundary are excluded: they do not estimate the operating rate",
+            "  {} episodes sampled near the failure boundary are excluded: they do not estimate the rate of the operating space",
             grouped(counts.focused)
         ));
     }
 }
 
-/// Groups in which anything but success happened.
+/// Prints the scenario groups that contain failures or invalid episodes.
 fn groups(evaluation: &Evaluation) {
     let troubled: Vec<_> = evaluation.groups.iter().filter(|g| !g.endings.is_empty()).collect();
     if evaluation.groups.is_empty() {
@@ -73,7 +73,7 @@ fn groups(evaluation: &Evaluation) {
     }
     line("");
     if troubled.is_empty() {
-        line(format_args!("  All {} scenario groups succeeded throughout.", evaluation.groups.len()));
+        line(format_args!("  All episodes of all {} scenario groups succeeded.", evaluation.groups.len()));
         return;
     }
     line(bold("  Scenario groups with failures or invalid episodes"));
@@ -96,8 +96,11 @@ fn score(evaluation: &Evaluation) {
         return;
     };
     let [least, most] = score.bounds;
-    let bounds =
-        if most - least > 0.05 { format!(", {least:.1} to {most:.1} whatever is missing") } else { String::new() };
+    let bounds = if most - least > 0.05 {
+        format!(", {least:.1} to {most:.1} depending on the missing values")
+    } else {
+        String::new()
+    };
     line(bold(format_args!("  Confidence score {points:.1} of 100{bounds}")));
     for term in &score.terms {
         let figure = term.value.map_or_else(String::new, |x| value(term.term.metric, x));
@@ -111,13 +114,13 @@ fn score(evaluation: &Evaluation) {
     }
 }
 
-/// Prints what the gate will do.
+/// Prints the plan of the gate.
 pub(crate) fn print_plan(plan: &GatePlan) {
     let how = match plan.sampling {
         Sampling::Fixed => format!("{} rounds of {} episodes, judged once", plan.rounds, plan.per_round),
         Sampling::Sequential => {
             format!(
-                "up to {} rounds of {} episodes, ended as soon as the answer is certain",
+                "up to {} rounds of {} episodes, stopped as soon as the verdict is certain",
                 plan.rounds, plan.per_round
             )
         }
@@ -131,34 +134,34 @@ pub(crate) fn print_plan(plan: &GatePlan) {
     } else {
         line(dim("Point comparisons, each requirement alone, with equal success rates in all scenarios."));
     }
-    for demand in &plan.demands {
-        let limit = value(demand.requirement.metric, demand.bound.limit);
+    for planned in &plan.demands {
+        let limit = value(planned.requirement.metric, planned.bound.limit);
         line("");
-        let scope = demand.id.find('[').map_or("", |at| &demand.id[at..]);
-        line(bold(format_args!("{}{scope} {} {limit}", demand.requirement.metric.title(), demand.bound.sense)));
-        if let Some(fewest) = demand.fewest_rounds {
+        let scope = planned.id.find('[').map_or("", |at| &planned.id[at..]);
+        line(bold(format_args!("{}{scope} {} {limit}", planned.requirement.metric.title(), planned.bound.sense)));
+        if let Some(fewest) = planned.fewest_rounds {
             let round = if fewest == 1 { "round" } else { "rounds" };
-            let without = if matches!(demand.requirement.metric, Metric::CycleTime(_) | Metric::Measure(..)) {
-                "with every episode like the baseline's mean"
+            let without = if matches!(planned.requirement.metric, Metric::CycleTime(_) | Metric::Measure(..)) {
+                "if every episode equals the baseline's mean"
             } else {
-                "without a single bad episode"
+                "if no episode fails"
             };
             line(format_args!(
                 "  met at the earliest after {fewest} {round} ({} episodes), {without}",
                 grouped(fewest * plan.per_round)
             ));
         }
-        if demand.at.is_empty() {
+        if planned.at.is_empty() {
             line(dim("  no table: the test makes no assumption about the distribution of the values"));
             continue;
         }
         line(dim("    true rate     pass     fail     open   episodes"));
-        for at in &demand.at {
-            let better = match demand.bound.sense {
-                Sense::AtLeast => at.rate > demand.bound.limit,
-                Sense::AtMost => at.rate < demand.bound.limit,
+        for at in &planned.at {
+            let better = match planned.bound.sense {
+                Sense::AtLeast => at.rate > planned.bound.limit,
+                Sense::AtMost => at.rate < planned.bound.limit,
             };
-            let mark = if (at.rate - demand.bound.limit).abs() < 1e-12 {
+            let mark = if (at.rate - planned.bound.limit).abs() < 1e-12 {
                 "limit"
             } else if better {
                 ""
@@ -207,7 +210,7 @@ fn colour(status: Status, text: &str) -> Styled<&str> {
     styled(style, text)
 }
 
-/// A sentence in lines of at most 100 columns, beside the point.
+/// Prints a sentence in dimmed lines of at most 100 columns.
 fn wrapped(text: &str) {
     let mut row = String::new();
     for word in text.split(' ') {

@@ -21,34 +21,34 @@ use serde::{Deserialize, Serialize};
 
 use crate::registry::{ENGINES, EngineEntry};
 use crate::remote::{self as servers, CellTask, PhysicsHost};
-use crate::renderer::Drawn;
+use crate::renderer::RendererRecord;
 use crate::subject::named_space;
 
 /// The settings of the cell, as a run records them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct CellSettings {
-    /// A built-in robot's name, or the folder of the user's own.
+    /// The name of a built-in robot, or the folder of a user's robot.
     pub(crate) robot: String,
     /// The physics engine.
     pub(crate) engine: String,
-    /// The engine's time step in seconds.
+    /// The engine's time step, in seconds.
     pub(crate) time_step_s: f64,
-    /// Normal force of each pad in newtons; the robot's own setting where it is absent.
+    /// Normal force of each pad, in newtons. `None` for the robot's default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) grip_force_n: Option<f64>,
-    /// How a suction cup holds an object; absent for a gripper without one.
+    /// How a suction cup holds an object. `None` for a gripper without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) suction: Option<SuctionLaw>,
-    /// The renderer of the cameras; the embedded one where it is absent.
+    /// The renderer of the cameras. `None` for the embedded one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) renderer: Option<Drawn>,
+    pub(crate) renderer: Option<RendererRecord>,
     /// Whether the engine runs in physics servers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) simulator: Option<Physics>,
 }
 
-/// The engine runs in servers that only compute physics.
+/// Marks an engine that runs in servers that only compute physics.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Physics {
@@ -56,19 +56,19 @@ pub(crate) enum Physics {
     Physics,
 }
 
-/// The cell; it can be set up again and again, once for each thread.
+/// The cell. It can be set up several times, once for each thread.
 pub(crate) struct Cell {
     settings: CellSettings,
     robot: Robot,
-    /// Pixels along each side of the camera images, where they were chosen.
+    /// Pixels along each side of the camera images, if they were chosen.
     picture_px: Option<usize>,
-    /// The servers, where the engine runs in them.
+    /// The servers, if the engine runs in them.
     pool: Option<Arc<Pool>>,
 }
 
 impl Cell {
-    /// Reads the robot and sets the cell up once, so that problems are reported before anything starts. A suction cup
-    /// holds by `suction` where the settings do not say.
+    /// Reads the robot and sets the cell up once, so that problems are reported before a run starts. `suction` is used
+    /// for a suction cup if the settings do not choose a law.
     pub(crate) fn new(
         mut settings: CellSettings,
         suction: SuctionLaw,
@@ -95,13 +95,13 @@ impl Cell {
         if let (Some(_), Some(force)) = (gripper.cup(), settings.grip_force_n) {
             bail!("--grip-force {force} applies to fingers; the gripper of {name} is a suction cup");
         }
-        if let Some(drawn) = &settings.renderer {
-            drawn.check(&settings.engine, pool.is_some())?;
+        if let Some(record) = &settings.renderer {
+            record.check(&settings.engine, pool.is_some())?;
         }
         let mut cell = Self { settings, robot, picture_px: None, pool };
-        if let Some(drawn) = cell.settings.renderer.clone() {
+        if let Some(record) = cell.settings.renderer.clone() {
             let engine = EngineEntry::find(&cell.settings.engine)?;
-            cell.settings.renderer = Some((engine.renderer)(&cell.setup(), &drawn)?);
+            cell.settings.renderer = Some((engine.renderer)(&cell.setup(), &record)?);
         }
         let mut environment = cell.environment()?;
         environment.reset(&nominal()).context("the robot cannot be set up in the cell")?;
@@ -111,12 +111,12 @@ impl Cell {
         Ok(cell)
     }
 
-    /// The same cell, its camera images of this many pixels in width and height.
+    /// The same cell with camera images of this width and height in pixels.
     pub(crate) fn with_pictures_of(self, picture_px: usize) -> Self {
         Self { picture_px: Some(picture_px), ..self }
     }
 
-    /// Its settings.
+    /// The cell's settings.
     pub(crate) fn settings(&self) -> &CellSettings {
         &self.settings
     }
@@ -126,7 +126,7 @@ impl Cell {
         &self.robot
     }
 
-    /// The identity of the robot's files.
+    /// The hash of the robot's files.
     pub(crate) fn robot_sha256(&self) -> anyhow::Result<String> {
         Ok(identity(&self.robot.files()?))
     }
@@ -136,7 +136,7 @@ impl Cell {
         self.robot.name()
     }
 
-    /// How many servers the engine runs in, if it does: as many episodes run at once.
+    /// How many servers the engine runs in, if it is remote. As many episodes run at once.
     pub(crate) fn servers(&self) -> Option<NonZeroUsize> {
         self.pool.as_ref().and_then(|pool| NonZeroUsize::new(pool.len()))
     }
@@ -166,7 +166,7 @@ impl Cell {
         }
     }
 
-    /// Whether the servers can apply these parameters.
+    /// Checks that the servers can apply these parameters.
     fn check_known(&self, space: &ParameterSpace) -> anyhow::Result<()> {
         let Some(pool) = &self.pool else { return Ok(()) };
         let task = &pool.hello().task;
@@ -184,7 +184,7 @@ impl Cell {
         }
     }
 
-    /// An environment, and the scripted controller under a recorder that pushes the arm by `push_m`.
+    /// Creates an environment, and the scripted controller with a recorder that pushes the arm by `push_m` metres.
     pub(crate) fn demonstrator(&self, push_m: f64) -> anyhow::Result<(Box<dyn Environment>, Recorder<Scripted>)> {
         let setup = self.setup();
         let (environment, chain) = (self.environment()?, self.chain(&setup)?);
@@ -197,7 +197,7 @@ impl Cell {
         (engine.build)(setup, self.settings.renderer.as_ref(), self.picture_px.unwrap_or(SIZE_PX))
     }
 
-    /// The robot's kinematics. Those of an engine in servers are assumed to be ours, and checked at each reset.
+    /// The robot's kinematics. Those of a remote engine are assumed to be ours, and checked at each reset.
     fn chain(&self, setup: &Setup) -> anyhow::Result<Chain> {
         match self.pool {
             Some(_) => (ENGINES[0].chain)(setup.robot.clone()),
@@ -224,7 +224,7 @@ impl Cell {
         CellTask::new(&setup.robot, chain, sha256, self.picture_px.unwrap_or(SIZE_PX))
     }
 
-    /// An environment of the cell.
+    /// Creates an environment of the cell.
     pub(crate) fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
         Ok(self.make(&self.setup())?.0)
     }
@@ -243,10 +243,10 @@ impl Cell {
         self.task_for(&setup, chain)
     }
 
-    /// What a server of this cell reports about itself.
+    /// The information that a server of this cell declares.
     pub(crate) fn hello(&self) -> anyhow::Result<Hello> {
         if self.pool.is_some() {
-            bail!("--simulator names a simulator that is served already");
+            bail!("`robogate serve` serves built-in environments only\n  hint: leave out --simulator");
         }
         let (engine, robot) = self.provenance()?;
         let program = message::Program { name: "robogate".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() };
@@ -260,7 +260,7 @@ impl Cell {
         })
     }
 
-    /// The engine as a server that only computes physics.
+    /// Creates the engine as a server that only computes physics.
     pub(crate) fn physics_host(&self) -> anyhow::Result<PhysicsHost> {
         if self.settings.renderer.is_some() {
             bail!("--renderer egl cannot be used with --physics-only: such a server has no cameras");
@@ -278,7 +278,7 @@ impl Cell {
         Ok(PhysicsHost::new(hello, (EngineEntry::find(&self.settings.engine)?.host)(robot, time_step_s)?))
     }
 
-    /// The engine's and robot's part of the provenance.
+    /// The engine and robot of the provenance.
     pub(crate) fn provenance(&self) -> anyhow::Result<(provenance::Engine, provenance::Robot)> {
         let engine = match &self.pool {
             Some(pool) => servers::engine(pool.hello()),
@@ -304,28 +304,28 @@ pub(crate) fn engine(build: EngineBuild) -> provenance::Engine {
     provenance::Engine { name: build.name.to_owned(), version: Some(build.version), build_sha256: build.sha256 }
 }
 
-/// The scenario that requests nothing.
+/// A scenario with nominal values only.
 pub(crate) fn nominal() -> Scenario {
     Scenario { index: 0, seed: Seed::campaign(0).episode(0), requested: Assignment::default() }
 }
 
-/// A robot by its folder or its name.
+/// Loads a robot by its folder or name.
 fn robot(wanted: &str) -> Result<Robot, RobotError> {
     if is_folder(wanted) { Robot::from_folder(Path::new(wanted)) } else { built_in_robot(wanted) }
 }
 
-/// The files of the robot with this name or folder, where they have this hash.
+/// The files of the robot with this name or folder, if they have this hash.
 pub(crate) fn robot_files(wanted: &str, sha256: Option<&String>) -> Option<Vec<RobotFile>> {
     let files = robot(wanted).ok()?.files().ok()?;
     (sha256 == Some(&identity(&files))).then_some(files)
 }
 
-/// The identity of a robot by its files.
+/// The identity of a robot, from its files.
 fn identity(files: &[RobotFile]) -> String {
     robot_sha256(files.iter().map(|(name, bytes)| (name.as_str(), &**bytes)))
 }
 
-/// An environment, and what is known of the engine in it.
+/// An environment and the identity of its engine.
 pub(crate) struct Built {
     environment: Box<dyn Environment>,
     chain: Chain,

@@ -1,10 +1,10 @@
-//! Errors with the exit code of the command that they end.
+//! Errors with the exit code of the command.
 
 use std::fmt;
 
 pub(crate) use robogate::exit_codes::{FAIL, INFRASTRUCTURE, INTERRUPTED, INVALID, PASS as DONE, USAGE};
 
-/// An error on its way out, with the exit code that its cause has.
+/// An error that ends the command, with its exit code.
 #[derive(Debug)]
 pub(crate) struct Exit {
     pub(crate) code: u8,
@@ -13,7 +13,7 @@ pub(crate) struct Exit {
 
 impl fmt::Display for Exit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // The chain of causes on one line each; a cause that the line above already holds is left out.
+        // One line for each cause. A cause that the line above already contains is left out.
         let mut last = self.error.to_string();
         f.write_str(&last)?;
         for cause in self.error.chain().skip(1) {
@@ -27,11 +27,11 @@ impl fmt::Display for Exit {
     }
 }
 
-/// Gives an error its exit code.
+/// Converts an error to an [`Exit`] with the exit code of its class.
 pub(crate) trait OrExit<T> {
-    /// Wrong usage or configuration.
+    /// Exit code 2: wrong usage or configuration.
     fn or_usage(self) -> Result<T, Exit>;
-    /// Infrastructure.
+    /// Exit code 5: infrastructure.
     fn or_broken(self) -> Result<T, Exit>;
 }
 

@@ -1,4 +1,4 @@
-//! What an inspection of a robot found, for people and as JSON.
+//! The result of a robot check, in the terminal and as JSON.
 
 use robogate_physics::RobotSettings;
 use robogate_tasks::pick_place::{Inspection, Measured, inspect};
@@ -8,7 +8,7 @@ use crate::commands::robots::{facts, in_words};
 use crate::exit::{DONE, USAGE};
 use crate::terminal::{bold, line, percent};
 
-/// Inspects a robot, shows what was found and gives the exit code.
+/// Checks a robot, prints the result and returns the exit code.
 pub(crate) fn show(robot: &str, json: bool) -> u8 {
     let inspection = inspect(robot);
     let Inspection { problems, settings, measured } = &inspection;
@@ -23,8 +23,8 @@ pub(crate) fn show(robot: &str, json: bool) -> u8 {
         let name = settings.as_ref().map_or(robot, |settings| &settings.name);
         match problems.len() {
             0 => line(format_args!("{} {name} can be used", bold("ok"))),
-            1 => line(format_args!("{} 1 thing is wrong with {name}", bold("FAILS"))),
-            n => line(format_args!("{} {n} things are wrong with {name}", bold("FAILS"))),
+            1 => line(format_args!("{} 1 problem with {name}", bold("FAILS"))),
+            n => line(format_args!("{} {n} problems with {name}", bold("FAILS"))),
         }
         for (i, problem) in problems.iter().enumerate() {
             line(format_args!("\n{}. {}\n   hint: {}", i + 1, problem.what, problem.hint));
@@ -43,21 +43,21 @@ fn summary(settings: &RobotSettings, Measured { robot: measured, reaches_target 
     let masses: Vec<String> = measured.masses_kg.iter().map(|(body, mass)| format!("{body} {mass:.3}")).collect();
     line(format_args!("joints     {}: {}", arm.joints.len(), arm.joints.join(", ")));
     line(format_args!("gripper    {}", in_words(gripper)));
-    line(format_args!("masses     {total:.3} kg that move: {}", masses.join(", ")));
+    line(format_args!("masses     {total:.3} kg of moving links: {}", masses.join(", ")));
     line(format_args!(
-        "reach      {:.3} m stated; from the first joint's axis the flange came {:.3} m, the tool {:.3} m",
+        "reach      {:.3} m declared; measured from the axis of the first joint: flange {:.3} m, tool {:.3} m",
         arm.reach_m, measured.flange_reach_m, measured.tool_reach_m
     ));
     line(format_args!(
-        "workspace  {} of the places over the table within reach of a tool that points down; the target {}",
+        "workspace  {} of the positions over the table can be reached with the tool pointing down; target {}",
         percent(measured.workspace_share),
-        if *reaches_target { "too" } else { "not" }
+        if *reaches_target { "reachable" } else { "out of reach" }
     ));
     if !reaches_target {
-        line("           where it does not reach the target no episode of the task can succeed");
+        line("           while the target is out of reach, no episode can succeed");
     }
     match measured.tracking_error_rad {
-        Some(error) => line(format_args!("servos     hold and follow within {:.2} mrad", 1e3 * error)),
-        None => line("servos     not tried: see above"),
+        Some(error) => line(format_args!("servos     hold and track within {:.2} mrad", 1e3 * error)),
+        None => line("servos     not tested: see the problems above"),
     }
 }

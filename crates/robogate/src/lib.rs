@@ -1,3 +1,3 @@
-//! The public constants of the command `robogate`, for programs that run it.
+//! Public constants of the command `robogate`, for programs that run it.
 
 pub mod exit_codes;

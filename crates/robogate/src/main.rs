@@ -1,4 +1,4 @@
-//! The command: one file per verb.
+//! The command line of `robogate`, with one file for each verb.
 
 mod answer;
 mod cell;
@@ -48,9 +48,9 @@ enum Verb {
     Compare(commands::compare::Compare),
     /// Write a run or a dictionary as one page: HTML, Markdown or JSON
     Report(commands::report::Report),
-    /// Decide whether the policy may run: run a suite until the answer is certain enough, or judge a finished run
+    /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run
     Gate(commands::gate::Gate),
-    /// Store a run's figures as a baseline for other runs
+    /// Write a run's figures to a file, as a baseline for other runs
     Baseline(commands::baseline::BaselineOf),
     /// Rank policies that ran the same scenarios
     Leaderboard(commands::leaderboard::Rank),
@@ -70,7 +70,7 @@ enum Verb {
     List(commands::list::List),
     /// List the robots, or check one
     Robots(commands::robots::Robots),
-    /// Write a folder with everything that a verdict depends on, for others to check
+    /// Write a folder with everything that a verdict depends on, so that others can check it
     Evidence(commands::evidence::Evidence),
     /// Verify a folder of evidence: files, signatures, and the verdict recomputed from the rows
     Verify(commands::verify::Verify),

@@ -1,4 +1,4 @@
-//! Pictures as files, and many of them on one sheet.
+//! Images as PNG files, and several images on one contact sheet.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -7,25 +7,25 @@ use std::path::Path;
 use anyhow::{Context, bail};
 use robogate_core::Image;
 
-/// Space between the pictures of a sheet, in pixels.
+/// Space between the images of a sheet, in pixels.
 const GAP: usize = 4;
-/// Height of a caption, in pixels: a letter and room about it.
+/// Height of a caption, in pixels: a letter with a margin.
 const CAPTION: usize = 13;
-/// Width and height of a letter.
+/// Width and height of a letter, in pixels.
 const LETTER: [usize; 2] = [5, 7];
 
 const PAPER: [u8; 3] = [250, 250, 248];
 const INK: [u8; 3] = [70, 74, 80];
 
-/// Writes a picture as PNG. A file that is there already is refused.
+/// Writes an image as PNG. Returns an error if the file already exists.
 pub(crate) fn write(path: &Path, image: &Image) -> anyhow::Result<()> {
-    let bytes = png(image).with_context(|| format!("cannot make {}", path.display()))?;
+    let bytes = png(image).with_context(|| format!("cannot encode {}", path.display()))?;
     if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     }
     let file = match File::create_new(path) {
         Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {
-            bail!("{} is there already: remove it, or name another place with --out", path.display())
+            bail!("{}: already exists. Remove it, or choose another path with --out", path.display())
         }
         file => file.with_context(|| format!("cannot write {}", path.display()))?,
     };
@@ -33,7 +33,7 @@ pub(crate) fn write(path: &Path, image: &Image) -> anyhow::Result<()> {
     file.write_all(&bytes).and_then(|()| file.flush()).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// The picture's PNG.
+/// Encodes an image as PNG.
 fn png(image: &Image) -> anyhow::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, u32::try_from(image.width)?, u32::try_from(image.height)?);
@@ -45,7 +45,7 @@ fn png(image: &Image) -> anyhow::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Pictures of one size, each with a caption under it, in rows of `columns`.
+/// Arranges images of one size in rows of `columns`, each with a caption below it.
 pub(crate) fn sheet(pictures: &[(String, Image)], columns: usize) -> Image {
     let (wide, high) = pictures.first().map_or((0, 0), |(_, image)| (image.width, image.height));
     let columns = columns.clamp(1, pictures.len().max(1));
@@ -73,8 +73,8 @@ pub(crate) fn sheet(pictures: &[(String, Image)], columns: usize) -> Image {
     Image { camera: "sheet".to_owned(), width, height, rgb }
 }
 
-/// A letter in dots, row by row from the top, the leftmost dot the highest of five bits. Small letters are drawn as
-/// capitals; what is not here is a dash.
+/// The bitmap of a letter: rows from the top, five bits each, with the leftmost pixel in the highest bit. Lower-case
+/// letters appear as capitals, and unsupported characters as a dash.
 fn glyph(letter: char) -> [u8; 7] {
     match letter.to_ascii_lowercase() {
         ' ' => [0; 7],
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_back() {
+    fn png_round_trip_is_exact() {
         let mut image = plain(7);
         image.rgb[3 * 41] = 200;
         let bytes = png(&image).unwrap();
@@ -141,25 +141,25 @@ mod tests {
     }
 
     #[test]
-    fn a_sheet_holds_every_picture_in_its_place() {
+    fn sheet_places_every_image() {
         let pictures: Vec<_> = (0..5).map(|i| (format!("case-{i}"), plain(i * 40))).collect();
         let sheet = sheet(&pictures, 3);
         assert_eq!((sheet.width, sheet.height), (3 * 44 + 4, 2 * 47 + 4));
         assert_eq!(sheet.rgb.len(), 3 * sheet.width * sheet.height);
-        // The middle of the fifth picture: second row, second column.
+        // The centre of the fifth image: second row, second column.
         let at = 3 * ((4 + 47 + 15) * sheet.width + 4 + 44 + 20);
         assert_eq!(sheet.rgb[at], 160);
         assert_eq!(super::sheet(&[], 3).rgb.len(), 3 * 8 * 4);
     }
 
     #[test]
-    fn a_picture_that_is_there_is_kept() {
+    fn existing_files_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("new").join("a.png");
         write(&path, &plain(1)).unwrap();
         let before = std::fs::read(&path).unwrap();
         let error = write(&path, &plain(2)).unwrap_err().to_string();
-        assert!(error.contains("is there already"), "{error}");
+        assert!(error.contains("already exists"), "{error}");
         assert_eq!(std::fs::read(&path).unwrap(), before);
     }
 }

@@ -51,7 +51,7 @@ impl PolicySource {
         }
     }
 
-    /// Profile of an external policy.
+    /// The profile of an external policy.
     pub(crate) fn profile(&self) -> Option<&Profile> {
         match self {
             Self::External(served) => Some(&served.profile),
@@ -59,7 +59,7 @@ impl PolicySource {
         }
     }
 
-    /// The same policy, with a new description of itself.
+    /// The same policy with new connection metadata.
     pub(crate) fn asked_again(&self) -> Result<Self, Exit> {
         match self {
             Self::External(served) => {
@@ -69,7 +69,7 @@ impl PolicySource {
         }
     }
 
-    /// A policy for one worker.
+    /// Creates the policy for one worker.
     pub(crate) fn policy(&self) -> Result<Box<dyn Policy>, Fault> {
         Ok(match self {
             Self::External(served) => Box::new(ExternalPolicy::connect(&served.server, Arc::clone(&served.profile))?),
@@ -90,15 +90,15 @@ impl ExternalSource {
     }
 }
 
-/// The policy, on the command line.
+/// The arguments that select the policy.
 #[derive(Debug, Args)]
 pub(crate) struct PolicyArguments {
     /// Choose the policy: scripted (the environment's own controller, the default), random (actions drawn within the
     /// bounds of the task), the address of a policy server such as ws://127.0.0.1:8000, or an ONNX file
     #[arg(long, value_name = "URL|FILE|random|scripted")]
     policy: Option<String>,
-    /// Choose the observation and action mapping of that policy: a built-in profile (see `robogate policy profiles`), or
-    /// a TOML file
+    /// Choose the observation and action mapping of that policy: a built-in profile (see `robogate policy profiles`),
+    /// or a TOML file
     #[arg(long, value_name = "NAME|FILE", requires = "policy")]
     profile: Option<String>,
 }
@@ -149,7 +149,7 @@ pub(crate) fn profile(wanted: &str) -> anyhow::Result<Profile> {
     }
 }
 
-/// An error of a policy with its exit code: wrong settings are a usage error, all others infrastructure.
+/// Gives an error of a policy its exit code: wrong settings are usage errors, all others infrastructure.
 pub(crate) fn policy_error(error: PolicyError) -> Exit {
     let code = if error.is_usage_error() { USAGE } else { INFRASTRUCTURE };
     Exit { code, error: error.into() }

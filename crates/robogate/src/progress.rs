@@ -1,4 +1,4 @@
-//! The stream of events as a progress bar.
+//! A progress bar driven by the events of a campaign.
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use robogate_campaign::{Event, OutcomeCounts, Stage};
@@ -6,19 +6,19 @@ use robogate_core::{FailureMode, Outcome};
 
 use crate::terminal;
 
-/// Listens to a campaign and shows how far it is.
+/// Listens to a campaign and shows its progress.
 pub(crate) struct Progress {
     bar: ProgressBar,
     counts: OutcomeCounts,
 }
 
 impl Progress {
-    /// A listener that shows nothing yet.
+    /// Creates a listener that has shown nothing yet.
     pub(crate) fn new() -> Self {
         Self { bar: ProgressBar::hidden(), counts: OutcomeCounts::default() }
     }
 
-    /// Takes an event.
+    /// Handles an event.
     pub(crate) fn hear(&mut self, event: &Event) {
         match event {
             Event::Started { already_done, episodes, .. } if *already_done > 0 => {
@@ -41,7 +41,8 @@ impl Progress {
             Event::Episode { outcome, .. } => {
                 self.counts.add(&outcome_of(outcome));
                 self.bar.inc(1);
-                // Drawing is limited by the bar; making its text is not worth more than every few episodes.
+                // The bar limits how often it is drawn. Formatting its message costs time too, so it is updated every
+                // few episodes.
                 if self.counts.total().is_multiple_of(8) {
                     self.say();
                 }
@@ -53,14 +54,14 @@ impl Progress {
                 self.say();
                 self.bar.abandon();
             }
-            // The bar leaves the cursor at its own end.
+            // The bar leaves the cursor at the end of its line.
             Event::Finished { already: false, .. } if !self.bar.is_hidden() => terminal::note(""),
             Event::Warning { message, .. } => self.bar.suspend(|| terminal::note(format_args!("warning: {message}"))),
             Event::Started { .. } | Event::BoundaryFound { .. } | Event::Finished { .. } => {}
         }
     }
 
-    /// Where there is no terminal (CI, a log file): a line for each tenth of a stage.
+    /// Without a terminal (CI, a log file): prints a line for each tenth of a stage.
     fn log(&self) {
         let (done, all) = (self.bar.position(), self.bar.length().unwrap_or(0));
         if done * 10 / all.max(1) > (done - 1) * 10 / all.max(1) {
@@ -73,7 +74,7 @@ impl Progress {
         self.bar.set_message(self.describe());
     }
 
-    /// How it went so far, in one line.
+    /// The counts so far in one line.
     fn describe(&self) -> String {
         let mut text = match self.counts.success_rate() {
             Some(rate) => format!("success {}", terminal::percent(rate)),
@@ -89,7 +90,7 @@ impl Progress {
     }
 }
 
-/// The outcome of this name, as far as counting goes.
+/// Parses the name of an outcome. Only the kind matters here, because the bar counts kinds.
 fn outcome_of(name: &str) -> Outcome {
     match name {
         "success" => Outcome::Success,
@@ -105,7 +106,7 @@ fn style() -> ProgressStyle {
     .unwrap_or_else(|_| ProgressStyle::default_bar())
     .progress_chars("█▉▊▋▌▍▎▏ ")
     .with_key("per_sec", |state: &indicatif::ProgressState, out: &mut dyn std::fmt::Write| {
-        // A bar that cannot be drawn is no reason to stop.
+        // A bar that cannot be formatted must not stop the campaign.
         let _ = write!(out, "{:.1}/s", state.per_sec());
     })
 }

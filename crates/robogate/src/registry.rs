@@ -1,6 +1,6 @@
-//! What this build has, by name: engines, tasks, robots, policies, spaces and suites.
+//! The engines, tasks, robots, policies, spaces and suites of this build, by name.
 //!
-//! A new engine or task is one line here. Robots, spaces and suites are files that their crates embed.
+//! A new engine or task adds one line here. Robots, spaces and suites are files that their crates embed.
 
 use anyhow::anyhow;
 use robogate_camera::Renderer;
@@ -17,7 +17,7 @@ use robogate_tasks::{SelfContained, pick_place};
 
 use crate::cell::Built;
 use crate::remote::PhysicsEngine;
-use crate::renderer::Drawn;
+use crate::renderer::RendererRecord;
 
 /// The engines of the built-in cell; the first is the default.
 pub(crate) const ENGINES: &[EngineEntry] = &[
@@ -38,23 +38,23 @@ pub(crate) const TASKS: &[&dyn SelfContained] = &[
 /// The task of the built-in cell.
 pub(crate) const CELL_TASK: &str = pick_place::NAME;
 
-/// The policies that come with RoboGate, beside the profiles of external ones.
+/// The built-in policies. Profiles of external policies are listed beside them.
 pub(crate) const POLICIES: [&str; 2] = ["scripted", "random"];
 
 /// An engine of the built-in cell.
 pub(crate) struct EngineEntry {
     /// Its name on the command line.
     pub(crate) name: &'static str,
-    /// Its own time step, in seconds.
+    /// Default time step, in seconds.
     pub(crate) time_step_s: f64,
-    /// The task in it.
-    pub(crate) build: fn(&Setup, Option<&Drawn>, usize) -> anyhow::Result<Built>,
-    /// A robot's kinematics, as it has them.
+    /// Builds the task in this engine.
+    pub(crate) build: fn(&Setup, Option<&RendererRecord>, usize) -> anyhow::Result<Built>,
+    /// Reads a robot's kinematics as this engine models them.
     pub(crate) chain: fn(Robot) -> anyhow::Result<Chain>,
-    /// It alone, for a server that only computes physics.
+    /// Creates the engine alone, for a server that only computes physics.
     pub(crate) host: fn(Robot, f64) -> anyhow::Result<Box<dyn PhysicsEngine>>,
-    /// A renderer of its own, and what is recorded of it.
-    pub(crate) renderer: fn(&Setup, &Drawn) -> anyhow::Result<Drawn>,
+    /// Opens a renderer that is not the embedded one, and returns its record.
+    pub(crate) renderer: fn(&Setup, &RendererRecord) -> anyhow::Result<RendererRecord>,
 }
 
 impl EngineEntry {
@@ -62,9 +62,9 @@ impl EngineEntry {
         Self {
             name: E::NAME,
             time_step_s: E::TIME_STEP,
-            build: |setup, drawn, picture_px| {
+            build: |setup, record, picture_px| {
                 let engine = E::create(setup.robot.clone(), setup.time_step_s)?;
-                let renderer = drawn.map(|drawn| engine.renderer(drawn)).transpose()?;
+                let renderer = record.map(|record| engine.renderer(record)).transpose()?;
                 Built::new(engine, setup.suction, picture_px, renderer.map(|(renderer, _)| renderer))
             },
             chain: |robot| Ok(E::create(robot, E::TIME_STEP)?.chain().clone()),
@@ -72,29 +72,29 @@ impl EngineEntry {
                 let engine = E::create(robot, time_step_s)?;
                 Ok(Box::new(remote::PhysicsHost::new(engine, None).map_err(|why| anyhow!(why))?))
             },
-            renderer: |setup, drawn| Ok(E::create(setup.robot.clone(), setup.time_step_s)?.renderer(drawn)?.1),
+            renderer: |setup, record| Ok(E::create(setup.robot.clone(), setup.time_step_s)?.renderer(record)?.1),
         }
     }
 
-    /// The engine of this name.
+    /// Finds an engine by its name.
     pub(crate) fn find(name: &str) -> anyhow::Result<&'static Self> {
         ENGINES.iter().find(|engine| engine.name == name).ok_or_else(|| {
             let known: Vec<&str> = ENGINES.iter().map(|engine| engine.name).collect();
-            anyhow!("--engine {name}: this build has no such engine. Expected one of: {}", known.join(", "))
+            anyhow!("--engine {name}: no such engine in this build. Expected one of: {}", known.join(", "))
         })
     }
 }
 
-/// What the built-in cell needs of an engine beside its physics.
+/// What the built-in cell needs from an engine in addition to its physics.
 trait CellEngine: Engine + Sized + 'static {
     const NAME: &'static str;
     const TIME_STEP: f64;
 
     fn create(robot: Robot, time_step_s: f64) -> Result<Self, RobotError>;
 
-    /// Opens the renderer that works on this engine's state, and returns what is recorded of it.
-    fn renderer(&self, drawn: &Drawn) -> anyhow::Result<(Box<dyn Renderer<Self>>, Drawn)> {
-        Err(anyhow!("--renderer {}: the engine {} has no renderer of its own", drawn.name(), Self::NAME))
+    /// Opens the renderer that reads this engine's state, and returns it with its record.
+    fn renderer(&self, record: &RendererRecord) -> anyhow::Result<(Box<dyn Renderer<Self>>, RendererRecord)> {
+        Err(anyhow!("--renderer {}: not available for the engine {}. Expected embedded", record.name(), Self::NAME))
     }
 }
 
@@ -107,8 +107,8 @@ impl CellEngine for MujocoEngine {
         Self::new(robot, time_step_s)
     }
 
-    fn renderer(&self, drawn: &Drawn) -> anyhow::Result<(Box<dyn Renderer<Self>>, Drawn)> {
-        drawn.open(self)
+    fn renderer(&self, record: &RendererRecord) -> anyhow::Result<(Box<dyn Renderer<Self>>, RendererRecord)> {
+        record.open(self)
     }
 }
 
@@ -122,7 +122,7 @@ impl CellEngine for RapierEngine {
     }
 }
 
-/// The task of this name that brings its own world.
+/// Finds a task that brings its own world by its name.
 pub(crate) fn task(name: &str) -> anyhow::Result<&'static dyn SelfContained> {
     TASKS.iter().copied().find(|task| task.name() == name).ok_or_else(|| {
         let known: Vec<&str> = std::iter::once(CELL_TASK).chain(TASKS.iter().map(|task| task.name())).collect();
@@ -130,7 +130,7 @@ pub(crate) fn task(name: &str) -> anyhow::Result<&'static dyn SelfContained> {
     })
 }
 
-/// Everything by its kind and name, for people.
+/// All names, by kind, for the terminal.
 pub(crate) fn listing() -> Vec<(&'static str, Vec<String>)> {
     let names = |names: &mut dyn Iterator<Item = &str>| names.map(str::to_owned).collect::<Vec<String>>();
     let tasks = TASKS.iter().map(|task| format!("{}: {}", task.name(), task.summary()));

@@ -19,14 +19,14 @@ use robogate_zmtp::Address;
 use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
 use crate::terminal::note;
 
-/// Remote simulators, on the command line.
+/// The arguments that select remote simulators.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct Simulators {
     /// Run in these simulators instead of a built-in engine: addresses of bridge protocol servers, tcp://HOST:PORT,
     /// separated by commas
     #[arg(long = "simulator", value_name = "ADDRESSES", value_delimiter = ',')]
     pub(crate) addresses: Vec<Address>,
-    /// Timeout for a step of such a simulator, in seconds (0.001 to 86400); a reset may take four times as long
+    /// Set the timeout for a step of such a simulator, in seconds (0.001 to 86400); a reset may take four times as long
     #[arg(long = "simulator-timeout", value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
     timeout_s: f64,
 }
@@ -74,7 +74,7 @@ pub(crate) fn check_robot(hello: &Hello, robot: &Robot, sha256: &str) -> anyhow:
         }
         Some(_) => {}
         None if theirs.name == name => note(format_args!(
-            "note: the simulator reports no hash of its robot's files; its {name} is assumed to equal --robot {name}"
+            "note: the simulator reports no hash of its robot's files; its {name} is assumed to be the same as --robot {name}"
         )),
         None => bail!("the simulator has the robot {}, but --robot is {name}", theirs.name),
     }
@@ -162,7 +162,7 @@ impl RemoteTask for CellTask {
     }
 }
 
-/// A built-in engine that sets up cells and reports physical states, of any type.
+/// A built-in engine that sets up cells and reports physical states, without its concrete type.
 pub(crate) trait PhysicsEngine {
     fn reset(&mut self, scenario: &Scenario) -> Result<(RemoteReadback, RemoteSight, Observation), Fault>;
     fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<RemotePeriod, Fault>;

@@ -1,4 +1,4 @@
-//! What takes the cameras' pictures, by its name on the command line and in records.
+//! The renderer of the camera images, on the command line and in the record of a run.
 
 use anyhow::bail;
 use clap::ValueEnum;
@@ -16,59 +16,61 @@ pub(crate) enum RendererName {
 }
 
 impl RendererName {
-    /// The renderer where it is not the embedded one.
-    pub(crate) fn drawn(self) -> Option<Drawn> {
+    /// The record of the renderer. `None` for the embedded one.
+    pub(crate) fn record(self) -> Option<RendererRecord> {
         match self {
             Self::Embedded => None,
-            Self::Egl => Some(Drawn::Egl { device: None }),
+            Self::Egl => Some(RendererRecord::Egl { device: None }),
         }
     }
 }
 
-/// A renderer other than the embedded one, in a run's record.
+/// The record of a renderer other than the embedded one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "name", rename_all = "snake_case", deny_unknown_fields)]
-pub(crate) enum Drawn {
-    /// MuJoCo's own, by EGL.
+pub(crate) enum RendererRecord {
+    /// MuJoCo's renderer, through EGL.
     Egl {
-        /// OpenGL's renderer and version: another one makes other pixels.
+        /// OpenGL's renderer and version. Another device may render different pixels.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         device: Option<String>,
     },
 }
 
-impl Drawn {
-    /// Its name on the command line.
+impl RendererRecord {
+    /// The name on the command line.
     pub(crate) fn name(&self) -> &'static str {
         let Self::Egl { .. } = self;
         "egl"
     }
 
-    /// Refuses what it cannot draw.
-    pub(crate) fn check(&self, engine: &str, far: bool) -> anyhow::Result<()> {
+    /// Returns an error if the renderer cannot be used with this engine.
+    pub(crate) fn check(&self, engine: &str, remote: bool) -> anyhow::Result<()> {
         let Self::Egl { .. } = self;
-        if far {
+        if remote {
             bail!(
-                "--renderer egl draws what MuJoCo holds in this process: with --simulator the pictures are embedded ones"
+                "--renderer egl needs MuJoCo in this process; with --simulator only the embedded renderer is available"
             );
         }
         if engine != "mujoco" {
-            bail!("--renderer egl draws what MuJoCo holds: it is for --engine mujoco and not for {engine}");
+            bail!("--renderer egl cannot be used with --engine {engine}. Expected --engine mujoco");
         }
         Ok(())
     }
 }
 
 #[cfg(feature = "mujoco")]
-impl Drawn {
-    /// The renderer of this engine's world, and itself with the device that it has here. Another than the recorded one
-    /// is refused.
+impl RendererRecord {
+    /// Opens the renderer for this engine, and returns it with its record, which names the device. Returns an error if
+    /// the run was recorded with another device.
     pub(crate) fn open(&self, engine: &MujocoEngine) -> anyhow::Result<(Box<dyn Renderer<MujocoEngine>>, Self)> {
         let Self::Egl { device: recorded } = self;
         let (renderer, device) = egl(engine)?;
         match recorded {
             Some(recorded) if *recorded != device => {
-                bail!("the run's pictures were drawn by {recorded}, and this is {device}: it would see other pixels")
+                bail!(
+                    "the run's images were rendered by {recorded}, but this machine has {device}, whose pixels may differ"
+                )
             }
             _ => Ok((renderer, Self::Egl { device: Some(device) })),
         }
@@ -84,7 +86,7 @@ fn egl(engine: &MujocoEngine) -> anyhow::Result<(Box<dyn Renderer<MujocoEngine>>
 
 #[cfg(all(feature = "mujoco", not(feature = "egl")))]
 fn egl(_: &MujocoEngine) -> anyhow::Result<(Box<dyn Renderer<MujocoEngine>>, String)> {
-    bail!("this build has no EGL renderer\n  hint: build it with --features egl, as docs/cameras.md says")
+    bail!("this build has no EGL renderer\n  hint: build it with --features egl (docs/cameras.md)")
 }
 
 #[cfg(test)]
@@ -92,19 +94,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_embedded_renderer_leaves_no_trace_and_another_its_name_and_device() {
-        assert_eq!(RendererName::Embedded.drawn(), None);
-        assert_eq!(RendererName::Egl.drawn(), Some(Drawn::Egl { device: None }));
-        let drawn = Drawn::Egl { device: Some("llvmpipe".to_owned()) };
+    fn records_round_trip() {
+        assert_eq!(RendererName::Embedded.record(), None);
+        assert_eq!(RendererName::Egl.record(), Some(RendererRecord::Egl { device: None }));
+        let record = RendererRecord::Egl { device: Some("llvmpipe".to_owned()) };
         let recorded = serde_json::json!({ "name": "egl", "device": "llvmpipe" });
-        assert_eq!(serde_json::to_value(&drawn).unwrap(), recorded);
-        assert_eq!(serde_json::from_value::<Drawn>(recorded).unwrap(), drawn);
-        assert!(serde_json::from_value::<Drawn>(serde_json::json!({ "name": "vulkan" })).is_err());
+        assert_eq!(serde_json::to_value(&record).unwrap(), recorded);
+        assert_eq!(serde_json::from_value::<RendererRecord>(recorded).unwrap(), record);
+        assert!(serde_json::from_value::<RendererRecord>(serde_json::json!({ "name": "vulkan" })).is_err());
     }
 
     #[test]
-    fn only_what_mujoco_holds_in_this_process_is_drawn_by_it() {
-        let egl = Drawn::Egl { device: None };
+    fn egl_requires_local_mujoco() {
+        let egl = RendererRecord::Egl { device: None };
         assert!(egl.check("mujoco", false).is_ok());
         assert!(egl.check("rapier", false).unwrap_err().to_string().contains("rapier"));
         assert!(egl.check("mujoco", true).unwrap_err().to_string().contains("--simulator"));

@@ -1,4 +1,4 @@
-//! What is judged: an environment, and the policy in it.
+//! The subject of a run: an environment and the policy in it.
 
 use std::num::NonZeroUsize;
 use std::path::Path;
@@ -25,7 +25,7 @@ use crate::remote::{self, Simulators};
 use crate::renderer::RendererName;
 use crate::terminal::foreign;
 
-/// The environment, on the command line.
+/// The arguments that select the environment.
 #[derive(Debug, Args)]
 pub(crate) struct EnvironmentArguments {
     /// Choose the built-in task (see `robogate list`)
@@ -43,8 +43,8 @@ pub(crate) struct EnvironmentArguments {
     /// Set the normal force of each gripper pad, in newtons; default: the robot's own
     #[arg(long, value_name = "NEWTONS")]
     grip_force: Option<f64>,
-    /// Choose how a suction cup holds an object: surface (a joint that never breaks, as in the paper) or vacuum (limited
-    /// by pressure and friction); default: surface with the paper preset, vacuum otherwise
+    /// Choose how a suction cup holds an object: surface (a joint that never breaks, as in the paper) or vacuum
+    /// (limited by pressure and friction); default: surface with the paper preset, vacuum otherwise
     #[arg(long, value_name = "LAW")]
     suction: Option<SuctionLaw>,
     /// Choose the renderer of the camera images: the embedded ray caster, or MuJoCo's renderer through EGL
@@ -56,7 +56,7 @@ pub(crate) struct EnvironmentArguments {
 }
 
 impl EnvironmentArguments {
-    /// The environment that they name; a suction cup holds by `suction` where they do not say.
+    /// The environment that the arguments select. `suction` is used for a suction cup if they do not choose a law.
     pub(crate) fn environment(&self, suction: SuctionLaw) -> Result<EnvironmentSource, Exit> {
         let pool = self.simulators.connect()?;
         if let Some(pool) = pool.as_ref().filter(|pool| pool.hello().scores_itself) {
@@ -68,7 +68,7 @@ impl EnvironmentArguments {
         Cell::new(self.settings(), suction, pool).map(|cell| EnvironmentSource::Cell(Box::new(cell))).or_usage()
     }
 
-    /// The cell that they name: for verbs about pick_place alone.
+    /// The built-in cell that the arguments select, for verbs that support pick_place only.
     pub(crate) fn cell(&self) -> Result<Cell, Exit> {
         match self.environment(SuctionLaw::Vacuum)? {
             EnvironmentSource::Cell(cell) => Ok(*cell),
@@ -87,43 +87,43 @@ impl EnvironmentArguments {
             time_step_s: self.time_step.unwrap_or(engine.map_or(0.0, |engine: &EngineEntry| engine.time_step_s)),
             grip_force_n: self.grip_force,
             suction: self.suction,
-            renderer: self.renderer.drawn(),
+            renderer: self.renderer.record(),
             simulator: None,
         }
     }
 }
 
-/// A robot's folder by its full path, so that a run can be resumed from anywhere; a name as it is.
+/// Replaces a robot's folder by its absolute path, so that a run can be resumed from any folder. A name stays as it is.
 fn absolute(robot: &str) -> String {
     let path = Path::new(robot);
     let full = if is_folder(robot) { path.canonicalize().ok() } else { None };
     full.map_or_else(|| robot.to_owned(), |path| path.to_string_lossy().into_owned())
 }
 
-/// Where environments come from.
+/// The source of environments.
 pub(crate) enum EnvironmentSource {
     /// The built-in cell.
     Cell(Box<Cell>),
     /// A built-in task that brings its own world.
     SelfContained(&'static dyn SelfContained),
-    /// Servers with a task of their own.
+    /// Servers that declare their own task.
     Remote(RemoteSource),
 }
 
-/// Servers with a task of their own.
+/// Servers that declare their own task.
 pub(crate) struct RemoteSource {
     pool: Arc<Pool>,
-    /// The robot of the scripted controller, where the task is that of the built-in cell.
+    /// The robot of the scripted controller, if the task is that of the built-in cell.
     robot: String,
 }
 
-/// What a run records of its environment, beside task, engine and robot.
+/// What a run records about its environment, in addition to task, engine and robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 enum Recorded {
     /// A built-in task that brings its own world.
     SelfContained(RecordedTask),
-    /// Servers with a task of their own.
+    /// Servers that declare their own task.
     Remote(RecordedServers),
     /// The built-in cell.
     Cell(CellSettings),
@@ -154,17 +154,17 @@ fn franka() -> String {
     "franka".to_owned()
 }
 
-/// What is judged.
+/// The subject of a run: a policy in an environment.
 pub(crate) struct Subject {
     environment: EnvironmentSource,
-    /// Absent: the environment's scripted controller.
+    /// `None` for the environment's scripted controller.
     policy: Option<PolicySource>,
     task: Arc<TaskSpec>,
 }
 
 impl Subject {
-    /// This policy in this environment; without one, the environment's scripted controller. Rejects a policy that cannot
-    /// drive the task.
+    /// Combines this policy, or the environment's scripted controller, with this environment. Returns an error if the
+    /// policy cannot drive the task.
     pub(crate) fn new(environment: EnvironmentSource, policy: Option<PolicySource>) -> Result<Self, Exit> {
         let environment = match (environment, policy.as_ref().and_then(|policy| policy.profile()?.rendered_px)) {
             (EnvironmentSource::Cell(cell), Some(px)) => EnvironmentSource::Cell(Box::new(cell.with_pictures_of(px))),
@@ -183,8 +183,8 @@ impl Subject {
         Ok(subject)
     }
 
-    /// The subject of a recorded run. A remote environment needs the address of its servers; a policy server is asked
-    /// again who it is.
+    /// The subject of a recorded run. A remote environment needs the address of its servers. A policy server is queried
+    /// for its identity again.
     pub(crate) fn recorded(provenance: &Provenance, simulators: &Simulators) -> Result<Self, Exit> {
         let mut world = provenance.world.clone();
         let policy = world.as_object_mut().and_then(|world| world.remove("policy"));
@@ -203,9 +203,10 @@ impl Subject {
             Recorded::Cell(settings) => settings.simulator.is_some(),
         };
         match &pool {
-            None if remote => {
-                Err(anyhow!("the run was made in the remote simulator {}\n  hint: --simulator ADDRESS", engine.name))
-            }
+            None if remote => Err(anyhow!(
+                "the run was made in the remote simulator {}\n  hint: give its address with --simulator ADDRESS",
+                engine.name
+            )),
             Some(_) if !remote => {
                 Err(anyhow!("the run was made in the built-in engine {}, without --simulator", engine.name))
             }
@@ -225,7 +226,7 @@ impl Subject {
                 EnvironmentSource::Remote(RemoteSource { pool, robot })
             }
             (Recorded::Cell(settings), pool) => {
-                // Runs of robots with a cup all record its law.
+                // Every run of a robot with a cup records its suction law.
                 EnvironmentSource::Cell(Box::new(Cell::new(settings, SuctionLaw::Vacuum, pool).or_usage()?))
             }
             (Recorded::Remote(_), None) => return Err(anyhow!("--simulator ADDRESS is missing")).or_usage(),
@@ -234,7 +235,7 @@ impl Subject {
         Self::new(environment, policy)
     }
 
-    /// The same subject, its camera images of this many pixels in width and height, where the cell renders them.
+    /// The same subject with camera images of this width and height in pixels, if the cell renders them.
     pub(crate) fn with_pictures_of(mut self, picture_px: usize) -> Self {
         if let EnvironmentSource::Cell(cell) = self.environment {
             self.environment = EnvironmentSource::Cell(Box::new(cell.with_pictures_of(picture_px)));
@@ -247,7 +248,7 @@ impl Subject {
         &self.task
     }
 
-    /// The cell, where the environment is the built-in one.
+    /// The cell, if the environment is the built-in one.
     pub(crate) fn cell(&self) -> Option<&Cell> {
         match &self.environment {
             EnvironmentSource::Cell(cell) => Some(cell),
@@ -255,7 +256,7 @@ impl Subject {
         }
     }
 
-    /// A short name for folders: the robot, or the task.
+    /// A short name for folders: that of the robot, or of the task.
     pub(crate) fn label(&self) -> String {
         match &self.environment {
             EnvironmentSource::Cell(cell) => {
@@ -271,17 +272,17 @@ impl Subject {
         self.policy.as_ref().map_or("scripted", PolicySource::name)
     }
 
-    /// Where the policy comes from, where it is not the environment's own controller.
+    /// The source of the policy, unless it is the environment's own controller.
     pub(crate) fn policy_source(&self) -> Option<&PolicySource> {
         self.policy.as_ref()
     }
 
-    /// How many episodes the policy can drive at once, where that is limited.
+    /// How many episodes the policy can drive at once, if that is limited.
     pub(crate) fn at_most(&self) -> Option<NonZeroUsize> {
         self.policy.as_ref()?.profile()?.dialect.one_at_a_time().then_some(NonZeroUsize::MIN)
     }
 
-    /// How many servers the environment runs in, if it does: as many episodes run at once.
+    /// How many servers the environment runs in, if it is remote. As many episodes run at once.
     pub(crate) fn servers(&self) -> Option<NonZeroUsize> {
         match &self.environment {
             EnvironmentSource::Cell(cell) => cell.servers(),
@@ -290,7 +291,7 @@ impl Subject {
         }
     }
 
-    /// A parameter space by its name or file; without either, that of the environment.
+    /// Finds a parameter space by its name or file. `None` gives that of the environment.
     pub(crate) fn space(&self, wanted: Option<&str>) -> anyhow::Result<ParameterSpace> {
         self.environment.space(wanted)
     }
@@ -305,7 +306,7 @@ impl Subject {
         }
     }
 
-    /// Everything that the results of a run depend on, beside its plan.
+    /// The provenance: what the results of a run depend on, in addition to its plan.
     pub(crate) fn provenance(&self, space: ParameterSpace) -> Result<Provenance, Exit> {
         let (engine, robot) = self.environment.provenance().or_broken()?;
         let mut world = serde_json::to_value(self.environment.recorded()).or_broken()?;
@@ -364,7 +365,7 @@ impl EnvironmentSource {
         })
     }
 
-    /// An environment.
+    /// Creates an environment.
     pub(crate) fn environment(&self) -> anyhow::Result<Box<dyn Environment>> {
         Ok(match self {
             Self::Cell(cell) => cell.environment()?,
@@ -373,7 +374,7 @@ impl EnvironmentSource {
         })
     }
 
-    /// What a server of this environment reports about itself.
+    /// The information that a server of this environment declares.
     pub(crate) fn hello(&self) -> anyhow::Result<Hello> {
         match self {
             Self::Cell(cell) => cell.hello(),
@@ -386,11 +387,13 @@ impl EnvironmentSource {
                 let space = Some(ParameterSpace::from_toml(task.space())?);
                 Ok(Hello { space, ..Hello::new((*task.task()).clone(), program, engine) })
             }
-            Self::Remote(_) => bail!("--simulator names a simulator that is served already"),
+            Self::Remote(_) => {
+                bail!("`robogate serve` serves built-in environments only\n  hint: leave out --simulator")
+            }
         }
     }
 
-    /// A parameter space by its name or file; without either, that of the environment.
+    /// Finds a parameter space by its name or file. `None` gives that of the environment.
     pub(crate) fn space(&self, wanted: Option<&str>) -> anyhow::Result<ParameterSpace> {
         let space = match (wanted, self) {
             (Some(wanted), _) => named_space(wanted)?,
@@ -418,12 +421,12 @@ impl EnvironmentSource {
         Ok(space)
     }
 
-    /// The scripted controller, where there is one.
+    /// The scripted controller, if the environment has one.
     fn controller(&self) -> anyhow::Result<Box<dyn Policy>> {
         match self {
             Self::Cell(cell) => cell.controller(),
             Self::SelfContained(task) => Ok(task.controller()),
-            // A server may hold the built-in cell: its scripted controller is here.
+            // A remote environment may be a built-in cell. Its scripted controller runs in this process.
             Self::Remote(source) if source.pool.hello().task.name == CELL_TASK => {
                 let settings = CellSettings {
                     robot: absolute(&source.robot),
@@ -474,7 +477,7 @@ impl EnvironmentSource {
     }
 }
 
-/// A parameter space by its name or file.
+/// Finds a parameter space by its name or file.
 pub(crate) fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
     let own = registry::TASKS.iter().find(|task| task.name() == wanted).map(|task| task.space());
     match built_in_space(wanted).or(own) {
@@ -489,7 +492,7 @@ pub(crate) fn named_space(wanted: &str) -> anyhow::Result<ParameterSpace> {
     }
 }
 
-/// Parameters given as NAME=VALUE.
+/// Parses parameters given as NAME=VALUE.
 pub(crate) fn assignment(pairs: &[String]) -> anyhow::Result<Assignment> {
     let mut assignment = Assignment::default();
     for pair in pairs {
@@ -506,7 +509,7 @@ pub(crate) fn assignment(pairs: &[String]) -> anyhow::Result<Assignment> {
     Ok(assignment)
 }
 
-/// The files of the robot of a recorded run, where they are still those that it ran with.
+/// The files of the robot of a recorded run, if they have not changed since.
 pub(crate) fn recorded_robot(provenance: &Provenance) -> Option<Vec<RobotFile>> {
     let mut world = provenance.world.clone();
     world.as_object_mut()?.remove("policy");

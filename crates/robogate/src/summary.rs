@@ -1,4 +1,4 @@
-//! The summary that ends a campaign.
+//! The summary at the end of a campaign.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use serde_json::json;
 use crate::commands::report::PAGE;
 use crate::terminal::{bar, bold, dim, grouped, line, percent, wrapped};
 
-/// A bin with fewer valid episodes than this is shown dimmed: its rate says little.
+/// A bin with fewer valid episodes than this is shown dimmed, because its rate is imprecise.
 const FEW: u64 = 20;
 
 /// Prints the summary as one JSON document.
@@ -31,7 +31,7 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
         failures(stage);
     }
     if let Some(uniform) = summary.stages.iter().find(|stage| stage.stage == Stage::Uniform) {
-        // The report has all of them.
+        // The report lists all of them.
         uniform.marginal_effects.iter().take(2).for_each(marginal_effect);
     }
     if let Some(suite) = &summary.suite {
@@ -59,16 +59,16 @@ fn rate(stage: &StageSummary, sampler: &str) {
             percent(low),
             percent(high)
         )),
-        None => line(format_args!("success      -  {of}: no valid episode, nothing can be said")),
+        None => line(format_args!("success      -  {of}: no valid episode, so no estimate")),
     }
     if stage.population == Population::OperatingSpace {
         let conservative = if sampler == "uniform" { "" } else { ", conservative for this design" };
-        line(dim(format_args!("                 every parameter uniform in its own scale; Wilson{conservative}")));
+        line(dim(format_args!("                 each parameter uniform on its scale; Wilson interval{conservative}")));
     }
     if stage.invalid > 0 {
         let kinds: Vec<String> = stage.faults.iter().map(|f| format!("{} {}", f.episodes, f.fault)).collect();
         line(format_args!(
-            "                 {} invalid episodes are no evidence: {}",
+            "                 {} invalid episodes are excluded: {}",
             grouped(stage.invalid),
             kinds.join(", ")
         ));
@@ -159,7 +159,7 @@ fn found(report: &BoundaryReport) {
         ));
     }
     wrapped(&format!(
-        "together {} of the operating space; {} episodes drawn evenly there{}",
+        "the region covers {} of the operating space; {} episodes sampled uniformly in it{}",
         small_percent(report.volume.share_of_operating_space),
         grouped(report.volume.episodes),
         match &report.emphasis {
@@ -176,12 +176,12 @@ fn found(report: &BoundaryReport) {
     ));
 }
 
-/// A share that may be tiny: two significant digits.
+/// Formats a share that may be very small, with two significant digits.
 fn small_percent(share: f64) -> String {
     if share >= 0.1 { percent(share) } else { format!("{:.1$} %", 100.0 * share, 1 + digits_before(100.0 * share)) }
 }
 
-/// Zeros between the decimal point and the first digit of a number below 10.
+/// The number of zeros between the decimal point and the first digit of a number below 10.
 fn digits_before(x: f64) -> usize {
     if x > 0.0 { (-x.log10()).ceil().clamp(0.0, 12.0) as usize } else { 0 }
 }

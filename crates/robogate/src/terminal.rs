@@ -1,4 +1,4 @@
-//! What people see: stdout carries data and summaries, stderr errors and progress.
+//! Terminal output: stdout carries data and summaries, stderr errors and progress.
 
 use std::borrow::Cow;
 use std::fmt::{self, Display};
@@ -8,12 +8,12 @@ pub(crate) use robogate_stats::format::{count as grouped, percent};
 
 use crate::exit::Exit;
 
-/// Whether stdout takes colour: a terminal that did not ask for none (`NO_COLOR`).
+/// Whether a stream shows colours: it is a terminal, and `NO_COLOR` is not set.
 fn colour(stream: &impl IsTerminal) -> bool {
     stream.is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|v| v.is_empty())
 }
 
-/// Text in a terminal style, plain where colour is not wanted. Meaning never hangs on it.
+/// Text in a terminal style. It is plain if the output shows no colours, so meaning must not depend on the style.
 pub(crate) struct Styled<T>(&'static str, T);
 
 impl<T: Display> Display for Styled<T> {
@@ -22,33 +22,33 @@ impl<T: Display> Display for Styled<T> {
     }
 }
 
-/// Text in this style (the parameters of an SGR sequence).
+/// Formats text in this style (the parameters of an SGR sequence).
 pub(crate) fn styled<T: Display>(style: &'static str, text: T) -> Styled<T> {
     Styled(style, text)
 }
 
-/// A heading.
+/// Formats a heading.
 pub(crate) fn bold<T: Display>(text: T) -> Styled<T> {
     Styled("1", text)
 }
 
-/// What is beside the point.
+/// Formats secondary text.
 pub(crate) fn dim<T: Display>(text: T) -> Styled<T> {
     Styled("2", text)
 }
 
-/// Text from elsewhere (a name in a file, a file's name) on one line: what would steer the terminal stands escaped.
+/// Formats text from a file or a file name on one line, with control characters escaped.
 pub(crate) fn foreign(text: impl Display) -> String {
     escaped(&text.to_string(), |_| None).into_owned()
 }
 
-/// Text of several lines, those after the first indented, without what would steer the terminal.
+/// Formats text of several lines, with all lines after the first indented and control characters escaped.
 pub(crate) fn indented(text: impl Display) -> String {
     escaped(&text.to_string(), |rest| rest.starts_with('\n').then_some(1)).replace('\n', "\n    ")
 }
 
-/// The text with control characters (C0, DEL, C1) written out, as JSON writes them: a JSON document stays the same one.
-/// `kept` says how many bytes at the head of a text may pass.
+/// Escapes control characters (C0, DEL, C1) as JSON does, so that a JSON document keeps its meaning. `kept` returns the
+/// number of bytes at the start of a text that are copied unchanged.
 fn escaped(text: &str, kept: impl Fn(&str) -> Option<usize>) -> Cow<'_, str> {
     if !text.contains(char::is_control) {
         return Cow::Borrowed(text);
@@ -70,19 +70,19 @@ fn escaped(text: &str, kept: impl Fn(&str) -> Option<usize>) -> Cow<'_, str> {
     Cow::Owned(safe)
 }
 
-/// Writes a line of data or summary to stdout. A reader that went away (a closed pipe) ends nothing.
+/// Writes a line of data or summary to stdout. A closed pipe is not an error.
 pub(crate) fn line(text: impl Display) {
-    // There is nobody left to tell.
+    // The reader of stdout has gone away, so there is nothing to report to.
     let _ = writeln!(io::stdout(), "{}", harmless(&text.to_string()));
 }
 
-/// The text without what would steer the terminal: data from files are in it. Line ends, tabs and the styles written
-/// here (`ESC [ digits ; m`) alone stay.
+/// Escapes control characters, because the text contains data from files. Line ends, tabs and the styles of this module
+/// (`ESC [ digits ; m`) are kept.
 fn harmless(text: &str) -> Cow<'_, str> {
     escaped(text, |rest| if rest.starts_with(['\n', '\t']) { Some(1) } else { style_at(rest) })
 }
 
-/// The length of a style at the beginning of the text.
+/// The length of a style at the start of the text.
 fn style_at(text: &str) -> Option<usize> {
     let inside = text.strip_prefix("\x1b[")?;
     let end = inside.find(|c: char| !c.is_ascii_digit() && c != ';')?;
@@ -103,7 +103,7 @@ pub(crate) fn wrapped(text: &str) {
     line(so_far.trim_end());
 }
 
-/// Writes a line for people to stderr.
+/// Writes a line for the user to stderr.
 pub(crate) fn note(text: impl Display) {
     let _ = writeln!(io::stderr(), "{}", harmless(&text.to_string()));
 }
@@ -114,7 +114,7 @@ pub(crate) fn error(exit: &Exit) {
     note(format_args!("{label}: {exit}"));
 }
 
-/// A bar of `width` cells for a share from 0 to 1, in eighths of a cell.
+/// Formats a share from 0 to 1 as a bar of `width` cells, in eighths of a cell.
 pub(crate) fn bar(share: f64, width: usize) -> String {
     const EIGHTHS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
     let eighths = (share.clamp(0.0, 1.0) * (8 * width) as f64).round() as usize;
@@ -128,23 +128,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn control_characters_of_data_are_written_out_and_styles_stay() {
+    fn control_characters_are_escaped() {
         assert_eq!(harmless("\x1b[1;31mred\x1b[0m\tµ\n"), "\x1b[1;31mred\x1b[0m\tµ\n");
         let hostile = "a\x1b]0;title\x07\x1b[2Jb\u{9b}c\r";
         assert_eq!(harmless(hostile), "a\\u001b]0;title\\u0007\\u001b[2Jb\\u009bc\\r");
     }
 
     #[test]
-    fn what_would_steer_the_terminal_stands_escaped() {
+    fn foreign_text_is_escaped() {
         assert_eq!(
             foreign("a\x1b[2J\nverdict: pass\u{9b}1m\x7f\u{e4}"),
             "a\\u001b[2J\\nverdict: pass\\u009b1m\\u007f\u{e4}"
         );
-        assert_eq!(indented("it is no plan\nhint: \rleave it out"), "it is no plan\n    hint: \\rleave it out");
+        assert_eq!(indented("not a plan\nhint: \rleave it out"), "not a plan\n    hint: \\rleave it out");
     }
 
     #[test]
-    fn a_bar_is_as_wide_as_it_is_asked_to_be() {
+    fn bars_have_fixed_width() {
         for share in [0.0, 0.01, 0.5, 0.99, 1.0, 2.0] {
             assert_eq!(bar(share, 20).chars().count(), 20);
         }

@@ -1,4 +1,4 @@
-//! Tasks other than pick and place: one that is built in, and one that a server in another language declares.
+//! End-to-end tests of tasks other than pick and place: a built-in one, and one that a Python server declares.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -8,7 +8,7 @@ use std::process::{Child, Command, Stdio};
 
 use tempfile::TempDir;
 
-/// Runs the command in `dir`, and asserts its exit code and what it says. Returns its standard output.
+/// Runs the command in `dir` and checks its exit code and output. Returns stdout.
 fn robogate(dir: &Path, arguments: &str, code: i32, parts: &[&str]) -> String {
     let output =
         Command::new(env!("CARGO_BIN_EXE_robogate")).args(arguments.split(' ')).current_dir(dir).output().unwrap();
@@ -21,7 +21,7 @@ fn robogate(dir: &Path, arguments: &str, code: i32, parts: &[&str]) -> String {
     stdout
 }
 
-/// All verbs on the same run: their documents name the modes and measures of its task and no others.
+/// Runs all verbs on the same run. Their documents contain the modes and measures of its task and no others.
 #[test]
 fn pendulum_passes_through_every_verb() {
     let dir = TempDir::new().unwrap();
@@ -31,7 +31,7 @@ fn pendulum_passes_through_every_verb() {
     verb("run --task pendulum -n 150 --seed 3 --threads 2 --out a", 0, &["pendulum in mujoco", "fell", "overspeed"]);
     verb("run --task pendulum -n 150 --seed 3 --threads 1 --out b", 0, &[]);
     let rows = |name: &str| fs::read(at.join(name).join("dictionary.parquet")).unwrap();
-    assert!(rows("a") == rows("b"), "another number of threads gives other rows");
+    assert!(rows("a") == rows("b"), "rows depend on the number of threads");
     verb("resume a", 0, &[]);
     verb("replay a 7", 0, &["identical to the recorded episode", "peak_speed_rad_s"]);
     verb("analyze a", 0, &["pendulum", "torque limit"]);
@@ -46,7 +46,7 @@ fn pendulum_passes_through_every_verb() {
     verb("gate --task pendulum --out gate", 1, &["FAIL", "success rate at least 92.0 %", "overspeed"]);
     verb("gate --run a --requirements paper", 2, &["pick_place", "pendulum"]);
     verb("evidence gate evidence", 1, &[]);
-    verb("verify evidence", 0, &["the evidence holds: verdict fail"]);
+    verb("verify evidence", 0, &["verification passed: verdict fail"]);
     verb("gate --task pendulum --policy random --out other", 1, &["FAIL"]);
     verb("leaderboard gate other", 0, &["gate", "other"]);
     verb("baseline gate --out baseline.json", 0, &["overspeed"]);
@@ -55,7 +55,7 @@ fn pendulum_passes_through_every_verb() {
 }
 
 #[test]
-fn an_interrupted_pendulum_campaign_is_resumed_to_the_same_rows() {
+fn interrupted_pendulum_resumes_identically() {
     let dir = TempDir::new().unwrap();
     let at = dir.path();
     robogate(at, "run --task pendulum -n 300 --seed 9 --out whole", 0, &[]);
@@ -83,15 +83,15 @@ impl Drop for Server {
     }
 }
 
-/// `examples/task_server.py` declares a task that no crate knows; the command judges it without a file of settings.
+/// The command judges the task of `examples/task_server.py`, which no crate contains, without a settings file.
 #[test]
-fn a_declared_task_is_judged_by_its_address() {
+fn declared_tasks_need_only_an_address() {
     let Some(python) = robogate_testing::path("ROBOGATE_BRIDGE_PYTHON", "a Python with pyzmq and msgpack") else {
         return;
     };
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let script = fs::read_to_string(root.join("examples/task_server.py")).unwrap();
-    // A mode that the task does not declare, and any free port.
+    // Adds a failure mode that the task does not declare, and takes any free port.
     let script = script
         .replace("tcp://127.0.0.1:5570\")", "tcp://127.0.0.1:*\")")
         .replace("failure = \"overspeed\" if", "failure = \"jammed\" if self.mass > 1.5 else \"overspeed\" if");

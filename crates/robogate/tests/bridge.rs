@@ -60,7 +60,7 @@ fn rows(dir: &Path) -> String {
 }
 
 #[test]
-fn remote_engines_give_the_rows_of_local_ones() {
+fn remote_and_local_rows_are_equal() {
     let dir = TempDir::new().unwrap();
     let at = |name: &str| dir.path().join(name);
     let run = |name: &str, more: &[&str]| {
@@ -85,7 +85,7 @@ fn remote_engines_give_the_rows_of_local_ones() {
 }
 
 #[test]
-fn a_script_drives_the_cell_with_tool_deltas() {
+fn python_script_drives_the_cell() {
     let wanted = "a Python with pyzmq and msgpack";
     let Some(python) = robogate_testing::path("ROBOGATE_BRIDGE_PYTHON", wanted) else { return };
     let server = Server::start(&[]);
@@ -101,7 +101,7 @@ fn a_script_drives_the_cell_with_tool_deltas() {
 }
 
 #[test]
-fn wrong_usage_is_reported_before_a_run() {
+fn wrong_usage_starts_nothing() {
     assert_exit(&["serve", "--bind", "tcp://0.0.0.0:*"], 2, &["other machines", "--allow-remote"]);
     assert_exit(&["serve", "--bind", "127.0.0.1:1"], 2, &["tcp://127.0.0.1:5570"]);
     assert_exit(&["serve", "--robot", "ur5e", "--physics-only"], 2, &["suction"]);

@@ -1,4 +1,4 @@
-//! The command as its user meets it: real physics, real files, exit codes.
+//! End-to-end tests of the command: real physics, real files, exit codes.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
@@ -23,12 +23,12 @@ fn assert_done(output: &Output) {
     assert_eq!(output.status.code(), Some(0), "{}", text(output));
 }
 
-/// Asserts exit code 2 and that the message has every one of `parts`.
+/// Asserts exit code 2 and that the message contains each of `parts`.
 fn assert_usage(arguments: &[&str], parts: &[&str]) {
     let output = robogate(arguments);
     assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", text(&output));
     for part in parts {
-        assert!(text(&output).contains(part), "{arguments:?} does not say {part:?}: {}", text(&output));
+        assert!(text(&output).contains(part), "{arguments:?}: expected {part:?} in {}", text(&output));
     }
 }
 
@@ -36,7 +36,7 @@ fn path(dir: &TempDir, name: &str) -> String {
     dir.path().join(name).to_str().unwrap().to_owned()
 }
 
-/// The record of a run. The page beside it is made from it and names its folder.
+/// The files that record a run. The report is excluded, because it names its folder.
 fn files(dir: &str) -> BTreeMap<String, Vec<u8>> {
     fs::read_dir(dir)
         .unwrap()
@@ -60,7 +60,7 @@ fn spawn(arguments: &[&str]) -> std::process::Child {
 }
 
 #[test]
-fn a_run_killed_again_and_again_ends_with_the_same_bytes_for_any_number_of_threads() {
+fn killed_runs_resume_identically() {
     let dir = TempDir::new().unwrap();
     let (one, two, killed) = (path(&dir, "one"), path(&dir, "two"), path(&dir, "killed"));
     run(&one, "120", "1");
@@ -83,13 +83,13 @@ fn a_run_killed_again_and_again_ends_with_the_same_bytes_for_any_number_of_threa
     }
     assert!(child.wait().unwrap().success());
     println!("killed {kills} times");
-    // A fast machine may be done before the twentieth.
+    // A fast machine may finish before the twentieth kill.
     assert!(kills >= 5, "killed {kills} times only");
     assert!(files(&one) == files(&killed), "a killed and resumed run differs");
 }
 
 #[test]
-fn ctrl_c_stops_with_130_and_resume_goes_on() {
+fn interrupt_exits_130_and_resumes() {
     let dir = TempDir::new().unwrap();
     let out = path(&dir, "run");
     let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
@@ -103,10 +103,10 @@ fn ctrl_c_stops_with_130_and_resume_goes_on() {
     lines.next().unwrap().unwrap();
     std::thread::sleep(Duration::from_secs(1));
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
-    let said: Vec<String> = lines.map(Result::unwrap).collect();
-    assert_eq!(child.wait().unwrap().code(), Some(130), "{said:?}");
-    assert!(said.iter().any(|line| line.contains("robogate resume")), "{said:?}");
-    // The run can be looked into as it stands.
+    let stderr: Vec<String> = lines.map(Result::unwrap).collect();
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{stderr:?}");
+    assert!(stderr.iter().any(|line| line.contains("robogate resume")), "{stderr:?}");
+    // An interrupted run can be inspected.
     assert_done(&robogate(&["replay", &out, "0"]));
 }
 
@@ -131,7 +131,7 @@ fn replays_are_identical() {
         assert_done(&robogate(&["export", &out, &file]));
         assert!(fs::metadata(&file).unwrap().len() > 1000);
     }
-    // What was exported in the published schema can be imported again.
+    // A file in the published schema can be imported again.
     assert_done(&robogate(&["import", &path(&dir, "rows.json"), &path(&dir, "again.parquet")]));
 }
 
@@ -184,12 +184,12 @@ fn wrong_arguments_are_usage_errors() {
     assert_usage(&["resume", &out], &["no plan.json"]);
     assert_usage(&["export", &plan, &path(&dir, "x.csv")], &["plan.toml"]);
     assert_usage(&["import", &plan, &path(&dir, "x.parquet")], &["plan.toml"]);
-    assert!(!Path::new(&out).exists(), "something was started");
+    assert!(!Path::new(&out).exists(), "a run was started");
     assert!(!dir.path().join("x.csv").exists() && !dir.path().join("x.parquet").exists());
 }
 
 #[test]
-fn a_finished_run_is_not_overwritten_and_a_damaged_one_is_named() {
+fn finished_and_damaged_runs_are_rejected() {
     let dir = TempDir::new().unwrap();
     let out = path(&dir, "run");
     run(&out, "45", "2");
@@ -203,7 +203,7 @@ fn a_finished_run_is_not_overwritten_and_a_damaged_one_is_named() {
 }
 
 #[test]
-fn a_suite_is_run_with_the_same_rows_for_one_and_two_threads_and_each_says_which_scenario_it_is() {
+fn suite_rows_ignore_thread_count() {
     let dir = TempDir::new().unwrap();
     let suite = path(&dir, "two.toml");
     let text = r#"
@@ -253,7 +253,7 @@ fn wrong_suites_are_usage_errors() {
     assert_usage(&["run", "--rounds", "10"], &["--suite"]);
 }
 
-/// Width and height in a PNG's header.
+/// Reads width and height from a PNG's header.
 fn png_size(file: &str) -> [u32; 2] {
     let bytes = fs::read(file).unwrap();
     assert_eq!(&bytes[..8], b"\x89PNG\r\n\x1a\n", "{file}");
@@ -261,7 +261,7 @@ fn png_size(file: &str) -> [u32; 2] {
 }
 
 #[test]
-fn snapshots_are_pngs_that_are_the_same_each_time_and_overwrite_nothing() {
+fn snapshots_are_deterministic() {
     let dir = TempDir::new().unwrap();
     let take = |folder: &str| {
         let out = path(&dir, folder);
@@ -281,10 +281,10 @@ fn snapshots_are_pngs_that_are_the_same_each_time_and_overwrite_nothing() {
         assert!(fs::read(file).unwrap() == fs::read(file.replace("/one/", "/two/")).unwrap(), "{file}");
         different.insert(fs::read(file).unwrap());
     }
-    assert_eq!(different.len(), 4, "another camera or time is another picture");
+    assert_eq!(different.len(), 4, "each camera and time has a different image");
     let again = take("one");
     assert_eq!(again.status.code(), Some(2));
-    assert!(text(&again).contains("is there already"), "{}", text(&again));
+    assert!(text(&again).contains("already exists"), "{}", text(&again));
 
     let sheet = path(&dir, "sheet.png");
     assert_done(&robogate(&["snapshot", "--suite", "industrial-68", "--sheet", "--size", "16", "--out", &sheet]));

@@ -1,4 +1,4 @@
-//! `robogate demos` as its user meets it.
+//! End-to-end tests of `robogate demos`.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
@@ -8,7 +8,7 @@ use std::process::Command;
 
 use tempfile::TempDir;
 
-/// Every file below a folder, by its path there.
+/// All files below a folder, by their relative path.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut waiting = vec![folder.to_owned()];
@@ -26,9 +26,9 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 #[test]
-fn the_same_bytes_come_for_any_thread_count() {
+fn bytes_do_not_depend_on_threads() {
     let dir = TempDir::new().unwrap();
-    // Five are a round of four and a rest for one thread, and a share of three and one of two for two.
+    // One thread records five episodes as a round of four and a rest. Two threads get three and two of them.
     let record = |threads: &str| {
         let out = dir.path().join(threads);
         let output = Command::new(env!("CARGO_BIN_EXE_robogate"))

@@ -1,4 +1,4 @@
-//! Licences and sources of all dependencies against `deny.toml`, without cargo-deny and without a network.
+//! Checks licences and sources of all dependencies against `deny.toml`, without cargo-deny and without a network.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::path::Path;
@@ -27,7 +27,7 @@ fn words<'a>(table: &'a toml::Table, section: &str, key: &str) -> Vec<&'a str> {
     table[section][key].as_array().unwrap().iter().map(|word| word.as_str().unwrap()).collect()
 }
 
-/// Whether the allowed licences satisfy an SPDX expression. A slash is an old way to write OR.
+/// Whether the allowed licences satisfy an SPDX expression. A slash is the deprecated form of OR.
 fn satisfied(expression: &str, allowed: &[&str]) -> bool {
     let spaced = expression.replace('/', " OR ").replace('(', " ( ").replace(')', " ) ");
     let tokens: Vec<&str> = spaced.split_whitespace().collect();
@@ -91,7 +91,7 @@ fn sources_are_allowed() {
     let deny = deny();
     let registries = words(&deny, "sources", "allow-registry");
     for package in packages() {
-        // A crate of the workspace has no source.
+        // Crates of the workspace have no source.
         let Some(source) = package["source"].as_str() else { continue };
         let registry = source.strip_prefix("registry+");
         assert!(registry.is_some_and(|url| registries.contains(&url)), "{}: {source} is not allowed", package["name"]);

@@ -1,4 +1,4 @@
-//! The gate as its user and a CI meet it: real physics, real files, exit codes.
+//! End-to-end tests of the gate as used on the command line and in CI: real physics, real files, exit codes.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -18,12 +18,12 @@ fn text(output: &Output) -> String {
 #[track_caller]
 fn assert_code(arguments: &[&str], code: i32, parts: &[&str]) -> String {
     let output = robogate(arguments);
-    let said = text(&output);
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+    let printed = text(&output);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {printed}");
     for part in parts {
-        assert!(said.contains(part), "{arguments:?} does not say {part:?}: {said}");
+        assert!(printed.contains(part), "{arguments:?}: expected {part:?} in {printed}");
     }
-    said
+    printed
 }
 
 const SUITE: &str = r#"
@@ -78,8 +78,8 @@ fn elements(xml: &str, name: &str) -> usize {
 }
 
 #[test]
-fn the_default_gate_needs_nothing_but_its_name() {
-    // Were this to say that there is no baseline: make assets/baselines/franka-industrial-68.json anew, by
+fn default_gate_needs_no_arguments() {
+    // If this reports a missing baseline, write assets/baselines/franka-industrial-68.json again with
     // `robogate run --suite industrial-68 --rounds 3 --out DIR` and `robogate baseline DIR -o FILE`.
     assert_code(
         &["gate", "--plan"],
@@ -89,15 +89,15 @@ fn the_default_gate_needs_nothing_but_its_name() {
 }
 
 #[test]
-fn a_gate_stops_when_it_is_certain_and_its_files_agree_with_its_exit_code() {
+fn files_agree_with_exit_code() {
     let folder = Folder::new();
     let suite = folder.write("suite.toml", SUITE);
-    for (name, demand, code, verdict) in [
+    for (name, limit, code, verdict) in [
         ("pass", "at_least = 0.2", 0, "pass"),
         ("fail", "at_least = 0.85", 1, "fail"),
         ("open", "at_least = 0.65", 3, "inconclusive"),
     ] {
-        let requirements = folder.write("gate.toml", &gate(demand));
+        let requirements = folder.write("gate.toml", &gate(limit));
         let out = folder.path(name);
         assert_code(
             &["gate", "--suite", &suite, "--requirements", &requirements, "--out", &out],
@@ -115,27 +115,28 @@ fn a_gate_stops_when_it_is_certain_and_its_files_agree_with_its_exit_code() {
             (usize::from(code == 1), usize::from(code == 3))
         );
         assert!(fs::read_to_string(folder.path(&format!("{name}/gate.md"))).unwrap().contains(&verdict.to_uppercase()));
-        // Judged again, the rows say the same: who looked while they came in still has to pay for it.
+        // Judging the rows again gives the same verdict, because the test is still sequential.
         assert_code(&["gate", "--run", &out], code, &[]);
     }
     let pass = folder.path("pass");
     let baseline = folder.path("baseline.json");
     assert_code(&["baseline", &pass, "-o", &baseline], 0, &["suite two 1.0.0"]);
-    // The same worlds again: nothing speaks against a replacement, and a wide margin is shown.
+    // The same scenarios again: the policies are equal, so a wide margin is met.
     let requirements = folder.write("gate.toml", &gate("at_least = 0.2"));
     let arguments =
         ["gate", "--suite", &suite, "--requirements", &requirements, "--baseline", &pass, "--margin", "0.9"];
-    let said = assert_code(&[&arguments[..], &["--out", &folder.path("b")]].concat(), 0, &["not worse than scripted"]);
-    assert!(said.contains("pairs"), "{said}");
-    // Judged again, the comparison is part of the question, and what is asked otherwise is named.
+    let output =
+        assert_code(&[&arguments[..], &["--out", &folder.path("b")]].concat(), 0, &["not worse than scripted"]);
+    assert!(output.contains("pairs"), "{output}");
+    // Judging the run again includes the comparison, and prints each changed part of the question.
     assert_code(&["gate", "--run", &folder.path("b")], 0, &["not worse than scripted"]);
     let anew = ["gate", "--run", &folder.path("b"), "--margin", "0.8"];
-    let said = text(&robogate(&anew));
-    assert!(said.contains("allowed a margin of 0.9, this answer one of 0.8"), "{said}");
-    // Without the question's file the rows still say that the run was stopped before its plan's end.
+    let output = text(&robogate(&anew));
+    assert!(output.contains("used the margin 0.9; this evaluation uses 0.8"), "{output}");
+    // Without the file of the question, the rows still show that the run stopped before the end of its plan.
     let rows = folder.path("pass/dictionary.parquet");
-    let said = text(&robogate(&["gate", "--run", &rows, "--requirements", &requirements, "--json"]));
-    assert!(said.contains("\"sampling\": \"sequential\""), "{said}");
+    let output = text(&robogate(&["gate", "--run", &rows, "--requirements", &requirements, "--json"]));
+    assert!(output.contains("\"sampling\": \"sequential\""), "{output}");
     let small = ["gate", "--suite", &suite, "--requirements", &requirements, "--baseline", &pass];
     let nowhere = folder.path("d");
     let small = [&small[..], &["--margin", "0.01", "--out", &nowhere]].concat();
@@ -151,26 +152,26 @@ fn a_gate_stops_when_it_is_certain_and_its_files_agree_with_its_exit_code() {
 }
 
 #[test]
-fn what_cannot_be_answered_is_said_before_anything_runs() {
+fn undecidable_questions_run_nothing() {
     let folder = Folder::new();
     let suite = folder.write("suite.toml", SUITE);
-    for (demand, said) in [
+    for (limit, problem) in [
         ("at_least = 1.0", "can't be met at any number of episodes"),
         ("at_least = 0.999", "can't be met within the budget"),
         ("at_least = 0.5\ngroup = \"heavy\"", "nominal/easy, edge_cases/hopeless"),
         ("at_most_times_baseline = 1.2", "robogate baseline RUN -o FILE"),
     ] {
-        let requirements = folder.write("gate.toml", &gate(demand));
+        let requirements = folder.write("gate.toml", &gate(limit));
         let out = folder.path("out");
-        assert_code(&["gate", "--suite", &suite, "--requirements", &requirements, "--out", &out], 2, &[said]);
-        assert!(!std::path::Path::new(&out).exists(), "{demand}");
+        assert_code(&["gate", "--suite", &suite, "--requirements", &requirements, "--out", &out], 2, &[problem]);
+        assert!(!std::path::Path::new(&out).exists(), "{limit}");
     }
     assert_code(&["gate", "--run", &folder.path("nothing")], 2, &["nothing"]);
     assert_code(&["gate", "--requirements", &folder.path("no.toml")], 2, &["hint: check the path"]);
 }
 
 #[test]
-fn copies_of_an_imported_episode_are_refused_where_seeds_tell_them_apart() {
+fn copied_episodes_are_rejected() {
     let folder = Folder::new();
     let requirements = folder.write("gate.toml", &gate("at_least = 0.2"));
     let judge = |name: &str, seed: &dyn Fn(u64) -> u64, code: i32, parts: &[&str]| {
@@ -182,6 +183,6 @@ fn copies_of_an_imported_episode_are_refused_where_seeds_tell_them_apart() {
     };
     judge("each", &|i| i, 0, &["PASS"]);
     judge("copied", &|i| i % 20, 4, &["rows 0 and 20 are the same episode"]);
-    // One seed for all is none of an episode.
+    // One seed for all rows does not identify episodes, so copies cannot be detected.
     judge("one", &|_| 0, 0, &["PASS"]);
 }

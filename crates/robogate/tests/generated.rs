@@ -1,5 +1,5 @@
-//! What is generated: the JSON Schemas, the command reference and the bridges' list of parameters. This test fails where a file is stale;
-//! `ROBOGATE_GENERATE=1 cargo test -p robogate --test generated` writes them.
+//! Tests that the generated files are up to date: the JSON Schemas, the command reference and the bridges' list of
+//! parameters. `ROBOGATE_GENERATE=1 cargo test -p robogate --test generated` writes them.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -22,7 +22,7 @@ fn check(file: &str, content: &str) {
 }
 
 #[test]
-fn the_schemas_are_those_of_the_code() {
+fn schemas_are_up_to_date() {
     for (name, schema) in [
         ("parameter-space", schema_for!(robogate_core::ParameterSpace)),
         ("suite", schema_for!(robogate_core::Suite)),
@@ -51,7 +51,7 @@ fn the_schemas_are_those_of_the_code() {
 }
 
 #[test]
-fn the_command_reference_is_what_help_says() {
+fn command_reference_is_up_to_date() {
     let help = |arguments: &[&str]| {
         let output = Command::new(env!("CARGO_BIN_EXE_robogate"))
             .args(arguments)

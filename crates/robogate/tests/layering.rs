@@ -1,4 +1,4 @@
-//! Which crate may use which (ARCHITECTURE.md has the same table), and where the words of a task may stand.
+//! Checks the dependencies between crates (the table in ARCHITECTURE.md), and where names of one task may appear.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// For each crate of the workspace, what it may use of the others. `None`: everything.
+/// For each crate of the workspace, the crates that it may use. `None` allows all.
 const MAY_USE: &[(&str, Option<&[&str]>)] = &[
     ("robogate-maths", Some(&[])),
     ("robogate-core", Some(&["robogate-maths"])),
@@ -30,7 +30,7 @@ const MAY_USE: &[(&str, Option<&[&str]>)] = &[
 ];
 
 #[test]
-fn crates_use_what_they_may() {
+fn crates_use_allowed_crates() {
     let output = Command::new(env!("CARGO"))
         .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
         .current_dir(env!("CARGO_MANIFEST_DIR"))
@@ -54,7 +54,7 @@ fn crates_use_what_they_may() {
             .as_array()
             .unwrap()
             .iter()
-            // A dependency of tests alone is not one of the product.
+            // Dev-dependencies are not part of the product.
             .filter(|dependency| dependency["kind"] != "dev")
             .map(|dependency| dependency["name"].as_str().unwrap())
             .filter(|dependency| packages.contains_key(dependency))
@@ -66,7 +66,7 @@ fn crates_use_what_they_may() {
 }
 
 #[test]
-fn the_table_in_the_architecture_page_is_this_one() {
+fn architecture_table_matches() {
     let page = include_str!("../../../ARCHITECTURE.md");
     for (name, allowed) in MAY_USE {
         let row = page
@@ -87,7 +87,7 @@ fn the_table_in_the_architecture_page_is_this_one() {
     }
 }
 
-/// Names that only pick and place has.
+/// Names that only pick and place uses.
 const PICK_AND_PLACE: &[&str] = &[
     "grasp_miss",
     "grip_loss",
@@ -107,24 +107,24 @@ const PICK_AND_PLACE: &[&str] = &[
     "approach_speed_m_s",
 ];
 
-/// Where they may stand.
+/// The folders where these names may appear.
 const MAY_NAME_THEM: &[&str] = &[
-    // The task, its analysis, and what is below or about it alone.
+    // The task, its analysis, and the code that only serves it.
     "robogate-tasks/src/pick_place",
     "robogate-analysis/src/pick_place",
     "robogate-physics/src",
     "robogate-camera/src",
     "robogate-demos/src",
-    // Formats from before tasks were data.
+    // File formats that are older than task specifications.
     "robogate-dictionary/src/published",
     "robogate-dictionary/src/v1",
     "robogate-gate/src/metric.rs",
-    // The records of robots in the field have these events.
+    // Cycle records of deployed robots contain these events.
     "robogate-monitor/src",
 ];
 
 #[test]
-fn vocabulary_of_a_task_stays_in_its_folder() {
+fn task_vocabulary_stays_in_its_folder() {
     let crates = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut files = Vec::new();
     for entry in fs::read_dir(&crates).unwrap() {

@@ -1,4 +1,4 @@
-//! `robogate monitor` as its user meets it.
+//! End-to-end tests of `robogate monitor`.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -21,7 +21,7 @@ fn path(dir: &TempDir, name: &str) -> String {
     dir.path().join(name).to_str().unwrap().to_owned()
 }
 
-/// The parameters and outcome of row `i` of a campaign: failures grow with the mass.
+/// Parameters and outcome of row `i` of a campaign. The failure rate increases with the mass.
 fn row(i: u32) -> (f64, f64, &'static str, bool) {
     let unit = |step: u32| f64::from((i * step) % 97) / 96.0;
     let (friction, mass) = (0.05 + 1.15 * unit(31), 0.05 + 1.95 * unit(17));
@@ -29,7 +29,7 @@ fn row(i: u32) -> (f64, f64, &'static str, bool) {
     (friction, mass, placement, friction + unit(53) > 0.2 + 0.3 * mass)
 }
 
-/// A dictionary of 970 rows in the published form, and the reference made from it.
+/// Writes a dictionary of 970 rows in the published format, and its reference file.
 fn reference(dir: &TempDir) -> (String, Reference) {
     let experiments: Vec<Value> = (0..970)
         .map(|i| {
@@ -70,7 +70,7 @@ fn a_reference_contains_its_own_rows() {
         risk += judged.risk.unwrap();
         failures += f64::from(u8::from(!success));
     }
-    // At the maximum of the likelihood the derivative by the intercept, Σ (y - p), is 0.
+    // At the maximum of the likelihood, its derivative with respect to the intercept, Σ (y - p), is 0.
     assert!(failures > 50.0 && (risk - failures).abs() < 1e-6 * failures, "{risk} expected, {failures} seen");
     let success = reference.baseline.success.unwrap();
     assert_eq!((success.count, success.of), (970 - failures as u64, 970));
@@ -81,7 +81,7 @@ fn exit_code_reports_a_critical_alarm() {
     let dir = tempfile::tempdir().unwrap();
     let (reference, _) = reference(&dir);
     let feed = path(&dir, "cycles.jsonl");
-    // Masses as they were validated, then others.
+    // Masses inside the validated range first, then outside.
     let write = |after: Option<f64>| {
         let mass = |i: u32| after.filter(|_| i >= 900).unwrap_or(row(i).1);
         let lines: String = (0..1_200).map(|i| format!("{}\n", cycle(i, mass(i), true))).collect();
@@ -101,7 +101,7 @@ fn exit_code_reports_a_critical_alarm() {
 }
 
 #[test]
-fn empty_feeds_and_bad_settings_are_errors() {
+fn bad_feeds_and_settings_are_errors() {
     let dir = tempfile::tempdir().unwrap();
     let (empty, settings) = (path(&dir, "empty.jsonl"), path(&dir, "monitor.toml"));
     fs::write(&empty, "\nno cycle\n").unwrap();
@@ -151,14 +151,14 @@ fn pipes_are_read_line_by_line() {
         writeln!(pipe, "{}", cycle(i, 0.3, false)).unwrap();
     }
     pipe.flush().unwrap();
-    // The pipe is open: an alarm does not wait for its end.
+    // The pipe is still open: an alarm is raised before the end of the feed.
     let mut alarm = String::new();
     BufReader::new(child.stdout.take().unwrap()).read_line(&mut alarm).unwrap();
     assert!(alarm.contains("\"raised\""), "{alarm}");
     drop(pipe);
     let output = child.wait_with_output().unwrap();
-    let said = text(&output.stderr);
-    assert!(said.contains("line 601: longer than") && said.contains("900 cycles accepted"), "{said}");
+    let stderr = text(&output.stderr);
+    assert!(stderr.contains("line 601: longer than") && stderr.contains("900 cycles accepted"), "{stderr}");
     assert_eq!(output.status.code(), Some(1));
 }
 

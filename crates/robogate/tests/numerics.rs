@@ -1,8 +1,8 @@
-//! Recorded episodes: a change that is not meant to change results leaves every one of them identical.
+//! Regression tests against recorded episodes, which must stay identical unless a change of results is intended.
 //!
-//! Each file under `tests/numerics` holds outcome, time and trajectory hash of the episodes of one run. Where a change
-//! is meant to change them, write the files anew with `ROBOGATE_WRITE_NUMERICS=1` and say so in the changelog, under
-//! "Numerics".
+//! Each file under `tests/numerics` contains outcome, time and trajectory hash of the episodes of one run. If a change
+//! of results is intended, write the files again with `ROBOGATE_WRITE_NUMERICS=1` and document the change in the
+//! changelog, under "Numerics".
 #![cfg(all(target_os = "linux", target_arch = "x86_64", feature = "mujoco", feature = "rapier", feature = "onnx"))]
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -16,7 +16,7 @@ use tempfile::TempDir;
 const COLUMNS: [&str; 5] = ["index", "outcome", "cycle_time_s", "ticks", "trajectory_hash"];
 
 fn robogate(arguments: &[&str]) {
-    // The policy's file is named from the repository's root.
+    // Policy files are named relative to the repository's root.
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let output = Command::new(env!("CARGO_BIN_EXE_robogate")).current_dir(root).args(arguments).output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
@@ -42,7 +42,7 @@ fn compare(name: &str, arguments: &[&str]) {
     }
 }
 
-/// The compared columns of a CSV file. None of them is quoted, and no quoted column holds a line break.
+/// The compared columns of a CSV file. They are never quoted, and quoted columns contain no line breaks.
 fn select(csv: &str) -> String {
     let mut lines = csv.lines().map(|line| line.trim_end_matches('\r'));
     let header: Vec<&str> = lines.next().unwrap().split(',').collect();
@@ -55,7 +55,7 @@ fn select(csv: &str) -> String {
     selected
 }
 
-/// The cells of a line; a comma between quotes separates nothing.
+/// The cells of a line. A comma between quotes is not a separator.
 fn cells(line: &str) -> Vec<&str> {
     let mut quoted = false;
     line.split(|c| {

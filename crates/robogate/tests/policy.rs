@@ -82,7 +82,7 @@ fn outcomes(run: &str) -> Vec<String> {
 }
 
 #[test]
-fn a_policy_server_is_checked_run_and_replayed() {
+fn policy_servers_are_checked_and_replayed() {
     let dir = TempDir::new().unwrap();
     let profile = profile(&dir, "pi0-libero", &TEN);
     let (listener, url) = listener();
@@ -96,7 +96,7 @@ fn a_policy_server_is_checked_run_and_replayed() {
     let run = dir.path().join("run").to_str().unwrap().to_owned();
     let start = ["run", "--policy", &url, "--profile", &profile, "-n", "3", "--threads", "1", "--out", &run];
     assert_exit(&start, 0, &["pi0-libero policy"]);
-    // It drives the hand into the table.
+    // The server commands the hand straight into the table.
     assert_eq!(outcomes(&run), ["collision"; 3]);
     assert_exit(&["replay", &run, "1"], 0, &["identical to the recorded episode"]);
 }

@@ -1,4 +1,4 @@
-//! `robogate study` as its user meets it.
+//! End-to-end tests of `robogate study`.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -27,12 +27,12 @@ fn results(out: &str) -> [Vec<u8>; 2] {
 }
 
 #[test]
-fn a_study_killed_again_and_again_ends_with_the_same_bytes() {
+fn killed_studies_resume_identically() {
     let dir = TempDir::new().unwrap();
     let (whole, killed) = (path(&dir, "whole"), path(&dir, "killed"));
     let output = study(&whole, &["--json", "--threads", "1"]);
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{said}");
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{stderr}");
     let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!((&document["version"], &document["budget"], &document["repeats"]), (&2.into(), &12.into(), &2.into()));
     let mut kills = 0;
@@ -52,19 +52,19 @@ fn a_study_killed_again_and_again_ends_with_the_same_bytes() {
         child.wait().unwrap();
         kills += 1;
     }
-    assert!(kills > 0, "done before the first kill");
+    assert!(kills > 0, "the study finished before the first kill");
     let output = study(&killed, &[]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert!(String::from_utf8_lossy(&output.stdout).contains("Is boundary focusing worth it?"));
     assert!(results(&whole) == results(&killed), "a killed study differs");
 
     let other = robogate(&["study", "--budget", "14", "--repeats", "2", "--test", "24", "--out", &whole]);
-    let said = String::from_utf8_lossy(&other.stderr).into_owned();
-    assert!(other.status.code() == Some(2) && said.contains("budget (12, not 14)"), "{said}");
+    let stderr = String::from_utf8_lossy(&other.stderr).into_owned();
+    assert!(other.status.code() == Some(2) && stderr.contains("budget (12, not 14)"), "{stderr}");
 }
 
 #[test]
-fn what_is_wrong_is_said_with_exit_code_2_and_nothing_is_started() {
+fn wrong_usage_starts_nothing() {
     let dir = TempDir::new().unwrap();
     let file = |name: &str, text: &str| {
         fs::write(dir.path().join(name), text).unwrap();
@@ -80,11 +80,14 @@ fn what_is_wrong_is_said_with_exit_code_2_and_nothing_is_started() {
         (["--repeats", "0"], "0"),
     ] {
         let output = robogate(&[&["study", "--out", &out], &more[..]].concat());
-        let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(output.status.code() == Some(2) && said.contains(part), "{more:?}: {said}");
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(2) && stderr.contains(part), "{more:?}: {stderr}");
     }
-    assert!(!Path::new(&out).exists(), "something was started");
+    assert!(!Path::new(&out).exists(), "a study was started");
     let output = study(dir.path().to_str().unwrap(), &[]);
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.code() == Some(2) && said.contains("plan.toml") && said.contains("no study"), "{said}");
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        output.status.code() == Some(2) && stderr.contains("plan.toml") && stderr.contains("not a study"),
+        "{stderr}"
+    );
 }

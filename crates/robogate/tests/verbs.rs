@@ -1,4 +1,4 @@
-//! `analyze`, `report` and `compare` as their user meets them: exit codes, what goes to stdout and what to stderr.
+//! End-to-end tests of `analyze`, `report` and `compare`: exit codes, stdout and stderr.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -24,7 +24,7 @@ fn path(dir: &TempDir, name: &str) -> String {
     dir.path().join(name).to_str().unwrap().to_owned()
 }
 
-/// A published dictionary: success where friction is above `from`, and mass matters a little.
+/// A published dictionary in which episodes succeed above the friction `from`, and mass has a small effect.
 fn published(dir: &TempDir, robot: &str, rows: u32, from: f64) -> String {
     let experiments: Vec<Value> = (0..rows)
         .map(|i| {
@@ -48,7 +48,7 @@ fn published(dir: &TempDir, robot: &str, rows: u32, from: f64) -> String {
     file
 }
 
-fn assert_asks_for_nothing(page: &str) {
+fn assert_self_contained(page: &str) {
     let text = fs::read_to_string(page).unwrap();
     assert!(text.starts_with("<!DOCTYPE html>") && text.trim_end().ends_with("</html>"));
     for forbidden in ["http://", "https://", "src=", "@import", "url(http", "//cdn"] {
@@ -56,13 +56,13 @@ fn assert_asks_for_nothing(page: &str) {
     }
 }
 
-/// Asserts exit code 2, nothing on stdout, and every one of `parts` on stderr.
+/// Asserts exit code 2, an empty stdout, and that stderr contains each of `parts`.
 fn assert_usage(arguments: &[&str], parts: &[&str]) {
     let output = robogate(arguments);
     assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", stderr(&output));
     assert_eq!(stdout(&output), "", "{arguments:?}");
     for part in parts {
-        assert!(stderr(&output).contains(part), "{arguments:?} does not say {part:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains(part), "{arguments:?}: expected {part:?} in {}", stderr(&output));
     }
 }
 
@@ -77,11 +77,11 @@ fn assert_fits(output: &Output) {
 fn analyze_writes_to_stdout() {
     let dir = TempDir::new().unwrap();
     let file = published(&dir, "arm", 200, 0.5);
-    let told = robogate(&["analyze", &file]);
-    assert_eq!(told.status.code(), Some(0), "{}", stderr(&told));
-    assert_eq!(stderr(&told), "");
-    assert!(stdout(&told).contains("Where it fails"));
-    assert_fits(&told);
+    let output = robogate(&["analyze", &file]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert_eq!(stderr(&output), "");
+    assert!(stdout(&output).contains("Where it fails"));
+    assert_fits(&output);
     let output = robogate(&["analyze", &file, "--json"]);
     assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));
     let document: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -100,7 +100,7 @@ fn report_writes_one_file() {
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     assert_eq!(stdout(&output), "");
     assert!(stderr(&output).contains("page.html"));
-    assert_asks_for_nothing(&page);
+    assert_self_contained(&page);
     let markdown = robogate(&["report", &file, "--format", "md", "--out", "-"]);
     assert_eq!((markdown.status.code(), stderr(&markdown).as_str()), (Some(0), ""));
     assert!(stdout(&markdown).starts_with("# "));
@@ -117,7 +117,7 @@ fn compare_writes_every_format() {
     let dir = TempDir::new().unwrap();
     let (one, two) = (published(&dir, "one", 300, 0.4), published(&dir, "two", 240, 0.8));
     let (page, text) = (path(&dir, "page.html"), path(&dir, "page.md"));
-    let told = robogate(&[
+    let output = robogate(&[
         "compare",
         &one,
         &two,
@@ -132,13 +132,13 @@ fn compare_writes_every_format() {
         "--workspace",
         "0.5",
     ]);
-    assert_eq!(told.status.code(), Some(0), "{}", stderr(&told));
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     for part in ["Success rates", "one - two", "Where all of them are below 40 %", "Effect of mass", "ratio   1.000"] {
-        assert!(stdout(&told).contains(part), "{part}: {}", stdout(&told));
+        assert!(stdout(&output).contains(part), "{part}: {}", stdout(&output));
     }
-    assert_fits(&told);
-    assert!(stderr(&told).contains("page.html") && stderr(&told).contains("page.md"));
-    assert_asks_for_nothing(&page);
+    assert_fits(&output);
+    assert!(stderr(&output).contains("page.html") && stderr(&output).contains("page.md"));
+    assert_self_contained(&page);
     assert!(fs::read_to_string(&text).unwrap().starts_with("# one and two"));
     let output = robogate(&["compare", &one, &two, "--json"]);
     assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));

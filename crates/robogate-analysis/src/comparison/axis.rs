@@ -12,10 +12,10 @@ use robogate_stats::format::{list, range};
 /// An integer parameter with at least this many levels is cut into bins.
 const MAX_LEVELS: i64 = 16;
 
-/// A parameter that every dataset has, over the range that all of them cover.
+/// A parameter that all datasets have, over the range that all of them cover.
 pub(crate) struct SharedAxis {
     pub(crate) axis: Axis,
-    /// The part of it that is not shared, as a sentence.
+    /// A sentence on the part of it that is not shared.
     pub(crate) remark: Option<String>,
     bins: Bins,
 }
@@ -29,7 +29,7 @@ impl SharedAxis {
     /// Divides the part of `parameter` that all of `datasets` cover into `bins` or its levels.
     ///
     /// # Errors
-    /// Why it is not shared, as the end of a sentence.
+    /// The reason why it is not shared, as the end of a sentence.
     pub(crate) fn of(datasets: &[&Dataset<'_>], parameter: &str, bins: usize) -> Result<Self, String> {
         let columns: Vec<&ParameterColumn> = datasets.iter().filter_map(|e| e.parameter(parameter)).collect();
         if columns.len() != datasets.len() {
@@ -45,7 +45,7 @@ impl SharedAxis {
         let [low, high] = common(&spans, datasets.iter().any(|e| e.population == Population::AsImported));
         let remark = spans.iter().any(|s| s[0] < low || s[1] > high).then(|| {
             format!(
-                "Only {} of {} is covered by every dataset; rows outside are left out.",
+                "Only {} of {} is covered by every dataset; rows outside are excluded.",
                 range([low, high]),
                 parameter_label(parameter)
             )
@@ -91,7 +91,7 @@ impl SharedAxis {
         }
         let remark = (!rest.is_empty()).then(|| {
             format!(
-                "Not every dataset has the {} {}; their rows are left out.",
+                "Not every dataset has the {} {}; their rows are excluded.",
                 parameter_label(parameter),
                 list(&rest)
             )
@@ -149,8 +149,8 @@ impl SharedAxis {
     }
 }
 
-/// The range that all spans cover. The ends of an imported dataset are those of its rows, hence random: ends within 0.5 % of
-/// the widest span count as equal, so that no row is left out for them.
+/// The range that all spans cover. The ends of an imported range are the extremes of its rows, so they are random. Ends
+/// that differ by at most 0.5 % of the widest span count as equal, so that no row is excluded because of them.
 fn common(spans: &[[f64; 2]], observed: bool) -> [f64; 2] {
     let ends = |at: usize| spans.iter().map(move |span| span[at]);
     let least = |at: usize| ends(at).fold(f64::INFINITY, f64::min);
@@ -176,7 +176,7 @@ fn tally(places: &[Option<usize>], success: &[bool], cells: usize) -> Vec<Trials
             *n += 1;
         }
     }
-    // Successes never exceed rows, as they are counted together.
+    // Successes and rows are counted together, so there are never more successes.
     counts.into_iter().map(|(successes, n)| Trials::new(successes, n).unwrap_or(Trials::NONE)).collect()
 }
 

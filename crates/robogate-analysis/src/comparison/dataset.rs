@@ -1,4 +1,4 @@
-//! One dataset of a comparison: its rows, its name among the others, and whether it can be compared.
+//! One dataset of a comparison: its rows, its name, and whether it can be compared.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use crate::replay::shell_word;
 use crate::table::{EpisodeTable, ParameterColumn, Sample};
 use crate::{AnalysisError, ComparisonError, Population, Source};
 
-/// One dataset.
+/// One dataset of a comparison.
 pub(crate) struct Dataset<'a> {
     pub(crate) name: String,
     pub(crate) source: &'a Source,
@@ -41,21 +41,21 @@ impl<'a> Dataset<'a> {
         Some(format!("robogate replay {} {index}", shell_word(&folder.display().to_string())))
     }
 
-    /// Why its rate cannot be compared with the others, if it cannot.
+    /// Why its rate cannot be compared with the others. `None` if it can.
     pub(crate) fn excluded_because(&self) -> Option<&'static str> {
         if self.table.len() == 0 {
             Some("it has no episode")
         } else if self.base.len() == 0 {
             Some("it has no valid episode")
         } else if self.population == Population::FocusedDesign {
-            Some("its rows come from a focused design only, which is not the operating space")
+            Some("its rows come from a focused design only, which does not estimate the operating space")
         } else {
             None
         }
     }
 }
 
-/// Rejects a single source, and the same rows twice.
+/// Returns an error for a single source, and for duplicate rows.
 pub(crate) fn check_distinct(sources: &[(Source, PathBuf)]) -> Result<(), ComparisonError> {
     if sources.len() < 2 {
         return Err(ComparisonError::TooFew { found: sources.len() });
@@ -71,8 +71,8 @@ pub(crate) fn check_distinct(sources: &[(Source, PathBuf)]) -> Result<(), Compar
     Ok(())
 }
 
-/// A name for each dataset: as given, else the first of robot, engine, policy, renderer and file name that differs between
-/// all of them.
+/// A name for each dataset: as given, otherwise the first of robot, engine, policy, renderer and file name that differs
+/// between all of them.
 pub(crate) fn names(sources: &[(Source, PathBuf)], given: &[String]) -> Result<Vec<String>, ComparisonError> {
     if !given.is_empty() {
         if given.len() != sources.len() {
@@ -96,7 +96,7 @@ pub(crate) fn names(sources: &[(Source, PathBuf)], given: &[String]) -> Result<V
     Ok(sources.iter().enumerate().map(|(i, (_, path))| format!("{} {}", i + 1, stem(path))).collect())
 }
 
-/// The renderer in the provenance of a built-in world, which does not name the embedded one.
+/// The renderer in the provenance of a built-in world. The provenance contains no entry for the embedded one.
 fn renderer(provenance: &Provenance) -> &str {
     let world = &provenance.world;
     match (world.get("engine"), world.get("renderer")) {
@@ -110,7 +110,7 @@ fn repeated(names: &[String]) -> Option<&String> {
     names.iter().enumerate().find(|(i, name)| names[..*i].contains(name)).map(|(_, name)| name)
 }
 
-/// The name of the folder, or of the file without its extension; for a dictionary in a run's folder the name of the folder.
+/// The name of the folder, or of the file without its extension. A dictionary in a run's folder has the folder's name.
 fn stem(path: &Path) -> String {
     let of = if path.is_dir() { path.file_name() } else { path.file_stem() };
     let name = of.map(|name| name.to_string_lossy().into_owned());

@@ -1,4 +1,4 @@
-//! Differences of success rates between each two datasets: paired if both ran the same scenarios.
+//! Differences of success rates between pairs of datasets: paired if both ran the same scenarios.
 
 use robogate_stats::compare::{mcnemar_exact, newcombe, newcombe_paired, z_test};
 use robogate_stats::multiplicity::holm;
@@ -14,21 +14,21 @@ use crate::rate::ends;
 /// The difference of two success rates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RateDifference {
-    /// Name of the first.
+    /// Name of the first dataset.
     pub first: String,
-    /// Name of the second.
+    /// Name of the second dataset.
     pub second: String,
-    /// First rate minus second; for a paired difference over the scenarios that are valid in both.
+    /// First rate minus second. A paired difference uses the scenarios that are valid in both.
     pub difference: f64,
     /// Newcombe's 95 % interval of the difference, paired or for independent runs.
     pub interval_95: [f64; 2],
     /// Scenarios that are valid in both, if the difference is paired; absent for independent runs.
     #[serde(default)]
     pub valid_pairs: Option<u64>,
-    /// Pooled z statistic; absent if both always or never succeeded, and for a paired difference.
+    /// Pooled z statistic. `None` if both always or never succeeded, and for a paired difference.
     pub z: Option<f64>,
-    /// ln of the two-sided p-value: of McNemar's exact test for a paired difference, else of the z-test; absent without a
-    /// test.
+    /// ln of the two-sided p-value: of McNemar's exact test for a paired difference, otherwise of the z-test. `None`
+    /// without a test.
     pub ln_p: Option<f64>,
     /// The p-value, adjusted by Holm over all pairs; 1 without a test.
     pub holm_p: f64,
@@ -66,7 +66,7 @@ fn between(first: &Dataset<'_>, second: &Dataset<'_>) -> Result<RateDifference, 
     Ok(RateDifference {
         first: first.name.clone(),
         second: second.name.clone(),
-        // Only datasets with valid episodes are compared, so there is an estimate.
+        // Only datasets with valid episodes are compared, so the estimate exists.
         difference: difference.estimate.unwrap_or_default(),
         interval_95: ends(difference.interval),
         valid_pairs: pairs.map(|pairs| pairs.n()),

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::AnalysisError;
 
-/// Why there is no comparison.
+/// An error that prevents a comparison.
 #[derive(Debug, thiserror::Error)]
 pub enum ComparisonError {
     /// One of the dictionaries cannot be read.
@@ -16,7 +16,7 @@ pub enum ComparisonError {
         /// The number of dictionaries.
         found: usize,
     },
-    /// The same rows twice.
+    /// Two dictionaries with the same rows.
     #[error("{} and {} have the same rows\nhint: remove one of them", first.display(), second.display())]
     SameTwice {
         /// The first path.
@@ -26,7 +26,7 @@ pub enum ComparisonError {
     },
     /// The number of names differs from the number of dictionaries.
     #[error(
-        "--names: found {given} names for {datasets} dictionaries\nhint: give one name for each, in their order, or none"
+        "--names: found {given} names for {datasets} dictionaries\nhint: give one name for each in their order, or leave out --names"
     )]
     Names {
         /// Names given.
@@ -35,13 +35,13 @@ pub enum ComparisonError {
         datasets: usize,
     },
     /// Two dictionaries with one name.
-    #[error("--names: `{name}` is given twice; expected a different name for each dictionary")]
+    #[error("--names: `{name}` is given twice. Expected a different name for each dictionary")]
     NameTwice {
         /// The name.
         name: String,
     },
     /// A name that no dictionary has.
-    #[error("no dictionary is named `{name}`; expected one of: {known}")]
+    #[error("no dictionary is named `{name}`. Expected one of: {known}")]
     NoSuchName {
         /// The name as given.
         name: String,
@@ -49,7 +49,7 @@ pub enum ComparisonError {
         known: String,
     },
     /// A setting outside its range.
-    #[error("{setting} is out of range: {value}; expected {expected}")]
+    #[error("{setting} is out of range: {value}. Expected {expected}")]
     Setting {
         /// The setting.
         setting: &'static str,
@@ -61,7 +61,7 @@ pub enum ComparisonError {
     /// A pair of parameters that cannot be compared together.
     #[error("`{name}` is not a valid parameter of a pair: {reason}\nhint: expected two of {known}")]
     Pair {
-        /// The name as given.
+        /// The problem.
         name: String,
         /// What is wrong with it.
         reason: String,
@@ -70,7 +70,7 @@ pub enum ComparisonError {
     },
     /// Two dictionaries that did not run the same scenarios.
     #[error(
-        "`{first}` and `{second}` did not run the same scenarios: {difference}\nhint: runs are paired if they have the same \
+        "`{first}` and `{second}` did not run the same scenarios: {difference}\nhint: pairs need runs with the same \
          plan, space and --seed; without --paired they are compared as independent runs"
     )]
     NotTheSameDesign {

@@ -13,13 +13,13 @@ use crate::rate::Rate;
 pub struct SharedCurve {
     /// The parameter.
     pub parameter: String,
-    /// Its label for people.
+    /// Its label.
     pub label: String,
     /// Its unit; empty without one.
     pub unit: String,
     /// Whether the bins have equal width on a logarithmic scale.
     pub log: bool,
-    /// The part of it that is not shared, as a sentence.
+    /// A sentence on the part of it that is not shared.
     pub remark: Option<String>,
     /// The bins or levels, the same for every dataset.
     pub cells: Vec<SharedCell>,
@@ -28,7 +28,7 @@ pub struct SharedCurve {
 /// One bin or level.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SharedCell {
-    /// The bin or level for people.
+    /// The label of the bin or level.
     pub label: String,
     /// Edges of a bin; absent for a level.
     pub range: Option<[f64; 2]>,

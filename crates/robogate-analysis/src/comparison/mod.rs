@@ -32,28 +32,28 @@ use crate::rate::Finding;
 use crate::task::TaskAnalysis;
 use crate::{AnalysisError, Population, Source, Success};
 
-/// Comparison of several datasets. Only estimates of an operating space are compared; a dataset that cannot be compared is
-/// listed with the reason.
+/// Comparison of several datasets. Only estimates of an operating space are compared. Other datasets are listed with
+/// the reason.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Comparison {
     /// The version of this document.
     pub version: u32,
     /// The datasets, in the order given.
     pub datasets: Vec<ComparedDataset>,
-    /// Names of the datasets that are compared, in their order, which is the order of every list of rates below.
+    /// Names of the compared datasets, in their order. All lists of rates below have this order.
     pub compared: Vec<String>,
-    /// The parameters that all of them vary, and those that only some do.
+    /// The shared parameters, and those that are not shared.
     pub parameters: SharedParameters,
-    /// Differences of success rates between each two datasets, paired if both ran the same scenarios; empty if `paired` has
-    /// them.
+    /// Differences of success rates between pairs of datasets, paired if both ran the same scenarios. Empty if `paired`
+    /// contains them.
     pub differences: Vec<RateDifference>,
-    /// Paired comparisons of the same scenarios; empty unless requested.
+    /// Paired comparisons of the same scenarios. Empty unless requested.
     pub paired: Vec<PairedComparison>,
     /// The marginal effect of each shared parameter, in the same bins for every dataset.
     pub marginal_effects: Vec<SharedCurve>,
-    /// Where all of them fail most of the time.
+    /// Cells in which all of them fail most of the time.
     pub universal_zones: UniversalZones,
-    /// The effect of the parameter that the task declares.
+    /// The effect of the parameter that the task declares for comparisons.
     pub sensitivity: Finding<Sensitivity>,
     /// Workspace and reach of each robot.
     pub reach: Vec<ReachRow>,
@@ -64,11 +64,11 @@ pub struct Comparison {
 pub struct ComparedDataset {
     /// Its name in this comparison.
     pub name: String,
-    /// Where it comes from.
+    /// The dictionary.
     pub subject: Subject,
     /// The population of its figures.
     pub population: Population,
-    /// Why it is not compared; absent if it is.
+    /// Why it is not compared. `None` if it is compared.
     pub excluded_because: Option<String>,
     /// How often it succeeds.
     pub success: Success,
@@ -99,11 +99,11 @@ pub struct NotShared {
 /// Options of a comparison.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ComparisonOptions {
-    /// Names of the datasets in their order; empty: chosen from their provenance.
+    /// Names of the datasets in their order. Empty: chosen from their provenance.
     pub names: Vec<String>,
     /// The success rate below which a cell is a danger zone.
     pub danger_limit: f64,
-    /// The two parameters whose cells are compared; none: the task's pair, if it is shared.
+    /// The two parameters whose cells are compared. `None`: the task's pair, if it is shared.
     pub pair: Option<(String, String)>,
     /// Reach of robots in metres, by the name of the dataset.
     pub reach_m: Vec<(String, f64)>,
@@ -133,10 +133,10 @@ impl Comparison {
     /// The version of the document that this build writes.
     pub const VERSION: u32 = 2;
 
-    /// Compares sources, each with the path that it was opened from.
+    /// Compares sources. Each comes with the path that it was opened from.
     ///
     /// # Errors
-    /// Fewer than two sources, the same rows twice, an invalid option, or `paired` without the same scenarios.
+    /// Fewer than two sources, a duplicate source, an invalid option, or `paired` without the same scenarios.
     pub fn of(sources: &[(Source, PathBuf)], options: &ComparisonOptions) -> Result<Self, ComparisonError> {
         dataset::check_distinct(sources)?;
         let names = dataset::names(sources, &options.names)?;
@@ -148,7 +148,7 @@ impl Comparison {
         let task = task(&compared);
         let pair = pair(&compared, &axes, options, task)?;
         let smallest = compared.iter().map(|dataset| dataset.base.len()).min().unwrap_or(0);
-        // As many cells as leave about 25 episodes of the smallest dataset for each.
+        // The number of cells leaves about 25 episodes of the smallest dataset for each.
         let side = ((smallest / 25) as f64).sqrt() as usize;
         let coarse = pair.as_ref().and_then(|(up, across)| {
             let axis = |parameter: &str| SharedAxis::of(&compared, parameter, side.clamp(2, 5)).ok();
@@ -179,7 +179,7 @@ impl Comparison {
         })
     }
 
-    /// Whether at least two datasets could be compared.
+    /// Whether at least two datasets are compared.
     pub fn has_evidence(&self) -> bool {
         if self.paired.is_empty() { self.compared.len() >= 2 } else { self.paired.iter().any(|of| of.valid_pairs > 0) }
     }
@@ -214,7 +214,7 @@ fn check(options: &ComparisonOptions, names: &[String]) -> Result<(), Comparison
     }
 }
 
-/// The parameters that are shared, binned alike for all datasets, and those that are not.
+/// The shared parameters, with equal bins for all datasets, and those that are not shared.
 fn shared(datasets: &[&Dataset<'_>]) -> (SharedParameters, Vec<SharedAxis>) {
     let smallest = datasets.iter().map(|dataset| dataset.base.len()).min().unwrap_or(0);
     let bins = (smallest / 25).clamp(3, crate::marginal::BINS);
@@ -242,14 +242,15 @@ fn shared(datasets: &[&Dataset<'_>]) -> (SharedParameters, Vec<SharedAxis>) {
     (parameters, axes)
 }
 
-/// The plug-in of the task that all of them ran; an empty one if the tasks differ.
+/// The plug-in of the task that all of them ran, or an empty one if the tasks differ.
 fn task(datasets: &[&Dataset<'_>]) -> &'static TaskAnalysis {
     let mut names = datasets.iter().map(|dataset| TaskAnalysis::of_dictionary(dataset.provenance()).task);
     let first = names.next().unwrap_or_default();
     TaskAnalysis::of(if names.all(|name| name == first) { first } else { "" })
 }
 
-/// The pair that is compared: the one requested, else the task's, else the first two numeric parameters.
+/// The pair that is compared: the requested one, otherwise that of the task, otherwise the first two numeric
+/// parameters.
 fn pair(
     datasets: &[&Dataset<'_>],
     axes: &[SharedAxis],

@@ -12,9 +12,9 @@ use crate::rate::Rate;
 pub struct ReachRow {
     /// The name of the dataset.
     pub name: String,
-    /// The robot's reach; absent if it is unknown.
+    /// The robot's reach. `None` if it is unknown.
     pub reach_m: Option<f64>,
-    /// Distance from the robot's base to the centre of the workspace; absent if it is unknown.
+    /// Distance from the robot's base to the centre of the workspace. `None` if it is unknown.
     pub workspace_m: Option<f64>,
     /// Workspace distance divided by reach.
     pub ratio: Option<f64>,

@@ -25,8 +25,8 @@ pub struct Sensitivity {
     pub high: [f64; 2],
     /// The effect on each compared dataset, in their order.
     pub effects: Vec<Effect>,
-    /// Names of the datasets in which larger values significantly lower success: all of them if every 95 % interval
-    /// lies below 0 (intersection-union), else those whose p-value is at most 0.05 after Holm's adjustment.
+    /// Names of the datasets in which larger values significantly lower success: all if every 95 % interval lies below
+    /// 0 (intersection-union), otherwise those with a p-value of at most 0.05 after Holm's adjustment.
     pub lowers_success_of: Vec<String>,
 }
 
@@ -35,7 +35,8 @@ pub struct Sensitivity {
 pub struct Effect {
     /// Its name.
     pub name: String,
-    /// Slope of the log-odds of success per unit of the parameter's natural logarithm: below 0, larger values lower success.
+    /// Slope of the log-odds of success per unit of the parameter's natural logarithm: below 0, larger values lower
+    /// success.
     pub slope: Finding<Slope>,
     /// Success in the lowest bin.
     pub low: Rate,
@@ -48,8 +49,8 @@ pub struct Effect {
 pub struct Slope {
     /// Change of the log-odds per unit of the natural logarithm.
     pub per_log_unit: f64,
-    /// 95 % interval: Wald's, or that of the penalised profile if success and failure are separated; an unbounded end is
-    /// absent.
+    /// 95 % interval: Wald's, or the profile interval of the penalised fit if success and failure are separated. An
+    /// unbounded end is `None`.
     pub interval_95: [Option<f64>; 2],
     /// Factor of the odds of success when the parameter doubles.
     pub odds_per_doubling: f64,
@@ -59,14 +60,14 @@ pub struct Slope {
     pub penalised: bool,
 }
 
-/// Fits the effect of `parameter`, the one that the task names.
+/// Fits the effect of the parameter that the task declares for comparisons.
 pub(crate) fn sensitivity(
     datasets: &[&Dataset<'_>],
     axes: &[SharedAxis],
     parameter: Option<&str>,
 ) -> Finding<Sensitivity> {
     let Some(parameter) = parameter else {
-        return Finding::not("the task declares no parameter for it");
+        return Finding::not("the task declares no parameter for this comparison");
     };
     let Some(axis) = axes.iter().find(|axis| axis.axis.parameter == parameter) else {
         return Finding::not(format!("not every dataset has {parameter}"));

@@ -14,19 +14,19 @@ use crate::rate::Rate;
 /// The level of significance, after Holm's adjustment.
 const LEVEL: f64 = 0.05;
 
-/// Where every compared dataset fails most of the time: bins and levels of each shared parameter, and the cells of one pair
-/// of them.
+/// Cells in which every compared dataset fails most of the time: bins and levels of each shared parameter, and the
+/// cells of one pair.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct UniversalZones {
     /// The success rate that the rate of every dataset is tested against.
     pub limit: f64,
-    /// The pair whose cells were tested too; absent if fewer than two parameters are shared.
+    /// The pair whose cells were tested too. `None` if fewer than two parameters are shared.
     pub pair: Option<[String; 2]>,
     /// Cells that were tested: the family of Holm's adjustment.
     pub tested: u64,
-    /// Cells that were not tested: some dataset has fewer than `smallest_n` episodes there.
+    /// Cells that were not tested, because some dataset has fewer than `smallest_n` episodes there.
     pub too_few_episodes: u64,
-    /// Episodes below which even a cell without a success is not significant at 5 %.
+    /// Smallest number of episodes at which a cell without success is significant at 5 %.
     pub smallest_n: u64,
     /// Cells in which the observed rate of every dataset is below the limit, the smallest p-value first.
     pub zones: Vec<UniversalZone>,
@@ -39,7 +39,8 @@ pub struct UniversalZone {
     pub sides: Vec<ZoneSide>,
     /// The rate of each compared dataset, in their order.
     pub rates: Vec<Rate>,
-    /// The p-value that not all rates are below the limit: the largest of the exact one-sided ones (intersection-union).
+    /// The p-value of "not all rates are below the limit": the largest of the exact one-sided p-values
+    /// (intersection-union).
     pub p: f64,
     /// The p-value, adjusted by Holm over all cells tested.
     pub holm_p: f64,
@@ -52,14 +53,14 @@ pub struct UniversalZone {
 pub struct ZoneSide {
     /// The parameter.
     pub parameter: String,
-    /// The bin or level for people.
+    /// The label of the bin or level.
     pub label: String,
     /// Edges of a bin; absent for a level.
     pub range: Option<[f64; 2]>,
 }
 
 impl UniversalZone {
-    /// The cell for people.
+    /// The label of the cell.
     pub fn describe(&self) -> String {
         let sides = self.sides.iter().map(|side| {
             format!("{} {}", parameter_label(&side.parameter), value_with_unit(&side.label, &side.parameter))

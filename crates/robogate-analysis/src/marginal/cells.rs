@@ -8,7 +8,7 @@ use super::{BINS, Cell, Zone, level_edges};
 use crate::rate::Rate;
 use crate::table::{ParameterColumn, ParameterKind, Sample};
 
-/// The cells of a parameter, and how many rows lie outside all of them.
+/// The cells of a parameter, and the number of rows outside all of them.
 pub(super) fn cells(base: &Sample, parameter: &ParameterColumn) -> (Vec<Cell>, u64) {
     let binned = |edges: Option<Edges>| edges.map_or((Vec::new(), 0), |edges| bins(base, parameter, &edges));
     match &parameter.kind {

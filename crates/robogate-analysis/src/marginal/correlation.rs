@@ -19,9 +19,9 @@ pub enum Correlation {
         point_biserial: f64,
         /// 95 % interval by Fisher's transform.
         interval_95: [f64; 2],
-        /// ln of the two-sided p-value; absent where it is not defined.
+        /// ln of the two-sided p-value. `None` if it is undefined.
         ln_p: Option<f64>,
-        /// Spearman's rank correlation; absent where it is not defined.
+        /// Spearman's rank correlation. `None` if it is undefined.
         spearman: Option<f64>,
     },
     /// Of a categorical parameter: Cramer's V, which has no direction.

@@ -1,4 +1,4 @@
-//! Marginal effects: success along one parameter, averaged over all others.
+//! Marginal effects: the success rate as a function of one parameter, averaged over all others.
 
 mod cells;
 mod correlation;
@@ -19,17 +19,17 @@ use crate::labels::{label_and_unit, parameter_label};
 use crate::rate::{Finding, Rate};
 use crate::table::{EpisodeTable, ParameterColumn, ParameterKind, Sample};
 
-/// Bins over the range of a continuous parameter, as in the paper.
+/// Number of bins over the range of a continuous parameter, as in the paper.
 pub(crate) const BINS: usize = 10;
-/// An integer parameter with at least this many levels is cut into bins.
+/// An integer parameter with at least this many levels is divided into bins.
 const MAX_LEVELS: i64 = 30;
 
-/// The marginal effect of one parameter. Every rate applies to the population of the whole analysis.
+/// The marginal effect of one parameter. Its rates apply to the population of the analysis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MarginalEffect {
     /// The parameter.
     pub parameter: String,
-    /// Its label for people.
+    /// Its label.
     pub label: String,
     /// Its unit; empty without one.
     pub unit: String,
@@ -37,13 +37,13 @@ pub struct MarginalEffect {
     pub kind: ParameterType,
     /// Bins of equal width over its range (continuous), or its levels.
     pub cells: Vec<Cell>,
-    /// Rows outside the range.
+    /// Number of rows outside the range.
     pub outside: u64,
     /// Correlation with success.
     pub correlation: Finding<Correlation>,
-    /// Where the success rate crosses 50 %; numeric parameters only.
+    /// Where the success rate crosses 50 %, for numeric parameters.
     pub threshold: Finding<CriticalThreshold>,
-    /// How the dominant failure mode changes with the parameter; numeric parameters only.
+    /// Changes of the dominant failure mode along the parameter, for numeric parameters.
     pub transitions: Finding<ModeChanges>,
 }
 
@@ -64,13 +64,13 @@ pub enum ParameterType {
 /// One bin or level of a parameter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Cell {
-    /// The bin or level for people.
+    /// The label of the bin or level.
     pub label: String,
     /// Edges of a bin; absent for a level.
     pub range: Option<[f64; 2]>,
     /// Its success rate.
     pub rate: Rate,
-    /// Its zone, at a confidence shared over all cells of the parameter.
+    /// Its zone, at a simultaneous confidence for all cells of the parameter.
     pub zone: Zone,
 }
 
@@ -97,7 +97,7 @@ pub(crate) fn marginal_effect(table: &EpisodeTable, base: &Sample, parameter: &P
     }
 }
 
-/// One bin for each integer; `None` if there are too many, or if they are too large to be exact as `f64`.
+/// One bin for each integer. `None` if there are too many, or if they are not exact as `f64`.
 fn level_edges(low: i64, high: i64) -> Option<Edges> {
     let exact = low.unsigned_abs().max(high.unsigned_abs()) < 1 << 50;
     if !exact || high - low >= MAX_LEVELS {
@@ -106,7 +106,7 @@ fn level_edges(low: i64, high: i64) -> Option<Edges> {
     Edges::new((low..=high + 1).map(|level| level as f64 - 0.5).collect()).ok()
 }
 
-/// The level edges of an integer parameter; `None` for any other.
+/// The level edges of an integer parameter. `None` for any other.
 fn integer_edges(parameter: &ParameterColumn) -> Option<Edges> {
     match parameter.kind {
         ParameterKind::Integer { low, high } => level_edges(low, high),
@@ -114,7 +114,7 @@ fn integer_edges(parameter: &ParameterColumn) -> Option<Edges> {
     }
 }
 
-/// Why success cannot be compared between values of a parameter.
+/// The reason why success cannot be compared between values of a parameter.
 fn no_contrast(base: &Sample, parameter: &ParameterColumn) -> String {
     let first = parameter.values.first().copied();
     if base.len() < 2 {
@@ -126,6 +126,6 @@ fn no_contrast(base: &Sample, parameter: &ParameterColumn) -> String {
     } else if first.is_some_and(|first| parameter.values.iter().all(|v| (v - first).abs() <= 0.0)) {
         format!("{} has the same value in every episode", parameter_label(&parameter.name))
     } else {
-        format!("{} episodes do not determine it", base.len())
+        format!("{} episodes are too few to estimate it", base.len())
     }
 }

@@ -1,4 +1,4 @@
-//! How the dominant failure mode changes with one parameter.
+//! Changes of the dominant failure mode along one parameter.
 
 use robogate_stats::Confidence;
 use robogate_stats::binning::Edges;
@@ -12,12 +12,12 @@ use crate::labels::parameter_label;
 use crate::rate::{Finding, ends};
 use crate::table::{EpisodeTable, ParameterColumn, Sample};
 
-/// How the dominant failure mode changes with a parameter.
+/// Changes of the dominant failure mode along a parameter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ModeChanges {
     /// Bins of about equal numbers of failures.
     pub bins: Vec<ModeBin>,
-    /// Changes between bins whose dominant mode is significant.
+    /// Changes between bins with a significantly dominant mode.
     pub changes: Vec<ModeChange>,
 }
 
@@ -28,7 +28,7 @@ pub struct ModeBin {
     pub range: [f64; 2],
     /// Failures of each mode, in the order of the analysis' failure modes.
     pub counts: Vec<u64>,
-    /// The most frequent mode; absent where nothing failed.
+    /// The most frequent mode. `None` without failures.
     pub dominant: Option<String>,
     /// Its share of the bin's failures.
     pub share: Option<f64>,
@@ -39,11 +39,11 @@ pub struct ModeBin {
 /// A change of the significantly dominant mode.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ModeChange {
-    /// Mode before.
+    /// Mode below the change.
     pub from: String,
-    /// Mode after.
+    /// Mode above the change.
     pub to: String,
-    /// The two values between which it changes.
+    /// The range of values in which it changes.
     pub between: [f64; 2],
 }
 

@@ -9,9 +9,9 @@ use super::{integer_edges, no_contrast};
 use crate::rate::{Finding, ends};
 use crate::table::{ParameterColumn, Sample};
 
-/// Replicates of the bootstrap, as in the paper.
+/// Number of bootstrap replicates, as in the paper.
 const REPLICATES: usize = 1_000;
-/// Valid episodes below which no threshold is estimated.
+/// Smallest number of valid episodes for a threshold.
 const MIN_EPISODES: usize = 20;
 
 /// Where the success rate crosses 50 %: bins of equal count, isotonic regression, 1,000 bootstrap replicates.
@@ -24,25 +24,25 @@ pub enum CriticalThreshold {
         at: f64,
         /// Whether success rises with the parameter.
         rising: bool,
-        /// Lower end of the 95 % percentile interval; absent where it lies beyond the observed range.
+        /// Lower end of the 95 % percentile interval. `None` if it lies outside the observed range.
         low: Option<f64>,
-        /// Upper end; absent likewise.
+        /// Upper end of the interval. `None` if it lies outside the observed range.
         high: Option<f64>,
-        /// Bootstrap standard error; absent where some replicates do not cross.
+        /// Bootstrap standard error. `None` if some replicates do not cross.
         se: Option<f64>,
         /// Share of the replicates that cross.
         crossing_share: f64,
     },
-    /// It significantly crosses more than once: no single threshold exists.
+    /// It significantly crosses more than once, so there is no single threshold.
     CrossesMoreThanOnce {
-        /// Ranges in each of which it crosses.
+        /// Ranges that each contain a crossing.
         between: Vec<[f64; 2]>,
     },
-    /// It stays on one side.
+    /// It does not cross.
     DoesNotCross {
         /// Whether it stays above 50 %.
         stays_above: bool,
-        /// Share of the replicates that do cross.
+        /// Share of the replicates that cross.
         crossing_share: f64,
     },
 }
@@ -55,7 +55,7 @@ pub(super) fn critical_threshold(base: &Sample, parameter: &ParameterColumn) -> 
         let n = base.len();
         return Finding::not(format!("there are too few valid episodes ({n}; it needs at least {MIN_EPISODES})"));
     }
-    // At least fifty rows to a bin, and never more bins than are useful.
+    // At least fifty rows per bin, up to a maximum number of bins.
     let bins = (base.len() / 50).clamp(4, 20);
     let edges = integer_edges(parameter).map_or_else(|| Edges::equal_count(&parameter.values, bins), Ok);
     let Ok(edges) = edges else {

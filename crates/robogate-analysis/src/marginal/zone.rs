@@ -11,18 +11,18 @@ use serde::{Deserialize, Serialize};
 pub enum Zone {
     /// The whole interval is at or above 70 %.
     Safe,
-    /// The whole interval is between.
+    /// The whole interval is between 30 % and 70 %.
     Boundary,
     /// The whole interval is at or below 30 %.
     Danger,
-    /// There are enough episodes for any zone, but the interval includes a limit: the rate is near it.
+    /// There are enough episodes, but the interval includes a limit: the rate is near it.
     Undecided,
     /// There are too few episodes: even a rate of 50 % would not be classified.
     TooFewEpisodes,
 }
 
 impl Zone {
-    /// The name of the zone for people.
+    /// The name of the zone in reports.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Safe => "safe",
@@ -38,10 +38,10 @@ impl Zone {
         matches!(self, Self::Safe | Self::Boundary | Self::Danger)
     }
 
-    /// The zone of each cell, at 95 % confidence for all of them together.
+    /// The zone of each cell, at a simultaneous confidence of 95 %.
     pub(crate) fn of(cells: &[Trials]) -> Vec<Self> {
         let level = Confidence::P95.shared_by(cells.len());
-        // As many episodes, half of them successes.
+        // The same number of episodes with a success rate of 50 %.
         let halves: Vec<Trials> = cells.iter().map(|c| Trials::new(c.n() / 2, c.n()).unwrap_or(Trials::NONE)).collect();
         let zone = |(found, half)| match found {
             zone::Zone::Safe => Self::Safe,

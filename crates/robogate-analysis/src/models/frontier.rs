@@ -12,7 +12,7 @@ use crate::table::{ParameterColumn, Sample};
 use crate::{Finding, Rate};
 use robogate_stats::format::significant;
 
-/// Points of the curve.
+/// Number of points of the curve.
 const POINTS: usize = 41;
 /// Predicted success rates that count as near the frontier.
 const NEAR: [f64; 2] = [0.4, 0.6];
@@ -30,9 +30,9 @@ pub struct Frontier {
     pub coefficients: [f64; 4],
     /// The formula with its coefficients.
     pub closed_form: String,
-    /// The y at which the frontier diverges.
+    /// The value of y at which the frontier diverges.
     pub pole: Option<f64>,
-    /// The range of y in which the frontier lies within the observed ranges; absent if it never does.
+    /// The range of y in which the frontier lies within the observed ranges. `None` if it never does.
     pub valid_for: Option<[f64; 2]>,
     /// Whether success is more likely above the frontier, in the middle of that range.
     pub success_above: Option<bool>,
@@ -47,17 +47,17 @@ pub struct Frontier {
 /// The frontier at one y.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct FrontierPoint {
-    /// The parameter that it depends on.
+    /// The value of the parameter that the frontier depends on.
     pub y: f64,
-    /// The frontier.
+    /// The value of the frontier.
     pub x: f64,
-    /// Its delta-method standard error.
+    /// Standard error by the delta method.
     pub se: f64,
     /// x ± 1.96 se.
     pub band_95: [f64; 2],
-    /// The exact (Fieller) interval; absent where it is unbounded, as near the pole.
+    /// The exact (Fieller) interval. `None` if it is unbounded, as near the pole.
     pub exact_95: Option<[f64; 2]>,
-    /// Whether the point lies within the observed ranges; else it is an extrapolation.
+    /// Whether the point lies within the observed ranges. Otherwise it is an extrapolation.
     pub observed: bool,
 }
 

@@ -19,7 +19,7 @@ pub(crate) fn interactions(base: &Sample, task: &TaskAnalysis) -> Finding<Regres
     }
     let columns: Vec<&[f64]> =
         model.main.iter().filter_map(|m| base.parameter(m)).map(|p| p.values.as_slice()).collect();
-    // A constant column stays as it is: the fit reports it.
+    // A constant column is not standardised; the fit reports it.
     let scaled: Vec<Vec<f64>> = columns.iter().map(|c| standardized(c).unwrap_or_else(|| c.to_vec())).collect();
     let products: Vec<Vec<f64>> = model.products.iter().map(|(a, b)| interaction(&scaled[*a], &scaled[*b])).collect();
     let all: Vec<&[f64]> = scaled.iter().chain(&products).map(Vec::as_slice).collect();
@@ -36,7 +36,7 @@ pub(crate) fn interactions(base: &Sample, task: &TaskAnalysis) -> Finding<Regres
     }
 }
 
-/// The labels of the parameters that the model needs and the sample lacks as numbers; `None` where it has all of them.
+/// Labels of the parameters that the model needs but the sample lacks as numbers. `None` if there are none.
 pub(crate) fn missing(base: &Sample, model: &InteractionModel) -> Option<String> {
     let missing: Vec<String> = model
         .main

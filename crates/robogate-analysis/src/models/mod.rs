@@ -24,11 +24,11 @@ pub(crate) use risk::{Scored, risk};
 pub struct Regression {
     /// The outcome whose log-odds it predicts: `success` or `failure`.
     pub outcome: String,
-    /// Rows that it was fitted to.
+    /// Number of training rows.
     pub rows: u64,
-    /// The estimator: `maximum_likelihood`, or `firth` if separation leaves no maximum.
+    /// The estimator: `maximum_likelihood`, or `firth` if the data are separated.
     pub estimator: String,
-    /// Whether coefficients are per standard deviation of their column; else they are per unit.
+    /// Whether coefficients are per standard deviation of their column, otherwise per unit.
     pub standardized: bool,
     /// The intercept, then every column.
     pub terms: Vec<Coefficient>,
@@ -36,7 +36,7 @@ pub struct Regression {
     pub deviance: f64,
     /// -2 ln L of the intercept-only model.
     pub null_deviance: f64,
-    /// Warnings that belong to the coefficients, in sentences.
+    /// Warnings about the coefficients, in sentences.
     pub warnings: Vec<String>,
 }
 
@@ -45,7 +45,7 @@ pub struct Regression {
 pub struct Coefficient {
     /// The column.
     pub term: String,
-    /// Its coefficient, or why it has none.
+    /// Its coefficient, or the reason why it has none.
     pub estimate: crate::Finding<Estimate>,
 }
 
@@ -58,7 +58,7 @@ pub struct Estimate {
     pub se: f64,
     /// Coefficient divided by its standard error.
     pub z: f64,
-    /// ln of the two-sided p-value, which may be too small for an `f64`.
+    /// ln of the two-sided p-value. The p-value itself may be too small for an `f64`.
     pub ln_p: f64,
     /// Wald's 95 % interval.
     pub interval_95: [f64; 2],
@@ -131,13 +131,13 @@ fn separated(separation: &Separation, outcome: &str, names: &[String]) -> String
         .collect();
     let by = if by.is_empty() { "the intercept alone".to_owned() } else { robogate_stats::format::list(&by) };
     format!(
-        "{kind} separation: {by} predict {outcome} without an error in {} rows, so no maximum likelihood estimate exists. \
+        "{kind} separation: {by} predict {outcome} without error in {} rows, so no maximum likelihood estimate exists. \
          The figures are those of Firth's penalised fit, and the Wald intervals are approximate.",
         separation.rows
     )
 }
 
-/// Why there is no regression, as the end of a sentence.
+/// The reason why there is no regression, as the end of a sentence.
 pub(crate) fn why(error: &RegressionError, names: &[String]) -> String {
     match error {
         RegressionError::NoRows => "there is no valid episode".to_owned(),

@@ -38,7 +38,7 @@ impl Training {
     }
 }
 
-/// The valid rows of a dictionary, and how many of all its rows are focused.
+/// The valid rows of a dictionary, and the number of focused rows including invalid ones.
 pub(super) fn training(dictionary: &Dictionary, test: &Sample) -> Result<(Sample, u64), AnalysisError> {
     let table = EpisodeTable::read(dictionary)?;
     let sample = table.valid();
@@ -54,7 +54,7 @@ pub(super) fn training(dictionary: &Dictionary, test: &Sample) -> Result<(Sample
     Ok((sample, (0..table.len()).filter(|row| table.is_focused(*row)).count() as u64))
 }
 
-/// The weights of the rows of a sample; `None` if there are too few.
+/// The weights of the rows of a sample. `None` if there are too few weights.
 pub(super) fn weights_of(weights: &[f64], sample: &Sample) -> Option<Vec<f64>> {
     sample.rows.iter().map(|row| weights.get(*row as usize).copied()).collect()
 }
@@ -72,7 +72,7 @@ pub(super) fn subject(test: &Dictionary) -> StudySubject {
     }
 }
 
-/// The numeric parameters whose range differs from that of the test set.
+/// The numeric parameters whose range is narrower than that of the test set.
 pub(super) fn region(pure: &Dictionary, test: &Dictionary) -> Vec<RegionRange> {
     let (own, whole) = (&pure.provenance().space, &test.provenance().space);
     let narrowed = own.parameters().iter().zip(whole.parameters()).filter(|(own, whole)| own != whole);
@@ -120,7 +120,7 @@ pub(super) fn designs(repeats: &[Repeat<'_>], training: &[Training]) -> Vec<Desi
     [Arm::Uniform, Arm::TwoStage, Arm::PureBoundary].map(facts).into()
 }
 
-/// The figures of one fitted model: on the test set for each measure one number per episode, and in sample.
+/// The figures of one fitted model: for each measure, one number per test episode; and the in-sample AUC.
 struct Evaluated {
     per_episode: [Vec<f64>; 4],
     auc_95: [f64; 2],
@@ -187,7 +187,7 @@ fn compared(models: &[Evaluated], uniform: Option<&Vec<Evaluated>>) -> Result<Fi
                     .zip(uniform)
                     .map(|(own, of)| own.iter().zip(&of.per_episode[i]).map(|(a, b)| a - b).collect())
                     .collect();
-                // 95 % confidence for all comparisons of a measure together (Bonferroni).
+                // Simultaneous 95 % confidence for all comparisons of a measure (Bonferroni).
                 let shared = Confidence::P95.shared_by((Arm::ALL.len() - 1) * Learner::ALL.len());
                 let interval = if differences.len() < MIN_REPEATS {
                     None
@@ -219,7 +219,7 @@ fn mean_figure(table: &[Vec<f64>]) -> Result<MeanFigure, String> {
     })
 }
 
-/// The verdict on a difference to the uniform design, by its interval.
+/// The verdict on the difference from the uniform design, from its interval.
 fn verdict(measure: Measure, interval: Option<[f64; 2]>) -> Verdict {
     match interval {
         Some([low, _]) if low > 0.0 => {

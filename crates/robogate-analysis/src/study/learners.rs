@@ -1,4 +1,5 @@
-//! The learners of the study. Each is fitted to training rows and predicts the log-odds of success of training and test rows.
+//! The learners of the study. Each is fitted to training rows and predicts the log-odds of success of training and test
+//! rows.
 
 use robogate_stats::fourier::Fourier;
 use robogate_stats::logistic::{Data, Options, RegressionError, fit, interaction};
@@ -10,12 +11,12 @@ use crate::models::missing;
 use crate::table::{ParameterColumn, ParameterKind, Sample};
 use crate::task::{InteractionModel, TaskAnalysis};
 
-/// Frequencies of the flexible learner; each gives two columns.
+/// Number of frequencies of the flexible learner. Each gives two columns.
 const FREQUENCIES: usize = 96;
-/// Its length scales, in units of the square root of the number of parameters. The typical distance of two points is the
-/// square root of two in these units.
+/// Its length scales, in units of the square root of the number of parameters. The typical distance of two points is
+/// the square root of two in these units.
 const LENGTH_SCALES: [f64; 3] = [0.35, 0.7, 1.4];
-/// Its prior variances.
+/// Its candidate prior variances.
 const PRIOR_VARIANCES: [f64; 5] = [1.0, 5.0, 25.0, 125.0, 625.0];
 /// Seed of the frequencies, which are the same in every fit.
 const SEED: u64 = 2007;
@@ -26,16 +27,16 @@ const SEED: u64 = 2007;
 pub enum Learner {
     /// The logistic model that the paper publishes for the task: main effects and interactions.
     Paper,
-    /// A logistic model of every parameter, in its own scale, with a column for each category.
+    /// A logistic model of all parameters, each on its own scale, with a column for each category.
     MainEffects,
-    /// Bayesian logistic regression on the same columns and on random Fourier features of them; evidence selects length
-    /// scale and prior variance.
+    /// Bayesian logistic regression on the same columns and on random Fourier features of them. The evidence selects
+    /// length scale and prior variance.
     Flexible,
 }
 
 /// Log-odds of success.
 pub(super) struct Scores {
-    /// Predictions for the rows that the model was fitted to.
+    /// Predictions for the training rows.
     pub(super) own: Vec<f64>,
     /// Predictions for the test rows.
     pub(super) test: Vec<f64>,
@@ -45,7 +46,7 @@ impl Learner {
     /// All learners, the simplest first.
     pub const ALL: [Self; 3] = [Self::Paper, Self::MainEffects, Self::Flexible];
 
-    /// Its name for people.
+    /// Its name in reports.
     pub(super) fn name(self, task: &TaskAnalysis) -> &'static str {
         match self {
             Self::Paper => task.interactions.map_or("published model", |model| model.name),
@@ -54,7 +55,7 @@ impl Learner {
         }
     }
 
-    /// Its description for people.
+    /// Its description in reports.
     pub(super) fn about(self, task: &TaskAnalysis) -> &'static str {
         match self {
             Self::Paper => task.interactions.map_or("no model is published for this task", |model| model.about),
@@ -69,7 +70,7 @@ impl Learner {
         }
     }
 
-    /// Fits `train` and predicts it and `test`. The columns depend on the space of the test set only.
+    /// Fits `train` and predicts both `train` and `test`. The columns depend only on the space of the test set.
     pub(super) fn scores(
         self,
         train: &Sample,
@@ -114,9 +115,9 @@ fn flexible(train: &Sample, weights: Option<&[f64]>, test: &Sample) -> Result<Sc
     let root = (test.parameters.len() as f64).sqrt();
     let columns = |coordinates: &[Vec<f64>], length: f64| {
         let views: Vec<&[f64]> = coordinates.iter().map(Vec::as_slice).collect();
-        // There are as many coordinates as the frequencies have dimensions.
+        // The number of coordinates equals the dimension of the frequencies.
         let mut columns = fourier.columns(&views, length * root).unwrap_or_default();
-        // Scaled so that the linear columns together have the norm of the features.
+        // Scaled so that the linear columns have the same total norm as the features.
         columns.extend(coordinates.iter().map(|c| c.iter().map(|x| x / root).collect::<Vec<f64>>()));
         columns
     };
@@ -156,7 +157,7 @@ fn linear(beta: &[f64], columns: &[Vec<f64>], rows: usize) -> Vec<f64> {
     eta
 }
 
-/// Mean and standard deviation, 1 for a column of one value.
+/// Mean and standard deviation. The latter is 1 for a constant column.
 fn moments(values: &[f64]) -> (f64, f64) {
     let n = values.len().max(1) as f64;
     let mean = values.iter().sum::<f64>() / n;
@@ -179,9 +180,9 @@ fn interactions(sample: &Sample, model: &InteractionModel, scaling: &[(f64, f64)
     columns
 }
 
-/// One column for each numeric parameter and one for each level of a categorical one from `first_level` on. The flexible
-/// learner takes all levels, so that two levels are as far apart as two samples of a number on average; a plain fit takes all
-/// but one.
+/// One column for each numeric parameter, and one for each level of a categorical one from `first_level` on. The
+/// flexible learner uses all levels, so that two levels have the same distance as two random values of a number on
+/// average. A plain fit leaves out one level.
 fn coordinates(sample: &Sample, test: &Sample, first_level: usize) -> Vec<Vec<f64>> {
     let mut columns = Vec::new();
     for of in &test.parameters {
@@ -200,8 +201,8 @@ fn is(column: &ParameterColumn, level: usize) -> Vec<f64> {
     column.values.iter().map(|v| f64::from(u8::from(*v as usize == level))).collect()
 }
 
-/// A numeric parameter relative to the middle of its range, in units of its standard deviation under uniform sampling on its
-/// own scale.
+/// A numeric parameter relative to the middle of its range, in units of its standard deviation under uniform sampling
+/// on its own scale.
 fn scaled(column: &ParameterColumn, kind: &ParameterKind) -> Vec<f64> {
     let unit = |x: f64| match kind {
         ParameterKind::Continuous { low, high, log: true } => (x / low).ln() / (high / low).ln(),

@@ -1,11 +1,11 @@
 //! The study of boundary focusing: an experiment, evaluated on held-out data.
 //!
-//! Three designs of equal budget (uniform, two-stage, boundary only) are the training data of each learner. All models are
-//! evaluated on one independent uniform test set of the same simulator. [`Study::of`] is a function of the dictionaries
-//! only.
+//! Three designs of equal budget (uniform, two-stage, boundary only) are the training data of each learner. All models
+//! are evaluated on one independent uniform test set of the same simulator. [`Study::of`] is a function of the
+//! dictionaries only.
 //!
-//! Each measure is a mean over test episodes of one number per episode (for the AUC DeLong's contribution). The intervals
-//! of means and differences therefore include both sources of variance: repeats and test episodes
+//! Each measure is the mean over test episodes of one number per episode (for the AUC, DeLong's contribution). The
+//! intervals of means and differences therefore include both sources of variance: repeats and test episodes
 //! ([`robogate_stats::crossed`]).
 
 mod evaluate;
@@ -29,24 +29,24 @@ pub struct Repeat<'a> {
     pub uniform: &'a Dictionary,
     /// Sampled in two stages.
     pub two_stage: &'a Dictionary,
-    /// For each row of `two_stage`, in order of index, the weight by which both stages together estimate the operating
+    /// The weight of each row of `two_stage`, in order of index, with which both stages together estimate the operating
     /// space.
     pub two_stage_weights: Vec<f64>,
     /// Sampled near the boundary only.
     pub pure_boundary: &'a Dictionary,
 }
 
-/// A design and how its rows are weighted in the fit.
+/// A design, with the weighting of its rows in the fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Arm {
-    /// The whole budget over the operating space.
+    /// The whole budget in the operating space.
     Uniform,
-    /// Two stages, unweighted: as published.
+    /// Two stages, unweighted, as published.
     TwoStage,
-    /// Two stages, rows weighted back to the operating space.
+    /// Two stages, with weights that restore the operating space.
     TwoStageWeighted,
-    /// The whole budget in the region of prior knowledge. Its weights would be equal.
+    /// The whole budget in the region of prior knowledge. All weights would be equal.
     PureBoundary,
 }
 
@@ -54,7 +54,7 @@ impl Arm {
     /// All arms, the reference first.
     pub const ALL: [Self; 4] = [Self::Uniform, Self::TwoStage, Self::TwoStageWeighted, Self::PureBoundary];
 
-    /// Its name for people.
+    /// Its name in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Uniform => "uniform",
@@ -83,7 +83,7 @@ impl Measure {
     /// All measures, the primary one first.
     pub const ALL: [Self; 4] = [Self::BoundaryError, Self::LogLoss, Self::Brier, Self::Auc];
 
-    /// Its name for people.
+    /// Its name in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::BoundaryError => "boundary error",
@@ -114,7 +114,7 @@ pub struct Study {
     pub test: TestSet,
     /// The data of the designs.
     pub designs: Vec<DesignFacts>,
-    /// Where the pure-boundary design is narrower than the operating space.
+    /// The parameters whose range in the pure-boundary design is narrower than in the operating space.
     pub region: Vec<RegionRange>,
     /// The figures of each learner.
     pub learners: Vec<LearnerFigures>,
@@ -123,7 +123,7 @@ pub struct Study {
 /// Robot, policy, engine and space of a study.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct StudySubject {
-    /// The task; empty where it is not known.
+    /// The task. Empty if it is unknown.
     pub task: String,
     /// The robot.
     pub robot: String,
@@ -140,11 +140,11 @@ pub struct StudySubject {
 /// The independent uniform test set.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TestSet {
-    /// Its episodes.
+    /// Number of episodes.
     pub episodes: u64,
-    /// Success rate of its valid episodes; invalid ones are left out.
+    /// Success rate of its valid episodes.
     pub rate: Rate,
-    /// Boundary error of always predicting the more frequent outcome: the reference to beat.
+    /// Boundary error of always predicting the more frequent outcome, as a reference.
     pub majority_error: f64,
     /// Log loss of always predicting the overall rate.
     pub base_rate_log_loss: f64,
@@ -168,11 +168,11 @@ pub struct RegionRange {
 pub struct DesignFacts {
     /// The design.
     pub arm: Arm,
-    /// Episodes of all repeats.
+    /// Number of episodes in all repeats.
     pub episodes: u64,
-    /// Those of them that were sampled in the boundary stage, or in the region of prior knowledge.
+    /// Number of these that were sampled in the boundary stage, or in the region of prior knowledge.
     pub focused: u64,
-    /// Their success rate; for a focused design it is not an operating rate.
+    /// Their success rate. For a focused design it does not estimate the operating space.
     pub rate: Rate,
 }
 
@@ -181,9 +181,9 @@ pub struct DesignFacts {
 pub struct LearnerFigures {
     /// The learner.
     pub learner: Learner,
-    /// Its name for people.
+    /// Its name in reports.
     pub name: String,
-    /// What it is, for people.
+    /// Its description in reports.
     pub about: String,
     /// Its figures for each design.
     pub arms: Vec<ArmFigures>,
@@ -194,7 +194,7 @@ pub struct LearnerFigures {
 pub struct ArmFigures {
     /// The design.
     pub arm: Arm,
-    /// Its figures; absent if a repeat could not be fitted.
+    /// Its figures. `None` if a repeat could not be fitted.
     pub figures: Finding<Figures>,
 }
 
@@ -205,7 +205,7 @@ pub struct Figures {
     pub test: Vec<Score>,
     /// DeLong's 95 % interval of the test AUC of each repeat.
     pub auc_95: Vec<[f64; 2]>,
-    /// The AUC of each repeat on the rows that the model was fitted to.
+    /// The in-sample AUC of each repeat, on the training rows.
     pub auc_in_sample: Vec<f64>,
 }
 
@@ -229,9 +229,9 @@ pub struct Score {
     /// Mean over repeats.
     #[serde(flatten)]
     pub value: MeanFigure,
-    /// Difference to the uniform design, paired by repeat and test episode; absent for the uniform design itself.
+    /// Difference from the uniform design, paired by repeat and test episode. `None` for the uniform design itself.
     pub difference_to_uniform: Option<MeanFigure>,
-    /// The verdict on the difference; absent for the uniform design itself.
+    /// The verdict on the difference. `None` for the uniform design itself.
     pub verdict: Option<Verdict>,
 }
 
@@ -240,21 +240,21 @@ pub struct Score {
 pub struct MeanFigure {
     /// The mean.
     pub mean: f64,
-    /// Its 95 % interval over repeats and test episodes; absent with one repeat, or if nothing varies.
+    /// Its 95 % interval over repeats and test episodes. `None` with one repeat, or if nothing varies.
     pub interval_95: Option<[f64; 2]>,
     /// The figure of each repeat.
     pub repeats: Vec<f64>,
-    /// Standard error from the repeats; absent with one repeat.
+    /// Standard error from the repeats. `None` with one repeat.
     pub se_repeats: Option<f64>,
     /// Standard error from the test set.
     pub se_test: Option<f64>,
 }
 
-/// The verdict on a difference to the uniform design.
+/// The verdict on a difference from the uniform design.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// The interval, its confidence shared over all designs and learners, lies on the better side of 0.
+    /// The interval lies on the better side of 0, at a simultaneous confidence for all designs and learners.
     Better,
     /// The same interval lies on the worse side of 0.
     Worse,
@@ -262,11 +262,11 @@ pub enum Verdict {
     NotSignificant,
 }
 
-/// Repeats below which no difference is called significant: two leave one degree of freedom.
+/// Smallest number of repeats for a significant difference. Two repeats leave one degree of freedom.
 pub const MIN_REPEATS: usize = 3;
 
 impl Verdict {
-    /// The verdict for people.
+    /// The verdict in reports.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Better => "better",
@@ -283,8 +283,8 @@ impl Study {
     /// Evaluates the repeats on the test set.
     ///
     /// # Errors
-    /// A dictionary that cannot be read or has other parameters than the test set, or the wrong number of weights. An
-    /// impossible fit is not an error but a [`Finding`].
+    /// A dictionary that cannot be read or whose parameters differ from the test set, or a wrong number of weights. A
+    /// failed fit is not an error but a [`Finding`].
     pub fn of(test: &Dictionary, repeats: &[Repeat<'_>]) -> Result<Self, AnalysisError> {
         let test_rows = EpisodeTable::read(test)?.valid();
         let mut data_of_repeats = Vec::new();
@@ -313,7 +313,7 @@ impl Study {
         })
     }
 
-    /// The figures of one learner on one design, where there are any.
+    /// The figures of one learner on one design, if they exist.
     pub fn figures(&self, learner: Learner, arm: Arm) -> Option<&Figures> {
         let learner = self.learners.iter().find(|of| of.learner == learner)?;
         learner.arms.iter().find(|of| of.arm == arm)?.figures.estimated()

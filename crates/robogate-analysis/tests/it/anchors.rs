@@ -1,10 +1,10 @@
-//! Published figures that can be checked: the released UR5e dictionary.
+//! Checks against published figures: the released UR5e dictionary.
 
 use std::path::PathBuf;
 
 use robogate_analysis::{Analysis, CriticalThreshold, Population, Source};
 
-/// The released file, where the data folder is there.
+/// The released file, if the data folder is available.
 fn ur5e() -> Option<PathBuf> {
     let data = robogate_testing::path("ROBOGATE_SHARED_DATA", "the folder of the released data")?;
     Some(data.join("published/ur5e_failure_dictionary.json"))
@@ -24,7 +24,7 @@ fn released_dictionary_gives_published_danger_zones() {
         assert!((range[0] - low).abs() < 1e-3 && (range[1] - high).abs() < 1e-3, "{range:?}");
         assert!((100.0 * cell.rate.rate.unwrap() - percent).abs() < 0.05);
         let zone = analysis.danger_zones.zones.iter().find(|z| z.range == cell.range).unwrap();
-        assert!(zone.significant, "surely below 40 % after Holm");
+        assert!(zone.significant, "not significantly below 40 % after Holm");
     }
     assert_eq!(analysis.failure_modes.failures, 2_568);
     assert_eq!(analysis.failure_modes.dominant.estimated().unwrap(), "grasp_miss");

@@ -1,4 +1,4 @@
-//! What may be said of dictionaries side by side.
+//! Comparisons of several dictionaries.
 
 use std::path::PathBuf;
 
@@ -22,7 +22,7 @@ fn paired() -> ComparisonOptions {
 fn runs_are_named_by_renderer() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
-    let drawn = |file: &str, world: serde_json::Value, n: u64| {
+    let sampled = |file: &str, world: serde_json::Value, n: u64| {
         let path = dir.path().join(format!("{file}.parquet"));
         let provenance = robogate_dictionary::Provenance { world, ..provenance(space.clone()) };
         write_parquet(&path, &provenance, law(&space, n).into_iter().map(Ok::<_, DictionaryError>)).unwrap();
@@ -31,8 +31,8 @@ fn runs_are_named_by_renderer() {
     let names = |a, b| compared(&[a, b]).datasets.iter().map(|d| d.name.clone()).collect::<Vec<_>>();
     let plain = || serde_json::json!({ "engine": "mujoco" });
     let egl = serde_json::json!({ "engine": "mujoco", "renderer": { "name": "egl", "device": "llvmpipe" } });
-    assert_eq!(names(drawn("a", plain(), 50), drawn("b", egl, 60)), ["embedded", "egl"]);
-    assert_eq!(names(drawn("c", plain(), 50), drawn("d", plain(), 60)), ["c", "d"]);
+    assert_eq!(names(sampled("a", plain(), 50), sampled("b", egl, 60)), ["embedded", "egl"]);
+    assert_eq!(names(sampled("c", plain(), 50), sampled("d", plain(), 60)), ["c", "d"]);
 }
 
 #[test]
@@ -74,7 +74,7 @@ fn holm_never_lowers_a_p_value() {
     }
     assert!(of.differences[0].holm_p < 0.05, "{:?}", of.differences[0]);
     assert!(of.differences[1].holm_p > 0.5, "{:?}", of.differences[1]);
-    // The twelve invalid episodes of the first are in no rate.
+    // The twelve invalid episodes of the first are excluded from all rates.
     assert_eq!(of.datasets[0].success.rate.n, 588);
     assert_eq!(of.datasets[0].success.bounds.invalid, 12);
 }
@@ -83,7 +83,7 @@ fn holm_never_lowers_a_p_value() {
 fn same_scenarios_are_always_paired() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
-    // A few scenarios flip, nearly all one way: too few for independent runs, enough for pairs.
+    // A few scenarios flip, nearly all in one direction: too few for independent runs, but enough for pairs.
     let worse = |i: u64, by_law| match by_law {
         Outcome::Success if i.is_multiple_of(25) => Outcome::Failure(FailureMode::constant("collision")),
         other => other,
@@ -148,7 +148,7 @@ fn unrelated_datasets_have_rates_only() {
 fn universal_zones_need_enough_episodes() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
-    // Three obstacles defeat both; two defeat the first alone.
+    // Both always fail with three obstacles. Only the first fails with two.
     let fails_from = |least: f64| {
         let space = space.clone();
         move |i: u64| {
@@ -231,7 +231,7 @@ fn invalid_pairs_bound_the_difference() {
     // Twice the chance of at most 5 heads in 25 tosses: 2 (1 + 25 + 300 + 2,300 + 12,650 + 53,130) / 2^25.
     assert!((pair.ln_p.exp() - 136_812.0 / 33_554_432.0).abs() < 1e-12, "{}", pair.ln_p.exp());
     assert_eq!((pair.invalid.first, pair.invalid.second, pair.invalid.either), (4, 0, 4));
-    // The four could each have been a failure (15 - 4) or a success (15 + 0) against the second's success.
+    // The four invalid episodes could each be a failure (15 - 4) or a success (15 + 0), where the second succeeded.
     let [low, high] = pair.invalid.difference_bounds.unwrap();
     assert!((low - 11.0 / 104.0).abs() < 1e-12 && (high - 15.0 / 104.0).abs() < 1e-12, "{low} {high}");
     assert_eq!(pair.outcomes.outcomes, ["success", "grasp_miss", "grip_loss", "invalid"]);

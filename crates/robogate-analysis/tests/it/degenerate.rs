@@ -1,4 +1,4 @@
-//! Too few data: never a panic, never a number that means nothing, always a reason.
+//! Insufficient data never cause a panic or a meaningless number, and always give a reason.
 
 use robogate_analysis::{Analysis, Source};
 use robogate_core::{FailureMode, Fault, FaultKind, Outcome};
@@ -35,7 +35,7 @@ fn few_rows_give_reasons() {
         assert_eq!(analysis.success.rate.n, n);
         assert!(analysis.marginal_effects[0].threshold.because().unwrap().contains("too few"));
         let risk = analysis.risk.estimated();
-        // Three rows are separated by anything; what is said then is Firth's and says so.
+        // Three rows are always separated. The fit is then Firth's, and the report states this.
         assert!(risk.is_none_or(|risk| !risk.regression.warnings.is_empty()));
         assert!(risk.is_none_or(|risk| risk.calibration_cross_validated.because().is_some()));
     }
@@ -103,7 +103,7 @@ fn other_files_are_rejected() {
     for path in [
         file("empty", ""),
         file("words.txt", "hello"),
-        file("half.parquet", "PAR1 and no more"),
+        file("half.parquet", "PAR1 only"),
         file("half.json", "{\"experiments\": ["),
         dir.path().join("not-there"),
         dir.path().to_owned(),

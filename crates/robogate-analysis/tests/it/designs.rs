@@ -1,4 +1,4 @@
-//! Synthetic designs of one law, to be judged by a study. The tests of `robogate-report` use this file too.
+//! Synthetic designs of one law, to be evaluated by a study. The tests of `robogate-report` use this file too.
 
 use std::path::Path;
 use std::sync::Arc as Shared;
@@ -9,15 +9,15 @@ use robogate_dictionary::{Dictionary, Entry};
 
 use crate::synthetic::{entry, space, unit, write};
 
-/// The chance of success at a point of the unit cube: friction in its logarithm, mass, obstacles.
+/// The probability of success at a point of the unit cube: logarithm of friction, mass, obstacles.
 pub(crate) type Law = fn(&[f64]) -> f64;
-/// Where a point of the unit cube is moved to by a design.
+/// How a design moves a point of the unit cube.
 pub(crate) type Focus = fn(&mut [f64]);
 
 pub(crate) fn even(_: &mut [f64]) {}
 
-/// `n` episodes of a law; those from `n - focused` on are moved by `focus` and belong to the boundary stage.
-pub(crate) fn drawn(space: &ParameterSpace, seed: u64, n: u64, focused: u64, law: Law, focus: Focus) -> Vec<Entry> {
+/// `n` episodes of a law. Those from `n - focused` on are moved by `focus` and belong to the boundary stage.
+pub(crate) fn sampled(space: &ParameterSpace, seed: u64, n: u64, focused: u64, law: Law, focus: Focus) -> Vec<Entry> {
     let one = |index: u64| {
         let of = seed * 1_000_003 + index;
         let mut at: Vec<f64> = (1..=space.len() as u64).map(|salt| unit(of, salt)).collect();
@@ -47,15 +47,15 @@ pub(crate) fn dictionary(dir: &Path, name: &str, space: &ParameterSpace, entries
     Dictionary::open(&path).unwrap()
 }
 
-/// The study of a law: `repeats` of `n` episodes each, judged on 1,500.
+/// The study of a law: `repeats` of `n` episodes each, evaluated on 1,500.
 pub(crate) fn study(law: Law, two_stage: Focus, pure: Focus, repeats: u64, n: u64) -> Study {
     let dir = tempfile::tempdir().unwrap();
     let space = space(&["box", "sphere"]);
-    let test = dictionary(dir.path(), "test", &space, drawn(&space, 999, 1500, 0, law, even));
+    let test = dictionary(dir.path(), "test", &space, sampled(&space, 999, 1500, 0, law, even));
     let data: Vec<[Dictionary; 3]> = (0..repeats)
         .map(|r| {
             let make = |word: &str, seed: u64, focused: u64, focus: Focus| {
-                let entries = drawn(&space, 3 * r + seed, n, focused, law, focus);
+                let entries = sampled(&space, 3 * r + seed, n, focused, law, focus);
                 dictionary(dir.path(), &format!("{word}-{r}"), &space, entries)
             };
             [make("uniform", 1, 0, even), make("two-stage", 2, n / 2, two_stage), make("pure", 3, n, pure)]

@@ -1,4 +1,4 @@
-//! Claims about analyses, from the outside.
+//! Tests of the public interface.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests too")]
 
@@ -13,7 +13,7 @@ mod synthetic;
 
 use robogate_core::{Assignment, Domain, ParameterSpace};
 
-/// Sets one parameter to a place of its range.
+/// Sets one parameter to a relative position in its range.
 fn hold(requested: &mut Assignment, space: &ParameterSpace, name: &str, unit: f64) {
     let domain: &Domain = &space.parameters()[space.position(name).unwrap()].domain;
     requested.set(name, domain.decode(domain.from_unit(unit)));

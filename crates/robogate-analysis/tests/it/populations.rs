@@ -1,4 +1,4 @@
-//! Focused rows never pass for the operating space.
+//! Focused rows are never used as an estimate of the operating space.
 
 use robogate_analysis::{Advice, Population};
 use robogate_core::Outcome;
@@ -6,7 +6,7 @@ use robogate_core::Outcome;
 use crate::hold;
 use crate::synthetic::{analysed, entry, law, outcome, point, space, unit};
 
-/// The true success rate of the law over the operating space, from many points.
+/// The true success rate of the law over the operating space, estimated from many points.
 fn truth() -> f64 {
     let space = space(&["box"]);
     let n = 40_000;
@@ -15,7 +15,7 @@ fn truth() -> f64 {
     successes as f64 / n as f64
 }
 
-/// A focused stage in the upper half of friction (in its own scale), with the weights of a campaign.
+/// A focused stage in the upper half of friction (on its own scale), with the weights of a campaign.
 fn focused(n: u64, from: u64) -> Vec<robogate_dictionary::Entry> {
     let space = space(&["box"]);
     (from..from + n)
@@ -59,7 +59,7 @@ fn reweighting_recovers_the_operating_rate() {
 }
 
 #[test]
-fn focused_rows_are_no_operating_rate() {
+fn focused_rows_are_not_operating_rates() {
     let space = space(&["box"]);
     let analysis = analysed(&space, focused(500, 0));
     assert_eq!(analysis.population, Population::FocusedDesign);
@@ -90,7 +90,7 @@ fn frontier_follows_the_law() {
 }
 
 #[test]
-fn suite_is_no_operating_space() {
+fn suites_are_not_operating_rates() {
     let space = space(&["box"]);
     let of_a_suite = |mut entry: robogate_dictionary::Entry| {
         "suite".clone_into(&mut entry.stage);

@@ -1,4 +1,4 @@
-//! Synthetic dictionaries on disk, to be compared. The tests of `robogate-report` use this file too.
+//! Synthetic dictionaries on disk for comparisons. The tests of `robogate-report` use this file too.
 
 use std::path::PathBuf;
 
@@ -13,7 +13,7 @@ pub(crate) fn boxes() -> ParameterSpace {
     space(&["box", "sphere"])
 }
 
-/// A dictionary on disk, with a robot of this name.
+/// Writes a dictionary with a robot of this name.
 pub(crate) fn saved(dir: &TempDir, robot: &str, space: &ParameterSpace, entries: Vec<Entry>) -> (Source, PathBuf) {
     let path = dir.path().join(format!("{robot}.parquet"));
     let mut provenance = provenance(space.clone());
@@ -23,7 +23,7 @@ pub(crate) fn saved(dir: &TempDir, robot: &str, space: &ParameterSpace, entries:
     (Source::open(&path).unwrap(), path)
 }
 
-/// The same points, with outcomes that `went` decides from (index, what the law says).
+/// The same points, with outcomes that `went` chooses from the index and the outcome of the law.
 pub(crate) fn changed(space: &ParameterSpace, n: u64, went: impl Fn(u64, Outcome) -> Outcome) -> Vec<Entry> {
     (0..n)
         .map(|i| {

@@ -1,10 +1,10 @@
-//! Studies of synthetic laws whose answer is known.
+//! Studies of synthetic laws with a known answer.
 
 use robogate_analysis::AnalysisError;
 use robogate_analysis::study::{Arm, Figures, Learner, Measure, Repeat, Study, Verdict};
 use robogate_dictionary::Dictionary;
 
-use crate::designs::{Focus, Law, dictionary, drawn, even, study};
+use crate::designs::{Focus, Law, dictionary, even, sampled, study};
 use crate::synthetic::space;
 
 fn of(study: &Study, learner: Learner, arm: Arm) -> &Figures {
@@ -13,7 +13,7 @@ fn of(study: &Study, learner: Learner, arm: Arm) -> &Figures {
 
 #[test]
 fn incomplete_design_is_worse() {
-    // Without obstacles all goes well; the focused designs know only what happens with them, near the frontier.
+    // Episodes without obstacles always succeed. The focused designs only contain obstacles, near the frontier.
     let law: Law = |at| {
         if at[2] < 0.25 {
             0.98
@@ -31,7 +31,7 @@ fn incomplete_design_is_worse() {
     let score = of(&study, Learner::Flexible, Arm::PureBoundary).score(Measure::BoundaryError).unwrap();
     let difference = score.difference_to_uniform.as_ref().unwrap();
     assert_eq!(score.verdict, Some(Verdict::Worse), "{score:?}");
-    // What it cannot know: a quarter of the space, of which six tenths look like failure.
+    // The design cannot know a quarter of the space, of which 60 % look like failures.
     assert!((0.05..0.2).contains(&difference.mean), "{difference:?}");
 }
 
@@ -45,7 +45,7 @@ fn focusing_helps_with_one_threshold() {
     };
     let score = of_repeats(10);
     assert_eq!(score.verdict, Some(Verdict::Better), "{score:?}");
-    // Its own interval leaves 0 out with five repeats too; that of nine comparisons together does not.
+    // With five repeats its own interval excludes 0, but the simultaneous interval of nine comparisons does not.
     let fewer = of_repeats(5);
     assert!(fewer.difference_to_uniform.as_ref().unwrap().interval_95.unwrap()[1] < 0.0);
     assert_eq!(fewer.verdict, Some(Verdict::NotSignificant), "{fewer:?}");
@@ -53,7 +53,7 @@ fn focusing_helps_with_one_threshold() {
 
 #[test]
 fn easy_rows_raise_only_in_sample_auc() {
-    // A model of main effects is true here, so both designs fit it; the second stage adds rows at both far ends.
+    // The main-effects model is true here, so both designs fit it. The second stage adds rows at both extremes.
     let law: Law = |at| 1.0 / (1.0 + (-5.0 * (at[0] - at[1])).exp());
     let easy: Focus = |at| {
         let end = if at[2] < 0.5 { [0.8, 0.0] } else { [0.0, 0.8] };
@@ -75,7 +75,7 @@ fn one_repeat_has_no_interval() {
     let score = of(&study, Learner::MainEffects, Arm::TwoStage).score(Measure::Auc).unwrap();
     let difference = score.difference_to_uniform.as_ref().unwrap();
     assert_eq!((difference.interval_95, score.verdict), (None, Some(Verdict::NotSignificant)));
-    assert_eq!(study, crate::designs::study(law, even, even, 1, 80), "the same dictionaries give another study");
+    assert_eq!(study, crate::designs::study(law, even, even, 1, 80), "the same dictionaries give a different study");
 }
 
 #[test]
@@ -89,8 +89,8 @@ fn mismatched_dictionaries_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let [here, other] = [space(&["box", "sphere"]), space(&["box", "ball"])];
     let law: Law = |at| at[0];
-    let test = dictionary(dir.path(), "test", &here, drawn(&here, 1, 50, 0, law, even));
-    let foreign = dictionary(dir.path(), "foreign", &other, drawn(&other, 2, 50, 0, law, even));
+    let test = dictionary(dir.path(), "test", &here, sampled(&here, 1, 50, 0, law, even));
+    let foreign = dictionary(dir.path(), "foreign", &other, sampled(&other, 2, 50, 0, law, even));
     let judged = |uniform: &Dictionary, weights: usize| {
         let repeat = Repeat { uniform, two_stage: &test, two_stage_weights: vec![1.0; weights], pure_boundary: &test };
         Study::of(&test, &[repeat]).unwrap_err()

@@ -1,5 +1,5 @@
-//! Synthetic dictionaries: a known law, and every way in which there can be too few data. The tests of `robogate-report` use
-//! this file too.
+//! Synthetic dictionaries: a known law, and many kinds of insufficient data. The tests of `robogate-report` use this
+//! file too.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use robogate_dictionary::{
 
 const SEED: u64 = 7;
 
-/// Friction, mass and a shape; the words of the shape are the test's.
+/// A space of friction, mass, obstacles and a shape with these levels.
 pub(crate) fn space(shapes: &[&str]) -> ParameterSpace {
     let choices: Vec<String> = shapes.iter().map(|shape| format!("{shape:?}")).collect();
     ParameterSpace::from_toml(&format!(
@@ -62,7 +62,7 @@ pub(crate) fn provenance(space: ParameterSpace) -> Provenance {
     }
 }
 
-/// A number from 0 to 1 that depends on nothing but `i` and `salt`.
+/// A number from 0 to 1 that depends only on `i` and `salt`.
 pub(crate) fn unit(i: u64, salt: u64) -> f64 {
     let mut x = i.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ salt.wrapping_mul(0xBF58_476D_1CE4_E5B9);
     x ^= x >> 30;
@@ -73,7 +73,7 @@ pub(crate) fn unit(i: u64, salt: u64) -> f64 {
     (x >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// A point of the space, drawn evenly.
+/// A point of the space, sampled uniformly.
 pub(crate) fn point(space: &ParameterSpace, i: u64) -> Assignment {
     let parameters = space.parameters().iter().enumerate();
     parameters
@@ -102,7 +102,8 @@ pub(crate) fn entry(i: u64, requested: Assignment, outcome: Outcome) -> Entry {
     }
 }
 
-/// P(success) = logistic(-1 + 6 friction - 2 mass); light objects are missed, heavy ones lost, some collide.
+/// P(success) = logistic(-1 + 6 friction - 2 mass). Light objects are missed, heavy ones lost, and some episodes
+/// collide.
 pub(crate) fn outcome(i: u64, requested: &Assignment) -> Outcome {
     let friction = requested.number("friction").unwrap();
     let mass = requested.number("mass_kg").unwrap();
@@ -118,7 +119,7 @@ pub(crate) fn outcome(i: u64, requested: &Assignment) -> Outcome {
     }
 }
 
-/// `n` episodes of the law, each fiftieth of them invalid.
+/// `n` episodes of the law. Every fiftieth is invalid.
 pub(crate) fn law(space: &ParameterSpace, n: u64) -> Vec<Entry> {
     (0..n)
         .map(|i| {
@@ -138,7 +139,7 @@ pub(crate) fn write(path: &Path, space: &ParameterSpace, entries: Vec<Entry>) {
     write_parquet(path, &provenance(space.clone()), entries).unwrap();
 }
 
-/// The analysis of entries, by way of a file.
+/// The analysis of these entries, written to a file and read back.
 pub(crate) fn analysed(space: &ParameterSpace, entries: Vec<Entry>) -> robogate_analysis::Analysis {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("dictionary.parquet");

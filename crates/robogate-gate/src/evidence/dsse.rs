@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{PrivateKey, PublicKey};
 
-/// What is signed: PAE(type, body), so that neither can be taken for the other.
+/// The signed bytes: PAE(type, body), which separates type and body unambiguously.
 pub fn pre_authentication_encoding(payload_type: &str, body: &[u8]) -> Vec<u8> {
     let mut message = format!("DSSEv1 {} {payload_type} {} ", payload_type.len(), body.len()).into_bytes();
     message.extend_from_slice(body);
@@ -17,17 +17,17 @@ pub fn pre_authentication_encoding(payload_type: &str, body: &[u8]) -> Vec<u8> {
 pub struct Envelope {
     /// The payload in base64.
     pub payload: String,
-    /// What it is.
+    /// The payload type.
     #[serde(rename = "payloadType")]
     pub payload_type: String,
-    /// Who signed it.
+    /// The signatures.
     pub signatures: Vec<Signature>,
 }
 
 /// One signature of an envelope.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Signature {
-    /// A hint at the key; it is not signed, and decides nothing.
+    /// A hint at the key. It is not signed and is not relied on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub keyid: Option<String>,
     /// The signature in base64.
@@ -45,18 +45,18 @@ impl Envelope {
         }
     }
 
-    /// As a file holds it.
+    /// Serialises the envelope.
     pub fn to_json(&self) -> String {
-        // Strings cannot fail to serialise.
+        // Strings always serialise.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
-    /// The payload; `None` where it is no base64 of either alphabet.
+    /// The payload. `None` if it is not base64 of either alphabet.
     pub fn body(&self) -> Option<Vec<u8>> {
         decode(&self.payload)
     }
 
-    /// The file that robogate writes for the same payload and its one signature, by the key `keyid`.
+    /// The file that robogate writes for the same payload with one signature, by the key `keyid`.
     pub(super) fn written_again(&self, keyid: &str) -> Option<String> {
         let [signature] = self.signatures.as_slice() else {
             return None;
@@ -67,7 +67,7 @@ impl Envelope {
         Some(Self { payload, payload_type: self.payload_type.clone(), signatures: vec![signature] }.to_json())
     }
 
-    /// Whether one of its signatures is of `key`.
+    /// Whether one of its signatures is by `key`.
     pub fn is_signed_by(&self, key: &PublicKey) -> bool {
         let Some(body) = self.body() else {
             return false;
@@ -80,7 +80,7 @@ impl Envelope {
     }
 }
 
-/// The protocol lets a signer choose the alphabet and obliges a verifier to read both.
+/// Decodes base64. Signers may use either alphabet, so verifiers must accept both.
 fn decode(text: &str) -> Option<Vec<u8>> {
     Base64::decode_vec(text).or_else(|_| Base64Url::decode_vec(text)).ok()
 }

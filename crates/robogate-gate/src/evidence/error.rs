@@ -1,4 +1,4 @@
-//! What can be wrong with keys and evidence.
+//! Errors of keys and evidence.
 
 use std::fmt;
 use std::io;
@@ -8,62 +8,60 @@ use robogate_dictionary::DictionaryError;
 
 use crate::GateError;
 
-/// Why evidence or a key could not be written or read.
+/// An error in writing or reading evidence or a key.
 #[derive(Debug, thiserror::Error)]
 pub enum EvidenceError {
-    /// The operating system refused.
+    /// An error of the operating system.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What was tried.
+        /// The operation that failed.
         action: &'static str,
-        /// What it answered.
+        /// The error.
         source: io::Error,
     },
-    /// There is something already.
-    #[error("{} is there already\nhint: {hint}", path.display())]
+    /// The path exists already.
+    #[error("{} already exists\nhint: {hint}", path.display())]
     Exists {
         /// The path.
         path: PathBuf,
-        /// What to do.
+        /// How to resolve it.
         hint: &'static str,
     },
-    /// A private key that others can read.
-    #[error("{} can be read by others (mode {mode:03o}): a key that others may know signs nothing\nhint: chmod 600 {}, or make a new one if it was exposed", path.display(), path.display())]
+    /// A private key that other users can read.
+    #[error("{} can be read by other users (mode {mode:03o}), so its signatures prove nothing\nhint: chmod 600 {}, or create a new key if it was exposed", path.display(), path.display())]
     KeyMode {
         /// The key's file.
         path: PathBuf,
-        /// Its permission bits.
+        /// The permission bits of the file.
         mode: u32,
     },
-    /// Not a key.
-    #[error("{} is no {what}: {reason}", path.display())]
+    /// A file that is not a key.
+    #[error("{}: not a {what}: {reason}", path.display())]
     NotAKey {
         /// The file.
         path: PathBuf,
         /// What was expected.
         what: &'static str,
-        /// What is wrong, with a hint.
+        /// The problem, with a hint.
         reason: String,
     },
-    /// No randomness for a new key.
-    #[error("the operating system gave no random numbers for a key: {0}")]
+    /// No random numbers for a new key.
+    #[error("the operating system returned no random numbers for the key: {0}")]
     Random(String),
-    /// A name in the folder that no file can have.
+    /// An invalid path in the folder.
     #[error(
-        "`{0}` is no name for a file of the evidence\nhint: letters, digits, dot, dash, underscore and single slashes"
+        "`{0}` is not a valid path in the evidence. Expected letters, digits, dot, dash, underscore and single slashes"
     )]
     Name(String),
-    /// Two files in one place.
-    #[error("two files would stand at `{0}` in the evidence")]
+    /// Two files with the same path.
+    #[error("two files have the path `{0}` in the evidence")]
     Twice(String),
-    /// A file beside the rows is not the one that they come from.
-    #[error(
-        "{0}\nhint: evidence holds the files that the rows were measured with; leave the file out or give the run's own"
-    )]
+    /// A file that does not belong to the rows.
+    #[error("{0}\nhint: evidence must contain the files of the run. Remove this file, or use that of the run")]
     Contradicts(Problem),
-    /// The gate cannot answer.
+    /// An error of the gate.
     #[error(transparent)]
     Gate(#[from] GateError),
     /// The rows cannot be read.
@@ -76,7 +74,7 @@ impl EvidenceError {
         move |source| Self::Io { path: path.to_owned(), action, source }
     }
 
-    /// The error with the path that the user gave in place of the one where files stand until all are there.
+    /// Replaces the path of the temporary folder in the error by the path that the user gave.
     pub(super) fn at(self, partial: &Path, to: &Path) -> Self {
         match self {
             Self::Io { path, action, source } => {
@@ -88,12 +86,12 @@ impl EvidenceError {
     }
 }
 
-/// One thing that is wrong with a folder of evidence.
+/// A problem in a folder of evidence.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Problem {
-    /// The file, as it is called in the folder.
+    /// The path of the file in the folder.
     pub file: String,
-    /// What is wrong with it.
+    /// The problem.
     pub reason: String,
 }
 

@@ -1,4 +1,4 @@
-//! What follows from the files of a folder: computed alike when evidence is written and when it is checked.
+//! Facts that are computed from the files of a folder, both when evidence is written and when it is verified.
 
 use std::fs;
 use std::io::{self, Read};
@@ -32,13 +32,13 @@ pub(super) fn evaluate(folder: &Path, sampling: Sampling, margin: Option<f64>) -
     Ok(question.evaluate(&record)?)
 }
 
-/// What contradicts the rows' own account of where they come from.
+/// Contradictions between the files and the provenance of the rows.
 pub(super) fn origin(folder: &Path, files: &[FileRecord]) -> Result<Vec<Problem>, EvidenceError> {
     let dictionary = Dictionary::open(&folder.join(DICTIONARY))?;
     Ok(origin::problems(folder, files, dictionary.provenance()))
 }
 
-/// The manifest of these files and this evaluation.
+/// Creates the manifest of these files and this evaluation.
 pub(super) fn manifest(
     folder: &Path,
     tool: Tool,
@@ -72,7 +72,7 @@ pub(super) fn manifest(
     })
 }
 
-/// Length and SHA-256 of a plain file, in bounded memory.
+/// Size and SHA-256 of a regular file, computed in bounded memory.
 pub(super) fn digest(path: &Path) -> io::Result<(u64, String)> {
     let mut file = fs::File::open(path)?;
     let (mut hash, mut bytes, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 16]);

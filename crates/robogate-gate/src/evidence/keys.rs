@@ -1,4 +1,4 @@
-//! The user's key: ed25519, as PEM files that OpenSSL reads too.
+//! The user's signing key: ed25519, as PEM files that OpenSSL can read.
 
 use std::fmt;
 use std::fs::{File, Metadata, OpenOptions};
@@ -14,10 +14,10 @@ use zeroize::Zeroizing;
 
 use super::EvidenceError;
 
-/// A key file is a few hundred bytes; more is something else.
+/// Size limit of a key file, in bytes. A key has a few hundred bytes.
 const LONGEST: u64 = 1 << 14;
 
-/// A private key. It is wiped from memory when it is dropped, and is shown nowhere.
+/// A private key. It is wiped from memory when it is dropped, and never printed.
 pub struct PrivateKey(SigningKey);
 
 impl fmt::Debug for PrivateKey {
@@ -27,7 +27,7 @@ impl fmt::Debug for PrivateKey {
 }
 
 impl PrivateKey {
-    /// A new key from the operating system's random numbers.
+    /// Generates a key from the operating system's random numbers.
     #[expect(clippy::disallowed_methods, reason = "a private key must not be predictable")]
     pub fn generate() -> Result<Self, EvidenceError> {
         let mut seed = Zeroizing::new([0; 32]);
@@ -35,12 +35,12 @@ impl PrivateKey {
         Ok(Self(SigningKey::from_bytes(&seed)))
     }
 
-    /// The key of this seed (RFC 8032).
+    /// The key with this seed (RFC 8032).
     pub fn from_seed(seed: [u8; 32]) -> Self {
         Self(SigningKey::from_bytes(&seed))
     }
 
-    /// Reads PKCS#8 PEM (RFC 8410). A file that others may read is refused.
+    /// Reads PKCS#8 PEM (RFC 8410). A file that other users can read is rejected.
     pub fn read(path: &Path) -> Result<Self, EvidenceError> {
         const WHAT: &str = "private key";
         let (file, metadata) = open(path, WHAT)?;
@@ -48,7 +48,8 @@ impl PrivateKey {
         let text = text_of(file, path)?;
         if text.contains("PUBLIC KEY") {
             return Err(wrong(
-                "it is a public key\nhint: sign with the file that `robogate keys new` made beside it".to_owned(),
+                "it is a public key\nhint: sign with the private key file that `robogate keys new` wrote beside it"
+                    .to_owned(),
             ));
         }
         #[cfg(unix)]
@@ -61,28 +62,28 @@ impl PrivateKey {
         }
         #[cfg(not(unix))]
         let _ = metadata;
-        // The error of the library could hold what it read; a hint is all that is needed.
+        // The library's error could contain parts of the key, so a hint replaces it.
         let key = SigningKey::from_pkcs8_pem(&text).map_err(|_| {
-            wrong("it is not PKCS#8 PEM of an ed25519 key\nhint: make one with `robogate keys new FILE`".to_owned())
+            wrong("not PKCS#8 PEM of an ed25519 key\nhint: create one with `robogate keys new FILE`".to_owned())
         })?;
         Ok(Self(key))
     }
 
-    /// Writes the key to `path`, readable for its owner alone, and its public half to `path` with `.pub`
-    /// behind it, whose path is returned. Nothing that is there is overwritten.
+    /// Writes the private key to `path`, readable only by its owner, and the public key to `path` with the suffix
+    /// `.pub`. Returns the path of the public key. Existing files are not overwritten.
     pub fn write_new(&self, path: &Path) -> Result<PathBuf, EvidenceError> {
         let mut public = path.as_os_str().to_owned();
         public.push(".pub");
         let public = PathBuf::from(public);
         let exists = |path: &Path| EvidenceError::Exists {
             path: path.to_owned(),
-            hint: "a key is never overwritten; choose another name",
+            hint: "keys are not overwritten. Choose another name",
         };
-        // Of a link too, wherever it leads.
+        // Checks links too, for any target.
         if public.symlink_metadata().is_ok() {
             return Err(exists(&public));
         }
-        // Version 1, without the public half: OpenSSL refuses the other.
+        // Version 1, without the public key, because OpenSSL rejects version 2.
         let bytes = KeypairBytes { secret_key: self.0.to_bytes(), public_key: None };
         let pem = bytes.to_pkcs8_pem(LineEnding::LF).map_err(|e| EvidenceError::NotAKey {
             path: path.to_owned(),
@@ -102,7 +103,7 @@ impl PrivateKey {
             })?;
             let written = file.write_all(text.as_bytes()).and_then(|()| file.sync_all());
             if written.is_err() {
-                // Half a key is none; that it could not be written is the error on its way.
+                // Half a key pair is useless. The write error is returned already.
                 let _ = std::fs::remove_file(path);
             }
             written.map_err(EvidenceError::io(path, "write"))
@@ -115,12 +116,12 @@ impl PrivateKey {
         Ok(public)
     }
 
-    /// Its public half.
+    /// The public key of this private key.
     pub fn public(&self) -> PublicKey {
         PublicKey(self.0.verifying_key())
     }
 
-    /// The signature of `message`: the same message always has the same.
+    /// Signs `message`. Equal messages have equal signatures.
     pub fn sign(&self, message: &[u8]) -> [u8; 64] {
         self.0.sign(message).to_bytes()
     }
@@ -142,54 +143,55 @@ impl PublicKey {
         })
     }
 
-    /// Parses SubjectPublicKeyInfo PEM. The error says what is wrong, with a hint.
+    /// Parses SubjectPublicKeyInfo PEM. The error describes the problem, with a hint.
     pub fn from_pem(text: &str) -> Result<Self, String> {
         if text.contains("PRIVATE KEY") {
-            return Err("it is a private key\nhint: give the file with .pub at its end, and keep this one to yourself"
-                .to_owned());
+            return Err(
+                "it is a private key\nhint: use the file with the suffix .pub, and do not share this one".to_owned()
+            );
         }
-        VerifyingKey::from_public_key_pem(text)
-            .map(Self)
-            .map_err(|e| format!("{e}\nhint: it is the PEM file that `robogate keys new` wrote with .pub at its end"))
+        VerifyingKey::from_public_key_pem(text).map(Self).map_err(|e| {
+            format!("{e}\nhint: expected the PEM file with the suffix .pub that `robogate keys new` wrote")
+        })
     }
 
-    /// The key of these 32 bytes; `None` where they are no point of the curve.
+    /// The key of these 32 bytes. `None` if they are not a point of the curve.
     pub fn from_bytes(bytes: &[u8; 32]) -> Option<Self> {
         VerifyingKey::from_bytes(bytes).ok().map(Self)
     }
 
-    /// As SubjectPublicKeyInfo PEM.
+    /// The key as SubjectPublicKeyInfo PEM.
     pub fn to_pem(&self) -> String {
-        // Thirty-two bytes in a fixed frame cannot fail to encode.
+        // Encoding 32 bytes in a fixed structure cannot fail.
         self.0.to_public_key_pem(LineEnding::LF).unwrap_or_default()
     }
 
-    /// What the key is called: SHA-256 (hex) of its DER form, as `openssl pkey -pubin -outform DER | sha256sum` says.
+    /// The key's identifier: SHA-256 (hex) of its DER form, as `openssl pkey -pubin -outform DER | sha256sum` prints.
     pub fn id(&self) -> String {
         let der = self.0.to_public_key_der().map(|der| der.as_bytes().to_vec()).unwrap_or_default();
         hex(&Sha256::digest(der))
     }
 
-    /// Whether `signature` is one of `message` by this key (strict: no second encoding of one signature passes).
+    /// Whether `signature` is a signature of `message` by this key. The check is strict: a second encoding is rejected.
     pub fn verifies(&self, message: &[u8], signature: &[u8]) -> bool {
         Signature::from_slice(signature).is_ok_and(|signature| self.0.verify_strict(message, &signature).is_ok())
     }
 }
 
-/// Opens a plain file, looked at before: opening a pipe would wait for whoever writes to it.
+/// Opens a regular file. The type is checked first, because opening a pipe would wait for its writer.
 fn open(path: &Path, what: &'static str) -> Result<(File, Metadata), EvidenceError> {
     let metadata = std::fs::metadata(path).map_err(EvidenceError::io(path, "open the key"))?;
     if !metadata.is_file() {
-        return Err(EvidenceError::NotAKey { path: path.to_owned(), what, reason: "it is no plain file".to_owned() });
+        return Err(EvidenceError::NotAKey { path: path.to_owned(), what, reason: "not a regular file".to_owned() });
     }
     let file = File::open(path).map_err(EvidenceError::io(path, "open the key"))?;
     let metadata = file.metadata().map_err(EvidenceError::io(path, "inspect"))?;
     Ok((file, metadata))
 }
 
-/// The text of a key file, wiped from memory when it is dropped.
+/// Reads the text of a key file. It is wiped from memory when it is dropped.
 fn text_of(file: File, path: &Path) -> Result<Zeroizing<String>, EvidenceError> {
-    // As large as it can get: a buffer that grows leaves copies behind.
+    // The buffer has the maximum size, because a buffer that grows leaves copies in memory.
     let mut text = Zeroizing::new(String::with_capacity(LONGEST as usize + 1));
     file.take(LONGEST).read_to_string(&mut text).map_err(EvidenceError::io(path, "read the key"))?;
     Ok(text)

@@ -1,4 +1,4 @@
-//! What is in the folder, and what it says.
+//! The manifest: files of the folder, verdict and provenance.
 
 use robogate_dictionary::{Engine, Platform, Robot, Source, TaskIdentity, Tool};
 use schemars::JsonSchema;
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Counts, Population, Sampling, Verdict};
 
-/// What a file of the folder is.
+/// The role of a file in the folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
@@ -16,11 +16,11 @@ pub enum Role {
     Against,
     /// The requirements.
     Requirements,
-    /// What relative demands refer to.
+    /// The baseline of relative requirements.
     Baseline,
-    /// Every figure and the verdict.
+    /// The evaluation: every figure and the verdict.
     Evaluation,
-    /// The plan of the campaign, as it stood before the first episode.
+    /// The plan of the campaign, written before the first episode.
     Plan,
     /// The suite's scenarios.
     Suite,
@@ -30,9 +30,9 @@ pub enum Role {
     Policy,
     /// The campaign's summary.
     Summary,
-    /// The public half of the key that signed.
+    /// The public key of the signer.
     PublicKey,
-    /// Something that the user added.
+    /// A file that the user added.
     Attachment,
 }
 
@@ -41,70 +41,70 @@ pub enum Role {
 pub struct FileRecord {
     /// Its path in the folder, with slashes.
     pub path: String,
-    /// What it is.
+    /// Its role.
     pub role: Role,
-    /// Its length.
+    /// Its size in bytes.
     pub bytes: u64,
     /// SHA-256 (hex).
     pub sha256: String,
 }
 
-/// Everything that the verdict depends on: one versioned document.
+/// Everything that the verdict depends on, as one versioned document.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
-    /// Version of this form.
+    /// Version of the format.
     pub format: u32,
-    /// What wrote it.
+    /// The program that wrote it, with its version.
     pub tool: Tool,
-    /// The answer.
+    /// The verdict.
     pub verdict: Verdict,
-    /// Why, in a sentence.
+    /// The reason for the verdict, in one sentence.
     pub because: String,
-    /// How many episodes, and how many of them say nothing.
+    /// Numbers of all and of invalid episodes.
     pub counts: Counts,
-    /// What the figures speak of.
+    /// The population of the figures.
     pub population: Population,
-    /// How the number of episodes came about.
+    /// How the number of episodes was chosen.
     pub sampling: Sampling,
-    /// How far below the success rate of the policy in `against.parquet` the judged one may lie; absent without it.
+    /// The non-inferiority margin of the comparison with `against.parquet`. `None` without a comparison.
     pub margin: Option<f64>,
-    /// Identity of the rows (SHA-256, hex), whatever file they are in.
+    /// SHA-256 (hex) of the rows, independent of their file format.
     pub dataset_sha256: String,
     /// The campaign's seed.
     pub seed: u64,
     /// The policy.
     pub policy: String,
-    /// The task; its whole declaration stands in the rows' provenance.
+    /// The task. The provenance of the rows contains its whole declaration.
     pub task: TaskIdentity,
-    /// The robot and the hash of its files.
+    /// The robot, with the hash of its files.
     pub robot: Robot,
-    /// The engine and the hash of the library that was loaded.
+    /// The engine, with the hash of the loaded library.
     pub engine: Engine,
-    /// On what it ran, where that is known.
+    /// The platform of the run, if it is known.
     pub platform: Option<Platform>,
-    /// Where the rows come from, where they were not measured here.
+    /// The source of the rows, if they were imported.
     pub source: Option<Source>,
-    /// What wrote the rows.
+    /// The program that wrote the rows, with its version.
     pub measured_by: Tool,
-    /// The key that signed ([`super::PublicKey::id`]); absent where nobody did.
+    /// The key that signed ([`super::PublicKey::id`]). `None` if the evidence is unsigned.
     pub signer: Option<String>,
-    /// Every other file but the statements, in order of path.
+    /// All files except manifest and statements, sorted by path.
     pub files: Vec<FileRecord>,
 }
 
 impl Manifest {
-    /// The version of the form that is written here, and the only one that is read.
+    /// The version that this build writes, and the only one that it reads.
     pub const FORMAT: u32 = 2;
 
-    /// As the file holds it: the same manifest gives the same bytes.
+    /// Serialises the manifest. Equal manifests give equal bytes.
     pub fn to_json(&self) -> String {
-        // Every number in it is finite: nothing here can fail to serialise.
+        // Every number is finite, so serialisation cannot fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 }
 
-/// Whether `path` is a plain place in the folder: no way out of it, and the same on every system.
+/// Whether `path` is a portable relative path that stays in the folder.
 pub(super) fn is_plain(path: &str) -> bool {
     let part = |part: &str| {
         !part.is_empty()

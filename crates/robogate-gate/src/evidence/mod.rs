@@ -1,13 +1,14 @@
-//! Evidence: a folder that someone else can check.
+//! Evidence: a verdict as a folder that others can verify.
 //!
-//! [`write()`] puts everything that a verdict depends on into one folder: the rows, the demands, what they
-//! refer to, the plan, the evaluation, and a [`Manifest`] with the SHA-256 of each file. Two in-toto
-//! statements say what was found, each in a DSSE envelope where a [`PrivateKey`] is given: the
-//! [test-result] predicate, which other tools read, and our own, which holds the whole manifest.
-//! [`verify`] needs nothing but the folder: it hashes every file, computes the evaluation again from the
-//! rows, holds plan, suite and robot against what the rows say of them, builds both statements again, and names each file that is not what it should be.
+//! [`write()`] puts everything that a verdict depends on into one folder: the rows, the requirements, their baseline, the
+//! plan, the evaluation, and a [`Manifest`] with the SHA-256 of each file. Two in-toto statements describe the result:
+//! the [test-result] predicate, which other tools read, and RoboGate's own, which contains the whole manifest. If a
+//! [`PrivateKey`] is given, each is in a DSSE envelope.
 //!
-//! There is no clock in it: the same run and key give the same bytes.
+//! [`verify`] needs only the folder. It hashes every file, recomputes the evaluation from the rows, compares plan, suite and
+//! robot with the provenance of the rows, rebuilds both statements, and names each file that differs.
+//!
+//! The folder contains no time of day: the same run and key give the same bytes.
 //!
 //! [test-result]: https://in-toto.io/attestation/test-result/v0.1
 
@@ -29,22 +30,22 @@ pub use statement::{EVIDENCE_PREDICATE, PAYLOAD_TYPE, STATEMENT_TYPE, TEST_RESUL
 pub use verify::{Signed, Verified, verify};
 pub use write::{Content, Ingredients, write};
 
-/// The manifest's place in the folder.
+/// The path of the manifest in the folder.
 pub const MANIFEST: &str = "manifest.json";
 
 /// The rows.
 const DICTIONARY: &str = "dictionary.parquet";
 /// The rows of the policy that may be replaced.
 const AGAINST: &str = "against.parquet";
-/// The demands.
+/// The requirements.
 const REQUIREMENTS: &str = "requirements.toml";
-/// What relative demands refer to.
+/// The baseline of relative requirements.
 const BASELINE: &str = "baseline.json";
-/// Every figure and the verdict.
+/// The evaluation: every figure and the verdict.
 const EVALUATION: &str = "evaluation.json";
-/// The public half of the key that signed.
+/// The public key of the signer.
 const SIGNER: &str = "signer.pub.pem";
-/// The two statements, in envelopes where they are signed and bare where not.
+/// The two statements, in envelopes if they are signed.
 const TEST_RESULT: &str = "test-result";
 const ATTESTATION: &str = "evidence";
 const SIGNED_ENDING: &str = ".dsse.json";

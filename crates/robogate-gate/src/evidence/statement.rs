@@ -8,14 +8,14 @@ use crate::{Comparison, Evaluation, Status, Verdict};
 
 /// The statement's type (in-toto attestation framework, version 1).
 pub const STATEMENT_TYPE: &str = "https://in-toto.io/Statement/v1";
-/// The predicate that other tools read.
+/// The predicate type that other tools read.
 pub const TEST_RESULT_PREDICATE: &str = "https://in-toto.io/attestation/test-result/v0.1";
-/// Our own: the whole manifest.
+/// The predicate type of RoboGate: the whole manifest.
 pub const EVIDENCE_PREDICATE: &str = "urn:robogate:evidence:v1";
-/// What an envelope around a statement says that its payload is.
+/// The payload type of an envelope around a statement.
 pub const PAYLOAD_TYPE: &str = "application/vnd.in-toto+json";
 
-/// A statement: its fields in the order of the specification.
+/// A statement with its fields in the order of the specification.
 #[derive(Debug, Serialize)]
 struct Statement<'a> {
     #[serde(rename = "_type")]
@@ -28,8 +28,8 @@ struct Statement<'a> {
 
 /// The bytes of the test-result statement.
 ///
-/// The predicate knows PASSED, WARNED and FAILED. Only a pass is PASSED: what is not decided was not shown,
-/// and a reader that asks whether anything failed must not be told no.
+/// The predicate has the results PASSED, WARNED and FAILED. Only a pass is PASSED. An undecided gate has shown nothing,
+/// so a tool that looks for failures must find one.
 pub(super) fn test_result(manifest: &Manifest, manifest_sha256: &str, evaluation: &Evaluation) -> String {
     let ids = |met: bool| -> Vec<&str> {
         let results = evaluation.results.iter().map(|result| (result.id.as_str(), result.status));
@@ -54,15 +54,15 @@ pub(super) fn test_result(manifest: &Manifest, manifest_sha256: &str, evaluation
     statement(manifest, manifest_sha256, TEST_RESULT_PREDICATE, &predicate)
 }
 
-/// The bytes of our own statement.
+/// The bytes of RoboGate's own statement.
 pub(super) fn evidence(manifest: &Manifest, manifest_sha256: &str) -> String {
-    // Every number in it is finite: nothing here can fail to serialise.
+    // Every number is finite, so serialisation cannot fail.
     let predicate = serde_json::to_value(manifest).unwrap_or_default();
     statement(manifest, manifest_sha256, EVIDENCE_PREDICATE, &predicate)
 }
 
 fn statement(manifest: &Manifest, manifest_sha256: &str, predicate_type: &'static str, predicate: &Value) -> String {
-    // The policy's own files where they are known; else what stands for it: its episodes and what follows.
+    // The subject is the policy's own files if they are known, otherwise its episodes and results.
     let subject = std::iter::once(descriptor(MANIFEST, manifest_sha256))
         .chain(
             manifest
@@ -76,7 +76,7 @@ fn statement(manifest: &Manifest, manifest_sha256: &str, predicate_type: &'stati
     serde_json::to_string(&statement).unwrap_or_default()
 }
 
-/// The SHA-256 that a statement gives the manifest, where it is a statement about one.
+/// The SHA-256 that a statement states for the manifest, if it has the manifest as a subject.
 pub(super) fn manifest_sha256(statement: &str) -> Option<String> {
     let statement: Value = serde_json::from_str(statement).ok()?;
     let subject = statement.get("subject")?.as_array()?;

@@ -1,4 +1,4 @@
-//! Checking the folder.
+//! Verifies a folder of evidence.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -11,50 +11,50 @@ use super::{
 };
 use crate::{Counts, Verdict};
 
-/// A manifest, a statement or a public key is far smaller.
+/// Size limit of manifests, statements and public keys, in bytes. Real ones are far smaller.
 const LONGEST: u64 = 16 << 20;
 
-/// A folder whose every file is what it should be.
+/// A verified folder of evidence.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Verified {
-    /// The answer, computed again from the rows.
+    /// The verdict, recomputed from the rows.
     pub verdict: Verdict,
-    /// Why, in a sentence.
+    /// The reason for the verdict, in one sentence.
     pub because: String,
-    /// How many episodes.
+    /// Numbers of episodes.
     pub counts: Counts,
     /// The policy that was judged.
     pub policy: String,
     /// The robot.
     pub robot: String,
-    /// How many files were checked.
+    /// Number of verified files.
     pub files: u64,
-    /// Who vouches for it.
+    /// Who signed the folder.
     pub signed: Signed,
 }
 
-/// Who vouches for a folder.
+/// Who signed a folder.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Signed {
-    /// Nobody: whoever changed a file could have changed all that refer to it.
+    /// Unsigned: anyone who can change one file can also change all files that refer to it.
     Unsigned,
-    /// A key of which nothing is known here: it may be anyone's.
+    /// A key that the caller did not name. It may belong to anyone.
     ByUnknown {
-        /// The key.
+        /// The key's identifier.
         keyid: String,
     },
     /// The key that the caller trusts.
     ByTrusted {
-        /// The key.
+        /// The key's identifier.
         keyid: String,
     },
 }
 
-/// Checks a folder of evidence: every file against the manifest, the evaluation and the verdict against the rows,
-/// the statements and their signatures against all of it.
+/// Verifies a folder of evidence: all files against the manifest, evaluation and verdict against the rows, statements
+/// and signatures against both.
 ///
-/// With `trusted`, the folder must be signed by that key. What is wrong is returned, each with its file.
+/// With `trusted`, the folder must be signed by that key. Returns all problems, each with its file.
 pub fn verify(folder: &Path, trusted: Option<&PublicKey>) -> Result<Verified, Vec<Problem>> {
     let mut problems = Vec::new();
     let manifest = match manifest_of(folder) {
@@ -73,7 +73,7 @@ pub fn verify(folder: &Path, trusted: Option<&PublicKey>) -> Result<Verified, Ve
         let body = match (&manifest.signer, &key) {
             (None, _) => read(folder, name).map(|text| text.strip_suffix('\n').unwrap_or(&text).to_owned()),
             (Some(_), Some(key)) => signed_body(folder, name, key),
-            // Without the key there is nothing to hold it against; that the key is missing is said already.
+            // Without the key the signature cannot be checked. The missing key is reported already.
             (Some(_), None) => continue,
         };
         let body = match body {
@@ -83,15 +83,15 @@ pub fn verify(folder: &Path, trusted: Option<&PublicKey>) -> Result<Verified, Ve
                 continue;
             }
         };
-        if let Some(said) = statement::manifest_sha256(&body)
-            && said != sha256
+        if let Some(stated) = statement::manifest_sha256(&body)
+            && stated != sha256
         {
-            let reason = format!("its SHA-256 is {sha256}, and {name} says {said}: one of them was changed");
+            let reason = format!("its SHA-256 is {sha256}, but {name} states {stated}: one of them was changed");
             problems.push(Problem::new(MANIFEST, reason));
         }
         let expected = bodies.as_ref().and_then(|bodies| bodies.get(i));
         if expected.is_some_and(|expected| *expected != body) {
-            let reason = "it is not the statement that follows from the manifest and the rows";
+            let reason = "differs from the statement computed from the manifest and the rows";
             problems.push(Problem::new(name.as_str(), reason));
         }
     }
@@ -120,72 +120,67 @@ fn read(folder: &Path, name: &str) -> Result<String, String> {
     let path = folder.join(name);
     let metadata = fs::symlink_metadata(&path).map_err(|e| missing(&e))?;
     if !metadata.is_file() {
-        return Err("it is no plain file".to_owned());
+        return Err("not a regular file".to_owned());
     }
     if metadata.len() > LONGEST {
-        return Err(format!("it has {} bytes, more than any such file", metadata.len()));
+        return Err(format!("{} bytes, which is too large for such a file", metadata.len()));
     }
     fs::read_to_string(&path).map_err(|e| missing(&e))
 }
 
 fn missing(error: &std::io::Error) -> String {
     match error.kind() {
-        std::io::ErrorKind::NotFound => "it is missing".to_owned(),
-        _ => format!("it cannot be read: {error}"),
+        std::io::ErrorKind::NotFound => "missing".to_owned(),
+        _ => format!("cannot be read: {error}"),
     }
 }
 
 fn manifest_of(folder: &Path) -> Result<Manifest, Problem> {
     let wrong = |reason: String| Problem::new(MANIFEST, reason);
-    let text = read(folder, MANIFEST).map_err(|reason| {
-        wrong(format!(
-            "{reason}\nhint: a folder of evidence is made by `robogate evidence RUN OUT` after `robogate gate`"
-        ))
-    })?;
-    let json: serde_json::Value = serde_json::from_str(&text).map_err(|e| wrong(format!("it is no JSON: {e}")))?;
+    let text = read(folder, MANIFEST)
+        .map_err(|reason| wrong(format!("{reason}\nhint: expected a folder written by `robogate evidence RUN OUT`")))?;
+    let json: serde_json::Value = serde_json::from_str(&text).map_err(|e| wrong(format!("not JSON: {e}")))?;
     match json.get("format").and_then(serde_json::Value::as_u64) {
         Some(format) if format == u64::from(Manifest::FORMAT) => {}
         Some(format) if format > u64::from(Manifest::FORMAT) => {
             let known = Manifest::FORMAT;
-            return Err(wrong(format!(
-                "its format is {format}, and this robogate reads {known}\nhint: upgrade robogate"
-            )));
+            return Err(wrong(format!("unsupported format {format}. Expected {known}\nhint: upgrade robogate")));
         }
         Some(format) => {
             return Err(wrong(format!(
-                "its format {format} has expired\nhint: check it with the robogate that wrote it"
+                "format {format} is no longer supported\nhint: verify it with the version of robogate that wrote it"
             )));
         }
-        None => return Err(wrong("it has no `format`: it is no manifest of evidence".to_owned())),
+        None => return Err(wrong("no `format`, so it is not a manifest of evidence".to_owned())),
     }
-    let manifest: Manifest = serde_json::from_str(&text).map_err(|e| wrong(format!("it is no manifest: {e}")))?;
+    let manifest: Manifest = serde_json::from_str(&text).map_err(|e| wrong(format!("not a manifest: {e}")))?;
     if manifest.to_json() != text {
-        return Err(wrong("it was changed: robogate writes the same content in other bytes".to_owned()));
+        return Err(wrong("was changed: robogate writes the same content with other bytes".to_owned()));
     }
     if let Some(file) = manifest.files.iter().find(|file| !is_plain(&file.path)) {
-        return Err(wrong(format!("it names `{}`, which is no place in the folder", file.path.escape_debug())));
+        return Err(wrong(format!("lists `{}`, which is not a valid path in the folder", file.path.escape_debug())));
     }
     if let Some(pair) = manifest.files.windows(2).find(|pair| pair[0].path >= pair[1].path) {
-        return Err(wrong(format!("its files are not in order, or `{}` is there twice", pair[1].path)));
+        return Err(wrong(format!("its files are not sorted, or `{}` is listed twice", pair[1].path)));
     }
     for name in [DICTIONARY, REQUIREMENTS, EVALUATION] {
         if manifest.files.iter().all(|file| file.path != name) {
-            return Err(wrong(format!("it does not name {name}, without which there is no verdict")));
+            return Err(wrong(format!("does not list {name}, which the verdict needs")));
         }
     }
     Ok(manifest)
 }
 
-/// Every file is there, with its bytes, and no other.
+/// Checks that the folder contains every listed file with its content, and no other file.
 fn check_files(folder: &Path, manifest: &Manifest, statements: &[String; 2], problems: &mut Vec<Problem>) {
     for file in &manifest.files {
         let path = folder.join(&file.path);
-        // Looked at before it is opened: a pipe or a device never ends, and a file of holes takes hours.
+        // Checked before opening: reading a pipe or a device never ends, and a huge sparse file takes hours.
         let reason = match fs::symlink_metadata(&path) {
             Err(error) => Some(missing(&error)),
-            Ok(metadata) if !metadata.is_file() => Some("it is no plain file".to_owned()),
+            Ok(metadata) if !metadata.is_file() => Some("not a regular file".to_owned()),
             Ok(metadata) if metadata.len() != file.bytes => {
-                Some(format!("it has {} bytes, the manifest says {}", metadata.len(), file.bytes))
+                Some(format!("{} bytes, but the manifest states {}", metadata.len(), file.bytes))
             }
             Ok(_) => None,
         };
@@ -195,9 +190,9 @@ fn check_files(folder: &Path, manifest: &Manifest, statements: &[String; 2], pro
         }
         let reason = match facts::digest(&path) {
             Err(error) => missing(&error),
-            Ok((bytes, _)) if bytes != file.bytes => format!("it has {bytes} bytes, the manifest says {}", file.bytes),
+            Ok((bytes, _)) if bytes != file.bytes => format!("{bytes} bytes, but the manifest states {}", file.bytes),
             Ok((_, sha256)) if sha256 != file.sha256 => {
-                format!("it was changed: its SHA-256 is {sha256}, the manifest says {}", file.sha256)
+                format!("was changed: its SHA-256 is {sha256}, but the manifest states {}", file.sha256)
             }
             Ok(_) => continue,
         };
@@ -212,8 +207,7 @@ fn check_files(folder: &Path, manifest: &Manifest, statements: &[String; 2], pro
         let known =
             name == MANIFEST || statements.contains(&name) || manifest.files.iter().any(|file| file.path == name);
         if !known {
-            problems
-                .push(Problem::new(name, "it is no part of the evidence\nhint: remove it, or ask who put it there"));
+            problems.push(Problem::new(name, "not part of the evidence\nhint: remove it, or find out who added it"));
         }
     }
 }
@@ -225,12 +219,12 @@ fn walk(
     found: &mut Vec<String>,
     problems: &mut Vec<Problem>,
 ) {
-    // Names that the manifest can hold are no longer than this.
+    // The manifest cannot list longer paths.
     const DEEPEST: usize = 200;
     let here = folder.join(prefix);
     let entries = match fs::read_dir(&here).and_then(Iterator::collect::<Result<Vec<_>, _>>) {
         Ok(entries) if prefix.len() <= DEEPEST => entries,
-        Ok(_) => return problems.push(Problem::new(prefix, "it lies too deep to be a part of the evidence")),
+        Ok(_) => return problems.push(Problem::new(prefix, "nested too deeply to be part of the evidence")),
         Err(error) => {
             return problems.push(Problem::new(if prefix.is_empty() { "." } else { prefix }, missing(&error)));
         }
@@ -245,7 +239,7 @@ fn walk(
             found.push(path);
         } else {
             if !belongs(&path) {
-                let reason = "no file of the evidence lies in this folder\nhint: remove it, or ask who put it there";
+                let reason = "this folder contains no file of the evidence\nhint: remove it, or find out who added it";
                 problems.push(Problem::new(format!("{path}/"), reason));
             }
             walk(folder, &path, belongs, found, problems);
@@ -253,14 +247,14 @@ fn walk(
     }
 }
 
-/// What the manifest says follows from its files. `None` where that could not be computed.
+/// Recomputes the manifest from the files. `None` if that is not possible.
 fn check_facts(folder: &Path, manifest: &Manifest, problems: &mut Vec<Problem>) -> Option<crate::Evaluation> {
     let uses = [DICTIONARY, REQUIREMENTS, BASELINE, AGAINST];
     if problems.iter().any(|problem| uses.contains(&problem.file.as_str())) {
-        // Nothing that follows from changed files says anything about the others.
+        // Results of changed files say nothing about the other files.
         return None;
     }
-    // What has no hash must not take part.
+    // Files without a hash must not be used.
     let unnamed = |name: &&str| folder.join(name).exists() && manifest.files.iter().all(|file| file.path != **name);
     if uses.iter().any(unnamed) {
         return None;
@@ -276,12 +270,12 @@ fn check_facts(folder: &Path, manifest: &Manifest, problems: &mut Vec<Problem>) 
         Ok(text) if text == evaluation.to_json() => {}
         Ok(_) => problems.push(Problem::new(
             EVALUATION,
-            format!("it is not what follows from the rows, which is {}: {}", evaluation.verdict, evaluation.because),
+            format!("differs from the evaluation of the rows, which is {}: {}", evaluation.verdict, evaluation.because),
         )),
         Err(reason) => problems.push(Problem::new(EVALUATION, reason)),
     }
     if problems.is_empty() {
-        // Only files with the bytes that the manifest states are safe to read.
+        // Only files with the bytes that the manifest lists are safe to read.
         match facts::origin(folder, &manifest.files) {
             Ok(found) => problems.extend(found),
             Err(error) => problems.push(Problem::new(DICTIONARY, error.to_string())),
@@ -299,9 +293,9 @@ fn check_facts(folder: &Path, manifest: &Manifest, problems: &mut Vec<Problem>) 
         Ok(rebuilt) if rebuilt == *manifest => {}
         Ok(rebuilt) => {
             let reason = if rebuilt.verdict == manifest.verdict {
-                "what it says of the rows is not what follows from them".to_owned()
+                "its statements about the rows differ from the rows".to_owned()
             } else {
-                format!("it says {}, and the rows say {}", manifest.verdict, rebuilt.verdict)
+                format!("states {}, but the rows give {}", manifest.verdict, rebuilt.verdict)
             };
             problems.push(Problem::new(MANIFEST, reason));
         }
@@ -310,7 +304,7 @@ fn check_facts(folder: &Path, manifest: &Manifest, problems: &mut Vec<Problem>) 
     Some(evaluation)
 }
 
-/// Who signed, and the key with which to check the statements.
+/// Determines who signed, and the key for the statements.
 fn check_key(
     folder: &Path,
     manifest: &Manifest,
@@ -319,7 +313,7 @@ fn check_key(
 ) -> (Option<Signed>, Option<PublicKey>) {
     let Some(signer) = &manifest.signer else {
         if let Some(trusted) = trusted {
-            let reason = format!("nobody signed it, and key {} was asked for", trusted.id());
+            let reason = format!("unsigned, but a signature by key {} is required", trusted.id());
             problems.push(Problem::new(MANIFEST, reason));
         }
         return (Some(Signed::Unsigned), None);
@@ -333,13 +327,13 @@ fn check_key(
     };
     let keyid = key.id();
     if keyid != *signer {
-        problems.push(Problem::new(SIGNER, format!("it is key {keyid}, and the manifest names {signer}")));
+        problems.push(Problem::new(SIGNER, format!("key {keyid}, but the manifest names {signer}")));
     }
     let signed = match trusted {
         None => Signed::ByUnknown { keyid },
         Some(trusted) if *trusted == key => Signed::ByTrusted { keyid },
         Some(trusted) => {
-            let reason = format!("the evidence is signed by key {keyid}, and not by the given key {}", trusted.id());
+            let reason = format!("the evidence is signed by key {keyid}. Expected the given key {}", trusted.id());
             problems.push(Problem::new(SIGNER, reason));
             return (None, Some(key));
         }
@@ -347,20 +341,22 @@ fn check_key(
     (Some(signed), Some(key))
 }
 
-/// What the envelope `name` holds, where `key` signed it and nothing around it was changed.
+/// The content of the envelope `name`, if `key` signed it and the envelope was not changed.
 fn signed_body(folder: &Path, name: &str, key: &PublicKey) -> Result<String, String> {
     let text = read(folder, name)?;
-    let envelope: Envelope = serde_json::from_str(&text).map_err(|e| format!("it is no DSSE envelope: {e}"))?;
+    let envelope: Envelope = serde_json::from_str(&text).map_err(|e| format!("not a DSSE envelope: {e}"))?;
     if envelope.payload_type != PAYLOAD_TYPE {
-        return Err(format!("its payload type is `{}`, not {PAYLOAD_TYPE}", envelope.payload_type.escape_debug()));
+        return Err(format!("payload type `{}`. Expected {PAYLOAD_TYPE}", envelope.payload_type.escape_debug()));
     }
     let id = key.id();
     if !envelope.is_signed_by(key) {
-        return Err(format!("it has no valid signature of key {id}"));
+        return Err(format!("no valid signature of key {id}"));
     }
-    // What is signed holds; what stands around it must be as it was written too.
+    // The signature only covers the payload. The rest of the envelope must be unchanged too.
     if envelope.written_again(&id).as_deref() != Some(&text) {
-        return Err("it was changed around what is signed: robogate writes the same in other bytes".to_owned());
+        return Err(
+            "was changed outside the signed payload: robogate writes the same content with other bytes".to_owned()
+        );
     }
-    envelope.body().and_then(|body| String::from_utf8(body).ok()).ok_or_else(|| "its payload is no text".to_owned())
+    envelope.body().and_then(|body| String::from_utf8(body).ok()).ok_or_else(|| "its payload is not text".to_owned())
 }

@@ -1,4 +1,4 @@
-//! Making the folder.
+//! Writes a folder of evidence.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -13,38 +13,38 @@ use super::{
 };
 use crate::Sampling;
 
-/// A file's content, wherever it is now.
+/// The content of a file of the evidence.
 #[derive(Debug, Clone)]
 pub enum Content {
-    /// A file, of which a copy goes into the folder.
+    /// A file that is copied into the folder.
     File(PathBuf),
-    /// The bytes themselves.
+    /// Bytes that are written into the folder.
     Bytes(Vec<u8>),
 }
 
-/// What goes into the folder.
+/// The content of a folder of evidence.
 #[derive(Debug, Clone)]
 pub struct Ingredients {
     /// The rows.
     pub dictionary: PathBuf,
-    /// The demands (TOML).
+    /// The requirements (TOML).
     pub requirements: Content,
-    /// What relative demands refer to (JSON).
+    /// The baseline of relative requirements (JSON).
     pub baseline: Option<Content>,
-    /// The rows of the policy that may be replaced, and the margin.
+    /// The rows of the policy that may be replaced, with the margin.
     pub against: Option<(PathBuf, f64)>,
-    /// How the number of episodes came about.
+    /// How the number of episodes was chosen.
     pub sampling: Sampling,
-    /// Further files: what each is, its path in the folder, and its content.
+    /// Further files: role, path in the folder, and content.
     pub others: Vec<(Role, String, Content)>,
 }
 
-/// Makes the folder of evidence `to`, which must not be there yet; it is there whole or not at all.
+/// Writes the folder of evidence `to`, which must not exist. The folder appears complete or not at all.
 pub fn write(to: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> Result<Manifest, EvidenceError> {
     if to.exists() {
         return Err(EvidenceError::Exists {
             path: to.to_owned(),
-            hint: "evidence is never overwritten; choose another folder",
+            hint: "evidence is not overwritten. Choose another folder",
         });
     }
     let name = to.file_name().ok_or_else(|| EvidenceError::Name(to.display().to_string()))?;
@@ -52,7 +52,7 @@ pub fn write(to: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> 
     partial.push(name);
     partial.push(".part");
     let partial = to.with_file_name(partial);
-    // What a killed process left.
+    // Left behind by a killed process.
     if partial.exists() {
         fs::remove_dir_all(&partial).map_err(EvidenceError::io(&partial, "clear"))?;
     }
@@ -61,7 +61,7 @@ pub fn write(to: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> 
         .map_err(|error| error.at(&partial, to))
         .and_then(|manifest| fs::rename(&partial, to).map_err(EvidenceError::io(to, "create")).map(|()| manifest));
     if written.is_err() {
-        // The error is on its way already; a leftover is cleared by the next try.
+        // The error is returned already. The next attempt removes what is left.
         let _ = fs::remove_dir_all(&partial);
     }
     written
@@ -108,7 +108,7 @@ fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> R
         add(*role, name, content)?;
     }
     let margin = ingredients.against.as_ref().map(|(_, margin)| *margin);
-    // From the copies: what is judged is what is kept.
+    // The copies are judged, so that verdict and folder agree.
     let evaluation = facts::evaluate(folder, ingredients.sampling, margin)?;
     let put = |name: &str, content: &str| {
         let path = folder.join(name);

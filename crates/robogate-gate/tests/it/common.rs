@@ -33,14 +33,14 @@ pub(crate) fn trial(index: u64, ending: Ending) -> Trial {
     }
 }
 
-/// Episodes drawn from a space.
-pub(crate) fn drawn(endings: impl IntoIterator<Item = Ending>) -> Record {
+/// A record of episodes sampled from a space.
+pub(crate) fn sampled(endings: impl IntoIterator<Item = Ending>) -> Record {
     let trials = endings.into_iter().zip(0..).map(|(ending, index)| trial(index, ending)).collect();
     let population = Population::Drawn { space: "test".to_owned(), sha256: "d".repeat(64) };
     record(population, trials)
 }
 
-/// Rounds of a suite of `cases` scenarios: even ones nominal, odd ones edge cases, two groups in each.
+/// Rounds of a suite of `cases` scenarios: even ones nominal, odd ones edge cases, with two groups in each.
 pub(crate) fn suite(cases: u64, endings: impl IntoIterator<Item = Ending>) -> Record {
     let trials = endings
         .into_iter()
@@ -73,9 +73,9 @@ fn record(population: Population, trials: Vec<Trial>) -> Record {
     }
 }
 
-/// A baseline of the same population as `record`.
+/// A baseline with the same population as `record`.
 pub(crate) fn baseline(record: &Record, success: f64, cycle_s: f64, miss: f64) -> Baseline {
-    let mut baseline = Baseline::of(&Record { trials: vec![trial(0, Ending::Success)], ..drawn([]) }).unwrap();
+    let mut baseline = Baseline::of(&Record { trials: vec![trial(0, Ending::Success)], ..sampled([]) }).unwrap();
     baseline.population = record.population.clone();
     baseline.figures = [
         (Metric::Success, success),

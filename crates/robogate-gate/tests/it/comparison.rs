@@ -4,9 +4,9 @@ use robogate_gate::{
     check_pairing,
 };
 
-use crate::common::{drawn, failed, invalid, requirements, suite};
+use crate::common::{failed, invalid, requirements, sampled, suite};
 
-/// A demand that anything meets, so that the comparison alone decides.
+/// Requirements that every policy meets, so that the comparison alone decides.
 fn easy() -> Requirements {
     requirements("name = \"e\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.05\n")
 }
@@ -22,7 +22,7 @@ fn endings(n: u64, fails: impl Fn(u64) -> bool) -> Vec<Ending> {
 }
 
 #[test]
-fn b_may_replace_a_once_it_is_shown_to_be_no_worse_than_the_margin() {
+fn replacement_requires_non_inferiority() {
     let a = suite(8, endings(400, |i| i % 20 == 0));
     let same = suite(8, endings(400, |i| i % 20 == 1));
     for sampling in [Sampling::Fixed, Sampling::Sequential] {
@@ -42,17 +42,17 @@ fn b_may_replace_a_once_it_is_shown_to_be_no_worse_than_the_margin() {
 }
 
 #[test]
-fn few_pairs_decide_nothing_and_equal_outcomes_are_no_proof() {
-    let a = drawn(endings(20, |_| false));
+fn few_pairs_are_inconclusive() {
+    let a = sampled(endings(20, |_| false));
     let found = ask(&a.clone(), &a, 0.05, Sampling::Fixed).unwrap();
     assert_eq!((found.comparison.unwrap().status, found.verdict), (Status::Undecided, Verdict::Inconclusive));
 }
 
 #[test]
-fn an_invalid_episode_counts_for_whichever_answer_it_would_spoil() {
-    let a = drawn(endings(59, |_| false));
+fn invalid_pairs_count_as_worst_case() {
+    let a = sampled(endings(59, |_| false));
     let mut b = a.clone();
-    // 59 agreeing pairs just show a margin of five points; with one of them unknown they do not.
+    // 59 pairs with equal outcomes just show a margin of 5 points. With one invalid pair they do not.
     assert_eq!(ask(&b, &a, 0.05, Sampling::Fixed).unwrap().comparison.unwrap().status, Status::Met);
     b.trials[7].ending = invalid();
     let c = ask(&b, &a, 0.05, Sampling::Fixed).unwrap().comparison.unwrap();
@@ -60,29 +60,29 @@ fn an_invalid_episode_counts_for_whichever_answer_it_would_spoil() {
 }
 
 #[test]
-fn worlds_that_are_not_the_same_are_no_pair() {
+fn different_scenarios_are_not_paired() {
     let a = suite(8, endings(16, |_| false));
     let mut b = a.clone();
     b.trials[3].seed = 7;
     let error = ask(&b, &a, 0.05, Sampling::Fixed).unwrap_err();
     assert!(matches!(error, GateError::NotPaired { index: 3, .. }), "{error}");
-    let other = drawn(endings(16, |_| false));
+    let other = sampled(endings(16, |_| false));
     assert!(matches!(ask(&other, &a, 0.05, Sampling::Fixed), Err(GateError::ForeignBaseline { .. })));
     assert!(matches!(ask(&a, &a, 5.0, Sampling::Fixed), Err(GateError::Margin(_))));
     assert!(matches!(ask(&a, &a, 5.0, Sampling::Sequential), Err(GateError::Margin(_))));
 }
 
 #[test]
-fn only_rounds_that_both_ran_are_paired() {
+fn only_common_rounds_are_paired() {
     let long = suite(8, endings(80, |_| false));
     let short = suite(8, endings(20, |_| false));
     let c = ask(&long, &short, 0.05, Sampling::Sequential).unwrap().comparison.unwrap();
     assert_eq!(c.both, 16);
 }
 
-/// Imported episodes: one case, a seed each.
+/// Imported episodes of one case, each with its own seed.
 fn imported(n: i64, seed: impl Fn(i64) -> i64, case: Option<&str>) -> Record {
-    let mut record = drawn(endings(n as u64, |_| false));
+    let mut record = sampled(endings(n as u64, |_| false));
     record.imported = true;
     for (trial, i) in record.trials.iter_mut().zip(0..) {
         trial.label.case = case.map(str::to_owned);
@@ -92,7 +92,7 @@ fn imported(n: i64, seed: impl Fn(i64) -> i64, case: Option<&str>) -> Record {
 }
 
 #[test]
-fn imported_episodes_are_paired_by_case_and_seed_and_never_by_their_row() {
+fn imported_pairs_need_case_and_seed() {
     let a = imported(80, |i| i, Some("lift"));
     let b = imported(80, |i| 79 - i, Some("lift"));
     assert_eq!(ask(&b, &a, 0.05, Sampling::Fixed).unwrap().comparison.unwrap().both, 80);
@@ -105,7 +105,7 @@ fn imported_episodes_are_paired_by_case_and_seed_and_never_by_their_row() {
 }
 
 #[test]
-fn a_comparison_that_no_policy_could_win_is_refused_before_anything_runs() {
+fn hopeless_comparisons_run_nothing() {
     let none = suite(8, []);
     let planned = |rounds, sampling| Planned { seed: 1, rounds, sampling, alpha: 0.05 };
     let few = suite(8, endings(16, |_| false));
@@ -115,7 +115,7 @@ fn a_comparison_that_no_policy_could_win_is_refused_before_anything_runs() {
     }
     let many = suite(8, endings(800, |_| false));
     check_pairing(&many, &none, planned(100, Sampling::Sequential), 0.05).unwrap();
-    // The other run has enough, and this gate's budget has not.
+    // The other run has enough rounds, but this gate's budget has not.
     assert!(matches!(
         check_pairing(&many, &none, planned(1, Sampling::Sequential), 0.05),
         Err(GateError::TooFewPairs { pairs: 8, .. })

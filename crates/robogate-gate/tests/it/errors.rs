@@ -1,6 +1,6 @@
 use robogate_gate::{Baseline, Ending, GateError, Question, Requirements, Sampling};
 
-use crate::common::{baseline, drawn, invalid, requirements, suite, times};
+use crate::common::{baseline, invalid, requirements, sampled, suite, times};
 
 fn refused(toml: &str) -> String {
     Requirements::from_toml(toml).unwrap_err().to_string()
@@ -11,7 +11,7 @@ fn one(mode: &str, lines: &str) -> String {
 }
 
 #[test]
-fn what_no_number_of_episodes_can_show_is_named() {
+fn undecidable_requirements_are_rejected() {
     for lines in [
         "metric = \"failure:collision\"\nat_most = 0.0",
         "metric = \"success\"\nat_least = 1.0",
@@ -21,12 +21,12 @@ fn what_no_number_of_episodes_can_show_is_named() {
         assert!(text.contains("can't be met at any number of episodes") && text.contains("hint:"), "{text}");
     }
     assert!(refused(&one("point", "metric = \"success\"\nat_least = 92.0")).contains("write 92 % as 0.92"));
-    // The paper's gate compares counts: there a zero can be met.
+    // The paper's gate compares counts, so a limit of zero can be met.
     assert!(Requirements::from_toml(&one("point", "metric = \"failure_count:collision\"\nat_most = 0")).is_ok());
 }
 
 #[test]
-fn a_relative_limit_of_nothing_is_named_with_the_figure() {
+fn zero_relative_limits_are_rejected() {
     let record = suite(4, times(8, &Ending::Success));
     let gate = requirements(&one("confidence", "metric = \"failure:grasp_miss\"\nat_most_times_baseline = 1.2"));
     let ask = |baseline: Option<&Baseline>| {
@@ -34,67 +34,75 @@ fn a_relative_limit_of_nothing_is_named_with_the_figure() {
         question.evaluate(&record).unwrap_err().to_string()
     };
     let perfect = baseline(&record, 1.0, 4.0, 0.0);
-    assert!(ask(Some(&perfect)).contains("`at_most` gives a floor"));
+    assert!(ask(Some(&perfect)).contains("also set `at_most` as a minimum limit"));
     assert!(ask(None).contains("robogate baseline RUN -o FILE"));
     let mut other = perfect.clone();
-    other.population = drawn([]).population;
+    other.population = sampled([]).population;
     assert!(ask(Some(&other)).contains("the baseline is of space test"), "{}", ask(Some(&other)));
     let mut poor = perfect;
     poor.figures.clear();
-    assert!(ask(Some(&poor)).contains("which the baseline does not have"));
+    assert!(ask(Some(&poor)).contains("the baseline has no such figure"));
 }
 
 #[test]
-fn a_gate_that_demands_nothing_is_no_gate() {
-    assert!(refused("name = \"x\"\nmode = \"point\"\n").contains("would pass everything"));
-    assert!(refused(&one("confidence", "metric = \"failure:grip_loss\"\nat_most = 1.0")).contains("demands nothing"));
+fn empty_requirements_are_rejected() {
+    assert!(refused("name = \"x\"\nmode = \"point\"\n").contains("would pass every policy"));
+    assert!(
+        refused(&one("confidence", "metric = \"failure:grip_loss\"\nat_most = 1.0")).contains("holds for every rate")
+    );
     let twice = one(
         "point",
         "metric = \"failure:grip_loss\"\nat_most = 0.1\n[[requirement]]\nmetric = \"failure:grip_loss\"\nat_most = 0.2",
     );
-    assert!(refused(&twice).contains("stands there twice"));
+    assert!(refused(&twice).contains("duplicate"));
 }
 
 #[test]
-fn slips_of_the_pen_are_named() {
-    for (toml, said) in [
-        (one("point", "metric = \"failure:grip_loss\""), "it needs either"),
+fn typing_errors_are_located() {
+    for (toml, problem) in [
+        (one("point", "metric = \"failure:grip_loss\""), "expected either"),
         (one("point", "metric = \"failure:grip_loss\"\nat_most = nan"), "finite"),
-        (one("point", "metric = \"failure:grip_loss\"\nat_most = 0.1\nat_least = 0.2"), "it needs either"),
+        (one("point", "metric = \"failure:grip_loss\"\nat_most = 0.1\nat_least = 0.2"), "expected either"),
         (one("point", "metric = \"drop_rat\"\nat_most = 0.1"), "`drop_rat` is not a metric"),
         (one("point", "metric = \"failure:grip_loss\"\nat_mots = 0.1"), "unknown field `at_mots`"),
         (one("point", "metric = \"cycle_time_s\"\nat_most = 5.0"), "ceiling"),
         (one("sure", "metric = \"failure:grip_loss\"\nat_most = 0.1"), "unknown variant `sure`"),
-        (one("point", "metric = \"failure:grip_loss\"\nat_most = 0.1\neach = \"group\"\ngroup = \"g\""), "in place of"),
+        (
+            one("point", "metric = \"failure:grip_loss\"\nat_most = 0.1\neach = \"group\"\ngroup = \"g\""),
+            "cannot be combined with",
+        ),
         (one("point\"\nconfidence = 95\n#", "metric = \"failure:grip_loss\"\nat_most = 0.1"), "write 95 % as 0.95"),
-        (one("point", "metric = \"failure:grip_loss\"\nat_most = 0.1\n[budget]\nrounds = 0"), "from 1 to"),
+        (
+            one("point", "metric = \"failure:grip_loss\"\nat_most = 0.1\n[budget]\nrounds = 0"),
+            "`budget.rounds` is 0; expected 1 to",
+        ),
     ] {
         let text = refused(&toml);
-        assert!(text.contains(said), "{toml}\n{text}");
+        assert!(text.contains(problem), "{toml}\n{text}");
     }
 }
 
 #[test]
-fn a_scope_that_no_episode_has_is_named_with_those_there_are() {
+fn unknown_scopes_list_known_ones() {
     let gate = requirements(&one("point", "metric = \"success\"\nat_least = 0.5\ngroup = \"heavy\""));
     let question = Question { requirements: &gate, baseline: None, against: None, sampling: Sampling::Fixed };
     let error = question.evaluate(&suite(4, times(4, &Ending::Success))).unwrap_err();
     assert!(error.to_string().contains("nominal/group-0, edge_cases/group-1"), "{error}");
-    let error = question.evaluate(&drawn(times(4, &Ending::Success))).unwrap_err();
+    let error = question.evaluate(&sampled(times(4, &Ending::Success))).unwrap_err();
     assert!(error.to_string().contains("not episodes of a suite"), "{error}");
 }
 
 #[test]
-fn an_episode_beyond_the_ceiling_is_named() {
+fn values_beyond_ceiling_are_rejected() {
     let gate = requirements(&one("confidence", "metric = \"cycle_time_s\"\nat_most = 5.0\nceiling = 15.0"));
-    let mut record = drawn(times(4, &Ending::Success));
+    let mut record = sampled(times(4, &Ending::Success));
     record.trials[2].time_s = Some(64.3);
     let question = Question { requirements: &gate, baseline: None, against: None, sampling: Sampling::Fixed };
     assert!(matches!(question.evaluate(&record), Err(GateError::OutOfRange { index: 2, .. })));
 }
 
 #[test]
-fn an_unlabelled_episode_among_those_of_a_suite_is_named() {
+fn unlabelled_episodes_are_rejected() {
     let gate = requirements(&one("point", "metric = \"success\"\nat_least = 0.5"));
     let mut record = suite(4, times(8, &Ending::Success));
     record.trials[5].label = robogate_dictionary::Label::default();
@@ -103,8 +111,8 @@ fn an_unlabelled_episode_among_those_of_a_suite_is_named() {
 }
 
 #[test]
-fn no_baseline_is_made_from_nothing_or_read_from_anything() {
-    assert!(matches!(Baseline::of(&drawn(times(3, &invalid()))), Err(GateError::EmptyBaseline)));
+fn invalid_baselines_are_rejected() {
+    assert!(matches!(Baseline::of(&sampled(times(3, &invalid()))), Err(GateError::EmptyBaseline)));
     assert!(Baseline::from_json("{}").unwrap_err().to_string().contains("not a baseline"));
     assert!(Baseline::from_json("{\"format\": 7}").unwrap_err().to_string().contains("format 7"));
 }

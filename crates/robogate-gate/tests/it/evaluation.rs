@@ -1,11 +1,11 @@
 use robogate_core::FailureMode;
 use robogate_gate::{Baseline, Ending, GateError, Question, Record, Requirements, Sampling, Status, Verdict};
 
-use crate::common::{baseline, drawn, failed, invalid, judge, requirements, suite, task, times};
+use crate::common::{baseline, failed, invalid, judge, requirements, sampled, suite, task, times};
 
 const SUCCESS: &str = "name = \"s\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.6\n";
 
-/// Every way in which `n` episodes can end, of four kinds.
+/// All combinations of `n` endings of four kinds.
 fn all_endings(n: u32) -> impl Iterator<Item = Vec<Ending>> {
     let kinds = [
         Ending::Success,
@@ -17,23 +17,23 @@ fn all_endings(n: u32) -> impl Iterator<Item = Vec<Ending>> {
 }
 
 #[test]
-fn an_invalid_episode_never_turns_a_fail_into_a_pass_or_the_other_way_round() {
+fn invalid_episodes_never_reverse_a_verdict() {
     let gates = [
         "name = \"p\"\nmode = \"point\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.6\n[[requirement]]\nmetric = \"failure_count:collision\"\nat_most = 0\n[[requirement]]\nmetric = \"cycle_time_s\"\nat_most = 4.5\nceiling = 15.0\n",
-        // So little confidence that four episodes can decide.
+        // The confidence is low, so that four episodes can decide.
         "name = \"c\"\nmode = \"confidence\"\nconfidence = 0.75\n[[requirement]]\nmetric = \"success\"\nat_least = 0.5\n[[requirement]]\nmetric = \"failure:collision\"\nat_most = 0.5\n",
     ];
     let mut decided = [0; 2];
     for gate in gates.map(requirements) {
         for sampling in [Sampling::Fixed, Sampling::Sequential] {
             for endings in all_endings(4) {
-                let verdict = judge(&gate, &drawn(endings.clone()), sampling).verdict;
+                let verdict = judge(&gate, &sampled(endings.clone()), sampling).verdict;
                 decided[0] += u32::from(verdict == Verdict::Pass);
                 decided[1] += u32::from(verdict == Verdict::Fail);
                 for broken in 0..4 {
                     let mut with = endings.clone();
                     with[broken] = invalid();
-                    let now = judge(&gate, &drawn(with), sampling).verdict;
+                    let now = judge(&gate, &sampled(with), sampling).verdict;
                     let opposite =
                         matches!((verdict, now), (Verdict::Fail, Verdict::Pass) | (Verdict::Pass, Verdict::Fail));
                     assert!(!opposite, "{endings:?} {broken} {sampling:?}: {verdict} became {now}");
@@ -41,25 +41,25 @@ fn an_invalid_episode_never_turns_a_fail_into_a_pass_or_the_other_way_round() {
             }
         }
     }
-    assert!(decided.iter().all(|n| *n > 10), "the gates never answered: {decided:?}");
+    assert!(decided.iter().all(|n| *n > 10), "the gates never decided: {decided:?}");
 }
 
 #[test]
-fn a_failure_in_an_unknown_way_may_have_been_a_collision() {
+fn unknown_failures_may_be_collisions() {
     let gate = requirements(
         "name = \"c\"\nmode = \"point\"\n[[requirement]]\nmetric = \"failure_count:collision\"\nat_most = 0\n",
     );
-    let record = drawn([Ending::Success, Ending::Failure(None)]);
+    let record = sampled([Ending::Success, Ending::Failure(None)]);
     let found = judge(&gate, &record, Sampling::Fixed);
     assert_eq!((found.verdict, found.results[0].invalid), (Verdict::Inconclusive, 1));
 }
 
 #[test]
-fn who_does_not_record_collisions_shows_none_of_their_absence() {
+fn unrecorded_modes_are_not_absent() {
     let gate = requirements(
         "name = \"c\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"failure:collision\"\nat_most = 0.1\n",
     );
-    let mut record = drawn(times(400, &Ending::Success));
+    let mut record = sampled(times(400, &Ending::Success));
     assert_eq!(judge(&gate, &record, Sampling::Fixed).verdict, Verdict::Pass);
     for trial in &mut record.trials {
         trial.unseen = vec![FailureMode::constant("collision")];
@@ -69,7 +69,7 @@ fn who_does_not_record_collisions_shows_none_of_their_absence() {
 }
 
 #[test]
-fn only_whole_rounds_of_a_suite_are_judged() {
+fn incomplete_rounds_are_not_judged() {
     let record = suite(8, times(21, &Ending::Success));
     let found = judge(&requirements(SUCCESS), &record, Sampling::Sequential);
     assert_eq!((found.counts.rounds, found.counts.episodes, found.counts.left_over), (Some(2), 16, 5));
@@ -77,16 +77,16 @@ fn only_whole_rounds_of_a_suite_are_judged() {
     let found = judge(&requirements(SUCCESS), &started, Sampling::Sequential);
     assert_eq!(
         (found.verdict, found.because.as_str()),
-        (Verdict::Invalid, "5 episodes are no whole round of the suite")
+        (Verdict::Invalid, "5 episodes are less than one complete round of the suite")
     );
 }
 
 #[test]
-fn a_demand_for_each_group_is_one_demand_for_each() {
+fn each_group_is_one_requirement() {
     let gate = requirements(
         "name = \"g\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.6\neach = \"group\"\n",
     );
-    // Group 3 always fails.
+    // All episodes of group 3 fail.
     let endings = (0..80).map(|i| if i % 4 == 3 { failed(FailureMode::TIMEOUT) } else { Ending::Success });
     let found = judge(&gate, &suite(8, endings), Sampling::Fixed);
     let of: Vec<(&str, Status)> = found.results.iter().map(|f| (f.id.as_str(), f.status)).collect();
@@ -105,24 +105,24 @@ fn a_demand_for_each_group_is_one_demand_for_each() {
 }
 
 #[test]
-fn a_pass_needs_no_adjustment_and_a_fail_shares_its_error() {
+fn only_fail_is_adjusted() {
     let two = |family: &str| {
         requirements(&format!(
             "name = \"f\"\nmode = \"confidence\"\nfamily = \"{family}\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.92\n[[requirement]]\nmetric = \"failure:timeout\"\nat_most = 0.08\n"
         ))
     };
-    // 67 of 68: p = 0.024 for both. Alone at 0.05 it is shown; shared by two, both are too, one after the other.
-    let record = drawn(times(67, &Ending::Success).chain([failed(FailureMode::TIMEOUT)]));
+    // 67 of 68: p = 0.024 for both requirements. Holm's procedure shows both.
+    let record = sampled(times(67, &Ending::Success).chain([failed(FailureMode::TIMEOUT)]));
     assert_eq!(judge(&two("intersection_union"), &record, Sampling::Fixed).verdict, Verdict::Pass);
     assert_eq!(judge(&two("holm"), &record, Sampling::Fixed).verdict, Verdict::Pass);
-    // One p-value of 0.024 beside one of 0.083: the smaller is shown alone, but not in a family of two.
-    let record = drawn(
+    // p = 0.024 and p = 0.083: the smaller is shown alone, but not in a family of two.
+    let record = sampled(
         times(66, &Ending::Success).chain([failed(FailureMode::TIMEOUT), failed(FailureMode::constant("grasp_miss"))]),
     );
     let status = |family| judge(&two(family), &record, Sampling::Fixed).results[1].status;
     assert_eq!((status("intersection_union"), status("holm")), (Status::Met, Status::Met));
-    // P(X <= 57 | 68, 0.92) = 0.03: violated alone, undecided beside a second demand.
-    let record = drawn(times(58, &Ending::Success).chain(times(10, &failed(FailureMode::constant("grasp_miss")))));
+    // P(X <= 57 | 68, 0.92) = 0.03: violated alone, undecided beside a second requirement.
+    let record = sampled(times(58, &Ending::Success).chain(times(10, &failed(FailureMode::constant("grasp_miss")))));
     let alone =
         requirements("name = \"a\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.92\n");
     let p = judge(&alone, &record, Sampling::Fixed).results[0].p_violated.unwrap();
@@ -131,7 +131,7 @@ fn a_pass_needs_no_adjustment_and_a_fail_shares_its_error() {
 }
 
 #[test]
-fn the_same_record_gives_the_same_bytes_and_they_can_be_read_again() {
+fn evaluations_round_trip() {
     let record = suite(68, times(136, &Ending::Success));
     let requirements = Requirements::open("default", &task()).unwrap();
     let baseline = baseline(&record, 1.0, 4.1, 0.0);
@@ -148,7 +148,7 @@ fn the_same_record_gives_the_same_bytes_and_they_can_be_read_again() {
 }
 
 #[test]
-fn a_perfect_policy_passes_the_default_gate_after_seven_rounds_and_says_so_beforehand() {
+fn perfect_policy_passes_after_seven_rounds() {
     let requirements = Requirements::open("default", &task()).unwrap();
     let perfect = |rounds: usize| suite(68, times(68 * rounds, &Ending::Success));
     let baseline = baseline(&perfect(1), 1.0, 4.1, 0.0);
@@ -172,12 +172,12 @@ fn a_perfect_policy_passes_the_default_gate_after_seven_rounds_and_says_so_befor
 }
 
 #[test]
-fn slower_episodes_than_the_baseline_allows_violate_and_unknown_ones_are_taken_as_they_hurt() {
+fn unknown_durations_count_as_worst_case() {
     let gate = requirements(
         "name = \"t\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"cycle_time_s\"\nat_most_times_baseline = 1.1\nceiling = 15.0\n",
     );
     let judge = |time: f64, unknown: usize, n: usize| {
-        let mut record = drawn(times(n, &Ending::Success).chain(times(unknown, &invalid())));
+        let mut record = sampled(times(n, &Ending::Success).chain(times(unknown, &invalid())));
         for trial in &mut record.trials {
             trial.time_s = Some(time);
         }
@@ -189,7 +189,7 @@ fn slower_episodes_than_the_baseline_allows_violate_and_unknown_ones_are_taken_a
     assert_eq!(judge(3.5, 0, 200).status, Status::Met);
     assert_eq!(judge(5.5, 0, 200).status, Status::Violated);
     assert_eq!(judge(4.4, 0, 200).status, Status::Undecided);
-    // Twenty unknown durations could have been 15 s each: the mean could have been 4.5 s.
+    // Twenty unknown durations could be 15 s each, so the mean could be 4.5 s.
     let unsure = judge(3.5, 20, 180);
     assert_eq!(unsure.status, Status::Undecided);
     assert!((unsure.figure.most.unwrap() - 4.65).abs() < 1e-9 && (unsure.figure.least.unwrap() - 3.15).abs() < 1e-9);
@@ -198,19 +198,19 @@ fn slower_episodes_than_the_baseline_allows_violate_and_unknown_ones_are_taken_a
 }
 
 #[test]
-fn a_baseline_is_the_same_after_a_round_trip() {
+fn baselines_round_trip() {
     let made = Baseline::of(&suite(4, times(8, &Ending::Success))).unwrap();
     assert_eq!(Baseline::from_json(&made.to_json()).unwrap(), made);
-    // Success, cycle time, and count and rate of four failure modes.
+    // Success rate, cycle time, and count and rate of four failure modes.
     assert_eq!(made.figures.len(), 10);
 }
 
 #[test]
-fn rows_that_are_no_suite_pass_or_fail_alike_in_any_order() {
+fn row_order_does_not_matter() {
     let gate =
         requirements("name = \"o\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.9\n");
-    // 80 % succeed, and the file has the successes first: a prefix of it would pass.
-    let sorted = drawn(times(800, &Ending::Success).chain(times(200, &failed(FailureMode::constant("grasp_miss")))));
+    // 80 % succeed. The file has the successes first, so a prefix of it would pass.
+    let sorted = sampled(times(800, &Ending::Success).chain(times(200, &failed(FailureMode::constant("grasp_miss")))));
     let found = judge(&gate, &sorted, Sampling::Sequential);
     assert_eq!(found.verdict, Verdict::Fail);
     let mut turned = sorted;
@@ -224,7 +224,7 @@ fn rows_that_are_no_suite_pass_or_fail_alike_in_any_order() {
 }
 
 #[test]
-fn a_demand_for_each_group_is_refused_where_an_episode_has_none() {
+fn each_group_needs_group_labels() {
     for (each, missing) in [("group", "group"), ("category", "category")] {
         let gate = requirements(&format!(
             "name = \"g\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.1\n[[requirement]]\nmetric = \"success\"\nat_least = 0.6\neach = \"{each}\"\n"
@@ -232,7 +232,7 @@ fn a_demand_for_each_group_is_refused_where_an_episode_has_none() {
         let ask = |record: &Record| {
             Question { requirements: &gate, baseline: None, against: None, sampling: Sampling::Fixed }.evaluate(record)
         };
-        let error = ask(&drawn(times(100, &Ending::Success))).unwrap_err();
+        let error = ask(&sampled(times(100, &Ending::Success))).unwrap_err();
         assert!(matches!(error, GateError::NoLabel { what, .. } if what == missing), "{error}");
         let mut one = suite(8, times(80, &Ending::Success));
         assert_eq!(ask(&one).unwrap().verdict, Verdict::Pass);
@@ -243,7 +243,7 @@ fn a_demand_for_each_group_is_refused_where_an_episode_has_none() {
 }
 
 #[test]
-fn a_suite_that_was_cut_short_was_looked_at_whatever_is_said() {
+fn stopped_runs_are_sequential() {
     let mut record = suite(8, times(40, &Ending::Success));
     assert_eq!(judge(&requirements(SUCCESS), &record, Sampling::Fixed).sampling, Sampling::Fixed);
     record.planned = Some(40);

@@ -1,4 +1,4 @@
-//! Evidence holds as long as nobody touches it, and says which file was touched.
+//! Evidence is valid until a file changes, and verification names the changed file.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -21,7 +21,7 @@ use sha2::{Digest, Sha256};
 
 const SEED: [u8; 32] = [7; 32];
 
-/// The robot's only file.
+/// The only file of the robot.
 const ROBOT: &[u8] = b"name = 'franka'\n";
 
 fn key() -> PrivateKey {
@@ -32,7 +32,7 @@ fn rows(path: &Path, n: u64, failures: u64) {
     planned_rows(path, n, failures, serde_json::json!({ "n": n }), |_| Label::default());
 }
 
-/// Rows under a plan, each with its label.
+/// Rows with a plan and labels.
 fn planned_rows(path: &Path, n: u64, failures: u64, plan: serde_json::Value, label: impl Fn(u64) -> Label) {
     let space = ParameterSpace::from_toml(
         "name = 'test'\n[[parameter]]\nname = 'mass_kg'\nkind = 'continuous'\nlow = 0.1\nhigh = 2.0\n",
@@ -83,7 +83,7 @@ fn planned_rows(path: &Path, n: u64, failures: u64, plan: serde_json::Value, lab
     fs::write(path.with_file_name("plan.json"), plan.to_string()).unwrap();
 }
 
-/// A folder with a run in it, and what evidence is made from.
+/// A folder with a run, and the content of its evidence.
 struct Run {
     folder: tempfile::TempDir,
     ingredients: Ingredients,
@@ -142,7 +142,7 @@ fn names(problems: &[Problem]) -> Vec<&str> {
     problems.iter().map(|problem| problem.file.as_str()).collect()
 }
 
-/// The problems' text, where one is about `file`.
+/// The text of the problems of `file`. Panics if there are none.
 fn about(result: Result<robogate_gate::evidence::Verified, Vec<Problem>>, file: &str) -> String {
     let problems = result.unwrap_err();
     assert!(names(&problems).contains(&file), "{file}: {problems:?}");
@@ -150,7 +150,7 @@ fn about(result: Result<robogate_gate::evidence::Verified, Vec<Problem>>, file: 
 }
 
 #[test]
-fn untouched_evidence_holds_and_says_who_vouches_for_it() {
+fn unchanged_evidence_is_valid() {
     let run = run(0);
     let bare = verify(&run.evidence("bare", None), None).unwrap();
     assert_eq!((bare.verdict, bare.signed), (Verdict::Pass, Signed::Unsigned));
@@ -162,7 +162,7 @@ fn untouched_evidence_holds_and_says_who_vouches_for_it() {
 }
 
 #[test]
-fn a_failed_gate_is_good_evidence_of_a_failure() {
+fn failed_gates_give_valid_evidence() {
     let run = run(40);
     let folder = run.evidence("e", Some(&key()));
     assert_eq!(verify(&folder, None).unwrap().verdict, Verdict::Fail);
@@ -173,14 +173,14 @@ fn a_failed_gate_is_good_evidence_of_a_failure() {
     assert_eq!(statement["predicate"]["failedTests"].as_array().unwrap().len(), 1);
 }
 
-/// The bytes to flip: all of a small file, a sample of a larger one that begins elsewhere in each file.
+/// Offsets of the bytes to flip: all of a small file, otherwise a sample with a different start in each file.
 fn places(length: usize) -> Box<dyn Iterator<Item = usize>> {
     const SMALL: usize = 400;
     if length <= SMALL { Box::new(0..length) } else { Box::new((length % 7..length).step_by(length / SMALL + 1)) }
 }
 
 #[test]
-fn every_flipped_byte_is_found_and_its_file_is_named() {
+fn flipped_bytes_are_detected() {
     for key in [None, Some(key())] {
         let run = run(3);
         let folder = run.evidence("e", key.as_ref());
@@ -198,12 +198,12 @@ fn every_flipped_byte_is_found_and_its_file_is_named() {
             fs::write(&path, &bytes).unwrap();
         }
         assert!(verify(&folder, None).is_ok());
-        println!("{flips} flipped bytes named");
+        println!("{flips} flipped bytes detected");
     }
 }
 
 #[test]
-fn a_missing_an_added_and_a_replaced_file_are_named() {
+fn changed_file_lists_are_detected() {
     let run = run(0);
     let folder = run.evidence("e", Some(&key()));
     for name in files(&folder).into_keys() {
@@ -214,7 +214,7 @@ fn a_missing_an_added_and_a_replaced_file_are_named() {
     }
     for name in ["more.parquet", "robot/extra", ".hidden", "evidence.intoto.json", "baseline.json"] {
         fs::write(folder.join(name), "{}").unwrap();
-        assert!(about(verify(&folder, None), name).contains("no part of the evidence"));
+        assert!(about(verify(&folder, None), name).contains("not part of the evidence"));
         fs::remove_file(folder.join(name)).unwrap();
     }
     #[cfg(unix)]
@@ -222,7 +222,7 @@ fn a_missing_an_added_and_a_replaced_file_are_named() {
         let (there, away) = (folder.join("plan.json"), run.folder.path().join("away"));
         fs::rename(&there, &away).unwrap();
         std::os::unix::fs::symlink(&away, &there).unwrap();
-        assert!(about(verify(&folder, None), "plan.json").contains("no plain file"));
+        assert!(about(verify(&folder, None), "plan.json").contains("not a regular file"));
         fs::remove_file(&there).unwrap();
         fs::rename(&away, &there).unwrap();
     }
@@ -230,22 +230,22 @@ fn a_missing_an_added_and_a_replaced_file_are_named() {
 }
 
 #[test]
-fn who_makes_it_all_anew_needs_the_key() {
+fn forged_evidence_needs_the_key() {
     let run = run(30);
     let honest = run.evidence("honest", Some(&key()));
     assert_eq!(verify(&honest, Some(&key().public())).unwrap().verdict, Verdict::Fail);
-    // The demand is lowered after the fact, and everything signed again by another.
+    // The limit is lowered afterwards, and everything is signed again with another key.
     let requirements = run.folder.path().join("r.toml");
     let lowered = fs::read_to_string(&requirements).unwrap().replace("0.9\n", "0.3\n");
     fs::write(&requirements, lowered).unwrap();
     let other = PrivateKey::from_seed([8; 32]);
     let forged = run.evidence("forged", Some(&other));
     assert_eq!(verify(&forged, None).unwrap().signed, Signed::ByUnknown { keyid: other.public().id() });
-    let said = about(verify(&forged, Some(&key().public())), "signer.pub.pem");
-    assert!(said.contains(&other.public().id()) && said.contains(&key().public().id()), "{said}");
+    let text = about(verify(&forged, Some(&key().public())), "signer.pub.pem");
+    assert!(text.contains(&other.public().id()) && text.contains(&key().public().id()), "{text}");
     let bare = run.evidence("bare", None);
-    assert!(about(verify(&bare, Some(&key().public())), "manifest.json").contains("nobody signed it"));
-    // Only the envelopes are of the other key.
+    assert!(about(verify(&bare, Some(&key().public())), "manifest.json").contains("unsigned, but a signature"));
+    // Only the envelopes are signed with the other key.
     for name in ["evidence.dsse.json", "test-result.dsse.json"] {
         let kept = fs::read(honest.join(name)).unwrap();
         fs::copy(forged.join(name), honest.join(name)).unwrap();
@@ -255,34 +255,34 @@ fn who_makes_it_all_anew_needs_the_key() {
 }
 
 #[test]
-fn a_verdict_that_does_not_follow_from_the_rows_is_found_without_any_key() {
+fn changed_verdicts_are_detected_unsigned() {
     let run = run(40);
     let folder = run.evidence("e", None);
     let manifest = fs::read_to_string(folder.join("manifest.json")).unwrap();
     fs::write(folder.join("manifest.json"), manifest.replace("\"verdict\": \"fail\"", "\"verdict\": \"pass\""))
         .unwrap();
-    let said = about(verify(&folder, None), "manifest.json");
-    assert!(said.contains("it says pass, and the rows say fail"), "{said}");
+    let text = about(verify(&folder, None), "manifest.json");
+    assert!(text.contains("states pass, but the rows give fail"), "{text}");
 }
 
 #[test]
-fn an_expired_or_a_later_form_is_named() {
+fn other_formats_are_rejected() {
     let run = run(0);
     let folder = run.evidence("e", None);
     let manifest = fs::read_to_string(folder.join("manifest.json")).unwrap();
-    for (format, wanted) in [("1", "has expired"), ("3", "upgrade robogate"), ("\"x\"", "no `format`")] {
+    for (format, wanted) in [("1", "is no longer supported"), ("3", "upgrade robogate"), ("\"x\"", "no `format`")] {
         let changed = manifest.replacen("\"format\": 2", &format!("\"format\": {format}"), 1);
         fs::write(folder.join("manifest.json"), changed).unwrap();
         assert!(about(verify(&folder, None), "manifest.json").contains(wanted));
     }
     let out = manifest.replacen("\"path\": \"plan.json\"", "\"path\": \"../plan.json\"", 1);
     fs::write(folder.join("manifest.json"), out).unwrap();
-    assert!(about(verify(&folder, None), "manifest.json").contains("no place in the folder"));
+    assert!(about(verify(&folder, None), "manifest.json").contains("not a valid path in the folder"));
     assert!(about(verify(run.folder.path(), None), "manifest.json").contains("missing"));
 }
 
 #[test]
-fn the_same_run_and_key_give_the_same_bytes_and_the_key_is_in_none_of_them() {
+fn bytes_are_reproducible_without_key() {
     let run = run(2);
     let (a, b) = (files(&run.evidence("a", Some(&key()))), files(&run.evidence("b", Some(&key()))));
     assert_eq!(a, b);
@@ -301,14 +301,14 @@ fn the_same_run_and_key_give_the_same_bytes_and_the_key_is_in_none_of_them() {
 }
 
 #[test]
-fn a_file_that_would_leave_the_folder_or_stand_there_twice_is_refused() {
+fn invalid_paths_are_rejected() {
     let mut run = run(0);
     let plan = run.folder.path().join("plan.json");
     for (name, wanted) in [
-        ("../plan.json", "no name"),
-        ("/etc/plan.json", "no name"),
-        ("a//b", "no name"),
-        (".plan", "no name"),
+        ("../plan.json", "not a valid path"),
+        ("/etc/plan.json", "not a valid path"),
+        ("a//b", "not a valid path"),
+        (".plan", "not a valid path"),
         ("plan.json", "two files"),
         ("manifest.json", "two files"),
         ("test-result.dsse.json", "two files"),
@@ -324,7 +324,7 @@ fn a_file_that_would_leave_the_folder_or_stand_there_twice_is_refused() {
 
 #[test]
 #[cfg(unix)]
-fn a_key_is_written_for_its_owner_alone_and_read_from_no_other() {
+fn private_keys_are_owner_only() {
     use std::os::unix::fs::PermissionsExt;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("k.pem");
@@ -350,13 +350,13 @@ fn a_key_is_written_for_its_owner_alone_and_read_from_no_other() {
 }
 
 #[test]
-fn the_published_vectors_of_dsse_hold() {
-    // The example of the protocol's text.
+fn dsse_reference_vectors_match() {
+    // The example of the protocol specification.
     assert_eq!(
         pre_authentication_encoding("http://example.com/HelloWorld", b"hello world"),
         b"DSSEv1 29 http://example.com/HelloWorld 11 hello world"
     );
-    // LEN counts bytes: two letters take three of them.
+    // LEN counts bytes. Two of the letters take three bytes.
     assert_eq!(pre_authentication_encoding("\u{e4}x", b""), "DSSEv1 3 \u{e4}x 0 ".as_bytes());
     // The ed25519 vectors of the DSSE repository (testvectors/vectors.json), whose key is that of RFC 8032, test 1.
     let seed = "9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60";
@@ -390,7 +390,7 @@ fn the_published_vectors_of_dsse_hold() {
 }
 
 #[test]
-fn securesystemslib_and_cryptography_accept_keys_and_envelopes() {
+fn reference_implementations_accept_signatures() {
     let wanted = "a Python with securesystemslib and cryptography";
     let Some(python) = robogate_testing::path("ROBOGATE_TEST_PYTHON", wanted) else { return };
     let run = run(1);
@@ -417,7 +417,7 @@ fn of_suite(run: &Run, rounds: u64, sha256: Option<&str>) {
 }
 
 #[test]
-fn rows_of_a_suite_that_was_cut_short_are_no_fixed_number_whatever_is_said() {
+fn stopped_suites_are_sequential() {
     let run = run(0);
     of_suite(&run, 80, None);
     assert_eq!(write(&run.folder.path().join("whole"), &run.ingredients, None).unwrap().sampling, Sampling::Fixed);
@@ -429,18 +429,18 @@ fn rows_of_a_suite_that_was_cut_short_are_no_fixed_number_whatever_is_said() {
     let forged = manifest.replace("\"sampling\": \"sequential\"", "\"sampling\": \"fixed\"");
     fs::write(to.join("manifest.json"), forged).unwrap();
     let problems = verify(&to, None).unwrap_err();
-    assert!(problems.iter().any(|problem| problem.reason.contains("not what follows from them")), "{problems:?}");
+    assert!(problems.iter().any(|problem| problem.reason.contains("statements about the rows differ")), "{problems:?}");
 }
 
 #[test]
-fn a_plan_whose_suite_is_not_what_its_hash_says_is_no_evidence() {
+fn wrong_suite_hash_is_rejected() {
     let run = run(0);
-    let refused = |said: &str| {
+    let refused = |part: &str| {
         let error = write(&run.folder.path().join("out"), &run.ingredients, None).unwrap_err().to_string();
-        assert!(error.contains(said), "{error}");
+        assert!(error.contains(part), "{error}");
     };
     of_suite(&run, 80, Some(&"0".repeat(64)));
-    refused("and the plan says 000");
+    refused("but the plan states 000");
     planned_rows(&run.ingredients.dictionary, 80, 0, serde_json::json!({ "suite": { "sha256": "00" } }), |_| {
         Label::default()
     });
@@ -448,7 +448,7 @@ fn a_plan_whose_suite_is_not_what_its_hash_says_is_no_evidence() {
 }
 
 #[test]
-fn the_comparison_is_a_test_of_the_in_toto_result() {
+fn comparison_is_in_test_result() {
     let mut run = run(0);
     run.ingredients.against = Some((run.ingredients.dictionary.clone(), 0.2));
     let to = run.evidence("compared", None);
@@ -461,21 +461,21 @@ fn the_comparison_is_a_test_of_the_in_toto_result() {
 }
 
 #[test]
-fn an_error_names_the_path_that_the_user_gave() {
+fn errors_name_the_users_path() {
     let mut run = run(0);
     fs::create_dir(run.folder.path().join("deep")).unwrap();
     let folder = Content::File(run.folder.path().join("deep"));
     run.ingredients.requirements = folder;
     assert!(unwritten(&run).contains("deep"));
-    // A file where a folder would have to be.
+    // A file at the path of a required folder.
     run.ingredients.requirements = Content::File(run.folder.path().join("r.toml"));
     let robot = Content::File(run.folder.path().join("robot.toml"));
     run.ingredients.others.push((Role::Attachment, "requirements.toml/x".into(), robot));
-    let said = unwritten(&run);
-    assert!(said.contains("unwritten/requirements.toml") && !said.contains(".part"), "{said}");
+    let text = unwritten(&run);
+    assert!(text.contains("unwritten/requirements.toml") && !text.contains(".part"), "{text}");
 }
 
-/// Why no evidence is made of the ingredients.
+/// The error of writing evidence from this run.
 fn unwritten(run: &Run) -> String {
     let to = run.folder.path().join("unwritten");
     let error = write(&to, &run.ingredients, None).unwrap_err().to_string();
@@ -484,7 +484,7 @@ fn unwritten(run: &Run) -> String {
 }
 
 #[test]
-fn plan_robot_and_suite_must_be_those_of_the_rows() {
+fn plan_robot_and_suite_must_match_rows() {
     let mut run = run(0);
     let (plan, robot) = (run.folder.path().join("plan.json"), run.folder.path().join("robot.toml"));
     let honest = fs::read_to_string(&plan).unwrap();
@@ -492,28 +492,28 @@ fn plan_robot_and_suite_must_be_those_of_the_rows() {
         let changed = honest.replacen(from, to, 1);
         assert_ne!(changed, honest);
         fs::write(&plan, changed).unwrap();
-        assert!(unwritten(&run).starts_with("plan.json: it is "), "{}", unwritten(&run));
+        assert!(unwritten(&run).starts_with("plan.json: not "), "{}", unwritten(&run));
     }
     fs::write(&plan, &honest).unwrap();
     fs::write(&robot, "name = 'other'\n").unwrap();
-    assert!(unwritten(&run).contains("not those of the run"));
+    assert!(unwritten(&run).contains("not the files of the run"));
     fs::write(&robot, ROBOT).unwrap();
     run.ingredients.others.push((Role::Suite, "suite/s.toml".into(), Content::File(robot)));
     assert!(unwritten(&run).contains("suite/s.toml: the run had no suite"));
 }
 
 #[test]
-fn a_plan_that_another_robogate_let_in_is_named() {
+fn foreign_plans_are_detected() {
     let run = run(0);
     let folder = run.evidence("e", None);
     let (plan, manifest) = (folder.join("plan.json"), folder.join("manifest.json"));
     let honest = fs::read_to_string(&plan).unwrap();
     let forged = honest.replacen("{\"n\":80}", "{\"n\":81}", 1);
     fs::write(&plan, &forged).unwrap();
-    // The manifest is made to fit.
-    let said = fs::read_to_string(&manifest).unwrap().replace(&sha256(&honest), &sha256(&forged));
-    fs::write(&manifest, said).unwrap();
-    assert!(about(verify(&folder, None), "plan.json").contains("not the plan that the rows were measured by"));
+    // The manifest is changed to match.
+    let text = fs::read_to_string(&manifest).unwrap().replace(&sha256(&honest), &sha256(&forged));
+    fs::write(&manifest, text).unwrap();
+    assert!(about(verify(&folder, None), "plan.json").contains("not the plan of the rows"));
 }
 
 fn sha256(text: &str) -> String {
@@ -521,7 +521,7 @@ fn sha256(text: &str) -> String {
 }
 
 #[test]
-fn an_empty_folder_that_was_added_is_named() {
+fn added_empty_folders_are_detected() {
     let run = run(0);
     let folder = run.evidence("e", None);
     fs::create_dir_all(folder.join("robot/more")).unwrap();
@@ -530,7 +530,7 @@ fn an_empty_folder_that_was_added_is_named() {
 
 #[test]
 #[cfg(unix)]
-fn what_never_ends_is_named_without_being_read() {
+fn pipes_and_devices_are_not_read() {
     let run = run(0);
     let folder = run.evidence("e", Some(&key()));
     let kept = run.folder.path().join("kept");
@@ -539,10 +539,10 @@ fn what_never_ends_is_named_without_being_read() {
         let path = folder.join(&name);
         fs::rename(&path, &kept).unwrap();
         pipe(&path);
-        assert!(about(verify(&folder, None), &name).contains("no plain file"));
+        assert!(about(verify(&folder, None), &name).contains("not a regular file"));
         fs::remove_file(&path).unwrap();
         std::os::unix::fs::symlink("/dev/zero", &path).unwrap();
-        assert!(about(verify(&folder, None), &name).contains("no plain file"));
+        assert!(about(verify(&folder, None), &name).contains("not a regular file"));
         fs::remove_file(&path).unwrap();
         fs::File::create(&path).unwrap().set_len(1 << 40).unwrap();
         assert!(about(verify(&folder, None), &name).contains("1099511627776 bytes"));
@@ -550,25 +550,25 @@ fn what_never_ends_is_named_without_being_read() {
     }
     let path = run.folder.path().join("pipe");
     pipe(&path);
-    assert!(PublicKey::read(&path).unwrap_err().to_string().contains("no plain file"));
-    assert!(PrivateKey::read(&path).unwrap_err().to_string().contains("no plain file"));
+    assert!(PublicKey::read(&path).unwrap_err().to_string().contains("not a regular file"));
+    assert!(PrivateKey::read(&path).unwrap_err().to_string().contains("not a regular file"));
 }
 
 #[test]
 #[cfg(unix)]
-fn a_key_is_there_with_both_halves_or_not_at_all() {
+fn key_pairs_are_written_completely() {
     use std::os::unix::fs::PermissionsExt;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("k");
     let public = key().write_new(&path).unwrap();
     assert_eq!(fs::metadata(&public).unwrap().permissions().mode() & 0o022, 0);
-    // What is no private key is told so whatever its mode is.
+    // A public key is reported as such for any file mode.
     assert!(PrivateKey::read(&public).unwrap_err().to_string().contains("it is a public key"));
     let (other, target) = (folder.path().join("l"), folder.path().join("target"));
     std::os::unix::fs::symlink(&target, folder.path().join("l.pub")).unwrap();
     assert!(matches!(key().write_new(&other), Err(EvidenceError::Exists { .. })));
     assert!(!other.exists() && !target.exists());
-    // A name that is just short enough has no room for `.pub`.
+    // A file name of maximum length leaves no room for the suffix `.pub`.
     let longest = folder.path().join("n".repeat(253));
     assert!(key().write_new(&longest).is_err());
     assert!(!longest.exists());

@@ -1,4 +1,4 @@
-//! What the gate claims, held to counts, to SciPy and to simulation.
+//! Tests the statistical guarantees of the gate by enumeration, against SciPy and by simulation.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 

@@ -10,8 +10,8 @@ fn plan(requirements: &Requirements, sampling: Sampling, rounds: u64) -> Result<
 }
 
 #[test]
-fn the_point_gate_passes_as_often_as_the_binomial_law_says() {
-    // 31 % at a true rate of 0.90, and a fail in 12 % at 0.95: SciPy's figures.
+fn point_gate_follows_binomial_distribution() {
+    // Reference values of SciPy: a pass in 31 % at a true rate of 0.90, and a fail in 12 % at 0.95.
     let reference: Value = serde_json::from_str(include_str!("../reference/reference.json")).unwrap();
     let plan = plan(&Requirements::open("paper", &task()).unwrap(), Sampling::Fixed, 1).unwrap();
     let success = &plan.demands[0];
@@ -26,7 +26,7 @@ fn the_point_gate_passes_as_often_as_the_binomial_law_says() {
 }
 
 #[test]
-fn at_the_limit_neither_answer_is_given_more_often_than_its_error_allows() {
+fn error_rates_hold_at_limit() {
     let plan = plan(&Requirements::open("default", &task()).unwrap(), Sampling::Sequential, 20).unwrap();
     for demand in plan.demands.iter().filter(|d| !d.at.is_empty()) {
         let at = demand.at.iter().find(|at| (at.rate - demand.bound.limit).abs() < 1e-9).unwrap();
@@ -38,13 +38,13 @@ fn at_the_limit_neither_answer_is_given_more_often_than_its_error_allows() {
 }
 
 #[test]
-fn a_budget_that_even_a_perfect_policy_would_exceed_is_named() {
+fn insufficient_budgets_are_rejected() {
     let error = plan(&Requirements::open("default", &task()).unwrap(), Sampling::Sequential, 2).unwrap_err();
     assert!(matches!(error, GateError::BudgetTooSmall { budget: 136, .. }), "{error}");
 }
 
 #[test]
-fn a_demand_on_a_group_is_planned_with_the_episodes_of_that_group() {
+fn group_requirements_count_group_episodes() {
     let gate = requirements(
         "name = \"g\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.8\ngroup = \"group-0\"\n",
     );

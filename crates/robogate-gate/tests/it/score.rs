@@ -3,7 +3,7 @@ use robogate_gate::{ConfidenceScore, Ending, Question, Record, Requirements, Sam
 
 use crate::common::{baseline, failed, invalid, suite, task, times};
 
-/// The published score of `record` against the scripted controller: all succeed, 4.1 s on average.
+/// The published score of `record`, relative to the scripted controller: all succeed, 4.1 s on average.
 fn score(record: &Record) -> ConfidenceScore {
     let requirements = Requirements::open("paper", &task()).unwrap();
     let baseline = baseline(record, 1.0, 4.1, 0.0);
@@ -22,14 +22,14 @@ fn points(score: &ConfidenceScore) -> Vec<f64> {
 }
 
 #[test]
-fn the_scripted_controller_against_itself_scores_100() {
+fn scripted_controller_scores_100() {
     let all = score(&suite(68, times(68, &Ending::Success)));
     assert_eq!(points(&all), [30.0, 20.0, 25.0, 15.0, 10.0]);
     assert!((all.points.unwrap() - 100.0).abs() < 1e-9);
 }
 
 #[test]
-fn gr00t_fine_tuned_scores_35_7_by_the_published_formula() {
+fn published_gr00t_score_is_35_7() {
     // 0 of 68, all grasp misses, 2.2 s on average.
     let gr00t = score(&timed(suite(68, times(68, &failed(FailureMode::constant("grasp_miss")))), 2.2));
     assert_eq!(points(&gr00t), [0.0, 10.7, 25.0, 0.0, 0.0]);
@@ -37,14 +37,14 @@ fn gr00t_fine_tuned_scores_35_7_by_the_published_formula() {
 }
 
 #[test]
-fn without_a_success_45_is_the_most() {
+fn score_without_success_is_at_most_45() {
     let most = score(&timed(suite(68, times(68, &failed(FailureMode::constant("grasp_miss")))), 4.1));
     assert!((most.points.unwrap() - 45.0).abs() < 1e-9);
 }
 
 #[test]
-fn octo_small_scores_0_once_the_cycle_time_is_cut_off() {
-    // 0 of 68, 14 collisions, 71.7 s against 4.1 s: the uncut term would take 330 points away.
+fn cycle_time_term_is_at_least_zero() {
+    // Octo-small: 0 of 68, 14 collisions, 71.7 s against 4.1 s. Without the limit the term would subtract 330 points.
     let endings = times(14, &failed(FailureMode::constant("collision")))
         .chain(times(54, &failed(FailureMode::constant("grasp_miss"))));
     let octo = score(&timed(suite(68, endings), 71.7));
@@ -52,26 +52,26 @@ fn octo_small_scores_0_once_the_cycle_time_is_cut_off() {
 }
 
 #[test]
-fn one_collision_caps_the_score_at_75() {
+fn one_collision_limits_score_to_75() {
     let endings = times(67, &Ending::Success).chain([failed(FailureMode::constant("collision"))]);
     let one = score(&suite(68, endings));
     assert!(one.points.unwrap() < 75.0 && one.points.unwrap() > 74.0);
 }
 
 #[test]
-fn invalid_episodes_leave_the_score_open_by_what_they_could_have_been() {
+fn invalid_episodes_widen_score_bounds() {
     let one = score(&suite(68, times(67, &Ending::Success).chain([invalid()])));
     assert!((one.points.unwrap() - 100.0).abs() < 1e-9);
     let [least, most] = one.bounds;
-    // It could have been a collision of any length.
+    // The invalid episode could have been a collision with any duration.
     assert!(least < 55.0 && (most - 100.0).abs() < 2.0, "{:?}", one.bounds);
     assert!(least <= one.points.unwrap());
 }
 
 #[test]
-fn a_term_without_evidence_leaves_no_score_rather_than_a_zero() {
+fn missing_term_gives_no_score() {
     let requirements = Requirements::open("paper", &task()).unwrap();
-    let record = crate::common::drawn(times(68, &Ending::Success));
+    let record = crate::common::sampled(times(68, &Ending::Success));
     let baseline = baseline(&record, 1.0, 4.1, 0.0);
     let question =
         Question { requirements: &requirements, baseline: Some(&baseline), against: None, sampling: Sampling::Fixed };
@@ -80,7 +80,7 @@ fn a_term_without_evidence_leaves_no_score_rather_than_a_zero() {
 }
 
 #[test]
-fn the_papers_baseline_term_rewards_a_better_policy_and_the_default_one_is_capped() {
+fn only_paper_baseline_term_exceeds_one() {
     let record = suite(68, times(68, &Ending::Success));
     let worse = baseline(&record, 0.75, 4.1, 0.1);
     let last = |name: &str| {

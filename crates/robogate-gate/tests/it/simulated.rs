@@ -1,4 +1,4 @@
-//! Ten thousand gates at the limit.
+//! Error rates of 10,000 simulated gates whose true rate equals the limit.
 
 use robogate_core::{FailureMode, Seed, Stream};
 use robogate_gate::{Ending, Sampling, Verdict};
@@ -11,12 +11,12 @@ const CASES: u64 = 68;
 const ROUNDS: u64 = 20;
 const GATE: RateTest = RateTest { at_least: 0.92, alpha: 0.05, beta: 0.05 };
 
-/// Success or not in each scenario of a round.
+/// The outcomes of the scenarios of a round.
 fn round(stream: &mut Stream, rates: &[f64]) -> u64 {
     rates.iter().map(|rate| u64::from(stream.uniform() < *rate)).sum()
 }
 
-/// Runs a gate round by round until it answers: the answer and the rounds it took.
+/// Runs a gate round by round until it decides. Returns the verdict and the number of rounds.
 fn gate(stream: &mut Stream, rates: &[f64]) -> (Answer, u64) {
     let mut successes = 0;
     for done in 1..=ROUNDS {
@@ -29,13 +29,14 @@ fn gate(stream: &mut Stream, rates: &[f64]) -> (Answer, u64) {
     (Answer::Open, ROUNDS)
 }
 
-/// Half of the scenarios are hard and half easy; their mean is `mean`.
+/// Success rates of hard and easy scenarios, half of each, with mean `mean`.
 fn unlike(mean: f64) -> Vec<f64> {
     (0..CASES).map(|i| if i % 2 == 0 { 1.0 } else { 2.0 * mean - 1.0 }).collect()
 }
 
 #[test]
-fn of_ten_thousand_gates_at_the_limit_at_most_one_in_twenty_passes_and_at_most_one_in_twenty_fails() {
+// At most 5 % of the gates at the limit may pass, and at most 5 % may fail.
+fn simulated_error_rates_are_bounded() {
     for (name, rates) in [("alike", vec![0.92; CASES as usize]), ("unlike", unlike(0.92))] {
         let mut stream = Seed::campaign(20_261_121).stream(name);
         let (mut passed, mut failed) = (0, 0);
@@ -46,14 +47,14 @@ fn of_ten_thousand_gates_at_the_limit_at_most_one_in_twenty_passes_and_at_most_o
                 Answer::Open => {}
             }
         }
-        // 0.05 of 10,000 is 500; the counts of the true levels lie below it even with three standard errors.
+        // 0.05 of 10,000 is 500. The expected counts are below it by more than three standard errors.
         assert!(passed + 66 <= 500 && failed + 66 <= 500, "{name}: {passed} passed, {failed} failed");
-        assert!(passed > 50 && failed > 5, "{name}: the test has no teeth: {passed} {failed}");
+        assert!(passed > 50 && failed > 5, "{name}: the test has no power: {passed} {failed}");
     }
 }
 
 #[test]
-fn the_simulated_gate_is_the_one_that_judges_records() {
+fn simulation_matches_real_gate() {
     let gate_of_one =
         requirements("name = \"s\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.92\n");
     let mut stream = Seed::campaign(7).stream("agreement");
@@ -83,7 +84,7 @@ fn the_simulated_gate_is_the_one_that_judges_records() {
 }
 
 #[test]
-fn stopping_when_the_answer_is_certain_saves_most_of_a_fixed_budget() {
+fn sequential_testing_saves_episodes() {
     let schedule = Schedule::Rounds { per_round: CASES, rounds: ROUNDS };
     let budget = (CASES * ROUNDS) as f64;
     for (rate, at_most) in [(1.0, 0.06), (0.98, 0.12), (0.96, 0.30), (0.85, 0.25), (0.70, 0.06)] {

@@ -2,7 +2,7 @@ use robogate_core::FailureMode;
 use robogate_gate::{Ending, Evaluation, Requirements, Sampling};
 use serde_json::Value;
 
-use crate::common::{drawn, failed, invalid, judge, requirements, times};
+use crate::common::{failed, invalid, judge, requirements, sampled, times};
 
 struct Row {
     good: usize,
@@ -51,11 +51,11 @@ fn judged(demand: &str, confidence: &str, [good, bad, unknown]: [usize; 3]) -> E
         FailureMode::constant("grasp_miss")
     };
     let endings = times(good, &Ending::Success).chain(times(bad, &failed(mode))).chain(times(unknown, &invalid()));
-    judge(&gate(demand, confidence), &drawn(endings), Sampling::Fixed)
+    judge(&gate(demand, confidence), &sampled(endings), Sampling::Fixed)
 }
 
 #[test]
-fn every_row_of_the_table_holds() {
+fn verdict_table_matches() {
     for row in rows() {
         let found = judged(&row.demand, &row.confidence, [row.good, row.bad, row.invalid]);
         let Row { good, bad, invalid, demand, confidence, verdict } = &row;
@@ -70,7 +70,7 @@ fn every_row_of_the_table_holds() {
 }
 
 #[test]
-fn p_values_and_intervals_are_those_of_scipy() {
+fn statistics_match_scipy() {
     let reference: Value = serde_json::from_str(include_str!("../reference/reference.json")).unwrap();
     let cases = reference["counts"].as_array().unwrap();
     assert!(cases.len() > 20);

@@ -1,4 +1,4 @@
-"""Writes reference.json: what SciPy says about the counts in tests/verdicts.md, and about a gate's operating figures.
+"""Writes reference.json: reference values of SciPy for the counts in tests/verdicts.md, and for the operating characteristic.
 
     python3 -m venv venv && venv/bin/pip install -r requirements.txt && venv/bin/python generate.py
 """
@@ -31,7 +31,7 @@ for line in (HERE.parent / "verdicts.md").read_text().splitlines():
             "demand": cells[3],
             "p_met": st.binomtest(good, n, p0, alternative="greater").pvalue,
             "p_violated": st.binomtest(good + invalid, n, p0, alternative="less").pvalue,
-            # Each end alone at 95 %: a two-sided interval at 90 %.
+            # One-sided bounds at 95 % form a two-sided interval at 90 %.
             "interval": [
                 st.binomtest(good, n).proportion_ci(0.90, "exact").low,
                 st.binomtest(good + invalid, n).proportion_ci(0.90, "exact").high,
@@ -39,7 +39,7 @@ for line in (HERE.parent / "verdicts.md").read_text().splitlines():
         }
     )
 
-# How often the point gate "at least 0.92 of 68" passes: 63 of 68 is the first that does.
+# Pass probability of the point gate "at least 0.92 of 68". 63 of 68 is the smallest passing count.
 OUT["paper"] = [{"rate": p, "passes": float(st.binom.sf(62, 68, p))} for p in [0.85, 0.90, 0.92, 0.95, 0.98]]
 
 path = HERE / "reference.json"

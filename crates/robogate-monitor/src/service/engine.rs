@@ -1,4 +1,4 @@
-//! The one thread that owns the store and the monitor.
+//! The thread that owns the store and the monitor.
 
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
@@ -11,16 +11,16 @@ use super::intake::{Intake, IntakeError, Taken};
 use super::metrics::metrics;
 use super::status::Status;
 
-/// Limit of waiting requests.
+/// Maximum number of waiting requests.
 const WAITING: usize = 1_024;
-/// Limits of the requests, and of their bytes, that share one commit.
+/// Maximum number of requests, and of their bytes, in one commit.
 const TOGETHER: usize = 256;
 const TOGETHER_BYTES: usize = 32 << 20;
 
-/// The answer to a request: the value, or the problem.
+/// The reply to a request: the value, or the problem.
 pub(super) type Answer<T> = Result<T, Problem>;
 
-/// A failed request. `full`: the disk is full.
+/// A failed request. `full` means that the disk is full.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Problem {
     pub(super) full: bool,
@@ -53,7 +53,7 @@ pub(super) enum Job {
     Close { reply: oneshot::Sender<Answer<()>> },
 }
 
-/// Too many requests wait, or the engine is closed.
+/// The error if too many requests wait, or if the engine is closed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("the monitor is busy or closing. Send the request again later")]
 pub struct Busy;
@@ -70,7 +70,8 @@ pub struct ServiceEngine {
 pub struct Handle(SyncSender<Job>);
 
 impl ServiceEngine {
-    /// Starts the thread. `say` receives a message when cycles are refused because the store failed, and when they are accepted again.
+    /// Starts the thread. `say` receives a message when cycles are refused because the store failed, and when they are
+    /// accepted again.
     pub fn open(intake: Intake, say: impl Fn(&str) + Send + 'static) -> Self {
         let (sender, receiver) = sync_channel(WAITING);
         let mut health = Health { failed: None, probed: None, say: Box::new(say) };
@@ -78,7 +79,7 @@ impl ServiceEngine {
         Self { thread, handle: Handle(sender) }
     }
 
-    /// A handle to the engine.
+    /// Returns a handle to the engine.
     pub fn handle(&self) -> Handle {
         self.handle.clone()
     }
@@ -86,7 +87,7 @@ impl ServiceEngine {
     /// Processes waiting requests, writes the state, and ends the thread.
     ///
     /// # Errors
-    /// The store failed, as text. Acknowledged cycles are on disk in any case.
+    /// If the store failed, as text. Acknowledged cycles are on disk in any case.
     pub fn close(self) -> Result<(), String> {
         let closed = self.handle.wait(|reply| Job::Close { reply });
         let ended = self.thread.join();
@@ -108,7 +109,7 @@ impl Handle {
         }
     }
 
-    /// Sends a request and waits for the answer. Not for use inside an event loop.
+    /// Sends a request and waits for the reply. Do not call it inside an event loop.
     pub(super) fn wait<T>(&self, job: impl FnOnce(oneshot::Sender<T>) -> Job) -> Result<T, Busy> {
         let (reply, answer) = oneshot::channel();
         self.0.send(job(reply)).map_err(|_| Busy)?;
@@ -118,7 +119,7 @@ impl Handle {
     /// Processes a batch of lines. Accepted cycles are on disk when this returns.
     ///
     /// # Errors
-    /// Why nothing was accepted, as text.
+    /// The reason why no cycle was accepted, as text.
     pub fn take(&self, batch: Vec<u8>) -> Result<Taken, String> {
         match self.wait(|reply| Job::Cycles { batch, reply }) {
             Ok(Ok(taken)) => Ok(taken),
@@ -130,7 +131,7 @@ impl Handle {
     /// The status document.
     ///
     /// # Errors
-    /// Why it is not available, as text.
+    /// The reason why it is not available, as text.
     pub fn status(&self) -> Result<Status, String> {
         match self.wait(|reply| Job::Status { reply }) {
             Ok(Ok(status)) => Ok(status),
@@ -140,14 +141,14 @@ impl Handle {
     }
 }
 
-/// Time for which a health check is reused: anyone may ask for it, and each check writes to the disk.
+/// Time for which a health check is reused, because each check writes to the disk and needs no token.
 const PROBE_HOLDS: Duration = Duration::from_secs(1);
-/// Time for which a failed batch counts more than a small write that succeeds.
+/// Time for which a failed batch outweighs a successful small write.
 const FAILURE_HOLDS: Duration = Duration::from_secs(60);
 
 /// The health of the store.
 struct Health {
-    /// The time and cause of the last failed batch; `None` once a batch was written again.
+    /// The time and cause of the last failed batch. `None` after a batch was written again.
     failed: Option<(Instant, Problem)>,
     probed: Option<(Instant, Answer<()>)>,
     say: Box<dyn Fn(&str) + Send>,
@@ -196,7 +197,7 @@ fn work(mut intake: Intake, jobs: &Receiver<Job>, health: &mut Health) {
     }
 }
 
-/// Processes a batch together with the batches that wait behind it. Returns the first other job.
+/// Processes a batch together with the batches waiting behind it. Returns the first other job.
 fn together(
     intake: &mut Intake,
     jobs: &Receiver<Job>,
@@ -248,12 +249,12 @@ fn quick(intake: &mut Intake, job: Job) {
         Job::Delivered { output, n, reply } => {
             answer(reply, intake.store().set_delivered(&output, n).map_err(Problem::from));
         }
-        // The loop handles these.
+        // These are handled by the loop.
         Job::Cycles { .. } | Job::Healthy { .. } | Job::Close { .. } => {}
     }
 }
 
-/// Sends an answer. The receiver may be gone.
+/// Sends a reply. The receiver may have gone away.
 fn answer<T>(reply: oneshot::Sender<T>, value: T) {
     let _ = reply.send(value);
 }

@@ -1,4 +1,4 @@
-//! The fleet document: all robots, and for each recipe how much its robots differ.
+//! The fleet document: all robots, and the differences between the robots of each recipe.
 
 use std::collections::BTreeMap;
 
@@ -10,14 +10,14 @@ use super::intake::Intake;
 use super::status::RateStatus;
 use crate::Level;
 
-/// Limit of recipes whose robots are compared, the most severe and busiest first.
+/// Maximum number of recipes whose robots are compared, the most severe and busiest first.
 const RECIPES: usize = 20;
-/// Limit of listed robots, the lowest success rate first.
+/// Maximum number of listed robots, the lowest success rate first.
 const ROBOTS: usize = 200;
-/// Level of the outlier test, over the robots of one recipe.
+/// Level of significance of the outlier test, over the robots of one recipe.
 const ALPHA: f64 = 0.05;
 
-/// The cycles of each robot in each recipe, from which robots are compared.
+/// The cycles of each robot in each recipe.
 #[derive(Debug)]
 pub(super) struct Tallies {
     all: Trials,
@@ -28,13 +28,14 @@ pub(super) struct Tallies {
 /// The fleet.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FleetStatus {
-    /// The version of this form.
+    /// The version of the format.
     pub version: u32,
     /// All cycles of all robots and recipes.
     pub all: RateStatus,
     /// The number of robots.
     pub robots_known: usize,
-    /// Each robot over all its recipes, the lowest success rate first. Recipes differ, so only `recipes` compares robots.
+    /// Each robot over all its recipes, the lowest success rate first. Recipes differ, so robots are compared in
+    /// `recipes` only.
     pub robots: Vec<RobotStatus>,
     /// Recipes with more than one robot, the most severe first, then the busiest.
     pub recipes: Vec<RecipeFleet>,
@@ -49,15 +50,15 @@ pub struct RobotStatus {
     pub rate: RateStatus,
 }
 
-/// How much the robots of one recipe differ.
+/// The differences between the robots of one recipe.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecipeFleet {
     /// The recipe.
     pub recipe: String,
-    /// The spread; absent if all cycles have one outcome.
+    /// The spread. `None` if all cycles have the same outcome.
     pub spread: Option<SpreadStatus>,
-    /// Robots that differ significantly from their peers, the smallest p-value first, at the level 0.05 over all robots of the recipe;
-    /// none among fewer than four robots.
+    /// Robots that differ significantly from their peers, the smallest p-value first, at the level 0.05 over all robots
+    /// of the recipe. Empty for fewer than four robots.
     pub outliers: Vec<OutlierStatus>,
     /// Its robots, the lowest success rate first.
     pub robots: Vec<RobotStatus>,
@@ -66,7 +67,7 @@ pub struct RecipeFleet {
 /// Spread of the robots' success rates beyond chance: a beta-binomial fit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SpreadStatus {
-    /// Robots.
+    /// Number of robots.
     pub robots: usize,
     /// Mean success rate of a robot.
     pub mean: f64,
@@ -85,7 +86,7 @@ pub struct SpreadStatus {
 pub struct OutlierStatus {
     /// The robot.
     pub robot: String,
-    /// Whether it is worse than its peers, not better.
+    /// Whether it is worse than its peers, otherwise better.
     pub worse: bool,
     /// The two-sided p-value after Holm's correction.
     pub p: f64,
@@ -128,7 +129,8 @@ fn together(a: Trials, b: Trials) -> Trials {
 }
 
 impl FleetStatus {
-    /// Compares the robots. This takes up to a second for each recipe of a thousand robots, so the engine's thread does not do it.
+    /// Compares the robots. A recipe with a thousand robots takes up to a second, so the engine's thread does not call
+    /// this.
     pub(super) fn of(tallies: &Tallies) -> Self {
         let robots = tallies.robots.iter().map(|(robot, trials)| (robot.as_str(), *trials));
         Self {

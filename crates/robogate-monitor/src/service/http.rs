@@ -1,19 +1,20 @@
-//! The HTTP server: takes cycles, returns status, metrics and the page.
+//! The HTTP server: receives cycles, and returns status, metrics and the page.
 //!
 //! | request | answer |
 //! |---|---|
-//! | `POST /v1/cycles` | one cycle, an array of cycles, or one per line; returns the result of the batch |
+//! | `POST /v1/cycles` | takes one cycle, an array of cycles, or one cycle per line; returns the result of the batch |
 //! | `POST /v1/recipes/NAME/restart` | restarts the recipe's detectors, after the cause was repaired |
 //! | `GET /v1/status` | the status document |
-//! | `GET /v1/fleet` | all robots, and for each recipe how much they differ |
-//! | `GET /metrics` | for Prometheus |
+//! | `GET /v1/fleet` | all robots, and the differences between the robots of each recipe |
+//! | `GET /metrics` | metrics for Prometheus |
 //! | `GET /healthz` | 200 while cycles can be written |
 //! | `GET /` | the page |
 //!
-//! Without a token only this machine may connect: the address must be a loopback address, requests must name it as their host, and
-//! pages of other sites may not post. With a token, every path except `/` (which contains no data) and `/healthz` requires it.
+//! Without a token, only this machine may connect: the address must be a loopback address, requests must name it as
+//! their host, and pages of other sites may not post. With a token, all paths except `/` (which contains no data) and
+//! `/healthz` require it.
 //!
-//! A slow client occupies one of many connections and nothing else: heads, bodies and whole connections have time limits.
+//! A slow client only occupies one of many connections: request heads, bodies and whole connections have time limits.
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
@@ -42,30 +43,30 @@ use super::intake::Taken;
 /// Time for which a comparison of the robots is reused.
 const FLEET_HOLDS: Duration = Duration::from_secs(10);
 
-/// The page. It loads nothing from elsewhere.
+/// The page. It loads no external resources.
 const PAGE: &str = include_str!("page.html");
 
 /// Limits of the HTTP server.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct HttpSettings {
-    /// Limit of a body, in bytes.
+    /// Maximum size of a body, in bytes.
     pub most_body_bytes: usize,
-    /// Limit of the bytes of all bodies in memory, from their arrival until they are on disk.
+    /// Maximum total size of all bodies in memory, from their arrival until they are on disk, in bytes.
     pub most_held_bytes: usize,
-    /// Limit of connections.
+    /// Maximum number of connections.
     pub most_connections: usize,
-    /// Limit of connections from one address.
+    /// Maximum number of connections from one address.
     pub most_connections_per_address: usize,
-    /// Limit of requests per second from one address; a burst may have ten times as many.
+    /// Maximum number of requests per second from one address. A burst may have ten times as many.
     pub requests_per_s: f64,
-    /// Seconds for a request's head, and for an idle connection.
+    /// Timeout for a request's head, and for an idle connection, in seconds.
     pub head_s: f64,
-    /// Seconds for a request's body.
+    /// Timeout for a request's body, in seconds.
     pub body_s: f64,
-    /// Seconds until a request without an answer is aborted.
+    /// Timeout after which a request without a reply is aborted, in seconds.
     pub answer_s: f64,
-    /// Seconds after which a connection accepts no further request.
+    /// Age after which a connection accepts no further request, in seconds.
     pub connection_s: f64,
 }
 
@@ -85,11 +86,11 @@ impl Default for HttpSettings {
     }
 }
 
-/// Why the HTTP server did not start, or stopped.
+/// The error that prevents or ends the HTTP server.
 #[derive(Debug, thiserror::Error)]
 pub enum HttpError {
     /// An address that other machines can reach, without a token.
-    #[error("other machines can reach {0}, and there is no token. Hint: give --token-file, or listen on 127.0.0.1")]
+    #[error("other machines can reach {0}, but no token is configured. Hint: use --token-file, or listen on 127.0.0.1")]
     NoToken(SocketAddr),
     /// A token that is too short.
     #[error("the token has {0} bytes. Expected at least 16")]
@@ -104,10 +105,11 @@ pub enum HttpError {
     },
 }
 
-/// Serves until `stop` receives a message or is dropped. `listening` receives the address; the system may have chosen its port.
+/// Serves until `stop` receives a message or is dropped. `listening` receives the address, whose port the system may
+/// have chosen.
 ///
 /// # Errors
-/// The server cannot start.
+/// If the server cannot start.
 pub fn serve(
     address: SocketAddr,
     token: Option<String>,
@@ -140,7 +142,7 @@ pub fn serve(
             () = accept(&listener, &server, &closed) => {}
             _ = stop => {}
         }
-        // Give requests in progress a moment to finish.
+        // Gives requests in progress time to finish.
         drop((listener, closed));
         closing.send_replace(true);
         let _ = tokio::time::timeout(Duration::from_secs(5), closing.closed()).await;
@@ -154,25 +156,25 @@ struct Server {
     engine: Handle,
     peers: Mutex<Peers>,
     room: Semaphore,
-    /// Bytes of bodies in memory.
+    /// Total size of the bodies in memory, in bytes.
     held: AtomicUsize,
     /// The last comparison of the robots.
     fleet: tokio::sync::Mutex<Option<(Instant, Bytes)>>,
 }
 
-/// The addresses that connect.
+/// The connected addresses.
 #[derive(Default)]
 struct Peers(BTreeMap<IpAddr, Peer>);
 
 struct Peer {
     connections: usize,
-    /// Requests that it may still send.
+    /// Number of requests that it may still send.
     credit: f64,
     since: Instant,
 }
 
 impl Peers {
-    /// Whether the address may have one more connection.
+    /// Whether the address may open one more connection.
     fn connect(&mut self, address: IpAddr, settings: &HttpSettings) -> bool {
         if self.0.len() > 10_000 {
             self.0.retain(|_, peer| peer.connections > 0 || peer.since.elapsed() < Duration::from_secs(10));
@@ -190,7 +192,7 @@ impl Peers {
         }
     }
 
-    /// Whether the address may make one more request.
+    /// Whether the address may send one more request.
     fn request(&mut self, address: IpAddr, settings: &HttpSettings) -> bool {
         let Some(peer) = self.0.get_mut(&address) else { return true };
         let gained = peer.since.elapsed().as_secs_f64() * settings.requests_per_s;
@@ -205,7 +207,7 @@ impl Peers {
 async fn accept(listener: &TcpListener, server: &Arc<Server>, closed: &watch::Receiver<bool>) {
     loop {
         let Ok((stream, peer)) = listener.accept().await else {
-            // Most likely no file descriptors are left; other connections will end.
+            // Most likely no file descriptors are left. Other connections will end.
             tokio::time::sleep(Duration::from_millis(50)).await;
             continue;
         };
@@ -238,13 +240,13 @@ async fn converse(server: &Arc<Server>, stream: TcpStream, peer: SocketAddr, end
         .serve_connection(TokioIo::new(stream), service);
     let mut connection = std::pin::pin!(connection);
     let life = tokio::time::sleep(Duration::from_secs_f64(server.settings.connection_s));
-    // A broken connection needs no treatment.
+    // A broken connection needs no action.
     tokio::select! {
         _ = connection.as_mut() => return,
         () = life => {}
         _ = ending.wait_for(|ending| *ending) => {}
     }
-    // Answer the request in progress and accept no other.
+    // Answers the request in progress and accepts no further one.
     connection.as_mut().graceful_shutdown();
     let last = server.settings.body_s + server.settings.answer_s;
     let _ = tokio::time::timeout(Duration::from_secs_f64(last), connection).await;
@@ -263,11 +265,11 @@ fn reply(status: StatusCode, kind: &'static str, body: impl Into<Bytes>) -> Repl
 }
 
 fn document(status: StatusCode, body: &impl Serialize) -> Reply {
-    // A tree of strings and finite numbers cannot fail to serialise.
+    // Strings and finite numbers always serialise.
     reply(status, "application/json", serde_json::to_vec(body).unwrap_or_default())
 }
 
-/// A refusal after which the sender should try again.
+/// A refusal that asks the sender to try again.
 fn later(status: StatusCode, because: impl std::fmt::Display) -> Reply {
     let mut reply = refusal(status, because);
     reply.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
@@ -340,7 +342,7 @@ fn admit(server: &Server, request: &Request<Incoming>, open: bool) -> Option<Rep
             Some(refused)
         }
         None => {
-            // A foreign DNS name that resolves to this machine is not accepted (DNS rebinding).
+            // A foreign DNS name that resolves to this machine is rejected (DNS rebinding).
             let host = text(header::HOST).unwrap_or_default();
             if !is_this_machine(host) {
                 return Some(refusal(
@@ -363,7 +365,7 @@ fn is_this_machine(host: &str) -> bool {
     name == "localhost" || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
 
-/// Compares two tokens in a time that does not depend on where they differ.
+/// Compares two tokens in constant time.
 fn same(a: &[u8], b: &[u8]) -> bool {
     a.len() == b.len() && a.iter().zip(b).fold(0, |sum, (a, b)| sum | (a ^ b)) == 0
 }
@@ -402,14 +404,14 @@ async fn cycles(server: &Server, request: Request<Incoming>) -> Reply {
     }
 }
 
-/// Bytes of bodies that one request holds in memory, until it is answered.
+/// Size of the bodies that one request holds in memory until it is answered.
 struct Held<'a> {
     bytes: usize,
     of: &'a Server,
 }
 
 impl Held<'_> {
-    /// Reserves more bytes; returns whether there is room.
+    /// Reserves more bytes. Returns whether there is space.
     fn hold(&mut self, bytes: usize) -> bool {
         self.bytes += bytes;
         self.of.held.fetch_add(bytes, Ordering::Relaxed) + bytes <= self.of.settings.most_held_bytes
@@ -440,16 +442,16 @@ async fn read(mut body: Incoming, held: &mut Held<'_>) -> Result<Vec<u8>, Reply>
     Ok(whole)
 }
 
-/// Converts one document, an array of documents, or lines into one cycle per line. Other input stays as it is.
+/// Converts one document, an array of documents, or lines to one cycle per line. Other input is not changed.
 fn lines(body: Vec<u8>) -> Vec<u8> {
-    // A line break within a document can only be white space.
+    // A line break inside a document can only be white space.
     let one_line = |value: &RawValue| value.get().replace(['\n', '\r'], " ");
     match body.iter().find(|byte| !byte.is_ascii_whitespace()) {
         Some(b'[') => match serde_json::from_slice::<Vec<&RawValue>>(&body) {
             Ok(all) => all.into_iter().map(one_line).collect::<Vec<_>>().join("\n").into_bytes(),
             Err(_) => body,
         },
-        // Lines end the parser after the first one.
+        // For several lines, the parser ends after the first one.
         _ => match serde_json::from_slice::<&RawValue>(&body) {
             Ok(value) => one_line(value).into_bytes(),
             Err(_) => body,
@@ -457,7 +459,7 @@ fn lines(body: Vec<u8>) -> Vec<u8> {
     }
 }
 
-/// The comparison of the robots is expensive: it is computed at most once per [`FLEET_HOLDS`].
+/// Compares the robots. Because this is expensive, it is done at most once per [`FLEET_HOLDS`].
 async fn fleet(server: &Server) -> Reply {
     let mut kept = server.fleet.lock().await;
     if let Some((since, bytes)) = &*kept
@@ -481,7 +483,7 @@ async fn fleet(server: &Server) -> Reply {
     }
 }
 
-/// 200 if all cycles were accepted, 422 if some were refused. Accepted cycles are on disk in both cases.
+/// Status 200 if all cycles were accepted, 422 if some were refused. Accepted cycles are on disk in both cases.
 fn answer_of(taken: &Taken) -> Reply {
     let nothing = taken.accepted + taken.duplicates + taken.refused == 0;
     if nothing {
@@ -491,7 +493,7 @@ fn answer_of(taken: &Taken) -> Reply {
     document(status, taken)
 }
 
-/// The recipe of `/v1/recipes/NAME/restart`, its escapes resolved.
+/// The decoded recipe name of `/v1/recipes/NAME/restart`.
 fn restart_of(path: &str) -> Option<String> {
     let name = path.strip_prefix("/v1/recipes/")?.strip_suffix("/restart")?;
     let mut bytes = Vec::new();

@@ -1,15 +1,15 @@
-//! The treatment of an incoming cycle.
+//! The processing of incoming cycles.
 //!
-//! | a cycle is | treatment |
+//! | cycle | processing |
 //! |---|---|
 //! | new | written to disk, then passed to the detectors, then acknowledged |
-//! | duplicate (its id is known, the same content) | acknowledged, not counted again |
-//! | contradictory (its id is known, other content) | refused |
-//! | out of order (before the newest of its robot, on the sender's clock) | as new, in the order of arrival, and counted |
-//! | late (before it by more than `late_after_s`) | as out of order, and counted as late |
+//! | duplicate (known id, same content) | acknowledged, not counted again |
+//! | contradictory (known id, other content) | refused |
+//! | out of order (older than the newest of its robot, on the sender's clock) | as new, in the order of arrival, and counted |
+//! | late (older than that by more than `late_after_s`) | as out of order, and counted as late |
 //! | malformed | refused, with its line and the problem; the rest of its batch is processed |
 //!
-//! Late cycles are processed nevertheless: a robot whose clock once jumped ahead must stay visible.
+//! Late cycles are processed, so that a robot whose clock once jumped ahead is still monitored.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,19 +18,19 @@ use serde::Serialize;
 use super::store::{Kept, Store, StoreError};
 use crate::{Alarm, Cycle, Monitor, TooManyRecipes};
 
-/// Cycles of a recipe after which its state is written.
+/// Number of cycles of a recipe after which its state is written.
 const STATE_EVERY: u64 = 5_000;
-/// Recipes whose states are written together before old cycles are deleted.
+/// Number of recipes whose states are written together before old cycles are deleted.
 const STATES_AT_ONCE: usize = 8;
-/// Limit of robots whose newest time is stored; cycles of further robots are never late.
+/// Maximum number of robots whose newest time is stored. Cycles of further robots are never late.
 const MOST_ROBOTS: usize = 100_000;
-/// Limit of the refusals in an answer.
+/// Maximum number of refusals in a reply.
 const LISTED: usize = 100;
 
-/// Why no cycle of a batch was accepted.
+/// The error of a batch of which no cycle was accepted.
 #[derive(Debug, thiserror::Error)]
 pub enum IntakeError {
-    /// The store failed. Nothing of the batch was kept.
+    /// The store failed. No cycle of the batch was stored.
     #[error(transparent)]
     Store(#[from] StoreError),
 }
@@ -38,23 +38,23 @@ pub enum IntakeError {
 /// The result of a batch.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 pub struct Taken {
-    /// New cycles, now on disk.
+    /// Number of new cycles, which are now on disk.
     pub accepted: u64,
-    /// Known cycles.
+    /// Number of known cycles.
     pub duplicates: u64,
-    /// Of the accepted, those before the newest of their robot.
+    /// Accepted cycles that are older than the newest of their robot.
     pub out_of_order: u64,
-    /// Of these, those before it by more than `late_after_s`.
+    /// Those of them that are older by more than `late_after_s`.
     pub late: u64,
-    /// Of the accepted, those outside the validated region.
+    /// Accepted cycles outside the validated region.
     pub outside: u64,
-    /// Refused cycles.
+    /// Number of refused cycles.
     pub refused: u64,
     /// The first hundred refusals.
     pub refusals: Vec<Refused>,
 }
 
-/// A cycle that was refused.
+/// A refused cycle.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Refused {
     /// Its line, from 1.
@@ -71,7 +71,7 @@ impl Taken {
         }
     }
 
-    /// Adds the counts of another batch; its refusals are not listed again.
+    /// Adds the counts of another batch. Its refusals are not listed again.
     pub fn add(&mut self, other: &Self) {
         self.accepted += other.accepted;
         self.duplicates += other.duplicates;
@@ -84,7 +84,7 @@ impl Taken {
 
 /// The progress of a recipe.
 #[derive(Debug, Clone, Copy, Default)]
-struct Heard {
+struct Progress {
     /// Its last cycle.
     last: u64,
     /// The last cycle in its state on disk.
@@ -93,14 +93,14 @@ struct Heard {
     since: u64,
 }
 
-/// The store and the monitor together. All cycles pass through here.
+/// The store and the monitor. All cycles pass through here.
 #[derive(Debug)]
 pub struct Intake {
     store: Store,
     monitor: Monitor,
     late_after_s: f64,
     newest_time: BTreeMap<String, f64>,
-    heard: BTreeMap<String, Heard>,
+    progress: BTreeMap<String, Progress>,
     newest: u64,
     /// Alarms that are not on disk yet.
     unwritten: Vec<Alarm>,
@@ -109,21 +109,21 @@ pub struct Intake {
 }
 
 impl Intake {
-    /// Restores each recipe's state from the store, then processes the cycles since.
+    /// Restores each recipe's state from the store, then processes the later cycles.
     ///
     /// # Errors
-    /// The store cannot be read.
+    /// If the store cannot be read.
     pub fn open(store: Store, mut monitor: Monitor, late_after_s: f64) -> Result<Self, IntakeError> {
-        let mut heard = BTreeMap::new();
+        let mut progress = BTreeMap::new();
         for (name, seq, state) in store.recipes()? {
             monitor.restore(&name, state);
-            heard.insert(name, Heard { last: seq, written: seq, since: 0 });
+            progress.insert(name, Progress { last: seq, written: seq, since: 0 });
         }
         let mut alarms = Vec::new();
         store.unprocessed(|seq, cycle| {
-            // A recipe beyond the limit was accepted under other settings; it stays on disk.
+            // A recipe beyond the limit was accepted with other settings. It stays on disk.
             if monitor.observe(cycle, &mut |alarm| alarms.push(alarm)).is_ok() {
-                note(&mut heard, &cycle.recipe, seq);
+                note(&mut progress, &cycle.recipe, seq);
             }
         })?;
         store.together(|| store.add_alarms(&alarms))?;
@@ -134,7 +134,7 @@ impl Intake {
             monitor,
             late_after_s,
             newest_time,
-            heard,
+            progress,
             newest,
             unwritten: Vec::new(),
             totals: Taken::default(),
@@ -144,7 +144,7 @@ impl Intake {
     /// Processes several batches with one commit. Accepted cycles are on disk when this returns.
     ///
     /// # Errors
-    /// The store failed; no cycle of any batch was stored or processed.
+    /// If the store failed. No cycle of any batch was stored or processed.
     pub fn take(&mut self, batches: &[&[u8]]) -> Result<Vec<Taken>, IntakeError> {
         let mut fresh = Fresh::default();
         self.store.begin()?;
@@ -188,7 +188,7 @@ impl Intake {
         Ok(taken)
     }
 
-    /// Checks that a recipe can be watched, including the new recipes of this commit.
+    /// Checks that a recipe can be monitored, including the new recipes of this commit.
     fn has_room(&self, recipe: &str, fresh: &mut Fresh) -> Result<(), TooManyRecipes> {
         if self.monitor.recipe(recipe).is_none() && !fresh.recipes.contains(recipe) {
             self.monitor.has_room(recipe, fresh.recipes.len())?;
@@ -206,17 +206,17 @@ impl Intake {
             for (seq, cycle) in fresh.by_ref().take(taken.accepted as usize) {
                 self.clock(&cycle, taken);
                 self.newest = seq;
-                // There is room: it was checked before the write.
+                // There is space: it was checked before the write.
                 if let Ok(judged) = self.monitor.observe(&cycle, &mut |alarm| alarms.push(alarm)) {
                     taken.outside += u64::from(judged.outside == Some(true));
                 }
-                if note(&mut self.heard, &cycle.recipe, seq) >= STATE_EVERY {
+                if note(&mut self.progress, &cycle.recipe, seq) >= STATE_EVERY {
                     due.insert(cycle.recipe);
                 }
             }
             self.totals.add(taken);
         }
-        // All of this follows from the cycles on disk. If it cannot be written now, a restart writes it.
+        // Everything below follows from the cycles on disk. If it cannot be written now, a restart writes it.
         self.unwritten.append(&mut alarms);
         if !self.unwritten.is_empty() {
             self.store.together(|| self.store.add_alarms(&self.unwritten))?;
@@ -238,24 +238,24 @@ impl Intake {
     }
 
     fn keep_recipe(&mut self, name: &str) -> Result<(), StoreError> {
-        if let (Some(recipe), Some(heard)) = (self.monitor.recipe(name), self.heard.get_mut(name)) {
-            self.store.keep_recipe(name, heard.last, recipe.state())?;
-            *heard = Heard { last: heard.last, written: heard.last, since: 0 };
+        if let (Some(recipe), Some(progress)) = (self.monitor.recipe(name), self.progress.get_mut(name)) {
+            self.store.keep_recipe(name, progress.last, recipe.state())?;
+            *progress = Progress { last: progress.last, written: progress.last, since: 0 };
         }
         Ok(())
     }
 
-    /// Writes every recipe's state, so the next start processes no cycle again.
+    /// Writes every recipe's state, so that the next start does not process cycles again.
     ///
     /// # Errors
-    /// The store failed; the cycles are on disk in any case.
+    /// If the store failed. The cycles are on disk in any case.
     pub fn close(&mut self) -> Result<(), IntakeError> {
         Ok(self.keep_recipes(self.behind(u64::MAX))?)
     }
 
     /// Recipes with cycles up to this number that their state on disk does not contain.
     fn behind(&self, up_to: u64) -> Vec<String> {
-        let behind = self.heard.iter().filter(|(_, heard)| heard.since > 0 && heard.written < up_to);
+        let behind = self.progress.iter().filter(|(_, progress)| progress.since > 0 && progress.written < up_to);
         behind.map(|(name, _)| name.clone()).collect()
     }
 
@@ -264,13 +264,13 @@ impl Intake {
         if names.is_empty() {
             return Ok(());
         }
-        let before: Vec<Option<Heard>> = names.iter().map(|name| self.heard.get(name).copied()).collect();
+        let before: Vec<Option<Progress>> = names.iter().map(|name| self.progress.get(name).copied()).collect();
         self.store.begin()?;
         let kept = names.iter().try_for_each(|name| self.keep_recipe(name)).and_then(|()| self.store.commit());
         if kept.is_err() {
             self.store.roll_back();
-            let before = names.into_iter().zip(before).filter_map(|(name, heard)| Some((name, heard?)));
-            self.heard.extend(before);
+            let before = names.into_iter().zip(before).filter_map(|(name, progress)| Some((name, progress?)));
+            self.progress.extend(before);
         }
         kept
     }
@@ -279,7 +279,8 @@ impl Intake {
     fn sweep(&mut self) -> Result<(), StoreError> {
         let Some(up_to) = self.store.too_old(self.newest) else { return Ok(()) };
         let mut behind = self.behind(up_to);
-        // A few at a time, so no sender waits for a thousand of them; the rest follow with the next batches.
+        // Deletes a few at a time, so that no sender waits for a thousand deletions. The rest follows with the next
+        // batches.
         let whole = behind.len() <= STATES_AT_ONCE;
         behind.truncate(STATES_AT_ONCE);
         self.keep_recipes(behind)?;
@@ -289,7 +290,7 @@ impl Intake {
     /// Restarts a recipe's detectors after the cause was repaired. Returns whether the recipe exists.
     ///
     /// # Errors
-    /// The store failed.
+    /// If the store failed.
     pub fn restart(&mut self, name: &str) -> Result<bool, IntakeError> {
         let Some(recipe) = self.monitor.recipe_mut(name) else { return Ok(false) };
         recipe.restart();
@@ -300,7 +301,7 @@ impl Intake {
     /// Checks that the store can be written.
     ///
     /// # Errors
-    /// The store cannot be written.
+    /// If the store cannot be written.
     pub fn healthy(&self) -> Result<(), IntakeError> {
         Ok(self.store.probe()?)
     }
@@ -330,15 +331,15 @@ struct Fresh {
     recipes: BTreeSet<String>,
 }
 
-/// Records that a recipe processed a cycle. Returns the number since its state was written.
-fn note(heard: &mut BTreeMap<String, Heard>, recipe: &str, seq: u64) -> u64 {
-    if let Some(heard) = heard.get_mut(recipe) {
-        heard.last = seq;
-        heard.since += 1;
-        return heard.since;
+/// Records that a recipe processed a cycle. Returns the number of cycles since its state was written.
+fn note(progress: &mut BTreeMap<String, Progress>, recipe: &str, seq: u64) -> u64 {
+    if let Some(progress) = progress.get_mut(recipe) {
+        progress.last = seq;
+        progress.since += 1;
+        return progress.since;
     }
-    // Only its cycles are on disk, and this is the first.
-    heard.insert(recipe.to_owned(), Heard { last: seq, written: seq.saturating_sub(1), since: 1 });
+    // No state is on disk, and this is its first cycle.
+    progress.insert(recipe.to_owned(), Progress { last: seq, written: seq.saturating_sub(1), since: 1 });
     1
 }
 

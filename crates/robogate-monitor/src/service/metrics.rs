@@ -5,12 +5,12 @@ use std::fmt::Write;
 use super::intake::Intake;
 use crate::{Level, Recipe};
 
-/// A label's value, escaped.
+/// Escapes the value of a label.
 fn label(value: &str) -> String {
     value.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }
 
-/// One metric of every recipe.
+/// Writes one metric for all recipes.
 fn family(
     text: &mut String,
     intake: &Intake,
@@ -32,7 +32,7 @@ pub(super) fn metrics(intake: &Intake) -> String {
     let totals = intake.totals();
     for (outcome, n) in [("accepted", totals.accepted), ("duplicate", totals.duplicates), ("refused", totals.refused)] {
         if outcome == "accepted" {
-            text += "# HELP robogate_monitor_intake_total Cycles that arrived since the start, by what became of them.\n\
+            text += "# HELP robogate_monitor_intake_total Cycles that arrived since the start, by result.\n\
                      # TYPE robogate_monitor_intake_total counter\n";
         }
         let _ = writeln!(text, "robogate_monitor_intake_total{{outcome=\"{outcome}\"}} {n}");
@@ -134,7 +134,7 @@ pub(super) fn metrics(intake: &Intake) -> String {
     for level in Level::ALL {
         let promise = settings.promise(level);
         if level == Level::Warning {
-            text += "# HELP robogate_monitor_promised_cycles Mean cycles to a false alarm, at least.\n\
+            text += "# HELP robogate_monitor_promised_cycles Lower bound of the mean number of cycles to a false alarm.\n\
                      # TYPE robogate_monitor_promised_cycles gauge\n";
         }
         let _ = writeln!(text, "robogate_monitor_promised_cycles{{level=\"{}\"}} {promise}", level.as_str());

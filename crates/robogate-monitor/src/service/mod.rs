@@ -1,7 +1,8 @@
-//! The service around the detectors: it takes cycles by HTTP, MQTT or lines, writes them to disk before it acknowledges them, and sends alarms.
+//! The monitoring service: receives cycles by HTTP, MQTT or as lines, writes them to disk before it acknowledges them,
+//! and sends alarms.
 //!
-//! One thread owns the store and the monitor ([`ServiceEngine`]); feeds send it bytes and wait for the answer. Requests that wait
-//! at the same time share one commit.
+//! One thread owns the store and the monitor ([`ServiceEngine`]). Feeds send bytes to it and wait for the reply.
+//! Requests that wait at the same time share one commit.
 
 mod engine;
 mod fleet;

@@ -1,7 +1,8 @@
 //! MQTT 3.1.1: subscribes to cycles on one topic and publishes alarms on another.
 //!
-//! The payload has the lines of `POST /v1/cycles`. A message is acknowledged to the broker (quality of service 1) after its
-//! cycles are on disk. If the monitor is killed before, the broker sends the message again; known cycles are not counted twice.
+//! The payload has the format of `POST /v1/cycles`. A message is acknowledged to the broker (quality of service 1)
+//! after its cycles are on disk. If the monitor is killed before that, the broker sends the message again; known cycles
+//! are not counted twice.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,9 +14,9 @@ use rumqttc::{Client, Connection, Event, MqttOptions, Packet, Publish, QoS};
 use super::engine::Handle;
 use super::outputs::{Deliver, OutputError};
 
-/// Time until the next attempt to reach a lost broker.
+/// Time until the next attempt to connect to the broker.
 const AGAIN: Duration = Duration::from_secs(1);
-/// Size limit of a message.
+/// Maximum size of a message.
 const LARGEST: usize = 16 << 20;
 
 /// The address of a broker.
@@ -25,7 +26,7 @@ pub struct Broker {
     pub host: String,
     /// The port, 1883 without encryption.
     pub port: u16,
-    /// The client id, unique at the broker. The broker keeps its session while the monitor is away.
+    /// The client id, unique at the broker. The broker keeps its session while the monitor is disconnected.
     pub client: String,
     /// User and password, if the broker requires them.
     pub login: Option<(String, String)>,
@@ -39,7 +40,7 @@ impl Broker {
         if let Some((user, password)) = &self.login {
             options.set_credentials(user, password);
         }
-        // Room for acknowledgements of all messages in flight: sending one must not block.
+        // Capacity for the acknowledgements of all messages in flight, because sending one must not block.
         Client::new(options, 70_000)
     }
 
@@ -77,7 +78,7 @@ impl Broker {
         })
     }
 
-    /// Publishes alarms on a topic. An alarm is delivered once the broker has acknowledged it.
+    /// Publishes alarms on a topic. An alarm is delivered when the broker has acknowledged it.
     pub fn alarms(&self, topic: String) -> Deliver {
         let broker = self.clone();
         let mut open: Option<(Client, Connection)> = None;
@@ -85,7 +86,7 @@ impl Broker {
             let (client, connection) = open.get_or_insert_with(|| broker.connect("alarms"));
             let sent = publish(client, connection, &topic, alarm);
             if sent.is_err() {
-                // A new connection sends no abandoned alarm.
+                // A new connection does not send an abandoned alarm.
                 open = None;
             }
             sent
@@ -93,12 +94,13 @@ impl Broker {
     }
 }
 
-/// Processes a message, and waits while the store fails. Returns false at the end, when the broker must keep the message.
+/// Processes a message, and waits while the store fails. Returns false on shutdown, when the broker must keep the
+/// message.
 fn keep(engine: &Handle, message: &Publish, end: &AtomicBool, problem: &impl Fn(&str)) -> bool {
     while !end.load(Ordering::Acquire) {
         match engine.take(message.payload.to_vec()) {
             Ok(taken) => {
-                // A refused cycle would be refused again: report it and acknowledge the message.
+                // The cycle would be refused again, so it is reported and the message is acknowledged.
                 if let Some(first) = taken.refusals.first() {
                     let (topic, line, because) = (&message.topic, first.line, &first.because);
                     problem(&format!("MQTT: {topic} line {line}: {because} ({} refused)", taken.refused));

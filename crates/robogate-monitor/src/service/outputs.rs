@@ -1,5 +1,5 @@
-//! Alarm outputs. Each output has its own position in the list of alarms on disk, so no alarm is lost while it is away. If the monitor
-//! is killed, at most the last alarm is delivered twice.
+//! Alarm outputs. Each output stores its own position in the list of alarms on disk, so no alarm is lost during an
+//! outage. If the monitor is killed, at most the last alarm is delivered twice.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -9,14 +9,14 @@ use std::time::Duration;
 
 use super::engine::{Handle, Job};
 
-/// Alarms per request.
+/// Maximum number of alarms per request.
 const AT_ONCE: u32 = 100;
-/// Polling interval of the list.
+/// Interval between two polls of the list.
 const EVERY: Duration = Duration::from_millis(200);
-/// Longest wait after a failed delivery.
+/// Maximum wait after a failed delivery.
 const LONGEST_WAIT: Duration = Duration::from_secs(60);
 
-/// Why an alarm was not delivered.
+/// The error of a failed delivery.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct OutputError(pub String);
@@ -32,12 +32,13 @@ pub struct Output {
 }
 
 impl Output {
-    /// Starts an output. `name` identifies it in the store; `problem` receives a message about each failed delivery, which is retried.
+    /// Starts an output. `name` identifies it in the store. `problem` receives a message about each failed delivery,
+    /// which is retried.
     ///
-    /// A new output begins with the next alarm: start it before cycles arrive.
+    /// A new output begins with the next alarm, so start it before cycles arrive.
     ///
     /// # Errors
-    /// The store cannot be written.
+    /// If the store cannot be written.
     pub fn start(
         name: String,
         engine: Handle,
@@ -78,7 +79,7 @@ impl Output {
         Ok(Self { thread, ending })
     }
 
-    /// Delivers the waiting alarms once and ends.
+    /// Delivers the waiting alarms once, then ends.
     pub fn end(self) {
         self.ending.store(true, Ordering::Release);
         let _ = self.thread.join();
@@ -104,14 +105,14 @@ fn deliver_waiting(name: &str, engine: &Handle, deliver: &mut Deliver) -> Result
     Ok(waiting.len())
 }
 
-/// Writes alarms as JSON Lines.
+/// Creates an output that writes alarms as JSON Lines.
 pub fn json_lines(mut to: impl Write + Send + 'static) -> Deliver {
     Box::new(move |alarm| {
         writeln!(to, "{alarm}").and_then(|()| to.flush()).map_err(|error| OutputError(error.to_string()))
     })
 }
 
-/// Sends alarms by POST to a URL; any answer but 2xx is retried.
+/// Creates an output that sends alarms by POST to a URL. Any status other than 2xx is retried.
 pub fn webhook(url: String) -> Deliver {
     let agent: ureq::Agent =
         ureq::Agent::config_builder().timeout_global(Some(Duration::from_secs(10))).max_redirects(0).build().into();

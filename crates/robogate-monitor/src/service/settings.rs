@@ -7,7 +7,7 @@ use super::http::HttpSettings;
 use super::store::StoreSettings;
 use crate::{Settings, SettingsError};
 
-/// The settings of the service. Missing settings have their defaults.
+/// The settings of the service. Missing settings have their default values.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ServiceSettings {
@@ -17,7 +17,7 @@ pub struct ServiceSettings {
     pub store: StoreSettings,
     /// Limits of the HTTP server.
     pub http: HttpSettings,
-    /// A cycle older than the newest of its robot by more than this counts as late, in seconds of the sender's clock.
+    /// A cycle that is older than the newest of its robot by more than this is late, in seconds of the sender's clock.
     pub late_after_s: f64,
 }
 

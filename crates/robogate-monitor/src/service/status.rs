@@ -1,4 +1,4 @@
-//! The status document, which the page shows.
+//! The status document, which the page displays.
 
 use robogate_stats::{Confidence, Trials, wilson};
 use serde::Serialize;
@@ -8,16 +8,16 @@ use super::intake::{Intake, IntakeError, Taken};
 use crate::domain::Validated;
 use crate::{Level, OutsideTally, Recipe, Settings};
 
-/// Limit of recipes, the most severe and busiest first.
+/// Maximum number of recipes, the most severe and busiest first.
 const RECIPES: usize = 200;
-/// Limits of alarms and cycles.
+/// Maximum numbers of alarms and cycles.
 const ALARMS: u32 = 100;
 const CYCLES: u32 = 20;
 
 /// The status of the monitor.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Status {
-    /// The version of this form.
+    /// The version of the format.
     pub version: u32,
     /// Lower bounds of the mean number of cycles to a false warning and to a false critical alarm.
     pub promised_cycles: [f64; 2],
@@ -36,11 +36,11 @@ pub struct Status {
 /// A rate with its 95 % Wilson interval.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RateStatus {
-    /// Successes.
+    /// Number of successes.
     pub successes: u64,
-    /// Cycles.
+    /// Number of cycles.
     pub cycles: u64,
-    /// Observed rate; absent without cycles.
+    /// Observed rate. `None` without cycles.
     pub rate: Option<f64>,
     /// The interval.
     pub interval_95: [f64; 2],
@@ -59,15 +59,15 @@ impl RateStatus {
 pub struct RecipeStatus {
     /// The recipe.
     pub recipe: String,
-    /// The most severe active level; absent without an alarm.
+    /// The most severe active level. `None` without an alarm.
     pub level: Option<Level>,
     /// The level of the paper's rule.
     pub paper: Option<Level>,
-    /// Success in the paper's window.
+    /// Success rate in the paper's window.
     pub window: RateStatus,
-    /// Success of all its cycles.
+    /// Success rate of all its cycles.
     pub all: RateStatus,
-    /// The success rate of the baseline; absent while it is being learnt.
+    /// The success rate of the baseline. `None` while it is being learnt.
     pub baseline: Option<f64>,
     /// Its detectors.
     pub detectors: Vec<DetectorStatus>,
@@ -80,11 +80,11 @@ pub struct RecipeStatus {
 pub struct DetectorStatus {
     /// The metric.
     pub metric: &'static str,
-    /// The metric in text for people.
+    /// The label of the metric.
     pub label: &'static str,
-    /// Evidence and limit for a warning and a critical alarm; absent without a detector.
+    /// Evidence and limit for a warning and a critical alarm. `None` if the detector does not run.
     pub levels: Option<[[f64; 2]; 2]>,
-    /// Why the detector does not run.
+    /// The reason why the detector does not run.
     pub because: Option<&'static str>,
     /// The most severe active alarm.
     pub standing: Option<Level>,
@@ -93,11 +93,11 @@ pub struct DetectorStatus {
 /// Cycles in which a parameter lay outside the validated region.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OutsideStatus {
-    /// The parameter; absent for combinations outside the validated region.
+    /// The parameter. `None` for combinations outside the validated region.
     pub parameter: Option<String>,
     /// The validated values.
     pub validated: Option<Validated>,
-    /// The tally.
+    /// The cycles outside.
     #[serde(flatten)]
     pub seen: OutsideTally,
 }

@@ -1,8 +1,8 @@
 //! The store: cycles, the state of each recipe, and alarms in one SQLite file.
 //!
-//! The journal is a write-ahead log that is synced at each commit (`synchronous = FULL`): a commit that returned survives the
-//! end of the process and of the machine's power. A recipe's state is written from time to time together with the number of the last
-//! cycle in it; after a restart the cycles since then are processed again, which gives the same state, bit for bit.
+//! SQLite writes a write-ahead log that is synced at each commit (`synchronous = FULL`). A completed commit survives
+//! the end of the process and a power failure. A recipe's state is written from time to time, with the number of the
+//! last cycle in it. After a restart, later cycles are processed again, which gives an identical state.
 
 use std::path::Path;
 
@@ -15,18 +15,18 @@ use crate::{Alarm, Cycle};
 
 /// The version of the tables.
 const FORM: i64 = 1;
-/// Cycles per deletion.
+/// Number of cycles per deletion.
 const SWEEP: u64 = 2_000;
 
 /// Settings of the store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct StoreSettings {
-    /// Cycles kept on disk. A cycle whose id was deleted counts again if it is sent again.
+    /// Number of cycles kept on disk. A cycle whose id was deleted counts again if it is sent again.
     pub keep_cycles: u64,
-    /// Alarms kept on disk.
+    /// Number of alarms kept on disk.
     pub keep_alarms: u64,
-    /// Largest size of the store, in MiB; beyond it cycles are refused as if the disk were full. 0: no limit.
+    /// Maximum size of the store, in MiB. Beyond it, cycles are refused as if the disk were full. 0 means no limit.
     pub most_mib: u64,
 }
 
@@ -36,7 +36,7 @@ impl Default for StoreSettings {
     }
 }
 
-/// Why the store failed.
+/// An error of the store.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The disk is full, or the store has reached its size limit.
@@ -50,7 +50,7 @@ pub enum StoreError {
     /// The store has another version.
     #[error("the store has version {found}. Expected version {FORM}")]
     Form {
-        /// The version found.
+        /// The version of the store.
         found: i64,
     },
     /// A row that cannot be read.
@@ -61,7 +61,7 @@ pub enum StoreError {
         /// The cause.
         because: String,
     },
-    /// Anything else.
+    /// Any other error.
     #[error("store: {0}")]
     Sqlite(rusqlite::Error),
 }
@@ -98,22 +98,22 @@ impl Store {
     /// Opens or creates the store at `path`. Only one process may use it.
     ///
     /// # Errors
-    /// The file cannot be opened, is used by another process, or has another version.
+    /// If the file cannot be opened, is used by another process, or has another version.
     pub fn open(path: &Path, settings: StoreSettings) -> Result<Self, StoreError> {
         Self::prepare(Connection::open(path)?, settings)
     }
 
-    /// Makes a store in memory, for a feed that ends with the process.
+    /// Creates a store in memory, for a feed that ends with the process.
     ///
     /// # Errors
-    /// SQLite failed.
+    /// If SQLite failed.
     pub fn in_memory(settings: StoreSettings) -> Result<Self, StoreError> {
         Self::prepare(Connection::open_in_memory()?, settings)
     }
 
     fn prepare(connection: Connection, settings: StoreSettings) -> Result<Self, StoreError> {
         connection.busy_timeout(std::time::Duration::ZERO)?;
-        // Exclusive: a second process fails at once, and the log needs no shared memory.
+        // Exclusive: a second process fails immediately, and the log needs no shared memory.
         connection.execute_batch(
             "PRAGMA locking_mode = EXCLUSIVE; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL;
              PRAGMA temp_store = MEMORY; PRAGMA wal_autocheckpoint = 4000; PRAGMA journal_size_limit = 67108864;
@@ -158,7 +158,7 @@ impl Store {
         self.set_fact("probe", 1)
     }
 
-    /// Begins a transaction, which [`Self::commit`] ends.
+    /// Begins a transaction. [`Self::commit`] ends it.
     pub(super) fn begin(&self) -> Result<(), StoreError> {
         Ok(self.connection.execute_batch("BEGIN IMMEDIATE")?)
     }
@@ -174,7 +174,7 @@ impl Store {
         let _ = self.connection.execute_batch("ROLLBACK");
     }
 
-    /// Does all of `work` in one transaction, or nothing.
+    /// Runs `work` in one transaction, which is rolled back on an error.
     pub(super) fn together(&self, work: impl FnOnce() -> Result<(), StoreError>) -> Result<(), StoreError> {
         self.begin()?;
         let done = work().and_then(|()| self.commit());
@@ -184,7 +184,7 @@ impl Store {
         done
     }
 
-    /// Adds a cycle, whose text is `body`.
+    /// Adds a cycle with the text `body`.
     pub(super) fn add(&self, cycle: &Cycle, body: &str) -> Result<Kept, StoreError> {
         let mut insert = self.connection.prepare_cached(
             "INSERT INTO cycles (id, recipe, robot, time_s, body) VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT (id) DO NOTHING",
@@ -194,7 +194,7 @@ impl Store {
         }
         let mut known = self.connection.prepare_cached("SELECT body FROM cycles WHERE id = ?1")?;
         let known: String = known.query_row([&cycle.id], |row| row.get(0))?;
-        // The same cycle may be written in another order of keys.
+        // The same cycle may have its keys in another order.
         let same = known == body || serde_json::from_str::<Cycle>(&known).is_ok_and(|known| known == *cycle);
         Ok(if same { Kept::Same } else { Kept::Other })
     }
@@ -221,7 +221,7 @@ impl Store {
         .collect()
     }
 
-    /// Calls `process` with each cycle that no recipe's state contains yet, in order.
+    /// Calls `process` with each cycle that is not in its recipe's state, in order.
     pub(super) fn unprocessed(&self, mut process: impl FnMut(u64, &Cycle)) -> Result<(), StoreError> {
         let mut all = self.connection.prepare(
             "SELECT c.seq, c.body FROM cycles c LEFT JOIN recipes r ON r.name = c.recipe
@@ -251,7 +251,7 @@ impl Store {
         Ok(rows.collect::<Result<_, _>>()?)
     }
 
-    /// Adds alarms in order; known alarms stay unchanged.
+    /// Adds alarms in order. Known alarms are not changed.
     pub(super) fn add_alarms(&self, alarms: &[Alarm]) -> Result<(), StoreError> {
         let sql = "INSERT INTO alarms (id, body) VALUES (?1, ?2) ON CONFLICT (id) DO NOTHING";
         let mut insert = self.connection.prepare_cached(sql)?;
@@ -295,7 +295,7 @@ impl Store {
         self.set_fact(&format!("delivered:{output}"), n.cast_signed())
     }
 
-    /// The number up to which cycles can be deleted; `None` if too few are due.
+    /// The number up to which cycles can be deleted. `None` if too few can be deleted.
     pub(super) fn too_old(&self, newest: u64) -> Option<u64> {
         let surplus = newest.saturating_sub(self.settings.keep_cycles);
         let first: Option<i64> = self
@@ -307,7 +307,7 @@ impl Store {
         (surplus >= first + SWEEP.min(self.settings.keep_cycles / 10)).then_some(surplus)
     }
 
-    /// Deletes cycles up to this number, and alarms beyond those kept.
+    /// Deletes cycles up to this number, and alarms beyond the limit.
     pub(super) fn sweep(&self, up_to: u64) -> Result<(), StoreError> {
         self.connection.execute("DELETE FROM cycles WHERE seq <= ?1", [up_to.cast_signed()])?;
         self.connection.execute(
@@ -317,7 +317,7 @@ impl Store {
         Ok(())
     }
 
-    /// The number of the newest cycle; 0 without cycles.
+    /// The number of the newest cycle. 0 without cycles.
     pub(super) fn newest(&self) -> Result<u64, StoreError> {
         let newest: i64 =
             self.connection.query_row("SELECT COALESCE(MAX(seq), 0) FROM cycles", [], |row| row.get(0))?;

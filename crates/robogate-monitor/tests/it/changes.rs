@@ -1,24 +1,24 @@
-//! Each kind of change is found, named and dated; nothing else is.
+//! Each kind of change is detected, named and dated, and no other alarm is raised.
 
 use robogate_core::Seed;
 use robogate_monitor::{Alarm, Baseline, Count, Happening, Level, Metric, Monitor, ParameterValue, Rule, Settings};
 
 use crate::common::{Cell, cycle, domain};
 
-/// The detectors' alarms of 1,000 normal cycles followed by `n` changed ones.
+/// The detector alarms of 1,000 normal cycles followed by `n` changed ones.
 fn alarms(after: Cell, n: usize, settings: Settings) -> Vec<Alarm> {
     let mut monitor = Monitor::new(settings).unwrap();
     let mut stream = Seed::campaign(5).stream("changes");
     let mut cycle = cycle();
-    let mut said = Vec::new();
+    let mut alarms = Vec::new();
     for i in 0..1_000 + n {
         let cell = if i < 1_000 { Cell::NORMAL } else { after };
         cell.draw(&mut stream, &mut cycle);
         cycle.id = format!("c{i}");
-        monitor.observe(&cycle, &mut |alarm| said.push(alarm)).unwrap();
+        monitor.observe(&cycle, &mut |alarm| alarms.push(alarm)).unwrap();
     }
-    said.retain(|alarm| alarm.rule == Rule::Detector);
-    said
+    alarms.retain(|alarm| alarm.rule == Rule::Detector);
+    alarms
 }
 
 fn known() -> Settings {
@@ -44,8 +44,8 @@ fn each_change_raises_its_own_alarm() {
         assert!(since.cycles_95[0] <= 1_001 && 1_001 <= since.cycles_95[1], "{metric:?} {since:?}");
         assert!(since.times_95_s[0] <= since.time_s && since.time_s <= since.times_95_s[1]);
         assert!(!critical.look_at.is_empty() && critical.how_sure.contains("at least 50,000."));
-        // A warning of another metric may come by chance, once in 2,000 cycles in the mean; a critical alarm hardly.
-        // Distances from the baseline's middle also grow when the middle moves.
+        // A warning of another metric may occur by chance, once in 2,000 cycles on average; a critical alarm hardly
+        // ever. Distances from the middle of the baseline also grow when the location moves.
         let beside = |a: &Alarm| {
             a.level == Level::Warning || (metric == Metric::CycleTime && a.metric == Metric::CycleTimeSpread)
         };
@@ -54,16 +54,16 @@ fn each_change_raises_its_own_alarm() {
 }
 
 #[test]
-fn a_changed_failure_mix_is_detected() {
+fn changed_failure_mix_is_detected() {
     let after = Cell { modes: [0.05, 0.05, 0.05, 0.8, 0.05], ..Cell::NORMAL };
     let found = alarms(after, 1_500, known());
     let critical = found.iter().find(|a| a.level == Level::Critical).unwrap();
     assert_eq!(critical.metric, Metric::FailureModes);
     assert!(critical.what.starts_with("`timeout` is"), "{}", critical.what);
-    assert!(critical.look_at.iter().any(|text| text.contains("`timeout` grew")));
+    assert!(critical.look_at.iter().any(|text| text.contains("`timeout` increased")));
 }
 
-/// Cycles that all succeed, of a cell whose gate saw 2 % failures; the mass is drawn from `mass_kg` after cycle 1,000.
+/// Successful cycles of a cell whose gate observed 2 % failures. After cycle 1,000 the mass is sampled from `mass_kg`.
 fn of_mass(mass_kg: [f64; 2]) -> Vec<Alarm> {
     let settings = Settings {
         baseline: Baseline { success: Some(Count { count: 9_800, of: 10_000 }), ..Baseline::default() },
@@ -73,21 +73,21 @@ fn of_mass(mass_kg: [f64; 2]) -> Vec<Alarm> {
     let mut monitor = Monitor::new(settings).unwrap();
     let mut stream = Seed::campaign(6).stream("mass");
     let mut cycle = cycle();
-    let mut said = Vec::new();
+    let mut alarms = Vec::new();
     for i in 0..2_000 {
         let [low, high] = if i < 1_000 { [0.1, 0.4] } else { mass_kg };
         cycle.time_s += 4.0;
         cycle.parameters.insert("mass_kg".to_owned(), ParameterValue::Number(stream.between(low, high)));
         let shape = if stream.uniform() < 0.5 { "box" } else { "can" };
         cycle.parameters.insert("shape".to_owned(), ParameterValue::Word(shape.to_owned()));
-        monitor.observe(&cycle, &mut |alarm| said.push(alarm)).unwrap();
+        monitor.observe(&cycle, &mut |alarm| alarms.push(alarm)).unwrap();
     }
-    said.retain(|alarm| alarm.rule == Rule::Detector);
-    said
+    alarms.retain(|alarm| alarm.rule == Rule::Detector);
+    alarms
 }
 
 #[test]
-fn parts_outside_the_envelope_raise_alarms() {
+fn parts_outside_envelope_raise_alarms() {
     assert_eq!(of_mass([0.1, 0.4]), []);
     let found = of_mass([0.82, 0.93]);
     let critical = found.iter().find(|a| a.level == Level::Critical && a.metric == Metric::Outside).unwrap();
@@ -98,7 +98,7 @@ fn parts_outside_the_envelope_raise_alarms() {
 }
 
 #[test]
-fn harder_parts_raise_the_predicted_risk() {
+fn harder_parts_raise_predicted_risk() {
     let found = of_mass([0.6, 0.8]);
     assert!(found.iter().all(|a| a.metric == Metric::Risk), "{found:#?}");
     let critical = found.iter().find(|a| a.level == Level::Critical).unwrap();
@@ -109,7 +109,7 @@ fn harder_parts_raise_the_predicted_risk() {
 }
 
 #[test]
-fn a_new_reference_restarts_the_evidence() {
+fn new_reference_restarts_evidence() {
     let given = Settings { domain: Some(domain()), ..known() };
     let mut monitor = Monitor::new(known()).unwrap();
     let mut stream = Seed::campaign(5).stream("reference");
@@ -132,7 +132,7 @@ fn a_new_reference_restarts_the_evidence() {
 }
 
 #[test]
-fn one_worn_robot_is_named() {
+fn worn_robot_is_named() {
     let mut monitor = Monitor::new(known()).unwrap();
     let mut stream = Seed::campaign(9).stream("worn");
     let mut cycle = cycle();
@@ -156,7 +156,7 @@ fn one_worn_robot_is_named() {
 }
 
 #[test]
-fn a_missing_baseline_is_learnt() {
+fn missing_baselines_are_learnt() {
     let after = Cell { success: 0.6, ..Cell::NORMAL };
     let found = alarms(after, 300, Settings::default());
     assert!(found.iter().any(|a| a.level == Level::Critical && a.metric == Metric::Success));
@@ -170,23 +170,23 @@ fn alarms_are_raised_once_and_cleared() {
     let mut monitor = Monitor::new(settings).unwrap();
     let mut stream = Seed::campaign(6).stream("clears");
     let mut cycle = cycle();
-    let mut said = Vec::new();
+    let mut alarms = Vec::new();
     for i in 0..3_000 {
         let cell = Cell { success: if (500..900).contains(&i) { 0.7 } else { 0.96 }, ..Cell::NORMAL };
         cell.draw(&mut stream, &mut cycle);
         let mut keep = |alarm: Alarm| {
             if alarm.rule == Rule::Detector && alarm.metric == Metric::Success && alarm.level == Level::Critical {
-                said.push(alarm.happening);
+                alarms.push(alarm.happening);
             }
         };
         monitor.observe(&cycle, &mut keep).unwrap();
     }
-    assert_eq!(said, [Happening::Raised, Happening::Cleared]);
+    assert_eq!(alarms, [Happening::Raised, Happening::Cleared]);
     assert_eq!(monitor.recipe("bracket").unwrap().level(), None);
 }
 
 #[test]
-fn a_restored_state_continues_bit_for_bit() {
+fn restored_states_continue_identically() {
     let mut whole = Monitor::new(Settings::default()).unwrap();
     let mut parts = whole.clone();
     let mut stream = Seed::campaign(7).stream("state");

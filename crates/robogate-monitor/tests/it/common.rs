@@ -1,4 +1,4 @@
-//! Cycles and baselines for the claims.
+//! Synthetic cycles and baselines.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use robogate_monitor::{Baseline, Count, Cycle};
 /// The failure modes of the cell.
 const MODES: [&str; 5] = ["jammed", "dropped", "collision", "timeout", "other"];
 
-/// What a cell does.
+/// The true rates of a cell.
 #[derive(Clone, Copy)]
 pub(crate) struct Cell {
     pub(crate) success: f64,
@@ -17,7 +17,7 @@ pub(crate) struct Cell {
     pub(crate) collision: f64,
     /// Shares of the failure modes.
     pub(crate) modes: [f64; 5],
-    /// Middle and half width of the cycle time.
+    /// Middle and half-width of the cycle time, in seconds.
     pub(crate) cycle_time: (f64, f64),
 }
 
@@ -30,7 +30,7 @@ impl Cell {
         cycle_time: (4.0, 0.4),
     };
 
-    /// Draws a cycle into `cycle`, whose names stay.
+    /// Samples a cycle into `cycle`, whose names are kept.
     pub(crate) fn draw(&self, stream: &mut Stream, cycle: &mut Cycle) {
         cycle.time_s += self.cycle_time.0;
         cycle.success = stream.uniform() < self.success;
@@ -46,7 +46,7 @@ impl Cell {
         cycle.failure_mode = (!cycle.success).then(|| MODES[mode.unwrap_or(4)].to_owned());
     }
 
-    /// The baseline that `n` cycles of exactly these rates would leave.
+    /// The baseline from `n` cycles with exactly these rates.
     pub(crate) fn baseline(&self, n: u64) -> Baseline {
         let count = |rate: f64| Some(Count { count: (rate * n as f64).round() as u64, of: n });
         let (middle, half) = self.cycle_time;
@@ -62,7 +62,7 @@ impl Cell {
     }
 }
 
-/// What a campaign over mass and shape would have left: failures grow with the mass.
+/// The validated region of a campaign over mass and shape, in which failures increase with the mass.
 pub(crate) fn domain() -> Arc<Domain> {
     let json = r#"{
         "envelope": {"mass_kg": {"range": [0.1, 0.8]}, "shape": {"words": ["box", "can"]}},

@@ -1,4 +1,4 @@
-//! The claims about the monitor.
+//! Tests of the monitor library.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod changes;

@@ -1,4 +1,4 @@
-//! The paper's rule against exact rational arithmetic (`tests/reference/paper_rule.py`).
+//! Compares the paper's rule with exact rational arithmetic (`tests/reference/paper_rule.py`).
 
 use robogate_monitor::Level;
 use robogate_monitor::paper::{Decline, PaperRule, PaperWindow};
@@ -20,7 +20,7 @@ struct Case {
 }
 
 #[test]
-fn the_rule_matches_a_recorded_stream() {
+fn recorded_stream_matches() {
     let recorded: Recorded = serde_json::from_str(include_str!("../reference/paper_rule.json")).unwrap();
     assert_eq!(recorded.cases.len(), 5);
     for case in recorded.cases {
@@ -42,7 +42,7 @@ fn the_rule_matches_a_recorded_stream() {
 
 #[test]
 fn limits_are_integer_failure_counts() {
-    // 0.95 - 0.90 is less than 0.05 in binary; the rule counts failures instead.
+    // 0.95 - 0.90 is less than 0.05 in floating point, so the rule counts failures instead.
     let rule = PaperRule::default();
     assert_eq!((rule.failures_at(0.95, 0.05), rule.failures_at(0.95, 0.10)), (10, 15));
 }

@@ -1,4 +1,4 @@
-//! The promises: run lengths to a false alarm, and delays beside the paper's rule.
+//! The guarantees: run lengths to a false alarm, and delays compared with the paper's rule.
 
 use robogate_core::Seed;
 use robogate_monitor::detector::Evidence;
@@ -12,7 +12,7 @@ const STREAMS: u64 = 10_000;
 
 #[test]
 fn mean_run_length_reaches_the_bound() {
-    // The hardest truth: exactly the bound.
+    // The worst case: the true rate equals the bound.
     for (bound, limit) in [(0.05, 300.0), (0.01, 300.0), (0.3, 100.0)] {
         let factors = event(bound).unwrap();
         let mut evidence = Evidence::none(&factors);
@@ -29,7 +29,7 @@ fn mean_run_length_reaches_the_bound() {
             .collect();
         let found = Mean::of(&lengths, 0);
         assert!(found.mean >= limit - 3.0 * found.se, "bound {bound}: {found:?} against {limit}");
-        // Nor is the promise kept by never alarming.
+        // The bound must not be met by never raising an alarm.
         assert!(found.mean < 6.0 * limit, "bound {bound}: {found:?} against {limit}");
     }
 }
@@ -62,13 +62,13 @@ fn all_metrics_together_reach_the_bound() {
     assert!(found.mean >= 200.0 - 3.0 * found.se, "{found:?}");
 }
 
-/// Drops to 0.92, 0.90 and 0.85 from 0.95, at the mean run length of the paper's critical rule (about 98,000 cycles): the
-/// detector's limit is set so that its promise alone, which is less than its mean run length, is below that.
+/// Drops from 0.95 to 0.92, 0.90 and 0.85, at the mean run length of the paper's critical rule (about 98,000 cycles).
+/// The detector's limit is chosen so that its guaranteed bound, which is below its mean run length, is less than that.
 #[test]
-fn detection_is_no_later_than_the_papers() {
+fn detection_is_no_later_than_paper_rule() {
     let question =
         Question { rate: 0.95, drops: vec![0.92, 0.90, 0.85], cycles_per_day: 21_600.0, streams: 400, seed: 4 };
-    // So much evidence that the bound is the rate itself, as the paper's rule takes it to be.
+    // The baseline is so large that the bound equals the rate, as the paper's rule assumes.
     let baseline =
         Baseline { success: Some(Count { count: 9_500_000_000, of: 10_000_000_000 }), ..Baseline::default() };
     let mut settings = Settings { critical_cycles: 64_000.0, ..Settings::default() };
@@ -92,7 +92,7 @@ fn detection_is_no_later_than_the_papers() {
         let slack = 2.0 * (theirs.cycles.se.powi(2) + ours.cycles.se.powi(2)).sqrt();
         assert!(ours.cycles.mean <= theirs.cycles.mean + slack, "to {}: {theirs:?} {ours:?}", ours.to);
     }
-    assert!(detector.delays[1].cycles.mean < 0.75 * paper.delays[1].cycles.mean, "far sooner at 0.90");
+    assert!(detector.delays[1].cycles.mean < 0.75 * paper.delays[1].cycles.mean, "much earlier at 0.90");
 }
 
 #[test]
@@ -121,6 +121,6 @@ fn change_intervals_cover_the_change() {
             inside += u32::from(since.cycles_95[0] <= 701 && 701 <= since.cycles_95[1]);
         }
     }
-    assert!(all > 140, "{all} of 150 changes found");
-    assert!(f64::from(inside) >= 0.9 * f64::from(all), "{inside} of {all} intervals hold the change");
+    assert!(all > 140, "{all} of 150 changes detected");
+    assert!(f64::from(inside) >= 0.9 * f64::from(all), "{inside} of {all} intervals contain the change");
 }

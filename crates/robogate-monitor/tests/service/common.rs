@@ -1,4 +1,4 @@
-//! A service on a port of its own, and cycles for it.
+//! A service on a free port, and synthetic cycles.
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -21,7 +21,7 @@ pub(crate) fn intake(path: &Path, store: StoreSettings) -> Intake {
     Intake::open(Store::open(path, store).unwrap(), Monitor::new(detectors).unwrap(), settings.late_after_s).unwrap()
 }
 
-/// A service that ends with this.
+/// A service that is stopped on drop.
 pub(crate) struct Service {
     pub(crate) address: SocketAddr,
     pub(crate) engine: ServiceEngine,
@@ -42,11 +42,11 @@ impl Service {
     ) -> Self {
         let engine = ServiceEngine::open(intake, say);
         let (stop, stopped) = oneshot::channel();
-        let (told, address) = channel();
+        let (bound, address) = channel();
         let (handle, token) = (engine.handle(), token.map(str::to_owned));
         let thread = std::thread::spawn(move || {
             let any = "127.0.0.1:0".parse().unwrap();
-            serve(any, token, http, handle, |address| told.send(address).unwrap(), stopped)
+            serve(any, token, http, handle, |address| bound.send(address).unwrap(), stopped)
         });
         Self { address: address.recv().unwrap(), engine, stop, thread }
     }
@@ -55,7 +55,7 @@ impl Service {
         self.close().unwrap();
     }
 
-    /// Ends it; why it could not write its last words, where it could not.
+    /// Stops it. Returns the error if its state could not be written.
     pub(crate) fn close(self) -> Result<(), String> {
         self.stop.send(()).unwrap();
         self.thread.join().unwrap().unwrap();
@@ -63,12 +63,12 @@ impl Service {
     }
 }
 
-/// An agent that tells a status instead of making it an error.
+/// An HTTP client that returns error statuses as replies.
 pub(crate) fn agent() -> ureq::Agent {
     ureq::Agent::config_builder().http_status_as_error(false).build().into()
 }
 
-/// Posts and returns status and answer.
+/// Sends a POST request. Returns status and body.
 pub(crate) fn post(address: SocketAddr, path: &str, body: &str, token: Option<&str>) -> (u16, Value) {
     let mut request = agent().post(format!("http://{address}{path}"));
     if let Some(token) = token {
@@ -79,13 +79,13 @@ pub(crate) fn post(address: SocketAddr, path: &str, body: &str, token: Option<&s
     (answer.status().as_u16(), serde_json::from_str(&text).unwrap_or(Value::String(text)))
 }
 
-/// Gets and returns status and text.
+/// Sends a GET request. Returns status and body.
 pub(crate) fn get(address: SocketAddr, path: &str) -> (u16, String) {
     let mut answer = agent().get(format!("http://{address}{path}")).call().unwrap();
     (answer.status().as_u16(), answer.body_mut().read_to_string().unwrap())
 }
 
-/// Cycle `i` of a stream of one seed: fails at `rate`.
+/// Cycle `i` of a stream with a fixed seed and the failure rate `rate`.
 pub(crate) fn cycle(i: u64, failing: f64) -> String {
     let mut stream = Seed::campaign(2).episode(i).stream("cycle");
     let success = stream.uniform() >= failing;

@@ -1,4 +1,4 @@
-//! The HTTP side: treatments, limits, doors.
+//! The HTTP interface: processing of cycles, limits, access control.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -16,30 +16,30 @@ fn open() -> (tempfile::TempDir, Service) {
 }
 
 #[test]
-fn each_kind_of_cycle_is_treated_as_documented() {
+fn cycles_are_processed_as_documented() {
     let (_folder, service) = open();
     let to = service.address;
     let first = cycle(10, 0.0);
     assert_eq!(post(to, "/v1/cycles", &first, None).1["accepted"], 1);
-    // Doubled: the same again is fine, and is not counted.
+    // Duplicate: acknowledged and not counted.
     let (status, again) = post(to, "/v1/cycles", &first, None);
     assert_eq!((status, &again["accepted"], &again["duplicates"]), (200, &json!(0), &json!(1)));
-    // Contradicting: the same id with another outcome.
+    // Contradictory: the same id with another outcome.
     let (status, other) = post(to, "/v1/cycles", &first.replace("true", "false"), None);
     assert_eq!((status, &other["refused"]), (422, &json!(1)));
     assert!(other["refusals"][0]["because"].as_str().unwrap().contains("`c10` is already stored with other content"));
-    // Out of order by 12 s, late by more than an hour: same robot, heard all the same.
+    // Out of order by 12 s, and late by more than an hour: processed nevertheless.
     let (_, early) = post(to, "/v1/cycles", &cycle(7, 0.0), None);
     assert_eq!((&early["accepted"], &early["out_of_order"], &early["late"]), (&json!(1), &json!(1), &json!(0)));
     let late = cycle(4, 0.0).replace("1760000016", "1750000016");
     let (_, late) = post(to, "/v1/cycles", &late, None);
     assert_eq!((&late["accepted"], &late["out_of_order"], &late["late"]), (&json!(1), &json!(1), &json!(1)));
-    // Malformed: refused with its line; its neighbours are taken.
+    // Malformed: refused with its line. Its neighbours are accepted.
     let batch = format!("{}\n{{\"id\":\"x\"}}\n\nnonsense\n{}\n", cycle(20, 0.0), cycle(21, 0.0));
     let (status, mixed) = post(to, "/v1/cycles", &batch, None);
     assert_eq!((status, &mixed["accepted"], &mixed["refused"]), (422, &json!(2), &json!(2)));
     assert_eq!((&mixed["refusals"][0]["line"], &mixed["refusals"][1]["line"]), (&json!(2), &json!(4)));
-    // An array is taken like lines; nothing is no batch.
+    // An array is equivalent to lines. An empty body is not a batch.
     let array = format!("[{},\n{}]", cycle(30, 0.0), cycle(31, 0.0));
     assert_eq!(post(to, "/v1/cycles", &array, None).1["accepted"], 2);
     assert_eq!(post(to, "/v1/cycles", " \n", None).0, 400);
@@ -69,7 +69,7 @@ fn all_paths_answer() {
         assert!(families.contains(&name), "{line}");
         assert!(line.rsplit(' ').next().unwrap().parse::<f64>().is_ok(), "{line}");
     }
-    // The dashboard asks for nothing that is not there.
+    // The dashboard only uses existing metrics.
     let dashboard: serde_json::Value =
         serde_json::from_str(include_str!("../../../../deploy/grafana/robogate-monitor.json")).unwrap();
     for panel in dashboard["panels"].as_array().unwrap() {
@@ -94,7 +94,7 @@ fn all_paths_answer() {
 }
 
 #[test]
-fn without_token_only_this_machine_connects() {
+fn only_local_clients_connect_without_token() {
     let (_folder, service) = open();
     let raw = |head: &str| {
         let mut stream = TcpStream::connect(service.address).unwrap();
@@ -114,7 +114,7 @@ fn without_token_only_this_machine_connects() {
 }
 
 #[test]
-fn a_token_protects_all_data() {
+fn token_protects_all_data() {
     let folder = tempfile::tempdir().unwrap();
     let token = "0123456789abcdef";
     let service = Service::start(&folder.path().join("monitor.db"), HttpSettings::default(), Some(token));
@@ -141,7 +141,7 @@ fn large_bodies_and_fast_senders_are_refused() {
 }
 
 #[test]
-fn slow_clients_delay_no_other() {
+fn slow_clients_do_not_delay_others() {
     let folder = tempfile::tempdir().unwrap();
     let http = HttpSettings { head_s: 60.0, body_s: 60.0, ..HttpSettings::default() };
     let service = Service::start(&folder.path().join("monitor.db"), http, None);
@@ -150,7 +150,7 @@ fn slow_clients_delay_no_other() {
     let slow: Vec<TcpStream> = (0..200)
         .map(|i| {
             let mut stream = TcpStream::connect(to).unwrap();
-            // Half stop within the head, half within the body.
+            // Half of them stop within the head, half within the body.
             let part = if i % 2 == 0 { head.to_owned() } else { format!("{head}\r\n{{") };
             stream.write_all(part.as_bytes()).unwrap();
             stream
@@ -172,7 +172,7 @@ fn unfinished_heads_time_out() {
     stream.write_all(b"GET / HTTP/1.1\r\nhost: 127").unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
     let mut answer = Vec::new();
-    // Closed, with or without a last word; what matters is that it does not stay.
+    // The connection must be closed, with or without a reply.
     let _ = stream.read_to_end(&mut answer);
     assert!(!String::from_utf8_lossy(&answer).contains("200 OK"));
     service.end();
@@ -190,7 +190,7 @@ fn idle_connections_and_memory_are_bounded() {
     let start = Instant::now();
     idle.read_to_end(&mut answer).unwrap();
     assert!(String::from_utf8_lossy(&answer).contains("200 OK") && start.elapsed() < Duration::from_secs(10));
-    // Senders who stop in the middle hold what they sent; the next one is told to come again, until they are let go.
+    // Senders that stop in the middle occupy memory. Further senders are asked to retry until those time out.
     let held: Vec<TcpStream> = (0..3)
         .map(|_| {
             let mut stream = TcpStream::connect(service.address).unwrap();
@@ -219,7 +219,7 @@ fn idle_connections_and_memory_are_bounded() {
 }
 
 #[test]
-fn all_body_forms_give_the_same_cycles() {
+fn body_formats_are_equivalent() {
     let folder = tempfile::tempdir().unwrap();
     let of = |name: &str, bodies: &[String]| {
         let service = Service::start(&folder.path().join(name), HttpSettings::default(), None);
@@ -240,7 +240,7 @@ fn all_body_forms_give_the_same_cycles() {
 }
 
 #[test]
-fn no_body_ends_the_service() {
+fn service_survives_any_body() {
     let (_folder, service) = open();
     let deep = "[".repeat(100_000);
     let long = format!("{{\"id\":\"{}\"}}", "x".repeat(1_000_000));

@@ -1,4 +1,4 @@
-//! Killed by signal 9 in the middle of the work, again and again: what was acknowledged is there once.
+//! Kills the service with signal 9 during its work, again and again. Acknowledged cycles must be stored exactly once.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
@@ -12,7 +12,7 @@ use crate::common::{Service, cycle, cycles, intake};
 
 const FOLDER: &str = "ROBOGATE_MONITOR_KILLED";
 
-/// The process that is killed: this test again, told by its environment to serve.
+/// The process that is killed: this test binary, which serves if an environment variable is set.
 #[test]
 fn child() {
     let Some(path) = std::env::var_os(FOLDER) else { return };
@@ -35,7 +35,7 @@ fn start(path: &Path) -> (Child, String) {
     (child, address)
 }
 
-/// Posts one cycle on an open connection; whether it was acknowledged.
+/// Posts one cycle on an open connection. Returns whether it was acknowledged.
 fn acknowledged(stream: &mut BufReader<TcpStream>, body: &str) -> Option<()> {
     let head = format!("POST /v1/cycles HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-length: {}\r\n\r\n", body.len());
     stream.get_mut().write_all((head + body).as_bytes()).ok()?;
@@ -58,14 +58,14 @@ fn acknowledged(stream: &mut BufReader<TcpStream>, body: &str) -> Option<()> {
 }
 
 #[test]
-fn twenty_kills_lose_and_repeat_no_cycle() {
+fn kills_lose_and_repeat_no_cycle() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("monitor.db");
     let mut stream = Seed::campaign(1).stream("kills");
     let mut next = 0;
     for _ in 0..20 {
         let (mut child, address) = start(&path);
-        // The kill comes while a sender sends, at a moment nobody chose.
+        // The kill comes at a random moment while a sender is sending.
         let wait = std::time::Duration::from_millis(100 + stream.below(200) as u64);
         let killer = std::thread::spawn(move || {
             std::thread::sleep(wait);
@@ -74,19 +74,19 @@ fn twenty_kills_lose_and_repeat_no_cycle() {
         });
         if let Ok(connection) = TcpStream::connect(&address) {
             let mut connection = BufReader::new(connection);
-            // What was not acknowledged is sent again after the kill, as a sender does.
+            // Cycles without acknowledgement are sent again after the kill, as a real sender does.
             while acknowledged(&mut connection, &cycle(next, 0.05)).is_some() {
                 next += 1;
             }
         }
         killer.join().unwrap();
     }
-    assert!(next > 20, "{next} cycles in twenty lives");
+    assert!(next > 20, "{next} cycles in twenty runs");
     let survivor = intake(&path, StoreSettings::default());
-    let heard: u64 = survivor.monitor().recipes().map(|(_, recipe)| recipe.trials().n()).sum();
-    // The last one sent may be there without its acknowledgement.
-    assert!(heard == next || heard == next + 1, "{heard} heard, {next} acknowledged");
+    let stored: u64 = survivor.monitor().recipes().map(|(_, recipe)| recipe.trials().n()).sum();
+    // The last cycle may be stored without an acknowledgement.
+    assert!(stored == next || stored == next + 1, "{stored} stored, {next} acknowledged");
     let mut never_killed = intake(&folder.path().join("other.db"), StoreSettings::default());
-    never_killed.take(&[cycles(0..heard, 0.05).as_bytes()]).unwrap();
+    never_killed.take(&[cycles(0..stored, 0.05).as_bytes()]).unwrap();
     assert!(never_killed.monitor() == survivor.monitor());
 }

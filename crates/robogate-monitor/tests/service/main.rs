@@ -1,4 +1,4 @@
-//! The claims about the service.
+//! Tests of the service.
 #![expect(clippy::disallowed_methods, reason = "tests measure times and find their settings in the environment")]
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 

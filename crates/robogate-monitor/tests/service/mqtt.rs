@@ -1,4 +1,4 @@
-//! A real broker: mosquitto. Where it is not installed the tests are skipped.
+//! Tests with a real broker, mosquitto. They are skipped if it is not installed.
 
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use rumqttc::{Client, Event, MqttOptions, Packet, QoS};
 
 use crate::common::{cycle, cycles, intake};
 
-/// mosquitto on a port of its own; ends with this.
+/// A mosquitto process on a free port. It is stopped on drop.
 struct Mosquitto {
     program: PathBuf,
     process: Child,
@@ -24,7 +24,7 @@ impl Mosquitto {
     fn start() -> Option<Self> {
         let folder = tempfile::tempdir().unwrap();
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        // Sessions survive a restart; the broker keeps its own rights, whoever started it.
+        // Sessions survive a restart. The broker runs as its own user, independent of who started it.
         let settings = format!(
             "listener {port} 127.0.0.1\nallow_anonymous true\npersistence true\npersistence_location {}/\nuser root\n\
              autosave_interval 1\nautosave_on_changes true\nmax_queued_messages 0\n",
@@ -48,7 +48,7 @@ impl Mosquitto {
         until("the broker listens", || std::net::TcpStream::connect(("127.0.0.1", self.port)).is_ok());
     }
 
-    /// Killed, and started again on the same port.
+    /// Kills the broker and starts it again on the same port.
     fn restart(&mut self) {
         self.process.kill().unwrap();
         self.process.wait().unwrap();
@@ -60,7 +60,7 @@ impl Mosquitto {
         Broker { host: "127.0.0.1".to_owned(), port: self.port, client: "robogate".to_owned(), login: None }
     }
 
-    /// Publishes, and waits until the broker has it.
+    /// Publishes a message, and waits until the broker has it.
     fn publish(&self, payload: &str) {
         let mut options = MqttOptions::new("sender", "127.0.0.1", self.port);
         options.set_max_packet_size(1 << 20, 1 << 20);
@@ -96,20 +96,20 @@ fn accepted(engine: &ServiceEngine) -> u64 {
 }
 
 #[test]
-fn a_real_broker_carries_cycles_and_alarms() {
+fn broker_carries_cycles_and_alarms() {
     let Some(broker) = Mosquitto::start() else { return };
     let folder = tempfile::tempdir().unwrap();
     let engine = ServiceEngine::open(intake(&folder.path().join("monitor.db"), StoreSettings::default()), |_| {});
-    // Who listens to alarms.
-    let heard = Arc::new(Mutex::new(Vec::new()));
+    // Subscribes to alarms.
+    let received = Arc::new(Mutex::new(Vec::new()));
     let (client, mut connection) = Client::new(MqttOptions::new("listener", "127.0.0.1", broker.port), 10);
     client.subscribe("cell/alarms", QoS::AtLeastOnce).unwrap();
     let subscribed = Arc::new(AtomicBool::new(false));
-    let (sink, told) = (Arc::clone(&heard), Arc::clone(&subscribed));
+    let (sink, ready) = (Arc::clone(&received), Arc::clone(&subscribed));
     std::thread::spawn(move || {
         for event in connection.iter().flatten() {
             match event {
-                Event::Incoming(Packet::SubAck(_)) => told.store(true, Ordering::Release),
+                Event::Incoming(Packet::SubAck(_)) => ready.store(true, Ordering::Release),
                 Event::Incoming(Packet::Publish(message)) => {
                     sink.lock().unwrap().push(serde_json::from_slice::<serde_json::Value>(&message.payload).unwrap());
                 }
@@ -124,20 +124,20 @@ fn a_real_broker_carries_cycles_and_alarms() {
     let sink = Arc::clone(&refused);
     let problem = move |text: &str| sink.lock().unwrap().push(text.to_owned());
     let subscriber = broker.broker().subscribe("cell/cycles".to_owned(), engine.handle(), Arc::clone(&end), problem);
-    // The session begins with the subscription, which takes a moment: a first cycle is sent until it is heard.
+    // The session begins with the subscription, which takes a moment. The first cycle is sent until it arrives.
     until("the first cycle", || {
         broker.publish(&cycle(0, 0.05));
         accepted(&engine) > 0
     });
     broker.publish(&cycles(1..600, 0.05));
-    broker.publish("this is no cycle");
+    broker.publish("not a cycle");
     broker.publish(&cycles(600..900, 0.6));
     until("900 cycles", || accepted(&engine) == 900);
-    until("an alarm", || !heard.lock().unwrap().is_empty());
+    until("an alarm", || !received.lock().unwrap().is_empty());
     output.end();
-    let said = engine.handle().status().unwrap().alarms;
-    until("every alarm", || heard.lock().unwrap().len() == said.len());
-    assert!(heard.lock().unwrap().iter().eq(said.iter().rev()), "alarms in their order, each once");
+    let alarms = engine.handle().status().unwrap().alarms;
+    until("every alarm", || received.lock().unwrap().len() == alarms.len());
+    assert!(received.lock().unwrap().iter().eq(alarms.iter().rev()), "alarms in their order, each once");
     assert!(refused.lock().unwrap().iter().any(|text| text.contains("cell/cycles line 1")), "{refused:?}");
     end.store(true, Ordering::Release);
     subscriber.join().unwrap();
@@ -145,7 +145,7 @@ fn a_real_broker_carries_cycles_and_alarms() {
 }
 
 #[test]
-fn messages_during_an_outage_count_once() {
+fn messages_during_outages_count_once() {
     let Some(mut broker) = Mosquitto::start() else { return };
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("monitor.db");
@@ -162,7 +162,7 @@ fn messages_during_an_outage_count_once() {
     end.store(true, Ordering::Release);
     subscriber.join().unwrap();
     engine.close().unwrap();
-    // Nobody is there.
+    // No monitor is connected.
     broker.publish(&cycles(1..100, 0.05));
     let engine = ServiceEngine::open(intake(&path, StoreSettings::default()), |_| {});
     let (subscriber, end) = subscribe(&broker, &engine);

@@ -1,4 +1,4 @@
-//! Alarms out: each is delivered, in order, although the receiver fails at first.
+//! Each alarm is delivered in order, even if the receiver fails at first.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpListener;
@@ -8,7 +8,7 @@ use robogate_monitor::service::{Output, ServiceEngine, StoreSettings, webhook};
 use crate::common::{cycles, intake};
 
 #[test]
-fn webhooks_get_every_alarm_in_order() {
+fn webhooks_receive_alarms_in_order() {
     let folder = tempfile::tempdir().unwrap();
     let source = intake(&folder.path().join("monitor.db"), StoreSettings::default());
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -46,8 +46,8 @@ fn webhooks_get_every_alarm_in_order() {
     engine.handle().take((cycles(0..600, 0.05) + &cycles(600..900, 0.6)).into_bytes()).unwrap();
     let got = receiver.join().unwrap();
     output.end();
-    let said = engine.handle().status().unwrap().alarms;
-    let first: Vec<_> = said.iter().rev().take(4).cloned().collect();
+    let alarms = engine.handle().status().unwrap().alarms;
+    let first: Vec<_> = alarms.iter().rev().take(4).cloned().collect();
     assert_eq!(got, first);
     engine.close().unwrap();
 }

@@ -1,4 +1,4 @@
-//! The page in a real browser, as wide as a phone. Without Chromium the test is skipped.
+//! The page in a real browser with the width of a phone. The test is skipped without Chromium.
 
 use std::process::Command;
 
@@ -7,7 +7,7 @@ use robogate_monitor::service::HttpSettings;
 use crate::common::{Service, cycles, post};
 
 #[test]
-fn a_browser_shows_the_whole_page() {
+fn browser_shows_the_page() {
     let Some(chromium) = robogate_testing::program("chromium") else { return };
     let folder = tempfile::tempdir().unwrap();
     let service = Service::start(&folder.path().join("monitor.db"), HttpSettings::default(), None);
@@ -35,8 +35,8 @@ fn a_browser_shows_the_whole_page() {
         "&lt;img src=x",
         "900 cycles accepted",
     ] {
-        assert!(page.contains(text), "no `{text}` in the page: {page}");
+        assert!(page.contains(text), "`{text}` is missing from the page: {page}");
     }
-    assert!(!page.contains("<img"), "a sender's name became an element");
+    assert!(!page.contains("<img"), "a sender's name was parsed as an element");
     service.end();
 }

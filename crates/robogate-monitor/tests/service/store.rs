@@ -1,4 +1,4 @@
-//! What is on disk: restarts, retention, a full disk.
+//! The store: restarts, retention, a full disk.
 
 use std::sync::{Arc, Mutex};
 
@@ -7,7 +7,7 @@ use robogate_monitor::service::{HttpSettings, IntakeError, Store, StoreError, St
 use crate::common::{Service, cycles, get, intake, post};
 
 #[test]
-fn a_restart_continues_the_statistics() {
+fn restarts_continue_the_statistics() {
     let folder = tempfile::tempdir().unwrap();
     let batches: Vec<String> = (0..60).map(|i| cycles(20 * i..20 * i + 20, if i < 40 { 0.05 } else { 0.4 })).collect();
     let mut whole = intake(&folder.path().join("whole.db"), StoreSettings::default());
@@ -16,7 +16,7 @@ fn a_restart_continues_the_statistics() {
     }
     let path = folder.path().join("parts.db");
     for (i, batch) in batches.iter().enumerate() {
-        // Every second time without the farewell that writes the states.
+        // Every second run ends without the shutdown that writes the states.
         let mut part = intake(&path, StoreSettings::default());
         part.take(&[batch.as_bytes()]).unwrap();
         if i % 2 == 0 {
@@ -29,7 +29,7 @@ fn a_restart_continues_the_statistics() {
 }
 
 #[test]
-fn a_full_disk_refuses_whole_batches() {
+fn full_disks_refuse_whole_batches() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("monitor.db");
     let small = StoreSettings { most_mib: 1, ..StoreSettings::default() };
@@ -43,25 +43,25 @@ fn a_full_disk_refuses_whole_batches() {
         Err(error) => Some(error),
     });
     assert!(matches!(error, Some(IntakeError::Store(StoreError::Full))), "{error:?}");
-    let heard = |intake: &robogate_monitor::service::Intake| -> u64 {
+    let counted = |intake: &robogate_monitor::service::Intake| -> u64 {
         intake.monitor().recipes().map(|(_, recipe)| recipe.trials().n()).sum()
     };
     assert!(kept > 100);
-    assert_eq!(heard(&full), kept);
+    assert_eq!(counted(&full), kept);
     drop(full);
-    // With room again it goes on where it was.
+    // After space was freed, it continues where it stopped.
     let mut again = intake(&path, StoreSettings::default());
-    assert_eq!(heard(&again), kept);
+    assert_eq!(counted(&again), kept);
     let taken = again.take(&[cycles(kept - 100..kept + 100, 0.05).as_bytes()]).unwrap();
     assert_eq!((taken[0].duplicates, taken[0].accepted), (100, 100));
 }
 
 #[test]
-fn a_full_disk_is_reported_everywhere() {
+fn full_disks_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let small = StoreSettings { most_mib: 1, ..StoreSettings::default() };
-    let said = Arc::new(Mutex::new(Vec::new()));
-    let sink = Arc::clone(&said);
+    let messages = Arc::new(Mutex::new(Vec::new()));
+    let sink = Arc::clone(&messages);
     let say = move |text: &str| sink.lock().unwrap().push(text.to_owned());
     let service = Service::with(intake(&folder.path().join("monitor.db"), small), HttpSettings::default(), None, say);
     let to = service.address;
@@ -70,11 +70,11 @@ fn a_full_disk_is_reported_everywhere() {
     let kept = 100 * full.unwrap();
     let (status, health) = get(to, "/healthz");
     assert!(status == 507 && health.contains("full"), "{status} {health}");
-    // What is known needs no room, and one that was written ends the problem.
+    // Known cycles need no space. A successful write ends the problem.
     let (status, known) = post(to, "/v1/cycles", &cycles(kept - 100..kept, 0.05), None);
     assert_eq!((status, &known["duplicates"]), (200, &serde_json::json!(100)));
-    assert_eq!(said.lock().unwrap().len(), 2);
-    assert!(said.lock().unwrap()[0].starts_with("cycles are refused: the disk"), "{said:?}");
+    assert_eq!(messages.lock().unwrap().len(), 2);
+    assert!(messages.lock().unwrap()[0].starts_with("cycles are refused: the disk"), "{messages:?}");
     assert!(
         service.close().unwrap_err().contains("full"),
         "the statistics could not be written; they follow from the cycles"
@@ -82,7 +82,7 @@ fn a_full_disk_is_reported_everywhere() {
 }
 
 #[test]
-fn old_cycles_are_deleted_statistics_stay() {
+fn old_cycles_are_deleted_and_statistics_kept() {
     let folder = tempfile::tempdir().unwrap();
     let keep = StoreSettings { keep_cycles: 500, ..StoreSettings::default() };
     let mut whole = intake(&folder.path().join("whole.db"), StoreSettings::default());
@@ -96,13 +96,13 @@ fn old_cycles_are_deleted_statistics_stay() {
     drop(few);
     let mut few = intake(&path, keep);
     assert!(whole.monitor() == few.monitor());
-    // The first cycle's id is forgotten, the last one's is not.
+    // The id of the first cycle is deleted, that of the last one is kept.
     let taken = few.take(&[cycles(0..1, 0.05).as_bytes(), cycles(1_999..2_000, 0.05).as_bytes()]).unwrap();
     assert_eq!((taken[0].accepted, taken[1].duplicates), (1, 1));
 }
 
 #[test]
-fn used_and_foreign_stores_are_refused() {
+fn used_and_foreign_stores_are_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("monitor.db");
     let held = intake(&path, StoreSettings::default());

@@ -1,4 +1,4 @@
-//! What the actions of a model mean.
+//! The actions of a model.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,13 +13,13 @@ pub struct ActionForm {
     /// Representation of rotations.
     #[serde(default)]
     pub rotation: Rotation,
-    /// Translation that a value of 1 means, in metres.
+    /// Translation per unit of an action, in metres.
     #[serde(default = "position_scale")]
     pub position_scale_m: f64,
-    /// Rotation that a value of 1 means, in radians.
+    /// Rotation per unit of an action, in radians.
     #[serde(default = "rotation_scale")]
     pub rotation_scale_rad: f64,
-    /// Largest magnitude of the numbers for the arm, to which they are clipped before scaling; left out, no clipping.
+    /// Limit on the magnitude of the numbers for the arm. They are clipped before scaling. Default: no clipping.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clip: Option<f64>,
     /// Threshold of the number for the gripper. Required unless `arm` is `vector`.
@@ -48,7 +48,7 @@ pub enum Arm {
     ToolDelta,
     /// Position of each joint, in radians.
     JointPositions,
-    /// Change of each joint from its measured position; a value of 1 is `rotation_scale_rad`.
+    /// Change of each joint from its measured position, in units of `rotation_scale_rad`.
     JointDeltas,
     /// The task's own action vector, clipped to its bounds, without a number for the gripper.
     Vector,
@@ -75,11 +75,11 @@ pub enum Side {
     Below,
 }
 
-/// Number of actions in a reply, and how many of them are executed.
+/// Number of actions in a reply, and number of executed actions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Chunking {
-    /// Number of actions in a reply; left out, any number of at least `execute`.
+    /// Number of actions in a reply. Default: any number of at least `execute`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub length: Option<usize>,
     /// Number of actions that are executed before the next request.

@@ -3,16 +3,16 @@
 use super::{Arm, Chunking, Dialect, Profile};
 use crate::array::Dtype;
 
-/// Largest width or height of an image, in pixels.
+/// Maximum width or height of an image, in pixels.
 const MAX_SIDE: usize = 4096;
-/// Most actions in a reply.
+/// Maximum number of actions in a reply.
 pub(crate) const MAX_CHUNK: usize = 1000;
-/// Most connection attempts. The last pause is then about eight minutes.
+/// Maximum number of connection attempts. The last pause is then about eight minutes.
 const MAX_ATTEMPTS: u32 = 10;
-/// Longest timeout, in seconds.
+/// Maximum timeout, in seconds.
 const MAX_TIMEOUT_S: f64 = 86_400.0;
 
-/// Why a profile is invalid.
+/// An error in a profile.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ProfileError {
     /// The text is not the TOML of a profile. The message has line and column.
@@ -23,7 +23,7 @@ pub enum ProfileError {
     Value {
         /// Path of the field in the file.
         field: String,
-        /// What is wrong, and what is expected.
+        /// The problem, with the expected value.
         why: String,
     },
 }
@@ -172,7 +172,7 @@ impl Profile {
     fn check_dialect(&self) -> Checked {
         match &self.dialect {
             Dialect::LeRobot(_) if self.chunk.length.is_none() => {
-                invalid("chunk.length", "missing. A lerobot server must be told how many actions to send")
+                invalid("chunk.length", "missing. A lerobot server needs the number of actions per reply")
             }
             Dialect::Gr00tN15(names) | Dialect::Gr00tN16(names) | Dialect::Gr00tN15Http(names)
                 if names.action_keys.is_empty() =>

@@ -9,7 +9,7 @@ pub enum Dialect {
     /// openpi's `serve_policy.py`: WebSocket, msgpack with binary keys.
     #[serde(rename = "openpi")]
     Openpi {},
-    /// RoboArena: the encoding of openpi, with a description of the server and sessions.
+    /// RoboArena: the encoding of openpi, with server metadata and sessions.
     #[serde(rename = "roboarena")]
     RoboArena {},
     /// Isaac GR00T N1.5's `inference_service.py --server`: ZeroMQ, msgpack that contains `.npy` files.
@@ -34,7 +34,7 @@ pub enum Dialect {
     /// The `/act`, `/reset`, `/health` convention of servers for Octo.
     #[serde(rename = "rest")]
     Rest {
-        /// Training set whose statistics scale the actions, for servers that take it.
+        /// Training set whose statistics scale the actions, for servers that need it.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         unnorm_key: Option<String>,
     },
@@ -44,12 +44,12 @@ pub enum Dialect {
     /// Model servers of vla-eval: WebSocket, msgpack with text keys.
     #[serde(rename = "vla-eval")]
     VlaEval {},
-    /// No server, but a network in an ONNX file. Keys are the names of its inputs.
+    /// A network in an ONNX file instead of a server. Keys are the names of its inputs.
     #[serde(rename = "onnx")]
     Onnx {},
 }
 
-/// What a LeRobot server has to load.
+/// The checkpoint that a LeRobot server loads.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LeRobot {
@@ -94,7 +94,7 @@ impl Dialect {
         }
     }
 
-    /// Form of the address of a policy with this dialect.
+    /// Expected form of the address of a policy with this dialect.
     pub fn address(&self) -> String {
         match self {
             Self::Onnx {} => "FILE.onnx".to_owned(),
@@ -102,7 +102,7 @@ impl Dialect {
         }
     }
 
-    /// Begin of the address of a policy with this dialect.
+    /// Prefix of the address of a policy with this dialect.
     pub(crate) fn scheme(&self) -> &'static str {
         match self {
             Self::Openpi {} | Self::RoboArena {} | Self::VlaEval {} => "ws://",
@@ -118,9 +118,9 @@ impl Dialect {
         matches!(self, Self::Onnx {})
     }
 
-    /// Whether the server has one state for all clients, so that only one evaluator may use it.
+    /// Whether the server has one state for all clients. Only one client may then use it.
     pub fn one_at_a_time(&self) -> bool {
-        // Octo's server keeps the last images and the instruction until /reset, LeRobot's server keeps everything.
+        // Octo's server keeps the last images and the instruction until /reset. LeRobot's server has global state.
         matches!(self, Self::Rest { .. } | Self::LeRobot(_))
     }
 }

@@ -1,4 +1,4 @@
-//! Profiles: what a model observes and what its actions mean, as data.
+//! Profiles: the observation and action mapping of a model, as data.
 
 mod action;
 mod check;
@@ -13,7 +13,7 @@ pub use check::ProfileError;
 pub use dialect::{Dialect, Gr00t, LeRobot};
 pub use observation::{Axes, Camera, Filter, Fit, Part, State, Tool};
 
-/// The description of a model and its server: a TOML file, built in or supplied by the user.
+/// The description of a model and its server, from a TOML file: built in or supplied by the user.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Profile {
@@ -24,13 +24,13 @@ pub struct Profile {
     /// Notes for users.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub notes: String,
-    /// Instruction for the model; left out, the instruction of the task.
+    /// Instruction for the model. Default: the instruction of the task.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub instruction: Option<String>,
     /// Wire format of the server.
     pub dialect: Dialect,
-    /// Width and height in pixels at which the cameras of the cell are rendered for the model; left out, 256. A model
-    /// that was trained on small images should not get downsampled ones, because they are smoother.
+    /// Width and height in pixels at which the cameras of the cell are rendered. Default 256. Models that were trained
+    /// on small images should not receive downsampled ones, because those are smoother.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rendered_px: Option<usize>,
     /// Images, in the order in which they are sent.
@@ -39,12 +39,12 @@ pub struct Profile {
     /// Vectors, in the order in which they are sent.
     #[serde(default, rename = "state", skip_serializing_if = "Vec::is_empty")]
     pub states: Vec<State>,
-    /// Differences between the tool of the cell and the tool of the training data.
+    /// Differences between the tool of the cell and that of the training data.
     #[serde(default)]
     pub tool: Tool,
     /// Meaning of the numbers of an action.
     pub action: ActionForm,
-    /// Number of actions in a reply, and how many of them are executed.
+    /// Number of actions in a reply, and number of executed actions.
     pub chunk: Chunking,
     /// Timeouts and connection attempts.
     #[serde(default)]
@@ -55,11 +55,11 @@ pub struct Profile {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Timeouts {
-    /// For connecting, including the server's description of itself, in seconds.
+    /// Timeout for connecting, including the server's metadata, in seconds.
     pub connect_s: f64,
-    /// For the first reply on a connection, in seconds. Some servers compile the model then.
+    /// Timeout for the first reply on a connection, in seconds. Some servers compile the model at that time.
     pub first_answer_s: f64,
-    /// For each later reply, in seconds.
+    /// Timeout for each later reply, in seconds.
     pub answer_s: f64,
     /// Number of connection attempts for an episode. The pauses between them are 1, 2, 4, 8 s and so on.
     pub attempts: u32,

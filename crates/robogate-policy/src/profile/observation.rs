@@ -1,11 +1,11 @@
-//! What a model observes.
+//! The observations of a model.
 
 use robogate_core::{Word, vectors};
 use serde::{Deserialize, Serialize};
 
 use crate::array::Dtype;
 
-/// An image that the model takes.
+/// An image input of a model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Camera {
@@ -27,7 +27,7 @@ pub struct Camera {
     /// rotated images.
     #[serde(default)]
     pub turned: bool,
-    /// Fraction of the width and the height that a centre crop keeps, before resizing.
+    /// Fraction of width and height that a centre crop keeps, before resizing.
     #[serde(default = "one")]
     pub crop: f64,
     /// Order of the axes of the array.
@@ -54,10 +54,10 @@ pub enum Fit {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Filter {
-    /// Bilinear filter of Pillow.
+    /// Bilinear filter, as in Pillow.
     #[default]
     Bilinear,
-    /// Lanczos filter of Pillow, with three lobes.
+    /// Lanczos filter with three lobes, as in Pillow.
     Lanczos,
 }
 
@@ -72,7 +72,7 @@ pub enum Axes {
     Chw,
 }
 
-/// A vector that the model takes.
+/// A vector input of a model.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct State {
@@ -81,7 +81,7 @@ pub struct State {
     /// Parts of the vector, in order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<Part>,
-    /// Names of vectors of the task's observation, appended after the parts, unchanged.
+    /// Names of vectors of the task's observation. They are appended unchanged after the parts.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub vectors: Vec<Word>,
     /// Type of its elements: `<f4` or `<f8`.
@@ -128,7 +128,7 @@ pub enum Part {
     ToolQuaternionWxyz,
     /// Measured joint positions (one number for each joint of the arm).
     JointPositions,
-    /// Finger positions as robosuite defines them for the Panda: plus and minus half the opening (2 numbers).
+    /// Finger positions as robosuite defines them for the Panda: plus and minus half of the opening (2 numbers).
     GripperFingers,
     /// Opening divided by the stroke of the gripper: 0 closed, 1 open.
     GripperOpenness,
@@ -151,7 +151,7 @@ impl Part {
         }
     }
 
-    /// Vector of the observation from which it is computed.
+    /// Name of the observed vector from which it is computed.
     pub(crate) fn vector(self) -> Option<Word> {
         match self {
             Self::Zero => None,
@@ -169,14 +169,15 @@ impl Part {
     }
 }
 
-/// Differences between the tool of the cell and the tool of the training data.
+/// Differences between the tool of the cell and that of the training data.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tool {
-    /// Offset added to the position of the tool, in metres: position of the robot's base in the world of the model.
+    /// Offset added to the position of the tool, in metres: the position of the robot's base in the model's world
+    /// frame.
     #[serde(default)]
     pub shift_m: [f64; 3],
-    /// Tool frame of the model in that of the cell, as roll, pitch and yaw in radians.
+    /// Tool frame of the model relative to that of the cell, as roll, pitch and yaw in radians.
     #[serde(default)]
     pub turn_rad: [f64; 3],
     /// Full opening of the gripper in metres, for its openness.

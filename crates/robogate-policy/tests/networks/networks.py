@@ -21,7 +21,7 @@ SIDE = 96
 
 
 def small(path, batch, width):
-    """The means of a picture's colours and a state of eight numbers, through one layer: two actions of eight numbers."""
+    """One linear layer from the mean colours of an image and a state of eight numbers to two actions of eight numbers."""
     rng = np.random.default_rng(1)
     weights = {
         "scale": np.float32(1 / 255),

@@ -1,4 +1,4 @@
-"""A server around openpi-client's own codec, as openpi's serve_policy.py uses it: the answer says what arrived."""
+"""A server with openpi-client's codec, as in openpi's serve_policy.py. Its actions report the received observation."""
 
 import asyncio
 
@@ -10,7 +10,7 @@ from websockets.asyncio.server import serve
 def infer(observation):
     image, wrist = observation["observation/image"], observation["observation/wrist_image"]
     assert image.dtype == np.uint8 and image.shape == wrist.shape == (224, 224, 3), (image.dtype, image.shape)
-    # What the official client would have sent of the same picture: 256 x 256, counting up.
+    # The image that the official client would send: 256 x 256, with increasing bytes.
     counted = np.arange(3 * 256 * 256).astype(np.uint8).reshape(256, 256, 3)
     assert (image == image_tools.resize_with_pad(counted, 224, 224)).all(), "not resized as the official client does"
     state = observation["observation/state"]
@@ -27,7 +27,7 @@ async def converse(socket):
 
 
 async def main():
-    # As upstream, but for the pings: often enough to be seen in a test.
+    # As upstream, except for more frequent pings, so that a test can observe them.
     settings = {"compression": None, "max_size": None, "ping_interval": 0.5, "ping_timeout": 1.5}
     async with serve(converse, "127.0.0.1", 0, **settings) as server:
         print(f"ws://127.0.0.1:{server.sockets[0].getsockname()[1]}", flush=True)

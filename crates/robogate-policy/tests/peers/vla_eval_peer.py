@@ -1,4 +1,4 @@
-"""vla-eval's own model server around a model that says what arrived."""
+"""vla-eval's model server with a model that reports the received observation."""
 
 import socket
 import sys

@@ -1,11 +1,11 @@
-//! Observations and tasks for tests.
+//! Test observations and tasks.
 
 use robogate_core::{
     ActionSpace, ActionSpec, CameraSpec, GripperKind, Image, Observation, ObservationSpec, Policy, Seed, TaskInstance,
     TaskSpec, VectorSpec, Word, vectors,
 };
 
-/// Two images whose bytes count up, a tool that points down at x = 0.5 m, an open gripper.
+/// Two images with increasing bytes, a tool that points down at x = 0.5 m, and an open gripper.
 pub(crate) fn observation(side: usize) -> Observation {
     let image = |camera: &str| Image {
         camera: camera.to_owned(),
@@ -24,7 +24,7 @@ pub(crate) fn observation(side: usize) -> Observation {
     }
 }
 
-/// A task for an arm of seven joints with a gripper and two cameras.
+/// A task for an arm with seven joints, a gripper and two cameras.
 pub(crate) fn task() -> TaskSpec {
     let camera = |name: &str| CameraSpec { name: name.to_owned(), width: 256, height: 256 };
     let vector = |name: Word, length: usize| VectorSpec { name, length, unit: String::new() };

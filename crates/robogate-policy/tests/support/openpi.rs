@@ -1,4 +1,4 @@
-//! Servers with openpi's dialect for tests.
+//! Test servers with the dialect openpi.
 
 use std::net::{TcpListener, TcpStream};
 use std::ops::ControlFlow;
@@ -7,7 +7,7 @@ use std::thread;
 use rmpv::Value;
 use tungstenite::{Message, WebSocket, accept};
 
-/// A reply with this number of actions and numbers per action.
+/// Encodes a reply with this number of actions and numbers per action.
 pub(crate) fn actions(rows: usize, width: usize, number: impl Fn(usize, usize) -> f64) -> Vec<u8> {
     let data =
         (0..rows).flat_map(|i| (0..width).flat_map(move |j| [(i, j)])).flat_map(|(i, j)| number(i, j).to_le_bytes());
@@ -24,7 +24,7 @@ pub(crate) fn actions(rows: usize, width: usize, number: impl Fn(usize, usize) -
     bytes
 }
 
-/// A server that sends metadata and then runs a conversation on each connection, until one returns `Break`.
+/// Starts a server that sends metadata and then runs a conversation on each connection, until one returns `Break`.
 pub(crate) fn serve(
     listener: TcpListener,
     mut converse: impl FnMut(usize, &mut WebSocket<TcpStream>) -> ControlFlow<()> + Send + 'static,

@@ -1,4 +1,4 @@
-//! The checks, one method each.
+//! The checks, with one method each.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -19,10 +19,10 @@ use super::Latency;
 const PERIODS: usize = 20;
 /// Number of requests whose latency is measured.
 const REQUESTS: usize = 200;
-/// Largest distance of a joint from its commanded position after it had time to get there, in radians.
+/// Maximum error of a joint after it had time to reach its commanded position, in radians.
 const JOINT_TOLERANCE: f64 = 0.03;
 
-/// Nothing, or a description of the violation.
+/// `Ok`, or a description of the violation.
 type Outcome = Result<(), String>;
 
 /// Name, requirement and experiment of a check.
@@ -86,7 +86,7 @@ impl<'a> Checker<'a> {
     ];
 
     fn scenario(&self, i: usize) -> Result<&Scenario, String> {
-        self.scenarios.get(i % self.scenarios.len().max(1)).ok_or_else(|| "no scenario to try".to_owned())
+        self.scenarios.get(i % self.scenarios.len().max(1)).ok_or_else(|| "no scenario to test".to_owned())
     }
 
     fn reset(&mut self, i: usize) -> Result<Start, String> {
@@ -124,7 +124,7 @@ impl<'a> Checker<'a> {
         Action { command, gripper: spec.gripper.map(|_| gripper), phase: None }
     }
 
-    /// The kind and the numbers of an action that moves little, with an open gripper.
+    /// The kind and the numbers of an action with a small motion and an open gripper.
     fn hold(&self, start: &Start) -> (ActionKind, Vec<f64>) {
         let action = self.action(start, 0);
         let kind = ActionKind::of(&action.command);
@@ -157,7 +157,7 @@ impl<'a> Checker<'a> {
             let address = self.connection.address().clone();
             let other = Connection::open(address, Timeouts::default()).map_err(describe)?;
             if other.hello() != self.connection.hello() {
-                return Err("another connection gets another reply to hello".to_owned());
+                return Err("the reply to hello differs between connections".to_owned());
             }
         }
         self.session.accepts(self.connection.hello())
@@ -203,14 +203,14 @@ impl<'a> Checker<'a> {
                 let gripper = spec.gripper.map(|_| Action::OPEN);
                 let step = self.step(&Action { command, gripper, phase: None }).map_err(describe)?;
                 if step.ending.is_some() {
-                    return Err("the episode ended although the arm hardly moved".to_owned());
+                    return Err("the episode ended although the arm made a small motion only".to_owned());
                 }
                 if k == periods {
                     let reached = step.observation.joint_positions();
                     let off = |(is, commanded): (&f64, &f64)| (is - commanded).abs() > JOINT_TOLERANCE;
                     if let Some(i) = reached.iter().zip(&joints).position(off) {
                         let (commanded, is) = (joints[i], reached[i]);
-                        return Err(format!("joint {i} was commanded to {commanded:.4} rad and is at {is:.4} rad"));
+                        return Err(format!("joint {i} was commanded to {commanded:.4} rad but is at {is:.4} rad"));
                     }
                 }
             }
@@ -271,7 +271,7 @@ impl<'a> Checker<'a> {
     fn bad_action(&mut self) -> Outcome {
         let start = self.reset(0)?;
         let (space, numbers) = self.hold(&start);
-        let (mut long, mut nan, mut far) = (numbers.clone(), numbers.clone(), numbers);
+        let (mut long, mut nan, mut beyond) = (numbers.clone(), numbers.clone(), numbers);
         long.push(0.0);
         if let Some(first) = nan.first_mut() {
             *first = f64::NAN;
@@ -284,8 +284,8 @@ impl<'a> Checker<'a> {
         self.expect_continues(&start)?;
         let Some((_, high)) = self.connection.hello().task.action.vector() else { return Ok(()) };
         if space == ActionKind::Vector {
-            far[0] = high[0] + 1.0 + high[0].abs();
-            expect_rejected("action out of bounds", self.send_step(2, space, far), &kinds)?;
+            beyond[0] = high[0] + 1.0 + high[0].abs();
+            expect_rejected("action out of bounds", self.send_step(2, space, beyond), &kinds)?;
             self.expect_continues(&start)?;
         }
         Ok(())

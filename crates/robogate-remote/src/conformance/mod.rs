@@ -1,4 +1,4 @@
-//! Conformance tests: checks by experiment whether a server keeps the protocol.
+//! Conformance tests: experiments that test whether a server conforms to the protocol.
 
 mod checks;
 
@@ -22,11 +22,11 @@ pub struct CheckResult {
     pub name: &'static str,
     /// What the protocol requires.
     pub requirement: &'static str,
-    /// What the server did instead; nothing if it meets the requirement.
+    /// The observed violation. `None` if the server meets the requirement.
     pub violation: Option<String>,
 }
 
-/// Time between a request and its reply.
+/// Latencies between request and reply.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Latency {
     /// Operation of the request.
@@ -40,11 +40,11 @@ pub struct Latency {
 /// Results of all checks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
-    /// What the server reports about itself.
+    /// The server's reply to `hello`.
     pub hello: Hello,
     /// Results, one for each check.
     pub results: Vec<CheckResult>,
-    /// Latencies; empty if a check failed.
+    /// Latencies. Empty if a check failed.
     pub latencies: Vec<Latency>,
 }
 
@@ -55,10 +55,10 @@ impl Report {
     }
 }
 
-/// Scenarios with which a server of this task is tried.
+/// Scenarios for the conformance tests of a server with this task.
 ///
-/// Each declared parameter has its value in `base`, or one sampled from `space`, or its nominal value; a parameter that
-/// has none of these is left out. `base` may only contain values that the task accepts.
+/// Each declared parameter has its value in `base`, or one sampled from `space`, or its nominal value. A parameter with
+/// none of these is left out. `base` may only contain values that the task accepts.
 pub fn scenarios(
     task: &TaskSpec,
     space: Option<&Arc<ParameterSpace>>,
@@ -93,9 +93,9 @@ pub fn scenarios(
         .collect())
 }
 
-/// Check the server at `address` against the protocol.
+/// Test whether the server at `address` conforms to the protocol.
 ///
-/// `scenarios` (at least two) are those with which its parameters are tried. `session` is of the server's kind.
+/// `scenarios` (at least two) exercise its parameters. `session` is of the server's kind.
 pub fn check(
     address: &Address,
     timeouts: Timeouts,
@@ -107,7 +107,7 @@ pub fn check(
     let declaration =
         CheckResult { name: "task", requirement: "hello declares a valid task", violation: hello.check().err() };
     if declaration.violation.is_some() {
-        // Nothing else can be tried without a task.
+        // Nothing else can be tested without a task.
         return Ok(Report { hello, results: vec![declaration], latencies: Vec::new() });
     }
     let mut checker = Checker { connection, scenarios, session };
@@ -117,7 +117,7 @@ pub fn check(
         requirement,
         violation: experiment(&mut checker).err(),
     }));
-    // The latency of invalid replies means nothing.
+    // Latencies of invalid replies are meaningless.
     let passed = results.iter().all(|result| result.violation.is_none());
     let latencies = if passed { checker.latencies() } else { Ok(Vec::new()) };
     let latencies = latencies.unwrap_or_else(|why| {

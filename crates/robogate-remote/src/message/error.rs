@@ -1,18 +1,18 @@
-//! Errors on the wire.
+//! Errors in replies.
 
 use robogate_core::{Fault, FaultKind};
 use serde::{Deserialize, Serialize};
 
-/// Why a request was not carried out.
+/// The reason why a request was not executed.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ErrorReply {
     /// Class of the error.
     pub kind: ErrorKind,
-    /// Description for people, one line.
+    /// Description for the user, one line.
     pub detail: String,
 }
 
-/// Classes of errors on the wire.
+/// Classes of errors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ErrorKind {
@@ -24,7 +24,7 @@ pub enum ErrorKind {
     BadAction,
     /// The physics diverged.
     Diverged,
-    /// The server does not implement this operation.
+    /// The request violates the protocol.
     Unsupported,
     /// The request breaks the protocol.
     BadRequest,

@@ -1,4 +1,4 @@
-//! What a server reports about itself.
+//! The reply to `hello`.
 
 use robogate_core::{ActionSpace, Domain, ParameterSpace, TaskSpec, Value, vectors};
 use serde::{Deserialize, Serialize};
@@ -12,16 +12,16 @@ pub struct Hello {
     pub server: Program,
     /// Physics engine.
     pub engine: Engine,
-    /// Robot; nothing for a world without one.
+    /// Robot. `None` for a world without one.
     #[serde(default)]
     pub robot: Option<Robot>,
-    /// Time step of the engine, in seconds, where it has a constant one.
+    /// Time step of the engine, in seconds, if it is constant.
     #[serde(default)]
     pub time_step_s: Option<f64>,
-    /// The task. A server that only computes physics declares what it observes, which actions it takes and which
-    /// parameters it applies itself.
+    /// The task. A server that only computes physics declares its observations, the actions that it accepts and the
+    /// parameters that it applies itself.
     pub task: TaskSpec,
-    /// The space to sample from where the user names none.
+    /// The space that is sampled by default.
     #[serde(default)]
     pub space: Option<ParameterSpace>,
     /// Always `wxyz`.
@@ -65,11 +65,11 @@ pub struct Robot {
     pub sha256: Option<String>,
 }
 
-/// The values of `quaternion_order` and `image_origin`. They are declared so that a mistake is found early.
+/// The values of `quaternion_order` and `image_origin`. They are declared so that a mismatch is detected early.
 const ORDER: (&str, &str) = ("wxyz", "top_left");
 
 impl Hello {
-    /// A deterministic server that scores itself, without a robot, a constant time step or a space of its own.
+    /// A deterministic server that scores itself, without a robot, a constant time step or its own space.
     pub fn new(task: TaskSpec, server: Program, engine: Engine) -> Self {
         Self {
             server,
@@ -85,7 +85,7 @@ impl Hello {
         }
     }
 
-    /// Number of time steps in a control period; 0 where the time step is not constant.
+    /// Number of time steps in a control period. 0 if the time step is not constant.
     pub fn steps_per_period(&self) -> usize {
         self.time_step_s.map_or(0, |step_s| (self.task.control_period_s / step_s).round() as usize)
     }
@@ -116,12 +116,12 @@ impl Hello {
         self.check_space()?;
         require(
             self.scores_itself || self.is_physics(),
-            "a server that does not score itself must take joint_position alone, with a gripper, observe \
+            "a server that does not score itself must accept joint_position only, with a gripper, observe \
              joint_positions, and have a constant time_step_s",
         )
     }
 
-    /// Whether the declaration is one of a server that computes physics.
+    /// Whether the declaration is that of a server that computes physics.
     fn is_physics(&self) -> bool {
         let joints = matches!(&self.task.action.spaces[..], [ActionSpace::JointPosition { .. }]);
         let observed = self.length(vectors::JOINT_POSITIONS.as_str()).is_some();
@@ -133,7 +133,7 @@ impl Hello {
         declared.find(|spec| spec.name == vector).map(|spec| spec.length)
     }
 
-    /// Check the vectors and actions whose meaning is fixed.
+    /// Check the vectors and actions with a fixed meaning.
     fn check_names(&self) -> Result<(), String> {
         let joints = self.task.action.joints().map(<[String]>::len);
         if joints.is_some_and(|joints| joints > limits::JOINTS) {
@@ -155,7 +155,7 @@ impl Hello {
         Ok(())
     }
 
-    /// Check that the server accepts what its space contains.
+    /// Check that the server accepts all values of its space.
     fn check_space(&self) -> Result<(), String> {
         for parameter in self.space.iter().flat_map(ParameterSpace::parameters) {
             let Some(spec) = self.task.parameter(&parameter.name) else {

@@ -40,14 +40,14 @@ pub struct Envelope {
     pub v: u64,
     /// Identifier of the episode, copied from the request.
     pub episode: u64,
-    /// Whether the request was carried out.
+    /// Whether the request was executed.
     pub ok: bool,
-    /// Why the request was not carried out.
+    /// The reason why the request was not executed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<ErrorReply>,
 }
 
-/// The header of a reply to a request that was carried out.
+/// The header of a reply to a request that was executed.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reply<T> {
     /// Keys that every reply has.

@@ -1,4 +1,4 @@
-//! Parameter values on the wire.
+//! Parameter values in messages.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -28,7 +28,7 @@ pub(crate) fn to_wire(assignment: &Assignment) -> BTreeMap<String, ParameterValu
     assignment.iter().map(|(name, value)| (name.to_owned(), wire(value))).collect()
 }
 
-/// Convert parameters from the wire, in the order of `like` for the names that it contains.
+/// Read parameters from a message. Names that `like` contains keep its order.
 pub(crate) fn from_wire(parameters: &BTreeMap<String, ParameterValue>, like: &Assignment) -> Assignment {
     let value = |wire: &ParameterValue| match wire {
         ParameterValue::Integer(n) => Value::Integer(*n),

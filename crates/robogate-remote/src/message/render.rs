@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 /// Request to render cameras.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RenderRequest {
-    /// Names of the cameras; all of them if left out.
+    /// Names of the cameras. Default: all of them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cameras: Option<Vec<String>>,
 }
@@ -37,6 +37,6 @@ pub struct ImageInfo {
 pub struct HashReply {
     /// Number of control periods run so far.
     pub tick: u64,
-    /// State hash of the last step; before the first step it may be nil.
+    /// State hash of the last step. It may be nil before the first step.
     pub state_hash: Option<u64>,
 }

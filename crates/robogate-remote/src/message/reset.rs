@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{ObservationMessage, ParameterValue};
 
-/// Request to begin an episode. `C` is the cell that a server without its own task has to set up.
+/// Request to begin an episode. `C` is the cell that a server without its own task must set up.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ResetRequest<C> {
     /// Index of the episode in its campaign.
@@ -17,20 +17,20 @@ pub struct ResetRequest<C> {
     pub seed: u64,
     /// Requested parameters.
     pub parameters: BTreeMap<String, ParameterValue>,
-    /// Cell, or nil for a server that scores itself.
+    /// Cell. Nil for a server that scores itself.
     pub cell: Option<C>,
 }
 
 /// Reply to `reset`.
 ///
-/// A server that scores itself sends `applied`, and `instance` where the episode has an instruction or details of its
-/// own. Any other sends `readback` of type `R` and a sample of type `S`.
+/// A server that scores itself sends `applied`, and `instance` if the episode has its own instruction or details. Any
+/// other server sends `readback` of type `R` and a sample of type `S`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(bound(deserialize = "R: DeserializeOwned, S: DeserializeOwned"))]
 pub struct ResetReply<R, S> {
     /// First observation.
     pub observation: ObservationMessage,
-    /// What is special about this episode; left out, the instruction is that of the task.
+    /// Instruction and details of this episode. Default: the instruction of the task.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub instance: Option<TaskInstance>,
     /// Parameters as read back after they were applied.

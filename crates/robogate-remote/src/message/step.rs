@@ -21,7 +21,7 @@ pub struct StepRequest {
     pub actions: Vec<Vec<f64>>,
 }
 
-/// The kinds of action on the wire. Each action ends with the number of the gripper, if the task declares one.
+/// The kinds of actions. Each action ends with the number of the gripper, if the task declares one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ActionKind {
@@ -64,7 +64,7 @@ pub struct StepReply<S> {
 
 /// Result of one control period.
 ///
-/// A server that scores itself sends `measures`, `ending` and `events`. Any other sends samples of type `S` and
+/// A server that scores itself sends `measures`, `ending` and `events`. Any other server sends samples of type `S` and
 /// `clearance_m`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(bound(deserialize = "S: DeserializeOwned"))]
@@ -73,7 +73,7 @@ pub struct Period<S> {
     pub observation: ObservationMessage,
     /// Hash of the full state of the simulator.
     pub state_hash: u64,
-    /// Measures of the episode so far, by name; nil is a measure without a value.
+    /// Measures of the episode so far, by name. Nil for a measure without a value.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measures: Option<BTreeMap<String, Option<f64>>>,
     /// How the episode ended, if it did.
@@ -93,7 +93,7 @@ pub struct Period<S> {
 /// How an episode ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EndingMessage {
-    /// Failure mode; nil for a success. Any other value is a failure, whether or not the task declares it.
+    /// Failure mode. Nil for a success. Any other value is a failure, whether or not the task declares it.
     #[serde(deserialize_with = "failure")]
     pub failure: Option<FailureMode>,
     /// Simulated time of the end, in seconds.
@@ -103,7 +103,7 @@ pub struct EndingMessage {
     pub contact: Option<Contact>,
 }
 
-/// Read a failure. A value that is not usable as a name must neither become a success nor hide the failure in an
+/// Read a failure. A value that cannot be used as a name must not become a success, and must not hide the failure in an
 /// invalid episode.
 fn failure<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<FailureMode>, D::Error> {
     #[derive(Deserialize)]

@@ -1,4 +1,4 @@
-//! Conformance tests of servers that keep the protocol, and of servers that do not.
+//! Conformance tests of conforming servers, and of servers with violations.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -58,7 +58,7 @@ fn planted_violations_are_found() {
             let drift = 0.01 * n as f64;
             Some(in_steps::<Empty>(request, reply, |steps| joints(&mut steps.steps[0])[2] += drift))
         }),
-        // It rejects nothing.
+        // This server rejects no request.
         (
             &["unknown_parameter", "other_episode", "other_tick", "bad_action", "order", "malformed"],
             |_, request, mut reply| {
@@ -105,7 +105,7 @@ fn planted_violations_are_found() {
 }
 
 #[test]
-fn an_invalid_task_is_the_only_result() {
+fn invalid_tasks_end_the_check() {
     let tamper: Tamper = |_, request, mut reply| {
         if op(request) == "hello" {
             let mut changed = hello();
@@ -121,7 +121,7 @@ fn an_invalid_task_is_the_only_result() {
 }
 
 #[test]
-fn scenarios_combine_given_sampled_and_nominal_values() {
+fn scenarios_combine_all_value_sources() {
     let task = hello().task;
     let mut base = Assignment::default();
     base.set("shape", Value::Category("sphere".into()));
@@ -138,7 +138,7 @@ fn scenarios_combine_given_sampled_and_nominal_values() {
     assert!(why.contains("no parameter `colour`. Expected one of: mass_kg, shape"), "{why}");
 }
 
-/// A Python server of the toy simulators, and its address.
+/// Starts a Python server of a toy simulator. Returns the process and its address.
 fn python(kind: &str) -> Option<(support::Peer, Address)> {
     let python = support::python()?;
     let peer = support::Peer::start(&python, &support::root().join("bridges/common/tests/toy.py"), &["--kind", kind]);
@@ -148,7 +148,7 @@ fn python(kind: &str) -> Option<(support::Peer, Address)> {
 }
 
 #[test]
-fn a_python_server_passes_and_repeats_episodes() {
+fn python_servers_conform_and_repeat() {
     let Some((_peer, address)) = python("gantry") else { return };
     let scenarios: Vec<Scenario> = (0..3)
         .map(|index| {
@@ -173,7 +173,7 @@ fn a_python_server_passes_and_repeats_episodes() {
 
 /// A task without a robot: its own failure modes, measures, parameters and a vector as action.
 #[test]
-fn a_python_task_of_its_own_conforms() {
+fn python_task_conforms() {
     let Some((_peer, address)) = python("tank") else { return };
     let timeouts = Timeouts::from_step(Duration::from_secs(10));
     let hello = Connection::open(address.clone(), timeouts).unwrap().hello().clone();

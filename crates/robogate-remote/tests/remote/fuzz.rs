@@ -1,4 +1,4 @@
-//! Mutated requests and replies.
+//! Fuzz tests with mutated requests and replies.
 
 use std::time::Instant;
 

@@ -1,4 +1,4 @@
-//! Environments in servers: an episode has the result that it has in this process, or it is Invalid. No call waits for
+//! Tests of remote environments: an episode has the same result as in this process, or it is invalid. No call waits
 //! longer than its timeout.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]

@@ -160,19 +160,19 @@ fn pool(server: &Running) -> Arc<Pool> {
 }
 
 #[test]
-fn the_task_scores_what_the_server_reports() {
+fn tasks_score_reported_physics() {
     let server = Running::start_host(ToyPhysics::new, unchanged);
     let mut simulator = RemotePhysics::new(pool(&server), reach()).unwrap();
     for index in 0..3 {
         let episode = rollout(&mut simulator, &mut Creep::default(), &scenario(index));
         assert_eq!(episode.outcome, Outcome::Success);
-        // Each of three joints moves 0.01 rad in a control period: the sum exceeds 0.16 rad after six.
+        // Each of three joints moves 0.01 rad per control period, so the sum exceeds 0.16 rad after six periods.
         assert!((episode.time_s - 6.0 * PERIOD).abs() < 1e-9, "{}", episode.time_s);
     }
 }
 
 #[test]
-fn a_physics_server_conforms() {
+fn physics_server_conforms() {
     let server = Running::start_host(ToyPhysics::new, unchanged);
     let scenarios: Vec<Scenario> = (0..2).map(scenario).collect();
     let timeouts = Timeouts::from_step(Duration::from_secs(5));
@@ -181,7 +181,7 @@ fn a_physics_server_conforms() {
 }
 
 #[test]
-fn a_missing_sample_is_a_violation() {
+fn missing_samples_are_violations() {
     let server = Running::start_host(ToyPhysics::new, |_, request, reply| {
         Some(in_steps::<f64>(request, reply, |reply| {
             reply.steps[0].samples.as_mut().unwrap().pop();
@@ -194,7 +194,7 @@ fn a_missing_sample_is_a_violation() {
 }
 
 #[test]
-fn the_kind_of_server_must_match() {
+fn server_kind_must_match() {
     let (physics, scored) = (Running::start_host(ToyPhysics::new, unchanged), Running::start(hello(), unchanged));
     let why = RemoteEnvironment::new(pool(&physics)).err().unwrap().to_string();
     assert!(why.contains("does not score itself"), "{why}");

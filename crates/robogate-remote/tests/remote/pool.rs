@@ -47,7 +47,7 @@ fn run(pool: &Arc<Pool>, workers: usize, count: u64) -> Vec<Episode> {
     episodes
 }
 
-/// The episode as it runs in this process.
+/// The same episode in this process.
 fn local(index: u64) -> Episode {
     rollout(&mut Toy::default(), &mut Creep::default(), &scenario(index))
 }
@@ -65,7 +65,7 @@ fn remote_episodes_equal_local_ones() {
     assert_eq!(*messages.lock().unwrap(), Vec::<String>::new());
 }
 
-/// Failures of a server during an episode, and a part of the message by which each is reported.
+/// Failures of a server during an episode, with a part of the expected message.
 const FAILURES: [(&str, Tamper); 14] = [
     ("closed the connection", |n, _, reply| (n < 8).then_some(reply)),
     ("no answer within", |n, _, reply| {
@@ -124,7 +124,7 @@ const FAILURES: [(&str, Tamper); 14] = [
 ];
 
 #[test]
-fn a_server_failure_never_changes_a_result() {
+fn server_failures_never_change_results() {
     for (part, tamper) in FAILURES {
         let (good, bad) = (Running::start(hello(), unchanged), Running::start(hello(), tamper));
         let (pool, messages) = pool(&[&bad, &good]);
@@ -149,7 +149,7 @@ fn a_server_failure_never_changes_a_result() {
 }
 
 #[test]
-fn a_failed_reset_moves_to_another_server() {
+fn failed_resets_move_to_another_server() {
     let tamper: Tamper = |_, request, mut reply| {
         if op(request) == "reset" {
             reply[0].truncate(30);
@@ -165,7 +165,7 @@ fn a_failed_reset_moves_to_another_server() {
 }
 
 #[test]
-fn without_servers_episodes_are_invalid_immediately() {
+fn episodes_without_servers_are_invalid() {
     let bad = Running::start(hello(), |n, _, reply| (n < 8).then_some(reply));
     let (pool, messages) = pool(&[&bad]);
     let began = Instant::now();
@@ -212,7 +212,7 @@ fn move_tool(metres: f64) -> Action {
 }
 
 /// A server that ends each episode in its second control period, with this value as failure. A name in angle brackets
-/// stands for a value that is not a string.
+/// represents a value that is not a string.
 fn ending(value: &'static str) -> Tamper {
     match value {
         "jammed at 40 N" => {
@@ -225,7 +225,7 @@ fn ending(value: &'static str) -> Tamper {
     }
 }
 
-/// The reply to the second step with an ending whose failure is what `write` appends.
+/// The reply to the second step, with an ending whose failure is written by `write`.
 fn with_failure(request: &[u8], reply: Vec<Vec<u8>>, write: fn(&mut Vec<u8>)) -> Vec<Vec<u8>> {
     let mark = b"replace-me";
     let mut reply = in_steps::<Empty>(request, reply, |steps| {
@@ -246,7 +246,7 @@ fn with_failure(request: &[u8], reply: Vec<Vec<u8>>, write: fn(&mut Vec<u8>)) ->
 }
 
 #[test]
-fn any_failure_stays_a_failure() {
+fn failures_stay_failures() {
     for (value, name) in [
         ("jammed at 40 N", "jammed_at_40_N"),
         ("success", "unknown"),
@@ -280,7 +280,7 @@ fn undeclared_measures_are_reported_once() {
 }
 
 #[test]
-fn a_server_of_version_1_is_named() {
+fn version_1_servers_are_rejected() {
     let server = Running::start(hello(), |_, _, mut reply| {
         let detail = "this server speaks version 1 of the protocol".to_owned();
         let error = Some(ErrorReply { kind: ErrorKind::BadRequest, detail });
@@ -290,13 +290,13 @@ fn a_server_of_version_1_is_named() {
     let why = Pool::connect(std::slice::from_ref(&server.address), timeouts(), Box::new(|_| {})).err().unwrap();
     let why = why.to_string();
     assert!(why.ends_with(
-        "the server speaks protocol version 1; this robogate speaks version 2. Upgrade the server (bridges/common of \
+        "the server uses protocol version 1, but this robogate uses version 2. Upgrade the server (bridges/common of \
          this release)"
     ), "{why}");
 }
 
 #[test]
-fn servers_of_a_pool_must_be_equal() {
+fn pool_servers_must_be_equal() {
     let one = Running::start(hello(), unchanged);
     let mut newer = hello();
     newer.engine.version = "2".to_owned();

@@ -15,7 +15,7 @@ use serde::de::DeserializeOwned;
 
 use crate::toy::Toy;
 
-/// Changes the frames of the `n`th reply of a server, to this request. `None` stops the server.
+/// Changes the frames of the `n`th reply of a server to this request. `None` stops the server.
 pub(crate) type Tamper = fn(n: u64, request: &[u8], reply: Vec<Vec<u8>>) -> Option<Vec<Vec<u8>>>;
 
 pub(crate) fn unchanged(_: u64, _: &[u8], reply: Vec<Vec<u8>>) -> Option<Vec<Vec<u8>>> {
@@ -74,7 +74,7 @@ pub(crate) fn op(request: &[u8]) -> String {
     decode::<Request<AnyBody>>(request).map_or_else(|_| String::new(), |request| request.op)
 }
 
-/// The keys of an operation, not read.
+/// The keys of an operation, without parsing.
 #[derive(serde::Serialize, serde::Deserialize)]
 pub(crate) struct AnyBody {}
 

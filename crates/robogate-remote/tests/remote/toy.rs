@@ -20,7 +20,7 @@ const LEVEL: Word = Word::constant("level_m");
 const FORCE: Word = Word::constant("force_n");
 
 /// Three joints that reach any commanded position immediately. Closing the gripper ends the episode after [`LENGTH`]
-/// control periods, with an outcome that the seed of the scenario decides.
+/// control periods. The seed of the scenario determines the outcome.
 pub(crate) struct Toy {
     task: Arc<TaskSpec>,
     scenario: Option<Scenario>,

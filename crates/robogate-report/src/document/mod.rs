@@ -1,4 +1,4 @@
-//! A document before it is HTML or Markdown: sections of blocks, in reading order.
+//! The structure of a document, independent of HTML and Markdown: sections of blocks, in reading order.
 
 mod analysis;
 mod comparison;
@@ -8,25 +8,25 @@ use maud::Markup;
 pub(crate) use analysis::analysis_document;
 pub(crate) use comparison::comparison_document;
 
-/// A whole document. Its texts are plain: HTML and Markdown escape them, each in its own way.
+/// A document. Its texts are plain; the HTML and Markdown writers escape them.
 pub(crate) struct Document {
-    /// The kind of document, beside the brand.
+    /// The kind of document, shown beside the product name.
     pub(crate) kind: &'static str,
     /// Its subject.
     pub(crate) title: String,
-    /// One line under the title.
+    /// One line below the title.
     pub(crate) subtitle: String,
-    /// The key figure, large; a dash without one.
+    /// The key figure, shown large. A dash without one.
     pub(crate) figure: String,
-    /// What the key figure is.
+    /// The label of the key figure.
     pub(crate) figure_label: String,
     /// The interval of the key figure.
     pub(crate) interval: String,
     /// The key figure on its scale.
     pub(crate) scale: Markup,
-    /// The answer in a sentence or two.
+    /// The result in one or two sentences.
     pub(crate) answer: String,
-    /// Up to three columns of sentences under the answer, each with its title.
+    /// Up to three columns of sentences below the result, each with a title.
     pub(crate) columns: Vec<(&'static str, Vec<String>)>,
     pub(crate) sections: Vec<Section>,
 }
@@ -36,12 +36,12 @@ pub(crate) struct Section {
     /// The anchor.
     pub(crate) id: &'static str,
     pub(crate) title: String,
-    /// The population that its figures apply to, as a sentence under the title.
+    /// The population that its figures apply to, as a sentence below the title.
     pub(crate) population: Option<String>,
     pub(crate) blocks: Vec<Block>,
 }
 
-/// A part of a section.
+/// A block of a section.
 pub(crate) enum Block {
     /// A paragraph.
     Text(String),
@@ -57,31 +57,31 @@ pub(crate) enum Block {
     Figure(Figure),
     /// Figures side by side.
     Grid(Vec<Figure>),
-    /// A table that is always open.
+    /// A table that is always visible.
     Table(Table),
-    /// A table behind a line that opens it.
+    /// A table that the reader can expand.
     Folded(Table),
     /// Names and values.
     Facts(Vec<(String, String)>),
 }
 
 impl Block {
-    /// A paragraph that states why a figure is missing.
+    /// A paragraph with the reason why a figure is missing.
     fn cannot(figure: &str, because: &str) -> Self {
         Self::Text(format!("{figure} cannot be estimated because {because}."))
     }
 }
 
-/// A drawing with its caption, its findings and its data.
+/// A figure with its caption, its findings and its data.
 pub(crate) struct Figure {
     pub(crate) title: String,
     pub(crate) svg: Markup,
-    /// Whether it is a map of cells, whose letters grow on a phone.
+    /// Whether it is a map of cells. Its text is enlarged on small screens.
     pub(crate) is_map: bool,
     pub(crate) caption: String,
-    /// The findings, beside the drawing where there is room.
+    /// The findings, beside the figure if there is space.
     pub(crate) findings: Vec<String>,
-    /// The data of the drawing.
+    /// The data of the figure.
     pub(crate) table: Table,
 }
 
@@ -90,7 +90,7 @@ pub(crate) struct Table {
     pub(crate) title: String,
     pub(crate) columns: Vec<Column>,
     pub(crate) rows: Vec<Vec<String>>,
-    /// A line under the table.
+    /// A line below the table.
     pub(crate) remark: Option<String>,
 }
 
@@ -107,7 +107,7 @@ pub(crate) enum Kind {
     Text,
     /// Text that stays on one line.
     Short,
-    /// Numbers, right-aligned, with digits of equal width.
+    /// Numbers, right-aligned, with tabular digits.
     Number,
     /// The name of a zone.
     Zone,
@@ -115,9 +115,9 @@ pub(crate) enum Kind {
     Code,
 }
 
-/// Rows of one table on a page.
+/// Maximum number of rows of a table on a page.
 const MAX_ROWS: usize = 60;
-/// Rows of the table of a map.
+/// Maximum number of rows of the table of a map.
 const MAX_MAP_ROWS: usize = 100;
 
 impl Table {
@@ -126,7 +126,7 @@ impl Table {
         Self { title: title.into(), columns, rows, remark: None }
     }
 
-    /// The table without columns in which every cell is a dash.
+    /// Removes columns in which every cell is a dash.
     fn without_empty(mut self) -> Self {
         let empty =
             |at: usize| !self.rows.is_empty() && self.rows.iter().all(|row| row.get(at).is_some_and(|c| c == "-"));
@@ -140,7 +140,7 @@ impl Table {
         self
     }
 
-    /// At most `max` rows; a line under the table gives the number of the others.
+    /// Keeps at most `max` rows. A line below the table states the number of removed rows.
     fn at_most(mut self, max: usize) -> Self {
         if self.rows.len() > max {
             let left = self.rows.len() - max;
@@ -151,12 +151,12 @@ impl Table {
     }
 }
 
-/// The text of an optional figure: "-" without one.
+/// The text of an optional figure, or "-".
 fn or_dash<T>(figure: Option<T>, text: impl FnOnce(T) -> String) -> String {
     figure.map_or_else(|| "-".to_owned(), text)
 }
 
-/// The p-value that is given as such, not as its logarithm.
+/// Formats a p-value that is given as such, not as its logarithm.
 fn plain_p(p: f64) -> String {
     robogate_stats::format::p_value(p.max(f64::MIN_POSITIVE).ln())
 }

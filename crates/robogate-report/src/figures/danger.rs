@@ -8,7 +8,7 @@ use robogate_stats::format::{percent, percent_range};
 use super::heatmap::step;
 use super::svg::{Anchor, Scale, Svg, cut};
 
-/// The danger zones with the smallest p-values, with their intervals.
+/// Draws the danger zones with the smallest p-values and their intervals.
 pub(crate) fn danger_zones(zones: &DangerZones, max: usize) -> Markup {
     let shown = &zones.zones[..zones.zones.len().min(max)];
     let bottom = 8.0 + 24.0 * shown.len() as f64;

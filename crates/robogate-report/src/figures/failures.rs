@@ -8,7 +8,7 @@ use robogate_stats::format::{count, number, percent, significant};
 use super::modes::{further_lines, mode_class, mode_legend, short_label};
 use super::svg::{Anchor, Scale, Svg};
 
-/// Shares of the failure modes.
+/// Draws the shares of the failure modes.
 pub(crate) fn failure_modes(modes: &FailureModes) -> Markup {
     let mut svg = Svg::new(520.0, 4.0 + 34.0 * modes.modes.len() as f64);
     let longest = modes.modes.iter().map(|share| short_label(&share.mode).chars().count()).max().unwrap_or_default();
@@ -28,7 +28,7 @@ pub(crate) fn failure_modes(modes: &FailureModes) -> Markup {
     svg.finish("Failures by mode, with simultaneous intervals")
 }
 
-/// Shares of the failure modes by one parameter.
+/// Draws the shares of the failure modes by one parameter.
 pub(crate) fn mode_changes(parameter: &str, changes: &ModeChanges, modes: &FailureModes) -> Markup {
     let n = changes.bins.len().max(1);
     let names: Vec<&str> = modes.modes.iter().map(|share| share.mode.as_str()).collect();
@@ -38,7 +38,7 @@ pub(crate) fn mode_changes(parameter: &str, changes: &ModeChanges, modes: &Failu
     let w = (right - left) / n as f64;
     let y = Scale::linear([0.0, 1.0], [bottom, top]);
     let ends = (changes.bins.first().map_or(0.0, |b| b.range[0]), changes.bins.last().map_or(1.0, |b| b.range[1]));
-    // A tick that is negligible on this axis is 0.
+    // A tick that is negligible on this axis is shown as 0.
     let tick = |x: f64| if x.abs() < 0.005 * (ends.1 - ends.0) { "0".to_owned() } else { significant(x, 2) };
     mode_legend(&mut svg, &names, 420.0, 8.0);
     for tick in [0.0, 0.5, 1.0] {

@@ -1,4 +1,4 @@
-//! The operating envelope: observed rates per cell, and the frontier over them.
+//! The operating envelope: observed rates per cell, and the frontier.
 
 use maud::Markup;
 
@@ -12,7 +12,7 @@ const LEFT: f64 = 62.0;
 const TOP: f64 = 8.0;
 const RIGHT: f64 = 14.0;
 
-/// Steps of the colour scale.
+/// Number of steps of the colour scale.
 pub(crate) const STEPS: usize = 11;
 
 /// The step of the colour scale for a rate.
@@ -90,7 +90,7 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> M
     ))
 }
 
-/// The frontier, if a part of it can be drawn over the map.
+/// Draws the frontier, if a part of it lies on the map.
 fn drawn_frontier<'a>(map: &PairMap, frontier: Option<&'a Frontier>) -> Option<&'a Frontier> {
     frontier.filter(|f| map.x.levels.is_empty() && map.y.levels.is_empty() && !drawable(f).is_empty())
 }
@@ -100,8 +100,8 @@ fn scale(axis: &Axis, to: [f64; 2]) -> Scale {
     if axis.log { Scale::log(ends, to) } else { Scale::linear(ends, to) }
 }
 
-/// The parts of the curve and its band that are drawn: within the observed ranges, with one point beyond on each side so
-/// that they reach the edge, and where the exact interval is bounded. They are split at the pole.
+/// The visible parts of the curve and its band: inside the observed ranges, where the exact interval is bounded. One
+/// more point on each side extends them to the edge. They are split at the pole.
 pub(crate) fn drawable(frontier: &Frontier) -> Vec<Vec<(&FrontierPoint, [f64; 2])>> {
     let curve = &frontier.curve;
     let near = |i: usize| (i.saturating_sub(1)..=(i + 1).min(curve.len() - 1)).any(|j| curve[j].observed);
@@ -131,10 +131,10 @@ fn draw_frontier(svg: &mut Svg, frontier: &Frontier, across: Scale, up: Scale) {
     }
 }
 
-/// Letters of a level on the horizontal axis.
+/// Maximum number of characters of a level on the horizontal axis.
 const MAX_LETTERS: usize = 16;
 
-/// Height of the labels on the horizontal axis when they are rotated, which they are if they are too long.
+/// Height of the labels on the horizontal axis if they are too long and therefore rotated.
 fn drop(axis: &Axis, room: f64) -> f64 {
     let longest = axis.levels.iter().map(|level| level.chars().count().min(MAX_LETTERS)).max().unwrap_or(0) as f64;
     if 7.0 * longest > room { 7.0 * longest - 4.0 } else { 0.0 }

@@ -8,7 +8,7 @@ use robogate_stats::format::{count, percent, percent_range, significant};
 use super::ZONES;
 use super::svg::{Anchor, Scale, Svg, cut};
 
-/// Success by one parameter.
+/// Draws the success rate by one parameter.
 pub(crate) fn marginal_effect(effect: &MarginalEffect) -> Markup {
     match effect.kind {
         ParameterType::Continuous | ParameterType::ContinuousLog if effect.cells.iter().all(|c| c.range.is_some()) => {
@@ -54,7 +54,7 @@ fn bins(effect: &MarginalEffect) -> Markup {
     svg.finish(&format!("Success by {}", label_with_unit(&effect.parameter)))
 }
 
-/// Levels that are drawn.
+/// Maximum number of levels in the figure.
 const MAX_LEVELS: usize = 24;
 
 fn levels(effect: &MarginalEffect) -> Markup {

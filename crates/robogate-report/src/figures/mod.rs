@@ -21,5 +21,5 @@ pub(crate) use marginal::marginal_effect;
 pub(crate) use models::{coefficients, reliability, roc};
 pub(crate) use rate::rate_scale;
 
-/// Success limits of the zones, as in the paper.
+/// The limits of the zones as success rates, as in the paper.
 const ZONES: [f64; 2] = [0.3, 0.7];

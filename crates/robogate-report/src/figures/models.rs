@@ -6,7 +6,7 @@ use robogate_stats::format::{count, number, percent, percent_range};
 
 use super::svg::{Anchor, Scale, Svg, cut};
 
-/// Coefficients with their intervals.
+/// Draws coefficients with their intervals.
 pub(crate) fn coefficients(regression: &Regression) -> Markup {
     let shown: Vec<_> = regression
         .terms
@@ -15,26 +15,26 @@ pub(crate) fn coefficients(regression: &Regression) -> Markup {
         .filter_map(|t| Some((t.term.as_str(), t.estimate.estimated()?)))
         .take(24)
         .collect();
-    let far =
+    let extent =
         shown.iter().flat_map(|(_, e)| e.interval_95).filter(|v| v.is_finite()).fold(0.1_f64, |m, v| m.max(v.abs()));
     let bottom = 8.0 + 24.0 * shown.len() as f64;
     let mut svg = Svg::new(520.0, bottom + 42.0);
-    let x = Scale::linear([-far, far], [160.0, 506.0]);
+    let x = Scale::linear([-extent, extent], [160.0, 506.0]);
     svg.line("axis", [x.at(0.0), 4.0, x.at(0.0), bottom]);
-    for (at, anchor) in [(-far, Anchor::Start), (0.0, Anchor::Middle), (far, Anchor::End)] {
+    for (at, anchor) in [(-extent, Anchor::Start), (0.0, Anchor::Middle), (extent, Anchor::End)] {
         svg.text("s d", anchor, [x.at(at), bottom + 16.0], &number(at));
     }
     for (i, (term, estimate)) in shown.iter().enumerate() {
         let y = 20.0 + 24.0 * i as f64;
         svg.text("s", Anchor::End, [152.0, y + 4.0], &cut(term, 25));
         let [l, h] = estimate.interval_95;
-        svg.line("whisker", [x.at(l.max(-far)), y, x.at(h.min(far)), y]);
+        svg.line("whisker", [x.at(l.max(-extent)), y, x.at(h.min(extent)), y]);
         svg.dot("dot", [x.at(estimate.coefficient), y], 4.0, &format!("{term}: {}", number(estimate.coefficient)));
     }
     let [less, more] =
         [format!("\u{2190} less {}", regression.outcome), format!("more {} \u{2192}", regression.outcome)];
-    svg.text("a", Anchor::Start, [x.at(-far), bottom + 34.0], &less);
-    svg.text("a", Anchor::End, [x.at(far), bottom + 34.0], &more);
+    svg.text("a", Anchor::Start, [x.at(-extent), bottom + 34.0], &less);
+    svg.text("a", Anchor::End, [x.at(extent), bottom + 34.0], &more);
     svg.finish(&format!("Coefficients on the log-odds of {}", regression.outcome))
 }
 
@@ -57,7 +57,7 @@ fn square(svg: &mut Svg, across: &str, up: &str) -> (Scale, Scale) {
     (x, y)
 }
 
-/// ROC curves of failure detection.
+/// Draws ROC curves of failure detection.
 pub(crate) fn roc(figures: &RocFigures) -> Markup {
     let mut svg = Svg::new(SQUARE, SQUARE);
     let (x, y) = square(&mut svg, "false positive rate", "true positive rate");
@@ -74,7 +74,7 @@ pub(crate) fn roc(figures: &RocFigures) -> Markup {
     svg.finish("ROC curves of the risk model")
 }
 
-/// Observed failure rates by predicted probability.
+/// Draws observed failure rates by predicted probability.
 pub(crate) fn reliability(figures: &CalibrationFigures) -> Markup {
     let mut svg = Svg::new(SQUARE, SQUARE);
     let (x, y) = square(&mut svg, "predicted probability of failure", "observed failure rate");

@@ -4,16 +4,16 @@ use robogate_analysis::labels::mode_label;
 
 use super::svg::{Anchor, Svg, cut};
 
-/// Failure modes with a colour of their own; the next ones reuse the colours.
+/// Number of failure modes with their own colour. Further modes reuse the colours.
 const COLOURS: usize = 8;
 
-/// Characters of a label.
+/// Maximum number of characters of a label.
 pub(super) const MAX_LABEL: usize = 26;
 
 /// Height of one line of a legend.
 const LINE: f64 = 18.0;
 
-/// The style class of a failure mode, by its position.
+/// The style class of a failure mode, by its index.
 pub(super) fn mode_class(mode: usize) -> String {
     format!("m{}", mode % COLOURS)
 }
@@ -23,8 +23,8 @@ pub(super) fn short_label(mode: &str) -> String {
     cut(&mode_label(mode), MAX_LABEL)
 }
 
-/// Draws the modes and their colours on one or more lines from `top` to the width `right`, and returns the height of the
-/// lines after the first.
+/// Draws the modes and their colours on one or more lines, from `top` up to the width `right`. Returns the height of
+/// the lines after the first.
 pub(super) fn mode_legend(svg: &mut Svg, modes: &[&str], right: f64, top: f64) -> f64 {
     let (mut x, mut y) = (0.0, top);
     for (i, mode) in modes.iter().enumerate() {

@@ -7,7 +7,7 @@ use robogate_stats::format::{percent, percent_range};
 use super::ZONES;
 use super::svg::{Anchor, Scale, Svg};
 
-/// The success rate on a line from 0 to 100 %, with its interval, its bounds and the zones.
+/// Draws the success rate on a line from 0 to 100 %, with its interval, its bounds and the zones.
 pub(crate) fn rate_scale(rate: &Rate, bounds: Option<[f64; 2]>) -> Markup {
     let mut svg = Svg::new(360.0, 84.0);
     let x = Scale::linear([0.0, 1.0], [6.0, 354.0]);

@@ -1,10 +1,10 @@
-//! Drawings: a few shapes, coordinates rounded so that the same data give the same bytes.
+//! SVG drawings of a few shapes. Coordinates are rounded, so that equal data give equal bytes.
 
 use maud::{Markup, PreEscaped, html};
 
 use crate::html::prose;
 
-/// A text cut to so many letters.
+/// Cuts a text to a number of characters.
 pub(crate) fn cut(text: &str, most: usize) -> String {
     if text.chars().count() <= most {
         return text.to_owned();
@@ -12,14 +12,14 @@ pub(crate) fn cut(text: &str, most: usize) -> String {
     text.chars().take(most.saturating_sub(1)).chain(['\u{2026}']).collect()
 }
 
-/// A drawing of fixed size that scales with its place on the page.
+/// A drawing of fixed size that scales with its container.
 pub(crate) struct Svg {
     width: f64,
     height: f64,
     body: Markup,
 }
 
-/// How a text stands on its point.
+/// The alignment of a text at its point.
 #[derive(Clone, Copy)]
 pub(crate) enum Anchor {
     Start,
@@ -37,14 +37,14 @@ impl Anchor {
     }
 }
 
-/// A coordinate with one decimal at most.
+/// Formats a coordinate with at most one decimal.
 fn c(x: f64) -> String {
     let text = format!("{x:.1}");
     let text = text.strip_suffix(".0").unwrap_or(&text);
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
-/// A rectangle, with a text that shows when it is pointed at.
+/// A rectangle with a tooltip.
 fn rectangle(class: Option<&str>, [x, y, w, h]: [f64; 4], hint: Option<&str>) -> Markup {
     html! {
         rect class=[class] x=(c(x)) y=(c(y)) width=(c(w.max(0.0))) height=(c(h.max(0.0))) {
@@ -66,7 +66,7 @@ impl Svg {
         self.push(&rectangle(Some(class), place, None));
     }
 
-    /// A rectangle with a text that shows when it is pointed at.
+    /// Draws a rectangle with a tooltip.
     pub(crate) fn rect_with_hint(&mut self, class: &str, place: [f64; 4], hint: &str) {
         self.push(&rectangle(Some(class), place, Some(hint)));
     }
@@ -84,12 +84,12 @@ impl Svg {
         self.push(&html! { text class=(class) x=(c(x)) y=(c(y)) text-anchor=[anchor] { (prose(text)) } });
     }
 
-    /// A text that reads upwards and ends at its point.
+    /// Draws a text that reads upwards and ends at its point.
     pub(crate) fn text_up_to(&mut self, class: &str, at: [f64; 2], text: &str) {
         self.upwards(class, Anchor::End, at, text);
     }
 
-    /// A text that reads upwards, its middle at its point.
+    /// Draws a text that reads upwards and is centred at its point.
     pub(crate) fn text_up(&mut self, class: &str, at: [f64; 2], text: &str) {
         self.upwards(class, Anchor::Middle, at, text);
     }
@@ -112,7 +112,7 @@ impl Svg {
         }
     }
 
-    /// What `draw` draws is cut at the rectangle; `id` must be the only one of its name on the page.
+    /// Clips everything that `draw` draws to the rectangle. `id` must be unique on the page.
     pub(crate) fn clipped(&mut self, id: &str, place: [f64; 4], draw: impl FnOnce(&mut Self)) {
         let mut inner = Self::new(self.width, self.height);
         draw(&mut inner);
@@ -122,7 +122,7 @@ impl Svg {
         });
     }
 
-    /// The element, with a label for readers who cannot see it.
+    /// Finishes the element, with a label for screen readers.
     pub(crate) fn finish(self, label: &str) -> Markup {
         let (width, height) = (c(self.width), c(self.height));
         html! {
@@ -138,7 +138,7 @@ fn path(points: &[[f64; 2]]) -> String {
     points.join(" ")
 }
 
-/// A number's place along an axis.
+/// A linear or logarithmic mapping of numbers to positions on an axis.
 #[derive(Clone, Copy)]
 pub(crate) struct Scale {
     from: [f64; 2],
@@ -158,7 +158,7 @@ impl Scale {
     pub(crate) fn at(&self, value: f64) -> f64 {
         let [low, high] = self.from;
         let share = if self.log {
-            // Far below the axis, so that a value of 0 or less is cut off and not lost.
+            // Far below the axis, so that a value of 0 or less is clipped.
             (value.max(low * 1e-6) / low).ln() / (high / low).ln()
         } else {
             (value - low) / (high - low)

@@ -1,10 +1,10 @@
 //! Gate evaluations as JUnit XML, which CI systems display.
 //!
-//! One test suite has a case for each requirement, another one for each scenario group. A violated requirement is a failure.
-//! An undecided requirement, or one without evidence, is an error. Groups never fail: a requirement may be set for a group. The
-//! file has neither a failure nor an error exactly if the gate passes.
+//! One test suite has a case for each requirement, another one for each scenario group. A violated requirement is a
+//! failure. An undecided requirement, or one without evidence, is an error. Groups never fail, because a requirement
+//! can be set for a group. The file has no failure and no error exactly if the gate passes.
 //!
-//! Every element has an end tag, so the template writes well-formed XML.
+//! Every element has an end tag, so the HTML template writes well-formed XML.
 
 use maud::{Markup, PreEscaped, html};
 use robogate_gate::{Evaluation, GroupResult, Status, Verdict};
@@ -18,7 +18,7 @@ const DECLARATION: PreEscaped<&str> = PreEscaped("<?xml version=\"1.0\" encoding
 
 /// The failure or error of a test case.
 struct Problem {
-    /// Whether it is a failure, else an error.
+    /// Whether it is a failure, otherwise an error.
     failure: bool,
     kind: &'static str,
     message: String,
@@ -36,7 +36,7 @@ pub fn junit(evaluation: &Evaluation) -> String {
         .collect();
     let failures = rows.iter().filter(|row| row.status == Status::Violated).count();
     let mut errors = rows.iter().filter(|row| matches!(row.status, Status::Undecided | Status::NoEvidence)).count();
-    // Without an episode there may be no requirement to report the verdict with.
+    // Without episodes there may be no requirement that can report the verdict.
     let no_evidence = (evaluation.verdict == Verdict::Invalid).then(|| Problem {
         failure: false,
         kind: "invalid",

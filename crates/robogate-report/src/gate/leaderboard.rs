@@ -10,7 +10,7 @@ use crate::markdown::escape_markdown;
 use robogate_analysis::labels::mode_label;
 use robogate_stats::format::{count, fixed, percent, percent_range};
 
-/// The columns of one policy.
+/// The cells of one policy.
 struct Line {
     rank: String,
     name: String,
@@ -53,7 +53,7 @@ impl Line {
     }
 }
 
-/// The head of the last column.
+/// The title of the last column.
 const FAILURES: &str = "failures";
 const HEADS: [&str; 6] = ["rank (95 %)", "policy", "score", "95 % (bootstrap)", "success", "exact 95 % interval"];
 
@@ -79,7 +79,7 @@ pub fn leaderboard_markdown(board: &Leaderboard) -> String {
     heads.extend(terms(board));
     heads.push(FAILURES.to_owned());
     let mut out = format!("# Leaderboard\n\n{}\n\n", escape_markdown(&board.population.to_string()));
-    // Writing to a string cannot fail; so throughout this file.
+    // Writing to a string cannot fail, here and below.
     let _ = writeln!(
         out,
         "| {} |\n|{}",
@@ -97,7 +97,7 @@ pub fn leaderboard_markdown(board: &Leaderboard) -> String {
     out
 }
 
-/// The leaderboard as one self-contained HTML file: the same bytes for the same leaderboard.
+/// The leaderboard as one self-contained HTML file. Equal leaderboards give equal bytes.
 pub fn leaderboard_html(board: &Leaderboard) -> String {
     let lines: Vec<Line> = board.standings.iter().map(Line::of).collect();
     let body = html! {

@@ -18,7 +18,7 @@ pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
         Verdict::Invalid => "\u{26a0}\u{fe0f}",
     };
     let verdict = evaluation.verdict.as_str().to_uppercase();
-    // Writing to a string cannot fail; so throughout this file.
+    // Writing to a string cannot fail, here and below.
     let _ = writeln!(
         out,
         "## {mark} RoboGate: {verdict}\n\n**{}** on {}, {}: {}.\n",
@@ -28,7 +28,7 @@ pub fn evaluation_markdown(evaluation: &Evaluation) -> String {
         escape_markdown(&evaluation.because)
     );
     if evaluation.requirements.mode == Mode::Confidence {
-        out.push_str("| | requirement | observed | interval of the true figure | |\n|---|---|---:|---:|---|\n");
+        out.push_str("| | requirement | observed | confidence interval | |\n|---|---|---:|---:|---|\n");
     } else {
         out.push_str("| | requirement | observed | |\n|---|---|---:|---|\n");
     }

@@ -1,4 +1,4 @@
-//! Gate evaluations for people and for CI.
+//! Gate evaluations for readers and for CI.
 
 mod junit;
 mod leaderboard;
@@ -15,20 +15,20 @@ use robogate_stats::format::{self, count, fixed, number, percent};
 /// One requirement as a row of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RequirementRow {
-    /// The result.
+    /// The status.
     pub status: Status,
     /// The requirement.
     pub requirement: String,
     /// The observed figure.
     pub observed: String,
-    /// The interval of the true figure; empty in point mode.
+    /// The confidence interval. Empty in point mode.
     pub interval: String,
-    /// How many episodes would decide it, or why there is no evidence; empty if it is decided.
+    /// How many episodes would decide it, or why there is no evidence. Empty if it is decided.
     pub note: String,
 }
 
 impl RequirementRow {
-    /// Every requirement of an evaluation, the comparison last.
+    /// The rows of all requirements of an evaluation, with the comparison last.
     pub fn all(evaluation: &Evaluation) -> Vec<Self> {
         let mut rows: Vec<Self> = evaluation.results.iter().map(|f| Self::of(f, evaluation)).collect();
         if let Some(c) = &evaluation.comparison {
@@ -113,7 +113,7 @@ fn how_many(at: u64, evaluation: &Evaluation) -> String {
     }
 }
 
-/// What an inconclusive gate needs, in a sentence; empty if it is conclusive.
+/// A sentence on the episodes that an inconclusive gate needs. Empty if it is conclusive.
 pub fn what_next(evaluation: &Evaluation) -> String {
     evaluation.decided_at_episodes.map_or_else(String::new, |at| match evaluation.sampling {
         Sampling::Sequential => {
@@ -129,7 +129,7 @@ pub fn what_next(evaluation: &Evaluation) -> String {
     })
 }
 
-/// How the figures are compared with the limits, in a sentence.
+/// A sentence on how the figures are compared with the limits.
 pub fn how_judged(evaluation: &Evaluation) -> String {
     let confidence = evaluation.requirements.confidence;
     let (percent, error) = (percent(confidence), percent(1.0 - confidence));
@@ -144,24 +144,24 @@ pub fn how_judged(evaluation: &Evaluation) -> String {
     }
 }
 
-/// A figure of a metric with its unit.
+/// Formats a figure of a metric with its unit.
 pub(crate) fn value(metric: Metric, unit: &str, x: f64) -> String {
     match metric {
         Metric::CycleTime(_) => format!("{} s", fixed(x, 2)),
         Metric::Measure(..) => format!("{} {unit}", number(x)).trim_end().to_owned(),
         Metric::FailureCount(_) => fixed(x, 0),
-        // One decimal would write a limit of 0.25 % as 0.2 %.
+        // With one decimal, a limit of 0.25 % would become 0.2 %.
         _ if (x > 0.0 && x < 0.01) || (x > 0.99 && x < 1.0) => format!("{} %", fixed(100.0 * x, 2)),
         _ => percent(x),
     }
 }
 
-/// A difference of shares in percentage points.
+/// Formats a difference of shares in percentage points.
 fn points(difference: f64) -> String {
     format!("{} points", format::points(difference))
 }
 
-/// The sign of a status.
+/// The symbol of a status.
 pub fn sign(status: Status) -> &'static str {
     match status {
         Status::Met => "\u{2713}",

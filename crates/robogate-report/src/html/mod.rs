@@ -1,4 +1,4 @@
-//! Documents as HTML: one self-contained file.
+//! Documents as self-contained HTML files.
 
 mod prose;
 
@@ -12,20 +12,20 @@ use crate::document::{Block, Document, Figure, Kind, Section, Table, analysis_do
 const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");
 
-/// The analysis as one self-contained page: the same bytes for the same analysis.
+/// The analysis as one self-contained page. Equal analyses give equal bytes.
 ///
-/// It makes no network request, works without scripts, can be printed, and has a light and a dark theme. Text from data is
-/// escaped.
+/// It makes no network request, works without scripts, can be printed, and has a light and a dark theme. Text from data
+/// is escaped.
 pub fn html(analysis: &Analysis) -> String {
     page(&analysis_document(analysis))
 }
 
-/// A comparison as one self-contained page, in the same way.
+/// A comparison as one self-contained page with the same properties.
 pub fn comparison_html(comparison: &Comparison) -> String {
     page(&comparison_document(comparison))
 }
 
-/// A whole page around its body.
+/// A complete page around a body.
 pub(crate) fn frame(title: &str, body: &Markup, script: bool) -> String {
     let page = html! {
         (DOCTYPE)
@@ -93,7 +93,7 @@ fn hero(document: &Document) -> Markup {
     }
 }
 
-/// The key figure, with a small unit.
+/// The key figure with a small unit.
 fn big(figure: &str) -> Markup {
     match figure.split_once(' ') {
         Some((number, unit)) => html! { (prose(number)) small { (prose(unit)) } },

@@ -1,14 +1,14 @@
-//! Text of a page.
+//! Escapes text for a page.
 
 use std::fmt::Write;
 
 use maud::{Escaper, Render};
 
-/// A text as a page shows it: a percent sign stays on the line of its number, and characters that XML cannot hold are
-/// replaced. The template escapes it like every text.
+/// Prepares a text for a page: a percent sign stays on the line of its number, and characters that XML does not allow
+/// are replaced. The template escapes markup.
 pub(crate) struct Prose<'a>(&'a str);
 
-/// A text as a page shows it.
+/// A text for a page.
 pub(crate) fn prose(text: &str) -> Prose<'_> {
     Prose(text)
 }

@@ -1,9 +1,9 @@
-//! The answer of a study in sentences.
+//! The result of a study in sentences.
 
 use robogate_analysis::study::{Arm, Learner, MIN_REPEATS, Measure, Study, Verdict};
 use robogate_stats::format::{counted, list, sentence};
 
-/// The answer of a study, in sentences.
+/// The result of a study, in sentences.
 pub fn answer(study: &Study) -> Vec<String> {
     let mut answer = Vec::new();
     let fitted = study.learners.iter().flat_map(|of| &of.arms).any(|arm| arm.figures.estimated().is_some());

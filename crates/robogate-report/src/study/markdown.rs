@@ -11,7 +11,7 @@ use super::answer;
 /// A study as a Markdown page.
 pub fn page(study: &Study) -> String {
     let mut out = String::new();
-    // Writing to a string cannot fail; so throughout this file.
+    // Writing to a string cannot fail, here and below.
     let _ = write!(out, "# Is boundary focusing worth it?\n\n{}\n\n", subject(study));
     for sentence in &answer(study) {
         let _ = writeln!(out, "- **{sentence}**");
@@ -71,7 +71,7 @@ fn data(out: &mut String, study: &Study) {
     let _ = writeln!(
         out,
         "| test set | {} | 0 | {} | not fitted |\n\n\
-         References to beat: always predicting the more frequent outcome has a boundary error of {}; always predicting the \
+         References: always predicting the more frequent outcome has a boundary error of {}; always predicting the \
          overall success rate ({}) has a log loss of {} and a Brier score of {}.\n",
         count(test.episodes),
         rate,
@@ -137,7 +137,7 @@ fn value(measure: Measure, x: f64) -> String {
     if measure == Measure::BoundaryError { percent(x) } else { fixed(x, 3) }
 }
 
-/// A difference with its interval; for the boundary error in percentage points.
+/// Formats a difference with its interval. The boundary error is in percentage points.
 fn change(measure: Measure, difference: &MeanFigure) -> String {
     let (factor, decimals) = if measure == Measure::BoundaryError { (100.0, 1) } else { (1.0, 3) };
     let signed = |x: f64| {

@@ -8,24 +8,24 @@ use serde::Serialize;
 
 use super::labels;
 
-/// Valid episodes from which the rate is put into words.
+/// Smallest number of valid episodes for a verbal description of the rate.
 const MIN_EPISODES: u64 = 30;
 
 /// The headline of an analysis.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Headline {
-    /// How often the policy succeeds, in one sentence.
+    /// The success rate in one sentence.
     pub answer: String,
     /// Where and how it fails.
     pub where_it_fails: Vec<String>,
-    /// What to do about it.
+    /// Recommendations.
     pub what_to_do: Vec<String>,
-    /// Intervals and bounds of the answer.
+    /// Intervals and bounds of the rate.
     pub uncertainty: Vec<String>,
 }
 
 impl Headline {
-    /// The headline of an analysis.
+    /// Creates the headline of an analysis.
     pub fn of(analysis: &Analysis) -> Self {
         Self {
             answer: answer(analysis),
@@ -44,8 +44,8 @@ fn answer(analysis: &Analysis) -> String {
     let of = match analysis.population {
         Population::OperatingSpace => "over the operating space",
         Population::AsImported => "over the imported episodes",
-        Population::Suite => "over the scenarios of the suite (not an operating rate)",
-        _ => "in a focused design (not an operating rate)",
+        Population::Suite => "over the scenarios of the suite (not the operating space)",
+        _ => "in a focused design (not the operating space)",
     };
     let chance = if rate.n < MIN_EPISODES {
         String::new()
@@ -170,7 +170,7 @@ fn uncertainty(analysis: &Analysis) -> Vec<String> {
     )];
     if success.bounds.invalid > 0 {
         lines.push(format!(
-            "The rate leaves out {}. If all of them had failed or succeeded, it would be {} or {}.",
+            "The rate excludes {}. If all of them had failed or succeeded, it would be {} or {}.",
             counted(success.bounds.invalid, "invalid episode"),
             percent_or_dash(success.bounds.worst_case),
             percent_or_dash(success.bounds.best_case)

@@ -21,13 +21,13 @@ pub fn limits(analysis: &Analysis) -> Vec<String> {
     if success.stages.iter().any(|s| focused(s.population)) && !focused(analysis.population) {
         limits.push(
             "The focused stage samples near the boundary that the first stage estimated, and nowhere else. Its plain success rate \
-             is not an operating rate. Its episodes count in the reweighted rate only, not in any bin, threshold or model."
+             does not estimate the operating space. Its episodes count in the reweighted rate only, not in any bin, threshold or model."
                 .to_owned(),
         );
     }
     if success.bounds.invalid > 0 {
         limits.push(format!(
-            "{} are left out of every rate. If all of them had failed, the rate would be {}; if all had succeeded, {}.",
+            "{} are excluded from every rate. If all of them had failed, the rate would be {}; if all had succeeded, {}.",
             counted(success.bounds.invalid, "invalid episode"),
             percent_or_dash(success.bounds.worst_case),
             percent_or_dash(success.bounds.best_case)
@@ -46,7 +46,7 @@ pub fn limits(analysis: &Analysis) -> Vec<String> {
     if analysis.envelopes.iter().any(|e| e.frontier.estimated().is_some()) {
         limits.push(
             "The frontier comes from a logistic model with four coefficients, which cannot follow a corner of the real boundary: \
-             compare it with the observed rates. Its band holds pointwise and if the model is correct. Outside the range of \
+             compare it with the observed rates. Its band is pointwise and assumes that the model is correct. Outside the range of \
              validity the frontier is an extrapolation."
                 .to_owned(),
         );

@@ -12,26 +12,26 @@ use super::labels;
 
 /// Level of significance, after Holm's adjustment.
 const LEVEL: f64 = 0.05;
-/// Differences that are listed in the headline.
+/// Maximum number of differences in the headline.
 const MAX_DIFFERENCES: usize = 6;
-/// Paired comparisons that are listed in the headline.
+/// Maximum number of paired comparisons in the headline.
 const MAX_PAIRED: usize = 4;
 
 /// The headline of a comparison.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct ComparisonHeadline {
-    /// The answer in one or two sentences.
+    /// The result in one or two sentences.
     pub answer: String,
     /// The differences.
     pub what_differs: Vec<String>,
-    /// What the datasets have in common.
+    /// Properties that the datasets share.
     pub what_they_share: Vec<String>,
     /// The rates with their intervals and bounds.
     pub uncertainty: Vec<String>,
 }
 
 impl ComparisonHeadline {
-    /// The headline of a comparison.
+    /// Creates the headline of a comparison.
     pub fn of(comparison: &Comparison) -> Self {
         Self {
             answer: answer(comparison),
@@ -101,7 +101,7 @@ fn independent_answer(of: &Comparison) -> String {
     format!("Success: {}. {verdict}.{spaces}", order.join(", "))
 }
 
-/// The paired comparison with the largest difference; of equal ones the first.
+/// The paired comparison with the largest difference. Among equal ones the first.
 fn largest(paired: &[PairedComparison]) -> Option<&PairedComparison> {
     paired.iter().max_by(|a, b| {
         let size = |of: &PairedComparison| of.difference.map_or(-1.0, f64::abs);
@@ -182,7 +182,7 @@ fn universal_zones(of: &Comparison) -> String {
     }
 }
 
-/// The datasets whose success falls with larger values of the task's parameter, and whether these are all.
+/// The datasets whose success rate decreases with larger values of the task's parameter, and whether these are all.
 fn lowers_success(of: &Comparison) -> Option<(bool, String)> {
     let sensitivity = of.sensitivity.estimated()?;
     let parameter = parameter_label(&sensitivity.parameter);

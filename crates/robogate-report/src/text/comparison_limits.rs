@@ -16,7 +16,7 @@ pub fn comparison_limits(of: &Comparison) -> Vec<String> {
         let bounds = &dataset.success.bounds;
         if let (1.., Some(worst), Some(best)) = (bounds.invalid, bounds.worst_case, bounds.best_case) {
             lines.push(format!(
-                "The rate of {} leaves out {}. With them it would be between {} and {}.",
+                "The rate of {} excludes {}. Including them, it is between {} and {}.",
                 dataset.name,
                 counted(bounds.invalid, "invalid episode"),
                 percent(worst),

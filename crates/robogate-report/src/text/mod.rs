@@ -1,4 +1,4 @@
-//! Figures in sentences.
+//! Sentences about figures.
 
 mod analysis;
 mod analysis_limits;

@@ -1,4 +1,4 @@
-//! Comparisons as pages and in sentences.
+//! Comparisons as pages and as sentences.
 
 use robogate_analysis::{Comparison, ComparisonOptions};
 use robogate_core::{FailureMode, Fault, FaultKind, Outcome};

@@ -1,4 +1,4 @@
-//! Too few data: pages are written all the same, and say what cannot be estimated.
+//! With insufficient data, pages are written and state what cannot be estimated.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use robogate_report::{analysis_json, html, markdown};
 
 use crate::synthetic::{analysed, space, with_outcomes};
 
-/// The Markdown of an analysis; panics and numbers that mean nothing are what is looked for on the way.
+/// Writes the Markdown of an analysis, and fails on a panic or a meaningless number.
 fn written(analysis: &Analysis) -> String {
     let (page, text) = (html(analysis), markdown(analysis));
     assert_eq!(&serde_json::from_str::<Analysis>(&analysis_json(analysis)).unwrap(), analysis);
@@ -42,7 +42,7 @@ fn few_rows_have_a_page() {
 }
 
 #[test]
-fn one_outcome_is_no_proof() {
+fn single_outcome_bounds_the_rate() {
     let text = written_of(200, |_| Outcome::Success);
     assert!(text.contains("No failure was observed. This bounds the failure rate"));
     written_of(200, |_| Outcome::Failure(FailureMode::constant("grasp_miss")));

@@ -1,4 +1,4 @@
-//! The gate's answer as JUnit and Markdown, and the leaderboard as a page.
+//! Gate evaluations as JUnit and Markdown, and leaderboards as pages.
 
 use robogate_gate::{Evaluation, Leaderboard, Question, Record, Requirements, Sampling};
 use robogate_report::{evaluation_markdown, junit, leaderboard_html, leaderboard_markdown};
@@ -20,7 +20,7 @@ fn requirements() -> Requirements {
     Requirements::from_toml(&toml).unwrap()
 }
 
-/// 300 episodes of the law, of which about a third succeed and some collide.
+/// 300 episodes of the law. About a third succeed and some collide.
 fn record() -> Record {
     let (dir, space) = (TempDir::new().unwrap(), boxes());
     let (source, _) = saved(&dir, "robot", &space, law(&space, 300));
@@ -34,7 +34,7 @@ fn evaluation() -> Evaluation {
 }
 
 #[test]
-fn junit_counts_what_it_holds() {
+fn junit_counts_match() {
     let text = junit(&evaluation());
     let document = roxmltree::Document::parse(&text).unwrap();
     let suite = document.descendants().find(|node| node.has_tag_name("testsuite")).unwrap();
@@ -53,7 +53,7 @@ fn markdown_states_the_verdict() {
 }
 
 #[test]
-fn names_on_the_leaderboard_are_escaped() {
+fn leaderboard_names_are_escaped() {
     let entries = [(EVIL.to_owned(), record())];
     let board = Leaderboard::of(&entries, &requirements().score, None).unwrap();
     let page = leaderboard_html(&board);

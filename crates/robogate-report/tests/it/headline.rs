@@ -14,16 +14,16 @@ fn of_stage(stage: &str) -> (Headline, String) {
 }
 
 #[test]
-fn focused_rows_are_no_operating_rate() {
+fn focused_rows_are_not_operating_rates() {
     let (headline, limit) = of_stage("boundary");
-    assert!(headline.answer.contains("not an operating rate"));
+    assert!(headline.answer.contains("not the operating space"));
     assert!(limit.contains("No rate here applies to the operating space"));
 }
 
 #[test]
-fn suite_scenarios_are_no_operating_rate() {
+fn suites_are_not_operating_rates() {
     let (headline, limit) = of_stage("suite");
-    assert!(headline.answer.contains("not an operating rate"));
+    assert!(headline.answer.contains("not the operating space"));
     assert!(limit.contains("No rate here applies to an operating space"));
     assert!(headline.what_to_do.iter().all(|line| !line.contains("Operate in")));
 }

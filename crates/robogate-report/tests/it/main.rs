@@ -1,4 +1,4 @@
-//! Claims about pages and documents, from the outside.
+//! Tests of pages and documents through the public interface.
 
 #![expect(clippy::disallowed_methods, reason = "tests find their settings in the environment")]
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests too")]

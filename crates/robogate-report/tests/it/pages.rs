@@ -1,11 +1,11 @@
-//! The page is one small self-contained file, is deterministic, and escapes data.
+//! Pages are small self-contained files, are deterministic, and escape data.
 
 use robogate_analysis::{Analysis, Source};
 use robogate_report::{AnalysisReport, analysis_json, html, markdown};
 
 use crate::synthetic::{analysed, law, space};
 
-/// Checks that every element of a page is closed; the error names the first that is not.
+/// Checks that every element of a page is closed. The error names the first that is not.
 pub(crate) fn balanced(page: &str) -> Result<(), String> {
     const VOID: [&str; 4] = ["meta", "link", "input", "br"];
     let mut open: Vec<&str> = Vec::new();
@@ -133,9 +133,9 @@ pub(crate) fn is_up_to_date(file: &str, text: &str) {
         std::fs::write(&golden, text).unwrap();
     }
     let committed = std::fs::read_to_string(&golden).unwrap();
-    // Line by line, so that a difference is seen where it is.
+    // Compared line by line, so that the message shows the first difference.
     for (i, (found, expected)) in text.lines().zip(committed.lines()).enumerate() {
-        assert_eq!(found, expected, "{file}, line {}; ROBOGATE_UPDATE_GOLDEN=1 writes it anew", i + 1);
+        assert_eq!(found, expected, "{file}, line {}; update it with ROBOGATE_UPDATE_GOLDEN=1", i + 1);
     }
     assert_eq!(text.lines().count(), committed.lines().count());
 }
@@ -160,7 +160,7 @@ fn page_and_markdown_have_same_sections() {
     ] {
         let in_page = page.find(&format!("<h2>{title}</h2>")).unwrap_or_else(|| panic!("{title} in the page"));
         let in_text = text.find(&format!("## {title}\n")).unwrap_or_else(|| panic!("{title} in the text"));
-        assert!(at.0 < in_page && at.1 < in_text, "{title} in its place");
+        assert!(at.0 < in_page && at.1 < in_text, "{title} in order");
         at = (in_page, in_text);
     }
 }

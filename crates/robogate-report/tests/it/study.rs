@@ -1,4 +1,4 @@
-//! Studies as Markdown, JSON and in sentences.
+//! Studies as Markdown, as JSON and in sentences.
 
 use robogate_analysis::study::Study;
 use robogate_report::{study_answer, study_json, study_markdown};
@@ -7,7 +7,7 @@ use crate::designs::{Focus, Law, even, study};
 
 #[test]
 fn answer_names_the_worse_design() {
-    // Without obstacles all goes well; the focused designs know only what happens with them, near the frontier.
+    // Episodes without obstacles always succeed. The focused designs only contain obstacles, near the frontier.
     let law: Law = |at| {
         if at[2] < 0.25 {
             0.98

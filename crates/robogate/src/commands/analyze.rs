@@ -40,12 +40,12 @@ impl Analyze {
     }
 }
 
-/// The pairs that `--pair A B` names.
+/// The pairs of `--pair A B`.
 pub(crate) fn pairs(names: &[String]) -> Vec<(String, String)> {
     names.chunks_exact(2).map(|pair| (pair[0].clone(), pair[1].clone())).collect()
 }
 
-/// Analyzes a source, and gives its errors their exit codes.
+/// Analyzes a source. Its errors get their exit codes.
 pub(crate) fn analyse(source: &Source, path: &Path, pairs: &[(String, String)]) -> Result<Analysis, Exit> {
     Analysis::of(source, path, pairs).map_err(|error| {
         let code = if matches!(error, AnalysisError::Io { .. }) { INFRASTRUCTURE } else { USAGE };

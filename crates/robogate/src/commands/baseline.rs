@@ -1,4 +1,4 @@
-//! `robogate baseline`: the figures that others are held against.
+//! `robogate baseline`: writes a run's figures for later comparisons.
 
 use std::path::PathBuf;
 
@@ -11,14 +11,14 @@ use robogate_stats::format::number;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::terminal::{grouped, line, note, percent};
 
-/// Keep a run's figures, for others to be held against.
+/// Write a run's figures to a file, as a baseline for other runs.
 ///
-/// The file names the scenarios that the figures are of: a gate refuses it for others.
+/// The file records the scenarios of the run. A gate rejects it for other scenarios.
 #[derive(Debug, Args)]
 pub(crate) struct BaselineOf {
     /// A run's folder or a dictionary
     run: PathBuf,
-    /// The file to write, - for stdout
+    /// File to write, - for stdout
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
 }

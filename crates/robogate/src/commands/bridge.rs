@@ -26,7 +26,7 @@ enum What {
     Check(BridgeCheck),
 }
 
-/// Check whether a server keeps the bridge protocol (bridges/PROTOCOL.md).
+/// Check whether a server conforms to the bridge protocol (bridges/PROTOCOL.md).
 ///
 /// Runs 13 experiments, then measures latencies. Exit codes: 0 all requirements met, 1 a requirement not met, 5 no
 /// answer.
@@ -35,7 +35,7 @@ struct BridgeCheck {
     /// Address of the server: tcp://HOST:PORT
     address: Address,
     /// Sample the scenarios from this parameter space, limited to the parameters that the server declares; default: the
-    /// server's own space, else the declared nominal values
+    /// server's own space, otherwise the declared nominal values
     #[arg(long, value_name = "NAME|FILE")]
     space: Option<String>,
     /// Set a parameter in every scenario; repeat for several
@@ -48,7 +48,7 @@ struct BridgeCheck {
     json: bool,
 }
 
-/// Number of scenarios that are tried.
+/// Number of scenarios in a check.
 const SCENARIOS: usize = 4;
 
 impl Bridge {
@@ -135,7 +135,7 @@ fn print(report: &Report, tried: &[&str]) {
         if hello.scores_itself { "scores itself" } else { "physics only, for RoboGate's task" }
     ));
     let tried = if tried.is_empty() { "none".to_owned() } else { tried.join(", ") };
-    line(format_args!("  parameters tried: {tried}"));
+    line(format_args!("  parameters tested: {tried}"));
     for result in &report.results {
         match &result.violation {
             None => line(format_args!("{} {}", bold("pass"), result.requirement)),

@@ -1,4 +1,4 @@
-//! `robogate check`: claims held to experiment.
+//! `robogate check`: checks physics claims by experiment.
 
 use std::sync::Arc;
 
@@ -19,14 +19,14 @@ pub(crate) struct Check {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// The physics: what the gripper holds, easy region, time step, repeatability, joint limits
+    /// Check the physics: limits of the gripper, easy region, time step, repeatability, joint limits
     Physics(Physics),
 }
 
-/// The physics claims at full length: three minutes. Which there are depends on the robot's gripper.
+/// Run the full physics experiments, which take about three minutes. The robot's gripper determines which claims apply.
 #[derive(Debug, Args)]
 struct Physics {
-    /// Only these claims
+    /// Check only these claims; default: all that apply
     #[arg(value_name = "CLAIM", value_parser = CLAIMS)]
     claims: Vec<String>,
     #[command(flatten)]
@@ -36,7 +36,7 @@ struct Physics {
     json: bool,
 }
 
-/// The claims by name.
+/// The names of the claims.
 const CLAIMS: [&str; 12] = [
     "coulomb",
     "opening",
@@ -52,7 +52,7 @@ const CLAIMS: [&str; 12] = [
     "joint_limits",
 ];
 
-/// A claim's name and experiment.
+/// The name and the experiment of a claim.
 type Experiment<'a> = (&'static str, &'a dyn Fn() -> Result<ClaimResult, String>);
 
 impl Check {
@@ -90,7 +90,7 @@ impl Physics {
         let own = if gripper.cup().is_some() { suction } else { fingers };
         let experiments = || own.iter().chain(any);
         if let Some(claim) = self.claims.iter().find(|claim| experiments().all(|(name, _)| name != claim)) {
-            return Err(anyhow::anyhow!("the claim {claim} says nothing about {}", gripper.description())).or_usage();
+            return Err(anyhow::anyhow!("the claim {claim} does not apply to {}", gripper.description())).or_usage();
         }
         let mut found = Vec::new();
         for (name, experiment) in experiments() {

@@ -18,7 +18,7 @@ use crate::terminal::{bar, bold, dim, grouped, line, note, percent, wrapped};
 /// Compare dictionaries of different robots, policies or simulators, and find where all of them fail.
 #[derive(Debug, Args)]
 pub(crate) struct Compare {
-    /// Two or more runs' folders, dictionaries (Parquet) or published JSON dictionaries
+    /// Two or more folders of runs, dictionaries (Parquet) or published JSON dictionaries
     #[arg(required = true, value_name = "RUN_OR_FILE")]
     dictionaries: Vec<PathBuf>,
     /// Compare scenario by scenario; all of them must have the same design
@@ -27,28 +27,28 @@ pub(crate) struct Compare {
     /// Print one versioned JSON document
     #[arg(long)]
     json: bool,
-    /// Write a self-contained HTML page
+    /// Write a self-contained HTML page to this file
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
-    /// Write Markdown
+    /// Write a Markdown page to this file
     #[arg(long, value_name = "FILE")]
     md: Option<PathBuf>,
-    /// Names of the dictionaries in their order; default: chosen from their provenance
+    /// Set the names of the dictionaries, in their order; default: chosen from their provenance
     #[arg(long, value_name = "A,B,...", value_delimiter = ',')]
     names: Vec<String>,
     /// Map two shared parameters
     #[arg(long, num_args = 2, value_names = ["A", "B"])]
     pair: Vec<String>,
-    /// Success rate below which a cell is a danger zone, in (0, 1)
+    /// Set the success rate below which a cell is a danger zone, in (0, 1)
     #[arg(long, value_name = "RATE", default_value_t = 0.4)]
     danger: f64,
-    /// Reach of a robot in metres, if its dictionary does not record it
+    /// Set the reach of a robot in metres, if its dictionary does not record it
     #[arg(long, value_name = "NAME=METRES", value_parser = named_length)]
     reach: Vec<(String, f64)>,
-    /// Distance from base to workspace in metres, for dictionaries that do not record it
+    /// Set the distance from base to workspace in metres, for dictionaries that do not record it
     #[arg(long, value_name = "METRES")]
     workspace: Option<f64>,
-    /// Number of scenarios with different outcomes to list for each direction
+    /// Set the number of scenarios with different outcomes to list for each direction
     #[arg(long, value_name = "N", default_value_t = 10, requires = "paired")]
     flips: usize,
 }
@@ -88,7 +88,7 @@ impl Compare {
         Ok(if comparison.has_evidence() { DONE } else { INVALID })
     }
 
-    /// Rejects a path that is given twice, in any spelling, and a page that would overwrite a dictionary.
+    /// Returns an error if a path is given twice, in any spelling, or if a page would overwrite a dictionary.
     fn check_twice(&self) -> Result<(), Exit> {
         let full = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
         for (i, path) in self.dictionaries.iter().enumerate() {
@@ -116,7 +116,7 @@ fn write(file: &Path, text: &str) -> Result<(), Exit> {
     Ok(())
 }
 
-/// A text of exactly `width` columns.
+/// Pads or cuts a text to exactly `width` columns.
 fn fit(text: &str, width: usize) -> String {
     let n = text.chars().count();
     if n <= width {
@@ -269,7 +269,7 @@ fn disagreement(pair: &PairedComparison) {
     let map = match &pair.disagreement {
         Finding::Estimated(map) => map,
         Finding::CannotBeEstimated { because } => {
-            wrapped(&format!("No map can be drawn because {because}."));
+            wrapped(&format!("No map: {because}."));
             return;
         }
     };
@@ -347,7 +347,7 @@ fn modes(of: &Comparison) {
     }
 }
 
-/// Datasets on one line.
+/// The names of datasets on one line.
 const MAX_COLUMNS: usize = 3;
 
 fn marginal_effect(curve: &SharedCurve, names: &[String]) {

@@ -1,4 +1,4 @@
-//! `robogate demos`: the scripted controller's episodes, recorded for learning.
+//! `robogate demos`: records demonstrations of the scripted controller.
 
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -20,13 +20,13 @@ use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::subject::{EnvironmentArguments, named_space};
 use crate::terminal::{grouped, line, note};
 
-/// Frames a second: one for each control tick.
+/// Frames per second: one for each control period.
 const FPS: u32 = 20;
 
-/// Record demonstrations of the scripted controller, with pictures, as a LeRobot dataset (v3.0).
+/// Record demonstrations of the scripted controller, with images, as a LeRobot dataset (v3.0).
 #[derive(Debug, Args)]
 pub(crate) struct Demos {
-    /// The folder of the dataset; it must not exist
+    /// Folder of the dataset; it must not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Set the number of episodes to try
@@ -38,14 +38,14 @@ pub(crate) struct Demos {
     /// Choose the parameter space: a built-in one (see `robogate list`) or a TOML file
     #[arg(long, value_name = "NAME|FILE", default_value = "learned")]
     space: String,
-    /// Use the scenarios in which the policy of this run failed, in turn and with fresh seeds, instead of a space
+    /// Use the scenarios in which the policy of this run failed, in order and with fresh seeds, instead of a space
     #[arg(long, value_name = "DIR", conflicts_with = "space")]
     failed_in: Option<PathBuf>,
-    /// Width and height of the pictures, in pixels
+    /// Set width and height of the images, in pixels
     #[arg(long, value_name = "PIXELS", default_value_t = 96, value_parser = clap::value_parser!(u16).range(8..=1024))]
     size: u16,
     /// Set how far the arm is pushed off the controller's path above the table, so that the recovery is recorded too:
-    /// standard deviation in metres; 0 disables the pushes
+    /// standard deviation in metres, from 0 to 0.1; 0 disables the pushes
     #[arg(long, value_name = "METRES", default_value_t = 0.02)]
     push: f64,
     /// Keep failed episodes too
@@ -65,10 +65,10 @@ impl Demos {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let usage = |why: String| Exit { code: USAGE, error: anyhow!(why) };
         if !(0.0..=0.1).contains(&self.push) {
-            return Err(usage(format!("--push {}: between 0 and 0.1 m", self.push)));
+            return Err(usage(format!("--push {}: out of range. Expected 0 to 0.1 m", self.push)));
         }
         if self.n == 0 {
-            return Err(usage("-n 0: at least one episode".to_owned()));
+            return Err(usage("-n 0: expected at least 1 episode".to_owned()));
         }
         let cell = self.environment.cell()?.with_pictures_of(self.size.into());
         let seed = Seed::campaign(self.seed);
@@ -80,7 +80,7 @@ impl Demos {
         let wanted = cell.servers().or(self.threads).or_else(|| thread::available_parallelism().ok());
         let threads = wanted.map_or(1, NonZeroUsize::get);
         let (mut kept, mut failed, mut invalid) = (0_u64, 0_u64, 0_u64);
-        // In rounds, so that what waits to be written is bounded.
+        // Rounds limit the number of episodes that wait to be written.
         let round = 4 * threads;
         for (nth, some) in points.chunks(round).enumerate() {
             let first = nth * round;
@@ -110,14 +110,14 @@ impl Demos {
         }
         if kept == 0 {
             let what = if invalid > 0 { "was valid" } else { "succeeded" };
-            return Err(Exit { code: INVALID, error: anyhow!("no episode {what}: nothing is written") });
+            return Err(Exit { code: INVALID, error: anyhow!("no episode {what}: no dataset was written") });
         }
         let written = dataset.finish().or_broken()?;
         self.report(&written, failed, invalid);
         Ok(DONE)
     }
 
-    /// Points of the space, drawn uniformly.
+    /// Samples points of the space, independently and uniformly.
     fn points(&self, cell: &Cell, seed: Seed) -> Result<Vec<Assignment>, Exit> {
         let space = named_space(&self.space).or_usage()?;
         cell.check_space(&space).or_usage()?;
@@ -138,13 +138,13 @@ impl Demos {
             }));
         } else {
             let (episodes, frames) = (grouped(written.episodes as u64), grouped(written.frames as u64));
-            let kept = if self.all { "kept" } else { "left out" };
+            let kept = if self.all { "kept" } else { "excluded" };
             line(format_args!("{episodes} episodes, {frames} frames in {}", self.out.display()));
             line(format_args!("  of {} tried, {failed} failed ({kept}), {invalid} were invalid", self.n));
         }
     }
 
-    /// Runs the scenarios on so many threads; what came of them is in their order.
+    /// Runs the scenarios on this number of threads. The results have the order of the scenarios.
     fn record(
         &self,
         cell: &Cell,
@@ -167,17 +167,17 @@ impl Demos {
         for result in results {
             let broken = |error| Exit { code: INFRASTRUCTURE, error };
             all.extend(
-                result.map_err(|_| broken(anyhow!("a thread that records broke"))).and_then(|r| r.map_err(broken))?,
+                result.map_err(|_| broken(anyhow!("a recording thread panicked"))).and_then(|r| r.map_err(broken))?,
             );
         }
         Ok(all)
     }
 }
 
-/// What was asked for where the policy of this run failed, in the order of the episodes.
+/// The requested parameters of the failed episodes of this run, in their order.
 fn failures(run: &Path) -> Result<Vec<Assignment>, Exit> {
     let dictionary = Dictionary::open(&run.join(DICTIONARY))
-        .map_err(|error| anyhow!(error).context(format!("{} is no finished run", run.display())))
+        .map_err(|error| anyhow!(error).context(format!("{}: not a finished run", run.display())))
         .or_usage()?;
     let mut failed = Vec::new();
     for entry in dictionary.entries() {
@@ -187,7 +187,11 @@ fn failures(run: &Path) -> Result<Vec<Assignment>, Exit> {
         }
     }
     if failed.is_empty() {
-        return Err(anyhow!("no episode of {} failed: there is nothing to demonstrate", run.display())).or_usage();
+        return Err(anyhow!(
+            "--failed-in {}: the run has no failed episode. Expected a run with failures",
+            run.display()
+        ))
+        .or_usage();
     }
     Ok(failed)
 }

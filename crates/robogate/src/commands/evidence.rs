@@ -1,4 +1,4 @@
-//! `robogate evidence`: a verdict as a folder that someone else can check.
+//! `robogate evidence`: writes a verdict as a folder that others can check.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -15,14 +15,14 @@ use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::subject::recorded_robot;
 use crate::terminal::{foreign, line, note};
 
-/// Judge a run and put all that the verdict depends on into a folder that someone else can check.
+/// Judge a run and write a folder with everything that the verdict depends on, so that others can check it.
 ///
-/// Ends with the verdict's code: 0 pass, 1 fail, 3 inconclusive, 4 invalid.
+/// Exit codes: those of the verdict: 0 pass, 1 fail, 3 inconclusive, 4 invalid.
 #[derive(Debug, Args)]
 pub(crate) struct Evidence {
-    /// A run's folder, or a dictionary (Parquet)
+    /// Folder of a run, or a dictionary (Parquet)
     run: PathBuf,
-    /// The folder to write
+    /// Folder to write
     out: PathBuf,
     /// Choose the requirements: default, paper or a TOML file; default: those of the run's gate
     #[arg(long, value_name = "NAME|FILE")]
@@ -30,7 +30,7 @@ pub(crate) struct Evidence {
     /// Compare relative requirements with this baseline (JSON); default: that of the run's gate, or the built-in one
     #[arg(long, value_name = "FILE")]
     baseline: Option<PathBuf>,
-    /// The run or dictionary of the policy that may be replaced
+    /// Compare with this run or dictionary, of the policy that may be replaced
     #[arg(long, value_name = "RUN", requires = "margin")]
     against: Option<PathBuf>,
     /// Set the non-inferiority margin: how far the success rate may lie below that policy's (0.05 is five points)
@@ -47,12 +47,12 @@ pub(crate) struct Evidence {
     include: Vec<String>,
 }
 
-/// How the number of episodes came about.
+/// How the number of episodes was chosen.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Count {
     /// Fixed before the first episode
     Fixed,
-    /// Decided while the results came in
+    /// Chosen while results came in
     Sequential,
 }
 
@@ -81,7 +81,7 @@ impl Evidence {
                     }))
                 }
                 None => note(
-                    "the robot's files are not here as the run had them: they are left out, their hash is in the rows",
+                    "the robot's files have changed since the run or are missing. They are not included; their hash is in the rows",
                 ),
             }
         }
@@ -93,9 +93,9 @@ impl Evidence {
             sampling: self.sampling(asked.as_ref()).or_usage()?,
             others,
         };
-        // Read before anything is judged: a key that cannot sign is better known now.
-        let key = self.key.as_deref().map(PrivateKey::read).transpose().map_err(unmade)?;
-        let manifest = write(&self.out, &ingredients, key.as_ref()).map_err(unmade)?;
+        // Read before the evaluation, so that an unusable key is reported early.
+        let key = self.key.as_deref().map(PrivateKey::read).transpose().map_err(evidence_error)?;
+        let manifest = write(&self.out, &ingredients, key.as_ref()).map_err(evidence_error)?;
         line(format_args!("{}: {}", manifest.verdict, foreign(&manifest.because)));
         let signed = manifest.signer.map_or("unsigned".to_owned(), |keyid| format!("signed by key {keyid}"));
         note(format_args!("{}: {} files, {signed}", self.out.display(), manifest.files.len() + 3));
@@ -110,7 +110,7 @@ impl Evidence {
             (Some(name), _) => Ok(Content::Bytes(Requirements::open(name, task).map_err(refused)?.to_toml().into_bytes())),
             (None, Some(asked)) => Ok(Content::Bytes(asked.requirements.to_toml().into_bytes())),
             (None, None) => Err(anyhow::anyhow!(
-                "this run was not made by `robogate gate`\nhint: name the requirements: --requirements default, paper, or a file"
+                "this run was not made by `robogate gate`, so it has no requirements\nhint: choose them with --requirements default, paper, or a file"
             ))
             .or_usage(),
         }
@@ -132,18 +132,21 @@ impl Evidence {
         let path = Path::new(&against.path);
         let now = Source::open(path).or_usage()?;
         if Record::of(now.dictionary()).map_err(refused)?.dataset_sha256 != against.dataset_sha256 {
-            return Err(anyhow::anyhow!("{} is no longer the run that the gate compared with", against.path))
-                .or_usage();
+            return Err(anyhow::anyhow!(
+                "{} has changed since the gate ran. Expected the dataset that it was compared with",
+                against.path
+            ))
+            .or_usage();
         }
         Ok(Some((dictionary(path), against.margin)))
     }
 
-    /// Whoever looked while the rounds came in has to pay for the looks.
+    /// A run that was tested after each round stays a sequential test.
     fn sampling(&self, asked: Option<&Asked>) -> anyhow::Result<Sampling> {
         let recorded = asked.map_or(Sampling::Fixed, |asked| asked.sampling);
         match self.sampling {
             Some(Count::Fixed) if recorded == Sampling::Sequential => anyhow::bail!(
-                "the run's gate looked after each round: its number of episodes was not fixed\nhint: leave --sampling out"
+                "--sampling fixed: the run's gate tested after each round, so its number of episodes was not fixed\nhint: leave out --sampling"
             ),
             Some(Count::Fixed) => Ok(Sampling::Fixed),
             Some(Count::Sequential) => Ok(Sampling::Sequential),
@@ -152,8 +155,8 @@ impl Evidence {
     }
 }
 
-/// The error with its exit code: what the gate has, and what the system refused is infrastructure.
-fn unmade(error: EvidenceError) -> Exit {
+/// Gives an error its exit code. Errors of the gate keep theirs; errors of the operating system are infrastructure.
+fn evidence_error(error: EvidenceError) -> Exit {
     match error {
         EvidenceError::Gate(error) => refused(error),
         EvidenceError::Dictionary(error) => refused(GateError::Dictionary(error)),
@@ -166,22 +169,22 @@ fn unmade(error: EvidenceError) -> Exit {
     }
 }
 
-/// The dictionary of a run's folder, or the dictionary itself.
+/// The dictionary of a run's folder, or the dictionary file itself.
 fn dictionary(run: &Path) -> PathBuf {
     if run.is_dir() { run.join("dictionary.parquet") } else { run.to_owned() }
 }
 
-/// Adds a file, or every file of a folder, under the name of its role.
+/// Adds a file, or every file of a folder, with its role.
 fn add(include: &str, others: &mut Vec<(Role, String, Content)>) -> anyhow::Result<()> {
     let (word, path) = include
         .split_once('=')
-        .with_context(|| format!("`{include}` is not ROLE=FILE\nhint: as in --include suite=industrial.toml"))?;
+        .with_context(|| format!("--include {include}: expected ROLE=FILE, for example suite=industrial.toml"))?;
     let role = match word {
         "suite" => Role::Suite,
         "robot" => Role::Robot,
         "policy" => Role::Policy,
         "attachment" => Role::Attachment,
-        _ => anyhow::bail!("`{word}` is no role of a file\nhint: suite, robot, policy or attachment"),
+        _ => anyhow::bail!("--include {include}: unknown role `{word}`. Expected suite, robot, policy or attachment"),
     };
     let path = Path::new(path);
     let mut paths = vec![(String::new(), path.to_owned())];

@@ -1,4 +1,4 @@
-//! `robogate export`: a dictionary in another form.
+//! `robogate export`: writes a dictionary in another format.
 
 use std::path::{Path, PathBuf};
 
@@ -12,11 +12,11 @@ use crate::terminal::{grouped, note};
 /// Write a failure dictionary as CSV, JSON Lines or the published JSON.
 #[derive(Debug, Args)]
 pub(crate) struct Export {
-    /// A run's folder or a dictionary (Parquet)
+    /// Folder of a run, or a dictionary (Parquet)
     dictionary: PathBuf,
-    /// The file to write; its extension selects the format unless --format is given
+    /// File to write; its extension selects the format unless --format is given
     out: PathBuf,
-    /// The format
+    /// Choose the format
     #[arg(long)]
     format: Option<To>,
 }
@@ -37,13 +37,13 @@ impl Export {
             Some(to) => to,
             None => {
                 let why = anyhow::anyhow!(
-                    "{}: no format goes by this ending\nhint: name it .csv, .jsonl or .json, or give --format",
+                    "{}: unknown file extension. Expected .csv, .jsonl or .json, or choose the format with --format",
                     self.out.display()
                 );
                 return Err(why).or_usage();
             }
         };
-        not_there(&self.out)?;
+        require_absent(&self.out)?;
         let dictionary = open(&self.dictionary)?;
         let format = match to {
             To::Csv => Format::Csv,
@@ -56,13 +56,13 @@ impl Export {
     }
 }
 
-/// Refuses a place where there is something: it may be what the rows came from.
-pub(crate) fn not_there(out: &Path) -> Result<(), Exit> {
+/// Returns an error if the path exists: the file may be the source of the rows.
+pub(crate) fn require_absent(out: &Path) -> Result<(), Exit> {
     if out.symlink_metadata().is_err() {
         return Ok(());
     }
     let why = anyhow::anyhow!(
-        "{} is there already\nhint: nothing is overwritten; choose another name, or remove it first",
+        "{}: already exists, and is not overwritten\nhint: choose another name, or remove it",
         out.display()
     );
     Err(why).or_usage()
@@ -77,11 +77,11 @@ fn by_ending(path: &Path) -> Option<To> {
     }
 }
 
-/// The dictionary of a run's folder, or of a file.
+/// Opens the dictionary of a run's folder, or a dictionary file.
 fn open(path: &Path) -> Result<Dictionary, Exit> {
     let file = if path.is_dir() { path.join(robogate_campaign::folder::DICTIONARY) } else { path.to_owned() };
     if path.is_dir() && !file.exists() && robogate_campaign::settings(path).is_ok() {
-        let why = anyhow::anyhow!("{} is not finished\nhint: robogate resume {0}", path.display());
+        let why = anyhow::anyhow!("{}: the run is not finished\nhint: robogate resume {0}", path.display());
         return Err(why).or_usage();
     }
     Dictionary::open(&file).or_usage()

@@ -1,4 +1,4 @@
-//! `robogate gate`: may this policy run?
+//! `robogate gate`: decides whether a policy may run.
 
 use std::fs;
 use std::ops::ControlFlow;
@@ -26,12 +26,12 @@ use crate::policy_source::PolicyArguments;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{grouped, line, note};
 
-/// Answer: may this policy run? Run a suite until that is certain, or judge what was run.
+/// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run.
 ///
 /// Exit codes: 0 pass, 1 fail, 3 inconclusive, 4 nothing was evaluated.
 #[derive(Debug, Args)]
 pub(crate) struct Gate {
-    /// Judge this run's folder or dictionary; nothing is run
+    /// Judge this run's folder or dictionary instead of running episodes
     #[arg(long, value_name = "RUN", conflicts_with_all = ["suite", "rounds", "fixed", "seed", "plan"])]
     run: Option<PathBuf>,
     /// Run this suite: a built-in one or a TOML file; default: industrial-68 in the built-in cell, otherwise 64
@@ -70,27 +70,28 @@ pub(crate) struct Gate {
     policy: PolicyArguments,
     #[command(flatten)]
     how: How,
-    /// Write the run to this folder (default: a new one under runs/); with --run, write only the verdict's files (default: none)
+    /// Write the run to this folder (default: a new one under runs/); with --run, write only the verdict's files
+    /// (default: none)
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }
 
-/// How far below the other run's success rate this policy's may lie where nothing is said.
+/// The default non-inferiority margin, as a fraction.
 const MARGIN: f64 = 0.05;
 
-/// The suite of the built-in cell.
+/// The default suite of the built-in cell.
 const INDUSTRIAL_68: &str = "industrial-68";
 
-/// Scenarios of a suite that is sampled from a space.
+/// The number of scenarios of a suite that is sampled from a space.
 const SAMPLED_SCENARIOS: usize = 64;
 
-/// The answer's files in a run's folder.
+/// The files of the evaluation in a run's folder.
 const ANSWER: [&str; 3] = ["gate.json", "gate.md", "gate.junit.xml"];
 
-/// The baselines that come with RoboGate.
+/// The built-in baselines.
 const BASELINES: [&str; 1] = [include_str!("../../../../assets/baselines/franka-industrial-68.json")];
 
-/// The baseline that comes with RoboGate for these scenarios and this robot.
+/// Finds the built-in baseline for these scenarios and this robot.
 pub(crate) fn built_in_baseline(record: &Record) -> Option<Baseline> {
     BASELINES
         .iter()
@@ -106,12 +107,12 @@ impl Gate {
         }
     }
 
-    /// Judges what was run.
+    /// Judges a finished run.
     fn judge(&self, run: &Path) -> Result<u8, Exit> {
         let source = Source::open(run).or_usage()?;
         let record = Record::of(source.dictionary()).map_err(refused)?;
         let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
-        // Whoever looked while the rounds came in has to pay for the looks, whatever is asked afterwards.
+        // A run that was tested after each round stays a sequential test, also if it is judged again.
         let sampling = asked.as_ref().map_or(Sampling::Fixed, |asked| asked.sampling);
         let requirements = match (&self.requirements, &asked) {
             (None, Some(asked)) => asked.requirements.clone(),
@@ -126,7 +127,7 @@ impl Gate {
         let asked_margin = asked.as_ref().and_then(|asked| Some(asked.against.as_ref()?.margin));
         let margin = self.margin.or(asked_margin).unwrap_or(MARGIN);
         if let Some(asked) = &asked {
-            self.say_what_is_changed(asked, &requirements, asked_margin);
+            self.note_changes(asked, &requirements, asked_margin);
         }
         let question = Question {
             requirements: &requirements,
@@ -142,28 +143,33 @@ impl Gate {
         show(self.out.as_deref(), &evaluation, self.how.json)
     }
 
-    /// One line for each part of the question that is not the one which the run's gate was asked.
-    fn say_what_is_changed(&self, asked: &Asked, requirements: &Requirements, margin: Option<f64>) {
+    /// Prints one line for each part of the question that differs from the question of the run's gate.
+    fn note_changes(&self, asked: &Asked, requirements: &Requirements, margin: Option<f64>) {
         if *requirements != asked.requirements {
             let (was, is) = (&asked.requirements.name, &requirements.name);
-            note(format_args!("asked anew: the run's gate was asked `{was}`, this answer is to `{is}` as given now"));
+            note(format_args!(
+                "note: the run's gate used the requirements `{was}`; this evaluation uses `{is}` as given now"
+            ));
         }
         if let Some(path) = &self.baseline {
             let was = match (&asked.against, &asked.baseline) {
-                (Some(against), _) => format!("compared with {}", against.path),
-                (None, Some(_)) => "held against another baseline".to_owned(),
-                (None, None) => "held against no baseline".to_owned(),
+                (Some(against), _) => format!("the run {}", against.path),
+                (None, Some(_)) => "another baseline".to_owned(),
+                (None, None) => "no baseline".to_owned(),
             };
-            note(format_args!("asked anew: the run's gate was {was}, this answer refers to {}", path.display()));
+            note(format_args!(
+                "note: the run's gate compared with {was}; this evaluation compares with {}",
+                path.display()
+            ));
         }
         if let (Some(was), Some(is)) = (margin, self.margin)
             && (was - is).abs() > 0.0
         {
-            note(format_args!("asked anew: the run's gate allowed a margin of {was}, this answer one of {is}"));
+            note(format_args!("note: the run's gate used the margin {was}; this evaluation uses {is}"));
         }
     }
 
-    /// Runs a suite until the answer is certain.
+    /// Runs a suite until the verdict is certain.
     fn run_suite(&self) -> Result<u8, Exit> {
         let environment = self.environment.environment(SuctionLaw::Vacuum)?;
         let subject = Subject::new(environment, self.policy.source()?)?;
@@ -183,7 +189,7 @@ impl Gate {
                 group: Some(case.group.clone()),
             })
             .collect();
-        // Against another run its seed is taken: only the same worlds make pairs.
+        // A comparison with another run uses its seed, because only identical scenarios can be paired.
         let seed = match (self.seed, self.other_seed()?) {
             (Some(seed), _) | (None, Some(seed)) => seed,
             (None, None) => DEFAULT_SEED,
@@ -196,7 +202,7 @@ impl Gate {
         let planned = Provenance { plan: serde_json::to_value(&plan).or_broken()?, ..provenance.clone() };
         let mut record = Record::begun(&planned).map_err(refused)?;
         let other = self.other(&record)?;
-        // What cannot be answered is said before anything runs.
+        // Questions that cannot be decided are reported before anything runs.
         let gate_plan = GatePlan::of(&requirements, other.baseline.as_ref(), &labels, sampling, u64::from(rounds))
             .map_err(refused)?;
         let margin = self.margin.unwrap_or(MARGIN);
@@ -235,7 +241,7 @@ impl Gate {
         ));
         if self.seed.is_none() {
             note(format_args!(
-                "seed {}: the default of every gate. A policy that was tuned until it passes needs another --seed",
+                "seed {}: the default of every gate. A policy that was tuned on these scenarios must be judged with another --seed",
                 plan.seed
             ));
         }
@@ -245,9 +251,9 @@ impl Gate {
             let mut look = Look { asked: &asked, other: other.as_ref(), record: &mut record, trouble: &mut trouble };
             self.how.carry(&subject, |executor, events| {
                 let mut events = |event: &Event| {
-                    // The folder is there and holds the plan; no episode has run yet.
+                    // The folder exists and contains the plan; no episode has run yet.
                     if let Event::Started { .. } = event {
-                        look_file(&dir, &asked);
+                        write_question(&dir, &asked);
                     }
                     events(event);
                 };
@@ -259,7 +265,7 @@ impl Gate {
         finish(&dir, &asked, other.as_ref(), trouble, completion?, self.how.json)
     }
 
-    /// The suite that is named; else that of the built-in cell, or one sampled from the environment's space.
+    /// The suite of the arguments, or that of the built-in cell, or one sampled from the environment's space.
     fn suite(&self, subject: &Subject) -> Result<Suite, Exit> {
         match (&self.suite, &self.space, subject.cell()) {
             (Some(name), _, _) => suites::find(name),
@@ -272,7 +278,7 @@ impl Gate {
         }
     }
 
-    /// Whether the baseline is a run: then its episodes are there to be compared with.
+    /// The baseline's path, if it is a run. Its episodes can be compared one by one.
     fn against_run(&self) -> Option<&Path> {
         let path = self.baseline.as_deref()?;
         (path.is_dir() || path.extension().is_some_and(|ending| ending == "parquet")).then_some(path)
@@ -283,7 +289,7 @@ impl Gate {
         Ok(Some(Source::open(path).or_usage()?.dictionary().provenance().seed))
     }
 
-    /// What the policy is held against.
+    /// The baseline of the comparison.
     fn other(&self, record: &Record) -> Result<Other, Exit> {
         let Some(path) = &self.baseline else {
             return Ok(Other { baseline: built_in_baseline(record), record: None });
@@ -299,20 +305,24 @@ impl Gate {
     }
 }
 
-/// The run that the gate compares with, as it was when it was asked.
+/// Opens the run that the gate compares with. Returns an error if it has changed since.
 fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, Exit> {
     let Some(against) = &asked.against else { return Ok(None) };
     let path = PathBuf::from(&against.path);
     let source = Source::open(&path).or_usage()?;
     let record = Record::of(source.dictionary()).map_err(refused)?;
     if record.dataset_sha256 != against.dataset_sha256 {
-        return Err(anyhow!("{} is no longer the run that this gate compares with", against.path)).or_usage();
+        return Err(anyhow!(
+            "{} has changed since this gate started. Expected the dataset that it was compared with",
+            against.path
+        ))
+        .or_usage();
     }
     Ok(Some((path, record)))
 }
 
-/// Goes on with an interrupted gate.
-pub(crate) fn go_on(dir: &Path, asked: Asked, subject: &Subject, settings: Settings, how: &How) -> Result<u8, Exit> {
+/// Resumes an interrupted gate.
+pub(crate) fn resume(dir: &Path, asked: Asked, subject: &Subject, settings: Settings, how: &How) -> Result<u8, Exit> {
     let other = compared_with(&asked)?.map(|(_, record)| record);
     let mut record = Record::begun(&settings.provenance).map_err(refused)?;
     let provenance = subject.provenance(settings.provenance.space)?;
@@ -326,7 +336,7 @@ pub(crate) fn go_on(dir: &Path, asked: Asked, subject: &Subject, settings: Setti
     finish(dir, &asked, other.as_ref(), trouble, completion?, how.json)
 }
 
-/// A baseline's figures, and the run that they came from where pairs can be made with it.
+/// A baseline's figures, and the run that they came from if it can be compared episode by episode.
 struct Other {
     baseline: Option<Baseline>,
     record: Option<(PathBuf, Record)>,
@@ -338,7 +348,7 @@ impl Other {
     }
 }
 
-/// The question, asked again after each round.
+/// Evaluates the question after each round.
 struct Look<'a> {
     asked: &'a Asked,
     other: Option<&'a Record>,
@@ -372,8 +382,8 @@ fn question<'a>(asked: &'a Asked, other: Option<&'a Record>) -> Question<'a> {
     }
 }
 
-/// Writes the question beside the plan. Without it a later `resume` would run all rounds; the answer is the same.
-fn look_file(dir: &Path, asked: &Asked) {
+/// Writes the question beside the plan. Without it `resume` would run all rounds; the verdict would be the same.
+fn write_question(dir: &Path, asked: &Asked) {
     if let Err(error) = fs::write(dir.join(Asked::FILE), asked.to_json()) {
         note(format_args!("warning: cannot write {}: {error}", dir.join(Asked::FILE).display()));
     }
@@ -394,7 +404,7 @@ fn finish(
         return Err(refused(error));
     }
     write_report(dir);
-    // The answer is that to the rows as they are on disk, not to what was seen on the way.
+    // The evaluation uses the rows on disk, and not those that were seen during the run.
     let source = Source::open(dir).or_broken()?;
     let record = Record::of(source.dictionary()).map_err(refused)?;
     let evaluation = question(asked, other).evaluate(&record).map_err(refused)?;
@@ -428,7 +438,7 @@ fn show(dir: Option<&Path>, evaluation: &Evaluation, json: bool) -> Result<u8, E
         }
         if evaluation.counts.left_over > 0 {
             note(format_args!(
-                "{} episodes after the last whole round are not judged",
+                "{} episodes after the last complete round are not judged",
                 grouped(evaluation.counts.left_over)
             ));
         }
@@ -436,7 +446,7 @@ fn show(dir: Option<&Path>, evaluation: &Evaluation, json: bool) -> Result<u8, E
     Ok(evaluation.verdict.exit_code())
 }
 
-/// The gate's error with its exit code: what the user must change is usage, no evidence is no evidence.
+/// Gives an error of the gate its exit code: usage if the user can correct it, invalid if there is no evidence.
 pub(crate) fn refused(error: GateError) -> Exit {
     let code = match &error {
         GateError::EmptyBaseline

@@ -1,4 +1,4 @@
-//! `robogate import`: what another tool measured, as a dictionary.
+//! `robogate import`: converts the results of another tool to a dictionary.
 
 use std::path::PathBuf;
 
@@ -7,58 +7,59 @@ use clap::{Args, ValueEnum};
 use robogate_core::Word;
 use robogate_dictionary::results::{Format, Mapping, import};
 
-use crate::commands::export::not_there;
+use crate::commands::export::require_absent;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::terminal::{foreign, grouped, note};
 
-/// Read what another tool measured into Parquet.
+/// Import the results of another tool as a dictionary (Parquet).
 ///
-/// LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON dictionaries, and tables of one row for
-/// each episode: CSV, JSON Lines, Parquet, also those that `robogate export` wrote. In a table the columns success,
-/// failure_mode, failure_type, cycle_time_s, error, seed, case, category and group are known by name; each other one is a
-/// parameter, unless the mapping says more (`--map flag.jammed=jam_detected`). Any word can be a failure mode. Episodes
-/// that ended in an error become invalid, not failures.
+/// Reads LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON dictionaries, and tables with one
+/// row per episode: CSV, JSON Lines or Parquet, including those of `robogate export`. The table columns success,
+/// failure_mode, failure_type, cycle_time_s, error, seed, case, category and group are recognised by name. Every other
+/// column is a parameter, unless the mapping assigns it another role (`--map flag.jammed=jam_detected`). Every word is
+/// accepted as a failure mode. Episodes that ended with an error become invalid episodes, not failures.
 #[derive(Debug, Args)]
 pub(crate) struct Import {
-    /// The results
+    /// File with the results
     results: PathBuf,
-    /// The dictionary to write (Parquet)
+    /// Dictionary to write (Parquet)
     out: PathBuf,
-    /// Their format; recognised by content where it is not given
+    /// Set the format of the results; default: detected from their content
     #[arg(long)]
     format: Option<Layout>,
-    /// Which column is what, as TOML: success = "ok", and the tables parameters, flags, failure_modes, about
+    /// Read the roles of the columns from this TOML file: success = "ok", and the tables parameters, flags,
+    /// failure_modes, about
     #[arg(long, value_name = "FILE")]
     mapping: Option<PathBuf>,
-    /// Which column is what: success=ok,cycle_time_s=duration,parameter.mass_kg=mass
+    /// Set roles of columns: success=ok,cycle_time_s=duration,parameter.mass_kg=mass
     #[arg(long, value_name = "KEY=COLUMN,...")]
     map: Vec<String>,
-    /// The task's name
+    /// Set the name of the task
     #[arg(long)]
     task: Option<String>,
-    /// The policy that was judged
+    /// Set the name of the policy
     #[arg(long)]
     policy: Option<String>,
-    /// The robot
+    /// Set the name of the robot
     #[arg(long)]
     robot: Option<String>,
-    /// The simulator, or `real`
+    /// Set the name of the simulator, or `real`
     #[arg(long)]
     simulator: Option<String>,
 }
 
-/// A format of results.
+/// The format of the results.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Layout {
-    /// The JSON released with the paper
+    /// The JSON dictionary released with the paper
     Published,
-    /// eval_info.json
+    /// eval_info.json of LeRobot
     Lerobot,
-    /// The aggregate JSON
+    /// The aggregate JSON of vla-eval
     VlaEval,
-    /// Comma, semicolon or tab separated values with a header
+    /// Values separated by commas, semicolons or tabs, with a header
     Csv,
-    /// One JSON object on each line
+    /// One JSON object per line
     Jsonl,
     /// A flat Parquet file
     Parquet,
@@ -79,7 +80,7 @@ impl From<Layout> for Format {
 
 impl Import {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        not_there(&self.out)?;
+        require_absent(&self.out)?;
         let mapping = self.mapping()?;
         let imported = import(&self.results, &self.out, self.format.map(Format::from), &mapping).or_usage()?;
         let source = imported.provenance.source.iter();
@@ -87,7 +88,7 @@ impl Import {
         note(format_args!("{}: {} rows from {format}", foreign(self.out.display()), grouped(imported.written.rows)));
         source.clone().flat_map(|source| &source.notes).for_each(|remark| note(format_args!("  {}", foreign(remark))));
         for what in source.flat_map(|source| &source.not_recorded) {
-            note(format_args!("  no rate can be claimed of {what}: the source does not record it"));
+            note(format_args!("  {what}: not recorded by the source, so it has no rate"));
         }
         Ok(DONE)
     }

@@ -1,4 +1,4 @@
-//! `robogate keys`: the key that signs evidence.
+//! `robogate keys`: creates and identifies the keys that sign evidence.
 
 use std::path::PathBuf;
 
@@ -8,7 +8,7 @@ use robogate_gate::evidence::{PrivateKey, PublicKey};
 use crate::exit::{DONE, Exit, OrExit};
 use crate::terminal::{line, note};
 
-/// Make and name the keys that sign evidence (ed25519, PEM).
+/// Create and identify the keys that sign evidence (ed25519, PEM).
 #[derive(Debug, Args)]
 pub(crate) struct Keys {
     #[command(subcommand)]
@@ -17,14 +17,14 @@ pub(crate) struct Keys {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    /// Make a key: the private half in FILE, for you alone, the public half in FILE.pub, for everyone
+    /// Create a key pair: the private key in FILE, which only you can read, and the public key in FILE.pub
     New {
-        /// The file of the private key; nothing that is there is overwritten
+        /// File of the private key; existing files are not overwritten
         file: PathBuf,
     },
-    /// Say what a public key is called
+    /// Print the identifier of a public key
     Id {
-        /// The file of the public key
+        /// File of the public key
         file: PathBuf,
     },
 }
@@ -35,8 +35,8 @@ impl Keys {
             Verb::New { file } => {
                 let key = PrivateKey::generate().or_broken()?;
                 let public = key.write_new(file).or_usage()?;
-                note(format_args!("{}: the private key; keep it to yourself", file.display()));
-                note(format_args!("{}: the public key; give it to whoever checks", public.display()));
+                note(format_args!("{}: private key. Do not share it", file.display()));
+                note(format_args!("{}: public key. Give it to those who verify evidence", public.display()));
                 line(key.public().id());
             }
             Verb::Id { file } => line(PublicKey::read(file).or_usage()?.id()),

@@ -1,4 +1,4 @@
-//! `robogate leaderboard`: policies in a row.
+//! `robogate leaderboard`: ranks policies.
 
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,8 @@ pub(crate) struct Rank {
     /// Folders or dictionaries of runs; NAME=PATH sets the displayed name
     #[arg(required = true, value_name = "RUN")]
     runs: Vec<String>,
-    /// Choose the requirements that define the score: a built-in set or a TOML file; default: paper for pick_place, otherwise default
+    /// Choose the requirements that define the score: a built-in set or a TOML file; default: paper for pick_place,
+    /// otherwise default
     #[arg(long, value_name = "NAME|FILE")]
     requirements: Option<String>,
     /// Compare the score with this baseline; default: the built-in one of the suite and the robot
@@ -40,9 +41,9 @@ pub(crate) struct Rank {
 enum Form {
     /// One self-contained file
     Html,
-    /// A table for a page or a pull request
+    /// A Markdown table for a page or a pull request
     Md,
-    /// One versioned document
+    /// One versioned JSON document
     Json,
 }
 
@@ -96,7 +97,7 @@ impl Rank {
     }
 }
 
-/// NAME=PATH, or a path by its last part.
+/// Parses NAME=PATH. A path without a name is named after its last component.
 fn named(run: &str) -> (String, PathBuf) {
     if let Some((name, path)) = run.split_once('=')
         && !Path::new(run).exists()

@@ -1,4 +1,4 @@
-//! `robogate list`: what this build has, by name.
+//! `robogate list`: lists the contents of this build by name.
 
 use clap::Args;
 use serde_json::{Map, Value, json};

@@ -1,4 +1,4 @@
-//! The verbs.
+//! The verbs of the command.
 
 pub(crate) mod analyze;
 pub(crate) mod baseline;

@@ -33,8 +33,8 @@ enum What {
         #[arg(long)]
         json: bool,
     },
-    /// Check a policy server or an ONNX file against a profile: metadata, shapes, latency, determinism, size and direction
-    /// of the actions. Exit codes: 0 no problems, 1 problems found, 2 wrong usage or mismatch, 5 no answer
+    /// Check a policy server or an ONNX file against a profile: metadata, shapes, latency, determinism, size and
+    /// direction of the actions. Exit codes: 0 no problems, 1 problems found, 2 wrong usage or mismatch, 5 no answer
     Check(Box<Check>),
 }
 
@@ -43,10 +43,11 @@ struct Check {
     /// Address of the server, such as ws://127.0.0.1:8000, or path of an ONNX file
     #[arg(value_name = "URL|FILE")]
     url: String,
-    /// Observation and action mapping of the policy: a built-in profile (robogate policy profiles), or a TOML file
+    /// Choose the observation and action mapping of the policy: a built-in profile (robogate policy profiles), or a
+    /// TOML file
     #[arg(long, value_name = "NAME|FILE")]
     profile: String,
-    /// Number of requests with the same observation (at least 2)
+    /// Set the number of requests with the same observation (at least 2)
     #[arg(long, alias = "questions", value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..))]
     requests: u32,
     #[command(flatten)]
@@ -221,7 +222,7 @@ fn check_actions(profile: &Profile, chunk: &Chunk, observation: &Observation, fo
     found.properties.push(("largest arm value", format!("{largest:.4}")));
     if form.arm != Arm::JointPositions {
         if largest == 0.0 {
-            found.problems.push("all numbers for the arm are zero, so that it would never move".to_owned());
+            found.problems.push("all numbers for the arm are zero, so it would never move".to_owned());
         } else if largest * form.position_scale_m < 1e-4 && form.arm == Arm::ToolDelta {
             found.problems.push(format!(
                 "the largest number for the arm is {largest:.4}. With action.position_scale_m = {} the tool moves less than \
@@ -253,7 +254,8 @@ fn check_actions(profile: &Profile, chunk: &Chunk, observation: &Observation, fo
     }
 }
 
-/// Check the effect of the profile's actions in the cell: translations along each axis, opening and closing the gripper.
+/// Check the effect of the profile's actions in the cell: translations along each axis, opening and closing the
+/// gripper.
 fn check_motion(profile: &Profile, environment: &mut dyn Environment, found: &mut Findings) -> Result<(), Exit> {
     const TICKS: u32 = 10;
     let form = &profile.action;

@@ -1,4 +1,4 @@
-//! `robogate replay`: one episode again, bit for bit, with its timeline.
+//! `robogate replay`: replays one episode bit for bit and prints its timeline.
 
 use std::path::PathBuf;
 
@@ -17,9 +17,9 @@ use crate::terminal::{bold, dim, line};
 /// Replay one episode bit for bit and print its timeline.
 #[derive(Debug, Args)]
 pub(crate) struct Replay {
-    /// The run's folder
+    /// Folder of the run
     dir: PathBuf,
-    /// The episode's index, as in the dictionary
+    /// Index of the episode, as in the dictionary
     index: u64,
     #[command(flatten)]
     simulators: Simulators,
@@ -28,7 +28,7 @@ pub(crate) struct Replay {
     json: bool,
 }
 
-/// Something that happened, when and in which phase.
+/// An event with its time and phase.
 struct Line {
     time_s: f64,
     phase: Option<Word>,
@@ -89,8 +89,8 @@ impl Replay {
 
     fn print(&self, task: &TaskSpec, episode: &Episode, timeline: &[Line]) {
         line(bold(format_args!("Episode {} of {}", self.index, self.dir.display())));
-        for (name, asked) in episode.scenario.requested.iter() {
-            line(format_args!("  {name:<14} {asked}"));
+        for (name, requested) in episode.scenario.requested.iter() {
+            line(format_args!("  {name:<14} {requested}"));
         }
         line("");
         let mut last = None;
@@ -142,7 +142,7 @@ impl Replay {
     }
 }
 
-/// An episode's end in one line.
+/// The end of an episode in one line.
 fn describe(episode: &Episode) -> String {
     let phase = episode.phase.map_or_else(String::new, |phase| format!(" in {phase}"));
     match &episode.outcome {

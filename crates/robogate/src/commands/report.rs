@@ -1,4 +1,4 @@
-//! `robogate report`: a run or a dictionary as one page.
+//! `robogate report`: writes a run or a dictionary as one page.
 
 use std::path::{Path, PathBuf};
 
@@ -14,12 +14,13 @@ use crate::terminal::{line, note};
 /// Write a run or a dictionary as one page: where the policy fails, what to do, and the confidence intervals.
 #[derive(Debug, Args)]
 pub(crate) struct Report {
-    /// A run's folder, a dictionary (Parquet) or a published JSON dictionary
+    /// Folder of a run, a dictionary (Parquet) or a published JSON dictionary
     dictionary: PathBuf,
-    /// Format of the page
+    /// Choose the format of the page
     #[arg(long, value_name = "FORMAT", default_value = "html")]
     format: Form,
-    /// File to write, - for stdout; default: report.html, .md or .json in the run's folder, or here for a file
+    /// Write to this file, - for stdout; default: report.html, .md or .json in the run's folder, or in the current
+    /// folder for a file
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Map two more parameters; the first is on the vertical axis
@@ -27,7 +28,7 @@ pub(crate) struct Report {
     pair: Vec<String>,
 }
 
-/// The page's name in a run's folder.
+/// The name of the page in a run's folder.
 pub(crate) const PAGE: &str = "report.html";
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -60,7 +61,7 @@ impl Report {
     }
 }
 
-/// Writes the page of a finished run into its folder, if it is not there yet.
+/// Writes the page of a finished run into its folder, unless it exists.
 pub(crate) fn page(dir: &Path) -> Result<(), Exit> {
     let out = dir.join(PAGE);
     if out.exists() {
@@ -77,7 +78,7 @@ fn write(out: &Path, text: &str) -> Result<(), Exit> {
     Ok(())
 }
 
-/// Done, or invalid where there is no valid episode.
+/// Exit code 0, or 4 without a valid episode.
 pub(crate) fn evidence(analysis: &Analysis) -> u8 {
     if analysis.success.rate.n > 0 { DONE } else { INVALID }
 }

@@ -14,7 +14,7 @@ use crate::subject::Subject;
 /// Resume an interrupted campaign.
 #[derive(Debug, Args)]
 pub(crate) struct Resume {
-    /// The run's folder
+    /// Folder of the run
     dir: PathBuf,
     #[command(flatten)]
     simulators: Simulators,
@@ -27,7 +27,7 @@ impl Resume {
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
         let subject = Subject::recorded(&settings.provenance, &self.simulators)?;
         if let Some(asked) = Asked::of(&self.dir).or_usage()? {
-            return gate::go_on(&self.dir, asked, &subject, settings, &self.how);
+            return gate::resume(&self.dir, asked, &subject, settings, &self.how);
         }
         let provenance = subject.provenance(settings.provenance.space)?;
         self.how.conduct(&self.dir, &subject, |executor, events| {

@@ -1,4 +1,4 @@
-//! `robogate robots`: which robots there are, and what is wrong with one.
+//! `robogate robots`: lists and checks robots.
 
 use clap::{Args, Subcommand};
 use robogate_physics::{Gripper, RobotSettings, built_in_robot, built_in_robots};
@@ -19,14 +19,14 @@ pub(crate) struct Robots {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Say all that is wrong with a robot, and what it can do
+    /// Check a robot: report every problem, and what it can reach and hold
     Check(Check),
 }
 
-/// Loads the robot, measures it, holds it still and moves it a little. Exit code 2 where something is wrong.
+/// Loads the robot, measures it, holds it still and moves it a little. Exit code 2 if there is a problem.
 #[derive(Debug, Args)]
 struct Check {
-    /// The folder of your robot (robot.toml and its model), or a built-in robot's name
+    /// Folder of the robot (robot.toml and its model), or the name of a built-in one
     #[arg(value_name = "ROBOT")]
     robot: String,
     /// Print one JSON document
@@ -59,7 +59,7 @@ impl Robots {
                 arm.payload_kg
             ));
         }
-        line("\nA robot of your own is a folder: docs/robots.md. Try it: robogate robots check FOLDER");
+        line("\nUse your own robot as a folder (docs/robots.md) and check it: robogate robots check FOLDER");
         Ok(DONE)
     }
 }
@@ -91,7 +91,7 @@ impl Check {
     #[cfg(not(feature = "mujoco"))]
     fn execute(&self) -> Result<u8, Exit> {
         let why = format!(
-            "robots are checked with MuJoCo, which this build does not have\nhint: build with --features mujoco, or try it: robogate run --robot {} -n 10",
+            "this build has no MuJoCo, which the check needs\nhint: build with --features mujoco, or run a few episodes: robogate run --robot {} -n 10",
             self.robot
         );
         Err(anyhow::anyhow!(why)).or_usage()

@@ -1,4 +1,4 @@
-//! `robogate run`: a campaign from the first episode to the summary.
+//! `robogate run`: runs a campaign and prints its summary.
 
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -69,7 +69,7 @@ pub(crate) struct How {
 
 impl Run {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        // The paper's surface gripper is the paper's: elsewhere a cup holds what it can hold.
+        // The surface gripper belongs to the paper preset. All other runs use the physical vacuum law.
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
         let suction = if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum };
@@ -113,7 +113,7 @@ impl Run {
         })
     }
 
-    /// What to run, and over which parameters.
+    /// The plan and its parameter space.
     fn plan_and_space(&self, subject: &Subject) -> Result<(Plan, ParameterSpace), Exit> {
         if let Some(name) = &self.suite {
             let suite = suites::find(name)?;
@@ -145,7 +145,7 @@ impl Run {
 }
 
 impl How {
-    /// Gives `work` a thread pool that Ctrl-C stops.
+    /// Runs `work` on a thread pool that Ctrl-C stops.
     pub(crate) fn with_pool<T>(
         &self,
         subject: &Subject,
@@ -172,7 +172,7 @@ impl How {
         work(&ThreadPool { factory: subject, threads, stop: &stop })
     }
 
-    /// Runs a campaign by `work` and shows its progress.
+    /// Runs a campaign with `work` and shows its progress.
     pub(crate) fn carry(
         &self,
         subject: &Subject,
@@ -197,7 +197,7 @@ impl How {
         })
     }
 
-    /// Runs a campaign by `work`, shows its progress and its summary.
+    /// Runs a campaign with `work`, and shows its progress and summary.
     pub(crate) fn conduct(
         &self,
         dir: &Path,
@@ -221,28 +221,28 @@ impl How {
     }
 }
 
-/// Ends the process for someone who will not wait for a slow simulator or policy. What is recorded stays: the journal
-/// bears being cut at any byte.
-#[expect(clippy::exit, reason = "the threads at work cannot be asked")]
+/// Ends the process at once, if the user does not wait for a slow simulator or policy. Recorded episodes are kept,
+/// because the journal can be cut at any byte.
+#[expect(clippy::exit, reason = "worker threads cannot be interrupted")]
 pub(crate) fn stop_at_once() -> ! {
     std::process::exit(i32::from(INTERRUPTED))
 }
 
-/// Says how far an interrupted campaign came and how it goes on.
+/// Prints the progress of an interrupted campaign and how to resume it.
 pub(crate) fn interrupted(dir: &Path, done: u64, episodes: u64) -> u8 {
     note(format_args!("{} of {} episodes are recorded.", grouped(done), grouped(episodes)));
     note(format_args!("next: robogate resume {}", dir.display()));
     INTERRUPTED
 }
 
-/// Ends a campaign with its page. The dictionary is complete without it: what goes wrong is said, no more.
+/// Writes the page of a finished campaign. An error is a warning, because the dictionary is complete without the page.
 pub(crate) fn write_report(dir: &Path) {
     if let Err(exit) = super::report::page(dir) {
         note(format_args!("warning: no report: {exit}"));
     }
 }
 
-/// A campaign's error with its exit code: what the user must change is usage, the rest infrastructure.
+/// Gives an error of a campaign its exit code: usage if the user can correct it, infrastructure otherwise.
 pub(crate) fn exit(error: RunError) -> Exit {
     let code = match error {
         RunError::NotEmpty { .. }
@@ -257,7 +257,7 @@ pub(crate) fn exit(error: RunError) -> Exit {
     Exit { code, error: error.into() }
 }
 
-/// Says what is about to run.
+/// Prints the subject of the run.
 pub(crate) fn introduce(provenance: &Provenance, seed: u64) {
     let (task, robot) = (provenance.task.name, &provenance.robot.name);
     // An environment without a robot of its own is named after its task.
@@ -272,7 +272,7 @@ pub(crate) fn introduce(provenance: &Provenance, seed: u64) {
     ));
 }
 
-/// A folder under `runs/` that is not there yet.
+/// A folder under `runs/` that does not exist yet.
 pub(crate) fn free_folder(name: &str) -> PathBuf {
     let runs = Path::new("runs");
     let plain = runs.join(name);

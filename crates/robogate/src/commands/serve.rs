@@ -1,4 +1,4 @@
-//! `robogate serve`: a built-in engine as a server of the bridge protocol.
+//! `robogate serve`: serves a built-in environment over the bridge protocol.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,10 +19,10 @@ use crate::terminal::{line, note};
 /// Serve a built-in environment to other programs over the bridge protocol (bridges/PROTOCOL.md).
 ///
 /// Prints the address as one line of JSON, then answers requests until Ctrl-C. A server runs one episode at a time:
-/// start one for each client.
+/// start one server for each client.
 #[derive(Debug, Args)]
 pub(crate) struct Serve {
-    /// Address to listen on; port 0 or * takes a free one
+    /// Listen on this address; port 0 or * takes a free one
     #[arg(long, value_name = "ADDRESS", default_value = "tcp://127.0.0.1:5570")]
     bind: Address,
     /// Allow an address that other machines can reach. The protocol has no authentication
@@ -66,7 +66,7 @@ impl Serve {
         let stop = Arc::new(AtomicBool::new(false));
         let interrupted = Arc::clone(&stop);
         ctrlc::set_handler(move || {
-            // The first Ctrl-C lets the current request finish, the second one does not.
+            // The first Ctrl-C lets the current request finish. The second one ends the process.
             if interrupted.swap(true, Ordering::Relaxed) {
                 stop_at_once();
             }

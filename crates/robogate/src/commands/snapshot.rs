@@ -1,4 +1,4 @@
-//! `robogate snapshot`: what the cell's cameras show.
+//! `robogate snapshot`: renders the cameras of the cell.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -17,52 +17,53 @@ use crate::picture;
 use crate::subject::{EnvironmentArguments, Subject, assignment};
 use crate::terminal::{foreign, line, note};
 
-/// Pixels along a picture's side on a sheet, where nothing else is said.
+/// Default width and height of an image, in pixels.
 const ON_SHEET_PX: usize = 144;
-/// Pictures in a row of a sheet.
+/// Images per row of a sheet.
 const COLUMNS: usize = 10;
-/// Larger pictures are refused: beyond this a typing error is likelier than a wish.
+/// Upper limit of `--size`, in pixels. Larger values are probably typing errors.
 const LARGEST_PX: usize = 4096;
 
-/// Take pictures of a scenario with the cell's cameras, at the start or while the scripted controller works.
+/// Render a scenario with the cameras of the cell, at the start or while the scripted controller works.
 #[derive(Debug, Args)]
 pub(crate) struct Snapshot {
-    /// A scenario of this suite: a built-in one, or the file of your own
+    /// Render a scenario of this suite: a built-in one or a TOML file
     #[arg(long, value_name = "SUITE")]
     suite: Option<String>,
-    /// The suite's scenario, by its name; default: that of --index
+    /// Select the suite's scenario by its name; default: that of --index
     #[arg(long, value_name = "ID", requires = "suite", conflicts_with = "index")]
     case: Option<String>,
-    /// An episode of this run
+    /// Render an episode of this run
     #[arg(long, value_name = "DIR", requires = "index", conflicts_with_all = ["suite", "seed", "set", "robot", "engine", "time_step", "grip_force", "suction", "renderer"])]
     run: Option<PathBuf>,
-    /// The episode's index: the scenario of a suite in its turn, the episode of a run, or what chance makes of a scenario
+    /// Select the index: of the suite's scenario (counted across rounds), of the run's episode, or of the random draws
+    /// of a scenario; default: 0
     #[arg(long, value_name = "I")]
     index: Option<u64>,
-    /// The campaign's seed
+    /// Set the campaign seed
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
-    /// A parameter of the scenario (docs/parameters.md); may be given again
+    /// Set a parameter of the scenario (docs/parameters.md); repeat for several
     #[arg(long, value_name = "NAME=VALUE")]
     set: Vec<String>,
-    /// When, in seconds of simulated time; several with commas
+    /// Render at these simulated times, in seconds; separate several with commas
     #[arg(long, value_name = "SECONDS", value_delimiter = ',', default_value = "0")]
     at: Vec<f64>,
-    /// Only this camera: front or wrist; default: both, on a sheet the front one
+    /// Render only this camera: front or wrist; default: both, and front on a sheet
     #[arg(long, value_name = "CAMERA", value_parser = CAMERAS)]
     camera: Option<String>,
-    /// Width and height of a picture in pixels; default: 256, on a sheet 144
+    /// Set width and height of an image, in pixels; default: 256, and 144 on a sheet
     #[arg(long, value_name = "PIXELS")]
     size: Option<usize>,
-    /// Every scenario of the suite once, on one sheet
+    /// Render every scenario of the suite once, on one contact sheet
     #[arg(long, requires = "suite", conflicts_with_all = ["case", "run"])]
     sheet: bool,
     #[command(flatten)]
     environment: EnvironmentArguments,
-    /// Where to: a folder, or a sheet's file; default: snapshots, or SUITE.png
+    /// Write to this path: a folder, or the file of a sheet; default: snapshots, or SUITE.png
     #[arg(long, value_name = "PATH")]
     out: Option<PathBuf>,
-    /// Print what was written as one JSON document
+    /// Print the list of written files as one JSON document
     #[arg(long)]
     json: bool,
 }
@@ -96,7 +97,7 @@ impl Snapshot {
         }
     }
 
-    /// One scenario, a file for each camera and time.
+    /// Renders one scenario: one file for each camera and time.
     fn pictures(&self, subject: &Subject, suite: Option<&Suite>, times: &[f64]) -> Result<u8, Exit> {
         let (name, scenario) = self.scenario(suite)?;
         let folder = self.out.clone().unwrap_or_else(|| PathBuf::from("snapshots"));
@@ -122,17 +123,17 @@ impl Snapshot {
         Ok(DONE)
     }
 
-    /// Every scenario of a suite on one sheet.
+    /// Renders every scenario of a suite on one sheet.
     fn sheet(&self, subject: &Subject, suite: &Suite, times: &[f64]) -> Result<u8, Exit> {
         let [time] = times else {
-            return Err(anyhow!("--sheet shows every scenario once: give --at one time")).or_usage();
+            return Err(anyhow!("--sheet renders every scenario once: expected one time for --at")).or_usage();
         };
         let file = self.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.png", suite.name())));
         let mut worker = subject.worker().or_broken()?;
         let mut pictures = Vec::with_capacity(suite.cases().len());
         for (index, case) in (self.index.unwrap_or(0)..).zip(suite.cases()) {
             let scenario = self.with_set(suite.scenario(self.campaign(), index))?;
-            // An episode that is over by then is shown at its end.
+            // An episode that ends before this time is shown at its end.
             let mut last = None;
             watch(&mut worker, &scenario, &[*time], |_, images| {
                 last = images.into_iter().find(|image| self.shows(image, Some(CAMERAS[0])));
@@ -157,7 +158,7 @@ impl Snapshot {
         Seed::campaign(self.seed.unwrap_or(DEFAULT_SEED))
     }
 
-    /// What is asked for, and its name in files.
+    /// The requested scenario, and its name in file names.
     fn scenario(&self, suite: Option<&Suite>) -> Result<(String, Scenario), Exit> {
         if let (Some(dir), Some(index)) = (&self.run, self.index) {
             let entry = recorded(dir, index).or_usage()?;
@@ -182,7 +183,7 @@ impl Snapshot {
         Ok((suite.case(index).id.clone(), self.with_set(suite.scenario(self.campaign(), index))?))
     }
 
-    /// The scenario with the parameters of --set.
+    /// Applies `--set` to a scenario.
     fn with_set(&self, mut scenario: Scenario) -> Result<Scenario, Exit> {
         for (name, value) in assignment(&self.set).or_usage()?.iter() {
             scenario.requested.set(name, value.clone());
@@ -191,8 +192,8 @@ impl Snapshot {
     }
 }
 
-/// Runs an episode and hands over pictures at these times (ascending, in seconds), or at its end where that comes first.
-/// Returns the time of the last.
+/// Runs an episode and passes on the images at these times (ascending, in seconds). If the episode ends first, it
+/// passes on the last images. Returns the time of the last images.
 fn watch(
     worker: &mut Worker,
     scenario: &Scenario,

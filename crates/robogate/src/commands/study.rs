@@ -1,4 +1,4 @@
-//! `robogate study`: is boundary focusing worth it? Answered by experiment.
+//! `robogate study`: compares boundary-focused and uniform sampling by experiment.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,18 +22,18 @@ use crate::progress::Progress;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{bold, dim, grouped, line, note, percent, wrapped};
 
-/// What the study does; written first, never changed.
+/// The settings of the study. The file is written first and never changed.
 const SETTINGS: &str = "study.json";
-/// The result, for programs.
+/// The result as JSON.
 const RESULT: &str = "result.json";
-/// The result, for people.
+/// The result as a page.
 const PAGE: &str = "boundary-focusing.md";
 
-/// Ask by experiment whether boundary focusing is worth it: uniform, two-stage and pure-boundary designs at equal
-/// budget, judged on an independent uniform test set. The same command goes on where it was interrupted.
+/// Compare boundary-focused and uniform sampling by experiment: uniform, two-stage and pure-boundary designs with equal
+/// budgets, evaluated on an independent uniform test set. The same command resumes an interrupted study.
 #[derive(Debug, Args)]
 pub(crate) struct Study {
-    /// Episodes of each of the three designs, in each repeat
+    /// Set the number of episodes of each of the three designs, in each repeat
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u64).range(2..=10_000_000))]
     budget: u64,
     /// Set the number of repeats of the three designs, each with fresh seeds
@@ -55,12 +55,12 @@ pub(crate) struct Study {
     environment: EnvironmentArguments,
     #[command(flatten)]
     how: How,
-    /// The study's folder
+    /// Write the study to this folder
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
 }
 
-/// What stands in `study.json`: everything that the result depends on.
+/// The content of `study.json`: everything that the result depends on.
 #[derive(Debug, Serialize, Deserialize)]
 struct Settings {
     version: u32,
@@ -68,22 +68,22 @@ struct Settings {
     repeats: u64,
     test: u64,
     seed: u64,
-    /// Whose sampler and boundary stage are used.
+    /// The plan whose sampler and boundary stage are used.
     plan: Plan,
     provenance: Provenance,
 }
 
 /// A campaign of the study.
 struct Campaign {
-    /// Its folder within the study's.
+    /// Its folder, relative to that of the study.
     folder: String,
-    /// What it is, for people.
+    /// Its title in the terminal.
     title: String,
     plan: Plan,
     space: ParameterSpace,
 }
 
-/// What a finished campaign left: its rows, and what its first stage found where there was a second.
+/// The rows of a finished campaign, and the boundary report if it had a second stage.
 type Finished = (Dictionary, Option<Box<BoundaryReport>>);
 
 /// The campaigns of one repeat.
@@ -95,7 +95,7 @@ struct Arms {
 
 impl Study {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        // As in a plan of one's own: a cup holds what it can hold.
+        // As in a user's plan, a suction cup uses the physical vacuum law.
         let subject = Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, None)?;
         let space = subject.space(self.space.as_deref()).or_usage()?;
         let plan = match &self.plan {
@@ -122,7 +122,7 @@ impl Study {
             self.out.display()
         ));
         if repeats == 1 {
-            note("warning: one repeat gives no intervals, and so no verdict");
+            note("warning: one repeat gives no confidence intervals and no verdict");
         }
         self.how.with_pool(&subject, |pool| match self.conduct(pool, &settings, &campaigns)? {
             Some(study) => self.tell(&study),
@@ -134,7 +134,7 @@ impl Study {
     }
 
     fn campaigns(&self, plan: &Plan, space: &ParameterSpace, region: &ParameterSpace) -> (Campaign, Vec<Arms>) {
-        // Seeds that programs without 64-bit integers can read.
+        // Seeds below 2^53 can be read by programs without 64-bit integers.
         let seed = |purpose: String| Seed::campaign(self.seed).stream(&purpose).bits() >> 11;
         let single = |seed, episodes, sampler: &str| Plan {
             seed,
@@ -165,14 +165,14 @@ impl Study {
         let test = Campaign {
             folder: "test".to_owned(),
             title: format!("test set, {} episodes", grouped(self.test)),
-            // Independent draws: the intervals over test episodes take them so.
+            // Independent draws, as the intervals over the test episodes assume.
             plan: single(seed("study-test".to_owned()), self.test, "uniform"),
             space: space.clone(),
         };
         (test, (1..=self.repeats).map(repeat).collect())
     }
 
-    /// Runs what is not there yet and judges it; `None` where it was interrupted.
+    /// Runs the missing campaigns and evaluates the study. Returns `None` if it was interrupted.
     fn conduct(
         &self,
         executor: &dyn Executor,
@@ -186,14 +186,13 @@ impl Study {
             let Some((uniform, _)) = run(&arms.uniform)? else { return Ok(None) };
             let Some((two_stage, boundary)) = run(&arms.two_stage)? else { return Ok(None) };
             let Some((pure, _)) = run(&arms.pure_boundary)? else { return Ok(None) };
-            let boundary = boundary
-                .with_context(|| format!("{}: there is no boundary report", arms.two_stage.folder))
-                .or_usage()?;
+            let boundary =
+                boundary.with_context(|| format!("{}: no boundary report", arms.two_stage.folder)).or_usage()?;
             let pooled = PooledWeights::new(&arms.two_stage.plan, &arms.two_stage.space, &boundary).or_usage()?;
             let weights = weights(&two_stage, &pooled)?;
             data.push((uniform, two_stage, weights, pure));
         }
-        note("fitting and judging ...");
+        note("fitting and evaluating ...");
         let repeats: Vec<Repeat<'_>> = data
             .iter()
             .map(|(uniform, two_stage, weights, pure_boundary)| Repeat {
@@ -206,7 +205,7 @@ impl Study {
         Outcome::of(&judge, &repeats).or_usage().map(Some)
     }
 
-    /// Runs a campaign, or the rest of it; `None` where it was interrupted.
+    /// Runs a campaign, or the rest of it. Returns `None` if it was interrupted.
     fn run(&self, executor: &dyn Executor, settings: &Settings, campaign: &Campaign) -> Result<Option<Finished>, Exit> {
         let dir = self.out.join(&campaign.folder);
         let provenance = Provenance { space: campaign.space.clone(), ..settings.provenance.clone() };
@@ -220,7 +219,8 @@ impl Study {
         let completion = if dir.join(robogate_campaign::folder::PLAN).exists() {
             let recorded = robogate_campaign::settings(&dir).map_err(exit)?;
             if recorded.plan != campaign.plan || recorded.provenance.space != campaign.space {
-                return Err(anyhow!("{} holds another campaign than the study's", dir.display())).or_usage();
+                return Err(anyhow!("{}: contains a campaign that does not belong to this study", dir.display()))
+                    .or_usage();
             }
             robogate_campaign::resume(&dir, &provenance, executor, &mut hear)
         } else {
@@ -250,19 +250,19 @@ impl Study {
     }
 }
 
-/// Where the boundary stage would look if nothing had been seen: the plan's prior knowledge.
+/// The region of the boundary stage without any results: the plan's prior knowledge.
 fn prior_region(plan: &Plan, space: &ParameterSpace) -> Result<ParameterSpace, Exit> {
     let nothing = Bins::new(space, plan.boundary.bins).or_usage()?;
     let region = BoundaryReport::find(&plan.boundary, space, &nothing).and_then(|r| r.focus(space)).or_usage()?.volume;
     if region.parameters() == space.parameters() {
         let why = "the plan's boundary stage has no `fallback` or `restrict` range that narrows this space, so there is no \
-                   region for the pure-boundary design\nhint: give one with --plan; `[[boundary.fallback]]` holds a range";
+                   region for the pure-boundary design\nhint: use a --plan with a range in `[[boundary.fallback]]`";
         return Err(anyhow!(why)).or_usage();
     }
     Ok(region)
 }
 
-/// Begins a study in an empty folder, or checks that the one in it is this one.
+/// Starts a study in an empty folder, or checks that the folder contains this study.
 fn begin(out: &Path, settings: &Settings) -> Result<(), Exit> {
     let path = out.join(SETTINGS);
     let text = serde_json::to_string_pretty(settings).or_broken()? + "\n";
@@ -271,8 +271,8 @@ fn begin(out: &Path, settings: &Settings) -> Result<(), Exit> {
         Ok(there) => {
             let what = differs(&there, &text);
             Err(anyhow!(
-                "{} holds a study with another {what}\nhint: repeat it with the arguments that it was begun with, or choose \
-                 another folder",
+                "{}: contains a study with another {what}\nhint: use the arguments that it was started with, or choose another \
+                 folder",
                 out.display()
             ))
             .or_usage()
@@ -284,7 +284,7 @@ fn begin(out: &Path, settings: &Settings) -> Result<(), Exit> {
                 listed.filter_map(|entry| Some(entry.ok()?.file_name().to_string_lossy().into_owned())).collect();
             if let Some(name) = names.iter().filter(|name| !name.starts_with('.')).min() {
                 return Err(anyhow!(
-                    "{} is not empty (it holds `{name}`) and is no study\nhint: choose a folder that is empty or not there yet",
+                    "{}: not empty (it contains `{name}`) and not a study\nhint: choose an empty or new folder",
                     out.display()
                 ))
                 .or_usage();
@@ -294,10 +294,10 @@ fn begin(out: &Path, settings: &Settings) -> Result<(), Exit> {
     }
 }
 
-/// The first thing in which two settings differ.
+/// The name of the first setting that differs.
 fn differs(there: &str, here: &str) -> String {
     let [Ok(there), Ok(here)] = [there, here].map(serde_json::from_str::<serde_json::Value>) else {
-        return "form of study.json".to_owned();
+        return "format of study.json".to_owned();
     };
     let parts = ["version", "budget", "repeats", "test", "seed", "plan"];
     if let Some(part) = parts.iter().find(|part| there[**part] != here[**part]) {
@@ -311,7 +311,7 @@ fn differs(there: &str, here: &str) -> String {
     part.map_or("provenance", |part| part).to_owned()
 }
 
-/// Writes a file whole or not at all.
+/// Writes a file atomically.
 fn write(path: &Path, text: &str) -> Result<(), Exit> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let part = path.with_file_name(format!(".{name}.part"));
@@ -324,7 +324,7 @@ fn write(path: &Path, text: &str) -> Result<(), Exit> {
 fn weights(dictionary: &Dictionary, pooled: &PooledWeights) -> Result<Vec<f64>, Exit> {
     let of = |entry: Result<robogate_dictionary::Entry, _>| {
         let requested = entry.or_usage()?.episode.scenario.requested;
-        pooled.of(&requested).context("a row is no point of its own parameter space").or_usage()
+        pooled.of(&requested).context("a row lies outside its own parameter space").or_usage()
     };
     dictionary.entries().map(of).collect()
 }

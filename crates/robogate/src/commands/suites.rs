@@ -1,4 +1,4 @@
-//! `robogate suites`: the scenarios on which a policy is judged.
+//! `robogate suites`: lists, shows and checks suites.
 
 use std::path::{Path, PathBuf};
 
@@ -23,16 +23,16 @@ pub(crate) struct Suites {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// List the suites that come with RoboGate (as without a subcommand)
+    /// List the built-in suites (the default)
     List,
     /// Show every scenario of a suite
     Show {
-        /// A built-in suite, or the file of your own
+        /// Built-in suite, or a TOML file
         suite: String,
     },
-    /// Say everything that is wrong with a suite of your own; exit code 2 if anything is
+    /// Check a suite file and report every problem; exit code 2 if there are any
     Check {
-        /// The file (TOML)
+        /// Suite file (TOML)
         file: PathBuf,
     },
 }
@@ -76,7 +76,7 @@ impl Suites {
         line(format_args!("  {} scenarios, SHA-256 {}", suite.cases().len(), suite_sha256(suite)));
         let common = common(suite);
         line("");
-        line(bold("Where a scenario says nothing else"));
+        line(bold("Defaults of the scenarios"));
         for ((name, _), spread) in suite.cases()[0].parameters.iter().zip(&common) {
             line(format_args!("  {name:<26} {}", words(spread)));
         }
@@ -132,7 +132,7 @@ impl Suites {
     }
 }
 
-/// The built-in suite of that name, or the one in that file.
+/// Finds a suite by its name or file.
 pub(crate) fn find(name: &str) -> Result<Suite, Exit> {
     if let Some(suite) = built_in_suite(name) {
         return suite.or_broken();
@@ -186,11 +186,11 @@ fn words(spread: &Spread) -> String {
     }
 }
 
-/// For each parameter what most scenarios have.
+/// The most frequent value of each parameter.
 fn common(suite: &Suite) -> Vec<Spread> {
     let most = |i: usize| {
         let all = || suite.cases().iter().filter_map(|case| Some(&case.parameters.get(i)?.1));
-        // Of equally frequent ones the last: any will do, and it is always the same.
+        // Among equally frequent values the last one is chosen, so that the output is deterministic.
         all().max_by_key(|spread| all().filter(|other| other == spread).count()).cloned()
     };
     (0..suite.space().len()).filter_map(most).collect()

@@ -1,4 +1,4 @@
-//! `robogate verify`: whether evidence holds.
+//! `robogate verify`: checks evidence.
 
 use std::path::PathBuf;
 
@@ -9,14 +9,14 @@ use serde::Serialize;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::terminal::{bold, foreign, grouped, indented, line};
 
-/// Check a folder of evidence: every file, the signatures, and the verdict anew from the rows.
+/// Verify a folder of evidence: every file, the signatures, and the verdict recomputed from the rows.
 ///
-/// It ends with 0 where the evidence holds, whatever its verdict is, and with 4 where it does not.
+/// Exit codes: 0 if the evidence is valid, for any verdict in it; 4 if it is not.
 #[derive(Debug, Args)]
 pub(crate) struct Verify {
-    /// The folder of evidence
+    /// Folder of the evidence
     evidence: PathBuf,
-    /// The public key that must have signed it
+    /// Require a signature by this public key
     #[arg(long, value_name = "PUBLIC")]
     key: Option<PathBuf>,
     /// Print the result as one JSON document
@@ -24,7 +24,7 @@ pub(crate) struct Verify {
     json: bool,
 }
 
-/// What `--json` prints.
+/// The document of `--json`.
 #[derive(Debug, Serialize)]
 struct Document<'a> {
     format: u32,
@@ -39,7 +39,7 @@ impl Verify {
         let key = self.key.as_deref().map(PublicKey::read).transpose().or_usage()?;
         if !self.evidence.is_dir() {
             let error = anyhow::anyhow!(
-                "{} is no folder\nhint: give the folder that `robogate evidence RUN OUT` made, after `robogate gate`",
+                "{} not a folder. Expected a folder written by `robogate evidence RUN OUT`",
                 self.evidence.display()
             );
             return Err(error).or_usage();
@@ -53,7 +53,7 @@ impl Verify {
             match &checked {
                 Ok(verified) => tell(verified),
                 Err(_) => {
-                    line(bold("the evidence does not hold"));
+                    line(bold("verification failed"));
                     problems.iter().for_each(|problem| {
                         line(format_args!("  {}: {}", foreign(&problem.file), indented(&problem.reason)))
                     });
@@ -66,24 +66,24 @@ impl Verify {
 
 fn tell(verified: &Verified) {
     let Verified { verdict, because, counts, policy, robot, files, signed } = verified;
-    line(format_args!("{} {}", bold("the evidence holds: verdict"), bold(verdict)));
+    line(format_args!("{} {}", bold("verification passed: verdict"), bold(verdict)));
     line(format_args!("  {}", foreign(because)));
     line(format_args!(
-        "  {} episodes of {} on {}, {} of them invalid; verdict computed anew from the rows",
+        "  {} episodes of {} on {}, {} of them invalid; verdict recomputed from the rows",
         grouped(counts.episodes),
         foreign(policy),
         foreign(robot),
         grouped(counts.invalid)
     ));
-    line(format_args!("  {files} files as the manifest says, and no other"));
+    line(format_args!("  {files} files, all as listed in the manifest"));
     line(match signed {
         Signed::Unsigned => {
-            "  UNSIGNED: nobody vouches for it; whoever has the folder could have made all of it".to_owned()
+            "  UNSIGNED: the origin is unknown; anyone with write access to the folder could have created it".to_owned()
         }
         Signed::ByUnknown { keyid } => format!(
-            "  signed by key {keyid}, of which nothing is known here\n  hint: pass --key with the public key of who you \
-             think made it"
+            "  signed by key {keyid}, which was not given\n  hint: pass the public key of the expected signer with \
+             --key"
         ),
-        Signed::ByTrusted { keyid } => format!("  signed by the given key {keyid}"),
+        Signed::ByTrusted { keyid } => format!("  signed by the expected key {keyid}"),
     });
 }

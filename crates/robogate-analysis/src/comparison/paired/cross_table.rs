@@ -1,4 +1,4 @@
-//! Outcomes of one dataset by outcomes of another.
+//! Cross table of the outcomes of two datasets.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,21 +6,21 @@ use serde::{Deserialize, Serialize};
 use super::rows::PairedRows;
 use crate::table::EpisodeTable;
 
-/// Outcomes of the first (rows) by outcomes of the second (columns).
+/// Cross table of the outcomes of the first dataset (rows) and the second (columns).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct CrossTable {
     /// The outcomes of rows and columns.
     pub outcomes: Vec<String>,
-    /// Scenarios, one row for each outcome of the first.
+    /// Number of scenarios: one row for each outcome of the first.
     pub counts: Vec<Vec<u64>>,
 }
 
 impl CrossTable {
-    /// The table of paired rows, without outcomes that neither dataset has.
+    /// Counts paired rows. Outcomes that neither dataset has are left out.
     pub(super) fn of(pairs: &PairedRows<'_>) -> Self {
         let (first, second) = (&pairs.first.table, &pairs.second.table);
         let outcomes = outcomes(first, second);
-        // Two datasets may number undeclared modes differently, so outcomes are matched by name.
+        // Datasets may number undeclared modes differently, so outcomes are matched by name.
         let position = |name: &str| outcomes.iter().position(|known| *known == name).unwrap_or_default();
         let mut counts = vec![vec![0; outcomes.len()]; outcomes.len()];
         for at in &pairs.rows {
@@ -36,7 +36,7 @@ impl CrossTable {
     }
 }
 
-/// Success, the failure modes of both datasets, invalid.
+/// The outcomes of the table: success, the failure modes of both datasets, invalid.
 fn outcomes(first: &EpisodeTable, second: &EpisodeTable) -> Vec<&'static str> {
     let mut names = vec!["success"];
     for mode in first.modes.iter().chain(&second.modes) {

@@ -1,4 +1,4 @@
-//! Where the outcomes of two datasets differ, by two parameters.
+//! Map of two parameters with the share of scenarios whose outcomes differ.
 
 use robogate_stats::Trials;
 use robogate_stats::compare::{Pairs, mcnemar_exact};
@@ -11,7 +11,7 @@ use crate::Axis;
 use crate::comparison::axis::SharedAxis;
 use crate::rate::{Finding, Rate};
 
-/// Where the outcomes of two datasets differ, by two parameters.
+/// Map of two parameters with the share of scenarios whose outcomes differ between two datasets.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct DisagreementMap {
     /// The horizontal parameter.
@@ -22,20 +22,20 @@ pub struct DisagreementMap {
     pub cells: Vec<DisagreementCell>,
 }
 
-/// One cell.
+/// One cell of the map.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct DisagreementCell {
     /// Share of the valid pairs whose outcomes differ.
     pub differ: Rate,
-    /// Only the first succeeded.
+    /// Pairs in which only the first succeeded.
     pub first_only: u64,
-    /// Only the second succeeded.
+    /// Pairs in which only the second succeeded.
     pub second_only: u64,
     /// McNemar's exact p-value, adjusted by Holm over the cells.
     pub holm_p: f64,
 }
 
-/// Scenarios of one cell, on average.
+/// Average number of scenarios per cell.
 const SCENARIOS_PER_CELL: usize = 25;
 
 pub(super) fn disagreement(pairs: &PairedRows<'_>, pair: Option<(&str, &str)>) -> Finding<DisagreementMap> {

@@ -10,15 +10,15 @@ use crate::table::Ending;
 /// A scenario that one dataset solved and the other did not.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Flip {
-    /// Its index in both campaigns.
+    /// Its index, which is the same in both campaigns.
     pub index: u64,
-    /// Outcome of the first.
+    /// Outcome in the first dataset.
     pub first: String,
-    /// Outcome of the second.
+    /// Outcome in the second dataset.
     pub second: String,
-    /// Its parameters, name and value.
+    /// Its parameters as names and values.
     pub parameters: Vec<(String, String)>,
-    /// The commands that replay it; empty if neither source is a run's folder.
+    /// The commands that replay it. Empty if neither source is a run's folder.
     pub replay: Vec<String>,
 }
 

@@ -22,7 +22,7 @@ use crate::rate::{Finding, Rate, ends};
 use crate::table::Ending;
 use rows::{Design, PairedRows};
 
-/// Two datasets with the same scenarios. Rows of a focused stage are left out: each campaign chooses its own.
+/// Two datasets with the same scenarios. Rows of focused stages are excluded, because each campaign chooses its own.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct PairedComparison {
     /// Name of the first.
@@ -31,7 +31,7 @@ pub struct PairedComparison {
     pub second: String,
     /// Scenarios that both ran.
     pub scenarios: u64,
-    /// Scenarios that are valid in both: every figure below applies to these.
+    /// Scenarios that are valid in both. All figures below apply to them.
     pub valid_pairs: u64,
     /// Both succeeded.
     pub both: u64,
@@ -41,11 +41,11 @@ pub struct PairedComparison {
     pub second_only: u64,
     /// Neither succeeded.
     pub neither: u64,
-    /// The first's rate.
+    /// Success rate of the first.
     pub first_rate: Rate,
-    /// The second's rate.
+    /// Success rate of the second.
     pub second_rate: Rate,
-    /// First rate minus second; absent without valid pairs.
+    /// First rate minus second. `None` without valid pairs.
     pub difference: Option<f64>,
     /// Newcombe's paired 95 % interval of the difference.
     pub difference_95: [f64; 2],
@@ -53,13 +53,13 @@ pub struct PairedComparison {
     pub ln_p: f64,
     /// The p-value, adjusted by Holm over all pairs of datasets.
     pub holm_p: f64,
-    /// Invalid scenarios, and what they could change.
+    /// Invalid scenarios, and the bounds that they leave.
     pub invalid: PairedInvalid,
-    /// Outcomes of the first by outcomes of the second.
+    /// Cross table of the outcomes.
     pub outcomes: CrossTable,
-    /// Where the outcomes differ, by two parameters.
+    /// Where the outcomes differ, over two parameters.
     pub disagreement: Finding<DisagreementMap>,
-    /// Scenarios that one solved and the other did not: the first ones of each direction.
+    /// Scenarios with different outcomes: the first ones of each direction.
     pub flips: Vec<Flip>,
 }
 
@@ -70,19 +70,19 @@ pub struct PairedInvalid {
     pub first: u64,
     /// Invalid in the second.
     pub second: u64,
-    /// Invalid in at least one: left out of every rate.
+    /// Invalid in at least one: excluded from every rate.
     pub either: u64,
-    /// Bounds of the difference over all scenarios, whatever the outcomes of the invalid episodes would have been.
+    /// Bounds of the difference over all scenarios, for all possible outcomes of the invalid episodes.
     pub difference_bounds: Option<[f64; 2]>,
 }
 
-/// Counts of the scenarios that both datasets ran; `None` if they did not run the same ones.
+/// The scenarios that both datasets ran. `None` if the designs differ.
 pub(crate) fn same_scenarios(first: &Dataset<'_>, second: &Dataset<'_>) -> Result<Option<Pairs>, AnalysisError> {
     let (one, two) = (Design::of(first)?, Design::of(second)?);
     Ok(PairedRows::of(first, &one, second, &two).ok().map(|pairs| pairs.counts()))
 }
 
-/// Compares each two datasets scenario by scenario.
+/// Compares each pair of datasets scenario by scenario.
 pub(crate) fn paired(
     datasets: &[&Dataset<'_>],
     pair: Option<(&str, &str)>,
@@ -151,7 +151,7 @@ fn invalid(pairs: &PairedRows<'_>) -> PairedInvalid {
     found
 }
 
-/// The possible values of success, as 0 or 1: both for an invalid episode.
+/// The possible values of success as 0 or 1. Both for an invalid episode.
 fn possible(ending: Ending) -> [i64; 2] {
     match ending {
         Ending::Success => [1, 1],

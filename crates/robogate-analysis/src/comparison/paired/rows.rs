@@ -1,4 +1,4 @@
-//! The rows of two datasets that belong to the same scenarios.
+//! Pairs the rows of two datasets by scenario.
 
 use robogate_dictionary::{Column, DictionaryError};
 use robogate_stats::compare::Pairs;
@@ -23,7 +23,7 @@ impl Design {
     }
 }
 
-/// Two datasets and their rows, pair by pair.
+/// Two datasets with their rows in pairs.
 pub(super) struct PairedRows<'a> {
     pub(super) first: &'a Dataset<'a>,
     pub(super) second: &'a Dataset<'a>,
@@ -34,7 +34,7 @@ impl<'a> PairedRows<'a> {
     /// Pairs the rows of two designs.
     ///
     /// # Errors
-    /// The first difference of the designs, for people.
+    /// The first difference of the designs, as text.
     pub(super) fn of(
         first: &'a Dataset<'a>,
         one: &Design,
@@ -73,14 +73,14 @@ pub(super) fn count(pairs: &mut Pairs, endings: (Ending, Ending)) {
     }
 }
 
-/// The first difference of two designs, if they differ.
+/// The first difference of two designs. `None` if they are equal.
 fn difference(first: &Dataset<'_>, one: &Design, second: &Dataset<'_>, two: &Design) -> Option<String> {
     let missing = |from: &Dataset<'_>, other: &Dataset<'_>| {
         from.table
             .parameters
             .iter()
             .find(|p| !other.table.parameters.iter().any(|q| q.name == p.name))
-            .map(|p| format!("`{}` has the parameter {} and `{}` does not", from.name, p.name, other.name))
+            .map(|p| format!("`{}` has the parameter {} but `{}` does not", from.name, p.name, other.name))
     };
     if let Some(parameter) = missing(first, second).or_else(|| missing(second, first)) {
         return Some(parameter);
@@ -93,13 +93,13 @@ fn difference(first: &Dataset<'_>, one: &Design, second: &Dataset<'_>, two: &Des
     for (at, (a, b)) in one.rows.iter().zip(&two.rows).enumerate() {
         let (i, j) = (first.table.index[*a], second.table.index[*b]);
         if i != j {
-            return Some(format!("row {at} is episode {i} in one and episode {j} in the other"));
+            return Some(format!("row {at} is episode {i} in one but episode {j} in the other"));
         }
         let (s, t) = (one.seeds.get(*a).copied().flatten(), two.seeds.get(*b).copied().flatten());
         if let (Some(s), Some(t)) = (s, t)
             && s != t
         {
-            return Some(format!("row {at} (episode {i}) has seed {s} in one and {t} in the other"));
+            return Some(format!("row {at} (episode {i}) has the seed {s} in one but {t} in the other"));
         }
         for p in &first.table.parameters {
             let Some(q) = second.table.parameters.iter().find(|q| q.name == p.name) else { continue };
@@ -108,7 +108,7 @@ fn difference(first: &Dataset<'_>, one: &Design, second: &Dataset<'_>, two: &Des
             let same = if p.is_numeric() && q.is_numeric() { x.to_bits() == y.to_bits() } else { x_text == y_text };
             if !same {
                 return Some(format!(
-                    "row {at} (episode {i}) has {} {x_text} in one and {y_text} in the other",
+                    "row {at} (episode {i}) has {} {x_text} in one but {y_text} in the other",
                     p.name
                 ));
             }
@@ -116,6 +116,6 @@ fn difference(first: &Dataset<'_>, one: &Design, second: &Dataset<'_>, two: &Des
     }
     (one.rows.len() != two.rows.len()).then(|| {
         let (n, m) = (one.rows.len(), two.rows.len());
-        format!("`{}` has {n} scenarios and `{}` has {m}", first.name, second.name)
+        format!("`{}` has {n} scenarios but `{}` has {m}", first.name, second.name)
     })
 }

@@ -8,18 +8,18 @@ use serde::{Deserialize, Serialize};
 use crate::Finding;
 use crate::rate::ends;
 
-/// Whether predicted probabilities of failure match observed rates.
+/// Agreement of predicted failure probabilities with observed rates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CalibrationFigures {
     /// Mean of (p - y)².
     pub brier: f64,
-    /// The same for a model that always predicts the overall rate: the reference to beat.
+    /// The same for a model that always predicts the overall rate, as a reference.
     pub base_rate_brier: f64,
-    /// Mean of -ln P(observed outcome); absent if it is infinite.
+    /// Mean of -ln P(observed outcome). `None` if it is infinite.
     pub log_loss: Option<f64>,
     /// Expected calibration error over the bins.
     pub expected_calibration_error: f64,
-    /// Ten bins of equal count.
+    /// Ten bins with equal counts.
     pub bins: Vec<ReliabilityBin>,
 }
 

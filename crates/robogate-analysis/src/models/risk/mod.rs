@@ -1,12 +1,12 @@
-//! The risk model: P(failure) from every parameter, categorical ones as penalties.
+//! The risk model: P(failure) from all parameters, with categorical ones coded as penalties.
 //!
-//! The paper's model has this form, and does not define the penalties. Here the penalty of a level is its failure rate,
-//! shrunk towards the overall rate by the weight of ten episodes: (f + 10 p) / (n + 10), with f failures in n episodes of
-//! the level and the overall rate p, counted in the training rows only. In cross-validation the penalties of each fold come
-//! from the other folds.
+//! The paper's model has this form but does not define the penalties. Here the penalty of a level is its failure rate,
+//! shrunk towards the overall rate with the weight of ten episodes: (f + 10 p) / (n + 10), with f failures in n
+//! episodes of the level and the overall rate p, from training rows only. In cross-validation, the penalties of each
+//! fold come from the other folds.
 //!
-//! Limit: in sample the penalties are computed from the outcomes that they predict, so the standard errors of their
-//! coefficients are too small and the in-sample AUC is too high. The cross-validated figures are free of this bias.
+//! Limitation: in sample, the penalties are computed from the outcomes that they predict. The standard errors of their
+//! coefficients are then too small, and the in-sample AUC is too high. The cross-validated figures have no such bias.
 //! Source for the coding: Micci-Barreca (2001), SIGKDD Explorations 3(1).
 
 mod calibration;
@@ -34,29 +34,30 @@ use calibration::calibrated;
 use penalties::Coding;
 use roc::roc_figures;
 
-/// Folds of the cross-validation.
+/// Number of folds of the cross-validation.
 const FOLDS: usize = 5;
 
 /// P(failure) from the parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RiskModel {
-    /// Whether its features are those of the paper's model; else the same form is fitted to the parameters of this dataset.
+    /// Whether its features are those of the paper's model. Otherwise the same form is fitted to the dataset's
+    /// parameters.
     pub paper_features: bool,
-    /// The regression, coefficients per standard deviation; a positive one raises the probability of failure.
+    /// The regression with coefficients per standard deviation. A positive one raises the probability of failure.
     pub regression: Regression,
     /// The penalties of each categorical parameter, from all rows.
     pub penalties: Vec<Penalty>,
     /// The same model for scoring: coefficients per unit and their covariance.
     pub scoring: Scoring,
-    /// How well it separates failures from successes.
+    /// Discrimination: how well it separates failures from successes.
     pub roc: Finding<RocFigures>,
     /// Calibration in sample.
     pub calibration_in_sample: Finding<CalibrationFigures>,
-    /// Calibration on rows that the model was not fitted to.
+    /// Calibration on held-out rows.
     pub calibration_cross_validated: Finding<CalibrationFigures>,
 }
 
-/// A predicted probability of failure for each row, by cross-validation if it is possible.
+/// A predicted probability of failure for each row, from cross-validation if possible.
 pub(crate) struct Scored {
     pub(crate) p: Vec<f64>,
     pub(crate) unseen: bool,
@@ -78,7 +79,7 @@ pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Sc
         Err(error) => return Finding::not(why(&error, &names)),
     };
     let Some(p) = whole.probabilities(&slices) else {
-        return Finding::not("the columns do not fit the model");
+        return Finding::not("the columns do not match the model");
     };
     let scoring = Scoring::of(&whole, &base.parameters, &slices);
     drop(slices);
@@ -127,7 +128,7 @@ pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Sc
     Finding::Estimated((model, scored))
 }
 
-/// Why a cross-validation fails.
+/// The error of a cross-validation as text.
 enum CrossValidationError {
     Fit(RegressionError),
     Roc(RocError),

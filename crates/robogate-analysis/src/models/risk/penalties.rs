@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::table::{ParameterColumn, ParameterKind};
 
-/// Weight, in episodes, by which a level's failure rate is shrunk towards the overall one.
+/// Weight, in episodes, of the overall failure rate in the penalty of a level.
 const PRIOR: f64 = 10.0;
 
 /// The penalties of one categorical parameter.

@@ -8,17 +8,17 @@ use serde::{Deserialize, Serialize};
 use crate::Finding;
 use crate::rate::ends;
 
-/// Points kept of a ROC curve.
+/// Maximum number of points of a ROC curve.
 const ROC_POINTS: usize = 120;
 
-/// How well the predicted probabilities separate failures from successes.
+/// Discrimination of the predicted probabilities between failures and successes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RocFigures {
-    /// AUC on the rows that the model was fitted to, which is biased upwards.
+    /// AUC on the training rows, which is biased upwards.
     pub auc_in_sample: f64,
     /// DeLong's 95 % interval.
     pub auc_in_sample_95: [f64; 2],
-    /// Mean AUC over five held-out folds; absent if a fold has one outcome only.
+    /// Mean AUC over five held-out folds. `None` if a fold has one outcome only.
     pub auc_cross_validated: Option<f64>,
     /// 95 % interval from DeLong's variance in each fold.
     pub auc_cross_validated_95: [f64; 2],
@@ -55,7 +55,7 @@ pub(super) fn roc_figures(p: &[f64], failed: &[bool], crossed: Option<&CrossVali
     })
 }
 
-/// At most [`ROC_POINTS`] points, evenly spaced along the curve; both ends are kept.
+/// At most [`ROC_POINTS`] points, evenly spaced along the curve, with both ends.
 fn thin(points: &[RocPoint]) -> Vec<[f64; 2]> {
     let length = |point: &RocPoint| point.false_positive_rate + point.true_positive_rate;
     let mut kept: Vec<[f64; 2]> = Vec::new();

@@ -6,24 +6,24 @@ use serde::{Deserialize, Serialize};
 
 use crate::table::ParameterColumn;
 
-/// A logistic model of P(failure) in the parameters' own units: p = 1 / (1 + exp(-(intercept + Σ coefficient · x))), where x is
-/// the value of a numeric parameter or the penalty of a categorical one.
+/// A logistic model of P(failure) in the parameters' own units: p = 1 / (1 + exp(-(intercept + Σ coefficient · x))),
+/// where x is the value of a numeric parameter or the penalty of a categorical one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Scoring {
-    /// Log-odds of failure where every x is 0.
+    /// Log-odds of failure at x = 0.
     pub intercept: f64,
     /// The parameters that have a coefficient.
     pub terms: Vec<ScoringTerm>,
     /// Covariance of the intercept and the coefficients, row by row.
     pub covariance: Vec<f64>,
-    /// The largest variance x' V x of the log-odds among the rows: beyond it the model extrapolates.
+    /// The largest variance x' V x of the log-odds among the rows. Beyond it the model extrapolates.
     pub max_variance: f64,
 }
 
 /// One term of a scoring model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ScoringTerm {
-    /// The parameter; the penalties of a categorical one are in the `penalties` of the risk model.
+    /// The parameter. The penalties of a categorical one are in the `penalties` of the risk model.
     pub parameter: String,
     /// Log-odds per unit, or per unit of penalty.
     pub coefficient: f64,

@@ -9,7 +9,7 @@ use crate::document::Kind::{Number, Short, Text};
 use crate::document::{MAX_ROWS, plain_p, yes_no};
 use crate::figures;
 
-/// Zones that are drawn; the table has more.
+/// Maximum number of zones in the figure. The table has more.
 const MAX_DRAWN: usize = 14;
 
 pub(super) fn section(analysis: &Analysis) -> Section {

@@ -1,4 +1,4 @@
-//! Failure modes: their shares, and how the dominant one changes.
+//! Failure modes: their shares, and the changes of the dominant one.
 
 use robogate_analysis::labels::{mode_label, value_with_unit};
 use robogate_analysis::{
@@ -11,7 +11,7 @@ use crate::document::Kind::{Number, Short, Text};
 use crate::document::{or_dash, yes_no};
 use crate::figures;
 
-/// Parameters whose failure modes are drawn.
+/// Maximum number of parameters with a figure.
 const MAX_FIGURES: usize = 4;
 
 pub(super) fn section(analysis: &Analysis) -> Section {
@@ -112,7 +112,7 @@ fn declared_label(share: &ModeShare) -> String {
     if share.declared || share.is_unknown() { label } else { format!("{label} (undeclared)") }
 }
 
-/// The label of a bin: the level of an integer parameter, else its edges.
+/// The label of a bin: the level of an integer parameter, otherwise its edges.
 fn bin_label(effect: &MarginalEffect, [low, high]: [f64; 2]) -> String {
     let is_level = effect.kind == ParameterType::Integer && (high - low - 1.0).abs() < 1e-9;
     if is_level { number(low + 0.5) } else { range([low, high]) }

@@ -1,4 +1,4 @@
-//! Marginal effects: success by each parameter.
+//! Marginal effects: success rate by each parameter.
 
 use robogate_analysis::labels::value_with_unit;
 use robogate_analysis::{Analysis, Correlation, CriticalThreshold, Finding, MarginalEffect, ParameterType};
@@ -11,9 +11,9 @@ use crate::document::Kind::{Number, Short, Text, Zone};
 use crate::document::{MAX_ROWS, or_dash};
 use crate::figures;
 
-/// Parameters that are drawn on the page; the others are in the tables.
+/// Maximum number of figures on the page. The other parameters are in the tables.
 const MAX_FIGURES: usize = 16;
-/// Share of crossing replicates from which an observed side of 50 % is not significant.
+/// Share of crossing replicates above which the observed side of 50 % is not significant.
 const CROSSING: f64 = 0.05;
 
 pub(super) fn section(analysis: &Analysis) -> Section {
@@ -110,7 +110,7 @@ fn cells_table(effect: &MarginalEffect) -> Table {
     Table::new(format!("Success by {}", effect.label), &columns, rows.collect()).at_most(MAX_ROWS)
 }
 
-/// The threshold of one parameter: what was found, its value, its interval and its standard error.
+/// The threshold of one parameter: result, value, interval and standard error.
 fn threshold(effect: &MarginalEffect) -> [String; 4] {
     let only = |text: String| [text, "-".to_owned(), "-".to_owned(), "-".to_owned()];
     match &effect.threshold {

@@ -1,4 +1,4 @@
-//! The document of an analysis: the answer first, then the evidence.
+//! The document of an analysis: the result first, then the evidence.
 
 mod danger;
 mod envelope;
@@ -16,7 +16,7 @@ use super::{Block, Document, Figure, Section, Table};
 use crate::figures;
 use crate::text::{Headline, limits};
 
-/// The document of an analysis.
+/// Creates the document of an analysis.
 pub(crate) fn analysis_document(analysis: &Analysis) -> Document {
     let subject = &analysis.subject;
     let success = &analysis.success;
@@ -88,7 +88,7 @@ fn title(analysis: &Analysis) -> String {
     format!("{robot}, {policy}")
 }
 
-/// The population of the analysis, under the title of a section.
+/// The population of the analysis, as a sentence below the title of a section.
 fn population(analysis: &Analysis) -> Option<String> {
     Some(format!("Applies to {}.", analysis.population.describe()))
 }

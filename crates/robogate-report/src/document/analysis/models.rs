@@ -42,7 +42,7 @@ fn coefficients(risk: &RiskModel, analysis: &Analysis) -> Figure {
     let form = if risk.paper_features {
         TaskAnalysis::of(&analysis.subject.task).risk_about
     } else {
-        "The form of the paper's model, fitted to the parameters of this dataset, which are not the paper's."
+        "The form of the paper's model, fitted to the parameters of this dataset instead of the paper's."
     };
     let coding = "The penalty of a level is its failure rate, shrunk towards the overall rate by the weight of ten episodes. The \
                   paper does not define its penalties.";
@@ -122,7 +122,7 @@ pub(super) fn regression_table(title: &str, regression: &Regression) -> Table {
             range(e.interval_95),
         ],
         Finding::CannotBeEstimated { because } => {
-            let mut row = vec![format!("{} (left out: {because})", term.term)];
+            let mut row = vec![format!("{} (excluded: {because})", term.term)];
             row.extend(vec!["-".to_owned(); 5]);
             row
         }

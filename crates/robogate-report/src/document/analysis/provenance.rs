@@ -5,7 +5,7 @@ use robogate_stats::format::{count, counted, sentence};
 
 use super::{Block, Section};
 
-/// Notes of an import that are listed.
+/// Maximum number of notes of an import.
 const MAX_NOTES: usize = 20;
 
 pub(super) fn section(analysis: &Analysis) -> Section {

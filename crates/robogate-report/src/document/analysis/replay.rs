@@ -1,4 +1,4 @@
-//! Episodes worth replaying.
+//! Episodes that are worth replaying.
 
 use robogate_analysis::labels::{parameter_label, value_with_unit};
 use robogate_analysis::{Analysis, ReplayGroup, shell_word};
@@ -6,14 +6,14 @@ use robogate_analysis::{Analysis, ReplayGroup, shell_word};
 use super::{Block, Section, Table};
 use crate::document::Kind::{Code, Number, Short, Text};
 
-/// Parameters that are listed for one episode.
+/// Maximum number of parameters of one episode.
 const MAX_PARAMETERS: usize = 12;
 
 pub(super) fn section(analysis: &Analysis) -> Section {
     let mut blocks = Vec::new();
     let folder = analysis.subject.replayable.then_some(analysis.subject.path.as_str());
     if analysis.replay.is_empty() {
-        blocks.push(Block::Text("No episode stands out.".to_owned()));
+        blocks.push(Block::Text("No episode was selected.".to_owned()));
     } else if folder.is_none() {
         blocks.push(Block::Text(
             "These rows do not come from a run's folder, so their episodes cannot be replayed. The index is that of the row."

@@ -29,7 +29,7 @@ pub(super) fn section(analysis: &Analysis) -> Section {
             .map(|f| format!("{} {}", count(f.episodes), f.fault.replace('_', " ")))
             .collect();
         blocks.push(Block::Caution(format!(
-            "The headline leaves out {}, which say nothing about the policy. Faults in all stages: {}.",
+            "The headline excludes {}, which give no information about the policy. Faults in all stages: {}.",
             counted(success.bounds.invalid, "invalid episode"),
             list(&faults)
         )));

@@ -17,7 +17,7 @@ use crate::document::MAX_ROWS;
 use crate::figures;
 use crate::text::{ComparisonHeadline, comparison_limits};
 
-/// The document of a comparison.
+/// Creates the document of a comparison.
 pub(crate) fn comparison_document(of: &Comparison) -> Document {
     let headline = ComparisonHeadline::of(of);
     let names: Vec<String> = of.datasets.iter().map(|d| d.name.clone()).collect();
@@ -109,7 +109,7 @@ impl<'a> Largest<'a> {
     }
 }
 
-/// The populations of the compared datasets, under the title of a section.
+/// The populations of the compared datasets, as a sentence under the title of a section.
 fn population(of: &Comparison) -> Option<String> {
     let mut populations: Vec<&str> = Vec::new();
     for dataset in of.datasets.iter().filter(|d| d.excluded_because.is_none()) {

@@ -9,7 +9,7 @@ use crate::document::Kind::{Code, Number, Short, Text};
 use crate::document::{MAX_MAP_ROWS, or_dash, plain_p};
 use crate::figures;
 
-/// Anchors of the sections; more pairs share the last one.
+/// Anchors of the sections. Further pairs share the last one.
 const IDS: [&str; 7] = ["paired", "paired-2", "paired-3", "paired-4", "paired-5", "paired-6", "paired-more"];
 
 pub(super) fn section(pair: &PairedComparison, at: usize) -> Section {
@@ -33,7 +33,7 @@ pub(super) fn section(pair: &PairedComparison, at: usize) -> Section {
     ];
     blocks.push(match &pair.disagreement {
         Finding::Estimated(map) => Block::Figure(map_figure(pair, map)),
-        Finding::CannotBeEstimated { because } => Block::Text(format!("No map can be drawn because {because}.")),
+        Finding::CannotBeEstimated { because } => Block::Text(format!("No map: {because}.")),
     });
     blocks.push(Block::Table(cross_table(pair)));
     if !pair.flips.is_empty() {
@@ -63,7 +63,7 @@ fn facts(pair: &PairedComparison) -> Vec<(String, String)> {
         facts.push((
             "Invalid".to_owned(),
             format!(
-                "{} in {}, {} in {}: left out of every rate. Their outcomes could put the difference over all scenarios anywhere \
+                "{} in {}, {} in {}: excluded from every rate. Their outcomes could put the difference over all scenarios anywhere \
                  within {} points.",
                 count(pair.invalid.first),
                 pair.first,

@@ -49,7 +49,7 @@ fn table(of: &Comparison) -> Table {
 }
 
 fn differences(of: &Comparison) -> Figure {
-    let drawn: Vec<ForestRow> = of
+    let plotted: Vec<ForestRow> = of
         .differences
         .iter()
         .map(|d| ForestRow {
@@ -83,7 +83,7 @@ fn differences(of: &Comparison) -> Figure {
     Figure {
         title: "Differences of success rates".to_owned(),
         svg: forest(
-            &drawn,
+            &plotted,
             "",
             ["\u{2190} second ahead", "first ahead \u{2192}"],
             "Differences of success rates in percentage points",

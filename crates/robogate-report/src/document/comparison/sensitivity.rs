@@ -1,4 +1,4 @@
-//! The effect of the parameter that the task declares.
+//! The effect of the parameter that the task declares for comparisons.
 
 use robogate_analysis::labels::{parameter_label, value_with_unit};
 use robogate_analysis::{Comparison, Effect, Finding, Sensitivity};

@@ -1,4 +1,4 @@
-//! Where the outcomes of two datasets differ.
+//! Map of the scenarios whose outcomes differ between two datasets.
 
 use maud::Markup;
 use robogate_analysis::labels::label_with_unit;
@@ -7,7 +7,7 @@ use robogate_stats::format::{count, percent, percent_range, points, significant}
 
 use crate::figures::svg::{Anchor, Svg, cut};
 
-/// Where the outcomes of two datasets differ.
+/// Draws where the outcomes of two datasets differ.
 pub(crate) fn disagreement(map: &DisagreementMap, names: [&str; 2]) -> Markup {
     const LEFT: f64 = 62.0;
     let (nx, ny) = (map.x.cells().max(1), map.y.cells().max(1));
@@ -83,7 +83,7 @@ pub(crate) fn disagreement(map: &DisagreementMap, names: [&str; 2]) -> Markup {
     svg.finish(&format!("Where the outcomes of {} and {} differ", names[0], names[1]))
 }
 
-/// The colour of a difference: neutral if neither is ahead.
+/// The colour of a difference. Neutral if neither dataset is ahead.
 fn shade(difference: f64) -> usize {
     (5.0 + 5.0 * difference.clamp(-1.0, 1.0)).round() as usize
 }

@@ -8,7 +8,7 @@ use robogate_stats::format::{count, percent, percent_range};
 use crate::figures::modes::{further_lines, mode_class, mode_legend};
 use crate::figures::svg::{Anchor, Scale, Svg, cut};
 
-/// Shares of the failure modes, one bar for each dataset.
+/// Draws the shares of the failure modes, with one bar for each dataset.
 pub(crate) fn failure_modes(datasets: &[&ComparedDataset]) -> Markup {
     let names = names(datasets);
     let top = 30.0 + further_lines(&names, 520.0);
@@ -44,7 +44,7 @@ pub(crate) fn failure_modes(datasets: &[&ComparedDataset]) -> Markup {
     svg.finish("Failure modes of each dataset")
 }
 
-/// The modes of all datasets: each may have modes that its task does not declare.
+/// The modes of all datasets, including modes that their tasks do not declare.
 fn names<'a>(datasets: &[&'a ComparedDataset]) -> Vec<&'a str> {
     let mut names = Vec::new();
     for share in datasets.iter().flat_map(|dataset| &dataset.failure_modes.modes) {

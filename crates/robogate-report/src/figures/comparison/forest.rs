@@ -1,4 +1,4 @@
-//! Estimates with their intervals about zero.
+//! Forest plots: estimates with their intervals around zero.
 
 use maud::Markup;
 use robogate_analysis::Sensitivity;
@@ -15,25 +15,25 @@ pub(crate) struct ForestRow {
     pub(crate) interval: [f64; 2],
     /// Whether the estimate differs significantly from zero.
     pub(crate) significant: bool,
-    /// The dataset that gives the colour, if the row belongs to one.
+    /// The dataset that determines the colour, if the row belongs to one.
     pub(crate) series: Option<usize>,
 }
 
-/// A forest plot of differences or slopes.
+/// Draws a forest plot of differences or slopes.
 pub(crate) fn forest(rows: &[ForestRow], unit: &str, ends: [&str; 2], label: &str) -> Markup {
-    let far = rows.iter().flat_map(|row| row.interval).chain(rows.iter().map(|row| row.estimate));
-    let far = far.filter(|v| v.is_finite()).fold(0.05_f64, |far, v| far.max(v.abs()));
+    let extent = rows.iter().flat_map(|row| row.interval).chain(rows.iter().map(|row| row.estimate));
+    let extent = extent.filter(|v| v.is_finite()).fold(0.05_f64, |extent, v| extent.max(v.abs()));
     let bottom = 8.0 + 26.0 * rows.len() as f64;
     let mut svg = Svg::new(520.0, bottom + 44.0);
-    let x = Scale::linear([-far, far], [190.0, 506.0]);
+    let x = Scale::linear([-extent, extent], [190.0, 506.0]);
     svg.line("axis", [x.at(0.0), 4.0, x.at(0.0), bottom]);
-    for (at, anchor) in [(-far, Anchor::Start), (0.0, Anchor::Middle), (far, Anchor::End)] {
+    for (at, anchor) in [(-extent, Anchor::Start), (0.0, Anchor::Middle), (extent, Anchor::End)] {
         svg.text("s d", anchor, [x.at(at), bottom + 16.0], &format!("{}{unit}", significant(at, 2)));
     }
     for (i, row) in rows.iter().enumerate() {
         let y = 21.0 + 26.0 * i as f64;
         svg.text(if row.significant { "s" } else { "s d" }, Anchor::End, [182.0, y + 4.0], &cut(&row.label, 30));
-        let [low, high] = row.interval.map(|end| x.at(end.clamp(-far, far)));
+        let [low, high] = row.interval.map(|end| x.at(end.clamp(-extent, extent)));
         svg.line("whisker", [low, y, high, y]);
         let hint = format!(
             "{}: {}{unit} ({} to {})",
@@ -48,12 +48,12 @@ pub(crate) fn forest(rows: &[ForestRow], unit: &str, ends: [&str; 2], label: &st
             None => svg.dot("zdot hollow", [x.at(row.estimate), y], 4.4, &hint),
         }
     }
-    svg.text("a", Anchor::Start, [x.at(-far), bottom + 35.0], ends[0]);
-    svg.text("a", Anchor::End, [x.at(far), bottom + 35.0], ends[1]);
+    svg.text("a", Anchor::Start, [x.at(-extent), bottom + 35.0], ends[0]);
+    svg.text("a", Anchor::End, [x.at(extent), bottom + 35.0], ends[1]);
     svg.finish(label)
 }
 
-/// Slopes of the log-odds over the logarithm of a parameter.
+/// Draws slopes of the log-odds over the logarithm of a parameter.
 pub(crate) fn sensitivity(sensitivity: &Sensitivity) -> Markup {
     let rows: Vec<ForestRow> = sensitivity
         .effects

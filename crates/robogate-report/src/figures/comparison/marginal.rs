@@ -8,15 +8,15 @@ use robogate_stats::format::{percent, percent_range, significant};
 use super::{class, dot, legend, legend_height};
 use crate::figures::svg::{Anchor, Scale, Svg, cut};
 
-/// Letters of a level under a curve.
+/// Maximum number of characters of a level below a curve.
 const MAX_LETTERS: usize = 14;
 
-/// Success by one parameter, with the same bins for every dataset.
+/// Draws the success rate by one parameter, with the same bins for every dataset.
 pub(crate) fn shared_curve(curve: &SharedCurve, names: &[String]) -> Markup {
     let (left, right) = (42.0, 412.0);
     let top = legend_height(names, [left, right]) + 6.0;
     let bottom = top + 150.0;
-    // Labels that are too long for their place are rotated.
+    // Labels that are too long for the available space are rotated.
     let levels = curve.cells.iter().filter(|cell| cell.range.is_none());
     let longest = levels.map(|cell| cell.label.chars().count().min(MAX_LETTERS)).max().unwrap_or(0) as f64;
     let rotated = 6.4 * longest > (right - left) / curve.cells.len().max(1) as f64;

@@ -18,7 +18,7 @@ pub(crate) use rates::rates;
 pub(crate) use reach::reach;
 pub(crate) use universal::universal_zones;
 
-/// Series with a colour of their own; the next ones reuse the colours with a hollow dot.
+/// Number of series with their own colour. Further series reuse the colours with a hollow dot.
 const COLOURS: usize = 6;
 fn class(series: usize) -> String {
     let hollow = if series >= COLOURS { " hollow" } else { "" };

@@ -7,7 +7,7 @@ use robogate_stats::format::{percent, percent_range};
 use super::dot;
 use crate::figures::svg::{Anchor, Scale, Svg, cut};
 
-/// Success rates with their intervals.
+/// Draws the success rates with their intervals.
 pub(crate) fn rates(datasets: &[ComparedDataset], names: &[String]) -> Markup {
     let mut svg = Svg::new(440.0, 30.0 + 34.0 * datasets.len() as f64);
     let x = Scale::linear([0.0, 1.0], [6.0, 424.0]);

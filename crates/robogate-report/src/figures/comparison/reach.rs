@@ -1,4 +1,4 @@
-//! Workspace distance over reach.
+//! Success rates by workspace distance over reach.
 
 use maud::Markup;
 use robogate_analysis::ReachRow;
@@ -7,15 +7,15 @@ use robogate_stats::format::{number, percent};
 use super::{class, dot, legend, legend_height};
 use crate::figures::svg::{Anchor, Scale, Svg};
 
-/// Success rates by workspace distance over reach.
+/// Draws the success rates by workspace distance over reach.
 pub(crate) fn reach(rows: &[ReachRow], names: &[String]) -> Markup {
     let known: Vec<(&ReachRow, f64)> = rows.iter().filter_map(|row| Some((row, row.ratio?))).collect();
-    let far = known.iter().map(|(_, ratio)| *ratio).fold(1.0_f64, f64::max) * 1.1;
+    let extent = known.iter().map(|(_, ratio)| *ratio).fold(1.0_f64, f64::max) * 1.1;
     let top = legend_height(names, [46.0, 512.0]) + 8.0;
     let bottom = top + 200.0;
     let mut svg = Svg::new(520.0, bottom + 42.0);
     legend(&mut svg, names, [46.0, 512.0], 0.0);
-    let x = Scale::linear([0.0, far], [46.0, 506.0]);
+    let x = Scale::linear([0.0, extent], [46.0, 506.0]);
     let y = Scale::linear([0.0, 1.0], [bottom, top]);
     for tick in [0.0, 0.5, 1.0] {
         svg.line("gl", [46.0, y.at(tick), 506.0, y.at(tick)]);

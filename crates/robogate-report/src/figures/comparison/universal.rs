@@ -7,7 +7,7 @@ use robogate_stats::format::{percent_or_dash, percent_range};
 use super::{class, dot, legend, legend_height};
 use crate::figures::svg::{Anchor, Scale, Svg, cut};
 
-/// The universal zones with the smallest p-values.
+/// Draws the universal zones with the smallest p-values.
 pub(crate) fn universal_zones(zones: &UniversalZones, names: &[String], max: usize) -> Markup {
     let shown = &zones.zones[..zones.zones.len().min(max)];
     let (left, right) = (214.0, 500.0);

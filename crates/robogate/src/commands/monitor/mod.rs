@@ -43,10 +43,10 @@ impl Monitor {
 /// Arguments that configure the detectors.
 #[derive(Debug, Args)]
 struct Watched {
-    /// Settings file (TOML): false-alarm limits, baselines of the recipes, store, server limits
+    /// Read settings from this file (TOML): false-alarm limits, baselines of the recipes, store, server limits
     #[arg(long, value_name = "FILE")]
     settings: Option<PathBuf>,
-    /// Reference file from `robogate monitor reference`, for one recipe or for all recipes without their own
+    /// Use this reference file from `robogate monitor reference`, for one recipe or for all recipes without their own
     #[arg(long, value_name = "[RECIPE=]FILE")]
     reference: Vec<String>,
 }

@@ -20,9 +20,9 @@ const NEAR: f64 = 0.02;
 
 /// Write the reference file of a run: baseline, envelope and risk model.
 ///
-/// The file contains the counts of successes and failure modes, the range or the categories of each parameter in the valid episodes,
-/// and the risk model with the covariance of its coefficients. An end of the operating range counts as validated if an episode
-/// came within 2 % of the range to it.
+/// The file contains the counts of successes and failure modes, the range or the categories of each parameter in the
+/// valid episodes, and the risk model with the covariance of its coefficients. An end of the operating range counts as
+/// validated if an episode came within 2 % of the range to it.
 #[derive(Debug, Args)]
 pub(super) struct ReferenceOf {
     /// Folder of a run, or a dictionary
@@ -88,7 +88,7 @@ impl ReferenceOf {
     }
 }
 
-/// The counts; none from a focused design, whose rate does not estimate that of the operating space.
+/// The counts of the run. `None` for a focused design, because its rate does not estimate that of the operating space.
 fn baseline(analysis: &Analysis) -> Baseline {
     if analysis.population == Population::FocusedDesign {
         return Baseline::default();
@@ -147,7 +147,7 @@ fn kept<'a, T: 'a>(values: Vec<Option<T>>, valid: &'a [bool]) -> impl Iterator<I
     values.into_iter().zip(valid).filter_map(|(value, valid)| value.filter(|_| *valid))
 }
 
-/// From the lowest to the highest value, extended to an end of the operating range if a value is close to it.
+/// The range from the lowest to the highest value, extended to an end of the operating range if a value is close to it.
 fn range(parameter: &Parameter, values: impl Iterator<Item = f64>) -> Option<Validated> {
     let (low, high) = values
         .filter(|x| x.is_finite())
@@ -165,7 +165,7 @@ fn range(parameter: &Parameter, values: impl Iterator<Item = f64>) -> Option<Val
     Some(Validated::Range([low, high]))
 }
 
-/// Which episodes are valid.
+/// Marks the valid episodes.
 fn valid(dictionary: &Dictionary) -> Result<Vec<bool>, DictionaryError> {
     let Column::Categories { words, codes } = dictionary.column("outcome")? else { return Ok(Vec::new()) };
     let counts = |word: &String| word != "invalid";

@@ -30,26 +30,27 @@ const LONGEST_LINE: usize = 1 << 20;
 
 /// Ingest cycle records and raise alarms.
 ///
-/// Cycles come from a file or pipe (JSON Lines), by HTTP (POST /v1/cycles) or by MQTT. Alarms go to stdout as JSON Lines, and optionally to
-/// webhooks and MQTT. Acknowledged cycles are in the store. With only a file or pipe, the command ends with it: exit
-/// code 1 if a critical alarm is active, 4 if there was no cycle.
+/// Cycles come from a file or pipe (JSON Lines), by HTTP (POST /v1/cycles) or by MQTT. Alarms go to stdout as JSON
+/// Lines, and optionally to webhooks and MQTT. Acknowledged cycles are in the store. With only a file or pipe, the
+/// command ends with it: exit code 1 if a critical alarm is active, 4 if there was no cycle.
 #[derive(Debug, Args)]
 pub(super) struct Serve {
-    /// File or pipe with cycles as JSON Lines, - for stdin
+    /// Read cycles from this file or pipe as JSON Lines, - for stdin
     feed: Option<PathBuf>,
-    /// Store for cycles, statistics and alarms (SQLite); without it they stay in memory
+    /// Store cycles, statistics and alarms in this SQLite file; default: in memory
     #[arg(long, value_name = "FILE")]
     store: Option<PathBuf>,
-    /// Serve HTTP at this address, for example 127.0.0.1:7380: /v1/cycles, /v1/status, /metrics, /healthz and the page at /
+    /// Serve HTTP at this address, for example 127.0.0.1:7380: /v1/cycles, /v1/status, /metrics, /healthz and the page
+    /// at /
     #[arg(long, value_name = "ADDRESS", requires = "store")]
     listen: Option<SocketAddr>,
-    /// File with the bearer token; required if other machines can connect
+    /// Read the bearer token from this file; required if other machines can connect
     #[arg(long, value_name = "FILE", requires = "listen")]
     token_file: Option<PathBuf>,
     /// Send each alarm by POST to this URL; can be repeated
     #[arg(long, value_name = "URL")]
     webhook: Vec<String>,
-    /// Address of the MQTT broker; user and password come from ROBOGATE_MQTT_USER and ROBOGATE_MQTT_PASSWORD
+    /// Connect to this MQTT broker; user and password come from ROBOGATE_MQTT_USER and ROBOGATE_MQTT_PASSWORD
     #[arg(long, value_name = "HOST:PORT")]
     mqtt: Option<String>,
     /// Subscribe to cycles on this MQTT topic

@@ -12,26 +12,26 @@ use crate::terminal::{bold, dim, line};
 
 /// Simulate false-alarm rates and detection delays.
 ///
-/// Prints false alarms per day and detection delays of the paper's rule and of the failure-rate detector, from simulated
-/// streams of independent cycles.
+/// Prints false alarms per day and detection delays of the paper's rule and of the failure-rate detector, from
+/// simulated streams of independent cycles.
 #[derive(Debug, Args)]
 pub(super) struct Simulate {
-    /// True success rate before a change, in (0, 1)
+    /// Set the true success rate before a change, in (0, 1)
     #[arg(long, value_name = "SHARE", default_value_t = 0.95)]
     rate: f64,
-    /// True success rates after a drop, each in (0, 1)
+    /// Set the true success rates after a drop, each in (0, 1)
     #[arg(long, value_name = "SHARE", num_args = 1.., default_values_t = [0.92, 0.90, 0.85])]
     drop_to: Vec<f64>,
-    /// Cycles of the baseline, at the rate above; a baseline in the settings takes precedence
+    /// Set the number of cycles of the baseline, at the rate above; a baseline in the settings takes precedence
     #[arg(long, value_name = "CYCLES", default_value_t = 10_000)]
     baseline_cycles: u64,
-    /// Seconds from one cycle to the next
+    /// Set the time from one cycle to the next, in seconds
     #[arg(long, value_name = "S", default_value_t = 4.0)]
     cycle_s: f64,
-    /// Simulated streams per figure, from 2 to 100000
+    /// Set the number of simulated streams per figure, from 2 to 100000
     #[arg(long, value_name = "N", default_value_t = 1_000)]
     streams: u32,
-    /// Seed of the streams
+    /// Set the seed of the streams
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Print the figures as one versioned JSON document
@@ -142,14 +142,14 @@ impl Simulate {
             self.streams, self.seed
         )));
         line(dim(format_args!(
-            "The detector is the one of the failure rate with its share ({}) of the false alarms of all {} metrics.",
+            "The detector of the failure rate uses its share ({}) of the false-alarm budget of all {} metrics.",
             settings.shares.of(Metric::Success),
             Metric::ALL.len()
         )));
     }
 }
 
-/// A success count that stands for `rate` seen in `of` cycles.
+/// The number of successes that gives `rate` in `of` cycles.
 fn count(rate: f64, of: u64) -> Count {
     Count { count: (rate * of as f64).round() as u64, of }
 }

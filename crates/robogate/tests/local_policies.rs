@@ -1,4 +1,4 @@
-//! Policies in place of the scripted controller on the command line: networks in files, the random policy, and
+//! End-to-end tests of policies other than the scripted controller: networks in files, the random policy, and
 //! demonstrations of failed episodes.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -29,8 +29,8 @@ fn assert_exit(dir: &Path, arguments: &[&str], code: i32, parts: &[&str]) -> Str
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// A folder with the plan and the small network.
-fn workplace() -> TempDir {
+/// Creates a folder with the plan and the small network.
+fn folder_with_network() -> TempDir {
     let dir = TempDir::new().unwrap();
     fs::write(dir.path().join("plan.toml"), PLAN).unwrap();
     for file in ["small.onnx", "small.toml"] {
@@ -41,15 +41,15 @@ fn workplace() -> TempDir {
 
 const RUN: [&str; 6] = ["run", "--space", "learned", "--plan", "plan.toml", "--json"];
 
-/// A run's summary.
+/// Reads a run's summary.
 fn run(dir: &Path, more: &[&str]) -> Value {
     let text = assert_exit(dir, &[&RUN, more].concat(), 0, &[]);
     serde_json::from_str::<Value>(&text).unwrap()["summary"].take()
 }
 
 #[test]
-fn a_run_is_replayed_from_another_folder() {
-    let dir = workplace();
+fn replay_works_from_another_folder() {
+    let dir = folder_with_network();
     run(dir.path(), &["--policy", "small.onnx", "--profile", "small.toml", "--out", "r"]);
     let elsewhere = TempDir::new().unwrap();
     let r = dir.path().join("r");
@@ -62,8 +62,8 @@ fn a_run_is_replayed_from_another_folder() {
 }
 
 #[test]
-fn the_random_policy_does_not_depend_on_threads() {
-    let dir = workplace();
+fn random_policy_ignores_thread_count() {
+    let dir = folder_with_network();
     let one = run(dir.path(), &["--policy", "random", "--threads", "1", "--out", "one"]);
     let two = run(dir.path(), &["--policy", "random", "--threads", "2", "--out", "two"]);
     let hash = |summary: &Value| summary["dataset_hash"].as_str().map(str::to_owned);
@@ -74,7 +74,7 @@ fn the_random_policy_does_not_depend_on_threads() {
 
 #[test]
 fn wrong_policies_are_explained() {
-    let dir = workplace();
+    let dir = folder_with_network();
     let bad: [(&[&str], &[&str]); 7] = [
         (&["--policy", "small.onnx"], &["--profile is missing", "robogate policy profiles"]),
         (&["--policy", "octo"], &["octo: not a policy", "an ONNX file, `random` or `scripted`"]),
@@ -94,22 +94,32 @@ fn wrong_policies_are_explained() {
 
 #[test]
 fn failed_episodes_are_demonstrated() {
-    let dir = workplace();
+    let dir = folder_with_network();
     run(dir.path(), &["--policy", "random", "--out", "r"]);
     let demos = ["demos", "--failed-in", "r", "-n", "8", "--size", "16", "--push", "0", "--out", "d", "--json"];
-    let said: Value = serde_json::from_str(&assert_exit(dir.path(), &demos, 0, &[])).unwrap();
-    // Six failures; the first two come twice.
-    assert_eq!((&said["episodes"], &said["failed"]), (&8.into(), &0.into()), "{said}");
-    assert_exit(dir.path(), &["demos", "--failed-in", "plan.toml", "--out", "e"], 2, &["plan.toml is no finished run"]);
+    let output: Value = serde_json::from_str(&assert_exit(dir.path(), &demos, 0, &[])).unwrap();
+    // The run has six failures, so the first two are demonstrated twice.
+    assert_eq!((&output["episodes"], &output["failed"]), (&8.into(), &0.into()), "{output}");
+    assert_exit(
+        dir.path(),
+        &["demos", "--failed-in", "plan.toml", "--out", "e"],
+        2,
+        &["plan.toml: not a finished run"],
+    );
     assert!(!dir.path().join("e").exists());
     run(dir.path(), &["--out", "good"]);
-    assert_exit(dir.path(), &["demos", "--failed-in", "good", "--out", "e"], 2, &["no episode of good failed"]);
+    assert_exit(
+        dir.path(),
+        &["demos", "--failed-in", "good", "--out", "e"],
+        2,
+        &["good: the run has no failed episode"],
+    );
     assert!(!dir.path().join("e").exists());
 }
 
 #[test]
 fn shipped_networks_pick_and_place() {
-    let dir = workplace();
+    let dir = folder_with_network();
     let policies = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/policies");
     for name in ["learned", "learned-wide"] {
         let file = policies.join(format!("{name}.onnx"));
