@@ -284,12 +284,18 @@ fn fix_inputs(model: &mut ModelProto, profile: &Profile) -> Result<Vec<Input>, S
 
 /// Check the memory that a network needs, and load it.
 fn prepare(model: ModelProto, inputs: &[Input]) -> Result<Runnable, String> {
-    let mut load = ModelOptions::with_all_ops();
-    let options = RunOptions::default().with_thread_pool(Some(Arc::new(ThreadPool::with_num_threads(1))));
-    sizes::check(&model, &load, &options)?;
+    let pool = Arc::new(ThreadPool::with_num_threads(1));
+    let options = RunOptions::default().with_thread_pool(Some(pool.clone()));
+    let single = options.clone();
+    // In the thread that computes, so that the many small steps need not wake it.
+    let (model, checked) = pool.run(move || {
+        let checked = sizes::check(&model, &ModelOptions::with_all_ops(), &single);
+        (model, checked)
+    });
+    checked?;
     let bytes = model.write_buf().map_err(|e| e.to_string())?;
     drop(model);
-    let model = load.prepack_weights(true).load(bytes).map_err(|e| e.to_string())?;
+    let model = ModelOptions::with_all_ops().prepack_weights(true).load(bytes).map_err(|e| e.to_string())?;
     let ids = inputs.iter().map(|input| model.node_id(&input.name).map_err(|e| e.to_string()));
     let inputs = ids.collect::<Result<_, _>>()?;
     let output = *model.output_ids().first().ok_or("it has no output")?;

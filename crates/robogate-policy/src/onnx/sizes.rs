@@ -27,6 +27,7 @@ const SMALL: usize = 1024;
 const MAX_NODES: usize = 50_000;
 
 /// What is known of an array.
+#[derive(Clone)]
 struct Known {
     dtype: DataType,
     shape: Vec<usize>,
@@ -46,15 +47,14 @@ pub(super) fn check(model: &ModelProto, options: &ModelOptions, run: &RunOptions
     let mut sizes = Sizes { opsets, options, run, used, arrays: HashMap::new(), bytes: 0.0 };
     for tensor in &graph.initializer {
         let name = tensor.name.as_deref().unwrap_or_default();
-        let array = sizes.initializer(tensor).map_err(|why| format!("the constant `{name}` {why}"))?;
-        sizes.add(name, array).map_err(|why| format!("the constant `{name}` {why}"))?;
+        let added = sizes.initializer(tensor).and_then(|array| sizes.add(name, array));
+        added.map_err(|why| format!("constant `{name}`: {why}"))?;
     }
     for input in &graph.input {
         let name = input.name.as_deref().unwrap_or_default();
-        if !sizes.arrays.contains_key(name) {
-            let array = described(input).ok_or_else(|| format!("the input `{name}` has no type or no fixed size"))?;
-            sizes.add(name, array).map_err(|why| format!("the input `{name}` {why}"))?;
-        }
+        let unknown = || "its type or size is not supported".to_owned();
+        let added = described(input).ok_or_else(unknown).and_then(|array| sizes.add(name, array));
+        added.map_err(|why| format!("input `{name}`: {why}"))?;
     }
     for node in &graph.node {
         sizes.node(node).map_err(|why| format!("{}: {why}", label(node)))?;
@@ -76,14 +76,16 @@ struct Sizes<'a> {
 impl<'a> Sizes<'a> {
     /// Count an array and remember it.
     fn add(&mut self, name: &'a str, array: Known) -> Result<(), String> {
-        let elements =
-            check_elements(array.shape.iter().map(|n| *n as f64).product(), || format!("{:?}", array.shape))?;
+        if self.arrays.contains_key(name) {
+            return Err(format!("`{name}` is defined twice"));
+        }
+        let elements = array.check()?;
         // The library holds vectors of integers as expressions while it infers shapes.
         let is_vector = array.dtype == DataType::INT32 && array.shape.len() <= 1;
         self.bytes += elements * if is_vector { 64.0 } else { 4.0 };
         if self.bytes > MAX_BYTES {
             let limit = MAX_BYTES / f64::from(1 << 20);
-            return Err(format!("would exceed the memory of a network: all arrays together may need {limit} MiB"));
+            return Err(format!("all arrays of the network together would need more than {limit} MiB"));
         }
         self.arrays.insert(name, array);
         Ok(())
@@ -91,32 +93,28 @@ impl<'a> Sizes<'a> {
 
     fn initializer(&self, tensor: &TensorProto) -> Result<Known, String> {
         let shape: Option<Vec<usize>> = tensor.dims.iter().map(|n| i32::try_from(*n).ok()?.try_into().ok()).collect();
-        let shape = shape.ok_or_else(|| format!("has the shape {:?}. Expected sizes below 2^31", tensor.dims))?;
+        let shape = shape.ok_or_else(|| format!("it has the shape {:?}. Expected sizes below 2^31", tensor.dims))?;
         if !tensor.external_data.is_empty() {
-            return Err("is in another file. Expected a single file. Hint: \
+            return Err("it is in another file. Expected a single file. Hint: \
                  onnx.save(onnx.load(\"model.onnx\"), \"single.onnx\")"
                 .to_owned());
         }
         let dtype = tensor.data_type.unwrap_or(DataType(0));
-        let dtype = computed(dtype).ok_or_else(|| format!("has the unsupported type {dtype}"))?;
-        let elements = shape.iter().try_fold(1_usize, |product, n| product.checked_mul(*n));
-        let is_small = elements.is_some_and(|elements| elements <= SMALL);
-        let content = if is_small {
+        let dtype = computed(dtype).ok_or_else(|| format!("its type {dtype} is not supported"))?;
+        let array = Known { dtype, shape, content: None };
+        let content = if array.is_small() {
             let graph = GraphProto { initializer: vec![tensor.clone()], ..GraphProto::default() };
             self.evaluate(graph, &[tensor.name.as_deref().unwrap_or_default()])?.pop().and_then(|array| array.content)
         } else {
             None
         };
-        Ok(Known { dtype, shape, content })
+        Ok(Known { content, ..array })
     }
 
     fn node(&mut self, node: &'a NodeProto) -> Result<(), String> {
         if node.attribute.iter().any(|attribute| attribute.g.is_some()) {
-            return Err(
-                "control flow is not supported. Hint: export the model with fixed sizes, without branches and \
-                        loops"
-                    .to_owned(),
-            );
+            let why = "control flow is not supported. Hint: export the model with fixed sizes, without branches";
+            return Err(why.to_owned());
         }
         let inputs: Vec<Option<&Known>> = node.input.iter().map(|name| self.read(name)).collect::<Result<_, _>>()?;
         let outputs: Vec<&str> = node
@@ -126,17 +124,19 @@ impl<'a> Sizes<'a> {
             .filter(|name| !name.is_empty() && self.used.contains(name))
             .collect();
         let op = node.op_type.as_deref().unwrap_or_default();
-        check_elements(largest(node, &inputs).unwrap_or(0.0), || format!("{op} of large size"))?;
+        check_elements(largest(node, &inputs).unwrap_or(0.0))?;
         let arrays = if op == "Constant" {
             self.evaluate(single(node, &outputs), &outputs)?
         } else if let Some(array) = created(node, &inputs) {
             vec![array?]
+        } else if op == "Split" && node.input.len() < 2 && attribute(node, "split").is_none() {
+            split(node, &inputs).ok_or("its axis is out of range")?
         } else {
             self.infer(node, &outputs)?
         };
-        let is_small = |array: &Known| array.shape.iter().product::<usize>() <= SMALL;
+        arrays.iter().try_for_each(|array| array.check().map(drop))?;
         let is_constant = inputs.iter().flatten().all(|input| input.content.is_some());
-        let arrays = if op != "Constant" && is_constant && arrays.iter().all(is_small) {
+        let arrays = if op != "Constant" && is_constant && arrays.iter().all(Known::is_small) {
             let mut graph = single(node, &outputs);
             graph.initializer = self.contents(node, None);
             self.evaluate(graph, &outputs)?
@@ -173,7 +173,13 @@ impl<'a> Sizes<'a> {
                 graph.input.push(description(name, array.dtype, &array.shape));
             }
         }
+        let inputs = graph.input.clone();
         let model = self.load(graph)?;
+        // The library does not infer all sizes of pools. Their outputs are limited by `largest`.
+        let is_float = data.and_then(|name| self.arrays.get(name)).is_some_and(|data| data.dtype == DataType::FLOAT);
+        if is_float && matches!(node.op_type.as_deref(), Some("AveragePool" | "MaxPool")) {
+            return self.run_on_zeros(&model, &inputs, outputs);
+        }
         let known = model.output_ids().iter().zip(outputs).map(|(id, name)| {
             let info = model.node_info(*id);
             let shape = info.as_ref().and_then(|info| info.shape()).and_then(|dimensions| {
@@ -197,6 +203,21 @@ impl<'a> Sizes<'a> {
             return values.into_iter().zip(outputs).map(|(value, name)| content(name, value)).collect();
         }
         Ok(known)
+    }
+
+    /// Compute a network for inputs of zeros.
+    fn run_on_zeros(&self, model: &Model, inputs: &[ValueInfoProto], outputs: &[&str]) -> Result<Vec<Known>, String> {
+        let zeros = inputs.iter().map(|input| {
+            let name = input.name.as_deref().unwrap_or_default();
+            let shape = self.arrays.get(name).map_or(&[][..], |array| &array.shape);
+            let zeros = vec![0_f32; elements(shape) as usize];
+            let zeros = Value::from_shape(shape, zeros).map_err(|e| e.to_string())?;
+            Ok((model.node_id(name).map_err(|e| e.to_string())?, zeros.into()))
+        });
+        let zeros = zeros.collect::<Result<_, String>>()?;
+        let values = model.run(zeros, model.output_ids(), Some(self.run.clone())).map_err(|e| e.to_string())?;
+        let known = values.into_iter().zip(outputs).map(|(value, name)| content(name, value));
+        known.map(|known| Ok(Known { content: None, ..known? })).collect()
     }
 
     /// The small constants that a node reads, except for one input.
@@ -264,7 +285,7 @@ fn created(node: &NodeProto, inputs: &[Option<&Known>]) -> Option<Result<Known, 
         || "its size depends on what the network computes. Hint: export the model with fixed sizes".to_owned();
     let numbers = |i: usize| inputs.get(i).copied().flatten().and_then(numbers).ok_or_else(unknown);
     let create = |dtype, sizes: &[f64]| {
-        check_elements(sizes.iter().product(), || format!("{sizes:?}"))?;
+        check_elements(sizes.iter().product())?;
         // An array without elements may claim axes of any size.
         let shape = sizes.iter().map(|size| size.min(MAX_ELEMENTS) as usize).collect();
         Ok(Known { dtype, shape, content: None })
@@ -286,6 +307,19 @@ fn created(node: &NodeProto, inputs: &[Option<&Known>]) -> Option<Result<Known, 
     }
 }
 
+/// The outputs that are read of a node that splits an array into equal parts. The library does not infer them.
+fn split(node: &NodeProto, inputs: &[Option<&Known>]) -> Option<Vec<Known>> {
+    let array = inputs.first().copied().flatten()?;
+    let axis = attribute(node, "axis").and_then(|axis| axis.i).unwrap_or(0);
+    let rank = i64::try_from(array.shape.len()).ok()?;
+    let axis = usize::try_from(if axis < 0 { axis + rank } else { axis }).ok()?;
+    let mut shape = array.shape.clone();
+    let size = shape.get_mut(axis)?;
+    // The last part may be smaller.
+    *size = size.div_ceil(node.output.len());
+    Some(vec![Known { dtype: array.dtype, shape, content: None }; node.output.len()])
+}
+
 /// An upper limit of the elements of the first output of a node, or of its work space, for operators whose sizes the
 /// library could compute wrongly: it uses integers of 32 bits.
 fn largest(node: &NodeProto, inputs: &[Option<&Known>]) -> Option<f64> {
@@ -296,7 +330,7 @@ fn largest(node: &NodeProto, inputs: &[Option<&Known>]) -> Option<f64> {
     let op = node.op_type.as_deref()?;
     match op {
         "Tile" => Some(shape(0)?.iter().product::<f64>() * numbers(1)?.iter().product::<f64>()),
-        "Concat" => Some(inputs.iter().flatten().map(|input| input.shape.iter().product::<usize>() as f64).sum()),
+        "Concat" => Some(inputs.iter().flatten().map(|input| elements(&input.shape)).sum()),
         "Pad" => {
             let pads = numbers(1).or_else(|| Some(integers("pads")?.iter().map(|n| *n as f64).collect()))?;
             let mut sizes = shape(0)?;
@@ -341,12 +375,28 @@ fn largest(node: &NodeProto, inputs: &[Option<&Known>]) -> Option<f64> {
     }
 }
 
+impl Known {
+    /// Check the number of elements and return it.
+    fn check(&self) -> Result<f64, String> {
+        check_elements(elements(&self.shape))
+    }
+
+    fn is_small(&self) -> bool {
+        elements(&self.shape) <= SMALL as f64
+    }
+}
+
+/// The number of elements of an array. The product of integers could overflow.
+fn elements(shape: &[usize]) -> f64 {
+    shape.iter().map(|n| *n as f64).product()
+}
+
 /// Check the number of elements of an array.
-fn check_elements(elements: f64, what: impl FnOnce() -> String) -> Result<f64, String> {
+fn check_elements(elements: f64) -> Result<f64, String> {
     if (0.0..=MAX_ELEMENTS).contains(&elements) {
         return Ok(elements);
     }
-    Err(format!("it would need an array of {elements:.0} elements ({}). Expected at most {MAX_ELEMENTS}", what()))
+    Err(format!("it would need an array of {elements:.0} elements. Expected at most {MAX_ELEMENTS}"))
 }
 
 fn attribute<'a>(node: &'a NodeProto, name: &str) -> Option<&'a AttributeProto> {
