@@ -58,7 +58,7 @@ pub(crate) fn connect(url: &str, profile: &Profile) -> Result<Box<dyn Connection
             let chunk = profile.chunk.length.unwrap_or(profile.chunk.execute);
             LeRobotServer::connect(url, settings, chunk, deadline).map(boxed)
         }
-        Dialect::Onnx {} => load_network(url, profile),
+        Dialect::Onnx {} => load_network(url, profile, deadline),
         Dialect::VlaEval {} => VlaEval::connect(url, profile, deadline).map(boxed),
     };
     // A server listens but does not use this dialect: identify its dialect for the error message.
@@ -104,12 +104,12 @@ fn check_address(url: &str, profile: &Profile) -> Result<(), PolicyError> {
 
 /// Load a network that runs in this process.
 #[cfg(feature = "onnx")]
-fn load_network(path: &str, profile: &Profile) -> Result<Box<dyn Connection>, PolicyError> {
-    super::onnx::Network::load(path, profile).map(boxed)
+fn load_network(path: &str, profile: &Profile, deadline: Deadline) -> Result<Box<dyn Connection>, PolicyError> {
+    super::onnx::Network::load(path, profile, deadline).map(boxed)
 }
 
 #[cfg(not(feature = "onnx"))]
-fn load_network(path: &str, _: &Profile) -> Result<Box<dyn Connection>, PolicyError> {
+fn load_network(path: &str, _: &Profile, _: Deadline) -> Result<Box<dyn Connection>, PolicyError> {
     let why = "this build cannot run ONNX files. Build RoboGate with the feature `onnx`".to_owned();
     Err(PolicyError::File { path: path.to_owned(), why })
 }

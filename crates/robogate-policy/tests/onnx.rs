@@ -7,6 +7,10 @@ use std::sync::Arc;
 
 use robogate_core::{Action, Command, Policy};
 use robogate_policy::{ExternalPolicy, PolicyError, Profile};
+use rten_onnx::onnx::{AttributeProto, DataType, Dimension, GraphProto, ModelProto, NodeProto, OperatorSetIdProto};
+use rten_onnx::onnx::{
+    StringStringEntryProto, TensorProto, TensorShapeProto, TypeProto, TypeProtoTensor, ValueInfoProto,
+};
 use support::{begin, observation};
 
 const SMALL: &str = include_str!("networks/small.toml");
@@ -147,25 +151,356 @@ fn the_wrong_kind_of_address_is_explained() {
 }
 
 #[test]
-fn corrupted_files_never_panic() {
-    let good = std::fs::read(file("small.onnx")).expect("it lies there");
-    let folder = std::env::temp_dir().join(format!("robogate-networks-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).expect("room for a file");
-    let path = folder.join("bad.onnx");
-    let mut refused = 0;
-    for i in 0..good.len() {
-        let mut bad = good.clone();
-        if i % 3 == 0 {
-            bad.truncate(i);
-        } else {
-            bad[i] ^= 1 << (i % 8);
-        }
-        std::fs::write(&path, bad).expect("room for a file");
-        match load(&path, SMALL) {
-            Err(_) => refused += 1,
-            Ok(mut policy) => drop(policy.infer(&observation(96))),
-        }
+fn common_operators_agree_with_onnx_runtime() {
+    agrees_with_onnx_runtime(&file("operators.onnx"), SMALL, "operators");
+}
+
+/// A file for one test.
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new(name: &str, bytes: &[u8]) -> Self {
+        let path = std::env::temp_dir().join(format!("robogate-{}-{name}.onnx", std::process::id()));
+        let scratch = Self(path);
+        scratch.write(bytes);
+        scratch
     }
-    std::fs::remove_dir_all(&folder).expect("it is ours");
+
+    fn write(&self, bytes: &[u8]) {
+        std::fs::write(&self.0, bytes).expect("room for a file");
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        drop(std::fs::remove_file(&self.0));
+    }
+}
+
+#[test]
+fn every_load_and_thread_gives_the_same_bits() {
+    let learned = Profile::built_in("learned").expect("it is there");
+    let policies = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/policies");
+    for (path, profile) in [(file("operators.onnx"), SMALL), (policies.join("learned.onnx"), learned)] {
+        let actions = |times: usize| {
+            let mut policy = load(&path, profile).expect("it loads");
+            policy.begin("pick up the box").expect("nothing to begin");
+            let bits = |policy: &mut ExternalPolicy| -> Vec<u64> {
+                let chunk = policy.infer(&observation(96)).expect("it answers");
+                chunk.rows().iter().flatten().map(|n| n.to_bits()).collect()
+            };
+            let first = bits(&mut policy);
+            assert!((1..times).all(|_| bits(&mut policy) == first));
+            first
+        };
+        let first = actions(5);
+        for _ in 0..20 {
+            assert_eq!(actions(1), first);
+        }
+        std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..8).map(|_| scope.spawn(|| actions(3))).collect();
+            for thread in threads {
+                assert_eq!(thread.join().expect("no panic"), first);
+            }
+        });
+    }
+}
+
+/// Loads and runs files, and returns how many are refused. None may panic.
+fn refused(name: &str, files: impl Iterator<Item = Vec<u8>>) -> usize {
+    let path = Scratch::new(name, &[]);
+    let errors = files.filter_map(|bytes| {
+        path.write(&bytes);
+        let mut policy = match load(&path.0, SMALL) {
+            Err(error) => return Some(error.to_string()),
+            Ok(policy) => policy,
+        };
+        policy.begin("pick up the box").and_then(|()| policy.infer(&observation(96))).err().map(|e| e.to_string())
+    });
+    let panicked = |why: &String| assert!(!why.contains("panicked") && !why.contains("its thread has ended"), "{why}");
+    errors.inspect(panicked).count()
+}
+
+fn good() -> Vec<u8> {
+    std::fs::read(file("small.onnx")).expect("it lies there")
+}
+
+#[test]
+fn truncated_files_never_panic() {
+    let good = good();
+    let refused = refused("truncated", (0..good.len()).map(|length| good[..length].to_vec()));
+    assert!(refused > good.len() * 9 / 10, "{refused} of {}", good.len());
+}
+
+#[test]
+fn files_with_flipped_bits_never_panic() {
+    let good = good();
+    let flipped = (0..2 * good.len()).map(|i| {
+        let mut bad = good.clone();
+        // Each byte once entirely, and once in one bit.
+        bad[i / 2] ^= if i % 2 == 0 { 0xff } else { 1 << (i / 2 % 8) };
+        bad
+    });
+    let refused = refused("flipped", flipped);
     assert!(refused > good.len() / 3, "{refused} of {}", good.len());
+}
+
+#[test]
+fn random_files_are_refused() {
+    let good = good();
+    let mut state = 1_u64;
+    let files = (1..300).map(|length| {
+        let random = std::iter::repeat_with(|| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (state >> 56) as u8
+        });
+        // Half of them after a valid beginning.
+        let valid = if length % 2 == 0 { &good[..length] } else { &[] };
+        [valid, &random.take(length).collect::<Vec<u8>>()].concat()
+    });
+    assert_eq!(refused("random", files), 299);
+}
+
+fn tensor(name: &str, dims: &[i64], numbers: &[f32]) -> TensorProto {
+    let (name, dims) = (Some(name.to_owned()), dims.to_vec());
+    TensorProto { name, dims, data_type: Some(DataType::FLOAT), float_data: numbers.to_vec(), ..Default::default() }
+}
+
+fn integers(name: &str, numbers: &[i64]) -> TensorProto {
+    let (name, dims) = (Some(name.to_owned()), vec![numbers.len() as i64]);
+    TensorProto { name, dims, data_type: Some(DataType::INT64), int64_data: numbers.to_vec(), ..Default::default() }
+}
+
+fn node(op: &str, inputs: &[&str], output: &str) -> NodeProto {
+    NodeProto {
+        name: Some(format!("the_{output}")),
+        op_type: Some(op.to_owned()),
+        input: inputs.iter().map(|&name| name.to_owned()).collect(),
+        output: vec![output.to_owned()],
+        ..Default::default()
+    }
+}
+
+fn with_integers(mut node: NodeProto, name: &str, ints: &[i64]) -> NodeProto {
+    let attribute = AttributeProto { name: Some(name.to_owned()), ints: ints.to_vec(), ..Default::default() };
+    node.attribute.push(attribute);
+    node
+}
+
+/// A file with the inputs of [`SMALL`], of which the node `y` computes the output.
+fn network(constants: Vec<TensorProto>, nodes: Vec<NodeProto>) -> Vec<u8> {
+    let input = |name: &str, elem_type, sizes: &[i64]| {
+        let axis = |size: &i64| Dimension { dim_value: Some(*size), dim_param: None };
+        let shape = Some(TensorShapeProto { dim: sizes.iter().map(axis).collect() });
+        let tensor_type = Some(TypeProtoTensor { elem_type: Some(elem_type), shape });
+        ValueInfoProto { name: Some(name.to_owned()), r#type: Some(TypeProto { tensor_type, sequence: None }) }
+    };
+    let graph = GraphProto {
+        node: nodes,
+        initializer: constants,
+        input: vec![input("front", DataType::UINT8, &[1, 8, 8, 3]), input("state", DataType::FLOAT, &[1, 8])],
+        output: vec![ValueInfoProto { name: Some("y".to_owned()), r#type: None }],
+        value_info: Vec::new(),
+    };
+    let opset_import = vec![OperatorSetIdProto { domain: None, version: Some(17) }];
+    let model = ModelProto { ir_version: Some(8), graph: Some(graph), opset_import, ..Default::default() };
+    model.write_buf().expect("room for it")
+}
+
+#[test]
+fn huge_arrays_are_errors() {
+    const HUGE: i64 = 1 << 40;
+    let most = i64::from(i32::MAX);
+    let single = |constants, op: &str, inputs: &[&str]| network(constants, vec![node(op, inputs, "y")]);
+    let too_large = "would need an array of";
+    let cases = [
+        (single(vec![integers("n", &[HUGE])], "ConstantOfShape", &["n"]), too_large),
+        (single(vec![integers("n", &[1 << 20, 1 << 20])], "ConstantOfShape", &["n"]), too_large),
+        (single(vec![integers("n", &[1 << 20, 1 << 20, 1])], "Expand", &["state", "n"]), too_large),
+        // 8 * 2^29 is 0 in 32 bits.
+        (single(vec![integers("n", &[1, 1 << 29])], "Tile", &["state", "n"]), too_large),
+        (single(vec![integers("n", &[0, most, 0, most])], "Pad", &["state", "n"]), too_large),
+        (
+            single(
+                vec![tensor("n", &[], &[0.0]), tensor("m", &[], &[1e15]), tensor("d", &[], &[1.0])],
+                "Range",
+                &["n", "m", "d"],
+            ),
+            too_large,
+        ),
+        (single(vec![tensor("w", &[1 << 20, 1 << 20], &[1.0])], "Mul", &["state", "w"]), too_large),
+        (single(vec![tensor("w", &[HUGE, 0], &[])], "Mul", &["state", "w"]), "Expected sizes below 2^31"),
+        (single(vec![tensor("w", &[-1], &[1.0])], "Mul", &["state", "w"]), "Expected sizes below 2^31"),
+        // The outer product of two arrays that are each allowed.
+        (
+            network(
+                vec![integers("n", &[1 << 20, 1]), integers("m", &[1, 1 << 20])],
+                vec![
+                    node("ConstantOfShape", &["n"], "a"),
+                    node("ConstantOfShape", &["m"], "b"),
+                    node("MatMul", &["a", "b"], "y"),
+                ],
+            ),
+            too_large,
+        ),
+        // 16 times 2^28 elements are 0 in 32 bits.
+        (
+            network(
+                vec![integers("n", &[1 << 28])],
+                vec![
+                    node("ConstantOfShape", &["n"], "a"),
+                    NodeProto {
+                        attribute: vec![AttributeProto {
+                            name: Some("axis".to_owned()),
+                            i: Some(0),
+                            ..Default::default()
+                        }],
+                        ..node("Concat", &["a"; 16], "y")
+                    },
+                ],
+            ),
+            too_large,
+        ),
+        (
+            network(
+                vec![tensor("w", &[1, 1, 1, 1], &[1.0]), integers("n", &[1, 1, 2, 4])],
+                vec![
+                    node("Reshape", &["state", "n"], "x"),
+                    with_integers(node("Conv", &["x", "w"], "y"), "pads", &[most; 4]),
+                ],
+            ),
+            too_large,
+        ),
+        // Many arrays, each of which is allowed.
+        (
+            network(
+                vec![integers("n", &[1 << 27])],
+                (0..9)
+                    .map(|i| node("ConstantOfShape", &["n"], &format!("v{i}")))
+                    .chain([NodeProto {
+                        op_type: Some("Sum".to_owned()),
+                        input: (0..9).map(|i| format!("v{i}")).collect(),
+                        output: vec!["y".to_owned()],
+                        ..Default::default()
+                    }])
+                    .collect(),
+            ),
+            "all arrays of the network together would need more than 4096 MiB",
+        ),
+        // The size depends on what the network sees.
+        (
+            network(
+                vec![],
+                vec![
+                    NodeProto {
+                        attribute: vec![AttributeProto {
+                            name: Some("to".to_owned()),
+                            i: Some(7),
+                            ..Default::default()
+                        }],
+                        ..node("Cast", &["state"], "n")
+                    },
+                    node("Tile", &["state", "n"], "y"),
+                ],
+            ),
+            "is not known before it runs",
+        ),
+        (single(vec![], "NonZero", &["state"]), "is not known before it runs"),
+        // 2^66 elements are 0 in 64 bits.
+        (
+            single(vec![integers("n", &[1 << 22, 1 << 22, 1 << 22]), tensor("w", &[], &[1.0])], "Expand", &["w", "n"]),
+            too_large,
+        ),
+        // Which of two sizes would count?
+        (
+            network(
+                vec![integers("n", &[HUGE]), integers("m", &[1])],
+                vec![node("Identity", &["m"], "n"), node("ConstantOfShape", &["n"], "y")],
+            ),
+            "`n` is defined twice",
+        ),
+    ];
+    let path = Scratch::new("huge", &[]);
+    for (i, (bytes, part)) in cases.iter().enumerate() {
+        path.write(bytes);
+        let why = load(&path.0, SMALL).err().unwrap_or_else(|| panic!("case {i}")).to_string();
+        let named = format!("invalid policy file: {}: cannot be loaded as an ONNX model: ", path.0.display());
+        assert!(why.starts_with(&named) && why.contains(part), "case {i}: {why}");
+    }
+}
+
+#[test]
+fn unsupported_networks_are_explained() {
+    let loop_node = NodeProto {
+        attribute: vec![AttributeProto {
+            name: Some("body".to_owned()),
+            g: Some(GraphProto::default()),
+            ..Default::default()
+        }],
+        ..node("Loop", &["state"], "y")
+    };
+    let outside = TensorProto {
+        external_data: vec![StringStringEntryProto {
+            key: Some("location".to_owned()),
+            value: Some("w.bin".to_owned()),
+        }],
+        ..tensor("w", &[1], &[])
+    };
+    let path = Scratch::new("unsupported", &[]);
+    for (bytes, part) in [
+        (
+            network(vec![], vec![node("Mystery", &["state"], "y")]),
+            "node `the_y` (Mystery): this operator is not supported. Hint",
+        ),
+        (
+            network(vec![], vec![node("RandomNormalLike", &["state"], "y")]),
+            "node `the_y` (RandomNormalLike): this operator is not",
+        ),
+        (network(vec![], vec![loop_node]), "node `the_y` (Loop): control flow is not supported. Hint"),
+        (network(vec![outside], vec![node("Mul", &["state", "w"], "y")]), "constant `w`: it is in another file"),
+        (
+            network(vec![], vec![node("Neg", &["x"], "y")]),
+            "node `the_y` (Neg): it reads `x`, which no earlier node computes",
+        ),
+    ] {
+        path.write(&bytes);
+        let why = load(&path.0, SMALL).err().unwrap_or_else(|| panic!("{part}")).to_string();
+        assert!(why.contains(&path.0.display().to_string()) && why.contains(part), "expected {part:?} in {why:?}");
+    }
+}
+
+/// A chain of products of 2048 x 2048 numbers, each of which takes a second or more on one core.
+fn slow(start: &str) -> Vec<u8> {
+    let mut nodes = vec![node("ReduceMean", &[start], "x"), node("Expand", &["x", "n"], "v0")];
+    nodes.extend((0..100).map(|i| node("MatMul", &[&format!("v{i}"), &format!("v{i}")], &format!("v{}", i + 1))));
+    nodes.push(node("Identity", &["v100"], "y"));
+    network(vec![integers("n", &[2048, 2048]), tensor("w", &[2, 2], &[1.0; 4])], nodes)
+}
+
+#[test]
+fn deadlines_end_slow_networks() {
+    let timeouts = |connect: f64, answer: f64| {
+        format!("{SMALL}\n[server]\nconnect_s = {connect:?}\nfirst_answer_s = {answer:?}\nattempts = 1\n")
+    };
+    // Products of constants are computed while the file is loaded.
+    for (start, profile, operation) in
+        [("state", timeouts(60.0, 0.5), "running"), ("w", timeouts(0.5, 60.0), "loading")]
+    {
+        let path = Scratch::new(operation, &slow(start));
+        let begun = std::time::Instant::now();
+        let why = error_of(&path.0, &profile);
+        let expected = format!("timeout: {operation} {} took longer than 0.5 s", path.0.display());
+        assert_eq!(why, expected);
+        assert!(begun.elapsed().as_secs_f64() < 10.0, "{:?}", begun.elapsed());
+    }
+}
+
+#[test]
+fn deep_networks_load() {
+    let mut nodes: Vec<NodeProto> =
+        (0..20_000).map(|i| node("Neg", &[&format!("v{i}")], &format!("v{}", i + 1))).collect();
+    nodes.insert(0, node("Identity", &["state"], "v0"));
+    nodes.push(node("Identity", &["v20000"], "y"));
+    let path = Scratch::new("deep", &network(vec![], nodes));
+    load(&path.0, SMALL).expect("it loads");
 }

@@ -1,4 +1,4 @@
-"""Write small.onnx, batch.onnx and open.onnx, and expected.json: the outputs of ONNX Runtime for them and for the policies that RoboGate ships.
+"""Write small.onnx, batch.onnx, open.onnx and operators.onnx, and expected.json: the outputs of ONNX Runtime for them and for the policies that RoboGate ships.
 
     pip install --requirement scripts/learned/requirements.txt
     python crates/robogate-policy/tests/networks/networks.py
@@ -49,6 +49,84 @@ def small(path, batch, width):
     path.write_bytes(model.SerializeToString())
 
 
+def operators(path):
+    """Convolutions, recurrent layers and attention as PyTorch exports them, with shapes that are computed."""
+    rng = np.random.default_rng(2)
+    weights, nodes = {}, []
+
+    def weight(*shape):
+        weights[f"w{len(weights)}"] = np.asarray(rng.normal(0, 0.3, shape)).astype(np.float32)
+        return f"w{len(weights) - 1}"
+
+    def integers(*values):
+        weights[f"w{len(weights)}"] = np.array(values, dtype=np.int64)
+        return f"w{len(weights) - 1}"
+
+    def node(op, *inputs, outputs=1, **attributes):
+        names = [f"v{len(nodes)}_{i}" for i in range(outputs)]
+        nodes.append(helper.make_node(op, list(inputs), names, name=f"{op}_{len(nodes)}", **attributes))
+        return names[0] if outputs == 1 else names
+
+    pixels = node("Transpose", node("Cast", "front", to=TensorProto.FLOAT), perm=[0, 3, 1, 2])
+    pixels = node("Mul", pixels, weight())
+    layer = node("Conv", pixels, weight(8, 3, 3, 3), weight(8), kernel_shape=[3, 3], pads=[1, 1, 1, 1])
+    ones = [np.ones(8, dtype=np.float32), np.zeros(8, dtype=np.float32)]
+    weights.update(one=ones[0], zero=ones[1])
+    layer = node("Relu", node("BatchNormalization", layer, "one", "zero", "zero", "one"))
+    layer = node("MaxPool", layer, kernel_shape=[2, 2], strides=[2, 2])
+    weights["scales"] = np.array([1, 1, 2, 2], dtype=np.float32)
+    weights["none"] = np.array([], dtype=np.float32)
+    layer = node("Resize", layer, "none", "scales", mode="linear", coordinate_transformation_mode="half_pixel")
+    layer = node("AveragePool", layer, kernel_shape=[2, 2], strides=[1, 1], pads=[0, 0, 1, 1], ceil_mode=1)
+    layer = node("Conv", layer, weight(8, 4, 3, 3), kernel_shape=[3, 3], strides=[2, 2], group=2)
+    layer = node("Clip", node("Pad", layer, integers(0, 0, 1, 0, 0, 0, 0, 1)), "low", "high")
+    weights.update(low=np.float32(-2), high=np.float32(2))
+    # Tokens of eight numbers, in a shape that is computed from the input.
+    batch = node("Gather", node("Shape", layer), integers(0), axis=0)
+    tokens = node("Reshape", layer, node("Concat", batch, integers(8, -1), axis=0))
+    tokens = node("Transpose", tokens, perm=[0, 2, 1])
+    length = node("Gather", node("Shape", tokens), integers(1), axis=0)
+    shape = node("Concat", batch, length, integers(8), axis=0)
+    ones = node("ConstantOfShape", integers(3), value=helper.make_tensor("one", TensorProto.INT64, [1], [1]))
+    shape = node("Where", node("Equal", shape, node("Mul", ones, integers(-1))), ones, shape)
+    position = node("Expand", weight(1, 1, 8), shape)
+    tokens = node("Add", tokens, position)
+    normal = node("LayerNormalization", tokens, weight(8), weight(8), axis=-1)
+    query, key, value = (node("MatMul", normal, weight(8, 8)) for _ in range(3))
+    heads = integers(0, -1, 2, 4)
+    query, value = (node("Transpose", node("Reshape", x, heads), perm=[0, 2, 1, 3]) for x in (query, value))
+    key = node("Transpose", node("Reshape", key, heads), perm=[0, 2, 3, 1])
+    scores = node("Softmax", node("Div", node("MatMul", query, key), weight()), axis=-1)
+    mixed = node("Transpose", node("MatMul", scores, value), perm=[0, 2, 1, 3])
+    tokens = node("Add", tokens, node("Reshape", mixed, integers(0, 0, 8)))
+    # GELU as exported before opset 20.
+    half = node("Div", tokens, "root")
+    weights.update(root=np.float32(2**0.5), unit=np.float32(1), half=np.float32(0.5))
+    tokens = node("Mul", node("Mul", tokens, node("Add", node("Erf", half), "unit")), "half")
+    sequence = node("Transpose", tokens, perm=[1, 0, 2])
+    _, last = node("GRU", sequence, weight(1, 24, 8), weight(1, 24, 8), weight(1, 48), outputs=2, hidden_size=8, linear_before_reset=1)
+    output, _, cell = node("LSTM", sequence, weight(1, 32, 8), weight(1, 32, 8), weight(1, 64), outputs=3, hidden_size=8)
+    output = node("Slice", output, integers(-1), integers(2**63 - 1), integers(0))
+    output = node("Squeeze", output, integers(1))
+    parts = [node("Squeeze", x, integers(0)) for x in (last, cell, output)]
+    joined = node("Concat", *parts[:2], node("Reshape", parts[2], integers(1, 8)), "state", axis=1)
+    left, right = node("Split", joined, integers(16, 16), outputs=2, axis=1)
+    first, second = node("Split", node("Dropout", right), outputs=2, axis=1)
+    joined = node("Concat", node("Tanh", left), node("Sigmoid", second), first, axis=1)
+    flat = node("Gemm", joined, weight(16, 32), weight(16), transB=1, alpha=0.5)
+    nodes.append(helper.make_node("Reshape", [flat, integers(1, 2, 8)], ["actions"]))
+    inputs = [
+        helper.make_tensor_value_info("front", TensorProto.UINT8, ["batch", 8, 8, 3]),
+        helper.make_tensor_value_info("state", TensorProto.FLOAT, ["batch", 8]),
+    ]
+    outputs = [helper.make_tensor_value_info("actions", TensorProto.FLOAT, [1, 2, 8])]
+    initializers = [numpy_helper.from_array(np.asarray(value, dtype=value.dtype), name) for name, value in weights.items()]
+    graph = helper.make_graph(nodes, "operators", inputs, outputs, initializers)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    onnx.checker.check_model(model)
+    path.write_bytes(model.SerializeToString())
+
+
 def answer(path, **inputs):
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     return [[float(x) for x in row] for row in session.run(None, inputs)[0][0]]
@@ -63,7 +141,8 @@ state = np.array([[0, 0, 0, 0, 0, 0, 0, 0.08]], dtype=np.float32)
 small(HERE / "small.onnx", 1, 8)
 small(HERE / "batch.onnx", "batch", 8)
 small(HERE / "open.onnx", "batch", "width")
-expected = {"small": answer(HERE / "small.onnx", front=eighth, state=state)}
+operators(HERE / "operators.onnx")
+expected = {name: answer(HERE / f"{name}.onnx", front=eighth, state=state) for name in ["small", "operators"]}
 for path in sorted(SHIPPED.glob("*.onnx")):
     expected[path.stem] = answer(path, front=middle, wrist=whole, state=state)
 (HERE / "expected.json").write_text(json.dumps(expected, indent=1) + "\n")
