@@ -11,6 +11,9 @@ if [ -z "${RUSTUP_TOOLCHAIN:-}" ] && command -v rustup > /dev/null && ! rustup t
     esac
 fi
 
+# The features that tests and lints use.
+full=(--features robogate/full)
+
 failed=()
 # Runs a step and continues after a failure, so that one run reports all failures: step NAME COMMAND...
 step() {

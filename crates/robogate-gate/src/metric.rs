@@ -157,11 +157,18 @@ const OLD_SPELLINGS: [(&str, &str); 6] = [
     ("timeout_rate", "failure:timeout"),
 ];
 
+impl Metric {
+    /// The current name of a metric that version 0.1 named differently.
+    pub(crate) fn renamed(old: &str) -> Option<&'static str> {
+        OLD_SPELLINGS.iter().find(|(name, _)| *name == old).map(|(_, new)| *new)
+    }
+}
+
 impl FromStr for Metric {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let text = OLD_SPELLINGS.iter().find(|(old, _)| *old == text).map_or(text, |(_, new)| new);
+        let text = Self::renamed(text).unwrap_or(text);
         let wrong = || {
             format!(
                 "`{text}` is not a metric. Expected success, failure:<mode>, failure_count:<mode>, cycle_time_s or \

@@ -29,6 +29,9 @@ pub(crate) const ENGINES: &[EngineEntry] = &[
 
 const _: () = assert!(!ENGINES.is_empty(), "a build needs an engine: --features mujoco, rapier or both");
 
+/// The engines that a build may lack, named like their features.
+const OPTIONAL: [&str; 2] = ["mujoco", "rapier"];
+
 /// The tasks that bring their own world.
 pub(crate) const TASKS: &[&dyn SelfContained] = &[
     #[cfg(feature = "mujoco")]
@@ -80,7 +83,12 @@ impl EngineEntry {
     pub(crate) fn find(name: &str) -> anyhow::Result<&'static Self> {
         ENGINES.iter().find(|engine| engine.name == name).ok_or_else(|| {
             let known: Vec<&str> = ENGINES.iter().map(|engine| engine.name).collect();
-            anyhow!("--engine {name}: no such engine in this build. Expected one of: {}", known.join(", "))
+            let hint = if OPTIONAL.contains(&name) {
+                format!("\n  hint: build with --features {name}")
+            } else {
+                String::new()
+            };
+            anyhow!("--engine {name}: no such engine in this build. Expected one of: {}{hint}", known.join(", "))
         })
     }
 }

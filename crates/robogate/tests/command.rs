@@ -149,8 +149,6 @@ fn wrong_arguments_are_usage_errors() {
     run("--robot", "r2d2", &["unknown robot `r2d2`", "franka"]);
     run("--engine", "ode", &["no such engine", "mujoco"]);
     assert_usage(&["run", "--out", &out, "--engine", "rapier", "--renderer", "egl"], &["--engine mujoco", "rapier"]);
-    #[cfg(not(feature = "egl"))]
-    run("--renderer", "egl", &["no EGL renderer", "--features egl"]);
     run("--renderer", "vulkan", &["vulkan", "embedded", "egl"]);
     run("--grip-force", "500", &["500", "70"]);
     run("--time-step", "0.003", &["0.003", "not an integer multiple"]);

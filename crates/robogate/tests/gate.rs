@@ -44,7 +44,7 @@ scenarios = [{ id = "hopeless-1", mass_kg = 2.0, friction = 0.05 }]
 
 fn gate(success: &str) -> String {
     format!(
-        "name = \"test\"\nmode = \"confidence\"\nconfidence = 0.75\n[budget]\nrounds = 12\n[[requirement]]\nmetric = \"success_rate\"\n{success}\n"
+        "name = \"test\"\nmode = \"confidence\"\nconfidence = 0.75\n[budget]\nrounds = 12\n[[requirement]]\nmetric = \"success\"\n{success}\n"
     )
 }
 
@@ -86,6 +86,15 @@ fn default_gate_needs_no_arguments() {
         0,
         &["success rate at least 92.00 %", "limit", "met at the earliest after 7 rounds"],
     );
+}
+
+#[test]
+fn old_names_are_read_with_a_note() {
+    let folder = Folder::new();
+    let requirements = folder.write("old.toml", &gate("at_least = 0.2").replace("success", "success_rate"));
+    let suite = folder.write("suite.toml", SUITE);
+    let arguments = ["gate", "--plan", "--suite", &suite, "--requirements", &requirements];
+    assert_code(&arguments, 0, &["note: ", "old.toml: `success_rate` is the old name of `success`", "success rate"]);
 }
 
 #[test]

@@ -10,7 +10,7 @@ use robogate_core::TaskSpec;
 use robogate_gate::evidence::{Content, EvidenceError, Ingredients, PrivateKey, Role, write};
 use robogate_gate::{Asked, GateError, Record, Requirements, Sampling};
 
-use crate::commands::gate::{built_in_baseline, refused};
+use crate::commands::gate::{built_in_baseline, open_requirements, refused};
 use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::subject::recorded_robot;
 use crate::terminal::{foreign, line, note};
@@ -107,7 +107,7 @@ impl Evidence {
     fn requirements(&self, task: &TaskSpec, asked: Option<&Asked>) -> Result<Content, Exit> {
         match (&self.requirements, asked) {
             (Some(file), _) if Path::new(file).is_file() => Ok(Content::File(file.into())),
-            (Some(name), _) => Ok(Content::Bytes(Requirements::open(name, task).map_err(refused)?.to_toml().into_bytes())),
+            (Some(name), _) => Ok(Content::Bytes(open_requirements(name, task)?.to_toml().into_bytes())),
             (None, Some(asked)) => Ok(Content::Bytes(asked.requirements.to_toml().into_bytes())),
             (None, None) => Err(anyhow::anyhow!(
                 "this run was not made by `robogate gate`, so it has no requirements\nhint: choose them with --requirements default, paper, or a file"

@@ -9,7 +9,7 @@ use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate_analysis::Source;
 use robogate_campaign::{Completion, DEFAULT_SEED, Event, Plan, Round, Settings};
-use robogate_core::Suite;
+use robogate_core::{Suite, TaskSpec};
 use robogate_dictionary::{Label, Provenance};
 use robogate_gate::{
     Against, Asked, AskedAgainst, Baseline, Evaluation, GateError, GatePlan, Mode, Planned, Question, Record,
@@ -116,7 +116,7 @@ impl Gate {
         let sampling = asked.as_ref().map_or(Sampling::Fixed, |asked| asked.sampling);
         let requirements = match (&self.requirements, &asked) {
             (None, Some(asked)) => asked.requirements.clone(),
-            (name, _) => Requirements::open(name.as_deref().unwrap_or("default"), &record.task).map_err(refused)?,
+            (name, _) => open_requirements(name.as_deref().unwrap_or("default"), &record.task)?,
         };
         let other = match &asked {
             Some(asked) if self.baseline.is_none() => {
@@ -174,7 +174,7 @@ impl Gate {
         let environment = self.environment.environment(SuctionLaw::Vacuum)?;
         let subject = Subject::new(environment, self.policy.source()?)?;
         let wanted = self.requirements.as_deref().unwrap_or("default");
-        let requirements = Requirements::open(wanted, subject.task()).map_err(refused)?;
+        let requirements = open_requirements(wanted, subject.task())?;
         let suite = self.suite(&subject)?;
         subject.check_suite(&suite).or_usage()?;
         let rounds = self.rounds.unwrap_or(requirements.budget.rounds);
@@ -444,6 +444,19 @@ fn show(dir: Option<&Path>, evaluation: &Evaluation, json: bool) -> Result<u8, E
         }
     }
     Ok(evaluation.verdict.exit_code())
+}
+
+/// Opens built-in requirements or a file. Prints a note for each name of version 0.1 in the file.
+pub(crate) fn open_requirements(name_or_path: &str, task: &TaskSpec) -> Result<Requirements, Exit> {
+    let requirements = Requirements::open(name_or_path, task).map_err(refused)?;
+    if let Ok(text) = std::fs::read_to_string(name_or_path)
+        && !Requirements::NAMES.contains(&name_or_path)
+    {
+        for (old, new) in Requirements::old_spellings(&text) {
+            note(format_args!("note: {name_or_path}: `{old}` is the old name of `{new}`"));
+        }
+    }
+    Ok(requirements)
 }
 
 /// Gives an error of the gate its exit code: usage if the user can correct it, invalid if there is no evidence.

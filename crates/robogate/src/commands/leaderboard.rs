@@ -6,10 +6,10 @@ use anyhow::Context;
 use clap::{Args, ValueEnum};
 use robogate_analysis::Source;
 use robogate_core::TaskSpec;
-use robogate_gate::{Baseline, GateError, Leaderboard, Record, Requirements};
+use robogate_gate::{Baseline, Leaderboard, Record, Requirements};
 use robogate_report::{leaderboard_html, leaderboard_markdown};
 
-use crate::commands::gate::built_in_baseline;
+use crate::commands::gate::{built_in_baseline, open_requirements};
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::terminal::{bar, bold, dim, line, note, percent};
 
@@ -57,7 +57,7 @@ impl Rank {
         }
         let first =
             entries.first().ok_or_else(|| anyhow::anyhow!("a leaderboard needs at least one run")).or_usage()?;
-        let requirements = self.requirements_for(&first.1.task).or_usage()?;
+        let requirements = self.requirements_for(&first.1.task)?;
         let baseline = match (&self.baseline, entries.first()) {
             (Some(file), _) => Some(Baseline::open(file).or_usage()?),
             (None, Some((_, first))) => built_in_baseline(first),
@@ -85,14 +85,14 @@ impl Rank {
         Ok(if board.standings.iter().any(|s| s.valid > 0) { DONE } else { INVALID })
     }
 
-    fn requirements_for(&self, task: &TaskSpec) -> Result<Requirements, GateError> {
+    fn requirements_for(&self, task: &TaskSpec) -> Result<Requirements, Exit> {
         if let Some(name) = &self.requirements {
-            return Requirements::open(name, task);
+            return open_requirements(name, task);
         }
-        let paper = Requirements::open("paper", task)?;
+        let paper = open_requirements("paper", task)?;
         match paper.task.as_deref().is_none_or(|name| task.name == name) {
             true => Ok(paper),
-            false => Requirements::open("default", task),
+            false => open_requirements("default", task),
         }
     }
 }

@@ -48,8 +48,11 @@ struct Check {
     #[arg(long, value_name = "NAME|FILE")]
     profile: String,
     /// Set the number of requests with the same observation (at least 2)
-    #[arg(long, alias = "questions", value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..))]
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..))]
     requests: u32,
+    /// The old name of --requests
+    #[arg(long, hide = true, value_name = "N", conflicts_with = "requests", value_parser = clap::value_parser!(u32).range(2..))]
+    questions: Option<u32>,
     #[command(flatten)]
     environment: EnvironmentArguments,
     /// Print one JSON document
@@ -114,6 +117,9 @@ struct Findings {
 
 impl Check {
     fn execute(&self) -> Result<u8, Exit> {
+        if self.questions.is_some() {
+            note("note: --questions is the old name of --requests");
+        }
         let profile = Arc::new(profile(&self.profile).or_usage()?);
         let subject = Subject::new(self.environment.environment(SuctionLaw::Vacuum)?, None)?;
         let subject = profile.rendered_px.into_iter().fold(subject, Subject::with_pictures_of);
@@ -153,6 +159,10 @@ impl Check {
         Ok(if found.problems.is_empty() { DONE } else { FAIL })
     }
 
+    fn requests(&self) -> u32 {
+        self.questions.unwrap_or(self.requests)
+    }
+
     /// Send the same observation several times: shape, latency, determinism, size and sign of the actions.
     fn infer(
         &self,
@@ -178,7 +188,7 @@ impl Check {
         let (first, first_s) = timed(policy, &observation)?;
         let mut later = Vec::new();
         let mut different = 0;
-        for _ in 1..self.requests {
+        for _ in 1..self.requests() {
             policy.begin(&start.instance.instruction)?;
             let (chunk, seconds) = timed(policy, &observation)?;
             different += u32::from(chunk != first);
@@ -205,7 +215,7 @@ impl Check {
             } else {
                 format!(
                     "no: {different} of {} replies to the same observation differ, so replays will differ too",
-                    self.requests - 1
+                    self.requests() - 1
                 )
             },
         ));
