@@ -19,4 +19,7 @@ trap 'rm -rf "$out"' EXIT
 code=0
 "$binary" robots check franka 2> "$out/refused" || code=$?
 grep -q 'robots are checked with MuJoCo' "$out/refused" && [ "$code" = 2 ]
+code=0
+"$binary" run --engine mujoco -n 30 --out "$out/refused-run" 2> "$out/refused" || code=$?
+grep -q 'build with --features mujoco' "$out/refused" && [ "$code" = 2 ]
 echo "a build with Rapier only runs a campaign and links no foreign library"

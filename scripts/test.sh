@@ -73,8 +73,9 @@ python() {
 # Runs cargo-nextest if it is installed, otherwise cargo test: rust ARGUMENTS...
 rust() {
     case " $* " in
+        *" -p robogate "*) set -- --features full "$@" ;;
         *" -p "* | *" --package "*) ;;
-        *) set -- --workspace "$@" ;;
+        *) set -- --workspace "${full[@]}" "$@" ;;
     esac
     if command -v cargo-nextest > /dev/null; then
         cargo nextest run --no-fail-fast --locked "$@"
@@ -90,9 +91,7 @@ python ROBOGATE_BRIDGE_PYTHON bridges-venv bridges/common/requirements.txt
 
 step "Rust tests" rust "$@"
 if [ $# -eq 0 ]; then
-    # The tests of MuJoCo's renderer, which need another feature, with the same dependencies as above.
-    step "tests of the EGL renderer" rust --features robogate/egl --test egl
-    step "documentation examples" cargo test --doc --no-fail-fast --workspace --locked
+    step "documentation examples" cargo test --doc --no-fail-fast --workspace "${full[@]}" --locked
     if [ -n "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
         step "bridges/common" env PYTHONPATH=bridges/common "$ROBOGATE_BRIDGE_PYTHON" scripts/run_unittests.py bridges/common/tests
     else
