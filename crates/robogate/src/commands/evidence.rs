@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use robogate_analysis::Source;
 use robogate_core::TaskSpec;
 use robogate_gate::evidence::{Content, EvidenceError, Ingredients, PrivateKey, Role, write};
-use robogate_gate::{Asked, GateError, Record, Requirements, Sampling};
+use robogate_gate::{Asked, GateError, Record, Sampling};
 
 use crate::commands::gate::{built_in_baseline, open_requirements, refused};
 use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
