@@ -123,6 +123,12 @@ pub enum DictionaryError {
         /// The episode's index.
         index: u64,
     },
+    /// An episode whose record does not fit into one frame.
+    #[error("episode {index}: its record is larger than 4 GiB")]
+    TooLarge {
+        /// The episode's index.
+        index: u64,
+    },
     /// Two episodes of different campaigns in one dictionary.
     #[error("episode {index} belongs to a campaign with seed {found}. Expected seed {expected}, as in the dictionary")]
     ForeignCampaign {

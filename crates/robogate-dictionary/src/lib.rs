@@ -16,6 +16,7 @@ mod entry;
 mod error;
 pub mod export;
 mod fields;
+pub mod frame;
 mod hash;
 mod identity;
 mod journal;

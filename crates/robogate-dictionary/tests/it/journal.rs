@@ -6,6 +6,7 @@ use std::process::{Command, Stdio};
 
 use crate::common::{Folder, entry, same, strange_entry, task};
 use robogate_core::Seed;
+use robogate_dictionary::frame::{Frames, encode_frame};
 use robogate_dictionary::{DictionaryError, Entry, Journal, Recovery, dataset_hash};
 
 /// Creates a journal with the entries of these indices. Also returns the end of each record.
@@ -43,6 +44,59 @@ fn episodes_come_back_bit_for_bit() {
         let index = found.index();
         assert!(same(&found, &if index % 2 == 0 { entry(index) } else { strange_entry(index) }));
     }
+}
+
+#[test]
+fn extend_equals_single_appends() {
+    let folder = Folder::new("journal-extend");
+    let (one, many) = (folder.join("one"), folder.join("many"));
+    let order = [9, 3, 0, 7, 1, 5];
+    journal(&one, order);
+    let mut extended = Journal::create(&many).unwrap();
+    extended.append(&entry(9)).unwrap();
+    let rest = order[1..].iter().map(|index| Ok::<_, DictionaryError>(entry(*index)));
+    extended.extend(rest).unwrap();
+    assert_eq!(extended.indices().collect::<Vec<_>>(), [0, 1, 3, 5, 7, 9]);
+    assert!(same(&extended.read(7).unwrap().unwrap(), &entry(7)));
+    drop(extended);
+    assert!(fs::read(&one).unwrap() == fs::read(&many).unwrap());
+    assert_eq!(Journal::open(&many).unwrap().0.len(), 6);
+}
+
+#[test]
+fn failed_extend_changes_nothing() {
+    let folder = Folder::new("journal-extend-fails");
+    let path = folder.join("j");
+    journal(&path, [4, 2]);
+    let before = fs::read(&path).unwrap();
+    let (mut opened, _) = Journal::open(&path).unwrap();
+    let twice = [entry(3), entry(2)].map(Ok::<_, DictionaryError>);
+    assert!(matches!(opened.extend(twice), Err(DictionaryError::Duplicate { index: 2, .. })));
+    let source_fails = [Ok(entry(1)), Err(DictionaryError::TooLarge { index: 0 })];
+    assert!(matches!(opened.extend(source_fails), Err(DictionaryError::TooLarge { .. })));
+    assert_eq!(opened.indices().collect::<Vec<_>>(), [2, 4]);
+    assert!(fs::read(&path).unwrap() == before);
+    opened.append(&entry(0)).unwrap();
+    assert_eq!(opened.indices().collect::<Vec<_>>(), [0, 2, 4]);
+}
+
+#[test]
+fn frames_survive_no_change() {
+    let mut bytes = Vec::new();
+    let entries = [entry(3), strange_entry(1)];
+    entries.iter().for_each(|entry| encode_frame(entry, &mut bytes).unwrap());
+    let read: Vec<Entry> = Frames::new(&bytes).map(Result::unwrap).collect();
+    assert!(read.iter().zip(&entries).all(|(a, b)| same(a, b)) && read.len() == 2);
+    for at in 0..bytes.len() {
+        let mut flipped = bytes.clone();
+        flipped[at] ^= 1;
+        assert!(Frames::new(&flipped).any(|entry| entry.is_err()), "byte {at}");
+    }
+    assert!(Frames::new(&bytes[..bytes.len() - 1]).any(|entry| entry.is_err()));
+    let mut heavy = entry(2);
+    heavy.weight = f64::NAN;
+    assert!(encode_frame(&heavy, &mut bytes).is_err());
+    assert_eq!(Frames::new(&bytes).count(), 2);
 }
 
 #[test]
