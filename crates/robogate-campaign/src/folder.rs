@@ -15,6 +15,8 @@ pub const PLAN: &str = "plan.json";
 pub const JOURNAL: &str = "journal.rgj";
 /// The boundary found by the first stage.
 pub const BOUNDARY: &str = "boundary.json";
+/// The division of a campaign into shards.
+pub const LAYOUT: &str = "shards/layout.json";
 /// The dictionary of a finished run.
 pub const DICTIONARY: &str = "dictionary.parquet";
 /// The summary of a finished run. Written last.
@@ -56,12 +58,8 @@ impl Folder {
 
     /// The names of the files in the folder, without our own partial files.
     pub(crate) fn names(&self) -> Result<Vec<String>, RunError> {
-        let listed = fs::read_dir(&self.dir).and_then(|entries| {
-            entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect::<io::Result<Vec<_>>>()
-        });
-        let mut names = listed.map_err(RunError::io(&self.dir, "list"))?;
+        let mut names = names(&self.dir).map_err(RunError::io(&self.dir, "list"))?;
         names.retain(|name| *name != partial(PLAN));
-        names.sort();
         Ok(names)
     }
 
@@ -70,13 +68,11 @@ impl Folder {
         let path = self.path(name);
         let part = self.path(&partial(name));
         let write = || {
-            let mut text = serde_json::to_vec_pretty(document)?;
-            text.push(b'\n');
             let mut file = File::create(&part)?;
-            file.write_all(&text)?;
+            file.write_all(&document_bytes(document)?)?;
             file.sync_all()?;
             fs::rename(&part, &path)?;
-            self.sync()
+            sync(&self.dir)
         };
         write().map_err(|error: io::Error| {
             // The next attempt overwrites the remains.
@@ -87,16 +83,25 @@ impl Folder {
 
     pub(crate) fn remove(&self, name: &str) -> Result<(), RunError> {
         let path = self.path(name);
-        fs::remove_file(&path).and_then(|()| self.sync()).map_err(RunError::io(&path, "remove"))
+        fs::remove_file(&path).and_then(|()| sync(&self.dir)).map_err(RunError::io(&path, "remove"))
     }
+}
 
-    /// Flushes the folder's directory entries to disk.
-    fn sync(&self) -> io::Result<()> {
-        match File::open(&self.dir).and_then(|dir| dir.sync_all()) {
-            Err(error) if cfg!(unix) && error.kind() != io::ErrorKind::InvalidInput => Err(error),
-            // Not all systems support this. The entries exist in any case.
-            _ => Ok(()),
-        }
+/// The sorted names in the folder `dir`.
+pub(crate) fn names(dir: &Path) -> io::Result<Vec<String>> {
+    let mut names = fs::read_dir(dir)?
+        .map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()))
+        .collect::<io::Result<Vec<_>>>()?;
+    names.sort();
+    Ok(names)
+}
+
+/// Flushes the entries of the folder `dir` to disk.
+pub(crate) fn sync(dir: &Path) -> io::Result<()> {
+    match File::open(dir).and_then(|dir| dir.sync_all()) {
+        Err(error) if cfg!(unix) && error.kind() != io::ErrorKind::InvalidInput => Err(error),
+        // Not all systems support this. The entries exist in any case.
+        _ => Ok(()),
     }
 }
 
@@ -104,9 +109,19 @@ fn partial(name: &str) -> String {
     format!(".{name}.part")
 }
 
+/// The bytes of a JSON document as this crate writes it.
+pub(crate) fn document_bytes(document: &impl Serialize) -> serde_json::Result<Vec<u8>> {
+    let mut text = serde_json::to_vec_pretty(document)?;
+    text.push(b'\n');
+    Ok(text)
+}
+
 /// Reads a JSON document that this crate wrote.
-pub(crate) fn read<T: DeserializeOwned>(dir: &Path, name: &str) -> Result<T, RunError> {
-    let path = dir.join(name);
-    let text = fs::read(&path).map_err(RunError::io(&path, "read"))?;
-    serde_json::from_slice(&text).map_err(|source| RunError::Unreadable { path, source })
+pub(crate) fn read<T: DeserializeOwned>(path: &Path) -> Result<T, RunError> {
+    parse(path, &fs::read(path).map_err(RunError::io(path, "read"))?)
+}
+
+/// Parses the content of the file `path`, a JSON document that this crate wrote.
+pub(crate) fn parse<T: DeserializeOwned>(path: &Path, text: &[u8]) -> Result<T, RunError> {
+    serde_json::from_slice(text).map_err(|source| RunError::Unreadable { path: path.to_owned(), source })
 }

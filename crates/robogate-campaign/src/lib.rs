@@ -17,6 +17,8 @@
 //! Instead of both stages, a plan may name a suite ([`Plan::of_suite`]). Every scenario then runs once per round, and
 //! [`start_in_rounds`] calls a closure after each round to decide whether to stop.
 //!
+//! Many machines can share a campaign: each runs some [`shards`], and the merged files are those of one machine.
+//!
 //! An [`Executor`] runs the episodes with workers from a [`WorkerFactory`]. This crate knows no specific environment or
 //! policy. Progress is reported as one stream of [`Event`]s.
 
@@ -24,8 +26,10 @@ pub mod boundary;
 mod events;
 mod executor;
 pub mod folder;
+mod invalid;
 mod plan;
 mod run;
+pub mod shards;
 mod stage;
 mod suite;
 mod summary;
@@ -38,7 +42,9 @@ pub use boundary::{
 pub use events::{Event, Warning};
 pub use executor::{ExecuteError, Executor, Worker, WorkerFactory};
 pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, Range, UniformStage};
-pub use run::{Completion, RunError, Settings, recorded, resume, resume_in_rounds, settings, start, start_in_rounds};
+pub use run::{
+    AfterRound, Completion, RunError, Settings, recorded, resume, resume_in_rounds, settings, start, start_in_rounds,
+};
 pub use stage::{Points, Stage};
 pub use suite::{
     BUILT_IN_SUITES, GroupSummary, INDUSTRIAL_68, Round, SuiteStage, SuiteSummary, built_in_suite, suite_sha256,

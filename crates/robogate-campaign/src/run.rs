@@ -17,13 +17,14 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use robogate_core::{DesignError, Episode, Outcome, ParameterSpace};
+use robogate_core::{DesignError, Episode, ParameterSpace};
 use robogate_dictionary::{Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Provenance};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::folder::{self, BOUNDARY, DICTIONARY, Folder, JOURNAL, PLAN, SUMMARY};
+use crate::folder::{self, BOUNDARY, DICTIONARY, Folder, JOURNAL, LAYOUT, PLAN, SUMMARY};
+use crate::invalid::AllInvalid;
 use crate::summary::Summing;
 use crate::{
     Bins, BoundaryReport, Event, ExecuteError, Executor, OutcomeCounts, Plan, PlanError, Points, Round, Stage,
@@ -44,6 +45,45 @@ pub struct Settings {
 impl Settings {
     /// The version of the file format that is written, and the newest one that is read.
     pub const VERSION: u32 = 2;
+
+    /// The settings of a new run. This function fills in `plan` and `seed` of `provenance`.
+    pub(crate) fn new(plan: &Plan, provenance: Provenance) -> serde_json::Result<Self> {
+        let provenance = Provenance { plan: serde_json::to_value(plan)?, seed: plan.seed, ..provenance };
+        Ok(Self { version: Self::VERSION, plan: plan.clone(), provenance })
+    }
+
+    /// Parses the content of the file `path`.
+    pub(crate) fn parse(path: &Path, text: &[u8]) -> Result<Self, RunError> {
+        /// The version alone, because a later format may differ in everything else.
+        #[derive(Deserialize)]
+        struct Version {
+            version: u32,
+        }
+        let Version { version } = folder::parse(path, text)?;
+        known_version(path, version, Self::VERSION)?;
+        let settings: Self = folder::parse(path, text)?;
+        // The provenance, which the dictionary stores, contains the plan as well. Both must agree.
+        let plan = serde_json::from_value::<Plan>(settings.provenance.plan.clone());
+        if !plan.is_ok_and(|plan| plan == settings.plan) || settings.provenance.seed != settings.plan.seed {
+            let source =
+                serde::de::Error::custom("`plan` and `provenance.plan` or `provenance.seed` contradict each other");
+            return Err(RunError::Unreadable { path: path.to_owned(), source });
+        }
+        Ok(settings)
+    }
+
+    /// Rejects `present` settings that would give other results than these recorded ones.
+    pub(crate) fn same(&self, present: &Self) -> Result<(), RunError> {
+        same_origin(&self.provenance, &present.provenance)?;
+        let values = [self, present].map(|settings| serde_json::to_value(settings).unwrap_or_default());
+        let [recorded, present] = &values;
+        for part in ["plan", "provenance"] {
+            if let Some((what, recorded, present)) = difference(part.to_owned(), &recorded[part], &present[part]) {
+                return Err(RunError::Mismatch { what, recorded, present });
+            }
+        }
+        Ok(())
+    }
 }
 
 /// How a run ended.
@@ -98,15 +138,15 @@ pub fn start_in_rounds(
     std::fs::create_dir_all(dir).map_err(RunError::io(dir, "create"))?;
     let folder = Folder::lock(dir)?;
     let names = folder.names()?;
+    not_in_shards(dir)?;
     if names.iter().any(|name| name == PLAN) {
         return Err(RunError::AlreadyARun { dir: dir.to_owned(), finished: is_finished(&folder) });
     }
     if let Some(name) = names.first() {
         return Err(RunError::NotEmpty { dir: dir.to_owned(), name: name.clone() });
     }
-    let written = serde_json::to_value(plan).map_err(|source| RunError::Unreadable { path: dir.join(PLAN), source })?;
-    let provenance = Provenance { plan: written, seed: plan.seed, ..provenance };
-    let settings = Settings { version: Settings::VERSION, plan: plan.clone(), provenance };
+    let settings =
+        Settings::new(plan, provenance).map_err(|source| RunError::Unreadable { path: dir.join(PLAN), source })?;
     folder.write(PLAN, &settings)?;
     Run::new(folder, settings, executor, events, after_round)?.run()
 }
@@ -137,13 +177,10 @@ pub fn resume_in_rounds(
 ) -> Result<Completion, RunError> {
     let settings = settings(dir)?;
     let folder = Folder::lock(dir)?;
-    if is_finished(&folder) {
-        let summary: Summary = folder::read(dir, SUMMARY)?;
-        known_version(dir, SUMMARY, summary.version, Summary::VERSION)?;
-        let boundary = if folder.has(BOUNDARY) { Some(folder::read(dir, BOUNDARY)?) } else { None };
-        events(&Event::Finished { already: true, summary: Box::new(summary.clone()) });
-        return Ok(Completion::Finished { summary: Box::new(summary), boundary });
+    if let Some(finished) = finished(&folder, events)? {
+        return Ok(finished);
     }
+    not_in_shards(dir)?;
     same_origin(&settings.provenance, provenance)?;
     settings.plan.check(&settings.provenance.space)?;
     Run::new(folder, settings, executor, events, after_round)?.run()
@@ -154,22 +191,9 @@ pub fn settings(dir: &Path) -> Result<Settings, RunError> {
     if !dir.join(PLAN).is_file() {
         return Err(RunError::NotARun { dir: dir.to_owned() });
     }
-    /// The version alone, because a later format may differ in everything else.
-    #[derive(Deserialize)]
-    struct Version {
-        version: u32,
-    }
-    let Version { version } = folder::read(dir, PLAN)?;
-    known_version(dir, PLAN, version, Settings::VERSION)?;
-    let settings: Settings = folder::read(dir, PLAN)?;
-    // The provenance, which the dictionary stores, contains the plan as well. Both must agree.
-    let plan = serde_json::from_value::<Plan>(settings.provenance.plan.clone());
-    if !plan.is_ok_and(|plan| plan == settings.plan) || settings.provenance.seed != settings.plan.seed {
-        let source =
-            serde::de::Error::custom("`plan` and `provenance.plan` or `provenance.seed` contradict each other");
-        return Err(RunError::Unreadable { path: dir.join(PLAN), source });
-    }
-    Ok(settings)
+    let path = dir.join(PLAN);
+    let text = std::fs::read(&path).map_err(RunError::io(&path, "read"))?;
+    Settings::parse(&path, &text)
 }
 
 /// Reads episode `index` of the run in `dir`, finished or not: its scenario and its outcome, for a replay.
@@ -201,15 +225,33 @@ fn is_finished(folder: &Folder) -> bool {
     folder.has(SUMMARY) && folder.has(DICTIONARY) && !folder.has(JOURNAL)
 }
 
-fn known_version(dir: &Path, name: &str, found: u32, known: u32) -> Result<(), RunError> {
+/// The result of a finished run, if the folder contains one.
+pub(crate) fn finished(folder: &Folder, events: &mut dyn FnMut(&Event)) -> Result<Option<Completion>, RunError> {
+    if !is_finished(folder) {
+        return Ok(None);
+    }
+    let path = folder.path(SUMMARY);
+    let summary: Summary = folder::read(&path)?;
+    known_version(&path, summary.version, Summary::VERSION)?;
+    let boundary = if folder.has(BOUNDARY) { Some(folder::read(&folder.path(BOUNDARY))?) } else { None };
+    events(&Event::Finished { already: true, summary: Box::new(summary.clone()) });
+    Ok(Some(Completion::Finished { summary: Box::new(summary), boundary }))
+}
+
+/// Rejects a campaign in shards, which one process alone must not run.
+fn not_in_shards(dir: &Path) -> Result<(), RunError> {
+    if dir.join(LAYOUT).exists() { Err(RunError::InShards { dir: dir.to_owned() }) } else { Ok(()) }
+}
+
+pub(crate) fn known_version(path: &Path, found: u32, known: u32) -> Result<(), RunError> {
     if found > known {
-        return Err(RunError::NewerVersion { path: dir.join(name), found, known });
+        return Err(RunError::NewerVersion { path: path.to_owned(), found, known });
     }
     Ok(())
 }
 
 /// Rejects a setup that differs from the one of the recorded run.
-fn same_origin(recorded: &Provenance, present: &Provenance) -> Result<(), RunError> {
+pub(crate) fn same_origin(recorded: &Provenance, present: &Provenance) -> Result<(), RunError> {
     let text = |value: &Option<String>| value.clone().unwrap_or_else(|| "unknown".to_owned());
     let of = |p: &Provenance| {
         let platform = p.platform.as_ref().map(|platform| format!("{} {}", platform.os, platform.arch));
@@ -258,13 +300,10 @@ fn difference(name: String, recorded: &Value, present: &Value) -> Option<(String
     }
 }
 
-/// Number of invalid episodes from the start after which a warning is issued.
-const INVALID_FROM_START: u64 = 50;
-
 /// The closure that gets each round and decides whether another one follows.
-type AfterRound<'a> = dyn FnMut(&Round<'_>) -> ControlFlow<()> + 'a;
+pub type AfterRound<'a> = dyn FnMut(&Round<'_>) -> ControlFlow<()> + 'a;
 
-struct Run<'a> {
+pub(crate) struct Run<'a> {
     folder: Folder,
     settings: Settings,
     space: Arc<ParameterSpace>,
@@ -274,8 +313,7 @@ struct Run<'a> {
     executor: &'a dyn Executor,
     events: &'a mut dyn FnMut(&Event),
     after_round: &'a mut AfterRound<'a>,
-    /// The number of episodes that this process ran and the fault of the first one, as long as none was valid.
-    invalid_so_far: Option<(u64, String)>,
+    invalid_so_far: AllInvalid,
 }
 
 /// Whether a stage is complete.
@@ -286,7 +324,7 @@ enum Progress {
 }
 
 impl<'a> Run<'a> {
-    fn new(
+    pub(crate) fn new(
         folder: Folder,
         settings: Settings,
         executor: &'a dyn Executor,
@@ -310,11 +348,11 @@ impl<'a> Run<'a> {
         if cut > 0 {
             events(&Event::warning(Warning::RecordCut { bytes: cut }));
         }
-        let invalid_so_far = Some((0, String::new()));
+        let invalid_so_far = AllInvalid::default();
         Ok(Self { folder, settings, space, journal, bins, executor, events, after_round, invalid_so_far })
     }
 
-    fn run(mut self) -> Result<Completion, RunError> {
+    pub(crate) fn run(mut self) -> Result<Completion, RunError> {
         let completion = self.stages();
         if !matches!(completion, Ok(Completion::Finished { .. })) {
             let synced = self.journal.sync();
@@ -432,8 +470,10 @@ impl<'a> Run<'a> {
 
     fn stage_finished(&mut self, stage: Stage, outcomes: OutcomeCounts) -> Result<(), RunError> {
         self.journal.sync()?;
-        if outcomes.valid() == 0 {
-            self.say_all_invalid();
+        if outcomes.valid() == 0
+            && let Some(warning) = self.invalid_so_far.warning()
+        {
+            (self.events)(&Event::warning(warning));
         }
         (self.events)(&Event::StageFinished { stage, outcomes });
         Ok(())
@@ -467,33 +507,16 @@ impl<'a> Run<'a> {
 
     fn record(&mut self, points: &Points, episode: Episode, outcomes: &mut OutcomeCounts) -> Result<(), RunError> {
         let index = episode.scenario.index;
-        let weight =
-            points.weight(index).ok_or_else(|| RunError::ForeignEpisode { path: self.folder.path(JOURNAL), index })?;
-        let (stage, design) = (points.stage(), points.sampler().to_owned());
-        let entry = Entry { stage: stage.as_str().to_owned(), design, weight, label: points.label(index), episode };
+        let entry =
+            points.entry(episode).ok_or_else(|| RunError::ForeignEpisode { path: self.folder.path(JOURNAL), index })?;
+        let stage = points.stage();
         self.journal.append(&entry)?;
         self.count(stage, &entry.episode, outcomes);
         (self.events)(&Event::episode(stage, &entry.episode));
-        match (&entry.episode.outcome, &mut self.invalid_so_far) {
-            (Outcome::Invalid(fault), Some((episodes, first))) => {
-                if *episodes == 0 {
-                    *first = fault.to_string();
-                }
-                *episodes += 1;
-                if *episodes == INVALID_FROM_START {
-                    self.say_all_invalid();
-                }
-            }
-            _ => self.invalid_so_far = None,
+        if let Some(warning) = self.invalid_so_far.add(&entry.episode.outcome) {
+            (self.events)(&Event::warning(warning));
         }
         Ok(())
-    }
-
-    /// Issues one warning if no episode was valid so far.
-    fn say_all_invalid(&mut self) {
-        if let Some((episodes @ 1.., first)) = self.invalid_so_far.take() {
-            (self.events)(&Event::warning(Warning::AllInvalid { episodes, first }));
-        }
     }
 
     fn find_boundary(&mut self) -> Result<BoundaryReport, RunError> {
@@ -558,6 +581,14 @@ pub enum RunError {
         /// Whether it is finished.
         finished: bool,
     },
+    /// The folder contains a campaign in shards.
+    #[error(
+        "{} contains a campaign in shards\nhint: `robogate plan {0} --next` prints the missing shards, and `robogate merge {0}` merges them", dir.display()
+    )]
+    InShards {
+        /// The folder.
+        dir: PathBuf,
+    },
     /// The folder contains no run.
     #[error("{} is not a robogate run: it has no {PLAN}\nhint: check the path, or start a run with `robogate run --out DIR`", dir.display())]
     NotARun {
@@ -605,6 +636,12 @@ pub enum RunError {
     ForeignEpisode {
         /// The journal.
         path: PathBuf,
+        /// The episode's index.
+        index: u64,
+    },
+    /// The executor returned an episode that it was not given.
+    #[error("the executor returned episode {index}, which it was not given")]
+    UnexpectedEpisode {
         /// The episode's index.
         index: u64,
     },

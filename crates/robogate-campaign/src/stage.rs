@@ -3,8 +3,8 @@
 use std::fmt;
 use std::sync::Arc;
 
-use robogate_core::{Assignment, Design, ParameterSpace, Sampler, Scenario, Seed};
-use robogate_dictionary::Label;
+use robogate_core::{Assignment, Design, Episode, ParameterSpace, Sampler, Scenario, Seed};
+use robogate_dictionary::{Entry, Label};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -168,6 +168,13 @@ impl Points {
             }
             Source::Chosen(_) => self.indices().contains(&index).then_some(1.0),
         }
+    }
+
+    /// The record of an episode of this stage. `None` if its index belongs to another stage.
+    pub(crate) fn entry(&self, episode: Episode) -> Option<Entry> {
+        let index = episode.scenario.index;
+        let (weight, label) = (self.weight(index)?, self.label(index));
+        Some(Entry { stage: self.stage.as_str().to_owned(), design: self.sampler.to_owned(), weight, label, episode })
     }
 
     fn locate<'a>(&self, designs: &'a [Design], index: u64) -> Option<(&'a Design, usize)> {

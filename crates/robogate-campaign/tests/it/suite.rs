@@ -28,11 +28,11 @@ const SUITE: &str = r#"
     scenarios = [{ id = "crowd-1", obstacles = 5 }]
 "#;
 
-fn suite() -> Suite {
+pub(crate) fn suite() -> Suite {
     Suite::from_toml(SUITE).unwrap()
 }
 
-fn origin() -> Provenance {
+pub(crate) fn origin() -> Provenance {
     Provenance { space: suite().space().clone(), ..provenance() }
 }
 

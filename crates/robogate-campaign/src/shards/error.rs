@@ -1,0 +1,167 @@
+//! Errors of campaigns in shards.
+
+use std::io;
+use std::path::PathBuf;
+
+use robogate_dictionary::DictionaryError;
+
+use super::{ShardNameError, ShardRound};
+use crate::RunError;
+
+/// The reason why a shard could not be run or merged. Committed shards are intact.
+#[derive(Debug, thiserror::Error)]
+pub enum ShardError {
+    /// An error that a campaign on one machine can have as well.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The text does not name a shard.
+    #[error(transparent)]
+    Name(#[from] ShardNameError),
+    /// The store returned an error.
+    #[error("cannot {action} {}: {source}{}", place.display(), io_hint(source))]
+    Store {
+        /// The file or folder.
+        place: PathBuf,
+        /// The attempted action.
+        action: &'static str,
+        /// The error of the store.
+        source: io::Error,
+    },
+    /// The folder contains a run of one machine.
+    #[error(
+        "{} contains a run that is not divided into shards\nhint: continue it with `robogate resume {0}`, or choose another folder",
+        dir.display()
+    )]
+    SingleRun {
+        /// The folder.
+        dir: PathBuf,
+    },
+    /// The folder contains no campaign in shards.
+    #[error(
+        "{} contains no campaign in shards\nhint: check the path, or run the first shard with `robogate run --shard 0/N --out {0}`",
+        dir.display()
+    )]
+    NotInShards {
+        /// The folder.
+        dir: PathBuf,
+    },
+    /// The folder was divided into another number of shards.
+    #[error(
+        "{} is divided into {shards} shards, but --shard names one of {asked}\nhint: use --shard K/{shards}; the first shard of a folder fixes their number",
+        dir.display()
+    )]
+    OtherCount {
+        /// The folder.
+        dir: PathBuf,
+        /// The number of shards of the folder.
+        shards: u32,
+        /// The requested number of shards.
+        asked: u32,
+    },
+    /// The plan was changed after the campaign was divided.
+    #[error(
+        "{} was changed after the first shard was run\nhint: robogate writes this file, and it must not be edited; restore it from a copy",
+        path.display()
+    )]
+    PlanChanged {
+        /// The plan.
+        path: PathBuf,
+    },
+    /// A shard file whose name does not belong to the campaign.
+    #[error(
+        "{} is not a shard of this campaign, which is divided into {shards} shards\nhint: move the file to another folder",
+        path.display()
+    )]
+    ForeignFile {
+        /// The file.
+        path: PathBuf,
+        /// The number of shards of the campaign.
+        shards: u32,
+    },
+    /// A shard file has changed since it was committed.
+    #[error("{} is damaged: {reason}\nhint: delete the file and run this shard again", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// The problem.
+        reason: String,
+    },
+    /// A shard of another plan, or of another build.
+    #[error(
+        "{} belongs to another campaign: its plan, policy, engine or version of robogate differ from plan.json\nhint: delete the file and run this shard again",
+        path.display()
+    )]
+    OtherPlan {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A shard under the name of another one.
+    #[error("{} contains shard {found}\nhint: restore its name, or delete the file and run this shard again", path.display())]
+    Misnamed {
+        /// The file.
+        path: PathBuf,
+        /// The shard that it contains.
+        found: String,
+    },
+    /// Two different results for the same file.
+    #[error(
+        "{} exists with another content: SHA-256 {committed}, and this process computed {computed}. The existing file was kept\nhint: the same shard must give the same bytes on every machine; check that policy and simulator are deterministic",
+        path.display()
+    )]
+    Conflict {
+        /// The file.
+        path: PathBuf,
+        /// The SHA-256 of the existing content.
+        committed: String,
+        /// The SHA-256 of the content of this process.
+        computed: String,
+    },
+    /// Shards are missing.
+    #[error(
+        "{} of {shards} shards of round {round} are missing: {}\nhint: `robogate plan {} --next` prints the commands that run them",
+        missing.len(), listed(missing), dir.display()
+    )]
+    Missing {
+        /// The folder.
+        dir: PathBuf,
+        /// The first incomplete round.
+        round: ShardRound,
+        /// The number of shards.
+        shards: u32,
+        /// The missing shards of this round.
+        missing: Vec<u32>,
+    },
+    /// The output folder contains another run.
+    #[error("{} contains another run\nhint: choose an empty or new folder with --out", dir.display())]
+    OtherRun {
+        /// The output folder.
+        dir: PathBuf,
+    },
+}
+
+impl From<DictionaryError> for ShardError {
+    fn from(error: DictionaryError) -> Self {
+        Self::Run(error.into())
+    }
+}
+
+/// The first numbers of a list.
+fn listed(numbers: &[u32]) -> String {
+    const MOST: usize = 20;
+    let first: Vec<String> = numbers.iter().take(MOST).map(ToString::to_string).collect();
+    let more = if numbers.len() > MOST { ", ..." } else { "" };
+    format!("{}{more}", first.join(", "))
+}
+
+fn io_hint(source: &io::Error) -> &'static str {
+    match source.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "\nhint: free space on that disk, then run the shard again"
+        }
+        io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
+            "\nhint: choose a folder with write permission"
+        }
+        io::ErrorKind::Unsupported => "\nhint: shards need a file system with hard links, such as ext4, XFS or NFS",
+        _ => "",
+    }
+}

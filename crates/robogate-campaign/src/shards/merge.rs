@@ -1,0 +1,121 @@
+//! Merges the shards of a campaign to the files of a run on one machine.
+
+use std::fs;
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use robogate_core::{Episode, Fault, FaultKind, Scenario};
+use robogate_dictionary::{Journal, Platform, Provenance, SCHEMA_VERSION, Tool};
+
+use super::{DirectoryStore, OpenRound, ShardError, ShardRound, ShardStore, Shards, Stored, put};
+use crate::folder::{Folder, JOURNAL, PLAN};
+use crate::run::{AfterRound, Run, finished, same_origin};
+use crate::{Bins, Completion, Event, ExecuteError, Executor, Round, RunError};
+
+impl Shards {
+    /// Merges all shards into the folder `out`, which may be the campaign's own folder. The files are byte-identical to
+    /// those of a run on one machine. A finished merge does not change.
+    ///
+    /// All entries are appended to a journal, and the code that finishes any run does the rest. An interrupted merge
+    /// can be repeated.
+    ///
+    /// `after_round` is that of [`Self::open_round`].
+    pub fn merge(
+        &self,
+        out: &Path,
+        events: &mut dyn FnMut(&Event),
+        mut after_round: Option<&mut AfterRound<'_>>,
+    ) -> Result<Completion, ShardError> {
+        self.same_tool()?;
+        let (rounds, open) = self.rounds(after_round.as_deref_mut())?;
+        if let Some(OpenRound { round, missing }) = open {
+            return Err(ShardError::Missing { dir: self.dir(), round, shards: self.shards(), missing });
+        }
+        let folder = self.folder(out)?;
+        if let Some(finished) = finished(&folder, events)? {
+            return Ok(finished);
+        }
+        self.fill_journal(&folder, &rounds)?;
+        let mut all_rounds = |_: &Round<'_>| ControlFlow::Continue(());
+        let after_round: &mut AfterRound<'_> = match after_round {
+            Some(after_round) => after_round,
+            None => &mut all_rounds,
+        };
+        let completion = Run::new(folder, self.settings.clone(), &NothingLeft, events, after_round)?.run()?;
+        let leftovers = "remove unfinished files of";
+        self.store.remove_leftovers().map_err(super::failed(&*self.store, "", leftovers))?;
+        let store = DirectoryStore::new(out);
+        store.remove_leftovers().map_err(super::failed(&store, "", leftovers))?;
+        Ok(completion)
+    }
+
+    /// Rejects another version of robogate and another platform, which could round or write numbers differently.
+    fn same_tool(&self) -> Result<(), RunError> {
+        let recorded = &self.settings.provenance;
+        let present = Provenance {
+            tool: Tool::robogate(),
+            schema_version: SCHEMA_VERSION,
+            platform: Some(Platform::here()),
+            ..recorded.clone()
+        };
+        same_origin(recorded, &present)
+    }
+
+    /// Locks the output folder, with the plan of the campaign in it.
+    fn folder(&self, out: &Path) -> Result<Folder, ShardError> {
+        let store = DirectoryStore::new(out);
+        store.check_free()?;
+        fs::create_dir_all(out).map_err(RunError::io(out, "create"))?;
+        let folder = Folder::lock(out)?;
+        if put(&store, PLAN, &self.plan_text)? == Stored::Exists
+            && super::get(&store, PLAN)?.unwrap_or_default() != self.plan_text
+        {
+            return Err(ShardError::OtherRun { dir: out.to_owned() });
+        }
+        Ok(folder)
+    }
+
+    /// Writes a journal with the entries of all shards.
+    fn fill_journal(&self, folder: &Folder, rounds: &[ShardRound]) -> Result<(), ShardError> {
+        // An interrupted merge left it, or a run with the same plan, whose episodes are the same.
+        if folder.has(JOURNAL) {
+            folder.remove(JOURNAL)?;
+        }
+        let mut journal = Journal::create(&folder.path(JOURNAL)).map_err(RunError::from)?;
+        let mut bins = Bins::of(self.plan(), &self.space).map_err(RunError::from)?;
+        for round in rounds {
+            journal.extend(self.entries(*round).inspect(|entry| {
+                if let (ShardRound::Uniform, Ok(entry)) = (round, entry) {
+                    bins.add(&entry.episode.scenario.requested, &entry.episode.outcome);
+                }
+            }))?;
+        }
+        if rounds.contains(&ShardRound::Boundary) {
+            // The boundary that the shards of the second stage used must follow from the first stage.
+            self.store_boundary(&bins)?;
+        }
+        Ok(())
+    }
+}
+
+/// An executor for a run whose episodes are all recorded.
+struct NothingLeft;
+
+impl Executor for NothingLeft {
+    fn parallelism(&self) -> usize {
+        0
+    }
+
+    fn execute(
+        &self,
+        scenario: &(dyn Fn(usize) -> Option<Scenario> + Sync),
+        _: &mut dyn FnMut(Episode) -> ControlFlow<()>,
+    ) -> Result<(), ExecuteError> {
+        match scenario(0) {
+            None => Ok(()),
+            Some(Scenario { index, .. }) => {
+                Err(ExecuteError::Worker(Fault::new(FaultKind::Setup, format!("no shard has episode {index}"))))
+            }
+        }
+    }
+}
