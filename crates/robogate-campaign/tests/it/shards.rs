@@ -186,9 +186,13 @@ fn every_changed_byte_is_found() {
     let out = base.path().join("out");
     let refused = |bytes: &[u8], what: &str| {
         fs::write(&path, bytes).unwrap();
-        let error = merge(&campaign, &out).unwrap_err();
+        let error = campaign.status().unwrap_err();
         assert!(matches!(error, ShardError::Damaged { .. }), "{what}: {error}");
         assert!(error.to_string().contains("uniform-1-of-3.rgs"), "{error}");
+        // The merge reads shards in the same way. It is slow because it flushes files to the disk.
+        if bytes.len() % 50 == 0 {
+            assert_eq!(merge(&campaign, &out).unwrap_err().to_string(), error.to_string());
+        }
     };
     for at in 0..whole.len() {
         let mut flipped = whole.clone();
@@ -197,7 +201,6 @@ fn every_changed_byte_is_found() {
         refused(&whole[..at], &format!("the first {at} bytes"));
     }
     refused(&[&whole[..], b"x"].concat(), "one more byte");
-    assert!(campaign.status().is_err(), "the status finds it as well");
     fs::write(&path, &whole).unwrap();
     merge(&campaign, &out).unwrap();
 }
