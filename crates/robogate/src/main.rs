@@ -38,6 +38,12 @@ enum Verb {
     Run(commands::run::Run),
     /// Resume an interrupted campaign
     Resume(commands::resume::Resume),
+    /// Print the next shards of a campaign that several machines run, as commands
+    Plan(commands::plan::Plan),
+    /// Show which shards of a campaign are committed, and their outcomes so far
+    Status(commands::status::Status),
+    /// Merge the shards of a campaign to the files of a run on one machine
+    Merge(commands::merge::Merge),
     /// Replay one episode bit for bit and print its timeline
     Replay(commands::replay::Replay),
     /// Render a scenario with the cameras of the cell
@@ -91,6 +97,9 @@ fn main() -> ExitCode {
     let result = match arguments.verb {
         Verb::Run(run) => run.execute(),
         Verb::Resume(resume) => resume.execute(),
+        Verb::Plan(plan) => plan.execute(),
+        Verb::Status(status) => status.execute(),
+        Verb::Merge(merge) => merge.execute(),
         Verb::Replay(replay) => replay.execute(),
         Verb::Snapshot(snapshot) => snapshot.execute(),
         Verb::Analyze(analyze) => analyze.execute(),

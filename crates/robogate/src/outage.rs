@@ -9,23 +9,23 @@ use robogate_core::{Episode, Fault, FaultKind, Outcome, Scenario};
 /// Number of consecutive episodes that may be lost to an unavailable policy server before the campaign stops.
 pub(crate) const UNAVAILABLE_IN_A_ROW: u32 = 10;
 
-/// An executor that stops after [`UNAVAILABLE_IN_A_ROW`] consecutive episodes, in the order in which they finish, ended
-/// with [`FaultKind::Unavailable`]. Episodes that finish later are not recorded, so that a resumed campaign runs them.
+/// An executor that stops after a number of consecutive episodes, in the order in which they finish, ended with
+/// [`FaultKind::Unavailable`]. Episodes that finish later are not recorded, so that a resumed campaign runs them.
 pub(crate) struct OutageGuard<'a> {
     executor: &'a dyn Executor,
     state: RefCell<State>,
 }
 
-#[derive(Default)]
 struct State {
+    limit: u32,
     in_a_row: u32,
     outage: Option<Fault>,
 }
 
 impl<'a> OutageGuard<'a> {
-    /// Guards `executor`.
-    pub(crate) fn new(executor: &'a dyn Executor) -> Self {
-        Self { executor, state: RefCell::default() }
+    /// Guards `executor`, and stops it after `limit` lost episodes in a row.
+    pub(crate) fn new(executor: &'a dyn Executor, limit: u32) -> Self {
+        Self { executor, state: RefCell::new(State { limit, in_a_row: 0, outage: None }) }
     }
 
     /// The fault of the last lost episode, if the guard stopped the campaign.
@@ -39,7 +39,7 @@ impl State {
         match outcome {
             Outcome::Invalid(fault) if fault.kind == FaultKind::Unavailable => {
                 self.in_a_row += 1;
-                if self.in_a_row >= UNAVAILABLE_IN_A_ROW {
+                if self.in_a_row >= self.limit {
                     self.outage = Some(fault.clone());
                     return ControlFlow::Break(());
                 }

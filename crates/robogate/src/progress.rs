@@ -4,6 +4,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use robogate_campaign::{Event, OutcomeCounts, Stage};
 use robogate_core::{FailureMode, Outcome};
 
+use crate::summary::outcomes_in_one_line;
 use crate::terminal;
 
 /// Listens to a campaign and shows its progress.
@@ -66,27 +67,12 @@ impl Progress {
         let (done, all) = (self.bar.position(), self.bar.length().unwrap_or(0));
         if done * 10 / all.max(1) > (done - 1) * 10 / all.max(1) {
             let (prefix, done, all) = (self.bar.prefix(), terminal::grouped(done), terminal::grouped(all));
-            terminal::note(format_args!("{prefix} {done}/{all}  {}", self.describe()));
+            terminal::note(format_args!("{prefix} {done}/{all}  {}", outcomes_in_one_line(&self.counts)));
         }
     }
 
     fn say(&self) {
-        self.bar.set_message(self.describe());
-    }
-
-    /// The counts so far in one line.
-    fn describe(&self) -> String {
-        let mut text = match self.counts.success_rate() {
-            Some(rate) => format!("success {}", terminal::percent(rate)),
-            None => "no valid episode yet".to_owned(),
-        };
-        for (mode, count) in &self.counts.failures {
-            text += &format!(" · {mode} {count}");
-        }
-        if self.counts.invalid > 0 {
-            text += &format!(" · INVALID {}", self.counts.invalid);
-        }
-        text
+        self.bar.set_message(outcomes_in_one_line(&self.counts));
     }
 }
 

@@ -43,6 +43,21 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
     files(dir, summary);
 }
 
+/// Formats the counts of an unfinished campaign in one line.
+pub(crate) fn outcomes_in_one_line(counts: &OutcomeCounts) -> String {
+    let mut text = match counts.success_rate() {
+        Some(rate) => format!("success {}", percent(rate)),
+        None => "no valid episode yet".to_owned(),
+    };
+    for (mode, count) in &counts.failures {
+        text += &format!(" · {mode} {count}");
+    }
+    if counts.invalid > 0 {
+        text += &format!(" · INVALID {}", counts.invalid);
+    }
+    text
+}
+
 fn rate(stage: &StageSummary, sampler: &str) {
     let [low, high] = stage.interval_95;
     let of = match stage.population {

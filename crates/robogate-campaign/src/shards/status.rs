@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::{ShardError, ShardRound, Shards, division};
+use super::{Shard, ShardError, ShardRound, Shards, division};
 use crate::OutcomeCounts;
 
 /// The progress of a campaign in shards.
@@ -103,9 +103,9 @@ impl Shards {
         })
     }
 
-    /// The number of episodes of shard `index` in `round`.
-    pub fn episodes_of(&self, round: ShardRound, index: u32) -> Result<u64, ShardError> {
+    /// The number of episodes of a shard in `round`.
+    pub fn episodes_of(&self, round: ShardRound, shard: Shard) -> u64 {
         let indices = round.indices(self.plan());
-        Ok(division::size(indices.end - indices.start, super::Shard::new(index, self.shards())?))
+        division::size(indices.end - indices.start, shard)
     }
 }

@@ -1,15 +1,19 @@
 //! Tests of campaigns in shards: the merged files are those of one machine, and wrong shards are rejected.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::fs;
+use std::io;
 use std::ops::ControlFlow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::Duration;
 
 use robogate_campaign::shards::{
-    Assignment, Commit, DirectoryStore, RoundState, ShardEnd, ShardError, ShardResult, ShardRound, Shards,
+    Assignment, Commit, DirectoryStore, RoundState, ShardEnd, ShardError, ShardResult, ShardRound, ShardStore, Shards,
+    Stored,
 };
 use robogate_campaign::{
     Completion, Event, ExecuteError, Plan, Round, RunError, built_in_suite, recorded, start_in_rounds,
@@ -177,21 +181,59 @@ fn equal_duplicate_is_accepted_other_is_not() {
     assert_eq!(fs::read(&path).unwrap(), before);
 }
 
+/// A store in memory, as object stores will be.
+#[derive(Clone, Default)]
+struct MemoryStore(Arc<Mutex<BTreeMap<String, Vec<u8>>>>);
+
+impl ShardStore for MemoryStore {
+    fn put_if_absent(&self, name: &str, bytes: &[u8]) -> io::Result<Stored> {
+        match self.0.lock().unwrap().entry(name.to_owned()) {
+            Entry::Occupied(_) => Ok(Stored::Exists),
+            Entry::Vacant(free) => {
+                free.insert(bytes.to_owned());
+                Ok(Stored::New)
+            }
+        }
+    }
+
+    fn get(&self, name: &str) -> io::Result<Option<Vec<u8>>> {
+        Ok(self.0.lock().unwrap().get(name).cloned())
+    }
+
+    fn list(&self, folder: &str) -> io::Result<Vec<String>> {
+        let within = |name: &String| {
+            let rest = if folder.is_empty() { name } else { name.strip_prefix(folder)?.strip_prefix('/')? };
+            (!rest.contains('/')).then(|| rest.to_owned())
+        };
+        Ok(self.0.lock().unwrap().keys().filter_map(within).collect())
+    }
+
+    fn remove_leftovers(&self) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn place(&self, name: &str) -> PathBuf {
+        Path::new("memory:").join(name)
+    }
+}
+
 #[test]
 fn every_changed_byte_is_found() {
+    let store = MemoryStore::default();
+    let campaign = Shards::begin(Box::new(store.clone()), 3, &plan(9, 0), provenance()).unwrap();
+    (0..3).for_each(|k| assert_eq!(run(&campaign, k), Commit::First));
+    let name = "shards/uniform-1-of-3.rgs";
+    let replace = |bytes: &[u8]| store.0.lock().unwrap().insert(name.to_owned(), bytes.to_owned()).unwrap();
+    let whole = replace(b"");
     let base = tempfile::tempdir().unwrap();
-    let campaign = run_all(base.path(), 3, &plan(9, 0), &provenance());
-    let path = base.path().join("shards/uniform-1-of-3.rgs");
-    let whole = fs::read(&path).unwrap();
-    let out = base.path().join("out");
     let refused = |bytes: &[u8], what: &str| {
-        fs::write(&path, bytes).unwrap();
+        replace(bytes);
         let error = campaign.status().unwrap_err();
         assert!(matches!(error, ShardError::Damaged { .. }), "{what}: {error}");
         assert!(error.to_string().contains("uniform-1-of-3.rgs"), "{error}");
-        // The merge reads shards in the same way. It is slow because it flushes files to the disk.
+        // The merge reads shards in the same way, but it flushes files to the disk, which is slow.
         if bytes.len() % 50 == 0 {
-            assert_eq!(merge(&campaign, &out).unwrap_err().to_string(), error.to_string());
+            assert_eq!(merge(&campaign, base.path()).unwrap_err().to_string(), error.to_string());
         }
     };
     for at in 0..whole.len() {
@@ -201,8 +243,10 @@ fn every_changed_byte_is_found() {
         refused(&whole[..at], &format!("the first {at} bytes"));
     }
     refused(&[&whole[..], b"x"].concat(), "one more byte");
-    fs::write(&path, &whole).unwrap();
-    merge(&campaign, &out).unwrap();
+    replace(&whole);
+    merge(&campaign, base.path()).unwrap();
+    let expected = one_machine(&base.path().join("one"), &plan(9, 0), &provenance());
+    assert_eq!(files(base.path()), expected);
 }
 
 #[test]

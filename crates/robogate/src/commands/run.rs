@@ -1,4 +1,4 @@
-//! `robogate run`: runs a campaign and prints its summary.
+//! `robogate run`: runs a campaign, or one of its shards, and prints the result.
 
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -6,13 +6,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::anyhow;
-use clap::Args;
-use robogate_campaign::{Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, ThreadPool};
-use robogate_core::ParameterSpace;
+use clap::parser::ValueSource;
+use clap::{ArgMatches, Args, FromArgMatches, Id};
+use robogate_campaign::folder::PLAN;
+use robogate_campaign::shards::Shard;
+use robogate_campaign::{Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, Settings, ThreadPool};
+use robogate_core::{Fault, ParameterSpace};
 use robogate_dictionary::Provenance;
 use robogate_physics::SuctionLaw;
 
-use crate::commands::suites;
+use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
 use crate::outage::{OutageGuard, UNAVAILABLE_IN_A_ROW};
 use crate::policy_source::PolicyArguments;
@@ -24,6 +27,9 @@ use crate::terminal::{grouped, note};
 /// Find where the policy fails: a campaign over the operating space, then near the failure boundary.
 #[derive(Debug, Args)]
 pub(crate) struct Run {
+    /// First, because reading the other arguments removes them.
+    #[command(flatten)]
+    given: Given,
     /// Choose the episode budgets: quick (2,000 + 1,000 episodes) or paper (10,000 + 10,000)
     #[arg(long, value_name = "PRESET", default_value = "quick", value_parser = ["quick", "paper"])]
     preset: String,
@@ -54,6 +60,48 @@ pub(crate) struct Run {
     /// Write the run to this folder; default: a new one under runs/
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Run only shard K of N, counted from 0, of the open round of the campaign in --out (docs/cluster.md). If that
+    /// folder has a plan, its options need not be repeated
+    #[arg(long, value_name = "K/N", requires = "out")]
+    shard: Option<Shard>,
+}
+
+/// The arguments on the command line, by name.
+#[derive(Debug)]
+struct Given(Vec<String>);
+
+impl Given {
+    /// The arguments of `run` that do not affect the results of a campaign.
+    const WITHOUT_EFFECT: [&str; 6] = ["out", "shard", "threads", "json", "addresses", "timeout_s"];
+
+    /// Whether an argument affects the results.
+    fn describe_a_plan(&self) -> bool {
+        self.0.iter().any(|name| !Self::WITHOUT_EFFECT.contains(&name.as_str()))
+    }
+}
+
+impl FromArgMatches for Given {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        // The groups of clap have the names of types, which start with an upper-case letter.
+        let arguments = matches.ids().map(Id::as_str).filter(|name| name.starts_with(|c: char| c.is_ascii_lowercase()));
+        let given = arguments.filter(|name| matches.value_source(name) == Some(ValueSource::CommandLine));
+        Ok(Self(given.map(str::to_owned).collect()))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+impl Args for Given {
+    fn augment_args(command: clap::Command) -> clap::Command {
+        command
+    }
+
+    fn augment_args_for_update(command: clap::Command) -> clap::Command {
+        command
+    }
 }
 
 /// How a campaign is run and shown.
@@ -69,6 +117,15 @@ pub(crate) struct How {
 
 impl Run {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        if let (Some(shard), Some(dir)) = (self.shard, &self.out)
+            && !self.given.describe_a_plan()
+            && dir.join(PLAN).is_file()
+        {
+            let Settings { plan, provenance, .. } = robogate_campaign::settings(dir).map_err(exit)?;
+            let subject = Subject::recorded(&provenance, &self.environment.simulators)?;
+            let provenance = subject.provenance(provenance.space)?;
+            return shard::run(dir, shard, &subject, &plan, provenance, &self.how);
+        }
         // The surface gripper belongs to the paper preset. All other runs use the physical vacuum law.
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
@@ -76,6 +133,9 @@ impl Run {
         let subject = Subject::new(self.environment.environment(suction)?, self.policy.source()?)?;
         let (plan, space) = self.plan_and_space(&subject)?;
         let provenance = subject.provenance(space)?;
+        if let (Some(shard), Some(dir)) = (self.shard, &self.out) {
+            return shard::run(dir, shard, &subject, &plan, provenance, &self.how);
+        }
         let dir = match &self.out {
             Some(dir) => dir.clone(),
             None => {
@@ -172,29 +232,40 @@ impl How {
         work(&ThreadPool { factory: subject, threads, stop: &stop })
     }
 
+    /// Runs episodes with `work` and shows their progress. Also returns the fault of an outage: `limit` episodes in a row
+    /// that were lost because the policy server was unavailable.
+    pub(crate) fn guarded<T>(
+        &self,
+        subject: &Subject,
+        limit: u32,
+        work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<T, RunError>,
+    ) -> Result<(T, Option<Fault>), Exit> {
+        self.with_pool(subject, |pool| {
+            let mut progress = Progress::new();
+            let mut show = |event: &Event| progress.hear(event);
+            if subject.policy_source().is_none() {
+                return Ok((work(pool, &mut show).map_err(exit)?, None));
+            }
+            let guard = OutageGuard::new(pool, limit);
+            let done = work(&guard, &mut show).map_err(exit)?;
+            Ok((done, guard.outage()))
+        })
+    }
+
     /// Runs a campaign with `work` and shows its progress.
     pub(crate) fn carry(
         &self,
         subject: &Subject,
         work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
     ) -> Result<Completion, Exit> {
-        self.with_pool(subject, |pool| {
-            let mut progress = Progress::new();
-            let mut show = |event: &Event| progress.hear(event);
-            if subject.policy_source().is_none() {
-                return work(pool, &mut show).map_err(exit);
-            }
-            let guard = OutageGuard::new(pool);
-            let completion = work(&guard, &mut show).map_err(exit)?;
-            match (completion, guard.outage()) {
-                (Completion::Interrupted { .. }, Some(fault)) => Err(anyhow!(
-                    "stopped: {UNAVAILABLE_IN_A_ROW} episodes in a row were invalid, the last because of {fault}\n  hint: the recorded \
-                     episodes are kept; continue with `robogate resume`"
-                ))
-                .or_broken(),
-                (completion, _) => Ok(completion),
-            }
-        })
+        match self.guarded(subject, UNAVAILABLE_IN_A_ROW, work)? {
+            (Completion::Interrupted { .. }, Some(fault)) => Err(anyhow!(
+                "stopped: {UNAVAILABLE_IN_A_ROW} episodes in a row were invalid, the last because of {fault}\n  hint: the recorded \
+                 episodes are kept; continue with `robogate resume`"
+            ))
+            .or_broken(),
+            (completion, _) => Ok(completion),
+        }
     }
 
     /// Runs a campaign with `work`, and shows its progress and summary.
@@ -204,20 +275,24 @@ impl How {
         subject: &Subject,
         work: impl FnOnce(&dyn Executor, &mut dyn FnMut(&Event)) -> Result<Completion, RunError>,
     ) -> Result<u8, Exit> {
-        let completion = self.carry(subject, work)?;
-        match completion {
-            Completion::Finished { summary, boundary } => {
-                write_report(dir);
-                if self.json {
-                    summary::json(dir, &summary, boundary.as_deref()).or_broken()?;
-                } else {
-                    summary::print(dir, &summary, boundary.as_deref());
-                }
-                let evidence = summary.stages.iter().any(|stage| stage.valid > 0);
-                Ok(if evidence { DONE } else { INVALID })
+        conclude(dir, &self.carry(subject, work)?, self.json)
+    }
+}
+
+/// Writes the report of a finished campaign, and prints its summary.
+pub(crate) fn conclude(dir: &Path, completion: &Completion, json: bool) -> Result<u8, Exit> {
+    match completion {
+        Completion::Finished { summary, boundary } => {
+            write_report(dir);
+            if json {
+                summary::json(dir, summary, boundary.as_deref()).or_broken()?;
+            } else {
+                summary::print(dir, summary, boundary.as_deref());
             }
-            Completion::Interrupted { done, episodes } => Ok(interrupted(dir, done, episodes)),
+            let evidence = summary.stages.iter().any(|stage| stage.valid > 0);
+            Ok(if evidence { DONE } else { INVALID })
         }
+        Completion::Interrupted { done, episodes } => Ok(interrupted(dir, *done, *episodes)),
     }
 }
 
@@ -247,6 +322,7 @@ pub(crate) fn exit(error: RunError) -> Exit {
     let code = match error {
         RunError::NotEmpty { .. }
         | RunError::AlreadyARun { .. }
+        | RunError::InShards { .. }
         | RunError::NotARun { .. }
         | RunError::NewerVersion { .. }
         | RunError::Mismatch { .. }

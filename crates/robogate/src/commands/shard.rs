@@ -1,0 +1,141 @@
+//! `robogate run --shard`: runs one shard of a campaign.
+
+use std::path::Path;
+
+use anyhow::anyhow;
+use robogate_campaign::shards::{
+    Assignment, Commit, DirectoryStore, Shard, ShardEnd, ShardError, ShardResult, ShardTask, Shards,
+};
+use robogate_campaign::{OutcomeCounts, Plan};
+use robogate_dictionary::Provenance;
+use serde_json::json;
+
+use crate::commands::run::{self, How, introduce};
+use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, OrExit, USAGE};
+use crate::outage::UNAVAILABLE_IN_A_ROW;
+use crate::subject::Subject;
+use crate::terminal::{grouped, line, note};
+
+/// Runs shard `shard` of the open round of the campaign in `dir`, and commits it.
+pub(crate) fn run(
+    dir: &Path,
+    shard: Shard,
+    subject: &Subject,
+    plan: &Plan,
+    provenance: Provenance,
+    how: &How,
+) -> Result<u8, Exit> {
+    introduce(&provenance, plan.seed);
+    let store = DirectoryStore::new(dir);
+    store.check_free().map_err(run::exit)?;
+    let shards = Shards::begin(Box::new(store), shard.of(), plan, provenance).map_err(exit)?;
+    let report = |state: &str, round: Option<String>, outcomes: Option<&OutcomeCounts>| {
+        if how.json {
+            let (dir, shard) = (dir, shard.to_string());
+            line(
+                json!({ "version": 1, "dir": dir, "shard": shard, "round": round, "state": state, "outcomes": outcomes }),
+            );
+        }
+        Ok(DONE)
+    };
+    match shards.assign(shard.index(), None).map_err(exit)? {
+        Assignment::Complete => {
+            note("nothing to do: all rounds are complete");
+            note(format_args!("next: robogate merge {}", quoted(dir)));
+            report("complete", None, None)
+        }
+        Assignment::Committed { round } => {
+            note(format_args!("nothing to do: shard {shard} of round {round} is committed already"));
+            report("already_committed", Some(round.to_string()), None)
+        }
+        Assignment::Run(task) => {
+            note(format_args!(
+                "shard {shard} of round {}: {} episodes, into {}",
+                task.round(),
+                grouped(task.episodes()),
+                dir.display()
+            ));
+            let Some(result) = finish(&task, subject, how)? else {
+                return Ok(INTERRUPTED);
+            };
+            let state = match shards.commit(&result).map_err(exit)? {
+                Commit::First => "committed",
+                Commit::Duplicate => {
+                    note("another process has committed the same episodes already");
+                    "duplicate"
+                }
+            };
+            report(state, Some(result.round().to_string()), Some(result.outcomes()))
+        }
+    }
+}
+
+/// Runs the episodes of a shard. `None` if the user stopped it.
+fn finish(task: &ShardTask, subject: &Subject, how: &How) -> Result<Option<ShardResult>, Exit> {
+    // A shard with fewer episodes is lost if the server was unavailable in all of them.
+    let limit = u32::try_from(task.episodes()).unwrap_or(u32::MAX).clamp(1, UNAVAILABLE_IN_A_ROW);
+    let (end, outage) = how.guarded(subject, limit, |executor, events| task.run(executor, events))?;
+    match (end, outage) {
+        (_, Some(fault)) => Err(anyhow!(
+            "stopped: {limit} episodes in a row were invalid, the last because of {fault}\n  hint: the shard is not \
+             committed; run it again once the policy server is available"
+        ))
+        .or_broken(),
+        (ShardEnd::Complete(result), None) => Ok(Some(result)),
+        (ShardEnd::Interrupted { done, episodes }, None) => {
+            note(format_args!(
+                "{} of {} episodes ran. The shard is not committed; the same command runs it again from its start.",
+                grouped(done),
+                grouped(episodes)
+            ));
+            Ok(None)
+        }
+    }
+}
+
+/// Opens the campaign in shards in `dir`.
+pub(crate) fn open(dir: &Path) -> Result<Shards, Exit> {
+    Shards::open(Box::new(DirectoryStore::new(dir))).map_err(exit)
+}
+
+/// Gives an error its exit code: usage if arguments or files do not belong together, infrastructure if shards are
+/// missing, damaged or contradictory.
+pub(crate) fn exit(error: ShardError) -> Exit {
+    let code = match error {
+        ShardError::Run(error) => return run::exit(error),
+        ShardError::Name(_)
+        | ShardError::SingleRun { .. }
+        | ShardError::NotInShards { .. }
+        | ShardError::OtherCount { .. }
+        | ShardError::PlanChanged { .. }
+        | ShardError::ForeignFile { .. }
+        | ShardError::OtherPlan { .. }
+        | ShardError::Misnamed { .. }
+        | ShardError::OtherRun { .. } => USAGE,
+        ShardError::Store { .. }
+        | ShardError::Damaged { .. }
+        | ShardError::Conflict { .. }
+        | ShardError::Missing { .. } => INFRASTRUCTURE,
+    };
+    Exit { code, error: error.into() }
+}
+
+/// A path as one word of a shell command.
+pub(crate) fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_-./:,@%+=".contains(c);
+    if !text.is_empty() && text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_become_shell_words() {
+        assert_eq!(quoted(Path::new("/data/run-1")), "/data/run-1");
+        assert_eq!(quoted(Path::new("my run")), "'my run'");
+        assert_eq!(quoted(Path::new("it's")), "'it'\\''s'");
+        assert_eq!(quoted(Path::new("$HOME")), "'$HOME'");
+    }
+}
