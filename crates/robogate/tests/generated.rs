@@ -32,6 +32,7 @@ fn schemas_are_up_to_date() {
         ("run-settings", schema_for!(robogate_campaign::Settings)),
         ("summary", schema_for!(robogate_campaign::Summary)),
         ("boundary", schema_for!(robogate_campaign::BoundaryReport)),
+        ("shard-status", schema_for!(robogate_campaign::shards::ShardStatus)),
         ("event", schema_for!(robogate_campaign::Event)),
         ("cycle", schema_for!(robogate_monitor::Cycle)),
         ("alarm", schema_for!(robogate_monitor::Alarm)),

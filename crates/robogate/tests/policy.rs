@@ -169,3 +169,23 @@ fn a_run_is_resumed_after_a_server_stopped() {
     assert_eq!((outcomes.len(), invalid.len()), (24, 10), "{outcomes:?}");
     assert!(invalid[0] > 0 && invalid.windows(2).all(|pair| pair[1] == pair[0] + 1), "{outcomes:?}");
 }
+
+#[test]
+fn shard_without_server_is_not_committed() {
+    let dir = TempDir::new().unwrap();
+    let profile = profile(&dir, "pi0-libero", &TEN);
+    let (listener, url) = listener();
+    let address = listener.local_addr().unwrap();
+    go_down(listener, 0);
+    let run = dir.path().join("run").to_str().unwrap().to_owned();
+    let shard = dir.path().join("run/shards/uniform-1-of-4.rgs");
+    let plan = ["run", "--policy", &url, "--profile", &profile, "-n", "18", "--shard", "1/4", "--out", &run];
+    // A shard of three episodes is lost if the server is unavailable in all of them.
+    assert_exit(&plan, 5, &["3 episodes in a row were invalid", "not committed"]);
+    assert!(!shard.exists());
+    let again = ["run", "--shard", "1/4", "--out", &run];
+    assert_exit(&again, 5, &["unreachable", &url]);
+    go_down(TcpListener::bind(address).unwrap(), usize::MAX);
+    assert_exit(&again, 0, &["shard 1/4 of round uniform: 3 episodes"]);
+    assert!(shard.exists());
+}

@@ -1,0 +1,156 @@
+//! End-to-end tests of a campaign in shards: several processes run it, and the merged files are those of one process.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// Runs the command in `dir` and checks its exit code and output. Returns stdout.
+fn robogate(dir: &Path, arguments: &str, code: i32, parts: &[&str]) -> String {
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_robogate")).args(arguments.split(' ')).current_dir(dir).output().unwrap();
+    let stdout = String::from_utf8(output.stdout).unwrap();
+    let text = format!("{stdout}{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(output.status.code(), Some(code), "{arguments}: {text}");
+    for part in parts {
+        assert!(text.contains(part), "{arguments} does not say {part:?}: {text}");
+    }
+    stdout
+}
+
+/// The files of a folder, without its subfolders.
+fn files(dir: &Path) -> BTreeMap<String, Vec<u8>> {
+    fs::read_dir(dir)
+        .unwrap()
+        .map(|entry| entry.unwrap())
+        .filter(|entry| entry.file_type().unwrap().is_file())
+        .map(|entry| (entry.file_name().into_string().unwrap(), fs::read(entry.path()).unwrap()))
+        .collect()
+}
+
+/// Runs the commands that `robogate plan` prints until it prints none. Returns how many there were.
+fn run_everything(dir: &Path) -> usize {
+    let mut commands = 0;
+    loop {
+        let next = robogate(dir, "plan run --next", 0, &[]);
+        if next.is_empty() {
+            return commands;
+        }
+        for command in next.lines() {
+            robogate(dir, command.strip_prefix("robogate ").unwrap(), 0, &[]);
+            commands += 1;
+        }
+    }
+}
+
+const PENDULUM: &str = "run --task pendulum -n 90 --seed 3 --out run";
+
+#[test]
+fn merged_shards_equal_single_run() {
+    let (one, many) = (TempDir::new().unwrap(), TempDir::new().unwrap());
+    robogate(one.path(), PENDULUM, 0, &[]);
+    let at = many.path();
+    let verb = |arguments: &str, code: i32, parts: &[&str]| robogate(at, arguments, code, parts);
+    verb("plan run --next", 2, &["no campaign in shards", "--shard 0/N"]);
+    verb(&format!("{PENDULUM} --shard 2/3"), 0, &["shard 2/3 of round uniform: 20 episodes"]);
+    verb("run --shard 2/3 --out run", 0, &["nothing to do", "committed already"]);
+    verb(&format!("{PENDULUM} --shard 2/3"), 0, &["nothing to do"]);
+
+    // Everything that differs from the first shard is named.
+    verb("run --task pendulum -n 91 --seed 3 --out run --shard 0/3", 2, &["plan.uniform.episodes", "60", "61"]);
+    verb("run --task pendulum -n 90 --seed 4 --out run --shard 0/3", 2, &["plan.seed"]);
+    verb("run --preset quick --out run --shard 0/3", 2, &["another"]);
+    verb("run --task pendulum --policy random -n 90 --seed 3 --out run --shard 0/3", 2, &["policy", "random"]);
+    verb("run --out run --shard 0/4", 2, &["divided into 3 shards"]);
+    verb("run --out run --shard 3/3", 2, &["0 to 2"]);
+    verb("run --out run --shard third", 2, &["Expected K/N"]);
+    verb("run --shard 0/3", 2, &["--out"]);
+    verb("resume run", 2, &["in shards", "robogate plan run --next"]);
+
+    let status = verb("status run", 0, &["20 of 90 episodes", "uniform", "1 of 3 shards", "missing: 0-1"]);
+    assert!(status.contains("1 more round after that"), "{status}");
+    let status: Value = serde_json::from_str(&verb("status run --json", 0, &[])).unwrap();
+    assert_eq!((status["done"].as_u64(), status["complete"].as_bool()), (Some(20), Some(false)));
+    let next: Value = serde_json::from_str(&verb("plan run --next --json", 0, &[])).unwrap();
+    assert_eq!((next["round"].as_str(), next["items"].as_array().unwrap().len()), (Some("uniform"), 2));
+    let command = serde_json::json!(["robogate", "run", "--shard", "1/3", "--out", "run"]);
+    assert_eq!((&next["items"][1]["command"], next["items"][1]["episodes"].as_u64()), (&command, Some(20)));
+    verb("merge run", 5, &["2 of 3 shards of round uniform are missing: 0, 1"]);
+
+    assert_eq!(run_everything(at), 5);
+    verb("plan run --next", 0, &["next: robogate merge run"]);
+    verb("run --shard 0/3 --out run", 0, &["all rounds are complete"]);
+    verb("status run", 0, &["90 of 90 episodes", "boundary"]);
+    verb("merge run --out elsewhere", 0, &["success"]);
+    verb("merge run", 0, &["success", "dataset"]);
+    let expected = files(&one.path().join("run"));
+    assert!(expected.contains_key("report.html"));
+    assert!(files(&at.join("run")) == expected, "the merged run differs");
+    let mut elsewhere = files(&at.join("elsewhere"));
+    // The report names its folder.
+    elsewhere.insert("report.html".to_owned(), expected["report.html"].clone());
+    assert!(elsewhere == expected, "the run that was merged into another folder differs");
+    verb("merge run", 0, &["merged already"]);
+    verb("replay run 70", 0, &["identical to the recorded episode"]);
+
+    // One changed byte of a shard.
+    let shard = at.join("run/shards/uniform-1-of-3.rgs");
+    let mut bytes = fs::read(&shard).unwrap();
+    bytes[1000] ^= 1;
+    fs::write(&shard, bytes).unwrap();
+    verb("merge run --out again", 5, &["uniform-1-of-3.rgs is damaged", "run this shard again"]);
+    verb("status run", 5, &["uniform-1-of-3.rgs is damaged"]);
+}
+
+#[test]
+fn suite_shards_equal_single_run() {
+    let dirs = [TempDir::new().unwrap(), TempDir::new().unwrap()];
+    let suite = r#"
+        schema = 1
+        name = "two"
+        version = "1.0.0"
+        description = "Two scenarios."
+        defaults = { mass_kg = { low = 0.2, high = 0.4 }, position_jitter_m = 0.003, lighting_lux = 500.0 }
+        [[group]]
+        name = "plain"
+        category = "nominal"
+        scenarios = [{ id = "plain-1" }, { id = "plain-2", mass_kg = 0.5 }]
+    "#;
+    let [one, many] = dirs.each_ref().map(|dir| {
+        fs::write(dir.path().join("two.toml"), suite).unwrap();
+        dir.path()
+    });
+    let run = "run --suite two.toml --rounds 2 --out run";
+    robogate(one, run, 0, &[]);
+    robogate(many, &format!("{run} --shard 0/2"), 0, &["round suite-0: 1 episodes"]);
+    assert_eq!(run_everything(many), 3);
+    robogate(many, "merge run", 0, &[]);
+    assert!(files(&many.join("run")) == files(&one.join("run")));
+}
+
+#[cfg(unix)]
+#[test]
+fn interrupted_shard_is_not_committed() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+        .args("run --task pendulum -n 30000 --threads 1 --out run --shard 0/1".split(' '))
+        .current_dir(at)
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    assert!(lines.any(|line| line.unwrap().starts_with("shard 0/1")), "the shard did not start");
+    // The handler of signals is installed after that line.
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let rest: Vec<String> = lines.map(Result::unwrap).collect();
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{rest:?}");
+    assert!(rest.iter().any(|line| line.contains("not committed")), "{rest:?}");
+    assert_eq!(files(&at.join("run/shards")).keys().collect::<Vec<_>>(), ["layout.json"]);
+}
