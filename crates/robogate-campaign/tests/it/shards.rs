@@ -232,7 +232,7 @@ fn every_changed_byte_is_found() {
         assert!(matches!(error, ShardError::Damaged { .. }), "{what}: {error}");
         assert!(error.to_string().contains("uniform-1-of-3.rgs"), "{error}");
         // The merge reads shards in the same way, but it flushes files to the disk, which is slow.
-        if bytes.len() % 50 == 0 {
+        if bytes.len().is_multiple_of(50) {
             assert_eq!(merge(&campaign, base.path()).unwrap_err().to_string(), error.to_string());
         }
     };
