@@ -5,7 +5,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 out=${1:-runs/cross-simulator}
-cargo build --release --locked -p robogate
+cargo build --release --locked -p robogate --features rapier
 robogate=${CARGO_TARGET_DIR:-target}/release/robogate
 for engine in mujoco rapier; do
     if [ -f "$out/$engine/plan.json" ]; then

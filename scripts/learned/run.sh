@@ -11,7 +11,7 @@ if [ ! -x "$python" ]; then
     python3 -m venv "$out/venv"
     "$out/venv/bin/pip" install --quiet --requirement scripts/learned/requirements.txt
 fi
-cargo build --release --locked -p robogate --features egl
+cargo build --release --locked -p robogate --features full
 robogate=${CARGO_TARGET_DIR:-target}/release/robogate
 wide=scripts/learned/wide.toml
 

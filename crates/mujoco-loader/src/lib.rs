@@ -4,7 +4,7 @@
 //! that built them. [`load`] searches these places in order:
 //!
 //! 1. the file or folder in `ROBOGATE_MUJOCO_LIB`, where it is set;
-//! 2. the folder of the executable, and `../lib/robogate` beside it: the layout of the wheel and of the Debian package;
+//! 2. the folder of the executable, and `../lib/robogate` beside it, for packages that contain the library;
 //! 3. the cache folder: `ROBOGATE_CACHE_DIR`, else `$XDG_CACHE_HOME/robogate`, else `~/.cache/robogate`. A library that is
 //!    missing there is downloaded once from the Python package index.
 //!

@@ -1,5 +1,5 @@
 //! Tests that the generated files are up to date: the JSON Schemas, the command reference and the bridges' list of
-//! parameters. `ROBOGATE_GENERATE=1 cargo test -p robogate --test generated` writes them.
+//! parameters. `ROBOGATE_GENERATE=1 cargo test -p robogate --features full --test generated` writes them.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -17,7 +17,7 @@ fn check(file: &str, content: &str) {
     let there = fs::read_to_string(&path).unwrap_or_default();
     assert!(
         there == content,
-        "{file} is stale: run ROBOGATE_GENERATE=1 cargo test -p robogate --test generated and commit it"
+        "{file} is stale: run ROBOGATE_GENERATE=1 cargo test -p robogate --features full --test generated and commit it"
     );
 }
 
