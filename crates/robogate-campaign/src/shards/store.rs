@@ -157,7 +157,8 @@ impl ShardStore for DirectoryStore {
     }
 
     fn place(&self, name: &str) -> PathBuf {
-        self.dir.join(name)
+        // Joining nothing would append a separator.
+        if name.is_empty() { self.dir.clone() } else { self.dir.join(name) }
     }
 }
 
