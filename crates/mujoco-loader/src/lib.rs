@@ -117,16 +117,8 @@ pub fn load() -> Result<&'static Library, LoadError> {
     LOADED.get_or_init(find_and_load).as_ref().map_err(Clone::clone)
 }
 
-/// Finds and verifies the library, and downloads it where it is missing, without loading it.
-///
-/// # Errors
-/// As [`load`].
-pub fn provide() -> Result<Library, LoadError> {
-    find::library(&find::Places::of_process())
-}
-
 fn find_and_load() -> Result<Library, LoadError> {
-    let library = provide()?;
+    let library = find::library(&find::Places::of_process())?;
     let cannot = |error: libloading::Error| LoadError::Load { path: library.path.clone(), message: error.to_string() };
     // SAFETY: the initialisers of MuJoCo have no preconditions. The digest was checked, or the user vouches for the file.
     #[expect(unsafe_code, reason = "loading a library runs its initialisers")]

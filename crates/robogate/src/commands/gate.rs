@@ -449,8 +449,8 @@ fn show(dir: Option<&Path>, evaluation: &Evaluation, json: bool) -> Result<u8, E
 /// Opens built-in requirements or a file. Prints a note for each name of version 0.1 in the file.
 pub(crate) fn open_requirements(name_or_path: &str, task: &TaskSpec) -> Result<Requirements, Exit> {
     let requirements = Requirements::open(name_or_path, task).map_err(refused)?;
-    if let Ok(text) = std::fs::read_to_string(name_or_path)
-        && !Requirements::NAMES.contains(&name_or_path)
+    if !Requirements::NAMES.contains(&name_or_path)
+        && let Ok(text) = fs::read_to_string(name_or_path)
     {
         for (old, new) in Requirements::old_spellings(&text) {
             note(format_args!("note: {name_or_path}: `{old}` is the old name of `{new}`"));
