@@ -13,6 +13,7 @@ mod progress;
 mod registry;
 mod remote;
 mod renderer;
+mod source;
 mod subject;
 mod summary;
 mod terminal;
