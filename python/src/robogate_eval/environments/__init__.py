@@ -20,6 +20,8 @@ documentation.
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import importlib
 import importlib.util
 import sys
@@ -60,7 +62,10 @@ def find(name: str) -> Environment:
             raise UnknownEnvironment(f"{name}: the name of the environment is missing. Expected {first}:NAME")
         return known[first].environment(rest)
     if first.endswith(".py"):
-        return _own(_load(Path(first)), rest, name)
+        file = Path(first)
+        environment = _own(_load(file), rest, name)
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()[:12]
+        return environment if environment.source else dataclasses.replace(environment, source=f"{file.name} sha256:{digest}")
     try:
         module = importlib.import_module(first)
     except ModuleNotFoundError as error:

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 
+from ..serving.environment import DeclarationError
 from . import UnknownEnvironment, families, find
 
 
@@ -23,9 +24,17 @@ def main() -> None:
     try:
         {"serve": _serve, "describe": _describe, "list": _list}[arguments.verb](arguments)
     except UnknownEnvironment as error:
-        sys.exit(f"error: {error}")
+        _refuse(str(error))
     except ModuleNotFoundError as error:
-        sys.exit(_missing(arguments, error))
+        _refuse(_missing(arguments, error))
+    except DeclarationError as error:
+        _refuse(f"{arguments.name}: {error}")
+
+
+def _refuse(message: str) -> None:
+    """End with the exit code for errors that the user can correct."""
+    print(f"error: {message}", file=sys.stderr)
+    sys.exit(2)
 
 
 def _serve(arguments: argparse.Namespace) -> None:
@@ -38,10 +47,17 @@ def _serve(arguments: argparse.Namespace) -> None:
 
 
 def _describe(arguments: argparse.Namespace) -> None:
+    from robogate_bridge import declaration
+
     from ..serving.adapter import Adapter
 
+    from ..serving.process import own_output
+
+    # Packages print to standard output when they are imported.
+    answer = own_output()
     adapter = Adapter(find(arguments.name))
-    print(json.dumps(adapter.hello() | {"not_offered": [{"name": name, "reason": why} for name, why in adapter.dropped]}))
+    declared = declaration.hello(adapter.hello())
+    print(json.dumps(declared | {"not_offered": [{"name": name, "reason": why} for name, why in adapter.dropped]}), file=answer)
 
 
 def _list(arguments: argparse.Namespace) -> None:
@@ -58,7 +74,7 @@ def _list(arguments: argparse.Namespace) -> None:
 def _missing(arguments: argparse.Namespace, error: ModuleNotFoundError) -> str:
     family = getattr(arguments, "name", "").partition(":")[0]
     hint = f"`robogate env setup {family}` creates a Python environment with all that it needs" if family in families() else f"install it for {sys.executable}"
-    return f"error: the Python package {error.name} is missing in {sys.executable}\n  hint: {hint}"
+    return f"the Python package {error.name} is missing in {sys.executable}\n  hint: {hint}"
 
 
 if __name__ == "__main__":

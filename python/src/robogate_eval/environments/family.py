@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,6 +23,11 @@ class Family:
     names: Callable[[], list[str]]
     # The environment of one of these names. Raises `UnknownEnvironment` for any other name.
     environment: Callable[[str], Environment]
+
+
+def installed(package: str) -> str:
+    """Name and version of an installed package."""
+    return f"{package} {importlib.metadata.version(package)}"
 
 
 class UnknownEnvironment(LookupError):

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from ..serving.environment import Environment, FailureMode, Measure, Policy, Task
 from ..serving.trajectory import Trajectory
-from .family import Family, UnknownEnvironment
+from .family import Family, UnknownEnvironment, installed
 
 # Bodies of the arm and its surroundings, which all tasks share. Every other body belongs to the task.
 ARM = {
@@ -66,11 +64,12 @@ def _failure(trajectory: Trajectory) -> str | None:
 
 
 def _measure(trajectory: Trajectory) -> dict[str, float | None]:
+    rewards = trajectory.rewards
     distances = [info["obj_to_target"] for info in trajectory.infos if "obj_to_target" in info]
     return {
         "final_distance_m": float(distances[-1]) if distances else None,
         "smallest_distance_m": float(min(distances)) if distances else None,
-        "mean_reward": float(np.mean(trajectory.rewards)),
+        "mean_reward": float(sum(rewards) / len(rewards)),
     }
 
 
@@ -104,6 +103,7 @@ def environment(name: str) -> Environment:
             measure=_measure,
             action_names=["x", "y", "z", "gripper"],
         ),
+        source=installed("metaworld"),
         space=_space(cls),
         policies=policies,
     )
