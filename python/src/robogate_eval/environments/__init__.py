@@ -5,6 +5,7 @@ A **bundled environment** is one Python file of this folder that defines `FAMILY
     FAMILY = Family(
         name="metaworld",                                # the part of a name before the colon
         summary="50 table-top tasks with scripted experts",
+        package="metaworld",                                 # must be importable
         requirements=["metaworld==3.1.1", "mujoco==3.3.0"],   # pinned; `robogate env setup` installs them
         names=names,                                     # () -> list of str: what may follow the colon
         environment=environment,                         # (str) -> Environment: the environment of such a name

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import sys
 
 from ..serving.environment import DeclarationError
 from . import UnknownEnvironment, families, find
+
+# What a server needs in addition to the environment: module and pinned requirement.
+SERVER = {"zmq": "pyzmq==27.1.0", "msgpack": "msgpack==1.1.2"}
 
 
 def main() -> None:
@@ -19,10 +23,12 @@ def main() -> None:
     serve.add_argument("--child", action="store_true", help="serve the parent process: take a free port, and end with the standard input")
     describe = verbs.add_parser("describe", help="print the declaration of an environment, as JSON")
     describe.add_argument("name")
+    requirements = verbs.add_parser("requirements", help="print the pinned requirements of a family, as pip reads them")
+    requirements.add_argument("name", help="name of the family")
     verbs.add_parser("list", help="print the bundled environments, as JSON")
     arguments = parser.parse_args()
     try:
-        {"serve": _serve, "describe": _describe, "list": _list}[arguments.verb](arguments)
+        {"serve": _serve, "describe": _describe, "list": _list, "requirements": _requirements}[arguments.verb](arguments)
     except UnknownEnvironment as error:
         _refuse(str(error))
     except ModuleNotFoundError as error:
@@ -63,12 +69,22 @@ def _describe(arguments: argparse.Namespace) -> None:
 def _list(arguments: argparse.Namespace) -> None:
     out = []
     for family in families().values():
-        try:
-            names, missing = family.names(), None
-        except ImportError as error:
-            names, missing = [], error.name
-        out.append({"name": family.name, "summary": family.summary, "requirements": family.requirements, "names": names, "missing": missing})
+        missing = [package for package in (family.package, *SERVER) if importlib.util.find_spec(package) is None]
+        out.append({
+            "name": family.name,
+            "summary": family.summary,
+            "requirements": [*family.requirements, *SERVER.values()],
+            "names": [] if missing else family.names(),
+            "missing": missing[0] if missing else None,
+        })  # fmt: skip
     print(json.dumps(out))
+
+
+def _requirements(arguments: argparse.Namespace) -> None:
+    family = families().get(arguments.name)
+    if family is None:
+        raise UnknownEnvironment(f"{arguments.name}: unknown family. Expected one of: {', '.join(families())}")
+    print("\n".join([*family.requirements, *SERVER.values()]))
 
 
 def _missing(arguments: argparse.Namespace, error: ModuleNotFoundError) -> str:

@@ -17,9 +17,11 @@ class Family:
     name: str
     # One line for `robogate env list`.
     summary: str
+    # The package that must be importable.
+    package: str
     # Pinned requirements of pip, without those of this package.
     requirements: list[str]
-    # Lists what may follow the colon. May import the package, and raise ImportError without it.
+    # Lists what may follow the colon. May import the package.
     names: Callable[[], list[str]]
     # The environment of one of these names. Raises `UnknownEnvironment` for any other name.
     environment: Callable[[str], Environment]

@@ -109,7 +109,8 @@ def environment(name: str) -> Environment:
 FAMILY = Family(
     name="fetch",
     summary="Fetch of gymnasium-robotics: reach, push, slide, pick and place",
-    requirements=["gymnasium-robotics==1.4.2", "mujoco==3.3.7"],
+    package="gymnasium_robotics",
+    requirements=["gymnasium-robotics==1.4.2", "mujoco==3.3.7", "gymnasium==1.4.0", "numpy==2.4.6"],
     names=names,
     environment=environment,
 )
