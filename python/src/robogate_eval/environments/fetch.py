@@ -73,16 +73,17 @@ def environment(name: str) -> Environment:
         gymnasium.register_envs(gymnasium_robotics)
         return gymnasium.make(name)
 
-    # Reach has no actuators: the arm follows a mocap body, as in all four.
     space: dict[str, tuple] = {"action_delay": (0, 5), "noise:observation": (0.0, 0.02)}
     if name != "FetchReach-v4":
         space |= {
-            "gain": (0.5, 1.5),
             "mass:object0": (0.2, 10.0, "log"),
             "friction:object0": (0.05, 2.0, "log"),
             "shift_x:object0": (-0.03, 0.03),
             "shift_y:object0": (-0.03, 0.03),
         }
+    # The arm follows a mocap body. The fingers are the only actuators, and only this task moves them.
+    if name == "FetchPickAndPlace-v4":
+        space["gain"] = (0.5, 1.5)
     scripted = Policy(_scripted, "Moves to the block, grasps it and carries it. Not for FetchPush and FetchSlide.")
     return Environment(
         make=make,
