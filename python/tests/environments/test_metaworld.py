@@ -23,12 +23,19 @@ class MetaWorld(unittest.TestCase):
             family.environment("drawer-v3")
 
     def test_expert_succeeds(self):
-        for name in ("drawer-open-v3", "button-press-v3"):
+        for name in ("drawer-open-v3", "push-v3"):
             adapter = Adapter(find(f"metaworld:{name}"))
             declaration.hello(adapter.hello())
             self.assertTrue(adapter.deterministic)
             endings = [run(adapter, index)[0]["ending"]["failure"] for index in range(3)]
             self.assertEqual(endings, [None] * 3, name)
+
+    def test_goal_is_observed(self):
+        adapter = Adapter(find("metaworld:push-v3"))
+        first = adapter.reset(Scenario(0, 1, {}))["observation"]["vectors"]["observation"][36:]
+        then = adapter.step(Action("vector", [0.0] * 4))["observation"]["vectors"]["observation"][36:]
+        self.assertNotEqual(first, [0.0] * 3)
+        self.assertEqual(first, then)
 
     def test_goal_follows_from_the_index(self):
         adapter = Adapter(find("metaworld:push-v3"))
@@ -42,7 +49,8 @@ class MetaWorld(unittest.TestCase):
     def test_low_friction_makes_the_expert_fail(self):
         # The coefficient in the contacts is the requested one, although the table has more friction.
         adapter = Adapter(find("metaworld:push-v3"))
-        step, periods = run(adapter, 1, friction_obj=0.02)
+        self.assertIsNone(run(adapter, 0)[0]["ending"]["failure"])
+        step, periods = run(adapter, 0, friction_obj=0.02)
         self.assertEqual(periods, 500)
         self.assertIsNotNone(step["ending"]["failure"])
 

@@ -190,7 +190,10 @@ impl Run {
             None => {
                 let preset = Preset::by_name(&self.preset).unwrap_or_default();
                 let (plan, left_out) = preset.plan().or_broken()?.fitted_to(&space);
-                left_out.iter().for_each(note);
+                // The presets are written for the built-in cell.
+                if subject.cell().is_some() {
+                    left_out.iter().for_each(note);
+                }
                 plan
             }
         };

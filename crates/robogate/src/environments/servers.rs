@@ -35,6 +35,8 @@ pub(crate) struct Servers {
     starter: Option<Sender<Sender<io::Result<Child>>>>,
     thread: Option<JoinHandle<()>>,
     running: Mutex<BTreeMap<usize, Running>>,
+    /// The last output of a server that was shown to the user.
+    shown: Mutex<String>,
 }
 
 /// A server.
@@ -72,7 +74,8 @@ impl Servers {
             }
         });
         let (starter, thread) = (Some(starter), Some(thread));
-        let servers = Self { environment, interpreter, starter, thread, running: Mutex::default() };
+        let servers =
+            Self { environment, interpreter, starter, thread, running: Mutex::default(), shown: Mutex::default() };
         let address = servers.launch(0)?;
         Ok((Arc::new(servers), address))
     }
@@ -97,14 +100,15 @@ impl Servers {
         if let Some(mut old) = old {
             let ended = old.child.try_wait().ok().flatten();
             let how = match ended {
-                Some(status) => format!("ended ({status})"),
-                None => "is stopped, because it does not answer correctly".to_owned(),
+                Some(status) => format!("has ended ({status}) and is started again"),
+                None => "is started again after this failure".to_owned(),
             };
             let output = old.end();
-            let output = if output.is_empty() {
-                "It printed nothing.".to_owned()
-            } else {
-                format!("Its last output:\n{output}")
+            let same = std::mem::replace(&mut *locked(&self.shown), output.clone()) == output;
+            let output = match &*output {
+                "" => "It printed nothing.".to_owned(),
+                _ if same => "Its output is the same as the last one above.".to_owned(),
+                output => format!("Its last output:\n{output}"),
             };
             note(indented(format_args!("server {} of {} {how}. {output}", position + 1, self.environment)));
         }

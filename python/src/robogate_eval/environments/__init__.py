@@ -72,9 +72,9 @@ def find(name: str) -> Environment:
     except ModuleNotFoundError as error:
         if error.name is None or not (first == error.name or first.startswith(f"{error.name}.")):
             raise
-        families_ = ", ".join([*known, "gymnasium"])
+        bundled = ", ".join(known)
         raise UnknownEnvironment(
-            f"{name}: no such environment. Expected FAMILY:NAME with one of the families {families_}, FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE"
+            f"{name}: no such environment. Expected FAMILY:NAME (families: {bundled}), gymnasium:ID, FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE"
         ) from None
     return _own(module, rest, name)
 

@@ -34,6 +34,8 @@ class Seeded:
         self.unwrapped = env = cls()
         # The goal is part of the observation, as in Meta-World's single-task benchmark MT1.
         env._partially_observable = False
+        # The space was computed when the goal was still hidden, and observations are clipped to it.
+        env.__dict__.pop("sawyer_observation_space", None)
         env._freeze_rand_vec = False
         env.seeded_rand_vec = True
         env._set_task_called = True

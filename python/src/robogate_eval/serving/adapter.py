@@ -129,7 +129,9 @@ class Adapter:
             import mujoco
 
             return "mujoco", mujoco.__version__
-        return type(self._env.unwrapped).__module__.split(".")[0], "unknown"
+        import gymnasium
+
+        return "gymnasium", gymnasium.__version__
 
     def _knobs(self) -> list[Knob]:
         wanted = self._environment.knobs
@@ -224,7 +226,9 @@ class Adapter:
         value = knob.read(self._env)
         if value is None:
             raise Problem("not_applied", f"{knob.name} cannot be read in this episode")
-        return value if isinstance(value, str) else float(value)
+        if isinstance(value, str):
+            return value
+        return int(value) if knob.integer else float(value)
 
     def _reply(self, observation: Any) -> dict:
         """What a policy receives, and the action of the policy that runs here."""

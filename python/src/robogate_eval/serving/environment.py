@@ -115,7 +115,7 @@ class Environment:
     policies: Mapping[str, Policy] = field(default_factory=dict)
     # (env) -> observation, in the present state. Default: `env.unwrapped._get_obs()`. Knobs that move something need it.
     observe: Callable[[Any], Any] | None = None
-    # Name and version of the physics. Default: MuJoCo or the environment's package.
+    # Name and version of the physics. Default: MuJoCo, otherwise Gymnasium.
     engine: tuple[str, str] | None = None
     # Name and version of the package that the environment comes from, or the hash of its file. A run records it, and is resumed
     # only with the same.
