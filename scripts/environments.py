@@ -50,11 +50,14 @@ def main():
     print(f"Written by `scripts/environments.sh` on {datetime.date.today()}. Each run varies the physics of the task's objects and joints, the force of the")
     print("gripper and a delay of the actions, over the default space of the environment (`robogate env inspect NAME`). The policy is the")
     print("scripted expert that Meta-World ships, or our scripted policy for Fetch. The rates are of the uniform stage: they estimate that space.\n")
-    print("| task | success in the varied space (exact 95 % interval) | failures by mode | conditions that the analysis advises |")
-    print("|---|---|---|---|")
+    print("Nominal: 50 episodes with Meta-World's own random goals and object positions, and nothing else varied.\n")
+    print("| task | nominal | success in the varied space (exact 95 % interval) | failures by mode | conditions that the analysis advises |")
+    print("|---|---|---|---|---|")
     for task in done:
         modes = ", ".join(f"{mode['mode']} {mode['failures']}" for mode in found[task]["failure_modes"]["modes"] if mode["failures"]) or "none"
-        print(f"| {task} | {success(found[task])} | {modes} | {limits(found[task])} |")
+        nominal = out / f"{task}-nominal"
+        plain = success(analysis(robogate, nominal)) if (nominal / "summary.json").is_file() else "-"
+        print(f"| {task} | {plain} | {success(found[task])} | {modes} | {limits(found[task])} |")
     print("\n## Success at the ends of each parameter\n")
     print("The lowest and the highest third of each range, over all values of the other parameters.\n")
     print("| task | parameter | lowest third | highest third |")
@@ -62,6 +65,11 @@ def main():
     for task in done:
         for parameter, low, high in thirds(found[task]):
             print(f"| {task} | `{parameter}` | {low} | {high} |")
+    overhead = out / "overhead.txt"
+    if overhead.is_file():
+        print("\n## Overhead\n")
+        print("Time of one control step through RoboGate, with one worker, and of the plain Python loop (`scripts/environments_overhead.py`):\n")
+        print(f"```\n{overhead.read_text(encoding='utf-8').strip()}\n```")
     print("\n## Replays\n")
     for task in tasks:
         replay = out / f"{task}-replay.txt"

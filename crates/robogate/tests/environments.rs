@@ -129,7 +129,7 @@ fn servers_end_with_the_command() {
     let Some(bench) = Bench::new() else { return };
     bench.example("reach.py", &[]);
     let mut child =
-        bench.command("run --env reach.py -n 100000 --threads 2 --out run").stderr(Stdio::piped()).spawn().unwrap();
+        bench.command("run --env reach.py -n 1500 --threads 2 --out run").stderr(Stdio::piped()).spawn().unwrap();
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
     assert!(lines.any(|line| line.unwrap().starts_with("uniform")), "no progress was reported");
     let servers = children(child.id());
