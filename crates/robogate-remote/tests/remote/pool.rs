@@ -311,3 +311,43 @@ fn pool_servers_must_be_equal() {
     let unused: Address = "tcp://127.0.0.1:1".parse().unwrap();
     assert!(matches!(connect(&[&unused]), Err(PoolError::Request { .. })));
 }
+
+/// A server that fails is replaced by the one that the restart gives.
+#[test]
+fn failed_servers_are_started_again() {
+    let broken = Running::start(hello(), |n, _, reply| (n < 8).then_some(reply));
+    let fresh = Running::start(hello(), unchanged);
+    let (address, starts) = (fresh.address.clone(), Arc::new(AtomicU64::new(0)));
+    let counted = Arc::clone(&starts);
+    let pool = Pool::connect(std::slice::from_ref(&broken.address), timeouts(), Box::new(|_| ())).unwrap();
+    let pool = pool.with_backoff(Duration::from_millis(20)).with_restart(Box::new(move |position| {
+        assert_eq!(position, 0);
+        counted.fetch_add(1, Ordering::Relaxed);
+        Ok(address.clone())
+    }));
+    let episodes = run(&Arc::new(pool), 1, 6);
+    let invalid = episodes.iter().filter(|episode| matches!(episode.outcome, Outcome::Invalid(_))).count();
+    assert_eq!((invalid, starts.load(Ordering::Relaxed)), (1, 1), "{episodes:?}");
+    assert_eq!(episodes[5], local(5));
+}
+
+#[test]
+fn servers_join_a_pool_later() {
+    let (one, other) = (Running::start(hello(), unchanged), Running::start(hello(), unchanged));
+    let (pool, _) = pool(&[&one]);
+    pool.add(other.address.clone()).unwrap();
+    assert_eq!(pool.len(), 2);
+    assert!(matches!(pool.add(other.address.clone()), Err(PoolError::Duplicate(_))));
+    let mut task = hello();
+    task.task.version += 1;
+    let different = Running::start(task, unchanged);
+    assert!(matches!(pool.add(different.address.clone()), Err(PoolError::Mismatch { .. })));
+}
+
+#[test]
+fn undeclared_policies_are_refused() {
+    let server = Running::start(hello(), unchanged);
+    let (pool, _) = pool(&[&server]);
+    let why = RemoteEnvironment::with_policy(pool, "expert").err().unwrap().to_string();
+    assert!(why.contains("declares no policy `expert`"), "{why}");
+}
