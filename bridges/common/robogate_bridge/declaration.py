@@ -17,7 +17,7 @@ RESERVED = ("success", "invalid", "none")
 def hello(value):
     """Checks the reply to `hello`."""
     w = "hello"
-    known = ("server", "engine", "robot", "time_step_s", "task", "space", "scores_itself", "deterministic")
+    known = ("server", "engine", "robot", "time_step_s", "task", "space", "policies", "scores_itself", "deterministic")
     _known(value, known, w)
     robot, step = value.get("robot"), value.get("time_step_s")
     out = {
@@ -30,6 +30,7 @@ def hello(value):
         "time_step_s": None if step is None else number(step, f"{w}.time_step_s"),
         "task": task(entry(value, "task", w)),
         "space": plain(value.get("space"), f"{w}.space"),
+        "policies": _unique([_policy(policy, f"{w}.policies[{i}]") for i, policy in enumerate(value.get("policies", []))], f"{w}.policies"),
         "quaternion_order": "wxyz",
         "image_origin": "top_left",
         "scores_itself": flag(entry(value, "scores_itself", w), f"{w}.scores_itself"),
@@ -97,6 +98,13 @@ def _mode(value, where):
         raise wrong(f"{where}.name", f"another name than {', '.join(RESERVED)}")
     severity = text(value.get("severity", "major"), f"{where}.severity", ("minor", "major", "critical"))
     return {"name": name, "meaning": text(value.get("meaning", ""), f"{where}.meaning"), "severity": severity}
+
+
+def _policy(value, where):
+    value = {"name": value} if isinstance(value, str) else value
+    _known(value, ("name", "meaning"), where)
+    name = _name(entry(value, "name", where), f"{where}.name")
+    return {"name": name, "meaning": text(value.get("meaning", ""), f"{where}.meaning")}
 
 
 def _measure(value, where):

@@ -6,6 +6,7 @@ import random
 import signal
 import sys
 import traceback
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -27,6 +28,8 @@ class Scenario:
     cell: dict[str, Any] | None = None
     # Every declared parameter: as requested, otherwise its nominal value, if it has one.
     values: dict[str, float | int | str] = field(default_factory=dict)
+    # The declared policy that proposes the actions of this episode, if there is one.
+    policy: str | None = None
 
     def random(self):
         """A random number generator for this episode."""
@@ -73,7 +76,7 @@ class Simulator(Protocol):
 
     def reset(self, scenario: Scenario) -> dict:
         """Set up the scenario. Return `observation`, and `applied` and optionally `instance`; a server that does not score
-        itself returns `readback` and `sight` instead of these."""
+        itself returns `readback` and `sight` instead of these. With `scenario.policy`, return also `proposed`."""
 
     def step(self, action: Action) -> dict:
         """Run one control period. Return one entry of the reply's `steps`. `state_hash` is optional."""
@@ -102,6 +105,8 @@ class Server:
         self._sights = 0 if step is None else round(self._period / step)
         self._episode: int | None = None
         self._tick = 0
+        # Whether a policy of this server proposes the actions of the episode.
+        self._proposes = False
 
     def answer(self, frames: list[bytes]) -> list[bytes]:
         episode = 0
@@ -141,9 +146,8 @@ class Server:
     def _do_reset(self, request, episode):
         requested = self._requested(request)
         nominal = {name: spec["nominal"] for name, spec in self._parameters.items() if "nominal" in spec}
-        scenario = Scenario(
-            _u64(request, "index"), _u64(request, "seed"), requested, self._cell(request), nominal | requested
-        )
+        index, seed, policy = _u64(request, "index"), _u64(request, "seed"), self._policy(request)
+        scenario = Scenario(index, seed, requested, self._cell(request), nominal | requested, policy)
         self._over()
         answer = self._simulator.reset(scenario)
         fields = {"observation": shape.observation(shape.entry(answer, "observation", "reset"), self._task, 0.0)}
@@ -153,7 +157,9 @@ class Server:
         else:
             fields["readback"] = shape.readback(shape.entry(answer, "readback", "reset"))
             fields["sight"] = shape.sight(shape.entry(answer, "sight", "reset"))
-        self._episode, self._tick = episode, 0
+        if policy is not None:
+            fields["proposed"] = shape.proposed(shape.entry(answer, "proposed", "reset"), self._task, "reset")
+        self._episode, self._tick, self._proposes = episode, 0, policy is not None
         return fields, []
 
     def _do_step(self, request, episode):
@@ -171,6 +177,8 @@ class Server:
             if steps[-1].get("ending") is not None:
                 self._over()
                 break
+            if self._proposes and answer.get("proposed") is not None:
+                steps[-1]["proposed"] = shape.proposed(answer["proposed"], self._task, where)
         return {"steps": steps}, []
 
     def _do_render(self, request, episode):
@@ -236,6 +244,13 @@ class Server:
                 raise Problem("setup", f"parameter {name} = {value}: expected {expected}")
         return parameters
 
+    def _policy(self, request):
+        policy, known = request.get("policy"), [policy["name"] for policy in self._hello["policies"]]
+        if policy is None or policy in known:
+            return policy
+        names = ", ".join(known) or "none"
+        raise Problem("setup", f"this server declares no policy {policy!r}. Its policies: {names}")
+
     def _cell(self, request):
         cell = request.get("cell")
         if self._hello["scores_itself"]:
@@ -285,11 +300,20 @@ def _u64(request, key):
     return value
 
 
-def serve(simulator: Simulator, bind: str = "tcp://127.0.0.1:5570", allow_remote: bool = False) -> None:
+def _announce(address: str) -> None:
+    print(json.dumps({"listening": address}), flush=True)
+
+
+def serve(
+    simulator: Simulator,
+    bind: str = "tcp://127.0.0.1:5570",
+    allow_remote: bool = False,
+    ready: Callable[[str], None] = _announce,
+) -> None:
     """Serve until interrupted. `tcp://127.0.0.1:*` takes a free port.
 
-    Prints the address as one line of JSON, `{"listening": "tcp://..."}`. An address that other machines can reach requires
-    `allow_remote`: the protocol has no authentication.
+    Calls `ready` with the address, which by default prints one line of JSON, `{"listening": "tcp://..."}`. An address that other
+    machines can reach requires `allow_remote`: the protocol has no authentication.
     """
     if not allow_remote and not loopback(bind):
         raise SystemExit(f"{bind}: other machines can reach this address, and the protocol has no authentication. Use allow_remote")
@@ -303,13 +327,15 @@ def serve(simulator: Simulator, bind: str = "tcp://127.0.0.1:5570", allow_remote
     # Requests consist of a header only. A larger frame ends its connection before it is in memory.
     socket.setsockopt(zmq.MAXMSGSIZE, codec.MAX_HEADER)
     for name in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(name, _stop)
+        # A caller that ignores a signal wants that.
+        if signal.getsignal(name) is not signal.SIG_IGN:
+            signal.signal(name, _stop)
     try:
         try:
             socket.bind(bind)
         except zmq.ZMQError as why:
             raise SystemExit(f"cannot listen on {bind}: {why.strerror}") from None
-        print(json.dumps({"listening": socket.getsockopt(zmq.LAST_ENDPOINT).decode().rstrip("\0")}), flush=True)
+        ready(socket.getsockopt(zmq.LAST_ENDPOINT).decode().rstrip("\0"))
         while True:
             # A signal that arrives just before the socket blocks is noticed only when it returns.
             if not socket.poll(500):

@@ -232,6 +232,17 @@ def ending(value, time_s, where):
     }
 
 
+def proposed(value, task, where):
+    """Checks the action that a policy of the server proposes."""
+    at = f"{where}.proposed"
+    known = {space["kind"]: space for space in task["action"]["spaces"]}
+    kind = text(entry(value, "action_space", at), f"{at}.action_space", tuple(known))
+    space = known[kind]
+    count = {"joint_position": len(space.get("joints", [])), "tool_delta": 6, "vector": len(space.get("names", []))}[kind]
+    count += task["action"].get("gripper") is not None
+    return {"action_space": kind, "action": numbers(entry(value, "action", at), count, f"{at}.action")}
+
+
 def step(value, hello, time_s, sights, where):
     """Checks one entry of the reply to `step`, without its `state_hash`."""
     out = {"observation": observation(entry(value, "observation", where), hello["task"], time_s, f"{where}.observation")}

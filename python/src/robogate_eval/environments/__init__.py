@@ -1,0 +1,103 @@
+"""Environments under the gate: the bundled ones, and those of a user.
+
+A **bundled environment** is one Python file of this folder that defines `FAMILY`:
+
+    FAMILY = Family(
+        name="metaworld",                                # the part of a name before the colon
+        summary="50 table-top tasks with scripted experts",
+        requirements=["metaworld==3.1.1", "mujoco==3.3.0"],   # pinned; `robogate env setup` installs them
+        names=names,                                     # () -> list of str: what may follow the colon
+        environment=environment,                         # (str) -> Environment: the environment of such a name
+    )
+
+The file must import on any Python 3.10 without the packages it is about: import them inside the functions. List the module in
+`FAMILIES`. A user names an environment as `FAMILY:NAME`, for example `metaworld:drawer-open-v3`, `fetch:FetchPickAndPlace-v4`,
+`robosuite:Lift` or `libero:spatial/3`.
+
+`Environment` says all that there is to say about an environment: how it is made, its task, its knobs, and its policies. See its
+documentation.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from pathlib import Path
+
+from ..serving.environment import Environment, as_environment
+from .family import Family, UnknownEnvironment
+
+__all__ = ["Family", "UnknownEnvironment", "families", "find"]
+
+# The modules of this folder that define a `FAMILY`.
+FAMILIES = ("metaworld", "fetch")
+
+
+def families() -> dict[str, Family]:
+    """The bundled families, by name."""
+    modules = (importlib.import_module(f"{__name__}.{module}") for module in FAMILIES)
+    return {module.FAMILY.name: module.FAMILY for module in modules}
+
+
+def find(name: str) -> Environment:
+    """Find an environment by its name.
+
+    A name is `FAMILY:NAME` of a bundled family, `gymnasium:ID` for a registered Gymnasium environment, or `FILE.py:ATTRIBUTE` or
+    `MODULE:ATTRIBUTE` for your own. The attribute is an `Environment`, or a function that returns one or a `gymnasium.Env`.
+
+    Raises:
+        UnknownEnvironment: There is no such environment.
+    """
+    first, _, rest = name.rpartition(":") if ".py:" in name else name.partition(":")
+    if not first and rest.endswith(".py"):
+        first, rest = rest, ""
+    if first == "gymnasium":
+        return _registered(rest)
+    known = families()
+    if first in known:
+        if not rest:
+            raise UnknownEnvironment(f"{name}: the name of the environment is missing. Expected {first}:NAME")
+        return known[first].environment(rest)
+    if first.endswith(".py"):
+        return _own(_load(Path(first)), rest, name)
+    try:
+        module = importlib.import_module(first)
+    except ModuleNotFoundError as error:
+        if error.name is None or not (first == error.name or first.startswith(f"{error.name}.")):
+            raise
+        families_ = ", ".join([*known, "gymnasium"])
+        raise UnknownEnvironment(
+            f"{name}: no such environment. Expected FAMILY:NAME with one of the families {families_}, FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE"
+        ) from None
+    return _own(module, rest, name)
+
+
+def _registered(identifier: str) -> Environment:
+    import gymnasium
+
+    try:
+        gymnasium.spec(identifier)
+    except gymnasium.error.Error as error:
+        raise UnknownEnvironment(f"gymnasium:{identifier}: {error}") from None
+    return as_environment(lambda: gymnasium.make(identifier), identifier)
+
+
+def _load(file: Path):
+    if not file.is_file():
+        raise UnknownEnvironment(f"{file}: no such file")
+    specification = importlib.util.spec_from_file_location(file.stem, file)
+    module = importlib.util.module_from_spec(specification)
+    # Modules beside the file can be imported, as if Python ran it.
+    sys.path.insert(0, str(file.resolve().parent))
+    sys.modules[file.stem] = module
+    specification.loader.exec_module(module)
+    return module
+
+
+def _own(module, attribute: str, name: str) -> Environment:
+    attribute = attribute or "environment"
+    value = getattr(module, attribute, None)
+    if value is None:
+        raise UnknownEnvironment(f"{name}: the module has no attribute {attribute!r}. Expected an Environment, or a function that makes one")
+    return as_environment(value, f"{module.__name__}.{attribute}")

@@ -1,0 +1,28 @@
+"""A family: the environments of one package."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ..serving.environment import Environment
+
+
+@dataclass(frozen=True)
+class Family:
+    """Environments of one package."""
+
+    # The part of a name before the colon.
+    name: str
+    # One line for `robogate env list`.
+    summary: str
+    # Pinned requirements of pip, without those of this package.
+    requirements: list[str]
+    # Lists what may follow the colon. May import the package, and raise ImportError without it.
+    names: Callable[[], list[str]]
+    # The environment of one of these names. Raises `UnknownEnvironment` for any other name.
+    environment: Callable[[str], Environment]
+
+
+class UnknownEnvironment(LookupError):
+    """There is no environment of this name."""

@@ -1,0 +1,8 @@
+"""Serves any Gymnasium environment over the bridge protocol, as a simulator that scores itself."""
+
+from .environment import Camera, Environment, FailureMode, Measure, Policy, Task
+from .knobs import Knob
+from .process import serve
+from .trajectory import Trajectory
+
+__all__ = ["Camera", "Environment", "FailureMode", "Knob", "Measure", "Policy", "Task", "Trajectory", "serve"]

@@ -1,0 +1,348 @@
+"""An environment as a simulator of the bridge protocol."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import numpy as np
+from robogate_bridge import Image, Problem
+
+from . import mujoco_knobs
+from .disturbances import Disturbances
+from .environment import Camera, Environment
+from .knobs import Knob, differs, parameter_name
+from .model import Model, NoModel
+from .spaces import Actions, Observations
+from .trajectory import Trajectory
+
+# The protocol allows 256 parameters.
+MAX_KNOBS = 250
+
+
+class Adapter:
+    """Serves an environment."""
+
+    def __init__(self, environment: Environment):
+        self._environment = environment
+        self._task = environment.task
+        self._env = env = environment.make()
+        self._observations = Observations(env.observation_space)
+        self._actions = Actions(env.action_space, self._task.action_names)
+        self._period = self._control_period()
+        self._limit = self._step_limit()
+        rest = np.zeros(len(self._actions.low)) if self._task.rest_action is None else np.asarray(self._task.rest_action)
+        lengths = {name: length for name, (_, length) in self._observations.vectors.items()}
+        self._disturbances = Disturbances(lengths, self._actions.decode(rest))
+        env.reset(seed=0)
+        try:
+            self._model: Model | None = Model(env)
+        except (NoModel, ImportError):
+            self._model = None
+        # Knobs that do not act, with the reason.
+        self.dropped: list[tuple[str, str]] = []
+        self.knobs = self._knobs()
+        self._by_parameter = {knob.parameter: knob for knob in self.knobs}
+        self._cameras = self._find_cameras()
+        self._renderers: dict[tuple[int, int], Any] = {}
+        self._hash = 0
+        self.deterministic = self._is_deterministic()
+
+    # Declaration
+
+    def hello(self) -> dict:
+        name, version = self._engine()
+        return {
+            "server": {"name": "robogate-eval", "version": "1"},
+            "engine": {"name": name, "version": version},
+            "task": self._declaration(),
+            "space": self._space(),
+            "policies": [{"name": name, "meaning": policy.meaning} for name, policy in self._environment.policies.items()],
+            "scores_itself": True,
+            "deterministic": self.deterministic,
+        }
+
+    def _declaration(self) -> dict:
+        task = self._task
+        modes = [{"name": mode.name, "meaning": mode.meaning, "severity": mode.severity} for mode in task.failure_modes]
+        if all(mode.name != "terminated" for mode in task.failure_modes):
+            modes.append({"name": "terminated", "meaning": "The environment ended the episode without success."})
+        return {
+            "name": task.name,
+            "version": task.version,
+            "instruction": task.instruction or task.name,
+            "control_period_s": self._period,
+            "time_limit_s": self._limit * self._period,
+            "failure_modes": modes,
+            "measures": [
+                {"name": measure.name, "unit": measure.unit, "meaning": measure.meaning, "better": measure.better}
+                for measure in task.measures
+            ],
+            "parameters": [knob.declaration() for knob in self.knobs],
+            "observation": {
+                "vectors": self._observations.declaration(),
+                "cameras": [{"name": c.name, "width": c.width, "height": c.height} for c in self._cameras],
+            },
+            "action": {"spaces": [self._actions.declaration()]},
+        }
+
+    def _space(self) -> dict | None:
+        """The space that is sampled by default."""
+        parameters = []
+        for name, domain in self._environment.space.items():
+            knob = self._by_parameter.get(parameter_name(name))
+            if knob is None:
+                reason = dict(self.dropped).get(name, "the environment has no such knob")
+                raise ValueError(f"the space of {self._task.name} contains {name}: {reason}")
+            low, high, *scale = domain
+            parameter = {"name": knob.parameter, "kind": "integer" if knob.integer else "continuous", "low": low, "high": high}
+            if scale:
+                parameter["scale"] = scale[0]
+            parameters.append(parameter)
+        return {"name": self._task.name, "parameter": parameters} if parameters else None
+
+    def _control_period(self) -> float:
+        base = self._env.unwrapped
+        if self._task.control_period_s is not None:
+            return float(self._task.control_period_s)
+        period = getattr(base, "dt", None)
+        if isinstance(period, (int, float)) and period > 0:
+            return float(period)
+        rate = (getattr(base, "metadata", None) or {}).get("render_fps")
+        if rate:
+            return 1.0 / float(rate)
+        raise ValueError(f"{self._task.name}: the control period is unknown. Set control_period_s in its Task")
+
+    def _step_limit(self) -> int:
+        if self._task.time_limit_s is not None:
+            return max(1, round(self._task.time_limit_s / self._period))
+        specification = getattr(self._env, "spec", None)
+        for limit in (getattr(specification, "max_episode_steps", None), getattr(self._env.unwrapped, "max_path_length", None)):
+            if limit:
+                return int(limit)
+        raise ValueError(f"{self._task.name}: the time limit is unknown. Set time_limit_s in its Task")
+
+    def _engine(self) -> tuple[str, str]:
+        if self._environment.engine is not None:
+            return self._environment.engine
+        if self._model is not None:
+            import mujoco
+
+            return "mujoco", mujoco.__version__
+        return type(self._env.unwrapped).__module__.split(".")[0], "unknown"
+
+    def _knobs(self) -> list[Knob]:
+        wanted = self._environment.knobs
+        own = [knob for knob in wanted if isinstance(knob, Knob)]
+        names = {knob for knob in wanted if isinstance(knob, str)}
+        offered = self._disturbances.knobs(self._period)
+        if self._model is not None:
+            found = mujoco_knobs.catalogue(self._model, self._can_observe())
+            if "*" not in names:
+                found = [knob for knob in found if knob.name in names]
+            kept, self.dropped = mujoco_knobs.self_test(self._model, found, self._env)
+            offered += kept
+        known = {knob.name for knob in offered} | dict(self.dropped).keys()
+        unknown = sorted(names - known - {"*"})
+        if unknown:
+            raise ValueError(f"{self._task.name}: no knob is named {', '.join(unknown)}")
+        taken, unique = set(), []
+        # Knobs that are sampled by default come first, so that they are within the limit.
+        order = [*own, *sorted(offered, key=lambda knob: knob.name not in self._environment.space and knob.name not in names)]
+        for knob in order:
+            if knob.parameter not in taken:
+                taken.add(knob.parameter)
+                unique.append(knob)
+        self.dropped += [(knob.name, f"the task has more than {MAX_KNOBS} parameters") for knob in unique[MAX_KNOBS:]]
+        return unique[:MAX_KNOBS]
+
+    def _can_observe(self) -> bool:
+        return self._environment.observe is not None or hasattr(self._env.unwrapped, "_get_obs")
+
+    def _observe(self) -> Any:
+        if self._environment.observe is not None:
+            return self._environment.observe(self._env)
+        return self._env.unwrapped._get_obs()
+
+    def _is_deterministic(self) -> bool:
+        """Run one scenario twice, with another one in between, and compare all states."""
+        first = self._states(1, 25)
+        self._states(2, 10)
+        return first == self._states(1, 25)
+
+    def _states(self, index: int, steps: int) -> list[int]:
+        from robogate_bridge import Action, Scenario
+
+        self.reset(Scenario(index=index, seed=0, parameters={}))
+        random, states = np.random.default_rng(index), [self.state_hash()]
+        for _ in range(min(steps, self._limit)):
+            numbers = random.uniform(self._actions.low, self._actions.high).tolist()
+            if self.step(Action("vector", numbers))["ending"] is not None:
+                break
+            states.append(self.state_hash())
+        return states
+
+    # Episodes
+
+    def reset(self, scenario: Any) -> dict:
+        requested = [(self._by_parameter[name], value) for name, value in scenario.parameters.items()]
+        # The order of the declaration: a mass is set before the inertia that scales with it.
+        requested.sort(key=lambda pair: self.knobs.index(pair[0]))
+        if self._model is not None:
+            self._model.restore()
+        self._disturbances.begin(scenario.seed, scenario.index)
+        for knob, value in requested:
+            if knob.before_reset:
+                knob.set(self._env, value)
+        observation, _ = self._env.reset(seed=_seed(scenario))
+        if self._model is not None:
+            self._model.bind(self._env)
+        for knob, value in requested:
+            if not knob.before_reset:
+                knob.set(self._env, value)
+        if self._model is not None and requested:
+            self._model.finish()
+        if any(knob.moves for knob, _ in requested):
+            observation = self._observe()
+        applied = {knob.parameter: self._read(knob) for knob, _ in requested}
+        # Friction is read again in every step: the engine decides it contact by contact.
+        self._watched = [(knob, value) for knob, value in requested if knob.watch is not None]
+        if self._task.prepare is not None:
+            observation = self._task.prepare(self._env, observation)
+            if self._model is not None:
+                self._model.advanced()
+        self._trajectory = Trajectory(self._env, self._period, observations=[observation])
+        self._policy = None
+        if scenario.policy is not None:
+            self._policy = self._environment.policies[scenario.policy].make(self._env)
+        reply = self._reply(observation) | {"applied": applied}
+        if self._task.episode_instruction is not None:
+            reply["instance"] = {"instruction": self._task.episode_instruction(self._env)}
+        return reply
+
+    def _read(self, knob: Knob) -> Any:
+        value = knob.read(self._env)
+        if value is None:
+            raise Problem("not_applied", f"{knob.name} cannot be read in this episode")
+        return value if isinstance(value, str) else float(value)
+
+    def _reply(self, observation: Any) -> dict:
+        """What a policy receives, and the action of the policy that runs here."""
+        noise = self._disturbances.noise()
+        seen = self._observations.with_noise(observation, noise) if noise else observation
+        self._seen = seen
+        self._hash = self._state()
+        reply = {"observation": {"vectors": self._observations.encode(seen)}}
+        if self._policy is not None:
+            reply["proposed"] = {"action_space": "vector", "action": self._actions.encode(self._policy(seen))}
+        return reply
+
+    def step(self, action: Any) -> dict:
+        executed = self._disturbances.delayed(self._actions.decode(action.numbers))
+        observation, reward, terminated, truncated, info = self._env.step(executed)
+        trajectory = self._trajectory
+        trajectory.observations.append(observation)
+        trajectory.actions.append(executed)
+        trajectory.rewards.append(float(reward))
+        trajectory.infos.append(info)
+        trajectory.terminated = bool(terminated)
+        trajectory.over = bool(terminated or truncated or trajectory.steps >= self._limit)
+        self._check()
+        ending, measures = self._ending(), {}
+        if ending is not None or trajectory.over:
+            # A policy is not asked for an action that nobody runs.
+            self._policy = None
+            if self._task.measure is not None:
+                measures = dict(self._task.measure(trajectory))
+        return self._reply(observation) | {"ending": ending, "measures": measures}
+
+    def _ending(self) -> dict | None:
+        trajectory = self._trajectory
+        if (self._task.success or _succeeded)(trajectory):
+            return {"failure": None}
+        failure = None if self._task.failure is None else self._task.failure(trajectory)
+        if failure is None and trajectory.over:
+            failure = "terminated" if trajectory.terminated else "timeout"
+        return None if failure is None else {"failure": failure}
+
+    def _check(self) -> None:
+        """Raise if the physics diverged, or if a parameter does not act any more."""
+        if self._model is None:
+            return
+        if (why := self._model.diverged()) is not None:
+            raise Problem("diverged", why)
+        if not self._model.advanced():
+            raise Problem("not_applied", "the environment does not step the model to which the parameters were written")
+        for knob, wanted in self._watched:
+            found = knob.watch(self._env)
+            if found is not None and differs(wanted, found):
+                time_s = self._trajectory.time_s
+                raise Problem("not_applied", f"requested {knob.parameter} = {wanted:g}, but {found:g} acted at {time_s:.3f} s")
+
+    def state_hash(self) -> int:
+        return self._hash
+
+    def _state(self) -> int:
+        if self._model is not None:
+            return self._model.hash()
+        digest = hashlib.blake2b(digest_size=8)
+        observation = self._trajectory.observations[-1]
+        for name in self._observations.vectors:
+            digest.update(np.asarray(self._observations.encode(observation)[name]).tobytes())
+        digest.update(np.asarray(self._trajectory.rewards[-1:]).tobytes())
+        return int.from_bytes(digest.digest(), "little")
+
+    # Cameras
+
+    def _find_cameras(self) -> list[Camera]:
+        seen = [Camera(name, width, height) for name, (_, height, width) in self._observations.images.items()]
+        return [*seen, *self._task.cameras]
+
+    def render(self, cameras: list[str]) -> list[Image]:
+        by_name = {camera.name: camera for camera in self._cameras}
+        return [self._image(by_name[name]) for name in cameras]
+
+    def _image(self, camera: Camera) -> Image:
+        if camera.name in self._observations.images:
+            pixels = self._observations.image(self._seen, camera.name)
+        elif camera.render is not None:
+            pixels = np.ascontiguousarray(camera.render(self._env), dtype=np.uint8)
+        else:
+            pixels = self._rendered(camera)
+        return Image(camera.name, camera.width, camera.height, pixels.tobytes())
+
+    def _rendered(self, camera: Camera) -> np.ndarray:
+        import mujoco
+
+        if self._model is None:
+            raise Problem("unsupported", f"the camera {camera.name} has no render function, and there is no MuJoCo model")
+        size = (camera.height, camera.width)
+        model = self._model.model
+        held = self._renderers.get(size)
+        if held is None or held[0] is not model:
+            held = (model, mujoco.Renderer(model, *size))
+            self._renderers[size] = held
+        held[1].update_scene(self._model.data, camera=camera.name)
+        return held[1].render()
+
+
+def _seed(scenario: Any) -> int:
+    """The seed of an episode, from the seed of the campaign and the index of the episode; below 2^31."""
+    digest = hashlib.blake2b(f"{scenario.seed}/{scenario.index}".encode(), digest_size=4).digest()
+    return int.from_bytes(digest, "little") >> 1
+
+
+def _succeeded(trajectory: Trajectory) -> bool:
+    """Success as most environments report it."""
+    info = trajectory.info
+    for key in ("success", "is_success"):
+        if key in info:
+            return bool(np.all(info[key]))
+    check = getattr(trajectory.env.unwrapped, "check_success", None) or getattr(trajectory.env.unwrapped, "_check_success", None)
+    if check is None:
+        raise Problem(
+            "setup",
+            "the environment reports no success: info has neither `success` nor `is_success`, and there is no check_success(). "
+            "Set `success` in its Task",
+        )
+    return bool(check())

@@ -1,0 +1,60 @@
+"""Delay of actions and noise of observations, for any environment."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from .knobs import Knob
+
+# Largest delay, in control periods.
+MAX_DELAY = 20
+
+
+class Disturbances:
+    """The action delay and the observation noise of an episode."""
+
+    def __init__(self, vectors: dict[str, int], rest: np.ndarray):
+        self._vectors = vectors
+        self._rest = rest
+        self.begin(0, 0)
+
+    def begin(self, seed: int, index: int) -> None:
+        """Start an episode without delay and noise."""
+        self._queue: deque = deque()
+        self._scale = dict.fromkeys(self._vectors, 0.0)
+        digest = hashlib.blake2b(f"{seed}/{index}/noise".encode(), digest_size=8).digest()
+        self._random = np.random.default_rng(int.from_bytes(digest, "little"))
+
+    def delayed(self, action: np.ndarray) -> np.ndarray:
+        """The action that the environment runs when the policy returns this one."""
+        self._queue.append(action)
+        return self._queue.popleft()
+
+    def noise(self) -> dict[str, np.ndarray]:
+        """The noise of the next observation: Gaussian, independent for each number."""
+        return {name: self._random.normal(0.0, scale, self._vectors[name]) for name, scale in self._scale.items() if scale > 0.0}
+
+    def knobs(self, period_s: float) -> list[Knob]:
+        """The knobs of delay and noise."""
+
+        def delay(env: Any, value: int) -> None:
+            self._queue = deque(self._rest.copy() for _ in range(int(value)))
+
+        knobs = [
+            Knob("action_delay", delay, lambda env: len(self._queue), 0, MAX_DELAY, nominal=0, unit="steps", integer=True,
+                 meaning=f"Delay of each action, in control periods of {period_s:g} s.", read_from="length of the queue of actions")
+        ]  # fmt: skip
+        for name in self._vectors:
+
+            def scale(env: Any, value: float, name: str = name) -> None:
+                self._scale[name] = value
+
+            knobs.append(
+                Knob(f"noise:{name}", scale, lambda env, name=name: self._scale[name], 0.0, 1.0, nominal=0.0,
+                     meaning=f"Standard deviation of the noise of each number of {name}.", read_from="the noise generator")
+            )  # fmt: skip
+        return knobs

@@ -1,0 +1,104 @@
+"""Friction of a body, written so that it acts and read from contacts.
+
+MuJoCo takes the larger friction of the two geoms of a contact, unless one of them has a higher priority. A value that is only
+written to the geoms of a body therefore has no effect where the other geom has more friction, although it reads back from the
+model. So the priority of the body's geoms is raised, and friction is read from contacts that the engine made.
+
+A contact takes its stiffness from the geom of higher priority too. So with this knob the contacts of the body have the `solref`,
+`solimp` and `condim` of the body's own geoms.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+from .model import Model
+
+
+def geoms(model: Any, body: int) -> list[int]:
+    """The geoms of a body that can collide."""
+    first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
+    return [g for g in range(first, first + count) if model.geom_contype[g] or model.geom_conaffinity[g]]
+
+
+def write(model: Model, body: int, value: float, raise_priority: bool = True) -> None:
+    """Set the coefficient of sliding friction of every contact of a body with other bodies."""
+    m, mine = model.model, geoms(model.model, body)
+    model.edit(m.geom_friction, (mine, 0), value)
+    if raise_priority:
+        model.edit(m.geom_priority, mine, int(m.geom_priority.max()) + 1)
+
+
+def live(model: Model, body: int) -> list[float]:
+    """The coefficients of sliding friction of the present contacts of a body."""
+    return _of(model.model, model.data, body)
+
+
+def _of(m: Any, data: Any, body: int) -> list[float]:
+    count = data.ncon
+    if not count:
+        return []
+    contact = data.contact
+    if hasattr(contact, "friction"):
+        first, second = m.geom_bodyid[contact.geom1], m.geom_bodyid[contact.geom2]
+        touching = (first == body) != (second == body)
+        return contact.friction[touching, 0].tolist() if touching.any() else []
+    pairs = ((c, m.geom_bodyid[c.geom1] == body, m.geom_bodyid[c.geom2] == body) for c in (contact[i] for i in range(count)))
+    return [float(c.friction[0]) for c, first, second in pairs if first != second]
+
+
+def read(model: Model, body: int, wanted: float | None = None) -> float | None:
+    """The coefficient that the contacts of a body have. None if it has none and none can be made.
+
+    If the body touches nothing, a copy of the state is taken in which it does, and the engine makes the contact. Of several
+    different values, that which is farthest from `wanted` is returned, or without it the largest.
+    """
+    values = live(model, body) or _probe(model, body)
+    if not values:
+        return None
+    return max(values) if wanted is None else max(values, key=lambda value: abs(value - wanted))
+
+
+def _probe(model: Model, body: int) -> list[float]:
+    """Move the geoms of a body onto those of other bodies, in a copy of the state, and collide."""
+    import mujoco
+
+    m, scratch = model.model, model.scratch
+    scratch.qpos[:] = model.data.qpos
+    if m.nmocap:
+        scratch.mocap_pos[:], scratch.mocap_quat[:] = model.data.mocap_pos, model.data.mocap_quat
+    mujoco.mj_kinematics(m, scratch)
+    mujoco.mj_comPos(m, scratch)
+    first, count = int(m.body_geomadr[body]), int(m.body_geomnum[body])
+    all_of_body = slice(first, first + count)
+    places = scratch.geom_xpos[all_of_body].copy()
+    flags = int(m.opt.disableflags)
+    # The midphase uses positions of bodies, which are not moved here.
+    m.opt.disableflags = flags | int(getattr(mujoco.mjtDisableBit, "mjDSBL_MIDPHASE", 0))
+    found: list[float] = []
+    try:
+        for mine in geoms(m, body):
+            for other in _partners(m, body, mine):
+                scratch.geom_xpos[all_of_body] = places + (scratch.geom_xpos[other] - scratch.geom_xpos[mine])
+                mujoco.mj_collision(m, scratch)
+                met = _of(m, scratch, body)
+                scratch.geom_xpos[all_of_body] = places
+                if met:
+                    found += met
+                    break
+    finally:
+        m.opt.disableflags = flags
+    return found
+
+
+def _partners(m: Any, body: int, geom: int) -> list[int]:
+    """Up to eight geoms that this geom can touch: movable ones first, since these are what a policy brings to it."""
+    out = []
+    for other in range(m.ngeom):
+        its = int(m.geom_bodyid[other])
+        if m.body_weldid[its] == m.body_weldid[body]:
+            continue
+        if (m.geom_contype[geom] & m.geom_conaffinity[other]) or (m.geom_contype[other] & m.geom_conaffinity[geom]):
+            out.append((m.body_weldid[its] == 0, -other, other))
+    return [other for _, _, other in sorted(out)][:8]

@@ -1,0 +1,71 @@
+"""A knob: one quantity of an environment that can be varied, with its setter and its reader."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A quantity that can be varied.
+
+    The knob becomes a parameter of the task, under its name with `_` for every character that is no letter or digit. A
+    categorical knob has `choices`; any other has `low` and `high`, the values that it accepts.
+
+    `read` must return the value that acts, taken from the simulator and not copied from the request. RoboGate compares it with the
+    request, and an episode in which they differ is invalid.
+    """
+
+    name: str
+    # (env, value): makes the change. The next reset of the environment must undo it, or the next call must override it.
+    set: Callable[[Any, Any], None]
+    # (env) -> the value that acts.
+    read: Callable[[Any], Any]
+    low: float | int | None = None
+    high: float | int | None = None
+    choices: Sequence[str] = ()
+    # Value without a request. None if there is no single value.
+    nominal: float | int | str | None = None
+    unit: str = ""
+    meaning: str = ""
+    # Where the value is read, in words.
+    read_from: str = ""
+    # Only integers are accepted.
+    integer: bool = False
+    # Set before `env.reset`, for a value that the reset itself uses, such as the index of an initial state.
+    before_reset: bool = False
+    # The knob moves something that the observation contains, so the observation is taken again.
+    moves: bool = False
+    # (env) -> the value that acts now, or None; called after each step. A difference makes the episode invalid.
+    watch: Callable[[Any], float | None] | None = None
+
+    @property
+    def parameter(self) -> str:
+        """The name of the task's parameter."""
+        return parameter_name(self.name)
+
+    def declaration(self) -> dict:
+        """The parameter in the form of the bridge protocol."""
+        out: dict[str, Any] = {"name": self.parameter, "unit": self.unit, "meaning": self.meaning, "read_from": self.read_from}
+        if self.choices:
+            out |= {"kind": "categorical", "choices": list(self.choices)}
+        else:
+            out |= {"kind": "integer" if self.integer else "continuous", "low": self.low, "high": self.high}
+        if self.nominal is not None:
+            out["nominal"] = self.nominal
+        return out
+
+
+def parameter_name(knob: str) -> str:
+    """The name of the parameter that a knob becomes."""
+    return re.sub(r"[^A-Za-z0-9]+", "_", knob).strip("_")
+
+
+def differs(wanted: Any, found: Any) -> bool:
+    """Whether a value that was read is another one than the requested, up to single precision."""
+    if isinstance(wanted, str) or isinstance(found, str):
+        return wanted != found
+    return not abs(wanted - found) <= 1e-6 * max(abs(wanted), 0.1)

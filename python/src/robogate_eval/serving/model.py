@@ -1,0 +1,132 @@
+"""The MuJoCo model inside an environment, and edits of it that can be undone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class NoModel(LookupError):
+    """The environment has no MuJoCo model that can be found."""
+
+
+def find(env: Any) -> tuple[Any, Any]:
+    """The `MjModel` and `MjData` that an environment steps.
+
+    Looks through wrappers (`env`, `unwrapped`) for `model` and `data`, `_model` and `_data`, robosuite's `sim` and dm_control's
+    `physics`.
+
+    Raises:
+        NoModel: None of them has one.
+    """
+    import mujoco
+
+    waiting, seen = [env], []
+    while waiting:
+        here = waiting.pop(0)
+        if here is None or any(here is other for other in seen):
+            continue
+        seen.append(here)
+        simulation, physics = _get(here, "sim"), _get(here, "physics")
+        candidates = [
+            (_get(here, "model"), _get(here, "data")),
+            (_get(here, "_model"), _get(here, "_data")),
+            (_get(_get(simulation, "model"), "_model"), _get(_get(simulation, "data"), "_data")),
+            (_get(simulation, "model"), _get(simulation, "data")),
+            (_get(_get(physics, "model"), "ptr"), _get(_get(physics, "data"), "ptr")),
+        ]
+        for model, data in candidates:
+            if isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData):
+                return model, data
+        waiting += [_get(here, "env"), _get(here, "unwrapped"), _get(here, "_env")]
+    raise NoModel(f"no MuJoCo model in {type(env).__name__}")
+
+
+def _get(value: Any, name: str) -> Any:
+    if value is None:
+        return None
+    try:
+        return getattr(value, name, None)
+    except Exception:  # a property of an environment that is not ready yet
+        return None
+
+
+class Model:
+    """The model and data of an environment. Edits are undone before the next reset."""
+
+    def __init__(self, env: Any):
+        self._edits: list[tuple[Any, Any, Any]] = []
+        self._derived = False
+        self.model: Any = None
+        self.data: Any = None
+        self.bind(env)
+
+    def bind(self, env: Any) -> None:
+        """Find the model again. An environment may build a new one in each reset."""
+        model, data = find(env)
+        if model is not self.model:
+            import mujoco
+
+            # For computations that must not change the episode.
+            self.scratch = mujoco.MjData(model)
+        self.model, self.data = model, data
+        # Positions after the reset.
+        self.start = data.qpos.copy()
+        self._time = float(data.time)
+
+    def edit(self, array: Any, index: Any, value: Any) -> None:
+        """Write to an array of the model, and remember what was there."""
+        self._edits.append((array, index, array[index].copy()))
+        array[index] = value
+
+    def finish(self) -> None:
+        """Compute what depends on edited fields, in the model and in the state."""
+        import mujoco
+
+        if self._edits:
+            # Constants that MuJoCo derives from masses and sizes, such as the inverse weights of constraints.
+            mujoco.mj_setConst(self.model, self.scratch)
+            self._derived = True
+        mujoco.mj_forward(self.model, self.data)
+
+    def restore(self) -> None:
+        """Undo all edits."""
+        import mujoco
+
+        while self._edits:
+            array, index, value = self._edits.pop()
+            array[index] = value
+        if self._derived:
+            mujoco.mj_setConst(self.model, self.scratch)
+            self._derived = False
+
+    def advanced(self) -> bool:
+        """Whether the data moved on in time since the last call. If not, the environment steps another model."""
+        before, self._time = self._time, float(self.data.time)
+        return self._time > before
+
+    def diverged(self) -> str | None:
+        """MuJoCo's warning about a state that is not finite, after which it resets the state silently."""
+        import mujoco
+
+        for kind in ("BADQPOS", "BADQVEL", "BADQACC"):
+            if self.data.warning[int(getattr(mujoco.mjtWarning, f"mjWARN_{kind}"))].number:
+                return f"MuJoCo reported {kind} at {self.data.time:.3f} s"
+        return None
+
+    def hash(self) -> int:
+        """A 64-bit hash of the full state."""
+        import hashlib
+
+        data = self.data
+        digest = hashlib.blake2b(digest_size=8)
+        for array in (data.qpos, data.qvel, data.act, data.mocap_pos, data.mocap_quat, data.qacc_warmstart):
+            digest.update(array.tobytes())
+        return int.from_bytes(digest.digest(), "little")
+
+    def names(self, kind: str) -> list[str]:
+        """The names of all bodies, joints, actuators, cameras or lights; empty for one without a name."""
+        import mujoco
+
+        count = {"body": "nbody", "joint": "njnt", "actuator": "nu", "camera": "ncam", "light": "nlight"}[kind]
+        of = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
+        return [mujoco.mj_id2name(self.model, of, i) or "" for i in range(getattr(self.model, count))]

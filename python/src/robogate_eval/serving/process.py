@@ -1,0 +1,73 @@
+"""The server process: its address, its output, and its end."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import robogate_bridge
+
+from .adapter import Adapter
+from .environment import Environment, Task, as_environment
+from .knobs import Knob
+
+# Linux: signal that this process gets when the thread that started it ends.
+PR_SET_PDEATHSIG = 1
+
+
+def serve(
+    make_env: Callable[[], Any] | Environment,
+    *,
+    task: Task | None = None,
+    knobs: Sequence[str | Knob] | None = None,
+    bind: str = "tcp://127.0.0.1:5570",
+) -> None:
+    """Serve an environment until interrupted, as a simulator that scores itself.
+
+    `make_env` makes a `gymnasium.Env`, or is an `Environment`. `task` and `knobs` replace those of the environment. Prints the
+    address as one line of JSON; `tcp://127.0.0.1:*` takes a free port. Then `robogate run --simulator ADDRESS` runs it.
+    """
+    import dataclasses
+
+    environment = as_environment(make_env, getattr(make_env, "__name__", "environment"))
+    changes = {key: value for key, value in (("task", task), ("knobs", knobs)) if value is not None}
+    robogate_bridge.serve(Adapter(dataclasses.replace(environment, **changes)), bind)
+
+
+def serve_child(load: Callable[[], Environment]) -> None:
+    """Serve an environment to the parent process: `robogate run --env`.
+
+    The address is one line of JSON on standard output. Everything else that is printed goes to standard error. The process ends
+    when its standard input is closed, or when its parent ends.
+    """
+    parent = os.getppid()
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            os._exit(0)
+    # Ctrl-C reaches all processes of the terminal. The parent finishes its episodes and then closes the standard input.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_input, daemon=True).start()
+    # Packages print to standard output when they are imported.
+    answer = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    environment = load()
+    adapter = Adapter(environment)
+
+    def ready(address: str) -> None:
+        print(json.dumps({"listening": address}), file=answer, flush=True)
+
+    robogate_bridge.serve(adapter, "tcp://127.0.0.1:*", ready=ready)
+
+
+def _end_with_input() -> None:
+    # The descriptor itself, so that no lock of `sys.stdin` is held when the process ends.
+    while os.read(0, 4096):
+        pass
+    os._exit(0)

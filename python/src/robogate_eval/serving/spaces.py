@@ -1,0 +1,107 @@
+"""Observations as named vectors and cameras, actions as bounded vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from .environment import task_name
+
+
+class UnsupportedSpace(TypeError):
+    """A space that cannot be served, with what is supported."""
+
+
+class Observations:
+    """The observation space of an environment.
+
+    A Box of numbers becomes a vector: `observation`, or the key of a Dict (keys of nested Dicts are joined by `.`). A Box of bytes of
+    the shape height x width x 3 becomes a camera. Discrete and MultiBinary become vectors too.
+    """
+
+    def __init__(self, space: spaces.Space):
+        # name -> (path in the observation, length)
+        self.vectors: dict[str, tuple[tuple[str, ...], int]] = {}
+        # name -> (path, height, width)
+        self.images: dict[str, tuple[tuple[str, ...], int, int]] = {}
+        self._add(space, ())
+
+    def _add(self, space: spaces.Space, path: tuple[str, ...]) -> None:
+        name = task_name(".".join(path)) if path else "observation"
+        if isinstance(space, spaces.Dict):
+            for key, inner in space.spaces.items():
+                self._add(inner, (*path, str(key)))
+        elif isinstance(space, spaces.Box) and space.dtype == np.uint8 and len(space.shape) == 3 and space.shape[2] == 3:
+            self.images[name] = (path, space.shape[0], space.shape[1])
+        elif isinstance(space, (spaces.Box, spaces.MultiBinary, spaces.Discrete)):
+            length = int(np.prod(space.shape)) if space.shape else 1
+            if length > 4096:
+                raise UnsupportedSpace(f"the observation {name} has {length} numbers. Expected at most 4096, or an image as bytes")
+            self.vectors[name] = (path, length)
+        else:
+            raise UnsupportedSpace(f"the observation {name} is a {type(space).__name__}. Expected a Box, or a Dict of Boxes")
+
+    def declaration(self) -> list[dict]:
+        """The vectors in the form of the bridge protocol."""
+        return [{"name": name, "length": length} for name, (_, length) in self.vectors.items()]
+
+    def encode(self, observation: Any) -> dict[str, list[float]]:
+        """The vectors of an observation."""
+        return {name: np.asarray(_at(observation, path), dtype=float).ravel().tolist() for name, (path, _) in self.vectors.items()}
+
+    def image(self, observation: Any, name: str) -> np.ndarray:
+        """The image of a camera in an observation."""
+        return np.ascontiguousarray(_at(observation, self.images[name][0]))
+
+    def with_noise(self, observation: Any, noise: dict[str, np.ndarray]) -> Any:
+        """An observation with these numbers added to vectors. The original stays as it is."""
+        for name, numbers in noise.items():
+            path = self.vectors[name][0]
+            observation = _added(observation, path, numbers)
+        return observation
+
+
+def _at(observation: Any, path: Sequence[str]) -> Any:
+    for key in path:
+        observation = observation[key]
+    return observation
+
+
+def _added(observation: Any, path: Sequence[str], numbers: np.ndarray) -> Any:
+    if not path:
+        values = np.asarray(observation, dtype=float)
+        return values + numbers.reshape(values.shape)
+    return {**observation, path[0]: _added(observation[path[0]], path[1:], numbers)}
+
+
+class Actions:
+    """The action space of an environment: a Box with finite bounds."""
+
+    def __init__(self, space: spaces.Space, names: Sequence[str]):
+        if not isinstance(space, spaces.Box):
+            raise UnsupportedSpace(f"the action space is a {type(space).__name__}. Expected a Box")
+        low, high = (np.asarray(bound, dtype=float).ravel() for bound in (space.low, space.high))
+        if not (np.isfinite(low).all() and np.isfinite(high).all()):
+            raise UnsupportedSpace("the action space has no finite bounds. Wrap the environment in gymnasium.wrappers.RescaleAction")
+        self.low, self.high, self.shape, self.dtype = low, high, space.shape, space.dtype
+        self.names = list(names) or [f"action_{i}" for i in range(len(low))]
+        if len(self.names) != len(low):
+            raise UnsupportedSpace(f"the task names {len(self.names)} numbers of an action, but the environment has {len(low)}")
+
+    def declaration(self) -> dict:
+        """The action space in the form of the bridge protocol."""
+        return {"kind": "vector", "names": self.names, "low": self.low.tolist(), "high": self.high.tolist()}
+
+    def decode(self, numbers: Sequence[float]) -> np.ndarray:
+        """The action that the environment takes."""
+        return np.clip(np.asarray(numbers, dtype=float), self.low, self.high).astype(self.dtype).reshape(self.shape)
+
+    def encode(self, action: Any) -> list[float]:
+        """The numbers of an action of a policy, clipped to the bounds. A NaN stays one, so it is reported."""
+        numbers = np.asarray(action, dtype=float).ravel()
+        if len(numbers) != len(self.low):
+            raise ValueError(f"the policy returned {len(numbers)} numbers. Expected {len(self.low)}")
+        return np.clip(numbers, self.low, self.high).tolist()

@@ -1,0 +1,46 @@
+"""The trajectory of an episode, for functions that score it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass
+class Trajectory:
+    """What happened in an episode so far."""
+
+    # The environment, as `make` returned it.
+    env: Any
+    # Time between two actions, in seconds.
+    control_period_s: float
+    # The observations of the environment, without added noise: one more than actions.
+    observations: list[Any] = field(default_factory=list)
+    # The actions that the environment ran.
+    actions: list[Any] = field(default_factory=list)
+    rewards: list[float] = field(default_factory=list)
+    infos: list[dict[str, Any]] = field(default_factory=list)
+    # The environment ended the episode (`terminated`).
+    terminated: bool = False
+    # This was the last control period: the time limit, or the environment truncated or terminated the episode.
+    over: bool = False
+
+    @property
+    def steps(self) -> int:
+        """Number of actions that were run."""
+        return len(self.actions)
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time, in seconds."""
+        return self.steps * self.control_period_s
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """The `info` of the last step; empty before it."""
+        return self.infos[-1] if self.infos else {}
+
+    @property
+    def observation(self) -> Any:
+        """The last observation."""
+        return self.observations[-1]
