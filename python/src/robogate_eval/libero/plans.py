@@ -15,6 +15,10 @@ OPEN_M = 0.10
 # How far a drawer is pulled, and a knob turned.
 PULL_M = 0.15
 TURN_RAD = 1.2
+# A body that is this flat and wide cannot be gripped from above (m).
+FLAT_M, WIDE_M = 0.025, 0.078
+# How often the goal is tried. The time limit of an episode usually allows two.
+ATTEMPTS = 3
 # Predicates are achieved in this order: a drawer is opened before something is put into it and closed afterwards.
 ORDER = {"open": 0, "turnon": 1, "turnoff": 1, "in": 2, "on": 2, "close": 3}
 
@@ -34,9 +38,10 @@ class Planner:
 
     def plan(self):
         """The actions of the whole task. Ends when the plan is done, whether it succeeded or not."""
-        for predicate in ordered(self._task.goal):
-            if not self._holds(predicate):
-                yield from self._achieve(predicate)
+        for _ in range(ATTEMPTS):
+            for predicate in ordered(self._task.goal):
+                if not self._holds(predicate):
+                    yield from self._achieve(predicate)
 
     def _achieve(self, predicate):
         verb, name, *rest = predicate
@@ -56,13 +61,20 @@ class Planner:
             joint = scene.joint_of(part)
             if joint is not None and self._is_drawer(joint) and abs(scene.joint_position(joint)) < OPEN_M:
                 yield from self._slide(target, PULL_M)
+        low, high = scene.bounds(body)
+        if high[2] - low[2] < FLAT_M and (high - low)[:2].min() > WIDE_M and target not in self._bodies and scene.joint_of(scene.site_body(target)) is None:
+            # The hand cannot grip a plate from above.
+            yield from skills.push(scene, body, scene.site(target)[:2], done)
+            return
         yield from skills.pick(scene, body)
+        if not skills.holds(scene, body):
+            return
         at = scene.body(f"{target}_main") if target in self._bodies else scene.site(target)
         low, high = scene.bounds(body)
         radius = 0.3 * (high - low)[:2].min()
         ignore = scene.subtree(body)
         spots = [(0, 0), (radius, 0), (-radius, 0), (0, radius), (0, -radius)]
-        surface = max(scene.height(at[0] + x, at[1] + y, at[2] + 0.4, ignore)[0] for x, y in spots)
+        surface = max(scene.height(at[0] + x, at[1] + y, at[2] + 0.4, ignore) for x, y in spots)
         yield from skills.place(scene, body, at[:2], surface=surface, done=done)
 
     def _is_drawer(self, joint):

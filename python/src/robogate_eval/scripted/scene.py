@@ -6,15 +6,15 @@ in metres, angles in radians, positions in the world frame.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-# Geoms of this group collide in robosuite's models; the others are for display.
-COLLISION_GROUP = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
-# A ray that hits the robot continues below the hit. The bound only protects against a loop without an end.
-MAX_HITS = 40
+# In the copy of the model that rays are cast in, geoms of group 0 are surfaces, and rays pass through the others.
+SURFACES = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
+DOWN = np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True)
@@ -29,17 +29,29 @@ class Heights:
     top: np.ndarray
     mine: np.ndarray
 
+    @property
+    def spacing(self):
+        """Distance between two points of the grid."""
+        return self.x[1] - self.x[0]
+
 
 class Scene:
     """A view of the state of a simulation. It reads the current state each time."""
 
-    def __init__(self, model, data, robot, hand):
+    def __init__(self, model, data, robot, hand, fingers):
         """`robot` lists prefixes of the names of the robot's bodies. `hand` is the site between the fingertips: its x axis is
-        the direction in which the fingers close, and its z axis points out of the hand."""
+        the direction in which the fingers close, and its z axis points out of the hand. `fingers` are the joints of the two
+        fingers, whose positions differ by the width of the opening."""
         self.model, self.data = model, data
         self._hand = self._id(mujoco.mjtObj.mjOBJ_SITE, hand)
-        names = [model.body(i).name for i in range(model.nbody)]
-        self._robot = np.array([name.startswith(tuple(robot)) for name in names])
+        self._fingers = [model.jnt_qposadr[self._id(mujoco.mjtObj.mjOBJ_JOINT, name)] for name in fingers]
+        mine = [i for i in range(model.nbody) if model.body(i).name.startswith(tuple(robot))]
+        # MuJoCo's rays pass through geoms that are not visible, and most collision geoms are not.
+        self._rays = copy.copy(model)
+        self._rays.geom_rgba[:, 3] = 1.0
+        self._rays.geom_matid[:] = -1
+        collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+        self._rays.geom_group[:] = np.where(collides & ~np.isin(model.geom_bodyid, mine), 0, 1)
 
     def _id(self, kind, name):
         found = mujoco.mj_name2id(self.model, kind, name)
@@ -58,6 +70,12 @@ class Scene:
     def hand_axes(self):
         """The orientation of the hand, as a matrix of its axes."""
         return self.data.site_xmat[self._hand].reshape(3, 3).copy()
+
+    @property
+    def opening(self):
+        """The distance between the fingers."""
+        first, second = (float(self.data.qpos[address]) for address in self._fingers)
+        return abs(first - second)
 
     # Bodies, joints and sites
 
@@ -148,26 +166,21 @@ class Scene:
     # Heights
 
     def height(self, x, y, start, ignore=()):
-        """The height of the highest surface below `start` at this point, and the geom. The robot and the bodies in `ignore`
-        (indices) are transparent. -inf and -1 if there is no surface."""
-        point, down = np.array([x, y, start], dtype=float), np.array([0.0, 0.0, -1.0])
-        geom = np.array([-1], dtype=np.int32)
-        for _ in range(MAX_HITS):
-            distance = mujoco.mj_ray(self.model, self.data, point, down, COLLISION_GROUP, 1, -1, geom)
-            if distance < 0:
-                break
-            body = self.model.geom_bodyid[geom[0]]
-            point[2] -= distance
-            if not self._robot[body] and body not in ignore:
-                return point[2], int(geom[0])
-            point[2] -= 1e-4
-        return -np.inf, -1
+        """The height of the highest surface below `start` at this point; -inf if there is none. The robot and the bodies in
+        `ignore` (indices) are no surfaces."""
+        return float(self.heights([x], [y], start, ignore=ignore).top[0, 0])
 
     def heights(self, x, y, start, mine=(), ignore=()):
         """Heights in the grid of these coordinates. `mine` are the indices of the object's bodies."""
-        top, is_mine = np.empty((len(x), len(y))), np.zeros((len(x), len(y)), dtype=bool)
+        group = self._rays.geom_group.copy()
+        self._rays.geom_group[np.isin(self.model.geom_bodyid, list(ignore))] = 1
+        top, is_mine = np.full((len(x), len(y)), -np.inf), np.zeros((len(x), len(y)), dtype=bool)
+        geom = np.array([-1], dtype=np.int32)
         for i, px in enumerate(x):
             for j, py in enumerate(y):
-                top[i, j], geom = self.height(px, py, start, ignore)
-                is_mine[i, j] = geom >= 0 and self.model.geom_bodyid[geom] in mine
+                distance = mujoco.mj_ray(self._rays, self.data, np.array([px, py, start]), DOWN, SURFACES, 1, -1, geom)
+                if distance >= 0:
+                    top[i, j] = start - distance
+                    is_mine[i, j] = self.model.geom_bodyid[geom[0]] in mine
+        self._rays.geom_group[:] = group
         return Heights(np.asarray(x), np.asarray(y), top, is_mine)

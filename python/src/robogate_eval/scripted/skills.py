@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .grasp import PANDA, grasps
+from .grasp import grasps
 from .motion import CLOSE, OPEN, action, axes_of, closing_angle, downwards, go, hold, rotation
 
 # Spacing of the map of heights, and how far it extends beyond the object (m).
 SPACING = 0.004
-MARGIN = 0.10
+MARGIN = 0.15
 # Distance above surfaces on the way (m).
 CLEAR = 0.03
 
@@ -22,7 +22,7 @@ def highest_between(scene, start, end, ignore, width=0.06):
     count = max(2, int(length / 0.025))
     ceiling = max(start[2], end[2]) + 0.5
     points = [start[:2] + along * t + side * s for t in np.linspace(0, 1, count) for s in (-1, 0, 1)]
-    return max(scene.height(x, y, ceiling, ignore)[0] for x, y in points)
+    return max(scene.height(x, y, ceiling, ignore) for x, y in points)
 
 
 def travel(scene, target, axes, grip, *, below=0.011, ignore=(), tolerance=0.01):
@@ -35,32 +35,29 @@ def travel(scene, target, axes, grip, *, below=0.011, ignore=(), tolerance=0.01)
     yield from go(scene, target, axes, grip, tolerance=tolerance, steps=60)
 
 
-def find_grasps(scene, body, centre=None, floor=None):
+def find_grasps(scene, body):
     """Grasps of a body from above, best first."""
     low, high = scene.bounds(body)
     x = np.arange(low[0] - MARGIN, high[0] + MARGIN, SPACING)
     y = np.arange(low[1] - MARGIN, high[1] + MARGIN, SPACING)
     heights = scene.heights(x, y, high[2] + 0.3, mine=scene.subtree(body))
-    centre = (low[:2] + high[:2]) / 2 if centre is None else centre
-    floor = low[2] + 0.002 if floor is None else floor
-    return grasps(heights, prefer_angle=closing_angle(scene.hand_axes), centre=centre, gripper=PANDA, floor=floor)
+    return grasps(heights, current=scene.hand_axes[:2, 0], centre=(low[:2] + high[:2]) / 2, floor=low[2] + 0.002)
 
 
-def reachable(scene, grasp):
-    """Whether the wrist can turn to a grasp without much more than a quarter turn from the start."""
-    return True
+def pointing_down(closing):
+    """The orientation of a hand that points down and closes along this unit vector."""
+    return axes_of(closing, np.array([0.0, 0.0, -1.0]))
 
 
-def pick(scene, body, attempts=3, lift=0.08):
-    """Grasps a body from above and lifts it. Tries again with another grasp if the body does not follow."""
-    for attempt in range(attempts):
+def pick(scene, body, lift=0.08):
+    """Grasps a body from above and lifts it. Tries other grasps if the body does not follow, and ends if there is none."""
+    for attempt in range(3):
         found = find_grasps(scene, body)
         if not found:
             return
-        # After a failed attempt, a different grasp.
+        # After a failure, a grasp that is different.
         grasp = found[min(attempt * len(found) // 10, len(found) - 1)]
-        axes = downwards(grasp.angle, scene.hand_axes)
-        before = scene.body(body)
+        axes, before = pointing_down(grasp.closing), scene.body(body)
         above = grasp.position + [0, 0, max(0.06, scene.bounds(body)[1][2] - grasp.position[2] + 0.03)]
         yield from travel(scene, above, axes, OPEN)
         yield from go(scene, grasp.position, axes, OPEN, tolerance=0.004, steps=40, speed=0.7)
@@ -69,6 +66,13 @@ def pick(scene, body, attempts=3, lift=0.08):
         if scene.body(body)[2] - before[2] > 0.5 * lift:
             return
         yield from hold(scene, axes, OPEN, 5)
+
+
+def holds(scene, body):
+    """Whether the hand is closed around a body: it is within reach of the fingers, and they did not close completely."""
+    low, high = scene.bounds(body)
+    near = np.all(scene.hand > low - 0.03) and np.all(scene.hand < high + 0.03)
+    return bool(near and scene.opening > 0.002)
 
 
 def place(scene, body, target, *, surface, done=None, gap=0.004, drop=0.0):
@@ -127,7 +131,7 @@ def turn(scene, body, angle, attempts=2):
         if not found:
             return
         grasp = found[min(attempt * len(found) // 10, len(found) - 1)]
-        axes = downwards(grasp.angle, scene.hand_axes)
+        axes = pointing_down(grasp.closing)
         yield from travel(scene, grasp.position + [0, 0, 0.06], axes, OPEN)
         yield from go(scene, grasp.position, axes, OPEN, tolerance=0.004, steps=40, speed=0.7)
         yield from hold(scene, axes, CLOSE, 8, grasp.position)
@@ -161,3 +165,29 @@ def push_shut(scene, body):
     goal = start - outwards * (abs(position) + 0.06)
     yield from go(scene, goal, axes, CLOSE, tolerance=0.004, steps=60, speed=0.7)
     yield from go(scene, scene.hand + outwards * 0.05 + [0, 0, 0.1], axes, CLOSE, tolerance=0.03, steps=25)
+
+
+def push(scene, body, target, done):
+    """Pushes a flat, round body over its support to the point `target` (x, y), with the open fingers behind it."""
+    low, high = scene.bounds(body)
+    middle = (low + high) / 2
+    radius = 0.5 * (high - low)[:2].max()
+    along = (target - middle[:2]) / np.linalg.norm(target - middle[:2])
+    axes = pointing_down(np.array([-along[1], along[0], 0.0]))
+    if axes[:, 0] @ scene.hand_axes[:, 0] < 0:
+        axes = pointing_down(-axes[:, 0])
+    height = low[2] + 0.013
+    behind = middle[:2] - along * (radius + 0.03)
+    yield from travel(scene, np.array([*behind, height + 0.08]), axes, OPEN)
+    yield from go(scene, np.array([*behind, height]), axes, OPEN, tolerance=0.008, steps=40)
+    for _ in range(90):
+        low, high = scene.bounds(body)
+        now = ((low + high) / 2)[:2]
+        left = target - now
+        if done() or np.linalg.norm(left) < 0.005:
+            break
+        # The hand stays behind the body on the line to the target, and leads by a part of the remaining distance.
+        along = left / np.linalg.norm(left)
+        at = now - along * (radius - 0.012) + along * min(0.03, np.linalg.norm(left))
+        yield action(scene, np.array([*at, height]), axes, OPEN, speed=0.5)
+    yield from go(scene, scene.hand + [0, 0, 0.1], axes, OPEN, tolerance=0.03, steps=25)
