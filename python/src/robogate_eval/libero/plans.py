@@ -66,16 +66,18 @@ class Planner:
             # The hand cannot grip a plate from above.
             yield from skills.push(scene, body, scene.site(target)[:2], done)
             return
-        yield from skills.pick(scene, body)
-        if not skills.holds(scene, body):
-            return
-        at = scene.body(f"{target}_main") if target in self._bodies else scene.site(target)
-        low, high = scene.bounds(body)
-        radius = 0.3 * (high - low)[:2].min()
-        ignore = scene.subtree(body)
+        # The highest surface under the body where it will stand.
+        radius, ignore = 0.3 * (high - low)[:2].min(), scene.subtree(body)
         spots = [(0, 0), (radius, 0), (-radius, 0), (0, radius), (0, -radius)]
-        surface = max(scene.height(at[0] + x, at[1] + y, at[2] + 0.4, ignore) for x, y in spots)
-        yield from skills.place(scene, body, at[:2], surface=surface, done=done)
+
+        def place_at():
+            at = scene.body(f"{target}_main") if target in self._bodies else scene.site(target)
+            return at, scene.highest(at[:2] + spots, at[2] + 0.4, ignore)
+
+        yield from skills.pick(scene, body, *place_at())
+        if skills.holds(scene, body):
+            at, surface = place_at()
+            yield from skills.place(scene, body, at[:2], surface=surface, done=done)
 
     def _is_drawer(self, joint):
         return self._scene.model.jnt_type[joint] == 2  # mjJNT_SLIDE

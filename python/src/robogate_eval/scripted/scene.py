@@ -38,13 +38,14 @@ class Heights:
 class Scene:
     """A view of the state of a simulation. It reads the current state each time."""
 
-    def __init__(self, model, data, robot, hand, fingers):
+    def __init__(self, model, data, robot, hand, fingers, shoulder):
         """`robot` lists prefixes of the names of the robot's bodies. `hand` is the site between the fingertips: its x axis is
         the direction in which the fingers close, and its z axis points out of the hand. `fingers` are the joints of the two
-        fingers, whose positions differ by the width of the opening."""
+        fingers, whose positions differ by the width of the opening. `shoulder` is the body of the second joint."""
         self.model, self.data = model, data
         self._hand = self._id(mujoco.mjtObj.mjOBJ_SITE, hand)
         self._fingers = [model.jnt_qposadr[self._id(mujoco.mjtObj.mjOBJ_JOINT, name)] for name in fingers]
+        self._shoulder = self._id(mujoco.mjtObj.mjOBJ_BODY, shoulder)
         mine = [i for i in range(model.nbody) if model.body(i).name.startswith(tuple(robot))]
         # MuJoCo's rays pass through geoms that are not visible, and most collision geoms are not.
         self._rays = copy.copy(model)
@@ -70,6 +71,11 @@ class Scene:
     def hand_axes(self):
         """The orientation of the hand, as a matrix of its axes."""
         return self.data.site_xmat[self._hand].reshape(3, 3).copy()
+
+    @property
+    def shoulder(self):
+        """The position of the robot's shoulder."""
+        return self.data.xpos[self._shoulder].copy()
 
     @property
     def opening(self):
@@ -168,19 +174,26 @@ class Scene:
     def height(self, x, y, start, ignore=()):
         """The height of the highest surface below `start` at this point; -inf if there is none. The robot and the bodies in
         `ignore` (indices) are no surfaces."""
-        return float(self.heights([x], [y], start, ignore=ignore).top[0, 0])
+        return self.highest([(x, y)], start, ignore)
 
     def heights(self, x, y, start, mine=(), ignore=()):
         """Heights in the grid of these coordinates. `mine` are the indices of the object's bodies."""
+        grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+        top, geoms = self._cast(grid.reshape(-1, 2), start, ignore)
+        is_mine = (geoms >= 0) & np.isin(self.model.geom_bodyid[geoms], list(mine))
+        return Heights(np.asarray(x), np.asarray(y), top.reshape(grid.shape[:2]), is_mine.reshape(grid.shape[:2]))
+
+    def highest(self, points, start, ignore=()):
+        """The height of the highest surface below `start` at any of these points (n x 2); -inf if there is none."""
+        return float(self._cast(points, start, ignore)[0].max())
+
+    def _cast(self, points, start, ignore):
         group = self._rays.geom_group.copy()
         self._rays.geom_group[np.isin(self.model.geom_bodyid, list(ignore))] = 1
-        top, is_mine = np.full((len(x), len(y)), -np.inf), np.zeros((len(x), len(y)), dtype=bool)
-        geom = np.array([-1], dtype=np.int32)
-        for i, px in enumerate(x):
-            for j, py in enumerate(y):
-                distance = mujoco.mj_ray(self._rays, self.data, np.array([px, py, start]), DOWN, SURFACES, 1, -1, geom)
-                if distance >= 0:
-                    top[i, j] = start - distance
-                    is_mine[i, j] = self.model.geom_bodyid[geom[0]] in mine
+        top, geoms, geom = np.full(len(points), -np.inf), np.full(len(points), -1), np.array([-1], dtype=np.int32)
+        for i, (x, y) in enumerate(points):
+            distance = mujoco.mj_ray(self._rays, self.data, np.array([x, y, start]), DOWN, SURFACES, 1, -1, geom)
+            if distance >= 0:
+                top[i], geoms[i] = start - distance, geom[0]
         self._rays.geom_group[:] = group
-        return Heights(np.asarray(x), np.asarray(y), top, is_mine)
+        return top, geoms
