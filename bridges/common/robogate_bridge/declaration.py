@@ -102,9 +102,9 @@ def _mode(value, where):
 
 def _policy(value, where):
     value = {"name": value} if isinstance(value, str) else value
-    _known(value, ("name", "meaning"), where)
+    _known(value, ("name", "meaning", "version"), where)
     name = _name(entry(value, "name", where), f"{where}.name")
-    return {"name": name, "meaning": text(value.get("meaning", ""), f"{where}.meaning")}
+    return {"name": name, **{key: text(value.get(key, ""), f"{where}.{key}") for key in ("meaning", "version")}}
 
 
 def _measure(value, where):

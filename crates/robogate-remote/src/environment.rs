@@ -8,6 +8,7 @@ use super::error::RequestError;
 use super::message::Hello;
 use super::physics::{PhysicsSession, RemoteTask};
 use super::pool::{Lease, Pool};
+use super::proposals::{Proposals, RemotePolicy};
 use super::scored::ScoredSession;
 use super::session::Session;
 
@@ -26,7 +27,21 @@ pub struct RemoteEnvironment {
 impl RemoteEnvironment {
     /// Create an environment in the servers of this pool, which must score themselves.
     pub fn new(pool: Arc<Pool>) -> Result<Self, IncompatibleServer> {
-        Ok(Self { episodes: Episodes::new(pool, ScoredSession)? })
+        Ok(Self { episodes: Episodes::new(pool, ScoredSession::default())? })
+    }
+
+    /// Create an environment like [`RemoteEnvironment::new`], and the declared policy of this name, which runs in the
+    /// same server.
+    pub fn with_policy(pool: Arc<Pool>, policy: &str) -> Result<(Self, RemotePolicy), IncompatibleServer> {
+        let declared = &pool.hello().policies;
+        if declared.iter().all(|known| known.name != policy) {
+            let known: Vec<&str> = declared.iter().map(|policy| &*policy.name).collect();
+            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+            return Err(IncompatibleServer(format!("it declares no policy `{policy}`; its policies: {known}")));
+        }
+        let proposals = Proposals::new(policy);
+        let session = ScoredSession { proposals: Some(proposals.clone()) };
+        Ok((Self { episodes: Episodes::new(pool, session)? }, RemotePolicy(proposals)))
     }
 
     /// The servers' reply to `hello`.

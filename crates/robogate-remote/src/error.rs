@@ -31,6 +31,9 @@ pub enum RequestError {
     /// The server answered with an error.
     #[error("{}", .0.detail)]
     Rejected(ErrorReply),
+    /// The server was to be started again after a failure.
+    #[error("cannot be started again: {0}")]
+    NotStarted(String),
     /// This side found the error.
     #[error("{}", .0.detail)]
     Local(Fault),
@@ -49,9 +52,11 @@ impl RequestError {
 
     fn kind(&self) -> FaultKind {
         match self {
-            Self::Connection(_) | Self::Malformed(_) | Self::ProtocolViolation(_) | Self::OtherVersion { .. } => {
-                FaultKind::Unavailable
-            }
+            Self::Connection(_)
+            | Self::Malformed(_)
+            | Self::ProtocolViolation(_)
+            | Self::OtherVersion { .. }
+            | Self::NotStarted(_) => FaultKind::Unavailable,
             Self::Rejected(reply) => reply.kind.fault(),
             Self::Local(fault) => fault.kind,
         }

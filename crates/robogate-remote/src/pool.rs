@@ -30,6 +30,10 @@ const MAX_WAIT: Duration = Duration::from_secs(600);
 /// deviation from the declared task.
 pub type Listener = Box<dyn Fn(&str) + Send + Sync>;
 
+/// Starts a server again after a failure, and returns its new address or the reason why it cannot be started. The
+/// argument is its position in the pool.
+pub type Restart = Box<dyn Fn(usize) -> Result<Address, String> + Send + Sync>;
+
 /// Connections to servers of the same simulator.
 pub struct Pool {
     hello: Hello,
@@ -41,6 +45,7 @@ pub struct Pool {
     reported: Mutex<BTreeSet<String>>,
     /// Time for which a server is not used after its first failure.
     backoff: Duration,
+    restart: Option<Restart>,
 }
 
 struct Slot {
@@ -116,7 +121,30 @@ impl Pool {
         let hello = hello.ok_or(PoolError::NoServer)?;
         let (slots, changed) = (Mutex::new(slots), Condvar::new());
         let (reported, backoff) = (Mutex::default(), Duration::from_secs(1));
-        Ok(Self { hello, timeouts, slots, changed, listener, reported, backoff })
+        Ok(Self { hello, timeouts, slots, changed, listener, reported, backoff, restart: None })
+    }
+
+    /// Start a server again after each of its failures.
+    #[must_use]
+    pub fn with_restart(mut self, restart: Restart) -> Self {
+        self.restart = Some(restart);
+        self
+    }
+
+    /// Connect to a further server. Its reply to `hello` must equal that of the others.
+    pub fn add(&self, address: Address) -> Result<(), PoolError> {
+        let connection = Connection::open(address.clone(), self.timeouts)
+            .map_err(|why| PoolError::Request { address: address.clone(), why })?;
+        let mut slots = self.slots();
+        if slots.iter().any(|slot| slot.address == address) {
+            return Err(PoolError::Duplicate(address));
+        }
+        if let Some(difference) = difference(&self.hello, connection.hello()) {
+            return Err(PoolError::Mismatch { first: slots[0].address.clone(), other: address, difference });
+        }
+        slots.push(Slot { address, state: State::Free, connection: Some(connection), failures: 0 });
+        self.changed.notify_one();
+        Ok(())
     }
 
     /// Set the time for which a server is not used after its first failure. Each further failure doubles it.
@@ -243,6 +271,11 @@ impl Lease {
     /// Connect if there is no connection, and check that the server is still the same simulator.
     fn connect(&mut self) -> Result<(), RequestError> {
         if self.connection.is_none() {
+            if let Some(restart) = &self.pool.restart {
+                let address = restart(self.slot).map_err(RequestError::NotStarted)?;
+                self.pool.slots()[self.slot].address = address.clone();
+                self.address = address;
+            }
             let connection = Connection::open(self.address.clone(), self.pool.timeouts)?;
             if let Some(difference) = difference(&self.pool.hello, connection.hello()) {
                 return Err(violation(format!("the simulator has changed since the start: {difference}")));

@@ -11,11 +11,15 @@ use serde::de::IgnoredAny;
 use super::connection::Connection;
 use super::error::{RequestError, violation};
 use super::message::{ActionKind, Empty, Hello, ParameterValue, Period, ResetReply, ResetRequest, from_wire};
+use super::proposals::Proposals;
 use super::session::{Session, gripper_number, reset_request};
 
 /// A session with a server that has its own task and reports how an episode ended.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct ScoredSession;
+#[derive(Debug, Clone, Default)]
+pub struct ScoredSession {
+    /// The policy of the server that proposes the actions, if there is one.
+    pub(crate) proposals: Option<Proposals>,
+}
 
 impl Session for ScoredSession {
     fn accepts(&self, hello: &Hello) -> Result<(), String> {
@@ -31,19 +35,26 @@ impl Session for ScoredSession {
 
     fn reset(&mut self, connection: &mut Connection, scenario: &Scenario) -> Result<Start, RequestError> {
         check_parameters(&connection.hello().task, scenario).map_err(RequestError::Local)?;
-        let request = reset_request::<Empty>(scenario, &scenario.requested, None)?;
+        let mut request = reset_request::<Empty>(scenario, &scenario.requested, None)?;
+        request.policy = self.proposals.as_ref().map(|proposals| proposals.policy().to_owned());
         let reply: ResetReply<Empty, Empty> = connection.begin(request)?;
         let task = &connection.hello().task;
         let observation = reply.observation.checked(task, 0.0).map_err(violation)?;
         let Some(applied) = reply.applied else { return Err(violation("the reply to reset has no `applied`")) };
         let general = || TaskInstance { instruction: task.instruction.clone(), ..TaskInstance::default() };
         let instance = reply.instance.unwrap_or_else(general);
+        if let Some(proposals) = &self.proposals {
+            proposals.put(task, reply.proposed)?;
+        }
         Ok(Start { instance, observation, applied: from_wire(&applied, &scenario.requested) })
     }
 
     fn step(&mut self, connection: &mut Connection, action: &Action) -> Result<Step, RequestError> {
         let (kind, numbers) = encode_action(&connection.hello().task, action).map_err(RequestError::Local)?;
-        let (period, observation) = connection.run::<Empty>(kind, numbers)?;
+        let (mut period, observation) = connection.run::<Empty>(kind, numbers)?;
+        if let Some(proposals) = &self.proposals {
+            proposals.put(&connection.hello().task, period.proposed.take())?;
+        }
         read_step(connection, period, observation)
     }
 
@@ -53,7 +64,7 @@ impl Session for ScoredSession {
         _: &Scenario,
         parameters: BTreeMap<String, ParameterValue>,
     ) -> Result<(), RequestError> {
-        let request = ResetRequest::<Empty> { index: 0, seed: 0, parameters, cell: None };
+        let request = ResetRequest::<Empty> { index: 0, seed: 0, parameters, cell: None, policy: None };
         connection.begin::<IgnoredAny>(request).map(drop)
     }
 }

@@ -63,6 +63,7 @@ impl Host for EnvironmentHost {
             applied: Some(to_wire(&start.applied)),
             readback: None,
             sample: None,
+            proposed: None,
         })
     }
 
@@ -77,6 +78,7 @@ impl Host for EnvironmentHost {
             events: Some(step.events),
             samples: None,
             clearance_m: None,
+            proposed: None,
         })
     }
 
@@ -191,6 +193,10 @@ impl<H: Host> Server<H> {
             let what = if hello.scores_itself { "has its own task and takes no cell" } else { "needs a cell" };
             return reject(ErrorKind::BadRequest, format!("this server {what}"));
         }
+        if let Some(policy) = &request.policy {
+            let policy: String = policy.chars().take(40).collect();
+            return reject(ErrorKind::Setup, format!("this server declares no policy `{policy}`"));
+        }
         if let Some(name) = request.parameters.keys().find(|name| hello.task.parameter(name).is_none()) {
             let detail = format!("the task `{}` declares no parameter `{name}`", hello.task.name);
             return reject(ErrorKind::NotApplied, detail);
@@ -280,7 +286,7 @@ fn reply(episode: u64, body: impl Serialize) -> Frames {
 }
 
 /// The action of these numbers.
-fn decode_action(task: &TaskSpec, kind: ActionKind, numbers: &[f64]) -> Result<Action, ErrorReply> {
+pub(crate) fn decode_action(task: &TaskSpec, kind: ActionKind, numbers: &[f64]) -> Result<Action, ErrorReply> {
     let spec = &task.action;
     let (length, scale) = match kind {
         ActionKind::JointPosition => (spec.joints().map(<[String]>::len), None),

@@ -47,7 +47,7 @@ pub(crate) fn reset_request<C: Serialize>(
         let detail = "the seed of the scenario does not belong to its index";
         return Err(RequestError::Local(Fault::new(FaultKind::Setup, detail)));
     }
-    Ok(ResetRequest { index: scenario.index, seed, parameters: to_wire(parameters), cell })
+    Ok(ResetRequest { index: scenario.index, seed, parameters: to_wire(parameters), cell, policy: None })
 }
 
 /// The last number of an action, if the task declares a gripper.

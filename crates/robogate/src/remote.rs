@@ -206,6 +206,7 @@ impl Host for PhysicsHost {
             applied: None,
             readback: Some(readback),
             sample: Some(sample),
+            proposed: None,
         })
     }
 
@@ -223,6 +224,7 @@ impl Host for PhysicsHost {
             events: None,
             samples: Some(sights),
             clearance_m,
+            proposed: None,
         })
     }
 

@@ -24,6 +24,9 @@ pub struct Hello {
     /// The space that is sampled by default.
     #[serde(default)]
     pub space: Option<ParameterSpace>,
+    /// Policies that run in the server. The first is the default.
+    #[serde(default)]
+    pub policies: Vec<HostedPolicy>,
     /// Always `wxyz`.
     pub quaternion_order: String,
     /// Always `top_left`.
@@ -32,6 +35,19 @@ pub struct Hello {
     pub scores_itself: bool,
     /// Whether the same reset and actions give the same state hashes.
     pub deterministic: bool,
+}
+
+/// A policy that runs in the server and proposes the actions of an episode.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HostedPolicy {
+    /// Name.
+    pub name: String,
+    /// Description of one line.
+    #[serde(default)]
+    pub meaning: String,
+    /// Version of the policy, or hash of its files, if it is known.
+    #[serde(default)]
+    pub version: String,
 }
 
 /// Name and version of a program.
@@ -78,6 +94,7 @@ impl Hello {
             time_step_s: None,
             task,
             space: None,
+            policies: Vec::new(),
             quaternion_order: ORDER.0.to_owned(),
             image_origin: ORDER.1.to_owned(),
             scores_itself: true,
@@ -112,6 +129,12 @@ impl Hello {
         require(task.parameters.len() <= limits::PARAMETERS, "at most 256 parameters are allowed")?;
         let lengths = task.observation.vectors.iter().all(|vector| vector.length <= limits::NUMBERS);
         require(lengths, "an observed vector may have at most 4096 numbers")?;
+        let mut policies: Vec<&str> = self.policies.iter().map(|policy| &*policy.name).collect();
+        let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
+        let named = |name: &&str| (1..=64).contains(&name.len()) && name.chars().all(allowed);
+        require(policies.iter().all(named), "a policy's name must have 1 to 64 letters, digits, `_`, `-` and `.`")?;
+        policies.sort_unstable();
+        require(policies.windows(2).all(|pair| pair[0] != pair[1]), "two policies have the same name")?;
         self.check_names()?;
         self.check_space()?;
         require(

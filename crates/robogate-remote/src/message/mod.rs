@@ -11,13 +11,13 @@ mod step;
 use serde::{Deserialize, Serialize};
 
 pub use error::{ErrorKind, ErrorReply};
-pub use hello::{Engine, Hello, Program, Robot};
+pub use hello::{Engine, Hello, HostedPolicy, Program, Robot};
 pub use observation::ObservationMessage;
 pub use parameters::ParameterValue;
 pub(crate) use parameters::{from_wire, to_wire};
 pub use render::{HashReply, ImageInfo, RenderReply, RenderRequest};
 pub use reset::{ResetReply, ResetRequest};
-pub use step::{ActionKind, EndingMessage, Period, StepReply, StepRequest};
+pub use step::{ActionKind, EndingMessage, Period, Proposed, StepReply, StepRequest};
 
 /// The header of a request: common keys, then those of the operation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -6,7 +6,7 @@ use robogate_core::TaskInstance;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::{ObservationMessage, ParameterValue};
+use super::{ObservationMessage, ParameterValue, Proposed};
 
 /// Request to begin an episode. `C` is the cell that a server without its own task must set up.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -19,6 +19,9 @@ pub struct ResetRequest<C> {
     pub parameters: BTreeMap<String, ParameterValue>,
     /// Cell. Nil for a server that scores itself.
     pub cell: Option<C>,
+    /// Declared policy that proposes the actions of the episode.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub policy: Option<String>,
 }
 
 /// Reply to `reset`.
@@ -42,6 +45,9 @@ pub struct ResetReply<R, S> {
     /// Physical state at the start; key `sight` on the wire.
     #[serde(rename = "sight", default = "none", skip_serializing_if = "Option::is_none")]
     pub sample: Option<S>,
+    /// First action of the policy of the request.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub proposed: Option<Proposed>,
 }
 
 /// The default of an optional key whose type has no default.

@@ -88,6 +88,18 @@ pub struct Period<S> {
     /// Smallest distance between the robot and a fixture, in metres.
     #[serde(default)]
     pub clearance_m: Option<f64>,
+    /// Next action of the policy that proposes the actions of the episode.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub proposed: Option<Proposed>,
+}
+
+/// An action that a policy of the server proposes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Proposed {
+    /// Kind of the action.
+    pub action_space: ActionKind,
+    /// The numbers of the action, as in a request.
+    pub action: Vec<f64>,
 }
 
 /// How an episode ended.

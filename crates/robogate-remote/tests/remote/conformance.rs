@@ -18,7 +18,7 @@ use crate::toy::{Creep, hello, scenario};
 /// The report on a server, and the names of the checks that failed.
 fn run(server: &Running) -> (Report, BTreeSet<&'static str>) {
     let scenarios: Vec<Scenario> = (0..3).map(scenario).collect();
-    let report = check(&server.address, timeouts(), &scenarios, &mut ScoredSession).unwrap();
+    let report = check(&server.address, timeouts(), &scenarios, &mut ScoredSession::default()).unwrap();
     let failed = report.results.iter().filter(|result| result.violation.is_some()).map(|result| result.name).collect();
     (report, failed)
 }
@@ -160,7 +160,7 @@ fn python_servers_conform_and_repeat() {
         })
         .collect();
     let timeouts = Timeouts::from_step(Duration::from_secs(10));
-    let report = check(&address, timeouts, &scenarios, &mut ScoredSession).unwrap();
+    let report = check(&address, timeouts, &scenarios, &mut ScoredSession::default()).unwrap();
     assert!(report.passed(), "{:?}", report.results);
     let pool = Arc::new(Pool::connect(&[address], timeouts, Box::new(|_| {})).unwrap());
     let mut simulator = RemoteEnvironment::new(pool).unwrap();
@@ -180,6 +180,6 @@ fn python_task_conforms() {
     assert!(hello.robot.is_none() && hello.task.name == "tank");
     let space = Arc::new(hello.task.declared_space().unwrap());
     let scenarios = scenarios(&hello.task, Some(&space), &Assignment::default(), 3).unwrap();
-    let report = check(&address, timeouts, &scenarios, &mut ScoredSession).unwrap();
+    let report = check(&address, timeouts, &scenarios, &mut ScoredSession::default()).unwrap();
     assert!(report.passed(), "{:?}", report.results);
 }

@@ -22,6 +22,7 @@ fn every_request_gets_a_reply() {
         seed: 2,
         parameters: [("mass_kg".to_owned(), ParameterValue::Float(1.0))].into(),
         cell: None,
+        policy: None,
     };
     let steps =
         StepRequest { tick: 0, action_space: ActionKind::JointPosition, actions: vec![vec![0.1, 0.2, 0.3, 1.0]; 2] };
@@ -62,7 +63,7 @@ fn decoded_replies_are_finite() {
     let (began, time) = (Instant::now(), support::fuzz_time());
     let mut random = support::Random(8);
     let mut toy = Server::new(EnvironmentHost::new(hello(), Box::new(Toy::default())));
-    let reset = ResetRequest::<Empty> { index: 1, seed: 2, parameters: [].into(), cell: None };
+    let reset = ResetRequest::<Empty> { index: 1, seed: 2, parameters: [].into(), cell: None, policy: None };
     let steps = StepRequest { tick: 0, action_space: ActionKind::JointPosition, actions: vec![vec![0.1; 4]; 3] };
     let requests = [request("hello", Empty {}), request("reset", reset), request("step", steps)];
     let replies = requests.map(|request| toy.answer(&[request]).swap_remove(0));

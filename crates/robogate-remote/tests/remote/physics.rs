@@ -61,7 +61,14 @@ impl Host for ToyPhysics {
         (self.joints, self.tick) = (vec![0.0; 3], 0);
         let mass = scenario.requested.number("mass_kg").unwrap_or(1.0);
         let (readback, sample) = (Some(mass), Some(0.0));
-        Ok(ResetReply { observation: self.observation(), instance: None, applied: None, readback, sample })
+        Ok(ResetReply {
+            observation: self.observation(),
+            instance: None,
+            applied: None,
+            readback,
+            sample,
+            proposed: None,
+        })
     }
 
     fn step(&mut self, action: &Action) -> Result<Period<f64>, Fault> {
@@ -78,6 +85,7 @@ impl Host for ToyPhysics {
             events: None,
             samples: Some(vec![self.joints.iter().sum(); STEPS]),
             clearance_m: None,
+            proposed: None,
         })
     }
 

@@ -74,7 +74,7 @@ impl BridgeCheck {
             scenarios(&task, space.map(Arc::new).as_ref(), &base, SCENARIOS).map_err(anyhow::Error::msg).or_usage()?;
         note(format_args!("checking {} ...", self.address));
         let report = if hello.scores_itself {
-            check(&self.address, timeouts, &scenarios, &mut ScoredSession)
+            check(&self.address, timeouts, &scenarios, &mut ScoredSession::default())
         } else {
             let mut session = PhysicsSession(self.environment.cell()?.remote_task().or_usage()?);
             check(&self.address, timeouts, &scenarios, &mut session)
