@@ -3,6 +3,7 @@
 mod answer;
 mod cell;
 mod commands;
+mod environments;
 mod exit;
 #[cfg(feature = "mujoco")]
 mod inspection;
@@ -74,6 +75,8 @@ enum Verb {
     Policy(commands::policy::Policies),
     /// List the tasks, engines, robots, policies, spaces and suites of this build
     List(commands::list::List),
+    /// List, install and inspect environments that run in Python: Meta-World, Fetch, or your own
+    Env(commands::env::Environments),
     /// List the robots, or check one
     Robots(commands::robots::Robots),
     /// Write a folder with everything that a verdict depends on, so that others can check it
@@ -115,6 +118,7 @@ fn main() -> ExitCode {
         Verb::Suites(suites) => suites.execute(),
         Verb::Policy(policy) => policy.execute(),
         Verb::List(list) => list.execute(),
+        Verb::Env(environments) => environments.execute(),
         Verb::Robots(robots) => robots.execute(),
         Verb::Evidence(evidence) => evidence.execute(),
         Verb::Verify(verify) => verify.execute(),

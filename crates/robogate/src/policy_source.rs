@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
-use robogate_core::{Fault, Policy};
+use robogate_core::{Fault, FaultKind, Policy};
 use robogate_policy::{ExternalPolicy, PolicyError, Profile};
 use robogate_tasks::Random;
 use serde::{Deserialize, Serialize};
@@ -20,6 +20,19 @@ pub(crate) enum PolicySource {
     External(ExternalSource),
     /// A built-in policy.
     BuiltIn(BuiltInPolicy),
+    /// A policy that the environment declares and runs itself.
+    Declared(DeclaredPolicy),
+}
+
+/// A policy that the environment declares and runs itself.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct DeclaredPolicy {
+    /// Its name.
+    pub(crate) environment: String,
+    /// Its version, or the hash of its files, as the environment declares it.
+    #[serde(default)]
+    pub(crate) version: String,
 }
 
 /// Built-in policies that drive any task.
@@ -48,6 +61,7 @@ impl PolicySource {
         match self {
             Self::External(served) => &served.profile.name,
             Self::BuiltIn(BuiltInPolicy::Random) => "random",
+            Self::Declared(declared) => &declared.environment,
         }
     }
 
@@ -55,7 +69,7 @@ impl PolicySource {
     pub(crate) fn profile(&self) -> Option<&Profile> {
         match self {
             Self::External(served) => Some(&served.profile),
-            Self::BuiltIn(_) => None,
+            Self::BuiltIn(_) | Self::Declared(_) => None,
         }
     }
 
@@ -65,15 +79,19 @@ impl PolicySource {
             Self::External(served) => {
                 ExternalSource::ask(&served.server, Arc::clone(&served.profile)).map(Self::External)
             }
-            Self::BuiltIn(own) => Ok(Self::BuiltIn(*own)),
+            Self::BuiltIn(_) | Self::Declared(_) => Ok(self.clone()),
         }
     }
 
-    /// Creates the policy for one worker.
+    /// Creates the policy for one worker. One that the environment runs is created with the environment.
     pub(crate) fn policy(&self) -> Result<Box<dyn Policy>, Fault> {
         Ok(match self {
             Self::External(served) => Box::new(ExternalPolicy::connect(&served.server, Arc::clone(&served.profile))?),
             Self::BuiltIn(BuiltInPolicy::Random) => Box::new(Random::new()),
+            Self::Declared(declared) => {
+                let detail = format!("the policy {} runs in its environment only", declared.environment);
+                return Err(Fault::new(FaultKind::Setup, detail));
+            }
         })
     }
 }
@@ -93,9 +111,10 @@ impl ExternalSource {
 /// The arguments that select the policy.
 #[derive(Debug, Args)]
 pub(crate) struct PolicyArguments {
-    /// Choose the policy: scripted (the environment's own controller, the default), random (actions drawn within the
-    /// bounds of the task), the address of a policy server such as ws://127.0.0.1:8000, or an ONNX file
-    #[arg(long, value_name = "URL|FILE|random|scripted")]
+    /// Choose the policy: scripted (the environment's own controller, the default), a policy that the environment
+    /// declares (see `robogate env inspect`), random (actions drawn within the bounds of the task), the address of a
+    /// policy server such as ws://127.0.0.1:8000, or an ONNX file
+    #[arg(long, value_name = "URL|FILE|NAME|random|scripted")]
     policy: Option<String>,
     /// Choose the observation and action mapping of that policy: a built-in profile (see `robogate policy profiles`),
     /// or a TOML file
@@ -114,13 +133,23 @@ impl PolicyArguments {
             }
             (Some(server), Some(wanted)) => ExternalSource::ask(server, Arc::new(profile(wanted).or_usage()?))
                 .map(|served| Some(PolicySource::External(served))),
+            (Some(name), None) if is_name(name) => {
+                let declared = DeclaredPolicy { environment: name.to_owned(), version: String::new() };
+                Ok(Some(PolicySource::Declared(declared)))
+            }
             (Some(policy), None) => Err(without_profile(policy)).or_usage(),
         }
     }
 }
 
+/// Whether this can be the name of a policy that an environment declares.
+fn is_name(policy: &str) -> bool {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-');
+    !policy.is_empty() && policy.chars().all(allowed) && !Path::new(policy).exists()
+}
+
 /// The error for a policy without a profile.
-fn without_profile(policy: &str) -> anyhow::Error {
+pub(crate) fn without_profile(policy: &str) -> anyhow::Error {
     if policy.contains("://") || Path::new(policy).exists() {
         anyhow!(
             "--policy {policy}: --profile is missing. It describes the observations and actions of the model\n  hint: \

@@ -1,5 +1,6 @@
 //! Remote simulators: their addresses, what they run, and the built-in task in servers that only compute physics.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -9,14 +10,15 @@ use robogate_core::{Action, Command, Fault, FaultKind, Image, Observation, Scena
 use robogate_dictionary::provenance;
 use robogate_physics::{Chain, Engine, GripperCommand, Robot};
 use robogate_remote::message::{Hello, ObservationMessage, Period, ResetReply};
-use robogate_remote::{Host, Pool, PoolError, RemoteTask, Timeouts};
+use robogate_remote::{Host, Listener, Pool, PoolError, RemoteTask, Timeouts};
 use robogate_tasks::pick_place::CONTROL_PERIOD_S;
 use robogate_tasks::pick_place::remote::{
     self as cell_remote, Cell, RemotePeriod, RemotePickPlace, RemoteReadback, RemoteSight,
 };
 use robogate_zmtp::Address;
 
-use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
+use crate::environments::{Interpreter, Servers};
+use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
 use crate::terminal::note;
 
 /// The arguments that select remote simulators.
@@ -29,6 +31,9 @@ pub(crate) struct Simulators {
     /// Set the timeout for a step of such a simulator, in seconds (0.001 to 86400); a reset may take four times as long
     #[arg(long = "simulator-timeout", value_name = "SECONDS", default_value_t = 30.0, value_parser = seconds)]
     timeout_s: f64,
+    /// Choose the Python interpreter of --env; default: that of `robogate env setup`, otherwise the active python3
+    #[arg(long, value_name = "PATH")]
+    pub(crate) python: Option<PathBuf>,
 }
 
 /// Parse a timeout.
@@ -48,13 +53,30 @@ impl Simulators {
         if self.addresses.is_empty() {
             return Ok(None);
         }
-        let listener = Box::new(|failure: &str| note(format_args!("warning: {failure}")));
-        match Pool::connect(&self.addresses, self.timeouts(), listener) {
-            Ok(pool) => Ok(Some(Arc::new(pool))),
-            Err(why @ PoolError::Request { .. }) => Err(Exit { code: INFRASTRUCTURE, error: why.into() }),
-            Err(why) => Err(Exit { code: USAGE, error: why.into() }),
-        }
+        Pool::connect(&self.addresses, self.timeouts(), listener()).map(|pool| Some(Arc::new(pool))).map_err(pool_error)
     }
+
+    /// Start the first server of an environment, and connect to it.
+    pub(crate) fn launch(&self, environment: &str) -> Result<(Arc<Pool>, Arc<Servers>), Exit> {
+        let interpreter = Interpreter::choose(self.python.as_deref(), environment).or_usage()?;
+        note(format_args!("starting {environment} in {}", interpreter.path().display()));
+        let (servers, address) = Servers::start(environment.to_owned(), interpreter)?;
+        let pool = Pool::connect(&[address], self.timeouts(), listener()).map_err(pool_error)?;
+        let starter = Arc::clone(&servers);
+        let pool = pool.with_restart(Box::new(move |position| starter.restart(position)));
+        Ok((Arc::new(pool), servers))
+    }
+}
+
+/// Prints failures of servers.
+fn listener() -> Listener {
+    Box::new(|failure: &str| note(format_args!("warning: {failure}")))
+}
+
+/// Gives an error of a pool its exit code.
+fn pool_error(error: PoolError) -> Exit {
+    let code = if matches!(error, PoolError::Request { .. }) { INFRASTRUCTURE } else { USAGE };
+    Exit { code, error: error.into() }
 }
 
 /// Check that a server has this robot.

@@ -10,7 +10,7 @@ use robogate_campaign::{Worker, WorkerFactory};
 use robogate_core::{Assignment, Environment, Fault, FaultKind, ParameterSpace, Policy, Suite, TaskSpec};
 use robogate_dictionary::{Platform, Provenance, SCHEMA_VERSION, Tool, provenance};
 use robogate_physics::{RobotFile, SuctionLaw, is_folder};
-use robogate_remote::message::{self, Hello};
+use robogate_remote::message::{self, Hello, HostedPolicy};
 use robogate_remote::{Pool, RemoteEnvironment};
 use robogate_tasks::SelfContained;
 use robogate_tasks::pick_place::{built_in_space, built_in_spaces};
@@ -18,8 +18,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::cell::{self, Cell, CellSettings};
+use crate::environments::Servers;
 use crate::exit::{Exit, OrExit};
-use crate::policy_source::PolicySource;
+use crate::policy_source::{DeclaredPolicy, PolicySource, without_profile};
 use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
 use crate::remote::{self, Simulators};
 use crate::renderer::RendererName;
@@ -31,6 +32,10 @@ pub(crate) struct EnvironmentArguments {
     /// Choose the built-in task (see `robogate list`)
     #[arg(long, value_name = "TASK", default_value = CELL_TASK, conflicts_with = "addresses")]
     task: String,
+    /// Run in this environment: FAMILY:NAME of a bundled one (see `robogate env list`), gymnasium:ID, or your own as
+    /// FILE.py:ATTRIBUTE or MODULE:ATTRIBUTE
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["task", "addresses", "engine", "time_step", "robot", "grip_force", "suction"])]
+    env: Option<String>,
     /// Choose the robot of pick_place: a built-in one (see `robogate robots`), or the folder of your own
     #[arg(long, value_name = "ROBOT", default_value = "franka")]
     robot: String,
@@ -58,9 +63,16 @@ pub(crate) struct EnvironmentArguments {
 impl EnvironmentArguments {
     /// The environment that the arguments select. `suction` is used for a suction cup if they do not choose a law.
     pub(crate) fn environment(&self, suction: SuctionLaw) -> Result<EnvironmentSource, Exit> {
+        if let Some(name) = &self.env {
+            return EnvironmentSource::launched(&from_any_folder(name), &self.simulators);
+        }
         let pool = self.simulators.connect()?;
         if let Some(pool) = pool.as_ref().filter(|pool| pool.hello().scores_itself) {
-            return Ok(EnvironmentSource::Remote(RemoteSource { pool: Arc::clone(pool), robot: self.robot.clone() }));
+            return Ok(EnvironmentSource::Remote(RemoteSource {
+                pool: Arc::clone(pool),
+                robot: self.robot.clone(),
+                launched: None,
+            }));
         }
         if pool.is_none() && self.task != CELL_TASK {
             return registry::task(&self.task).map(EnvironmentSource::SelfContained).or_usage();
@@ -72,10 +84,10 @@ impl EnvironmentArguments {
     pub(crate) fn cell(&self) -> Result<Cell, Exit> {
         match self.environment(SuctionLaw::Vacuum)? {
             EnvironmentSource::Cell(cell) => Ok(*cell),
-            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => {
-                Err(anyhow!("this command works with the built-in cell only\n  hint: leave out --task and --simulator"))
-                    .or_usage()
-            }
+            EnvironmentSource::SelfContained(_) | EnvironmentSource::Remote(_) => Err(anyhow!(
+                "this command works with the built-in cell only\n  hint: leave out --task, --env and --simulator"
+            ))
+            .or_usage(),
         }
     }
 
@@ -100,6 +112,18 @@ fn absolute(robot: &str) -> String {
     full.map_or_else(|| robot.to_owned(), |path| path.to_string_lossy().into_owned())
 }
 
+/// Makes the file in the name of an environment absolute, so that a run can be resumed from any folder.
+fn from_any_folder(name: &str) -> String {
+    let (file, attribute) = match name.find(".py").map(|at| name.split_at(at + 3)) {
+        Some((file, attribute)) if attribute.is_empty() || attribute.starts_with(':') => (file, attribute),
+        _ => return name.to_owned(),
+    };
+    match Path::new(file).canonicalize() {
+        Ok(full) => format!("{}{attribute}", full.display()),
+        Err(_) => name.to_owned(),
+    }
+}
+
 /// The source of environments.
 pub(crate) enum EnvironmentSource {
     /// The built-in cell.
@@ -115,6 +139,8 @@ pub(crate) struct RemoteSource {
     pool: Arc<Pool>,
     /// The robot of the scripted controller, if the task is that of the built-in cell.
     robot: String,
+    /// The environment and its servers, if this process started them.
+    launched: Option<(String, Arc<Servers>)>,
 }
 
 /// What a run records about its environment, in addition to task, engine and robot.
@@ -123,6 +149,8 @@ pub(crate) struct RemoteSource {
 enum Recorded {
     /// A built-in task that brings its own world.
     SelfContained(RecordedTask),
+    /// An environment that runs in Python.
+    Launched(RecordedEnvironment),
     /// Servers that declare their own task.
     Remote(RecordedServers),
     /// The built-in cell.
@@ -133,6 +161,12 @@ enum Recorded {
 #[serde(deny_unknown_fields)]
 struct RecordedTask {
     task: String,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RecordedEnvironment {
+    environment: String,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -171,8 +205,11 @@ impl Subject {
             (environment, _) => environment,
         };
         let task = environment.task().or_broken()?;
+        let policy = environment.declared_policy(policy).or_usage()?;
         let subject = Self { environment, policy, task };
         let ready = match &subject.policy {
+            // The environment declares it for its own task.
+            Some(PolicySource::Declared(_)) => return Ok(subject),
             Some(source) => source.policy().map_err(anyhow::Error::from).or_broken()?,
             None => subject.environment.controller().or_usage()?,
         };
@@ -195,11 +232,17 @@ impl Subject {
             .or_usage()?;
         let recorded: Recorded =
             serde_json::from_value(world).context("plan.json: provenance.world cannot be read").or_usage()?;
-        let pool = simulators.connect()?;
+        let (pool, launched) = match &recorded {
+            Recorded::Launched(RecordedEnvironment { environment }) if simulators.addresses.is_empty() => {
+                let (pool, servers) = simulators.launch(environment)?;
+                (Some(pool), Some((environment.clone(), servers)))
+            }
+            _ => (simulators.connect()?, None),
+        };
         let engine = &provenance.engine;
         let remote = match &recorded {
             Recorded::SelfContained(_) => false,
-            Recorded::Remote(_) => true,
+            Recorded::Remote(_) | Recorded::Launched(_) => true,
             Recorded::Cell(settings) => settings.simulator.is_some(),
         };
         match &pool {
@@ -223,13 +266,18 @@ impl Subject {
                 EnvironmentSource::SelfContained(registry::task(&task).or_usage()?)
             }
             (Recorded::Remote(RecordedServers { robot, .. }), Some(pool)) => {
-                EnvironmentSource::Remote(RemoteSource { pool, robot })
+                EnvironmentSource::Remote(RemoteSource { pool, robot, launched: None })
+            }
+            (Recorded::Launched(_), Some(pool)) => {
+                EnvironmentSource::Remote(RemoteSource { pool, robot: franka(), launched })
             }
             (Recorded::Cell(settings), pool) => {
                 // Every run of a robot with a cup records its suction law.
                 EnvironmentSource::Cell(Box::new(Cell::new(settings, SuctionLaw::Vacuum, pool).or_usage()?))
             }
-            (Recorded::Remote(_), None) => return Err(anyhow!("--simulator ADDRESS is missing")).or_usage(),
+            (Recorded::Remote(_) | Recorded::Launched(_), None) => {
+                return Err(anyhow!("--simulator ADDRESS is missing")).or_usage();
+            }
         };
         let policy = policy.as_ref().map(PolicySource::asked_again).transpose()?;
         Self::new(environment, policy)
@@ -287,7 +335,19 @@ impl Subject {
         match &self.environment {
             EnvironmentSource::Cell(cell) => cell.servers(),
             EnvironmentSource::SelfContained(_) => None,
+            // This process starts as many as it needs.
+            EnvironmentSource::Remote(RemoteSource { launched: Some(_), .. }) => None,
             EnvironmentSource::Remote(source) => NonZeroUsize::new(source.pool.len()),
+        }
+    }
+
+    /// Starts servers for this many workers, if this process starts them.
+    pub(crate) fn start_servers(&self, workers: NonZeroUsize) -> Result<(), Exit> {
+        match &self.environment {
+            EnvironmentSource::Remote(RemoteSource { pool, launched: Some((_, servers)), .. }) => {
+                servers.grow(pool, workers)
+            }
+            _ => Ok(()),
         }
     }
 
@@ -356,6 +416,45 @@ fn check_declared(task: &TaskSpec, space: &ParameterSpace) -> anyhow::Result<()>
 }
 
 impl EnvironmentSource {
+    /// An environment whose servers this process starts.
+    fn launched(name: &str, simulators: &Simulators) -> Result<Self, Exit> {
+        let (pool, servers) = simulators.launch(name)?;
+        Ok(Self::Remote(RemoteSource { pool, robot: franka(), launched: Some((name.to_owned(), servers)) }))
+    }
+
+    /// The policies that the environment declares.
+    fn policies(&self) -> &[HostedPolicy] {
+        match self {
+            Self::Remote(source) => &source.pool.hello().policies,
+            Self::Cell(_) | Self::SelfContained(_) => &[],
+        }
+    }
+
+    /// The policy that the user chose, with the version that the environment declares. Without a choice, the first
+    /// policy that the environment declares, if there is one.
+    fn declared_policy(&self, chosen: Option<PolicySource>) -> anyhow::Result<Option<PolicySource>> {
+        let found = match &chosen {
+            None => self.policies().first(),
+            Some(PolicySource::Declared(wanted)) => {
+                let found = self.policies().iter().find(|policy| policy.name == wanted.environment);
+                if found.is_none() {
+                    let known: Vec<&str> = self.policies().iter().map(|policy| &*policy.name).collect();
+                    if known.is_empty() {
+                        return Err(without_profile(&wanted.environment));
+                    }
+                    let (name, known) = (&wanted.environment, known.join(", "));
+                    bail!("--policy {name}: the environment declares no such policy. Expected one of: {known}, random");
+                }
+                found
+            }
+            Some(_) => None,
+        };
+        let declared = |policy: &HostedPolicy| {
+            PolicySource::Declared(DeclaredPolicy { environment: policy.name.clone(), version: policy.version.clone() })
+        };
+        Ok(found.map(declared).or(chosen))
+    }
+
     /// The task.
     pub(crate) fn task(&self) -> anyhow::Result<Arc<TaskSpec>> {
         Ok(match self {
@@ -388,7 +487,7 @@ impl EnvironmentSource {
                 Ok(Hello { space, ..Hello::new((*task.task()).clone(), program, engine) })
             }
             Self::Remote(_) => {
-                bail!("`robogate serve` serves built-in environments only\n  hint: leave out --simulator")
+                bail!("`robogate serve` serves built-in environments only\n  hint: leave out --env and --simulator")
             }
         }
     }
@@ -453,6 +552,9 @@ impl EnvironmentSource {
         match self {
             Self::Cell(cell) => Recorded::Cell(cell.settings().clone()),
             Self::SelfContained(task) => Recorded::SelfContained(RecordedTask { task: task.name().to_owned() }),
+            Self::Remote(RemoteSource { launched: Some((name, _)), .. }) => {
+                Recorded::Launched(RecordedEnvironment { environment: name.clone() })
+            }
             Self::Remote(source) => {
                 Recorded::Remote(RecordedServers { simulator: ScoresItself::ScoresItself, robot: source.robot.clone() })
             }
@@ -519,6 +621,13 @@ pub(crate) fn recorded_robot(provenance: &Provenance) -> Option<Vec<RobotFile>> 
 
 impl WorkerFactory for Subject {
     fn worker(&self) -> Result<Worker, Fault> {
+        if let (EnvironmentSource::Remote(source), Some(PolicySource::Declared(declared))) =
+            (&self.environment, &self.policy)
+        {
+            let (environment, policy) = RemoteEnvironment::with_policy(Arc::clone(&source.pool), &declared.environment)
+                .map_err(|why| Fault::new(FaultKind::Setup, why.to_string()))?;
+            return Ok(Worker { environment: Box::new(environment), policy: Box::new(policy) });
+        }
         let environment =
             self.environment.environment().map_err(|why| Fault::new(FaultKind::Unavailable, format!("{why:#}")))?;
         Ok(Worker { environment, policy: self.policy()? })

@@ -72,7 +72,7 @@ struct Given(Vec<String>);
 
 impl Given {
     /// The arguments of `run` that do not affect the results of a campaign.
-    const WITHOUT_EFFECT: [&str; 6] = ["out", "shard", "threads", "json", "addresses", "timeout_s"];
+    const WITHOUT_EFFECT: [&str; 7] = ["out", "shard", "threads", "json", "addresses", "timeout_s", "python"];
 
     /// Whether an argument affects the results.
     fn describe_a_plan(&self) -> bool {
@@ -107,7 +107,8 @@ impl Args for Given {
 /// How a campaign is run and shown.
 #[derive(Debug, Args)]
 pub(crate) struct How {
-    /// Set the number of threads; default: one for each core, or for each server of --simulator
+    /// Set the number of threads; default: one for each core, or for each server of --simulator. --env starts a server
+    /// for each thread
     #[arg(long, value_name = "T")]
     threads: Option<NonZeroUsize>,
     /// Print the result as one JSON document
@@ -220,6 +221,7 @@ impl How {
         if self.threads.is_some() && threads < wanted {
             note(format_args!("{threads} thread: the policy server keeps one state for all clients"));
         }
+        subject.start_servers(threads)?;
         let stop = Arc::new(AtomicBool::new(false));
         let asked = Arc::clone(&stop);
         ctrlc::set_handler(move || {

@@ -5,6 +5,7 @@ A **bundled environment** is one Python file of this folder that defines `FAMILY
     FAMILY = Family(
         name="metaworld",                                # the part of a name before the colon
         summary="50 table-top tasks with scripted experts",
+        package="metaworld",                                 # must be importable
         requirements=["metaworld==3.1.1", "mujoco==3.3.0"],   # pinned; `robogate env setup` installs them
         names=names,                                     # () -> list of str: what may follow the colon
         environment=environment,                         # (str) -> Environment: the environment of such a name
@@ -20,6 +21,8 @@ documentation.
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import importlib
 import importlib.util
 import sys
@@ -60,7 +63,10 @@ def find(name: str) -> Environment:
             raise UnknownEnvironment(f"{name}: the name of the environment is missing. Expected {first}:NAME")
         return known[first].environment(rest)
     if first.endswith(".py"):
-        return _own(_load(Path(first)), rest, name)
+        file = Path(first)
+        environment = _own(_load(file), rest, name)
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()[:12]
+        return environment if environment.source else dataclasses.replace(environment, source=f"{file.name} sha256:{digest}")
     try:
         module = importlib.import_module(first)
     except ModuleNotFoundError as error:

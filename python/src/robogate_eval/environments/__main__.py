@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import sys
 
+from ..serving.environment import DeclarationError
 from . import UnknownEnvironment, families, find
+
+# What a server needs in addition to the environment: module and pinned requirement.
+SERVER = {"zmq": "pyzmq==27.1.0", "msgpack": "msgpack==1.1.2"}
 
 
 def main() -> None:
@@ -18,14 +23,24 @@ def main() -> None:
     serve.add_argument("--child", action="store_true", help="serve the parent process: take a free port, and end with the standard input")
     describe = verbs.add_parser("describe", help="print the declaration of an environment, as JSON")
     describe.add_argument("name")
+    requirements = verbs.add_parser("requirements", help="print the pinned requirements of a family, as pip reads them")
+    requirements.add_argument("name", help="name of the family")
     verbs.add_parser("list", help="print the bundled environments, as JSON")
     arguments = parser.parse_args()
     try:
-        {"serve": _serve, "describe": _describe, "list": _list}[arguments.verb](arguments)
+        {"serve": _serve, "describe": _describe, "list": _list, "requirements": _requirements}[arguments.verb](arguments)
     except UnknownEnvironment as error:
-        sys.exit(f"error: {error}")
+        _refuse(str(error))
     except ModuleNotFoundError as error:
-        sys.exit(_missing(arguments, error))
+        _refuse(_missing(arguments, error))
+    except DeclarationError as error:
+        _refuse(f"{arguments.name}: {error}")
+
+
+def _refuse(message: str) -> None:
+    """End with the exit code for errors that the user can correct."""
+    print(f"error: {message}", file=sys.stderr)
+    sys.exit(2)
 
 
 def _serve(arguments: argparse.Namespace) -> None:
@@ -38,27 +53,44 @@ def _serve(arguments: argparse.Namespace) -> None:
 
 
 def _describe(arguments: argparse.Namespace) -> None:
+    from robogate_bridge import declaration
+
     from ..serving.adapter import Adapter
 
+    from ..serving.process import own_output
+
+    # Packages print to standard output when they are imported.
+    answer = own_output()
     adapter = Adapter(find(arguments.name))
-    print(json.dumps(adapter.hello() | {"not_offered": [{"name": name, "reason": why} for name, why in adapter.dropped]}))
+    declared = declaration.hello(adapter.hello())
+    print(json.dumps(declared | {"not_offered": [{"name": name, "reason": why} for name, why in adapter.dropped]}), file=answer)
 
 
 def _list(arguments: argparse.Namespace) -> None:
     out = []
     for family in families().values():
-        try:
-            names, missing = family.names(), None
-        except ImportError as error:
-            names, missing = [], error.name
-        out.append({"name": family.name, "summary": family.summary, "requirements": family.requirements, "names": names, "missing": missing})
+        missing = [package for package in (family.package, *SERVER) if importlib.util.find_spec(package) is None]
+        out.append({
+            "name": family.name,
+            "summary": family.summary,
+            "requirements": [*family.requirements, *SERVER.values()],
+            "names": [] if missing else family.names(),
+            "missing": missing[0] if missing else None,
+        })  # fmt: skip
     print(json.dumps(out))
+
+
+def _requirements(arguments: argparse.Namespace) -> None:
+    family = families().get(arguments.name)
+    if family is None:
+        raise UnknownEnvironment(f"{arguments.name}: unknown family. Expected one of: {', '.join(families())}")
+    print("\n".join([*family.requirements, *SERVER.values()]))
 
 
 def _missing(arguments: argparse.Namespace, error: ModuleNotFoundError) -> str:
     family = getattr(arguments, "name", "").partition(":")[0]
     hint = f"`robogate env setup {family}` creates a Python environment with all that it needs" if family in families() else f"install it for {sys.executable}"
-    return f"error: the Python package {error.name} is missing in {sys.executable}\n  hint: {hint}"
+    return f"the Python package {error.name} is missing in {sys.executable}\n  hint: {hint}"
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,12 +17,19 @@ class Family:
     name: str
     # One line for `robogate env list`.
     summary: str
+    # The package that must be importable.
+    package: str
     # Pinned requirements of pip, without those of this package.
     requirements: list[str]
-    # Lists what may follow the colon. May import the package, and raise ImportError without it.
+    # Lists what may follow the colon. May import the package.
     names: Callable[[], list[str]]
     # The environment of one of these names. Raises `UnknownEnvironment` for any other name.
     environment: Callable[[str], Environment]
+
+
+def installed(package: str) -> str:
+    """Name and version of an installed package."""
+    return f"{package} {importlib.metadata.version(package)}"
 
 
 class UnknownEnvironment(LookupError):

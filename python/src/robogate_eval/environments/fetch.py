@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
-
-import numpy as np
 
 from ..serving.environment import Environment, FailureMode, Measure, Policy, Task
 from ..serving.trajectory import Trajectory
-from .family import Family, UnknownEnvironment
+from .family import Family, UnknownEnvironment, installed
 
 INSTRUCTIONS = {
     "FetchReach-v4": "move the gripper to the target",
@@ -24,12 +23,8 @@ def names() -> list[str]:
     return list(INSTRUCTIONS)
 
 
-def _distance(observation: dict) -> float:
-    return float(np.linalg.norm(observation["achieved_goal"] - observation["desired_goal"]))
-
-
 def _measure(trajectory: Trajectory) -> dict[str, float | None]:
-    distances = [_distance(observation) for observation in trajectory.observations]
+    distances = [math.dist(observation["achieved_goal"], observation["desired_goal"]) for observation in trajectory.observations]
     return {"final_distance_m": distances[-1], "smallest_distance_m": min(distances)}
 
 
@@ -37,15 +32,17 @@ def _failure(trajectory: Trajectory) -> str | None:
     if not trajectory.over:
         return None
     first, moved = trajectory.observations[0], trajectory.observations[-1]
-    far = float(np.linalg.norm(moved["achieved_goal"] - first["achieved_goal"])) > 0.01
+    far = math.dist(moved["achieved_goal"], first["achieved_goal"]) > 0.01
     return "not_completed" if far else "not_moved"
 
 
 def _scripted(env: Any):
     """Ours: move above the block, lower, close, and carry it to the target."""
+    import numpy as np
+
     closed = [0]
 
-    def act(observation: dict) -> np.ndarray:
+    def act(observation: dict) -> Any:
         state, goal = observation["observation"], observation["desired_goal"]
         hand = state[:3]
         if len(state) < 25:  # FetchReach has no block
@@ -103,6 +100,7 @@ def environment(name: str) -> Environment:
             measure=_measure,
             action_names=["x", "y", "z", "gripper"],
         ),
+        source=installed("gymnasium-robotics"),
         space=space,
         policies={"scripted": scripted} if name in ("FetchReach-v4", "FetchPickAndPlace-v4") else {},
     )
@@ -111,7 +109,8 @@ def environment(name: str) -> Environment:
 FAMILY = Family(
     name="fetch",
     summary="Fetch of gymnasium-robotics: reach, push, slide, pick and place",
-    requirements=["gymnasium-robotics==1.4.2", "mujoco==3.3.7"],
+    package="gymnasium_robotics",
+    requirements=["gymnasium-robotics==1.4.2", "mujoco==3.3.7", "gymnasium==1.4.0", "numpy==2.4.6"],
     names=names,
     environment=environment,
 )

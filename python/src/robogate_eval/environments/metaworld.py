@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from ..serving.environment import Environment, FailureMode, Measure, Policy, Task
 from ..serving.trajectory import Trajectory
-from .family import Family, UnknownEnvironment
+from .family import Family, UnknownEnvironment, installed
 
 # Bodies of the arm and its surroundings, which all tasks share. Every other body belongs to the task.
 ARM = {
@@ -66,11 +64,12 @@ def _failure(trajectory: Trajectory) -> str | None:
 
 
 def _measure(trajectory: Trajectory) -> dict[str, float | None]:
+    rewards = trajectory.rewards
     distances = [info["obj_to_target"] for info in trajectory.infos if "obj_to_target" in info]
     return {
         "final_distance_m": float(distances[-1]) if distances else None,
         "smallest_distance_m": float(min(distances)) if distances else None,
-        "mean_reward": float(np.mean(trajectory.rewards)),
+        "mean_reward": float(sum(rewards) / len(rewards)),
     }
 
 
@@ -104,6 +103,7 @@ def environment(name: str) -> Environment:
             measure=_measure,
             action_names=["x", "y", "z", "gripper"],
         ),
+        source=installed("metaworld"),
         space=_space(cls),
         policies=policies,
     )
@@ -112,7 +112,7 @@ def environment(name: str) -> Environment:
 def _space(cls: type) -> dict[str, tuple]:
     """What is sampled by default: physics of the bodies and joints of the task, the gripper, and the delay."""
     from ..serving import friction
-    from ..serving.model import Model
+    from ..serving.model import Model, rigid
 
     model = Model(Seeded(cls))
     m = model.model
@@ -120,10 +120,11 @@ def _space(cls: type) -> dict[str, tuple]:
     for body, name in enumerate(model.names("body")):
         if not name or name in ARM or not m.body_weldid[body]:
             continue
-        mass = float(m.body_mass[body])
+        bodies = rigid(m, body)
+        mass = float(m.body_mass[bodies].sum())
         if mass > 0.0:
             space[f"mass:{name}"] = (0.3 * mass, 3.0 * mass, "log")
-        if friction.geoms(m, body):
+        if friction.geoms(m, bodies):
             space[f"friction:{name}"] = (0.05, 2.0, "log")
         if m.body_jntnum[body] and m.jnt_type[m.body_jntadr[body]] == 0:
             space |= {f"shift_x:{name}": (-0.03, 0.03), f"shift_y:{name}": (-0.03, 0.03)}
@@ -138,6 +139,7 @@ def _space(cls: type) -> dict[str, tuple]:
 FAMILY = Family(
     name="metaworld",
     summary="Meta-World: 50 tasks of a Sawyer arm, with scripted experts",
+    package="metaworld",
     requirements=["metaworld==3.1.1", "mujoco==3.3.0", "gymnasium==1.4.0", "numpy==2.4.6", "packaging==26.3"],
     names=names,
     environment=environment,

@@ -2,7 +2,6 @@
 
 from .environment import Camera, Environment, FailureMode, Measure, Policy, Task
 from .knobs import Knob
-from .process import serve
 from .trajectory import Trajectory
 
-__all__ = ["Camera", "Environment", "FailureMode", "Knob", "Measure", "Policy", "Task", "Trajectory", "serve"]
+__all__ = ["Camera", "Environment", "FailureMode", "Knob", "Measure", "Policy", "Task", "Trajectory"]

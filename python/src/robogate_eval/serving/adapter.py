@@ -10,7 +10,7 @@ from robogate_bridge import Image, Problem
 
 from . import mujoco_knobs
 from .disturbances import Disturbances
-from .environment import Camera, Environment
+from .environment import Camera, DeclarationError, Environment
 from .knobs import Knob, differs, parameter_name
 from .model import Model, NoModel
 from .spaces import Actions, Observations
@@ -54,10 +54,10 @@ class Adapter:
         name, version = self._engine()
         return {
             "server": {"name": "robogate-eval", "version": "1"},
-            "engine": {"name": name, "version": version},
+            "engine": {"name": name, "version": version, "solver": self._environment.source or None},
             "task": self._declaration(),
             "space": self._space(),
-            "policies": [{"name": name, "meaning": policy.meaning} for name, policy in self._environment.policies.items()],
+            "policies": [{"name": name, "meaning": policy.meaning, "version": policy.version} for name, policy in self._environment.policies.items()],
             "scores_itself": True,
             "deterministic": self.deterministic,
         }
@@ -93,7 +93,7 @@ class Adapter:
             knob = self._by_parameter.get(parameter_name(name))
             if knob is None:
                 reason = dict(self.dropped).get(name, "the environment has no such knob")
-                raise ValueError(f"the space of {self._task.name} contains {name}: {reason}")
+                raise DeclarationError(f"the space of {self._task.name} contains {name}: {reason}")
             low, high, *scale = domain
             parameter = {"name": knob.parameter, "kind": "integer" if knob.integer else "continuous", "low": low, "high": high}
             if scale:
@@ -111,7 +111,7 @@ class Adapter:
         rate = (getattr(base, "metadata", None) or {}).get("render_fps")
         if rate:
             return 1.0 / float(rate)
-        raise ValueError(f"{self._task.name}: the control period is unknown. Set control_period_s in its Task")
+        raise DeclarationError(f"{self._task.name}: the control period is unknown. Set control_period_s in its Task")
 
     def _step_limit(self) -> int:
         if self._task.time_limit_s is not None:
@@ -120,7 +120,7 @@ class Adapter:
         for limit in (getattr(specification, "max_episode_steps", None), getattr(self._env.unwrapped, "max_path_length", None)):
             if limit:
                 return int(limit)
-        raise ValueError(f"{self._task.name}: the time limit is unknown. Set time_limit_s in its Task")
+        raise DeclarationError(f"{self._task.name}: the time limit is unknown. Set time_limit_s in its Task")
 
     def _engine(self) -> tuple[str, str]:
         if self._environment.engine is not None:
@@ -145,7 +145,7 @@ class Adapter:
         known = {knob.name for knob in offered} | dict(self.dropped).keys()
         unknown = sorted(names - known - {"*"})
         if unknown:
-            raise ValueError(f"{self._task.name}: no knob is named {', '.join(unknown)}")
+            raise DeclarationError(f"{self._task.name}: no knob is named {', '.join(unknown)}")
         taken, unique = set(), []
         # Knobs that are sampled by default come first, so that they are within the limit.
         order = [*own, *sorted(offered, key=lambda knob: knob.name not in self._environment.space and knob.name not in names)]

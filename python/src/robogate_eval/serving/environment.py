@@ -11,6 +11,10 @@ from .knobs import Knob
 from .trajectory import Trajectory
 
 
+class DeclarationError(ValueError):
+    """The declaration of an environment contradicts the environment."""
+
+
 @dataclass(frozen=True)
 class FailureMode:
     """A way in which an episode can fail."""
@@ -54,6 +58,8 @@ class Policy:
 
     make: Callable[[Any], Callable[[Any], Any]]
     meaning: str = ""
+    # Version of the policy, or the hash of its files. A run records it.
+    version: str = ""
 
 
 @dataclass(frozen=True)
@@ -111,6 +117,9 @@ class Environment:
     observe: Callable[[Any], Any] | None = None
     # Name and version of the physics. Default: MuJoCo or the environment's package.
     engine: tuple[str, str] | None = None
+    # Name and version of the package that the environment comes from, or the hash of its file. A run records it, and is resumed
+    # only with the same.
+    source: str = ""
 
 
 def as_environment(value: Any, name: str) -> Environment:
@@ -118,7 +127,7 @@ def as_environment(value: Any, name: str) -> Environment:
     if isinstance(value, Environment):
         return value
     if not callable(value):
-        raise TypeError(f"{name}: expected an Environment or a function that makes one, not {type(value).__name__}")
+        raise DeclarationError(f"{name}: expected an Environment or a function that makes one, not {type(value).__name__}")
     # A class, or a function that is annotated with something else, makes a Gymnasium environment.
     if not isinstance(value, type):
         made = value()

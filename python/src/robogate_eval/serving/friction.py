@@ -1,4 +1,4 @@
-"""Friction of a body, written so that it acts and read from contacts.
+"""Friction of bodies, written so that it acts and read from contacts.
 
 MuJoCo takes the larger friction of the two geoms of a contact, unless one of them has a higher priority. A value that is only
 written to the geoms of a body therefore has no effect where the other geom has more friction, although it reads back from the
@@ -12,56 +12,61 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 
 from .model import Model
 
 
-def geoms(model: Any, body: int) -> list[int]:
-    """The geoms of a body that can collide."""
-    first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
-    return [g for g in range(first, first + count) if model.geom_contype[g] or model.geom_conaffinity[g]]
+def geoms(model: Any, bodies: list[int]) -> list[int]:
+    """The geoms of these bodies that can collide."""
+    return [g for g in _all_geoms(model, bodies) if model.geom_contype[g] or model.geom_conaffinity[g]]
 
 
-def write(model: Model, body: int, value: float, raise_priority: bool = True) -> None:
-    """Set the coefficient of sliding friction of every contact of a body with other bodies."""
-    m, mine = model.model, geoms(model.model, body)
+def _all_geoms(model: Any, bodies: list[int]) -> list[int]:
+    return [g for b in bodies for g in range(int(model.body_geomadr[b]), int(model.body_geomadr[b] + model.body_geomnum[b]))]
+
+
+def write(model: Model, bodies: list[int], value: float, raise_priority: bool = True) -> None:
+    """Set the coefficient of sliding friction of every contact of these bodies with others."""
+    m, mine = model.model, geoms(model.model, bodies)
     model.edit(m.geom_friction, (mine, 0), value)
     if raise_priority:
         model.edit(m.geom_priority, mine, int(m.geom_priority.max()) + 1)
 
 
-def live(model: Model, body: int) -> list[float]:
-    """The coefficients of sliding friction of the present contacts of a body."""
-    return _of(model.model, model.data, body)
+def live(model: Model, bodies: list[int]) -> list[float]:
+    """The coefficients of sliding friction of the present contacts of these bodies with others."""
+    return _of(model.model, model.data, bodies)
 
 
-def _of(m: Any, data: Any, body: int) -> list[float]:
+def _of(m: Any, data: Any, bodies: list[int]) -> list[float]:
     count = data.ncon
     if not count:
         return []
     contact = data.contact
     if hasattr(contact, "friction"):
-        first, second = m.geom_bodyid[contact.geom1], m.geom_bodyid[contact.geom2]
-        touching = (first == body) != (second == body)
+        first, second = (np.isin(m.geom_bodyid[geom], bodies) for geom in (contact.geom1, contact.geom2))
+        touching = first != second
         return contact.friction[touching, 0].tolist() if touching.any() else []
-    pairs = ((c, m.geom_bodyid[c.geom1] == body, m.geom_bodyid[c.geom2] == body) for c in (contact[i] for i in range(count)))
+    pairs = ((c, m.geom_bodyid[c.geom1] in bodies, m.geom_bodyid[c.geom2] in bodies) for c in (contact[i] for i in range(count)))
     return [float(c.friction[0]) for c, first, second in pairs if first != second]
 
 
-def read(model: Model, body: int, wanted: float | None = None) -> float | None:
-    """The coefficient that the contacts of a body have. None if it has none and none can be made.
+def read(model: Model, bodies: list[int], wanted: float | None = None) -> float | None:
+    """The coefficient that the contacts of these bodies have. None if they have none and none can be made.
 
-    If the body touches nothing, a copy of the state is taken in which it does, and the engine makes the contact. Of several
+    If they touch nothing, a copy of the state is taken in which they do, and the engine makes the contact. Of several
     different values, that which is farthest from `wanted` is returned, or without it the largest.
     """
-    values = live(model, body) or _probe(model, body)
+    values = live(model, bodies) or _probe(model, bodies)
     if not values:
         return None
     return max(values) if wanted is None else max(values, key=lambda value: abs(value - wanted))
 
 
-def _probe(model: Model, body: int) -> list[float]:
-    """Move the geoms of a body onto those of other bodies, in a copy of the state, and collide."""
+def _probe(model: Model, bodies: list[int]) -> list[float]:
+    """Move the geoms of these bodies onto those of other bodies, in a copy of the state, and collide."""
     import mujoco
 
     m, scratch = model.model, model.scratch
@@ -70,19 +75,18 @@ def _probe(model: Model, body: int) -> list[float]:
         scratch.mocap_pos[:], scratch.mocap_quat[:] = model.data.mocap_pos, model.data.mocap_quat
     mujoco.mj_kinematics(m, scratch)
     mujoco.mj_comPos(m, scratch)
-    first, count = int(m.body_geomadr[body]), int(m.body_geomnum[body])
-    all_of_body = slice(first, first + count)
+    all_of_body = _all_geoms(m, bodies)
     places = scratch.geom_xpos[all_of_body].copy()
     flags = int(m.opt.disableflags)
     # The midphase uses positions of bodies, which are not moved here.
     m.opt.disableflags = flags | int(getattr(mujoco.mjtDisableBit, "mjDSBL_MIDPHASE", 0))
     found: list[float] = []
     try:
-        for mine in geoms(m, body):
-            for other in _partners(m, body, mine):
+        for mine in geoms(m, bodies):
+            for other in _partners(m, bodies[0], mine):
                 scratch.geom_xpos[all_of_body] = places + (scratch.geom_xpos[other] - scratch.geom_xpos[mine])
                 mujoco.mj_collision(m, scratch)
-                met = _of(m, scratch, body)
+                met = _of(m, scratch, bodies)
                 scratch.geom_xpos[all_of_body] = places
                 if met:
                     found += met

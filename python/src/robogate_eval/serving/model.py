@@ -50,6 +50,15 @@ def _get(value: Any, name: str) -> Any:
         return None
 
 
+def rigid(model: Any, body: int) -> list[int]:
+    """A body, and the bodies below it that are fixed to it."""
+    bodies = [body]
+    for other in range(body + 1, model.nbody):
+        if int(model.body_parentid[other]) in bodies and model.body_weldid[other] == model.body_weldid[body]:
+            bodies.append(other)
+    return bodies
+
+
 class Model:
     """The model and data of an environment. Edits are undone before the next reset."""
 

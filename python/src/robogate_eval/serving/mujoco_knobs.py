@@ -12,7 +12,7 @@
 | `gain`, `gain:ACTUATOR` | factor of the force of all actuators, or of one (its name or index) | |
 | `gravity` | along the direction of the model | m/s^2 |
 
-Every value is read from the model that the environment steps, friction from contacts (`friction.py`). A knob whose effect cannot be
+A body includes the bodies that are fixed to it. Every value is read from the model that the environment steps, friction from contacts (`friction.py`). A knob whose effect cannot be
 read is not in the catalogue.
 """
 
@@ -26,7 +26,7 @@ import numpy as np
 
 from . import friction
 from .knobs import Knob
-from .model import Model
+from .model import Model, rigid
 
 SMALLEST_MASS_KG = 1e-3
 
@@ -95,62 +95,65 @@ def _factor(now: np.ndarray, base: np.ndarray) -> float:
 
 def _body(model: Model, body: int, name: str, can_observe: bool) -> list[Knob]:
     m, knobs = model.model, []
-    mass = float(m.body_mass[body])
+    bodies = rigid(m, body)
+    mass = float(m.body_mass[bodies].sum())
     free = m.body_jntnum[body] == 1 and m.jnt_type[m.body_jntadr[body]] == 0
     # A body that is welded to the world does not move, so its mass has no effect. Models give a negligible mass to bodies that
     # only hold a frame.
     if mass >= SMALLEST_MASS_KG and m.body_weldid[body] != 0:
-        inertia = m.body_inertia[body].copy()
-        knobs += [_mass(model, body, name, mass, inertia), _inertia(model, body, name, mass, inertia)]
-    mine = friction.geoms(m, body)
+        masses, inertias = m.body_mass[bodies].copy(), m.body_inertia[bodies].copy()
+        knobs += [_mass(model, bodies, name, masses, inertias), _inertia(model, bodies, name, masses, inertias)]
+    mine = friction.geoms(m, bodies)
     if mine:
-        base = friction.read(model, body)
+        base = friction.read(model, bodies)
         if base is not None:
-            knobs.append(_friction(model, body, name, base))
-        # Meshes, planes and height fields have no size that can be scaled.
-        if m.body_weldid[body] != 0 and all(2 <= m.geom_type[g] <= 6 for g in mine):
+            knobs.append(_friction(model, bodies, name, base))
+        # Meshes, planes and height fields have no size that can be scaled, and a body with parts would fall apart.
+        if m.body_weldid[body] != 0 and bodies == [body] and all(2 <= m.geom_type[g] <= 6 for g in mine):
             knobs.append(_size(model, body, name, can_observe))
     if free and can_observe:
         knobs += _pose(model, body, name)
     return knobs
 
 
-def _mass(model: Model, body: int, name: str, mass: float, inertia: np.ndarray) -> Knob:
+def _mass(model: Model, bodies: list[int], name: str, masses: np.ndarray, inertias: np.ndarray) -> Knob:
+    mass = float(masses.sum())
+
     def write(env: Any, value: float) -> None:
-        model.edit(model.model.body_mass, body, value)
-        model.edit(model.model.body_inertia, body, inertia * (value / mass))
+        model.edit(model.model.body_mass, bodies, masses * (value / mass))
+        model.edit(model.model.body_inertia, bodies, inertias * (value / mass))
 
     return Knob(
-        f"mass:{name}", write, lambda env: float(model.model.body_mass[body]), mass / 10.0, mass * 10.0, nominal=mass, unit="kg",
+        f"mass:{name}", write, lambda env: float(model.model.body_mass[bodies].sum()), mass / 10.0, mass * 10.0, nominal=mass, unit="kg",
         meaning=f"Mass of {name}; its inertia scales with it.", read_from="body_mass of the model that is stepped",
     )  # fmt: skip
 
 
-def _inertia(model: Model, body: int, name: str, mass: float, inertia: np.ndarray) -> Knob:
+def _inertia(model: Model, bodies: list[int], name: str, masses: np.ndarray, inertias: np.ndarray) -> Knob:
     def unit() -> np.ndarray:
-        return inertia * (float(model.model.body_mass[body]) / mass)
+        return inertias * float(model.model.body_mass[bodies].sum() / masses.sum())
 
     def write(env: Any, value: float) -> None:
-        model.edit(model.model.body_inertia, body, unit() * value)
+        model.edit(model.model.body_inertia, bodies, unit() * value)
 
     return Knob(
-        f"inertia:{name}", write, lambda env: _factor(model.model.body_inertia[body], unit()), 0.1, 10.0, nominal=1.0,
+        f"inertia:{name}", write, lambda env: _factor(model.model.body_inertia[bodies], unit()), 0.1, 10.0, nominal=1.0,
         meaning=f"Factor of the inertia of {name} at its mass.", read_from="body_inertia of the model that is stepped",
     )  # fmt: skip
 
 
-def _friction(model: Model, body: int, name: str, nominal: float) -> Knob:
+def _friction(model: Model, bodies: list[int], name: str, nominal: float) -> Knob:
     wanted: list[float] = [nominal]
 
     def write(env: Any, value: float) -> None:
         wanted[0] = value
-        friction.write(model, body, value)
+        friction.write(model, bodies, value)
 
     def read(env: Any) -> float | None:
-        return friction.read(model, body, wanted[0])
+        return friction.read(model, bodies, wanted[0])
 
     def watch(env: Any) -> float | None:
-        values = friction.live(model, body)
+        values = friction.live(model, bodies)
         return max(values, key=lambda value: abs(value - wanted[0])) if values else None
 
     return Knob(

@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TextIO
 
 import robogate_bridge
 
@@ -55,8 +55,7 @@ def serve_child(load: Callable[[], Environment]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_input, daemon=True).start()
     # Packages print to standard output when they are imported.
-    answer = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)
+    answer = own_output()
     environment = load()
     adapter = Adapter(environment)
 
@@ -64,6 +63,13 @@ def serve_child(load: Callable[[], Environment]) -> None:
         print(json.dumps({"listening": address}), file=answer, flush=True)
 
     robogate_bridge.serve(adapter, "tcp://127.0.0.1:*", ready=ready)
+
+
+def own_output() -> TextIO:
+    """Take the standard output for this process's own answers. Everything else that is printed goes to standard error."""
+    answer = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    return answer
 
 
 def _end_with_input() -> None:

@@ -8,11 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from .environment import task_name
-
-
-class UnsupportedSpace(TypeError):
-    """A space that cannot be served, with what is supported."""
+from .environment import DeclarationError, task_name
 
 
 class Observations:
@@ -39,10 +35,10 @@ class Observations:
         elif isinstance(space, (spaces.Box, spaces.MultiBinary, spaces.Discrete)):
             length = int(np.prod(space.shape)) if space.shape else 1
             if length > 4096:
-                raise UnsupportedSpace(f"the observation {name} has {length} numbers. Expected at most 4096, or an image as bytes")
+                raise DeclarationError(f"the observation {name} has {length} numbers. Expected at most 4096, or an image as bytes")
             self.vectors[name] = (path, length)
         else:
-            raise UnsupportedSpace(f"the observation {name} is a {type(space).__name__}. Expected a Box, or a Dict of Boxes")
+            raise DeclarationError(f"the observation {name} is a {type(space).__name__}. Expected a Box, or a Dict of Boxes")
 
     def declaration(self) -> list[dict]:
         """The vectors in the form of the bridge protocol."""
@@ -82,14 +78,14 @@ class Actions:
 
     def __init__(self, space: spaces.Space, names: Sequence[str]):
         if not isinstance(space, spaces.Box):
-            raise UnsupportedSpace(f"the action space is a {type(space).__name__}. Expected a Box")
+            raise DeclarationError(f"the action space is a {type(space).__name__}. Expected a Box")
         low, high = (np.asarray(bound, dtype=float).ravel() for bound in (space.low, space.high))
         if not (np.isfinite(low).all() and np.isfinite(high).all()):
-            raise UnsupportedSpace("the action space has no finite bounds. Wrap the environment in gymnasium.wrappers.RescaleAction")
+            raise DeclarationError("the action space has no finite bounds. Wrap the environment in gymnasium.wrappers.RescaleAction")
         self.low, self.high, self.shape, self.dtype = low, high, space.shape, space.dtype
         self.names = list(names) or [f"action_{i}" for i in range(len(low))]
         if len(self.names) != len(low):
-            raise UnsupportedSpace(f"the task names {len(self.names)} numbers of an action, but the environment has {len(low)}")
+            raise DeclarationError(f"the task names {len(self.names)} numbers of an action, but the environment has {len(low)}")
 
     def declaration(self) -> dict:
         """The action space in the form of the bridge protocol."""

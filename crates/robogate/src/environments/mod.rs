@@ -1,0 +1,8 @@
+//! Environments that run in Python: the interpreter, the embedded package, and the processes.
+
+mod package;
+mod python;
+mod servers;
+
+pub(crate) use python::{Interpreter, installed, installed_marker};
+pub(crate) use servers::Servers;

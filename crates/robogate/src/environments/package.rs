@@ -1,0 +1,107 @@
+//! The Python package that serves environments. It is part of the command, so that both have the same version.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// One embedded file: its path in the package, and its content.
+macro_rules! embedded {
+    ($path:literal, $folder:literal) => {
+        ($path, include_str!(concat!("../../../../", $folder, "/", $path)))
+    };
+}
+
+/// The files of the packages `robogate_eval` and `robogate_bridge` that a server needs, by their paths.
+const PACKAGE: &[(&str, &str)] = &[
+    embedded!("robogate_eval/__init__.py", "python/src"),
+    embedded!("robogate_eval/_command.py", "python/src"),
+    embedded!("robogate_eval/environments/__init__.py", "python/src"),
+    embedded!("robogate_eval/environments/__main__.py", "python/src"),
+    embedded!("robogate_eval/environments/family.py", "python/src"),
+    embedded!("robogate_eval/environments/fetch.py", "python/src"),
+    embedded!("robogate_eval/environments/metaworld.py", "python/src"),
+    embedded!("robogate_eval/serving/__init__.py", "python/src"),
+    embedded!("robogate_eval/serving/adapter.py", "python/src"),
+    embedded!("robogate_eval/serving/disturbances.py", "python/src"),
+    embedded!("robogate_eval/serving/environment.py", "python/src"),
+    embedded!("robogate_eval/serving/friction.py", "python/src"),
+    embedded!("robogate_eval/serving/knobs.py", "python/src"),
+    embedded!("robogate_eval/serving/model.py", "python/src"),
+    embedded!("robogate_eval/serving/mujoco_knobs.py", "python/src"),
+    embedded!("robogate_eval/serving/process.py", "python/src"),
+    embedded!("robogate_eval/serving/spaces.py", "python/src"),
+    embedded!("robogate_eval/serving/trajectory.py", "python/src"),
+    embedded!("robogate_bridge/__init__.py", "bridges/common"),
+    embedded!("robogate_bridge/cell.py", "bridges/common"),
+    embedded!("robogate_bridge/client.py", "bridges/common"),
+    embedded!("robogate_bridge/codec.py", "bridges/common"),
+    embedded!("robogate_bridge/declaration.py", "bridges/common"),
+    embedded!("robogate_bridge/errors.py", "bridges/common"),
+    embedded!("robogate_bridge/identity.py", "bridges/common"),
+    embedded!("robogate_bridge/server.py", "bridges/common"),
+    embedded!("robogate_bridge/servo.py", "bridges/common"),
+    embedded!("robogate_bridge/shape.py", "bridges/common"),
+];
+
+/// Writes the package below `cache`, unless it is there, and returns the folder to put on `PYTHONPATH`.
+pub(super) fn unpack(cache: &Path) -> io::Result<PathBuf> {
+    let folder = cache.join(format!("python-{}-{:016x}", env!("CARGO_PKG_VERSION"), fingerprint()));
+    if folder.is_dir() {
+        return Ok(folder);
+    }
+    // Several processes may do this at once. The first that renames its copy wins.
+    let own = cache.join(format!("python-{}.part", std::process::id()));
+    for (path, text) in PACKAGE {
+        let file = own.join(path);
+        fs::create_dir_all(file.parent().unwrap_or(&own))?;
+        fs::write(file, text)?;
+    }
+    match fs::rename(&own, &folder) {
+        Err(_) if folder.is_dir() => fs::remove_dir_all(&own)?,
+        other => other?,
+    }
+    Ok(folder)
+}
+
+/// FNV-1a hash of all files. It only tells builds apart.
+fn fingerprint() -> u64 {
+    let bytes = PACKAGE.iter().flat_map(|(path, text)| path.bytes().chain(text.bytes()));
+    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The Python files of a folder, relative to `root`.
+    fn files(root: &Path, folder: &str, found: &mut Vec<String>) {
+        for entry in fs::read_dir(root.join(folder)).unwrap() {
+            let entry = entry.unwrap();
+            let path = format!("{folder}/{}", entry.file_name().to_string_lossy());
+            if entry.file_type().unwrap().is_dir() && !path.ends_with("__pycache__") {
+                files(root, &path, found);
+            } else if path.ends_with(".py") {
+                found.push(path);
+            }
+        }
+    }
+
+    #[test]
+    fn package_is_complete() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let mut found = Vec::new();
+        files(&root.join("python/src"), "robogate_eval/serving", &mut found);
+        files(&root.join("python/src"), "robogate_eval/environments", &mut found);
+        files(&root.join("bridges/common"), "robogate_bridge", &mut found);
+        let missing: Vec<_> = found.iter().filter(|path| PACKAGE.iter().all(|(known, _)| known != path)).collect();
+        assert!(missing.is_empty(), "not embedded: {missing:?}");
+    }
+
+    #[test]
+    fn unpacking_twice_gives_one_folder() {
+        let cache = tempfile::tempdir().unwrap();
+        let first = unpack(cache.path()).unwrap();
+        assert_eq!(unpack(cache.path()).unwrap(), first);
+        assert!(first.join("robogate_eval/environments/__main__.py").is_file());
+    }
+}

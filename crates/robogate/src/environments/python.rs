@@ -1,0 +1,130 @@
+//! The Python interpreter of an environment.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, anyhow, bail};
+use serde::de::DeserializeOwned;
+
+use super::package;
+use crate::exit::{Exit, OrExit, USAGE};
+
+/// Exit code of `python -m robogate_eval.environments` for an error that the user can correct.
+pub(super) const PYTHON_USAGE: i32 = 2;
+
+/// The cache folder: `ROBOGATE_CACHE_DIR`, else `$XDG_CACHE_HOME/robogate`, else `~/.cache/robogate`.
+fn cache() -> anyhow::Result<PathBuf> {
+    let path = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    path("ROBOGATE_CACHE_DIR")
+        .or_else(|| Some(path("XDG_CACHE_HOME")?.join("robogate")))
+        .or_else(|| Some(path("HOME")?.join(".cache/robogate")))
+        .ok_or_else(|| anyhow!("no cache folder\n  hint: set ROBOGATE_CACHE_DIR or HOME to an absolute path"))
+}
+
+/// The family of a bundled environment: the part of its name before the colon.
+fn family(name: &str) -> &str {
+    name.split(':').next().unwrap_or(name)
+}
+
+/// The folder of the Python environment that `robogate env setup` creates for a family.
+pub(crate) fn installed(family: &str) -> anyhow::Result<PathBuf> {
+    Ok(cache()?.join("environments").join(family))
+}
+
+/// The file that `robogate env setup` writes last. It contains the requirements.
+pub(crate) fn installed_marker(folder: &Path) -> PathBuf {
+    folder.join("installed.txt")
+}
+
+/// A Python interpreter that can import the embedded package.
+#[derive(Debug, Clone)]
+pub(crate) struct Interpreter {
+    python: PathBuf,
+    python_path: OsString,
+}
+
+impl Interpreter {
+    /// The interpreter that the user named, or that of `robogate env setup` for the family of the environment, or the
+    /// active one.
+    pub(crate) fn choose(named: Option<&Path>, environment: &str) -> anyhow::Result<Self> {
+        let family = family(environment);
+        let plain = !family.is_empty() && family.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+        let set_up =
+            if plain { Some(installed(family)?).filter(|folder| installed_marker(folder).is_file()) } else { None };
+        let python = match (named, set_up) {
+            (Some(named), _) => named.to_owned(),
+            (None, Some(folder)) => folder.join("bin/python"),
+            (None, None) => PathBuf::from("python3"),
+        };
+        Self::new(python)
+    }
+
+    /// This interpreter.
+    pub(crate) fn new(python: PathBuf) -> anyhow::Result<Self> {
+        let package =
+            cache().and_then(|cache| Ok(package::unpack(&cache)?)).context("cannot unpack the Python package")?;
+        // A package that the user put there comes first: a checkout that is being edited, for example.
+        let before = std::env::var_os("PYTHONPATH").unwrap_or_default();
+        let folders = std::env::split_paths(&before).filter(|folder| !folder.as_os_str().is_empty()).chain([package]);
+        Ok(Self { python, python_path: std::env::join_paths(folders).context("PYTHONPATH")? })
+    }
+
+    /// The path of the interpreter.
+    pub(crate) fn path(&self) -> &Path {
+        &self.python
+    }
+
+    /// The command `python -m robogate_eval.environments VERB`.
+    pub(crate) fn command(&self, verb: &str) -> Command {
+        let mut command = Command::new(&self.python);
+        command.args(["-u", "-m", "robogate_eval.environments", verb]).env("PYTHONPATH", &self.python_path);
+        command
+    }
+
+    /// Runs a verb that prints one JSON document.
+    pub(crate) fn ask<T: DeserializeOwned>(&self, verb: &str, arguments: &[&str]) -> Result<T, Exit> {
+        let output = self.command(verb).args(arguments).output().map_err(|why| self.unusable(&why)).or_usage()?;
+        if !output.status.success() {
+            let code = if output.status.code() == Some(PYTHON_USAGE) { USAGE } else { crate::exit::INFRASTRUCTURE };
+            let text = String::from_utf8_lossy(&output.stderr);
+            return Err(Exit { code, error: anyhow!("{}", readable(&text)) });
+        }
+        let parse = || -> anyhow::Result<T> {
+            let text = String::from_utf8(output.stdout)?;
+            let Some(last) = text.lines().last() else { bail!("it printed nothing") };
+            Ok(serde_json::from_str(last)?)
+        };
+        parse().with_context(|| format!("{}: cannot read the answer to `{verb}`", self.python.display())).or_broken()
+    }
+
+    /// The error for an interpreter that cannot be started.
+    pub(crate) fn unusable(&self, why: &std::io::Error) -> anyhow::Error {
+        anyhow!("--python {}: cannot be started: {why}\n  hint: name a Python 3.10 or newer", self.python.display())
+    }
+}
+
+/// The message of a Python process for the user: its own error if it reported one, otherwise all of its output.
+pub(super) fn readable(output: &str) -> String {
+    match output.rfind("error: ").filter(|at| *at == 0 || output.as_bytes().get(at - 1) == Some(&b'\n')) {
+        Some(at) => output.get(at + "error: ".len()..).unwrap_or_default().trim_end().to_owned(),
+        None => output.trim_end().to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn family_is_before_the_colon() {
+        assert_eq!(family("metaworld:push-v3"), "metaworld");
+        assert_eq!(family("mine.py:make"), "mine.py");
+    }
+
+    #[test]
+    fn own_error_is_shown_alone() {
+        assert_eq!(readable("warning: old\nerror: no such task\n  hint: another\n"), "no such task\n  hint: another");
+        assert_eq!(readable("Traceback:\nValueError: error: x\n"), "Traceback:\nValueError: error: x");
+    }
+}

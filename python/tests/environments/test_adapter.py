@@ -1,0 +1,199 @@
+"""The adapter, on environments that have no package of their own. They need gymnasium, mujoco, pyzmq and msgpack."""
+
+import unittest
+
+import gymnasium
+import numpy as np
+from robogate_bridge import Action, Problem, Scenario, declaration
+from robogate_eval.serving import FailureMode, Knob, Measure, Policy, Task
+from robogate_eval.serving import friction as friction_of
+from robogate_eval.serving.adapter import Adapter
+from robogate_eval.serving.environment import DeclarationError, Environment, as_environment
+from sliding_box import SlidingBox
+
+PUSH = Policy(lambda env: lambda observation: np.array([0.4]), "Pushes as far as it can.")
+
+
+def sliding_box(make=SlidingBox, **options):
+    task = Task(
+        name="sliding_box",
+        failure_modes=[FailureMode("not_moved")],
+        failure=lambda trajectory: "not_moved" if trajectory.over and trajectory.observation["box"][0] < 0.03 else None,
+        measures=[Measure("way_m", "m", better="higher")],
+        measure=lambda trajectory: {"way_m": trajectory.observation["box"][0] - trajectory.observations[0]["box"][0]},
+    )
+    return Adapter(Environment(make=make, task=task, policies={"push": PUSH}, **options))
+
+
+def run(adapter, index=0, policy="push", **parameters):
+    """Run an episode of a policy. Returns the last step, and all state hashes."""
+    step = adapter.reset(Scenario(index, 1, parameters, policy=policy))
+    states = [adapter.state_hash()]
+    while step.get("ending") is None:
+        step = adapter.step(Action("vector", step["proposed"]["action"]))
+        states.append(adapter.state_hash())
+    return step, states
+
+
+class Declaring(unittest.TestCase):
+    def test_declaration_is_valid(self):
+        hello = declaration.hello(sliding_box(space={"friction:box": (0.1, 1.0)}).hello())
+        self.assertEqual([(v["name"], v["length"]) for v in hello["task"]["observation"]["vectors"]], [("box", 3), ("pusher.x", 1)])
+        self.assertEqual(hello["space"]["parameter"][0]["name"], "friction_box")
+        self.assertTrue(hello["deterministic"])
+        self.assertEqual(hello["policies"][0]["name"], "push")
+
+    def test_catalogue_of_the_model(self):
+        names = {knob.name for knob in sliding_box().knobs}
+        self.assertLessEqual(
+            {"mass:box", "inertia:box", "friction:box", "size:box", "shift_x:box", "turn:box", "damping:slide", "friction_loss:slide",
+             "gain", "gravity", "action_delay", "noise:box"},
+            names,
+        )  # fmt: skip
+        # The table does not move, so its mass does not act.
+        self.assertNotIn("mass:world", names)
+
+    def test_unknown_knob_is_refused(self):
+        with self.assertRaisesRegex(DeclarationError, "mass:ball"):
+            sliding_box(knobs=["mass:ball"])
+
+    def test_unbounded_action_is_refused(self):
+        class Unbounded(SlidingBox):
+            action_space = gymnasium.spaces.Box(-np.inf, np.inf, (1,))
+
+        with self.assertRaisesRegex(DeclarationError, "bounds"):
+            sliding_box(Unbounded)
+
+    def test_class_is_an_environment(self):
+        environment = as_environment(SlidingBox, "mine.SlidingBox")
+        self.assertEqual(environment.task.name, "mine.SlidingBox")
+        self.assertTrue(Adapter(environment).knobs)
+
+    def test_chance_is_not_deterministic(self):
+        class Chance(SlidingBox):
+            def reset(self, seed=None, options=None):
+                return super().reset(seed=None)
+
+        self.assertFalse(sliding_box(Chance).deterministic)
+
+
+class Running(unittest.TestCase):
+    def test_success_and_measures(self):
+        step, _ = run(sliding_box())
+        self.assertEqual(step["ending"], {"failure": None})
+        self.assertGreater(step["measures"]["way_m"], 0.1)
+
+    def test_failure_mode_at_the_limit(self):
+        step, states = run(sliding_box(), friction_box=2.0, mass_box=5.0)
+        self.assertEqual(step["ending"], {"failure": "not_moved"})
+        self.assertEqual(len(states), SlidingBox.max_path_length + 1)
+
+    def test_episodes_repeat_bit_for_bit(self):
+        adapter = sliding_box()
+        _, first = run(adapter, 3, friction_box=0.3, size_box=1.2, shift_x_box=0.02)
+        run(adapter, 4, mass_box=1.0, gain=2.0)
+        self.assertEqual(run(adapter, 3, friction_box=0.3, size_box=1.2, shift_x_box=0.02)[1], first)
+        self.assertEqual(run(sliding_box(), 3, friction_box=0.3, size_box=1.2, shift_x_box=0.02)[1], first)
+
+    def test_knobs_do_not_outlast_an_episode(self):
+        adapter = sliding_box()
+        _, plain = run(adapter, 5)
+        for knob in adapter.knobs:
+            adapter.reset(Scenario(6, 1, {knob.parameter: knob.low if knob.low != knob.nominal else knob.high}))
+        self.assertEqual(run(adapter, 5)[1], plain)
+
+    def test_knobs_act_on_a_rebuilt_model(self):
+        rebuilt = sliding_box(lambda: SlidingBox(rebuild=True))
+        for parameters in ({"mass_box": 2.0}, {"friction_box": 0.1}, {"gravity": 5.0}):
+            self.assertEqual(run(rebuilt, 2, **parameters)[1], run(sliding_box(), 2, **parameters)[1])
+
+    def test_delay_and_noise(self):
+        adapter = sliding_box()
+        first = adapter.reset(Scenario(1, 1, {"noise_box": 0.1}))["observation"]["vectors"]
+        exact = adapter.reset(Scenario(1, 1, {}))["observation"]["vectors"]
+        self.assertNotEqual(first["box"], exact["box"])
+        self.assertEqual(first["pusher.x"], exact["pusher.x"])
+        adapter.reset(Scenario(1, 1, {"action_delay": 3}))
+        for _ in range(3):
+            adapter.step(Action("vector", [0.4]))
+            self.assertEqual(float(adapter._trajectory.actions[-1][0]), 0.0)
+        adapter.step(Action("vector", [0.4]))
+        self.assertAlmostEqual(float(adapter._trajectory.actions[-1][0]), 0.4, places=6)
+
+    def test_own_knob(self):
+        def stiffen(env, value):
+            env.model.actuator_gainprm[0, 0] = value
+            env.model.actuator_biasprm[0, 1] = -value
+
+        stiffness = Knob("stiffness", stiffen, lambda env: env.model.actuator_gainprm[0, 0], 50.0, 500.0, nominal=200.0, unit="N/m")
+        adapter = sliding_box(knobs=[stiffness])
+        self.assertEqual(adapter.reset(Scenario(0, 1, {"stiffness": 70.0}))["applied"], {"stiffness": 70.0})
+
+
+class Friction(unittest.TestCase):
+    """MuJoCo takes the larger friction of two geoms. The table has 1.5 and the plate 0.2."""
+
+    def test_contacts_have_the_requested_friction(self):
+        for wanted in (0.05, 0.4, 3.0):
+            adapter = sliding_box()
+            reply = adapter.reset(Scenario(0, 1, {"friction_box": wanted}))
+            self.assertAlmostEqual(reply["applied"]["friction_box"], wanted)
+            self.assertEqual(set(friction_of.live(adapter._model, [2])), {wanted})
+
+    def test_unchanged_priority_is_read_back(self):
+        adapter = sliding_box()
+        knob = adapter._by_parameter["friction_box"]
+        adapter._by_parameter["friction_box"] = _without_priority(adapter, knob)
+        adapter.knobs[adapter.knobs.index(knob)] = adapter._by_parameter["friction_box"]
+        reply = adapter.reset(Scenario(0, 1, {"friction_box": 0.05}))
+        # The model's field has 0.05. The contacts have the friction of the table, so the client rejects the episode.
+        self.assertAlmostEqual(float(adapter._model.model.geom("block").friction[0]), 0.05)
+        self.assertAlmostEqual(reply["applied"]["friction_box"], 1.5)
+
+    def test_friction_that_changes_later_is_not_applied(self):
+        adapter = sliding_box()
+        adapter.reset(Scenario(0, 1, {"friction_box": 0.05}))
+        adapter._model.model.geom_priority[:] = 0
+        with self.assertRaisesRegex(Problem, "not_applied.*1.5 acted"):
+            adapter.step(Action("vector", [0.0]))
+
+    def test_body_without_contact_is_probed(self):
+        # The pusher touches nothing after a reset.
+        reply = sliding_box().reset(Scenario(0, 1, {"friction_pusher": 0.9}))
+        self.assertAlmostEqual(reply["applied"]["friction_pusher"], 0.9)
+
+
+def _without_priority(adapter, knob):
+    import dataclasses
+
+    return dataclasses.replace(knob, set=lambda env, value: friction_of.write(adapter._model, [2], value, raise_priority=False))
+
+
+class Faults(unittest.TestCase):
+    def test_diverged_physics(self):
+        adapter = sliding_box()
+        adapter.reset(Scenario(0, 1, {}))
+        adapter._model.data.qvel[:] = np.nan
+        with self.assertRaisesRegex(Problem, "diverged"):
+            adapter.step(Action("vector", [0.0]))
+
+    def test_stepping_another_model(self):
+        class Other(SlidingBox):
+            def step(self, action):
+                return self._get_obs(), 0.0, False, False, {"success": False}
+
+        environment = Environment(make=lambda: Other(), task=Task(name="other"))
+        with self.assertRaisesRegex(Problem, "does not step the model"):
+            Adapter(environment)
+
+    def test_no_report_of_success(self):
+        class Silent(SlidingBox):
+            def step(self, action):
+                return (*super().step(action)[:4], {})
+
+        with self.assertRaisesRegex(Problem, "reports no success"):
+            sliding_box(Silent)
+
+
+if __name__ == "__main__":
+    unittest.main()
