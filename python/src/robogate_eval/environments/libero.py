@@ -89,6 +89,7 @@ def _picture(camera, env):
 
 FAMILY = Family(
     name="libero",
+    package="libero",
     summary="LIBERO: four suites of ten tasks of a Panda arm, with a scripted controller (your installation of LIBERO)",
     requirements=["robosuite==1.4.1", "mujoco==2.3.7", "numpy==1.26.4", "bddl==1.0.1", "gym==0.25.2", "easydict==1.13", "future==1.0.0", "gymnasium==1.4.0"],
     names=names,
