@@ -6,7 +6,7 @@
 #
 # ROBOGATE_TESTS_STRICT=1 makes a skipped test a failure; ROBOGATE_TESTS_OPTIONAL lists tools that may be missing even then.
 # The Python environments are in the build folder. These variables select others: ROBOGATE_TEST_PYTHON, ROBOGATE_BRIDGE_PYTHON,
-# ROBOGATE_POLICY_PYTHON.
+# ROBOGATE_POLICY_PYTHON, ROBOGATE_METAWORLD_PYTHON, ROBOGATE_FETCH_PYTHON.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/common.sh
@@ -89,6 +89,12 @@ python ROBOGATE_TEST_PYTHON readers-venv crates/robogate-dictionary/tests/requir
 python ROBOGATE_POLICY_PYTHON policies-venv crates/robogate-policy/tests/requirements.txt
 python ROBOGATE_BRIDGE_PYTHON bridges-venv bridges/common/requirements.txt
 
+# The bundled environments declare their own requirements.
+for family in metaworld fetch; do
+    PYTHONPATH=python/src:bridges/common python3 -m robogate_eval.environments requirements "$family" > "$target/$family-requirements.txt"
+    python "ROBOGATE_${family^^}_PYTHON" "$family-venv" "$target/$family-requirements.txt"
+done
+
 step "Rust tests" rust "$@"
 if [ $# -eq 0 ]; then
     step "documentation examples" cargo test --doc --no-fail-fast --workspace "${full[@]}" --locked
@@ -98,6 +104,15 @@ if [ $# -eq 0 ]; then
     else
         skipped bridges/common "no Python with pyzmq and msgpack"
     fi
+    for suite in METAWORLD:test_adapter METAWORLD:test_metaworld FETCH:test_fetch; do
+        variable=ROBOGATE_${suite%%:*}_PYTHON
+        if [ -n "${!variable:-}" ]; then
+            step "environments ${suite#*:}" env PYTHONPATH=python/src:bridges/common "${!variable}" scripts/run_unittests.py \
+                python/tests/environments --pattern "${suite#*:}.py"
+        else
+            skipped "environments ${suite#*:}" "no Python for ${suite%%:*}"
+        fi
+    done
     # Newton compiles its kernels once and caches them in its environment.
     if bridges/common/setup.sh "$target/newton-venv" bridges/newton/requirements.txt; then
         step "bridges/newton" env ROBOGATE_NEWTON_VENV="$target/newton-venv" bridges/newton/test.sh

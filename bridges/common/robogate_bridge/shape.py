@@ -240,7 +240,13 @@ def proposed(value, task, where):
     space = known[kind]
     count = {"joint_position": len(space.get("joints", [])), "tool_delta": 6, "vector": len(space.get("names", []))}[kind]
     count += task["action"].get("gripper") is not None
-    return {"action_space": kind, "action": numbers(entry(value, "action", at), count, f"{at}.action")}
+    try:
+        return {"action_space": kind, "action": numbers(entry(value, "action", at), count, f"{at}.action")}
+    except Problem as problem:
+        if problem.kind != "diverged":
+            raise
+        # The number comes from the policy and not from the physics.
+        raise Problem("bad_action", f"the policy proposes an action that is not finite: {problem.detail}") from None
 
 
 def step(value, hello, time_s, sights, where):

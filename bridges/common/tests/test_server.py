@@ -73,6 +73,63 @@ class TheContact(unittest.TestCase):
             Contact.of({"contact": {"patch_radius_m": 0.005}})
 
 
+class Proposing(Tank):
+    """Proposes to open the inlet by half, and the outlet by a number that is not finite if the tank leaks."""
+
+    def hello(self):
+        return super().hello() | {"policies": [{"name": "half", "meaning": "opens by half", "version": "2"}, "none"]}
+
+    def reset(self, scenario):
+        self.proposing = scenario.policy == "half"
+        return super().reset(scenario) | self.proposal()
+
+    def step(self, action):
+        return super().step(action) | self.proposal()
+
+    def proposal(self):
+        outlet = float("nan") if self.values["leaks"] else 0.25
+        return {"proposed": {"action_space": "vector", "action": [0.5, outlet]}} if self.proposing else {}
+
+
+class ThePolicies(unittest.TestCase):
+    def begun(self, **fields):
+        server = Server(Proposing())
+        return server, ask(server, "reset", index=0, seed=1, parameters={"goal_m": 0.5}, **fields)
+
+    def test_are_declared(self):
+        hello = ask(Server(Proposing()), "hello", episode=0)
+        expected = [{"name": "half", "meaning": "opens by half", "version": "2"}, {"name": "none", "meaning": "", "version": ""}]
+        self.assertEqual(hello["policies"], expected)
+
+    def test_propose_each_action(self):
+        server, reply = self.begun(policy="half")
+        expected = {"action_space": "vector", "action": [0.5, 0.25]}
+        self.assertEqual(reply["proposed"], expected)
+        reply = ask(server, "step", tick=0, action_space="vector", actions=[[0.5, 0.25]])
+        self.assertEqual(reply["steps"][0]["proposed"], expected)
+
+    def test_are_silent_unless_requested(self):
+        server, reply = self.begun()
+        self.assertNotIn("proposed", reply)
+        reply = ask(server, "step", tick=0, action_space="vector", actions=[[0.5, 0.25]])
+        self.assertNotIn("proposed", reply["steps"][0])
+
+    def test_must_be_declared(self):
+        _, reply = self.begun(policy="full")
+        self.assertEqual(reply["error"]["kind"], "setup")
+        self.assertIn("half", reply["error"]["detail"])
+
+    def test_must_keep_their_promise(self):
+        _, reply = self.begun(policy="none")
+        self.assertEqual(reply["error"]["kind"], "internal")
+        self.assertIn("proposed", reply["error"]["detail"])
+
+    def test_must_be_finite(self):
+        server = Server(Proposing())
+        reply = ask(server, "reset", index=0, seed=1, parameters={"goal_m": 0.5, "leaks": 1}, policy="half")
+        self.assertEqual(reply["error"]["kind"], "bad_action")
+
+
 class TheServer(unittest.TestCase):
     def rejects(self, reply, kind):
         self.assertFalse(reply["ok"], reply)

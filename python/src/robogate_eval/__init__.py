@@ -8,6 +8,8 @@ __all__ = ["CommandNotFoundError", "__version__", "command", "run_command"]
 # Names that need the packages of an environment, and the modules that have them.
 _ON_DEMAND = {
     "serve": "robogate_eval.serving.process",
+    **dict.fromkeys(["CommandError", "gate", "run"], "robogate_eval.judging"),
+    **dict.fromkeys(["Run", "Verdict", "load"], "robogate_eval.results"),
     **dict.fromkeys(["Camera", "Environment", "FailureMode", "Knob", "Measure", "Policy", "Task", "Trajectory"], "robogate_eval.serving"),
 }
 

@@ -65,6 +65,37 @@ def serve_child(load: Callable[[], Environment]) -> None:
     robogate_bridge.serve(adapter, "tcp://127.0.0.1:*", ready=ready)
 
 
+class Background:
+    """Serves an environment in a thread of this process, on a free port of the loopback interface."""
+
+    def __init__(self, adapter: Adapter):
+        self._server = robogate_bridge.Server(adapter)
+        self._stop = threading.Event()
+
+    def __enter__(self) -> str:
+        """Start. Returns the address."""
+        import zmq
+
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.REP)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        port = self._socket.bind_to_random_port("tcp://127.0.0.1")
+        self._thread = threading.Thread(target=self._answer, daemon=True)
+        self._thread.start()
+        return f"tcp://127.0.0.1:{port}"
+
+    def _answer(self) -> None:
+        while not self._stop.is_set():
+            if self._socket.poll(100):
+                self._socket.send_multipart(self._server.answer(self._socket.recv_multipart()), copy=False)
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._socket.close()
+        self._context.term()
+
+
 def own_output() -> TextIO:
     """Take the standard output for this process's own answers. Everything else that is printed goes to standard error."""
     answer = os.fdopen(os.dup(1), "w")

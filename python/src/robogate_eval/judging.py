@@ -1,0 +1,129 @@
+"""`run` and `gate`: judge a policy in an environment from Python."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from ._command import run_command
+from .results import Run, Verdict
+
+# Exit codes of the command after which there is a result: done or pass, fail, inconclusive, invalid evidence.
+WITH_RESULT = (0, 1, 3, 4)
+
+
+class CommandError(RuntimeError):
+    """The command ended without a result. Its output has the reason."""
+
+    def __init__(self, code: int):
+        super().__init__(f"robogate ended with exit code {code} and without a result; its message is above")
+        self.code = code
+
+
+def run(env: Any, policy: Any = None, *, episodes: int | None = None, out: "str | Path | None" = None, **options: Any) -> Run:
+    """Run a campaign and return its result.
+
+    `env` is the name of an environment, an `Environment`, or a function that makes a `gymnasium.Env`. `policy` is
+
+    - a function from an observation of the environment to an action, or a model with `predict`, such as one of Stable-Baselines3;
+    - the name of a policy that the environment declares, or `"random"`;
+    - the address of a policy server or an ONNX file, with `profile=...`;
+    - None for the environment's own policy.
+
+    A function or a model runs in this process, one episode at a time. Anything else runs in processes of the command, one for each
+    core or for each of `threads`. Further `options` are those of `robogate run`: `seed=7` is `--seed 7`, and `fixed=True` is
+    `--fixed`.
+
+    Raises:
+        CommandError: There is no result.
+    """
+    out = _folder(out, "run")
+    _judge("run", env, policy, out, {"n": episodes, **options})
+    return Run(out)
+
+
+def gate(env: Any, policy: Any = None, *, requirements: "str | Path | None" = None, out: "str | Path | None" = None, **options: Any) -> Verdict:
+    """Decide whether a policy may run. The arguments are those of `run`; further `options` are those of `robogate gate`.
+
+    Raises:
+        CommandError: There is no verdict.
+    """
+    out = _folder(out, "gate")
+    _judge("gate", env, policy, out, {"requirements": requirements, **options})
+    return Verdict(out)
+
+
+def _folder(out: "str | Path | None", verb: str) -> Path:
+    """The folder of the result. Without a name, a new one that no other program removes."""
+    return Path(out) if out is not None else Path(tempfile.mkdtemp(prefix=f"robogate-{verb}-")) / verb
+
+
+def _judge(verb: str, env: Any, policy: Any, out: Path, options: dict[str, Any]) -> None:
+    arguments = [verb, "--out", str(out), *_options(options)]
+    if isinstance(env, str) and (policy is None or isinstance(policy, (str, os.PathLike))):
+        interpreter = [] if "python" in options else ["--python", sys.executable]
+        code = run_command(*arguments, "--env", env, *interpreter, *_named(policy)).returncode
+    else:
+        with _served(env, policy) as (address, chosen):
+            code = run_command(*arguments, "--simulator", address, *_named(chosen)).returncode
+    if code not in WITH_RESULT:
+        raise CommandError(code)
+
+
+def _named(policy: Any) -> list[str]:
+    return [] if policy is None else ["--policy", os.fspath(policy)]
+
+
+def _options(options: dict[str, Any]) -> list[str]:
+    out = []
+    for name, value in options.items():
+        flag = f"-{name}" if len(name) == 1 else f"--{name.replace('_', '-')}"
+        if value is True:
+            out.append(flag)
+        elif value is not None and value is not False:
+            out += [flag, str(value)]
+    return out
+
+
+@contextmanager
+def _served(env: Any, policy: Any) -> Iterator[tuple[str, Any]]:
+    """Serve an environment in a thread of this process. Gives its address and the name of the policy."""
+    import dataclasses
+
+    from .environments import find
+    from .serving.adapter import Adapter
+    from .serving.environment import Policy, as_environment
+    from .serving.process import Background
+
+    environment = find(env) if isinstance(env, str) else as_environment(env, getattr(env, "__name__", "environment"))
+    chosen = policy
+    if policy is not None and not isinstance(policy, (str, os.PathLike)):
+        chosen = _name(policy)
+        own = Policy(lambda _: _function(policy), f"{type(policy).__name__} of the calling process.")
+        environment = dataclasses.replace(environment, policies={**environment.policies, chosen: own})
+    with Background(Adapter(environment)) as address:
+        yield address, chosen
+
+
+def _name(policy: Any) -> str:
+    name = getattr(policy, "__name__", type(policy).__name__)
+    cleaned = "".join(c for c in name if c.isascii() and (c.isalnum() or c in "_-"))[:64] or "policy"
+    # These names mean other policies.
+    return f"own-{cleaned}" if cleaned in ("random", "scripted") else cleaned
+
+
+def _function(policy: Any) -> Any:
+    """The policy as a function from an observation to an action."""
+    reset = getattr(policy, "reset", None)
+    if callable(reset) and not hasattr(policy, "predict"):
+        reset()
+    if hasattr(policy, "predict"):
+        return lambda observation: policy.predict(observation, deterministic=True)[0]
+    if callable(policy):
+        return policy
+    raise TypeError(f"{type(policy).__name__}: not a policy. Expected a function, a model with `predict`, or a name")

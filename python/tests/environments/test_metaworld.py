@@ -1,0 +1,51 @@
+"""Meta-World: its experts, knobs and seeds. Needs the packages of `robogate_eval.environments requirements metaworld`."""
+
+import unittest
+
+from robogate_bridge import Action, Scenario, declaration
+from robogate_eval.environments import UnknownEnvironment, families, find
+from robogate_eval.serving.adapter import Adapter
+
+
+def run(adapter, index, **parameters):
+    """Run an episode of the expert. Returns the last step and the number of control periods."""
+    step, periods = adapter.reset(Scenario(index, 1, parameters, policy="expert")), 0
+    while step.get("ending") is None:
+        step, periods = adapter.step(Action("vector", step["proposed"]["action"])), periods + 1
+    return step, periods
+
+
+class MetaWorld(unittest.TestCase):
+    def test_all_tasks_are_known(self):
+        family = families()["metaworld"]
+        self.assertEqual(len(family.names()), 50)
+        with self.assertRaisesRegex(UnknownEnvironment, "drawer-open-v3"):
+            family.environment("drawer-v3")
+
+    def test_expert_succeeds(self):
+        for name in ("drawer-open-v3", "button-press-v3"):
+            adapter = Adapter(find(f"metaworld:{name}"))
+            declaration.hello(adapter.hello())
+            self.assertTrue(adapter.deterministic)
+            endings = [run(adapter, index)[0]["ending"]["failure"] for index in range(3)]
+            self.assertEqual(endings, [None] * 3, name)
+
+    def test_goal_follows_from_the_index(self):
+        adapter = Adapter(find("metaworld:push-v3"))
+
+        def first(index):
+            return adapter.reset(Scenario(index, 1, {}))["observation"]["vectors"]["observation"]
+
+        self.assertEqual(first(1), first(1))
+        self.assertNotEqual(first(1), first(2))
+
+    def test_low_friction_makes_the_expert_fail(self):
+        # The coefficient in the contacts is the requested one, although the table has more friction.
+        adapter = Adapter(find("metaworld:push-v3"))
+        step, periods = run(adapter, 1, friction_obj=0.02)
+        self.assertEqual(periods, 500)
+        self.assertIsNotNone(step["ending"]["failure"])
+
+
+if __name__ == "__main__":
+    unittest.main()
