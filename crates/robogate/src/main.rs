@@ -16,6 +16,7 @@ mod registry;
 mod remote;
 mod renderer;
 mod sharded;
+mod source;
 mod subject;
 mod summary;
 mod terminal;

@@ -11,7 +11,8 @@ use robogate_report::{Headline, analysis_json, limits};
 use robogate_stats::format::{p_value, percent_or_dash};
 
 use crate::commands::report::evidence;
-use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
+use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
+use crate::source::open_source;
 use crate::terminal::{bar, bold, dim, grouped, line, percent, wrapped};
 
 /// Analyze a dictionary: where the policy fails, the effects of the parameters, and their confidence intervals.
@@ -29,7 +30,7 @@ pub(crate) struct Analyze {
 
 impl Analyze {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let source = Source::open(&self.dictionary).or_usage()?;
+        let source = open_source(&self.dictionary)?;
         let analysis = analyse(&source, &self.dictionary, &pairs(&self.pair))?;
         if self.json {
             line(analysis_json(&analysis));

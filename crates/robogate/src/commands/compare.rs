@@ -13,6 +13,7 @@ use robogate_stats::format::{p_value, percent_or_dash, points};
 
 use crate::commands::analyze::{heading, interval};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::source::open_source;
 use crate::terminal::{bar, bold, dim, grouped, line, note, percent, wrapped};
 
 /// Compare dictionaries of different robots, policies or simulators, and find where all of them fail.
@@ -62,9 +63,8 @@ fn named_length(text: &str) -> Result<(String, f64), String> {
 impl Compare {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         self.check_twice()?;
-        let open = |path: &PathBuf| Source::open(path).map(|source| (source, path.clone()));
-        let sources: Vec<(Source, PathBuf)> =
-            self.dictionaries.iter().map(open).collect::<Result<_, _>>().or_usage()?;
+        let open = |path: &PathBuf| open_source(path).map(|source| (source, path.clone()));
+        let sources: Vec<(Source, PathBuf)> = self.dictionaries.iter().map(open).collect::<Result<_, _>>()?;
         let options = ComparisonOptions {
             names: self.names.clone(),
             danger_limit: self.danger,

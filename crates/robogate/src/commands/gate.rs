@@ -23,6 +23,7 @@ use crate::commands::run::{How, free_folder, interrupted, introduce, write_repor
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::policy_source::PolicyArguments;
+use crate::source::open_source;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{grouped, line, note};
 
@@ -113,7 +114,7 @@ impl Gate {
 
     /// Judges a finished run.
     fn judge(&self, run: &Path) -> Result<u8, Exit> {
-        let source = Source::open(run).or_usage()?;
+        let source = open_source(run)?;
         let record = Record::of(source.dictionary()).map_err(refused)?;
         let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
         // A run that was tested after each round stays a sequential test, also if it is judged again.
@@ -295,7 +296,7 @@ impl Gate {
 
     fn other_seed(&self) -> Result<Option<u64>, Exit> {
         let Some(path) = self.against_run() else { return Ok(None) };
-        Ok(Some(Source::open(path).or_usage()?.dictionary().provenance().seed))
+        Ok(Some(open_source(path)?.dictionary().provenance().seed))
     }
 
     /// The baseline of the comparison.
@@ -307,7 +308,7 @@ impl Gate {
             let baseline = Baseline::open(path).map_err(refused)?;
             return Ok(Other { baseline: Some(baseline), record: None });
         }
-        let source = Source::open(path).or_usage()?;
+        let source = open_source(path)?;
         let a = Record::of(source.dictionary()).map_err(refused)?;
         let baseline = Baseline::of(&a).map_err(refused)?;
         Ok(Other { baseline: Some(baseline), record: Some((path.clone(), a)) })
@@ -318,7 +319,7 @@ impl Gate {
 pub(crate) fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, Exit> {
     let Some(against) = &asked.against else { return Ok(None) };
     let path = PathBuf::from(&against.path);
-    let source = Source::open(&path).or_usage()?;
+    let source = open_source(&path)?;
     let record = Record::of(source.dictionary()).map_err(refused)?;
     if record.dataset_sha256 != against.dataset_sha256 {
         return Err(anyhow!(

@@ -9,6 +9,7 @@ use robogate_report::{analysis_json, html, markdown};
 
 use crate::commands::analyze::{analyse, pairs};
 use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::source::open_source;
 use crate::terminal::{line, note};
 
 /// Write a run or a dictionary as one page: where the policy fails, what to do, and the confidence intervals.
@@ -43,7 +44,7 @@ enum Form {
 
 impl Report {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let source = Source::open(&self.dictionary).or_usage()?;
+        let source = open_source(&self.dictionary)?;
         let analysis = analyse(&source, &self.dictionary, &pairs(&self.pair))?;
         let (text, ending) = match self.format {
             Form::Html => (html(&analysis), "html"),

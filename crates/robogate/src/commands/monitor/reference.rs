@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
-use robogate_analysis::{Analysis, Finding, Population, RiskModel, Source};
+use robogate_analysis::{Analysis, Finding, Population, RiskModel};
 use robogate_core::{Domain, Parameter};
 use robogate_dictionary::{Column, Dictionary, DictionaryError};
 use robogate_monitor::domain::{self, Risk, RiskTerm, Validated};
@@ -13,6 +13,7 @@ use robogate_monitor::{Baseline, Count, ModeCounts, Reference};
 
 use crate::commands::analyze::analyse;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::source::open_source;
 use crate::terminal::{grouped, line, note};
 
 /// An end of a parameter's range counts as validated if an episode came this close to it, as a share of the range.
@@ -34,7 +35,7 @@ pub(super) struct ReferenceOf {
 
 impl ReferenceOf {
     pub(super) fn execute(&self) -> Result<u8, Exit> {
-        let source = Source::open(&self.run).or_usage()?;
+        let source = open_source(&self.run)?;
         let analysis = analyse(&source, &self.run, &[])?;
         let envelope = envelope(source.dictionary()).or_broken()?;
         let rate = &analysis.success.rate;
