@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Installs the dependencies of the tests and runs all tests: Rust (with cargo-nextest if it is installed), documentation examples,
-# and the Python suites of bridges/. The run continues after failures, and lists failed and skipped tests at the end.
+# and the Python suites of python/ and bridges/. The run continues after failures, and lists failed and skipped tests at the end.
 #
 # Usage: scripts/test.sh [ARGUMENTS...]; arguments go to the Rust tests only, for example `-p robogate-stats` or a part of a name.
 #
@@ -92,6 +92,7 @@ python ROBOGATE_BRIDGE_PYTHON bridges-venv bridges/common/requirements.txt
 step "Rust tests" rust "$@"
 if [ $# -eq 0 ]; then
     step "documentation examples" cargo test --doc --no-fail-fast --workspace "${full[@]}" --locked
+    step "python" env PYTHONPATH=python/src python3 scripts/run_unittests.py python/tests
     if [ -n "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
         step "bridges/common" env PYTHONPATH=bridges/common "$ROBOGATE_BRIDGE_PYTHON" scripts/run_unittests.py bridges/common/tests
     else
