@@ -20,7 +20,8 @@ mod study;
 mod text;
 
 pub use gate::{
-    RequirementRow, evaluation_markdown, how_judged, junit, leaderboard_html, leaderboard_markdown, sign, what_next,
+    RequirementRow, evaluation_markdown, how_judged, junit, leaderboard_html, leaderboard_markdown, leaderboards_html,
+    leaderboards_markdown, sign, what_next,
 };
 pub use html::{comparison_html, html};
 pub use json::{AnalysisReport, ComparisonReport, StudyReport, analysis_json, comparison_json, study_json};

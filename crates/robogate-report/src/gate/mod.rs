@@ -7,7 +7,7 @@ mod markdown;
 use robogate_gate::{Evaluation, Metric, Mode, RequirementResult, Sampling, Status};
 
 pub use junit::junit;
-pub use leaderboard::{leaderboard_html, leaderboard_markdown};
+pub use leaderboard::{leaderboard_html, leaderboard_markdown, leaderboards_html, leaderboards_markdown};
 pub use markdown::evaluation_markdown;
 
 use robogate_stats::format::{self, count, fixed, number, percent};

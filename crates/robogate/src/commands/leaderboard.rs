@@ -109,7 +109,8 @@ fn named(run: &str) -> (String, PathBuf) {
     (name, path)
 }
 
-fn print(board: &Leaderboard) {
+/// Prints a leaderboard on the terminal.
+pub(crate) fn print(board: &Leaderboard) {
     line(bold(format_args!("Leaderboard, {}", board.population)));
     line("");
     let wide = board.standings.iter().map(|s| s.name.chars().count()).max().unwrap_or(6).max(6);

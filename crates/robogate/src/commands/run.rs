@@ -18,7 +18,8 @@ use robogate_physics::SuctionLaw;
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
 use crate::outage::{OutageGuard, UNAVAILABLE_IN_A_ROW};
-use crate::policy_source::PolicyArguments;
+use crate::place;
+use crate::policy_source::{PolicyArguments, PolicyLocation};
 use crate::progress::Progress;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
@@ -56,6 +57,8 @@ pub(crate) struct Run {
     #[command(flatten)]
     policy: PolicyArguments,
     #[command(flatten)]
+    location: PolicyLocation,
+    #[command(flatten)]
     how: How,
     /// Write the run to this folder; default: a new one under runs/
     #[arg(long, value_name = "DIR")]
@@ -64,6 +67,10 @@ pub(crate) struct Run {
     /// folder has a plan, its options need not be repeated
     #[arg(long, value_name = "K/N", requires = "out")]
     shard: Option<Shard>,
+    /// Write the plan of a campaign in N shards to --out, and run nothing: `robogate plan DIR --next` prints the commands
+    /// that run the shards
+    #[arg(long, value_name = "N", requires = "out", conflicts_with = "shard")]
+    divide: Option<u32>,
 }
 
 /// The arguments on the command line, by name.
@@ -72,7 +79,8 @@ struct Given(Vec<String>);
 
 impl Given {
     /// The arguments of `run` that do not affect the results of a campaign.
-    const WITHOUT_EFFECT: [&str; 7] = ["out", "shard", "threads", "json", "addresses", "timeout_s", "python"];
+    const WITHOUT_EFFECT: [&str; 9] =
+        ["out", "shard", "divide", "threads", "json", "addresses", "timeout_s", "python", "at"];
 
     /// Whether an argument affects the results.
     fn describe_a_plan(&self) -> bool {
@@ -120,10 +128,14 @@ impl Run {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         if let (Some(shard), Some(dir)) = (self.shard, &self.out)
             && !self.given.describe_a_plan()
-            && dir.join(PLAN).is_file()
+            && (place::is_remote(dir) || dir.join(PLAN).is_file())
         {
-            let Settings { plan, provenance, .. } = robogate_campaign::settings(dir).map_err(exit)?;
-            let subject = Subject::recorded(&provenance, &self.environment.simulators)?;
+            let Settings { plan, provenance, .. } = if place::is_remote(dir) {
+                shard::open(dir)?.shards().settings().clone()
+            } else {
+                robogate_campaign::settings(dir).map_err(exit)?
+            };
+            let subject = Subject::recorded_at(&provenance, &self.environment.simulators, &self.location)?;
             let provenance = subject.provenance(provenance.space)?;
             return shard::run(dir, shard, &subject, &plan, provenance, &self.how);
         }
@@ -131,13 +143,23 @@ impl Run {
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
         let suction = if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum };
-        let subject = Subject::new(self.environment.environment(suction)?, self.policy.source()?)?;
+        let subject = Subject::new(self.environment.environment(suction)?, self.policy.source_at(&self.location)?)?;
         let (plan, space) = self.plan_and_space(&subject)?;
         let provenance = subject.provenance(space)?;
         if let (Some(shard), Some(dir)) = (self.shard, &self.out) {
             return shard::run(dir, shard, &subject, &plan, provenance, &self.how);
         }
+        if let (Some(shards), Some(dir)) = (self.divide, &self.out) {
+            return shard::divide(dir, shards, &plan, provenance, &[], self.how.json);
+        }
         let dir = match &self.out {
+            Some(dir) if place::is_remote(dir) => {
+                return Err(anyhow!(
+                    "--out {}: an object store needs --divide or --shard (docs/cluster.md)",
+                    dir.display()
+                ))
+                .or_usage();
+            }
             Some(dir) => dir.clone(),
             None => {
                 let plan_name = match &plan.suite {
