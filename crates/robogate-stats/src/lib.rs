@@ -9,6 +9,10 @@
 //! | what is the interval of a success rate? | [`interval`] |
 //! | per bin, category, pair of parameters? | [`binning`] |
 //! | is this cell safe? | [`zone`] |
+//! | does it depend on a parameter at all, in any shape? | [`scan`] |
+//! | which shape, and where does it change? | [`segments`] |
+//! | do two parameters interact? | [`score_test`] |
+//! | in which box of parameters is the rate high enough? | [`safe_box`] |
 //! | how does it depend on the parameters? | [`logistic`], [`correlation`] |
 //! | the same for a nonlinear dependence? | [`ridge`] on [`fourier`] features |
 //! | where is the frontier of two parameters? | [`limit_state`] |
@@ -43,6 +47,10 @@ pub mod overdispersion;
 pub mod resample;
 pub mod ridge;
 pub mod roc;
+pub mod safe_box;
+pub mod scan;
+pub mod score_test;
+pub mod segments;
 pub mod threshold;
 pub mod weighted;
 pub mod zone;
