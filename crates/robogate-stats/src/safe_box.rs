@@ -2,7 +2,7 @@
 //!
 //! Rows are divided at random into two halves. The first half chooses a chain of nested boxes: starting from the whole
 //! space, the slab of one parameter (or the level) that is most significantly worse than the rest of the box is removed,
-//! again and again, with at most [`MAX_COLUMNS`] parameters. The second half tests the boxes of the chain, from the
+//! again and again, with at most [`MAX_COLUMNS`] of the parameters that pass a scan test in this half. The second half tests the boxes of the chain, from the
 //! smallest to the largest, until the exact lower bound of one is below the target; the box before it is reported.
 //!
 //! This is a fixed sequence of tests on rows that did not choose it: the probability that the reported box has a rate below
@@ -15,7 +15,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_core::SeedableRng;
 
 use crate::interval::{Confidence, Trials, clopper_pearson, wilson};
+use crate::multiplicity::holm;
 use crate::resample::shuffle;
+use crate::scan::{Order, Scan, scan};
 
 /// Maximum number of limited parameters.
 pub const MAX_COLUMNS: usize = 3;
@@ -23,8 +25,12 @@ pub const MAX_COLUMNS: usize = 3;
 const CHOOSING: usize = 20_000;
 /// Cells of a numeric column among the choosing rows.
 const CELLS: usize = 40;
-/// Columns among which all triples are tried; the first ones of the caller's list.
+/// Columns among which all triples are tried: those with the strongest effects.
 const TRIED: usize = 6;
+/// Level of the scan tests that choose the columns, after Holm's adjustment.
+const LEVEL: f64 = 0.05;
+/// Replicates of a scan test.
+const REPLICATES: usize = 2_000;
 /// Fewest choosing rows in a box.
 const FEWEST: u32 = 25;
 
@@ -85,8 +91,8 @@ pub fn contains(limits: &Limits, columns: &[Column<'_>], row: usize) -> bool {
     limits.iter().all(|(column, inside)| columns.get(*column).is_some_and(|c| inside.contains(c.values[row])))
 }
 
-/// Searches the largest box with a success rate of at least `target`. Columns are in order of importance; `confidence` is
-/// the two-sided level whose lower end is the bound. `None` with fewer than 100 rows or without columns.
+/// Searches the largest box with a success rate of at least `target`. `confidence` is the two-sided level whose lower end
+/// is the bound. `None` with fewer than 100 rows or without columns.
 pub fn search(
     columns: &[Column<'_>],
     success: &[bool],
@@ -161,14 +167,37 @@ impl Chooser {
         Self { cells, success: rows.iter().map(|row| success[*row as usize]).collect() }
     }
 
+    /// The columns with a significant effect among the choosing rows, the strongest first.
+    fn candidates(&self) -> Vec<usize> {
+        let scanned = self.cells.iter().enumerate().filter_map(|(column, coded)| {
+            let mut counts = vec![(0, 0); coded.count];
+            for (code, success) in coded.code.iter().zip(&self.success) {
+                counts[usize::from(*code)].0 += u64::from(*success);
+                counts[usize::from(*code)].1 += 1;
+            }
+            let trials: Vec<Trials> =
+                counts.into_iter().map(|(k, n)| Trials::new(k, n).unwrap_or(Trials::NONE)).collect();
+            let order = if coded.spans.is_some() { Order::Ordered } else { Order::Unordered };
+            Some((column, scan(&trials, order, REPLICATES, column as u64)?))
+        });
+        let mut scanned: Vec<(usize, Scan)> = scanned.collect();
+        let p: Vec<f64> = scanned.iter().map(|(_, scan)| scan.p.min(1.0)).collect();
+        let adjusted = holm(&p).unwrap_or_else(|_| vec![1.0; p.len()]);
+        let mut kept = adjusted.iter().map(|p| *p <= LEVEL);
+        scanned.retain(|_| kept.next().unwrap_or(false));
+        scanned.sort_by(|a, b| b.1.log_ratio.total_cmp(&a.1.log_ratio));
+        scanned.into_iter().map(|(column, _)| column).collect()
+    }
+
     /// The chain with the largest promising box, from the whole space to the smallest box.
     fn best_chain(&self, target: f64) -> Option<Vec<Limits>> {
-        let tried = self.cells.len().min(TRIED);
-        let mut subsets: Vec<Vec<usize>> = vec![(0..self.cells.len()).collect()];
+        let candidates = self.candidates();
+        let tried = candidates.len().min(TRIED);
+        let mut subsets: Vec<Vec<usize>> = vec![candidates.clone()];
         for a in 0..tried {
             for b in a + 1..tried {
                 for c in b + 1..tried {
-                    subsets.push(vec![a, b, c]);
+                    subsets.push(vec![candidates[a], candidates[b], candidates[c]]);
                 }
             }
         }
