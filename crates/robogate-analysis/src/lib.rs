@@ -17,6 +17,7 @@ mod analysis;
 mod claims;
 mod comparison;
 mod danger;
+mod effects;
 mod error;
 mod failures;
 pub mod labels;
@@ -26,6 +27,7 @@ mod pairs;
 mod pick_place;
 mod rate;
 mod replay;
+mod safe_box;
 mod sampling;
 mod source;
 pub mod study;
@@ -33,14 +35,15 @@ mod success;
 mod table;
 mod task;
 
-pub use analysis::{Analysis, Envelope, Subject};
-pub use claims::{Advice, Claims, FailureRegion, RatedCell};
+pub use analysis::{Analysis, AnalysisOptions, Envelope, Subject};
+pub use claims::{Advice, Claims, FailureRegion};
 pub use comparison::{
     ComparedDataset, Comparison, ComparisonError, ComparisonOptions, CrossTable, DisagreementCell, DisagreementMap,
     Effect, Flip, NotShared, PairedComparison, PairedInvalid, RateDifference, ReachRow, Sensitivity, SharedCell,
     SharedCurve, SharedParameters, Slope, UniversalZone, UniversalZones, ZoneSide,
 };
 pub use danger::{DANGER_LIMIT, DangerZone, DangerZones};
+pub use effects::{EffectShape, Effects, Interaction, LEVEL, ParameterEffect, RateStep, ShapeKind};
 pub use error::AnalysisError;
 pub use failures::{FailureModes, ModeShare, unrecorded};
 pub use marginal::{
@@ -50,10 +53,11 @@ pub use models::{
     CalibrationFigures, Coefficient, Estimate, Frontier, FrontierPoint, Penalty, PenaltyLevel, Regression,
     ReliabilityBin, RiskModel, RocCurve, RocFigures, Scoring, ScoringTerm,
 };
-pub use pairs::{Axis, PairCell, PairMap, ZoneCounts};
+pub use pairs::{Axis, ModelRate, PairCell, PairMap, ZoneCounts};
 pub use rate::{Finding, Population, Rate};
 pub use replay::{ReplayEpisode, ReplayGroup, ReplayReason, shell_word};
+pub use safe_box::{AvoidedMode, BoxLimit, DEFAULT_TARGET, SafeBox};
 pub use sampling::{SampledRange, Sampling};
 pub use source::Source;
-pub use success::{FaultCount, InvalidBounds, Reweighted, StageSuccess, Success, WeightedRate};
+pub use success::{Adjusted, FaultCount, InvalidBounds, Reweighted, StageSuccess, Success, WeightedRate};
 pub use task::{InteractionModel, TaskAnalysis};

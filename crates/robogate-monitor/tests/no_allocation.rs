@@ -45,7 +45,7 @@ fn cycles_without_alarm_allocate_nothing() {
         envelope: [("mass_kg".to_owned(), Validated::Range([0.1, 0.8]))].into(),
         risk: Some(Risk {
             intercept: -6.0,
-            terms: vec![RiskTerm { parameter: "mass_kg".to_owned(), coefficient: 6.0, penalties: None }],
+            terms: vec![RiskTerm { parameter: "mass_kg".to_owned(), coefficient: 6.0, log: false, penalties: None }],
             covariance: vec![0.1, 0.0, 0.0, 0.1],
             most_variance: 0.2,
         }),

@@ -27,4 +27,4 @@ pub use html::{comparison_html, html};
 pub use json::{AnalysisReport, ComparisonReport, StudyReport, analysis_json, comparison_json, study_json};
 pub use markdown::{comparison_markdown, markdown};
 pub use study::{answer as study_answer, study_markdown};
-pub use text::{ComparisonHeadline, Headline, comparison_limits, limits};
+pub use text::{ComparisonHeadline, Headline, comparison_limits, limits, low_side};

@@ -107,7 +107,7 @@ fn level_edges(low: i64, high: i64) -> Option<Edges> {
 }
 
 /// The level edges of an integer parameter. `None` for any other.
-fn integer_edges(parameter: &ParameterColumn) -> Option<Edges> {
+pub(crate) fn integer_edges(parameter: &ParameterColumn) -> Option<Edges> {
     match parameter.kind {
         ParameterKind::Integer { low, high } => level_edges(low, high),
         ParameterKind::Continuous { .. } | ParameterKind::Categorical { .. } => None,

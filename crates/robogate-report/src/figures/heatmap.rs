@@ -5,7 +5,7 @@ use maud::Markup;
 use super::svg::{Anchor, Scale, Svg, cut};
 use robogate_analysis::labels::label_with_unit;
 use robogate_analysis::{Axis, Frontier, FrontierPoint, PairMap};
-use robogate_stats::format::{count, percent, percent_range, significant};
+use robogate_stats::format::{count, percent, percent_or_dash, percent_range, significant};
 
 const WIDTH: f64 = 520.0;
 const LEFT: f64 = 62.0;
@@ -32,21 +32,24 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> M
         let (row, column) = (i / nx, i % nx);
         let place = [LEFT + w * column as f64 + 0.75, bottom - h * (row + 1) as f64 + 0.75, w - 1.5, h - 1.5];
         let middle = [place[0] + 0.5 * place[2], place[1] + 0.5 * place[3]];
-        let Some(rate) = cell.rate.rate else {
+        let Some(rate) = cell.model.map(|model| model.rate).or(cell.rate.rate) else {
             svg.rect_with_hint("none", place, "no episode");
             svg.text("s d", Anchor::Middle, [middle[0], middle[1] + 4.0], "\u{2013}");
             continue;
         };
         let classified = cell.zone.is_classified();
+        let model = cell.model.map_or_else(String::new, |model| {
+            format!("; model {} ({})", percent(model.rate), percent_range(model.interval_95))
+        });
         let hint = format!(
-            "{} {}, {} {}: {} of {} succeeded, {} ({}); {}",
+            "{} {}, {} {}: {} of {} succeeded, {} ({}){model}; {}",
             label_with_unit(&map.y.parameter),
             map.y.cell_label(row),
             label_with_unit(&map.x.parameter),
             map.x.cell_label(column),
             cell.rate.successes,
             cell.rate.n,
-            percent(rate),
+            percent_or_dash(cell.rate.rate),
             percent_range(cell.rate.wilson_95),
             cell.zone.as_str()
         );

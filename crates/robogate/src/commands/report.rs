@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use robogate_analysis::{Analysis, Source};
+use robogate_analysis::{Analysis, AnalysisOptions, DEFAULT_TARGET, Source};
 use robogate_report::{analysis_json, html, markdown};
 
-use crate::commands::analyze::{analyse, pairs};
+use crate::commands::analyze::{analyse, options};
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::source::open_source;
 use crate::terminal::{line, note};
@@ -27,6 +27,9 @@ pub(crate) struct Report {
     /// Map two more parameters; the first is on the vertical axis
     #[arg(long, num_args = 2, value_names = ["A", "B"])]
     pair: Vec<String>,
+    /// Success rate that the advice aims at, between 0 and 1
+    #[arg(long, value_name = "RATE", default_value_t = DEFAULT_TARGET)]
+    target: f64,
 }
 
 /// The name of the page in a run's folder.
@@ -45,7 +48,7 @@ enum Form {
 impl Report {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let source = open_source(&self.dictionary)?;
-        let analysis = analyse(&source, &self.dictionary, &pairs(&self.pair))?;
+        let analysis = analyse(&source, &self.dictionary, &options(&self.pair, self.target))?;
         let (text, ending) = match self.format {
             Form::Html => (html(&analysis), "html"),
             Form::Md => (markdown(&analysis), "md"),
@@ -62,15 +65,15 @@ impl Report {
     }
 }
 
-/// Writes the page of a finished run into its folder, unless it exists.
-pub(crate) fn page(dir: &Path) -> Result<(), Exit> {
+/// Analyzes a finished run and writes its page into its folder, unless it exists.
+pub(crate) fn page(dir: &Path) -> Result<Analysis, Exit> {
     let out = dir.join(PAGE);
-    if out.exists() {
-        return Ok(());
-    }
     let source = Source::open(dir).or_broken()?;
-    let analysis = analyse(&source, dir, &[])?;
-    std::fs::write(&out, html(&analysis)).with_context(|| format!("cannot write {}", out.display())).or_broken()
+    let analysis = analyse(&source, dir, &AnalysisOptions::default())?;
+    if !out.exists() {
+        std::fs::write(&out, html(&analysis)).with_context(|| format!("cannot write {}", out.display())).or_broken()?;
+    }
+    Ok(analysis)
 }
 
 fn write(out: &Path, text: &str) -> Result<(), Exit> {

@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::anyhow;
 use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, FromArgMatches, Id};
+use robogate_analysis::Analysis;
 use robogate_campaign::folder::PLAN;
 use robogate_campaign::shards::Shard;
 use robogate_campaign::{Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, Settings, ThreadPool};
@@ -310,11 +311,11 @@ impl How {
 pub(crate) fn conclude(dir: &Path, completion: &Completion, json: bool) -> Result<u8, Exit> {
     match completion {
         Completion::Finished { summary, boundary } => {
-            write_report(dir);
+            let analysis = write_report(dir);
             if json {
                 summary::json(dir, summary, boundary.as_deref()).or_broken()?;
             } else {
-                summary::print(dir, summary, boundary.as_deref());
+                summary::print(dir, summary, boundary.as_deref(), analysis.as_ref());
             }
             let evidence = summary.stages.iter().any(|stage| stage.valid > 0);
             Ok(if evidence { DONE } else { INVALID })
@@ -337,10 +338,15 @@ pub(crate) fn interrupted(dir: &Path, done: u64, episodes: u64) -> u8 {
     INTERRUPTED
 }
 
-/// Writes the page of a finished campaign. An error is a warning, because the dictionary is complete without the page.
-pub(crate) fn write_report(dir: &Path) {
-    if let Err(exit) = super::report::page(dir) {
-        note(format_args!("warning: no report: {exit}"));
+/// Writes the page of a finished campaign and returns its analysis. An error is a warning, because the dictionary is
+/// complete without the page.
+pub(crate) fn write_report(dir: &Path) -> Option<Analysis> {
+    match super::report::page(dir) {
+        Ok(analysis) => Some(analysis),
+        Err(exit) => {
+            note(format_args!("warning: no report: {exit}"));
+            None
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Marginal effects: success rate by each parameter.
 
-use robogate_analysis::labels::value_with_unit;
+use robogate_analysis::labels::{parameter_label, value_with_unit};
 use robogate_analysis::{Analysis, Correlation, CriticalThreshold, Finding, MarginalEffect, ParameterType};
 use robogate_stats::format::{
     count, counted, fixed, number, p_value, percent, percent_or_dash, percent_range, range, sentence,
@@ -8,8 +8,9 @@ use robogate_stats::format::{
 
 use super::{Block, Figure, Section, Table, population};
 use crate::document::Kind::{Number, Short, Text, Zone};
-use crate::document::{MAX_ROWS, or_dash};
+use crate::document::{MAX_ROWS, or_dash, plain_p};
 use crate::figures;
+use crate::text::low_side;
 
 /// Maximum number of figures on the page. The other parameters are in the tables.
 const MAX_FIGURES: usize = 16;
@@ -18,7 +19,8 @@ const CROSSING: f64 = 0.05;
 
 pub(super) fn section(analysis: &Analysis) -> Section {
     let effects = &analysis.marginal_effects;
-    let mut blocks = vec![Block::Table(numeric_table(effects))];
+    let mut blocks: Vec<Block> = effects_table(analysis).map(Block::Table).into_iter().collect();
+    blocks.push(Block::Table(numeric_table(effects)));
     blocks.extend(categorical_table(effects).map(Block::Table));
     blocks.push(Block::Text(
         "The vertical line is where success crosses 50 %, with its interval from 1,000 bootstrap replicates. Whiskers are Wilson \
@@ -26,8 +28,10 @@ pub(super) fn section(analysis: &Analysis) -> Section {
             .to_owned(),
     ));
     let mut ranked: Vec<&MarginalEffect> = effects.iter().collect();
-    let strength = |effect: &MarginalEffect| effect.correlation.estimated().map_or(0.0, |c| c.strength());
-    ranked.sort_by(|a, b| strength(b).total_cmp(&strength(a)));
+    let order = |effect: &MarginalEffect| {
+        analysis.effects.ranked.iter().position(|of| of.parameter == effect.parameter).unwrap_or(usize::MAX)
+    };
+    ranked.sort_by_key(|effect| order(effect));
     let left_out = ranked.len().saturating_sub(MAX_FIGURES);
     let figures = ranked.into_iter().take(MAX_FIGURES).map(|effect| Figure {
         title: sentence(&effect.label),
@@ -40,11 +44,45 @@ pub(super) fn section(analysis: &Analysis) -> Section {
     blocks.push(Block::Grid(figures.collect()));
     if left_out > 0 {
         blocks.push(Block::Text(format!(
-            "{} with a weaker correlation are in the JSON document only.",
+            "{} with less influence are in the JSON document only.",
             counted(left_out as u64, "parameter")
         )));
     }
     Section { id: "marginal-effects", title: "Marginal effects".to_owned(), population: population(analysis), blocks }
+}
+
+/// The parameters in order of influence, with the test and the shape of each.
+fn effects_table(analysis: &Analysis) -> Option<Table> {
+    let effects = &analysis.effects;
+    let rows = effects.ranked.iter().map(|effect| {
+        let shape = effect.shape.estimated();
+        vec![
+            parameter_label(&effect.parameter),
+            percent(effect.influence),
+            plain_p(effect.p),
+            plain_p(effect.adjusted_p),
+            or_dash(shape, |shape| low_side(&effect.parameter, shape)),
+            or_dash(shape, |shape| percent_or_dash(shape.low.rate)),
+            or_dash(shape, |shape| percent_or_dash(shape.high.rate)),
+        ]
+    });
+    let columns = [
+        ("parameter", Text),
+        ("variance explained", Number),
+        ("p", Number),
+        ("p (adjusted)", Number),
+        ("success is low", Text),
+        ("rate there", Number),
+        ("rate elsewhere", Number),
+    ];
+    let mut table = Table::new("Influence on success, strongest first", &columns, rows.collect());
+    table.remark = Some(format!(
+        "Permutation tests of an effect of any shape, adjusted (Holm) for {} and {}. Steps and rates are shown for significant \
+         effects; a step has its profile-likelihood interval.",
+        counted(effects.tested, "parameter"),
+        counted(effects.pairs_tested, "pair")
+    ));
+    (!effects.ranked.is_empty()).then_some(table)
 }
 
 fn caption(effect: &MarginalEffect) -> String {
