@@ -32,6 +32,7 @@ pub mod study;
 mod success;
 mod table;
 mod task;
+mod watch;
 
 pub use analysis::{Analysis, Envelope, Subject};
 pub use claims::{Advice, Claims, FailureRegion, RatedCell};
@@ -57,3 +58,4 @@ pub use sampling::{SampledRange, Sampling};
 pub use source::Source;
 pub use success::{FaultCount, InvalidBounds, Reweighted, StageSuccess, Success, WeightedRate};
 pub use task::{InteractionModel, TaskAnalysis};
+pub use watch::{Twin, WatchedEpisode, worth_watching};

@@ -16,6 +16,7 @@ mod renderer;
 mod subject;
 mod summary;
 mod terminal;
+mod watch;
 
 use std::process::ExitCode;
 

@@ -5,6 +5,9 @@ mod comparison;
 
 use maud::Markup;
 
+use crate::gate::VerdictBlock;
+use crate::watch::Watch;
+
 pub(crate) use analysis::analysis_document;
 pub(crate) use comparison::comparison_document;
 
@@ -29,6 +32,8 @@ pub(crate) struct Document {
     /// Up to three columns of sentences below the result, each with a title.
     pub(crate) columns: Vec<(&'static str, Vec<String>)>,
     pub(crate) sections: Vec<Section>,
+    /// The verdict of the gate, which opens the document.
+    pub(crate) verdict: Option<VerdictBlock>,
 }
 
 /// A section of a document.
@@ -63,6 +68,8 @@ pub(crate) enum Block {
     Folded(Table),
     /// Names and values.
     Facts(Vec<(String, String)>),
+    /// Episodes worth watching.
+    Watch(Watch),
 }
 
 impl Block {
@@ -113,6 +120,16 @@ pub(crate) enum Kind {
     Zone,
     /// A command.
     Code,
+}
+
+/// The section of episodes worth watching.
+fn watch_section(watch: &Watch) -> Section {
+    Section {
+        id: "watch",
+        title: "Episodes worth watching".to_owned(),
+        population: None,
+        blocks: vec![Block::Watch(watch.clone())],
+    }
 }
 
 /// Maximum number of rows of a table on a page.

@@ -1,13 +1,17 @@
 //! Documents as self-contained HTML files.
 
 mod prose;
+mod verdict;
+mod watch;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use robogate_analysis::{Analysis, Comparison};
 
 pub(crate) use prose::prose;
 
+use crate::Additions;
 use crate::document::{Block, Document, Figure, Kind, Section, Table, analysis_document, comparison_document};
+use crate::watch::Watch;
 
 const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");
@@ -17,12 +21,22 @@ const SCRIPT: &str = include_str!("script.js");
 /// It makes no network request, works without scripts, can be printed, and has a light and a dark theme. Text from data
 /// is escaped.
 pub fn html(analysis: &Analysis) -> String {
-    page(&analysis_document(analysis))
+    html_with(analysis, &Additions::default())
+}
+
+/// The analysis as one page with the same properties and these additions.
+pub fn html_with(analysis: &Analysis, additions: &Additions<'_>) -> String {
+    page(&analysis_document(analysis, additions), additions.watch)
 }
 
 /// A comparison as one self-contained page with the same properties.
 pub fn comparison_html(comparison: &Comparison) -> String {
-    page(&comparison_document(comparison))
+    comparison_html_with(comparison, None)
+}
+
+/// A comparison as one page with the same properties, and with episodes worth watching.
+pub fn comparison_html_with(comparison: &Comparison, watch: Option<&Watch>) -> String {
+    page(&comparison_document(comparison, watch), watch)
 }
 
 /// A complete page around a body.
@@ -53,10 +67,11 @@ pub(crate) fn frame(title: &str, body: &Markup, script: bool) -> String {
     page.into_string()
 }
 
-fn page(document: &Document) -> String {
+fn page(document: &Document, watch: Option<&Watch>) -> String {
     let body = html! {
         (hero(document))
         main { @for section in &document.sections { (self::section(section)) } }
+        (watch::scripts(watch))
     };
     frame(&document.title, &body, true)
 }
@@ -67,6 +82,7 @@ fn hero(document: &Document) -> Markup {
             p.brand { b { "RoboGate" } " " (document.kind) }
             h1 { (prose(&document.title)) }
             p.sub { (prose(&document.subtitle)) }
+            @if let Some(verdict) = &document.verdict { (verdict::verdict(verdict)) }
             div.hero {
                 div.rate {
                     p.big { (big(&document.figure)) }
@@ -127,6 +143,7 @@ fn block(block: &Block) -> Markup {
             (self::table(table))
         },
         Block::Folded(table) => folded(table),
+        Block::Watch(watch) => watch::watch(watch),
         Block::Facts(facts) => html! {
             dl { @for (name, value) in facts { div { dt { (prose(name)) } dd { (prose(value)) } } } }
         },

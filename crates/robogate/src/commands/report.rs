@@ -5,11 +5,15 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use robogate_analysis::{Analysis, Source};
-use robogate_report::{analysis_json, html, markdown};
+use robogate_gate::Evaluation;
+use robogate_report::{Additions, Watch, analysis_json, html_with, markdown_with};
 
 use crate::commands::analyze::{analyse, pairs};
+use crate::commands::gate;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::remote::Simulators;
 use crate::terminal::{line, note};
+use crate::watch::{self, Moment};
 
 /// Write a run or a dictionary as one page: where the policy fails, what to do, and the confidence intervals.
 #[derive(Debug, Args)]
@@ -26,6 +30,11 @@ pub(crate) struct Report {
     /// Map two more parameters; the first is on the vertical axis
     #[arg(long, num_args = 2, value_names = ["A", "B"])]
     pair: Vec<String>,
+    /// Leave out the recorded episodes
+    #[arg(long)]
+    no_replay: bool,
+    #[command(flatten)]
+    simulators: Simulators,
 }
 
 /// The name of the page in a run's folder.
@@ -45,9 +54,17 @@ impl Report {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let source = Source::open(&self.dictionary).or_usage()?;
         let analysis = analyse(&source, &self.dictionary, &pairs(&self.pair))?;
+        let evaluation = source.folder().and_then(|folder| gate_of(folder, &source));
+        let watch = match self.format {
+            Form::Html | Form::Md if !self.no_replay => {
+                Some(watch::watch(&source, &analysis, &self.simulators, Moment::OnRequest).or_usage()?)
+            }
+            _ => None,
+        };
+        let additions = Additions { evaluation: evaluation.as_ref(), watch: shown(watch.as_ref()) };
         let (text, ending) = match self.format {
-            Form::Html => (html(&analysis), "html"),
-            Form::Md => (markdown(&analysis), "md"),
+            Form::Html => (html_with(&analysis, &additions), "html"),
+            Form::Md => (markdown_with(&analysis, &additions), "md"),
             Form::Json => (analysis_json(&analysis), "json"),
         };
         match &self.out {
@@ -69,7 +86,23 @@ pub(crate) fn page(dir: &Path) -> Result<(), Exit> {
     }
     let source = Source::open(dir).or_broken()?;
     let analysis = analyse(&source, dir, &[])?;
-    std::fs::write(&out, html(&analysis)).with_context(|| format!("cannot write {}", out.display())).or_broken()
+    let evaluation = gate_of(dir, &source);
+    let watch = watch::watch(&source, &analysis, &Simulators::none(), Moment::EndOfRun).or_broken()?;
+    let additions = Additions { evaluation: evaluation.as_ref(), watch: shown(Some(&watch)) };
+    std::fs::write(&out, html_with(&analysis, &additions)).with_context(|| format!("cannot write {}", out.display())).or_broken()
+}
+
+/// The verdict of the gate that a run belongs to. A problem is a note, because the analysis does not depend on it.
+fn gate_of(folder: &Path, source: &Source) -> Option<Evaluation> {
+    gate::evaluation_of(folder, source).unwrap_or_else(|exit| {
+        note(format_args!("note: the page has no verdict: {exit}"));
+        None
+    })
+}
+
+/// The episodes worth watching, unless there are none.
+fn shown(watch: Option<&Watch>) -> Option<&Watch> {
+    watch.filter(|watch| !watch.items.is_empty())
 }
 
 fn write(out: &Path, text: &str) -> Result<(), Exit> {

@@ -12,12 +12,13 @@ mod sampling;
 use robogate_analysis::Analysis;
 use robogate_stats::format::{count, counted, percent, percent_range, sentence};
 
-use super::{Block, Document, Figure, Section, Table};
-use crate::figures;
+use super::{Block, Document, Figure, Section, Table, watch_section};
+use crate::gate::VerdictBlock;
+use crate::{Additions, figures};
 use crate::text::{Headline, limits};
 
 /// Creates the document of an analysis.
-pub(crate) fn analysis_document(analysis: &Analysis) -> Document {
+pub(crate) fn analysis_document(analysis: &Analysis, additions: &Additions<'_>) -> Document {
     let subject = &analysis.subject;
     let success = &analysis.success;
     let bounds = match (success.bounds.invalid, success.bounds.worst_case, success.bounds.best_case) {
@@ -51,7 +52,15 @@ pub(crate) fn analysis_document(analysis: &Analysis) -> Document {
         .into_iter()
         .filter(|(_, lines)| !lines.is_empty())
         .collect(),
-        sections: vec![
+        sections: sections(analysis, additions),
+        verdict: additions.evaluation.map(VerdictBlock::of),
+    }
+}
+
+/// The sections: first what a reader acts on, then the evidence.
+fn sections(analysis: &Analysis, additions: &Additions<'_>) -> Vec<Section> {
+    let mut sections: Vec<Section> = additions.watch.map(watch_section).into_iter().collect();
+    sections.extend([
             envelope::section(analysis),
             marginal::section(analysis),
             failures::section(analysis),
@@ -67,8 +76,8 @@ pub(crate) fn analysis_document(analysis: &Analysis) -> Document {
                 population: None,
                 blocks: vec![Block::List(limits(analysis))],
             },
-        ],
-    }
+    ]);
+    sections
 }
 
 fn is_unknown(name: &str) -> bool {
