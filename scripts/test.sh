@@ -28,11 +28,11 @@ skipped() {
     fi
 }
 
-# The monitor is tested with a real MQTT broker and a real browser. MuJoCo's renderer uses EGL, which Mesa provides without a
+# The monitor is tested with a real MQTT broker, and pages in a real browser. npm brings the checker of their accessibility. MuJoCo's renderer uses EGL, which Mesa provides without a
 # GPU.
 programs() {
     local missing=() program
-    for program in mosquitto chromium; do
+    for program in mosquitto chromium npm; do
         PATH=$PATH:/usr/sbin command -v "$program" > /dev/null || missing+=("$program")
     done
     if ! ldconfig -p | grep -q 'libEGL\.so\.1' || ! ldconfig -p | grep -q 'libGL\.so\.1' || ! compgen -G '/usr/lib/*/dri/swrast_dri.so' > /dev/null; then
@@ -88,6 +88,11 @@ programs
 python ROBOGATE_TEST_PYTHON readers-venv crates/robogate-dictionary/tests/requirements.txt crates/robogate-gate/tests/evidence-requirements.txt
 python ROBOGATE_POLICY_PYTHON policies-venv crates/robogate-policy/tests/requirements.txt
 python ROBOGATE_BRIDGE_PYTHON bridges-venv bridges/common/requirements.txt
+
+if [ -z "${ROBOGATE_TEST_AXE:-}" ] && ./scripts/web.sh --install; then
+    ROBOGATE_TEST_AXE=$PWD/web/node_modules/axe-core/axe.min.js
+    export ROBOGATE_TEST_AXE
+fi
 
 step "Rust tests" rust "$@"
 if [ $# -eq 0 ]; then

@@ -2,8 +2,13 @@
 
 import { locate } from "./unpack.js";
 
-const NS = "http://www.w3.org/2000/svg";
-const ROW = 46, GAP = 10, LEFT = 150, RIGHT = 96, TOP = 4, BAND = 18;
+/** The namespace of SVG, taken from the parser. */
+const NS = (() => {
+  const parent = document.createElement("div");
+  parent.innerHTML = "<svg></svg>";
+  return parent.firstChild.namespaceURI;
+})();
+const ROW = 32, GAP = 7, LEFT = 150, RIGHT = 96, TOP = 4, BAND = 18;
 /** Stepped signals: a command holds until the next one. */
 const STEPPED = /command/;
 
@@ -139,8 +144,8 @@ export class Chart {
     if (high - low < 1e-12) [low, high] = [low - 0.5, high + 0.5];
     const unit = known[0].unit;
     const root = this.root;
-    root.append(svg("text", { class: "strip-name", x: 0, y: y + 15 }, title(name)));
-    root.append(svg("text", { class: "strip-range", x: 0, y: y + 31 }, `${figure(low)} to ${figure(high)} ${unit}`));
+    root.append(svg("text", { class: "strip-name", x: 0, y: y + 13 }, title(name)));
+    root.append(svg("text", { class: "strip-range", x: 0, y: y + 28 }, `${figure(low)} to ${figure(high)} ${unit}`));
     root.append(svg("line", { class: "strip-base", x1: LEFT, x2: this.width - RIGHT, y1: y + ROW, y2: y + ROW }));
     const place = (value) => y + ROW - 2 - ((value - low) / (high - low)) * (ROW - 6);
     signals.forEach((signal, side) => {
@@ -158,7 +163,7 @@ export class Chart {
       root.append(svg("path", { class: `strip-line side${side}`, d: path }));
     });
     return signals.map((signal, side) => {
-      const text = svg("text", { class: `strip-value side${side}`, x: this.width - RIGHT + 10, y: y + 17 + 17 * side });
+      const text = svg("text", { class: `strip-value side${side}`, x: this.width - RIGHT + 10, y: y + 13 + 15 * side });
       root.append(text);
       return { text, signal };
     });

@@ -11,13 +11,13 @@ export async function solidsOf(reel) {
   return JSON.parse(new TextDecoder().decode(await inflate(reel.solids)));
 }
 
-/** The motion and the signals of a clip. */
-export async function motionOf(clip) {
-  const bytes = await inflate(clip.data);
+/** Reads variable-length integers one by one. */
+function reader(bytes) {
   let at = 0;
-  const integer = () => {
+  return () => {
     let value = 0, scale = 1;
     for (;;) {
+      if (at >= bytes.length) throw new RangeError("the packed data end too early");
       const byte = bytes[at++];
       value += (byte & 0x7f) * scale;
       if (byte < 0x80) break;
@@ -25,6 +25,20 @@ export async function motionOf(clip) {
     }
     return value % 2 ? -(value + 1) / 2 : value / 2;
   };
+}
+
+/** All integers of a packed text. */
+export async function integersOf(text) {
+  const bytes = await inflate(text);
+  const count = bytes.reduce((n, byte) => n + (byte < 0x80 ? 1 : 0), 0);
+  const integer = reader(bytes);
+  return Float64Array.from({ length: count }, integer);
+}
+
+/** The motion and the signals of a clip. */
+export async function motionOf(clip) {
+  const bytes = await inflate(clip.data);
+  const integer = reader(bytes);
   const steps = (n, unit) => {
     const out = new Float64Array(n);
     for (let i = 0, last = 0; i < n; i++) out[i] = (last += integer()) * unit;

@@ -1,18 +1,14 @@
 // The viewer of recorded episodes: a list, a 3-D view of one or two episodes on one clock, and a strip chart.
 
-import { PCFSoftShadowMap, PerspectiveCamera, Vector3, WebGLRenderer } from "three";
+import { PCFShadowMap, PerspectiveCamera, Vector3, WebGLRenderer } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { Chart, figure } from "./chart.js";
 import { motionOf, solidsOf } from "./unpack.js";
 import { World } from "./world.js";
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
-const VIEWS = {
-  Front: [[1.55, -0.95, 0.85], [0.42, 0, 0.12]],
-  Side: [[0.5, -1.55, 0.45], [0.45, 0, 0.15]],
-  Top: [[0.46, -0.02, 1.75], [0.46, 0, 0]],
-  Close: [[0.95, -0.5, 0.32], [0.5, 0, 0.05]],
-};
+/** Directions of the cameras from the centre of the motion. */
+const VIEWS = { Front: [0.8, -0.56, 0.36], Side: [0.06, -1, 0.22], Top: [0.001, -0.02, 1], Object: [0.7, -0.6, 0.42] };
 
 function element(name, attributes = {}, ...children) {
   const node = document.createElement(name);
@@ -87,7 +83,7 @@ class Viewer {
     this.legend = element(
       "p", { class: "view-legend" },
       element("span", { class: "c0" }, "robot and object"), element("span", { class: "c1" }, "robot and surroundings"),
-      element("span", { class: "c2" }, "object and surroundings"), "Arrows: normal forces, logarithmic length. Line: path of the object.",
+      element("span", { class: "c2" }, "object and surroundings"), "Arrows: normal forces (log scale).",
     );
     this.strip = element("div", { class: "view-strip" });
     this.facts = element("div", { class: "view-facts" });
@@ -97,7 +93,7 @@ class Viewer {
     try {
       this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: true });
       this.renderer.shadowMap.enabled = true;
-      this.renderer.shadowMap.type = PCFSoftShadowMap;
+      this.renderer.shadowMap.type = PCFShadowMap;
       this.renderer.setScissorTest(true);
     } catch {
       this.stage.replaceChildren(element("p", { class: "view-none" }, "This browser offers no WebGL, so the 3-D view is not shown."));
@@ -113,9 +109,17 @@ class Viewer {
   }
 
   look(name) {
-    const [from, to] = VIEWS[name];
-    this.camera.position.set(...from);
-    this.controls.target.set(...to);
+    const { centre, radius } = this.bounds ?? { centre: new Vector3(0.4, 0, 0.3), radius: 0.7 };
+    const direction = new Vector3(...VIEWS[name]).normalize();
+    const world = this.worlds[0];
+    if (name === "Object" && world) {
+      this.controls.target.set(...world.object(this.now));
+      this.camera.position.copy(this.controls.target).addScaledVector(direction, 0.9 * radius);
+    } else {
+      // The surroundings below the motion are worth seeing too.
+      this.controls.target.copy(centre).addScaledVector(new Vector3(0, 0, -1), name === "Top" ? 0 : 0.2 * radius);
+      this.camera.position.copy(this.controls.target).addScaledVector(direction, 3.1 * radius);
+    }
     this.controls.update();
     this.draw();
   }
@@ -151,13 +155,19 @@ class Viewer {
     this.stage.hidden = this.legend.hidden = this.views.hidden = this.contactBox.hidden = !shown;
     this.worlds = shown ? this.sides.map(({ clip, motion }) => new World(clip, motion, this.solids, theme)) : [];
     this.worlds.forEach((world) => { world.showContacts = this.contacts; });
+    if (this.worlds[0]) {
+      const known = this.bounds;
+      this.bounds = this.worlds[0].bounds();
+      // A camera that the reader has moved stays, unless the scene is another one.
+      if (!known || known.centre.distanceTo(this.bounds.centre) > 0.5 * known.radius) this.look(this.views.value);
+    }
     this.end = Math.max(0.001, ...this.sides.map(({ motion }) => motion.end));
     this.slider.max = this.end;
     this.labels.replaceChildren(...this.sides.map(({ clip }, i) => {
       const state = element("span", { class: "view-phase" });
       return element(
         "div", { class: `view-label side${i}` },
-        element("b", {}, clip.title), element("span", { class: clip.success ? "chip good" : "chip bad" }, clip.outcome), state,
+        element("div", {}, element("b", {}, clip.title), element("span", { class: clip.success ? "chip good" : "chip bad" }, clip.outcome), state),
       );
     }));
     this.chart?.dispose();
@@ -178,10 +188,10 @@ class Viewer {
     });
     const events = this.sides.map(({ clip }) => element(
       "div", {},
-      element("h4", {}, clip.title),
+      element("h3", {}, clip.title),
       element("ol", { class: "view-events" }, ...clip.events.map((event) => element(
         "li", {}, element("button", { type: "button", onclick: () => this.seek(event.t) }, `${event.t.toFixed(2)} s`), ` ${event.what}`,
-      )), ...(clip.contact ? [element("li", {}, clip.contact)] : [])),
+      )), ...(clip.events.length ? [] : [element("li", {}, "No event.")]), ...(clip.contact ? [element("li", {}, clip.contact)] : [])),
       element("p", {}, element("code", {}, clip.command)),
     ));
     const heads = this.sides.map(({ clip }) => element("th", { scope: "col" }, clip.title));

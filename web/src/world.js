@@ -1,7 +1,7 @@
 // One episode as a three.js scene.
 
 import {
-  AmbientLight, BoxGeometry, BufferAttribute, BufferGeometry, CapsuleGeometry, Color, CylinderGeometry, DirectionalLight,
+  AmbientLight, Box3, BoxGeometry, BufferAttribute, BufferGeometry, CapsuleGeometry, Color, CylinderGeometry, DirectionalLight,
   ConeGeometry, Group, HemisphereLight, Line, LineBasicMaterial, Mesh, MeshStandardMaterial, MeshBasicMaterial, Quaternion,
   Scene, SphereGeometry, SRGBColorSpace, Vector3,
 } from "three";
@@ -140,6 +140,34 @@ export class World {
     shaft.scale.y = Math.max(1e-4, length);
     tip.position.y = length;
     tip.visible = length > 0.01;
+  }
+
+  /** The centre and the radius of the space that the moving bodies sweep. */
+  bounds() {
+    const moves = this.motion.poses.map((channels) => channels.some((values) => {
+      let low = Infinity, high = -Infinity;
+      for (const value of values) [low, high] = [Math.min(low, value), Math.max(high, value)];
+      return high - low > 0.004;
+    }));
+    const box = new Box3(), centre = new Vector3();
+    const every = Math.max(1, Math.floor(this.clip.frames / 24));
+    for (let frame = 0; frame < this.clip.frames; frame += every) {
+      this.show(this.motion.times[frame]);
+      this.bodies.forEach((body, at) => {
+        if (!moves[at]) return;
+        body.updateMatrixWorld(true);
+        for (const mesh of body.children) {
+          mesh.geometry.boundingSphere ?? mesh.geometry.computeBoundingSphere();
+          mesh.localToWorld(centre.copy(mesh.geometry.boundingSphere.center));
+          const r = 0.6 * mesh.geometry.boundingSphere.radius;
+          box.expandByPoint(centre.clone().addScalar(r));
+          box.expandByPoint(centre.clone().addScalar(-r));
+        }
+      });
+    }
+    if (box.isEmpty()) return { centre: new Vector3(0.4, 0, 0.3), radius: 0.7 };
+    const size = box.getSize(new Vector3());
+    return { centre: box.getCenter(new Vector3()), radius: 0.5 * Math.max(0.2, size.length()) };
   }
 
   /** The position of the last body at a time. */

@@ -22,6 +22,7 @@ mod failures;
 pub mod labels;
 mod marginal;
 mod models;
+mod pair_counts;
 mod pairs;
 mod pick_place;
 mod rate;
@@ -45,12 +46,14 @@ pub use danger::{DANGER_LIMIT, DangerZone, DangerZones};
 pub use error::AnalysisError;
 pub use failures::{FailureModes, ModeShare, unrecorded};
 pub use marginal::{
-    Cell, Correlation, CriticalThreshold, MarginalEffect, ModeBin, ModeChange, ModeChanges, ParameterType, Zone,
+    Cell, Correlation, CriticalThreshold, CurvePoint, MarginalEffect, ModeBin, ModeChange, ModeChanges, ParameterType,
+    Zone,
 };
 pub use models::{
     CalibrationFigures, Coefficient, Estimate, Frontier, FrontierPoint, Penalty, PenaltyLevel, Regression,
     ReliabilityBin, RiskModel, RocCurve, RocFigures, Scoring, ScoringTerm,
 };
+pub use pair_counts::{PairCounts, pair_counts};
 pub use pairs::{Axis, PairCell, PairMap, ZoneCounts};
 pub use rate::{Finding, Population, Rate};
 pub use replay::{ReplayEpisode, ReplayGroup, ReplayReason, shell_word};

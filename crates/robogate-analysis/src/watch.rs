@@ -51,6 +51,9 @@ pub fn worth_watching(source: &Source, analysis: &Analysis, max: usize) -> Resul
     unexplained(&table, analysis, &mut chosen);
     let (names, groups) = categories(dictionary, "group")?;
     weakest_groups(&table, &names, &groups, &mut chosen);
+    if chosen.is_empty() {
+        successes(&table, &space, &mut chosen);
+    }
     let passing: Vec<usize> = (0..table.len()).filter(|row| table.outcome[*row] == Ending::Success).collect();
     let mut watched: Vec<WatchedEpisode> = Vec::new();
     let mut rows: Vec<usize> = Vec::new();
@@ -142,7 +145,11 @@ impl<'a> Space<'a> {
             format!("{} {to} instead of {from}", parameter_label(&column.name))
         };
         let parts: Vec<String> = all.iter().take(MAX_DIFFERENCES).map(text).collect();
-        if parts.is_empty() { "The parameters are the same.".to_owned() } else { format!("It has {}.", parts.join(", ")) }
+        if parts.is_empty() {
+            "The parameters are the same.".to_owned()
+        } else {
+            format!("It has {}.", parts.join(", "))
+        }
     }
 }
 
@@ -153,12 +160,32 @@ fn scaled(column: &ParameterColumn) -> Vec<f64> {
         if position.is_finite() { position } else { 0.0 }
     };
     let value = |x: f64| match column.kind {
-        ParameterKind::Continuous { low, high, log: true } if low > 0.0 => scale(x.max(low).ln(), [low.ln(), high.ln()]),
+        ParameterKind::Continuous { low, high, log: true } if low > 0.0 => {
+            scale(x.max(low).ln(), [low.ln(), high.ln()])
+        }
         ParameterKind::Continuous { low, high, .. } => scale(x, [low, high]),
         ParameterKind::Integer { low, high } => scale(x, [low as f64, high as f64]),
         ParameterKind::Categorical { .. } => x,
     };
     column.values.iter().map(|x| value(*x)).map(|x| if x.is_finite() { x } else { 0.0 }).collect()
+}
+
+/// Without failures: the most typical success and the slowest one.
+fn successes(table: &EpisodeTable, space: &Space<'_>, chosen: &mut Vec<(usize, String, String)>) {
+    let rows: Vec<usize> = (0..table.len()).filter(|row| table.outcome[*row] == Ending::Success).collect();
+    if let Some(row) = space.nearest_to(&space.centre(&rows), &rows) {
+        let why = format!(
+            "No episode failed. The parameters are nearest to the average of {}.",
+            counted(rows.len() as u64, "episode")
+        );
+        chosen.push((row, "Typical success".to_owned(), why));
+    }
+    let time = |row: &usize| table.time_s[*row].unwrap_or(f64::NEG_INFINITY);
+    let slowest =
+        rows.iter().copied().filter(|row| table.time_s[*row].is_some()).min_by(|a, b| time(b).total_cmp(&time(a)));
+    if let Some(row) = slowest {
+        chosen.push((row, "Slowest success".to_owned(), "The success with the longest time.".to_owned()));
+    }
 }
 
 /// The failed episode nearest to the centre of each failure mode, the most frequent mode first.

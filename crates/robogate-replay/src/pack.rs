@@ -59,6 +59,13 @@ pub(crate) fn quantised(value: f64, unit: f64) -> i64 {
     (value / unit).round().clamp(-1e15, 1e15) as i64
 }
 
+/// Packs integers for a page.
+pub fn packed_integers(values: impl IntoIterator<Item = u64>) -> String {
+    let mut packer = Packer::default();
+    values.into_iter().for_each(|value| packer.integer(i64::try_from(value).unwrap_or(i64::MAX)));
+    packer.finish()
+}
+
 /// Compresses bytes (raw DEFLATE) and encodes them as base64.
 pub(crate) fn packed(bytes: &[u8]) -> String {
     base64(&compress_to_vec(bytes, LEVEL))

@@ -20,6 +20,7 @@ mod study;
 mod text;
 mod watch;
 
+use robogate_analysis::PairCounts;
 use robogate_gate::Evaluation;
 
 pub use gate::{
@@ -39,4 +40,6 @@ pub struct Additions<'a> {
     pub evaluation: Option<&'a Evaluation>,
     /// Episodes worth watching.
     pub watch: Option<&'a Watch>,
+    /// Counts for a map of any two parameters.
+    pub pairs: Option<&'a PairCounts>,
 }

@@ -66,6 +66,10 @@ fn block(out: &mut String, block: &Block) {
         }
         Block::List(lines) => list(out, lines),
         Block::Figure(figure) => self::figure(out, figure),
+        Block::Group(title, blocks) => {
+            let _ = write!(out, "**{}**\n\n", escape_markdown(title));
+            blocks.iter().for_each(|block| self::block(out, block));
+        }
         Block::Grid(figures) => figures.iter().for_each(|figure| self::figure(out, figure)),
         Block::Table(table) | Block::Folded(table) => self::table(out, table, true),
         Block::Facts(facts) => {
@@ -75,6 +79,8 @@ fn block(out: &mut String, block: &Block) {
             out.push('\n');
         }
         Block::Watch(watch) => self::watch(out, watch),
+        // Markdown cannot be operated; `--pair` adds a map.
+        Block::Pairs(_) => {}
     }
 }
 

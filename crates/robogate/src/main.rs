@@ -4,6 +4,7 @@ mod answer;
 mod cell;
 mod commands;
 mod exit;
+mod film;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod outage;

@@ -228,7 +228,8 @@ impl<'a> Recorder<'a> {
         let clips = self.clips;
         if !clips.is_empty() && clips.iter().all(|clip| clip.recording.trajectory.is_none()) {
             self.remarks.push(
-                "This environment offers no geometry, so the viewer shows signals and events without a 3-D view.".to_owned(),
+                "This environment offers no geometry, so the viewer shows signals and events without a 3-D view."
+                    .to_owned(),
             );
         }
         let reel = (!clips.is_empty()).then(|| reel(&clips));

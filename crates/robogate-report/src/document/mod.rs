@@ -4,6 +4,7 @@ mod analysis;
 mod comparison;
 
 use maud::Markup;
+use robogate_analysis::PairCounts;
 
 use crate::gate::VerdictBlock;
 use crate::watch::Watch;
@@ -62,6 +63,8 @@ pub(crate) enum Block {
     Figure(Figure),
     /// Figures side by side.
     Grid(Vec<Figure>),
+    /// Blocks that the reader can expand, with a title.
+    Group(String, Vec<Self>),
     /// A table that is always visible.
     Table(Table),
     /// A table that the reader can expand.
@@ -70,6 +73,8 @@ pub(crate) enum Block {
     Facts(Vec<(String, String)>),
     /// Episodes worth watching.
     Watch(Watch),
+    /// A map of any two parameters, which the reader chooses.
+    Pairs(PairCounts),
 }
 
 impl Block {

@@ -57,7 +57,8 @@ mod tests {
 
     #[test]
     fn axis_holds_all_values() {
-        for (values, share) in [([0.9, 0.97, 0.95, 0.9], true), ([0.0, 0.0, 0.0, 0.02], true), ([3.0, 4.1, 3.5, 9.0], false)]
+        for (values, share) in
+            [([0.9, 0.97, 0.95, 0.9], true), ([0.0, 0.0, 0.0, 0.02], true), ([3.0, 4.1, 3.5, 9.0], false)]
         {
             let [from, to] = axis(values, share);
             assert!(values.iter().all(|x| (from..=to).contains(x)), "{values:?}: {from} to {to}");

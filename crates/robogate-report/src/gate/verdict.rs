@@ -42,7 +42,7 @@ impl VerdictBlock {
         let rows = RequirementRow::all(evaluation);
         bars.resize(rows.len(), None);
         let mut requirements: Vec<VerdictRow> =
-            rows.into_iter().zip(bars).map(|(row, bar)| VerdictRow { row, bar }).collect();
+            rows.into_iter().zip(bars).map(|(row, bar)| VerdictRow { row: readable(row), bar }).collect();
         let urgency = |status| match status {
             Status::Violated => 0,
             Status::NoEvidence => 1,
@@ -54,7 +54,7 @@ impl VerdictBlock {
         let rounds = counts.rounds.map_or_else(String::new, |rounds| format!(" in {}", counted(rounds, "round")));
         Self {
             verdict: evaluation.verdict,
-            because: robogate_stats::format::sentence(&format!("{}.", evaluation.because.trim_end_matches('.'))),
+            because: because(evaluation, &requirements),
             requirements,
             weakest: weakest(evaluation),
             next: next_step(evaluation),
@@ -96,6 +96,22 @@ impl VerdictBlock {
     }
 }
 
+/// A row with spaces for the underscores of identifiers.
+fn readable(row: RequirementRow) -> RequirementRow {
+    RequirementRow { requirement: row.requirement.replace('_', " "), ..row }
+}
+
+/// The reason for the verdict, as a sentence. A failed gate names what it violates.
+fn because(evaluation: &Evaluation, requirements: &[VerdictRow]) -> String {
+    let violated = requirements.iter().filter(|one| one.row.status == Status::Violated);
+    let violated: Vec<String> =
+        violated.map(|one| format!("{} (observed {})", one.row.requirement, one.row.observed)).collect();
+    if evaluation.verdict == Verdict::Fail && !violated.is_empty() {
+        return format!("Violated: {}.", violated.join("; "));
+    }
+    robogate_stats::format::sentence(&format!("{}.", evaluation.because.trim_end_matches('.')))
+}
+
 /// The scenario groups with the lowest success rates, as sentences.
 fn weakest(evaluation: &Evaluation) -> Vec<String> {
     let rate = |successes: u64, valid: u64| successes as f64 / valid.max(1) as f64;
@@ -126,9 +142,11 @@ fn next_step(evaluation: &Evaluation) -> String {
         format!(" A new gate takes at most {}.", counted(most, "episode"))
     });
     match evaluation.verdict {
-        Verdict::Pass => "Write the evidence with `robogate evidence`, and the reference for the monitor with `robogate \
+        Verdict::Pass => {
+            "Write the evidence with `robogate evidence`, and the reference for the monitor with `robogate \
                           monitor reference`. Neither runs more episodes."
-            .to_owned(),
+                .to_owned()
+        }
         Verdict::Fail => format!(
             "Watch the failed episodes below and improve the policy where it is weakest. Judge the new policy with another \
              --seed.{again}"
@@ -138,9 +156,11 @@ fn next_step(evaluation: &Evaluation) -> String {
             match (next.is_empty(), evaluation.requirements.mode, evaluation.sampling) {
                 (false, _, Sampling::Sequential) => format!("{next} Raise --rounds and run the gate again."),
                 (false, ..) => next,
-                (true, Mode::Confidence, _) => "The observed figures are too close to the limits for a practical number of \
+                (true, Mode::Confidence, _) => {
+                    "The observed figures are too close to the limits for a practical number of \
                                                 episodes. Improve the policy, or change the requirement."
-                    .to_owned(),
+                        .to_owned()
+                }
                 (true, Mode::Point, _) => "Provide the missing evidence, then judge the run again.".to_owned(),
             }
         }

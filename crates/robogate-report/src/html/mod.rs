@@ -1,5 +1,6 @@
 //! Documents as self-contained HTML files.
 
+mod pairs;
 mod prose;
 mod verdict;
 mod watch;
@@ -70,7 +71,7 @@ pub(crate) fn frame(title: &str, body: &Markup, script: bool) -> String {
 fn page(document: &Document, watch: Option<&Watch>) -> String {
     let body = html! {
         (hero(document))
-        main { @for section in &document.sections { (self::section(section)) } }
+        main { @for section in &document.sections { (self::section(section, document.verdict.is_some())) } }
         (watch::scripts(watch))
     };
     frame(&document.title, &body, true)
@@ -117,14 +118,23 @@ fn big(figure: &str) -> Markup {
     }
 }
 
-fn section(section: &Section) -> Markup {
+/// The sections that are open when the page opens. A reader acts on them; the others hold the evidence.
+const OPEN: [&str; 5] = ["watch", "marginal-effects", "rates", "paired", ENVELOPE];
+/// This one is folded below a verdict: the scenarios of a gate are chosen, and do not fill a map.
+const ENVELOPE: &str = "envelope";
+
+fn section(section: &Section, below_verdict: bool) -> Markup {
+    let of = html! { @if let Some(population) = &section.population { p.of { (prose(population)) } } };
+    let blocks = html! { @for one in &section.blocks { (block(one)) } };
+    let open = OPEN.iter().any(|id| section.id.starts_with(id)) && !(below_verdict && section.id == ENVELOPE);
     html! {
-        section id=(section.id) {
-            header {
-                h2 { (prose(&section.title)) }
-                @if let Some(population) = &section.population { p.of { (prose(population)) } }
+        section id=(section.id) class=[(!open).then_some("folded")] {
+            @if open {
+                header { h2 { (prose(&section.title)) } (of) }
+                (blocks)
+            } @else {
+                details.section { summary { h2 { (prose(&section.title)) } } (of) (blocks) }
             }
-            @for one in &section.blocks { (block(one)) }
         }
     }
 }
@@ -138,12 +148,16 @@ fn block(block: &Block) -> Markup {
         Block::List(lines) => list("plain", lines),
         Block::Figure(figure) => self::figure(figure, "wide"),
         Block::Grid(figures) => html! { div.grid { @for one in figures { (self::figure(one, "small")) } } },
+        Block::Group(title, blocks) => html! {
+            details { summary { (prose(title)) } @for one in blocks { (self::block(one)) } }
+        },
         Block::Table(table) => html! {
             @if !table.title.is_empty() { h3 { (prose(&table.title)) } }
             (self::table(table))
         },
         Block::Folded(table) => folded(table),
         Block::Watch(watch) => watch::watch(watch),
+        Block::Pairs(pairs) => pairs::pairs(pairs),
         Block::Facts(facts) => html! {
             dl { @for (name, value) in facts { div { dt { (prose(name)) } dd { (prose(value)) } } } }
         },

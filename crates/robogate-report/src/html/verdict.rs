@@ -30,7 +30,7 @@ pub(super) fn verdict(of: &VerdictBlock) -> Markup {
                 p.verdict-head { "Weakest scenarios" }
                 ul.verdict-weakest { @for line in &of.weakest { li { (prose(line)) } } }
             }
-            p.remark { (prose(&of.basis)) }
+            details { summary { "How this was decided" } p.remark { (prose(&of.basis)) } }
         }
     }
 }

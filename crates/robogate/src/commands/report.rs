@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use robogate_analysis::{Analysis, Source};
+use robogate_analysis::{Analysis, Source, pair_counts};
 use robogate_gate::Evaluation;
 use robogate_report::{Additions, Watch, analysis_json, html_with, markdown_with};
 
@@ -61,7 +61,9 @@ impl Report {
             }
             _ => None,
         };
-        let additions = Additions { evaluation: evaluation.as_ref(), watch: shown(watch.as_ref()) };
+        let pairs = pair_counts(&source, &analysis).or_usage()?;
+        let additions =
+            Additions { evaluation: evaluation.as_ref(), watch: shown(watch.as_ref()), pairs: Some(&pairs) };
         let (text, ending) = match self.format {
             Form::Html => (html_with(&analysis, &additions), "html"),
             Form::Md => (markdown_with(&analysis, &additions), "md"),
@@ -88,8 +90,11 @@ pub(crate) fn page(dir: &Path) -> Result<(), Exit> {
     let analysis = analyse(&source, dir, &[])?;
     let evaluation = gate_of(dir, &source);
     let watch = watch::watch(&source, &analysis, &Simulators::none(), Moment::EndOfRun).or_broken()?;
-    let additions = Additions { evaluation: evaluation.as_ref(), watch: shown(Some(&watch)) };
-    std::fs::write(&out, html_with(&analysis, &additions)).with_context(|| format!("cannot write {}", out.display())).or_broken()
+    let pairs = pair_counts(&source, &analysis).or_broken()?;
+    let additions = Additions { evaluation: evaluation.as_ref(), watch: shown(Some(&watch)), pairs: Some(&pairs) };
+    std::fs::write(&out, html_with(&analysis, &additions))
+        .with_context(|| format!("cannot write {}", out.display()))
+        .or_broken()
 }
 
 /// The verdict of the gate that a run belongs to. A problem is a note, because the analysis does not depend on it.

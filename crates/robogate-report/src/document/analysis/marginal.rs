@@ -13,18 +13,19 @@ use crate::figures;
 
 /// Maximum number of figures on the page. The other parameters are in the tables.
 const MAX_FIGURES: usize = 16;
+/// Number of figures that are visible before the reader opens the others.
+const FIRST_FIGURES: usize = 6;
 /// Share of crossing replicates above which the observed side of 50 % is not significant.
 const CROSSING: f64 = 0.05;
 
 pub(super) fn section(analysis: &Analysis) -> Section {
     let effects = &analysis.marginal_effects;
-    let mut blocks = vec![Block::Table(numeric_table(effects))];
-    blocks.extend(categorical_table(effects).map(Block::Table));
-    blocks.push(Block::Text(
-        "The vertical line is where success crosses 50 %, with its interval from 1,000 bootstrap replicates. Whiskers are Wilson \
-         intervals. Dotted lines separate danger (30 %), boundary and safe (70 %)."
+    let mut blocks = vec![Block::Text(
+        "Strongest correlation with success first. Dots are observed rates with Wilson intervals. The curve is a logistic \
+         model of the parameter and its square with its 95 % band. The vertical line is where success crosses 50 %, with its \
+         interval from 1,000 bootstrap replicates. Dotted lines separate danger (30 %), boundary and safe (70 %)."
             .to_owned(),
-    ));
+    )];
     let mut ranked: Vec<&MarginalEffect> = effects.iter().collect();
     let strength = |effect: &MarginalEffect| effect.correlation.estimated().map_or(0.0, |c| c.strength());
     ranked.sort_by(|a, b| strength(b).total_cmp(&strength(a)));
@@ -37,14 +38,26 @@ pub(super) fn section(analysis: &Analysis) -> Section {
         findings: Vec::new(),
         table: cells_table(effect),
     });
-    blocks.push(Block::Grid(figures.collect()));
+    let figures: Vec<Figure> = figures.collect();
+    let mut first = figures;
+    let others = first.split_off(first.len().min(FIRST_FIGURES));
+    blocks.push(Block::Grid(first));
+    if !others.is_empty() {
+        blocks.push(Block::Group(
+            format!("{} with a weaker effect", counted(others.len() as u64, "parameter")),
+            vec![Block::Grid(others)],
+        ));
+    }
+    let mut tables = vec![Block::Table(numeric_table(effects))];
+    tables.extend(categorical_table(effects).map(Block::Table));
+    blocks.push(Block::Group("Thresholds and correlations as a table".to_owned(), tables));
     if left_out > 0 {
         blocks.push(Block::Text(format!(
             "{} with a weaker correlation are in the JSON document only.",
             counted(left_out as u64, "parameter")
         )));
     }
-    Section { id: "marginal-effects", title: "Marginal effects".to_owned(), population: population(analysis), blocks }
+    Section { id: "marginal-effects", title: "Drivers of success".to_owned(), population: population(analysis), blocks }
 }
 
 fn caption(effect: &MarginalEffect) -> String {

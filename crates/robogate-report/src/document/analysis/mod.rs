@@ -14,8 +14,8 @@ use robogate_stats::format::{count, counted, percent, percent_range, sentence};
 
 use super::{Block, Document, Figure, Section, Table, watch_section};
 use crate::gate::VerdictBlock;
-use crate::{Additions, figures};
 use crate::text::{Headline, limits};
+use crate::{Additions, figures};
 
 /// Creates the document of an analysis.
 pub(crate) fn analysis_document(analysis: &Analysis, additions: &Additions<'_>) -> Document {
@@ -61,23 +61,33 @@ pub(crate) fn analysis_document(analysis: &Analysis, additions: &Additions<'_>) 
 fn sections(analysis: &Analysis, additions: &Additions<'_>) -> Vec<Section> {
     let mut sections: Vec<Section> = additions.watch.map(watch_section).into_iter().collect();
     sections.extend([
-            envelope::section(analysis),
-            marginal::section(analysis),
-            failures::section(analysis),
-            danger::section(analysis),
-            models::risk(analysis),
-            models::interactions(analysis),
-            sampling::section(analysis),
-            replay::section(analysis),
-            provenance::section(analysis),
-            Section {
-                id: "limits",
-                title: "Limits".to_owned(),
-                population: None,
-                blocks: vec![Block::List(limits(analysis))],
-            },
+        marginal::section(analysis),
+        envelope::section(analysis, additions.pairs),
+        failures::section(analysis),
+        models::risk(analysis),
+        replay::section(analysis),
+        paper(analysis),
+        sampling::section(analysis),
+        provenance::section(analysis),
+        Section {
+            id: "limits",
+            title: "Limits".to_owned(),
+            population: None,
+            blocks: vec![Block::List(limits(analysis))],
+        },
     ]);
     sections
+}
+
+/// The figures of the paper that introduced RoboGate, in one section.
+fn paper(analysis: &Analysis) -> Section {
+    let mut blocks = Vec::new();
+    for part in [danger::section(analysis), models::interactions(analysis)] {
+        blocks.push(Block::Heading(part.title));
+        blocks.extend(part.population.map(Block::Text));
+        blocks.extend(part.blocks);
+    }
+    Section { id: "paper", title: "Figures of the RoboGate paper".to_owned(), population: None, blocks }
 }
 
 fn is_unknown(name: &str) -> bool {
