@@ -23,6 +23,7 @@ mod failures;
 pub mod labels;
 mod marginal;
 mod models;
+mod pair_counts;
 mod pairs;
 mod pick_place;
 mod rate;
@@ -34,6 +35,7 @@ pub mod study;
 mod success;
 mod table;
 mod task;
+mod watch;
 
 pub use analysis::{Analysis, AnalysisOptions, Envelope, Subject};
 pub use claims::{Advice, Claims, FailureRegion};
@@ -47,12 +49,14 @@ pub use effects::{EffectShape, Effects, Interaction, LEVEL, ParameterEffect, Rat
 pub use error::AnalysisError;
 pub use failures::{FailureModes, ModeShare, unrecorded};
 pub use marginal::{
-    Cell, Correlation, CriticalThreshold, MarginalEffect, ModeBin, ModeChange, ModeChanges, ParameterType, Zone,
+    Cell, Correlation, CriticalThreshold, CurvePoint, MarginalEffect, ModeBin, ModeChange, ModeChanges, ParameterType,
+    Zone,
 };
 pub use models::{
     CalibrationFigures, Coefficient, Estimate, Frontier, FrontierPoint, Penalty, PenaltyLevel, Regression,
     ReliabilityBin, RiskModel, RocCurve, RocFigures, Scoring, ScoringTerm,
 };
+pub use pair_counts::{PairCounts, pair_counts};
 pub use pairs::{Axis, ModelRate, PairCell, PairMap, ZoneCounts};
 pub use rate::{Finding, Population, Rate};
 pub use replay::{ReplayEpisode, ReplayGroup, ReplayReason, shell_word};
@@ -61,3 +65,4 @@ pub use sampling::{SampledRange, Sampling};
 pub use source::Source;
 pub use success::{Adjusted, FaultCount, InvalidBounds, Reweighted, StageSuccess, Success, WeightedRate};
 pub use task::{InteractionModel, TaskAnalysis};
+pub use watch::{Twin, WatchedEpisode, worth_watching};

@@ -152,9 +152,7 @@ pub(crate) fn check(base: &Sample, first: &str, second: &str) -> Result<(), Anal
 
 /// The map of two parameters: `up` on the vertical axis, `across` on the horizontal one.
 pub(crate) fn map(base: &Sample, up: &ParameterColumn, across: &ParameterColumn) -> Option<PairMap> {
-    // The number of cells leaves enough episodes for each.
-    let side = (base.len() as f64 / EPISODES_PER_CELL as f64).sqrt() as usize;
-    let bins = side.clamp(3, MAX_BINS);
+    let bins = bins_for(base.len());
     let (y_axis, y_edges) = axis(up, bins)?;
     let (x_axis, x_edges) = axis(across, bins)?;
     let counted = per_pair(&up.values, &y_edges, &across.values, &x_edges, &base.success).ok()?;
@@ -218,8 +216,14 @@ fn fine(parameter: &ParameterColumn) -> Option<Edges> {
     Some(axis(parameter, FINE)?.1)
 }
 
+/// The number of bins of an axis, which leaves enough episodes for each cell.
+pub(crate) fn bins_for(episodes: usize) -> usize {
+    let side = (episodes as f64 / EPISODES_PER_CELL as f64).sqrt() as usize;
+    side.clamp(3, MAX_BINS)
+}
+
 /// Bins of equal probability under the operating distribution: of equal width on the parameter's own scale.
-fn axis(parameter: &ParameterColumn, bins: usize) -> Option<(Axis, Edges)> {
+pub(crate) fn axis(parameter: &ParameterColumn, bins: usize) -> Option<(Axis, Edges)> {
     let name = parameter.name.clone();
     let levels_of = |levels: Vec<String>, first: f64| {
         let edges = Edges::new((0..=levels.len()).map(|i| first - 0.5 + i as f64).collect()).ok()?;

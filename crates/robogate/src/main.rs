@@ -5,6 +5,7 @@ mod cell;
 mod commands;
 mod environments;
 mod exit;
+mod film;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod lost_episodes;
@@ -21,6 +22,7 @@ mod source;
 mod subject;
 mod summary;
 mod terminal;
+mod watch;
 
 use std::process::ExitCode;
 

@@ -2,6 +2,7 @@
 
 mod cells;
 mod correlation;
+mod curve;
 mod mode_changes;
 mod threshold;
 mod zone;
@@ -11,6 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use correlation::Correlation;
+pub use curve::CurvePoint;
 pub use mode_changes::{ModeBin, ModeChange, ModeChanges};
 pub use threshold::CriticalThreshold;
 pub use zone::Zone;

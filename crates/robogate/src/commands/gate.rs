@@ -331,6 +331,14 @@ pub(crate) fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, 
     Ok(Some((path, record)))
 }
 
+/// The evaluation of the gate that a run's folder belongs to. `None` for a run without a gate.
+pub(crate) fn evaluation_of(folder: &Path, source: &Source) -> Result<Option<Evaluation>, Exit> {
+    let Some(asked) = Asked::of(folder).map_err(refused)? else { return Ok(None) };
+    let record = Record::of(source.dictionary()).map_err(refused)?;
+    let other = compared_with(&asked)?.map(|(_, record)| record);
+    question(&asked, other.as_ref()).evaluate(&record).map_err(refused).map(Some)
+}
+
 /// Resumes an interrupted gate.
 pub(crate) fn resume(dir: &Path, asked: Asked, subject: &Subject, settings: Settings, how: &How) -> Result<u8, Exit> {
     let other = compared_with(&asked)?.map(|(_, record)| record);

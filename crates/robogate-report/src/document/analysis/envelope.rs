@@ -1,7 +1,7 @@
 //! The operating envelope: success by two parameters, and the frontier between success and failure.
 
 use robogate_analysis::labels::{parameter_label, value_with_unit};
-use robogate_analysis::{Analysis, Envelope, Finding, Frontier, PairMap};
+use robogate_analysis::{Analysis, Envelope, Finding, Frontier, PairCounts, PairMap};
 use robogate_stats::format::{count, counted, number, percent, percent_or_dash, percent_range, range, sentence};
 
 use super::models::regression_table;
@@ -10,7 +10,7 @@ use crate::document::Kind::{Number, Short, Text, Zone};
 use crate::document::{MAX_MAP_ROWS, or_dash};
 use crate::figures::{drawable, heatmap};
 
-pub(super) fn section(analysis: &Analysis) -> Section {
+pub(super) fn section(analysis: &Analysis, pairs: Option<&PairCounts>) -> Section {
     let mut blocks = Vec::new();
     if analysis.envelopes.is_empty() {
         blocks.push(Block::cannot("An envelope", "there are fewer than two numeric parameters"));
@@ -18,6 +18,7 @@ pub(super) fn section(analysis: &Analysis) -> Section {
     for (i, envelope) in analysis.envelopes.iter().enumerate() {
         one(&mut blocks, envelope, i);
     }
+    blocks.extend(pairs.filter(|pairs| pairs.axes.len() > 2).map(|pairs| Block::Pairs(pairs.clone())));
     Section { id: "envelope", title: "Operating envelope".to_owned(), population: population(analysis), blocks }
 }
 
@@ -76,7 +77,6 @@ fn map_figure(map: &PairMap, frontier: Option<&Frontier>, at: usize) -> Figure {
 }
 
 fn frontier_blocks(blocks: &mut Vec<Block>, frontier: &Frontier) {
-    blocks.push(Block::Code(frontier.closed_form.clone()));
     if frontier.contradicted {
         blocks.push(Block::Caution(format!(
             "Do not rely on this frontier: where the model predicts 40 to 60 % success, the observed rate is {} ({} in {}). \
@@ -86,9 +86,13 @@ fn frontier_blocks(blocks: &mut Vec<Block>, frontier: &Frontier) {
             counted(frontier.near.n, "episode")
         )));
     }
-    blocks.push(Block::Folded(regression_table("Model of the frontier", &frontier.regression)));
-    blocks.push(Block::Folded(curve_table(frontier)));
-    blocks.extend(frontier.regression.warnings.iter().cloned().map(Block::Caution));
+    let mut model = vec![
+        Block::Code(frontier.closed_form.clone()),
+        Block::Table(regression_table("Model of the frontier", &frontier.regression)),
+        Block::Table(curve_table(frontier)),
+    ];
+    model.extend(frontier.regression.warnings.iter().cloned().map(Block::Caution));
+    blocks.push(Block::Group("The frontier in closed form".to_owned(), model));
 }
 
 fn frontier_findings(frontier: &Frontier) -> Vec<String> {

@@ -14,17 +14,18 @@ use crate::text::low_side;
 
 /// Maximum number of figures on the page. The other parameters are in the tables.
 const MAX_FIGURES: usize = 16;
+/// Number of figures that are visible before the reader opens the others.
+const FIRST_FIGURES: usize = 6;
 /// Share of crossing replicates above which the observed side of 50 % is not significant.
 const CROSSING: f64 = 0.05;
 
 pub(super) fn section(analysis: &Analysis) -> Section {
     let effects = &analysis.marginal_effects;
     let mut blocks: Vec<Block> = effects_table(analysis).map(Block::Table).into_iter().collect();
-    blocks.push(Block::Table(numeric_table(effects)));
-    blocks.extend(categorical_table(effects).map(Block::Table));
     blocks.push(Block::Text(
-        "The vertical line is where success crosses 50 %, with its interval from 1,000 bootstrap replicates. Whiskers are Wilson \
-         intervals. Dotted lines separate danger (30 %), boundary and safe (70 %)."
+        "Strongest influence on success first. Dots are observed rates with Wilson intervals. The curve is a logistic model of the \
+         parameter and its square with its 95 % band. The vertical line is where success crosses 50 %, with its interval from \
+         1,000 bootstrap replicates. Dotted lines separate danger (30 %), boundary and safe (70 %)."
             .to_owned(),
     ));
     let mut ranked: Vec<&MarginalEffect> = effects.iter().collect();
@@ -41,14 +42,26 @@ pub(super) fn section(analysis: &Analysis) -> Section {
         findings: Vec::new(),
         table: cells_table(effect),
     });
-    blocks.push(Block::Grid(figures.collect()));
+    let figures: Vec<Figure> = figures.collect();
+    let mut first = figures;
+    let others = first.split_off(first.len().min(FIRST_FIGURES));
+    blocks.push(Block::Grid(first));
+    if !others.is_empty() {
+        blocks.push(Block::Group(
+            format!("{} with a weaker effect", counted(others.len() as u64, "parameter")),
+            vec![Block::Grid(others)],
+        ));
+    }
+    let mut tables = vec![Block::Table(numeric_table(effects))];
+    tables.extend(categorical_table(effects).map(Block::Table));
+    blocks.push(Block::Group("Thresholds and correlations as a table".to_owned(), tables));
     if left_out > 0 {
         blocks.push(Block::Text(format!(
             "{} with less influence are in the JSON document only.",
             counted(left_out as u64, "parameter")
         )));
     }
-    Section { id: "marginal-effects", title: "Marginal effects".to_owned(), population: population(analysis), blocks }
+    Section { id: "marginal-effects", title: "Drivers of success".to_owned(), population: population(analysis), blocks }
 }
 
 /// The parameters in order of influence, with the test and the shape of each.
