@@ -8,7 +8,7 @@ cd "$(dirname "$0")/.."
 target=${CARGO_TARGET_DIR:-target}
 checks=("$@")
 if [ $# -eq 0 ]; then
-    checks=(kills nodes servers speed workers slurm kubernetes million)
+    checks=(kills nodes servers speed workers slurm kubernetes object-store million)
 fi
 cargo build --locked -p robogate --features full
 robogate=$(realpath "$target/debug/robogate")
@@ -31,6 +31,7 @@ for check in "${checks[@]}"; do
             step "$check" scripts/cluster/slurm.sh "$robogate"
             ;;
         kubernetes) step "$check" "$venv/bin/python" scripts/cluster/kubernetes.py ;;
+        object-store) step "$check" "$venv/bin/python" scripts/cluster/object_store.py "$robogate" ;;
         million) step "$check" scripts/cluster/million.sh "$robogate" ;;
         *) step "$check" "$venv/bin/python" scripts/cluster/ray_checks.py "$check" ;;
     esac

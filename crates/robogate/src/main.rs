@@ -7,6 +7,8 @@ mod exit;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod lost_episodes;
+#[cfg(feature = "object-store")]
+mod object_store;
 mod outage;
 mod picture;
 mod place;
