@@ -69,7 +69,6 @@ echo "  SIGKILL of the process of another shard"
 
 until [ -f "$work/run/report.html" ] || ! squeue --noheader | grep -q .; do sleep 0.5; done
 until ! squeue --noheader | grep -q .; do sleep 0.5; done
-echo "  $(grep -hc '^shard .* of round' "$work"/run/slurm/shard-*.log | awk "{n += \$1} END {print n}") starts of 16 shards, $(grep -c 'requeue' "$work/slurmctld.log" || true) lines with requeue in the log of slurmctld"
 for file in boundary.json dictionary.parquet plan.json summary.json; do
     cmp "$work/single/$file" "$work/run/$file"
 done
