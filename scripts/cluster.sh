@@ -10,7 +10,7 @@ checks=("$@")
 if [ $# -eq 0 ]; then
     checks=(kills nodes servers speed workers slurm kubernetes object-store million)
 fi
-cargo build --locked -p robogate --features full
+cargo build --locked -p robogate --features full,object-store
 robogate=$(realpath "$target/debug/robogate")
 export ROBOGATE_COMMAND=$robogate PYTHONPATH=$PWD/python/src
 # The default of 30 s is too short on a loaded machine.
