@@ -8,9 +8,9 @@ cd "$(dirname "$0")/.."
 target=${CARGO_TARGET_DIR:-target}
 checks=("$@")
 if [ $# -eq 0 ]; then
-    checks=(kills nodes servers speed workers slurm kubernetes million)
+    checks=(kills nodes servers speed workers slurm kubernetes object-store million)
 fi
-cargo build --locked -p robogate --features full
+cargo build --locked -p robogate --features full,object-store
 robogate=$(realpath "$target/debug/robogate")
 export ROBOGATE_COMMAND=$robogate PYTHONPATH=$PWD/python/src
 # The default of 30 s is too short on a loaded machine.
@@ -31,6 +31,7 @@ for check in "${checks[@]}"; do
             step "$check" scripts/cluster/slurm.sh "$robogate"
             ;;
         kubernetes) step "$check" "$venv/bin/python" scripts/cluster/kubernetes.py ;;
+        object-store) step "$check" "$venv/bin/python" scripts/cluster/object_store.py "$robogate" ;;
         million) step "$check" scripts/cluster/million.sh "$robogate" ;;
         *) step "$check" "$venv/bin/python" scripts/cluster/ray_checks.py "$check" ;;
     esac

@@ -64,13 +64,11 @@ scontrol requeue "$victim"
 echo "  scontrol requeue $victim"
 until restarts=$(scontrol show job "$victim" | grep -o 'Restarts=[1-9]*') && [ -n "${restarts#Restarts=}" ]; do sleep 0.2; done
 echo "  job $victim: $restarts"
-until pid=$(pgrep -f "run --shard [0-9]*/8 --out $work/run" | head -n 1) && [ -n "$pid" ]; do sleep 0.1; done
-kill -KILL "$pid"
+until pid=$(pgrep -f "run --shard [0-9]*/8 --out $work/run" | head -n 1) && [ -n "$pid" ] && sleep 0.5 && kill -KILL "$pid"; do sleep 0.1; done
 echo "  SIGKILL of the process of another shard"
 
 until [ -f "$work/run/report.html" ] || ! squeue --noheader | grep -q .; do sleep 0.5; done
 until ! squeue --noheader | grep -q .; do sleep 0.5; done
-echo "  array tasks that Slurm started: $(grep -h -c . "$work"/run/slurm/shard-*.log | wc -l) logs, $(cat "$work"/run/slurm/shard-*.log | grep -c '^shard ') starts for 16 shards"
 for file in boundary.json dictionary.parquet plan.json summary.json; do
     cmp "$work/single/$file" "$work/run/$file"
 done

@@ -9,6 +9,8 @@ mod film;
 #[cfg(feature = "mujoco")]
 mod inspection;
 mod lost_episodes;
+#[cfg(feature = "object-store")]
+mod object_store;
 mod outage;
 mod picture;
 mod place;

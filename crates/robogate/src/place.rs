@@ -36,7 +36,18 @@ pub(crate) fn create(dir: &Path) -> Result<Box<dyn ShardStore>, Exit> {
     }
 }
 
+#[cfg(feature = "object-store")]
 fn remote(dir: &Path) -> Result<Box<dyn ShardStore>, Exit> {
-    Err(anyhow::anyhow!("{}: not a folder. Expected the path of a folder that all machines share", dir.display()))
-        .or_usage()
+    let store = crate::object_store::ObjectPrefix::open(&dir.to_string_lossy()).or_usage()?;
+    Ok(Box::new(store))
+}
+
+#[cfg(not(feature = "object-store"))]
+fn remote(dir: &Path) -> Result<Box<dyn ShardStore>, Exit> {
+    Err(anyhow::anyhow!(
+        "{}: this build of robogate has no object stores\n  hint: use a folder, the Python package robogate-eval, or a build with \
+         --features object-store",
+        dir.display()
+    ))
+    .or_usage()
 }

@@ -277,14 +277,15 @@ def _connect(address: str) -> None:
 
 def _divide(campaign: Campaign, given: argparse.Namespace, options: "list[str]") -> None:
     """Write the plan, or check that the options describe the plan that exists."""
-    existing: "int | None" = None
-    if not given.shards:
-        try:
-            existing = shards.next_round(campaign.folder).shards
-        except CommandError:
-            existing = None
-        if existing is not None and not options:
-            return
+    try:
+        existing = shards.next_round(campaign.folder).shards
+    except CommandError:
+        # There is no campaign yet. Otherwise the command below reports the problem.
+        existing = None
+    if existing is not None and not options:
+        if given.shards not in (None, existing):
+            raise CampaignError(USAGE, f"{campaign.folder} is divided into {existing} shards, and --shards is {given.shards}")
+        return
     slots = len(campaign.lanes) or max(1, int(ray.cluster_resources().get("CPU", 1) / max(campaign.resources.cpus, 0.01)))
     count = given.shards or existing or SHARDS_PER_SLOT * slots
     attempt = campaign.once([given.verb, "--divide", str(count), "--out", campaign.folder, "--json", *options], campaign.lanes.needed)

@@ -4,7 +4,6 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, anyhow};
-use robogate_analysis::Source;
 use robogate_campaign::Event;
 use robogate_campaign::folder::SUMMARY;
 use robogate_gate::{Baseline, Leaderboard, Metric, Record, ScoreTerm, Scoring};
@@ -16,6 +15,7 @@ use crate::commands::gate::{built_in_baseline, open_requirements};
 use crate::commands::leaderboard::print;
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit};
+use crate::source::open_source;
 use crate::terminal::{line, note};
 
 /// The pages in the folder of a sweep.
@@ -73,7 +73,7 @@ pub(super) fn write(dir: &Path, plan: &SweepPlan, failed: &[String], as_json: bo
 fn boards(dir: &Path, plan: &SweepPlan) -> Result<Vec<Leaderboard>, Exit> {
     let mut groups: Vec<Vec<(String, Record)>> = Vec::new();
     for run in plan.runs.iter().filter(|run| run.dir(dir).join(SUMMARY).is_file()) {
-        let source = Source::open(&run.dir(dir)).or_broken()?;
+        let source = open_source(&run.dir(dir))?;
         let record = Record::of(source.dictionary()).or_broken()?;
         let comparable = |group: &&mut Vec<(String, Record)>| {
             group.first().is_some_and(|(_, first)| {
