@@ -157,6 +157,18 @@ class Friction(unittest.TestCase):
         with self.assertRaisesRegex(Problem, "not_applied.*1.5 acted"):
             adapter.step(Action("vector", [0.0]))
 
+    def test_larger_friction_counts_between_two_varied_bodies(self):
+        for box, pusher in ((0.3, 0.9), (0.9, 0.3)):
+            adapter = sliding_box()
+            step = adapter.reset(Scenario(0, 1, {"friction_box": box, "friction_pusher": pusher}, policy="push"))
+            self.assertEqual(step["applied"], {"friction_box": box, "friction_pusher": pusher})
+            seen = set()
+            while step.get("ending") is None:
+                step = adapter.step(Action("vector", step["proposed"]["action"]))
+                seen |= set(friction_of.live(adapter._model, [1]))
+            # The pusher touches the box only.
+            self.assertEqual(seen, {0.9})
+
     def test_body_without_contact_is_probed(self):
         # The pusher touches nothing after a reset.
         reply = sliding_box().reset(Scenario(0, 1, {"friction_pusher": 0.9}))

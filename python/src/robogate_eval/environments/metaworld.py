@@ -120,7 +120,7 @@ def _space(cls: type) -> dict[str, tuple]:
     m = model.model
     space: dict[str, tuple] = {}
     for body, name in enumerate(model.names("body")):
-        if not name or name in ARM or not m.body_weldid[body]:
+        if not name or name in ARM or m.body_weldid[body] != body:
             continue
         bodies = rigid(m, body)
         mass = float(m.body_mass[bodies].sum())

@@ -139,7 +139,7 @@ class Adapter:
         names = {knob for knob in wanted if isinstance(knob, str)}
         offered = self._disturbances.knobs(self._period)
         if self._model is not None:
-            found = mujoco_knobs.catalogue(self._model, self._can_observe())
+            found = mujoco_knobs.catalogue(self._model, self._can_observe(), names | set(self._environment.space))
             if "*" not in names:
                 found = [knob for knob in found if knob.name in names]
             kept, self.dropped = mujoco_knobs.self_test(self._model, found, self._env)

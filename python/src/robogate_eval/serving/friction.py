@@ -28,44 +28,68 @@ def _all_geoms(model: Any, bodies: list[int]) -> list[int]:
 
 
 def write(model: Model, bodies: list[int], value: float, raise_priority: bool = True) -> None:
-    """Set the coefficient of sliding friction of every contact of these bodies with others."""
+    """Set the coefficient of sliding friction of every contact of these bodies with others.
+
+    All bodies whose friction is set have the same priority, so MuJoCo's own rule holds between two of them: the larger counts.
+    """
     m, mine = model.model, geoms(model.model, bodies)
+    raised = max(m.geom_priority[geom] for geom in range(m.ngeom) if geom not in model.friction) + 1
     model.edit(m.geom_friction, (mine, 0), value)
+    model.friction.update(dict.fromkeys(mine, value))
     if raise_priority:
-        model.edit(m.geom_priority, mine, int(m.geom_priority.max()) + 1)
+        model.edit(m.geom_priority, mine, raised)
 
 
 def live(model: Model, bodies: list[int]) -> list[float]:
     """The coefficients of sliding friction of the present contacts of these bodies with others."""
-    return _of(model.model, model.data, bodies)
+    return [found for found, _ in _of(model.model, model.data, bodies)]
 
 
-def _of(m: Any, data: Any, bodies: list[int]) -> list[float]:
+def acting(model: Model, bodies: list[int], wanted: float) -> float | None:
+    """The coefficient that acts on these bodies now, None without a contact. It is `wanted` if all contacts are as they must be."""
+    return _judged(model, _of(model.model, model.data, bodies), wanted)
+
+
+def _judged(model: Model, contacts: list[tuple[float, int]], wanted: float) -> float | None:
+    """The value of the contacts, each with the geom of the other body: `wanted`, or that of the first contact which is wrong."""
+    for found, other in contacts:
+        # The other body may have a requested friction too.
+        due = max(wanted, model.friction.get(other, 0.0))
+        if abs(found - due) > 1e-9 * max(1.0, due):
+            return found
+    return wanted if contacts else None
+
+
+def _of(m: Any, data: Any, bodies: list[int]) -> list[tuple[float, int]]:
+    """The contacts of these bodies with others: coefficient of sliding friction, and geom of the other body."""
     count = data.ncon
     if not count:
         return []
     contact = data.contact
-    if hasattr(contact, "friction"):
-        first, second = (np.isin(m.geom_bodyid[geom], bodies) for geom in (contact.geom1, contact.geom2))
-        touching = first != second
-        return contact.friction[touching, 0].tolist() if touching.any() else []
-    pairs = ((c, m.geom_bodyid[c.geom1] in bodies, m.geom_bodyid[c.geom2] in bodies) for c in (contact[i] for i in range(count)))
-    return [float(c.friction[0]) for c, first, second in pairs if first != second]
+    if not hasattr(contact, "friction"):
+        pairs = ((c, m.geom_bodyid[c.geom1] in bodies, m.geom_bodyid[c.geom2] in bodies) for c in (contact[i] for i in range(count)))
+        return [(float(c.friction[0]), int(c.geom2 if first else c.geom1)) for c, first, second in pairs if first != second]
+    first, second = (np.isin(m.geom_bodyid[geom], bodies) for geom in (contact.geom1, contact.geom2))
+    touching = first != second
+    if not touching.any():
+        return []
+    others = np.where(first, contact.geom2, contact.geom1)[touching]
+    return list(zip(contact.friction[touching, 0].tolist(), others.tolist()))
 
 
 def read(model: Model, bodies: list[int], wanted: float | None = None) -> float | None:
     """The coefficient that the contacts of these bodies have. None if they have none and none can be made.
 
-    If they touch nothing, a copy of the state is taken in which they do, and the engine makes the contact. Of several
-    different values, that which is farthest from `wanted` is returned, or without it the largest.
+    If they touch nothing, a copy of the state is taken in which they do, and the engine makes the contact. Without `wanted`, the
+    largest value is returned; with it, `wanted` if all contacts are as they must be, otherwise a value that is not.
     """
-    values = live(model, bodies) or _probe(model, bodies)
-    if not values:
-        return None
-    return max(values) if wanted is None else max(values, key=lambda value: abs(value - wanted))
+    contacts = _of(model.model, model.data, bodies) or _probe(model, bodies)
+    if wanted is not None:
+        return _judged(model, contacts, wanted)
+    return max((found for found, _ in contacts), default=None)
 
 
-def _probe(model: Model, bodies: list[int]) -> list[float]:
+def _probe(model: Model, bodies: list[int]) -> list[tuple[float, int]]:
     """Move the geoms of these bodies onto those of other bodies, in a copy of the state, and collide."""
     import mujoco
 
@@ -80,7 +104,7 @@ def _probe(model: Model, bodies: list[int]) -> list[float]:
     flags = int(m.opt.disableflags)
     # The midphase uses positions of bodies, which are not moved here.
     m.opt.disableflags = flags | int(getattr(mujoco.mjtDisableBit, "mjDSBL_MIDPHASE", 0))
-    found: list[float] = []
+    found: list[tuple[float, int]] = []
     try:
         for mine in geoms(m, bodies):
             for other in _partners(m, bodies[0], mine):

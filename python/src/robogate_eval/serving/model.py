@@ -65,6 +65,8 @@ class Model:
     def __init__(self, env: Any):
         self._edits: list[tuple[Any, Any, Any]] = []
         self._derived = False
+        # Friction that was requested in this episode, by geom.
+        self.friction: dict[int, float] = {}
         self.model: Any = None
         self.data: Any = None
         self.bind(env)
@@ -101,6 +103,7 @@ class Model:
         """Undo all edits."""
         import mujoco
 
+        self.friction.clear()
         while self._edits:
             array, index, value = self._edits.pop()
             array[index] = value

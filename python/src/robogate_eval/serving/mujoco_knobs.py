@@ -12,7 +12,7 @@
 | `gain`, `gain:ACTUATOR` | factor of the force of all actuators, or of one (its name or index) | |
 | `gravity` | along the direction of the model | m/s^2 |
 
-A body includes the bodies that are fixed to it. Every value is read from the model that the environment steps, friction from contacts (`friction.py`). A knob whose effect cannot be
+A body that moves includes the bodies that are fixed to it. Every value is read from the model that the environment steps, friction from contacts (`friction.py`). A knob whose effect cannot be
 read is not in the catalogue.
 """
 
@@ -31,11 +31,15 @@ from .model import Model, rigid
 SMALLEST_MASS_KG = 1e-3
 
 
-def catalogue(model: Model, can_observe: bool) -> list[Knob]:
-    """All knobs of a model, in its nominal state after a reset. `can_observe`: the observation can be taken again after a change."""
-    knobs = _gravity(model) + _gains(model)
+def catalogue(model: Model, can_observe: bool, named: set[str]) -> list[Knob]:
+    """The knobs of a model, in its nominal state after a reset. `can_observe`: the observation can be taken again after a change.
+
+    No two of them change the same quantity, unless `named` contains them: a part of a body, or a single actuator.
+    """
+    knobs = _gravity(model) + _gains(model, named)
     for body, name in enumerate(model.names("body")):
-        if name and body:
+        part = model.model.body_weldid[body] not in (0, body)
+        if name and body and (not part or any(knob.endswith(f":{name}") for knob in named)):
             knobs += _body(model, body, name, can_observe)
     for joint, name in enumerate(model.names("joint")):
         if name:
@@ -58,14 +62,14 @@ def _gravity(model: Model) -> list[Knob]:
     ]  # fmt: skip
 
 
-def _gains(model: Model) -> list[Knob]:
+def _gains(model: Model, named: set[str]) -> list[Knob]:
     names = model.names("actuator")
     count = len(names)
     if not count:
         return []
     knobs = [_gain(model, "gain", list(range(count)), "Factor of the force of all actuators.")]
-    if count > 1:
-        for i, name in enumerate(names):
+    for i, name in enumerate(names):
+        if f"gain:{name or i}" in named:
             knobs.append(_gain(model, f"gain:{name or i}", [i], f"Factor of the force of the actuator {name or i}."))
     return knobs
 
@@ -95,7 +99,7 @@ def _factor(now: np.ndarray, base: np.ndarray) -> float:
 
 def _body(model: Model, body: int, name: str, can_observe: bool) -> list[Knob]:
     m, knobs = model.model, []
-    bodies = rigid(m, body)
+    bodies = rigid(m, body) if m.body_weldid[body] else [body]
     mass = float(m.body_mass[bodies].sum())
     free = m.body_jntnum[body] == 1 and m.jnt_type[m.body_jntadr[body]] == 0
     # A body that is welded to the world does not move, so its mass has no effect. Models give a negligible mass to bodies that
@@ -153,8 +157,7 @@ def _friction(model: Model, bodies: list[int], name: str, nominal: float) -> Kno
         return friction.read(model, bodies, wanted[0])
 
     def watch(env: Any) -> float | None:
-        values = friction.live(model, bodies)
-        return max(values, key=lambda value: abs(value - wanted[0])) if values else None
+        return friction.acting(model, bodies, wanted[0])
 
     return Knob(
         f"friction:{name}", write, read, 0.01, max(4.0, nominal), nominal=nominal, watch=watch,
