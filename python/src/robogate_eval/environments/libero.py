@@ -91,7 +91,10 @@ FAMILY = Family(
     name="libero",
     package="libero",
     summary="LIBERO: four suites of ten tasks of a Panda arm, with a scripted controller (your installation of LIBERO)",
-    requirements=["robosuite==1.4.1", "mujoco==2.3.7", "numpy==1.26.4", "bddl==1.0.1", "gym==0.25.2", "easydict==1.13", "future==1.0.0", "gymnasium==1.4.0"],
+    requirements=[
+        "robosuite==1.4.1", "mujoco==2.3.7", "numpy==1.26.4", "bddl==1.0.1", "gym==0.25.2", "easydict==1.13",
+        "future==1.0.0", "matplotlib==3.11.2", "cloudpickle==3.1.2", "PyYAML==6.0.3", "gymnasium==1.4.0",
+    ],
     names=names,
     environment=environment,
 )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import codecs
 import io
 import pickle
+import pickletools
 import zipfile
 from pathlib import Path
 
@@ -17,6 +18,11 @@ import numpy as np
 
 # LIBERO's files are below 100 kB.
 MAX_BYTES = 64 << 20
+# The instructions of a pickle that an array needs, in protocols 2 and 3.
+OPCODES = {
+    "PROTO", "GLOBAL", "REDUCE", "BUILD", "STOP", "MARK", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3", "EMPTY_TUPLE", "NONE", "NEWFALSE",
+    "NEWTRUE", "BININT", "BININT1", "BININT2", "BINUNICODE", "SHORT_BINBYTES", "BINBYTES", "BINPUT", "LONG_BINPUT", "BINGET", "LONG_BINGET",
+}  # fmt: skip
 
 
 class InitialStatesError(ValueError):
@@ -76,6 +82,9 @@ def read(path) -> np.ndarray:
 def decode(raw) -> np.ndarray:
     """Reads the pickle of an array of initial states."""
     try:
+        for opcode, _, _ in pickletools.genops(raw):
+            if opcode.name not in OPCODES:
+                raise InitialStatesError(f"the pickle has the instruction {opcode.name}. Expected a plain array")
         states = _Reader(io.BytesIO(raw)).load()
     except InitialStatesError:
         raise

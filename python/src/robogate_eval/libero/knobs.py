@@ -193,13 +193,13 @@ def _physics():
 
     def rub(env, value):
         wanted[0] = value
-        friction.write(env.edits, env.handled, value)
+        friction.write(env.edits, [env.handled], value)
 
     def rubbing(env):
-        return friction.read(env.edits, env.handled, wanted[0])
+        return friction.read(env.edits, [env.handled], wanted[0])
 
     def watch(env):
-        values = friction.live(env.edits, env.handled)
+        values = friction.live(env.edits, [env.handled])
         return max(values, key=lambda value: abs(value - wanted[0])) if values else None
 
     def load(env, value):

@@ -53,6 +53,10 @@ PANDA = Gripper(
         Part(0.152, (-0.054, 0.054), (-0.137, 0.045)),
     ),
 )
+# A surface that is more oblique over the width of the pads cannot be held (m).
+OBLIQUE_M = 0.010
+# The least fraction of the width of the pads that must touch the object.
+FULL = 0.7
 # Grasps deeper than this are not better.
 DEEP = 0.027
 
@@ -94,9 +98,8 @@ def grasps(heights: Heights, *, current, centre, floor, gripper=PANDA, angles=12
     centres = np.stack([heights.x[mine[:, 0]], heights.y[mine[:, 1]]], axis=-1)[:: 1 + len(mine) // 500]
     now = np.arctan2(current[1], current[0])
     found = []
-    for turn in (np.arange(angles) / angles - 0.5 + 0.5 / angles) * np.pi if angles > 1 else [0.0]:
+    for turn in np.linspace(-0.5, 0.5, angles + 1) * np.pi:
         found += _at_angle(heights, centres, now, turn, between, fingers, parts, g, centre, floor, clearance)
-    found += _at_angle(heights, centres, now, 0.0, between, fingers, parts, g, centre, floor, clearance)
     return sorted(found, key=lambda grasp: -grasp.score)
 
 
@@ -119,12 +122,18 @@ def _at_angle(heights, centres, now, turn, between, fingers, parts, g, centre, f
     low, high = np.where(held, u, np.inf).min(axis=1), np.where(held, u, -np.inf).max(axis=1)
     possible = (depth > 0.003) & (high - low < 2 * g.reach - 0.004) & ~other.any(axis=1)
     across = [between[:, 1] == v for v in np.unique(between[:, 1])]
+    edges = [(np.where(held[:, row], u[row], np.inf).min(axis=1), np.where(held[:, row], u[row], -np.inf).max(axis=1)) for row in across]
     found = []
     for i in np.flatnonzero(possible):
         # A deep, centred grasp that fills the width of the pads, near the middle of the object, without a large turn.
-        full = np.mean([held[i][row].any() for row in across])
+        rows = [(first[i], last[i]) for first, last in edges if first[i] <= last[i]]
+        full = len(rows) / len(across)
+        # A surface that is oblique to the pads, such as a corner, slips.
+        oblique = max(np.ptp([first for first, _ in rows]), np.ptp([last for _, last in rows]))
+        if oblique > OBLIQUE_M or full < FULL:
+            continue
         away = np.linalg.norm(centres[i] - centre)
-        score = 100 * min(depth[i], 0.02) - 30 * abs(low[i] + high[i]) - 6 * away - 0.5 * abs(turn) + full
+        score = 100 * min(depth[i], 0.02) - 30 * abs(low[i] + high[i]) - 6 * away - 0.5 * abs(turn) + full - 60 * oblique
         found.append(Grasp(np.array([*centres[i], z[i]]), np.array([*closing, 0.0]), float(depth[i]), float(score)))
     return found
 
