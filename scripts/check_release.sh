@@ -40,9 +40,9 @@ sums() {
     fi
 }
 
-# Prints what an ELF file needs, and fails if that is newer than the floor, or if the file names a folder of this machine: elf FILE
+# Prints what an ELF file needs, and fails if that is newer than the floor, or if it has a run path: elf FILE
 elf() {
-    local newest needed path
+    local newest needed
     newest=$(readelf --version-info --wide "$1" | grep -o 'GLIBC_[0-9.]*' | sort -uV | tail -n 1)
     needed=$(readelf --dynamic --wide "$1" | sed -n 's/.*(NEEDED).*\[\(.*\)\]/\1/p' | tr '\n' ' ')
     echo "$(basename "$1"): needs $newest at most; libraries: $needed"
@@ -54,13 +54,25 @@ elf() {
         echo "error: $1 has the run path above" >&2
         return 1
     fi
+}
+
+# Fails if a file names a folder of this machine: anonymous FILE
+anonymous() {
+    local path found
+    strings --all "$1" > "$work/strings.txt"
     for path in "$root" "$target" "${CARGO_HOME:-$HOME/.cargo}" "$(rustc --print sysroot)" "$HOME/"; do
         # A home of / would match every path.
-        if [ "${#path}" -gt 2 ] && strings --all "$1" | grep --fixed-strings --max-count=3 -- "$path"; then
-            echo "error: $1 contains the path $path of this machine" >&2
+        if [ "${#path}" -gt 2 ] && found=$(grep --fixed-strings --max-count=1 -- "$path" "$work/strings.txt"); then
+            echo "error: $1 contains the path $path of this machine: $found" >&2
             return 1
         fi
     done
+    echo "$(basename "$1"): no path of this machine"
+}
+
+# Shows the output of a command only if it fails: quiet COMMAND...
+quiet() {
+    "$@" > "$work/log.txt" 2>&1 || { cat "$work/log.txt" >&2 && return 1; }
 }
 
 # Checks the contents of a wheel and leaves them in $work/wheel-ARCHITECTURE: wheel FILE ARCHITECTURE
@@ -70,7 +82,7 @@ wheel() {
     echo "$(basename "$1"): $bytes bytes"
     [ "$bytes" -le 30000000 ] || { echo "error: more than 30 MB" >&2 && return 1; }
     python3 -m zipfile --extract "$1" "$folder" || return 1
-    elf "$folder"/*.data/scripts/robogate || return 1
+    elf "$folder"/*.data/scripts/robogate && anonymous "$folder"/*.data/scripts/robogate || return 1
     elf "$folder"/*.data/data/lib/robogate/"$library" || return 1
     pinned=$(sed -n "s/.*(\"$2\", \"\([0-9a-f]*\)\").*/\1/p" crates/mujoco-loader/src/find.rs)
     echo "$pinned  $(echo "$folder"/*.data/data/lib/robogate/"$library")" | sha256sum --check --quiet || return 1
@@ -101,7 +113,7 @@ pip() {
         return 1
     fi
     lonely robogate --version || return 1
-    lonely robogate "${campaign[@]}" --out "$work/pip" > /dev/null || return 1
+    quiet lonely robogate "${campaign[@]}" --out "$work/pip" || return 1
     same "pip" "$work/pip" || return 1
     lonely python -m robogate_eval --version || return 1
     lonely python -c 'import robogate_eval as r; print("robogate_eval", r.__version__, r.run_command("--version").returncode)' || return 1
@@ -113,22 +125,13 @@ pip() {
     "$venv/bin/pip" uninstall --quiet --yes robogate-eval && [ ! -e "$venv/lib/robogate/$library" ]
 }
 
-# pip install --target: the command finds the library beside it.
-pip_target() {
-    local path=/usr/bin:/bin
-    python3 -m venv "$work/tool" && "$work/tool/bin/pip" install --quiet --no-index --disable-pip-version-check --target "$work/into" "$1" || return 1
-    lonely "$work/into/bin/robogate" "${campaign[@]}" --out "$work/target" > /dev/null || return 1
-    same "pip --target" "$work/target" || return 1
-    PYTHONPATH=$work/into lonely env PYTHONPATH="$work/into" python3 -m robogate_eval --version
-}
-
 deb() {
     local path=/usr/bin:/bin
     dpkg-deb --info "$1" | sed -n 's/^ \(Package\|Version\|Architecture\|Depends\|Installed-Size\):/\1:/p'
     dpkg-deb --extract "$1" "$work/deb" || return 1
     cmp "$work/deb/usr/bin/robogate" "$work/wheel-$architecture"/*.data/scripts/robogate || return 1
     [ -s "$work/deb/usr/share/doc/robogate/copyright" ] || return 1
-    lonely "$work/deb/usr/bin/robogate" "${campaign[@]}" --out "$work/debian" > /dev/null || return 1
+    quiet lonely "$work/deb/usr/bin/robogate" "${campaign[@]}" --out "$work/debian" || return 1
     same "Debian package" "$work/debian"
 }
 
@@ -147,10 +150,10 @@ other() {
         if python3 -m venv venv 2> /dev/null; then
             python3 --version
             venv/bin/pip install --quiet --no-index --disable-pip-version-check $(basename "$2")
-            ROBOGATE_CACHE_DIR=/dev/null/none venv/bin/robogate ${campaign[*]} --out pip > /dev/null
+            ROBOGATE_CACHE_DIR=/dev/null/none venv/bin/robogate ${campaign[*]} --out pip > /dev/null 2>&1
         fi
         dpkg --install $(basename "$3") > /dev/null
-        ROBOGATE_CACHE_DIR=/dev/null/none robogate ${campaign[*]} --out deb > /dev/null
+        ROBOGATE_CACHE_DIR=/dev/null/none robogate ${campaign[*]} --out deb > /dev/null 2>&1
         dpkg --purge robogate > /dev/null
     " || code=1
     if [ "$code" -eq 0 ] && [ -d "$1$there/pip" ]; then
@@ -168,11 +171,11 @@ other() {
 # Runs the command for aarch64 in an emulator: emulated COMMAND
 emulated() {
     qemu-aarch64-static -L "${ROBOGATE_AARCH64_ROOT:-/usr/aarch64-linux-gnu}" "$1" --version || return 1
-    ROBOGATE_CACHE_DIR=/dev/null/none qemu-aarch64-static -L "${ROBOGATE_AARCH64_ROOT:-/usr/aarch64-linux-gnu}" "$1" run -n 20 --seed 1 --out "$work/emulated" > /dev/null || return 1
-    echo "20 episodes run in the emulator"
+    quiet env ROBOGATE_CACHE_DIR=/dev/null/none qemu-aarch64-static -L "${ROBOGATE_AARCH64_ROOT:-/usr/aarch64-linux-gnu}" "$1" run -n 8 --seed 1 --out "$work/emulated" || return 1
+    echo "8 episodes ran in the emulator"
 }
 
-"$reference" "${campaign[@]}" --out "$work/reference" > /dev/null
+quiet "$reference" "${campaign[@]}" --out "$work/reference"
 step "sums" sums
 for file in "$files"/robogate_eval-*.whl; do
     case $file in
@@ -184,7 +187,6 @@ done
 own_wheel=$(echo "$files"/robogate_eval-*_"$architecture".whl)
 own_deb=$(echo "$files"/robogate_*_"${debian_name[$architecture]}".deb)
 step "wheel in a new environment" pip "$own_wheel"
-step "wheel in a folder" pip_target "$own_wheel"
 step "Debian package" deb "$own_deb"
 for rootfs in ${ROBOGATE_CHECK_ROOTFS:-}; do
     step "installation in $(basename "$rootfs")" other "$rootfs" "$own_wheel" "$own_deb"

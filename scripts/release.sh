@@ -53,16 +53,9 @@ if ! { cat scripts/release/requirements.txt && echo "cargo-deb $cargo_deb"; } | 
 fi
 PATH=$tools/bin:$PATH
 
-# The same sources give the same bytes: no path of this machine, no time of the build, no incremental state.
-build=$target/release-build
+# The same sources give the same command: no path of this machine, no incremental state.
 cargo_home=${CARGO_HOME:-$HOME/.cargo}
-export CARGO_TARGET_DIR=$build CARGO_INCREMENTAL=0
-separator=$'\x1f'
-CARGO_ENCODED_RUSTFLAGS="--remap-path-prefix=$root=/robogate"
-CARGO_ENCODED_RUSTFLAGS+="$separator--remap-path-prefix=$build=/target"
-CARGO_ENCODED_RUSTFLAGS+="$separator--remap-path-prefix=$cargo_home=/cargo"
-export CARGO_ENCODED_RUSTFLAGS
-export CFLAGS="-ffile-prefix-map=$build=/target -ffile-prefix-map=$cargo_home=/cargo"
+export CARGO_INCREMENTAL=0
 SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct)}
 export SOURCE_DATE_EPOCH
 
@@ -71,10 +64,20 @@ for architecture in "$@"; do
     rm -rf python/licenses
     scripts/release/mujoco.py "$architecture"
     scripts/release/licences.py "$architecture"
-    (cd python && maturin build --release --zig --target "$triple" --compatibility "manylinux_${glibc/./_}" --out "$out")
+    # A folder for each architecture: maturin links build scripts with zig if the target is this machine, so that builds for two
+    # architectures in one folder would repeat each other's work.
+    build=$target/release-build-$architecture
+    rustflags=("--remap-path-prefix=$root=/robogate" "--remap-path-prefix=$build=/target" "--remap-path-prefix=$cargo_home=/cargo")
+    encoded=$(printf '%s\x1f' "${rustflags[@]}")
+    (
+        cd python
+        export CARGO_TARGET_DIR=$build CARGO_ENCODED_RUSTFLAGS=${encoded%$'\x1f'}
+        export CFLAGS="-ffile-prefix-map=$build=/target -ffile-prefix-map=$cargo_home=/cargo"
+        maturin build --release --zig --target "$triple" --compatibility "manylinux_${glibc/./_}" --out "$out"
+    )
     wheel=$(echo "$out"/robogate_eval-*_"$architecture".whl)
     scripts/release/sbom.py "$wheel" "$out/robogate-$architecture.cdx.json"
-    cargo deb --quiet --package robogate --no-build --no-strip --target "$triple" --output "$out/"
+    CARGO_TARGET_DIR=$build cargo deb --quiet --package robogate --no-build --no-strip --target "$triple" --output "$out/"
 done
 
 cp deploy/Containerfile "$out/"
