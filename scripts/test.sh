@@ -28,11 +28,11 @@ skipped() {
     fi
 }
 
-# The monitor is tested with a real MQTT broker and a real browser. MuJoCo's renderer uses EGL, which Mesa provides without a
+# The monitor is tested with a real MQTT broker, and pages in a real browser. npm brings the checker of their accessibility. MuJoCo's renderer uses EGL, which Mesa provides without a
 # GPU.
 programs() {
     local missing=() program
-    for program in mosquitto chromium; do
+    for program in mosquitto chromium npm; do
         PATH=$PATH:/usr/sbin command -v "$program" > /dev/null || missing+=("$program")
     done
     if ! ldconfig -p | grep -q 'libEGL\.so\.1' || ! ldconfig -p | grep -q 'libGL\.so\.1' || ! compgen -G '/usr/lib/*/dri/swrast_dri.so' > /dev/null; then
@@ -94,6 +94,10 @@ for family in metaworld fetch; do
     PYTHONPATH=python/src:bridges/common python3 -m robogate_eval.environments requirements "$family" > "$target/$family-requirements.txt"
     python "ROBOGATE_${family^^}_PYTHON" "$family-venv" "$target/$family-requirements.txt"
 done
+if [ -z "${ROBOGATE_TEST_AXE:-}" ] && ./scripts/web.sh --install; then
+    ROBOGATE_TEST_AXE=$PWD/web/node_modules/axe-core/axe.min.js
+    export ROBOGATE_TEST_AXE
+fi
 
 step "Rust tests" rust "$@"
 if [ $# -eq 0 ]; then
@@ -104,7 +108,7 @@ if [ $# -eq 0 ]; then
     else
         skipped bridges/common "no Python with pyzmq and msgpack"
     fi
-    for suite in METAWORLD:test_adapter METAWORLD:test_metaworld FETCH:test_fetch; do
+    for suite in METAWORLD:test_adapter METAWORLD:test_metaworld METAWORLD:test_libero_files METAWORLD:test_scripted FETCH:test_fetch; do
         variable=ROBOGATE_${suite%%:*}_PYTHON
         if [ -n "${!variable:-}" ]; then
             step "environments ${suite#*:}" env PYTHONPATH=python/src:bridges/common "${!variable}" scripts/run_unittests.py \

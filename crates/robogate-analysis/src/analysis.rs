@@ -8,11 +8,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::claims::{Claims, claims};
 use crate::danger::DangerZones;
+use crate::effects::Effects;
 use crate::failures::FailureModes;
 use crate::marginal::{MarginalEffect, marginal_effect};
 use crate::models::{Frontier, Regression, RiskModel, frontier, interactions, risk};
-use crate::pairs::{self, PairMap, check as check_pair, default_pair};
+use crate::pairs::{self, PairMap, check as check_pair, default_pairs};
 use crate::replay::{ReplayGroup, replay_groups};
+use crate::safe_box::{DEFAULT_TARGET, SafeBox, safe_box};
 use crate::sampling::{Sampling, sampling};
 use crate::table::{EpisodeTable, Sample};
 use crate::task::TaskAnalysis;
@@ -31,6 +33,10 @@ pub struct Analysis {
     pub population: Population,
     /// How often the policy succeeds.
     pub success: Success,
+    /// The parameters with an effect on success, the most influential first.
+    pub effects: Effects,
+    /// The largest box of parameters in which success is at least the target rate.
+    pub safe_box: Finding<SafeBox>,
     /// Success over two parameters at once, with the frontier between success and failure.
     pub envelopes: Vec<Envelope>,
     /// The marginal effect of each parameter.
@@ -49,6 +55,21 @@ pub struct Analysis {
     pub replay: Vec<ReplayGroup>,
     /// The provenance of the rows.
     pub provenance: Provenance,
+}
+
+/// The options of an analysis.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AnalysisOptions {
+    /// Pairs of parameters that are mapped in addition to the default pairs.
+    pub pairs: Vec<(String, String)>,
+    /// The success rate that the advice aims at, between 0 and 1.
+    pub target_rate: f64,
+}
+
+impl Default for AnalysisOptions {
+    fn default() -> Self {
+        Self { pairs: Vec::new(), target_rate: DEFAULT_TARGET }
+    }
 }
 
 /// The dictionary of an analysis.
@@ -103,13 +124,25 @@ pub struct Envelope {
 
 impl Analysis {
     /// The version of the document that this build writes.
-    pub const VERSION: u32 = 2;
+    pub const VERSION: u32 = 3;
 
-    /// Analyses a source that was opened from `path`. `pairs` are mapped in addition to the default pair.
+    /// Analyses a source that was opened from `path`. `pairs` are mapped in addition to the default pairs.
     ///
     /// # Errors
     /// If a column cannot be read, or if a parameter of a pair does not exist.
     pub fn of(source: &Source, path: &Path, pairs: &[(String, String)]) -> Result<Self, AnalysisError> {
+        Self::with(source, path, &AnalysisOptions { pairs: pairs.to_vec(), ..AnalysisOptions::default() })
+    }
+
+    /// Analyses a source that was opened from `path`, with options.
+    ///
+    /// # Errors
+    /// As [`Analysis::of`], and for a target rate that is not between 0 and 1.
+    pub fn with(source: &Source, path: &Path, options: &AnalysisOptions) -> Result<Self, AnalysisError> {
+        let AnalysisOptions { pairs, target_rate } = options;
+        if !(*target_rate > 0.0 && *target_rate < 1.0) {
+            return Err(AnalysisError::TargetRate { found: *target_rate });
+        }
         let dictionary = source.dictionary();
         let table = EpisodeTable::read(dictionary)?;
         let (base, focused, population) = populations(&table);
@@ -119,7 +152,8 @@ impl Analysis {
         let marginal_effects: Vec<MarginalEffect> =
             base.parameters.iter().map(|parameter| marginal_effect(&table, &base, parameter)).collect();
         let task = TaskAnalysis::of_dictionary(dictionary.provenance());
-        let mut wanted: Vec<(String, String)> = default_pair(&base, &marginal_effects, task).into_iter().collect();
+        let effects = Effects::of(&base, population);
+        let mut wanted: Vec<(String, String)> = default_pairs(&base, &effects, task);
         for pair in pairs {
             if !wanted.contains(pair) {
                 wanted.push(pair.clone());
@@ -131,15 +165,18 @@ impl Analysis {
             Finding::CannotBeEstimated { because } => (Finding::CannotBeEstimated { because }, None),
         };
         let provenance = dictionary.provenance().clone();
+        let independent = provenance.space.correlations().is_empty();
         let mut analysis = Self {
             version: Self::VERSION,
             subject: Subject::of(source, path),
             claims: Claims::default(),
             population,
-            success: Success::of(&table, &base, focused.as_ref(), population),
+            success: Success::of(&table, &base, focused.as_ref(), population, source.boundary()),
             envelopes,
             failure_modes: FailureModes::of(&table, &base),
-            danger_zones: DangerZones::of(&marginal_effects),
+            danger_zones: DangerZones::of(&marginal_effects, &effects),
+            safe_box: safe_box(&table, &base, population, independent, &effects, *target_rate),
+            effects,
             marginal_effects,
             interactions: interactions(&base, task),
             risk,

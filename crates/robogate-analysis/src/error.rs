@@ -46,6 +46,12 @@ pub enum AnalysisError {
         /// The mismatch.
         reason: String,
     },
+    /// A target rate out of range.
+    #[error("the target rate {found} is out of range. Expected a number between 0 and 1, for example 0.9")]
+    TargetRate {
+        /// The rate as given.
+        found: f64,
+    },
     /// A pair of parameters that cannot be mapped.
     #[error("`{name}` is not a valid parameter of a pair: {reason}\nhint: expected two of {known}")]
     Pair {

@@ -17,43 +17,52 @@ mod analysis;
 mod claims;
 mod comparison;
 mod danger;
+mod effects;
 mod error;
 mod failures;
 pub mod labels;
 mod marginal;
 mod models;
+mod pair_counts;
 mod pairs;
 mod pick_place;
 mod rate;
 mod replay;
+mod safe_box;
 mod sampling;
 mod source;
 pub mod study;
 mod success;
 mod table;
 mod task;
+mod watch;
 
-pub use analysis::{Analysis, Envelope, Subject};
-pub use claims::{Advice, Claims, FailureRegion, RatedCell};
+pub use analysis::{Analysis, AnalysisOptions, Envelope, Subject};
+pub use claims::{Advice, Claims, FailureRegion};
 pub use comparison::{
     ComparedDataset, Comparison, ComparisonError, ComparisonOptions, CrossTable, DisagreementCell, DisagreementMap,
     Effect, Flip, NotShared, PairedComparison, PairedInvalid, RateDifference, ReachRow, Sensitivity, SharedCell,
     SharedCurve, SharedParameters, Slope, UniversalZone, UniversalZones, ZoneSide,
 };
 pub use danger::{DANGER_LIMIT, DangerZone, DangerZones};
+pub use effects::{EffectShape, Effects, Interaction, LEVEL, ParameterEffect, RateStep, ShapeKind};
 pub use error::AnalysisError;
 pub use failures::{FailureModes, ModeShare, unrecorded};
 pub use marginal::{
-    Cell, Correlation, CriticalThreshold, MarginalEffect, ModeBin, ModeChange, ModeChanges, ParameterType, Zone,
+    Cell, Correlation, CriticalThreshold, CurvePoint, MarginalEffect, ModeBin, ModeChange, ModeChanges, ParameterType,
+    Zone,
 };
 pub use models::{
     CalibrationFigures, Coefficient, Estimate, Frontier, FrontierPoint, Penalty, PenaltyLevel, Regression,
     ReliabilityBin, RiskModel, RocCurve, RocFigures, Scoring, ScoringTerm,
 };
-pub use pairs::{Axis, PairCell, PairMap, ZoneCounts};
+pub use pair_counts::{PairCounts, pair_counts};
+pub use pairs::{Axis, ModelRate, PairCell, PairMap, ZoneCounts};
 pub use rate::{Finding, Population, Rate};
 pub use replay::{ReplayEpisode, ReplayGroup, ReplayReason, shell_word};
+pub use safe_box::{AvoidedMode, BoxLimit, DEFAULT_TARGET, SafeBox};
 pub use sampling::{SampledRange, Sampling};
 pub use source::Source;
-pub use success::{FaultCount, InvalidBounds, Reweighted, StageSuccess, Success, WeightedRate};
+pub use success::{Adjusted, FaultCount, InvalidBounds, Reweighted, StageSuccess, Success, WeightedRate};
 pub use task::{InteractionModel, TaskAnalysis};
+pub use watch::{Twin, WatchedEpisode, worth_watching};

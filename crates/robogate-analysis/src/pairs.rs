@@ -1,19 +1,23 @@
 //! Success by two parameters: the operating envelope.
 
-use robogate_stats::Trials;
+use robogate_stats::Confidence;
 use robogate_stats::binning::{Edges, per_pair};
 use robogate_stats::format::range;
+use robogate_stats::surface::{Surface, SurfaceRate};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::AnalysisError;
-use crate::marginal::{MarginalEffect, Zone};
-use crate::rate::Rate;
+use crate::effects::{Effects, ParameterEffect};
+use crate::marginal::Zone;
+use crate::rate::{Rate, ends};
 use crate::table::{ParameterColumn, ParameterKind, Sample};
 use crate::task::TaskAnalysis;
 
 /// Bins of one axis.
 const MAX_BINS: usize = 10;
+/// Bins of one axis in which the smooth model counts the rows.
+const FINE: usize = 20;
 /// Episodes that a cell should hold on average.
 const EPISODES_PER_CELL: usize = 25;
 
@@ -28,8 +32,11 @@ pub struct PairMap {
     pub cells: Vec<PairCell>,
     /// Rows outside both ranges.
     pub outside: u64,
-    /// Cells of each zone, at a confidence shared over the whole map.
+    /// Cells of each zone.
     pub zones: ZoneCounts,
+    /// The length scale of the smooth model, in units of the range of a parameter on its own scale. `None` without one.
+    #[serde(default)]
+    pub length_scale: Option<f64>,
 }
 
 /// One axis of a map.
@@ -64,10 +71,22 @@ impl Axis {
 /// One cell of a map.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct PairCell {
-    /// Its rate.
+    /// Its observed rate.
     pub rate: Rate,
-    /// Its zone.
+    /// The rate in its middle by a smooth model of all rows. `None` if a parameter is categorical, or without a model.
+    #[serde(default)]
+    pub model: Option<ModelRate>,
+    /// Its zone: by the interval of the model, otherwise by its own episodes.
     pub zone: Zone,
+}
+
+/// A rate by a smooth model.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ModelRate {
+    /// The rate.
+    pub rate: f64,
+    /// Its pointwise 95 % interval.
+    pub interval_95: [f64; 2],
 }
 
 /// Cells of each zone.
@@ -86,22 +105,33 @@ pub struct ZoneCounts {
     pub too_few_episodes: u64,
 }
 
-/// The pair that is mapped by default: that of the task, otherwise the two numeric parameters with the strongest
-/// correlation with success. The frontier is solved for the first.
-pub(crate) fn default_pair(base: &Sample, effects: &[MarginalEffect], task: &TaskAnalysis) -> Option<(String, String)> {
-    if let Some([up, across]) = task.envelope.filter(|pair| pair.iter().all(|name| base.parameter(name).is_some())) {
-        return Some((up.to_owned(), across.to_owned()));
-    }
-    let mut ranked: Vec<(f64, &MarginalEffect)> = effects
-        .iter()
-        .filter(|a| base.parameter(&a.parameter).is_some_and(ParameterColumn::is_numeric))
-        .map(|a| (a.correlation.estimated().map_or(0.0, |c| c.strength()), a))
-        .collect();
-    ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
-    match ranked.as_slice() {
-        [(_, first), (_, second), ..] => Some((first.parameter.clone(), second.parameter.clone())),
+/// The pairs that are mapped by default: the two numeric parameters with the most influential significant effects, then
+/// that of the task. Without effects and task, the two most influential ones. The frontier is solved for the first.
+pub(crate) fn default_pairs(base: &Sample, effects: &Effects, task: &TaskAnalysis) -> Vec<(String, String)> {
+    let numeric = |name: &str| base.parameter(name).is_some_and(ParameterColumn::is_numeric);
+    let pair = |names: Vec<&str>| match names.as_slice() {
+        [first, second, ..] => Some(((*first).to_owned(), (*second).to_owned())),
         _ => None,
+    };
+    let is_numeric = |effect: &&ParameterEffect| numeric(&effect.parameter);
+    let of_task = task.envelope.filter(|pair| pair.iter().all(|name| base.parameter(name).is_some()));
+    let of_task = of_task.map(|[up, across]| (up.to_owned(), across.to_owned()));
+    let same = |a: &(String, String), b: &(String, String)| a == b || (&a.0, &a.1) == (&b.1, &b.0);
+    let mut pairs: Vec<(String, String)> = Vec::new();
+    match (pair(effects.significant().filter(is_numeric).map(|e| e.parameter.as_str()).collect()), of_task) {
+        (Some(found), Some(of_task)) if same(&found, &of_task) => pairs.push(of_task),
+        (Some(found), of_task) => {
+            pairs.push(found);
+            pairs.extend(of_task);
+        }
+        (None, Some(of_task)) => pairs.push(of_task),
+        (None, None) => {
+            let ranked: Vec<&str> = effects.ranked.iter().filter(is_numeric).map(|e| e.parameter.as_str()).collect();
+            let all: Vec<&str> = base.parameters.iter().map(|p| p.name.as_str()).filter(|name| numeric(name)).collect();
+            pairs.extend(pair(ranked).or_else(|| pair(all)));
+        }
     }
+    pairs
 }
 
 /// Checks that two parameters can be mapped.
@@ -122,16 +152,25 @@ pub(crate) fn check(base: &Sample, first: &str, second: &str) -> Result<(), Anal
 
 /// The map of two parameters: `up` on the vertical axis, `across` on the horizontal one.
 pub(crate) fn map(base: &Sample, up: &ParameterColumn, across: &ParameterColumn) -> Option<PairMap> {
-    // The number of cells leaves enough episodes for each.
-    let side = (base.len() as f64 / EPISODES_PER_CELL as f64).sqrt() as usize;
-    let bins = side.clamp(3, MAX_BINS);
+    let bins = bins_for(base.len());
     let (y_axis, y_edges) = axis(up, bins)?;
     let (x_axis, x_edges) = axis(across, bins)?;
     let counted = per_pair(&up.values, &y_edges, &across.values, &x_edges, &base.success).ok()?;
-    let zones = Zone::of(&counted.cells);
+    let model = smooth(base, up, across, &y_axis, &x_axis);
+    let by_episodes = Zone::of(&counted.cells);
+    let cells: Vec<PairCell> = counted
+        .cells
+        .iter()
+        .zip(by_episodes)
+        .enumerate()
+        .map(|(i, (trials, zone))| {
+            let model = model.as_ref().and_then(|(rates, _)| rates.get(i).copied());
+            PairCell { rate: Rate::of(*trials), model, zone: model.map_or(zone, |m| Zone::of_interval(m.interval_95)) }
+        })
+        .collect();
     let mut counts = ZoneCounts::default();
-    for zone in &zones {
-        match zone {
+    for cell in &cells {
+        match cell.zone {
             Zone::Safe => counts.safe += 1,
             Zone::Boundary => counts.boundary += 1,
             Zone::Danger => counts.danger += 1,
@@ -139,18 +178,52 @@ pub(crate) fn map(base: &Sample, up: &ParameterColumn, across: &ParameterColumn)
             Zone::TooFewEpisodes => counts.too_few_episodes += 1,
         }
     }
-    let cell = |(trials, zone): (&Trials, Zone)| PairCell { rate: Rate::of(*trials), zone };
     Some(PairMap {
         x: x_axis,
         y: y_axis,
-        cells: counted.cells.iter().zip(zones).map(cell).collect(),
+        cells,
         outside: counted.outside as u64,
         zones: counts,
+        length_scale: model.map(|(_, length_scale)| length_scale),
     })
 }
 
+/// The rates in the middle of each cell by a smooth model, and its length scale. `None` for categorical parameters, and
+/// without both outcomes.
+fn smooth(
+    base: &Sample,
+    up: &ParameterColumn,
+    across: &ParameterColumn,
+    y: &Axis,
+    x: &Axis,
+) -> Option<(Vec<ModelRate>, f64)> {
+    let (fine_y, fine_x) = (fine(up)?, fine(across)?);
+    let counted = per_pair(&up.values, &fine_y, &across.values, &fine_x, &base.success).ok()?;
+    let surface = Surface::fit(&counted.cells, fine_x.bins(), fine_y.bins())?;
+    let (nx, ny) = (x.cells(), y.cells());
+    let at = |i: usize, n: usize| (i as f64 + 0.5) / n as f64;
+    let (xs, ys): (Vec<f64>, Vec<f64>) = (0..nx * ny).map(|i| (at(i % nx, nx), at(i / nx, ny))).unzip();
+    let rates = surface.at(&xs, &ys, Confidence::P95)?;
+    let rate = |of: SurfaceRate| ModelRate { rate: of.rate, interval_95: ends(of.interval) };
+    Some((rates.into_iter().map(rate).collect(), surface.length_scale()))
+}
+
+/// The cells in which the smooth model counts the rows of a numeric parameter.
+fn fine(parameter: &ParameterColumn) -> Option<Edges> {
+    if !parameter.is_numeric() {
+        return None;
+    }
+    Some(axis(parameter, FINE)?.1)
+}
+
+/// The number of bins of an axis, which leaves enough episodes for each cell.
+pub(crate) fn bins_for(episodes: usize) -> usize {
+    let side = (episodes as f64 / EPISODES_PER_CELL as f64).sqrt() as usize;
+    side.clamp(3, MAX_BINS)
+}
+
 /// Bins of equal probability under the operating distribution: of equal width on the parameter's own scale.
-fn axis(parameter: &ParameterColumn, bins: usize) -> Option<(Axis, Edges)> {
+pub(crate) fn axis(parameter: &ParameterColumn, bins: usize) -> Option<(Axis, Edges)> {
     let name = parameter.name.clone();
     let levels_of = |levels: Vec<String>, first: f64| {
         let edges = Edges::new((0..=levels.len()).map(|i| first - 0.5 + i as f64).collect()).ok()?;

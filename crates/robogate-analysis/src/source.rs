@@ -29,7 +29,9 @@ pub struct Source {
 #[derive(Debug, Clone, Deserialize)]
 pub(crate) struct BoundaryFile {
     pub(crate) parameters: Vec<BoundarySpan>,
-    pub(crate) volume: BoundaryVolume,
+    pub(crate) volume: BoundaryRegion,
+    #[serde(default)]
+    pub(crate) emphasis: Option<BoundaryEmphasis>,
 }
 
 /// The range of one parameter in the second stage.
@@ -40,10 +42,18 @@ pub(crate) struct BoundarySpan {
     pub(crate) drawn_from: String,
 }
 
-/// The volume of the second stage.
-#[derive(Debug, Clone, Deserialize)]
-pub(crate) struct BoundaryVolume {
+/// A sampled region of the second stage: its points, and its share of the operating distribution.
+#[derive(Debug, Clone, Copy, Deserialize)]
+pub(crate) struct BoundaryRegion {
+    #[serde(default)]
+    pub(crate) episodes: u64,
     pub(crate) share_of_operating_space: f64,
+}
+
+/// The emphasis of the second stage. Its points come first.
+#[derive(Debug, Clone, Deserialize)]
+pub(crate) struct BoundaryEmphasis {
+    pub(crate) region: BoundaryRegion,
 }
 
 impl Source {

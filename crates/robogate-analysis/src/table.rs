@@ -253,7 +253,10 @@ fn at<T: Copy>(table: &[T], code: Option<u32>) -> Option<T> {
     table.get(code? as usize).copied()
 }
 
-fn categories(dictionary: &Dictionary, name: &str) -> Result<(Vec<String>, Vec<Option<u32>>), DictionaryError> {
+pub(crate) fn categories(
+    dictionary: &Dictionary,
+    name: &str,
+) -> Result<(Vec<String>, Vec<Option<u32>>), DictionaryError> {
     match dictionary.column(name)? {
         Column::Categories { words, codes } => Ok((words, codes)),
         _ => Ok((Vec::new(), Vec::new())),

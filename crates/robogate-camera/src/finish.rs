@@ -99,7 +99,7 @@ impl Finish {
 }
 
 /// Radius of the marker, in metres.
-const MARK: f32 = 0.066;
+pub(crate) const MARK: f32 = 0.066;
 
 /// A smooth step from 0 at 0 to 1 at 1 (cubic Hermite).
 pub(crate) fn smooth(x: f32) -> f32 {

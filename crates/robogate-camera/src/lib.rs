@@ -22,6 +22,7 @@ mod mounts;
 mod outfits;
 mod pinhole;
 mod shadow;
+mod solids;
 mod stage;
 mod table;
 mod tiles;

@@ -109,6 +109,11 @@ impl RobotLooks {
         })
     }
 
+    /// Number of links.
+    pub(crate) fn link_count(&self) -> usize {
+        self.links.len()
+    }
+
     /// Poses of the links.
     pub(crate) fn links(&self, posture: &Posture) -> Vec<Isometry3<f64>> {
         let mut poses: Vec<Isometry3<f64>> = Vec::with_capacity(self.links.len());

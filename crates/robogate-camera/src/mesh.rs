@@ -51,6 +51,14 @@ impl Mesh {
         self.half
     }
 
+    /// The corners of each triangle, in metres.
+    pub(crate) fn corners(&self) -> Vec<[[f32; 3]; 3]> {
+        let corners = |[corner, along, across]: &[Vector3<f32>; 3]| {
+            [(*corner).into(), (corner + along).into(), (corner + across).into()]
+        };
+        self.triangles.iter().map(corners).collect()
+    }
+
     /// A triangle's normal, of any length.
     pub(crate) fn normal(&self, triangle: u32) -> Vector3<f32> {
         self.triangles.get(triangle as usize).map_or_else(Vector3::z, |[_, along, across]| along.cross(across))

@@ -26,6 +26,8 @@ pub(crate) struct Stage {
     pub(crate) front: Isometry3<f64>,
     /// Number of fixtures.
     pub(crate) fixtures: usize,
+    /// Names of the fixtures.
+    pub(crate) names: Vec<String>,
     pub(crate) light: Light,
     pub(crate) room: Room,
     pub(crate) props: Vec<Prop>,
@@ -39,6 +41,18 @@ pub(crate) struct Prop {
     pub(crate) with: With,
     /// The pose in that body's frame.
     place: Isometry3<f64>,
+}
+
+impl Prop {
+    /// The shape.
+    pub(crate) fn form(&self) -> &Form {
+        &self.form
+    }
+
+    /// The pose in the frame of its body.
+    pub(crate) fn place(&self) -> &Isometry3<f64> {
+        &self.place
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -80,6 +94,7 @@ impl Stage {
         Self {
             front: Pinhole::turned(&front, visual.camera_roll_rad, visual.camera_pitch_rad),
             fixtures: scene.fixtures.len(),
+            names: scene.fixtures.iter().map(|fixture| fixture.name.clone()).collect(),
             light: Light::new(visual.lighting_lux),
             room: Room { wall: linear(visual.background_color), floor: FLOOR },
             props,

@@ -18,6 +18,7 @@ pub(crate) struct Texture {
     levels: Vec<Level>,
     /// Reflectances of the rim.
     pub(crate) edge: Vector3<f32>,
+    mean: Vector3<f32>,
 }
 
 struct Level {
@@ -65,7 +66,12 @@ impl Texture {
             (size, fine) = (half, coarse);
         }
         let mean = fine.iter().sum::<Vector3<f32>>() / fine.len() as f32;
-        Self { levels, edge: mean * 0.55 }
+        Self { levels, edge: mean * 0.55, mean }
+    }
+
+    /// Mean reflectances of the top.
+    pub(crate) fn mean(&self) -> Vector3<f32> {
+        self.mean
     }
 
     /// Reflectances at a point of the table, in metres from its centre. A pixel covers `footprint` metres.

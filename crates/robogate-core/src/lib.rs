@@ -25,6 +25,7 @@ mod seed;
 mod space;
 mod suite;
 mod task;
+mod trajectory;
 mod word;
 
 pub use action::{Action, ActionSpace, ActionSpec, Command, GripperKind};
@@ -43,4 +44,5 @@ pub use task::{
     Allowed, Better, CameraSpec, FailureModeSpec, MeasureSpec, ObservationSpec, ParameterSpec, Severity, TaskError,
     TaskInstance, TaskSpec, VectorSpec,
 };
+pub use trajectory::{ContactBetween, ContactPoint, Frame, Solid, SolidShape, Trajectory};
 pub use word::{Word, WordError};

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::{
     Action, Assignment, Contact, Episode, FailureMode, Fault, FaultKind, Image, Measures, Observation, Outcome,
-    Scenario, Seed, TaskInstance, TaskSpec,
+    Scenario, Seed, TaskInstance, TaskSpec, Trajectory,
 };
 
 /// The result of a reset.
@@ -58,6 +58,15 @@ pub trait Environment {
     /// Renders the cameras in the current state. Rendering does not change the episode.
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
         Err(Fault::new(FaultKind::Setup, "this environment has no cameras"))
+    }
+
+    /// Records the motion of all bodies in every later episode: one frame per `period_s` seconds of simulated time, at
+    /// the start and at the end. `None` stops recording. Recording does not change the episode.
+    fn record_trajectory(&mut self, _period_s: Option<f64>) {}
+
+    /// Takes the trajectory of the last episode. `None` if the environment has no geometry, or did not record it.
+    fn take_trajectory(&mut self) -> Option<Trajectory> {
+        None
     }
 }
 

@@ -28,18 +28,22 @@ pub enum Format {
 /// Exports the dictionary to the file `path`, which is complete or absent. Returns the number of rows.
 pub fn write_file(dictionary: &Dictionary, format: Format, path: &Path) -> Result<u64, DictionaryError> {
     let mut file = AtomicFile::create(path)?;
-    let rows = match format {
-        Format::Csv => csv(dictionary, &mut file),
-        Format::JsonLines => json_lines(dictionary, &mut file),
-        Format::Published => published::export(dictionary, &mut file),
-    };
     // The writers below do not know the path.
-    let rows = rows.map_err(|error| match error {
+    let rows = write_to(dictionary, format, &mut file).map_err(|error| match error {
         DictionaryError::Io { action: WRITE, source, .. } => DictionaryError::io(path, WRITE)(source),
         other => other,
     })?;
     file.commit()?;
     Ok(rows)
+}
+
+/// Exports the dictionary to a stream. Returns the number of rows.
+pub fn write_to(dictionary: &Dictionary, format: Format, out: impl Write) -> Result<u64, DictionaryError> {
+    match format {
+        Format::Csv => csv(dictionary, out),
+        Format::JsonLines => json_lines(dictionary, out),
+        Format::Published => published::export(dictionary, out),
+    }
 }
 
 const WRITE: &str = "write";

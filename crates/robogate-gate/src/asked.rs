@@ -50,10 +50,18 @@ impl Asked {
         if !path.is_file() {
             return Ok(None);
         }
-        let in_file = |error| GateError::InFile { path: path.clone(), error: Box::new(error) };
         let text =
             std::fs::read_to_string(&path).map_err(|source| GateError::Unreadable { path: path.clone(), source })?;
-        let asked: Self = serde_json::from_str(&text)
+        Self::from_json(&path, &text).map(Some)
+    }
+
+    /// Parses the content of the file `path`.
+    ///
+    /// # Errors
+    /// If the content is not valid.
+    pub fn from_json(path: &Path, text: &str) -> Result<Self, GateError> {
+        let in_file = |error| GateError::InFile { path: path.to_owned(), error: Box::new(error) };
+        let asked: Self = serde_json::from_str(text)
             .map_err(|error| in_file(GateError::Syntax(format!("not a gate's question: {error}"))))?;
         if asked.format != Self::FORMAT {
             let text =
@@ -61,7 +69,7 @@ impl Asked {
             return Err(in_file(GateError::Syntax(text)));
         }
         asked.requirements.check().map_err(in_file)?;
-        Ok(Some(asked))
+        Ok(asked)
     }
 
     /// Serialises the question. Equal questions give equal bytes.

@@ -26,75 +26,6 @@ impl Level {
     }
 }
 
-/// A metric that the monitor watches.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Metric {
-    /// The rate of failures.
-    Success,
-    /// The rate of dropped parts.
-    Drop,
-    /// The rate of collisions.
-    Collision,
-    /// The location of the cycle time of successful cycles.
-    CycleTime,
-    /// The spread of the cycle time of successful cycles.
-    CycleTimeSpread,
-    /// The shares of the failure modes among failures.
-    FailureModes,
-    /// The rate of cycles outside the validated region.
-    Outside,
-    /// The failure rate that the risk model predicts.
-    Risk,
-    /// The failure rate of one robot among several.
-    Robot,
-}
-
-impl Metric {
-    /// Every metric.
-    pub const ALL: [Self; 9] = [
-        Self::Success,
-        Self::Drop,
-        Self::Collision,
-        Self::CycleTime,
-        Self::CycleTimeSpread,
-        Self::FailureModes,
-        Self::Outside,
-        Self::Risk,
-        Self::Robot,
-    ];
-
-    /// The name of the metric in data.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Success => "success",
-            Self::Drop => "drop",
-            Self::Collision => "collision",
-            Self::CycleTime => "cycle_time",
-            Self::CycleTimeSpread => "cycle_time_spread",
-            Self::FailureModes => "failure_modes",
-            Self::Outside => "outside",
-            Self::Risk => "risk",
-            Self::Robot => "robot",
-        }
-    }
-
-    /// The label of the metric.
-    pub fn label(self) -> &'static str {
-        match self {
-            Self::Success => "failure rate",
-            Self::Drop => "drop rate",
-            Self::Collision => "collision rate",
-            Self::CycleTime => "cycle time",
-            Self::CycleTimeSpread => "spread of the cycle time",
-            Self::FailureModes => "mix of failure modes",
-            Self::Outside => "cycles outside the validated region",
-            Self::Risk => "expected failure rate",
-            Self::Robot => "failure rate of one robot",
-        }
-    }
-}
-
 /// The rule that raised an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -129,8 +60,9 @@ pub struct Alarm {
     pub rule: Rule,
     /// The recipe.
     pub recipe: String,
-    /// The metric that changed.
-    pub metric: Metric,
+    /// The metric that changed: `success`, `event:NAME`, `cycle_time`, `cycle_time_spread`, `failure_modes`, `outside`,
+    /// `risk` or `robot`.
+    pub metric: String,
     /// The cycle at which this happened, numbered within its recipe from 1.
     pub cycle: u64,
     /// The id of that cycle.

@@ -1,13 +1,16 @@
 //! The normal behaviour of a recipe, as counts. Unlike rates, counts allow confidence intervals.
 
+use std::collections::BTreeMap;
+
 use robogate_stats::{Confidence, Trials, clopper_pearson};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::alarm::Metric;
 use crate::cycle::{LONGEST_NAME, is_name};
 use crate::detector::Factors;
+use crate::events;
 use crate::factors::{self, Binned};
+use crate::metric::Metric;
 use crate::modes::{MOST_MODES, ModeCounts, ModeList, OTHER_MODE};
 use crate::settings::Settings;
 
@@ -20,19 +23,41 @@ const ROOM: &str = "the baseline has too few cycles, or too many failures, to de
 ///
 /// Missing parts are learnt from the recipe's first cycles.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
+#[serde(try_from = "Written", default)]
+#[schemars(!try_from, deny_unknown_fields)]
 pub struct Baseline {
     /// Successes among cycles.
     pub success: Option<Count>,
-    /// Cycles with a dropped part, among all cycles that report drops.
-    pub drop: Option<Count>,
-    /// Cycles with a collision, among all cycles that report collisions.
-    pub collision: Option<Count>,
+    /// Cycles with each event, among all cycles that report it.
+    pub events: BTreeMap<String, Count>,
     /// Failures by mode.
     #[schemars(with = "Option<std::collections::BTreeMap<String, u64>>")]
     pub failure_modes: Option<ModeCounts>,
     /// Cycle times of successful cycles, in seconds, in any order.
     pub cycle_times_s: Option<Vec<f64>>,
+}
+
+/// A baseline as it is read: with events, or with the fields that the first baselines had for two of them.
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Written {
+    success: Option<Count>,
+    events: BTreeMap<String, Count>,
+    drop: Option<Count>,
+    collision: Option<Count>,
+    failure_modes: Option<ModeCounts>,
+    cycle_times_s: Option<Vec<f64>>,
+}
+
+impl TryFrom<Written> for Baseline {
+    type Error = String;
+
+    fn try_from(written: Written) -> Result<Self, String> {
+        let Written { success, mut events, drop, collision, failure_modes, cycle_times_s } = written;
+        events::merge(&mut events, [drop, collision])
+            .map_err(|name| format!("baseline of `{name}`: given twice, as a field and in `events`"))?;
+        Ok(Self { success, events, failure_modes, cycle_times_s })
+    }
 }
 
 /// A number of events among a number of cycles.
@@ -61,7 +86,7 @@ pub enum BaselineError {
     )]
     Count {
         /// The metric.
-        metric: &'static str,
+        metric: String,
         /// The given number of events.
         count: u64,
         /// The given number of cycles.
@@ -84,11 +109,10 @@ impl Baseline {
     /// # Errors
     /// The first problem.
     pub fn check(&self) -> Result<(), BaselineError> {
-        for (metric, count) in [("success", self.success), ("drop", self.drop), ("collision", self.collision)] {
-            if let Some(Count { count, of }) = count
-                && (count > of || of == 0)
-            {
-                return Err(BaselineError::Count { metric, count, of });
+        let events = self.events.iter().map(|(name, count)| (name.as_str(), *count));
+        for (metric, Count { count, of }) in self.success.map(|count| ("success", count)).into_iter().chain(events) {
+            if count > of || of == 0 {
+                return Err(BaselineError::Count { metric: metric.to_owned(), count, of });
             }
         }
         if let Some(counts) = &self.failure_modes {
@@ -126,8 +150,7 @@ impl Baseline {
         };
         match metric {
             Metric::Success | Metric::Robot => event(self.success, true),
-            Metric::Drop => event(self.drop, false),
-            Metric::Collision => event(self.collision, false),
+            Metric::Event(_) => event(settings.event(metric).and_then(|name| self.events.get(name)).copied(), false),
             Metric::CycleTime | Metric::CycleTimeSpread => {
                 self.cycle_times_s.as_ref().ok_or(LEARNING)?;
                 let binned = self.binned().ok_or("the baseline has too few cycle times, or all are equal")?;

@@ -5,16 +5,18 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::events;
 use crate::modes::OTHER_MODE;
 
 /// Maximum length of an id, robot, recipe, failure mode or parameter name, in bytes.
 pub const LONGEST_NAME: usize = 128;
-/// Maximum number of parameters of one cycle.
+/// Maximum number of parameters, and of events, of one cycle.
 pub const MOST_PARAMETERS: usize = 64;
 
 /// One cycle, as the robot or the cell's controller reports it: one JSON object.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "Written")]
+#[schemars(!try_from, deny_unknown_fields)]
 pub struct Cycle {
     /// Identifies this cycle among all robots. A cycle with a known id is not counted again.
     pub id: String,
@@ -30,12 +32,10 @@ pub struct Cycle {
     /// success.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub failure_mode: Option<String>,
-    /// Whether a part was dropped. Absent if the cell cannot detect it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub drop: Option<bool>,
-    /// Whether the robot collided. Absent if the cell cannot detect it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub collision: Option<bool>,
+    /// Whether events happened in this cycle, by name (`{"spill": false}`), in a successful or a failed cycle. An event
+    /// that the cell cannot detect is absent.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub events: BTreeMap<String, bool>,
     /// The duration of the cycle, in seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cycle_time_s: Option<f64>,
@@ -79,6 +79,9 @@ pub enum CycleError {
         /// The given mode.
         mode: String,
     },
+    /// Too many events.
+    #[error("{0} events. Expected at most {MOST_PARAMETERS}")]
+    Events(usize),
     /// Too many parameters.
     #[error("{0} parameters. Expected at most {MOST_PARAMETERS}")]
     Parameters(usize),
@@ -87,6 +90,52 @@ pub enum CycleError {
 /// Whether a text is a valid id, robot, recipe, failure mode or parameter name.
 pub(crate) fn is_name(name: &str) -> bool {
     !name.is_empty() && name.len() <= LONGEST_NAME && !name.chars().any(char::is_control)
+}
+
+/// A cycle as it is read: with events, or with the fields that the first cycle records had for two of them.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Written {
+    id: String,
+    robot: String,
+    recipe: String,
+    time_s: f64,
+    success: bool,
+    #[serde(default)]
+    failure_mode: Option<String>,
+    #[serde(default)]
+    events: BTreeMap<String, bool>,
+    /// The former field of this event.
+    #[serde(default)]
+    drop: Option<bool>,
+    /// The former field of this event.
+    #[serde(default)]
+    collision: Option<bool>,
+    #[serde(default)]
+    cycle_time_s: Option<f64>,
+    #[serde(default)]
+    parameters: BTreeMap<String, ParameterValue>,
+}
+
+impl TryFrom<Written> for Cycle {
+    type Error = String;
+
+    fn try_from(written: Written) -> Result<Self, String> {
+        let mut events = written.events;
+        events::merge(&mut events, [written.drop, written.collision])
+            .map_err(|name| format!("`{name}` is given twice: as a field and in `events`"))?;
+        Ok(Self {
+            id: written.id,
+            robot: written.robot,
+            recipe: written.recipe,
+            time_s: written.time_s,
+            success: written.success,
+            failure_mode: written.failure_mode,
+            events,
+            cycle_time_s: written.cycle_time_s,
+            parameters: written.parameters,
+        })
+    }
 }
 
 impl Cycle {
@@ -116,6 +165,12 @@ impl Cycle {
             if !is_name(mode) {
                 return Err(CycleError::Name { field: "failure_mode" });
             }
+        }
+        if self.events.len() > MOST_PARAMETERS {
+            return Err(CycleError::Events(self.events.len()));
+        }
+        if !self.events.keys().all(|name| is_name(name)) {
+            return Err(CycleError::Name { field: "events" });
         }
         if self.parameters.len() > MOST_PARAMETERS {
             return Err(CycleError::Parameters(self.parameters.len()));
@@ -167,6 +222,19 @@ mod tests {
         let milliseconds = r#"{"id":"a","robot":"r","recipe":"x","time_s":1795254000000,"success":true}"#;
         assert!(cycle(milliseconds).unwrap_err().contains("seconds since 1970"));
         assert!(cycle(r#"{"id":"","robot":"r","recipe":"x","time_s":1,"success":true}"#).unwrap_err().contains("`id`"));
+    }
+
+    #[test]
+    fn events_have_names() {
+        let with =
+            |more: &str| cycle(&format!(r#"{{"id":"a","robot":"r","recipe":"x","time_s":1,"success":true{more}}}"#));
+        let new = with(r#","events":{"drop":true,"spill":false}"#).unwrap();
+        assert_eq!(new.events, [("drop".to_owned(), true), ("spill".to_owned(), false)].into());
+        let former = with(r#","drop":true,"collision":false"#).unwrap();
+        assert_eq!(former.events, [("collision".to_owned(), false), ("drop".to_owned(), true)].into());
+        assert_eq!(serde_json::from_str::<Cycle>(&serde_json::to_string(&former).unwrap()).unwrap(), former);
+        assert!(with(r#","drop":true,"events":{"drop":false}"#).unwrap_err().contains("`drop` is given twice"));
+        assert!(with(r#","events":{"":true}"#).unwrap_err().contains("`events`"));
     }
 
     #[test]

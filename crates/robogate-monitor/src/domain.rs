@@ -61,8 +61,11 @@ pub struct Risk {
 pub struct RiskTerm {
     /// The parameter.
     pub parameter: String,
-    /// Log-odds of a failure per unit, or per unit of penalty.
+    /// Log-odds of a failure per unit, per unit of penalty, or per unit of the logarithm.
     pub coefficient: f64,
+    /// Whether the natural logarithm of the parameter enters the model.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub log: bool,
     /// The penalty of each category, for a categorical parameter.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub penalties: Option<BTreeMap<String, f64>>,
@@ -178,6 +181,10 @@ impl Risk {
         let mut log_odds = self.intercept;
         for (slot, term) in rest.iter_mut().zip(&self.terms) {
             *slot = match (cycle.parameters.get(&term.parameter)?, &term.penalties) {
+                (ParameterValue::Number(number), None) if term.log => {
+                    // The logarithm of such a value does not exist, so the model says nothing.
+                    if *number > 0.0 { number.ln() } else { return None }
+                }
                 (ParameterValue::Number(number), None) => *number,
                 (ParameterValue::Word(word), Some(penalties)) => *penalties.get(word)?,
                 _ => return None,
@@ -224,6 +231,21 @@ mod tests {
         assert_eq!((found.outside, outside.len()), (Some(false), 0));
         let expected = 1.0 / (1.0 + f64::exp(4.0 - 1.5 + 1.0 - 1.5));
         assert!((found.risk.unwrap() - expected).abs() < 1e-15);
+    }
+
+    #[test]
+    fn logarithmic_terms_use_the_logarithm() {
+        let mut domain = domain();
+        domain.risk.as_mut().unwrap().terms[0].log = true;
+        let risk = |mass: f64| {
+            let parameters = format!(r#"{{"mass_kg": {mass}, "friction": 0.5, "shape": "can"}}"#);
+            let json =
+                format!(r#"{{"id":"a","robot":"r","recipe":"x","time_s":1,"success":true,"parameters":{parameters}}}"#);
+            domain.judge(&serde_json::from_str(&json).unwrap(), |_, _| {}).risk
+        };
+        let expected = 1.0 / (1.0 + f64::exp(4.0 - 5.0 * 0.3_f64.ln() + 1.0 - 1.5));
+        assert!((risk(0.3).unwrap() - expected).abs() < 1e-15);
+        assert_eq!(risk(0.0), None);
     }
 
     #[test]

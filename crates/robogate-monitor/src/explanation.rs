@@ -4,11 +4,12 @@ use robogate_stats::format::{count, number, percent};
 use robogate_stats::overdispersion::outliers;
 use robogate_stats::{Confidence, Trials, wilson};
 
-use crate::alarm::{Alarm, Happening, Level, Metric, Rule, Since};
+use crate::alarm::{Alarm, Happening, Level, Rule, Since};
 use crate::cycle::Cycle;
 use crate::detector::{ChangePoint, change_point};
 use crate::domain::Validated;
 use crate::history::Symbols;
+use crate::metric::Metric;
 use crate::modes::OTHER_MODE;
 use crate::recipe::{Recipe, Standing, happening_id};
 use crate::settings::Settings;
@@ -26,14 +27,14 @@ fn alarm(
     happening: Happening,
     level: Level,
     rule: Rule,
-    metric: Metric,
+    metric: String,
     what: String,
     how_sure: String,
     since: Option<Since>,
     look_at: Vec<String>,
 ) -> Alarm {
     Alarm {
-        id: happening_id(recipe, cycle, rule, metric, level, happening),
+        id: happening_id(recipe, cycle, rule, &metric, level, happening),
         happening,
         level,
         rule,
@@ -59,13 +60,14 @@ pub(crate) fn paper(recipe: &Recipe, cycle: &Cycle, settings: &Settings, happeni
     let how_sure = "The false-alarm rate of the paper's moving window is not bounded.".to_owned();
     let look_at =
         if happening == Happening::Raised { look_at(recipe, Metric::Success, settings, None) } else { vec![] };
-    alarm(recipe, cycle, happening, level, Rule::Paper, Metric::Success, what, how_sure, None, look_at)
+    let metric = Metric::Success.name(settings).into_owned();
+    alarm(recipe, cycle, happening, level, Rule::Paper, metric, what, how_sure, None, look_at)
 }
 
 /// Describes an alarm of a detector whose evidence reached its limit.
 pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycle, settings: &Settings) -> Alarm {
     let state = recipe.state();
-    let began = state.began[metric as usize];
+    let began = state.began[metric.index()];
     // Only cycles since the detector started. Those that the baseline was learnt from are not compared with it.
     let compared = usize::try_from(state.cycles.saturating_sub(began)).unwrap_or(usize::MAX);
     let place = state.robots.get(&cycle.robot).map(|robot| robot.place);
@@ -77,7 +79,7 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
         .filter(|(_, symbols)| metric != Metric::Robot || Some(symbols.robot) == place)
         .filter_map(|(back, symbols)| Some((state.cycles.saturating_sub(back as u64), symbols, symbols.code(metric)?)))
         .collect();
-    let found = recipe.factors[metric as usize]
+    let found = recipe.factors[metric.index()]
         .as_ref()
         .and_then(|factors| change_point(factors, kept.iter().map(|(_, _, code)| *code)));
     let since = found.and_then(|found| since(&found, &kept));
@@ -100,6 +102,7 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
     if matches!(metric, Metric::Outside | Metric::Risk) {
         look_at.splice(0..0, outside(recipe, first));
     }
+    let metric = metric.name(settings).into_owned();
     alarm(recipe, cycle, Happening::Raised, level, Rule::Detector, metric, what, how_sure, since, look_at)
 }
 
@@ -119,6 +122,7 @@ pub(crate) fn cleared(
         stood.times
     );
     let how_sure = "A cleared alarm does not prove that the cause is gone.".to_owned();
+    let metric = metric.name(settings).into_owned();
     alarm(recipe, cycle, Happening::Cleared, level, Rule::Detector, metric, what, how_sure, None, vec![])
 }
 
@@ -151,16 +155,10 @@ fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], robot: &
                 before(baseline.success, true)
             )
         }
-        Metric::Drop => {
-            format!(
-                "Parts drop in {} of the last {n} cycles; the baseline is {}.",
-                events(),
-                before(baseline.drop, false)
-            )
-        }
-        Metric::Collision => {
-            let before = before(baseline.collision, false);
-            format!("The robot collides in {} of the last {n} cycles; the baseline is {before}.", events())
+        Metric::Event(_) => {
+            let event = settings.event(metric).unwrap_or_default();
+            let before = before(baseline.events.get(event).copied(), false);
+            format!("The event `{event}` happened in {} of the last {n} cycles; the baseline is {before}.", events())
         }
         Metric::CycleTime | Metric::CycleTimeSpread => {
             let mut now: Vec<f64> = after.iter().map(|(_, symbols, _)| f64::from(symbols.cycle_time_s)).collect();
@@ -280,8 +278,10 @@ fn look_at(recipe: &Recipe, metric: Metric, settings: &Settings, mode: Option<u8
     }
     let usual = match metric {
         Metric::Success => "changes in the cell since then: parts, gripper, lighting, software",
-        Metric::Drop => "gripping force, worn pads, heavier or smoother parts",
-        Metric::Collision => "fixtures, obstacles and the calibration of the arm",
+        Metric::Event(event) => {
+            let causes = settings.events.values().nth(usize::from(event)).and_then(|event| event.causes.as_deref());
+            causes.unwrap_or("the last cycles with this event")
+        }
         Metric::CycleTime => "speed override, retries, joint friction, network or camera delays",
         Metric::CycleTimeSpread => "retries, intermittent delays, different parts under one recipe",
         Metric::FailureModes => "changes in the cell since then, even if the success rate is unchanged",

@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::alarm::Metric;
 use crate::baseline::{Baseline, Count};
-use crate::history::{ABSENT, Symbols};
+use crate::history::Symbols;
+use crate::metric::Metric;
 use crate::modes::ModeList;
 use crate::settings::Settings;
 
@@ -12,15 +12,16 @@ use crate::settings::Settings;
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct Learning {
     successes: Tally,
-    drops: Tally,
-    collisions: Tally,
+    /// By the index of the event.
+    #[serde(default)]
+    pub(crate) events: Vec<Tally>,
     /// Failures by the code of their mode.
     modes: Vec<u64>,
     cycle_times_s: Vec<f64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-struct Tally {
+pub(crate) struct Tally {
     count: u64,
     of: u64,
 }
@@ -44,20 +45,26 @@ impl Learning {
         mut learnt: impl FnMut(Metric),
     ) {
         let enough = u64::from(settings.learn_cycles);
-        let [failed, drop, collision, _, mode, ..] = symbols.codes;
-        for (slot, tally, happened, metric) in [
-            (&mut baseline.success, &mut self.successes, Some(failed == 0), Metric::Success),
-            (&mut baseline.drop, &mut self.drops, reported(drop), Metric::Drop),
-            (&mut baseline.collision, &mut self.collisions, reported(collision), Metric::Collision),
-        ] {
-            if let (None, Some(happened)) = (*slot, happened) {
-                *slot = tally.add(happened, enough);
-                if slot.is_some() {
-                    learnt(metric);
-                }
+        if baseline.success.is_none()
+            && let Some(failed) = symbols.code(Metric::Success)
+        {
+            baseline.success = self.successes.add(failed == 0, enough);
+            if baseline.success.is_some() {
+                learnt(Metric::Success);
             }
         }
-        if baseline.failure_modes.is_none() && mode != ABSENT {
+        for ((i, event), tally) in (0..).zip(settings.events.keys()).zip(&mut self.events) {
+            if !baseline.events.contains_key(event)
+                && let Some(happened) = symbols.code(Metric::Event(i))
+                && let Some(count) = tally.add(happened == 1, enough)
+            {
+                baseline.events.insert(event.clone(), count);
+                learnt(Metric::Event(i));
+            }
+        }
+        if baseline.failure_modes.is_none()
+            && let Some(mode) = symbols.code(Metric::FailureModes)
+        {
             self.modes.resize(modes.len(), 0);
             if let Some(count) = self.modes.get_mut(usize::from(mode)) {
                 *count += 1;
@@ -77,8 +84,4 @@ impl Learning {
             }
         }
     }
-}
-
-fn reported(code: u8) -> Option<bool> {
-    (code <= 1).then_some(code == 1)
 }

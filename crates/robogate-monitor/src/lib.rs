@@ -19,8 +19,7 @@
 //!     time_s: 0.0,
 //!     success: true,
 //!     failure_mode: None,
-//!     drop: None,
-//!     collision: None,
+//!     events: Default::default(),
 //!     cycle_time_s: None,
 //!     parameters: Default::default(),
 //! };
@@ -50,10 +49,12 @@ mod baseline;
 mod cycle;
 pub mod detector;
 pub mod domain;
+mod events;
 mod explanation;
 pub mod factors;
 mod history;
 mod learning;
+mod metric;
 mod modes;
 mod monitor;
 pub mod paper;
@@ -65,9 +66,11 @@ pub mod service;
 mod settings;
 pub mod simulate;
 
-pub use alarm::{Alarm, Happening, Level, Metric, Rule, Since};
+pub use alarm::{Alarm, Happening, Level, Rule, Since};
 pub use baseline::{Baseline, BaselineError, Count};
 pub use cycle::{Cycle, CycleError, LONGEST_NAME, MOST_PARAMETERS, ParameterValue};
+pub use events::{EventSettings, MOST_EVENTS, default_events};
+pub use metric::Metric;
 pub use modes::{MOST_MODES, ModeCounts, OTHER_MODE};
 pub use monitor::{Monitor, TooManyRecipes};
 pub use recipe::{DetectorView, OutsideTally, Recipe, RecipeState, RobotTally, Standing};

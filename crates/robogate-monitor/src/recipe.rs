@@ -1,5 +1,6 @@
 //! One recipe: the paper's window, a detector for each metric, and their alarms.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::sync::Arc;
@@ -7,7 +8,7 @@ use std::sync::Arc;
 use robogate_stats::Trials;
 use serde::{Deserialize, Serialize};
 
-use crate::alarm::{Alarm, Happening, Level, Metric, Rule};
+use crate::alarm::{Alarm, Happening, Level, Rule};
 use crate::baseline::Baseline;
 use crate::cycle::{Cycle, ParameterValue};
 use crate::detector::{Evidence, Factors};
@@ -15,7 +16,8 @@ use crate::domain::{Domain, Judged, Validated};
 use crate::explanation;
 use crate::factors::Binned;
 use crate::history::{History, Symbols};
-use crate::learning::Learning;
+use crate::learning::{Learning, Tally};
+use crate::metric::Metric;
 use crate::modes::ModeList;
 use crate::paper::PaperWindow;
 use crate::settings::Settings;
@@ -23,7 +25,8 @@ use crate::settings::Settings;
 /// One recipe with its detectors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recipe {
-    pub(crate) factors: [Option<Factors>; Metric::ALL.len()],
+    /// By the index of the metric.
+    pub(crate) factors: Vec<Option<Factors>>,
     pub(crate) binned: Option<Binned>,
     domain: Option<Arc<Domain>>,
     pub(crate) state: RecipeState,
@@ -34,14 +37,18 @@ pub struct Recipe {
 pub struct RecipeState {
     /// A hash of baseline and validated region in the settings.
     pub(crate) given: u64,
+    /// The monitored events, in the order of their indices. A store of an earlier version has none.
+    #[serde(default)]
+    events: Vec<String>,
     pub(crate) baseline: Baseline,
     pub(crate) learning: Learning,
     #[serde(default = "ModeList::unnamed")]
     pub(crate) modes: ModeList,
-    pub(crate) evidence: [Option<[Evidence; 2]>; Metric::ALL.len()],
+    /// By the index of the metric.
+    pub(crate) evidence: Vec<Option<[Evidence; 2]>>,
     /// The cycle after which each detector started.
-    pub(crate) began: [u64; Metric::ALL.len()],
-    pub(crate) standing: [[Option<Standing>; 2]; Metric::ALL.len()],
+    pub(crate) began: Vec<u64>,
+    pub(crate) standing: Vec<[Option<Standing>; 2]>,
     pub(crate) paper: Option<PaperWindow>,
     #[serde(rename = "paper_said")]
     pub(crate) paper_level: Option<Level>,
@@ -93,6 +100,13 @@ impl OutsideTally {
     }
 }
 
+impl RecipeState {
+    fn forget(&mut self) {
+        self.evidence.fill(None);
+        self.standing.fill([None; 2]);
+    }
+}
+
 impl RobotState {
     fn forget(&mut self) {
         self.evidence = None;
@@ -114,10 +128,25 @@ pub struct RobotTally {
 pub struct DetectorView {
     /// The metric.
     pub metric: Metric,
+    /// Its name in data.
+    pub name: Cow<'static, str>,
+    /// Its label.
+    pub label: Cow<'static, str>,
     /// Evidence and limit for a warning and a critical alarm, or the reason why the detector does not run.
     pub levels: Result<[(f64, f64); 2], &'static str>,
     /// The active alarm of each level.
     pub standing: [Option<Standing>; 2],
+}
+
+impl DetectorView {
+    fn of(
+        metric: Metric,
+        settings: &Settings,
+        levels: Result<[(f64, f64); 2], &'static str>,
+        standing: [Option<Standing>; 2],
+    ) -> Self {
+        Self { metric, name: metric.name(settings), label: metric.label(settings), levels, standing }
+    }
 }
 
 /// The state of one robot in one recipe.
@@ -170,10 +199,11 @@ impl Recipe {
             given: given(name, settings),
             baseline: settings.baseline_of(name).clone(),
             learning: Learning::default(),
+            events: Vec::new(),
             modes: ModeList::default(),
-            evidence: Default::default(),
-            began: Default::default(),
-            standing: Default::default(),
+            evidence: Vec::new(),
+            began: Vec::new(),
+            standing: Vec::new(),
             paper: None,
             paper_level: None,
             cycles: 0,
@@ -190,7 +220,8 @@ impl Recipe {
     /// Restores a recipe from its state.
     ///
     /// If the settings define another baseline or validated region than before, learning and all evidence start again
-    /// from zero. The same happens to evidence that does not match the settings. Counts are kept.
+    /// from zero. The same happens to evidence that does not match the settings, and to all evidence if the events are
+    /// others. Counts are kept.
     pub fn restore(name: &str, mut state: RecipeState, settings: &Settings) -> Self {
         let given = given(name, settings);
         if state.given != given {
@@ -198,10 +229,19 @@ impl Recipe {
             state.baseline = settings.baseline_of(name).clone();
             state.learning = Learning::default();
             state.modes.include(state.baseline.failure_modes.as_ref());
-            state.evidence = Default::default();
-            state.standing = Default::default();
+            state.forget();
             (state.paper, state.paper_level) = (None, None);
             state.robots.values_mut().for_each(RobotState::forget);
+        }
+        let detectors = Metric::FIXED.len() + settings.events.len();
+        let lengths = [state.evidence.len(), state.began.len(), state.standing.len()];
+        if !state.events.iter().eq(settings.events.keys()) || lengths != [detectors; 3] {
+            state.events = settings.events.keys().cloned().collect();
+            state.learning.events = vec![Tally::default(); settings.events.len()];
+            // The codes of events in the history are indices too.
+            state.history = History::new(settings.history_cycles as usize);
+            (state.evidence, state.standing) = (vec![None; detectors], vec![[None; 2]; detectors]);
+            state.began = vec![state.cycles; detectors];
         }
         if !state.history.fits(settings.history_cycles as usize) {
             state.history = History::new(settings.history_cycles as usize);
@@ -211,8 +251,8 @@ impl Recipe {
         if state.outside.len() != parameters {
             state.outside = vec![OutsideTally::default(); parameters];
         }
-        let mut recipe = Self { factors: Default::default(), binned: None, domain, state };
-        for metric in Metric::ALL {
+        let mut recipe = Self { factors: vec![None; detectors], binned: None, domain, state };
+        for metric in Metric::all(settings) {
             recipe.begin(metric, settings);
         }
         if recipe.state.paper.is_none() {
@@ -229,7 +269,7 @@ impl Recipe {
 
     /// Builds a metric's detector, if the baseline allows one.
     fn begin(&mut self, metric: Metric, settings: &Settings) {
-        let i = metric as usize;
+        let i = metric.index();
         if metric == Metric::CycleTime {
             self.binned = self.state.baseline.binned();
         }
@@ -275,11 +315,12 @@ impl Recipe {
             }
             self.state.modes.code(mode)
         });
-        let symbols = Symbols::of(cycle, robot, judged, mode, |t| binned.map_or(crate::history::ABSENT, |b| b.bin(t)));
+        let bin = |time| binned.map_or(crate::history::ABSENT, |binned| binned.bin(time));
+        let symbols = Symbols::of(cycle, settings.events.keys(), robot, judged, mode, bin);
         self.state.successes += u64::from(cycle.success);
         self.state.history.push(symbols);
         self.update_paper(cycle, settings, emit);
-        for metric in Metric::ALL {
+        for metric in Metric::all(settings) {
             match symbols.code(metric) {
                 Some(code) if metric == Metric::Robot => self.update_robot(code, cycle, settings, emit),
                 Some(code) => self.update_metric(metric, code, cycle, settings, emit),
@@ -328,7 +369,7 @@ impl Recipe {
         let metric = Metric::Robot;
         let (now, several) = (self.state.cycles, self.state.robots.len() > 1);
         for level in Level::ALL {
-            let Some(factors) = &self.factors[metric as usize] else { return };
+            let Some(factors) = &self.factors[metric.index()] else { return };
             let Some(robot) = self.state.robots.get_mut(cycle.robot.as_str()).filter(|_| several) else { return };
             let none = || [Evidence::none(factors), Evidence::none(factors)];
             let evidence = &mut robot.evidence.get_or_insert_with(none)[level as usize];
@@ -378,7 +419,7 @@ impl Recipe {
         settings: &Settings,
         emit: &mut dyn FnMut(Alarm),
     ) {
-        let (i, now) = (metric as usize, self.state.cycles);
+        let (i, now) = (metric.index(), self.state.cycles);
         for level in Level::ALL {
             let (Some(factors), Some(evidence)) = (&self.factors[i], &mut self.state.evidence[i]) else { return };
             let (standing, limit) = (&mut self.state.standing[i][level as usize], settings.limit(metric, level));
@@ -389,12 +430,12 @@ impl Recipe {
     }
 
     fn learn(&mut self, symbols: &Symbols, settings: &Settings) {
-        let mut learnt = [false; Metric::ALL.len()];
+        let mut learnt = 0_u32;
         let state = &mut self.state;
         state
             .learning
-            .update(symbols, &mut state.baseline, &state.modes, settings, |metric| learnt[metric as usize] = true);
-        for metric in Metric::ALL.into_iter().filter(|metric| learnt[*metric as usize]) {
+            .update(symbols, &mut state.baseline, &state.modes, settings, |metric| learnt |= 1 << metric.index());
+        for metric in Metric::all(settings).filter(|metric| learnt & (1 << metric.index()) != 0) {
             self.begin(metric, settings);
             if metric == Metric::Success {
                 let rate = self.state.baseline.success_rate();
@@ -408,8 +449,8 @@ impl Recipe {
     /// Discards the evidence and the active alarms, after the cause was repaired. The baseline is kept.
     pub fn restart(&mut self) {
         self.state.evidence.iter_mut().flatten().flatten().for_each(Evidence::restart);
-        self.state.standing = Default::default();
-        self.state.began = [self.state.cycles; Metric::ALL.len()];
+        self.state.standing.fill([None; 2]);
+        self.state.began.fill(self.state.cycles);
         self.state.outside.fill(OutsideTally::default());
         self.state.robots.values_mut().for_each(RobotState::forget);
     }
@@ -454,9 +495,9 @@ impl Recipe {
     }
 
     /// The state of each detector.
-    pub fn detectors(&self, settings: &Settings) -> [DetectorView; Metric::ALL.len()] {
-        Metric::ALL.map(|metric| {
-            let i = metric as usize;
+    pub fn detectors(&self, settings: &Settings) -> Vec<DetectorView> {
+        let view = |metric: Metric| {
+            let i = metric.index();
             if metric == Metric::Robot {
                 return self.robot_detector(settings);
             }
@@ -466,15 +507,16 @@ impl Recipe {
                 }
                 _ => Err(self.new_factors(metric, settings).err().unwrap_or("the detector has not started")),
             };
-            DetectorView { metric, levels, standing: self.state.standing[i] }
-        })
+            DetectorView::of(metric, settings, levels, self.state.standing[i])
+        };
+        Metric::all(settings).map(view).collect()
     }
 
     /// The highest evidence of any robot, and the oldest active alarm of a robot.
     fn robot_detector(&self, settings: &Settings) -> DetectorView {
         let metric = Metric::Robot;
         let robots = || self.state.robots.values();
-        let levels = match &self.factors[metric as usize] {
+        let levels = match &self.factors[metric.index()] {
             _ if self.state.robots.len() < 2 => Err("the recipe has one robot only"),
             None => Err(self.new_factors(metric, settings).err().unwrap_or("the detector has not started")),
             Some(factors) => Ok(Level::ALL.map(|level| {
@@ -487,7 +529,7 @@ impl Recipe {
             let standing = robots().filter_map(|robot| robot.standing[level as usize]);
             standing.min_by_key(|standing| standing.raised)
         };
-        DetectorView { metric, levels, standing: Level::ALL.map(first) }
+        DetectorView::of(metric, settings, levels, Level::ALL.map(first))
     }
 
     /// The most severe active level of any rule.
@@ -517,9 +559,9 @@ fn given(name: &str, settings: &Settings) -> u64 {
         }
     }
     let mut hash = Fnv(0xcbf2_9ce4_8422_2325);
-    let Baseline { success, drop, collision, failure_modes, cycle_times_s } = settings.baseline_of(name);
+    let Baseline { success, events, failure_modes, cycle_times_s } = settings.baseline_of(name);
     // Writing to the hash cannot fail.
-    let _ = write!(hash, "{success:?}{drop:?}{collision:?}{failure_modes:?}{:?}", settings.domain_of(name));
+    let _ = write!(hash, "{success:?}{events:?}{failure_modes:?}{:?}", settings.domain_of(name));
     cycle_times_s.iter().flatten().for_each(|time| hash.add(time.to_bits()));
     hash.0
 }
@@ -529,7 +571,7 @@ pub(crate) fn happening_id(
     recipe: &Recipe,
     cycle: &Cycle,
     rule: Rule,
-    metric: Metric,
+    metric: &str,
     level: Level,
     h: Happening,
 ) -> String {
@@ -541,7 +583,7 @@ pub(crate) fn happening_id(
         Happening::Raised => "raised",
         Happening::Cleared => "cleared",
     };
-    format!("{}/{}/{rule}/{}/{}/{happening}", cycle.recipe, recipe.state.cycles, metric.as_str(), level.as_str())
+    format!("{}/{}/{rule}/{metric}/{}/{happening}", cycle.recipe, recipe.state.cycles, level.as_str())
 }
 
 #[cfg(test)]
@@ -579,6 +621,32 @@ mod tests {
         restored.observe(&failed("spilled"), &settings, &mut |_| {});
         let written: Value = serde_json::to_value(restored.state()).unwrap();
         assert_eq!(written["modes"], json!(["grasp_miss", "grip_loss", "collision", "timeout", "other"]));
+    }
+
+    #[test]
+    fn version_0_2_states_can_be_read() {
+        let success = Some(Count { count: 950, of: 1_000 });
+        let settings = Settings { baseline: Baseline { success, ..Baseline::default() }, ..Settings::default() };
+        let mut recipe = Recipe::new("x", &settings);
+        recipe.observe(&failed("timeout"), &settings, &mut |_| {});
+        let mut old = serde_json::to_value(recipe.state()).unwrap();
+        // The format of version 0.2: no list of events, two events among the metrics, seven codes for a cycle.
+        old.as_object_mut().unwrap().remove("events");
+        old["evidence"] = json!([null, null, null, null, null, null, null, null, null]);
+        old["standing"] = json!(vec![[Value::Null, Value::Null]; 9]);
+        old["began"] = json!(vec![0; 9]);
+        old["baseline"] = json!({"success": {"count": 950, "of": 1_000}, "drop": {"count": 1, "of": 100}});
+        old["learning"].as_object_mut().unwrap().remove("events");
+        old["history"]["ring"][0]["codes"] = json!([1, 0, 0, 255, 3, 255, 255]);
+        let state: RecipeState = serde_json::from_value(old).unwrap();
+        let mut restored = Recipe::restore("x", state, &settings);
+        assert_eq!((restored.trials(), restored.baseline().success), (recipe.trials(), success));
+        assert!(restored.detectors(&settings)[0].levels.is_ok());
+        let mut cycle = failed("timeout");
+        cycle.events.insert("drop".to_owned(), true);
+        restored.observe(&cycle, &settings, &mut |_| {});
+        let again = serde_json::from_str(&serde_json::to_string(restored.state()).unwrap()).unwrap();
+        assert_eq!(Recipe::restore("x", again, &settings), restored);
     }
 
     #[test]

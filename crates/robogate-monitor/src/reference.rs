@@ -77,10 +77,11 @@ impl Settings {
                 &mut self.baseline
             }
         };
-        let Baseline { success, drop, collision, failure_modes, cycle_times_s } = reference.baseline;
+        let Baseline { success, events, failure_modes, cycle_times_s } = reference.baseline;
         baseline.success = baseline.success.or(success);
-        baseline.drop = baseline.drop.or(drop);
-        baseline.collision = baseline.collision.or(collision);
+        for (name, count) in events {
+            baseline.events.entry(name).or_insert(count);
+        }
         baseline.failure_modes = baseline.failure_modes.take().or(failure_modes);
         baseline.cycle_times_s = baseline.cycle_times_s.take().or(cycle_times_s);
     }

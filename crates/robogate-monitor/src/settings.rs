@@ -6,13 +6,16 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::alarm::{Level, Metric};
+use crate::alarm::Level;
 use crate::baseline::{Baseline, BaselineError};
+use crate::cycle::{LONGEST_NAME, is_name};
 use crate::domain::{Domain, DomainError};
+use crate::events::{EventSettings, MOST_EVENTS, default_events};
+use crate::metric::Metric;
 use crate::paper::PaperRule;
 
-/// Number of bounds of a baseline: failures, drops, collisions, location and spread of the cycle time, failure modes.
-const BOUNDS: f64 = 6.0;
+/// Number of bounds of a baseline without events: failures, location and spread of the cycle time, failure modes.
+const BOUNDS: usize = 4;
 
 /// The settings of the monitor. Missing settings have their default values.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -26,6 +29,8 @@ pub struct Settings {
     pub critical_cycles: f64,
     /// The share of each metric in the false alarms.
     pub shares: Shares,
+    /// The monitored events, by name. By default those that the first cycle records had: `drop` and `collision`.
+    pub events: BTreeMap<String, EventSettings>,
     /// Joint confidence of all bounds of one recipe's baseline.
     pub baseline_confidence: f64,
     /// Number of cycles from which a recipe learns the missing parts of its baseline.
@@ -61,6 +66,7 @@ impl Default for Settings {
             warning_cycles: 2_000.0,
             critical_cycles: 50_000.0,
             shares: Shares::default(),
+            events: default_events(),
             baseline_confidence: 0.95,
             learn_cycles: 500,
             learn_failures: 100,
@@ -77,7 +83,7 @@ impl Default for Settings {
     }
 }
 
-/// The share of each metric in the false alarms.
+/// The share of each metric in the false alarms. Events have theirs in [`EventSettings`].
 ///
 /// A metric with the share v raises an alarm when its statistic M reaches A / v. Without a change, the mean of each M
 /// grows by at most one per cycle, and only with the cycles of its own recipe. The mean of Σ v M over all metrics and
@@ -89,10 +95,6 @@ impl Default for Settings {
 pub struct Shares {
     /// Share of the failure rate.
     pub success: f64,
-    /// Share of the rate of dropped parts.
-    pub drop: f64,
-    /// Share of the collision rate.
-    pub collision: f64,
     /// Share of the location of the cycle time.
     pub cycle_time: f64,
     /// Share of the spread of the cycle time.
@@ -111,31 +113,12 @@ impl Default for Shares {
     fn default() -> Self {
         Self {
             success: 0.4,
-            drop: 0.075,
-            collision: 0.075,
             cycle_time: 0.1,
             cycle_time_spread: 0.05,
             failure_modes: 0.075,
             outside: 0.075,
             risk: 0.075,
             robot: 0.075,
-        }
-    }
-}
-
-impl Shares {
-    /// The share of a metric.
-    pub fn of(&self, metric: Metric) -> f64 {
-        match metric {
-            Metric::Success => self.success,
-            Metric::Drop => self.drop,
-            Metric::Collision => self.collision,
-            Metric::CycleTime => self.cycle_time,
-            Metric::CycleTimeSpread => self.cycle_time_spread,
-            Metric::FailureModes => self.failure_modes,
-            Metric::Outside => self.outside,
-            Metric::Risk => self.risk,
-            Metric::Robot => self.robot,
         }
     }
 }
@@ -154,8 +137,16 @@ pub enum SettingsError {
         range: &'static str,
     },
     /// Shares that do not sum to at most one.
-    #[error("`shares` sum to {0}. Expected at most 1: the bound on false alarms holds for all metrics together")]
+    #[error(
+        "`shares` and the shares of the events sum to {0}. Expected at most 1: the bound on false alarms holds for all metrics together"
+    )]
     Shares(f64),
+    /// Too many events.
+    #[error("`events` has {0} events. Expected at most {MOST_EVENTS}")]
+    Events(usize),
+    /// An event with an invalid name.
+    #[error("`events`: a name must have 1 to {LONGEST_NAME} bytes and no control characters")]
+    EventName,
     /// An invalid baseline.
     #[error("recipe `{recipe}`: {error}")]
     Baseline {
@@ -192,11 +183,17 @@ impl Settings {
         within("paper.window", self.paper.window.into(), 1.0, 100_000.0, "from 1 to 100000")?;
         within("paper.warning", self.paper.warning, 0.0, 1.0, "from 0 to 1")?;
         within("paper.critical", self.paper.critical, self.paper.warning, 1.0, "from `paper.warning` to 1")?;
-        let shares = Metric::ALL.map(|metric| self.shares.of(metric));
-        for share in shares {
-            within("shares", share, 0.0, 1.0, "from 0 to 1")?;
+        if self.events.len() > MOST_EVENTS {
+            return Err(SettingsError::Events(self.events.len()));
         }
-        let sum: f64 = shares.iter().sum();
+        if !self.events.keys().all(|name| is_name(name)) {
+            return Err(SettingsError::EventName);
+        }
+        for metric in Metric::all(self) {
+            let setting = if matches!(metric, Metric::Event(_)) { "events.*.share" } else { "shares" };
+            within(setting, self.share(metric), 0.0, 1.0, "from 0 to 1")?;
+        }
+        let sum: f64 = Metric::all(self).map(|metric| self.share(metric)).sum();
         if sum > 1.0 + 1e-9 {
             return Err(SettingsError::Shares(sum));
         }
@@ -223,12 +220,33 @@ impl Settings {
 
     /// The limit at which a metric's statistic raises an alarm. Infinite for a metric without a share.
     pub fn limit(&self, metric: Metric, level: Level) -> f64 {
-        self.promise(level) / self.shares.of(metric)
+        self.promise(level) / self.share(metric)
+    }
+
+    /// The share of a metric in the false alarms.
+    pub fn share(&self, metric: Metric) -> f64 {
+        let shares = &self.shares;
+        match metric {
+            Metric::Success => shares.success,
+            Metric::Event(event) => self.events.values().nth(usize::from(event)).map_or(0.0, |settings| settings.share),
+            Metric::CycleTime => shares.cycle_time,
+            Metric::CycleTimeSpread => shares.cycle_time_spread,
+            Metric::FailureModes => shares.failure_modes,
+            Metric::Outside => shares.outside,
+            Metric::Risk => shares.risk,
+            Metric::Robot => shares.robot,
+        }
+    }
+
+    /// The name of an event's metric. `None` for other metrics.
+    pub fn event(&self, metric: Metric) -> Option<&str> {
+        let Metric::Event(event) = metric else { return None };
+        self.events.keys().nth(usize::from(event)).map(String::as_str)
     }
 
     /// The error probability of one bound of a baseline, with Bonferroni's correction for all bounds.
     pub fn alpha(&self) -> f64 {
-        (1.0 - self.baseline_confidence) / BOUNDS
+        (1.0 - self.baseline_confidence) / (BOUNDS + self.events.len()) as f64
     }
 
     /// The validated region of a recipe.

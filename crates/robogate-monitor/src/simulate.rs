@@ -8,9 +8,10 @@ use robogate_core::Seed;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::alarm::{Level, Metric};
+use crate::alarm::Level;
 use crate::baseline::Baseline;
 use crate::detector::{Evidence, Factors};
+use crate::metric::Metric;
 use crate::paper::PaperWindow;
 use crate::settings::Settings;
 

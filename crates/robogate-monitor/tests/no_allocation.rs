@@ -36,8 +36,7 @@ static ALLOCATOR: Counting = Counting;
 fn cycles_without_alarm_allocate_nothing() {
     let baseline = Baseline {
         success: Some(Count { count: 900, of: 1_000 }),
-        drop: Some(Count { count: 30, of: 1_000 }),
-        collision: Some(Count { count: 30, of: 1_000 }),
+        events: ["drop", "collision"].map(|event| (event.to_owned(), Count { count: 30, of: 1_000 })).into(),
         // All failures below are timeouts.
         failure_modes: Some([("timeout", 100)].into_iter().collect()),
         cycle_times_s: Some((0..1_000).map(|i| 3.5 + 0.001 * f64::from(i)).collect()),
@@ -46,7 +45,7 @@ fn cycles_without_alarm_allocate_nothing() {
         envelope: [("mass_kg".to_owned(), Validated::Range([0.1, 0.8]))].into(),
         risk: Some(Risk {
             intercept: -6.0,
-            terms: vec![RiskTerm { parameter: "mass_kg".to_owned(), coefficient: 6.0, penalties: None }],
+            terms: vec![RiskTerm { parameter: "mass_kg".to_owned(), coefficient: 6.0, log: false, penalties: None }],
             covariance: vec![0.1, 0.0, 0.0, 0.1],
             most_variance: 0.2,
         }),
@@ -61,8 +60,7 @@ fn cycles_without_alarm_allocate_nothing() {
         time_s: 0.0,
         success: true,
         failure_mode: Some("timeout".to_owned()),
-        drop: Some(false),
-        collision: Some(false),
+        events: ["drop", "collision"].map(|event| (event.to_owned(), false)).into(),
         cycle_time_s: Some(4.0),
         parameters: [("mass_kg".to_owned(), ParameterValue::Number(0.3))].into(),
     };

@@ -1,7 +1,7 @@
 //! The interface of a rigid-body engine. It is independent of the task.
 
 use nalgebra::{Isometry3, Vector3};
-use robogate_core::Fault;
+use robogate_core::{ContactPoint, Fault};
 
 use crate::{Chain, Motion, Primitive, Robot, Scene};
 
@@ -67,6 +67,9 @@ pub trait Engine {
 
     /// Contacts of the last step.
     fn touches(&self) -> &Touches;
+
+    /// Contact points of the last step with their normal forces. Computed on request, because only viewers need them.
+    fn contact_points(&self) -> Vec<ContactPoint>;
 
     /// Smallest distance between the robot and any fixture, in metres, if it is below `bound`.
     fn clearance_below(&mut self, bound: f64) -> Option<f64>;

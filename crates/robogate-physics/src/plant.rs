@@ -132,12 +132,13 @@ impl<E: Engine> Plant<E> {
         Ok(())
     }
 
-    /// Runs one control period towards these joint positions (rad). `observe` is called after each time step.
+    /// Runs one control period towards these joint positions (rad). `observe` is called after each time step with the
+    /// engine and the state.
     pub fn run(
         &mut self,
         command: &[f64],
         gripper: GripperCommand,
-        observe: &mut dyn FnMut(&StepView<'_>),
+        observe: &mut dyn FnMut(&E, &StepView<'_>),
     ) -> Result<(), Fault> {
         let Some(mut drives) = self.drives.take() else { return Ok(()) };
         let settings = &self.engine.robot().settings;
@@ -171,7 +172,8 @@ impl<E: Engine> Plant<E> {
                     None => {}
                 }
             }
-            observe(&StepView::of(&self.engine, drives.suction.as_ref().is_some_and(Suction::holding), fraction));
+            let holding = drives.suction.as_ref().is_some_and(Suction::holding);
+            observe(&self.engine, &StepView::of(&self.engine, holding, fraction));
         }
         self.drives = Some(drives);
         self.engine.health()

@@ -43,7 +43,7 @@ impl World {
         let engine = &self.plant.engine;
         let (measured, home) = (engine.joint_positions(), &engine.robot().settings.arm.home_rad);
         let joints = self.steering.joints(command, &measured, engine.chain(), home)?;
-        self.plant.run(&joints, GripperCommand::Open, &mut |_| {})
+        self.plant.run(&joints, GripperCommand::Open, &mut |_, _| {})
     }
 
     fn go(&mut self, command: &Command, ticks: usize) -> Isometry3<f64> {

@@ -18,12 +18,29 @@ mod json;
 mod markdown;
 mod study;
 mod text;
+mod watch;
+
+use robogate_analysis::PairCounts;
+use robogate_gate::Evaluation;
 
 pub use gate::{
-    RequirementRow, evaluation_markdown, how_judged, junit, leaderboard_html, leaderboard_markdown, sign, what_next,
+    RequirementRow, evaluation_markdown, how_judged, junit, leaderboard_html, leaderboard_markdown, leaderboards_html,
+    leaderboards_markdown, sign, what_next,
 };
-pub use html::{comparison_html, html};
+pub use html::{comparison_html, comparison_html_with, html, html_with};
 pub use json::{AnalysisReport, ComparisonReport, StudyReport, analysis_json, comparison_json, study_json};
-pub use markdown::{comparison_markdown, markdown};
+pub use markdown::{comparison_markdown, markdown, markdown_with};
 pub use study::{answer as study_answer, study_markdown};
-pub use text::{ComparisonHeadline, Headline, comparison_limits, limits};
+pub use text::{ComparisonHeadline, Headline, comparison_limits, limits, low_side};
+pub use watch::{Watch, WatchItem};
+
+/// Additions to the page of an analysis.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Additions<'a> {
+    /// The evaluation of the gate that the run belongs to. Its verdict opens the page.
+    pub evaluation: Option<&'a Evaluation>,
+    /// Episodes worth watching.
+    pub watch: Option<&'a Watch>,
+    /// Counts for a map of any two parameters.
+    pub pairs: Option<&'a PairCounts>,
+}

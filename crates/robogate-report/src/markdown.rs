@@ -2,23 +2,33 @@
 
 use std::fmt::Write;
 
+use crate::Additions;
 use crate::document::{Block, Document, Figure, Kind, Table, analysis_document, comparison_document};
+use crate::watch::Watch;
 use robogate_analysis::{Analysis, Comparison};
 
 /// The analysis as Markdown (GitHub's flavour, because of its tables).
 pub fn markdown(analysis: &Analysis) -> String {
-    page(&analysis_document(analysis))
+    markdown_with(analysis, &Additions::default())
+}
+
+/// The analysis as Markdown with additions.
+pub fn markdown_with(analysis: &Analysis, additions: &Additions<'_>) -> String {
+    page(&analysis_document(analysis, additions))
 }
 
 /// A comparison as Markdown in the same flavour.
 pub fn comparison_markdown(comparison: &Comparison) -> String {
-    page(&comparison_document(comparison))
+    page(&comparison_document(comparison, None))
 }
 
 fn page(document: &Document) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail, here and below.
     let _ = write!(out, "# {}\n\n{}\n\n", escape_markdown(&document.title), escape_markdown(&document.subtitle));
+    if let Some(verdict) = &document.verdict {
+        verdict.markdown(&mut out);
+    }
     let _ =
         write!(out, "**{}** {} ({})\n\n", document.figure, escape_markdown(&document.figure_label), document.interval);
     let _ = write!(out, "{}\n\n", escape_markdown(&document.answer));
@@ -56,6 +66,10 @@ fn block(out: &mut String, block: &Block) {
         }
         Block::List(lines) => list(out, lines),
         Block::Figure(figure) => self::figure(out, figure),
+        Block::Group(title, blocks) => {
+            let _ = write!(out, "**{}**\n\n", escape_markdown(title));
+            blocks.iter().for_each(|block| self::block(out, block));
+        }
         Block::Grid(figures) => figures.iter().for_each(|figure| self::figure(out, figure)),
         Block::Table(table) | Block::Folded(table) => self::table(out, table, true),
         Block::Facts(facts) => {
@@ -64,6 +78,28 @@ fn block(out: &mut String, block: &Block) {
             }
             out.push('\n');
         }
+        Block::Watch(watch) => self::watch(out, watch),
+        // Markdown cannot be operated; `--pair` adds a map.
+        Block::Pairs(_) => {}
+    }
+}
+
+/// The episodes worth watching, with the commands that replay them.
+fn watch(out: &mut String, watch: &Watch) {
+    for item in &watch.items {
+        let _ = writeln!(
+            out,
+            "- **{}** ({}): {} {} `{}`",
+            escape_markdown(&item.title),
+            escape_markdown(&item.outcome),
+            escape_markdown(&item.why),
+            escape_markdown(&item.beside),
+            item.command.replace(['`', '\n'], "'")
+        );
+    }
+    out.push('\n');
+    for remark in &watch.remarks {
+        let _ = write!(out, "{}\n\n", escape_markdown(remark));
     }
 }
 

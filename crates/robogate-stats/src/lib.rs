@@ -7,11 +7,18 @@
 //! | question | module |
 //! |---|---|
 //! | what is the interval of a success rate? | [`interval`] |
+//! | the same with a smaller interval, from the known distribution of the parameters? | [`adjusted`] |
 //! | per bin, category, pair of parameters? | [`binning`] |
 //! | is this cell safe? | [`zone`] |
+//! | does it depend on a parameter at all, in any shape? | [`scan`] |
+//! | which shape, and where does it change? | [`segments`] |
+//! | do two parameters interact? | [`score_test`] |
+//! | in which box of parameters is the rate high enough? | [`safe_box`] |
 //! | how does it depend on the parameters? | [`logistic`], [`correlation`] |
 //! | the same for a nonlinear dependence? | [`ridge`] on [`fourier`] features |
+//! | do further coefficients improve a model? | [`likelihood_ratio`] |
 //! | where is the frontier of two parameters? | [`limit_state`] |
+//! | what is the rate over two parameters, with its uncertainty? | [`surface`] |
 //! | where does one parameter become critical? | [`threshold`], by [`resample`] |
 //! | does the risk score separate failures, and is it calibrated? | [`roc`], [`calibration`] |
 //! | which failure mode dominates, and where does that change? | [`modes`] |
@@ -23,6 +30,7 @@
 //! | what is the estimate for the operating space if the rows were sampled elsewhere? | [`weighted`] |
 //! | how is a figure written for people? | [`mod@format`] |
 
+pub mod adjusted;
 pub mod anytime;
 pub mod binning;
 pub mod bounded_mean;
@@ -33,6 +41,7 @@ pub mod crossed;
 pub mod format;
 pub mod fourier;
 pub mod interval;
+pub mod likelihood_ratio;
 pub mod limit_state;
 pub mod logistic;
 pub mod modes;
@@ -43,6 +52,11 @@ pub mod overdispersion;
 pub mod resample;
 pub mod ridge;
 pub mod roc;
+pub mod safe_box;
+pub mod scan;
+pub mod score_test;
+pub mod segments;
+pub mod surface;
 pub mod threshold;
 pub mod weighted;
 pub mod zone;

@@ -9,6 +9,7 @@ use crate::interval::Confidence;
 use rand_chacha::ChaCha8Rng;
 use rand_core::Rng;
 use robogate_maths::beta::ln_binomial_pmf;
+use robogate_maths::gamma::ln_gamma;
 
 /// Draws a uniform number in [0, 1) with 53 bits.
 pub(crate) fn uniform(rng: &mut ChaCha8Rng) -> f64 {
@@ -71,6 +72,59 @@ pub(crate) fn binomial(rng: &mut ChaCha8Rng, n: u64, p: f64) -> u64 {
             // Reached only if rounding leaves a remainder after every mass has underflowed.
             return mode as u64;
         }
+    }
+}
+
+/// Draws the number of successes among `draws` rows that are taken without replacement from `population` rows with
+/// `successes` successes. By inversion outward from the mode.
+pub(crate) fn hypergeometric(rng: &mut ChaCha8Rng, population: u64, successes: u64, draws: u64) -> u64 {
+    let least = (draws + successes).saturating_sub(population);
+    let most = draws.min(successes);
+    if least >= most {
+        return most;
+    }
+    let (all, good, taken) = (population as f64, successes as f64, draws as f64);
+    let mode = (((taken + 1.0) * (good + 1.0) / (all + 2.0)).floor()).clamp(least as f64, most as f64);
+    let ln_choose = |n: f64, k: f64| ln_gamma(n + 1.0) - ln_gamma(k + 1.0) - ln_gamma(n - k + 1.0);
+    let at_mode = (ln_choose(good, mode) + ln_choose(all - good, taken - mode) - ln_choose(all, taken)).exp();
+    let mut u = uniform(rng);
+    if u < at_mode {
+        return mode as u64;
+    }
+    u -= at_mode;
+    let (mut up, mut down) = (mode, mode);
+    let (mut up_mass, mut down_mass) = (at_mode, at_mode);
+    loop {
+        let mut moved = false;
+        if up < most as f64 {
+            up_mass *= (good - up) * (taken - up) / ((up + 1.0) * (all - good - taken + up + 1.0));
+            up += 1.0;
+            moved = up_mass > 0.0;
+            if u < up_mass {
+                return up as u64;
+            }
+            u -= up_mass;
+        }
+        if down > least as f64 {
+            down_mass *= down * (all - good - taken + down) / ((good - down + 1.0) * (taken - down + 1.0));
+            down -= 1.0;
+            moved |= down_mass > 0.0;
+            if u < down_mass {
+                return down as u64;
+            }
+            u -= down_mass;
+        }
+        if !moved {
+            // Reached only if rounding leaves a remainder after every mass has underflowed.
+            return mode as u64;
+        }
+    }
+}
+
+/// Shuffles a list (Fisher and Yates).
+pub(crate) fn shuffle<T>(rng: &mut ChaCha8Rng, list: &mut [T]) {
+    for last in (1..list.len()).rev() {
+        list.swap(last, (uniform(rng) * (last + 1) as f64) as usize);
     }
 }
 
@@ -160,6 +214,23 @@ mod tests {
             statistic += (counts[k as usize] - expected).powi(2) / expected;
         }
         assert!(statistic < 110.0, "chi-squared {statistic} on 61 cells");
+    }
+
+    #[test]
+    fn hypergeometric_moments_are_correct() {
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        for (all, good, taken) in [(20, 5, 8), (1_000, 990, 50), (10_000, 100, 500), (1_000_000, 500_000, 50_000)] {
+            let draws: Vec<f64> = (0..20_000).map(|_| hypergeometric(&mut rng, all, good, taken) as f64).collect();
+            let mean = draws.iter().sum::<f64>() / 20_000.0;
+            let variance = draws.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / 20_000.0;
+            let (n, p, m) = (all as f64, good as f64 / all as f64, taken as f64);
+            let v = m * p * (1.0 - p) * (n - m) / (n - 1.0);
+            assert!((mean - m * p).abs() < 5.0 * (v / 20_000.0).sqrt(), "{all} {good} {taken}: mean {mean}");
+            assert!((variance / v - 1.0).abs() < 0.06, "{all} {good} {taken}: variance {variance} of {v}");
+        }
+        assert_eq!(hypergeometric(&mut rng, 10, 10, 4), 4);
+        assert_eq!(hypergeometric(&mut rng, 10, 0, 4), 0);
+        assert_eq!(hypergeometric(&mut rng, 10, 3, 10), 3);
     }
 
     #[test]

@@ -65,6 +65,12 @@ pub fn by_evidence(data: Data<'_>, prior_variances: &[f64]) -> Result<Option<Rid
 impl RidgeFit {
     /// Moderated log-odds of success for whole columns. `None` if their number or lengths do not match.
     pub fn log_odds(&self, columns: &[&[f64]]) -> Option<Vec<f64>> {
+        let moderate = |(eta, variance): (f64, f64)| eta / (1.0 + std::f64::consts::PI * variance / 8.0).sqrt();
+        Some(self.posterior(columns)?.into_iter().map(moderate).collect())
+    }
+
+    /// Posterior mean and variance of the log-odds for whole columns. `None` if their number or lengths do not match.
+    pub fn posterior(&self, columns: &[&[f64]]) -> Option<Vec<(f64, f64)>> {
         let rows = columns.first().map_or(0, |c| c.len());
         if columns.len() + 1 != self.coefficients.len() || columns.iter().any(|c| c.len() != rows) {
             return None;
@@ -77,8 +83,7 @@ impl RidgeFit {
             }
             let eta = dot(&x, &self.coefficients);
             self.curvature.forward(&mut x);
-            let variance = dot(&x, &x);
-            eta / (1.0 + std::f64::consts::PI * variance / 8.0).sqrt()
+            (eta, dot(&x, &x))
         };
         Some((0..rows).map(log_odds).collect())
     }

@@ -5,18 +5,26 @@ mod cell;
 mod commands;
 mod environments;
 mod exit;
+mod film;
 #[cfg(feature = "mujoco")]
 mod inspection;
+mod lost_episodes;
+#[cfg(feature = "object-store")]
+mod object_store;
 mod outage;
 mod picture;
+mod place;
 mod policy_source;
 mod progress;
 mod registry;
 mod remote;
 mod renderer;
+mod sharded;
+mod source;
 mod subject;
 mod summary;
 mod terminal;
+mod watch;
 
 use std::process::ExitCode;
 
@@ -45,6 +53,8 @@ enum Verb {
     Status(commands::status::Status),
     /// Merge the shards of a campaign to the files of a run on one machine
     Merge(commands::merge::Merge),
+    /// Run policies x tasks x robots x engines as one resumable plan, and rank the policies on one page
+    Matrix(commands::matrix::Matrix),
     /// Replay one episode bit for bit and print its timeline
     Replay(commands::replay::Replay),
     /// Render a scenario with the cameras of the cell
@@ -103,6 +113,7 @@ fn main() -> ExitCode {
         Verb::Plan(plan) => plan.execute(),
         Verb::Status(status) => status.execute(),
         Verb::Merge(merge) => merge.execute(),
+        Verb::Matrix(matrix) => matrix.execute(),
         Verb::Replay(replay) => replay.execute(),
         Verb::Snapshot(snapshot) => snapshot.execute(),
         Verb::Analyze(analyze) => analyze.execute(),

@@ -10,7 +10,8 @@ use robogate_core::{Episode, Fault, FaultKind, Outcome, Scenario};
 pub(crate) const UNAVAILABLE_IN_A_ROW: u32 = 10;
 
 /// An executor that stops after a number of consecutive episodes, in the order in which they finish, ended with
-/// [`FaultKind::Unavailable`]. Episodes that finish later are not recorded, so that a resumed campaign runs them.
+/// [`FaultKind::Unavailable`], and runs nothing after that. Episodes that finish later are not recorded, so that a
+/// resumed campaign runs them.
 pub(crate) struct OutageGuard<'a> {
     executor: &'a dyn Executor,
     state: RefCell<State>,
@@ -60,6 +61,9 @@ impl Executor for OutageGuard<'_> {
         scenario: &(dyn Fn(usize) -> Option<Scenario> + Sync),
         receive: &mut dyn FnMut(Episode) -> ControlFlow<()>,
     ) -> Result<(), ExecuteError> {
+        if self.state.borrow().outage.is_some() {
+            return Ok(());
+        }
         self.executor.execute(scenario, &mut |episode| {
             let counted = self.state.borrow_mut().count(&episode.outcome);
             receive(episode)?;

@@ -53,6 +53,9 @@ pub(crate) struct ExternalSource {
     profile: Arc<Profile>,
     /// What the policy reported about itself on the first connection.
     declared: serde_json::Value,
+    /// Where this process reaches the policy, if not at the recorded address.
+    #[serde(skip)]
+    at: Option<String>,
 }
 
 impl PolicySource {
@@ -74,19 +77,22 @@ impl PolicySource {
     }
 
     /// The same policy with new connection metadata.
-    pub(crate) fn asked_again(&self) -> Result<Self, Exit> {
+    pub(crate) fn asked_again(&self, location: &PolicyLocation) -> Result<Self, Exit> {
         match self {
             Self::External(served) => {
-                ExternalSource::ask(&served.server, Arc::clone(&served.profile)).map(Self::External)
+                ExternalSource::ask(&served.server, Arc::clone(&served.profile), location).map(Self::External)
             }
-            Self::BuiltIn(_) | Self::Declared(_) => Ok(self.clone()),
+            Self::BuiltIn(_) | Self::Declared(_) => location.unused().map(|()| self.clone()),
         }
     }
 
     /// Creates the policy for one worker. One that the environment runs is created with the environment.
     pub(crate) fn policy(&self) -> Result<Box<dyn Policy>, Fault> {
         Ok(match self {
-            Self::External(served) => Box::new(ExternalPolicy::connect(&served.server, Arc::clone(&served.profile))?),
+            Self::External(served) => {
+                let server = served.at.as_deref().unwrap_or(&served.server);
+                Box::new(ExternalPolicy::connect(server, Arc::clone(&served.profile))?)
+            }
             Self::BuiltIn(BuiltInPolicy::Random) => Box::new(Random::new()),
             Self::Declared(declared) => {
                 let detail = format!("the policy {} runs in its environment only", declared.environment);
@@ -98,13 +104,15 @@ impl PolicySource {
 
 impl ExternalSource {
     /// Connect to a policy and record what it reports about itself.
-    fn ask(server: &str, profile: Arc<Profile>) -> Result<Self, Exit> {
+    fn ask(server: &str, profile: Arc<Profile>, location: &PolicyLocation) -> Result<Self, Exit> {
         // A run may be resumed and replayed from another folder.
         let is_file = profile.dialect.is_file() && !server.contains("://");
         let full = if is_file { std::path::absolute(server).ok() } else { None };
         let server = full.map_or_else(|| server.to_owned(), |path| path.display().to_string());
-        let policy = ExternalPolicy::connect(&server, Arc::clone(&profile)).map_err(policy_error)?;
-        Ok(Self { server, profile, declared: policy.declared().clone() })
+        let at = location.at.clone();
+        let reached = at.as_deref().unwrap_or(&server);
+        let policy = ExternalPolicy::connect(reached, Arc::clone(&profile)).map_err(policy_error)?;
+        Ok(Self { server, profile, declared: policy.declared().clone(), at })
     }
 }
 
@@ -122,20 +130,49 @@ pub(crate) struct PolicyArguments {
     profile: Option<String>,
 }
 
+/// The argument that says where this process reaches an external policy.
+#[derive(Debug, Clone, Default, Args)]
+pub(crate) struct PolicyLocation {
+    /// Reach the policy at this address, or in this ONNX file, while the run records the address of --policy: the
+    /// servers of one run may have different addresses on different machines
+    #[arg(long = "policy-at", value_name = "URL|FILE")]
+    at: Option<String>,
+}
+
+impl PolicyLocation {
+    /// Rejects the argument for a policy that is neither a server nor a file.
+    pub(crate) fn unused(&self) -> Result<(), Exit> {
+        match &self.at {
+            None => Ok(()),
+            Some(at) => Err(anyhow!(
+                "--policy-at {at}: the policy of this run is neither a server nor a file\n  hint: leave out --policy-at"
+            ))
+            .or_usage(),
+        }
+    }
+}
+
 impl PolicyArguments {
     /// Connect to the policy of these arguments; `None` for the scripted controller.
     pub(crate) fn source(&self) -> Result<Option<PolicySource>, Exit> {
+        self.source_at(&PolicyLocation::default())
+    }
+
+    /// Connect to the policy of these arguments at `location`; `None` for the scripted controller.
+    pub(crate) fn source_at(&self, location: &PolicyLocation) -> Result<Option<PolicySource>, Exit> {
         match (self.policy.as_deref(), &self.profile) {
-            (None, _) | (Some("scripted"), None) => Ok(None),
-            (Some("random"), None) => Ok(Some(PolicySource::BuiltIn(BuiltInPolicy::Random))),
+            (None, _) | (Some("scripted"), None) => location.unused().map(|()| None),
+            (Some("random"), None) => location.unused().map(|()| Some(PolicySource::BuiltIn(BuiltInPolicy::Random))),
             (Some(name @ ("random" | "scripted")), Some(_)) => {
                 Err(anyhow!("--profile cannot be used with --policy {name}\n  hint: leave out --profile")).or_usage()
             }
-            (Some(server), Some(wanted)) => ExternalSource::ask(server, Arc::new(profile(wanted).or_usage()?))
-                .map(|served| Some(PolicySource::External(served))),
+            (Some(server), Some(wanted)) => {
+                ExternalSource::ask(server, Arc::new(profile(wanted).or_usage()?), location)
+                    .map(|served| Some(PolicySource::External(served)))
+            }
             (Some(name), None) if is_name(name) => {
                 let declared = DeclaredPolicy { environment: name.to_owned(), version: String::new() };
-                Ok(Some(PolicySource::Declared(declared)))
+                location.unused().map(|()| Some(PolicySource::Declared(declared)))
             }
             (Some(policy), None) => Err(without_profile(policy)).or_usage(),
         }

@@ -36,6 +36,13 @@ pub(crate) struct Simulators {
     pub(crate) python: Option<PathBuf>,
 }
 
+impl Simulators {
+    /// No remote simulator.
+    pub(crate) fn none() -> Self {
+        Self { addresses: Vec::new(), python: None, timeout_s: 30.0 }
+    }
+}
+
 /// Parse a timeout.
 fn seconds(text: &str) -> Result<f64, String> {
     let seconds: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;

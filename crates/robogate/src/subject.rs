@@ -20,7 +20,7 @@ use serde_json::{Value, json};
 use crate::cell::{self, Cell, CellSettings};
 use crate::environments::Servers;
 use crate::exit::{Exit, OrExit};
-use crate::policy_source::{DeclaredPolicy, PolicySource, without_profile};
+use crate::policy_source::{DeclaredPolicy, PolicyLocation, PolicySource, without_profile};
 use crate::registry::{self, CELL_TASK, ENGINES, EngineEntry};
 use crate::remote::{self, Simulators};
 use crate::renderer::RendererName;
@@ -223,6 +223,15 @@ impl Subject {
     /// The subject of a recorded run. A remote environment needs the address of its servers. A policy server is queried
     /// for its identity again.
     pub(crate) fn recorded(provenance: &Provenance, simulators: &Simulators) -> Result<Self, Exit> {
+        Self::recorded_at(provenance, simulators, &PolicyLocation::default())
+    }
+
+    /// The subject of a recorded run, like [`Self::recorded`], with an external policy that is reached at `location`.
+    pub(crate) fn recorded_at(
+        provenance: &Provenance,
+        simulators: &Simulators,
+        location: &PolicyLocation,
+    ) -> Result<Self, Exit> {
         let mut world = provenance.world.clone();
         let policy = world.as_object_mut().and_then(|world| world.remove("policy"));
         let policy: Option<PolicySource> = policy
@@ -279,7 +288,10 @@ impl Subject {
                 return Err(anyhow!("--simulator ADDRESS is missing")).or_usage();
             }
         };
-        let policy = policy.as_ref().map(PolicySource::asked_again).transpose()?;
+        let policy = match policy {
+            Some(policy) => Some(policy.asked_again(location)?),
+            None => location.unused().map(|()| None)?,
+        };
         Self::new(environment, policy)
     }
 

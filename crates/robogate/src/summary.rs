@@ -2,12 +2,15 @@
 
 use std::path::Path;
 
+use robogate_analysis::{Analysis, MarginalEffect};
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{
-    BoundaryReport, DrawnFrom, MarginalEffect, OutcomeCounts, Population, Stage, StageSummary, SuiteSummary, Summary,
+    BoundaryReport, DrawnFrom, OutcomeCounts, Population, Stage, StageSummary, SuiteSummary, Summary,
 };
+use robogate_report::Headline;
 use serde_json::json;
 
+use crate::commands::analyze::by_influence;
 use crate::commands::report::PAGE;
 use crate::terminal::{bar, bold, dim, grouped, line, percent, wrapped};
 
@@ -22,7 +25,7 @@ pub(crate) fn json(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRepo
 }
 
 /// Prints the summary for people.
-pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>) {
+pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryReport>, analysis: Option<&Analysis>) {
     line("");
     for stage in &summary.stages {
         rate(stage, &summary.sampler);
@@ -30,9 +33,12 @@ pub(crate) fn print(dir: &Path, summary: &Summary, boundary: Option<&BoundaryRep
     for stage in &summary.stages {
         failures(stage);
     }
-    if let Some(uniform) = summary.stages.iter().find(|stage| stage.stage == Stage::Uniform) {
+    if let Some(analysis) = analysis {
+        headline(analysis);
         // The report lists all of them.
-        uniform.marginal_effects.iter().take(2).for_each(marginal_effect);
+        let significant =
+            |effect: &&MarginalEffect| analysis.effects.significant().any(|of| of.parameter == effect.parameter);
+        by_influence(analysis).filter(significant).take(2).for_each(marginal_effect);
     }
     if let Some(suite) = &summary.suite {
         groups(suite);
@@ -131,22 +137,43 @@ fn groups(suite: &SuiteSummary) {
     }
 }
 
+/// Where the policy fails and what to do, as in the report.
+fn headline(analysis: &Analysis) {
+    let headline = Headline::of(analysis);
+    for (title, lines) in [("Where it fails", &headline.where_it_fails), ("What to do", &headline.what_to_do)] {
+        if !lines.is_empty() {
+            line("");
+            line(bold(title));
+            lines.iter().for_each(|text| wrapped(text));
+        }
+    }
+}
+
+/// Levels of one parameter that are shown.
+const MAX_CELLS: usize = 16;
+
 fn marginal_effect(effect: &MarginalEffect) {
     line("");
-    line(bold(format_args!("Success by {}, uniform stage", effect.parameter)));
-    for bin in &effect.bins {
-        let range = format!("{:>6.3} to {:>6.3}", bin.low, bin.high);
-        match bin.success_rate {
+    line(bold(format_args!("Success by {}", effect.parameter)));
+    for cell in effect.cells.iter().take(MAX_CELLS) {
+        let label = match cell.range {
+            Some([low, high]) => format!("{low:>6.3} to {high:>6.3}"),
+            None => format!("{:>16}", cell.label.chars().take(16).collect::<String>()),
+        };
+        match cell.rate.rate {
             Some(rate) => {
-                let text = format!("{:>8}  {}  {:>6}", percent(rate), bar(rate, 24), grouped(bin.valid));
-                if bin.valid < FEW {
-                    line(dim(format_args!("  {range} {text} episodes: too few")));
+                let text = format!("{:>8}  {}  {:>6}", percent(rate), bar(rate, 24), grouped(cell.rate.n));
+                if cell.rate.n < FEW {
+                    line(dim(format_args!("  {label} {text} episodes: too few")));
                 } else {
-                    line(format_args!("  {range} {text} episodes"));
+                    line(format_args!("  {label} {text} episodes"));
                 }
             }
-            None => line(dim(format_args!("  {range} {:>8}  no valid episode", "-"))),
+            None => line(dim(format_args!("  {label} {:>8}  no valid episode", "-"))),
         }
+    }
+    if effect.cells.len() > MAX_CELLS {
+        line(dim(format_args!("  and {} more levels (report)", effect.cells.len() - MAX_CELLS)));
     }
 }
 

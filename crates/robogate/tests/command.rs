@@ -131,6 +131,9 @@ fn replays_are_identical() {
         assert_done(&robogate(&["export", &out, &file]));
         assert!(fs::metadata(&file).unwrap().len() > 1000);
     }
+    let printed = robogate(&["export", &out, "-"]);
+    assert_done(&printed);
+    assert_eq!(printed.stdout, fs::read(path(&dir, "rows.csv")).unwrap());
     // A file in the published schema can be imported again.
     assert_done(&robogate(&["import", &path(&dir, "rows.json"), &path(&dir, "again.parquet")]));
 }

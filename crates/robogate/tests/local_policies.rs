@@ -48,6 +48,21 @@ fn run(dir: &Path, more: &[&str]) -> Value {
 }
 
 #[test]
+fn moved_policy_runs_shards() {
+    let dir = folder_with_network();
+    fs::write(dir.path().join("plan.toml"), "seed = 5\n[uniform]\nepisodes = 1\n").unwrap();
+    let run = |more: &[&str], code, parts: &[&str]| assert_exit(dir.path(), &[&RUN[..5], more].concat(), code, parts);
+    run(&["--policy", "small.onnx", "--profile", "small.toml", "--divide", "1", "--out", "r"], 0, &[]);
+    fs::rename(dir.path().join("small.onnx"), dir.path().join("moved.onnx")).unwrap();
+    let shard = ["run", "--shard", "0/1", "--out", "r"];
+    assert_exit(dir.path(), &shard, 2, &["small.onnx"]);
+    assert_exit(dir.path(), &[&shard[..], &["--policy-at", "moved.onnx"]].concat(), 0, &["shard 0/1"]);
+    assert_exit(dir.path(), &["merge", "r"], 0, &["dataset"]);
+    let plan = fs::read_to_string(dir.path().join("r/plan.json")).unwrap();
+    assert!(plan.contains("small.onnx") && !plan.contains("moved.onnx"));
+}
+
+#[test]
 fn replay_works_from_another_folder() {
     let dir = folder_with_network();
     run(dir.path(), &["--policy", "small.onnx", "--profile", "small.toml", "--out", "r"]);

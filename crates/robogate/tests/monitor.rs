@@ -119,6 +119,14 @@ fn bad_feeds_and_settings_are_errors() {
         assert_eq!(refused.status.code(), Some(2), "{wrong}");
         assert!(text(&refused.stderr).contains(because), "{}", text(&refused.stderr));
     }
+    fs::write(&settings, "[detectors.shares]\ndrop = 0.05\n").unwrap();
+    let former = robogate(&["monitor", "serve", &empty, "--settings", &settings]);
+    assert_eq!(former.status.code(), Some(4), "{}", text(&former.stderr));
+    assert!(
+        text(&former.stderr).contains("is the old name of `detectors.events.drop.share`"),
+        "{}",
+        text(&former.stderr)
+    );
     for arguments in [
         vec!["monitor", "serve"],
         vec!["monitor", "serve", "--listen", "127.0.0.1:0"],

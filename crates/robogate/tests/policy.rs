@@ -191,3 +191,22 @@ fn shard_without_server_is_not_committed() {
     assert_exit(&again, 0, &["shard 1/4 of round uniform: 3 episodes"]);
     assert!(shard.exists());
 }
+
+#[test]
+fn server_lost_at_the_end_of_a_shard() {
+    let dir = TempDir::new().unwrap();
+    let profile = profile(&dir, "pi0-libero", &TEN);
+    let (listener, url) = listener();
+    let address = listener.local_addr().unwrap();
+    // The server answers some episodes of the shard, and fewer than ten are left when it stops.
+    go_down(listener, 5);
+    let run = dir.path().join("run").to_str().unwrap().to_owned();
+    let shard = dir.path().join("run/shards/uniform-0-of-1.rgs");
+    let start =
+        ["run", "--policy", &url, "--profile", &profile, "-n", "12", "--shard", "0/1", "--threads", "1", "--out", &run];
+    assert_exit(&start, 5, &["unreachable", &url]);
+    assert!(!shard.exists(), "a shard with lost episodes was committed");
+    go_down(TcpListener::bind(address).unwrap(), usize::MAX);
+    assert_exit(&["run", "--shard", "0/1", "--threads", "1", "--out", &run], 0, &["8/8"]);
+    assert!(shard.exists());
+}

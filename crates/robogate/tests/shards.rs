@@ -6,6 +6,8 @@ use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::thread;
+use std::time::Instant;
 
 use serde_json::Value;
 use tempfile::TempDir;
@@ -57,6 +59,12 @@ fn merged_shards_equal_single_run() {
     let at = many.path();
     let verb = |arguments: &str, code: i32, parts: &[&str]| robogate(at, arguments, code, parts);
     verb("plan run --next", 2, &["no campaign in shards", "--shard 0/N"]);
+    verb(&format!("{PENDULUM} --divide 0"), 2, &["0 shards are out of range"]);
+    verb(&format!("{PENDULUM} --divide 3"), 0, &["90 episodes in 3 shards", "next: robogate plan run --next"]);
+    verb(&format!("{PENDULUM} --divide 3"), 0, &[]);
+    verb(&format!("{PENDULUM} --divide 4"), 2, &["divided into 3 shards"]);
+    verb(&format!("{PENDULUM} --divide 3 --shard 0/3"), 2, &["cannot be used with"]);
+    verb(&format!("{PENDULUM} --policy-at ws://127.0.0.1:1 --shard 2/3"), 2, &["neither a server nor a file"]);
     verb(&format!("{PENDULUM} --shard 2/3"), 0, &["shard 2/3 of round uniform: 20 episodes"]);
     verb("run --shard 2/3 --out run", 0, &["nothing to do", "committed already"]);
     verb(&format!("{PENDULUM} --shard 2/3"), 0, &["nothing to do"]);
@@ -133,6 +141,96 @@ fn suite_shards_equal_single_run() {
     assert!(files(&many.join("run")) == files(&one.join("run")));
 }
 
+#[test]
+fn gate_in_shards_equals_single_gate() {
+    let dirs = [TempDir::new().unwrap(), TempDir::new().unwrap()];
+    let [one, many] = dirs.each_ref().map(TempDir::path);
+    // The test stops before the last round: 92 % are required, and random actions never succeed.
+    let gate = "gate --task pendulum --policy random --rounds 9 --seed 3 --out run";
+    let verdict = robogate(one, gate, 1, &["FAIL"]);
+    robogate(many, "gate --task pendulum --divide 3", 2, &["--out"]);
+    robogate(many, &format!("{gate} --divide 3"), 0, &["576 episodes in 3 shards"]);
+    robogate(many, &format!("{gate} --divide 3 --margin 0.1"), 0, &[]);
+    robogate(many, &format!("{gate} --divide 3 --requirements paper"), 2, &["baseline"]);
+    let commands = run_everything(many);
+    assert!(commands < 27 && commands.is_multiple_of(3), "{commands} shards ran");
+    robogate(many, "status run", 0, &["next: robogate merge run"]);
+    assert_eq!(robogate(many, "merge run", 1, &["FAIL"]), verdict);
+    assert!(files(&many.join("run")) == files(&one.join("run")));
+    robogate(many, "merge run --out elsewhere", 1, &["FAIL"]);
+}
+
+#[test]
+fn sweep_ranks_policies_on_any_executor() {
+    let dirs = [TempDir::new().unwrap(), TempDir::new().unwrap()];
+    let sweep = r#"
+        version = 1
+        name = "swing-ups"
+        seed = 3
+        [[task]]
+        name = "pendulum"
+        episodes = 60
+        [[policy]]
+        name = "scripted"
+        [[policy]]
+        name = "random actions"
+        policy = "random"
+    "#;
+    let [threads, shards] = dirs.each_ref().map(|dir| {
+        fs::write(dir.path().join("sweep.toml"), sweep).unwrap();
+        dir.path()
+    });
+    robogate(threads, "matrix sweep.toml --list", 0, &["--task pendulum -n 60 --policy random --seed 3"]);
+    robogate(threads, "matrix sweep.toml --out run", 0, &["scripted, pendulum", "page: run/leaderboard.html"]);
+    robogate(threads, "matrix sweep.toml --out run", 0, &["finished already"]);
+    fs::write(threads.join("other.toml"), sweep.replace("60", "61")).unwrap();
+    robogate(threads, "matrix other.toml --out run", 2, &["another sweep"]);
+
+    robogate(shards, "matrix sweep.toml --divide 2 --out run", 0, &["robogate plan run --next"]);
+    robogate(shards, "merge run", 5, &["no run of swing-ups is finished"]);
+    robogate(shards, "status run", 0, &["0 of 120 episodes", "uniform 0 of 2 shards"]);
+    assert_eq!(run_everything(shards), 8);
+    robogate(shards, "merge run", 0, &["random actions, pendulum"]);
+    let [one, other] = [threads, shards].map(|dir| files(&dir.join("run")));
+    for page in ["leaderboard.html", "leaderboard.md"] {
+        assert!(one[page] == other[page], "{page} differs");
+    }
+
+    // A run that fails does not end the sweep.
+    let broken = sweep.replace("policy = \"random\"", "policy = \"nowhere.onnx\"\nprofile = \"learned\"");
+    fs::write(threads.join("broken.toml"), broken).unwrap();
+    let parts = ["failed with exit code", "1 of 2 runs are missing: random actions, pendulum", "page:"];
+    robogate(threads, "matrix broken.toml --out broken", 5, &parts);
+    assert!(threads.join("broken/leaderboard.html").exists());
+}
+
+#[test]
+fn killed_merge_can_be_repeated() {
+    let (one, many) = (TempDir::new().unwrap(), TempDir::new().unwrap());
+    let run = "run --task pendulum -n 600 --seed 5 --out run";
+    robogate(one.path(), run, 0, &[]);
+    robogate(many.path(), &format!("{run} --divide 2"), 0, &[]);
+    run_everything(many.path());
+    let begin = Instant::now();
+    robogate(many.path(), "merge run --out elsewhere", 0, &[]);
+    let merge = begin.elapsed();
+    // Killed at moments that are spread over its usual time. Wherever it is then, the next one starts over.
+    for tenth in 0..10 {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_robogate"))
+            .args(["merge", "run"])
+            .current_dir(many.path())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        thread::sleep(merge * tenth / 10);
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+    robogate(many.path(), "merge run", 0, &[]);
+    assert!(files(&many.path().join("run")) == files(&one.path().join("run")));
+}
+
 #[cfg(unix)]
 #[test]
 fn interrupted_shard_is_not_committed() {
@@ -147,7 +245,7 @@ fn interrupted_shard_is_not_committed() {
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
     assert!(lines.any(|line| line.unwrap().starts_with("shard 0/1")), "the shard did not start");
     // The handler of signals is installed after that line.
-    std::thread::sleep(std::time::Duration::from_millis(300));
+    thread::sleep(std::time::Duration::from_millis(300));
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
     let rest: Vec<String> = lines.map(Result::unwrap).collect();
     assert_eq!(child.wait().unwrap().code(), Some(130), "{rest:?}");

@@ -2,6 +2,7 @@
 
 mod cells;
 mod correlation;
+mod curve;
 mod mode_changes;
 mod threshold;
 mod zone;
@@ -11,6 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use correlation::Correlation;
+pub use curve::CurvePoint;
 pub use mode_changes::{ModeBin, ModeChange, ModeChanges};
 pub use threshold::CriticalThreshold;
 pub use zone::Zone;
@@ -107,7 +109,7 @@ fn level_edges(low: i64, high: i64) -> Option<Edges> {
 }
 
 /// The level edges of an integer parameter. `None` for any other.
-fn integer_edges(parameter: &ParameterColumn) -> Option<Edges> {
+pub(crate) fn integer_edges(parameter: &ParameterColumn) -> Option<Edges> {
     match parameter.kind {
         ParameterKind::Integer { low, high } => level_edges(low, high),
         ParameterKind::Continuous { .. } | ParameterKind::Categorical { .. } => None,

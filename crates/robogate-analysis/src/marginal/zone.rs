@@ -1,7 +1,7 @@
 //! Safe, boundary and danger zones.
 
 use robogate_stats::zone::{self, ZoneLimits, zones};
-use robogate_stats::{Confidence, Trials};
+use robogate_stats::{Confidence, Interval, Trials};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -36,6 +36,16 @@ impl Zone {
     /// Whether the cell is classified as safe, boundary or danger.
     pub fn is_classified(self) -> bool {
         matches!(self, Self::Safe | Self::Boundary | Self::Danger)
+    }
+
+    /// The zone of an interval.
+    pub(crate) fn of_interval([low, high]: [f64; 2]) -> Self {
+        match zone::zone(Interval { low, high }, ZoneLimits::PAPER) {
+            zone::Zone::Safe => Self::Safe,
+            zone::Zone::Boundary => Self::Boundary,
+            zone::Zone::Danger => Self::Danger,
+            zone::Zone::TooThin { .. } => Self::Undecided,
+        }
     }
 
     /// The zone of each cell, at a simultaneous confidence of 95 %.

@@ -6,6 +6,8 @@ mod anchors;
 mod comparison;
 mod degenerate;
 mod designs;
+mod headlines;
+mod noise;
 mod populations;
 mod runs;
 mod study;

@@ -81,6 +81,7 @@ fn frontier_follows_the_law() {
     // -1 + 6 mu - 2 m = 0 at mu = (1 + 2 m) / 6.
     let space = space(&["box"]);
     let analysis = analysed(&space, law(&space, 20_000));
+    assert_eq!(analysis.envelopes.len(), 1, "the most influential pair is that of the task");
     let frontier = analysis.envelopes[0].frontier.estimated().unwrap();
     assert!(!frontier.contradicted);
     for point in frontier.curve.iter().filter(|p| p.observed) {
@@ -100,4 +101,74 @@ fn suites_are_not_operating_rates() {
     assert_eq!(analysis.population, Population::Suite);
     assert_eq!(analysis.success.stages[0].population, Population::Suite);
     assert!(analysis.claims.advice.iter().all(|advice| !matches!(advice, Advice::Operate { .. })));
+}
+
+#[test]
+fn maps_classify_most_of_their_area() {
+    // 3,000 episodes over friction and mass.
+    let space = space(&["box"]);
+    let analysis = analysed(&space, law(&space, 3_000));
+    let map = analysis.envelopes[0].map.estimated().unwrap();
+    let classified = map.zones.safe + map.zones.boundary + map.zones.danger;
+    assert!(2 * classified >= map.cells.len() as u64, "{:?}", map.zones);
+    let mut wrong = 0;
+    for (i, cell) in map.cells.iter().enumerate() {
+        let model = cell.model.unwrap();
+        // The law at the middle of the cell: friction on its logarithmic scale, mass linear.
+        let unit = |at: usize| (at as f64 + 0.5) / 10.0;
+        let friction = 0.05 * (1.2_f64 / 0.05).powf(unit(i / 10));
+        let mass = 0.05 + 1.95 * unit(i % 10);
+        let truth = 1.0 / (1.0 + (1.0 - 6.0 * friction + 2.0 * mass).exp());
+        wrong += u32::from(truth < model.interval_95[0] || truth > model.interval_95[1]);
+    }
+    assert!(wrong <= 15, "{wrong} of {} intervals miss the law", map.cells.len());
+}
+
+#[test]
+fn emphasis_beyond_the_volume_is_weighted() {
+    use std::path::Path;
+    // The volume is the upper half of friction, the emphasis the lower tenth of it and the lower half of mass.
+    let space = space(&["box"]);
+    let truth = truth();
+    let focused = |from: u64| {
+        (from..from + 3_000).map(move |i| {
+            let space = crate::synthetic::space(&["box"]);
+            let mut requested = point(&space, i);
+            let is_emphasis = i < from + 1_000;
+            let friction = if is_emphasis { 0.1 * unit(i, 50) } else { 0.5 + 0.5 * unit(i, 50) };
+            hold(&mut requested, &space, "friction", friction);
+            if is_emphasis {
+                hold(&mut requested, &space, "mass_kg", 0.5 * unit(i, 51));
+            }
+            let went = outcome(i, &requested);
+            let mut entry = entry(i, requested, went);
+            "boundary".clone_into(&mut entry.stage);
+            entry.weight = if is_emphasis { 3.0 * 0.05 } else { 1.5 * 0.5 };
+            entry
+        })
+    };
+    let boundary = r#"{"parameters": [], "volume": {"episodes": 2000, "share_of_operating_space": 0.5},
+        "emphasis": {"region": {"episodes": 1000, "share_of_operating_space": 0.05}}}"#;
+    let mut error = 0.0;
+    for repeat in 0..6 {
+        let dir = tempfile::tempdir().unwrap();
+        let from = 10_000 * repeat;
+        let uniform = (from..from + 1_000).map(|i| {
+            let requested = point(&space, i);
+            let went = outcome(i, &requested);
+            entry(i, requested, went)
+        });
+        let path = dir.path().join("dictionary.parquet");
+        crate::synthetic::write(&path, &space, uniform.chain(focused(from + 1_000)).collect());
+        std::fs::write(dir.path().join("boundary.json"), boundary).unwrap();
+        let of = |path: &Path| {
+            let source = robogate_analysis::Source::open(path).unwrap();
+            robogate_analysis::Analysis::of(&source, path, &[]).unwrap().success.reweighted.unwrap()
+        };
+        let found = of(dir.path());
+        error += (found.estimated().unwrap().estimate.rate - truth) / 6.0;
+        // The file alone does not describe the regions.
+        assert!(of(&path).because().unwrap().contains("folder"));
+    }
+    assert!(error.abs() < 0.012, "mean error {error}");
 }

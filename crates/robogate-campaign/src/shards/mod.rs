@@ -100,6 +100,18 @@ impl Shards {
         plan: &Plan,
         provenance: Provenance,
     ) -> Result<Self, ShardError> {
+        Self::begin_with(store, shards, plan, provenance, &[])
+    }
+
+    /// Like [`Self::begin`], and stores `documents` (names and contents) beside the plan before any shard can run.
+    /// Documents that exist must be equal.
+    pub fn begin_with(
+        store: Box<dyn ShardStore>,
+        shards: u32,
+        plan: &Plan,
+        provenance: Provenance,
+        documents: &[(&str, &[u8])],
+    ) -> Result<Self, ShardError> {
         // Checks the number of shards.
         Shard::new(0, shards)?;
         plan.check(&provenance.space).map_err(RunError::from)?;
@@ -116,6 +128,9 @@ impl Shards {
         if put(&*store, PLAN, &text)? == Stored::Exists {
             let text = get(&*store, PLAN)?.unwrap_or_default();
             Settings::parse(&path, &text)?.same(&present)?;
+        }
+        for (name, content) in documents {
+            put_equal(&*store, name, content)?;
         }
         // Another process may have stored an equal plan in another formatting.
         let text = get(&*store, PLAN)?.unwrap_or(text);
@@ -171,7 +186,8 @@ impl Shards {
     /// The first round with missing shards. `None` if every round is complete.
     ///
     /// `after_round` decides after each complete round of a suite whether another one follows, as in
-    /// [`crate::start_in_rounds`]. Without it, all rounds of the plan follow.
+    /// [`crate::start_in_rounds`]. Each call passes the rounds in order, from the first on. Without it, all rounds of the
+    /// plan follow.
     pub fn open_round(&self, after_round: Option<&mut AfterRound<'_>>) -> Result<Option<OpenRound>, ShardError> {
         Ok(self.rounds(after_round)?.1)
     }
@@ -328,18 +344,27 @@ impl Shards {
         Ok(report)
     }
 
-    /// Stores a file. If the name exists, its content must be equal.
     fn put_equal(&self, name: &str, bytes: &[u8]) -> Result<Stored, ShardError> {
-        let stored = put(&*self.store, name, bytes)?;
-        if stored == Stored::Exists {
-            let there = get(&*self.store, name)?.unwrap_or_default();
-            if there != bytes {
-                let [committed, computed] = [&there, bytes].map(|bytes| hex(&sha256(bytes)));
-                return Err(ShardError::Conflict { path: self.store.place(name), committed, computed });
-            }
-        }
-        Ok(stored)
+        put_equal(&*self.store, name, bytes)
     }
+
+    /// Reads a document beside the plan. `None` if it does not exist.
+    pub fn document(&self, name: &str) -> Result<Option<Vec<u8>>, ShardError> {
+        get(&*self.store, name)
+    }
+}
+
+/// Stores a file. If the name exists, its content must be equal.
+fn put_equal(store: &dyn ShardStore, name: &str, bytes: &[u8]) -> Result<Stored, ShardError> {
+    let stored = put(store, name, bytes)?;
+    if stored == Stored::Exists {
+        let there = get(store, name)?.unwrap_or_default();
+        if there != bytes {
+            let [committed, computed] = [&there, bytes].map(|bytes| hex(&sha256(bytes)));
+            return Err(ShardError::Conflict { path: store.place(name), committed, computed });
+        }
+    }
+    Ok(stored)
 }
 
 /// The name of a shard in the store.

@@ -5,6 +5,7 @@ use serde::Serialize;
 
 use super::{Shard, ShardError, ShardRound, Shards, division};
 use crate::OutcomeCounts;
+use crate::run::AfterRound;
 
 /// The progress of a campaign in shards.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
@@ -13,7 +14,7 @@ pub struct ShardStatus {
     pub version: u32,
     /// The number of shards of each round.
     pub shards: u32,
-    /// The number of episodes of all rounds.
+    /// The number of episodes of all rounds of the plan. A gate may need fewer.
     pub episodes: u64,
     /// The number of episodes in committed shards.
     pub done: u64,
@@ -61,7 +62,9 @@ pub enum RoundState {
 
 impl Shards {
     /// Reads all committed shards and counts their outcomes.
-    pub fn status(&self) -> Result<ShardStatus, ShardError> {
+    ///
+    /// `after_round` is that of [`Self::open_round`]. Rounds after the one on which it breaks are left out.
+    pub fn status(&self, mut after_round: Option<&mut AfterRound<'_>>) -> Result<ShardStatus, ShardError> {
         let committed = self.committed()?;
         let mut rounds: Vec<RoundStatus> = Vec::new();
         for round in ShardRound::all(self.plan()) {
@@ -92,6 +95,11 @@ impl Shards {
                 missing,
                 outcomes,
             });
+            if let (Some(decide), RoundState::Complete, ShardRound::Suite(number)) = (&mut after_round, state, round)
+                && self.decide(round, number, *decide)?.is_break()
+            {
+                break;
+            }
         }
         Ok(ShardStatus {
             version: ShardStatus::VERSION,

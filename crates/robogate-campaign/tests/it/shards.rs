@@ -142,7 +142,7 @@ fn early_stop_merges_fewer_rounds() {
     while let Some(open) = campaign.open_round(Some(&mut two_rounds)).unwrap() {
         open.missing.into_iter().for_each(|index| assert_eq!(run(&campaign, index), Commit::First));
     }
-    assert_eq!(campaign.status().unwrap().done, 6);
+    assert_eq!(campaign.status(None).unwrap().done, 6);
     campaign.merge(&dir, &mut |_| {}, Some(&mut two_rounds)).unwrap();
     assert_eq!(files(&dir), files(&one));
     let error = merge(&campaign, &base.path().join("all")).unwrap_err();
@@ -228,7 +228,7 @@ fn every_changed_byte_is_found() {
     let base = tempfile::tempdir().unwrap();
     let refused = |bytes: &[u8], what: &str| {
         replace(bytes);
-        let error = campaign.status().unwrap_err();
+        let error = campaign.status(None).unwrap_err();
         assert!(matches!(error, ShardError::Damaged { .. }), "{what}: {error}");
         assert!(error.to_string().contains("uniform-1-of-3.rgs"), "{error}");
         // The merge reads shards in the same way, but it flushes files to the disk, which is slow.
@@ -447,7 +447,7 @@ fn status_counts_committed_shards() {
     let base = tempfile::tempdir().unwrap();
     let campaign = begin(base.path(), 4, &plan(20, 10), provenance()).unwrap();
     run(&campaign, 2);
-    let status = campaign.status().unwrap();
+    let status = campaign.status(None).unwrap();
     assert_eq!((status.shards, status.episodes, status.done, status.complete), (4, 30, 5, false));
     let [uniform, boundary] = &status.rounds[..] else { panic!() };
     assert_eq!((uniform.state, uniform.committed, &uniform.missing[..]), (RoundState::Open, 1, &[0, 1, 3][..]));
@@ -459,7 +459,7 @@ fn status_counts_committed_shards() {
         (Some("uniform"), Some("open"))
     );
     drop(run_all(base.path(), 4, &plan(20, 10), &provenance()));
-    let status = campaign.status().unwrap();
+    let status = campaign.status(None).unwrap();
     assert!(status.complete && status.done == 30 && status.rounds.iter().all(|r| r.state == RoundState::Complete));
 }
 

@@ -107,7 +107,7 @@ pub(super) fn metrics(intake: &Intake) -> String {
         |recipe, say| {
             for view in recipe.detectors(settings) {
                 for (level, (evidence, limit)) in Level::ALL.into_iter().zip(view.levels.into_iter().flatten()) {
-                    let labels = format!(",metric=\"{}\",level=\"{}\"", view.metric.as_str(), level.as_str());
+                    let labels = format!(",metric=\"{}\",level=\"{}\"", label(&view.name), level.as_str());
                     say(&labels, evidence / limit);
                 }
             }
@@ -121,7 +121,7 @@ pub(super) fn metrics(intake: &Intake) -> String {
             for view in recipe.detectors(settings) {
                 for level in Level::ALL {
                     let labels =
-                        format!(",rule=\"detector\",metric=\"{}\",level=\"{}\"", view.metric.as_str(), level.as_str());
+                        format!(",rule=\"detector\",metric=\"{}\",level=\"{}\"", label(&view.name), level.as_str());
                     say(&labels, f64::from(u8::from(view.standing[level as usize].is_some())));
                 }
             }

@@ -1,5 +1,7 @@
 //! The status document, which the page displays.
 
+use std::borrow::Cow;
+
 use robogate_stats::{Confidence, Trials, wilson};
 use serde::Serialize;
 use serde_json::Value;
@@ -79,9 +81,9 @@ pub struct RecipeStatus {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DetectorStatus {
     /// The metric.
-    pub metric: &'static str,
+    pub metric: Cow<'static, str>,
     /// The label of the metric.
-    pub label: &'static str,
+    pub label: Cow<'static, str>,
     /// Evidence and limit for a warning and a critical alarm. `None` if the detector does not run.
     pub levels: Option<[[f64; 2]; 2]>,
     /// The reason why the detector does not run.
@@ -123,8 +125,8 @@ impl Status {
 
 fn recipe_status(name: &str, recipe: &Recipe, settings: &Settings) -> RecipeStatus {
     let detector = |view: crate::DetectorView| DetectorStatus {
-        metric: view.metric.as_str(),
-        label: view.metric.label(),
+        metric: view.name,
+        label: view.label,
         levels: view.levels.ok().map(|levels| levels.map(|(evidence, limit)| [evidence, limit])),
         because: view.levels.err(),
         standing: Level::ALL.into_iter().rev().find(|level| view.standing[*level as usize].is_some()),
@@ -141,7 +143,7 @@ fn recipe_status(name: &str, recipe: &Recipe, settings: &Settings) -> RecipeStat
         window: RateStatus::of(recipe.window()),
         all: RateStatus::of(recipe.trials()),
         baseline: recipe.baseline().success_rate(),
-        detectors: recipe.detectors(settings).map(detector).to_vec(),
+        detectors: recipe.detectors(settings).into_iter().map(detector).collect(),
         outside: outside.collect(),
     }
 }

@@ -1,7 +1,9 @@
 //! Each kind of change is detected, named and dated, and no other alarm is raised.
 
 use robogate_core::Seed;
-use robogate_monitor::{Alarm, Baseline, Count, Happening, Level, Metric, Monitor, ParameterValue, Rule, Settings};
+use robogate_monitor::{
+    Alarm, Baseline, Count, EventSettings, Happening, Level, Monitor, ParameterValue, Rule, Settings,
+};
 
 use crate::common::{Cell, cycle, domain};
 
@@ -29,16 +31,16 @@ fn known() -> Settings {
 fn each_change_raises_its_own_alarm() {
     let normal = Cell::NORMAL;
     for (metric, after, what) in [
-        (Metric::Success, Cell { success: 0.8, ..normal }, "Cycles fail at"),
-        (Metric::Drop, Cell { drop: 0.15, ..normal }, "Parts drop in"),
-        (Metric::Collision, Cell { collision: 0.12, ..normal }, "The robot collides in"),
-        (Metric::CycleTime, Cell { cycle_time: (4.4, 0.4), ..normal }, "became slower: median 4."),
-        (Metric::CycleTime, Cell { cycle_time: (3.7, 0.4), ..normal }, "became faster: median 3."),
-        (Metric::CycleTimeSpread, Cell { cycle_time: (4.0, 0.9), ..normal }, "spread of cycle times grew"),
+        ("success", Cell { success: 0.8, ..normal }, "Cycles fail at"),
+        ("event:drop", Cell { drop: 0.15, ..normal }, "The event `drop` happened in"),
+        ("event:collision", Cell { collision: 0.12, ..normal }, "The event `collision` happened in"),
+        ("cycle_time", Cell { cycle_time: (4.4, 0.4), ..normal }, "became slower: median 4."),
+        ("cycle_time", Cell { cycle_time: (3.7, 0.4), ..normal }, "became faster: median 3."),
+        ("cycle_time_spread", Cell { cycle_time: (4.0, 0.9), ..normal }, "spread of cycle times grew"),
     ] {
         let found = alarms(after, 400, known());
         let critical = found.iter().find(|a| a.level == Level::Critical).unwrap();
-        assert_eq!((critical.metric, critical.happening), (metric, Happening::Raised), "{found:#?}");
+        assert_eq!((critical.metric.as_str(), critical.happening), (metric, Happening::Raised), "{found:#?}");
         assert!(critical.what.contains(what), "{}", critical.what);
         let since = critical.since.unwrap();
         assert!(since.cycles_95[0] <= 1_001 && 1_001 <= since.cycles_95[1], "{metric:?} {since:?}");
@@ -46,11 +48,37 @@ fn each_change_raises_its_own_alarm() {
         assert!(!critical.look_at.is_empty() && critical.how_sure.contains("at least 50,000."));
         // A warning of another metric may occur by chance, once in 2,000 cycles on average; a critical alarm hardly
         // ever. Distances from the middle of the baseline also grow when the location moves.
-        let beside = |a: &Alarm| {
-            a.level == Level::Warning || (metric == Metric::CycleTime && a.metric == Metric::CycleTimeSpread)
-        };
+        let beside =
+            |a: &Alarm| a.level == Level::Warning || (metric == "cycle_time" && a.metric == "cycle_time_spread");
         assert!(found.iter().all(|a| a.metric == metric || beside(a)), "{found:#?}");
     }
+}
+
+#[test]
+fn any_event_can_be_monitored() {
+    let spill = EventSettings { share: 0.1, causes: Some("the lid".to_owned()) };
+    let settings = Settings {
+        events: [("spill".to_owned(), spill)].into(),
+        baseline: Baseline {
+            events: [("spill".to_owned(), Count { count: 20, of: 2_000 })].into(),
+            ..Cell::NORMAL.baseline(2_000)
+        },
+        ..Settings::default()
+    };
+    let mut monitor = Monitor::new(settings).unwrap();
+    let mut stream = Seed::campaign(9).stream("spill");
+    let mut cycle = cycle();
+    let mut found = Vec::new();
+    for i in 0..1_200 {
+        Cell::NORMAL.draw(&mut stream, &mut cycle);
+        let rate = if i < 1_000 { 0.01 } else { 0.3 };
+        cycle.events = [("spill".to_owned(), stream.uniform() < rate), ("noise".to_owned(), true)].into();
+        monitor.observe(&cycle, &mut |alarm| found.push(alarm)).unwrap();
+    }
+    let critical = found.iter().find(|a| a.level == Level::Critical && a.metric == "event:spill").unwrap();
+    assert!(critical.what.starts_with("The event `spill` happened in"), "{}", critical.what);
+    assert_eq!(critical.look_at, ["the lid"]);
+    assert!(found.iter().all(|alarm| !alarm.metric.contains("noise")), "{found:#?}");
 }
 
 #[test]
@@ -58,7 +86,7 @@ fn changed_failure_mix_is_detected() {
     let after = Cell { modes: [0.05, 0.05, 0.05, 0.8, 0.05], ..Cell::NORMAL };
     let found = alarms(after, 1_500, known());
     let critical = found.iter().find(|a| a.level == Level::Critical).unwrap();
-    assert_eq!(critical.metric, Metric::FailureModes);
+    assert_eq!(critical.metric, "failure_modes");
     assert!(critical.what.starts_with("`timeout` is"), "{}", critical.what);
     assert!(critical.look_at.iter().any(|text| text.contains("`timeout` increased")));
 }
@@ -90,7 +118,7 @@ fn of_mass(mass_kg: [f64; 2]) -> Vec<Alarm> {
 fn parts_outside_envelope_raise_alarms() {
     assert_eq!(of_mass([0.1, 0.4]), []);
     let found = of_mass([0.82, 0.93]);
-    let critical = found.iter().find(|a| a.level == Level::Critical && a.metric == Metric::Outside).unwrap();
+    let critical = found.iter().find(|a| a.level == Level::Critical && a.metric == "outside").unwrap();
     assert!(critical.cycle <= 1_010, "{critical:#?}");
     assert!(critical.what.contains("lie outside the validated region"), "{}", critical.what);
     let text = &critical.look_at[0];
@@ -100,7 +128,7 @@ fn parts_outside_envelope_raise_alarms() {
 #[test]
 fn harder_parts_raise_predicted_risk() {
     let found = of_mass([0.6, 0.8]);
-    assert!(found.iter().all(|a| a.metric == Metric::Risk), "{found:#?}");
+    assert!(found.iter().all(|a| a.metric == "risk"), "{found:#?}");
     let critical = found.iter().find(|a| a.level == Level::Critical).unwrap();
     assert!((1_001..1_200).contains(&critical.cycle), "{critical:#?}");
     assert!(critical.what.contains("predicts 1") || critical.what.contains("predicts 2"), "{}", critical.what);
@@ -128,7 +156,7 @@ fn new_reference_restarts_evidence() {
     let changed = restored(given);
     let recipe = changed.recipe("bracket").unwrap();
     assert_eq!((recipe.trials().n(), recipe.level(), recipe.window().n()), (700, None, 0));
-    assert!(recipe.detectors(changed.settings())[Metric::Outside as usize].levels.is_ok());
+    assert!(recipe.detectors(changed.settings()).iter().any(|view| view.name == "outside" && view.levels.is_ok()));
 }
 
 #[test]
@@ -145,13 +173,13 @@ fn worn_robot_is_named() {
     }
     let critical =
         |metric| found.iter().find(|a| a.metric == metric && a.level == Level::Critical && a.rule == Rule::Detector);
-    let named = critical(Metric::Robot).unwrap();
+    let named = critical("robot").unwrap();
     assert_eq!(named.robot, "cell-3");
     assert!(named.what.starts_with("Robot cell-3 fails at "), "{}", named.what);
     let since = named.since.unwrap();
     assert!(since.cycles_95[0] <= 2_004 && 2_004 <= since.cycles_95[1], "{since:?}");
-    assert!(critical(Metric::Success).is_none_or(|fleet| fleet.cycle > named.cycle));
-    assert!(found.iter().filter(|a| a.metric == Metric::Robot).all(|a| a.robot == "cell-3"), "{found:#?}");
+    assert!(critical("success").is_none_or(|fleet| fleet.cycle > named.cycle));
+    assert!(found.iter().filter(|a| a.metric == "robot").all(|a| a.robot == "cell-3"), "{found:#?}");
     assert_eq!(monitor.recipe("bracket").unwrap().level(), Some(Level::Critical));
 }
 
@@ -159,7 +187,7 @@ fn worn_robot_is_named() {
 fn missing_baselines_are_learnt() {
     let after = Cell { success: 0.6, ..Cell::NORMAL };
     let found = alarms(after, 300, Settings::default());
-    assert!(found.iter().any(|a| a.level == Level::Critical && a.metric == Metric::Success));
+    assert!(found.iter().any(|a| a.level == Level::Critical && a.metric == "success"));
     assert!(found.iter().all(|a| a.cycle > 1_000));
 }
 
@@ -175,7 +203,7 @@ fn alarms_are_raised_once_and_cleared() {
         let cell = Cell { success: if (500..900).contains(&i) { 0.7 } else { 0.96 }, ..Cell::NORMAL };
         cell.draw(&mut stream, &mut cycle);
         let mut keep = |alarm: Alarm| {
-            if alarm.rule == Rule::Detector && alarm.metric == Metric::Success && alarm.level == Level::Critical {
+            if alarm.rule == Rule::Detector && alarm.metric == "success" && alarm.level == Level::Critical {
                 alarms.push(alarm.happening);
             }
         };

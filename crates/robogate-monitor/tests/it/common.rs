@@ -34,8 +34,13 @@ impl Cell {
     pub(crate) fn draw(&self, stream: &mut Stream, cycle: &mut Cycle) {
         cycle.time_s += self.cycle_time.0;
         cycle.success = stream.uniform() < self.success;
-        cycle.drop = Some(stream.uniform() < self.drop);
-        cycle.collision = Some(stream.uniform() < self.collision);
+        for (event, rate) in [("drop", self.drop), ("collision", self.collision)] {
+            let happened = stream.uniform() < rate;
+            match cycle.events.get_mut(event) {
+                Some(value) => *value = happened,
+                None => drop(cycle.events.insert(event.to_owned(), happened)),
+            }
+        }
         let (middle, half) = self.cycle_time;
         cycle.cycle_time_s = Some(stream.between(middle - half, middle + half));
         let mut u = stream.uniform();
@@ -54,8 +59,10 @@ impl Cell {
         let time = |i: u64| middle - half + 2.0 * half * (i as f64 + 0.5) / n as f64;
         Baseline {
             success: count(self.success),
-            drop: count(self.drop),
-            collision: count(self.collision),
+            events: [("drop", self.drop), ("collision", self.collision)]
+                .into_iter()
+                .filter_map(|(event, rate)| Some((event.to_owned(), count(rate)?)))
+                .collect(),
             failure_modes: Some(MODES.into_iter().zip(self.modes.map(failures)).collect()),
             cycle_times_s: Some((0..n).map(time).collect()),
         }
@@ -81,8 +88,7 @@ pub(crate) fn cycle() -> Cycle {
         time_s: 1_760_000_000.0,
         success: true,
         failure_mode: None,
-        drop: None,
-        collision: None,
+        events: Default::default(),
         cycle_time_s: None,
         parameters: Default::default(),
     }

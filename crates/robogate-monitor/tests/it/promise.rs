@@ -74,8 +74,6 @@ fn detection_is_no_later_than_paper_rule() {
     let mut settings = Settings { critical_cycles: 64_000.0, ..Settings::default() };
     settings.shares = Shares {
         success: 1.0,
-        drop: 0.0,
-        collision: 0.0,
         cycle_time: 0.0,
         cycle_time_spread: 0.0,
         failure_modes: 0.0,

@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 
 use mujoco_rs::prelude::*;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
-use robogate_core::Fault;
+use robogate_core::{ContactBetween, ContactPoint, Fault};
 
 use super::{Kind, Loaded};
 use crate::engine::Collision;
@@ -78,6 +78,31 @@ impl Loaded {
                 touches.collision = Some(Collision { robot_body, fixture, force });
             }
         }
+    }
+
+    /// The contact points of the last step with their normal forces.
+    pub(super) fn contact_points(&self) -> Vec<ContactPoint> {
+        let mut points = Vec::new();
+        for (i, contact) in self.data.contact().iter().enumerate() {
+            if contact.efc_address < 0 || contact.geom1 < 0 || contact.geom2 < 0 {
+                continue;
+            }
+            let (first, second) = (self.kinds[contact.geom1 as usize], self.kinds[contact.geom2 as usize]);
+            // The normal points from the first shape to the second, and the force acts on the second.
+            let (between, sign) = match (first, second) {
+                (Kind::Robot { .. }, Kind::Object) => (ContactBetween::RobotAndObject, 1.0),
+                (Kind::Object, Kind::Robot { .. }) => (ContactBetween::RobotAndObject, -1.0),
+                (Kind::Fixture(_), Kind::Robot { .. }) => (ContactBetween::RobotAndSurroundings, 1.0),
+                (Kind::Robot { .. }, Kind::Fixture(_)) => (ContactBetween::RobotAndSurroundings, -1.0),
+                (Kind::Fixture(_), Kind::Object) => (ContactBetween::ObjectAndSurroundings, 1.0),
+                (Kind::Object, Kind::Fixture(_)) => (ContactBetween::ObjectAndSurroundings, -1.0),
+                _ => continue,
+            };
+            let force = sign * self.data.contact_force(i)[0];
+            let normal = [contact.frame[0], contact.frame[1], contact.frame[2]];
+            points.push(ContactPoint { position: contact.pos, force_n: normal.map(|n| n * force), between });
+        }
+        points
     }
 
     /// The wrench on the object in the last step without weight and support, about the tool centre point, by inverse

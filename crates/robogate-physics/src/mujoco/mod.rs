@@ -15,7 +15,7 @@ use mujoco_loader::{Library, LoadError};
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_logging::{log_config, set_log_config};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use robogate_core::{Fault, FaultKind};
+use robogate_core::{ContactPoint, Fault, FaultKind};
 
 use crate::friction::Friction;
 use crate::{
@@ -433,6 +433,10 @@ impl Engine for MujocoEngine {
 
     fn touches(&self) -> &Touches {
         &self.loaded().touches
+    }
+
+    fn contact_points(&self) -> Vec<ContactPoint> {
+        self.loaded().contact_points()
     }
 
     fn clearance_below(&mut self, bound: f64) -> Option<f64> {

@@ -1,10 +1,10 @@
 //! Contacts: friction coefficients, forces of the last step, rolling friction, and the load on the cup.
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use rapier3d_f64::geometry::{ColliderHandle, Contact, ContactManifold, ContactPair};
 use rapier3d_f64::math::Vector;
 use rapier3d_f64::prelude::CoefficientCombineRule;
-use robogate_core::Fault;
+use robogate_core::{ContactBetween, ContactPoint, Fault};
 
 use super::{Kind, Loaded, SUBSTEPS};
 use crate::description::isometry;
@@ -131,6 +131,45 @@ impl Loaded {
         let dt = self.world.integration_parameters.dt;
         let pairs = self.object_shapes.iter().flat_map(|shape| self.world.narrow_phase.contact_pairs_with(*shape));
         pairs.map(|pair| impulse(pair) / dt).sum()
+    }
+
+    /// The contact points of the last step with their normal forces.
+    pub(super) fn contact_points(&self) -> Vec<ContactPoint> {
+        let dt = self.world.integration_parameters.dt;
+        let mut points = Vec::new();
+        for pair in self.world.narrow_phase.contact_pairs() {
+            let collider = |handle: ColliderHandle| {
+                let collider = self.world.colliders.get(handle)?;
+                Some((collider, self.colliders.get(collider.user_data as usize)?.1))
+            };
+            let (Some((first, one)), Some((_, two))) = (collider(pair.collider1), collider(pair.collider2)) else {
+                continue;
+            };
+            // The normal points from the first shape to the second, and the force acts on the second.
+            let (between, sign) = match (one, two) {
+                (Kind::Robot { .. }, Kind::Object) => (ContactBetween::RobotAndObject, 1.0),
+                (Kind::Object, Kind::Robot { .. }) => (ContactBetween::RobotAndObject, -1.0),
+                (Kind::Fixture(_), Kind::Robot { .. }) => (ContactBetween::RobotAndSurroundings, 1.0),
+                (Kind::Robot { .. }, Kind::Fixture(_)) => (ContactBetween::RobotAndSurroundings, -1.0),
+                (Kind::Fixture(_), Kind::Object) => (ContactBetween::ObjectAndSurroundings, 1.0),
+                (Kind::Object, Kind::Fixture(_)) => (ContactBetween::ObjectAndSurroundings, -1.0),
+                _ => continue,
+            };
+            let place = isometry(first.position());
+            for manifold in pair.manifolds() {
+                let normal = manifold.data.normal;
+                for point in solved(manifold).filter(|point| point.data.impulse > 0.0) {
+                    let force = sign * point.data.impulse / dt;
+                    let at = place * Point3::new(point.local_p1.x, point.local_p1.y, point.local_p1.z);
+                    points.push(ContactPoint {
+                        position: at.coords.into(),
+                        force_n: [normal.x, normal.y, normal.z].map(|n| n * force),
+                        between,
+                    });
+                }
+            }
+        }
+        points
     }
 
     /// Contacts before the first step, determined by distance because no force has acted yet.

@@ -16,7 +16,7 @@ use rapier3d_f64::dynamics::{
 };
 use rapier3d_f64::geometry::ColliderHandle;
 use rapier3d_f64::prelude::PhysicsWorld;
-use robogate_core::{Fault, FaultKind};
+use robogate_core::{ContactPoint, Fault, FaultKind};
 
 use self::convert::{pose, quarter, read_primitive, vector};
 use crate::description::{Description, isometry};
@@ -266,6 +266,10 @@ impl Engine for RapierEngine {
 
     fn touches(&self) -> &Touches {
         &self.loaded().touches
+    }
+
+    fn contact_points(&self) -> Vec<ContactPoint> {
+        self.loaded().contact_points()
     }
 
     fn clearance_below(&mut self, bound: f64) -> Option<f64> {

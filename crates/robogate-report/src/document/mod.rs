@@ -4,6 +4,10 @@ mod analysis;
 mod comparison;
 
 use maud::Markup;
+use robogate_analysis::PairCounts;
+
+use crate::gate::VerdictBlock;
+use crate::watch::Watch;
 
 pub(crate) use analysis::analysis_document;
 pub(crate) use comparison::comparison_document;
@@ -29,6 +33,8 @@ pub(crate) struct Document {
     /// Up to three columns of sentences below the result, each with a title.
     pub(crate) columns: Vec<(&'static str, Vec<String>)>,
     pub(crate) sections: Vec<Section>,
+    /// The verdict of the gate, which opens the document.
+    pub(crate) verdict: Option<VerdictBlock>,
 }
 
 /// A section of a document.
@@ -57,12 +63,18 @@ pub(crate) enum Block {
     Figure(Figure),
     /// Figures side by side.
     Grid(Vec<Figure>),
+    /// Blocks that the reader can expand, with a title.
+    Group(String, Vec<Self>),
     /// A table that is always visible.
     Table(Table),
     /// A table that the reader can expand.
     Folded(Table),
     /// Names and values.
     Facts(Vec<(String, String)>),
+    /// Episodes worth watching.
+    Watch(Watch),
+    /// A map of any two parameters, which the reader chooses.
+    Pairs(PairCounts),
 }
 
 impl Block {
@@ -113,6 +125,16 @@ pub(crate) enum Kind {
     Zone,
     /// A command.
     Code,
+}
+
+/// The section of episodes worth watching.
+fn watch_section(watch: &Watch) -> Section {
+    Section {
+        id: "watch",
+        title: "Episodes worth watching".to_owned(),
+        population: None,
+        blocks: vec![Block::Watch(watch.clone())],
+    }
 }
 
 /// Maximum number of rows of a table on a page.

@@ -2,10 +2,10 @@
 
 use maud::Markup;
 
-use super::svg::{Anchor, Scale, Svg, cut};
+use super::svg::{Anchor, Scale, Svg, cut, round_ticks, tick};
 use robogate_analysis::labels::label_with_unit;
 use robogate_analysis::{Axis, Frontier, FrontierPoint, PairMap};
-use robogate_stats::format::{count, percent, percent_range, significant};
+use robogate_stats::format::{count, percent, percent_or_dash, percent_range};
 
 const WIDTH: f64 = 520.0;
 const LEFT: f64 = 62.0;
@@ -23,7 +23,7 @@ pub(crate) fn step(rate: f64) -> usize {
 pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> Markup {
     let (nx, ny) = (map.x.cells().max(1), map.y.cells().max(1));
     let w = (WIDTH - LEFT - RIGHT) / nx as f64;
-    let h = (400.0 / ny as f64).clamp(22.0, 56.0);
+    let h = (330.0 / ny as f64).clamp(22.0, 52.0);
     let bottom = TOP + h * ny as f64;
     let curve = drawn_frontier(map, frontier).is_some();
     let drop = drop(&map.x, w);
@@ -32,21 +32,24 @@ pub(crate) fn heatmap(map: &PairMap, frontier: Option<&Frontier>, id: &str) -> M
         let (row, column) = (i / nx, i % nx);
         let place = [LEFT + w * column as f64 + 0.75, bottom - h * (row + 1) as f64 + 0.75, w - 1.5, h - 1.5];
         let middle = [place[0] + 0.5 * place[2], place[1] + 0.5 * place[3]];
-        let Some(rate) = cell.rate.rate else {
+        let Some(rate) = cell.model.map(|model| model.rate).or(cell.rate.rate) else {
             svg.rect_with_hint("none", place, "no episode");
             svg.text("s d", Anchor::Middle, [middle[0], middle[1] + 4.0], "\u{2013}");
             continue;
         };
         let classified = cell.zone.is_classified();
+        let model = cell.model.map_or_else(String::new, |model| {
+            format!("; model {} ({})", percent(model.rate), percent_range(model.interval_95))
+        });
         let hint = format!(
-            "{} {}, {} {}: {} of {} succeeded, {} ({}); {}",
+            "{} {}, {} {}: {} of {} succeeded, {} ({}){model}; {}",
             label_with_unit(&map.y.parameter),
             map.y.cell_label(row),
             label_with_unit(&map.x.parameter),
             map.x.cell_label(column),
             cell.rate.successes,
             cell.rate.n,
-            percent(rate),
+            percent_or_dash(cell.rate.rate),
             percent_range(cell.rate.wilson_95),
             cell.zone.as_str()
         );
@@ -143,9 +146,11 @@ fn drop(axis: &Axis, room: f64) -> f64 {
 fn ticks(svg: &mut Svg, map: &PairMap, [w, h]: [f64; 2], bottom: f64, drop: f64) {
     let axis = |axis: &Axis, room: f64| -> Vec<(f64, String)> {
         if axis.levels.is_empty() {
-            let every = (34.0 / room).ceil().max(1.0) as usize;
-            let all = axis.edges.iter().enumerate().step_by(every);
-            all.map(|(i, edge)| (i as f64, significant(*edge, 2))).collect()
+            let cells = axis.cells() as f64;
+            let ends = [axis.edges.first().copied().unwrap_or(0.0), axis.edges.last().copied().unwrap_or(1.0)];
+            let place = scale(axis, [0.0, cells]);
+            let count = (room * cells / 60.0).max(2.0) as usize;
+            round_ticks(ends, count, axis.log).into_iter().map(|x| (place.at(x), tick(x))).collect()
         } else {
             let every = (16.0 / room).ceil().max(1.0) as usize;
             let all = axis.levels.iter().enumerate().step_by(every);

@@ -3,10 +3,10 @@
 use maud::Markup;
 use robogate_analysis::labels::label_with_unit;
 use robogate_analysis::{Cell, CriticalThreshold, MarginalEffect, ParameterType, Zone};
-use robogate_stats::format::{count, percent, percent_range, significant};
+use robogate_stats::format::{count, percent, percent_range};
 
 use super::ZONES;
-use super::svg::{Anchor, Scale, Svg, cut};
+use super::svg::{Anchor, Scale, Svg, cut, round_ticks, tick};
 
 /// Draws the success rate by one parameter.
 pub(crate) fn marginal_effect(effect: &MarginalEffect) -> Markup {
@@ -32,23 +32,22 @@ fn bins(effect: &MarginalEffect) -> Markup {
         svg.rect("tband", [from, 12.0, to - from, 146.0]);
         svg.line("tline", [x.at(*at), 12.0, x.at(*at), 158.0]);
     }
+    let curve = effect.curve();
+    let upper = curve.iter().map(|point| [x.at(point.at), y.at(point.interval_95[1])]);
+    let lower = curve.iter().rev().map(|point| [x.at(point.at), y.at(point.interval_95[0])]);
+    svg.polygon("modelband", &upper.chain(lower).collect::<Vec<_>>());
+    svg.polyline("model", &curve.iter().map(|point| [x.at(point.at), y.at(point.rate)]).collect::<Vec<_>>());
     for cell in &effect.cells {
         let (Some([from, to]), Some(rate)) = (cell.range, cell.rate.rate) else { continue };
         let middle = x.at(0.5 * (from + to));
         let [l, h] = cell.rate.wilson_95;
         svg.line("whisker", [middle, y.at(l), middle, y.at(h)]);
-        svg.line("level", [x.at(from) + 1.0, y.at(rate), x.at(to) - 1.0, y.at(rate)]);
+        svg.dot("target", [middle, y.at(rate)], 12.0, &hint(cell));
         svg.dot("dot", [middle, y.at(rate)], 3.6, &hint(cell));
     }
-    for (i, cell) in effect.cells.iter().enumerate() {
-        let Some([from, to]) = cell.range else { continue };
-        if i % 3 == 0 {
-            let anchor = if i == 0 { Anchor::Start } else { Anchor::Middle };
-            svg.text("s d", anchor, [x.at(from), 174.0], &significant(from, 2));
-        }
-        if i + 1 == effect.cells.len() && i % 3 != 0 {
-            svg.text("s d", Anchor::End, [x.at(to), 174.0], &significant(to, 2));
-        }
+    for at in round_ticks([low, high], 5, false) {
+        svg.line("axis", [x.at(at), 158.0, x.at(at), 162.0]);
+        svg.text("s d", Anchor::Middle, [x.at(at), 174.0], &tick(at));
     }
     svg.text("a", Anchor::Middle, [186.0, 193.0], &label_with_unit(&effect.parameter));
     svg.finish(&format!("Success by {}", label_with_unit(&effect.parameter)))

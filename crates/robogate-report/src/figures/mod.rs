@@ -8,6 +8,7 @@ mod marginal;
 mod models;
 mod modes;
 mod rate;
+mod requirement;
 mod svg;
 
 pub(crate) use comparison::{
@@ -20,6 +21,7 @@ pub(crate) use heatmap::{drawable, heatmap};
 pub(crate) use marginal::marginal_effect;
 pub(crate) use models::{coefficients, reliability, roc};
 pub(crate) use rate::rate_scale;
+pub(crate) use requirement::requirement_bar;
 
 /// The limits of the zones as success rates, as in the paper.
 const ZONES: [f64; 2] = [0.3, 0.7];

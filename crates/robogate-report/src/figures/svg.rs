@@ -167,6 +167,37 @@ impl Scale {
     }
 }
 
+/// Round numbers on an axis from `low` to `high`, at most about `count` of them: multiples of 1, 2 or 5 times a power of
+/// ten. A logarithmic axis over more than a decade gets 1, 2 and 5 times powers of ten.
+pub(crate) fn round_ticks([low, high]: [f64; 2], count: usize, log: bool) -> Vec<f64> {
+    if !(low.is_finite() && high.is_finite() && high > low) {
+        return Vec::new();
+    }
+    if log && low > 0.0 && high / low > 10.0 {
+        let decades = low.log10().floor() as i32..=high.log10().ceil() as i32;
+        let all: Vec<f64> = decades
+            .flat_map(|decade| [1.0, 2.0, 5.0].map(|x| x * 10_f64.powi(decade)))
+            .filter(|x| (low * (1.0 - 1e-9)..=high * (1.0 + 1e-9)).contains(x))
+            .collect();
+        let every = all.len().div_ceil(count.max(1));
+        return all.into_iter().step_by(every.max(1)).collect();
+    }
+    let raw = (high - low) / count.max(1) as f64;
+    let power = 10_f64.powf(raw.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|x| x * power).find(|step| *step >= raw * (1.0 - 1e-9));
+    let step = step.unwrap_or(10.0 * power);
+    let first = (low / step - 1e-9).ceil() as i64;
+    let last = (high / step + 1e-9).floor() as i64;
+    (first..=last).map(|i| i as f64 * step).collect()
+}
+
+/// A tick as text, without the digits of floating-point errors.
+pub(crate) fn tick(x: f64) -> String {
+    let text = format!("{x:.6}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" { "0".to_owned() } else { text.to_owned() }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -176,6 +207,18 @@ mod tests {
         assert_eq!(c(1.0), "1");
         assert_eq!(c(-0.04), "0");
         assert_eq!(c(12.34), "12.3");
+    }
+
+    #[test]
+    fn ticks_are_round() {
+        let text =
+            |range, count, log| round_ticks(range, count, log).into_iter().map(tick).collect::<Vec<_>>().join(" ");
+        assert_eq!(text([0.02, 0.11], 5, false), "0.02 0.04 0.06 0.08 0.1");
+        assert_eq!(text([0.05, 1.2], 6, false), "0.2 0.4 0.6 0.8 1 1.2");
+        assert_eq!(text([0.05, 20.0], 9, true), "0.05 0.1 0.2 0.5 1 2 5 10 20");
+        assert_eq!(text([-3.0, 3.0], 4, false), "-2 0 2");
+        assert_eq!(text([1.0, 1.0], 4, false), "");
+        assert!(round_ticks([1e-9, 1.0], 4, true).len() <= 8);
     }
 
     #[test]

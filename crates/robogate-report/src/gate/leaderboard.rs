@@ -75,10 +75,23 @@ fn caution(board: &Leaderboard) -> String {
 
 /// The leaderboard as Markdown.
 pub fn leaderboard_markdown(board: &Leaderboard) -> String {
+    format!("# Leaderboard\n\n{}", board_markdown(board))
+}
+
+/// Several leaderboards as one Markdown page, each in a section.
+pub fn leaderboards_markdown(title: &str, boards: &[Leaderboard]) -> String {
+    let sections: Vec<String> = boards
+        .iter()
+        .map(|board| format!("## {}\n\n{}", escape_markdown(&self::title(board)), board_markdown(board)))
+        .collect();
+    format!("# {}\n\n{}", escape_markdown(title), sections.join("\n"))
+}
+
+fn board_markdown(board: &Leaderboard) -> String {
     let mut heads: Vec<String> = HEADS.iter().map(|head| (*head).to_owned()).collect();
     heads.extend(terms(board));
     heads.push(FAILURES.to_owned());
-    let mut out = format!("# Leaderboard\n\n{}\n\n", escape_markdown(&board.population.to_string()));
+    let mut out = format!("{}\n\n", escape_markdown(&board.population.to_string()));
     // Writing to a string cannot fail, here and below.
     let _ = writeln!(
         out,
@@ -99,47 +112,74 @@ pub fn leaderboard_markdown(board: &Leaderboard) -> String {
 
 /// The leaderboard as one self-contained HTML file. Equal leaderboards give equal bytes.
 pub fn leaderboard_html(board: &Leaderboard) -> String {
-    let lines: Vec<Line> = board.standings.iter().map(Line::of).collect();
     let body = html! {
         header.top {
             p.brand { b { "RoboGate" } " leaderboard" }
             h1 { (prose(&title(board))) }
             p.sub { (prose(&board.population.to_string())) }
         }
+        main { (sections(board)) }
+    };
+    frame("Leaderboard", &body, false)
+}
+
+/// Several leaderboards as one self-contained HTML file, each in a section.
+pub fn leaderboards_html(title: &str, boards: &[Leaderboard]) -> String {
+    let policies: usize = boards.iter().map(|board| board.standings.len()).sum();
+    let body = html! {
+        header.top {
+            p.brand { b { "RoboGate" } " leaderboard" }
+            h1 { (prose(title)) }
+            p.sub { (prose(&format!("{policies} runs on {} sets of scenarios", boards.len()))) }
+        }
         main {
-            section {
-                div.scroll {
-                    table {
-                        thead { tr { @for head in HEADS.into_iter().chain([FAILURES]) { th scope="col" { (prose(head)) } } } }
-                        tbody { @for (standing, line) in board.standings.iter().zip(&lines) { (row(standing, line)) } }
-                    }
+            @for board in boards {
+                section {
+                    header { h2 { (prose(&self::title(board))) } }
+                    p.text { (prose(&board.population.to_string())) }
                 }
-            }
-            section {
-                header { h2 { "Terms of each score" } }
-                div.scroll {
-                    table {
-                        thead {
-                            tr {
-                                th scope="col" { "policy" }
-                                @for head in terms(board) { th scope="col" { (prose(&head)) } }
-                            }
-                        }
-                        tbody {
-                            @for line in &lines {
-                                tr {
-                                    th scope="row" { (prose(&line.name)) }
-                                    @for term in &line.terms { td { (prose(term)) } }
-                                }
-                            }
-                        }
-                    }
-                }
-                p.text { (prose(&caution(board))) }
+                (sections(board))
             }
         }
     };
-    frame("Leaderboard", &body, false)
+    frame(title, &body, false)
+}
+
+/// The tables of a leaderboard.
+fn sections(board: &Leaderboard) -> Markup {
+    let lines: Vec<Line> = board.standings.iter().map(Line::of).collect();
+    html! {
+        section {
+            div.scroll {
+                table {
+                    thead { tr { @for head in HEADS.into_iter().chain([FAILURES]) { th scope="col" { (prose(head)) } } } }
+                    tbody { @for (standing, line) in board.standings.iter().zip(&lines) { (row(standing, line)) } }
+                }
+            }
+        }
+        section {
+            header { h2 { "Terms of each score" } }
+            div.scroll {
+                table {
+                    thead {
+                        tr {
+                            th scope="col" { "policy" }
+                            @for head in terms(board) { th scope="col" { (prose(&head)) } }
+                        }
+                    }
+                    tbody {
+                        @for line in &lines {
+                            tr {
+                                th scope="row" { (prose(&line.name)) }
+                                @for term in &line.terms { td { (prose(term)) } }
+                            }
+                        }
+                    }
+                }
+            }
+            p.text { (prose(&caution(board))) }
+        }
+    }
 }
 
 fn row(standing: &Standing, line: &Line) -> Markup {

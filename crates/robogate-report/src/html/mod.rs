@@ -1,13 +1,18 @@
 //! Documents as self-contained HTML files.
 
+mod pairs;
 mod prose;
+mod verdict;
+mod watch;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use robogate_analysis::{Analysis, Comparison};
 
 pub(crate) use prose::prose;
 
+use crate::Additions;
 use crate::document::{Block, Document, Figure, Kind, Section, Table, analysis_document, comparison_document};
+use crate::watch::Watch;
 
 const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");
@@ -17,12 +22,22 @@ const SCRIPT: &str = include_str!("script.js");
 /// It makes no network request, works without scripts, can be printed, and has a light and a dark theme. Text from data
 /// is escaped.
 pub fn html(analysis: &Analysis) -> String {
-    page(&analysis_document(analysis))
+    html_with(analysis, &Additions::default())
+}
+
+/// The analysis as one page with the same properties and these additions.
+pub fn html_with(analysis: &Analysis, additions: &Additions<'_>) -> String {
+    page(&analysis_document(analysis, additions), additions.watch)
 }
 
 /// A comparison as one self-contained page with the same properties.
 pub fn comparison_html(comparison: &Comparison) -> String {
-    page(&comparison_document(comparison))
+    comparison_html_with(comparison, None)
+}
+
+/// A comparison as one page with the same properties, and with episodes worth watching.
+pub fn comparison_html_with(comparison: &Comparison, watch: Option<&Watch>) -> String {
+    page(&comparison_document(comparison, watch), watch)
 }
 
 /// A complete page around a body.
@@ -53,10 +68,11 @@ pub(crate) fn frame(title: &str, body: &Markup, script: bool) -> String {
     page.into_string()
 }
 
-fn page(document: &Document) -> String {
+fn page(document: &Document, watch: Option<&Watch>) -> String {
     let body = html! {
         (hero(document))
-        main { @for section in &document.sections { (self::section(section)) } }
+        main { @for section in &document.sections { (self::section(section, document.verdict.is_some())) } }
+        (watch::scripts(watch))
     };
     frame(&document.title, &body, true)
 }
@@ -67,6 +83,7 @@ fn hero(document: &Document) -> Markup {
             p.brand { b { "RoboGate" } " " (document.kind) }
             h1 { (prose(&document.title)) }
             p.sub { (prose(&document.subtitle)) }
+            @if let Some(verdict) = &document.verdict { (verdict::verdict(verdict)) }
             div.hero {
                 div.rate {
                     p.big { (big(&document.figure)) }
@@ -101,14 +118,23 @@ fn big(figure: &str) -> Markup {
     }
 }
 
-fn section(section: &Section) -> Markup {
+/// The sections that are open when the page opens. A reader acts on them; the others hold the evidence.
+const OPEN: [&str; 5] = ["watch", "marginal-effects", "rates", "paired", ENVELOPE];
+/// This one is folded below a verdict: the scenarios of a gate are chosen, and do not fill a map.
+const ENVELOPE: &str = "envelope";
+
+fn section(section: &Section, below_verdict: bool) -> Markup {
+    let of = html! { @if let Some(population) = &section.population { p.of { (prose(population)) } } };
+    let blocks = html! { @for one in &section.blocks { (block(one)) } };
+    let open = OPEN.iter().any(|id| section.id.starts_with(id)) && !(below_verdict && section.id == ENVELOPE);
     html! {
-        section id=(section.id) {
-            header {
-                h2 { (prose(&section.title)) }
-                @if let Some(population) = &section.population { p.of { (prose(population)) } }
+        section id=(section.id) class=[(!open).then_some("folded")] {
+            @if open {
+                header { h2 { (prose(&section.title)) } (of) }
+                (blocks)
+            } @else {
+                details.section { summary { h2 { (prose(&section.title)) } } (of) (blocks) }
             }
-            @for one in &section.blocks { (block(one)) }
         }
     }
 }
@@ -122,11 +148,16 @@ fn block(block: &Block) -> Markup {
         Block::List(lines) => list("plain", lines),
         Block::Figure(figure) => self::figure(figure, "wide"),
         Block::Grid(figures) => html! { div.grid { @for one in figures { (self::figure(one, "small")) } } },
+        Block::Group(title, blocks) => html! {
+            details { summary { (prose(title)) } @for one in blocks { (self::block(one)) } }
+        },
         Block::Table(table) => html! {
             @if !table.title.is_empty() { h3 { (prose(&table.title)) } }
             (self::table(table))
         },
         Block::Folded(table) => folded(table),
+        Block::Watch(watch) => watch::watch(watch),
+        Block::Pairs(pairs) => pairs::pairs(pairs),
         Block::Facts(facts) => html! {
             dl { @for (name, value) in facts { div { dt { (prose(name)) } dd { (prose(value)) } } } }
         },

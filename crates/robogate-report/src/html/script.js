@@ -40,4 +40,24 @@
     });
     table.parentElement.before(filter);
   }
+  // A table that is wider than its place can be scrolled with the keyboard.
+  const places = new ResizeObserver((entries) => {
+    for (const { target } of entries) {
+      if (target.scrollWidth > target.clientWidth) target.tabIndex = 0;
+      else target.removeAttribute("tabindex");
+    }
+  });
+  for (const place of document.querySelectorAll(".scroll, .draw")) places.observe(place);
+  // A link to a folded section opens it.
+  const reveal = () => {
+    const wanted = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    const details = wanted && wanted.querySelector(":scope > details.section");
+    if (details) details.open = true;
+  };
+  addEventListener("hashchange", reveal);
+  reveal();
+  for (const link of document.querySelectorAll("nav a")) link.addEventListener("click", () => setTimeout(reveal));
+  addEventListener("beforeprint", () => {
+    for (const details of document.querySelectorAll("details.section")) details.open = true;
+  });
 })();

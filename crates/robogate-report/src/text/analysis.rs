@@ -1,7 +1,9 @@
 //! The headline of an analysis in sentences.
 
 use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
-use robogate_analysis::{Advice, Analysis, FailureRegion, ModeShare, Population, unrecorded};
+use robogate_analysis::{
+    Advice, Analysis, BoxLimit, EffectShape, FailureRegion, ModeShare, Population, SafeBox, ShapeKind, unrecorded,
+};
 use robogate_stats::format::{count, counted, list, number, percent, percent_or_dash, percent_range, range, sentence};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -10,6 +12,9 @@ use super::labels;
 
 /// Smallest number of valid episodes for a verbal description of the rate.
 const MIN_EPISODES: u64 = 30;
+
+/// Smallest gain of the adjusted interval that is reported.
+const MIN_GAIN: f64 = 1.1;
 
 /// The headline of an analysis.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, JsonSchema)]
@@ -30,7 +35,7 @@ impl Headline {
         Self {
             answer: answer(analysis),
             where_it_fails: where_it_fails(analysis),
-            what_to_do: analysis.claims.advice.iter().map(advise).collect(),
+            what_to_do: analysis.claims.advice.iter().map(|advice| advise(analysis, advice)).collect(),
             uncertainty: uncertainty(analysis),
         }
     }
@@ -71,11 +76,19 @@ fn where_it_fails(analysis: &Analysis) -> Vec<String> {
     }
     let regions = &analysis.claims.failure_regions;
     lines.extend(regions.iter().map(region));
-    if regions.is_empty() && modes.failures > 0 && !analysis.marginal_effects.is_empty() {
-        lines.push(
-            "No bin or level of a single parameter is significantly below 40 % success and below the overall rate."
-                .into(),
-        );
+    lines.extend(analysis.claims.interactions.iter().map(|[first, second]| {
+        format!(
+            "The effects of {} and {} depend on each other: see the map or compare both together.",
+            parameter_label(first),
+            parameter_label(second)
+        )
+    }));
+    let tested = analysis.effects.tested;
+    if regions.is_empty() && analysis.claims.interactions.is_empty() && modes.failures > 0 && tested > 0 {
+        lines.push(format!(
+            "No parameter has a significant effect on success ({} tested together).",
+            counted(tested, "parameter")
+        ));
     }
     lines
 }
@@ -97,58 +110,116 @@ fn main_modes(modes: &[ModeShare]) -> String {
 }
 
 fn region(region: &FailureRegion) -> String {
-    let cells = match (region.range, &region.cells) {
-        (Some(both), _) => range(both),
-        (None, [first, last]) if first == last => first.clone(),
-        (None, [first, last]) => format!("{first} to {last}"),
+    let name = sentence(&parameter_label(&region.parameter));
+    let EffectShape { kind, low_levels, high, low, .. } = &region.shape;
+    let low_rate = format!("{} success in {}", percent_or_dash(low.rate), counted(low.n, "episode"));
+    let high_rate = percent_or_dash(high.rate);
+    match kind {
+        ShapeKind::Levels => format!("{name} {}: {low_rate}, and {high_rate} for the other levels.", some(low_levels)),
+        _ => format!("{name} {}: {low_rate}, and {high_rate} elsewhere.", low_side(&region.parameter, &region.shape)),
+    }
+}
+
+/// Where the rate is low along a numeric parameter, with the intervals of the steps.
+pub fn low_side(parameter: &str, shape: &EffectShape) -> String {
+    let steps: Vec<String> = shape
+        .steps
+        .iter()
+        .map(|step| {
+            let at = value_with_unit(&number(step.at), parameter);
+            format!("{at} (95 % interval {})", range(step.interval_95))
+        })
+        .collect();
+    match (shape.kind, steps.as_slice()) {
+        (ShapeKind::Rising, [step]) => format!("below {step}"),
+        (ShapeKind::Falling, [step]) => format!("above {step}"),
+        (ShapeKind::Band, [from, to]) => format!("below {from} or above {to}"),
+        (ShapeKind::Gap, [from, to]) => format!("between {from} and {to}"),
+        _ => some(&shape.low_levels),
+    }
+}
+
+/// Maximum number of levels in a sentence.
+const MAX_LEVELS: usize = 6;
+
+/// Levels as a list, the first ones if there are many.
+fn some(levels: &[String]) -> String {
+    if levels.len() <= MAX_LEVELS {
+        return list(levels);
+    }
+    format!("{} and {} more", levels[..MAX_LEVELS].join(", "), levels.len() - MAX_LEVELS)
+}
+
+/// A box in words: "friction above 0.32, mass below 1.2 kg".
+fn box_in_words(found: &SafeBox) -> String {
+    let limit = |limit: &BoxLimit| {
+        let name = parameter_label(&limit.parameter);
+        let value = |v: f64| value_with_unit(&number(v), &limit.parameter);
+        match (limit.low, limit.high) {
+            (Some(low), Some(high)) => {
+                format!("{name} {}", value_with_unit(&range([low, high]), &limit.parameter))
+            }
+            (Some(low), None) => format!("{name} at least {}", value(low)),
+            (None, Some(high)) => format!("{name} at most {}", value(high)),
+            (None, None) if limit.excluded_levels.len() < limit.levels.len() => {
+                format!("{name} not {}", some(&limit.excluded_levels))
+            }
+            (None, None) => format!("{name} {}", some(&limit.levels)),
+        }
     };
+    list(&found.limits.iter().map(limit).collect::<Vec<_>>())
+}
+
+fn operate(found: &SafeBox) -> String {
+    let main = found.avoided_modes.iter().max_by_key(|mode| mode.avoided).filter(|mode| mode.avoided > 0);
+    let main = main.map_or_else(String::new, |m| {
+        format!(", among them {} of {} by {}", count(m.avoided), count(m.failures), mode_label(&m.mode))
+    });
     format!(
-        "{} {}: {} success in {}.",
-        sentence(&parameter_label(&region.parameter)),
-        value_with_unit(&cells, &region.parameter),
-        percent(region.rate),
-        counted(region.n, "episode")
+        "Operate within {}: success is at least {} there with 95 % confidence ({} of {} held-out episodes). This is {} of the          space and avoids {} of {}{main}.",
+        box_in_words(found),
+        percent(found.target),
+        count(found.held_out.successes),
+        count(found.held_out.n),
+        percent(found.volume),
+        count(found.avoided),
+        counted(found.failures, "failure")
     )
 }
 
-fn advise(advice: &Advice) -> String {
+fn advise(analysis: &Analysis, advice: &Advice) -> String {
+    let found = analysis.safe_box.estimated();
     match advice {
         Advice::ExplainInvalid => "Find out why every episode is invalid: see the faults under Sampling.".to_owned(),
         Advice::ReduceInvalid { invalid } => format!(
             "First investigate the {}: they are more than 2 % of the episodes.",
             counted(*invalid, "invalid episode")
         ),
-        Advice::Keep { parameter, above, threshold } => {
-            let (keep, fails) = if *above { ("above", "below") } else { ("below", "above") };
-            format!(
-                "Keep {} {keep} {}: {fails} it, failure is more likely than success (averaged over the other parameters).",
-                parameter_label(parameter),
-                value_with_unit(&number(*threshold), parameter)
+        Advice::WholeSpace { target } => format!(
+            "No limits are needed for a success rate of {}: the whole space reaches it with 95 % confidence.",
+            percent(*target)
+        ),
+        Advice::Operate { .. } => found.map_or_else(String::new, operate),
+        Advice::RunMore { target, episodes } => format!(
+            "Run about {} to verify a success rate of {} within {}: the episodes so far do not show it with 95 % confidence.",
+            counted(*episodes, "more episode"),
+            percent(*target),
+            found.map_or_else(String::new, box_in_words)
+        ),
+        Advice::NoBox { target } => format!(
+            "No limits on up to three parameters were found that raise success to {}{}.",
+            percent(*target),
+            found.and_then(|found| found.held_out.rate.map(|rate| (found, rate))).map_or_else(
+                String::new,
+                |(found, rate)| {
+                    format!(": the best ones ({}) reach {} in held-out episodes", box_in_words(found), percent(rate))
+                }
             )
-        }
-        Advice::Narrow { parameter, best, worst } => format!(
-            "Narrow the range of {}: success is {} at {} and {} at {}.",
-            parameter_label(parameter),
-            percent(best.rate),
-            value_with_unit(&best.cell, parameter),
-            percent(worst.rate),
-            value_with_unit(&worst.cell, parameter)
         ),
         Advice::Joint { parameters } => format!(
-            "The space samples {} jointly. The effect of one of them may be caused by another, so there is no advice on a single \
-             one.",
+            "The space samples {} jointly, so the effect of one of them may be caused by another.",
             labels(parameters)
         ),
-        Advice::Operate { parameters: [up, across], safe_cells } => {
-            let map = format!("{} \u{d7} {} map", parameter_label(up), parameter_label(across));
-            match safe_cells {
-                0 => format!("Do not rely on any cell of the {map}: none is significantly at or above 70 % success."),
-                1 => format!("Operate in the safe cell of the {map}: it is significantly at or above 70 % success."),
-                n => format!(
-                    "Operate in the {n} safe cells of the {map}: they are significantly at or above 70 % success."
-                ),
-            }
-        }
         Advice::Replay { episode } => {
             format!(
                 "Replay the failures that the risk model does not explain, starting with episode {episode} (listed below)."
@@ -168,6 +239,20 @@ fn uncertainty(analysis: &Analysis) -> Vec<String> {
         percent_range(rate.wilson_95),
         percent_range(rate.clopper_pearson_95)
     )];
+    if let Some(found) = success.adjusted.as_ref().and_then(|a| a.estimated()) {
+        let gain = found.effective_episodes / rate.n as f64;
+        if gain > MIN_GAIN {
+            lines.push(format!(
+                "With the known distribution of {}: {}, 95 % interval {}. This is as precise as {} independent episodes, {:.1} \
+                 times the number that was run.",
+                counted(found.parameters, "parameter"),
+                percent(found.rate),
+                percent_range(found.interval_95),
+                count(found.effective_episodes.round() as u64),
+                gain
+            ));
+        }
+    }
     if success.bounds.invalid > 0 {
         lines.push(format!(
             "The rate excludes {}. If all of them had failed or succeeded, it would be {} or {}.",

@@ -35,7 +35,7 @@ pub fn limits(analysis: &Analysis) -> Vec<String> {
     }
     limits.push(
         "Intervals assume independent episodes and a number of episodes that was fixed in advance. For the points of a Latin \
-         hypercube they are usually too wide. They are too narrow if the results are checked repeatedly while episodes are added."
+         hypercube they are usually too wide, except the interval with the known distribution of the parameters. They are too narrow if the results are checked repeatedly while episodes are added."
             .to_owned(),
     );
     limits.push(
@@ -53,15 +53,23 @@ pub fn limits(analysis: &Analysis) -> Vec<String> {
     }
     if analysis.risk.estimated().is_some() {
         limits.push(
-            "The risk model is linear in each parameter. Its AUC applies to these rows and must not be compared with the AUC of \
+            "The risk model is linear in each parameter or its logarithm. Its AUC applies to these rows and must not be compared with the AUC of \
              another design or dataset. The in-sample figures are biased upwards: use the cross-validated ones. The paper does not \
              define its penalties; here they are failure rates estimated from the training rows."
                 .to_owned(),
         );
     }
+    if analysis.effects.tested > 0 {
+        limits.push(format!(
+            "A parameter is named only if a permutation test finds an effect of any shape, at 5 % for all {} and {} together \
+             (Holm). A parameter that is not named may still have an effect that these episodes do not show.",
+            counted(analysis.effects.tested, "parameter"),
+            counted(analysis.effects.pairs_tested, "pair")
+        ));
+    }
     limits.push(format!(
-        "The significance of bins below 40 % holds for all {} tested bins and levels together (Holm), and for these bins only. If \
-         no bin is significant, this does not prove safety.",
+        "A danger zone is significantly below 40 % and below the other bins of its parameter, for all {} tested bins and levels \
+         together (Holm). If no bin is significant, this does not prove safety.",
         count(analysis.danger_zones.tested)
     ));
     limits.push(causes(!joint.is_empty()));

@@ -5,7 +5,7 @@ mod analysis_limits;
 mod comparison;
 mod comparison_limits;
 
-pub use analysis::Headline;
+pub use analysis::{Headline, low_side};
 pub use analysis_limits::limits;
 pub use comparison::ComparisonHeadline;
 pub use comparison_limits::comparison_limits;

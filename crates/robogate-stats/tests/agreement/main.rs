@@ -1,11 +1,12 @@
 //! Compares every estimator with SciPy, statsmodels, scikit-learn or an independent implementation in Python.
 //!
-//! `tests/reference/generate.py` and `ridge.py` compute the reference values. Their `requirements.txt` pins the
+//! `tests/reference/generate.py`, `ridge.py` and `claims.py` compute the reference values. Their `requirements.txt` pins the
 //! versions.
 
 #![expect(clippy::unwrap_used, reason = "test helpers fail by panicking")]
 
 mod analysis;
+mod claims;
 mod gate;
 mod interval;
 mod logistic;

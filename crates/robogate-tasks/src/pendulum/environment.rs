@@ -5,10 +5,11 @@ use std::sync::Arc;
 
 use robogate_core::{
     Action, Command, Ending, Environment, FailureMode, Fault, FaultKind, Observation, Scenario, Start, Step,
-    TaskInstance, TaskSpec,
+    TaskInstance, TaskSpec, Trajectory,
 };
 use robogate_physics::MujocoModel;
 
+use super::film::Film;
 use super::parameters::{self, Applied, GRAVITY, Settings};
 use super::{ANGLE, ENERGY, ERROR, FELL, OVERSPEED, PEAK_SPEED, SPEED};
 
@@ -35,6 +36,8 @@ const SPEED_LIMIT: f64 = 25.0;
 pub(super) struct Bench {
     task: Arc<TaskSpec>,
     episode: Option<Episode>,
+    /// The recorder of trajectories, if they are recorded.
+    film: Option<Film>,
 }
 
 struct Episode {
@@ -50,7 +53,7 @@ struct Episode {
 
 impl Bench {
     pub(super) fn new(task: Arc<TaskSpec>) -> Self {
-        Self { task, episode: None }
+        Self { task, episode: None, film: None }
     }
 }
 
@@ -131,6 +134,9 @@ impl Environment for Bench {
         let episode =
             Episode { model, settings, ticks: 0, upright_since: None, reached: false, peak_speed: 0.0, energy: 0.0 };
         let observation = episode.observation();
+        if let Some(film) = &mut self.film {
+            film.start(episode.settings.length, episode.angle());
+        }
         self.episode = Some(episode);
         let instance = TaskInstance { instruction: self.task.instruction.clone(), details: serde_json::Value::Null };
         Ok(Start { instance, observation, applied })
@@ -151,6 +157,9 @@ impl Environment for Bench {
             }
         }
         episode.ticks += 1;
+        if let Some(film) = &mut self.film {
+            film.note(f64::from(episode.ticks) * CONTROL_PERIOD_S, episode.angle(), ending.is_some());
+        }
         let step = Step {
             observation: episode.observation(),
             measures: [
@@ -168,6 +177,14 @@ impl Environment for Bench {
             self.episode = Some(episode);
         }
         Ok(step)
+    }
+
+    fn record_trajectory(&mut self, period_s: Option<f64>) {
+        self.film = period_s.map(Film::new);
+    }
+
+    fn take_trajectory(&mut self) -> Option<Trajectory> {
+        self.film.as_mut()?.take()
     }
 }
 

@@ -6,6 +6,7 @@
 
 mod controller;
 mod environment;
+mod film;
 mod parameters;
 
 use std::sync::Arc;

@@ -6,6 +6,7 @@
 mod cell;
 pub mod claims;
 mod disturbance;
+mod film;
 #[cfg(feature = "mujoco")]
 mod inspect;
 mod judge;

@@ -3,10 +3,13 @@
 use std::sync::Arc;
 
 use robogate_camera::{Cameras, Posture, Renderer};
-use robogate_core::{Action, CameraSpec, Environment, Fault, FaultKind, Image, Scenario, Start, Step, TaskSpec};
+use robogate_core::{
+    Action, CameraSpec, Environment, Fault, FaultKind, Image, Scenario, Start, Step, TaskSpec, Trajectory,
+};
 use robogate_physics::{Engine, GripperCommand, Plant, SuctionLaw, Visual};
 
 use super::cell::{CONTROL_PERIOD_S, ResolvedCell};
+use super::film::Film;
 use super::judge::{Acting, Judge};
 use super::spec::spec;
 
@@ -19,6 +22,8 @@ pub struct PickPlace<E> {
     cameras: Result<Cameras, String>,
     /// A renderer that replaces the cameras.
     renderer: Option<Box<dyn Renderer<E>>>,
+    /// The recorder of trajectories, if they are recorded.
+    film: Option<Film>,
 }
 
 impl<E: Engine> PickPlace<E> {
@@ -33,7 +38,7 @@ impl<E: Engine> PickPlace<E> {
         let judge = Judge::new(plant.engine.robot().clone(), plant.engine.chain().clone(), plant.grip_force_n());
         let cameras = Cameras::new(plant.engine.robot());
         let task = Arc::new(spec(plant.engine.robot(), camera_specs(&cameras)));
-        Ok(Self { task, plant, judge, cameras, renderer: None })
+        Ok(Self { task, plant, judge, cameras, renderer: None, film: None })
     }
 
     /// The same task with this law for its suction cup.
@@ -67,9 +72,17 @@ impl<E: Engine> PickPlace<E> {
     }
 
     fn run(&mut self, action: &Action) -> Result<Step, Fault> {
-        let Self { plant, judge, .. } = self;
+        let Self { plant, judge, film, .. } = self;
         let command = judge.command(action)?;
-        plant.run(&command, GripperCommand::of(action), &mut |view| judge.observe(view))?;
+        plant.run(&command, GripperCommand::of(action), &mut |engine, view| {
+            judge.observe(view);
+            if let Some(film) = film {
+                film.observe(engine, view);
+            }
+        })?;
+        if let Some(film) = film {
+            film.end_period(&plant.engine);
+        }
         let clearance = plant.engine.clearance_below(judge.clearance_bound());
         judge.finish(plant.arm_state(), clearance, plant.state_hash(), |body| plant.engine.robot_body(body))
     }
@@ -81,7 +94,7 @@ impl<E: Engine> Environment for PickPlace<E> {
     }
 
     fn reset(&mut self, scenario: &Scenario) -> Result<Start, Fault> {
-        let Self { plant, judge, cameras, renderer, .. } = self;
+        let Self { plant, judge, cameras, renderer, film, .. } = self;
         match (renderer.as_mut(), cameras.as_mut()) {
             (Some(renderer), _) => renderer.clear(),
             (None, Ok(cameras)) => cameras.clear(),
@@ -93,6 +106,11 @@ impl<E: Engine> Environment for PickPlace<E> {
             Some(renderer) => renderer.set_up(&plant.engine, &cell.scene),
             None => show(cameras, &cell),
         };
+        if let (Some(film), Ok(cameras)) = (film, cameras) {
+            // Another renderer does not set the cameras up, which know the geometry.
+            cameras.set_up(&cell.scene);
+            film.start(&plant.engine, cell.scene.fixtures.len());
+        }
         let engine = plant.engine.read_back()?;
         let acting = Acting { engine: &engine, visual: &visual, grip_threshold_m: plant.grip_threshold_m() };
         judge.start(scenario, cell, acting, plant.engine.touches(), plant.arm_state())
@@ -111,12 +129,25 @@ impl<E: Engine> Environment for PickPlace<E> {
         if let Some(renderer) = &mut self.renderer {
             return renderer.render(engine);
         }
-        render(&self.cameras, |fixtures| Posture {
-            joints: engine.joint_positions(),
-            opening_m: engine.opening(),
-            object: engine.object(),
-            fixtures: (0..fixtures).map(|i| engine.fixture(i)).collect(),
-        })
+        render(&self.cameras, |fixtures| posture(engine, fixtures))
+    }
+
+    fn record_trajectory(&mut self, period_s: Option<f64>) {
+        self.film = period_s.map(Film::new);
+    }
+
+    fn take_trajectory(&mut self) -> Option<Trajectory> {
+        self.film.as_mut()?.take(self.cameras.as_ref().ok()?)
+    }
+}
+
+/// Positions of all moving bodies in an engine.
+pub(super) fn posture(engine: &impl Engine, fixtures: usize) -> Posture {
+    Posture {
+        joints: engine.joint_positions(),
+        opening_m: engine.opening(),
+        object: engine.object(),
+        fixtures: (0..fixtures).map(|i| engine.fixture(i)).collect(),
     }
 }
 

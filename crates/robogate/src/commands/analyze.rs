@@ -4,14 +4,15 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use robogate_analysis::{
-    Analysis, AnalysisError, CriticalThreshold, Envelope, Finding, MarginalEffect, PairMap, Population, Regression,
-    RiskModel, Source, Zone,
+    Analysis, AnalysisError, AnalysisOptions, CriticalThreshold, DEFAULT_TARGET, Envelope, Finding, MarginalEffect,
+    PairMap, Population, Regression, RiskModel, Source, Zone,
 };
-use robogate_report::{Headline, analysis_json, limits};
+use robogate_report::{Headline, analysis_json, limits, low_side};
 use robogate_stats::format::{p_value, percent_or_dash};
 
 use crate::commands::report::evidence;
-use crate::exit::{Exit, INFRASTRUCTURE, OrExit, USAGE};
+use crate::exit::{Exit, INFRASTRUCTURE, USAGE};
+use crate::source::open_source;
 use crate::terminal::{bar, bold, dim, grouped, line, percent, wrapped};
 
 /// Analyze a dictionary: where the policy fails, the effects of the parameters, and their confidence intervals.
@@ -25,12 +26,15 @@ pub(crate) struct Analyze {
     /// Map two more parameters; the frontier is solved for the first
     #[arg(long, num_args = 2, value_names = ["A", "B"])]
     pair: Vec<String>,
+    /// Success rate that the advice aims at, between 0 and 1
+    #[arg(long, value_name = "RATE", default_value_t = DEFAULT_TARGET)]
+    target: f64,
 }
 
 impl Analyze {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let source = Source::open(&self.dictionary).or_usage()?;
-        let analysis = analyse(&source, &self.dictionary, &pairs(&self.pair))?;
+        let source = open_source(&self.dictionary)?;
+        let analysis = analyse(&source, &self.dictionary, &options(&self.pair, self.target))?;
         if self.json {
             line(analysis_json(&analysis));
         } else {
@@ -40,14 +44,15 @@ impl Analyze {
     }
 }
 
-/// The pairs of `--pair A B`.
-pub(crate) fn pairs(names: &[String]) -> Vec<(String, String)> {
-    names.chunks_exact(2).map(|pair| (pair[0].clone(), pair[1].clone())).collect()
+/// The options `--pair A B` and `--target RATE`.
+pub(crate) fn options(names: &[String], target_rate: f64) -> AnalysisOptions {
+    let pairs = names.chunks_exact(2).map(|pair| (pair[0].clone(), pair[1].clone())).collect();
+    AnalysisOptions { pairs, target_rate }
 }
 
 /// Analyzes a source. Its errors get their exit codes.
-pub(crate) fn analyse(source: &Source, path: &Path, pairs: &[(String, String)]) -> Result<Analysis, Exit> {
-    Analysis::of(source, path, pairs).map_err(|error| {
+pub(crate) fn analyse(source: &Source, path: &Path, options: &AnalysisOptions) -> Result<Analysis, Exit> {
+    Analysis::with(source, path, options).map_err(|error| {
         let code = if matches!(error, AnalysisError::Io { .. }) { INFRASTRUCTURE } else { USAGE };
         Exit { code, error: error.into() }
     })
@@ -59,9 +64,8 @@ fn print(analysis: &Analysis) {
     for envelope in &analysis.envelopes {
         pair(envelope);
     }
-    for effect in &analysis.marginal_effects {
-        parameter(effect);
-    }
+    influence(analysis);
+    by_influence(analysis).for_each(parameter);
     thresholds(analysis);
     modes(analysis);
     danger(analysis);
@@ -203,7 +207,7 @@ fn cells(map: &PairMap) {
                 Zone::Undecided => '?',
                 Zone::TooFewEpisodes => ' ',
             };
-            text.push_str(&match cell.rate.rate {
+            text.push_str(&match cell.model.map(|model| model.rate).or(cell.rate.rate) {
                 Some(rate) => format!("{:>6.0}{mark}", 100.0 * rate),
                 None => format!("{:>6} ", "-"),
             });
@@ -213,10 +217,52 @@ fn cells(map: &PairMap) {
     let across: String =
         (0..nx).map(|i| format!("{:>7}", label(&map.x, i).chars().take(6).collect::<String>())).collect();
     line(dim(format_args!("  {:>11} {across}", "from")));
-    wrapped(
-        "! significantly in danger (up to 30 %), = between, + safe (from 70 %), ? undecided, no mark: too few episodes. Zones use \
-         simultaneous 95 % intervals for all cells.",
-    );
+    wrapped(match map.length_scale {
+        Some(_) => {
+            "Rates of a smooth model. Its 95 % interval (pointwise) is in danger (!, up to 30 %), between (=), safe (+, from 70 %) or \
+             undecided (?)."
+        }
+        None => {
+            "! significantly in danger (up to 30 %), = between, + safe (from 70 %), ? undecided, no mark: too few episodes. Zones \
+             use simultaneous 95 % intervals for all cells."
+        }
+    });
+}
+
+/// The marginal effects, the most influential parameter first.
+pub(crate) fn by_influence(analysis: &Analysis) -> impl Iterator<Item = &MarginalEffect> {
+    let of = |name: &str| analysis.marginal_effects.iter().find(|effect| effect.parameter == name);
+    let tested = |name: &str| analysis.effects.ranked.iter().any(|effect| effect.parameter == name);
+    let ranked: Vec<&MarginalEffect> =
+        analysis.effects.ranked.iter().filter_map(|effect| of(&effect.parameter)).collect();
+    let others = analysis.marginal_effects.iter().filter(move |effect| !tested(&effect.parameter));
+    ranked.into_iter().chain(others)
+}
+
+/// The parameters with their influence on success and the shapes of significant effects.
+pub(crate) fn influence(analysis: &Analysis) {
+    let effects = &analysis.effects;
+    if effects.ranked.is_empty() {
+        return;
+    }
+    heading("Influence on success (permutation tests, adjusted by Holm)");
+    for effect in &effects.ranked {
+        let p = p_value(effect.adjusted_p.max(f64::MIN_POSITIVE).ln());
+        let text = format!("  {:<16} explains {:>7}  p {p:>8}", effect.parameter, percent(effect.influence));
+        match effect.shape.estimated() {
+            Some(shape) => line(format_args!(
+                "{text}  {} {}, elsewhere {}",
+                percent_or_dash(shape.low.rate),
+                low_side(&effect.parameter, shape),
+                percent_or_dash(shape.high.rate)
+            )),
+            None => line(dim(text)),
+        }
+    }
+    for pair in &effects.interactions {
+        let p = p_value(pair.adjusted_p.max(f64::MIN_POSITIVE).ln());
+        line(format_args!("  {} x {}: interaction, p {p}", pair.parameters[0], pair.parameters[1]));
+    }
 }
 
 fn parameter(effect: &MarginalEffect) {

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
-use robogate_analysis::Source;
 use robogate_gate::{Baseline, Metric, Record};
 use robogate_stats::format::number;
 
 use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::source::open_source;
 use crate::terminal::{grouped, line, note, percent};
 
 /// Write a run's figures to a file, as a baseline for other runs.
@@ -25,7 +25,7 @@ pub(crate) struct BaselineOf {
 
 impl BaselineOf {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let source = Source::open(&self.run).or_usage()?;
+        let source = open_source(&self.run)?;
         let record = Record::of(source.dictionary()).or_broken()?;
         let baseline = Baseline::of(&record).map_err(|error| Exit { code: INVALID, error: error.into() })?;
         if self.out.as_os_str() == "-" {

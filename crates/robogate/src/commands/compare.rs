@@ -8,12 +8,17 @@ use robogate_analysis::labels::{parameter_label, value_with_unit};
 use robogate_analysis::{
     AnalysisError, Comparison, ComparisonError, ComparisonOptions, Finding, PairedComparison, SharedCurve, Source,
 };
-use robogate_report::{ComparisonHeadline, comparison_html, comparison_json, comparison_limits, comparison_markdown};
+use robogate_report::{
+    ComparisonHeadline, comparison_html_with, comparison_json, comparison_limits, comparison_markdown,
+};
 use robogate_stats::format::{p_value, percent_or_dash, points};
 
 use crate::commands::analyze::{heading, interval};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::remote::Simulators;
+use crate::source::open_source;
 use crate::terminal::{bar, bold, dim, grouped, line, note, percent, wrapped};
+use crate::watch;
 
 /// Compare dictionaries of different robots, policies or simulators, and find where all of them fail.
 #[derive(Debug, Args)]
@@ -51,6 +56,11 @@ pub(crate) struct Compare {
     /// Set the number of scenarios with different outcomes to list for each direction
     #[arg(long, value_name = "N", default_value_t = 10, requires = "paired")]
     flips: usize,
+    /// Leave out the recorded episodes
+    #[arg(long)]
+    no_replay: bool,
+    #[command(flatten)]
+    simulators: Simulators,
 }
 
 fn named_length(text: &str) -> Result<(String, f64), String> {
@@ -62,9 +72,8 @@ fn named_length(text: &str) -> Result<(String, f64), String> {
 impl Compare {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         self.check_twice()?;
-        let open = |path: &PathBuf| Source::open(path).map(|source| (source, path.clone()));
-        let sources: Vec<(Source, PathBuf)> =
-            self.dictionaries.iter().map(open).collect::<Result<_, _>>().or_usage()?;
+        let open = |path: &PathBuf| open_source(path).map(|source| (source, path.clone()));
+        let sources: Vec<(Source, PathBuf)> = self.dictionaries.iter().map(open).collect::<Result<_, _>>()?;
         let options = ComparisonOptions {
             names: self.names.clone(),
             danger_limit: self.danger,
@@ -75,10 +84,17 @@ impl Compare {
             max_flips: self.flips,
         };
         let comparison = Comparison::of(&sources, &options).map_err(exit)?;
-        for (file, text) in [(&self.html, comparison_html as fn(&_) -> String), (&self.md, comparison_markdown)] {
-            if let Some(file) = file {
-                write(file, &text(&comparison))?;
-            }
+        if let Some(file) = &self.html {
+            let watch = if self.no_replay {
+                None
+            } else {
+                Some(watch::compared(&comparison, &sources, &self.simulators).or_usage()?)
+            };
+            let watch = watch.as_ref().filter(|watch| !watch.items.is_empty());
+            write(file, &comparison_html_with(&comparison, watch))?;
+        }
+        if let Some(file) = &self.md {
+            write(file, &comparison_markdown(&comparison))?;
         }
         if self.json {
             line(comparison_json(&comparison));

@@ -12,6 +12,7 @@ use robogate_gate::{Asked, GateError, Record, Sampling};
 
 use crate::commands::gate::{built_in_baseline, open_requirements, refused};
 use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::source::open_source;
 use crate::subject::recorded_robot;
 use crate::terminal::{foreign, line, note};
 
@@ -58,7 +59,7 @@ enum Count {
 
 impl Evidence {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let source = Source::open(&self.run).or_usage()?;
+        let source = open_source(&self.run)?;
         let provenance = source.dictionary().provenance();
         let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
         let mut others = Vec::new();
@@ -130,7 +131,7 @@ impl Evidence {
             return Ok(self.against.as_deref().map(dictionary).zip(self.margin));
         };
         let path = Path::new(&against.path);
-        let now = Source::open(path).or_usage()?;
+        let now = open_source(path)?;
         if Record::of(now.dictionary()).map_err(refused)?.dataset_sha256 != against.dataset_sha256 {
             return Err(anyhow::anyhow!(
                 "{} has changed since the gate ran. Expected the dataset that it was compared with",

@@ -1,10 +1,11 @@
 //! `robogate export`: writes a dictionary in another format.
 
+use std::io;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use robogate_dictionary::Dictionary;
-use robogate_dictionary::export::{Format, write_file};
+use robogate_dictionary::export::{Format, write_file, write_to};
+use robogate_dictionary::{Dictionary, DictionaryError};
 
 use crate::exit::{DONE, Exit, OrExit};
 use crate::terminal::{grouped, note};
@@ -14,7 +15,8 @@ use crate::terminal::{grouped, note};
 pub(crate) struct Export {
     /// Folder of a run, or a dictionary (Parquet)
     dictionary: PathBuf,
-    /// File to write; its extension selects the format unless --format is given
+    /// File to write; its extension selects the format unless --format is given. `-` writes to standard output (CSV by
+    /// default)
     out: PathBuf,
     /// Choose the format
     #[arg(long)]
@@ -33,7 +35,9 @@ enum To {
 
 impl Export {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        let standard_output = self.out.as_os_str() == "-";
         let to = match self.format.or_else(|| by_ending(&self.out)) {
+            None if standard_output => To::Csv,
             Some(to) => to,
             None => {
                 let why = anyhow::anyhow!(
@@ -43,13 +47,22 @@ impl Export {
                 return Err(why).or_usage();
             }
         };
-        require_absent(&self.out)?;
+        if !standard_output {
+            require_absent(&self.out)?;
+        }
         let dictionary = open(&self.dictionary)?;
         let format = match to {
             To::Csv => Format::Csv,
             To::Jsonl => Format::JsonLines,
             To::Published => Format::Published,
         };
+        if standard_output {
+            return match write_to(&dictionary, format, io::stdout().lock()) {
+                // The reader, for example `head`, has seen enough.
+                Err(DictionaryError::Io { source, .. }) if source.kind() == io::ErrorKind::BrokenPipe => Ok(DONE),
+                written => written.map(|_| DONE).or_broken(),
+            };
+        }
         let rows = write_file(&dictionary, format, &self.out).or_broken()?;
         note(format_args!("{}: {} rows", self.out.display(), grouped(rows)));
         Ok(DONE)

@@ -20,9 +20,10 @@ use robogate_report::{evaluation_markdown, junit};
 
 use crate::answer;
 use crate::commands::run::{How, free_folder, interrupted, introduce, write_report};
-use crate::commands::suites;
+use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::policy_source::PolicyArguments;
+use crate::source::open_source;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{grouped, line, note};
 
@@ -70,6 +71,10 @@ pub(crate) struct Gate {
     policy: PolicyArguments,
     #[command(flatten)]
     how: How,
+    /// Write the plan of the gate in N shards to --out, and run nothing: `robogate plan DIR --next` prints the commands
+    /// that run the next round, and `robogate merge DIR` returns the verdict (docs/cluster.md)
+    #[arg(long, value_name = "N", requires = "out", conflicts_with_all = ["run", "plan"])]
+    divide: Option<u32>,
     /// Write the run to this folder (default: a new one under runs/); with --run, write only the verdict's files
     /// (default: none)
     #[arg(long, value_name = "DIR")]
@@ -109,7 +114,7 @@ impl Gate {
 
     /// Judges a finished run.
     fn judge(&self, run: &Path) -> Result<u8, Exit> {
-        let source = Source::open(run).or_usage()?;
+        let source = open_source(run)?;
         let record = Record::of(source.dictionary()).map_err(refused)?;
         let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
         // A run that was tested after each round stays a sequential test, also if it is judged again.
@@ -225,6 +230,11 @@ impl Gate {
             margin,
         });
         let asked = Asked { format: Asked::FORMAT, requirements, baseline: other.baseline, against, sampling };
+        if let (Some(shards), Some(dir)) = (self.divide, &self.out) {
+            let question = asked.to_json();
+            let documents = [(Asked::FILE, question.as_bytes())];
+            return shard::divide(dir, shards, &plan, provenance, &documents, self.how.json);
+        }
         let dir = match &self.out {
             Some(dir) => dir.clone(),
             None => free_folder(&format!("gate-{}-{}", subject.label(), plan.seed)),
@@ -286,7 +296,7 @@ impl Gate {
 
     fn other_seed(&self) -> Result<Option<u64>, Exit> {
         let Some(path) = self.against_run() else { return Ok(None) };
-        Ok(Some(Source::open(path).or_usage()?.dictionary().provenance().seed))
+        Ok(Some(open_source(path)?.dictionary().provenance().seed))
     }
 
     /// The baseline of the comparison.
@@ -298,7 +308,7 @@ impl Gate {
             let baseline = Baseline::open(path).map_err(refused)?;
             return Ok(Other { baseline: Some(baseline), record: None });
         }
-        let source = Source::open(path).or_usage()?;
+        let source = open_source(path)?;
         let a = Record::of(source.dictionary()).map_err(refused)?;
         let baseline = Baseline::of(&a).map_err(refused)?;
         Ok(Other { baseline: Some(baseline), record: Some((path.clone(), a)) })
@@ -306,10 +316,10 @@ impl Gate {
 }
 
 /// Opens the run that the gate compares with. Returns an error if it has changed since.
-fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, Exit> {
+pub(crate) fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, Exit> {
     let Some(against) = &asked.against else { return Ok(None) };
     let path = PathBuf::from(&against.path);
-    let source = Source::open(&path).or_usage()?;
+    let source = open_source(&path)?;
     let record = Record::of(source.dictionary()).map_err(refused)?;
     if record.dataset_sha256 != against.dataset_sha256 {
         return Err(anyhow!(
@@ -319,6 +329,14 @@ fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, Exit> {
         .or_usage();
     }
     Ok(Some((path, record)))
+}
+
+/// The evaluation of the gate that a run's folder belongs to. `None` for a run without a gate.
+pub(crate) fn evaluation_of(folder: &Path, source: &Source) -> Result<Option<Evaluation>, Exit> {
+    let Some(asked) = Asked::of(folder).map_err(refused)? else { return Ok(None) };
+    let record = Record::of(source.dictionary()).map_err(refused)?;
+    let other = compared_with(&asked)?.map(|(_, record)| record);
+    question(&asked, other.as_ref()).evaluate(&record).map_err(refused).map(Some)
 }
 
 /// Resumes an interrupted gate.
@@ -349,15 +367,19 @@ impl Other {
 }
 
 /// Evaluates the question after each round.
-struct Look<'a> {
-    asked: &'a Asked,
-    other: Option<&'a Record>,
-    record: &'a mut Record,
-    trouble: &'a mut Option<GateError>,
+pub(crate) struct Look<'a> {
+    pub(crate) asked: &'a Asked,
+    pub(crate) other: Option<&'a Record>,
+    pub(crate) record: &'a mut Record,
+    pub(crate) trouble: &'a mut Option<GateError>,
 }
 
 impl Look<'_> {
-    fn after(&mut self, round: &Round<'_>) -> ControlFlow<()> {
+    /// Whether another round follows. Each pass over the rounds starts with round 0.
+    pub(crate) fn after(&mut self, round: &Round<'_>) -> ControlFlow<()> {
+        if round.number == 0 {
+            self.record.trials.clear();
+        }
         self.record.trials.extend(round.entries.iter().map(Trial::from));
         if self.asked.sampling == Sampling::Fixed {
             return ControlFlow::Continue(());
@@ -383,13 +405,14 @@ fn question<'a>(asked: &'a Asked, other: Option<&'a Record>) -> Question<'a> {
 }
 
 /// Writes the question beside the plan. Without it `resume` would run all rounds; the verdict would be the same.
-fn write_question(dir: &Path, asked: &Asked) {
+pub(crate) fn write_question(dir: &Path, asked: &Asked) {
     if let Err(error) = fs::write(dir.join(Asked::FILE), asked.to_json()) {
         note(format_args!("warning: cannot write {}: {error}", dir.join(Asked::FILE).display()));
     }
 }
 
-fn finish(
+/// Evaluates a finished run, writes the verdict and the report, and prints the verdict.
+pub(crate) fn finish(
     dir: &Path,
     asked: &Asked,
     other: Option<&Record>,

@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use robogate_analysis::Source;
 use robogate_core::TaskSpec;
 use robogate_gate::{Baseline, Leaderboard, Record, Requirements};
 use robogate_report::{leaderboard_html, leaderboard_markdown};
 
 use crate::commands::gate::{built_in_baseline, open_requirements};
 use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::source::open_source;
 use crate::terminal::{bar, bold, dim, line, note, percent};
 
 /// Rank policies that ran the same scenarios, by the paper's confidence score.
@@ -52,7 +52,7 @@ impl Rank {
         let mut entries = Vec::new();
         for run in &self.runs {
             let (name, path) = named(run);
-            let source = Source::open(&path).or_usage()?;
+            let source = open_source(&path)?;
             entries.push((name, Record::of(source.dictionary()).or_broken()?));
         }
         let first =
@@ -109,7 +109,8 @@ fn named(run: &str) -> (String, PathBuf) {
     (name, path)
 }
 
-fn print(board: &Leaderboard) {
+/// Prints a leaderboard on the terminal.
+pub(crate) fn print(board: &Leaderboard) {
     line(bold(format_args!("Leaderboard, {}", board.population)));
     line("");
     let wide = board.standings.iter().map(|s| s.name.chars().count()).max().unwrap_or(6).max(6);

@@ -2,21 +2,24 @@
 
 use std::path::PathBuf;
 
+use anyhow::anyhow;
 use clap::Args;
 use robogate_campaign::Event;
 
-use crate::commands::run::conclude;
-use crate::commands::shard::{exit, open};
-use crate::exit::Exit;
+use crate::commands::matrix;
+use crate::commands::shard::open;
+use crate::exit::{Exit, OrExit};
+use crate::place;
 use crate::terminal::{grouped, note};
 
 /// Merge the shards of a campaign to the files of a run on one machine: dictionary, boundary, summary and report. The
-/// files are byte-identical to those of such a run.
+/// files are byte-identical to those of such a run. For a gate, also evaluate the verdict; its exit codes are those of
+/// `robogate gate`.
 #[derive(Debug, Args)]
 pub(crate) struct Merge {
-    /// Folder of the campaign
+    /// Folder of the campaign or the sweep
     dir: PathBuf,
-    /// Write the files to this folder; default: the folder of the campaign
+    /// Write the files to this folder; default: the same folder
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
     /// Print the result as one JSON document
@@ -26,7 +29,18 @@ pub(crate) struct Merge {
 
 impl Merge {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let shards = open(&self.dir)?;
+        if let Some(plan) = matrix::open(&self.dir)? {
+            return match &self.out {
+                None => matrix::merge(&self.dir, &plan, self.json),
+                Some(_) => Err(anyhow!("--out: a sweep is merged in its own folder")).or_usage(),
+            };
+        }
+        let campaign = open(&self.dir)?;
+        let shards = campaign.shards();
+        if self.out.is_none() && place::is_remote(&self.dir) {
+            return Err(anyhow!("--out is missing: the files of {} are written to a folder", self.dir.display()))
+                .or_usage();
+        }
         let out = self.out.as_ref().unwrap_or(&self.dir);
         let episodes = shards.settings().plan.episodes();
         note(format_args!("{} episodes in {} shards, into {}", grouped(episodes), shards.shards(), out.display()));
@@ -35,7 +49,6 @@ impl Merge {
             Event::Finished { already: true, .. } => note("the shards are merged already"),
             _ => {}
         };
-        let completion = shards.merge(out, &mut show, None).map_err(exit)?;
-        conclude(out, &completion, self.json)
+        campaign.merge(out, &mut show, self.json)
     }
 }

@@ -14,6 +14,7 @@ pub(crate) mod import;
 pub(crate) mod keys;
 pub(crate) mod leaderboard;
 pub(crate) mod list;
+pub(crate) mod matrix;
 pub(crate) mod merge;
 pub(crate) mod monitor;
 pub(crate) mod plan;

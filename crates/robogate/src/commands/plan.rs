@@ -1,11 +1,12 @@
 //! `robogate plan`: prints the next shards of a campaign.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use robogate_campaign::shards::{OpenRound, Shard, ShardRound};
 use serde_json::{Value, json};
 
+use crate::commands::matrix;
 use crate::commands::shard::{exit, open, quoted};
 use crate::exit::{DONE, Exit};
 use crate::terminal::{line, note};
@@ -14,7 +15,7 @@ use crate::terminal::{line, note};
 /// the open round. Prints nothing when all rounds are complete.
 #[derive(Debug, Args)]
 pub(crate) struct Plan {
-    /// Folder of the campaign
+    /// Folder of the campaign or the sweep
     dir: PathBuf,
     /// Print the shards that can run now
     #[arg(long, required = true)]
@@ -24,40 +25,73 @@ pub(crate) struct Plan {
     json: bool,
 }
 
-impl Plan {
-    pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let shards = open(&self.dir)?;
-        let round = shards.open_round(None).map_err(exit)?;
-        if let Some(OpenRound { round: ShardRound::Boundary, .. }) = round {
+/// The next shards of a campaign.
+pub(crate) struct NextShards {
+    shards: u32,
+    round: Option<ShardRound>,
+    pub(crate) items: Vec<NextShard>,
+}
+
+/// A shard that can run now.
+pub(crate) struct NextShard {
+    shard: Shard,
+    round: ShardRound,
+    episodes: u64,
+    dir: PathBuf,
+    /// The command that runs it.
+    pub(crate) command: Vec<String>,
+}
+
+impl NextShard {
+    /// The command as one line of a shell.
+    pub(crate) fn line(&self) -> String {
+        self.command.iter().map(|word| quoted(Path::new(word))).collect::<Vec<_>>().join(" ")
+    }
+
+    /// The shard as an element of a document.
+    pub(crate) fn json(&self) -> Value {
+        let Self { shard, round, episodes, dir, command } = self;
+        let shard = shard.to_string();
+        json!({ "shard": shard, "round": round, "episodes": episodes, "dir": dir, "command": command })
+    }
+}
+
+/// Finds the missing shards of the open round of the campaign in `dir`.
+pub(crate) fn next_shards(dir: &Path) -> Result<NextShards, Exit> {
+    let mut campaign = open(dir)?;
+    let open = campaign.open_round()?;
+    let shards = campaign.shards();
+    let mut items = Vec::new();
+    if let Some(OpenRound { round, missing }) = &open {
+        if *round == ShardRound::Boundary {
             // The first worker would compute it as well. Here it is computed once.
             shards.boundary().map_err(exit)?;
         }
-        let missing = round.as_ref().map_or(&[][..], |open| &open.missing);
-        let names = missing.iter().map(|index| Shard::new(*index, shards.shards()).map_err(|error| exit(error.into())));
-        let names = names.collect::<Result<Vec<Shard>, Exit>>()?;
+        for index in missing {
+            let shard = Shard::new(*index, shards.shards()).map_err(|error| exit(error.into()))?;
+            let (name, out) = (shard.to_string(), dir.display().to_string());
+            let command = ["robogate", "run", "--shard", &name, "--out", &out].map(str::to_owned).to_vec();
+            let episodes = shards.episodes_of(*round, shard);
+            items.push(NextShard { shard, round: *round, episodes, dir: dir.to_owned(), command });
+        }
+    }
+    Ok(NextShards { shards: shards.shards(), round: open.map(|open| open.round), items })
+}
+
+impl Plan {
+    pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        if let Some(plan) = matrix::open(&self.dir)? {
+            return matrix::next(&self.dir, &plan, self.json);
+        }
+        let NextShards { shards, round, items } = next_shards(&self.dir)?;
         if self.json {
-            let item = |shard: &Shard| {
-                let episodes = round.as_ref().map(|open| shards.episodes_of(open.round, *shard));
-                let name = shard.to_string();
-                let command = json!(["robogate", "run", "--shard", name, "--out", self.dir]);
-                json!({ "shard": name, "episodes": episodes, "command": command })
-            };
-            let items: Vec<Value> = names.iter().map(item).collect();
-            let round = round.as_ref().map(|open| open.round);
-            let (dir, shards) = (&self.dir, shards.shards());
-            line(json!({ "version": 1, "dir": dir, "shards": shards, "round": round, "items": items }));
+            let items: Vec<Value> = items.iter().map(NextShard::json).collect();
+            line(json!({ "version": 1, "dir": self.dir, "shards": shards, "round": round, "items": items }));
         } else {
-            names.iter().for_each(|shard| {
-                line(format_args!("robogate run --shard {shard} --out {}", quoted(&self.dir)));
-            });
+            items.iter().for_each(|item| line(item.line()));
         }
         match &round {
-            Some(open) => note(format_args!(
-                "round {}: {} of {} shards are missing",
-                open.round,
-                open.missing.len(),
-                shards.shards()
-            )),
+            Some(round) => note(format_args!("round {round}: {} of {shards} shards are missing", items.len())),
             None => note(format_args!("all rounds are complete\nnext: robogate merge {}", quoted(&self.dir))),
         }
         Ok(DONE)

@@ -2,17 +2,19 @@
 
 use std::path::PathBuf;
 
+use anyhow::anyhow;
 use clap::Args;
 use robogate_campaign::{WorkerFactory, recorded};
-use robogate_core::{Episode, Outcome, TaskSpec, Word, rollout_with};
+use robogate_core::{Episode, Outcome, TaskSpec, Tick, Word, rollout_with};
 use robogate_stats::format::number;
 use serde_json::json;
 
 use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::film::{self, Filmed};
 use crate::policy_source::PolicySource;
 use crate::remote::Simulators;
 use crate::subject::Subject;
-use crate::terminal::{bold, dim, line};
+use crate::terminal::{bold, dim, foreign, line, note};
 
 /// Replay one episode bit for bit and print its timeline.
 #[derive(Debug, Args)]
@@ -23,6 +25,18 @@ pub(crate) struct Replay {
     index: u64,
     #[command(flatten)]
     simulators: Simulators,
+    /// Write an animation of a camera to this file (GIF)
+    #[arg(long, value_name = "FILE")]
+    gif: Option<PathBuf>,
+    /// Write six frames at equal distances in time to this file (PNG)
+    #[arg(long, value_name = "FILE")]
+    png_strip: Option<PathBuf>,
+    /// Choose the camera of the images; default: the first one of the environment
+    #[arg(long, value_name = "CAMERA")]
+    camera: Option<String>,
+    /// Set width and height of the images, in pixels (16 to 2048), if the built-in cell renders them
+    #[arg(long, value_name = "PIXELS", default_value_t = 320, value_parser = clap::value_parser!(u16).range(16..=2048))]
+    size: u16,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -39,19 +53,34 @@ impl Replay {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
         let subject = Subject::recorded(&settings.provenance, &self.simulators)?;
+        let filming = self.gif.is_some() || self.png_strip.is_some();
+        // The size of images would change what a policy that sees them receives.
+        let seeing = subject.policy_source().and_then(PolicySource::profile).is_some();
+        let subject = if filming && !seeing { subject.with_pictures_of(usize::from(self.size)) } else { subject };
+        if let (true, Some(camera)) = (filming, &self.camera) {
+            check_camera(subject.task(), camera)?;
+        }
         let entry = recorded(&self.dir, self.index).or_usage()?;
         let mut worker = subject.worker().or_broken()?;
         let mut timeline: Vec<Line> = Vec::new();
         let mut phase = None;
         let before = entry.episode;
-        let again = rollout_with(&mut *worker.environment, &mut *worker.policy, &before.scenario, &mut |tick| {
+        let mut observe = |tick: Tick<'_>| {
             let time_s = tick.step.observation.time_s;
             if tick.action.phase != phase {
                 phase = tick.action.phase;
                 timeline.push(Line { time_s, phase, what: "begins".to_owned() });
             }
             timeline.extend(tick.step.events.iter().map(|what| Line { time_s, phase, what: what.clone() }));
-        });
+        };
+        let again = if filming {
+            let mut filmed = Filmed::new(&mut *worker.environment, self.camera.clone());
+            let episode = rollout_with(&mut filmed, &mut *worker.policy, &before.scenario, &mut observe);
+            self.write_images(&filmed)?;
+            episode
+        } else {
+            rollout_with(&mut *worker.environment, &mut *worker.policy, &before.scenario, &mut observe)
+        };
         let same = again == before;
         if self.json {
             self.print_json(&again, &timeline, same);
@@ -85,6 +114,22 @@ impl Replay {
             }
         }
         Ok(if same { DONE } else { INVALID })
+    }
+
+    /// Writes the requested images.
+    fn write_images(&self, filmed: &Filmed<'_>) -> Result<(), Exit> {
+        if let Some(fault) = &filmed.trouble {
+            return Err(anyhow!("the episode cannot be rendered: {fault}")).or_usage();
+        }
+        if let Some(file) = &self.gif {
+            film::write_gif(file, &filmed.shots).or_usage()?;
+            note(foreign(file.display()));
+        }
+        if let Some(file) = &self.png_strip {
+            film::write_strip(file, &filmed.shots).or_usage()?;
+            note(foreign(file.display()));
+        }
+        Ok(())
     }
 
     fn print(&self, task: &TaskSpec, episode: &Episode, timeline: &[Line]) {
@@ -140,6 +185,20 @@ impl Replay {
             "timeline": timeline,
         }));
     }
+}
+
+/// Rejects a camera that the environment does not declare.
+fn check_camera(task: &TaskSpec, camera: &str) -> Result<(), Exit> {
+    let known: Vec<&str> = task.observation.cameras.iter().map(|camera| camera.name.as_str()).collect();
+    if known.contains(&camera) {
+        return Ok(());
+    }
+    let expected = if known.is_empty() {
+        "this environment has no cameras".to_owned()
+    } else {
+        format!("expected one of: {}", known.join(", "))
+    };
+    Err(anyhow!("--camera {}: unknown camera; {expected}", foreign(camera))).or_usage()
 }
 
 /// The end of an episode in one line.

@@ -4,12 +4,17 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use robogate_analysis::{Analysis, Source};
-use robogate_report::{analysis_json, html, markdown};
+use robogate_analysis::{Analysis, AnalysisOptions, DEFAULT_TARGET, Source, pair_counts};
+use robogate_gate::Evaluation;
+use robogate_report::{Additions, Watch, analysis_json, html_with, markdown_with};
 
-use crate::commands::analyze::{analyse, pairs};
+use crate::commands::analyze::{analyse, options};
+use crate::commands::gate;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::remote::Simulators;
+use crate::source::open_source;
 use crate::terminal::{line, note};
+use crate::watch::{self, Moment};
 
 /// Write a run or a dictionary as one page: where the policy fails, what to do, and the confidence intervals.
 #[derive(Debug, Args)]
@@ -26,6 +31,14 @@ pub(crate) struct Report {
     /// Map two more parameters; the first is on the vertical axis
     #[arg(long, num_args = 2, value_names = ["A", "B"])]
     pair: Vec<String>,
+    /// Success rate that the advice aims at, between 0 and 1
+    #[arg(long, value_name = "RATE", default_value_t = DEFAULT_TARGET)]
+    target: f64,
+    /// Leave out the recorded episodes
+    #[arg(long)]
+    no_replay: bool,
+    #[command(flatten)]
+    simulators: Simulators,
 }
 
 /// The name of the page in a run's folder.
@@ -43,11 +56,21 @@ enum Form {
 
 impl Report {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let source = Source::open(&self.dictionary).or_usage()?;
-        let analysis = analyse(&source, &self.dictionary, &pairs(&self.pair))?;
+        let source = open_source(&self.dictionary)?;
+        let analysis = analyse(&source, &self.dictionary, &options(&self.pair, self.target))?;
+        let evaluation = source.folder().and_then(|folder| gate_of(folder, &source));
+        let watch = match self.format {
+            Form::Html | Form::Md if !self.no_replay => {
+                Some(watch::watch(&source, &analysis, &self.simulators, Moment::OnRequest).or_usage()?)
+            }
+            _ => None,
+        };
+        let pairs = pair_counts(&source, &analysis).or_usage()?;
+        let additions =
+            Additions { evaluation: evaluation.as_ref(), watch: shown(watch.as_ref()), pairs: Some(&pairs) };
         let (text, ending) = match self.format {
-            Form::Html => (html(&analysis), "html"),
-            Form::Md => (markdown(&analysis), "md"),
+            Form::Html => (html_with(&analysis, &additions), "html"),
+            Form::Md => (markdown_with(&analysis, &additions), "md"),
             Form::Json => (analysis_json(&analysis), "json"),
         };
         match &self.out {
@@ -61,15 +84,35 @@ impl Report {
     }
 }
 
-/// Writes the page of a finished run into its folder, unless it exists.
-pub(crate) fn page(dir: &Path) -> Result<(), Exit> {
+/// Analyzes a finished run and writes its page into its folder, unless it exists.
+pub(crate) fn page(dir: &Path) -> Result<Analysis, Exit> {
     let out = dir.join(PAGE);
-    if out.exists() {
-        return Ok(());
-    }
     let source = Source::open(dir).or_broken()?;
-    let analysis = analyse(&source, dir, &[])?;
-    std::fs::write(&out, html(&analysis)).with_context(|| format!("cannot write {}", out.display())).or_broken()
+    let analysis = analyse(&source, dir, &AnalysisOptions::default())?;
+    if out.exists() {
+        return Ok(analysis);
+    }
+    let evaluation = gate_of(dir, &source);
+    let watch = watch::watch(&source, &analysis, &Simulators::none(), Moment::EndOfRun).or_broken()?;
+    let pairs = pair_counts(&source, &analysis).or_broken()?;
+    let additions = Additions { evaluation: evaluation.as_ref(), watch: shown(Some(&watch)), pairs: Some(&pairs) };
+    std::fs::write(&out, html_with(&analysis, &additions))
+        .with_context(|| format!("cannot write {}", out.display()))
+        .or_broken()?;
+    Ok(analysis)
+}
+
+/// The verdict of the gate that a run belongs to. A problem is a note, because the analysis does not depend on it.
+fn gate_of(folder: &Path, source: &Source) -> Option<Evaluation> {
+    gate::evaluation_of(folder, source).unwrap_or_else(|exit| {
+        note(format_args!("note: the page has no verdict: {exit}"));
+        None
+    })
+}
+
+/// The episodes worth watching, unless there are none.
+fn shown(watch: Option<&Watch>) -> Option<&Watch> {
+    watch.filter(|watch| !watch.items.is_empty())
 }
 
 fn write(out: &Path, text: &str) -> Result<(), Exit> {

@@ -8,6 +8,7 @@ use robogate_gate::Asked;
 use crate::commands::gate;
 use crate::commands::run::How;
 use crate::exit::{Exit, OrExit};
+use crate::policy_source::PolicyLocation;
 use crate::remote::Simulators;
 use crate::subject::Subject;
 
@@ -19,13 +20,15 @@ pub(crate) struct Resume {
     #[command(flatten)]
     simulators: Simulators,
     #[command(flatten)]
+    location: PolicyLocation,
+    #[command(flatten)]
     how: How,
 }
 
 impl Resume {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         let settings = robogate_campaign::settings(&self.dir).or_usage()?;
-        let subject = Subject::recorded(&settings.provenance, &self.simulators)?;
+        let subject = Subject::recorded_at(&settings.provenance, &self.simulators, &self.location)?;
         if let Some(asked) = Asked::of(&self.dir).or_usage()? {
             return gate::resume(&self.dir, asked, &subject, settings, &self.how);
         }

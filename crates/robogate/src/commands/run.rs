@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::anyhow;
 use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, FromArgMatches, Id};
+use robogate_analysis::Analysis;
 use robogate_campaign::folder::PLAN;
 use robogate_campaign::shards::Shard;
 use robogate_campaign::{Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, Settings, ThreadPool};
@@ -18,7 +19,8 @@ use robogate_physics::SuctionLaw;
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
 use crate::outage::{OutageGuard, UNAVAILABLE_IN_A_ROW};
-use crate::policy_source::PolicyArguments;
+use crate::place;
+use crate::policy_source::{PolicyArguments, PolicyLocation};
 use crate::progress::Progress;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::summary;
@@ -56,6 +58,8 @@ pub(crate) struct Run {
     #[command(flatten)]
     policy: PolicyArguments,
     #[command(flatten)]
+    location: PolicyLocation,
+    #[command(flatten)]
     how: How,
     /// Write the run to this folder; default: a new one under runs/
     #[arg(long, value_name = "DIR")]
@@ -64,6 +68,10 @@ pub(crate) struct Run {
     /// folder has a plan, its options need not be repeated
     #[arg(long, value_name = "K/N", requires = "out")]
     shard: Option<Shard>,
+    /// Write the plan of a campaign in N shards to --out, and run nothing: `robogate plan DIR --next` prints the commands
+    /// that run the shards
+    #[arg(long, value_name = "N", requires = "out", conflicts_with = "shard")]
+    divide: Option<u32>,
 }
 
 /// The arguments on the command line, by name.
@@ -72,7 +80,8 @@ struct Given(Vec<String>);
 
 impl Given {
     /// The arguments of `run` that do not affect the results of a campaign.
-    const WITHOUT_EFFECT: [&str; 7] = ["out", "shard", "threads", "json", "addresses", "timeout_s", "python"];
+    const WITHOUT_EFFECT: [&str; 9] =
+        ["out", "shard", "divide", "threads", "json", "addresses", "timeout_s", "python", "at"];
 
     /// Whether an argument affects the results.
     fn describe_a_plan(&self) -> bool {
@@ -120,10 +129,14 @@ impl Run {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         if let (Some(shard), Some(dir)) = (self.shard, &self.out)
             && !self.given.describe_a_plan()
-            && dir.join(PLAN).is_file()
+            && (place::is_remote(dir) || dir.join(PLAN).is_file())
         {
-            let Settings { plan, provenance, .. } = robogate_campaign::settings(dir).map_err(exit)?;
-            let subject = Subject::recorded(&provenance, &self.environment.simulators)?;
+            let Settings { plan, provenance, .. } = if place::is_remote(dir) {
+                shard::open(dir)?.shards().settings().clone()
+            } else {
+                robogate_campaign::settings(dir).map_err(exit)?
+            };
+            let subject = Subject::recorded_at(&provenance, &self.environment.simulators, &self.location)?;
             let provenance = subject.provenance(provenance.space)?;
             return shard::run(dir, shard, &subject, &plan, provenance, &self.how);
         }
@@ -131,13 +144,23 @@ impl Run {
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
         let suction = if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum };
-        let subject = Subject::new(self.environment.environment(suction)?, self.policy.source()?)?;
+        let subject = Subject::new(self.environment.environment(suction)?, self.policy.source_at(&self.location)?)?;
         let (plan, space) = self.plan_and_space(&subject)?;
         let provenance = subject.provenance(space)?;
         if let (Some(shard), Some(dir)) = (self.shard, &self.out) {
             return shard::run(dir, shard, &subject, &plan, provenance, &self.how);
         }
+        if let (Some(shards), Some(dir)) = (self.divide, &self.out) {
+            return shard::divide(dir, shards, &plan, provenance, &[], self.how.json);
+        }
         let dir = match &self.out {
+            Some(dir) if place::is_remote(dir) => {
+                return Err(anyhow!(
+                    "--out {}: an object store needs --divide or --shard (docs/cluster.md)",
+                    dir.display()
+                ))
+                .or_usage();
+            }
             Some(dir) => dir.clone(),
             None => {
                 let plan_name = match &plan.suite {
@@ -288,11 +311,11 @@ impl How {
 pub(crate) fn conclude(dir: &Path, completion: &Completion, json: bool) -> Result<u8, Exit> {
     match completion {
         Completion::Finished { summary, boundary } => {
-            write_report(dir);
+            let analysis = write_report(dir);
             if json {
                 summary::json(dir, summary, boundary.as_deref()).or_broken()?;
             } else {
-                summary::print(dir, summary, boundary.as_deref());
+                summary::print(dir, summary, boundary.as_deref(), analysis.as_ref());
             }
             let evidence = summary.stages.iter().any(|stage| stage.valid > 0);
             Ok(if evidence { DONE } else { INVALID })
@@ -315,10 +338,15 @@ pub(crate) fn interrupted(dir: &Path, done: u64, episodes: u64) -> u8 {
     INTERRUPTED
 }
 
-/// Writes the page of a finished campaign. An error is a warning, because the dictionary is complete without the page.
-pub(crate) fn write_report(dir: &Path) {
-    if let Err(exit) = super::report::page(dir) {
-        note(format_args!("warning: no report: {exit}"));
+/// Writes the page of a finished campaign and returns its analysis. An error is a warning, because the dictionary is
+/// complete without the page.
+pub(crate) fn write_report(dir: &Path) -> Option<Analysis> {
+    match super::report::page(dir) {
+        Ok(analysis) => Some(analysis),
+        Err(exit) => {
+            note(format_args!("warning: no report: {exit}"));
+            None
+        }
     }
 }
 

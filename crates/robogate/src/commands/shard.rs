@@ -1,18 +1,20 @@
 //! `robogate run --shard`: runs one shard of a campaign.
 
+use std::cell::RefCell;
 use std::path::Path;
 
 use anyhow::anyhow;
-use robogate_campaign::shards::{
-    Assignment, Commit, DirectoryStore, Shard, ShardEnd, ShardError, ShardResult, ShardTask, Shards,
-};
+use robogate_campaign::shards::{Assignment, Commit, Shard, ShardEnd, ShardError, ShardResult, ShardTask, Shards};
 use robogate_campaign::{OutcomeCounts, Plan};
 use robogate_dictionary::Provenance;
 use serde_json::json;
 
 use crate::commands::run::{self, How, introduce};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, OrExit, USAGE};
+use crate::lost_episodes::RunsLostAgain;
 use crate::outage::UNAVAILABLE_IN_A_ROW;
+use crate::place;
+use crate::sharded::Campaign;
 use crate::subject::Subject;
 use crate::terminal::{grouped, line, note};
 
@@ -26,9 +28,7 @@ pub(crate) fn run(
     how: &How,
 ) -> Result<u8, Exit> {
     introduce(&provenance, plan.seed);
-    let store = DirectoryStore::new(dir);
-    store.check_free().map_err(run::exit)?;
-    let shards = Shards::begin(Box::new(store), shard.of(), plan, provenance).map_err(exit)?;
+    let mut campaign = Campaign::of(begin(dir, shard.of(), plan, provenance, &[])?)?;
     let report = |state: &str, round: Option<String>, outcomes: Option<&OutcomeCounts>| {
         if how.json {
             let (dir, shard) = (dir, shard.to_string());
@@ -38,7 +38,7 @@ pub(crate) fn run(
         }
         Ok(DONE)
     };
-    match shards.assign(shard.index(), None).map_err(exit)? {
+    match campaign.assign(shard.index())? {
         Assignment::Complete => {
             note("nothing to do: all rounds are complete");
             note(format_args!("next: robogate merge {}", quoted(dir)));
@@ -58,11 +58,18 @@ pub(crate) fn run(
             let Some(result) = finish(&task, subject, how)? else {
                 return Ok(INTERRUPTED);
             };
-            let state = match shards.commit(&result).map_err(exit)? {
-                Commit::First => "committed",
-                Commit::Duplicate => {
+            let state = match campaign.shards().commit(&result) {
+                Ok(Commit::First) => "committed",
+                Ok(Commit::Duplicate) => {
                     note("another process has committed the same episodes already");
                     "duplicate"
+                }
+                Err(error) => {
+                    if let ShardError::Conflict { .. } = error {
+                        // A scheduler must not run the shard again: it would find the committed one, and be content.
+                        report("conflict", Some(result.round().to_string()), Some(result.outcomes()))?;
+                    }
+                    return Err(exit(error));
                 }
             };
             report(state, Some(result.round().to_string()), Some(result.outcomes()))
@@ -70,19 +77,55 @@ pub(crate) fn run(
     }
 }
 
+/// Writes the plan of a campaign in `shards` shards, and `documents` (names and contents) beside it.
+pub(crate) fn divide(
+    dir: &Path,
+    shards: u32,
+    plan: &Plan,
+    provenance: Provenance,
+    documents: &[(&str, &[u8])],
+    json: bool,
+) -> Result<u8, Exit> {
+    introduce(&provenance, plan.seed);
+    let shards = begin(dir, shards, plan, provenance, documents)?;
+    let (shards, episodes) = (shards.shards(), shards.settings().plan.episodes());
+    note(format_args!("{} episodes in {shards} shards, into {}", grouped(episodes), dir.display()));
+    note(format_args!("next: robogate plan {} --next", quoted(dir)));
+    if json {
+        line(json!({ "version": 1, "dir": dir, "shards": shards, "episodes": episodes }));
+    }
+    Ok(DONE)
+}
+
+/// Starts or joins a campaign in shards in `dir`.
+fn begin(
+    dir: &Path,
+    shards: u32,
+    plan: &Plan,
+    provenance: Provenance,
+    documents: &[(&str, &[u8])],
+) -> Result<Shards, Exit> {
+    Shards::begin_with(place::create(dir)?, shards, plan, provenance, documents).map_err(exit)
+}
+
 /// Runs the episodes of a shard. `None` if the user stopped it.
 fn finish(task: &ShardTask, subject: &Subject, how: &How) -> Result<Option<ShardResult>, Exit> {
     // A shard with fewer episodes is lost if the server was unavailable in all of them.
     let limit = u32::try_from(task.episodes()).unwrap_or(u32::MAX).clamp(1, UNAVAILABLE_IN_A_ROW);
-    let (end, outage) = how.guarded(subject, limit, |executor, events| task.run(executor, events))?;
-    match (end, outage) {
-        (_, Some(fault)) => Err(anyhow!(
-            "stopped: {limit} episodes in a row were invalid, the last because of {fault}\n  hint: the shard is not \
-             committed; run it again once the policy server is available"
-        ))
-        .or_broken(),
-        (ShardEnd::Complete(result), None) => Ok(Some(result)),
-        (ShardEnd::Interrupted { done, episodes }, None) => {
+    let lost_again = RefCell::new(None);
+    let (end, outage) =
+        how.guarded(subject, limit, |executor, events| task.run(&RunsLostAgain::new(executor, &lost_again), events))?;
+    let hint = "hint: the shard is not committed; run it again once the server is available";
+    match (end, outage, lost_again.into_inner()) {
+        (_, Some(fault), _) => {
+            Err(anyhow!("stopped: {limit} episodes in a row were invalid, the last because of {fault}\n  {hint}"))
+                .or_broken()
+        }
+        (_, None, Some(fault)) => {
+            Err(anyhow!("stopped: episodes were lost twice, the last because of {fault}\n  {hint}")).or_broken()
+        }
+        (ShardEnd::Complete(result), None, None) => Ok(Some(result)),
+        (ShardEnd::Interrupted { done, episodes }, None, None) => {
             note(format_args!(
                 "{} of {} episodes ran. The shard is not committed; the same command runs it again from its start.",
                 grouped(done),
@@ -94,8 +137,8 @@ fn finish(task: &ShardTask, subject: &Subject, how: &How) -> Result<Option<Shard
 }
 
 /// Opens the campaign in shards in `dir`.
-pub(crate) fn open(dir: &Path) -> Result<Shards, Exit> {
-    Shards::open(Box::new(DirectoryStore::new(dir))).map_err(exit)
+pub(crate) fn open(dir: &Path) -> Result<Campaign, Exit> {
+    Campaign::of(Shards::open(place::open(dir)?).map_err(exit)?)
 }
 
 /// Gives an error its exit code: usage if arguments or files do not belong together, infrastructure if shards are

@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 use robogate_campaign::shards::{RoundState, RoundStatus, ShardStatus};
 
-use crate::commands::shard::{exit, open, quoted};
+use crate::commands::matrix;
+use crate::commands::shard::{open, quoted};
 use crate::exit::{DONE, Exit, OrExit};
 use crate::summary::outcomes_in_one_line;
 use crate::terminal::{bold, grouped, line, note};
@@ -13,7 +14,7 @@ use crate::terminal::{bold, grouped, line, note};
 /// Show which shards of a campaign are committed, and their outcomes so far.
 #[derive(Debug, Args)]
 pub(crate) struct Status {
-    /// Folder of the campaign
+    /// Folder of the campaign or the sweep
     dir: PathBuf,
     /// Print the status as one JSON document
     #[arg(long)]
@@ -22,7 +23,10 @@ pub(crate) struct Status {
 
 impl Status {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        let status = open(&self.dir)?.status().map_err(exit)?;
+        if let Some(plan) = matrix::open(&self.dir)? {
+            return matrix::status(&self.dir, &plan, self.json);
+        }
+        let status = open(&self.dir)?.status()?;
         if self.json {
             line(serde_json::to_string_pretty(&status).or_broken()?);
             return Ok(DONE);

@@ -19,7 +19,25 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/environments/__main__.py", "python/src"),
     embedded!("robogate_eval/environments/family.py", "python/src"),
     embedded!("robogate_eval/environments/fetch.py", "python/src"),
+    embedded!("robogate_eval/environments/libero.py", "python/src"),
     embedded!("robogate_eval/environments/metaworld.py", "python/src"),
+    embedded!("robogate_eval/environments/robosuite.py", "python/src"),
+    embedded!("robogate_eval/libero/__init__.py", "python/src"),
+    embedded!("robogate_eval/libero/bddl.py", "python/src"),
+    embedded!("robogate_eval/libero/controller.py", "python/src"),
+    embedded!("robogate_eval/libero/initial_states.py", "python/src"),
+    embedded!("robogate_eval/libero/installation.py", "python/src"),
+    embedded!("robogate_eval/libero/knobs.py", "python/src"),
+    embedded!("robogate_eval/libero/plans.py", "python/src"),
+    embedded!("robogate_eval/libero/scoring.py", "python/src"),
+    embedded!("robogate_eval/libero/suites.py", "python/src"),
+    embedded!("robogate_eval/libero/world.py", "python/src"),
+    embedded!("robogate_eval/scripted/__init__.py", "python/src"),
+    embedded!("robogate_eval/scripted/clearance.py", "python/src"),
+    embedded!("robogate_eval/scripted/grasp.py", "python/src"),
+    embedded!("robogate_eval/scripted/motion.py", "python/src"),
+    embedded!("robogate_eval/scripted/scene.py", "python/src"),
+    embedded!("robogate_eval/scripted/skills.py", "python/src"),
     embedded!("robogate_eval/serving/__init__.py", "python/src"),
     embedded!("robogate_eval/serving/adapter.py", "python/src"),
     embedded!("robogate_eval/serving/disturbances.py", "python/src"),
@@ -90,8 +108,9 @@ mod tests {
     fn package_is_complete() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         let mut found = Vec::new();
-        files(&root.join("python/src"), "robogate_eval/serving", &mut found);
-        files(&root.join("python/src"), "robogate_eval/environments", &mut found);
+        for folder in ["environments", "libero", "scripted", "serving"] {
+            files(&root.join("python/src"), &format!("robogate_eval/{folder}"), &mut found);
+        }
         files(&root.join("bridges/common"), "robogate_bridge", &mut found);
         let missing: Vec<_> = found.iter().filter(|path| PACKAGE.iter().all(|(known, _)| known != path)).collect();
         assert!(missing.is_empty(), "not embedded: {missing:?}");

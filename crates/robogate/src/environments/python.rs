@@ -79,6 +79,12 @@ impl Interpreter {
     pub(crate) fn command(&self, verb: &str) -> Command {
         let mut command = Command::new(&self.python);
         command.args(["-u", "-m", "robogate_eval.environments", verb]).env("PYTHONPATH", &self.python_path);
+        // There is a server for each worker. Threads of NumPy's libraries would only compete with the other servers.
+        for name in ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"] {
+            if std::env::var_os(name).is_none() {
+                command.env(name, "1");
+            }
+        }
         command
     }
 

@@ -34,7 +34,7 @@ from .family import Family, UnknownEnvironment
 __all__ = ["Family", "UnknownEnvironment", "families", "find"]
 
 # The modules of this folder that define a `FAMILY`.
-FAMILIES = ("metaworld", "fetch")
+FAMILIES = ("metaworld", "fetch", "robosuite", "libero")
 
 
 def families() -> dict[str, Family]:

@@ -2,14 +2,18 @@
 //!
 //! The paper's model has this form but does not define the penalties. Here the penalty of a level is its failure rate,
 //! shrunk towards the overall rate with the weight of ten episodes: (f + 10 p) / (n + 10), with f failures in n
-//! episodes of the level and the overall rate p, from training rows only. In cross-validation, the penalties of each
-//! fold come from the other folds.
+//! episodes of the level and the overall rate p, from training rows only; or the log-odds of that rate. In
+//! cross-validation, the penalties of each fold come from the other folds. Cross-validation also chooses between both
+//! codings, and between a linear and a logarithmic scale of each number ([`form`]).
 //!
-//! Limitation: in sample, the penalties are computed from the outcomes that they predict. The standard errors of their
-//! coefficients are then too small, and the in-sample AUC is too high. The cross-validated figures have no such bias.
+//! Limitation: in sample, the penalties are computed from the outcomes that they predict. The in-sample AUC is therefore
+//! too high. The cross-validated figures have no such bias. The tests of the penalties are likelihood-ratio tests of the
+//! levels ([`levels`]).
 //! Source for the coding: Micci-Barreca (2001), SIGKDD Explorations 3(1).
 
 mod calibration;
+mod form;
+mod levels;
 mod penalties;
 mod roc;
 mod scoring;
@@ -31,6 +35,7 @@ use crate::labels::parameter_label;
 use crate::table::{ParameterColumn, Sample};
 use crate::task::TaskAnalysis;
 use calibration::calibrated;
+use form::Form;
 use penalties::Coding;
 use roc::roc_figures;
 
@@ -45,6 +50,13 @@ pub struct RiskModel {
     pub paper_features: bool,
     /// The regression with coefficients per standard deviation. A positive one raises the probability of failure.
     pub regression: Regression,
+    /// Whether a penalty is the log-odds of the failure rate of its level, otherwise the rate. Chosen by
+    /// cross-validation.
+    #[serde(default)]
+    pub logit_penalties: bool,
+    /// The parameters whose logarithm enters the model. Chosen by cross-validation.
+    #[serde(default)]
+    pub logarithmic: Vec<String>,
     /// The penalties of each categorical parameter, from all rows.
     pub penalties: Vec<Penalty>,
     /// The same model for scoring: coefficients per unit and their covariance.
@@ -68,9 +80,10 @@ pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Sc
         return Finding::not("the dataset has no parameter");
     }
     let failed: Vec<bool> = base.success.iter().map(|s| !s).collect();
-    let names: Vec<String> = base.parameters.iter().map(feature).collect();
+    let form = Form::choose(&base.parameters, &failed);
+    let names: Vec<String> = base.parameters.iter().zip(&form.log).map(|(p, log)| feature(p, *log)).collect();
     let all: Vec<usize> = (0..base.len()).collect();
-    let coding = Coding::learn(&base.parameters, &failed, &all);
+    let coding = Coding::learn(&base.parameters, &failed, &all, &form);
     let columns = coding.columns(&base.parameters, &all);
     let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
     let options = Options { scale: Scale::Standardized, ..Options::default() };
@@ -81,7 +94,9 @@ pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Sc
     let Some(p) = whole.probabilities(&slices) else {
         return Finding::not("the columns do not match the model");
     };
-    let scoring = Scoring::of(&whole, &base.parameters, &slices);
+    let scoring = Scoring::of(&whole, &base.parameters, &slices, &form);
+    let mut regression = Regression::of(&whole, "failure", &names, true);
+    levels::replace_tests(&mut regression, &base.parameters, &slices, &failed);
     drop(slices);
     drop(columns);
     let folds = stratified_folds(&failed, FOLDS, 0);
@@ -90,7 +105,7 @@ pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Sc
         Err(format!("the rarer outcome has {fewest} episodes, fewer than the {FOLDS} folds"))
     } else {
         cross_validate::<CrossValidationError>(&failed, &folds, Confidence::P95, |train, test| {
-            let coding = Coding::learn(&base.parameters, &failed, train);
+            let coding = Coding::learn(&base.parameters, &failed, train, &form);
             let columns = coding.columns(&base.parameters, train);
             let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
             let outcomes: Vec<bool> = train.iter().map(|row| failed[*row]).collect();
@@ -111,7 +126,15 @@ pub(crate) fn risk(base: &Sample, task: &TaskAnalysis) -> Finding<(RiskModel, Sc
         paper_features: !paper.is_empty()
             && base.parameters.len() == paper.len()
             && paper.iter().all(|n| base.parameter(n).is_some()),
-        regression: Regression::of(&whole, "failure", &names, true),
+        regression,
+        logit_penalties: form.logit,
+        logarithmic: base
+            .parameters
+            .iter()
+            .zip(&form.log)
+            .filter(|(_, log)| **log)
+            .map(|(p, _)| p.name.clone())
+            .collect(),
         penalties: coding.penalties(&base.parameters),
         scoring,
         roc: roc_figures(&p, &failed, crossed.as_ref().ok()),
@@ -146,7 +169,11 @@ impl From<RocError> for CrossValidationError {
     }
 }
 
-fn feature(parameter: &ParameterColumn) -> String {
+fn feature(parameter: &ParameterColumn, log: bool) -> String {
     let plain = parameter_label(&parameter.name);
-    if parameter.is_numeric() { plain } else { format!("{plain} penalty") }
+    match (parameter.is_numeric(), log) {
+        (true, false) => plain,
+        (true, true) => format!("log {plain}"),
+        (false, _) => format!("{plain} penalty"),
+    }
 }

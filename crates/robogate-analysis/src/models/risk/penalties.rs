@@ -5,6 +5,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::form::Form;
 use crate::table::{ParameterColumn, ParameterKind};
 
 /// Weight, in episodes, of the overall failure rate in the penalty of a level.
@@ -24,15 +25,19 @@ pub struct Penalty {
 pub struct PenaltyLevel {
     /// The level.
     pub level: String,
-    /// Its failure rate, shrunk towards the overall one.
+    /// Its failure rate, shrunk towards the overall one, or the log-odds of that rate: see the model's coding.
     pub penalty: f64,
 }
 
-/// The penalties of all categorical parameters, computed from some of the rows.
-pub(super) struct Coding(Vec<Option<Vec<f64>>>);
+/// The columns of a model: the penalties of all categorical parameters, computed from some of the rows, and the scales of
+/// the numeric ones.
+pub(super) struct Coding {
+    penalties: Vec<Option<Vec<f64>>>,
+    log: Vec<bool>,
+}
 
 impl Coding {
-    pub(super) fn learn(parameters: &[ParameterColumn], failed: &[bool], rows: &[usize]) -> Self {
+    pub(super) fn learn(parameters: &[ParameterColumn], failed: &[bool], rows: &[usize], form: &Form) -> Self {
         let overall = rows.iter().filter(|row| failed[**row]).count() as f64 / rows.len().max(1) as f64;
         let learn = |parameter: &ParameterColumn| match &parameter.kind {
             ParameterKind::Categorical { levels } => {
@@ -42,25 +47,29 @@ impl Coding {
                     level.0 += f64::from(u8::from(failed[*row]));
                     level.1 += 1.0;
                 }
-                Some(counts.iter().map(|(f, n)| (f + PRIOR * overall) / (n + PRIOR)).collect())
+                let rate = |(f, n): &(f64, f64)| (f + PRIOR * overall) / (n + PRIOR);
+                // An overall rate of 0 or 1 has no log-odds; the fit then rejects the rows.
+                let code = |p: f64| if form.logit && p > 0.0 && p < 1.0 { (p / (1.0 - p)).ln() } else { p };
+                Some(counts.iter().map(|level| code(rate(level))).collect())
             }
             ParameterKind::Continuous { .. } | ParameterKind::Integer { .. } => None,
         };
-        Self(parameters.iter().map(learn).collect())
+        Self { penalties: parameters.iter().map(learn).collect(), log: form.log.clone() }
     }
 
     pub(super) fn columns(&self, parameters: &[ParameterColumn], rows: &[usize]) -> Vec<Vec<f64>> {
-        let column = |(parameter, penalties): (&ParameterColumn, &Option<Vec<f64>>)| match penalties {
+        let column = |((parameter, penalties), log): ((&ParameterColumn, &Option<Vec<f64>>), &bool)| match penalties {
             Some(penalties) => rows.iter().map(|row| penalties[parameter.values[*row] as usize]).collect(),
+            None if *log => rows.iter().map(|row| parameter.values[*row].ln()).collect(),
             None => rows.iter().map(|row| parameter.values[*row]).collect(),
         };
-        parameters.iter().zip(&self.0).map(column).collect()
+        parameters.iter().zip(&self.penalties).zip(&self.log).map(column).collect()
     }
 
     pub(super) fn penalties(&self, parameters: &[ParameterColumn]) -> Vec<Penalty> {
         parameters
             .iter()
-            .zip(&self.0)
+            .zip(&self.penalties)
             .filter_map(|(parameter, penalties)| {
                 let ParameterKind::Categorical { levels } = &parameter.kind else { return None };
                 let levels = levels.iter().zip(penalties.as_ref()?);

@@ -4,10 +4,11 @@ use robogate_stats::logistic::Fit;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::form::Form;
 use crate::table::ParameterColumn;
 
 /// A logistic model of P(failure) in the parameters' own units: p = 1 / (1 + exp(-(intercept + Σ coefficient · x))),
-/// where x is the value of a numeric parameter or the penalty of a categorical one.
+/// where x is the value of a numeric parameter, its logarithm, or the penalty of a categorical one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Scoring {
     /// Log-odds of failure at x = 0.
@@ -25,12 +26,15 @@ pub struct Scoring {
 pub struct ScoringTerm {
     /// The parameter. The penalties of a categorical one are in the `penalties` of the risk model.
     pub parameter: String,
-    /// Log-odds per unit, or per unit of penalty.
+    /// Log-odds per unit, per unit of penalty, or per unit of the logarithm.
     pub coefficient: f64,
+    /// Whether the natural logarithm of the parameter enters the model.
+    #[serde(default)]
+    pub log: bool,
 }
 
 impl Scoring {
-    pub(super) fn of(fit: &Fit, parameters: &[ParameterColumn], columns: &[&[f64]]) -> Self {
+    pub(super) fn of(fit: &Fit, parameters: &[ParameterColumn], columns: &[&[f64]], form: &Form) -> Self {
         let raw = fit.raw_coefficients();
         let size = raw.len();
         // The intercept, then the columns that have a coefficient.
@@ -46,7 +50,11 @@ impl Scoring {
             intercept: raw[0],
             terms: kept[1..]
                 .iter()
-                .map(|i| ScoringTerm { parameter: parameters[i - 1].name.clone(), coefficient: raw[*i] })
+                .map(|i| ScoringTerm {
+                    parameter: parameters[i - 1].name.clone(),
+                    coefficient: raw[*i],
+                    log: form.log[i - 1],
+                })
                 .collect(),
             covariance: kept.iter().flat_map(|i| kept.iter().map(move |j| at(*i, *j))).collect(),
             max_variance: (0..rows).map(variance).fold(0.0, f64::max),

@@ -1,16 +1,16 @@
 //! The operating envelope: success by two parameters, and the frontier between success and failure.
 
 use robogate_analysis::labels::{parameter_label, value_with_unit};
-use robogate_analysis::{Analysis, Envelope, Finding, Frontier, PairMap};
-use robogate_stats::format::{count, counted, number, percent_or_dash, percent_range, range, sentence};
+use robogate_analysis::{Analysis, Envelope, Finding, Frontier, PairCounts, PairMap};
+use robogate_stats::format::{count, counted, number, percent, percent_or_dash, percent_range, range, sentence};
 
 use super::models::regression_table;
 use super::{Block, Figure, Section, Table, population};
 use crate::document::Kind::{Number, Short, Text, Zone};
-use crate::document::MAX_MAP_ROWS;
+use crate::document::{MAX_MAP_ROWS, or_dash};
 use crate::figures::{drawable, heatmap};
 
-pub(super) fn section(analysis: &Analysis) -> Section {
+pub(super) fn section(analysis: &Analysis, pairs: Option<&PairCounts>) -> Section {
     let mut blocks = Vec::new();
     if analysis.envelopes.is_empty() {
         blocks.push(Block::cannot("An envelope", "there are fewer than two numeric parameters"));
@@ -18,6 +18,7 @@ pub(super) fn section(analysis: &Analysis) -> Section {
     for (i, envelope) in analysis.envelopes.iter().enumerate() {
         one(&mut blocks, envelope, i);
     }
+    blocks.extend(pairs.filter(|pairs| pairs.axes.len() > 2).map(|pairs| Block::Pairs(pairs.clone())));
     Section { id: "envelope", title: "Operating envelope".to_owned(), population: population(analysis), blocks }
 }
 
@@ -46,26 +47,36 @@ fn map_figure(map: &PairMap, frontier: Option<&Frontier>, at: usize) -> Figure {
     )];
     findings.extend(open(zones.undecided, "are undecided: their interval includes a limit"));
     findings.extend(open(zones.too_few_episodes, "have too few episodes to classify"));
-    findings.push(
-        "Zones use simultaneous 95 % intervals for the whole map, which are wider than the interval of each cell."
-            .into(),
-    );
+    findings.push(match map.length_scale {
+        Some(_) => {
+            "Zones use the pointwise 95 % intervals of a smooth model of all episodes: on average, at most 5 % of the \
+                    classified area is wrong."
+                .into()
+        }
+        None => {
+            "Zones use simultaneous 95 % intervals for the whole map, which are wider than the interval of each cell."
+                .to_owned()
+        }
+    });
     findings.extend(frontier.map(frontier_findings).unwrap_or_default());
     Figure {
         title: format!("{} \u{d7} {}", sentence(&y), x),
         svg: heatmap(map, frontier, &format!("clip{at}")),
         is_map: true,
-        caption:
-            "Observed success in percent, with the number of episodes below it. Cells have equal width on the scale of \
-                  each parameter."
+        caption: match map.length_scale {
+            Some(_) => "Success in percent by a smooth model, with the number of episodes below it. The table has its intervals \
+                        and the observed rates."
                 .to_owned(),
+            None => "Observed success in percent, with the number of episodes below it. Cells have equal width on the scale of \
+                     each parameter."
+                .to_owned(),
+        },
         findings,
         table: map_table(map, &y, &x),
     }
 }
 
 fn frontier_blocks(blocks: &mut Vec<Block>, frontier: &Frontier) {
-    blocks.push(Block::Code(frontier.closed_form.clone()));
     if frontier.contradicted {
         blocks.push(Block::Caution(format!(
             "Do not rely on this frontier: where the model predicts 40 to 60 % success, the observed rate is {} ({} in {}). \
@@ -75,9 +86,13 @@ fn frontier_blocks(blocks: &mut Vec<Block>, frontier: &Frontier) {
             counted(frontier.near.n, "episode")
         )));
     }
-    blocks.push(Block::Folded(regression_table("Model of the frontier", &frontier.regression)));
-    blocks.push(Block::Folded(curve_table(frontier)));
-    blocks.extend(frontier.regression.warnings.iter().cloned().map(Block::Caution));
+    let mut model = vec![
+        Block::Code(frontier.closed_form.clone()),
+        Block::Table(regression_table("Model of the frontier", &frontier.regression)),
+        Block::Table(curve_table(frontier)),
+    ];
+    model.extend(frontier.regression.warnings.iter().cloned().map(Block::Caution));
+    blocks.push(Block::Group("The frontier in closed form".to_owned(), model));
 }
 
 fn frontier_findings(frontier: &Frontier) -> Vec<String> {
@@ -130,11 +145,23 @@ fn map_table(map: &PairMap, y: &str, x: &str) -> Table {
             count(cell.rate.n),
             percent_or_dash(cell.rate.rate),
             percent_range(cell.rate.wilson_95),
+            or_dash(cell.model, |m| percent(m.rate)),
+            or_dash(cell.model, |m| percent_range(m.interval_95)),
             cell.zone.as_str().to_owned(),
         ]
     });
-    let columns = [(y, Short), (x, Short), ("n", Number), ("success", Number), ("Wilson 95 %", Number), ("zone", Zone)];
-    Table::new(format!("Cells of {y} \u{d7} {x}"), &columns, rows.collect()).at_most(MAX_MAP_ROWS)
+    let columns = [
+        (y, Short),
+        (x, Short),
+        ("n", Number),
+        ("success", Number),
+        ("Wilson 95 %", Number),
+        ("model", Number),
+        ("model 95 %", Number),
+        ("zone", Zone),
+    ];
+    let table = Table::new(format!("Cells of {y} \u{d7} {x}"), &columns, rows.collect()).without_empty();
+    table.at_most(MAX_MAP_ROWS)
 }
 
 fn curve_table(frontier: &Frontier) -> Table {

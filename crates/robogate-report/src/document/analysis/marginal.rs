@@ -1,6 +1,6 @@
 //! Marginal effects: success rate by each parameter.
 
-use robogate_analysis::labels::value_with_unit;
+use robogate_analysis::labels::{parameter_label, value_with_unit};
 use robogate_analysis::{Analysis, Correlation, CriticalThreshold, Finding, MarginalEffect, ParameterType};
 use robogate_stats::format::{
     count, counted, fixed, number, p_value, percent, percent_or_dash, percent_range, range, sentence,
@@ -8,26 +8,31 @@ use robogate_stats::format::{
 
 use super::{Block, Figure, Section, Table, population};
 use crate::document::Kind::{Number, Short, Text, Zone};
-use crate::document::{MAX_ROWS, or_dash};
+use crate::document::{MAX_ROWS, or_dash, plain_p};
 use crate::figures;
+use crate::text::low_side;
 
 /// Maximum number of figures on the page. The other parameters are in the tables.
 const MAX_FIGURES: usize = 16;
+/// Number of figures that are visible before the reader opens the others.
+const FIRST_FIGURES: usize = 6;
 /// Share of crossing replicates above which the observed side of 50 % is not significant.
 const CROSSING: f64 = 0.05;
 
 pub(super) fn section(analysis: &Analysis) -> Section {
     let effects = &analysis.marginal_effects;
-    let mut blocks = vec![Block::Table(numeric_table(effects))];
-    blocks.extend(categorical_table(effects).map(Block::Table));
+    let mut blocks: Vec<Block> = effects_table(analysis).map(Block::Table).into_iter().collect();
     blocks.push(Block::Text(
-        "The vertical line is where success crosses 50 %, with its interval from 1,000 bootstrap replicates. Whiskers are Wilson \
-         intervals. Dotted lines separate danger (30 %), boundary and safe (70 %)."
+        "Strongest influence on success first. Dots are observed rates with Wilson intervals. The curve is a logistic model of the \
+         parameter and its square with its 95 % band. The vertical line is where success crosses 50 %, with its interval from \
+         1,000 bootstrap replicates. Dotted lines separate danger (30 %), boundary and safe (70 %)."
             .to_owned(),
     ));
     let mut ranked: Vec<&MarginalEffect> = effects.iter().collect();
-    let strength = |effect: &MarginalEffect| effect.correlation.estimated().map_or(0.0, |c| c.strength());
-    ranked.sort_by(|a, b| strength(b).total_cmp(&strength(a)));
+    let order = |effect: &MarginalEffect| {
+        analysis.effects.ranked.iter().position(|of| of.parameter == effect.parameter).unwrap_or(usize::MAX)
+    };
+    ranked.sort_by_key(|effect| order(effect));
     let left_out = ranked.len().saturating_sub(MAX_FIGURES);
     let figures = ranked.into_iter().take(MAX_FIGURES).map(|effect| Figure {
         title: sentence(&effect.label),
@@ -37,14 +42,60 @@ pub(super) fn section(analysis: &Analysis) -> Section {
         findings: Vec::new(),
         table: cells_table(effect),
     });
-    blocks.push(Block::Grid(figures.collect()));
+    let figures: Vec<Figure> = figures.collect();
+    let mut first = figures;
+    let others = first.split_off(first.len().min(FIRST_FIGURES));
+    blocks.push(Block::Grid(first));
+    if !others.is_empty() {
+        blocks.push(Block::Group(
+            format!("{} with a weaker effect", counted(others.len() as u64, "parameter")),
+            vec![Block::Grid(others)],
+        ));
+    }
+    let mut tables = vec![Block::Table(numeric_table(effects))];
+    tables.extend(categorical_table(effects).map(Block::Table));
+    blocks.push(Block::Group("Thresholds and correlations as a table".to_owned(), tables));
     if left_out > 0 {
         blocks.push(Block::Text(format!(
-            "{} with a weaker correlation are in the JSON document only.",
+            "{} with less influence are in the JSON document only.",
             counted(left_out as u64, "parameter")
         )));
     }
-    Section { id: "marginal-effects", title: "Marginal effects".to_owned(), population: population(analysis), blocks }
+    Section { id: "marginal-effects", title: "Drivers of success".to_owned(), population: population(analysis), blocks }
+}
+
+/// The parameters in order of influence, with the test and the shape of each.
+fn effects_table(analysis: &Analysis) -> Option<Table> {
+    let effects = &analysis.effects;
+    let rows = effects.ranked.iter().map(|effect| {
+        let shape = effect.shape.estimated();
+        vec![
+            parameter_label(&effect.parameter),
+            percent(effect.influence),
+            plain_p(effect.p),
+            plain_p(effect.adjusted_p),
+            or_dash(shape, |shape| low_side(&effect.parameter, shape)),
+            or_dash(shape, |shape| percent_or_dash(shape.low.rate)),
+            or_dash(shape, |shape| percent_or_dash(shape.high.rate)),
+        ]
+    });
+    let columns = [
+        ("parameter", Text),
+        ("variance explained", Number),
+        ("p", Number),
+        ("p (adjusted)", Number),
+        ("success is low", Text),
+        ("rate there", Number),
+        ("rate elsewhere", Number),
+    ];
+    let mut table = Table::new("Influence on success, strongest first", &columns, rows.collect());
+    table.remark = Some(format!(
+        "Permutation tests of an effect of any shape, adjusted (Holm) for {} and {}. Steps and rates are shown for significant \
+         effects; a step has its profile-likelihood interval.",
+        counted(effects.tested, "parameter"),
+        counted(effects.pairs_tested, "pair")
+    ));
+    (!effects.ranked.is_empty()).then_some(table)
 }
 
 fn caption(effect: &MarginalEffect) -> String {

@@ -12,12 +12,13 @@ mod sampling;
 use robogate_analysis::Analysis;
 use robogate_stats::format::{count, counted, percent, percent_range, sentence};
 
-use super::{Block, Document, Figure, Section, Table};
-use crate::figures;
+use super::{Block, Document, Figure, Section, Table, watch_section};
+use crate::gate::VerdictBlock;
 use crate::text::{Headline, limits};
+use crate::{Additions, figures};
 
 /// Creates the document of an analysis.
-pub(crate) fn analysis_document(analysis: &Analysis) -> Document {
+pub(crate) fn analysis_document(analysis: &Analysis, additions: &Additions<'_>) -> Document {
     let subject = &analysis.subject;
     let success = &analysis.success;
     let bounds = match (success.bounds.invalid, success.bounds.worst_case, success.bounds.best_case) {
@@ -51,24 +52,42 @@ pub(crate) fn analysis_document(analysis: &Analysis) -> Document {
         .into_iter()
         .filter(|(_, lines)| !lines.is_empty())
         .collect(),
-        sections: vec![
-            envelope::section(analysis),
-            marginal::section(analysis),
-            failures::section(analysis),
-            danger::section(analysis),
-            models::risk(analysis),
-            models::interactions(analysis),
-            sampling::section(analysis),
-            replay::section(analysis),
-            provenance::section(analysis),
-            Section {
-                id: "limits",
-                title: "Limits".to_owned(),
-                population: None,
-                blocks: vec![Block::List(limits(analysis))],
-            },
-        ],
+        sections: sections(analysis, additions),
+        verdict: additions.evaluation.map(VerdictBlock::of),
     }
+}
+
+/// The sections: first what a reader acts on, then the evidence.
+fn sections(analysis: &Analysis, additions: &Additions<'_>) -> Vec<Section> {
+    let mut sections: Vec<Section> = additions.watch.map(watch_section).into_iter().collect();
+    sections.extend([
+        marginal::section(analysis),
+        envelope::section(analysis, additions.pairs),
+        failures::section(analysis),
+        models::risk(analysis),
+        replay::section(analysis),
+        paper(analysis),
+        sampling::section(analysis),
+        provenance::section(analysis),
+        Section {
+            id: "limits",
+            title: "Limits".to_owned(),
+            population: None,
+            blocks: vec![Block::List(limits(analysis))],
+        },
+    ]);
+    sections
+}
+
+/// The figures of the paper that introduced RoboGate, in one section.
+fn paper(analysis: &Analysis) -> Section {
+    let mut blocks = Vec::new();
+    for part in [danger::section(analysis), models::interactions(analysis)] {
+        blocks.push(Block::Heading(part.title));
+        blocks.extend(part.population.map(Block::Text));
+        blocks.extend(part.blocks);
+    }
+    Section { id: "paper", title: "Figures of the RoboGate paper".to_owned(), population: None, blocks }
 }
 
 fn is_unknown(name: &str) -> bool {

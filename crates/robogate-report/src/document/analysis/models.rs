@@ -2,7 +2,7 @@
 
 use robogate_analysis::labels::parameter_label;
 use robogate_analysis::{Analysis, CalibrationFigures, Finding, Regression, RiskModel, RocFigures, TaskAnalysis};
-use robogate_stats::format::{count, fixed, number, p_value, percent, percent_range, range, significant};
+use robogate_stats::format::{count, fixed, list, number, p_value, percent, percent_range, range, significant};
 
 use super::{Block, Figure, Section, Table, population};
 use crate::document::Kind::{Number, Text};
@@ -44,15 +44,28 @@ fn coefficients(risk: &RiskModel, analysis: &Analysis) -> Figure {
     } else {
         "The form of the paper's model, fitted to the parameters of this dataset instead of the paper's."
     };
-    let coding = "The penalty of a level is its failure rate, shrunk towards the overall rate by the weight of ten episodes. The \
-                  paper does not define its penalties.";
-    let strongest = strongest(&risk.regression);
+    let rate = "failure rate, shrunk towards the overall rate by the weight of ten episodes";
+    let penalty = if risk.logit_penalties { format!("the log-odds of its {rate}") } else { format!("its {rate}") };
+    let coding = format!(
+        "The penalty of a level is {penalty}. The paper does not define its penalties. Cross-validation chose this coding and \
+         {}. The p-value of a penalty is that of a likelihood-ratio test of all levels, and its standard error is derived from \
+         it.",
+        if risk.logarithmic.is_empty() {
+            "linear scales".to_owned()
+        } else {
+            format!(
+                "a logarithmic scale for {}",
+                list(&risk.logarithmic.iter().map(|p| parameter_label(p)).collect::<Vec<_>>())
+            )
+        }
+    );
+    let strongest = strongest(risk, analysis);
     Figure {
         title: "Effects on the risk of failure".to_owned(),
         svg: figures::coefficients(&risk.regression),
         is_map: false,
         caption: "Change of the log-odds of failure per standard deviation, with 95 % intervals.".to_owned(),
-        findings: std::iter::once(form.to_owned()).chain(strongest).chain([coding.to_owned()]).collect(),
+        findings: std::iter::once(form.to_owned()).chain(strongest).chain([coding]).collect(),
         table: regression_table("Coefficients of the risk model", &risk.regression),
     }
 }
@@ -75,11 +88,17 @@ fn calibration(risk: &RiskModel) -> Option<Figure> {
     })
 }
 
-fn strongest(regression: &Regression) -> Option<String> {
+/// The term with the strongest effect, if the parameter may be named.
+fn strongest(risk: &RiskModel, analysis: &Analysis) -> Option<String> {
+    let regression = &risk.regression;
+    let named = |term: &str| {
+        let mut labels = analysis.effects.significant().map(|effect| parameter_label(&effect.parameter));
+        labels.any(|label| term == label || term == format!("log {label}") || term == format!("{label} penalty"))
+    };
     let (term, estimate) = regression
         .terms
         .iter()
-        .filter(|t| t.term != "intercept")
+        .filter(|t| named(&t.term))
         .filter_map(|t| Some((&t.term, t.estimate.estimated()?)))
         .max_by(|a, b| a.1.z.abs().total_cmp(&b.1.z.abs()))?;
     let change = if estimate.coefficient > 0.0 { "multiplies" } else { "divides" };

@@ -11,18 +11,20 @@ mod universal;
 use robogate_analysis::Comparison;
 use robogate_stats::format::{count, fixed, list, points_range};
 
-use super::{Block, Document, Figure, Section, Table};
+use super::{Block, Document, Figure, Section, Table, watch_section};
 use crate::document::Kind::{Number, Short, Text};
 use crate::document::MAX_ROWS;
 use crate::figures;
 use crate::text::{ComparisonHeadline, comparison_limits};
+use crate::watch::Watch;
 
 /// Creates the document of a comparison.
-pub(crate) fn comparison_document(of: &Comparison) -> Document {
+pub(crate) fn comparison_document(of: &Comparison, watch: Option<&Watch>) -> Document {
     let headline = ComparisonHeadline::of(of);
     let names: Vec<String> = of.datasets.iter().map(|d| d.name.clone()).collect();
     let largest = Largest::of(of);
-    let mut sections = vec![rates::section(of)];
+    let mut sections: Vec<Section> = watch.map(watch_section).into_iter().collect();
+    sections.push(rates::section(of));
     sections.extend(of.paired.iter().enumerate().map(|(i, pair)| paired::section(pair, i)));
     sections.extend([
         failures::section(of),
@@ -64,6 +66,7 @@ pub(crate) fn comparison_document(of: &Comparison) -> Document {
             ("Uncertainty", headline.uncertainty),
         ],
         sections,
+        verdict: None,
     }
 }
 

@@ -50,7 +50,7 @@ impl<E: Engine> PhysicsHost<E> {
     pub fn step(&mut self, joints: &[f64], gripper: GripperCommand) -> Result<RemotePeriod, Fault> {
         // The engine is borrowed while it reports a step, so bodies are identified by index until then.
         let mut sights = Vec::with_capacity(self.plant.steps_per_period());
-        self.plant.run(joints, gripper, &mut |view| sights.push(RemoteSight::of(view, |body| body.to_string())))?;
+        self.plant.run(joints, gripper, &mut |_, view| sights.push(RemoteSight::of(view, |body| body.to_string())))?;
         let engine = &self.plant.engine;
         for collision in sights.iter_mut().filter_map(|sight| sight.collision.as_mut()) {
             if let Ok(body) = collision.robot_body.parse() {

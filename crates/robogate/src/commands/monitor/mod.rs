@@ -8,10 +8,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use robogate_monitor::Reference;
 use robogate_monitor::service::ServiceSettings;
+use robogate_monitor::{EventSettings, Reference, default_events};
 
 use crate::exit::{Exit, OrExit};
+use crate::terminal::note;
 
 /// Detect drift of deployed robots, with a bounded false-alarm rate.
 #[derive(Debug, Args)]
@@ -71,9 +72,37 @@ impl Watched {
 
 fn settings(path: &Path) -> Result<ServiceSettings, Exit> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
-    let settings: ServiceSettings = toml::from_str(&text).with_context(|| format!("{}", path.display())).or_usage()?;
+    let context = || format!("{}", path.display());
+    let mut table: toml::Table = toml::from_str(&text).with_context(context).or_usage()?;
+    let renamed = table.get_mut("detectors").and_then(toml::Value::as_table_mut).map_or_else(Vec::new, rename);
+    for (old, new) in &renamed {
+        note(format_args!("note: {}: `detectors.{old}` is the old name of `detectors.{new}`", path.display()));
+    }
+    // Errors in the text have a line number, those in the table have none.
+    let settings: ServiceSettings =
+        if renamed.is_empty() { toml::from_str(&text) } else { table.try_into() }.with_context(context).or_usage()?;
     settings.check().with_context(|| format!("{}", path.display())).or_usage()?;
     Ok(settings)
+}
+
+/// Moves the share of each event that was a field of `shares` to its place. Returns the old and the new names.
+fn rename(detectors: &mut toml::Table) -> Vec<(String, String)> {
+    let Some(shares) = detectors.get_mut("shares").and_then(toml::Value::as_table_mut) else { return Vec::new() };
+    let found: Vec<(String, toml::Value)> =
+        default_events().into_keys().filter_map(|event| shares.remove(&event).map(|share| (event, share))).collect();
+    if found.is_empty() || detectors.contains_key("events") {
+        return Vec::new();
+    }
+    let mut events = toml::Table::new();
+    for (event, EventSettings { share, causes }) in default_events() {
+        let former = found.iter().find(|(name, _)| *name == event).map(|(_, share)| share.clone());
+        let mut settings = toml::Table::new();
+        settings.insert("share".to_owned(), former.unwrap_or(share.into()));
+        settings.extend(causes.map(|causes| ("causes".to_owned(), causes.into())));
+        events.insert(event, settings.into());
+    }
+    detectors.insert("events".to_owned(), events.into());
+    found.into_iter().map(|(event, _)| (format!("shares.{event}"), format!("events.{event}.share"))).collect()
 }
 
 fn reference(path: &Path) -> Result<Reference, Exit> {

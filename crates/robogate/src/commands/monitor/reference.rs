@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
-use robogate_analysis::{Analysis, Finding, Population, RiskModel, Source};
+use robogate_analysis::{Analysis, AnalysisOptions, Finding, Population, RiskModel};
 use robogate_core::{Domain, Parameter};
 use robogate_dictionary::{Column, Dictionary, DictionaryError};
 use robogate_monitor::domain::{self, Risk, RiskTerm, Validated};
@@ -13,6 +13,7 @@ use robogate_monitor::{Baseline, Count, ModeCounts, Reference};
 
 use crate::commands::analyze::analyse;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
+use crate::source::open_source;
 use crate::terminal::{grouped, line, note};
 
 /// An end of a parameter's range counts as validated if an episode came this close to it, as a share of the range.
@@ -34,8 +35,8 @@ pub(super) struct ReferenceOf {
 
 impl ReferenceOf {
     pub(super) fn execute(&self) -> Result<u8, Exit> {
-        let source = Source::open(&self.run).or_usage()?;
-        let analysis = analyse(&source, &self.run, &[])?;
+        let source = open_source(&self.run)?;
+        let analysis = analyse(&source, &self.run, &AnalysisOptions::default())?;
         let envelope = envelope(source.dictionary()).or_broken()?;
         let rate = &analysis.success.rate;
         if rate.n == 0 || envelope.is_empty() {
@@ -112,6 +113,7 @@ fn risk(model: &RiskModel) -> Risk {
     let term = |term: &robogate_analysis::ScoringTerm| RiskTerm {
         parameter: term.parameter.clone(),
         coefficient: term.coefficient,
+        log: term.log,
         penalties: penalties(&term.parameter),
     };
     Risk {

@@ -143,8 +143,8 @@ impl Simulate {
         )));
         line(dim(format_args!(
             "The detector of the failure rate uses its share ({}) of the false-alarm budget of all {} metrics.",
-            settings.shares.of(Metric::Success),
-            Metric::ALL.len()
+            settings.share(Metric::Success),
+            Metric::all(settings).count()
         )));
     }
 }

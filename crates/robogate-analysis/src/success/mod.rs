@@ -1,5 +1,8 @@
 //! Success rates of the stages and of the operating space.
 
+mod control;
+mod pooled;
+
 use robogate_stats::weighted::{effective_sample_size, hajek};
 use robogate_stats::{Confidence, Trials};
 use schemars::JsonSchema;
@@ -7,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::rate::ends;
 use crate::rate::{Finding, Population, Rate};
+use crate::source::BoundaryFile;
 use crate::table::{Ending, EpisodeTable, ParameterKind, Sample};
 
 /// How often the policy succeeds.
@@ -22,6 +26,24 @@ pub struct Success {
     pub stages: Vec<StageSuccess>,
     /// The rate over the operating space from all rows, if there are focused and other rows.
     pub reweighted: Option<Finding<Reweighted>>,
+    /// The rate with the known distribution of the parameters as a control variate, for rows from the operating space.
+    #[serde(default)]
+    pub adjusted: Option<Finding<Adjusted>>,
+}
+
+/// A rate with less variance than that of independent episodes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Adjusted {
+    /// The estimate.
+    pub rate: f64,
+    /// Its standard error.
+    pub se: f64,
+    /// Its 95 % interval.
+    pub interval_95: [f64; 2],
+    /// The number of independent episodes that would give the same standard error.
+    pub effective_episodes: f64,
+    /// Parameters whose known distribution is used.
+    pub parameters: u64,
 }
 
 /// Invalid episodes, and their possible effect on the rate.
@@ -96,7 +118,13 @@ pub struct Reweighted {
 }
 
 impl Success {
-    pub(crate) fn of(table: &EpisodeTable, base: &Sample, focused: Option<&Sample>, population: Population) -> Self {
+    pub(crate) fn of(
+        table: &EpisodeTable,
+        base: &Sample,
+        focused: Option<&Sample>,
+        population: Population,
+        boundary: Option<&BoundaryFile>,
+    ) -> Self {
         let mut stages: Vec<StageSuccess> = (0..table.stages.len()).map(|i| stage(table, i)).collect();
         stages.retain(|stage| stage.episodes > 0);
         let base_is_focused = population == Population::FocusedDesign;
@@ -119,7 +147,8 @@ impl Success {
                     .collect(),
             },
             stages,
-            reweighted: focused.map(|focused| reweighted(table, base, focused)),
+            reweighted: focused.map(|focused| reweighted(table, base, focused, boundary)),
+            adjusted: (population == Population::OperatingSpace && rate.n > 0).then(|| control::adjusted_rate(base)),
         }
     }
 }
@@ -159,28 +188,56 @@ fn weighted(success: &[bool], weights: &[f64]) -> Result<WeightedRate, String> {
     Ok(WeightedRate { rate, se: found.se, interval_95: ends(found.interval), effective_sample_size: found.effective })
 }
 
-/// Combines both designs by post-stratification on the focused region R.
+/// Combines both designs. With the boundary report of the run, rows have the weights of the balance heuristic
+/// ([`pooled`]). Without it, the region R of the focused rows is known only if they were sampled uniformly in one box, so
+/// that their stored weights are equal. Then the rows are post-stratified on R.
 ///
 /// The stored weights p/q of the focused rows describe the operating density inside R and nothing outside it, so
 /// concatenating the two sets would count R twice. Here the rows outside R (all of them from the uniform design) share
 /// the mass 1 - P(R) equally. Inside R, the mass P(R) is divided between the two designs in proportion to their
 /// effective sample sizes: equally among the uniform rows, by stored weight among the focused ones. R is the bounding
 /// box of the focused rows, and P(R) its share of the operating distribution, whose parameters are independent.
-fn reweighted(table: &EpisodeTable, base: &Sample, focused: &Sample) -> Finding<Reweighted> {
-    match combined_weights(table, base, focused) {
+fn reweighted(
+    table: &EpisodeTable,
+    base: &Sample,
+    focused: &Sample,
+    boundary: Option<&BoundaryFile>,
+) -> Finding<Reweighted> {
+    let (found, method) = match boundary.filter(|b| b.volume.episodes > 0) {
+        Some(boundary) => (
+            pooled::weights(table, base, focused, boundary),
+            "each row by the pooled density of both designs (balance heuristic)",
+        ),
+        None if !equal_weights(table, focused) => {
+            return Finding::not(
+                "the focused rows come from several regions, which are described in the run's folder only: analyse the folder",
+            );
+        }
+        None => (
+            combined_weights(table, base, focused),
+            "post-stratified on the bounding box of the focused rows: outside it the uniform rows only, inside it both \
+             designs in proportion to their effective sample sizes, focused rows by their stored weights",
+        ),
+    };
+    match found {
         Ok((success, weights, region_share)) => match weighted(&success, &weights) {
             Ok(estimate) => Finding::Estimated(Reweighted {
                 estimate,
                 rows: success.len() as u64,
                 region_share,
-                method: "post-stratified on the bounding box of the focused rows: outside it the uniform rows only, inside it both \
-                         designs in proportion to their effective sample sizes, focused rows by their stored weights"
-                    .to_owned(),
+                method: method.to_owned(),
             }),
             Err(because) => Finding::not(because),
         },
         Err(because) => Finding::not(because),
     }
+}
+
+/// Whether all stored weights of these rows are equal, up to rounding.
+fn equal_weights(table: &EpisodeTable, rows: &Sample) -> bool {
+    let weights = || rows.rows.iter().map(|row| table.weight[*row as usize]);
+    let low = weights().fold(f64::INFINITY, f64::min);
+    weights().all(|w| (w - low).abs() <= 1e-9 * low.abs())
 }
 
 /// Outcomes and weights of the base rows followed by the focused ones, and P(R).

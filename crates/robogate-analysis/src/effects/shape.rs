@@ -1,0 +1,89 @@
+//! The shape of an effect: where success is high and where it is low.
+
+use robogate_stats::Trials;
+use robogate_stats::binning::per_bin;
+use robogate_stats::segments::{Segments, Shape, Step, segments};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::Rate;
+use crate::table::{ParameterColumn, ParameterKind, Sample};
+
+/// Most cells in which a step is located, and the rows of each.
+const CELLS: usize = 60;
+const ROWS_PER_CELL: usize = 25;
+
+/// Where success is high and where it is low along one parameter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct EffectShape {
+    /// The kind of shape.
+    pub kind: ShapeKind,
+    /// Where the rate changes: one step for a one-sided effect, two for a band or a gap, none for levels.
+    pub steps: Vec<RateStep>,
+    /// The levels with a low rate, for a categorical parameter.
+    pub low_levels: Vec<String>,
+    /// The success rate on the high side. The steps were chosen on the same rows, so the contrast is slightly too large.
+    pub high: Rate,
+    /// The success rate on the low side.
+    pub low: Rate,
+}
+
+/// The kind of shape.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ShapeKind {
+    /// One-sided: success is higher above the step.
+    Rising,
+    /// One-sided: success is higher below the step.
+    Falling,
+    /// Two-sided: success is higher between the steps, and lower at both ends.
+    Band,
+    /// Peaked: success is lower between the steps than at both ends.
+    Gap,
+    /// Some levels have a lower rate than the others.
+    Levels,
+}
+
+/// A change of the success rate.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RateStep {
+    /// The value at which the rate crosses the mean of the two rates.
+    pub at: f64,
+    /// Its 95 % interval, by profile likelihood.
+    pub interval_95: [f64; 2],
+}
+
+impl From<Step> for RateStep {
+    fn from(step: Step) -> Self {
+        Self { at: step.at, interval_95: [step.low, step.high] }
+    }
+}
+
+/// The shape of a significant effect. `low` are the cells with the lower rate in the test.
+pub(super) fn shape(base: &Sample, parameter: &ParameterColumn, cells: &[Trials], low: &[bool]) -> Option<EffectShape> {
+    if let ParameterKind::Categorical { levels } = &parameter.kind {
+        let sum = |wanted: bool| {
+            let of = cells.iter().zip(low).filter(|(_, low)| **low == wanted);
+            let (k, n) = of.fold((0, 0), |(k, n), (cell, _)| (k + cell.successes(), n + cell.n()));
+            Trials::new(k, n).unwrap_or(Trials::NONE)
+        };
+        let low_levels = levels.iter().zip(cells).zip(low).filter(|((_, cell), low)| **low && cell.n() > 0);
+        return Some(EffectShape {
+            kind: ShapeKind::Levels,
+            steps: Vec::new(),
+            low_levels: low_levels.map(|((level, _), _)| level.clone()).collect(),
+            high: Rate::of(sum(false)),
+            low: Rate::of(sum(true)),
+        });
+    }
+    let edges = super::edges(parameter, (base.len() / ROWS_PER_CELL).clamp(8, CELLS))?;
+    let fine = per_bin(&parameter.values, &base.success, &edges).ok()?.cells;
+    let Segments { shape, high, low } = segments(&fine, edges.as_slice())?;
+    let (kind, steps) = match shape {
+        Shape::Rising(step) => (ShapeKind::Rising, vec![step.into()]),
+        Shape::Falling(step) => (ShapeKind::Falling, vec![step.into()]),
+        Shape::Band(from, to) => (ShapeKind::Band, vec![from.into(), to.into()]),
+        Shape::Gap(from, to) => (ShapeKind::Gap, vec![from.into(), to.into()]),
+    };
+    Some(EffectShape { kind, steps, low_levels: Vec::new(), high: Rate::of(high), low: Rate::of(low) })
+}

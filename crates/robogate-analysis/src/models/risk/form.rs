@@ -1,0 +1,104 @@
+//! The form of the risk model: coding of levels and scale of each number, chosen by cross-validation.
+
+use robogate_stats::logistic::{Data, Options, fit};
+use robogate_stats::roc::stratified_folds;
+
+use super::penalties::Coding;
+use crate::table::{ParameterColumn, ParameterKind};
+
+/// Rows that choose the form.
+const MOST_ROWS: usize = 20_000;
+/// Folds.
+const FOLDS: usize = 5;
+/// Fewest rows of the rarer outcome for a choice.
+const FEWEST: usize = 30;
+/// Smallest ratio of the ends of a range for which a logarithm can matter.
+const RATIO: f64 = 3.0;
+/// Smallest improvement of the log loss, per row, in standard errors of the difference.
+const STANDARD_ERRORS: f64 = 2.0;
+
+/// The form of a model.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Form {
+    /// Whether a penalty is the log-odds of the failure rate of its level, otherwise the rate.
+    pub(super) logit: bool,
+    /// Whether the logarithm of each parameter enters the model.
+    pub(super) log: Vec<bool>,
+}
+
+impl Form {
+    /// The published form: rates and linear scales.
+    pub(super) fn plain(parameters: &[ParameterColumn]) -> Self {
+        Self { logit: false, log: vec![false; parameters.len()] }
+    }
+
+    /// The form with the smallest cross-validated log loss. One choice after the other replaces the plain form if its
+    /// improvement is at least two standard errors.
+    pub(super) fn choose(parameters: &[ParameterColumn], failed: &[bool]) -> Self {
+        let mut form = Self::plain(parameters);
+        let step = failed.len().div_ceil(MOST_ROWS).max(1);
+        let rows: Vec<usize> = (0..failed.len()).step_by(step).collect();
+        let failures = rows.iter().filter(|row| failed[**row]).count();
+        if failures.min(rows.len() - failures) < FEWEST {
+            return form;
+        }
+        let outcomes: Vec<bool> = rows.iter().map(|row| failed[*row]).collect();
+        let folds = stratified_folds(&outcomes, FOLDS, 0);
+        let Some(mut best) = losses(parameters, failed, &rows, &folds, &form) else { return form };
+        let mut offer = |candidate: Self, form: &mut Self| {
+            let Some(found) = losses(parameters, failed, &rows, &folds, &candidate) else { return };
+            let n = best.len() as f64;
+            let gain: Vec<f64> = best.iter().zip(&found).map(|(a, b)| a - b).collect();
+            let mean = gain.iter().sum::<f64>() / n;
+            let variance = gain.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / n;
+            if mean > STANDARD_ERRORS * (variance / n).sqrt() {
+                *form = candidate;
+                best = found;
+            }
+        };
+        for (at, parameter) in parameters.iter().enumerate() {
+            let ParameterKind::Continuous { low, high, .. } = parameter.kind else { continue };
+            if low > 0.0 && high > RATIO * low && parameter.values.iter().all(|v| *v > 0.0) {
+                let mut candidate = form.clone();
+                candidate.log[at] = true;
+                offer(candidate, &mut form);
+            }
+        }
+        if parameters.iter().any(|parameter| !parameter.is_numeric()) {
+            offer(Self { logit: true, ..form.clone() }, &mut form);
+        }
+        form
+    }
+}
+
+/// The cross-validated log loss of each row. `None` if a fold cannot be fitted.
+fn losses(
+    parameters: &[ParameterColumn],
+    failed: &[bool],
+    rows: &[usize],
+    folds: &[usize],
+    form: &Form,
+) -> Option<Vec<f64>> {
+    let mut losses = vec![0.0; rows.len()];
+    for fold in 0..FOLDS {
+        let of = |held: bool| -> Vec<usize> {
+            rows.iter().zip(folds).filter(|(_, f)| (**f == fold) == held).map(|(row, _)| *row).collect()
+        };
+        let (train, test) = (of(false), of(true));
+        let coding = Coding::learn(parameters, failed, &train, form);
+        let columns = coding.columns(parameters, &train);
+        let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+        let outcomes: Vec<bool> = train.iter().map(|row| failed[*row]).collect();
+        let fitted = fit(Data::new(&slices, &outcomes, None).ok()?, Options::default()).ok()?;
+        let columns = coding.columns(parameters, &test);
+        let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+        let p = fitted.probabilities(&slices)?;
+        let places = (0..rows.len()).filter(|at| folds[*at] == fold);
+        for ((at, row), p) in places.zip(&test).zip(p) {
+            // A wrong prediction with certainty would decide alone.
+            let of_outcome = if failed[*row] { p } else { 1.0 - p };
+            losses[at] = -of_outcome.max(1e-6).ln();
+        }
+    }
+    Some(losses)
+}

@@ -1,0 +1,47 @@
+//! Numbers of successes over any two parameters, for a page with a map that the reader chooses.
+
+use robogate_stats::binning::per_pair;
+
+use crate::analysis::populations;
+use crate::pairs::{Axis, axis, bins_for};
+use crate::table::EpisodeTable;
+use crate::{Analysis, AnalysisError, Source};
+
+/// Maximum number of parameters, which gives 120 pairs.
+const MAX_PARAMETERS: usize = 16;
+
+/// Numbers of successes over all pairs of parameters.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PairCounts {
+    /// The parameters with their bins, the strongest effect first.
+    pub axes: Vec<Axis>,
+    /// For each pair (first, second) of axes with first before second, in order: episodes and successes of each cell, row
+    /// by row from the lowest value of the first; the second varies fastest.
+    pub pairs: Vec<Vec<[u64; 2]>>,
+}
+
+/// Counts successes over all pairs of the parameters with the strongest effects. `analysis` is that of the source.
+///
+/// # Errors
+/// If a column cannot be read.
+pub fn pair_counts(source: &Source, analysis: &Analysis) -> Result<PairCounts, AnalysisError> {
+    let table = EpisodeTable::read(source.dictionary())?;
+    let (base, _, _) = populations(&table);
+    let bins = bins_for(base.len());
+    let strength = |name: &str| {
+        let effect = analysis.marginal_effects.iter().find(|effect| effect.parameter == name);
+        effect.and_then(|effect| effect.correlation.estimated()).map_or(0.0, |found| found.strength())
+    };
+    let mut columns: Vec<_> = base.parameters.iter().filter_map(|column| Some((column, axis(column, bins)?))).collect();
+    columns.sort_by(|a, b| strength(&b.0.name).total_cmp(&strength(&a.0.name)));
+    columns.truncate(MAX_PARAMETERS);
+    let mut pairs = Vec::new();
+    for (i, (up, (_, y))) in columns.iter().enumerate() {
+        for (across, (_, x)) in &columns[i + 1..] {
+            let counted = per_pair(&up.values, y, &across.values, x, &base.success);
+            let cells = counted.map(|counted| counted.cells).unwrap_or_default();
+            pairs.push(cells.iter().map(|trials| [trials.n(), trials.successes()]).collect());
+        }
+    }
+    Ok(PairCounts { axes: columns.into_iter().map(|(_, (axis, _))| axis).collect(), pairs })
+}

@@ -1,0 +1,74 @@
+//! Headlines name what is there, and nothing else.
+
+use robogate_analysis::ShapeKind;
+
+use crate::noise::{named, planted, simulated};
+
+#[test]
+fn noise_names_nothing() {
+    // The program of `robogate-report` runs 200 sets of each rate and size.
+    let mut reports = 0;
+    for seed in 0..30 {
+        for rate in [0.1, 0.5, 0.99] {
+            reports += u32::from(!named(&simulated(seed, 300, |_| rate)).is_empty());
+        }
+    }
+    // 5 % of 90 is 4.5, with a standard deviation of 2.1.
+    assert!(reports <= 9, "{reports} of 90 reports name something");
+}
+
+#[test]
+fn planted_effect_is_named() {
+    for seed in 0..5 {
+        let analysis = simulated(seed, 3_000, planted(0.5, 3.0, 0.33));
+        let first = &analysis.claims.failure_regions[0];
+        assert_eq!(first.parameter, "p3");
+        assert_eq!(first.shape.kind, ShapeKind::Gap);
+        let (from, to) = (first.shape.steps[0], first.shape.steps[1]);
+        assert!(from.interval_95[0] < 0.34 && from.interval_95[1] > 0.32, "{from:?}");
+        assert!(to.interval_95[0] < 0.44 && to.interval_95[1] > 0.42, "{to:?}");
+    }
+}
+
+#[test]
+fn two_sided_effects_have_both_ends() {
+    // The rates of a released dictionary along an offset: 0, 12, 56, 62, 71, 65, 56, 76, 0, 0 %.
+    let band = |at: &[f64]| {
+        if at[5] < 0.2 {
+            0.06
+        } else if at[5] < 0.8 {
+            0.64
+        } else {
+            0.01
+        }
+    };
+    let analysis = simulated(1, 1_000, band);
+    let first = &analysis.claims.failure_regions[0];
+    assert_eq!((first.parameter.as_str(), first.shape.kind), ("p5", ShapeKind::Band));
+    assert!((first.shape.steps[0].at - 0.2).abs() < 0.05 && (first.shape.steps[1].at - 0.8).abs() < 0.05);
+    assert_eq!(analysis.effects.ranked[0].parameter, "p5");
+    // Failure in a smooth valley.
+    let valley = |at: &[f64]| 1.0 / (1.0 + (1.5 - 40.0 * (at[4] - 0.5).powi(2)).exp());
+    let analysis = simulated(2, 2_000, valley);
+    let first = &analysis.claims.failure_regions[0];
+    assert_eq!((first.parameter.as_str(), first.shape.kind), ("p4", ShapeKind::Gap));
+}
+
+#[test]
+fn interactions_are_found() {
+    let analysis = simulated(3, 3_000, |at| 1.0 / (1.0 + (-12.0 * (at[4] - 0.5) * (at[5] - 0.5)).exp()));
+    assert_eq!(analysis.claims.interactions, [["p4".to_owned(), "p5".to_owned()]]);
+}
+
+#[test]
+fn bad_levels_are_named_in_words() {
+    let law = |at: &[f64]| if (0.25..0.5).contains(&at[8]) { 0.3 } else { 0.97 };
+    let analysis = simulated(4, 2_000, law);
+    let region = &analysis.claims.failure_regions[0];
+    assert_eq!((region.parameter.as_str(), region.shape.low_levels.as_slice()), ("p8", ["p8_1".to_owned()].as_slice()));
+    let found = analysis.safe_box.estimated().unwrap();
+    assert!(found.verified && found.lower_bound >= 0.9);
+    assert_eq!(found.limits[0].excluded_levels, ["p8_1"]);
+    assert!((found.volume - 0.75).abs() < 1e-9);
+    assert!(found.avoided as f64 > 0.85 * found.failures as f64);
+}

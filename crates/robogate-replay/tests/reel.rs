@@ -1,0 +1,89 @@
+//! Reels hold what was recorded, share solids, keep to the budget of meshes, and escape markup.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use robogate_core::{
+    Assignment, ContactBetween, ContactPoint, Episode, Frame, Measures, Outcome, Pose, Scenario, Seed, Solid,
+    SolidShape, Trajectory,
+};
+use robogate_replay::{Clip, Clock, MESH_BUDGET_BYTES, Mark, Recording, Signal, reel};
+use serde_json::Value;
+
+fn solid(shape: SolidShape) -> Solid {
+    Solid { body: 0, shape, pose: Pose::upright([0.1, 0.2, 0.3], 0.5), color: [10, 20, 30], opacity: 1.0 }
+}
+
+fn clip(title: &str, solids: Vec<Solid>) -> Clip {
+    let frame = |i: u32| Frame {
+        time_s: f64::from(i) / 30.0,
+        poses: vec![Pose::upright([0.01 * f64::from(i), -0.2, 0.5], 0.02 * f64::from(i))],
+        contacts: vec![ContactPoint {
+            position: [0.1, 0.0, 0.0],
+            force_n: [0.0, 0.0, 3.0],
+            between: ContactBetween::RobotAndObject,
+        }],
+    };
+    let episode = Episode {
+        scenario: Scenario { index: 3, seed: Seed::campaign(1).episode(3), requested: Assignment::default() },
+        applied: Assignment::default(),
+        outcome: Outcome::Success,
+        time_s: 1.0,
+        phase: None,
+        contact: None,
+        measures: Measures::default(),
+        ticks: 2,
+        trajectory_hash: 1,
+    };
+    let values = vec![None, Some(0.25)];
+    Clip {
+        title: title.to_owned(),
+        outcome: "success".to_owned(),
+        success: true,
+        parameters: vec![("mass".to_owned(), "1 kg".to_owned())],
+        command: "robogate replay run 3".to_owned(),
+        recording: Recording {
+            episode,
+            trajectory: Some(Trajectory {
+                bodies: vec!["part".to_owned()],
+                solids,
+                frames: (0..30).map(frame).collect(),
+            }),
+            tick_s: vec![0.5, 1.0],
+            signals: vec![Signal { name: "slip".to_owned(), unit: "m".to_owned(), clock: Clock::Ticks, values }],
+            phases: vec![Mark { time_s: 0.0, what: "LIFT".to_owned() }],
+            events: vec![Mark { time_s: 0.5, what: "object held".to_owned() }],
+        },
+    }
+}
+
+#[test]
+fn clips_share_solids() {
+    let sphere = || solid(SolidShape::Sphere { radius: 0.05 });
+    let made = reel(&[clip("one", vec![sphere()]), clip("two", vec![sphere()])]);
+    let document: Value = serde_json::from_str(&made.json).unwrap();
+    assert_eq!(document["clips"][0]["solids"], document["clips"][1]["solids"]);
+    assert_eq!(document["clips"][0]["frames"], 30);
+    assert_eq!(document["clips"][0]["events"][0]["what"], "object held");
+    assert_eq!(made, reel(&[clip("one", vec![sphere()]), clip("two", vec![sphere()])]), "equal clips, equal bytes");
+}
+
+#[test]
+fn markup_is_escaped() {
+    let made = reel(&[clip("</script><script>alert(1)", Vec::new())]);
+    assert!(!made.json.contains('<'), "{}", made.json);
+    let document: Value = serde_json::from_str(&made.json).unwrap();
+    assert_eq!(document["clips"][0]["title"], "</script><script>alert(1)");
+}
+
+#[test]
+fn meshes_beyond_the_budget_become_boxes() {
+    let triangle = |i: usize| {
+        let x = 0.001 * i as f32;
+        [[x, 0.0, 0.0], [x, 0.1, 0.0], [x, 0.0, 0.2]]
+    };
+    let mesh = |triangles: usize| solid(SolidShape::Mesh { triangles: (0..triangles).map(triangle).collect() });
+    let small = reel(&[clip("small", vec![mesh(100)])]);
+    assert_eq!(small.simplified, 0);
+    let large = reel(&[clip("large", vec![mesh(MESH_BUDGET_BYTES / 40)])]);
+    assert_eq!(large.simplified, 1);
+    assert!(large.json.len() < small.json.len() + 200, "a box is small");
+}

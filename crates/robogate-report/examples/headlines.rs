@@ -1,0 +1,105 @@
+//! How often reports name something: `cargo run --release -p robogate-report --example headlines [-- SETS]`.
+//!
+//! Simulation 1: success depends on nothing. Simulation 2: one planted effect in one tenth of a parameter's range.
+//! Simulation 3: the box of the advice, at a rate that reaches the target nowhere or only in a small part. Deterministic:
+//! the same number of sets prints the same table. docs/results/headlines.md has the figures.
+
+#![expect(clippy::unwrap_used, reason = "a simulation that cannot run should stop")]
+#![expect(clippy::print_stdout, reason = "the table is the result")]
+
+#[path = "../../robogate-analysis/tests/it/noise.rs"]
+mod noise;
+#[path = "../../robogate-analysis/tests/it/episodes.rs"]
+mod synthetic;
+
+use noise::{named, planted, simulated};
+
+fn main() {
+    let sets: u64 = std::env::args().nth(1).map_or(200, |word| word.parse().unwrap());
+    println!("Simulation 1: success depends on none of 10 parameters; {sets} sets each");
+    println!("| rate | rows | reports that name anything |");
+    println!("|---|---|---|");
+    for rate in [0.01, 0.1, 0.5, 0.99] {
+        for rows in [300, 1_000, 3_000, 10_000] {
+            let reports = (0..sets).filter(|seed| !named(&simulated(*seed, rows, |_| rate)).is_empty()).count();
+            println!("| {rate} | {rows} | {} |", share(reports, sets));
+        }
+    }
+    println!("\nSimulation 2: odds of success divided or multiplied by 3 in one tenth of one parameter, 3,000 rows");
+    println!("| rate elsewhere | odds in the tenth | named first | named at all | another one named too |");
+    println!("|---|---|---|---|---|");
+    for rate in [0.1, 0.5, 0.9] {
+        for (ratio, odds) in [(3.0, "a third"), (1.0 / 3.0, "three times")] {
+            let (mut first, mut any, mut other) = (0, 0, 0);
+            for seed in 0..sets {
+                // The tenth lies anywhere in the range, also at its ends.
+                let from = 0.9 * seed as f64 / (sets - 1).max(1) as f64;
+                let analysis = simulated(seed, 3_000, planted(rate, ratio, from));
+                let named = named(&analysis);
+                first += usize::from(named.first().is_some_and(|name| name == "p3"));
+                any += usize::from(named.iter().any(|name| name == "p3"));
+                other += usize::from(named.iter().any(|name| name != "p3"));
+            }
+            println!("| {rate} | {odds} | {} | {} | {} |", share(first, sets), share(any, sets), share(other, sets));
+        }
+    }
+    println!("\nSimulation 3: boxes stated to reach 90 % with 95 % confidence");
+    println!("| law | rows | stated | stated and wrong | mean volume |");
+    println!("|---|---|---|---|---|");
+    // The rate of every part of a box: products of one factor for each parameter.
+    let ramp = |at: &[f64]| 0.55 + 0.4 * at[3].min(1.0 - 0.25 * at[4]);
+    let corner = |at: &[f64]| if at[3] > 0.3 && at[4] < 0.8 { 0.97 } else { 0.45 };
+    let almost = |at: &[f64]| if at[3] > 0.3 && at[4] < 0.8 { 0.895 } else { 0.45 };
+    let laws: [(&str, &dyn Fn(&[f64]) -> f64); 3] = [
+        ("97 % in 56 % of the space", &corner),
+        ("89.5 % in 56 % of the space", &almost),
+        ("a slow ramp up to 95 %", &ramp),
+    ];
+    for (name, law) in laws {
+        for rows in [1_000, 3_000] {
+            let (mut stated, mut wrong, mut volume) = (0, 0, 0.0);
+            for seed in 0..sets {
+                let analysis = simulated(seed, rows, law);
+                let Some(found) = analysis.safe_box.estimated().filter(|found| found.verified) else { continue };
+                stated += 1;
+                volume += found.volume;
+                wrong += usize::from(true_rate(found, law) < found.target);
+            }
+            println!(
+                "| {name} | {rows} | {} | {} | {:.1} % |",
+                share(stated, sets),
+                share(wrong, sets),
+                100.0 * volume / stated.max(1) as f64
+            );
+        }
+    }
+}
+
+fn share(count: usize, sets: u64) -> String {
+    format!("{:.1} %", 100.0 * count as f64 / sets as f64)
+}
+
+/// The true rate inside a box, by many points of the unit cube.
+fn true_rate(found: &robogate_analysis::SafeBox, law: &dyn Fn(&[f64]) -> f64) -> f64 {
+    let space = noise::ten();
+    let (mut sum, mut n) = (0.0, 0.0);
+    for i in 0..20_000 {
+        let at: Vec<f64> = (1..=space.len() as u64).map(|salt| synthetic::unit(7_000_000_000 + i, salt)).collect();
+        let inside = found.limits.iter().all(|limit| {
+            let position = space.position(&limit.parameter).unwrap();
+            let domain = &space.parameters()[position].domain;
+            match domain.decode(domain.from_unit(at[position])) {
+                robogate_core::Value::Category(level) => limit.levels.iter().any(|known| **known == *level),
+                value => {
+                    let value = domain.encode(&value).unwrap();
+                    limit.low.is_none_or(|low| value >= low) && limit.high.is_none_or(|high| value <= high)
+                }
+            }
+        });
+        if inside {
+            sum += law(&at);
+            n += 1.0;
+        }
+    }
+    sum / f64::max(n, 1.0)
+}

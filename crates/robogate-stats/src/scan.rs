@@ -1,0 +1,286 @@
+//! Scan test: does the success rate depend on a parameter, without an assumption about the shape of the dependence?
+//!
+//! The statistic is the largest binomial log-likelihood ratio of "inside and outside have different rates" against "one
+//! rate", over all ways to divide the cells of one parameter into two groups: every run of neighbouring cells against
+//! the rest ([`Order::Ordered`]), or every division of the levels by their rates ([`Order::Unordered`]; for two groups
+//! the best division never mixes rates). A one-sided effect, a band, a gap and a single bad level are all such divisions.
+//!
+//! The p-value is that of a permutation test: given the rows and the successes of all cells together, the successes per
+//! cell are multivariate hypergeometric if success does not depend on the parameter. Counts are sampled directly, at a
+//! cost that does not depend on the number of rows, and sampling stops as soon as the p-value is clearly large. The test
+//! is exact for any number of rows and any rate. For a very large statistic, a bound replaces the sampling.
+//!
+//! Sources: Kulldorff (1997), Communications in Statistics 26(6), for scan statistics; Besag and Clifford (1991),
+//! Biometrika 78(2), for sequential Monte Carlo p-values; Hoeffding (1963), JASA 58, for the bound.
+
+use rand_chacha::ChaCha8Rng;
+use rand_core::SeedableRng;
+
+use crate::Trials;
+use crate::resample::{hypergeometric, shuffle};
+
+/// Whether neighbouring cells belong together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Order {
+    /// Bins of a numeric parameter, in order.
+    Ordered,
+    /// Levels of a categorical parameter.
+    Unordered,
+}
+
+/// The result of a scan.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scan {
+    /// The largest log-likelihood ratio.
+    pub log_ratio: f64,
+    /// Whether each cell belongs to the group with the lower rate.
+    pub low: Vec<bool>,
+    /// The p-value of "success does not depend on the parameter", before any adjustment for several parameters.
+    pub p: f64,
+}
+
+/// Replicates that must reach the observed statistic before sampling stops.
+const EXCEEDANCES: usize = 20;
+/// The p-value below which the bound replaces sampling.
+const BOUND: f64 = 1e-6;
+
+/// Tests whether the success rate depends on the parameter with these cells.
+///
+/// `replicates` bounds the number of sampled tables; the smallest sampled p-value is 1 / (`replicates` + 1). `None` if
+/// fewer than two cells have trials, or if all outcomes are equal.
+pub fn scan(cells: &[Trials], order: Order, replicates: usize, seed: u64) -> Option<Scan> {
+    let n: Vec<u64> = cells.iter().map(|c| c.n()).collect();
+    let k: Vec<u64> = cells.iter().map(|c| c.successes()).collect();
+    let (log_ratio, low) = observed(&n, &k, order)?;
+    let (rows, successes) = (n.iter().sum::<u64>(), k.iter().sum::<u64>());
+    // Each division has a statistic of at least t only if one side has a deviation of at least t/2.
+    let divisions = cells.len() as f64 * (cells.len() as f64 + 1.0) / 2.0;
+    let bound = 4.0 * divisions * (-0.5 * log_ratio).exp();
+    if order == Order::Ordered && bound < BOUND {
+        return Some(Scan { log_ratio, low, p: bound });
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut drawn = vec![0; cells.len()];
+    let p = sequential(log_ratio, replicates, || {
+        let (mut left, mut left_successes) = (rows, successes);
+        for (of, drawn) in n.iter().zip(&mut drawn) {
+            *drawn = hypergeometric(&mut rng, left, left_successes, *of);
+            left -= of;
+            left_successes -= *drawn;
+        }
+        largest(&n, &drawn, order)
+    });
+    Some(Scan { log_ratio, low, p })
+}
+
+/// The same test if rows are not independent but come in units, such as the repeats of one scenario. Units are permuted
+/// as a whole. `cell_of` is the cell of each unit, below `cells`.
+///
+/// `None` as in [`scan`], for fewer than two units, for lists of different lengths and for a cell that does not exist.
+pub fn scan_units(
+    units: &[Trials],
+    cell_of: &[usize],
+    cells: usize,
+    order: Order,
+    replicates: usize,
+    seed: u64,
+) -> Option<Scan> {
+    if units.len() != cell_of.len() || units.len() < 2 || cell_of.iter().any(|cell| *cell >= cells) {
+        return None;
+    }
+    let (mut n, mut k) = (vec![0; cells], vec![0; cells]);
+    let count = |labels: &[usize], n: &mut [u64], k: &mut [u64]| {
+        n.fill(0);
+        k.fill(0);
+        for (unit, cell) in units.iter().zip(labels) {
+            n[*cell] += unit.n();
+            k[*cell] += unit.successes();
+        }
+    };
+    count(cell_of, &mut n, &mut k);
+    let (log_ratio, low) = observed(&n, &k, order)?;
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut labels = cell_of.to_vec();
+    let p = sequential(log_ratio, replicates, || {
+        shuffle(&mut rng, &mut labels);
+        count(&labels, &mut n, &mut k);
+        largest(&n, &k, order)
+    });
+    Some(Scan { log_ratio, low, p })
+}
+
+/// The p-value by sampling until enough replicates reach the observed statistic.
+fn sequential(statistic: f64, replicates: usize, mut replicate: impl FnMut() -> f64) -> f64 {
+    let mut reached = 0;
+    for drawn in 1..=replicates {
+        // Equal tables have equal statistics except for rounding.
+        if replicate() >= statistic - 1e-9 * (1.0 + statistic.abs()) {
+            reached += 1;
+            if reached == EXCEEDANCES {
+                return EXCEEDANCES as f64 / drawn as f64;
+            }
+        }
+    }
+    (reached + 1) as f64 / (replicates + 1) as f64
+}
+
+fn observed(n: &[u64], k: &[u64], order: Order) -> Option<(f64, Vec<bool>)> {
+    let (rows, successes) = (n.iter().sum::<u64>(), k.iter().sum::<u64>());
+    if n.iter().filter(|n| **n > 0).count() < 2 || successes == 0 || successes == rows {
+        return None;
+    }
+    let mut best = (f64::NEG_INFINITY, Vec::new());
+    divisions(n, k, order, |ratio, inside| {
+        if ratio > best.0 {
+            best = (ratio, inside.to_vec());
+        }
+    });
+    let (log_ratio, group) = best;
+    let mut low = vec![false; n.len()];
+    group.iter().for_each(|cell| low[*cell] = true);
+    let rate_of = |wanted: bool| {
+        let cells = (0..n.len()).filter(|cell| low[*cell] == wanted);
+        let (n, k) = cells.fold((0, 0), |(a, b), cell| (a + n[cell], b + k[cell]));
+        k as f64 / n.max(1) as f64
+    };
+    if rate_of(true) > rate_of(false) {
+        low.iter_mut().for_each(|low| *low = !*low);
+    }
+    log_ratio.is_finite().then_some((log_ratio, low))
+}
+
+fn largest(n: &[u64], k: &[u64], order: Order) -> f64 {
+    let mut best = f64::NEG_INFINITY;
+    divisions(n, k, order, |ratio, _| best = best.max(ratio));
+    best
+}
+
+/// k ln(k/n) + (n - k) ln((n - k)/n): the largest log-likelihood of one rate.
+pub(crate) fn log_likelihood(k: f64, n: f64) -> f64 {
+    let term = |x: f64| if x > 0.0 { x * (x / n).ln() } else { 0.0 };
+    term(k) + term(n - k)
+}
+
+/// Calls `visit` with the log-likelihood ratio of each division and the cells of one group.
+fn divisions(n: &[u64], k: &[u64], order: Order, mut visit: impl FnMut(f64, &[usize])) {
+    let (rows, successes) = (n.iter().sum::<u64>() as f64, k.iter().sum::<u64>() as f64);
+    let one_rate = log_likelihood(successes, rows);
+    let ratio = |inside_n: f64, inside_k: f64| {
+        log_likelihood(inside_k, inside_n) + log_likelihood(successes - inside_k, rows - inside_n) - one_rate
+    };
+    match order {
+        Order::Ordered => {
+            let all: Vec<usize> = (0..n.len()).collect();
+            for from in 0..n.len() {
+                let (mut inside_n, mut inside_k) = (0.0, 0.0);
+                // A run up to the last cell is the complement of one from the first, except for the first itself.
+                for to in from..n.len() - usize::from(from == 0) {
+                    inside_n += n[to] as f64;
+                    inside_k += k[to] as f64;
+                    if inside_n > 0.0 && inside_n < rows {
+                        visit(ratio(inside_n, inside_k), &all[from..=to]);
+                    }
+                }
+            }
+        }
+        Order::Unordered => {
+            let mut levels: Vec<usize> = (0..n.len()).filter(|cell| n[*cell] > 0).collect();
+            let rate = |cell: usize| k[cell] as f64 / n[cell] as f64;
+            levels.sort_by(|a, b| rate(*a).total_cmp(&rate(*b)));
+            let (mut inside_n, mut inside_k) = (0.0, 0.0);
+            for to in 0..levels.len().saturating_sub(1) {
+                inside_n += n[levels[to]] as f64;
+                inside_k += k[levels[to]] as f64;
+                visit(ratio(inside_n, inside_k), &levels[..=to]);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::resample::{binomial, uniform};
+
+    fn trials(cells: &[(u64, u64)]) -> Vec<Trials> {
+        cells.iter().map(|(k, n)| Trials::new(*k, *n).unwrap()).collect()
+    }
+
+    #[test]
+    fn false_positives_stay_below_level() {
+        // Rates from almost never to almost always, few and many rows per cell.
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for (p, n) in [(0.01, 30), (0.1, 15), (0.5, 15), (0.99, 500)] {
+            let mut rejected = 0;
+            for set in 0..400 {
+                let cells: Vec<(u64, u64)> = (0..20).map(|_| (binomial(&mut rng, n, p), n)).collect();
+                let found = scan(&trials(&cells), Order::Ordered, 199, set);
+                rejected += u32::from(found.is_some_and(|found| found.p <= 0.05));
+            }
+            // 5 % of 400 is 20, with a standard deviation of 4.4.
+            assert!(rejected <= 33, "{rejected} of 400 at p = {p}, n = {n}");
+        }
+    }
+
+    #[test]
+    fn band_is_found_with_both_ends() {
+        let cells: Vec<(u64, u64)> = (0..20).map(|i| (if (6..14).contains(&i) { 90 } else { 40 }, 100)).collect();
+        let found = scan(&trials(&cells), Order::Ordered, 999, 1).unwrap();
+        assert!(found.p < 1e-6);
+        let high: Vec<usize> = (0..20).filter(|i| !found.low[*i]).collect();
+        assert_eq!(high, (6..14).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn one_bad_level_is_found() {
+        let found = scan(&trials(&[(90, 100), (40, 100), (88, 100), (0, 0)]), Order::Unordered, 999, 1).unwrap();
+        assert!((found.p - 0.001).abs() < 1e-12, "{}", found.p);
+        assert_eq!(found.low, [false, true, false, false]);
+    }
+
+    #[test]
+    fn sampled_p_matches_exact_enumeration() {
+        // Three levels of 4, 4 and 4 rows with 6 successes: all tables can be enumerated.
+        let n = [4, 4, 4];
+        let seen = largest(&n, &[4, 1, 1], Order::Unordered);
+        let choose = [1.0, 4.0, 6.0, 4.0, 1.0];
+        let (mut reached, mut all) = (0.0, 0.0);
+        for a in 0..=4_u64 {
+            for b in 0..=4_u64 {
+                for c in (0..=4_u64).filter(|c| a + b + c == 6) {
+                    let ways = choose[a as usize] * choose[b as usize] * choose[c as usize];
+                    all += ways;
+                    reached += if largest(&n, &[a, b, c], Order::Unordered) >= seen - 1e-9 { ways } else { 0.0 };
+                }
+            }
+        }
+        let cells = trials(&[(4, 4), (1, 4), (1, 4)]);
+        let mean = (0..200).map(|seed| scan(&cells, Order::Unordered, 999, seed).unwrap().p).sum::<f64>() / 200.0;
+        assert!((mean - reached / all).abs() < 0.02, "{mean} for {}", reached / all);
+    }
+
+    #[test]
+    fn repeated_scenarios_are_one_unit_each() {
+        // Twenty scenarios of fifty repeats that always or never succeed: rows are many, units are few.
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let mut rejected = [0, 0];
+        for set in 0..200 {
+            let units: Vec<Trials> =
+                (0..20).map(|_| Trials::new(if uniform(&mut rng) < 0.5 { 50 } else { 0 }, 50).unwrap()).collect();
+            let cell_of: Vec<usize> = (0..20).map(|unit| unit / 5).collect();
+            let by_rows: Vec<(u64, u64)> =
+                units.chunks(5).map(|u| (u.iter().map(|u| u.successes()).sum(), 250)).collect();
+            rejected[0] += u32::from(scan(&trials(&by_rows), Order::Ordered, 199, set).is_some_and(|s| s.p <= 0.05));
+            let found = scan_units(&units, &cell_of, 4, Order::Ordered, 199, set);
+            rejected[1] += u32::from(found.is_some_and(|s| s.p <= 0.05));
+        }
+        assert!(rejected[0] > 150 && rejected[1] <= 20, "{rejected:?} of 200");
+    }
+
+    #[test]
+    fn one_outcome_gives_no_test() {
+        assert!(scan(&trials(&[(5, 5), (9, 9)]), Order::Ordered, 99, 1).is_none());
+        assert!(scan(&trials(&[(5, 9), (0, 0)]), Order::Unordered, 99, 1).is_none());
+        assert!(scan_units(&trials(&[(1, 2), (0, 2)]), &[0, 7], 2, Order::Ordered, 99, 1).is_none());
+    }
+}

@@ -1,0 +1,112 @@
+//! The leaderboard of a sweep.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, anyhow};
+use robogate_campaign::Event;
+use robogate_campaign::folder::SUMMARY;
+use robogate_gate::{Baseline, Leaderboard, Metric, Record, ScoreTerm, Scoring};
+use robogate_report::{leaderboards_html, leaderboards_markdown};
+use serde_json::{Value, json};
+
+use super::sweep::SweepPlan;
+use crate::commands::gate::{built_in_baseline, open_requirements};
+use crate::commands::leaderboard::print;
+use crate::commands::shard;
+use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit};
+use crate::source::open_source;
+use crate::terminal::{line, note};
+
+/// The pages in the folder of a sweep.
+const PAGES: [&str; 2] = ["leaderboard.html", "leaderboard.md"];
+
+/// Merges the runs of a sweep in shards, and writes its page.
+pub(crate) fn merge(dir: &Path, plan: &SweepPlan, as_json: bool) -> Result<u8, Exit> {
+    let mut failed = Vec::new();
+    for run in &plan.runs {
+        let folder = run.dir(dir);
+        let mut events = |event: &Event| {
+            if let Event::Warning { message, .. } = event {
+                note(format_args!("warning: {}: {message}", run.name));
+            }
+        };
+        let merged = shard::open(&folder).and_then(|campaign| campaign.merge_quietly(&folder, &mut events));
+        if let Err(exit) = merged {
+            note(format_args!("{}: {exit}", run.name));
+            failed.push(run.name.clone());
+        }
+    }
+    write(dir, plan, &failed, as_json)
+}
+
+/// Writes the page from the finished runs. `failed` names the others.
+pub(super) fn write(dir: &Path, plan: &SweepPlan, failed: &[String], as_json: bool) -> Result<u8, Exit> {
+    let boards = boards(dir, plan)?;
+    if boards.is_empty() {
+        return Err(Exit { code: INFRASTRUCTURE, error: anyhow!("no run of {} is finished", plan.name) });
+    }
+    for (name, text) in
+        PAGES.iter().zip([leaderboards_html(&plan.name, &boards), leaderboards_markdown(&plan.name, &boards)])
+    {
+        let path = dir.join(name);
+        fs::write(&path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
+    }
+    if as_json {
+        let boards: Vec<Value> = boards.iter().filter_map(|board| serde_json::to_value(board).ok()).collect();
+        line(json!({ "version": 1, "name": plan.name, "failed": failed, "leaderboards": boards }));
+    } else {
+        for board in &boards {
+            print(board);
+            line("");
+        }
+        line(format_args!("page: {}", dir.join(PAGES[0]).display()));
+    }
+    if !failed.is_empty() {
+        let error = anyhow!("{} of {} runs are missing: {}", failed.len(), plan.runs.len(), failed.join("; "));
+        return Err(Exit { code: INFRASTRUCTURE, error });
+    }
+    Ok(if boards.iter().flat_map(|board| &board.standings).any(|s| s.valid > 0) { DONE } else { INVALID })
+}
+
+/// One leaderboard for each task and set of scenarios, in the order of the sweep.
+fn boards(dir: &Path, plan: &SweepPlan) -> Result<Vec<Leaderboard>, Exit> {
+    let mut groups: Vec<Vec<(String, Record)>> = Vec::new();
+    for run in plan.runs.iter().filter(|run| run.dir(dir).join(SUMMARY).is_file()) {
+        let source = open_source(&run.dir(dir))?;
+        let record = Record::of(source.dictionary()).or_broken()?;
+        let comparable = |group: &&mut Vec<(String, Record)>| {
+            group.first().is_some_and(|(_, first)| {
+                first.population.is_that_of(&record.population) && first.task.name == record.task.name
+            })
+        };
+        match groups.iter_mut().find(comparable) {
+            Some(group) => group.push((run.name.clone(), record)),
+            None => groups.push(vec![(run.name.clone(), record)]),
+        }
+    }
+    groups.iter().map(|group| board(group, plan.requirements.as_deref())).collect()
+}
+
+fn board(group: &[(String, Record)], requirements: Option<&str>) -> Result<Leaderboard, Exit> {
+    let Some((_, first)) = group.first() else {
+        return Err(anyhow!("a leaderboard needs at least one run")).or_broken();
+    };
+    let Some(name) = requirements else {
+        let success = ScoreTerm {
+            name: "Success".to_owned(),
+            metric: Metric::Success,
+            category: None,
+            weight: 1.0,
+            scoring: Scoring::Linear { full_at: 1.0 },
+        };
+        return Leaderboard::of(group, &[success], None).or_usage();
+    };
+    let requirements = open_requirements(name, &first.task)?;
+    // Relative terms compare with the first policy, unless the suite has a baseline.
+    let baseline = match built_in_baseline(first) {
+        Some(baseline) => baseline,
+        None => Baseline::of(first).or_usage()?,
+    };
+    Leaderboard::of(group, &requirements.score, Some(&baseline)).or_usage()
+}

@@ -1,0 +1,107 @@
+//! A campaign in shards, with the question of its gate if it has one.
+
+use std::path::Path;
+
+use robogate_campaign::shards::{Assignment, OpenRound, ShardError, ShardStatus, Shards};
+use robogate_campaign::{AfterRound, Event, Round};
+use robogate_gate::{Asked, GateError, Record};
+
+use crate::commands::gate::{Look, compared_with, finish, refused, write_question};
+use crate::commands::run::{conclude, write_report};
+use crate::commands::shard::exit;
+use crate::exit::Exit;
+
+/// A campaign in shards. After each round of a gate, the sequential test decides whether another one follows.
+pub(crate) struct Campaign {
+    shards: Shards,
+    gate: Option<Gate>,
+}
+
+/// The question of a gate.
+struct Gate {
+    asked: Asked,
+    /// The run that it compares with.
+    other: Option<Record>,
+    /// The episodes of the rounds so far.
+    record: Record,
+}
+
+impl Gate {
+    fn of(shards: &Shards) -> Result<Option<Self>, Exit> {
+        let Some(text) = shards.document(Asked::FILE).map_err(exit)? else {
+            return Ok(None);
+        };
+        let path = shards.dir().join(Asked::FILE);
+        let text = String::from_utf8_lossy(&text);
+        let asked = Asked::from_json(&path, &text).map_err(refused)?;
+        let other = compared_with(&asked)?.map(|(_, record)| record);
+        let record = Record::begun(&shards.settings().provenance).map_err(refused)?;
+        Ok(Some(Self { asked, other, record }))
+    }
+}
+
+impl Campaign {
+    /// Reads the question of the gate.
+    pub(crate) fn of(shards: Shards) -> Result<Self, Exit> {
+        let gate = Gate::of(&shards)?;
+        Ok(Self { shards, gate })
+    }
+
+    /// The shards.
+    pub(crate) fn shards(&self) -> &Shards {
+        &self.shards
+    }
+
+    /// Calls `work` with the decision after each round.
+    fn in_rounds<T>(
+        &mut self,
+        work: impl FnOnce(&Shards, Option<&mut AfterRound<'_>>) -> Result<T, ShardError>,
+    ) -> Result<T, Exit> {
+        let Some(Gate { asked, other, record }) = &mut self.gate else {
+            return work(&self.shards, None).map_err(exit);
+        };
+        let mut trouble: Option<GateError> = None;
+        let mut look = Look { asked, other: other.as_ref(), record, trouble: &mut trouble };
+        let result = work(&self.shards, Some(&mut |round: &Round<'_>| look.after(round))).map_err(exit);
+        match trouble {
+            Some(error) => Err(refused(error)),
+            None => result,
+        }
+    }
+
+    /// The first round with missing shards.
+    pub(crate) fn open_round(&mut self) -> Result<Option<OpenRound>, Exit> {
+        self.in_rounds(|shards, after_round| shards.open_round(after_round))
+    }
+
+    /// What the worker of shard `index` has to do.
+    pub(crate) fn assign(&mut self, index: u32) -> Result<Assignment, Exit> {
+        self.in_rounds(|shards, after_round| shards.assign(index, after_round))
+    }
+
+    /// The progress of the campaign.
+    pub(crate) fn status(&mut self) -> Result<ShardStatus, Exit> {
+        self.in_rounds(|shards, after_round| shards.status(after_round))
+    }
+
+    /// Merges the shards into `out`, and prints nothing.
+    pub(crate) fn merge_quietly(mut self, out: &Path, events: &mut dyn FnMut(&Event)) -> Result<(), Exit> {
+        self.in_rounds(|shards, after_round| shards.merge(out, events, after_round))?;
+        write_report(out);
+        Ok(())
+    }
+
+    /// Merges the shards into `out`, and prints the summary or the verdict.
+    pub(crate) fn merge(mut self, out: &Path, events: &mut dyn FnMut(&Event), json: bool) -> Result<u8, Exit> {
+        let completion = self.in_rounds(|shards, after_round| shards.merge(out, events, after_round))?;
+        match &self.gate {
+            Some(Gate { asked, other, .. }) => {
+                if !out.join(Asked::FILE).exists() {
+                    write_question(out, asked);
+                }
+                finish(out, asked, other.as_ref(), None, completion, json)
+            }
+            None => conclude(out, &completion, json),
+        }
+    }
+}

@@ -1,0 +1,257 @@
+//! Records the episodes that a page shows.
+
+use std::path::{Path, PathBuf};
+
+use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
+use robogate_analysis::{Analysis, Comparison, ReplayEpisode, Source, shell_word, worth_watching};
+use robogate_campaign::{WorkerFactory, recorded};
+use robogate_core::{Outcome, Value};
+use robogate_replay::{Clip, Recording, record, reel};
+use robogate_report::{Watch, WatchItem};
+use robogate_stats::format::{counted, number};
+
+use crate::policy_source::PolicySource;
+use crate::remote::Simulators;
+use crate::subject::Subject;
+
+/// Maximum number of recorded episodes of a page.
+const MAX_CLIPS: usize = 12;
+/// Maximum number of pairs of episodes of a comparison.
+const MAX_PAIRS: usize = 6;
+
+/// When the episodes are recorded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Moment {
+    /// At the end of a run. Policies behind servers are left out, because their episodes may take minutes.
+    EndOfRun,
+    /// On request.
+    OnRequest,
+}
+
+/// The folders of runs with their environments and policies, and the clips so far.
+struct Recorder<'a> {
+    runs: Vec<Run<'a>>,
+    clips: Vec<Clip>,
+    /// Number of episodes whose replay differs from the record.
+    differing: u64,
+    remarks: Vec<String>,
+    moment: Moment,
+}
+
+/// A run whose episodes can be recorded again.
+struct Run<'a> {
+    folder: &'a Path,
+    subject: Subject,
+    /// Recorded episodes: index, and place in the clips.
+    done: Vec<(u64, Option<usize>)>,
+}
+
+/// The episodes of a run that are worth watching. Nothing is recorded for rows without a run's folder, and for a run
+/// that needs a server which `simulators` does not name.
+pub(crate) fn watch(
+    source: &Source,
+    analysis: &Analysis,
+    simulators: &Simulators,
+    moment: Moment,
+) -> anyhow::Result<Watch> {
+    let chosen = worth_watching(source, analysis, MAX_CLIPS)?;
+    let mut recorder = Recorder::new(moment);
+    let run = if chosen.is_empty() { None } else { recorder.add(source.folder(), source, simulators) };
+    let folder = source.folder().filter(|_| analysis.subject.replayable);
+    let mut items = Vec::with_capacity(chosen.len());
+    for one in chosen {
+        let clip = run.and_then(|run| recorder.clip(run, &one.episode));
+        let second = run.and_then(|run| recorder.clip(run, &one.twin.as_ref()?.episode));
+        items.push(WatchItem {
+            title: one.title,
+            why: one.why,
+            outcome: mode_label(&one.episode.outcome),
+            success: one.episode.outcome.starts_with("success"),
+            command: folder.map_or_else(|| format!("episode {}", one.episode.index), |f| command(f, one.episode.index)),
+            beside: one.twin.map_or_else(String::new, |twin| twin.differences),
+            clip,
+            second,
+        });
+    }
+    Ok(recorder.finish(items))
+}
+
+/// Pairs of episodes with the same scenario and different outcomes, each pair on one clock.
+pub(crate) fn compared(
+    comparison: &Comparison,
+    sources: &[(Source, PathBuf)],
+    simulators: &Simulators,
+) -> anyhow::Result<Watch> {
+    let mut recorder = Recorder::new(Moment::OnRequest);
+    let mut items = Vec::new();
+    for pair in &comparison.paired {
+        let places = [&pair.first, &pair.second]
+            .map(|name| comparison.datasets.iter().position(|dataset| dataset.name == *name));
+        let [Some(first), Some(second)] = places else { continue };
+        if pair.flips.is_empty() {
+            continue;
+        }
+        let runs = [first, second].map(|at| {
+            let source = sources.get(at).map(|(source, _)| source);
+            source.and_then(|source| recorder.add(source.folder(), source, simulators))
+        });
+        let room = MAX_PAIRS.saturating_sub(items.len());
+        for flip in pair.flips.iter().take(room) {
+            let episode = |outcome: &str| ReplayEpisode {
+                index: flip.index,
+                stage: String::new(),
+                outcome: outcome.to_owned(),
+                figure: String::new(),
+                parameters: flip.parameters.clone(),
+            };
+            let clip = runs[0].and_then(|run| recorder.named(run, &episode(&flip.first), &pair.first));
+            let beside = runs[1].and_then(|run| recorder.named(run, &episode(&flip.second), &pair.second));
+            items.push(WatchItem {
+                title: format!("Episode {}", flip.index),
+                why: format!(
+                    "{}: {}. {}: {}.",
+                    pair.first,
+                    mode_label(&flip.first),
+                    pair.second,
+                    mode_label(&flip.second)
+                ),
+                outcome: "different outcomes".to_owned(),
+                success: false,
+                command: flip.replay.first().cloned().unwrap_or_default(),
+                beside: String::new(),
+                clip,
+                second: if clip.is_some() { beside } else { None },
+            });
+        }
+    }
+    Ok(recorder.finish(items))
+}
+
+fn command(folder: &Path, index: u64) -> String {
+    format!("robogate replay {} {index}", shell_word(&folder.display().to_string()))
+}
+
+impl<'a> Recorder<'a> {
+    fn new(moment: Moment) -> Self {
+        Self { runs: Vec::new(), clips: Vec::new(), differing: 0, remarks: Vec::new(), moment }
+    }
+
+    /// Prepares a run, and returns its place. `None` with a remark if its episodes cannot be recorded again.
+    fn add(&mut self, folder: Option<&'a Path>, source: &Source, simulators: &Simulators) -> Option<usize> {
+        let provenance = source.dictionary().provenance();
+        let Some(folder) = folder.filter(|_| provenance.source.is_none()) else {
+            self.remarks.push("These rows do not come from a run's folder, so no episode can be shown.".to_owned());
+            return None;
+        };
+        if let Some(at) = self.runs.iter().position(|run| run.folder == folder) {
+            return Some(at);
+        }
+        match Subject::recorded(provenance, simulators) {
+            Ok(subject) if self.moment == Moment::EndOfRun && behind_server(&subject) => {
+                self.remarks.push(format!(
+                    "The policy is behind a server, so its episodes are not recorded at the end of a run. `robogate report {}` \
+                     records them.",
+                    shell_word(&folder.display().to_string())
+                ));
+                None
+            }
+            Ok(subject) => {
+                self.runs.push(Run { folder, subject, done: Vec::new() });
+                Some(self.runs.len() - 1)
+            }
+            Err(why) => {
+                self.remarks.push(format!(
+                    "The episodes are not shown, because they cannot be replayed here: {}.",
+                    why.to_string().lines().next().unwrap_or_default().trim_end_matches('.')
+                ));
+                None
+            }
+        }
+    }
+
+    fn clip(&mut self, run: usize, episode: &ReplayEpisode) -> Option<usize> {
+        self.named(run, episode, "Episode")
+    }
+
+    /// Records an episode, and returns its place in the clips. `None` if its replay differs from the record.
+    fn named(&mut self, run: usize, chosen: &ReplayEpisode, name: &str) -> Option<usize> {
+        let Run { folder, subject, done } = self.runs.get_mut(run)?;
+        if let Some((_, place)) = done.iter().find(|(index, _)| *index == chosen.index) {
+            return *place;
+        }
+        let recording = again(folder, subject, chosen.index);
+        let place = match recording {
+            Ok(Some(recording)) => {
+                let parameters = recording.episode.scenario.requested.iter();
+                let show = |value: &Value| match value {
+                    Value::Number(x) => number(*x),
+                    other => other.to_string(),
+                };
+                self.clips.push(Clip {
+                    title: if name == "Episode" {
+                        format!("Episode {}", chosen.index)
+                    } else {
+                        format!("{name}, episode {}", chosen.index)
+                    },
+                    outcome: mode_label(recording.episode.outcome.as_str()),
+                    success: recording.episode.outcome == Outcome::Success,
+                    parameters: parameters
+                        .map(|(name, value)| (parameter_label(name), value_with_unit(&show(value), name)))
+                        .collect(),
+                    command: command(folder, chosen.index),
+                    recording,
+                });
+                Some(self.clips.len() - 1)
+            }
+            Ok(None) => {
+                self.differing += 1;
+                None
+            }
+            Err(why) => {
+                let why = why.to_string();
+                self.remarks.push(format!("Episode {} is not shown: {why}.", chosen.index));
+                None
+            }
+        };
+        done.push((chosen.index, place));
+        place
+    }
+
+    fn finish(mut self, items: Vec<WatchItem>) -> Watch {
+        if self.differing > 0 {
+            self.remarks.push(format!(
+                "{} not shown, because the replay differs from the record: the tool, the engine, the platform or the policy \
+                 is another one, or the policy is not deterministic.",
+                counted(self.differing, "episode")
+            ));
+        }
+        let clips = self.clips;
+        if !clips.is_empty() && clips.iter().all(|clip| clip.recording.trajectory.is_none()) {
+            self.remarks.push(
+                "This environment offers no geometry, so the viewer shows signals and events without a 3-D view."
+                    .to_owned(),
+            );
+        }
+        let reel = (!clips.is_empty()).then(|| reel(&clips));
+        if let Some(reel) = reel.as_ref().filter(|reel| reel.simplified > 0) {
+            self.remarks.push(format!(
+                "{} of the robot are shown as boxes, because the page has a budget for meshes.",
+                counted(reel.simplified as u64, "mesh")
+            ));
+        }
+        Watch { items, reel, remarks: self.remarks }
+    }
+}
+
+/// Whether the policy is behind a server.
+fn behind_server(subject: &Subject) -> bool {
+    subject.policy_source().and_then(PolicySource::profile).is_some_and(|profile| !profile.dialect.is_file())
+}
+
+/// Records an episode again. `None` if it differs from the record.
+fn again(folder: &Path, subject: &Subject, index: u64) -> anyhow::Result<Option<Recording>> {
+    let before = recorded(folder, index)?.episode;
+    let mut worker = subject.worker().map_err(|fault| anyhow::anyhow!("{fault}"))?;
+    let recording = record(&mut *worker.environment, &mut *worker.policy, &before.scenario);
+    Ok((recording.episode == before).then_some(recording))
+}

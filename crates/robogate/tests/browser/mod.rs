@@ -1,0 +1,162 @@
+//! A headless Chromium that is driven through the Chrome DevTools protocol.
+
+use std::io::{BufRead, BufReader};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use tempfile::TempDir;
+use tungstenite::{Message, WebSocket};
+
+/// The longest wait for a condition on a page.
+const PATIENCE: Duration = Duration::from_secs(90);
+
+/// A browser with one page.
+pub struct Browser {
+    process: Child,
+    socket: WebSocket<TcpStream>,
+    session: Option<String>,
+    last: u64,
+    troubles: Vec<String>,
+    _profile: TempDir,
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+impl Browser {
+    /// Starts the browser.
+    pub fn start(chromium: &Path) -> Self {
+        let profile = tempfile::tempdir().unwrap();
+        let mut process = Command::new(chromium)
+            .args(["--headless", "--no-sandbox", "--no-first-run", "--disable-background-networking", "--disable-sync"])
+            .args(["--disable-component-update", "--hide-scrollbars", "--window-size=1280,1000"])
+            .args(["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-port=0"])
+            .arg(format!("--user-data-dir={}", profile.path().display()))
+            .arg("about:blank")
+            .stderr(Stdio::piped())
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(process.stderr.take().unwrap()).lines();
+        let address = lines
+            .by_ref()
+            .find_map(|line| line.unwrap().strip_prefix("DevTools listening on ").map(str::to_owned))
+            .expect("chromium prints its address");
+        // The pipe must be read, or the browser stops when it is full.
+        std::thread::spawn(move || lines.for_each(drop));
+        let host = address.trim_start_matches("ws://").split('/').next().unwrap().to_owned();
+        let stream = TcpStream::connect(&host).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        let (socket, _) = tungstenite::client(&*address, stream).unwrap();
+        let mut browser = Self { process, socket, session: None, last: 0, troubles: Vec::new(), _profile: profile };
+        let target = browser.call("Target.createTarget", json!({ "url": "about:blank" }));
+        let attach = json!({ "targetId": target["targetId"], "flatten": true });
+        let session = browser.call("Target.attachToTarget", attach);
+        browser.session = Some(session["sessionId"].as_str().unwrap().to_owned());
+        for domain in ["Runtime", "Log", "Page", "Network"] {
+            browser.call(&format!("{domain}.enable"), json!({}));
+        }
+        browser
+    }
+
+    /// Calls a method and returns its result. Errors on the page are collected meanwhile.
+    pub fn call(&mut self, method: &str, parameters: Value) -> Value {
+        self.last += 1;
+        let id = self.last;
+        let mut request = json!({ "id": id, "method": method, "params": parameters });
+        if let Some(session) = &self.session {
+            request["sessionId"] = json!(session);
+        }
+        self.socket.send(Message::text(request.to_string())).unwrap();
+        loop {
+            let Message::Text(text) = self.socket.read().unwrap() else { continue };
+            let message: Value = serde_json::from_str(&text).unwrap();
+            if message["id"] == json!(id) {
+                assert!(message["error"].is_null(), "{method}: {}", message["error"]);
+                return message["result"].clone();
+            }
+            self.note(&message);
+        }
+    }
+
+    /// Collects errors, warnings and network requests of the page.
+    fn note(&mut self, message: &Value) {
+        let parameters = &message["params"];
+        let trouble = match message["method"].as_str().unwrap_or_default() {
+            "Runtime.exceptionThrown" => Some(parameters["exceptionDetails"].to_string()),
+            "Runtime.consoleAPICalled" if parameters["type"] == "error" => Some(parameters["args"].to_string()),
+            "Log.entryAdded" if parameters["entry"]["level"] == "error" => Some(parameters["entry"].to_string()),
+            "Network.requestWillBeSent" => {
+                let url = parameters["request"]["url"].as_str().unwrap_or_default();
+                let local = ["file:", "data:", "blob:", "about:"].iter().any(|scheme| url.starts_with(scheme));
+                (!local).then(|| format!("request of {url}"))
+            }
+            _ => None,
+        };
+        self.troubles.extend(trouble);
+    }
+
+    /// Opens a page from a file.
+    pub fn open(&mut self, page: &Path) {
+        let url = format!("file://{}", page.canonicalize().unwrap().display());
+        self.call("Page.navigate", json!({ "url": url }));
+        self.wait("document.readyState === 'complete'");
+    }
+
+    /// Evaluates an expression on the page. A promise is awaited.
+    pub fn evaluate(&mut self, expression: &str) -> Value {
+        let parameters = json!({ "expression": expression, "awaitPromise": true, "returnByValue": true });
+        let result = self.call("Runtime.evaluate", parameters);
+        assert!(result["exceptionDetails"].is_null(), "{expression}: {}", result["exceptionDetails"]);
+        result["result"]["value"].clone()
+    }
+
+    /// Waits until an expression is true.
+    pub fn wait(&mut self, condition: &str) {
+        let begun = Instant::now();
+        while self.evaluate(condition) != json!(true) {
+            assert!(begun.elapsed() < PATIENCE, "{condition} did not become true; troubles: {:?}", self.troubles);
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    }
+
+    /// Presses a key on the focused element.
+    pub fn press(&mut self, key: &str) {
+        let code = match key {
+            " " => 32,
+            "ArrowRight" => 39,
+            "End" => 35,
+            _ => 0,
+        };
+        for kind in ["keyDown", "keyUp"] {
+            let mut parameters = json!({ "type": kind, "key": key, "windowsVirtualKeyCode": code });
+            if key == " " && kind == "keyDown" {
+                parameters["text"] = json!(" ");
+            }
+            self.call("Input.dispatchKeyEvent", parameters);
+        }
+    }
+
+    /// Asserts that the page has reported no error and has requested nothing.
+    pub fn assert_no_trouble(&self) {
+        assert!(self.troubles.is_empty(), "{:#?}", self.troubles);
+    }
+
+    /// Asserts that axe finds no violation. `axe` is the file of axe-core.
+    pub fn assert_accessible(&mut self, axe: &Path) {
+        let source = std::fs::read_to_string(axe).unwrap();
+        self.evaluate(&format!("{source}; true"));
+        let found = self.evaluate(
+            "axe.run(document, { resultTypes: ['violations'] }).then((r) => r.violations.map((v) => v.id + ': ' + \
+             v.nodes.slice(0, 3).map((n) => n.target + ' ' + n.failureSummary).join(' | ')))",
+        );
+        assert_eq!(found, json!([]), "{found:#}");
+    }
+}

@@ -1,0 +1,87 @@
+#!/usr/bin/env bash
+# Runs a campaign in shards on a Slurm cluster. Usage, on a login node:
+#
+#   robogate.sh DIR SHARDS [OPTIONS OF robogate run...]
+#   robogate.sh DIR          # a campaign, gate or sweep that exists
+#
+# This submits a small job that submits an array with the missing shards, and then itself again after the array. When no shard is
+# missing, it merges them. Nothing stays on the login node. The same command continues a campaign that was stopped. DIR must be visible
+# on all nodes under this path.
+#
+# Environment: ROBOGATE_COMMAND (default: robogate), ROBOGATE_CPUS (CPUs and threads of each shard, default: 1), and the variables of
+# sbatch such as SBATCH_PARTITION, SBATCH_ACCOUNT and SBATCH_TIMELIMIT.
+set -euo pipefail
+
+robogate=${ROBOGATE_COMMAND:-robogate}
+cpus=${ROBOGATE_CPUS:-1}
+# How often Slurm runs a failed shard again at once, and how often an array may end without any new shard.
+restarts=3
+attempts=3
+# Slurm's default MaxArraySize is 1001. More shards follow in the next array.
+most=1000
+
+# Submits a call of this script: submit SBATCH_OPTIONS... -- ARGUMENTS...
+submit() {
+    local options=()
+    while [ "$1" != -- ]; do
+        options+=("$1")
+        shift
+    done
+    shift
+    # Slurm runs a copy of the script, which does not know the path of the original.
+    sbatch --parsable --job-name=robogate --export=ALL,ROBOGATE_SLURM="$self" "${options[@]}" "$self" "$@"
+}
+
+# Runs the shard of this array task, which is a line of the list: shard LIST
+shard() {
+    local line code=0
+    line=$(sed -n "$((SLURM_ARRAY_TASK_ID + 1))p" "$1")
+    # `robogate plan` quotes its lines for a shell.
+    eval "\"\$robogate\" ${line#robogate } --threads \"\$cpus\"" || code=$?
+    # 5: a policy server or a simulator failed. 130: interrupted.
+    if { [ "$code" -eq 5 ] || [ "$code" -ge 128 ]; } && [ "${SLURM_RESTART_COUNT:-0}" -lt "$restarts" ]; then
+        scontrol requeue "${SLURM_ARRAY_JOB_ID}_$SLURM_ARRAY_TASK_ID"
+    fi
+    exit "$code"
+}
+
+# Submits the missing shards, or merges if there are none: next DIR ATTEMPT LAST_LIST
+next() {
+    local dir=$1 attempt=$2 last=$3 list=$1/slurm/next-$SLURM_JOB_ID.txt count job
+    "$robogate" plan "$dir" --next > "$list.part"
+    head -n "$most" "$list.part" > "$list"
+    rm "$list.part"
+    count=$(wc -l < "$list")
+    if [ "$count" -eq 0 ]; then
+        "$robogate" merge "$dir"
+        return
+    fi
+    cmp -s "$list" "$last" || attempt=0
+    if [ "$attempt" -ge "$attempts" ]; then
+        echo "error: the shards in $list failed $attempt times; see the logs in $dir/slurm" >&2
+        exit 5
+    fi
+    job=$(submit --array="0-$((count - 1))" --requeue --cpus-per-task="$cpus" --output="$dir/slurm/shard-%A-%a.log" --open-mode=append \
+        -- shard "$list")
+    submit --dependency="afterany:$job" --output="$dir/slurm/next-%j.log" -- next "$dir" $((attempt + 1)) "$list"
+}
+
+self=${ROBOGATE_SLURM:-$(realpath "$0")}
+case ${1:-} in
+    shard | next)
+        "$@"
+        ;;
+    *)
+        if [ $# -lt 1 ]; then
+            echo "usage: $0 DIR [SHARDS [OPTIONS OF robogate run...]]" >&2
+            exit 2
+        fi
+        dir=$(realpath -m "$1")
+        if [ $# -gt 1 ]; then
+            "$robogate" run --divide "$2" --out "$dir" "${@:3}"
+        fi
+        mkdir -p "$dir/slurm"
+        job=$(submit --output="$dir/slurm/next-%j.log" -- next "$dir" 0 "")
+        echo "job $job; progress: robogate status $dir; logs: $dir/slurm"
+        ;;
+esac

@@ -1,0 +1,100 @@
+"""LIBERO: four suites of ten tasks, with the benchmark's initial states and protocol. The user installs LIBERO."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from ..libero.suites import PERIOD_S, REST_ACTION, REST_STEPS, SUITES
+from ..serving.environment import Camera, Environment, Policy, Task
+from .family import Family, UnknownEnvironment
+
+# The size of pictures that policies for LIBERO were trained with.
+PIXELS = 256
+
+
+def names() -> list[str]:
+    from ..libero import installation
+
+    order = installation.task_order()
+    return [name for suite in SUITES.values() for name in (suite.name, *(f"{suite.name}/{i}" for i in range(len(order[suite.folder]))))]
+
+
+def environment(name: str) -> Environment:
+    suite, _, number = name.partition("/")
+    if suite not in SUITES:
+        raise UnknownEnvironment(f"libero:{name}: unknown suite. Expected one of {', '.join(SUITES)}, for example libero:spatial or libero:spatial/3")
+    from ..libero import installation
+
+    tasks = installation.task_order()[SUITES[suite].folder]
+    if number and not (number.isdecimal() and int(number) < len(tasks)):
+        raise UnknownEnvironment(f"libero:{name}: unknown task. Expected libero:{suite}/0 to libero:{suite}/{len(tasks) - 1}, or libero:{suite} for all")
+    return _declare(suite, int(number) if number else None)
+
+
+def _declare(suite: str, task: int | None) -> Environment:
+    from ..libero import scoring
+    from ..libero.controller import scripted
+    from ..libero.knobs import knobs
+    from ..libero.world import CAMERAS, World
+
+    world = World(suite, task)
+    first = [world]
+    space = {
+        "initial_state": (0, 49),
+        "layout_x_m": (-0.03, 0.03),
+        "layout_y_m": (-0.03, 0.03),
+        "layout_turn_rad": (-0.5, 0.5),
+        "robot_offset_rad": (0.0, 0.2),
+        "friction": (0.05, 2.0, "log"),
+        "mass_factor": (0.3, 30.0, "log"),
+        "torque_factor": (0.5, 1.5),
+        "action_delay": (0, 8),
+    }
+    return Environment(
+        make=lambda: first.pop() if first else World(suite, task),
+        task=Task(
+            name=f"libero.{suite}" if task is None else f"libero.{suite}.{task}",
+            instruction=f"any task of LIBERO-{suite}" if task is None else "",
+            control_period_s=PERIOD_S,
+            time_limit_s=SUITES[suite].steps * PERIOD_S,
+            failure_modes=scoring.FAILURE_MODES,
+            failure=scoring.failure,
+            measures=scoring.MEASURES,
+            measure=scoring.measure,
+            prepare=_rest,
+            episode_instruction=lambda env: env.instruction,
+            cameras=[Camera(camera, PIXELS, PIXELS, partial(_picture, camera)) for camera in CAMERAS],
+            action_names=["x", "y", "z", "roll", "pitch", "yaw", "gripper"],
+            rest_action=REST_ACTION,
+        ),
+        # Bodies of different tasks have different names, so only a single task offers MuJoCo's knobs.
+        knobs=knobs(world),
+        space=space,
+        policies={"scripted": Policy(scripted, "Ours. It reads the state of the scene, and plans from the goal of the task file.")},
+        observe=lambda env: env.observe(),
+    )
+
+
+def _rest(env, observation):
+    """The benchmark's first actions, which do nothing."""
+    for _ in range(REST_STEPS):
+        observation, *_ = env.step(REST_ACTION)
+    env.begin()
+    return observation
+
+
+def _picture(camera, env):
+    return env.render(camera, PIXELS, PIXELS)
+
+
+FAMILY = Family(
+    name="libero",
+    package="libero",
+    summary="LIBERO: four suites of ten tasks of a Panda arm, with a scripted controller (your installation of LIBERO)",
+    requirements=[
+        "robosuite==1.4.1", "mujoco==2.3.7", "numpy==1.26.4", "bddl==1.0.1", "gym==0.25.2", "easydict==1.13",
+        "future==1.0.0", "matplotlib==3.11.2", "cloudpickle==3.1.2", "PyYAML==6.0.3", "gymnasium==1.4.0",
+    ],
+    names=names,
+    environment=environment,
+)

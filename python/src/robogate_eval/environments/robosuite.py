@@ -1,0 +1,213 @@
+"""robosuite 1.5: Lift, Can, Stack and NutAssembly of a Panda arm."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..serving.environment import Camera, Environment, FailureMode, Measure, Policy, Task
+from .family import Family, UnknownEnvironment
+
+PERIOD_S = 0.05
+TIME_LIMIT_S = 15.0
+PIXELS = 256
+CAMERAS = ("agentview", "robot0_eye_in_hand")
+REST_ACTION = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One of robosuite's tasks."""
+
+    cls: str
+    instruction: str
+    # The body that the robot moves. NutAssembly has two; the square one comes first.
+    body: str
+
+
+KINDS = {
+    "Lift": Kind("Lift", "lift the cube", "cube_main"),
+    "Can": Kind("PickPlaceCan", "put the can into its bin", "Can_main"),
+    "Stack": Kind("Stack", "put the red cube on the green cube", "cubeA_main"),
+    "NutAssembly": Kind("NutAssembly", "put both nuts on their pegs", "SquareNut_main"),
+}
+
+
+def names() -> list[str]:
+    return list(KINDS)
+
+
+class World:
+    """A robosuite environment with Gymnasium's interface. Its randomness depends on the seed of `reset` only."""
+
+    def __init__(self, kind: Kind):
+        import robosuite
+        from gymnasium import spaces
+        from robosuite.controllers import load_composite_controller_config
+
+        self._kind = kind
+        self._env = robosuite.make(
+            kind.cls, robots="Panda", controller_configs=load_composite_controller_config(controller="BASIC"), has_renderer=False,
+            has_offscreen_renderer=False, use_camera_obs=False, use_object_obs=True, control_freq=round(1 / PERIOD_S), horizon=10**6,
+            ignore_done=True,
+        )  # fmt: skip
+        low, high = self._env.action_spec
+        self.action_space = spaces.Box(low.astype(np.float64), high.astype(np.float64))
+        first, _ = self.reset(0)
+        self.observation_space = spaces.Dict({name: spaces.Box(-np.inf, np.inf, value.shape) for name, value in first.items()})
+
+    @property
+    def unwrapped(self):
+        return self
+
+    @property
+    def sim(self):
+        return self._env.sim
+
+    @property
+    def model(self):
+        return self._env.sim.model._model
+
+    @property
+    def data(self):
+        return self._env.sim.data._data
+
+    def reset(self, seed: int):
+        # In place, because robosuite's samplers keep a reference to the generator.
+        self._env.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
+        seen = self._env.reset()
+        self.begin()
+        return self._encode(seen), {}
+
+    def begin(self):
+        """Heights and displacements are relative to the present state."""
+        self._start = self.position()
+        self._lifted = 0.0
+
+    def step(self, action):
+        seen, reward, *_ = self._env.step(action)
+        self._lifted = max(self._lifted, float(self.position()[2] - self._start[2]))
+        info = {
+            "success": bool(self._env._check_success()),
+            "lifted_m": self._lifted,
+            "displacement_m": float(np.linalg.norm(self.position() - self._start)),
+        }
+        return self._encode(seen), float(reward), False, False, info
+
+    def observe(self):
+        """The observation in the present state."""
+        return self._encode(self._env._get_observations(force_update=True))
+
+    def _encode(self, seen):
+        return {name: np.asarray(seen[name], dtype=float) for name in ("robot0_proprio-state", "object-state")}
+
+    def position(self):
+        """The position of the body that the robot moves."""
+        return self.data.body(self._kind.body).xpos.copy()
+
+    def render(self, camera: str):
+        """The picture of a camera, upright, without collision geometry."""
+        import mujoco
+
+        if getattr(self, "_rendered", None) is not self.model:
+            self._renderer, self._rendered = mujoco.Renderer(self.model, PIXELS, PIXELS), self.model
+        option = mujoco.MjvOption()
+        option.geomgroup[0] = 0
+        self._renderer.update_scene(self.data, camera, option)
+        return self._renderer.render()
+
+    def close(self):
+        self._env.close()
+
+
+def _failure(trajectory):
+    if not trajectory.over:
+        return None
+    return "not_grasped" if trajectory.info["lifted_m"] < 0.02 else "not_completed"
+
+
+def _measure(trajectory):
+    return {"lift_m": trajectory.info["lifted_m"], "displacement_m": trajectory.info["displacement_m"]}
+
+
+def _lift(env):
+    """Ours: a grasp from above, and up."""
+    from ..scripted import skills
+    from ..scripted.motion import CLOSE, go
+    from ..scripted.scene import Scene
+
+    prefix = "gripper0_right_"
+    scene = Scene(env.model, env.data, ("robot0_", "gripper0_", "fixed_mount0_"), f"{prefix}grip_site",
+                  (f"{prefix}finger_joint1", f"{prefix}finger_joint2"), "robot0_link2")  # fmt: skip
+
+    def plan():
+        while True:
+            yield from skills.pick(scene, "cube_main")
+            yield from go(scene, scene.hand + [0.0, 0.0, 0.05], scene.hand_axes, CLOSE, steps=20)
+
+    actions = plan()
+    return lambda observation: np.asarray(next(actions, np.array(REST_ACTION)), dtype=float)
+
+
+def environment(name: str) -> Environment:
+    kind = KINDS.get(name)
+    if kind is None:
+        raise UnknownEnvironment(f"robosuite:{name}: unknown task. Expected one of: {', '.join(KINDS)}")
+    import robosuite  # noqa: F401  A missing package is reported before anything else.
+
+    body = kind.body
+    space = {
+        f"mass:{body}": (0.02, 2.0, "log"),
+        f"friction:{body}": (0.05, 2.0, "log"),
+        f"shift_x:{body}": (-0.03, 0.03),
+        f"shift_y:{body}": (-0.03, 0.03),
+        f"turn:{body}": (-math.pi / 4, math.pi / 4),
+        "gain": (0.5, 1.5),
+        "action_delay": (0, 8),
+    }
+    scripted = Policy(_lift, "Ours. It reads the state of the scene, grasps the cube from above and lifts it.")
+    return Environment(
+        make=lambda: World(kind),
+        task=Task(
+            name=f"robosuite.{name}",
+            instruction=kind.instruction,
+            control_period_s=PERIOD_S,
+            time_limit_s=TIME_LIMIT_S,
+            failure_modes=[
+                FailureMode("not_grasped", "The object was never lifted by 2 cm."),
+                FailureMode("not_completed", "The object was lifted, but the task was not completed in time."),
+            ],
+            failure=_failure,
+            measures=[
+                Measure("lift_m", "m", "Largest height of the object above its start.", "neither"),
+                Measure("displacement_m", "m", "Distance of the object from its start at the end.", "neither"),
+            ],
+            measure=_measure,
+            prepare=_begin,
+            cameras=[Camera(camera, PIXELS, PIXELS, lambda env, camera=camera: env.render(camera)) for camera in CAMERAS],
+            action_names=["x", "y", "z", "roll", "pitch", "yaw", "gripper"],
+            rest_action=REST_ACTION,
+        ),
+        space=space,
+        policies={"scripted": scripted} if name == "Lift" else {},
+        observe=lambda env: env.observe(),
+    )
+
+
+def _begin(env, observation):
+    """One action that does nothing, because a knob may have moved the object."""
+    observation, *_ = env.step(np.array(REST_ACTION))
+    env.begin()
+    return observation
+
+
+FAMILY = Family(
+    name="robosuite",
+    package="robosuite",
+    summary="robosuite 1.5: Lift, Can, Stack, NutAssembly of a Panda arm; a scripted controller for Lift",
+    requirements=["robosuite==1.5.2", "mujoco==3.3.7", "gymnasium==1.4.0"],
+    names=names,
+    environment=environment,
+)

@@ -1,0 +1,49 @@
+"""The four suites and the protocol of the benchmark."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+# Time between two actions: 20 Hz.
+PERIOD_S = 0.05
+# Actions that do nothing, at the start of each episode: objects of the initial states fall onto their supports.
+REST_STEPS = 10
+REST_ACTION = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
+# Seed of the benchmark. It places fixtures, which the initial states do not contain.
+SEED = 7
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A suite of ten tasks."""
+
+    # The part of an environment's name, for example `spatial` in `libero:spatial/3`.
+    name: str
+    # The folder of its task files.
+    folder: str
+    # The largest number of actions of an episode, after the ones that do nothing.
+    steps: int
+    meaning: str
+
+
+SUITES = {
+    suite.name: suite
+    for suite in (
+        Suite("spatial", "libero_spatial", 220, "the same bowl in ten places"),
+        Suite("object", "libero_object", 280, "ten objects into a basket"),
+        Suite("goal", "libero_goal", 300, "ten goals in the same scene"),
+        Suite("10", "libero_10", 520, "ten long tasks"),
+    )
+}
+
+
+def wording(task_name: str) -> str:
+    """The instruction that LIBERO's benchmark class derives from the name of a task file.
+
+    It differs from the instruction in the file for some tasks. Published evaluations use it.
+    """
+    if task_name[:1].isupper():
+        # SCENE10 has one more digit than the others.
+        start = task_name.find("SCENE") + (8 if "SCENE10" in task_name else 7)
+        task_name = task_name[start:]
+    return " ".join(task_name.split("_"))

@@ -1,0 +1,337 @@
+"""`robogate-ray`: runs a campaign in shards on a Ray cluster.
+
+    robogate-ray run --preset paper --address auto --out DIR
+
+Each shard is a Ray task that runs `robogate run --shard` in a process of its own, which dies with its worker. A shard is committed
+at once or not at all, so any worker, node or driver may be killed at any time: the same command continues, and the merged files
+have the bytes of a run on one machine.
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from robogate_eval import CommandNotFoundError
+from robogate_eval.cluster import shards
+from robogate_eval.cluster.progress import Progress, grouped
+from robogate_eval.cluster.shards import DONE, INFRASTRUCTURE, INTERRUPTED, USAGE, CommandError, Item
+
+# `ray start` turns token authentication on. A driver sends the token to a cluster that is named by its address only if it is told to,
+# before Ray is imported. A cluster without authentication ignores it.
+if os.path.exists(os.path.expanduser("~/.ray/auth_token")):
+    os.environ.setdefault("RAY_AUTH_MODE", "token")
+
+try:
+    import ray
+
+    from robogate_eval.cluster.lanes import Lane, Lanes, Resources, ServerPlan, beside
+    from robogate_eval.cluster.tasks import Attempt, Servers, run
+except ImportError as error:
+    raise SystemExit(f"error: {error}\nhint: pip install 'robogate-eval[ray]'") from error
+
+# How many shards each slot of the cluster gets in a round. More shards balance the load better, and each takes less time to repeat.
+SHARDS_PER_SLOT = 16
+# The largest number of tasks that wait in Ray at the same time.
+MOST_TASKS = 1000
+# How often the driver looks for new nodes, in seconds.
+NODES_S = 5.0
+# Ray's options that slow it down or print too much for this use.
+QUIET = {"include_dashboard": False, "log_to_driver": False, "logging_level": "error"}
+
+
+def note(text: str) -> None:
+    """Print a message on stderr."""
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()
+
+
+# The verbs of `robogate` that can be divided into shards.
+VERBS = {"run": "Run a campaign", "gate": "Run a gate", "matrix": "Run a sweep"}
+
+
+class CampaignError(Exception):
+    """The campaign cannot continue. `code` is the exit code."""
+
+    def __init__(self, code: int, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+@dataclass
+class Campaign:
+    """A campaign in shards, and the way its shards run."""
+
+    folder: str
+    resources: "Resources"
+    threads: int
+    retries: int
+    lanes: "Lanes"
+    # How many shards each node has committed.
+    nodes: "Counter[str]" = field(default_factory=Counter)
+    repeated: int = 0
+
+    def once(self, arguments: "list[str]", beside_servers: bool) -> "Attempt":
+        """Run `robogate` once."""
+        lane = self._wait_for_lane() if beside_servers else None
+        return ray.get(self._submit(arguments, lane))
+
+    def _wait_for_lane(self) -> "Lane":
+        self.lanes.update()
+        lane = self.lanes.free()
+        if lane is None:
+            raise CampaignError(
+                USAGE,
+                "no node has room for the servers\nhint: check the GPUs of the nodes with `ray status`, or start servers "
+                "with --policies-per-node or --simulators-per-node",
+            )
+        return lane
+
+    def _submit(self, arguments: "list[str]", lane: "Lane | None") -> Any:
+        options = self.resources.options()
+        if lane is not None:
+            options["scheduling_strategy"] = beside(lane.node)
+        servers = lane.servers if lane is not None else Servers()
+        return run.options(**options).remote(arguments, servers)
+
+    def run_round(self, items: "list[Item]", progress: Progress) -> None:
+        """Run shards until all of them are committed. Each may fail `retries` times."""
+        waiting = deque(items)
+        failures: "Counter[Item]" = Counter()
+        running: "dict[Any, tuple[Item, Lane | None]]" = {}
+        looked = -NODES_S
+        try:
+            while waiting or running:
+                if self.lanes.needed and time.monotonic() - looked > NODES_S:
+                    self.lanes.update()
+                    looked = time.monotonic()
+                self._start(waiting, running)
+                if self.lanes.needed and not running:
+                    self._wait_for_lane()
+                done, _ = ray.wait(list(running), num_returns=1, timeout=NODES_S)
+                for reference in done:
+                    item, lane = running.pop(reference)
+                    if lane is not None:
+                        lane.busy = False
+                    problem = self._finished(reference, progress)
+                    if problem is not None:
+                        failures[item] += 1
+                        self._failed(item, problem, failures[item], progress)
+                        waiting.append(item)
+        finally:
+            for reference in running:
+                ray.cancel(reference, force=True)
+
+    def _start(self, waiting: "deque[Item]", running: "dict[Any, tuple[Item, Lane | None]]") -> None:
+        while waiting and len(running) < MOST_TASKS:
+            lane = self.lanes.free() if self.lanes.needed else None
+            if self.lanes.needed and lane is None:
+                return
+            if lane is not None:
+                lane.busy = True
+            item = waiting.popleft()
+            arguments = [*item.arguments, "--json", "--threads", str(self.threads)]
+            running[self._submit(arguments, lane)] = (item, lane)
+
+    def _finished(self, reference: Any, progress: Progress) -> "str | None":
+        """Count a task that has ended. Returns the problem if its shard must run again."""
+        try:
+            attempt: Attempt = ray.get(reference)
+        except ray.exceptions.RayTaskError as error:
+            # An error of this package or of a server's start. Another node may be set up correctly.
+            return str(error.cause if error.cause is not None else error)
+        except ray.exceptions.RayError as error:
+            return str(error).strip().splitlines()[0]
+        if attempt.code == USAGE:
+            raise CampaignError(USAGE, f"on node {attempt.node}: {attempt.reason}")
+        document = attempt.document or {}
+        if document.get("state") == "conflict":
+            raise CampaignError(INFRASTRUCTURE, f"on node {attempt.node}: {attempt.reason}")
+        if attempt.code != DONE:
+            return f"on node {attempt.node}: {attempt.reason}"
+        self.nodes[attempt.node] += 1
+        progress.add(document)
+        return None
+
+    def _failed(self, item: Item, problem: str, failures: int, progress: Progress) -> None:
+        if failures > self.retries:
+            raise CampaignError(
+                INFRASTRUCTURE,
+                f"{item.name} failed {failures} times, the last time because: {problem}\n"
+                "hint: committed shards are kept; the same command continues the campaign",
+            )
+        self.repeated += 1
+        progress.note(f"{item.name} runs again ({failures} of at most {self.retries} times): {problem}")
+
+    def run(self) -> None:
+        """Run all rounds."""
+        while (round := shards.next_round(self.folder)).name is not None:
+            progress = Progress(shards.open_status(self.folder))
+            if progress.committed:
+                note(f"{grouped(progress.committed)} of {grouped(progress.shards)} shards are committed already")
+            try:
+                self.run_round(round.items, progress)
+            finally:
+                progress.end()
+            left = set(round.items) & set(shards.next_round(self.folder).items)
+            if left:
+                raise CampaignError(
+                    INFRASTRUCTURE,
+                    f"{len(left)} shards were committed on another node, but {self.folder} does not contain them here\n"
+                    "hint: DIR must be the same folder on all nodes, on a shared file system or in an object store",
+                )
+
+
+def arguments() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="robogate-ray", description="Run campaigns of RoboGate on a Ray cluster.")
+    verbs = parser.add_subparsers(required=True, dest="verb", metavar="VERB")
+    for verb, what in VERBS.items():
+        _add_options(
+            verbs.add_parser(
+                verb,
+                allow_abbrev=False,
+                help=f"{what[0].lower()}{what[1:]} in shards, and merge them",
+                description=f"{what} in shards, and merge them to the files of one machine. All options that are not listed here are "
+                f"those of `robogate {verb}`. The same command continues an interrupted campaign; its options may then be left out.",
+            )
+        )
+    return parser
+
+
+def _add_options(verb: argparse.ArgumentParser) -> None:
+    add = verb.add_argument
+    add("--out", required=True, metavar="DIR", help="folder of the campaign; all nodes must see it under this path")
+    add("--merged", metavar="FOLDER", help="write the merged files to this folder; default: DIR; required if DIR is an object store")
+    add("--address", default="local", help="address of the Ray cluster: auto, HOST:PORT, or local to start Ray for this run (default)")
+    add("--shards", type=int, metavar="N", help=f"shards of each round; default: {SHARDS_PER_SLOT} for each shard that can run at once")
+    add("--threads", type=int, default=1, metavar="T", help="threads of each shard; default: 1")
+    add("--cpus-per-shard", type=float, metavar="CPUS", help="CPUs that Ray reserves for a shard; default: its threads")
+    add("--gpus-per-shard", type=float, default=0.0, metavar="GPUS", help="GPUs that Ray reserves for a shard; default: 0")
+    add("--retries", type=int, default=20, metavar="N", help="how often a shard may fail before the campaign stops; default: 20")
+    add("--json", action="store_true", help="print the result as one JSON document")
+    servers = verb.add_argument_group(
+        "servers",
+        "Servers run as Ray actors, one on each node or as many as the GPUs of a node allow. {port} in a command is the port on "
+        "127.0.0.1 where the server must listen. Shards use the servers of their own node.",
+    )
+    add = servers.add_argument
+    add("--simulator-server", metavar="COMMAND", help="command that serves environments over the bridge protocol; each shard has its own")
+    add("--simulators-per-node", type=int, metavar="N", help="default: GPUs of the node / --gpus-per-simulator, or 1")
+    add("--gpus-per-simulator", type=float, default=0.0, metavar="GPUS", help="default: 0")
+    add("--cpus-per-simulator", type=float, default=0.0, metavar="CPUS", help="default: 0, because its shard waits for it")
+    add("--policy-server", metavar="COMMAND", help="command that serves the policy of --policy")
+    add("--policies-per-node", type=int, metavar="N", help="default: GPUs of the node / --gpus-per-policy, or 1")
+    add("--gpus-per-policy", type=float, default=0.0, metavar="GPUS", help="default: 0")
+    add("--cpus-per-policy", type=float, default=0.0, metavar="CPUS", help="default: 0")
+    add("--shards-per-policy", type=int, default=1, metavar="N", help="shards that use one policy server at once; default: 1")
+
+
+def _plan(given: argparse.Namespace, policy: str) -> "Lanes":
+    def servers(name: str, per_node: "int | None") -> "ServerPlan | None":
+        command = getattr(given, f"{name}_server")
+        if command is None:
+            return None
+        if "{port}" not in command:
+            raise CampaignError(USAGE, f"--{name}-server: expected {{port}} in the command `{command}`")
+        resources = Resources(getattr(given, f"cpus_per_{name}"), getattr(given, f"gpus_per_{name}"))
+        return ServerPlan(command, resources, per_node)
+
+    policies = servers("policy", given.policies_per_node)
+    if policies is not None and "://" not in policy:
+        raise CampaignError(USAGE, "--policy-server needs --policy with the address that the plan records, such as ws://127.0.0.1:8000")
+    return Lanes(servers("simulator", given.simulators_per_node), policies, policy, given.shards_per_policy)
+
+
+def _value(options: "list[str]", name: str) -> "str | None":
+    """The value of an option of `robogate run`, given as two words or as one."""
+    for i, word in enumerate(options):
+        if word == name and i + 1 < len(options):
+            return options[i + 1]
+        if word.startswith(f"{name}="):
+            return word[len(name) + 1 :]
+    return None
+
+
+def _recorded_policy(folder: str) -> str:
+    """The address of the policy in the plan of an existing campaign."""
+    try:
+        with open(os.path.join(folder, "plan.json"), encoding="utf-8") as file:
+            return str(json.load(file)["provenance"]["world"]["policy"]["server"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+
+
+def _connect(address: str) -> None:
+    try:
+        ray.init(address=address, **QUIET)
+    except ConnectionError as error:
+        raise CampaignError(
+            INFRASTRUCTURE, f"no Ray cluster at {address}: {error}\nhint: start one with `ray start --head`, or use --address local"
+        ) from error
+
+
+def _divide(campaign: Campaign, given: argparse.Namespace, options: "list[str]") -> None:
+    """Write the plan, or check that the options describe the plan that exists."""
+    try:
+        existing = shards.next_round(campaign.folder).shards
+    except CommandError:
+        # There is no campaign yet. Otherwise the command below reports the problem.
+        existing = None
+    if existing is not None and not options:
+        if given.shards not in (None, existing):
+            raise CampaignError(USAGE, f"{campaign.folder} is divided into {existing} shards, and --shards is {given.shards}")
+        return
+    slots = len(campaign.lanes) or max(1, int(ray.cluster_resources().get("CPU", 1) / max(campaign.resources.cpus, 0.01)))
+    count = given.shards or existing or SHARDS_PER_SLOT * slots
+    attempt = campaign.once([given.verb, "--divide", str(count), "--out", campaign.folder, "--json", *options], campaign.lanes.needed)
+    if attempt.code != DONE:
+        raise CampaignError(attempt.code, attempt.reason)
+    document = attempt.document or {}
+    note(f"{grouped(document.get('episodes', 0))} episodes in {count} shards on {slots} slots, into {campaign.folder}")
+
+
+def execute(given: argparse.Namespace, options: "list[str]") -> int:
+    """Run a campaign. Returns the exit code."""
+    folder = given.out if "://" in given.out else os.path.abspath(given.out)
+    if "://" in folder and given.merged is None:
+        raise CampaignError(USAGE, f"--merged is missing: the merged files of {folder} are written to a folder")
+    policy = _value(options, "--policy") or _recorded_policy(folder)
+    lanes = _plan(given, policy)
+    cpus = given.threads if given.cpus_per_shard is None else given.cpus_per_shard
+    begin = time.monotonic()
+    _connect(given.address)
+    campaign = Campaign(folder, Resources(cpus, given.gpus_per_shard), given.threads, given.retries, lanes)
+    lanes.update()
+    _divide(campaign, given, options)
+    campaign.run()
+    parts = [f"{count} on {node}" for node, count in sorted(campaign.nodes.items())]
+    note(f"{campaign.nodes.total()} shards ({', '.join(parts) or 'none'}), {campaign.repeated} repeated, {time.monotonic() - begin:.1f} s")
+    return shards.merge(folder, given.merged, given.json)
+
+
+def main() -> None:
+    """The console script `robogate-ray`."""
+    given, options = arguments().parse_known_args()
+    try:
+        code = execute(given, options)
+    except (CampaignError, CommandError) as error:
+        note(f"error: {error}")
+        code = error.code
+    except CommandNotFoundError as error:
+        note(f"error: {error}")
+        code = USAGE
+    except KeyboardInterrupt:
+        note("\ninterrupted. Committed shards are kept; the same command continues the campaign.")
+        code = INTERRUPTED
+    finally:
+        ray.shutdown()
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

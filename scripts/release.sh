@@ -1,0 +1,88 @@
+#!/usr/bin/env bash
+# Builds a release in target/release-files: for each architecture a wheel, a Debian package and an SBOM; the recipe of the container
+# image; SHA-256 sums of all files; a signature of the sums if a key is given.
+#
+# Usage: scripts/release.sh [ARCHITECTURE...]       x86_64 or aarch64; default: the architecture of this machine
+#
+# ROBOGATE_SIGNING_KEY names an OpenSSH private key for the signature. docs/installing.md shows how to verify a release, and
+# scripts/check_release.sh tests one. Needs Rust with the target of each architecture (`rustup target add`), Python 3.11 with venv,
+# and dpkg. Everything else is installed into the build folder.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+. scripts/common.sh
+
+[ $# -gt 0 ] || set -- "$(uname -m)"
+for architecture in "$@"; do
+    case $architecture in
+        x86_64 | aarch64) ;;
+        *)
+            echo "error: architecture $architecture. Expected x86_64 or aarch64" >&2
+            exit 2
+            ;;
+    esac
+    if [ ! -d "$(rustc --print sysroot)/lib/rustlib/$architecture-unknown-linux-gnu/lib" ]; then
+        echo "error: Rust has no standard library for $architecture. Hint: rustup target add $architecture-unknown-linux-gnu" >&2
+        exit 5
+    fi
+done
+if [ -n "${ROBOGATE_SIGNING_KEY:-}" ] && [ ! -r "$ROBOGATE_SIGNING_KEY" ]; then
+    echo "error: ROBOGATE_SIGNING_KEY=$ROBOGATE_SIGNING_KEY: cannot be read. Expected an OpenSSH private key" >&2
+    exit 2
+fi
+
+root=$PWD
+target=${CARGO_TARGET_DIR:-target}
+mkdir -p "$target"
+target=$(cd "$target" && pwd)
+out=$target/release-files
+rm -rf "$out"
+mkdir -p "$out"
+
+# The oldest glibc on which the command runs. docs/installing.md names the distributions.
+glibc=2.28
+
+# Tools, once for each version of the pins.
+tools=$target/release-tools
+cargo_deb=3.8.0
+if ! { cat scripts/release/requirements.txt && echo "cargo-deb $cargo_deb"; } | cmp -s - "$tools/installed.txt"; then
+    rm -rf "$tools"
+    python3 -m venv "$tools"
+    "$tools/bin/pip" install --quiet --disable-pip-version-check --requirement scripts/release/requirements.txt
+    cargo install --quiet --locked --root "$tools" "cargo-deb@$cargo_deb"
+    { cat scripts/release/requirements.txt && echo "cargo-deb $cargo_deb"; } > "$tools/installed.txt"
+fi
+PATH=$tools/bin:$PATH
+
+# The same sources give the same bytes: no path of this machine, no time of the build, no incremental state.
+build=$target/release-build
+cargo_home=${CARGO_HOME:-$HOME/.cargo}
+export CARGO_TARGET_DIR=$build CARGO_INCREMENTAL=0
+separator=$'\x1f'
+CARGO_ENCODED_RUSTFLAGS="--remap-path-prefix=$root=/robogate"
+CARGO_ENCODED_RUSTFLAGS+="$separator--remap-path-prefix=$build=/target"
+CARGO_ENCODED_RUSTFLAGS+="$separator--remap-path-prefix=$cargo_home=/cargo"
+export CARGO_ENCODED_RUSTFLAGS
+export CFLAGS="-ffile-prefix-map=$build=/target -ffile-prefix-map=$cargo_home=/cargo"
+SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct)}
+export SOURCE_DATE_EPOCH
+
+for architecture in "$@"; do
+    triple=$architecture-unknown-linux-gnu
+    rm -rf python/licenses
+    scripts/release/mujoco.py "$architecture"
+    scripts/release/licences.py "$architecture"
+    (cd python && maturin build --release --zig --target "$triple" --compatibility "manylinux_${glibc/./_}" --out "$out")
+    wheel=$(echo "$out"/robogate_eval-*_"$architecture".whl)
+    scripts/release/sbom.py "$wheel" "$out/robogate-$architecture.cdx.json"
+    cargo deb --quiet --package robogate --no-build --no-strip --target "$triple" --output "$out/"
+done
+
+cp deploy/Containerfile "$out/"
+hadolint "$out/Containerfile"
+
+(cd "$out" && sha256sum -- * > ../SHA256SUMS && mv ../SHA256SUMS .)
+if [ -n "${ROBOGATE_SIGNING_KEY:-}" ]; then
+    ssh-keygen -q -Y sign -f "$ROBOGATE_SIGNING_KEY" -n robogate-release "$out/SHA256SUMS"
+fi
+echo "$out:"
+cat "$out/SHA256SUMS"
