@@ -2,6 +2,7 @@
 
 import datetime
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -42,6 +43,15 @@ def thirds(found):
     return rows
 
 
+def effects(found):
+    """Correlations of success with a parameter: task, parameter, estimate and natural logarithm of p."""
+    for task, analysed in found.items():
+        for effect in analysed["marginal_effects"]:
+            estimated = effect["correlation"].get("estimated")
+            if estimated and estimated.get("point_biserial") is not None:
+                yield task, effect["parameter"], estimated
+
+
 def main():
     robogate, out, tasks = sys.argv[1], Path(sys.argv[2]), sys.argv[3:]
     done = [task for task in [*tasks, "fetch"] if (out / task / "summary.json").is_file()]
@@ -58,6 +68,17 @@ def main():
         nominal = out / f"{task}-nominal"
         plain = success(analysis(robogate, nominal)) if (nominal / "summary.json").is_file() else "-"
         print(f"| {task} | {plain} | {success(found[task])} | {modes} | {limits(found[task])} |")
+    tested = list(effects(found))
+    limit = math.log(0.05 / max(1, len(tested)))
+    print("\n## Parameters that change the success rate\n")
+    print(f"Point-biserial correlation of success with each parameter: those of {len(tested)} tests with p < 0.05 after Bonferroni's correction.\n")
+    print("| task | parameter | correlation (95 % interval) | p before correction |")
+    print("|---|---|---|---|")
+    for task, parameter, estimated in tested:
+        if estimated["ln_p"] < limit:
+            low, high = estimated["interval_95"]
+            r, p = estimated["point_biserial"], math.exp(estimated["ln_p"])
+            print(f"| {task} | `{parameter}` | {r:+.2f} ({low:+.2f} to {high:+.2f}) | {p:.1g} |")
     print("\n## Success at the ends of each parameter\n")
     print("The lowest and the highest third of each range, over all values of the other parameters.\n")
     print("| task | parameter | lowest third | highest third |")
@@ -70,6 +91,9 @@ def main():
         print("\n## Overhead\n")
         print("Time of one control step through RoboGate, with one worker, and of the plain Python loop (`scripts/environments_overhead.py`):\n")
         print(f"```\n{overhead.read_text(encoding='utf-8').strip()}\n```")
+    absent = [task for task in tasks if task not in done]
+    if absent:
+        print(f"\nNot run yet: {', '.join(absent)}.")
     print("\n## Replays\n")
     for task in tasks:
         replay = out / f"{task}-replay.txt"

@@ -195,7 +195,7 @@ class Faults(unittest.TestCase):
                 return self._get_obs(), 0.0, False, False, {"success": False}
 
         environment = Environment(make=lambda: Other(), task=Task(name="other"))
-        with self.assertRaisesRegex(Problem, "does not step the model"):
+        with self.assertRaisesRegex(DeclarationError, "does not step the model"):
             Adapter(environment)
 
     def test_no_report_of_success(self):
@@ -203,7 +203,7 @@ class Faults(unittest.TestCase):
             def step(self, action):
                 return (*super().step(action)[:4], {})
 
-        with self.assertRaisesRegex(Problem, "reports no success"):
+        with self.assertRaisesRegex(DeclarationError, "reports no success"):
             sliding_box(Silent)
 
 

@@ -5,7 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
+try:
+    import numpy as np
+except ModuleNotFoundError:
+    # The family is listed and installed by a Python without any packages.
+    np = None
 
 from ..serving.environment import Camera, Environment, FailureMode, Measure, Policy, Task
 from .family import Family, UnknownEnvironment

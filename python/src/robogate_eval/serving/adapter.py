@@ -46,7 +46,13 @@ class Adapter:
         self._cameras = self._find_cameras()
         self._renderers: dict[tuple[int, int], Any] = {}
         self._hash = 0
-        self.deterministic = self._is_deterministic()
+        try:
+            self.deterministic = self._is_deterministic()
+        except Problem as problem:
+            # The first episode of any environment shows what its declaration lacks.
+            if problem.kind in ("setup", "not_applied"):
+                raise DeclarationError(problem.detail) from None
+            raise
 
     # Declaration
 
