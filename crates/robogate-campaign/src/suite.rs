@@ -14,7 +14,13 @@ use crate::OutcomeCounts;
 pub const INDUSTRIAL_68: &str = include_str!("../../../assets/suites/industrial-68.toml");
 
 /// The built-in suites: names and commented TOML.
-pub const BUILT_IN_SUITES: [(&str, &str); 1] = [("industrial-68", INDUSTRIAL_68)];
+pub const BUILT_IN_SUITES: [(&str, &str); 5] = [
+    ("industrial-68", INDUSTRIAL_68),
+    ("libero-spatial", include_str!("../../../assets/suites/libero-spatial.toml")),
+    ("libero-object", include_str!("../../../assets/suites/libero-object.toml")),
+    ("libero-goal", include_str!("../../../assets/suites/libero-goal.toml")),
+    ("libero-10", include_str!("../../../assets/suites/libero-10.toml")),
+];
 
 /// The built-in suite with this name.
 pub fn built_in_suite(name: &str) -> Option<Result<Suite, SuiteError>> {

@@ -39,7 +39,7 @@ pub use rollout::{Ending, Environment, Policy, Start, Step, Tick, check_applied,
 pub use scenario::{Assignment, Scenario, Value};
 pub use seed::{Seed, Stream};
 pub use space::{Correlation, Domain, Parameter, ParameterSpace, Scale, SpaceError};
-pub use suite::{Case, Spread, Suite, SuiteError, SuiteProblem};
+pub use suite::{Case, Published, Spread, Suite, SuiteError, SuiteProblem};
 pub use task::{
     Allowed, Better, CameraSpec, FailureModeSpec, MeasureSpec, ObservationSpec, ParameterSpec, Severity, TaskError,
     TaskInstance, TaskSpec, VectorSpec,

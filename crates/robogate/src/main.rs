@@ -1,6 +1,7 @@
 //! The command line of `robogate`, with one file for each verb.
 
 mod answer;
+mod benchmark;
 mod cell;
 mod commands;
 mod environments;

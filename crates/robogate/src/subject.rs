@@ -80,6 +80,16 @@ impl EnvironmentArguments {
         Cell::new(self.settings(), suction, pool).map(|cell| EnvironmentSource::Cell(Box::new(cell))).or_usage()
     }
 
+    /// The environment that the arguments select for a suite: if they select none, that of the suite.
+    pub(crate) fn environment_of(&self, suite: Option<&Suite>, suction: SuctionLaw) -> Result<EnvironmentSource, Exit> {
+        match suite.and_then(Suite::environment) {
+            Some(name) if self.env.is_none() && self.simulators.addresses.is_empty() => {
+                EnvironmentSource::launched(name, &self.simulators)
+            }
+            _ => self.environment(suction),
+        }
+    }
+
     /// The built-in cell that the arguments select, for verbs that support pick_place only.
     pub(crate) fn cell(&self) -> Result<Cell, Exit> {
         match self.environment(SuctionLaw::Vacuum)? {

@@ -26,11 +26,30 @@ pub(super) struct SuiteFile {
     pub(super) version: String,
     /// The purpose of the suite.
     pub(super) description: String,
+    /// The environment of the scenarios, as `--env` names it. Default: the environment that the command selects.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) environment: Option<String>,
+    /// Published results on these scenarios, for orientation.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) published: Vec<Published>,
     /// Parameters of every scenario, unless the scenario or its group sets them.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     defaults: Table,
     /// The groups, in execution order.
     group: Vec<GroupFile>,
+}
+
+/// A published result on the scenarios of a suite.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(rename = "SuitePublished")]
+pub struct Published {
+    /// The policy.
+    pub policy: String,
+    /// Its success rate, as a fraction.
+    pub success: f64,
+    /// Where it was published.
+    pub source: String,
 }
 
 /// A group of related scenarios.
@@ -320,6 +339,13 @@ impl SuiteFile {
 
     /// Checks each value in the file, used or not.
     fn check_values(&self, problems: &mut Vec<SuiteProblem>) {
+        let wrong = self.published.iter().filter(|published| !(0.0..=1.0).contains(&published.success));
+        problems.extend(
+            wrong.map(|published| SuiteProblem::Published {
+                policy: published.policy.clone(),
+                success: published.success,
+            }),
+        );
         let mut table = |place: &dyn Fn() -> String, table: &Table| {
             let errors = table.iter().filter_map(|(name, given)| given.check(name).err());
             problems.extend(errors.map(|error| SuiteProblem::Value { place: place(), error }));

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use self::file::Published;
 use self::file::SuiteFile;
 pub use self::problem::{SuiteError, SuiteProblem};
 use crate::samplers::LatinHypercube;
@@ -125,6 +126,16 @@ impl Suite {
     /// The purpose of the suite.
     pub fn description(&self) -> &str {
         &self.file.description
+    }
+
+    /// The environment of the scenarios, as `--env` names it, if the suite is for one environment only.
+    pub fn environment(&self) -> Option<&str> {
+        self.file.environment.as_deref()
+    }
+
+    /// Published results on these scenarios.
+    pub fn published(&self) -> &[Published] {
+        &self.file.published
     }
 
     /// The description of a group, if its author wrote one.

@@ -49,6 +49,14 @@ pub enum SuiteProblem {
         /// The text in the file.
         text: String,
     },
+    /// A published success rate that is not a fraction.
+    #[error("the published success rate of {policy} is {success}; expected a fraction from 0 to 1")]
+    Published {
+        /// The policy.
+        policy: String,
+        /// The rate in the file.
+        success: f64,
+    },
     /// The suite has no scenario.
     #[error("the suite has no scenario; expected at least one")]
     Empty,

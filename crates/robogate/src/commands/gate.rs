@@ -19,6 +19,7 @@ use robogate_physics::SuctionLaw;
 use robogate_report::{evaluation_markdown, junit};
 
 use crate::answer;
+use crate::benchmark;
 use crate::commands::run::{How, free_folder, interrupted, introduce, write_report};
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
@@ -53,7 +54,8 @@ pub(crate) struct Gate {
     /// with --run the margin of its gate
     #[arg(long, value_name = "SHARE")]
     margin: Option<f64>,
-    /// Set the maximum number of rounds of the suite; default: the budget of the requirements
+    /// Set the maximum number of rounds of the suite; default: the budget of the requirements, or 1 for a published
+    /// benchmark
     #[arg(long, value_name = "N")]
     rounds: Option<u32>,
     /// Run all rounds and test once, instead of stopping as soon as the verdict is certain
@@ -145,7 +147,7 @@ impl Gate {
             fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display())).or_broken()?;
             write_answer(out, &evaluation)?;
         }
-        show(self.out.as_deref(), &evaluation, self.how.json)
+        show(self.out.as_deref(), &evaluation, source.dictionary().provenance(), self.how.json)
     }
 
     /// Prints one line for each part of the question that differs from the question of the run's gate.
@@ -176,13 +178,16 @@ impl Gate {
 
     /// Runs a suite until the verdict is certain.
     fn run_suite(&self) -> Result<u8, Exit> {
-        let environment = self.environment.environment(SuctionLaw::Vacuum)?;
+        let suite = self.suite.as_deref().map(suites::find).transpose()?;
+        let environment = self.environment.environment_of(suite.as_ref(), SuctionLaw::Vacuum)?;
         let subject = Subject::new(environment, self.policy.source()?)?;
         let wanted = self.requirements.as_deref().unwrap_or("default");
         let requirements = open_requirements(wanted, subject.task())?;
         let suite = self.suite(&subject)?;
         subject.check_suite(&suite).or_usage()?;
-        let rounds = self.rounds.unwrap_or(requirements.budget.rounds);
+        // The protocol of a published benchmark fixes the number of episodes.
+        let protocol = !suite.published().is_empty();
+        let rounds = self.rounds.unwrap_or(if protocol { 1 } else { requirements.budget.rounds });
         let fixed = self.fixed || requirements.mode == Mode::Point;
         let sampling = if fixed { Sampling::Fixed } else { Sampling::Sequential };
         let labels: Vec<Label> = suite
@@ -432,7 +437,7 @@ pub(crate) fn finish(
     let record = Record::of(source.dictionary()).map_err(refused)?;
     let evaluation = question(asked, other).evaluate(&record).map_err(refused)?;
     write_answer(dir, &evaluation)?;
-    show(Some(dir), &evaluation, json)
+    show(Some(dir), &evaluation, source.dictionary().provenance(), json)
 }
 
 fn write_answer(dir: &Path, evaluation: &Evaluation) -> Result<(), Exit> {
@@ -444,11 +449,13 @@ fn write_answer(dir: &Path, evaluation: &Evaluation) -> Result<(), Exit> {
     Ok(())
 }
 
-fn show(dir: Option<&Path>, evaluation: &Evaluation, json: bool) -> Result<u8, Exit> {
+/// Prints the verdict. `provenance` is that of the judged run.
+fn show(dir: Option<&Path>, evaluation: &Evaluation, provenance: &Provenance, json: bool) -> Result<u8, Exit> {
     if json {
         line(evaluation.to_json().trim_end());
     } else {
         answer::print(evaluation);
+        benchmark::print(evaluation, provenance);
         if let Some(dir) = dir {
             let files: Vec<String> = ANSWER.iter().map(|name| dir.join(name).display().to_string()).collect();
             note(format_args!("files: {}", files.join(", ")));

@@ -144,7 +144,9 @@ impl Run {
         let papers =
             self.plan.is_none() && self.suite.is_none() && Preset::by_name(&self.preset) == Some(Preset::Paper);
         let suction = if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum };
-        let subject = Subject::new(self.environment.environment(suction)?, self.policy.source_at(&self.location)?)?;
+        let suite = self.suite.as_deref().map(suites::find).transpose()?;
+        let environment = self.environment.environment_of(suite.as_ref(), suction)?;
+        let subject = Subject::new(environment, self.policy.source_at(&self.location)?)?;
         let (plan, space) = self.plan_and_space(&subject)?;
         let provenance = subject.provenance(space)?;
         if let (Some(shard), Some(dir)) = (self.shard, &self.out) {

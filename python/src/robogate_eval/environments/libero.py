@@ -25,7 +25,11 @@ def environment(name: str) -> Environment:
         raise UnknownEnvironment(f"libero:{name}: unknown suite. Expected one of {', '.join(SUITES)}, for example libero:spatial or libero:spatial/3")
     from ..libero import installation
 
-    tasks = installation.task_order()[SUITES[suite].folder]
+    try:
+        tasks = installation.task_order()[SUITES[suite].folder]
+    except installation.LiberoMissing as error:
+        # `robogate env setup libero` installs what LIBERO needs, but not LIBERO.
+        raise UnknownEnvironment(f"libero:{name}: {error}") from None
     if number and not (number.isdecimal() and int(number) < len(tasks)):
         raise UnknownEnvironment(f"libero:{name}: unknown task. Expected libero:{suite}/0 to libero:{suite}/{len(tasks) - 1}, or libero:{suite} for all")
     return _declare(suite, int(number) if number else None)
