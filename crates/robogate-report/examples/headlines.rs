@@ -2,7 +2,7 @@
 //!
 //! Simulation 1: success depends on nothing. Simulation 2: one planted effect in one tenth of a parameter's range.
 //! Simulation 3: the box of the advice, at a rate that reaches the target nowhere or only in a small part. Deterministic:
-//! the same number of sets prints the same table. docs/results/headlines.md has the figures.
+//! the same number of sets prints the same table.
 
 #![expect(clippy::unwrap_used, reason = "a simulation that cannot run should stop")]
 #![expect(clippy::print_stdout, reason = "the table is the result")]

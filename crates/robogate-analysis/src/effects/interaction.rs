@@ -43,8 +43,8 @@ fn tested(base: &Sample, ranked: &[ParameterEffect], share: f64) -> Option<(Vec<
     let rows: Vec<usize> = (0..base.len()).step_by(step).collect();
     let success: Vec<bool> = rows.iter().map(|row| base.success[*row]).collect();
     let rarer = success.iter().filter(|s| **s).count().min(success.iter().filter(|s| !**s).count());
-    // The model without interactions has two columns for each number.
-    if rarer < FEWEST.max(6 * base.parameters.len().min(MOST_PARAMETERS)) {
+    // The model without interactions has three columns for each number.
+    if rarer < FEWEST.max(8 * base.parameters.len().min(MOST_PARAMETERS)) {
         return None;
     }
     let used = ranked.iter().take(MOST_PARAMETERS).filter_map(|effect| base.parameter(&effect.parameter));
@@ -56,7 +56,9 @@ fn tested(base: &Sample, ranked: &[ParameterEffect], share: f64) -> Option<(Vec<
             continue;
         }
         let ranks = centred_ranks(parameter, &rows);
+        // A cubic effect of each number: a curve that is too stiff would pass for an interaction.
         columns.push(ranks.iter().map(|r| r * r).collect());
+        columns.push(ranks.iter().map(|r| r * r * r).collect());
         columns.push(ranks.clone());
         scores.push((parameter.name.clone(), ranks));
     }
