@@ -48,7 +48,8 @@ fn tested(base: &Sample, ranked: &[ParameterEffect], share: f64) -> Option<(Vec<
         return None;
     }
     let used = ranked.iter().take(MOST_PARAMETERS).filter_map(|effect| base.parameter(&effect.parameter));
-    let (mut columns, mut scores): (Vec<Vec<f64>>, Vec<(String, Vec<f64>)>) = (Vec::new(), Vec::new());
+    let mut columns: Vec<Vec<f64>> = Vec::new();
+    let mut scores: Vec<(String, Vec<f64>)> = Vec::new();
     for parameter in used {
         if let ParameterKind::Categorical { levels } = &parameter.kind {
             let is = |level: usize| move |row: &usize| f64::from(u8::from(parameter.values[*row] as usize == level));
