@@ -85,24 +85,26 @@ pub(crate) fn safe_box(
     if whole >= target {
         return Finding::Estimated(describe(table, base, &Vec::new(), all, whole, target, true, 1.0));
     }
-    let columns: Vec<Column<'_>> = base.parameters.iter().map(column).collect();
-    let Some(found) = search(&columns, &base.success, target, Confidence::P95, SEED) else {
-        let n = base.len();
-        return Finding::not(match base.parameters.is_empty() {
-            true => "the dataset has no parameter".to_owned(),
-            false => format!("{n} valid episodes are too few (it needs at least 100)"),
-        });
+    // A box may name only parameters that pass the test of the headline. The search tests them again, in the rows that
+    // choose the box.
+    let used: Vec<&ParameterColumn> = base.parameters.iter().filter(|p| effects.may_name(&p.name)).collect();
+    if used.is_empty() {
+        return Finding::not("no parameter has a significant effect");
+    }
+    let columns: Vec<Column<'_>> = used.iter().map(|parameter| column(parameter)).collect();
+    let Some(mut found) = search(&columns, &base.success, target, Confidence::P95, SEED) else {
+        return Finding::not(format!("{} valid episodes are too few (it needs at least 100)", base.len()));
     };
+    for (at, _) in &mut found.limits {
+        let name = &used[*at].name;
+        *at = base.parameters.iter().position(|p| p.name == *name).unwrap_or(*at);
+    }
     if found.limits.is_empty() {
         return Finding::not(format!(
             "no parameter has a significant effect in the half of the episodes that chooses the box, and the rate of the whole \
              space is not significantly at or above {}",
             percent(target)
         ));
-    }
-    // A box may name only parameters that pass the test of the headline.
-    if found.limits.iter().any(|(at, _)| !effects.may_name(&base.parameters[*at].name)) {
-        return Finding::not("it would name a parameter without a significant effect");
     }
     let share = found.held_out.n() as f64 / found.held_out_rows.max(1) as f64;
     let volume = if population == Population::OperatingSpace && independent {

@@ -2,7 +2,7 @@
 //!
 //! Simulation 1: success depends on nothing. Simulation 2: one planted effect in one tenth of a parameter's range.
 //! Simulation 3: the box of the advice, at a rate that reaches the target nowhere or only in a small part. Deterministic:
-//! the same number of sets prints the same table. docs/results/headlines.md has the figures.
+//! the same number of sets prints the same table.
 
 #![expect(clippy::unwrap_used, reason = "a simulation that cannot run should stop")]
 #![expect(clippy::print_stdout, reason = "the table is the result")]
@@ -50,7 +50,7 @@ fn main() {
     let ramp = |at: &[f64]| 0.55 + 0.4 * at[3].min(1.0 - 0.25 * at[4]);
     let corner = |at: &[f64]| if at[3] > 0.3 && at[4] < 0.8 { 0.97 } else { 0.45 };
     let almost = |at: &[f64]| if at[3] > 0.3 && at[4] < 0.8 { 0.895 } else { 0.45 };
-    let laws: [(&str, &dyn Fn(&[f64]) -> f64); 3] = [
+    let laws: [(&str, Law<'_>); 3] = [
         ("97 % in 56 % of the space", &corner),
         ("89.5 % in 56 % of the space", &almost),
         ("a slow ramp up to 95 %", &ramp),
@@ -75,12 +75,15 @@ fn main() {
     }
 }
 
+/// The probability of success at a point of the unit cube.
+type Law<'a> = &'a dyn Fn(&[f64]) -> f64;
+
 fn share(count: usize, sets: u64) -> String {
     format!("{:.1} %", 100.0 * count as f64 / sets as f64)
 }
 
 /// The true rate inside a box, by many points of the unit cube.
-fn true_rate(found: &robogate_analysis::SafeBox, law: &dyn Fn(&[f64]) -> f64) -> f64 {
+fn true_rate(found: &robogate_analysis::SafeBox, law: Law<'_>) -> f64 {
     let space = noise::ten();
     let (mut sum, mut n) = (0.0, 0.0);
     for i in 0..20_000 {

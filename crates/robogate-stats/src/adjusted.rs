@@ -10,7 +10,7 @@
 //! The interval is Wilson's at the number of independent episodes with the same variance, n' = p (1 - p) / variance.
 //!
 //! Limits: bins must be fixed before the outcomes are seen, and every bin needs rows. The model needs enough rows of the
-//! rarer outcome; `tests/coverage.rs` shows the coverage. Sources: Cochran (1977), Sampling Techniques, chapter 7; Stein
+//! rarer outcome. The tests simulate the coverage. Sources: Cochran (1977), Sampling Techniques, chapter 7; Stein
 //! (1987), Technometrics 29(2), and Owen (1992), JRSS B 54(2), for Latin hypercubes.
 
 use robogate_maths::dense::{Cholesky, dot};

@@ -43,12 +43,13 @@ fn tested(base: &Sample, ranked: &[ParameterEffect], share: f64) -> Option<(Vec<
     let rows: Vec<usize> = (0..base.len()).step_by(step).collect();
     let success: Vec<bool> = rows.iter().map(|row| base.success[*row]).collect();
     let rarer = success.iter().filter(|s| **s).count().min(success.iter().filter(|s| !**s).count());
-    // The model without interactions has two columns for each number.
-    if rarer < FEWEST.max(6 * base.parameters.len().min(MOST_PARAMETERS)) {
+    // The model without interactions has three columns for each number.
+    if rarer < FEWEST.max(8 * base.parameters.len().min(MOST_PARAMETERS)) {
         return None;
     }
     let used = ranked.iter().take(MOST_PARAMETERS).filter_map(|effect| base.parameter(&effect.parameter));
-    let (mut columns, mut scores): (Vec<Vec<f64>>, Vec<(String, Vec<f64>)>) = (Vec::new(), Vec::new());
+    let mut columns: Vec<Vec<f64>> = Vec::new();
+    let mut scores: Vec<(String, Vec<f64>)> = Vec::new();
     for parameter in used {
         if let ParameterKind::Categorical { levels } = &parameter.kind {
             let is = |level: usize| move |row: &usize| f64::from(u8::from(parameter.values[*row] as usize == level));
@@ -56,7 +57,9 @@ fn tested(base: &Sample, ranked: &[ParameterEffect], share: f64) -> Option<(Vec<
             continue;
         }
         let ranks = centred_ranks(parameter, &rows);
+        // A cubic effect of each number: a curve that is too stiff would pass for an interaction.
         columns.push(ranks.iter().map(|r| r * r).collect());
+        columns.push(ranks.iter().map(|r| r * r * r).collect());
         columns.push(ranks.clone());
         scores.push((parameter.name.clone(), ranks));
     }

@@ -26,7 +26,7 @@ pub(crate) struct Analyze {
     /// Map two more parameters; the frontier is solved for the first
     #[arg(long, num_args = 2, value_names = ["A", "B"])]
     pair: Vec<String>,
-    /// Success rate that the advice aims at, between 0 and 1
+    /// Set the success rate that the advice aims at, between 0 and 1
     #[arg(long, value_name = "RATE", default_value_t = DEFAULT_TARGET)]
     target: f64,
 }
@@ -250,12 +250,15 @@ pub(crate) fn influence(analysis: &Analysis) {
         let p = p_value(effect.adjusted_p.max(f64::MIN_POSITIVE).ln());
         let text = format!("  {:<16} explains {:>7}  p {p:>8}", effect.parameter, percent(effect.influence));
         match effect.shape.estimated() {
-            Some(shape) => line(format_args!(
-                "{text}  {} {}, elsewhere {}",
-                percent_or_dash(shape.low.rate),
-                low_side(&effect.parameter, shape),
-                percent_or_dash(shape.high.rate)
-            )),
+            Some(shape) => {
+                line(text);
+                wrapped(&format!(
+                    "{} {}, elsewhere {}",
+                    percent_or_dash(shape.low.rate),
+                    low_side(&effect.parameter, shape),
+                    percent_or_dash(shape.high.rate)
+                ));
+            }
             None => line(dim(text)),
         }
     }

@@ -31,7 +31,7 @@ pub(crate) struct Report {
     /// Map two more parameters; the first is on the vertical axis
     #[arg(long, num_args = 2, value_names = ["A", "B"])]
     pair: Vec<String>,
-    /// Success rate that the advice aims at, between 0 and 1
+    /// Set the success rate that the advice aims at, between 0 and 1
     #[arg(long, value_name = "RATE", default_value_t = DEFAULT_TARGET)]
     target: f64,
     /// Leave out the recorded episodes
