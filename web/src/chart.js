@@ -45,7 +45,7 @@ function readable(signal) {
 }
 
 function title(name) {
-  const units = /_(nms_rad|m_s2|rad_s|m_s|kg|mm|rad|deg|m|nm|n|s)$/;
+  const units = /_(nms_rad|m_s2|rad_s|m_s|kg|mm|rad|deg|m|nm|n|s|j|w|v|a|hz|lux)$/;
   const text = name.replace(units, "").replace(/_/g, " ");
   return text.charAt(0).toUpperCase() + text.slice(1);
 }
@@ -62,7 +62,9 @@ export class Chart {
     this.end = end;
     const names = [];
     for (const { motion } of sides) for (const s of motion.signals) if (!names.includes(s.name)) names.push(s.name);
-    this.rows = names.slice(0, 8).map((name) => ({
+    // A force of zero throughout, in an environment without contacts, says nothing.
+    const silent = (name) => name === "contact force" && sides.every(({ motion }) => motion.contacts.every((points) => points.length === 0));
+    this.rows = names.filter((name) => !silent(name)).slice(0, 8).map((name) => ({
       name,
       signals: sides.map(({ motion }) => {
         const found = motion.signals.find((s) => s.name === name);

@@ -152,7 +152,9 @@ class Viewer {
     this.worlds.forEach((world) => world.dispose());
     const theme = style();
     const shown = this.sides.some(({ clip }) => clip.frames > 0) && this.renderer;
-    this.stage.hidden = this.legend.hidden = this.views.hidden = this.contactBox.hidden = !shown;
+    const touched = this.sides.some(({ motion }) => motion.contacts.some((points) => points.length > 0));
+    this.stage.hidden = this.views.hidden = !shown;
+    this.legend.hidden = this.contactBox.hidden = !shown || !touched;
     this.worlds = shown ? this.sides.map(({ clip, motion }) => new World(clip, motion, this.solids, theme)) : [];
     this.worlds.forEach((world) => { world.showContacts = this.contacts; });
     if (this.worlds[0]) {

@@ -47,7 +47,8 @@ fn bins(effect: &MarginalEffect) -> Markup {
     }
     for at in round_ticks([low, high], 5, false) {
         svg.line("axis", [x.at(at), 158.0, x.at(at), 162.0]);
-        svg.text("s d", Anchor::Middle, [x.at(at), 174.0], &tick(at));
+        let (anchor, place) = if x.at(at) > 320.0 { (Anchor::End, 338.0) } else { (Anchor::Middle, x.at(at)) };
+        svg.text("s d", anchor, [place, 174.0], &tick(at));
     }
     svg.text("a", Anchor::Middle, [186.0, 193.0], &label_with_unit(&effect.parameter));
     svg.finish(&format!("Success by {}", label_with_unit(&effect.parameter)))

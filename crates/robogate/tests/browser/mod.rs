@@ -153,6 +153,10 @@ impl Browser {
     pub fn assert_accessible(&mut self, axe: &Path) {
         let source = std::fs::read_to_string(axe).unwrap();
         self.evaluate(&format!("{source}; true"));
+        // The page reacts to the sizes of its parts in the next frame.
+        self.evaluate(
+            "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 300))))",
+        );
         let found = self.evaluate(
             "axe.run(document, { resultTypes: ['violations'] }).then((r) => r.violations.map((v) => v.id + ': ' + \
              v.nodes.slice(0, 3).map((n) => n.target + ' ' + n.failureSummary).join(' | ')))",
