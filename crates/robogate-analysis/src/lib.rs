@@ -53,6 +53,8 @@ pub use models::{
 pub use pairs::{Axis, PairCell, PairMap, ZoneCounts};
 pub use rate::{Finding, Population, Rate};
 pub use replay::{ReplayEpisode, ReplayGroup, ReplayReason, shell_word};
+/// What an import states about its rows, from the dictionary.
+pub use robogate_dictionary::{RowSampling, Stopping};
 pub use sampling::{SampledRange, Sampling};
 pub use source::Source;
 pub use success::{FaultCount, InvalidBounds, Reweighted, StageSuccess, Success, WeightedRate};

@@ -104,6 +104,11 @@ pub(crate) struct PolicyArguments {
 }
 
 impl PolicyArguments {
+    /// The arguments for another policy than that of the command line.
+    pub(crate) fn of(policy: &str, profile: Option<&str>) -> Self {
+        Self { policy: Some(policy.to_owned()), profile: profile.map(str::to_owned) }
+    }
+
     /// Connect to the policy of these arguments; `None` for the scripted controller.
     pub(crate) fn source(&self) -> Result<Option<PolicySource>, Exit> {
         match (self.policy.as_deref(), &self.profile) {
