@@ -94,7 +94,7 @@ impl EpisodeTable {
         let measure = |name: Word| Ok((name, dictionary.numbers(name.as_str())?));
         let measures = task.measures.iter().map(|spec| measure(spec.name)).collect::<Result<_, DictionaryError>>()?;
         // Identifiers of imported rows are not parameters of the scenario.
-        let identifiers = [results::SOURCE_ROW, results::SOURCE_SEED];
+        let identifiers = [results::SOURCE_ROW, results::SOURCE_SEED, results::SOURCE_EPISODE];
         let parameters = provenance.space.parameters().iter().filter(|p| !identifiers.contains(&&*p.name));
         let parameters = parameters.map(|p| parameter(dictionary, &p.name, &p.domain)).collect::<Result<_, _>>()?;
         Ok(Self {
@@ -172,6 +172,16 @@ pub(crate) struct Sample {
 impl Sample {
     pub(crate) fn len(&self) -> usize {
         self.rows.len()
+    }
+
+    /// The rows for which `kept` is true.
+    pub(crate) fn restricted(&self, kept: &[bool]) -> Self {
+        let places: Vec<u32> = (0..self.len()).filter(|at| kept[*at]).map(|at| at as u32).collect();
+        Self {
+            rows: places.iter().map(|at| self.rows[*at as usize]).collect(),
+            success: places.iter().map(|at| self.success[*at as usize]).collect(),
+            parameters: self.parameters.iter().map(|column| column.take(&places)).collect(),
+        }
     }
 
     pub(crate) fn parameter(&self, name: &str) -> Option<&ParameterColumn> {
@@ -317,13 +327,50 @@ fn parameter(dictionary: &Dictionary, name: &str, domain: &Domain) -> Result<Par
                     }
                 })
                 .collect();
-            let values = codes.iter().map(|code| at(&places, *code).unwrap_or_default()).collect();
+            let values = codes.iter().map(|code| at(&places, *code).unwrap_or(f64::NAN)).collect();
             (ParameterKind::Categorical { levels: all }, values)
         }
     };
-    Ok(ParameterColumn { name: name.to_owned(), kind, values })
+    let column = ParameterColumn { name: name.to_owned(), kind, values };
+    Ok(if column.values.iter().any(|value| value.is_nan()) { with_missing_level(column) } else { column })
+}
+
+/// The level of rows without a value, as imported rows can be.
+const MISSING: &str = "(missing)";
+
+/// Number of ranges into which the known values of a number with missing values are divided.
+const RANGES: usize = 5;
+
+/// The column as categories, one of which stands for a missing value. Numbers are divided at their quantiles. All rows
+/// are kept, and a rate that differs where the value is missing can be seen.
+fn with_missing_level(column: ParameterColumn) -> ParameterColumn {
+    let mut known: Vec<f64> = column.values.iter().copied().filter(|value| !value.is_nan()).collect();
+    known.sort_by(f64::total_cmp);
+    let (mut levels, ends) = match &column.kind {
+        ParameterKind::Categorical { levels } => (levels.clone(), None),
+        ParameterKind::Continuous { .. } | ParameterKind::Integer { .. } => {
+            let place = |i: usize| (known.len() * i / RANGES).saturating_sub(1);
+            let mut ends: Vec<f64> = (1..=RANGES).filter_map(|i| known.get(place(i)).copied()).collect();
+            ends.dedup_by(|a, b| a.total_cmp(b).is_eq());
+            let show = |value: f64| column.show(value);
+            let label = |(i, end): (usize, &f64)| match i.checked_sub(1).and_then(|before| ends.get(before)) {
+                Some(start) => format!("above {} to {}", show(*start), show(*end)),
+                None => format!("up to {}", show(*end)),
+            };
+            (ends.iter().enumerate().map(label).collect(), Some(ends))
+        }
+    };
+    let missing = levels.len() as f64;
+    levels.push(MISSING.to_owned());
+    let code = |value: f64| match &ends {
+        _ if value.is_nan() => missing,
+        Some(ends) => ends.iter().position(|end| value <= *end).unwrap_or(ends.len().saturating_sub(1)) as f64,
+        None => value,
+    };
+    let values = column.values.iter().map(|value| code(*value)).collect();
+    ParameterColumn { name: column.name.clone(), kind: ParameterKind::Categorical { levels }, values }
 }
 
 fn numbers(dictionary: &Dictionary, name: &str) -> Result<Vec<f64>, DictionaryError> {
-    Ok(dictionary.numbers(name)?.into_iter().map(Option::unwrap_or_default).collect())
+    Ok(dictionary.numbers(name)?.into_iter().map(|value| value.unwrap_or(f64::NAN)).collect())
 }

@@ -53,11 +53,22 @@ impl Fields {
             None if self.0.len() == MOST_FIELDS => return None,
             None => {
                 let missing = (number > 0).then_some(0);
-                self.0.push(Field { name: Arc::clone(name), missing, seen: number, kind: FieldKind::Nothing });
+                self.0.push(Field {
+                    name: Arc::clone(name),
+                    missing,
+                    seen: number,
+                    values: 0,
+                    kind: FieldKind::Nothing,
+                });
                 self.0.len() - 1
             }
         };
         self.0.get_mut(at)
+    }
+
+    /// The names of the fields.
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        self.0.iter().map(|field| &*field.name)
     }
 
     pub(crate) fn into_iter(self) -> impl Iterator<Item = Field> {
@@ -73,6 +84,8 @@ pub(crate) struct Field {
     missing: Option<u64>,
     /// The row after the last row with a value.
     seen: u64,
+    /// Number of rows with a value.
+    pub(crate) values: u64,
     kind: FieldKind,
 }
 
@@ -145,12 +158,18 @@ impl Field {
             self.missing.get_or_insert(self.seen);
         }
         self.seen = number + 1;
+        self.values += 1;
         self.kind.take(value)
     }
 
     /// The first of `rows` rows without a value.
     pub(crate) fn missing_of(&self, rows: u64) -> Option<u64> {
         self.missing.or((self.seen < rows).then_some(self.seen))
+    }
+
+    /// Whether every value is a number.
+    pub(crate) fn is_numeric(&self) -> bool {
+        matches!(self.kind, FieldKind::Integers { .. } | FieldKind::Numbers { .. })
     }
 
     /// The observed range as the domain of a parameter, or the reason why it cannot be one.

@@ -35,5 +35,7 @@ pub use hash::{DatasetHash, dataset_hash, hex};
 pub use identity::{TaskIdentity, suite_sha256};
 pub use journal::{Journal, Recovery};
 pub use parquet::{Column, Dictionary, DictionaryWriter, Entries, Written, write_parquet};
-pub use provenance::{Dimensions, Engine, Platform, Provenance, Robot, Source, Tool, robot_sha256};
+pub use provenance::{
+    Dimensions, Engine, Platform, Provenance, Robot, RowSampling, Source, SourceColumn, Stopping, Tool, robot_sha256,
+};
 pub use schema::{SCHEMA_VERSION, SchemaVersion};

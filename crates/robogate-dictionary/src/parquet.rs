@@ -87,7 +87,7 @@ impl fmt::Debug for DictionaryWriter {
 impl DictionaryWriter {
     /// Starts a dictionary at `path`, in this crate's schema version.
     pub fn create(path: &Path, provenance: &Provenance) -> Result<Self, DictionaryError> {
-        let columns = Columns::of(&provenance.task, &provenance.space, SCHEMA_VERSION)?;
+        let columns = Columns::of_provenance(provenance, SCHEMA_VERSION)?;
         let provenance = Provenance { schema_version: SCHEMA_VERSION, ..provenance.clone() };
         let json = provenance.to_json();
         let checksums = vec![hex_crc(json.as_bytes())];
@@ -378,7 +378,7 @@ impl Dictionary {
         }
         let provenance: Provenance =
             serde_json::from_str(json).map_err(|e| damaged(path, "the provenance", e.to_string()))?;
-        let columns = Columns::of(&provenance.task, &provenance.space, version)?;
+        let columns = Columns::of_provenance(&provenance, version)?;
         let leaves = find_leaves(&metadata, &columns, path)?;
         let checksums = checksums
             .map(|crc| u32::from_str_radix(crc, 16))

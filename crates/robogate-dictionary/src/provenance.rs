@@ -155,6 +155,46 @@ pub struct Source {
     /// `jammed` is listed, any failure may have been one) and `cycle_time_s`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_recorded: Vec<String>,
+    /// The role that the import assigned to each column of the file. Empty for files with fixed columns.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub columns: Vec<SourceColumn>,
+    /// How the scenarios were chosen, as the user stated. Absent if unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sampling: Option<RowSampling>,
+    /// How the number of episodes was chosen, as the user stated. Absent if unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stopping: Option<Stopping>,
+}
+
+/// A column of an imported file.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct SourceColumn {
+    /// The name in the file.
+    pub column: String,
+    /// Its role: `success`, `parameter mass`, `measure reward`, `identifier, not used`, `not used: it has no value`.
+    pub role: String,
+    /// Number of rows with a value.
+    pub values: u64,
+}
+
+/// How the scenarios of imported episodes were chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum RowSampling {
+    /// Each parameter was sampled independently and uniformly over its range.
+    Uniform,
+    /// The scenarios are those that occurred. Parameters may be correlated.
+    Observed,
+}
+
+/// How the number of imported episodes was chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Stopping {
+    /// Before the first episode.
+    Fixed,
+    /// While results came in.
+    Monitored,
 }
 
 /// The schema version of new dictionaries.

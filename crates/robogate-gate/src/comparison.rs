@@ -2,23 +2,24 @@
 //!
 //! Both policies ran the same scenarios with the same seeds, so the episodes form pairs. B may replace A if its success
 //! rate is shown to be less than a margin below A's: non-inferiority. With a fixed number of pairs the test is the
-//! exact unconditional one ([`robogate_stats::non_inferiority`]). Sequential tests bet on the mean difference
-//! ([`robogate_stats::bounded_mean`]), at the end of each round. McNemar's exact test is reported in addition: whether
-//! the policies differ at all.
+//! exact unconditional one ([`robogate_stats::non_inferiority`]). A gate that stops early, at the end of one of a known
+//! number of rounds, uses the group-sequential test ([`robogate_stats::group_sequential`]). If the number of looks is not
+//! known, as for imported episodes, the test bets on the mean difference ([`robogate_stats::bounded_mean`]). The score
+//! test of equal rates is reported in addition: whether the policies differ at all.
 //!
 //! A pair with an invalid episode counts for A in the test of "not worse", and for B in the test of the opposite.
 
 use std::collections::BTreeMap;
 
 use robogate_stats::bounded_mean::BoundedMean;
-use robogate_stats::compare::{Pairs, mcnemar_exact, newcombe_paired};
-use robogate_stats::{Confidence, non_inferiority};
+use robogate_stats::compare::Pairs;
+use robogate_stats::{Confidence, difference, group_sequential, non_inferiority};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::record::recorded_seeds;
+use crate::record::{recorded_numbers, recorded_seeds};
 use crate::rounds::Rounds;
-use crate::{Ending, GateError, Record, Sampling, Status, Trial};
+use crate::{Ending, GateError, Population, Record, Sampling, Status, Trial};
 
 /// The policy that may be replaced.
 #[derive(Debug, Clone, Copy)]
@@ -50,9 +51,11 @@ pub struct Comparison {
     pub invalid: u64,
     /// Success rate of B minus that of A over the valid pairs. `None` without a valid pair.
     pub difference: Option<f64>,
-    /// Newcombe's 95 % interval of the difference over the valid pairs. It assumes a fixed number of pairs.
+    /// 95 % interval of the difference over the valid pairs, from the paired score test. It assumes a fixed number of
+    /// pairs.
     pub interval_95: [f64; 2],
-    /// McNemar's exact two-sided p-value of equal rates, over the valid pairs.
+    /// Two-sided p-value of equal rates over the valid pairs, from the same test: at most 0.05 if and only if the interval
+    /// excludes 0.
     pub p_different: f64,
     /// p-value of "B is worse than A by the margin or more", for the worst outcome of invalid pairs.
     pub p_met: f64,
@@ -106,7 +109,7 @@ pub fn check_pairing(other: &Record, this: &Record, planned: Planned, margin: f6
         looks.push(twins.len());
     }
     let sampling = other.sampling(planned.sampling);
-    let best = Against { record: other, margin }.conclude(&twins, &looks, sampling)?;
+    let best = Against { record: other, margin }.conclude(&twins, &looks, sampling, Some(planned.rounds))?;
     if best.p_met > planned.alpha {
         return Err(GateError::TooFewPairs { pairs: twins.len() as u64, margin });
     }
@@ -125,7 +128,7 @@ impl Against<'_> {
         }
         if self.record.imported || record.imported {
             let twins = imported_twins(self.record, record)?;
-            return self.conclude(&twins, &[twins.len()], sampling);
+            return self.conclude(&twins, &[twins.len()], record.sampling(sampling), None);
         }
         let others: BTreeMap<u64, &Trial> = self.record.trials.iter().map(|trial| (trial.index, trial)).collect();
         let rounds = Rounds::of(&record.trials, population)?;
@@ -144,13 +147,24 @@ impl Against<'_> {
             }
             looks.push(twins.len());
         }
-        self.conclude(&twins, &looks, self.record.sampling(sampling))
+        let rounds = match population {
+            Population::Suite { cases, .. } => record.planned.map(|planned| planned / (*cases).max(1)),
+            Population::Drawn { .. } | Population::Imported { .. } => None,
+        };
+        self.conclude(&twins, &looks, self.record.sampling(sampling), rounds)
     }
 
-    fn conclude(&self, twins: &[Twin], looks: &[usize], sampling: Sampling) -> Result<Comparison, GateError> {
+    /// `rounds` is the largest number of looks, if it was fixed before the first episode.
+    fn conclude(
+        &self,
+        twins: &[Twin],
+        looks: &[usize],
+        sampling: Sampling,
+        rounds: Option<u64>,
+    ) -> Result<Comparison, GateError> {
         let valid = count(twins, None);
-        let (p_met, p_violated) = match sampling {
-            Sampling::Fixed => {
+        let (p_met, p_violated) = match (sampling, rounds) {
+            (Sampling::Fixed, _) => {
                 let worst = count(twins, Some((true, false)));
                 let best = count(twins, Some((false, true)));
                 (
@@ -158,7 +172,16 @@ impl Against<'_> {
                     non_inferiority::exact_worse(best, self.margin)?.exp(),
                 )
             }
-            Sampling::Sequential => {
+            (Sampling::Sequential, Some(rounds)) => {
+                let at = |n: usize| {
+                    let seen = twins.get(..n).unwrap_or(twins);
+                    [count(seen, Some((true, false))), count(seen, Some((false, true)))]
+                };
+                let looks: Vec<[Pairs; 2]> = looks.iter().map(|n| at(*n)).collect();
+                let [met, violated] = group_sequential::paired_p(&looks, rounds, self.margin)?;
+                (met, violated)
+            }
+            (Sampling::Sequential, None) => {
                 // The difference of a pair, -1 to 1, is shifted to 0 to 2. The mean under the hypothesis is 1 - margin.
                 non_inferiority::check(self.margin)?;
                 let moved = |unknown: f64| -> Vec<f64> {
@@ -176,7 +199,7 @@ impl Against<'_> {
                 ((-account(&worst, true)).exp(), (-account(&best, false)).exp())
             }
         };
-        let difference = newcombe_paired(valid, Confidence::P95);
+        let difference = difference::paired(valid, Confidence::P95);
         let none = valid.n() == 0;
         Ok(Comparison {
             policy: self.record.policy.clone(),
@@ -190,7 +213,7 @@ impl Against<'_> {
             // The library subtracts the second rate from the first, so B comes first.
             difference: difference.estimate.map(|d| -d),
             interval_95: [-difference.interval.high, -difference.interval.low],
-            p_different: mcnemar_exact(valid).exp(),
+            p_different: difference.ln_p.exp(),
             p_met,
             p_violated,
             status: if none { Status::NoEvidence } else { Status::Undecided },
@@ -198,18 +221,21 @@ impl Against<'_> {
     }
 }
 
-/// Pairs imported episodes by case and seed, because nothing else identifies their scenario.
+/// Pairs imported episodes by case and seed, because nothing else identifies their scenario. A file without cases has
+/// one, and a file without seeds is paired by the number of the episode within its case.
 fn imported_twins(other: &Record, this: &Record) -> Result<Vec<Twin>, GateError> {
-    let (others, these) = (by_identity(other)?, by_identity(this)?);
+    let without = |record: &Record| record.trials.iter().all(|trial| trial.label.case.is_none());
+    let one_case = without(other) && without(this);
+    let (others, these) = (by_identity(other, one_case)?, by_identity(this, one_case)?);
     Ok(these.iter().filter_map(|(key, b)| Some(twin(others.get(key)?, b))).collect())
 }
 
-fn by_identity(record: &Record) -> Result<BTreeMap<(&str, i64), &Trial>, GateError> {
+fn by_identity(record: &Record, one_case: bool) -> Result<BTreeMap<(&str, i64), &Trial>, GateError> {
     let refuse = || GateError::NoIdentity { policy: record.policy.clone() };
-    let seeds = recorded_seeds(&record.trials).ok_or_else(refuse)?;
+    let seeds = recorded_seeds(&record.trials).or_else(|| recorded_numbers(&record.trials)).ok_or_else(refuse)?;
     let mut found = BTreeMap::new();
     for (trial, seed) in record.trials.iter().zip(seeds) {
-        let case = trial.label.case.as_deref().ok_or_else(refuse)?;
+        let case = if one_case { "" } else { trial.label.case.as_deref().ok_or_else(refuse)? };
         if let Some(first) = found.insert((case, seed), trial) {
             return Err(GateError::Copies { first: first.index, second: trial.index });
         }

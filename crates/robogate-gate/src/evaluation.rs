@@ -128,6 +128,15 @@ pub struct GroupResult {
     pub endings: Vec<EndingCount>,
 }
 
+/// A requirement that was not evaluated, or only in part.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Dropped {
+    /// Its name in reports.
+    pub id: String,
+    /// The reason, and what to do, in one sentence.
+    pub because: String,
+}
+
 /// How often episodes ended in one way.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct EndingCount {
@@ -166,6 +175,9 @@ pub struct Evaluation {
     pub requirements: Requirements,
     /// The baseline of relative requirements.
     pub baseline: Option<Baseline>,
+    /// Requirements that could not be evaluated on these episodes, or only in part.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub dropped: Vec<Dropped>,
     /// The result of each requirement.
     #[serde(alias = "findings")]
     pub results: Vec<RequirementResult>,
@@ -230,8 +242,9 @@ impl Question<'_> {
             focused: record.focused,
         };
         let comparison = self.against.as_ref().map(|against| against.compare(record, sampling)).transpose()?;
+        let (kept, dropped) = self.evaluable()?;
         let mut results = Vec::new();
-        for requirement in &requirements.requirement {
+        for requirement in &kept {
             for one in expand(requirement, rounds.trials().map(|trial| &trial.label))? {
                 results.push(one);
             }
@@ -268,12 +281,37 @@ impl Question<'_> {
             counts,
             requirements: requirements.clone(),
             baseline: self.baseline.cloned(),
+            dropped,
             results,
             comparison,
             groups: groups(rounds.trials()),
             score: ConfidenceScore::of(&requirements.score, self.baseline, rounds.rounds.iter().flatten().copied()),
             decided_at_episodes,
         })
+    }
+
+    /// The requirements that can be evaluated, and those that are dropped because they refer to a missing baseline.
+    fn evaluable(&self) -> Result<(Vec<Requirement>, Vec<Dropped>), GateError> {
+        let (mut kept, mut dropped) = (Vec::new(), Vec::new());
+        for requirement in &self.requirements.requirement {
+            let id = requirement.id();
+            if requirement.at_most_times_baseline.is_none() || self.baseline.is_some() {
+                kept.push(requirement.clone());
+            } else if let Some(limit) = requirement.at_most {
+                let because = format!("without a baseline only its absolute limit {limit} applies: pass --baseline");
+                dropped.push(Dropped { id, because });
+                kept.push(Requirement { at_most_times_baseline: None, ..requirement.clone() });
+            } else {
+                let because = "it refers to a baseline, and none was given: pass --baseline".to_owned();
+                dropped.push(Dropped { id, because });
+            }
+        }
+        match dropped.first() {
+            Some(first) if kept.is_empty() => {
+                Err(GateError::NoBaseline { what: format!("requirement `{}`", first.id) })
+            }
+            _ => Ok((kept, dropped)),
+        }
     }
 
     fn result(

@@ -20,8 +20,10 @@ mod error;
 mod evaluation;
 pub mod evidence;
 mod figure;
+mod joint_plan;
 mod leaderboard;
 mod metric;
+mod pair_plan;
 mod plan;
 mod record;
 mod requirement;
@@ -37,10 +39,14 @@ pub use asked::{Asked, AskedAgainst};
 pub use baseline::{Baseline, BaselineFigure};
 pub use comparison::{Against, Comparison, Planned, check_pairing};
 pub use error::GateError;
-pub use evaluation::{Counts, EndingCount, Evaluation, GroupResult, Question, RequirementResult, Sampling, Status};
+pub use evaluation::{
+    Counts, Dropped, EndingCount, Evaluation, GroupResult, Question, RequirementResult, Sampling, Status,
+};
 pub use figure::Extremes;
+pub use joint_plan::JointOperating;
 pub use leaderboard::{Leaderboard, Standing};
 pub use metric::{Metric, Statistic};
+pub use pair_plan::{PairOperating, PairPlan};
 pub use plan::{GatePlan, Operating, RequirementPlan};
 pub use record::{Population, Record};
 pub use requirement::{Bound, Each, Requirement, Sense};

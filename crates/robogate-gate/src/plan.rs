@@ -2,7 +2,7 @@
 //!
 //! For each requirement on a rate and for a range of true rates, the plan states the probabilities of met, violated and
 //! undecided, and the expected number of episodes. In confidence mode the figures come from
-//! [`robogate_stats::operating`], in point mode from the binomial distribution. Each requirement is evaluated alone; a
+//! [`robogate_stats::operating`], in point mode from the binomial distribution. All requirements together are simulated. Each requirement is evaluated alone; a
 //! gate with several passes at most as often as its least likely requirement.
 
 use robogate_core::Measures;
@@ -14,6 +14,7 @@ use robogate_stats::operating::{RateTest, Schedule, characteristic};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::joint_plan::{JointOperating, joint};
 use crate::scope::{Scope, expand};
 use crate::{Baseline, Bound, Ending, GateError, Metric, Mode, Requirement, Requirements, Sampling, Sense, Trial};
 
@@ -37,6 +38,12 @@ pub struct GatePlan {
     pub rounds: u64,
     /// The requirements with their probabilities.
     pub demands: Vec<RequirementPlan>,
+    /// All requirements together, by simulation. Empty in point mode.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub joint: Vec<JointOperating>,
+    /// The requirements that the simulation leaves out: those on means, quantiles and parts of the suite.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub joint_without: Vec<String>,
 }
 
 /// The plan of one requirement.
@@ -120,7 +127,12 @@ impl GatePlan {
                 return Err(GateError::BudgetTooSmall { id: demand.id.clone(), fewest, budget: rounds * per_round });
             }
         }
-        Ok(Self { format: Self::FORMAT, requirements: requirements.clone(), sampling, per_round, rounds, demands })
+        let (joint, joint_without) = match requirements.mode {
+            Mode::Confidence => joint(&demands, alpha, per_round, rounds, sampling),
+            Mode::Point => (Vec::new(), Vec::new()),
+        };
+        let requirements = requirements.clone();
+        Ok(Self { format: Self::FORMAT, requirements, sampling, per_round, rounds, demands, joint, joint_without })
     }
 }
 

@@ -5,8 +5,8 @@ use std::fmt;
 use std::sync::Arc;
 
 use robogate_core::{FailureMode, Suite, TaskSpec, Value};
-use robogate_dictionary::results::{SOURCE_ROW, SOURCE_SEED};
-use robogate_dictionary::{Dictionary, Entry, Label, Provenance, hex, suite_sha256};
+use robogate_dictionary::results::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED};
+use robogate_dictionary::{Dictionary, Entry, Label, Provenance, RowSampling, Stopping, hex, suite_sha256};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -33,6 +33,14 @@ pub enum Population {
         /// SHA-256 (hex) over the space.
         sha256: String,
     },
+    /// The episodes of an imported file.
+    Imported {
+        /// SHA-256 (hex) over its scenarios, or over the file if its rows do not identify their scenarios.
+        sha256: String,
+        /// How the scenarios were chosen, as the user stated.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        sampling: Option<RowSampling>,
+    },
 }
 
 impl Population {
@@ -40,7 +48,11 @@ impl Population {
     pub fn is_that_of(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Suite { sha256: a, .. }, Self::Suite { sha256: b, .. })
-            | (Self::Drawn { sha256: a, .. }, Self::Drawn { sha256: b, .. }) => a == b,
+            | (Self::Drawn { sha256: a, .. }, Self::Drawn { sha256: b, .. })
+            | (Self::Imported { sha256: a, .. }, Self::Imported { sha256: b, .. })
+            // Files of version 0.2 and older describe imported scenarios as sampled ones.
+            | (Self::Imported { sha256: a, .. }, Self::Drawn { sha256: b, .. })
+            | (Self::Drawn { sha256: a, .. }, Self::Imported { sha256: b, .. }) => a == b,
             _ => false,
         }
     }
@@ -58,6 +70,17 @@ impl Population {
                     "Each figure estimates that of episodes sampled from {space}. It applies to this distribution only."
                 )
             }
+            Self::Imported { sampling, .. } => {
+                let chosen = match sampling {
+                    Some(RowSampling::Uniform) => "uniformly over the observed ranges, as stated at the import",
+                    Some(RowSampling::Observed) => "as they occurred, as stated at the import",
+                    None => "in a way that the file does not record",
+                };
+                format!(
+                    "Each figure is that of the imported episodes, whose scenarios were chosen {chosen}. It applies to scenarios chosen \
+                     in the same way only."
+                )
+            }
         }
     }
 }
@@ -67,6 +90,10 @@ impl fmt::Display for Population {
         let (what, name, sha256) = match self {
             Self::Suite { name, sha256, .. } => ("suite", name, sha256),
             Self::Drawn { space, sha256 } => ("space", space, sha256),
+            Self::Imported { sha256, .. } => {
+                let short = sha256.get(..12).unwrap_or(sha256);
+                return write!(f, "imported scenarios ({short})");
+            }
         };
         let short = sha256.get(..12).unwrap_or(sha256);
         write!(f, "{what} {name} ({short})")
@@ -94,6 +121,8 @@ pub struct Record {
     pub planned: Option<u64>,
     /// Whether the episodes were imported. Their index is then a row number and does not identify a scenario.
     pub imported: bool,
+    /// How the number of imported episodes was chosen, as the user stated. `None` if unknown.
+    pub stopping: Option<Stopping>,
 }
 
 impl Record {
@@ -122,13 +151,16 @@ impl Record {
             focused: 0,
             planned,
             imported: provenance.source.is_some(),
+            stopping: provenance.source.as_ref().and_then(|source| source.stopping),
         })
     }
 
     /// How the number of episodes was chosen. `stated` is what the user says. Fewer episodes than planned mean that the
-    /// run was stopped, so the sampling was sequential even if the user states otherwise.
+    /// run was stopped, so the sampling was sequential even if the user states otherwise. If it is not known how the
+    /// number of imported episodes was chosen, the sequential test is used, because it is valid for any number.
     pub fn sampling(&self, stated: Sampling) -> Sampling {
-        let stopped = self.planned.is_some_and(|planned| (self.trials.len() as u64) < planned);
+        let planned = self.planned.is_some_and(|planned| (self.trials.len() as u64) < planned);
+        let stopped = planned || (self.imported && self.stopping != Some(Stopping::Fixed));
         if stopped { Sampling::Sequential } else { stated }
     }
 
@@ -173,6 +205,7 @@ impl Record {
             population,
             planned,
             imported,
+            stopping: provenance.source.as_ref().and_then(|source| source.stopping),
             task: Arc::clone(&provenance.task),
             robot: provenance.robot.name.clone(),
             policy: provenance.policy.clone(),
@@ -228,6 +261,15 @@ pub(crate) fn recorded_seeds(trials: &[Trial]) -> Option<Vec<i64>> {
     seeds.filter(|seeds| seeds.len() < 2 || seeds.iter().any(|seed| Some(seed) != seeds.first()))
 }
 
+/// The number of the episode within its case, for sources without seeds. `None` if a row has none.
+pub(crate) fn recorded_numbers(trials: &[Trial]) -> Option<Vec<i64>> {
+    let number = |trial: &Trial| match trial.requested.get(SOURCE_EPISODE) {
+        Some(Value::Integer(number)) => Some(*number),
+        _ => None,
+    };
+    trials.iter().map(number).collect()
+}
+
 /// Returns an error if an episode occurs twice, as far as rows identify their episode.
 fn no_copies(trials: &[Trial]) -> Result<(), GateError> {
     let Some(seeds) = recorded_seeds(trials) else { return Ok(()) };
@@ -260,5 +302,9 @@ fn space_or_cases(provenance: &Provenance, trials: &[Trial]) -> Population {
         _ if labels.is_empty() => serde_json::to_string(&provenance.space),
         _ => serde_json::to_string(&labels),
     };
-    Population::Drawn { space, sha256: hex(&Sha256::digest(text.unwrap_or_default())) }
+    let sha256 = hex(&Sha256::digest(text.unwrap_or_default()));
+    match &provenance.source {
+        Some(source) => Population::Imported { sha256, sampling: source.sampling },
+        None => Population::Drawn { space, sha256 },
+    }
 }

@@ -40,6 +40,9 @@ pub struct Requirement {
     /// For means of measures: a lower bound of every value. Default 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub floor: Option<f64>,
+    /// Identifiers of the requirements that it verifies, in the user's requirement management (`SYS-REQ-12`).
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub ids: Vec<String>,
 }
 
 /// The partition of a requirement that applies to each part separately.

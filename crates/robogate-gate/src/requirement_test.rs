@@ -8,12 +8,15 @@
 //! reads "at least". With a fixed number of episodes the tests are exact binomial tests. Each scenario of a suite has
 //! its own rate; the binomial distribution at their mean has heavier tails wherever a test at error 0.25 or less
 //! rejects (Hoeffding 1956), except for a single event, where the union bound n p is used instead. Sequential tests are
-//! those of [`robogate_stats::anytime`], and for durations those of [`robogate_stats::bounded_mean`].
+//! those of [`robogate_stats::stratified`], in which each scenario of a suite is a stratum, and for durations those of
+//! [`robogate_stats::bounded_mean`].
 
-use robogate_stats::anytime::{Bounds, ln_evidence_above, ln_evidence_below};
+use std::collections::BTreeMap;
+
 use robogate_stats::bounded_mean::BoundedMean;
 use robogate_stats::compare::{at_least, at_most};
 use robogate_stats::operating::{Answer, RateTest};
+use robogate_stats::stratified::{self, Strata, ln_pooled_above, ln_pooled_below};
 use robogate_stats::{Confidence, Interval, Trials, clopper_pearson};
 
 use crate::figure::{Tally, happened, value};
@@ -95,15 +98,11 @@ fn rate(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Trial>], how:
             (fixed_above(last.worst, p0, how.suite), fixed_below(last.best, p0, how.suite), Interval { low, high })
         }
         Sampling::Sequential => {
-            let (mut worst, mut best) = (Bounds::new(how.alpha), Bounds::new(how.alpha));
-            let (mut met, mut violated) = (0.0_f64, 0.0_f64);
-            for look in &looks {
-                worst.look(look.worst);
-                best.look(look.best);
-                met = met.max(ln_evidence_above(look.worst, p0));
-                violated = violated.max(ln_evidence_below(look.best, p0));
+            if how.suite {
+                by_scenario(metric, limit, bound, rounds, p0, how)
+            } else {
+                at_once(last, p0, how)
             }
-            (-met, -violated, Interval { low: worst.interval().low, high: best.interval().high })
         }
     };
     let interval = match bound.sense {
@@ -116,6 +115,57 @@ fn rate(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Trial>], how:
         interval: Some(interval),
         decided_at_steps: rate_decided_at(last, p0, how),
     }
+}
+
+/// ln of both p-values and the interval of a suite, whose scenarios are strata.
+fn by_scenario(
+    metric: Metric,
+    limit: Bound,
+    bound: Bound,
+    rounds: &[Vec<&Trial>],
+    p0: f64,
+    how: How,
+) -> (f64, f64, Interval) {
+    let mut cases: BTreeMap<&str, usize> = BTreeMap::new();
+    let (mut good, mut bad) = (Strata::default(), Strata::default());
+    let (mut above, mut below) = (Vec::with_capacity(rounds.len()), Vec::with_capacity(rounds.len()));
+    for round in rounds {
+        let (mut worst, mut best) = (Vec::with_capacity(round.len()), Vec::with_capacity(round.len()));
+        for trial in round {
+            let next = cases.len();
+            let case = *cases.entry(trial.label.case.as_deref().unwrap_or_default()).or_insert(next);
+            let event = happened(metric, limit, trial);
+            let is_good = event.map(|event| event == (bound.sense == Sense::AtLeast));
+            worst.push((case, is_good.unwrap_or(false)));
+            best.push((case, !is_good.unwrap_or(true)));
+        }
+        good.round(&worst);
+        bad.round(&best);
+        above.push(good.clone());
+        below.push(bad.clone());
+    }
+    let most = |looks: &[Strata], p0: f64| looks.iter().map(|look| look.ln_evidence_above(p0)).fold(0.0_f64, f64::max);
+    let interval = stratified::bounds(&above, &below, how.alpha, p0);
+    (-most(&above, p0), -most(&below, 1.0 - p0), interval)
+}
+
+/// The same for episodes without scenarios, which are tested once.
+fn at_once(look: Look, p0: f64, how: How) -> (f64, f64, Interval) {
+    let wanted = -how.alpha.ln();
+    let end = |rejected: &dyn Fn(f64) -> bool, limit: f64, rate: f64| {
+        let (mut low, mut high) = if rejected(limit) { (limit, rate.max(limit)) } else { (0.0, limit.min(rate)) };
+        for _ in 0..50 {
+            let middle = 0.5 * (low + high);
+            if rejected(middle) { low = middle } else { high = middle }
+        }
+        low
+    };
+    let low = end(&|p| ln_pooled_above(look.worst, p) >= wanted, p0, look.worst.rate().unwrap_or(0.0));
+    let bad = 1.0 - look.best.rate().unwrap_or(1.0);
+    let high = 1.0 - end(&|q| ln_pooled_below(look.best, 1.0 - q) >= wanted, 1.0 - p0, bad);
+    let above = ln_pooled_above(look.worst, p0).max(0.0);
+    let below = ln_pooled_below(look.best, p0).max(0.0);
+    (-above, -below, Interval { low, high })
 }
 
 /// ln P(X >= k | p0), for scenarios with different rates if `suite`.

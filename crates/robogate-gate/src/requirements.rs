@@ -125,6 +125,7 @@ impl Requirements {
             each: None,
             ceiling: None,
             floor: None,
+            ids: Vec::new(),
         };
         let critical = task.failure_modes.iter().filter(|mode| mode.severity == Severity::Critical);
         let failures = critical.map(|mode| requirement(Metric::Failure(mode.name), None, Some(0.01)));

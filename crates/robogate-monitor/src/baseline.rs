@@ -143,7 +143,17 @@ impl Baseline {
 
     /// The factors of a metric's detector, or the reason why it cannot run.
     pub fn factors(&self, metric: Metric, settings: &Settings) -> Result<Factors, &'static str> {
-        let alpha = settings.alpha();
+        self.factors_at(metric, settings, 1.0)
+    }
+
+    /// The factors, if the bound may use only a share of the error: that of one checkpoint of a learnt rate.
+    pub(crate) fn factors_at(
+        &self,
+        metric: Metric,
+        settings: &Settings,
+        error_share: f64,
+    ) -> Result<Factors, &'static str> {
+        let alpha = settings.alpha() * error_share;
         let event = |count: Option<Count>, failures: bool| {
             let trials = count.and_then(Count::trials).ok_or(LEARNING)?;
             factors::event(bound(trials, failures, alpha)).ok_or(ROOM)

@@ -1,4 +1,9 @@
-//! Learns the missing parts of a recipe's baseline from its first cycles.
+//! Learns the missing parts of a recipe's baseline from its first cycles, and tightens its rates as more cycles follow.
+//!
+//! A rate is learnt from the first `learn_cycles` cycles, and again from all cycles so far each time their number has
+//! doubled. Every checkpoint has its own share of the error of the confidence bound ([`Learning::error_share`]), so all
+//! bounds hold together with the configured confidence. A checkpoint is left out if its detector has evidence for a
+//! change, because the newest cycles may already be changed ones.
 
 use serde::{Deserialize, Serialize};
 
@@ -24,42 +29,84 @@ pub(crate) struct Learning {
 pub(crate) struct Tally {
     count: u64,
     of: u64,
+    /// Number of checkpoints that were reached.
+    #[serde(default)]
+    checkpoints: u8,
 }
 
+/// Number of checkpoints of a learnt rate. The last one is at 2^8 times `learn_cycles`.
+const CHECKPOINTS: u8 = 9;
+
+/// Share of the error that the first checkpoint has. The others have equal parts of the rest.
+const FIRST_SHARE: f64 = 0.5;
+
 impl Tally {
+    /// Adds one cycle. At a checkpoint, returns all cycles so far.
     fn add(&mut self, happened: bool, enough: u64) -> Option<Count> {
         self.count += u64::from(happened);
         self.of += 1;
-        (self.of >= enough).then_some(Count { count: self.count, of: self.of })
+        let due = self.checkpoints < CHECKPOINTS && self.of >= enough << self.checkpoints;
+        self.checkpoints += u8::from(due);
+        due.then_some(Count { count: self.count, of: self.of })
+    }
+
+    fn error_share(self) -> f64 {
+        match self.checkpoints {
+            0 => 1.0,
+            1 => FIRST_SHARE,
+            _ => (1.0 - FIRST_SHARE) / f64::from(CHECKPOINTS - 1),
+        }
     }
 }
 
 impl Learning {
-    /// Adds one cycle. Calls `learnt` for each metric whose part of the baseline has become complete.
+    /// The share of the error of a bound that the current value of a metric's rate may use. 1 for a given baseline.
+    pub(crate) fn error_share(&self, metric: Metric) -> f64 {
+        match metric {
+            Metric::Success | Metric::Robot | Metric::Risk => self.successes.error_share(),
+            Metric::Event(event) => self.events.get(usize::from(event)).map_or(1.0, |tally| tally.error_share()),
+            Metric::CycleTime | Metric::CycleTimeSpread | Metric::FailureModes | Metric::Outside => 1.0,
+        }
+    }
+
+    /// Whether this rate was learnt at least once.
+    pub(crate) fn has_learnt_success(&self) -> bool {
+        self.successes.checkpoints > 0
+    }
+
+    /// Adds one cycle. Calls `learnt` for each metric whose part of the baseline has become complete or was tightened.
+    /// `quiet` tells whether a metric's detector has no evidence for a change.
     pub(crate) fn update(
         &mut self,
         symbols: &Symbols,
         baseline: &mut Baseline,
         modes: &ModeList,
         settings: &Settings,
+        quiet: impl Fn(Metric) -> bool,
         mut learnt: impl FnMut(Metric),
     ) {
         let enough = u64::from(settings.learn_cycles);
-        if baseline.success.is_none()
-            && let Some(failed) = symbols.code(Metric::Success)
+        // A rate from the settings is never replaced.
+        if let Some(failed) = symbols.code(Metric::Success)
+            && (baseline.success.is_none() || self.successes.checkpoints > 0)
+            && let Some(count) = self.successes.add(failed == 0, enough)
+            && (baseline.success.is_none() || quiet(Metric::Success))
         {
-            baseline.success = self.successes.add(failed == 0, enough);
-            if baseline.success.is_some() {
-                learnt(Metric::Success);
-            }
+            baseline.success = Some(count);
+            learnt(Metric::Success);
         }
         for ((i, event), tally) in (0..).zip(settings.events.keys()).zip(&mut self.events) {
-            if !baseline.events.contains_key(event)
-                && let Some(happened) = symbols.code(Metric::Event(i))
+            let (metric, known) = (Metric::Event(i), baseline.events.get_mut(event));
+            if let Some(happened) = symbols.code(metric)
+                && (known.is_none() || tally.checkpoints > 0)
                 && let Some(count) = tally.add(happened == 1, enough)
+                && (known.is_none() || quiet(metric))
             {
-                baseline.events.insert(event.clone(), count);
-                learnt(Metric::Event(i));
+                match known {
+                    Some(known) => *known = count,
+                    None => drop(baseline.events.insert(event.clone(), count)),
+                }
+                learnt(metric);
             }
         }
         if baseline.failure_modes.is_none()

@@ -37,7 +37,7 @@
 //! | reported cycles | [`Cycle`] |
 //! | normal behaviour | [`Baseline`] |
 //! | changes and their start | [`detector`], with the [`factors`] of each metric |
-//! | the paper's rule | [`paper`] |
+//! | the paper's rule, whose alarms are a separate stream without a guarantee | [`paper`] |
 //! | validated region and risk model | [`domain`] |
 //! | differences between robots | [`robogate_stats::overdispersion`] |
 //! | false-alarm rates and detection delays | [`simulate`] |
@@ -60,6 +60,7 @@ mod monitor;
 pub mod paper;
 mod recipe;
 mod reference;
+mod series;
 #[cfg(feature = "service")]
 #[expect(clippy::disallowed_methods, reason = "a service has deadlines and waits; the monitor itself uses no clock")]
 pub mod service;
@@ -75,4 +76,5 @@ pub use modes::{MOST_MODES, ModeCounts, OTHER_MODE};
 pub use monitor::{Monitor, TooManyRecipes};
 pub use recipe::{DetectorView, OutsideTally, Recipe, RecipeState, RobotTally, Standing};
 pub use reference::{Reference, ReferenceError};
+pub use series::SeriesPoint;
 pub use settings::{Settings, SettingsError, Shares};

@@ -20,6 +20,7 @@ use crate::learning::{Learning, Tally};
 use crate::metric::Metric;
 use crate::modes::ModeList;
 use crate::paper::PaperWindow;
+use crate::series::{Series, SeriesPoint};
 use crate::settings::Settings;
 
 /// One recipe with its detectors.
@@ -59,6 +60,9 @@ pub struct RecipeState {
     /// One tally for each parameter of the envelope, in its order, and one for combinations.
     pub(crate) outside: Vec<OutsideTally>,
     pub(crate) robots: BTreeMap<String, RobotState>,
+    /// The course of the success rate and of the evidence.
+    #[serde(default)]
+    pub(crate) series: Series,
 }
 
 /// An active alarm.
@@ -159,6 +163,9 @@ pub(crate) struct RobotState {
     pub(crate) standing: [Option<Standing>; 2],
 }
 
+/// A learnt rate is not tightened while the evidence for a change exceeds this share of the limit of a warning.
+const QUIET: f64 = 0.1;
+
 /// The index of robots beyond the limit.
 const NO_PLACE: u16 = u16::MAX;
 
@@ -212,6 +219,7 @@ impl Recipe {
             history: History::new(settings.history_cycles as usize),
             outside: Vec::new(),
             robots: BTreeMap::new(),
+            series: Series::default(),
         };
         state.modes.include(state.baseline.failure_modes.as_ref());
         Self::restore(name, state, settings)
@@ -295,7 +303,10 @@ impl Recipe {
             (Metric::Outside | Metric::Risk, None) => Err("there is no reference with a validated region"),
             (Metric::Risk, Some(domain)) if domain.risk.is_none() => Err("the reference has no risk model"),
             (Metric::FailureModes, _) => self.state.baseline.mode_factors(&self.state.modes, settings),
-            _ => self.state.baseline.factors(metric, settings),
+            _ => {
+                let share = self.state.learning.error_share(metric);
+                self.state.baseline.factors_at(metric, settings, share)
+            }
         }
     }
 
@@ -328,7 +339,31 @@ impl Recipe {
             }
         }
         self.learn(&symbols, settings);
+        let evidence = self.largest_evidence(settings);
+        self.state.series.push(self.state.cycles, cycle.time_s, cycle.success, evidence);
         judged
+    }
+
+    /// The largest evidence of any detector for a warning, as a share of its limit. 1 while a warning is active.
+    fn largest_evidence(&self, settings: &Settings) -> f64 {
+        let share = |metric: Metric| {
+            let i = metric.index();
+            if self.state.standing[i].iter().any(Option::is_some) {
+                return 1.0;
+            }
+            match (&self.state.evidence[i], &self.factors[i]) {
+                (Some(evidence), Some(factors)) => {
+                    evidence[Level::Warning as usize].value(factors) / settings.limit(metric, Level::Warning)
+                }
+                _ => 0.0,
+            }
+        };
+        Metric::all(settings).map(share).fold(0.0, f64::max)
+    }
+
+    /// The course of the success rate and of the evidence, oldest first.
+    pub fn series(&self) -> &[SeriesPoint] {
+        self.state.series.points()
     }
 
     fn judge(&mut self, cycle: &Cycle) -> Judged {
@@ -431,15 +466,26 @@ impl Recipe {
 
     fn learn(&mut self, symbols: &Symbols, settings: &Settings) {
         let mut learnt = 0_u32;
-        let state = &mut self.state;
-        state
-            .learning
-            .update(symbols, &mut state.baseline, &state.modes, settings, |metric| learnt |= 1 << metric.index());
+        let first = !self.state.learning.has_learnt_success();
+        let (state, factors) = (&mut self.state, &self.factors);
+        let quiet = |metric: Metric| {
+            let i = metric.index();
+            let both = state.evidence[i].as_ref().zip(factors[i].as_ref());
+            let level = Level::Warning;
+            let limit = QUIET * settings.limit(metric, level);
+            let standing = state.standing[i].iter().any(Option::is_some);
+            !standing && both.is_none_or(|(evidence, factors)| evidence[level as usize].value(factors) < limit)
+        };
+        state.learning.update(symbols, &mut state.baseline, &state.modes, settings, quiet, |metric| {
+            learnt |= 1 << metric.index();
+        });
         for metric in Metric::all(settings).filter(|metric| learnt & (1 << metric.index()) != 0) {
             self.begin(metric, settings);
             if metric == Metric::Success {
-                let rate = self.state.baseline.success_rate();
-                self.state.paper = rate.map(|rate| PaperWindow::new(&settings.paper, rate));
+                if first {
+                    let rate = self.state.baseline.success_rate();
+                    self.state.paper = rate.map(|rate| PaperWindow::new(&settings.paper, rate));
+                }
                 self.begin(Metric::Risk, settings);
                 self.begin(Metric::Robot, settings);
             }
@@ -532,13 +578,12 @@ impl Recipe {
         DetectorView::of(metric, settings, levels, Level::ALL.map(first))
     }
 
-    /// The most severe active level of any rule.
+    /// The most severe active level of the detectors. The paper's rule has no guarantee: see [`Self::paper_level`].
     pub fn level(&self) -> Option<Level> {
         let robots = self.state.robots.values().map(|robot| &robot.standing);
         let all = || self.state.standing.iter().chain(robots.clone());
         let stands = |level: Level| all().any(|both| both[level as usize].is_some());
-        let detectors = Level::ALL.into_iter().rev().find(|level| stands(*level));
-        detectors.max(self.state.paper_level)
+        Level::ALL.into_iter().rev().find(|level| stands(*level))
     }
 }
 

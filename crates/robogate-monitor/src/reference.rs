@@ -28,6 +28,12 @@ pub struct Reference {
     pub baseline: Baseline,
     /// The envelope, and the risk model if the run allows one.
     pub domain: Domain,
+    /// Whether the run was made in a simulator. Its mix of failure modes then differs from that of the robot.
+    #[serde(default)]
+    pub simulated: bool,
+    /// The smallest success rate that the run's gate accepts. Absent in files of version 0.2 and older.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub required_success: Option<f64>,
 }
 
 /// An error in a reference file.
@@ -42,6 +48,26 @@ pub enum ReferenceError {
     /// The validated region is invalid.
     #[error(transparent)]
     Domain(#[from] DomainError),
+    /// A baseline that the gate would reject.
+    #[error(
+        "the baseline is a success rate of {:.1} %, below the {:.1} % that the gate requires: a monitor with it would accept what the gate rejects. \
+         Hint: use the run of a gate that passed, or leave the rate out with `robogate monitor reference RUN --learn-baseline`; the monitor then \
+         learns it from the first cycles of the robot",
+        100.0 * rate,
+        100.0 * required
+    )]
+    BelowGate {
+        /// The success rate of the baseline.
+        rate: f64,
+        /// The smallest rate that the gate accepts.
+        required: f64,
+    },
+    /// A mix of failure modes from a simulator.
+    #[error(
+        "the mix of failure modes comes from a simulator, so every robot would raise an alarm about it. Hint: write the reference again with \
+         `robogate monitor reference RUN`; the monitor then learns the mix from the robot"
+    )]
+    SimulatedModes,
 }
 
 impl Reference {
@@ -57,6 +83,14 @@ impl Reference {
             return Err(ReferenceError::Version(self.version));
         }
         self.baseline.check()?;
+        if let (Some(rate), Some(required)) = (self.baseline.success_rate(), self.required_success)
+            && rate < required
+        {
+            return Err(ReferenceError::BelowGate { rate, required });
+        }
+        if self.simulated && self.baseline.failure_modes.is_some() {
+            return Err(ReferenceError::SimulatedModes);
+        }
         Ok(self.domain.check()?)
     }
 }
@@ -102,6 +136,8 @@ mod tests {
             dataset_sha256: String::new(),
             baseline: Baseline { success: Some(Count { count, of: 100 }), ..Baseline::default() },
             domain: Domain::default(),
+            simulated: true,
+            required_success: Some(0.92),
         };
         let own = Some(Count { count: 3, of: 100 });
         let mut settings = Settings::default();
@@ -113,5 +149,9 @@ mod tests {
         let count = |recipe| settings.baseline_of(recipe).success.map(|c| c.count);
         assert_eq!([count("a"), count("b"), count("c")], [Some(95), Some(90), Some(3)]);
         assert!(Reference { version: 2, ..of(1) }.check().is_err());
+        assert!(matches!(of(29).check(), Err(ReferenceError::BelowGate { .. })));
+        assert!(of(93).check().is_ok());
+        let modes = Baseline { failure_modes: Some([("jammed", 3)].into_iter().collect()), ..of(93).baseline };
+        assert_eq!(Reference { baseline: modes, ..of(93) }.check(), Err(ReferenceError::SimulatedModes));
     }
 }

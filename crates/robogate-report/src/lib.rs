@@ -7,7 +7,7 @@
 //! | an [`Analysis`](robogate_analysis::Analysis) | [`html`], [`markdown`], [`analysis_json`] |
 //! | a [`Comparison`](robogate_analysis::Comparison) | [`comparison_html`], [`comparison_markdown`], [`comparison_json`] |
 //! | a [`Study`](robogate_analysis::study::Study) | [`study_markdown`], [`study_json`] |
-//! | an [`Evaluation`](robogate_gate::Evaluation) of the gate | [`junit`], [`evaluation_markdown`] |
+//! | an [`Evaluation`](robogate_gate::Evaluation) of the gate | [`junit`], [`reqif`], [`evaluation_markdown`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
 
 mod document;
@@ -25,7 +25,7 @@ use robogate_gate::Evaluation;
 
 pub use gate::{
     RequirementRow, evaluation_markdown, how_judged, junit, leaderboard_html, leaderboard_markdown, leaderboards_html,
-    leaderboards_markdown, sign, what_next,
+    leaderboards_markdown, reqif, sign, what_next,
 };
 pub use html::{comparison_html, comparison_html_with, html, html_with};
 pub use json::{AnalysisReport, ComparisonReport, StudyReport, analysis_json, comparison_json, study_json};

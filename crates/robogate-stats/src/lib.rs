@@ -23,10 +23,10 @@
 //! | does the risk score separate failures, and is it calibrated? | [`roc`], [`calibration`] |
 //! | which failure mode dominates, and where does that change? | [`modes`] |
 //! | do several groups share one rate, and which one is an outlier? | [`overdispersion`] |
-//! | do two rates differ? | [`compare`], [`multiplicity`], [`crossed`] |
-//! | is it good enough, with any number of looks? | [`anytime`], [`bounded_mean`] |
+//! | do two rates differ? | [`difference`], [`compare`], [`multiplicity`], [`crossed`] |
+//! | is it good enough, with any number of looks? | [`stratified`], [`anytime`], [`bounded_mean`] |
 //! | how often does such a gate pass or fail? | [`operating`] |
-//! | may B replace A? | [`non_inferiority`] |
+//! | may B replace A? | [`non_inferiority`], [`group_sequential`] after each round |
 //! | what is the estimate for the operating space if the rows were sampled elsewhere? | [`weighted`] |
 //! | how is a figure written for people? | [`mod@format`] |
 
@@ -38,8 +38,10 @@ pub mod calibration;
 pub mod compare;
 pub mod correlation;
 pub mod crossed;
+pub mod difference;
 pub mod format;
 pub mod fourier;
+pub mod group_sequential;
 pub mod interval;
 pub mod likelihood_ratio;
 pub mod limit_state;
@@ -56,6 +58,7 @@ pub mod safe_box;
 pub mod scan;
 pub mod score_test;
 pub mod segments;
+pub mod stratified;
 pub mod surface;
 pub mod threshold;
 pub mod weighted;

@@ -39,7 +39,7 @@ pub fn check(margin: f64) -> Result<f64, NotAMargin> {
 }
 
 /// The score statistic of [`tango`]. Large if the second is not worse by `margin`.
-fn statistic(first_only: u64, second_only: u64, n: u64, margin: f64) -> f64 {
+pub(crate) fn statistic(first_only: u64, second_only: u64, n: u64, margin: f64) -> f64 {
     let (b, c, n, d) = (first_only as f64, second_only as f64, n as f64, margin);
     let linear = -b - c - (2.0 * n - c + b) * d;
     let constant = b * d * (1.0 + d);
@@ -90,7 +90,7 @@ pub fn exact_worse(pairs: Pairs, margin: f64) -> Result<f64, NotAMargin> {
 
 /// The tables that are at least as extreme as the observed one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Side {
+pub(crate) enum Side {
     /// Tables with a statistic at least as large.
     Better,
     /// Tables with a statistic at most as large.
@@ -98,17 +98,21 @@ enum Side {
 }
 
 fn largest_tail(pairs: Pairs, margin: f64, side: Side) -> Result<f64, NotAMargin> {
-    let margin = check(margin)?;
+    check(margin).map(|margin| largest_tail_on(pairs, margin, side, 400))
+}
+
+/// ln of the largest probability of a table at least as extreme, searched on `grid` points. `margin` is in [0, 1).
+pub(crate) fn largest_tail_on(pairs: Pairs, margin: f64, side: Side, grid: u32) -> f64 {
     let n = pairs.n();
-    if n == 0 {
-        return Ok(0.0);
+    // If the rates are equal and no pair differs, every table is at least as extreme.
+    if n == 0 || (margin <= 0.0 && pairs.first_only + pairs.second_only == 0) {
+        return 0.0;
     }
     let seen = statistic(pairs.first_only, pairs.second_only, n, margin);
     let least = thresholds(n, margin, seen, side);
     // "A only" has probability q, "B only" q - margin. Both and their sum must be probabilities.
-    let (low, high) = (margin, 0.5 * (1.0 + margin));
+    let (low, high) = (margin.max(1e-12), 0.5 * (1.0 + margin));
     let at = |q: f64| tail(&least, n, q, margin, side);
-    let grid = 400;
     let step = (high - low) / f64::from(grid);
     let (mut best, mut most) = (low, 0.0);
     for i in 0..=grid {
@@ -128,7 +132,7 @@ fn largest_tail(pairs: Pairs, margin: f64, side: Side) -> Result<f64, NotAMargin
             }
         }
     }
-    Ok(most.min(1.0).ln())
+    most.min(1.0).ln()
 }
 
 /// For each number of "first only", the smallest "second only" whose statistic is at least `seen`, or above it for the

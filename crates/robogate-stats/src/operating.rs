@@ -2,15 +2,17 @@
 //!
 //! A requirement "at least p₀" is met once it is shown at error α, and violated once the opposite is shown at error β.
 //! With a fixed number of trials, both are exact binomial tests at the end. In rounds, both are the tests of
-//! [`crate::anytime`] after each round, and the first decision ends the run. The probabilities are exact: the
+//! [`crate::stratified`] after each round, and the first decision ends the run. The probabilities are exact: the
 //! distribution of the number of successes is propagated from round to round.
+//!
+//! Only the pooled part of that test is computed, so scenarios with different rates are decided no later.
 //!
 //! Limit: every trial has the same success probability p. Rounds of different scenarios with the same mean vary less,
 //! so the figures apply to the suite with the largest variance.
 
-use crate::anytime::{ln_evidence_above, ln_evidence_below};
 use crate::compare::{at_least, at_most};
 use crate::interval::Trials;
+use crate::stratified::{ln_pooled_part_above, ln_pooled_part_below};
 use robogate_maths::beta::ln_binomial_pmf;
 
 /// The number of trials.
@@ -60,7 +62,7 @@ impl RateTest {
 
     /// The result at one of any number of looks.
     pub fn look(&self, trials: Trials) -> Answer {
-        self.answer(-ln_evidence_above(trials, self.at_least), -ln_evidence_below(trials, self.at_least))
+        self.answer(-ln_pooled_part_above(trials, self.at_least), -ln_pooled_part_below(trials, self.at_least))
     }
 
     fn answer(&self, ln_p_met: f64, ln_p_violated: f64) -> Answer {

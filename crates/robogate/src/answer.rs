@@ -1,6 +1,6 @@
 //! The gate's evaluation and its plan in the terminal.
 
-use robogate_gate::{Evaluation, GatePlan, Metric, Mode, Sampling, Sense, Status, Verdict};
+use robogate_gate::{Evaluation, GatePlan, Metric, Mode, PairPlan, Sampling, Sense, Status, Verdict};
 use robogate_report::{RequirementRow, how_judged, sign, what_next};
 use robogate_stats::format::number;
 
@@ -114,6 +114,67 @@ fn score(evaluation: &Evaluation) {
     }
 }
 
+/// Prints the joint operating characteristic of all requirements.
+fn print_joint(plan: &GatePlan) {
+    if plan.joint.is_empty() {
+        return;
+    }
+    line("");
+    line(bold("All requirements together"));
+    let without = match plan.joint_without.as_slice() {
+        [] => String::new(),
+        some => format!(" Not simulated: {}.", some.join(", ")),
+    };
+    line(dim(format_args!(
+        "1,000 simulated gates per row, failures spread over the limited modes in proportion to their limits.{without}"
+    )));
+    line(dim(format_args!(
+        "     {:>12}  {:>8}  {:>8}  {:>12}  {:>13}",
+        "true success", "pass", "fail", "inconclusive", "mean episodes"
+    )));
+    for row in &plan.joint {
+        line(format_args!(
+            "     {:>12}  {:>8}  {:>8}  {:>12}  {:>13}",
+            percent(row.success),
+            percent(row.pass),
+            percent(row.fail),
+            percent(row.open),
+            grouped(row.episodes.round() as u64)
+        ));
+    }
+}
+
+/// Prints the plan of the comparison with another policy.
+pub(crate) fn print_pair_plan(plan: &PairPlan) {
+    line("");
+    line(bold(format_args!(
+        "Not worse than the other policy by {:.1} points, up to {} rounds of {} pairs",
+        100.0 * plan.margin,
+        plan.rounds,
+        plan.per_round
+    )));
+    line(dim(format_args!(
+        "{} simulated gates per row. Each wrong conclusion has a probability of at most {}.",
+        grouped(plan.runs),
+        percent(plan.alpha)
+    )));
+    line(dim(format_args!(
+        "     {:>14}  {:>12}  {:>9}  {:>9}  {:>9}  {:>11}",
+        "true difference", "disagreement", "not worse", "worse", "undecided", "mean pairs"
+    )));
+    for row in &plan.at {
+        line(format_args!(
+            "     {:>10.1} points  {:>12}  {:>9}  {:>9}  {:>9}  {:>11}",
+            100.0 * row.difference,
+            percent(row.disagreement),
+            percent(row.met),
+            percent(row.violated),
+            percent(row.open),
+            grouped(row.pairs.round() as u64)
+        ));
+    }
+}
+
 /// Prints the plan of the gate.
 pub(crate) fn print_plan(plan: &GatePlan) {
     let how = match plan.sampling {
@@ -179,6 +240,7 @@ pub(crate) fn print_plan(plan: &GatePlan) {
             ));
         }
     }
+    print_joint(plan);
 }
 
 fn value(metric: Metric, x: f64) -> String {

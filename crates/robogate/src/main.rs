@@ -76,6 +76,8 @@ enum Verb {
     Export(commands::export::Export),
     /// Import the results of another tool as a dictionary
     Import(commands::import::Import),
+    /// Find rows that make a success rate wrong, in the results of any tool
+    Audit(commands::audit::AuditOf),
     /// Compare boundary-focused and uniform sampling by experiment
     Study(commands::study::Study),
     /// Record demonstrations of the scripted controller, with pictures, as a LeRobot dataset (v3.0)
@@ -125,6 +127,7 @@ fn main() -> ExitCode {
         Verb::Leaderboard(leaderboard) => leaderboard.execute(),
         Verb::Export(export) => export.execute(),
         Verb::Import(import) => import.execute(),
+        Verb::Audit(audit) => audit.execute(),
         Verb::Study(study) => study.execute(),
         Verb::Demos(demos) => demos.execute(),
         Verb::Suites(suites) => suites.execute(),

@@ -153,6 +153,11 @@ impl PolicyLocation {
 }
 
 impl PolicyArguments {
+    /// The arguments for another policy than that of the command line.
+    pub(crate) fn of(policy: &str, profile: Option<&str>) -> Self {
+        Self { policy: Some(policy.to_owned()), profile: profile.map(str::to_owned) }
+    }
+
     /// Connect to the policy of these arguments; `None` for the scripted controller.
     pub(crate) fn source(&self) -> Result<Option<PolicySource>, Exit> {
         self.source_at(&PolicyLocation::default())

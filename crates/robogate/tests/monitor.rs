@@ -43,7 +43,14 @@ fn reference(dir: &TempDir) -> (String, Reference) {
     let document = json!({ "metadata": { "robot": "ur5e" }, "summary": {}, "experiments": experiments });
     let (run, file) = (path(dir, "run.json"), path(dir, "reference.json"));
     fs::write(&run, document.to_string()).unwrap();
-    let output = robogate(&["monitor", "reference", &run, "--out", &file]);
+    // Many of these rows fail, so the default limit of the gate rejects them as a baseline.
+    let refused = robogate(&["monitor", "reference", &run, "--out", &file]);
+    assert_eq!(refused.status.code(), Some(2), "{}", text(&refused.stderr));
+    assert!(text(&refused.stderr).contains("--learn-baseline"), "{}", text(&refused.stderr));
+    let low = path(dir, "low.toml");
+    fs::write(&low, "name = 'low'\nmode = 'confidence'\n[[requirement]]\nmetric = 'success'\nat_least = 0.2\n")
+        .unwrap();
+    let output = robogate(&["monitor", "reference", &run, "--requirements", &low, "--out", &file]);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     let reference: Reference = serde_json::from_str(&fs::read_to_string(&file).unwrap()).unwrap();
     (file, reference)
@@ -74,6 +81,46 @@ fn a_reference_contains_its_own_rows() {
     assert!(failures > 50.0 && (risk - failures).abs() < 1e-6 * failures, "{risk} expected, {failures} seen");
     let success = reference.baseline.success.unwrap();
     assert_eq!((success.count, success.of), (970 - failures as u64, 970));
+}
+
+#[test]
+fn simulated_modes_are_left_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let (file, written) = reference(&dir);
+    assert!(written.simulated && written.baseline.failure_modes.is_none());
+    let learnt = path(&dir, "learnt.json");
+    let run = path(&dir, "run.json");
+    let output = robogate(&["monitor", "reference", &run, "--learn-baseline", "--out", &learnt]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let learnt: Reference = serde_json::from_str(&fs::read_to_string(&learnt).unwrap()).unwrap();
+    assert_eq!((learnt.baseline.success, learnt.domain), (None, written.domain));
+    // A file whose baseline is below its limit is rejected when it is used, too.
+    let edited = fs::read_to_string(&file).unwrap().replace("\"required_success\": 0.2", "\"required_success\": 0.999");
+    fs::write(&file, edited).unwrap();
+    let feed = path(&dir, "cycles.jsonl");
+    fs::write(&feed, format!("{}\n", cycle(0, 1.0, true))).unwrap();
+    let refused = robogate(&["monitor", "serve", &feed, "--reference", &file]);
+    assert_eq!(refused.status.code(), Some(2), "{}", text(&refused.stderr));
+}
+
+#[test]
+fn papers_alarms_are_a_separate_stream() {
+    let dir = tempfile::tempdir().unwrap();
+    let settings = path(&dir, "monitor.toml");
+    fs::write(&settings, "[detectors.baseline]\nsuccess = { count = 950, of = 1000 }\n").unwrap();
+    let (feed, papers) = (path(&dir, "cycles.jsonl"), path(&dir, "paper.jsonl"));
+    // Sixteen failures in a hundred cycles: critical for the paper's rule, not enough for a detector.
+    let lines: String = (0..300_u32).map(|i| format!("{}\n", cycle(i, 1.0, !(284..300).contains(&i)))).collect();
+    fs::write(&feed, lines).unwrap();
+    let serve = ["monitor", "serve", &feed, "--settings", &settings];
+    let found = robogate(&[&serve[..], &["--paper-alarms", &papers]].concat());
+    let alarms = fs::read_to_string(&papers).unwrap();
+    assert!(
+        alarms.lines().any(|line| line.contains("\"critical\""))
+            && alarms.lines().all(|line| line.contains("\"paper\"")),
+        "{alarms}"
+    );
+    assert!(!text(&found.stdout).contains("\"rule\":\"paper\""), "{}", text(&found.stdout));
 }
 
 #[test]

@@ -153,9 +153,9 @@ fn compare_writes_every_format() {
     let output = robogate(&["compare", &one, &two, "--json"]);
     assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(0), ""));
     let document: Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(document["version"], 2);
+    assert_eq!(document["version"], 3);
     assert_eq!(document["compared"], json!(["one", "two"]));
-    assert!(document["differences"][0]["holm_p"].as_f64().unwrap() < 0.05);
+    assert!(document["differences"][0]["adjusted_p"].as_f64().unwrap() < 0.05);
     assert_eq!(document["reach"][0]["reach_m"], Value::Null);
 }
 

@@ -68,6 +68,38 @@ pub enum ComparisonError {
         /// The names of the shared parameters.
         known: String,
     },
+    /// Dictionaries of different tasks.
+    #[error(
+        "`{first}` ran the task {task} and `{second}` the task {other}\nhint: their success rates are of different things; compare runs of one task"
+    )]
+    DifferentTasks {
+        /// Name of the first.
+        first: String,
+        /// Its task.
+        task: String,
+        /// Name of the second.
+        second: String,
+        /// Its task.
+        other: String,
+    },
+    /// Dictionaries of different spaces.
+    #[error(
+        "`{first}` and `{second}` have different parameter spaces: {difference}\nhint: with --common only rows in the shared ranges are compared"
+    )]
+    DifferentSpaces {
+        /// Name of the first.
+        first: String,
+        /// Name of the second.
+        second: String,
+        /// The differences.
+        difference: String,
+    },
+    /// No rows in the shared part of the spaces.
+    #[error("`{name}` has no valid row in the shared part of the spaces\nhint: compare runs whose spaces overlap")]
+    NothingShared {
+        /// The dataset.
+        name: String,
+    },
     /// Two dictionaries that did not run the same scenarios.
     #[error(
         "`{first}` and `{second}` did not run the same scenarios: {difference}\nhint: pairs need runs with the same \

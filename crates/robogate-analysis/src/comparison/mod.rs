@@ -1,6 +1,7 @@
 //! Comparison of datasets: robots, policies, simulators.
 
 mod axis;
+mod common;
 mod dataset;
 mod differences;
 mod error;
@@ -49,6 +50,9 @@ pub struct Comparison {
     pub differences: Vec<RateDifference>,
     /// Paired comparisons of the same scenarios. Empty unless requested.
     pub paired: Vec<PairedComparison>,
+    /// How the datasets were restricted to the shared part of their spaces, in sentences. Empty if their spaces agree.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub restricted: Vec<String>,
     /// The marginal effect of each shared parameter, in the same bins for every dataset.
     pub marginal_effects: Vec<SharedCurve>,
     /// Cells in which all of them fail most of the time.
@@ -111,6 +115,8 @@ pub struct ComparisonOptions {
     pub workspace_m: Option<f64>,
     /// Whether to pair the runs scenario by scenario.
     pub paired: bool,
+    /// Whether datasets with different spaces are restricted to the shared part. Otherwise they are rejected.
+    pub common: bool,
     /// Number of flips that are listed for each direction.
     pub max_flips: usize,
 }
@@ -124,6 +130,7 @@ impl Default for ComparisonOptions {
             reach_m: Vec::new(),
             workspace_m: None,
             paired: false,
+            common: false,
             max_flips: 10,
         }
     }
@@ -131,7 +138,7 @@ impl Default for ComparisonOptions {
 
 impl Comparison {
     /// The version of the document that this build writes.
-    pub const VERSION: u32 = 2;
+    pub const VERSION: u32 = 3;
 
     /// Compares sources. Each comes with the path that it was opened from.
     ///
@@ -142,7 +149,10 @@ impl Comparison {
         let names = dataset::names(sources, &options.names)?;
         check(options, &names)?;
         let all = sources.iter().zip(names).map(|((source, path), name)| Dataset::read(source, path, name));
-        let all: Vec<Dataset<'_>> = all.collect::<Result<_, AnalysisError>>()?;
+        let mut all: Vec<Dataset<'_>> = all.collect::<Result<_, AnalysisError>>()?;
+        common::check_tasks(&all)?;
+        // Pairs of the same scenarios have the same space by construction.
+        let restricted = if options.paired { Vec::new() } else { common::restrict(&mut all, options.common)? };
         let compared: Vec<&Dataset<'_>> = all.iter().filter(|dataset| dataset.excluded_because().is_none()).collect();
         let (parameters, axes) = shared(&compared);
         let task = task(&compared);
@@ -173,6 +183,7 @@ impl Comparison {
                 let coarse = coarse.as_ref().map(|(up, across)| (up, across));
                 universal::universal(&compared, &axes, coarse, options.danger_limit)
             },
+            restricted,
             sensitivity: sensitivity::sensitivity(&compared, &axes, task.sensitivity),
             reach: reach::reach(&compared, &options.reach_m, options.workspace_m),
             datasets: all.iter().map(compared_dataset).collect(),

@@ -11,7 +11,7 @@ use crate::runs::{boxes, changed, saved};
 use crate::synthetic::{entry, law, point, provenance, unit};
 
 fn compared(sources: &[(Source, PathBuf)]) -> Comparison {
-    Comparison::of(sources, &ComparisonOptions::default()).unwrap()
+    Comparison::of(sources, &ComparisonOptions { common: true, ..ComparisonOptions::default() }).unwrap()
 }
 
 fn paired() -> ComparisonOptions {
@@ -49,7 +49,7 @@ fn same_rows_twice_are_rejected() {
 }
 
 #[test]
-fn holm_never_lowers_a_p_value() {
+fn adjustment_never_lowers_a_p_value() {
     let dir = TempDir::new().unwrap();
     let space = boxes();
     let worse = |i: u64, by_law| {
@@ -70,10 +70,13 @@ fn holm_never_lowers_a_p_value() {
         let rate = |name: &str| of.datasets.iter().find(|x| x.name == name).unwrap().success.rate.rate.unwrap();
         assert!((d.difference - (rate(&d.first) - rate(&d.second))).abs() < 1e-12);
         assert!(d.interval_95[0] < d.difference && d.difference < d.interval_95[1]);
-        assert!(d.holm_p >= d.ln_p.unwrap().exp());
+        assert!(d.adjusted_p >= d.ln_p.exp());
+        // Interval and p-value come from one test.
+        let excludes = d.interval_95[0] > 0.0 || d.interval_95[1] < 0.0;
+        assert_eq!(d.is_significant(), excludes, "{d:?}");
     }
-    assert!(of.differences[0].holm_p < 0.05, "{:?}", of.differences[0]);
-    assert!(of.differences[1].holm_p > 0.5, "{:?}", of.differences[1]);
+    assert!(of.differences[0].adjusted_p < 0.05, "{:?}", of.differences[0]);
+    assert!(of.differences[1].adjusted_p > 0.5, "{:?}", of.differences[1]);
     // The twelve invalid episodes of the first are excluded from all rates.
     assert_eq!(of.datasets[0].success.rate.n, 588);
     assert_eq!(of.datasets[0].success.bounds.invalid, 12);
@@ -94,8 +97,8 @@ fn same_scenarios_are_always_paired() {
     let d = &plain.differences[0];
     assert_eq!(d.valid_pairs, Some(by_pairs.valid_pairs));
     assert_eq!((Some(d.difference), d.interval_95), (by_pairs.difference, by_pairs.difference_95));
-    assert_eq!((d.ln_p, d.holm_p), (Some(by_pairs.ln_p), by_pairs.holm_p));
-    assert!(d.holm_p < 0.05, "{d:?}");
+    assert_eq!((d.ln_p, d.adjusted_p), (by_pairs.ln_p, by_pairs.adjusted_p));
+    assert!(d.adjusted_p < 0.05, "{d:?}");
 }
 
 #[test]
@@ -199,7 +202,7 @@ fn reach_comes_from_provenance_or_options() {
     let all = [saved(&dir, "a", &space, law(&space, 60)), saved(&dir, "b", &space, law(&space, 70))];
     let of = |reach: &[(&str, f64)]| {
         let reach_m = reach.iter().map(|(name, reach)| ((*name).to_owned(), *reach)).collect();
-        Comparison::of(&all, &ComparisonOptions { reach_m, ..ComparisonOptions::default() })
+        Comparison::of(&all, &ComparisonOptions { reach_m, common: true, ..ComparisonOptions::default() })
     };
     let ratio = |of: &Comparison, at: usize| (of.reach[at].ratio, of.reach[at].given);
     let found = of(&[("b", 0.5)]).unwrap();
@@ -285,4 +288,60 @@ fn focused_datasets_are_excluded() {
     let of = compared(&all);
     assert_eq!(of.compared, ["even"]);
     assert!(of.datasets[1].excluded_because.as_deref().unwrap().contains("focused design only"));
+}
+
+#[test]
+fn different_spaces_need_common() {
+    let dir = TempDir::new().unwrap();
+    let wide = boxes();
+    let toml = "name = \"narrow\"\n[[parameter]]\nname = \"mass_kg\"\nkind = \"continuous\"\nlow = 0.5\nhigh = 4.0\n";
+    let narrow = ParameterSpace::from_toml(toml).unwrap();
+    let entries: Vec<_> = (0..200).map(|i| entry(i, point(&narrow, i), Outcome::Success)).collect();
+    let all = [saved(&dir, "a", &wide, law(&wide, 300)), saved(&dir, "b", &narrow, entries)];
+    let error = Comparison::of(&all, &ComparisonOptions::default()).unwrap_err();
+    assert!(matches!(error, ComparisonError::DifferentSpaces { .. }), "{error}");
+    assert!(error.to_string().contains("`mass_kg` is") && error.to_string().contains("--common"), "{error}");
+    let common = compared(&all);
+    assert_eq!(common.restricted.len(), 2);
+    // Only rows in the shared range of the mass count.
+    assert!(common.datasets[0].success.rate.n < 300 - 6, "{:?}", common.restricted);
+}
+
+#[test]
+fn different_tasks_are_rejected() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    let other = dir.path().join("other.parquet");
+    let mut provenance = provenance(space.clone());
+    let mut task = (*provenance.task).clone();
+    task.name = robogate_core::Word::constant("drawer");
+    provenance.task = std::sync::Arc::new(task);
+    write_parquet(&other, &provenance, law(&space, 50).into_iter().map(Ok::<_, DictionaryError>)).unwrap();
+    let all = [saved(&dir, "a", &space, law(&space, 60)), (Source::open(&other).unwrap(), other)];
+    let error = Comparison::of(&all, &ComparisonOptions { common: true, ..ComparisonOptions::default() }).unwrap_err();
+    assert!(matches!(error, ComparisonError::DifferentTasks { .. }), "{error}");
+}
+
+#[test]
+fn ties_are_ties() {
+    let dir = TempDir::new().unwrap();
+    let space = boxes();
+    // Two scenarios change sides, one in each direction.
+    let swapped = |i: u64, by_law: Outcome| match i {
+        1 => Outcome::Success,
+        2 => Outcome::Failure(FailureMode::TIMEOUT),
+        _ => by_law,
+    };
+    let flipped = |i: u64, by_law: Outcome| match i {
+        1 => Outcome::Failure(FailureMode::TIMEOUT),
+        2 => Outcome::Success,
+        _ => by_law,
+    };
+    let all = [
+        saved(&dir, "a", &space, changed(&space, 200, swapped)),
+        saved(&dir, "b", &space, changed(&space, 200, flipped)),
+    ];
+    let tie = &compared(&all).differences[0];
+    assert!(tie.is_tie() && !tie.is_significant(), "{tie:?}");
+    assert!((tie.interval_95[0] + tie.interval_95[1]).abs() < 1e-4, "{tie:?}");
 }

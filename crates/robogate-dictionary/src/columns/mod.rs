@@ -18,7 +18,7 @@ pub(crate) use layout::Layout;
 
 use crate::codec::{FAULT_KINDS, Interner, integer_as_number, number_as_integer};
 use crate::schema::LABELLED;
-use crate::{DictionaryError, Entry, Label, SchemaVersion};
+use crate::{DictionaryError, Entry, Label, Provenance, SchemaVersion};
 
 /// One column.
 #[derive(Debug, Clone)]
@@ -70,9 +70,22 @@ pub(crate) struct Columns {
     specs: Vec<ColumnSpec>,
     /// Whether the last three columns are those of a suite's scenarios.
     labelled: bool,
+    /// Whether a row may lack the value of a parameter, as an imported one may.
+    gaps: bool,
 }
 
 impl Columns {
+    /// The columns of a dictionary with this provenance. The rows of an imported one may lack parameters.
+    pub(crate) fn of_provenance(provenance: &Provenance, version: SchemaVersion) -> Result<Self, DictionaryError> {
+        let mut columns = Self::of(&provenance.task, &provenance.space, version)?;
+        columns.gaps = provenance.source.is_some();
+        let requested = LEADING.len()..LEADING.len() + provenance.space.len();
+        if columns.gaps {
+            columns.specs[requested].iter_mut().for_each(|spec| spec.required = false);
+        }
+        Ok(columns)
+    }
+
     /// The columns of `task` over `space` in this version of the schema. Returns an error if a parameter or measure has
     /// the name of another column.
     pub(crate) fn of(task: &TaskSpec, space: &ParameterSpace, version: SchemaVersion) -> Result<Self, DictionaryError> {
@@ -113,7 +126,7 @@ impl Columns {
             let at = if chosen(&pair[0].1) { pair[0].1 } else { pair[1].1 };
             return Err(DictionaryError::ColumnClash { column: specs[at].name.clone() });
         }
-        Ok(Self { space: space.clone(), measures, specs, labelled })
+        Ok(Self { space: space.clone(), measures, specs, labelled, gaps: false })
     }
 
     /// The columns in order.
@@ -177,16 +190,23 @@ impl Columns {
             parameter: parameter.to_owned(),
             reason,
         };
+        let mut missing = 0;
         for parameter in self.space.parameters() {
             let name = &parameter.name;
-            let value =
-                scenario.requested.get(name).ok_or_else(|| wrong(name, "is missing in the request".to_owned()))?;
+            let Some(value) = scenario.requested.get(name) else {
+                if self.gaps {
+                    missing += 1;
+                    cells.push(Cell::Null);
+                    continue;
+                }
+                return Err(wrong(name, "is missing in the request".to_owned()));
+            };
             let cell = fit(&parameter.domain, value).ok_or_else(|| {
                 wrong(name, format!("is {value}. Expected {}, as defined by the space", kind_word(&parameter.domain)))
             })?;
             cells.push(cell);
         }
-        if scenario.requested.len() == self.space.len() {
+        if scenario.requested.len() + missing == self.space.len() {
             return Ok(());
         }
         let stray = scenario.requested.iter().map(|(name, _)| name).find(|name| self.space.position(name).is_none());

@@ -207,6 +207,9 @@ impl Survey {
                 sha256: frame.sha256.clone(),
                 notes,
                 not_recorded: Vec::new(),
+                columns: Vec::new(),
+                sampling: None,
+                stopping: None,
             }),
         };
         // Rejected here, before any file is written.

@@ -23,7 +23,7 @@ pub enum Format {
     Csv,
     /// One JSON object per line.
     JsonLines,
-    /// A flat Parquet file, uncompressed or snappy.
+    /// A flat Parquet file: uncompressed, snappy or zstd.
     Parquet,
 }
 

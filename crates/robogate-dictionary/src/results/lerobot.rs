@@ -11,11 +11,11 @@ use std::path::Path;
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 use super::flat::{FlatRow, Rows, Scalars};
-use super::{Frame, Mapping, Sink};
+use super::{Frame, Mapping, SOURCE_EPISODE, Sink};
 use crate::DictionaryError;
 use crate::raw::{AnyScalar, Scalar};
 
-/// Rewards and costs are results of an episode. Only its seed is a parameter.
+/// Rewards are measures. Only the seed, or the number of the episode within its task, is a parameter.
 pub(super) fn mapping() -> Mapping {
     Mapping { parameters: Some(std::collections::BTreeMap::new()), ..Mapping::default() }
 }
@@ -38,7 +38,6 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
         return Err(DictionaryError::results(path, reason));
     }
     counted.check(path, &frame)?;
-    frame.notes.push("Rewards, safety costs and videos are ignored.".to_owned());
     Ok(frame)
 }
 
@@ -183,18 +182,19 @@ impl<'de> Visitor<'de> for OneTask<'_, '_> {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
-        let (mut group, mut id, mut successes) = (Scalar::Null, Scalar::Null, None);
+        let (mut group, mut id, mut metrics) = (Scalar::Null, Scalar::Null, None);
         while let Some(key) = map.next_key::<String>()? {
             match key.as_str() {
                 "task_group" => group = map.next_value_seed(AnyScalar)?,
                 "task_id" => id = map.next_value_seed(AnyScalar)?,
-                "metrics" => successes = map.next_value_seed(Metrics)?,
+                "metrics" => metrics = Some(map.next_value_seed(Metrics)?),
                 _ => {
                     map.next_value::<IgnoredAny>()?;
                 }
             }
         }
-        let Some(successes) = successes else {
+        let metrics: OfTask = metrics.unwrap_or_default();
+        let Some(successes) = metrics.successes else {
             return Err(A::Error::custom("a task of `per_task` has no `metrics.successes`"));
         };
         let word = |value: &Scalar| match value {
@@ -206,7 +206,10 @@ impl<'de> Visitor<'de> for OneTask<'_, '_> {
         for (episode, success) in successes.into_iter().enumerate() {
             let rows = &mut *self.0;
             rows.push("success", success.map_or(Scalar::Null, Scalar::Bool));
-            rows.push("episode_ix", Scalar::Integer(episode as i64));
+            rows.push(SOURCE_EPISODE, Scalar::Integer(episode as i64));
+            for (name, values) in &metrics.rewards {
+                rows.push(name, values.get(episode).copied().flatten().map_or(Scalar::Null, Scalar::Number));
+            }
             if let Some(group) = &group {
                 rows.push("category", Scalar::Text(group.clone()));
             }
@@ -220,11 +223,17 @@ impl<'de> Visitor<'de> for OneTask<'_, '_> {
     }
 }
 
-/// The successes of one task.
+/// The metrics of one task, with one value per episode.
+#[derive(Default)]
+struct OfTask {
+    successes: Option<Vec<Option<bool>>>,
+    rewards: Vec<(&'static str, Vec<Option<f64>>)>,
+}
+
 struct Metrics;
 
 impl<'de> DeserializeSeed<'de> for Metrics {
-    type Value = Option<Vec<Option<bool>>>;
+    type Value = OfTask;
 
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
         deserializer.deserialize_map(self)
@@ -232,22 +241,23 @@ impl<'de> DeserializeSeed<'de> for Metrics {
 }
 
 impl<'de> Visitor<'de> for Metrics {
-    type Value = Option<Vec<Option<bool>>>;
+    type Value = OfTask;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("metrics with `successes`")
     }
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
-        let mut successes = None;
+        let mut metrics = OfTask::default();
         while let Some(key) = map.next_key::<String>()? {
-            if key == "successes" {
-                // One byte each. The meter of the file limits their number.
-                successes = Some(map.next_value()?);
-            } else {
-                map.next_value::<IgnoredAny>()?;
+            // The meter of the file limits the number of values.
+            match key.as_str() {
+                "successes" => metrics.successes = Some(map.next_value()?),
+                "sum_rewards" => metrics.rewards.push(("sum_reward", map.next_value()?)),
+                "max_rewards" => metrics.rewards.push(("max_reward", map.next_value()?)),
+                _ => drop(map.next_value::<IgnoredAny>()?),
             }
         }
-        Ok(successes)
+        Ok(metrics)
     }
 }

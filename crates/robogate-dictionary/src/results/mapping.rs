@@ -7,14 +7,16 @@ use robogate_core::{FailureMode, Word};
 use serde::Deserialize;
 use serde::de::{Deserializer, Error, MapAccess, Visitor};
 
+use super::names;
 use super::role::Role;
-use crate::DictionaryError;
 use crate::published::FLAGS;
+use crate::{DictionaryError, RowSampling, Stopping};
 
 /// A mapping from table columns to roles, flags and parameters.
 ///
-/// A role that the mapping does not name uses the column with the name of the role (`success`, `cycle_time_s`). Every
-/// remaining column becomes a parameter. The TOML form:
+/// A role that the mapping does not name uses the column with the name of the role (`success`, `cycle_time_s`), also in
+/// another spelling (`Success`, `is_success`). Remaining columns are measures if their name says so (`reward`,
+/// `episode_length`), unused if it names an identifier (`video_path`), and otherwise parameters. The TOML form:
 ///
 /// ```
 /// let mapping = robogate_dictionary::results::Mapping::from_toml(
@@ -48,7 +50,10 @@ pub struct Mapping {
     pub flags: BTreeMap<FailureMode, String>,
     /// Parameters: their names and columns. If absent, every remaining column is a parameter.
     pub parameters: Option<BTreeMap<String, String>>,
-    /// Columns that are not parameters.
+    /// Measures: their names and columns. Columns whose names say reward, return, length or time are measures by
+    /// themselves.
+    pub measures: BTreeMap<String, String>,
+    /// Columns that are not used.
     pub ignore: Vec<String>,
     /// Failure modes for values of the failure-mode column. Any other value is a failure mode by itself.
     pub failure_modes: BTreeMap<String, FailureMode>,
@@ -68,6 +73,10 @@ pub struct About {
     pub robot: Option<String>,
     /// The simulator, or `real`.
     pub simulator: Option<String>,
+    /// How the scenarios were chosen.
+    pub sampling: Option<RowSampling>,
+    /// How the number of episodes was chosen.
+    pub stopping: Option<Stopping>,
 }
 
 impl Mapping {
@@ -85,6 +94,10 @@ impl Mapping {
             };
             if let Some(parameter) = key.strip_prefix("parameter.") {
                 self.parameters.get_or_insert_default().insert(parameter.to_owned(), column.to_owned());
+            } else if let Some(measure) = key.strip_prefix("measure.") {
+                self.measures.insert(measure.to_owned(), column.to_owned());
+            } else if key == "ignore" {
+                self.ignore.push(column.to_owned());
             } else if let Some(mode) = key.strip_prefix("flag.") {
                 let mode = FailureMode::new(mode).map_err(|why| wrong(format!("`{key}`: {why}")))?;
                 self.flags.insert(mode, column.to_owned());
@@ -95,7 +108,8 @@ impl Mapping {
             } else {
                 let roles = Role::ALL.map(Role::as_str).join(", ");
                 return Err(wrong(format!(
-                    "Unknown role `{key}`. Expected one of {roles}, flag.MODE or parameter.NAME"
+                    "Unknown role `{key}`. Expected one of {roles}, ignore, flag.MODE, measure.NAME or \
+                     parameter.NAME"
                 )));
             }
         }
@@ -120,6 +134,32 @@ impl Mapping {
     /// Whether the mapping uses this column as a parameter.
     pub(super) fn names_parameter(&self, column: &str) -> bool {
         self.parameters.iter().flat_map(BTreeMap::values).any(|named| named == column)
+    }
+
+    /// Whether the mapping uses this column as a measure.
+    pub(super) fn names_measure(&self, column: &str) -> bool {
+        self.measures.values().any(|named| named == column)
+    }
+
+    /// Whether the mapping names this column for anything.
+    pub(super) fn names(&self, column: &str) -> bool {
+        let mut named =
+            self.roles.values().chain(self.flags.values()).chain(self.measures.values()).chain(&self.ignore);
+        self.names_parameter(column) || named.any(|named| named == column)
+    }
+
+    /// This mapping, with the columns of roles that it does not name found among the names of the file.
+    pub(super) fn found_in(mut self, columns: &[String]) -> Self {
+        let free: Vec<String> = columns.iter().filter(|name| !self.names(name)).cloned().collect();
+        for role in Role::ALL {
+            if !self.roles.contains_key(&role)
+                && let Some(column) = names::column_of(role, &free)
+                && column != role.as_str()
+            {
+                self.roles.insert(role, column.to_owned());
+            }
+        }
+        self
     }
 
     /// This mapping, completed with that of the format.
@@ -147,6 +187,7 @@ enum Key {
     Flag(FailureMode),
     Flags,
     Parameters,
+    Measures,
     Ignore,
     FailureModes,
     About,
@@ -158,6 +199,7 @@ impl<'de> Deserialize<'de> for Key {
         Ok(match key.as_str() {
             "flags" => Self::Flags,
             "parameters" => Self::Parameters,
+            "measures" => Self::Measures,
             "ignore" => Self::Ignore,
             "failure_modes" => Self::FailureModes,
             "about" => Self::About,
@@ -167,8 +209,8 @@ impl<'de> Deserialize<'de> for Key {
                 (None, None) => {
                     let roles = Role::ALL.map(Role::as_str).join(", ");
                     return Err(D::Error::custom(format!(
-                        "Unknown role `{key}`. Expected one of {roles}, ignore, [flags], [parameters], [failure_modes] or \
-                         [about]"
+                        "Unknown role `{key}`. Expected one of {roles}, ignore, [flags], [parameters], [measures], [failure_modes] \
+                         or [about]"
                     )));
                 }
             },
@@ -200,6 +242,7 @@ impl<'de> Visitor<'de> for MappingVisitor {
                 Key::Flag(mode) => flags.push((mode, map.next_value()?)),
                 Key::Flags => flags.extend(map.next_value::<BTreeMap<_, _>>()?),
                 Key::Parameters => mapping.parameters = Some(map.next_value()?),
+                Key::Measures => mapping.measures = map.next_value()?,
                 Key::Ignore => mapping.ignore = map.next_value()?,
                 Key::FailureModes => mapping.failure_modes = map.next_value()?,
                 Key::About => mapping.about = map.next_value()?,

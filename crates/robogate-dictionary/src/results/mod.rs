@@ -9,6 +9,7 @@
 //! failure without a failure mode has [`FailureMode::UNKNOWN`](robogate_core::FailureMode::UNKNOWN), and
 //! [`crate::Source::not_recorded`] lists the modes that it may have been.
 
+pub mod audit;
 mod csv;
 mod exported;
 mod flags;
@@ -17,6 +18,7 @@ mod format;
 mod json_lines;
 mod lerobot;
 mod mapping;
+mod names;
 mod outcome;
 mod parquet;
 mod plan;
@@ -24,13 +26,14 @@ mod role;
 mod survey;
 mod task;
 mod vla_eval;
+mod zstd;
 
 use std::path::Path;
 
 pub use format::Format;
 pub use mapping::{About, Mapping};
 pub use role::Role;
-pub use survey::{SOURCE_ROW, SOURCE_SEED};
+pub use survey::{SOURCE_EPISODE, SOURCE_ROW, SOURCE_SEED};
 
 use crate::codec::Interner;
 use crate::published::{self, Imported};
@@ -74,7 +77,7 @@ pub fn import(from: &Path, to: &Path, format: Option<Format>, mapping: &Mapping)
     if format == Format::Parquet && Dictionary::open(from).is_ok() {
         return Err(DictionaryError::results(from, "it is already a dictionary\nhint: use it without importing it"));
     }
-    let mapping = mapping.over(&format.mapping());
+    let mapping = mapping.over(&format.mapping()).found_in(&columns(format, from));
     let mut survey = survey::Survey::new(from, &mapping);
     let frame = read(format, from, &mut |row| survey.row(row))?;
     let plan = survey.plan(format, &frame)?;
@@ -94,6 +97,22 @@ fn fixed_columns(from: &Path, what: &str) -> DictionaryError {
         origin: from.display().to_string(),
         reason: format!("the columns of {what} are fixed\nhint: remove the mapping"),
     }
+}
+
+/// The columns of the first rows. If the file cannot be read, its reader reports the error later.
+fn columns(format: Format, path: &Path) -> Vec<String> {
+    const FIRST_ROWS: u64 = 100;
+    let mut names: Vec<String> = Vec::new();
+    // The error ends the reading early.
+    let _ = read(format, path, &mut |row| {
+        for (name, _) in &row.fields {
+            if !names.iter().any(|known| **known == **name) {
+                names.push(name.to_string());
+            }
+        }
+        if row.number < FIRST_ROWS { Ok(()) } else { Err(DictionaryError::results(path, "enough rows were read")) }
+    });
+    names
 }
 
 /// The error about a file that changed between the two passes.

@@ -214,7 +214,7 @@ impl<'a> Results<'a> {
 }
 
 /// Interprets a value as a truth value, if possible.
-fn truth(value: &Scalar) -> Option<bool> {
+pub(super) fn truth(value: &Scalar) -> Option<bool> {
     match value {
         Scalar::Bool(truth) => Some(*truth),
         Scalar::Integer(0) => Some(false),

@@ -4,12 +4,12 @@ use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
-use ::parquet::basic::Type as Physical;
+use ::parquet::basic::{Compression, Type as Physical};
 use ::parquet::column::reader::ColumnReader;
 use ::parquet::errors::ParquetError;
 use ::parquet::file::reader::{FileReader, SerializedFileReader};
 
-use super::{Frame, Sink};
+use super::{Frame, Sink, zstd};
 use crate::DictionaryError;
 use crate::parquet::guarded;
 use crate::raw::{MOST_FIELDS, Metered, RawRow, Scalar};
@@ -25,7 +25,7 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
         DictionaryError::results(
             path,
             format!(
-                "{reason}. Expected flat columns, uncompressed or snappy\nhint: write it again with compression=\"snappy\""
+                "{reason}. Expected flat columns, uncompressed, snappy or zstd\nhint: write it again with compression=\"zstd\""
             ),
         )
     };
@@ -33,7 +33,8 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
     io::copy(&mut hashed, &mut io::sink()).map_err(DictionaryError::io(path, "read"))?;
     let file = std::fs::File::open(path).map_err(DictionaryError::io(path, "open"))?;
     let length = file.metadata().map_err(DictionaryError::io(path, "inspect"))?.len();
-    let reader = guarded(|| SerializedFileReader::new(file)).map_err(refuse)?;
+    let file = Arc::new(file);
+    let reader = guarded(|| SerializedFileReader::new(Arc::clone(&file).as_ref().try_clone()?)).map_err(refuse)?;
     let metadata = reader.metadata();
     let schema = metadata.file_metadata().schema_descr();
     if schema.num_columns() > MOST_FIELDS {
@@ -70,7 +71,11 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
         }
         let mut readers = guarded(|| {
             let group = reader.get_row_group(at)?;
-            columns.iter().map(|(leaf, _)| group.get_column_reader(*leaf)).collect::<Result<Vec<_>, _>>()
+            let open = |(leaf, _): &(usize, Arc<str>)| match group.metadata().column(*leaf).compression() {
+                Compression::ZSTD(_) => zstd::column_reader(&file, group.metadata().column(*leaf), rows),
+                _ => group.get_column_reader(*leaf),
+            };
+            columns.iter().map(open).collect::<Result<Vec<_>, _>>()
         })
         .map_err(refuse)?;
         let mut left = rows;

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use robogate_core::{Assignment, Domain, Episode, Measures, Scenario, Seed, Value};
+use robogate_core::{Assignment, Domain, Episode, Measures, Scenario, Seed, Value, Word};
 
 use super::outcome::Results;
 use super::role::Role;
@@ -20,6 +20,8 @@ pub(super) struct Plan<'a> {
     pub(super) provenance: Provenance,
     /// The column of each parameter. `None` stands for the row number.
     pub(super) columns: Vec<Option<Arc<str>>>,
+    /// The column of each measure.
+    pub(super) measures: Vec<(Arc<str>, Word)>,
     pub(super) format: Format,
 }
 
@@ -28,12 +30,13 @@ impl Plan<'_> {
         let index = row.number;
         let parameters = self.provenance.space.parameters().iter().zip(&self.columns);
         let requested = parameters
-            .map(|(parameter, column)| {
+            .filter_map(|(parameter, column)| {
                 let value = match column {
-                    None => Value::Integer(i64::try_from(index).unwrap_or(i64::MAX)),
-                    Some(column) => self.value(row, column, &parameter.domain, words)?,
+                    None => Ok(Value::Integer(i64::try_from(index).unwrap_or(i64::MAX))),
+                    Some(column) if matches!(row.get(column), None | Some(Scalar::Null)) => return None,
+                    Some(column) => self.value(row, column, &parameter.domain, words),
                 };
-                Ok((Arc::clone(&parameter.name), value))
+                Some(value.map(|value| (Arc::clone(&parameter.name), value)))
             })
             .collect::<Result<Assignment, DictionaryError>>()?;
         let ended = self.results.of(self.path, row)?;
@@ -45,7 +48,11 @@ impl Plan<'_> {
             time_s: ended.time_s.unwrap_or(f64::NAN),
             phase: None,
             contact: None,
-            measures: Measures::default(),
+            measures: self
+                .measures
+                .iter()
+                .map(|(column, name)| (*name, measure(row.get(column))))
+                .collect::<Measures>(),
             ticks: 0,
             trajectory_hash: 0,
         };
@@ -90,5 +97,15 @@ impl Plan<'_> {
             (Some(Scalar::Text(text)), _) => Value::Category(words.get(text)),
             _ => return wrong("cannot be the value of a parameter"),
         })
+    }
+}
+
+/// The value of a measure. `None` if the row has none.
+fn measure(value: Option<&Scalar>) -> Option<f64> {
+    match value? {
+        Scalar::Bool(truth) => Some(f64::from(u8::from(*truth))),
+        Scalar::Integer(n) => Some(*n as f64),
+        Scalar::Number(x) => Some(*x),
+        Scalar::Null | Scalar::Text(_) | Scalar::Nested => None,
     }
 }

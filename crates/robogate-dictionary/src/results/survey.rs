@@ -4,20 +4,25 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-use robogate_core::{Domain, FailureMode, Outcome, Parameter, ParameterSpace, TaskSpec};
+use robogate_core::{Domain, FailureMode, MeasureSpec, Outcome, Parameter, ParameterSpace, TaskSpec, Word};
 use serde_json::json;
 
+use super::names::{self, Suggested};
 use super::outcome::{Ended, Results};
 use super::plan::Plan;
 use super::role::{FAILURE_TYPE, Role};
 use super::{Format, Frame, Mapping, task};
 use crate::columns::Columns;
 use crate::fields::{Field, Fields};
-use crate::raw::{MOST_MODES, RawRow, Scalar};
+use crate::provenance::SourceColumn;
+use crate::raw::{MOST_FIELDS, MOST_MODES, RawRow, Scalar};
 use crate::{DictionaryError, Engine, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool, published};
 
 /// The parameter that stores an environment's seed.
 pub const SOURCE_SEED: &str = "source_seed";
+
+/// The parameter that stores the number of an episode within its case, for sources that record no seed.
+pub const SOURCE_EPISODE: &str = "source_episode";
 
 /// The parameter that numbers the rows of a source without parameters, because a space needs at least one.
 pub const SOURCE_ROW: &str = "source_row";
@@ -31,7 +36,12 @@ pub(super) struct Survey<'a> {
     mapping: &'a Mapping,
     results: Results<'a>,
     rows: u64,
+    /// Columns that can be parameters.
     fields: Fields,
+    /// Columns that are measures.
+    measures: Fields,
+    /// Other columns in order of appearance, with their number of values.
+    others: Vec<(Arc<str>, u64)>,
     modes: BTreeSet<FailureMode>,
     /// Whether the column of each role exists.
     roles: [bool; Role::ALL.len()],
@@ -71,6 +81,8 @@ impl<'a> Survey<'a> {
             results,
             rows: 0,
             fields: Fields::default(),
+            measures: Fields::default(),
+            others: Vec::new(),
             modes: BTreeSet::new(),
             roles: [false; Role::ALL.len()],
             failure_type: false,
@@ -96,12 +108,44 @@ impl<'a> Survey<'a> {
         let ended = self.results.of(self.path, row)?;
         self.count(row, &ended)?;
         for (name, value) in &row.fields {
-            if *value != Scalar::Null && self.may_be_parameter(name) {
-                self.fields.take_if_it_fits(row, name, value);
-            }
+            self.take(row, name, value);
         }
         self.rows += 1;
         Ok(())
+    }
+
+    fn take(&mut self, row: &RawRow, name: &Arc<str>, value: &Scalar) {
+        let present = *value != Scalar::Null;
+        if self.is_measure(name) {
+            if present {
+                let truth = |truth: bool| Scalar::Integer(i64::from(truth));
+                let value = if let Scalar::Bool(value) = value { &truth(*value) } else { value };
+                self.measures.take_if_it_fits(row, name, value);
+            }
+        } else if self.may_be_parameter(name) {
+            if present {
+                self.fields.take_if_it_fits(row, name, value);
+            }
+        } else {
+            match self.others.iter().position(|(known, _)| known == name) {
+                Some(at) => self.others[at].1 += u64::from(present),
+                None if self.others.len() < MOST_FIELDS => self.others.push((Arc::clone(name), u64::from(present))),
+                None => {}
+            }
+        }
+    }
+
+    /// Whether the column is a measure, by the mapping or by its name.
+    fn is_measure(&self, name: &str) -> bool {
+        self.mapping.names_measure(name)
+            || (!self.has_role(name) && !self.mapping.names(name) && names::suggested(name) == Suggested::Measure)
+    }
+
+    /// Whether the column has a role, or indicates a failure mode.
+    fn has_role(&self, name: &str) -> bool {
+        let is_role = Role::ALL.into_iter().any(|role| self.mapping.column(role) == name);
+        let is_flag = published::FLAGS.iter().any(|flag| flag.column == name);
+        is_role || is_flag || self.results.has(name)
     }
 
     fn count(&mut self, row: &RawRow, ended: &Ended) -> Result<(), DictionaryError> {
@@ -131,15 +175,15 @@ impl<'a> Survey<'a> {
     }
 
     fn may_be_parameter(&self, name: &str) -> bool {
-        if name == self.mapping.column(Role::Seed) {
+        if name == self.mapping.column(Role::Seed) || name == SOURCE_EPISODE {
             return true;
         }
         if self.mapping.parameters.is_some() {
             return self.mapping.names_parameter(name);
         }
-        let is_role = Role::ALL.into_iter().any(|role| self.mapping.column(role) == name);
-        let is_flag = published::FLAGS.iter().any(|flag| flag.column == name);
-        !(is_role || is_flag || self.results.has(name) || self.mapping.ignore.iter().any(|ignored| ignored == name))
+        !self.has_role(name)
+            && !self.mapping.ignore.iter().any(|ignored| ignored == name)
+            && names::suggested(name) != Suggested::Identifier
     }
 
     /// Returns the space, the provenance, and the conversion from rows to entries.
@@ -150,8 +194,11 @@ impl<'a> Survey<'a> {
         self.check_columns()?;
         let mut notes = frame.notes.clone();
         let not_recorded = self.not_recorded(&mut notes);
-        let task = task::of_rows(&self.mapping.about, self.declared_modes(&not_recorded), &[], Vec::new());
-        let (columns, parameters) = self.parameters(&task, &mut notes)?.into_iter().unzip();
+        let mut roles = self.roles_of_others();
+        let measures = self.measures(&mut roles);
+        let mut task = task::of_rows(&self.mapping.about, self.declared_modes(&not_recorded), &[], Vec::new());
+        task.measures = measures.iter().map(|(_, measure)| measure.clone()).collect();
+        let (columns, parameters) = self.parameters(&task, &mut roles, &mut notes)?.into_iter().unzip();
         notes
             .push("Ranges are the observed ones, each row has weight 1, and the index is the row's number.".to_owned());
         notes
@@ -178,31 +225,111 @@ impl<'a> Survey<'a> {
                 sha256: frame.sha256.clone(),
                 notes,
                 not_recorded,
+                columns: roles,
+                sampling: about.sampling,
+                stopping: about.stopping,
             }),
         };
         // Rejected here, before any file is written.
-        Columns::of(&provenance.task, &provenance.space, SCHEMA_VERSION)?;
-        Ok(Plan { path: self.path, mapping: self.mapping, results: self.results, provenance, columns, format })
+        Columns::of_provenance(&provenance, SCHEMA_VERSION)?;
+        let measures = measures.into_iter().map(|(column, measure)| (column, measure.name)).collect();
+        Ok(Plan {
+            path: self.path,
+            mapping: self.mapping,
+            results: self.results,
+            provenance,
+            columns,
+            measures,
+            format,
+        })
+    }
+
+    /// The roles of the columns that are neither parameters nor measures.
+    fn roles_of_others(&self) -> Vec<SourceColumn> {
+        let role_of = |column: &str| {
+            let role = Role::ALL.into_iter().find(|role| self.mapping.column(*role) == column);
+            let flag = self.results.flags.iter().find(|flag| flag.column.as_deref() == Some(column));
+            match (role, flag) {
+                (Some(role), _) => role.as_str().replace('_', " "),
+                (None, Some(flag)) => format!("flag of {}", flag.mode),
+                _ if self.results.has(column) => Role::FailureMode.as_str().replace('_', " "),
+                _ if self.mapping.ignore.iter().any(|ignored| ignored == column) => "not used, as requested".to_owned(),
+                _ if names::suggested(column) == Suggested::Identifier => "identifier, not used".to_owned(),
+                _ => "not used".to_owned(),
+            }
+        };
+        let others = self.others.iter();
+        others
+            .map(|(column, values)| SourceColumn { column: column.to_string(), role: role_of(column), values: *values })
+            .collect()
+    }
+
+    /// The measures, with their columns.
+    fn measures(&mut self, roles: &mut Vec<SourceColumn>) -> Vec<(Arc<str>, MeasureSpec)> {
+        let mut measures: Vec<(Arc<str>, MeasureSpec)> = Vec::new();
+        for field in std::mem::take(&mut self.measures).into_iter() {
+            let named = self.mapping.measures.iter().find(|(_, column)| **column == *field.name);
+            let name = Word::nearest(named.map_or(&*field.name, |(name, _)| name));
+            let taken = |name: &Word| {
+                let same = |other: &str| other.eq_ignore_ascii_case(name.as_str());
+                measures.iter().any(|(_, measure)| same(measure.name.as_str()))
+                    || crate::fixed_columns().any(|column| same(column.name))
+            };
+            let role = match name {
+                _ if !field.is_numeric() => "not used: a result that is not a number".to_owned(),
+                None => "not used: its name has no letter or digit".to_owned(),
+                Some(name) if taken(&name) => "not used: another column of the dictionary has its name".to_owned(),
+                Some(name) => {
+                    let (unit, better) = (names::unit(&field.name).to_owned(), names::better(&field.name));
+                    measures
+                        .push((Arc::clone(&field.name), MeasureSpec { name, unit, meaning: String::new(), better }));
+                    format!("measure {name}")
+                }
+            };
+            roles.push(SourceColumn { column: field.name.to_string(), role, values: field.values });
+        }
+        measures
     }
 
     /// Derives the parameters from the rows.
-    fn parameters(&mut self, task: &TaskSpec, notes: &mut Vec<String>) -> Result<Vec<FromColumn>, DictionaryError> {
+    fn parameters(
+        &mut self,
+        task: &TaskSpec,
+        roles: &mut Vec<SourceColumn>,
+        notes: &mut Vec<String>,
+    ) -> Result<Vec<FromColumn>, DictionaryError> {
         let mut parameters: Vec<FromColumn> = Vec::new();
         for field in std::mem::take(&mut self.fields).into_iter() {
             let name = match &self.mapping.parameters {
                 _ if *field.name == *self.mapping.column(Role::Seed) => SOURCE_SEED,
+                _ if *field.name == *SOURCE_EPISODE => SOURCE_EPISODE,
                 Some(named) => named.iter().find(|(_, column)| **column == *field.name).map_or("", |(name, _)| name),
                 None => &field.name,
             };
-            let domain = if self.mapping.parameters.is_some() && name != SOURCE_SEED {
+            let domain = if self.mapping.parameters.is_some() && ![SOURCE_SEED, SOURCE_EPISODE].contains(&name) {
                 Ok(self.required(&field, name)?)
             } else {
-                optional(&field, name, self.rows, task)
+                optional(&field, name, task)
             };
-            match domain {
-                Ok(domain) => parameters.push((Some(Arc::clone(&field.name)), Parameter { name: name.into(), domain })),
-                Err(why) => notes.push(format!("Column `{}` is ignored: {why}.", field.name)),
-            }
+            let identifies = [SOURCE_SEED, SOURCE_EPISODE].contains(&name);
+            let role = match domain {
+                Ok(domain) => {
+                    let missing = self.rows - field.values;
+                    if missing > 0 && !identifies {
+                        notes.push(format!(
+                            "Parameter `{name}`: {missing} of {} rows have no value. They are kept without it.",
+                            self.rows
+                        ));
+                    }
+                    parameters.push((Some(Arc::clone(&field.name)), Parameter { name: name.into(), domain }));
+                    if name == SOURCE_SEED { "seed".to_owned() } else { format!("parameter {name}") }
+                }
+                Err(why) => {
+                    notes.push(format!("Column `{}` is ignored: {why}.", field.name));
+                    format!("not used: {why}")
+                }
+            };
+            roles.push(SourceColumn { column: field.name.to_string(), role, values: field.values });
         }
         if let Some(named) = &self.mapping.parameters
             && let Some((name, column)) =
@@ -222,20 +349,8 @@ impl<'a> Survey<'a> {
         Ok(parameters)
     }
 
-    /// The domain of a parameter that the mapping names. Every row must have a value.
+    /// The domain of a parameter that the mapping names.
     fn required(&self, field: &Field, name: &str) -> Result<Domain, DictionaryError> {
-        if let Some(row) = field.missing_of(self.rows) {
-            return Err(DictionaryError::Value {
-                path: self.path.to_owned(),
-                row: Row(row),
-                column: field.name.to_string(),
-                value: "a missing value".to_owned(),
-                reason: format!(
-                    "cannot be the parameter `{name}`, which other rows have\nhint: fill it in, or leave the column out of \
-                     the mapping"
-                ),
-            });
-        }
         field.domain_as(name).map_err(|why| {
             let reason = format!("column `{}` cannot be the parameter `{name}`: {why}", field.name);
             DictionaryError::results(self.path, reason)
@@ -258,6 +373,12 @@ impl<'a> Survey<'a> {
                 && let Some(column) = self.mapping.flags.get(&flag.mode)
             {
                 return absent(column, &format!("the flag of {}", flag.mode));
+            }
+        }
+        let seen = |fields: &Fields, column: &str| fields.names().any(|name| name == column);
+        for (name, column) in &self.mapping.measures {
+            if !seen(&self.measures, column) {
+                return absent(column, &format!("the measure `{name}`"));
             }
         }
         for (name, column) in self.mapping.parameters.iter().flatten() {
@@ -338,10 +459,7 @@ impl<'a> Survey<'a> {
 }
 
 /// The domain of a column that the mapping does not mention, or the reason why it is ignored.
-fn optional(field: &Field, name: &str, rows: u64, task: &TaskSpec) -> Result<Domain, String> {
-    if let Some(row) = field.missing_of(rows) {
-        return Err(format!("{} has no value", Row(row)));
-    }
+fn optional(field: &Field, name: &str, task: &TaskSpec) -> Result<Domain, String> {
     let domain = field.domain_as(name)?;
     let parameter = Parameter { name: name.into(), domain: domain.clone() };
     let taken = ParameterSpace::new("one", vec![parameter])

@@ -14,9 +14,13 @@ use super::{Frame, Mapping, Sink};
 use crate::DictionaryError;
 use crate::raw::{AnyScalar, Scalar};
 
-/// Steps, times and identifiers are results of an episode. There are no parameters.
+/// The number of steps is a measure. There are no parameters.
 pub(super) fn mapping() -> Mapping {
-    Mapping { parameters: Some(std::collections::BTreeMap::new()), ..Mapping::default() }
+    Mapping {
+        parameters: Some(std::collections::BTreeMap::new()),
+        ignore: vec!["elapsed_sec".to_owned(), "metrics.success".to_owned()],
+        ..Mapping::default()
+    }
 }
 
 pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {

@@ -220,7 +220,7 @@ fn edited_exports_are_rejected() {
         ),
         (whole.replace("\"ticks\":", "\"ticks\":[1],\"x\":"), "no row has an outcome in `success`"),
         (whole.replacen("\"index\":1,", "\"index\":true,", 1), "line 2"),
-        (whole.replacen("\"friction\":", "\"friction\":null,\"was\":", 1), "column `friction`: a missing value"),
+        (whole.replacen("\"friction\":", "\"friction\":null,\"was\":", 1), "line 2: its fields"),
     ] {
         fs::write(&from, text).unwrap();
         let error = import(&from, &to, None, &Mapping::default()).unwrap_err().to_string();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use robogate_core::{Fault, FaultKind, Outcome, Value};
 use robogate_dictionary::results::{Format, Mapping, import};
-use robogate_dictionary::{Dictionary, Entry, Label, Provenance, Source};
+use robogate_dictionary::{Dictionary, Entry, Label, Provenance, RowSampling, Source, Stopping};
 
 use crate::common::Folder;
 
@@ -388,7 +388,7 @@ fn ignored_columns_are_named() {
     let (.., provenance) = table("ignored", "success,mu,ok,weight\n1,0.5,true,3\n0,,false,4\n", "");
     let notes = &source(&provenance).notes;
     for note in [
-        "Column `mu` is ignored: row 1 has no value.",
+        "Parameter `mu`: 1 of 2 rows have no value. They are kept without it.",
         "Column `ok` is ignored: it contains truth values.",
         "Column `weight` is ignored: another column of the dictionary has its name.",
     ] {
@@ -402,4 +402,94 @@ fn dictionary_is_not_imported() {
     let folder = Folder::new("results-dictionary");
     let error = import(&path, &folder.join("d.parquet"), None, &Mapping::default()).unwrap_err().to_string();
     assert!(error.contains("it is already a dictionary"), "{error}");
+}
+
+/// The roles of the columns, as `column: role`.
+fn roles(provenance: &Provenance) -> Vec<String> {
+    source(provenance).columns.iter().map(|column| format!("{}: {}", column.column, column.role)).collect()
+}
+
+#[test]
+fn zstd_pages_are_read() {
+    for name in ["zstd.parquet", "zstd_v2.parquet"] {
+        let (provenance, entries) = imported(&fixture(name), None, &Mapping::default());
+        assert_eq!(words(&entries), ["success", "unknown", "success", "success", "unknown"], "{name}");
+        assert_eq!(entries[4].episode.scenario.requested.number("mass_kg"), Some(2.0));
+        assert_eq!(entries[1].episode.scenario.requested.category("shape"), Some("sphere"));
+        assert_eq!(entries[1].episode.measures.get("episode_length"), Some(200.0));
+        assert_eq!(
+            roles(&provenance),
+            [
+                "success: success",
+                "return: measure return",
+                "episode_length: measure episode_length",
+                "mass_kg: parameter mass_kg",
+                "shape: parameter shape"
+            ]
+        );
+    }
+}
+
+#[test]
+fn rows_without_a_parameter_are_kept() {
+    let (provenance, entries) = imported(&fixture("zstd.parquet"), None, &Mapping::default());
+    assert_eq!((entries.len(), provenance.space.len()), (5, 2));
+    assert!(entries[2].episode.scenario.requested.is_empty());
+    let notes = &source(&provenance).notes;
+    assert!(notes.iter().any(|note| note.starts_with("Parameter `mass_kg`: 1 of 5 rows have no value.")), "{notes:?}");
+}
+
+#[test]
+fn gaps_survive_an_export() {
+    use robogate_dictionary::export::{Format as ExportFormat, write_file};
+    let folder = Folder::new("results-gaps");
+    let (first, again) = (folder.join("first.parquet"), folder.join("again.parquet"));
+    import(&fixture("zstd.parquet"), &first, None, &Mapping::default()).unwrap();
+    let original = Dictionary::open(&first).unwrap();
+    for format in [ExportFormat::Csv, ExportFormat::JsonLines] {
+        let export = folder.join("export");
+        write_file(&original, format, &export).unwrap();
+        import(&export, &again, None, &Mapping::default()).unwrap();
+        let again = Dictionary::open(&again).unwrap();
+        assert_eq!(again.dataset_hash(), original.dataset_hash());
+    }
+}
+
+#[test]
+fn results_become_measures() {
+    let rows =
+        "Success,friction,reward,episode_length,cycle_time,video_path\n1,0.5,3.5,120,4.2,a.mp4\n0,0.1,0.5,400,,b.mp4\n";
+    let (outcomes, _, provenance) = table("measures", rows, "");
+    assert_eq!(outcomes, ["success", "unknown"]);
+    assert_eq!(provenance.space.parameters().iter().map(|p| &*p.name).collect::<Vec<_>>(), ["friction"]);
+    let measures: Vec<&str> = provenance.task.measures.iter().map(|measure| measure.name.as_str()).collect();
+    assert_eq!(measures, ["reward", "episode_length", "cycle_time"]);
+    assert!(roles(&provenance).contains(&"video_path: identifier, not used".to_owned()));
+    // The mapping decides, whatever the name says.
+    let (.., provenance) =
+        table("chosen", rows, "[parameters]\nlength = 'episode_length'\n[measures]\nmu = 'friction'");
+    assert_eq!(provenance.space.parameters().iter().map(|p| &*p.name).collect::<Vec<_>>(), ["length"]);
+    assert!(roles(&provenance).contains(&"friction: measure mu".to_owned()));
+}
+
+#[test]
+fn stated_sampling_is_recorded() {
+    let rows = "success,x\n1,0.5\n0,0.1\n";
+    let (.., provenance) = table("silent", rows, "");
+    assert_eq!((source(&provenance).sampling, source(&provenance).stopping), (None, None));
+    let (.., provenance) = table("stated", rows, "[about]\nsampling = 'uniform'\nstopping = 'monitored'");
+    let stated = (source(&provenance).sampling, source(&provenance).stopping);
+    assert_eq!(stated, (Some(RowSampling::Uniform), Some(Stopping::Monitored)));
+}
+
+#[test]
+fn layouts_of_other_tools_are_understood() {
+    let (provenance, entries) = imported(&fixture("isaac_lab_arena.jsonl"), None, &Mapping::default());
+    assert_eq!(entries.len(), 24);
+    assert!(roles(&provenance).contains(&"episode_length: measure episode_length".to_owned()));
+    assert!(roles(&provenance).contains(&"env_id: identifier, not used".to_owned()));
+    let (provenance, entries) = imported(&fixture("robosuite_rollouts.jsonl"), None, &Mapping::default());
+    assert_eq!(words(&entries).iter().filter(|word| **word == "success").count(), 6);
+    assert!(roles(&provenance).contains(&"Success_Rate: success".to_owned()));
+    assert!(roles(&provenance).contains(&"Horizon: measure Horizon".to_owned()));
 }

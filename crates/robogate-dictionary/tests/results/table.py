@@ -1,4 +1,5 @@
-"""Writes table.parquet, a typical lab table with pandas' missing values, a nested column and snappy compression.
+"""Writes table.parquet, a typical lab table with pandas' missing values, a nested column and snappy compression, and a table
+with missing parameters and results in zstd pages of both versions.
 
 Usage: python table.py   (packages: ../requirements.txt)
 """
@@ -19,3 +20,15 @@ table = pa.table(
     }
 )
 pyarrow.parquet.write_table(table, "table.parquet", compression="snappy")
+
+gaps = pa.table(
+    {
+        "success": pa.array([True, False, True, True, False]),
+        "mass_kg": pa.array([0.25, 1.5, None, 0.75, 2.0]),
+        "shape": pa.array(["box", "sphere", None, "box", "cylinder"]),
+        "return": pa.array([1.0, 0.1, 0.9, 1.0, 0.0]),
+        "episode_length": pa.array([31, 200, 40, 33, 200], pa.int32()),
+    }
+)
+pyarrow.parquet.write_table(gaps, "zstd.parquet", compression="zstd")
+pyarrow.parquet.write_table(gaps, "zstd_v2.parquet", compression="zstd", data_page_version="2.0")

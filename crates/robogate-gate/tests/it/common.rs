@@ -61,6 +61,7 @@ pub(crate) fn label(case: u64) -> Label {
 
 fn record(population: Population, trials: Vec<Trial>) -> Record {
     Record {
+        stopping: None,
         population,
         task: Arc::new(task()),
         robot: "franka".to_owned(),

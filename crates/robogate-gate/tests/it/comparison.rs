@@ -105,6 +105,26 @@ fn imported_pairs_need_case_and_seed() {
 }
 
 #[test]
+fn files_without_cases_are_paired_by_seed() {
+    let (a, b) = (imported(80, |i| i, None), imported(80, |i| 79 - i, None));
+    assert_eq!(ask(&b, &a, 0.05, Sampling::Fixed).unwrap().comparison.unwrap().both, 80);
+}
+
+#[test]
+fn files_without_seeds_are_paired_by_number() {
+    let numbered = |reverse: bool| {
+        let mut record = imported(80, |_| 0, Some("lift"));
+        for (trial, i) in record.trials.iter_mut().zip(0..) {
+            trial.requested =
+                [("source_episode".into(), Value::Integer(if reverse { 79 - i } else { i }))].into_iter().collect();
+        }
+        record
+    };
+    let found = ask(&numbered(true), &numbered(false), 0.05, Sampling::Fixed).unwrap();
+    assert_eq!(found.comparison.unwrap().both, 80);
+}
+
+#[test]
 fn hopeless_comparisons_run_nothing() {
     let none = suite(8, []);
     let planned = |rounds, sampling| Planned { seed: 1, rounds, sampling, alpha: 0.05 };

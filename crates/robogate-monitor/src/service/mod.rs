@@ -20,7 +20,7 @@ pub use fleet::{FleetStatus, OutlierStatus, RecipeFleet, RobotStatus, SpreadStat
 pub use http::{HttpError, HttpSettings, serve};
 pub use intake::{Intake, IntakeError, Refused, Taken};
 pub use mqtt::Broker;
-pub use outputs::{Deliver, Output, OutputError, json_lines, webhook};
+pub use outputs::{Deliver, Output, OutputError, json_lines, of_rule, webhook};
 pub use settings::ServiceSettings;
 pub use status::{DetectorStatus, OutsideStatus, RateStatus, RecipeStatus, Status};
 pub use store::{Store, StoreError, StoreSettings};

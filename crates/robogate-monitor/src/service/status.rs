@@ -61,9 +61,9 @@ impl RateStatus {
 pub struct RecipeStatus {
     /// The recipe.
     pub recipe: String,
-    /// The most severe active level. `None` without an alarm.
+    /// The most severe active level of the detectors. `None` without an alarm.
     pub level: Option<Level>,
-    /// The level of the paper's rule.
+    /// The level of the paper's rule, which has no guarantee.
     pub paper: Option<Level>,
     /// Success rate in the paper's window.
     pub window: RateStatus,
@@ -75,6 +75,8 @@ pub struct RecipeStatus {
     pub detectors: Vec<DetectorStatus>,
     /// Cycles outside the validated region, by parameter, since the detectors started.
     pub outside: Vec<OutsideStatus>,
+    /// The course of the success rate and of the evidence since the first cycle, oldest first.
+    pub series: Vec<crate::SeriesPoint>,
 }
 
 /// The status of a detector.
@@ -145,5 +147,6 @@ fn recipe_status(name: &str, recipe: &Recipe, settings: &Settings) -> RecipeStat
         baseline: recipe.baseline().success_rate(),
         detectors: recipe.detectors(settings).into_iter().map(detector).collect(),
         outside: outside.collect(),
+        series: recipe.series().to_vec(),
     }
 }

@@ -122,3 +122,76 @@ fn change_intervals_cover_the_change() {
     assert!(all > 140, "{all} of 150 changes detected");
     assert!(f64::from(inside) >= 0.9 * f64::from(all), "{inside} of {all} intervals contain the change");
 }
+
+/// Cycles from the change to the first warning of the failure rate, with a baseline that the monitor learns itself.
+fn learnt_delay(stream: u64, change_after: u32, to: f64) -> f64 {
+    let settings = Settings { history_cycles: 16, ..Settings::default() };
+    let mut monitor = Monitor::new(settings).unwrap();
+    let mut random = Seed::campaign(31).episode(stream).stream("learnt");
+    let mut cycle = cycle();
+    cycle.events.clear();
+    cycle.cycle_time_s = None;
+    for n in 1..=change_after + 20_000 {
+        let rate = if n > change_after { to } else { 0.95 };
+        cycle.success = random.uniform() < rate;
+        let mut warned = false;
+        monitor
+            .observe(&cycle, &mut |alarm| {
+                warned |= alarm.rule == Rule::Detector && alarm.happening == Happening::Raised
+            })
+            .unwrap();
+        if warned && n > change_after {
+            return f64::from(n - change_after);
+        }
+    }
+    20_000.0
+}
+
+#[test]
+fn learnt_baseline_finds_small_drops() {
+    let delays: Vec<f64> = (0..60).map(|stream| learnt_delay(stream, 10_000, 0.92)).collect();
+    let found = Mean::of(&delays, 0);
+    assert!(found.mean < 2_000.0, "{found:?}");
+}
+
+#[test]
+fn learnt_baseline_reaches_the_bound() {
+    // No change. The limits are low, so that false alarms happen within the doublings of the learnt rate.
+    let settings = Settings {
+        warning_cycles: 2_000.0,
+        critical_cycles: 2_000.0,
+        history_cycles: 16,
+        shares: Shares {
+            success: 1.0,
+            drop: 0.0,
+            collision: 0.0,
+            cycle_time: 0.0,
+            cycle_time_spread: 0.0,
+            failure_modes: 0.0,
+            outside: 0.0,
+            risk: 0.0,
+            robot: 0.0,
+        },
+        ..Settings::default()
+    };
+    let lengths: Vec<f64> = (0..200)
+        .map(|i| {
+            let mut monitor = Monitor::new(settings.clone()).unwrap();
+            let mut random = Seed::campaign(32).episode(i).stream("learnt null");
+            let mut cycle = cycle();
+            cycle.events.clear();
+            cycle.cycle_time_s = None;
+            for n in 1..=40_000 {
+                cycle.success = random.uniform() < 0.95;
+                let mut alarmed = false;
+                monitor.observe(&cycle, &mut |alarm| alarmed |= alarm.rule == Rule::Detector).unwrap();
+                if alarmed {
+                    return f64::from(n);
+                }
+            }
+            40_000.0
+        })
+        .collect();
+    let found = Mean::of(&lengths, 0);
+    assert!(found.mean >= 2_000.0 - 3.0 * found.se, "{found:?}");
+}

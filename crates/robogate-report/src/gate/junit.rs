@@ -55,8 +55,10 @@ pub fn junit(evaluation: &Evaluation) -> String {
             {
                 "\n"
                 (properties(evaluation))
-                @if no_evidence.is_some() { (case("robogate.gate", "evidence", no_evidence.as_ref())) }
-                @for (id, row) in ids.iter().zip(&rows) { (case("robogate.requirement", id, problem(row).as_ref())) }
+                @if no_evidence.is_some() { (case("robogate.gate", "evidence", &[], no_evidence.as_ref())) }
+                @for (at, (id, row)) in ids.iter().zip(&rows).enumerate() {
+                    (case("robogate.requirement", id, requirement_ids(evaluation, at), problem(row).as_ref()))
+                }
             }
             "\n"
             @if !evaluation.groups.is_empty() {
@@ -101,9 +103,17 @@ fn properties(evaluation: &Evaluation) -> Markup {
     }
 }
 
-fn case(class: &str, name: &str, problem: Option<&Problem>) -> Markup {
+/// The identifiers of the user's requirements that a result verifies. A comparison has none.
+fn requirement_ids(evaluation: &Evaluation, at: usize) -> &[String] {
+    evaluation.results.get(at).map_or(&[], |result| result.requirement.ids.as_slice())
+}
+
+fn case(class: &str, name: &str, ids: &[String], problem: Option<&Problem>) -> Markup {
     html! {
         testcase classname=(class) name=(prose(name)) time="0" {
+            @if !ids.is_empty() {
+                properties { @for id in ids { property name="requirement" value=(prose(id)) {} } }
+            }
             @if let Some(Problem { failure, kind, message, details }) = problem {
                 @if *failure {
                     failure type=(kind) message=(prose(message)) { (prose(details)) }

@@ -3,6 +3,7 @@
 mod junit;
 mod leaderboard;
 mod markdown;
+mod reqif;
 mod verdict;
 
 use robogate_gate::{Evaluation, Metric, Mode, RequirementResult, Sampling, Status};
@@ -10,6 +11,7 @@ use robogate_gate::{Evaluation, Metric, Mode, RequirementResult, Sampling, Statu
 pub use junit::junit;
 pub use leaderboard::{leaderboard_html, leaderboard_markdown, leaderboards_html, leaderboards_markdown};
 pub use markdown::evaluation_markdown;
+pub use reqif::reqif;
 pub(crate) use verdict::VerdictBlock;
 
 use robogate_stats::format::{self, count, fixed, number, percent};
@@ -131,14 +133,23 @@ pub fn what_next(evaluation: &Evaluation) -> String {
     })
 }
 
-/// A sentence on how the figures are compared with the limits.
+/// How the figures are compared with the limits, and which requirements were left out, in sentences.
 pub fn how_judged(evaluation: &Evaluation) -> String {
+    let dropped =
+        evaluation.dropped.iter().map(|d| format!(" Not judged as written: `{}`, because {}.", d.id, d.because));
+    test_used(evaluation) + &dropped.collect::<String>()
+}
+
+fn test_used(evaluation: &Evaluation) -> String {
     let confidence = evaluation.requirements.confidence;
     let (percent, error) = (percent(confidence), percent(1.0 - confidence));
     match (evaluation.requirements.mode, evaluation.sampling) {
         (Mode::Point, _) => "Point comparison: each observed figure is compared with its limit, without an error probability (as in the paper).".to_owned(),
         (Mode::Confidence, Sampling::Fixed) => format!(
             "Each requirement is tested at {percent} confidence by an exact test, with a number of episodes that was fixed in advance. A pass states that all requirements hold, a fail that at least one does not; each is wrong with a probability of at most {error}."
+        ),
+        (Mode::Confidence, Sampling::Sequential) if evaluation.counts.rounds.is_none() => format!(
+            "Each requirement is tested at {percent} confidence by a test that is valid however the number of episodes was chosen. If it was fixed in advance, import with `--stopping fixed`: the exact test needs fewer episodes. A pass states that all requirements hold, a fail that at least one does not; each is wrong with a probability of at most {error}."
         ),
         (Mode::Confidence, Sampling::Sequential) => format!(
             "Each requirement is tested at {percent} confidence after each round, by a test that allows repeated looks at the data. A pass states that all requirements hold, a fail that at least one does not; each is wrong with a probability of at most {error}."

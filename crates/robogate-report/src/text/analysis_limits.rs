@@ -1,6 +1,6 @@
 //! The limits of an analysis in sentences.
 
-use robogate_analysis::{Analysis, Population};
+use robogate_analysis::{Analysis, Population, RowSampling, Stopping};
 use robogate_stats::format::{count, counted, percent_or_dash};
 
 use super::labels;
@@ -9,14 +9,7 @@ use super::labels;
 pub fn limits(analysis: &Analysis) -> Vec<String> {
     let joint = analysis.jointly_sampled();
     let success = &analysis.success;
-    let mut limits = vec![
-        population(analysis, &joint),
-        format!(
-            "The episodes are simulated ({}). Effects that the simulator does not model (lighting, wear, cables, people) are not \
-             included, and no figure was compared with a real robot.",
-            analysis.subject.engine
-        ),
-    ];
+    let mut limits = vec![population(analysis, &joint), origin(analysis)];
     let focused = |population| population == Population::FocusedDesign;
     if success.stages.iter().any(|s| focused(s.population)) && !focused(analysis.population) {
         limits.push(
@@ -33,11 +26,7 @@ pub fn limits(analysis: &Analysis) -> Vec<String> {
             percent_or_dash(success.bounds.best_case)
         ));
     }
-    limits.push(
-        "Intervals assume independent episodes and a number of episodes that was fixed in advance. For the points of a Latin \
-         hypercube they are usually too wide, except the interval with the known distribution of the parameters. They are too narrow if the results are checked repeatedly while episodes are added."
-            .to_owned(),
-    );
+    limits.push(intervals(analysis));
     limits.push(
         "The rate of a bin is an average over all other parameters as they were sampled. With another distribution of these \
          parameters, rates and thresholds change."
@@ -72,16 +61,14 @@ pub fn limits(analysis: &Analysis) -> Vec<String> {
          together (Holm). If no bin is significant, this does not prove safety.",
         count(analysis.danger_zones.tested)
     ));
-    limits.push(causes(!joint.is_empty()));
+    limits.push(causes(analysis, !joint.is_empty()));
     limits
 }
 
 fn population(analysis: &Analysis, joint: &[String]) -> String {
     let real = "A real cell has another distribution of parts, and hence another rate.";
     match analysis.population {
-        Population::AsImported => "How the imported rows were sampled is not known. The ranges are the observed ones, every row counts \
-                                   once, and each rate applies to the unknown distribution of the rows."
-            .to_owned(),
+        Population::AsImported => imported(analysis),
         Population::Suite => "The scenarios of a suite are chosen, and each counts equally. No rate here applies to an operating \
                               space. Scenarios differ in several parameters at once, so the effect of one parameter may be caused \
                               by the others."
@@ -101,7 +88,71 @@ fn population(analysis: &Analysis, joint: &[String]) -> String {
     }
 }
 
-fn causes(joint: bool) -> String {
+/// How the imported rows were sampled, as far as the user stated it.
+fn sampling(analysis: &Analysis) -> Option<RowSampling> {
+    analysis.provenance.source.as_ref()?.sampling
+}
+
+fn imported(analysis: &Analysis) -> String {
+    let ranges = "The ranges are the observed ones, and every row counts once.";
+    match sampling(analysis) {
+        Some(RowSampling::Uniform) => format!(
+            "According to the import, each parameter was sampled independently and uniformly over its range. {ranges}"
+        ),
+        Some(RowSampling::Observed) => {
+            format!("According to the import, the scenarios are those that occurred. {ranges}")
+        }
+        None => format!(
+            "How the imported rows were sampled is not known: state it with `robogate import --sampling`. {ranges} Each rate applies to \
+             the unknown distribution of the rows."
+        ),
+    }
+}
+
+/// Where the episodes come from.
+fn origin(analysis: &Analysis) -> String {
+    let engine = &analysis.subject.engine;
+    let real = ["real", "robot", "hardware"].iter().any(|word| engine.eq_ignore_ascii_case(word));
+    match &analysis.provenance.source {
+        Some(_) if real => "According to the import, the episodes are of a real robot.".to_owned(),
+        Some(_) if engine == "unknown" => {
+            "The import does not state whether the episodes are simulated or of a real robot.".to_owned()
+        }
+        _ => format!(
+            "The episodes are simulated ({engine}). Effects that the simulator does not model (lighting, wear, cables, people) are \
+             not included, and no figure was compared with a real robot."
+        ),
+    }
+}
+
+fn intervals(analysis: &Analysis) -> String {
+    let narrow = "They are too narrow if the results are checked repeatedly while episodes are added";
+    match analysis.provenance.source.as_ref().map(|source| source.stopping) {
+        None => format!(
+            "Intervals assume independent episodes and a number of episodes that was fixed in advance. For the points of a Latin \
+             hypercube they are usually too wide, except the interval with the known distribution of the parameters. {narrow}."
+        ),
+        Some(Some(Stopping::Fixed)) => {
+            "Intervals assume independent episodes. According to the import, their number was fixed in \
+                                        advance."
+                .to_owned()
+        }
+        Some(Some(Stopping::Monitored)) => format!(
+            "Intervals assume independent episodes and a fixed number of them. {narrow}, as it was here according to the import."
+        ),
+        Some(None) => format!(
+            "Intervals assume independent episodes and a fixed number of them; the import does not state how the number was chosen. \
+             {narrow}."
+        ),
+    }
+}
+
+fn causes(analysis: &Analysis, joint: bool) -> String {
+    if analysis.provenance.source.is_some() && sampling(analysis) != Some(RowSampling::Uniform) {
+        return "Correlations, coefficients and thresholds describe the imported rows. Parameters may be correlated with each other \
+                and with causes that were not recorded, so an effect need not be causal."
+            .to_owned();
+    }
     let sampling = if joint {
         "Some parameters were sampled jointly, so the effect of one of them includes those of the others"
     } else {

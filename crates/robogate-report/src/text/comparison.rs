@@ -1,7 +1,7 @@
 //! The headline of a comparison in sentences.
 
 use robogate_analysis::labels::{mode_label, parameter_label};
-use robogate_analysis::{Comparison, PairedComparison};
+use robogate_analysis::{Comparison, PairedComparison, RateDifference};
 use robogate_stats::format::{
     count, counted, list, percent, percent_or_dash, percent_range, points, points_range, sentence,
 };
@@ -10,8 +10,6 @@ use serde::Serialize;
 
 use super::labels;
 
-/// Level of significance, after Holm's adjustment.
-const LEVEL: f64 = 0.05;
 /// Maximum number of differences in the headline.
 const MAX_DIFFERENCES: usize = 6;
 /// Maximum number of paired comparisons in the headline.
@@ -60,8 +58,13 @@ fn answer(of: &Comparison) -> String {
 
 fn paired_answer(pair: &PairedComparison) -> String {
     let Some(difference) = pair.difference else { return "No scenario is valid in both datasets.".to_owned() };
-    let verdict =
-        if pair.holm_p <= LEVEL { "The difference is significant" } else { "The difference is not significant" };
+    let verdict = if pair.is_significant() {
+        "The difference is significant"
+    } else if pair.is_tie() {
+        "It is a tie"
+    } else {
+        "The difference is not significant"
+    };
     format!(
         "On the same {}, {} succeeds in {} and {} in {}. {verdict} ({} points, {}). {} differ in their outcome.",
         counted(pair.valid_pairs, "scenario"),
@@ -84,8 +87,10 @@ fn independent_answer(of: &Comparison) -> String {
         .collect();
     ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
     let order: Vec<String> = ranked.iter().map(|(rate, name)| format!("{name} {}", percent(*rate))).collect();
-    let significant = of.differences.iter().filter(|difference| difference.holm_p <= LEVEL).count();
+    let significant = of.differences.iter().filter(|difference| difference.is_significant()).count();
+    let tie = of.differences.first().is_some_and(RateDifference::is_tie);
     let verdict = match (significant, of.differences.len()) {
+        (0, 1) if tie => "It is a tie".to_owned(),
         (0, 1) => "The difference is not significant".to_owned(),
         (1, 1) => "The difference is significant".to_owned(),
         (0, _) => "No difference is significant".to_owned(),
@@ -115,7 +120,13 @@ fn what_differs(of: &Comparison) -> Vec<String> {
         .iter()
         .take(MAX_DIFFERENCES)
         .map(|d| {
-            let verdict = if d.holm_p <= LEVEL { "" } else { ", not significant" };
+            let verdict = if d.is_significant() {
+                ""
+            } else if d.is_tie() {
+                ", a tie"
+            } else {
+                ", not significant"
+            };
             let paired = d.valid_pairs.map_or_else(String::new, |n| format!(" on the same {}", counted(n, "scenario")));
             format!(
                 "{} compared with {}{paired}: {} points ({}){verdict}.",

@@ -30,6 +30,12 @@ pub fn comparison_limits(of: &Comparison) -> Vec<String> {
                 .to_owned(),
         );
     }
+    if !of.restricted.is_empty() {
+        lines.push(format!(
+            "The spaces differ, so only rows in the shared ranges are compared. {} No rate here applies to a whole space.",
+            of.restricted.join(" ")
+        ));
+    }
     let parameters = different_parameters(of);
     if !parameters.is_empty() {
         lines.push(format!(

@@ -433,7 +433,11 @@ for m in [4.0, 5.2, 5.5, 7.0, 12.0]:
 def walk(p0, alpha, beta, per_round, rounds, p):
     """Propagates the counts of all paths, with the closed form of the evidence from SciPy's binomial."""
     def above(k, n, p0):
-        return st.binom.logcdf(k, n + 1, p0) - math.log((n + 1) * (1 - p0)) - st.binom.logpmf(k, n, p0)
+        """The pooled part of the evidence: the mixture over all larger rates, and "every trial succeeds"."""
+        pooled, always = (0.9, 0.75) if 1 - p0 <= 0.03 + 1e-9 else (0.85, 0.1)
+        mixture = st.binom.logcdf(k, n + 1, p0) - math.log((n + 1) * (1 - p0)) - st.binom.logpmf(k, n, p0)
+        spike = -n * math.log(p0) if k == n else -math.inf
+        return math.log(pooled) + np.logaddexp(math.log(always) + spike, math.log(1 - always) + mixture)
     alive, met, violated, trials = {0: 1.0}, 0.0, 0.0, 0.0
     for r in range(1, rounds + 1):
         trials += per_round * sum(alive.values())

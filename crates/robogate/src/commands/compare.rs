@@ -29,6 +29,9 @@ pub(crate) struct Compare {
     /// Compare scenario by scenario; all of them must have the same design
     #[arg(long)]
     paired: bool,
+    /// Compare dictionaries with different parameter spaces: only their rows in the shared ranges
+    #[arg(long, conflicts_with = "paired")]
+    common: bool,
     /// Print one versioned JSON document
     #[arg(long)]
     json: bool,
@@ -81,6 +84,7 @@ impl Compare {
             reach_m: self.reach.clone(),
             workspace_m: self.workspace,
             paired: self.paired,
+            common: self.common,
             max_flips: self.flips,
         };
         let comparison = Comparison::of(&sources, &options).map_err(exit)?;
@@ -209,21 +213,27 @@ fn differences(of: &Comparison) {
     if of.differences.is_empty() {
         return;
     }
-    heading("Differences in points (Newcombe 95 %, Holm over all pairs)");
+    heading("Differences in points (95 % for all pairs together)");
     for d in &of.differences {
         let text = format!(
-            "  {} {:>7}  {}  {:<9}  p (Holm) {:>8}  {}",
+            "  {} {:>7}  {}  {:<11}  p {:>8}  {}",
             fit(&format!("{} - {}", d.first, d.second), 28),
             points(d.difference),
             points_interval(d.interval_95),
-            d.z.map_or_else(|| d.test().to_owned(), |z| format!("z {z:>7.2}")),
-            p_value(d.holm_p.max(f64::MIN_POSITIVE).ln()),
-            if d.holm_p <= 0.05 { "significant" } else { "" }
+            d.test(),
+            p_value(d.adjusted_p.max(f64::MIN_POSITIVE).ln()),
+            if d.is_significant() {
+                "significant"
+            } else if d.is_tie() {
+                "tie"
+            } else {
+                ""
+            }
         );
-        if d.holm_p <= 0.05 { line(text) } else { line(dim(text.trim_end())) }
+        if d.is_significant() { line(text) } else { line(dim(text.trim_end())) }
     }
     if of.differences.iter().any(|d| d.valid_pairs.is_some()) {
-        wrapped("McNemar: the same scenarios, paired (exact test, paired interval). z: independent runs (z-test).");
+        wrapped("paired: the same scenarios in both. Interval and p-value come from one score test, so they agree.");
     }
 }
 
@@ -241,12 +251,13 @@ fn paired(pair: &PairedComparison) {
     }
     if let Some(difference) = pair.difference {
         line(format_args!(
-            "  {} {:>7}  {} points, McNemar exact p {}, Holm {}",
+            "  {} {:>7}  {} points, p {}, for all pairs {}{}",
             fit("difference", 22),
             points(difference),
             points_interval(pair.difference_95),
             p_value(pair.ln_p),
-            p_value(pair.holm_p.max(f64::MIN_POSITIVE).ln())
+            p_value(pair.adjusted_p.max(f64::MIN_POSITIVE).ln()),
+            if pair.is_tie() { ", tie" } else { "" }
         ));
     }
     line(format_args!(

@@ -12,14 +12,15 @@ use robogate_campaign::{Completion, DEFAULT_SEED, Event, Plan, Round, Settings};
 use robogate_core::{Suite, TaskSpec};
 use robogate_dictionary::{Label, Provenance};
 use robogate_gate::{
-    Against, Asked, AskedAgainst, Baseline, Evaluation, GateError, GatePlan, Mode, Planned, Question, Record,
+    Against, Asked, AskedAgainst, Baseline, Evaluation, GateError, GatePlan, Mode, PairPlan, Planned, Question, Record,
     Requirements, Sampling, Trial, Verdict,
 };
 use robogate_physics::SuctionLaw;
-use robogate_report::{evaluation_markdown, junit};
+use robogate_report::{evaluation_markdown, junit, reqif};
 
 use crate::answer;
 use crate::benchmark;
+use crate::commands::rival::Rival;
 use crate::commands::run::{How, free_folder, interrupted, introduce, write_report};
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
@@ -50,10 +51,17 @@ pub(crate) struct Gate {
     /// replace that one
     #[arg(long, value_name = "FILE|RUN")]
     baseline: Option<PathBuf>,
-    /// Set the non-inferiority margin: how far the success rate may lie below that of the baseline run; default: 0.05,
-    /// with --run the margin of its gate
+    /// Set the non-inferiority margin: how far the success rate may lie below that of the baseline run or of the policy
+    /// of --against; default: 0.05, with --run the margin of its gate
     #[arg(long, value_name = "SHARE")]
     margin: Option<f64>,
+    /// Also test whether this policy may replace another one, which runs the same scenarios round by round: `random`,
+    /// `scripted`, the address of a policy server, or an ONNX file
+    #[arg(long, value_name = "URL|FILE|random|scripted", conflicts_with_all = ["run", "baseline"])]
+    against: Option<String>,
+    /// Choose the observation and action mapping of the policy of --against
+    #[arg(long, value_name = "NAME|FILE", requires = "against")]
+    against_profile: Option<String>,
     /// Set the maximum number of rounds of the suite; default: the budget of the requirements, or 1 for a published
     /// benchmark
     #[arg(long, value_name = "N")]
@@ -93,7 +101,7 @@ const INDUSTRIAL_68: &str = "industrial-68";
 const SAMPLED_SCENARIOS: usize = 64;
 
 /// The files of the evaluation in a run's folder.
-const ANSWER: [&str; 3] = ["gate.json", "gate.md", "gate.junit.xml"];
+const ANSWER: [&str; 4] = ["gate.json", "gate.md", "gate.junit.xml", "gate.reqif"];
 
 /// The built-in baselines.
 const BASELINES: [&str; 1] = [include_str!("../../../../assets/baselines/franka-industrial-68.json")];
@@ -221,20 +229,39 @@ impl Gate {
             robogate_gate::check_pairing(a, &record, planned, margin).map_err(refused)?;
         }
         if self.plan {
+            let pairs = match self.against {
+                Some(_) => {
+                    let (alpha, per_round) = (requirements.alpha(), labels.len() as u64);
+                    Some(PairPlan::of(margin, alpha, per_round, u64::from(rounds)).map_err(refused)?)
+                }
+                None => None,
+            };
             if self.how.json {
-                let document = serde_json::to_string_pretty(&gate_plan).or_broken()?;
-                line(document);
+                let mut document = serde_json::to_value(&gate_plan).or_broken()?;
+                if let (Some(document), Some(pairs)) = (document.as_object_mut(), &pairs) {
+                    document.insert("against".to_owned(), serde_json::to_value(pairs).or_broken()?);
+                }
+                line(serde_json::to_string_pretty(&document).or_broken()?);
             } else {
                 answer::print_plan(&gate_plan);
+                pairs.iter().for_each(answer::print_pair_plan);
             }
             return Ok(DONE);
         }
+        let mut rival = match &self.against {
+            None => None,
+            Some(policy) => {
+                let source = PolicyArguments::of(policy, self.against_profile.as_deref()).source()?;
+                let environment = self.environment.environment(SuctionLaw::Vacuum)?;
+                Some(Rival::new(Subject::new(environment, source)?, &planned, self.how.threads_for_rival())?)
+            }
+        };
         let against = other.record.as_ref().map(|(path, record)| AskedAgainst {
             path: path.canonicalize().unwrap_or_else(|_| path.clone()).to_string_lossy().into_owned(),
             dataset_sha256: record.dataset_sha256.clone(),
             margin,
         });
-        let asked = Asked { format: Asked::FORMAT, requirements, baseline: other.baseline, against, sampling };
+        let mut asked = Asked { format: Asked::FORMAT, requirements, baseline: other.baseline, against, sampling };
         if let (Some(shards), Some(dir)) = (self.divide, &self.out) {
             let question = asked.to_json();
             let documents = [(Asked::FILE, question.as_bytes())];
@@ -260,10 +287,25 @@ impl Gate {
                 plan.seed
             ));
         }
-        let other = other.record.map(|(_, record)| record);
+        if let Some(rival) = &rival {
+            // Its rows do not exist yet. The file is written again once they do.
+            asked.against = Some(AskedAgainst { path: rival.file(&dir), dataset_sha256: String::new(), margin });
+            note(format_args!("against {}: the same scenarios, round by round", rival.name()));
+        }
+        let mut other = other.record.map(|(_, record)| record);
         let mut trouble = None;
+        let mut broken = None;
         let completion = {
-            let mut look = Look { asked: &asked, other: other.as_ref(), record: &mut record, trouble: &mut trouble };
+            let mut after = |round: &Round<'_>| {
+                if let Some(rival) = &mut rival
+                    && let Err(error) = rival.run(round)
+                {
+                    broken = Some(error);
+                    return ControlFlow::Break(());
+                }
+                let other = rival.as_ref().map(Rival::record).or(other.as_ref());
+                Look { asked: &asked, other, record: &mut record, trouble: &mut trouble }.after(round)
+            };
             self.how.carry(&subject, |executor, events| {
                 let mut events = |event: &Event| {
                     // The folder exists and contains the plan; no episode has run yet.
@@ -272,12 +314,20 @@ impl Gate {
                     }
                     events(event);
                 };
-                robogate_campaign::start_in_rounds(&dir, &plan, provenance, executor, &mut events, &mut |round| {
-                    look.after(round)
-                })
+                robogate_campaign::start_in_rounds(&dir, &plan, provenance, executor, &mut events, &mut after)
             })
-        };
-        finish(&dir, &asked, other.as_ref(), trouble, completion?, self.how.json)
+        }?;
+        if let Some(error) = broken {
+            return Err(error);
+        }
+        if let (Some(rival), Completion::Finished { .. }) = (rival, &completion) {
+            let (path, record) = rival.write(&dir)?;
+            let dataset_sha256 = record.dataset_sha256.clone();
+            asked.against = Some(AskedAgainst { path, dataset_sha256, margin });
+            write_question(&dir, &asked);
+            other = Some(record);
+        }
+        finish(&dir, &asked, other.as_ref(), trouble, completion, self.how.json)
     }
 
     /// The suite of the arguments, or that of the built-in cell, or one sampled from the environment's space.
@@ -441,7 +491,7 @@ pub(crate) fn finish(
 }
 
 fn write_answer(dir: &Path, evaluation: &Evaluation) -> Result<(), Exit> {
-    let texts = [evaluation.to_json(), evaluation_markdown(evaluation), junit(evaluation)];
+    let texts = [evaluation.to_json(), evaluation_markdown(evaluation), junit(evaluation), reqif(evaluation)];
     for (name, text) in ANSWER.iter().zip(texts) {
         let path = dir.join(name);
         fs::write(&path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;

@@ -1,11 +1,12 @@
 //! `robogate import`: converts the results of another tool to a dictionary.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use robogate_core::Word;
 use robogate_dictionary::results::{Format, Mapping, import};
+use robogate_dictionary::{RowSampling, Stopping};
 
 use crate::commands::export::require_absent;
 use crate::exit::{DONE, Exit, OrExit};
@@ -15,9 +16,11 @@ use crate::terminal::{foreign, grouped, note};
 ///
 /// Reads LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON dictionaries, and tables with one
 /// row per episode: CSV, JSON Lines or Parquet, including those of `robogate export`. The table columns success,
-/// failure_mode, failure_type, cycle_time_s, error, seed, case, category and group are recognised by name. Every other
-/// column is a parameter, unless the mapping assigns it another role (`--map flag.jammed=jam_detected`). Every word is
-/// accepted as a failure mode. Episodes that ended with an error become invalid episodes, not failures.
+/// failure_mode, failure_type, cycle_time_s, error, seed, case, category and group are recognised by name, in any
+/// spelling. Columns whose name says reward, return, length or time are measures, and identifiers are not used. Every
+/// other column is a parameter, unless the mapping assigns it another role (`--map flag.jammed=jam_detected`). The
+/// command prints the role of each column. Every word is accepted as a failure mode. Episodes that ended with an error
+/// become invalid episodes, not failures.
 #[derive(Debug, Args)]
 pub(crate) struct Import {
     /// File with the results
@@ -46,11 +49,35 @@ pub(crate) struct Import {
     /// Set the name of the simulator, or `real`
     #[arg(long)]
     simulator: Option<String>,
+    /// State how the scenarios were chosen; default: unknown, and nothing is claimed about it
+    #[arg(long)]
+    sampling: Option<Sampled>,
+    /// State how the number of episodes was chosen; default: unknown, and the gate uses a test that is valid for both
+    #[arg(long)]
+    stopping: Option<Stopped>,
+}
+
+/// How the scenarios were chosen.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Sampled {
+    /// Each parameter independently and uniformly over its range
+    Uniform,
+    /// As they occurred; parameters may be correlated
+    Observed,
+}
+
+/// How the number of episodes was chosen.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Stopped {
+    /// Before the first episode
+    Fixed,
+    /// While results came in
+    Monitored,
 }
 
 /// The format of the results.
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum Layout {
+pub(crate) enum Layout {
     /// The JSON dictionary released with the paper
     Published,
     /// eval_info.json of LeRobot
@@ -87,6 +114,14 @@ impl Import {
         let format = source.clone().map(|source| source.format.as_str()).next().unwrap_or_default();
         note(format_args!("{}: {} rows from {format}", foreign(self.out.display()), grouped(imported.written.rows)));
         source.clone().flat_map(|source| &source.notes).for_each(|remark| note(format_args!("  {}", foreign(remark))));
+        for column in source.clone().flat_map(|source| &source.columns) {
+            let values = if column.values < imported.written.rows {
+                format!(" ({} of {} rows)", grouped(column.values), grouped(imported.written.rows))
+            } else {
+                String::new()
+            };
+            note(format_args!("  column {}: {}{values}", foreign(&column.column), foreign(&column.role)));
+        }
         for what in source.flat_map(|source| &source.not_recorded) {
             note(format_args!("  {what}: not recorded by the source, so it has no rate"));
         }
@@ -94,18 +129,7 @@ impl Import {
     }
 
     fn mapping(&self) -> Result<Mapping, Exit> {
-        let mut mapping = match &self.mapping {
-            None => Mapping::default(),
-            Some(path) => {
-                let text = std::fs::read_to_string(path)
-                    .with_context(|| format!("cannot read the mapping {}", path.display()))
-                    .or_usage()?;
-                Mapping::from_toml(&text, &path.display().to_string()).or_usage()?
-            }
-        };
-        for pairs in &self.map {
-            mapping.add(pairs, "--map").or_usage()?;
-        }
+        let mut mapping = open_mapping(self.mapping.as_deref(), &self.map)?;
         if let Some(task) = &self.task {
             mapping.about.task = Some(Word::new(task).context("--task").or_usage()?);
         }
@@ -118,6 +142,35 @@ impl Import {
                 place.clone_from(given);
             }
         }
+        if let Some(sampling) = self.sampling {
+            mapping.about.sampling = Some(match sampling {
+                Sampled::Uniform => RowSampling::Uniform,
+                Sampled::Observed => RowSampling::Observed,
+            });
+        }
+        if let Some(stopping) = self.stopping {
+            mapping.about.stopping = Some(match stopping {
+                Stopped::Fixed => Stopping::Fixed,
+                Stopped::Monitored => Stopping::Monitored,
+            });
+        }
         Ok(mapping)
     }
+}
+
+/// The mapping of a file, completed with pairs of the command line.
+pub(crate) fn open_mapping(file: Option<&Path>, pairs: &[String]) -> Result<Mapping, Exit> {
+    let mut mapping = match file {
+        None => Mapping::default(),
+        Some(path) => {
+            let text = std::fs::read_to_string(path)
+                .with_context(|| format!("cannot read the mapping {}", path.display()))
+                .or_usage()?;
+            Mapping::from_toml(&text, &path.display().to_string()).or_usage()?
+        }
+    };
+    for pairs in pairs {
+        mapping.add(pairs, "--map").or_usage()?;
+    }
+    Ok(mapping)
 }

@@ -1,6 +1,7 @@
 //! The verbs of the command.
 
 pub(crate) mod analyze;
+pub(crate) mod audit;
 pub(crate) mod baseline;
 pub(crate) mod bridge;
 pub(crate) mod check;
@@ -22,6 +23,7 @@ pub(crate) mod policy;
 pub(crate) mod replay;
 pub(crate) mod report;
 pub(crate) mod resume;
+pub(crate) mod rival;
 pub(crate) mod robots;
 pub(crate) mod run;
 pub(crate) mod serve;

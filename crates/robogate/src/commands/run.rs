@@ -234,6 +234,11 @@ impl Run {
 }
 
 impl How {
+    /// The number of threads for a second policy, if the environment does not limit it.
+    pub(crate) fn threads_for_rival(&self) -> NonZeroUsize {
+        self.threads.or_else(|| std::thread::available_parallelism().ok()).unwrap_or(NonZeroUsize::MIN)
+    }
+
     /// Runs `work` on a thread pool that Ctrl-C stops.
     pub(crate) fn with_pool<T>(
         &self,

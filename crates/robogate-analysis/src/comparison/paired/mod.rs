@@ -5,9 +5,8 @@ mod disagreement;
 mod flips;
 mod rows;
 
-use robogate_stats::compare::{Pairs, mcnemar_exact, newcombe_paired};
-use robogate_stats::multiplicity::holm;
-use robogate_stats::{Confidence, Trials};
+use robogate_stats::compare::Pairs;
+use robogate_stats::{Trials, difference};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -18,6 +17,7 @@ pub use flips::Flip;
 use crate::AnalysisError;
 use crate::comparison::ComparisonError;
 use crate::comparison::dataset::Dataset;
+use crate::comparison::differences::{ERROR, adjusted, level};
 use crate::rate::{Finding, Rate, ends};
 use crate::table::Ending;
 use rows::{Design, PairedRows};
@@ -47,12 +47,13 @@ pub struct PairedComparison {
     pub second_rate: Rate,
     /// First rate minus second. `None` without valid pairs.
     pub difference: Option<f64>,
-    /// Newcombe's paired 95 % interval of the difference.
+    /// Interval of the difference at 95 % for all pairs of datasets together (Bonferroni). It excludes 0 if and only if
+    /// `adjusted_p` is at most 0.05, because both come from one score test.
     pub difference_95: [f64; 2],
-    /// ln of McNemar's exact two-sided p-value.
+    /// ln of the two-sided p-value of equal rates, for this pair of datasets alone.
     pub ln_p: f64,
-    /// The p-value, adjusted by Holm over all pairs of datasets.
-    pub holm_p: f64,
+    /// The p-value, adjusted by Bonferroni over all pairs of datasets.
+    pub adjusted_p: f64,
     /// Invalid scenarios, and the bounds that they leave.
     pub invalid: PairedInvalid,
     /// Cross table of the outcomes.
@@ -61,6 +62,18 @@ pub struct PairedComparison {
     pub disagreement: Finding<DisagreementMap>,
     /// Scenarios with different outcomes: the first ones of each direction.
     pub flips: Vec<Flip>,
+}
+
+impl PairedComparison {
+    /// Whether the rates differ significantly.
+    pub fn is_significant(&self) -> bool {
+        self.adjusted_p <= ERROR
+    }
+
+    /// Whether both succeeded equally often.
+    pub fn is_tie(&self) -> bool {
+        self.valid_pairs > 0 && self.first_only == self.second_only
+    }
 }
 
 /// Scenarios that are invalid in one of the two.
@@ -90,11 +103,12 @@ pub(crate) fn paired(
 ) -> Result<Vec<PairedComparison>, ComparisonError> {
     let designs = datasets.iter().map(|dataset| Design::of(dataset));
     let designs: Vec<Design> = designs.collect::<Result<_, _>>().map_err(AnalysisError::from)?;
+    let family = datasets.len() * datasets.len().saturating_sub(1) / 2;
     let mut found = Vec::new();
     for (i, first) in datasets.iter().enumerate() {
         for (j, second) in datasets.iter().enumerate().skip(i + 1) {
             match PairedRows::of(first, &designs[i], second, &designs[j]) {
-                Ok(pairs) => found.push(compared(&pairs, pair, max_flips)),
+                Ok(pairs) => found.push(compared(&pairs, pair, max_flips, family)),
                 Err(difference) => {
                     let (first, second) = (first.name.clone(), second.name.clone());
                     return Err(ComparisonError::NotTheSameDesign { first, second, difference });
@@ -102,15 +116,12 @@ pub(crate) fn paired(
             }
         }
     }
-    let p: Vec<f64> = found.iter().map(|of| of.ln_p.exp()).collect();
-    let adjusted = holm(&p).unwrap_or_else(|_| vec![1.0; p.len()]);
-    found.iter_mut().zip(adjusted).for_each(|(of, p)| of.holm_p = p);
     Ok(found)
 }
 
-fn compared(pairs: &PairedRows<'_>, pair: Option<(&str, &str)>, max_flips: usize) -> PairedComparison {
+fn compared(pairs: &PairedRows<'_>, pair: Option<(&str, &str)>, max_flips: usize, family: usize) -> PairedComparison {
     let counts = pairs.counts();
-    let difference = newcombe_paired(counts, Confidence::P95);
+    let difference = difference::paired(counts, level(family));
     let rate = |successes| Rate::of(Trials::new(successes, counts.n()).unwrap_or(Trials::NONE));
     PairedComparison {
         first: pairs.first.name.clone(),
@@ -125,8 +136,8 @@ fn compared(pairs: &PairedRows<'_>, pair: Option<(&str, &str)>, max_flips: usize
         second_rate: rate(counts.both + counts.second_only),
         difference: difference.estimate,
         difference_95: ends(difference.interval),
-        ln_p: mcnemar_exact(counts).max(f64::MIN),
-        holm_p: 1.0,
+        ln_p: difference.ln_p.max(f64::MIN),
+        adjusted_p: adjusted(difference.ln_p, family),
         invalid: invalid(pairs),
         outcomes: CrossTable::of(pairs),
         disagreement: disagreement::disagreement(pairs, pair),

@@ -88,17 +88,8 @@ impl<'a> Survey<'a> {
 
     pub(super) fn row(&mut self, fields: &[Field]) -> Result<(), DictionaryError> {
         for (at, observed) in self.layout.parameters.clone().zip(&mut self.parameters) {
-            match &fields[at] {
-                Field::Missing => {
-                    return Err(wrong(
-                        self.path,
-                        self.rows,
-                        &self.names[at],
-                        "a missing value",
-                        "cannot be used. Expected a value in every row",
-                    ));
-                }
-                field => observed.take(field),
+            if fields[at] != Field::Missing {
+                observed.take(&fields[at]);
             }
         }
         let Places { seed, outcome, time, phase } = self.places;
@@ -172,6 +163,9 @@ impl<'a> Survey<'a> {
                 sha256: sha256.to_owned(),
                 notes,
                 not_recorded,
+                columns: Vec::new(),
+                sampling: about.sampling,
+                stopping: about.stopping,
             }),
         };
         Ok(Plan { path: self.path, provenance, columns, row: 0 })

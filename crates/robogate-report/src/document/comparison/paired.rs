@@ -54,8 +54,8 @@ fn facts(pair: &PairedComparison) -> Vec<(String, String)> {
     let mut facts = vec![
         ("Difference".to_owned(), difference),
         (
-            "McNemar, exact".to_owned(),
-            format!("p = {}; {} after Holm adjustment over all pairs", p_value(pair.ln_p), plain_p(pair.holm_p)),
+            "Score test".to_owned(),
+            format!("p = {}; {} for all pairs of datasets together", p_value(pair.ln_p), plain_p(pair.adjusted_p)),
         ),
         ("Scenarios".to_owned(), format!("{}, {} valid in both", count(pair.scenarios), count(pair.valid_pairs))),
     ];

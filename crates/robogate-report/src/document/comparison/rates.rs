@@ -1,7 +1,7 @@
 //! Success rates and their differences.
 
 use robogate_analysis::{Comparison, Finding};
-use robogate_stats::format::{count, fixed, p_value, percent, percent_or_dash, percent_range, points, points_range};
+use robogate_stats::format::{count, p_value, percent, percent_or_dash, percent_range, points, points_range};
 
 use super::{Block, Figure, Section, Table, population};
 use crate::document::Kind::{Number, Short, Text};
@@ -56,7 +56,7 @@ fn differences(of: &Comparison) -> Figure {
             label: format!("{} \u{2212} {}", d.first, d.second),
             estimate: 100.0 * d.difference,
             interval: d.interval_95.map(|end| 100.0 * end),
-            significant: d.holm_p <= 0.05,
+            significant: d.is_significant(),
             series: None,
         })
         .collect();
@@ -66,19 +66,19 @@ fn differences(of: &Comparison) -> Figure {
             d.second.clone(),
             points(d.difference),
             points_range(d.interval_95),
-            d.z.map_or_else(|| d.test().to_owned(), |z| format!("z {}", fixed(z, 2))),
-            or_dash(d.ln_p, p_value),
-            plain_p(d.holm_p),
+            d.test().to_owned(),
+            p_value(d.ln_p),
+            plain_p(d.adjusted_p),
         ]
     });
     let columns = [
         ("first", Text),
         ("second", Text),
         ("points", Number),
-        ("95 % (Newcombe)", Number),
+        ("95 %, all pairs", Number),
         ("test", Short),
         ("p", Number),
-        ("p (Holm)", Number),
+        ("p, all pairs", Number),
     ];
     Figure {
         title: "Differences of success rates".to_owned(),
@@ -89,9 +89,9 @@ fn differences(of: &Comparison) -> Figure {
             "Differences of success rates in percentage points",
         ),
         is_map: false,
-        caption: "Percentage points with Newcombe's interval. A filled dot is a significant difference (Holm over all pairs). \
-                  Datasets with the same scenarios are paired (McNemar's exact test, Newcombe's paired interval); the others are \
-                  independent runs (z-test)."
+        caption: "Percentage points. Interval and p-value come from one score test and hold for all pairs together (Bonferroni): the \
+                  interval excludes 0 exactly if p is at most 0.05, shown by a filled dot. Datasets with the same scenarios are paired \
+                  (Tango); the others are independent runs (Miettinen and Nurminen)."
             .to_owned(),
         findings: Vec::new(),
         table: Table::new("Differences", &columns, rows.collect()).at_most(MAX_ROWS),

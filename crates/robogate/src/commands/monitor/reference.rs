@@ -5,13 +5,15 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
-use robogate_analysis::{Analysis, AnalysisOptions, Finding, Population, RiskModel};
+use robogate_analysis::{Analysis, AnalysisOptions, Finding, Population, RiskModel, Source};
 use robogate_core::{Domain, Parameter};
 use robogate_dictionary::{Column, Dictionary, DictionaryError};
+use robogate_gate::{Asked, Metric};
 use robogate_monitor::domain::{self, Risk, RiskTerm, Validated};
 use robogate_monitor::{Baseline, Count, ModeCounts, Reference};
 
 use crate::commands::analyze::analyse;
+use crate::commands::gate::{open_requirements, refused};
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::source::open_source;
 use crate::terminal::{grouped, line, note};
@@ -21,13 +23,23 @@ const NEAR: f64 = 0.02;
 
 /// Write the reference file of a run: baseline, envelope and risk model.
 ///
-/// The file contains the counts of successes and failure modes, the range or the categories of each parameter in the
-/// valid episodes, and the risk model with the covariance of its coefficients. An end of the operating range counts as
+/// The file contains the counts of successes (and of failure modes, for episodes of a real robot), the range or the
+/// categories of each parameter in the valid episodes, and the risk model with the covariance of its coefficients. An end of the operating range counts as
 /// validated if an episode came within 2 % of the range to it.
+///
+/// A run whose success rate is below the limit of its gate is rejected, because a monitor with this baseline would
+/// accept what the gate rejects: use the run of a gate that passed, or --learn-baseline.
 #[derive(Debug, Args)]
 pub(super) struct ReferenceOf {
     /// Folder of a run, or a dictionary
     run: PathBuf,
+    /// Leave the success rate out. The monitor learns it from the first cycles of the robot
+    #[arg(long)]
+    learn_baseline: bool,
+    /// Take the smallest accepted success rate from these requirements; default: those of the run's gate, otherwise
+    /// `default`
+    #[arg(long, value_name = "NAME|FILE")]
+    requirements: Option<String>,
     /// File to write, - for stdout
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
@@ -49,10 +61,13 @@ impl ReferenceOf {
             policy: analysis.subject.policy.clone(),
             population: analysis.population.describe().to_owned(),
             dataset_sha256: analysis.subject.dataset_hash.clone(),
-            baseline: baseline(&analysis),
+            baseline: self.baseline(&analysis),
             domain: domain::Domain { envelope, risk: analysis.risk.estimated().map(risk) },
+            simulated: is_simulated(&analysis),
+            required_success: self.required_success(&source)?,
         };
-        reference.check().or_broken()?;
+        // A reference that the monitor would reject is not written.
+        reference.check().or_usage()?;
         let text = serde_json::to_string_pretty(&reference).map_err(anyhow::Error::from).or_broken()?;
         if self.out.as_os_str() == "-" {
             line(text);
@@ -67,6 +82,11 @@ impl ReferenceOf {
 
     fn report(&self, analysis: &Analysis, reference: &Reference) {
         note(format_args!("{}: {} on {}", self.out.display(), reference.policy, reference.robot));
+        if reference.simulated && self.mixes_modes(analysis) {
+            note(
+                "  no mix of failure modes: that of a simulator differs from that of the robot, so the monitor learns it from the robot",
+            );
+        }
         match reference.baseline.success {
             Some(Count { count, of }) => note(format_args!(
                 "  baseline: {} of {} episodes succeeded; {}",
@@ -74,6 +94,9 @@ impl ReferenceOf {
                 grouped(of),
                 reference.population
             )),
+            None if self.learn_baseline => {
+                note("  no baseline: the monitor learns the success rate from the first cycles")
+            }
             None => note(
                 "  no baseline: focused episodes do not estimate the rate of the operating space; the monitor learns it from the first cycles",
             ),
@@ -89,7 +112,44 @@ impl ReferenceOf {
     }
 }
 
-/// The counts of the run. `None` for a focused design, because its rate does not estimate that of the operating space.
+/// Whether the episodes come from a simulator. An import names its origin.
+fn is_simulated(analysis: &Analysis) -> bool {
+    let real = ["real", "robot", "hardware"].iter().any(|word| analysis.subject.engine.eq_ignore_ascii_case(word));
+    !(real && analysis.provenance.source.is_some())
+}
+
+impl ReferenceOf {
+    /// The smallest success rate that the gate of this run accepts. `None` if its requirements have no such limit.
+    fn required_success(&self, source: &Source) -> Result<Option<f64>, Exit> {
+        let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
+        let requirements = match (&self.requirements, asked) {
+            (None, Some(asked)) => asked.requirements,
+            (name, _) => {
+                open_requirements(name.as_deref().unwrap_or("default"), &source.dictionary().provenance().task)?
+            }
+        };
+        let whole = |r: &&robogate_gate::Requirement| {
+            r.metric == Metric::Success && r.category.is_none() && r.group.is_none() && r.each.is_none()
+        };
+        Ok(requirements.requirement.iter().filter(whole).filter_map(|r| r.at_least).reduce(f64::max))
+    }
+
+    fn mixes_modes(&self, analysis: &Analysis) -> bool {
+        analysis.failure_modes.modes.iter().any(|share| share.failures > 0)
+    }
+
+    /// The counts of the run. Empty for a focused design, because its rate does not estimate that of the operating
+    /// space.
+    fn baseline(&self, analysis: &Analysis) -> Baseline {
+        let full = baseline(analysis);
+        Baseline {
+            success: full.success.filter(|_| !self.learn_baseline),
+            failure_modes: full.failure_modes.filter(|_| !is_simulated(analysis)),
+            ..full
+        }
+    }
+}
+
 fn baseline(analysis: &Analysis) -> Baseline {
     if analysis.population == Population::FocusedDesign {
         return Baseline::default();

@@ -11,11 +11,12 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use robogate_monitor::service::{
-    Broker, Deliver, Handle, HttpError, Intake, Output, ServiceEngine, Store, Taken, json_lines, serve, webhook,
+    Broker, Deliver, Handle, HttpError, Intake, Output, ServiceEngine, Store, Taken, json_lines, of_rule, serve,
+    webhook,
 };
-use robogate_monitor::{Level, Monitor};
+use robogate_monitor::{Level, Monitor, Rule};
 
 use super::Watched;
 use crate::exit::{DONE, Exit, FAIL, INFRASTRUCTURE, INVALID, OrExit};
@@ -32,7 +33,7 @@ const LONGEST_LINE: usize = 1 << 20;
 ///
 /// Cycles come from a file or pipe (JSON Lines), by HTTP (POST /v1/cycles) or by MQTT. Alarms go to stdout as JSON
 /// Lines, and optionally to webhooks and MQTT. Acknowledged cycles are in the store. With only a file or pipe, the
-/// command ends with it: exit code 1 if a critical alarm is active, 4 if there was no cycle.
+/// command ends with it: exit code 1 if a critical alarm of a detector is active, 4 if there was no cycle.
 #[derive(Debug, Args)]
 pub(super) struct Serve {
     /// Read cycles from this file or pipe as JSON Lines, - for stdin
@@ -59,8 +60,24 @@ pub(super) struct Serve {
     /// Publish alarms on this MQTT topic
     #[arg(long, value_name = "TOPIC", requires = "mqtt")]
     mqtt_alarms: Option<String>,
+    /// Append the alarms of the paper's rule to this file (JSON lines); default: they are only stored. They have no
+    /// guarantee, so the other outputs never contain them
+    #[arg(long, value_name = "FILE")]
+    paper_alarms: Option<PathBuf>,
+    /// Choose which critical alarms set exit code 1 at the end of the feed
+    #[arg(long, value_name = "STREAM", default_value = "guaranteed")]
+    exit_on: ExitOn,
     #[command(flatten)]
     watched: Watched,
+}
+
+/// The alarms that set the exit code.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ExitOn {
+    /// Those of the detectors, whose false-alarm rate is bounded
+    Guaranteed,
+    /// Those of the detectors and of the paper's rule
+    Any,
 }
 
 /// An event that ends the command.
@@ -113,7 +130,11 @@ impl Serve {
                 End::Feed(Ok(taken)) => {
                     say(&taken);
                     if !serves {
-                        code = if taken.accepted + taken.duplicates == 0 { INVALID } else { exit_code(&engine) };
+                        code = if taken.accepted + taken.duplicates == 0 {
+                            INVALID
+                        } else {
+                            exit_code(&engine, self.exit_on)
+                        };
                         break;
                     }
                 }
@@ -153,6 +174,15 @@ impl Serve {
         all.extend(self.webhook.iter().map(|url| (format!("webhook {url}"), webhook(url.clone()))));
         if let (Some(broker), Some(topic)) = (broker, &self.mqtt_alarms) {
             all.push((format!("mqtt {topic}"), broker.alarms(topic.clone())));
+        }
+        for (_, deliver) in &mut all {
+            let inner = std::mem::replace(deliver, Box::new(|_| Ok(())));
+            *deliver = of_rule(Rule::Detector, inner);
+        }
+        if let Some(path) = &self.paper_alarms {
+            let file = File::options().create(true).append(true).open(path);
+            let file = file.with_context(|| format!("cannot write {}", path.display())).or_usage()?;
+            all.push((format!("file {}", path.display()), of_rule(Rule::Paper, json_lines(file))));
         }
         let start = |(name, deliver)| Output::start(name, engine.handle(), deliver, |problem| note(problem));
         all.into_iter().map(start).collect::<Result<_, _>>().or_broken()
@@ -280,10 +310,13 @@ fn say(taken: &Taken) {
     ));
 }
 
-/// Exit code 1 while a critical alarm is active.
-fn exit_code(engine: &ServiceEngine) -> u8 {
+/// Exit code 1 while a critical alarm of the chosen stream is active.
+fn exit_code(engine: &ServiceEngine, on: ExitOn) -> u8 {
     let critical = |status: robogate_monitor::service::Status| {
-        status.recipes.first().is_some_and(|recipe| recipe.level == Some(Level::Critical))
+        status.recipes.iter().any(|recipe| {
+            let paper = on == ExitOn::Any && recipe.paper == Some(Level::Critical);
+            recipe.level == Some(Level::Critical) || paper
+        })
     };
     if engine.handle().status().is_ok_and(critical) { FAIL } else { DONE }
 }

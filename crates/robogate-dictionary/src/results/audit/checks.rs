@@ -1,0 +1,296 @@
+//! The checks of an audit.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde_json::{Map, Value};
+
+use super::table::{AuditRow, Table};
+use super::{Check, Problem};
+
+/// Number of rows that a problem lists.
+const LISTED: usize = 20;
+
+/// Problems and the columns that were used, or what is missing.
+type Outcome = Result<(Vec<Problem>, Vec<String>), String>;
+
+pub(super) fn run(check: Check, table: &Table<'_>, metadata: &Map<String, Value>) -> Outcome {
+    match check {
+        Check::InfrastructureErrors => infrastructure(table),
+        Check::DuplicateInitialStates => initial_states(table),
+        Check::SuccessAtFirstStep => first_step(table),
+        Check::MissingRows => missing(table, metadata),
+        Check::DuplicateRows => duplicates(table),
+        Check::BatchArtefacts => batches(table),
+        Check::RepeatedSeeds => seeds(table),
+    }
+}
+
+fn problem(what: String, rows: &[usize]) -> Problem {
+    let listed = rows.iter().take(LISTED).map(|row| *row as u64).collect();
+    Problem { what, count: rows.len() as u64, rows: listed }
+}
+
+fn names(columns: &BTreeSet<String>) -> Vec<String> {
+    columns.iter().cloned().collect()
+}
+
+/// The rows with each key, in the order of the keys.
+fn grouped<K: Ord>(table: &Table<'_>, key: impl Fn(&AuditRow) -> Option<K>) -> BTreeMap<K, Vec<usize>> {
+    let mut groups: BTreeMap<K, Vec<usize>> = BTreeMap::new();
+    for (at, row) in table.rows.iter().enumerate() {
+        if let Some(key) = key(row) {
+            groups.entry(key).or_default().push(at);
+        }
+    }
+    groups
+}
+
+fn where_(table: &Table<'_>, wanted: impl Fn(&AuditRow) -> bool) -> Vec<usize> {
+    (0..table.rows.len()).filter(|at| wanted(&table.rows[*at])).collect()
+}
+
+fn infrastructure(table: &Table<'_>) -> Outcome {
+    if table.reasons.is_empty() && table.length.is_empty() {
+        return Err("no column reports an error, a reason or a number of steps".to_owned());
+    }
+    let mut problems = Vec::new();
+    let reported = where_(table, |row| row.success == Some(false) && row.error.is_some());
+    if let Some(first) = reported.first() {
+        let text = table.rows[*first].error.as_deref().unwrap_or_default();
+        problems.push(problem(format!("A failure reports an infrastructure error, for example {text}"), &reported));
+    }
+    let never_ran = |row: &AuditRow| {
+        row.success == Some(false) && row.error.is_none() && row.length.is_some_and(|length| length <= 0.0)
+    };
+    let empty = where_(table, never_ran);
+    if !empty.is_empty() {
+        problems.push(problem("A failure has 0 steps: the episode never ran".to_owned(), &empty));
+    }
+    Ok((problems, names(&table.reasons.union(&table.length).cloned().collect())))
+}
+
+fn initial_states(table: &Table<'_>) -> Outcome {
+    let by_name = !table.state.is_empty();
+    if !by_name && !table.continuous {
+        return Err("no column identifies the initial state, and no parameter has real values".to_owned());
+    }
+    let groups = grouped(table, |row| {
+        let state = if by_name { row.state.clone() } else { row.parameters.map(|hash| hash.to_string()) };
+        state.map(|state| (row.case.clone(), state))
+    });
+    let repeated: Vec<&Vec<usize>> = groups.values().filter(|rows| rows.len() > 1).collect();
+    let mut rows: Vec<usize> = repeated.iter().flat_map(|rows| rows.iter().skip(1)).copied().collect();
+    rows.sort_unstable();
+    let columns = if by_name { &table.state } else { &table.parameters };
+    let what = format!(
+        "{} initial states occur more than once in the same task ({} different states in {} rows)",
+        repeated.len(),
+        groups.len(),
+        table.rows.len()
+    );
+    Ok((if rows.is_empty() { Vec::new() } else { vec![problem(what, &rows)] }, names(columns)))
+}
+
+fn first_step(table: &Table<'_>) -> Outcome {
+    if table.length.is_empty() {
+        return Err("no column has the number of steps".to_owned());
+    }
+    let rows = where_(table, |row| row.success == Some(true) && row.length.is_some_and(|length| length <= 1.0));
+    let what = "The episode succeeded after at most one step".to_owned();
+    Ok((if rows.is_empty() { Vec::new() } else { vec![problem(what, &rows)] }, names(&table.length)))
+}
+
+fn missing(table: &Table<'_>, metadata: &Map<String, Value>) -> Outcome {
+    let mut problems = Vec::new();
+    let declared = ["n_episodes", "num_episodes", "num_episodes_total", "n_rollouts", "num_rollouts"]
+        .iter()
+        .find_map(|key| Some((*key, metadata.get(*key)?.as_u64()?)));
+    if let Some((key, declared)) = declared
+        && declared != table.rows.len() as u64
+    {
+        let what = format!("`{key}` is {declared}, but the file has {} rows", table.rows.len());
+        problems.push(problem(what, &[]));
+    }
+    let is_set =
+        |key: &str| metadata.get(key).is_some_and(|value| value.as_bool() == Some(true) || value.as_u64() > Some(0));
+    for key in ["partial", "queue_unfinished"] {
+        if is_set(key) {
+            problems.push(problem(format!("The file says that it is not complete (`{key}`)"), &[]));
+        }
+    }
+    let silent = where_(table, |row| row.success.is_none());
+    if !silent.is_empty() && silent.len() < table.rows.len() {
+        problems.push(problem("The row reports neither success nor failure".to_owned(), &silent));
+    }
+    if table.episode.is_empty() && declared.is_none() {
+        return if problems.is_empty() {
+            Err("no column numbers the episodes".to_owned())
+        } else {
+            Ok((problems, Vec::new()))
+        };
+    }
+    // Numbers that run over the whole file are not repeated in each case.
+    let all: Vec<i64> = table.rows.iter().filter_map(|row| row.episode).collect();
+    let distinct: BTreeSet<i64> = all.iter().copied().collect();
+    let whole_file = distinct.len() == all.len();
+    let groups = grouped(table, |row| row.episode.map(|_| if whole_file { String::new() } else { row.case.clone() }));
+    for (case, rows) in &groups {
+        let numbers: BTreeSet<i64> = rows.iter().filter_map(|at| table.rows[*at].episode).collect();
+        let (Some(first), Some(last)) = (numbers.first(), numbers.last()) else { continue };
+        let gaps = last.abs_diff(*first) + 1 - numbers.len() as u64;
+        if gaps > 0 {
+            let absent: Vec<String> =
+                (*first..=*last).filter(|n| !numbers.contains(n)).take(5).map(|n| n.to_string()).collect();
+            let of = if case.is_empty() { String::new() } else { format!(" in {}", case.trim_end_matches('/')) };
+            problems.push(problem(format!("{gaps} episode numbers have no row{of}, first {}", absent.join(", ")), &[]));
+        }
+    }
+    let most = groups.values().map(Vec::len).max().unwrap_or(0);
+    let short: Vec<String> = groups
+        .iter()
+        .filter(|(_, rows)| !whole_file && rows.len() < most)
+        .map(|(case, rows)| format!("{} ({})", case.trim_end_matches('/'), rows.len()))
+        .collect();
+    if !short.is_empty() && short.len() * 2 <= groups.len() {
+        let listed = short.iter().take(3).cloned().collect::<Vec<_>>().join(", ");
+        problems.push(problem(format!("{} tasks have fewer than {most} episodes: {listed}", short.len()), &[]));
+    }
+    Ok((problems, names(&table.episode)))
+}
+
+fn duplicates(table: &Table<'_>) -> Outcome {
+    let extra = |groups: BTreeMap<_, Vec<usize>>| {
+        let mut rows: Vec<usize> = groups.into_values().flat_map(|rows| rows.into_iter().skip(1)).collect();
+        rows.sort_unstable();
+        rows
+    };
+    let mut problems = Vec::new();
+    let identified = !table.episode.is_empty() || !table.seed.is_empty() || table.continuous;
+    if !identified {
+        return Err(
+            "no column numbers the episodes or names their seeds, so equal rows can be different episodes".to_owned()
+        );
+    }
+    let same = extra(grouped(table, |row| Some((String::new(), row.whole as i64))));
+    if !same.is_empty() {
+        problems.push(problem("The row is equal to an earlier one in every column".to_owned(), &same));
+    }
+    let numbered = extra(grouped(table, |row| Some((row.case.clone(), row.episode?))));
+    let other: Vec<usize> = numbered.into_iter().filter(|row| !same.contains(row)).collect();
+    // With parallel environments, each may number its own episodes.
+    if !other.is_empty() && table.environment.is_empty() {
+        problems.push(problem("The number of the episode occurs twice in the same task".to_owned(), &other));
+    }
+    Ok((problems, names(&table.episode.union(&table.seed).cloned().collect())))
+}
+
+fn seeds(table: &Table<'_>) -> Outcome {
+    if table.seed.is_empty() {
+        return Err("no column has the seed".to_owned());
+    }
+    let groups = grouped(table, |row| Some((row.case.clone(), row.seed.clone()?)));
+    let distinct: BTreeSet<&String> = groups.keys().map(|(_, seed)| seed).collect();
+    let mut rows: Vec<usize> = groups.values().flat_map(|rows| rows.iter().skip(1)).copied().collect();
+    rows.sort_unstable();
+    let what = if distinct.len() == 1 {
+        format!(
+            "All {} rows have the same seed. It is that of the run, so it does not identify an episode",
+            table.rows.len()
+        )
+    } else {
+        format!(
+            "The seed was used before in the same task ({} different seeds in {} rows)",
+            distinct.len(),
+            table.rows.len()
+        )
+    };
+    Ok((if rows.is_empty() { Vec::new() } else { vec![problem(what, &rows)] }, names(&table.seed)))
+}
+
+/// Sizes of batches that are tried if no column names the environment.
+const SIZES: [usize; 11] = [2, 4, 5, 8, 10, 16, 20, 25, 32, 50, 64];
+
+fn batches(table: &Table<'_>) -> Outcome {
+    let mut problems = Vec::new();
+    if table.environment.is_empty() {
+        if table.rows.len() < 40 {
+            return Err(
+                "no column names the parallel environment, and 40 rows are needed to look for a period".to_owned()
+            );
+        }
+        let tried = SIZES.iter().filter(|size| table.rows.len() >= **size * 10);
+        // The level is divided by the number of sizes that are tried.
+        let limit = 3.72 + (SIZES.len() as f64).ln() / 3.72;
+        let found = tried.filter_map(|size| {
+            let z = dependence(table, |at, _| Some((at % size) as i64))?;
+            (z > limit).then_some((z, *size))
+        });
+        if let Some((_, size)) = found.max_by(|a, b| a.0.total_cmp(&b.0)) {
+            let what = format!("Success depends on the position in a batch of {size} rows (p < 0.0001)");
+            problems.push(problem(what, &[]));
+        }
+        if let Some((period, rows)) = seed_period(table) {
+            problems.push(problem(
+                format!("The seeds repeat with a period of {period} rows, as if each batch restarted them"),
+                &rows,
+            ));
+        }
+        return Ok((problems, Vec::new()));
+    }
+    let groups = grouped(table, |row| row.environment);
+    let counts: Vec<usize> = groups.values().map(Vec::len).collect();
+    let (least, most) = (counts.iter().min().copied().unwrap_or(0), counts.iter().max().copied().unwrap_or(0));
+    if groups.len() > 1 && most > least + 1 {
+        let what = format!(
+            "The {} environments have {least} to {most} episodes. If the run stops at a total, environments with short episodes count \
+             more often, which biases the rate",
+            groups.len()
+        );
+        problems.push(problem(what, &[]));
+    }
+    if let Some(z) = dependence(table, |_, row| row.environment)
+        && z > 3.72
+    {
+        problems.push(problem("Success depends on the environment (p < 0.0001)".to_owned(), &[]));
+    }
+    Ok((problems, names(&table.environment)))
+}
+
+/// Pearson's chi-square statistic of success by group, as a standard normal number (Wilson and Hilferty 1931). `None`
+/// with fewer than two groups, or if fewer than five successes and failures are expected per group.
+fn dependence(table: &Table<'_>, group: impl Fn(usize, &AuditRow) -> Option<i64>) -> Option<f64> {
+    let mut counts: BTreeMap<i64, [f64; 2]> = BTreeMap::new();
+    for (at, row) in table.rows.iter().enumerate() {
+        if let (Some(success), Some(group)) = (row.success, group(at, row)) {
+            counts.entry(group).or_default()[usize::from(success)] += 1.0;
+        }
+    }
+    let total = |which: usize| counts.values().map(|count| count[which]).sum::<f64>();
+    let (failures, successes) = (total(0), total(1));
+    let (n, k) = (failures + successes, counts.len() as f64 - 1.0);
+    let enough = failures.min(successes) / counts.len().max(1) as f64 >= 5.0;
+    if k < 1.0 || !enough {
+        return None;
+    }
+    let statistic: f64 = counts
+        .values()
+        .map(|count| {
+            let size = count[0] + count[1];
+            let (expected_0, expected_1) = (size * failures / n, size * successes / n);
+            (count[0] - expected_0).powi(2) / expected_0 + (count[1] - expected_1).powi(2) / expected_1
+        })
+        .sum();
+    let spread = 2.0 / (9.0 * k);
+    Some(((statistic / k).cbrt() - (1.0 - spread)) / spread.sqrt())
+}
+
+/// The period with which the seeds repeat, and the repeated rows.
+fn seed_period(table: &Table<'_>) -> Option<(usize, Vec<usize>)> {
+    let seeds: Option<Vec<&String>> = table.rows.iter().map(|row| row.seed.as_ref()).collect();
+    let seeds = seeds?;
+    let first = *seeds.first()?;
+    let period = 1 + seeds.iter().skip(1).position(|seed| *seed == first)?;
+    // A period of one is a seed of the whole run, which the check of seeds reports.
+    let repeats = period > 1 && (period..seeds.len()).all(|at| seeds[at] == seeds[at - period]);
+    repeats.then(|| (period, (period..seeds.len()).collect()))
+}

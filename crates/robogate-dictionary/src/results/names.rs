@@ -1,0 +1,258 @@
+//! What the name of a column says about its role.
+
+use robogate_core::Better;
+
+use super::role::Role;
+
+/// The role that a column's name suggests, if no mapping assigns one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Suggested {
+    /// A result of the episode (a reward, a length, a time). It would predict the outcome that it is part of.
+    Measure,
+    /// A number, time stamp or path that identifies the episode.
+    Identifier,
+    /// Anything else: a property of the scenario.
+    Parameter,
+}
+
+/// Words that name a result wherever they occur.
+const RESULTS: [&str; 10] =
+    ["reward", "rewards", "return", "returns", "elapsed", "score", "scores", "cost", "costs", "success"];
+
+/// Words that name a result if nothing else in the name says what they belong to: `episode_length` is a result,
+/// `cable_length` is a parameter.
+const EXTENTS: [&str; 9] = ["length", "len", "time", "times", "duration", "steps", "step", "horizon", "timesteps"];
+
+/// Words that may stand beside one of [`EXTENTS`].
+const BESIDE: [&str; 44] = [
+    "episode",
+    "ep",
+    "eps",
+    "total",
+    "sum",
+    "max",
+    "min",
+    "mean",
+    "avg",
+    "final",
+    "cycle",
+    "task",
+    "completion",
+    "rollout",
+    "trajectory",
+    "traj",
+    "wall",
+    "clock",
+    "s",
+    "sec",
+    "secs",
+    "seconds",
+    "ms",
+    "to",
+    "goal",
+    "first",
+    "num",
+    "n",
+    "number",
+    "of",
+    "env",
+    "sim",
+    "execution",
+    "run",
+    "metrics",
+    "control",
+    "policy",
+    "inference",
+    "model",
+    "finish",
+    "done",
+    "info",
+    "result",
+    "stats",
+];
+
+/// Words that name an identifier wherever they occur.
+const IDENTIFIERS: [&str; 14] = [
+    "timestamp",
+    "date",
+    "datetime",
+    "uuid",
+    "guid",
+    "video",
+    "videos",
+    "path",
+    "paths",
+    "filename",
+    "file",
+    "sha256",
+    "hash",
+    "url",
+];
+
+/// Names of identifiers.
+const EPISODE_IDS: [&str; 25] = [
+    "index",
+    "idx",
+    "id",
+    "row",
+    "episode",
+    "episode_id",
+    "episode_ix",
+    "episode_idx",
+    "episode_index",
+    "episode_number",
+    "global_episode_index",
+    "episode_in_env",
+    "ep_id",
+    "env_id",
+    "env_idx",
+    "env_index",
+    "rebuild_idx",
+    "rank",
+    "worker",
+    "worker_id",
+    "sid",
+    "eid",
+    "run_id",
+    "job_name",
+    "created_at",
+];
+
+/// Other names of the columns of roles, in the form of [`plain`]. The role's own name comes first.
+const SPELLINGS: [(Role, &[&str]); 4] = [
+    (
+        Role::Success,
+        &[
+            "is_success",
+            "succeeded",
+            "task_success",
+            "success_rate",
+            "metrics_success",
+            "info_success",
+            "info_is_success",
+            "final_info_is_success",
+        ],
+    ),
+    (Role::Error, &["exception", "error_message", "traceback"]),
+    (Role::Seed, &["episode_seed", "env_seed"]),
+    (Role::FailureMode, &["failure_category"]),
+];
+
+/// The name in lower case, with `_` for every other separator.
+pub(super) fn plain(name: &str) -> String {
+    let mut plain = String::with_capacity(name.len());
+    let mut lower = false;
+    for c in name.trim().chars() {
+        if c.is_ascii_uppercase() && lower {
+            plain.push('_');
+        }
+        lower = c.is_ascii_lowercase() || c.is_ascii_digit();
+        plain.push(if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '_' });
+    }
+    plain
+}
+
+/// The column of `role` among `names`: the role's own name, the same name in another spelling, or a usual other name.
+pub(super) fn column_of(role: Role, names: &[String]) -> Option<&str> {
+    let exact = names.iter().find(|name| *name == role.as_str());
+    let spelled = |wanted: &str| names.iter().find(|name| plain(name) == wanted);
+    let others = SPELLINGS.iter().filter(|(of, _)| *of == role).flat_map(|(_, names)| names.iter());
+    exact.or_else(|| spelled(role.as_str())).or_else(|| others.copied().find_map(spelled)).map(String::as_str)
+}
+
+/// The role that a name suggests.
+pub(super) fn suggested(name: &str) -> Suggested {
+    let plain = plain(name);
+    let words: Vec<&str> = plain.split('_').filter(|word| !word.is_empty()).collect();
+    let any = |known: &[&str]| words.iter().any(|word| known.contains(word));
+    if any(&RESULTS) {
+        return Suggested::Measure;
+    }
+    if EPISODE_IDS.contains(&plain.as_str()) || any(&IDENTIFIERS) {
+        return Suggested::Identifier;
+    }
+    let extent = any(&EXTENTS) && words.iter().all(|word| EXTENTS.contains(word) || BESIDE.contains(word));
+    if extent { Suggested::Measure } else { Suggested::Parameter }
+}
+
+/// Whether a name in the form of [`plain`] counts steps, and not seconds.
+pub(super) fn counts_steps(plain: &str) -> bool {
+    let steps = ["length", "len", "steps", "step", "horizon", "timesteps"];
+    plain.split('_').any(|word| steps.contains(&word)) && unit(plain).is_empty()
+}
+
+/// The unit that a name states by its ending. Empty if it states none.
+pub(super) fn unit(name: &str) -> &'static str {
+    let plain = plain(name);
+    match plain.rsplit('_').next() {
+        Some("s" | "sec" | "secs" | "seconds") => "s",
+        Some("ms") => "ms",
+        _ => "",
+    }
+}
+
+/// Which direction of a measure is better, as far as its name says.
+pub(super) fn better(name: &str) -> Better {
+    let plain = plain(name);
+    let has = |known: &[&str]| plain.split('_').any(|word| known.contains(&word));
+    if has(&["reward", "rewards", "return", "returns", "score", "scores", "success"]) {
+        Better::Higher
+    } else if has(&["cost", "costs"]) {
+        Better::Lower
+    } else {
+        Better::Neither
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_are_not_parameters() {
+        for name in [
+            "reward",
+            "sum_reward",
+            "Return",
+            "episode_length",
+            "length",
+            "ep_len",
+            "cycle_time",
+            "Time_Episode",
+            "num_steps",
+            "elapsed_sec",
+            "Horizon",
+            "episodeLength",
+            "metrics.success",
+            "time_to_goal",
+        ] {
+            assert_eq!(suggested(name), Suggested::Measure, "{name}");
+        }
+    }
+
+    #[test]
+    fn properties_of_scene_are_parameters() {
+        for name in ["mass", "cable_length", "time_of_day", "object_length_m", "friction", "step_height", "light"] {
+            assert_eq!(suggested(name), Suggested::Parameter, "{name}");
+        }
+    }
+
+    #[test]
+    fn identifiers_are_recognised() {
+        for name in ["episode_ix", "env_id", "timestamp", "video_path", "global_episode_index", "Episode"] {
+            assert_eq!(suggested(name), Suggested::Identifier, "{name}");
+        }
+    }
+
+    #[test]
+    fn other_spellings_give_role() {
+        let find = |role, names: &[&str]| {
+            let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
+            column_of(role, &names).map(str::to_owned)
+        };
+        assert_eq!(find(Role::Success, &["Horizon", "Success_Rate"]).as_deref(), Some("Success_Rate"));
+        assert_eq!(find(Role::Success, &["success_rate", "Success"]).as_deref(), Some("Success"));
+        assert_eq!(find(Role::Success, &["Success", "success"]).as_deref(), Some("success"));
+        assert_eq!(find(Role::CycleTime, &["cycle_time"]), None, "its unit is unknown");
+    }
+}

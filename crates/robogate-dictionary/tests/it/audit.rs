@@ -1,0 +1,98 @@
+//! Tests of the audit, on files in the layouts of LeRobot, vla-eval, robosuite and Isaac Lab-Arena.
+
+use std::fs;
+use std::path::Path;
+
+use robogate_dictionary::results::Mapping;
+use robogate_dictionary::results::audit::{Audit, Check, CheckResult, Problem, audit};
+
+use crate::common::Folder;
+
+fn of_fixture(name: &str) -> Audit {
+    audit(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/results").join(name), None, &Mapping::default()).unwrap()
+}
+
+fn of_text(name: &str, text: &str) -> Audit {
+    let folder = Folder::new(&format!("audit-{name}"));
+    let path = folder.join("t");
+    fs::write(&path, text).unwrap();
+    audit(&path, None, &Mapping::default()).unwrap()
+}
+
+fn result(audit: &Audit, check: Check) -> &CheckResult {
+    &audit.checks.iter().find(|checked| checked.check == check).unwrap().result
+}
+
+fn problems(audit: &Audit, check: Check) -> &[Problem] {
+    match result(audit, check) {
+        CheckResult::Found { problems, .. } => problems,
+        CheckResult::Clear { .. } | CheckResult::NotPossible { .. } => &[],
+    }
+}
+
+#[test]
+fn lerobot_batches_with_equal_seeds_are_found() {
+    let audit = of_fixture("lerobot_repeated_seeds.json");
+    let repeated = &problems(&audit, Check::RepeatedSeeds)[0];
+    // Row 5 of the evaluation is missing, so episodes 6 and 7 are rows 5 and 6.
+    assert_eq!((repeated.count, repeated.rows.as_slice()), (3, &[4, 5, 6][..]));
+    let missing = &problems(&audit, Check::MissingRows)[0];
+    assert!(missing.what.contains("1 episode numbers have no row, first 5"), "{missing:?}");
+}
+
+#[test]
+fn vla_eval_errors_are_found() {
+    let audit = of_fixture("vla_eval.json");
+    let errors = &problems(&audit, Check::InfrastructureErrors)[0];
+    assert_eq!(errors.rows, [2]);
+    assert!(errors.what.contains("connection_closed"), "{errors:?}");
+}
+
+#[test]
+fn robosuite_repeats_are_found() {
+    let audit = of_fixture("robosuite_rollouts.jsonl");
+    let states = &problems(&audit, Check::DuplicateInitialStates)[0];
+    assert_eq!((states.count, states.rows.as_slice()), (2, &[8, 9][..]));
+    assert_eq!((audit.successes, audit.failures), (6, 4));
+}
+
+#[test]
+fn arena_environments_are_found() {
+    let audit = of_fixture("isaac_lab_arena.jsonl");
+    assert_eq!(problems(&audit, Check::SuccessAtFirstStep)[0].count, 3);
+    assert!(problems(&audit, Check::BatchArtefacts)[0].what.starts_with("The 4 environments have 4 to 12 episodes"));
+    assert!(problems(&audit, Check::RepeatedSeeds)[0].what.starts_with("All 24 rows have the same seed"));
+}
+
+#[test]
+fn missing_columns_are_reported() {
+    let audit = of_text("bare", "success,mass\n1,1\n0,2\n");
+    assert_eq!(audit.found(), 0);
+    let impossible = audit.checks.iter().filter(|c| matches!(c.result, CheckResult::NotPossible { .. })).count();
+    assert_eq!(impossible, Check::ALL.len(), "{:?}", audit.checks);
+}
+
+#[test]
+fn sound_file_is_clear() {
+    let rows: String =
+        (0..60).map(|i| format!("{i},{},{},0.{:03}1,{}\n", 100 + i, (i * 7 + i / 3) % 3 % 2, i, 50 + i)).collect();
+    let audit = of_text("sound", &format!("episode,seed,success,friction,steps\n{rows}"));
+    assert_eq!(audit.found(), 0, "{:?}", audit.checks);
+    assert!(audit.checks.iter().all(|c| matches!(c.result, CheckResult::Clear { .. })), "{:?}", audit.checks);
+}
+
+#[test]
+fn duplicate_rows_and_period_are_found() {
+    let mut rows: String = (0..80).map(|i| format!("{i},{},0.{:03}1,{}\n", u8::from(i % 4 != 0), i, 50 + i)).collect();
+    rows.push_str("79,1,0.0791,129\n");
+    let audit = of_text("period", &format!("episode,success,friction,steps\n{rows}"));
+    assert_eq!(problems(&audit, Check::DuplicateRows)[0].rows, [80]);
+    assert!(problems(&audit, Check::BatchArtefacts)[0].what.contains("batch of"), "{:?}", audit.checks);
+}
+
+#[test]
+fn failure_that_never_ran_is_found() {
+    let audit = of_text("never", "success,steps,status\n1,30,done\n0,0,done\n0,12,CUDA out of memory\n0,400,timeout\n");
+    let found = problems(&audit, Check::InfrastructureErrors);
+    assert_eq!(found.iter().map(|problem| problem.rows.clone()).collect::<Vec<_>>(), [[2], [1]]);
+}

@@ -1,0 +1,202 @@
+//! Repeated tests at a known number of looks: the joint p-value of the smallest single one.
+//!
+//! A test statistic that sums independent results behaves like Brownian motion at the times 1, 2, ..., K of equally
+//! spaced looks. If each look rejects where its own p-value is at most a constant, the probability of any rejection is
+//! that of the motion crossing z √k. It is computed by integrating the density from look to look (Armitage, McPherson
+//! and Rowe 1969). [`joint_p`] converts the smallest p-value of all looks so far to one that holds for all of them. The
+//! run may stop at any look.
+//!
+//! With a known maximum, such a test stops earlier than one that is valid forever (Pocock 1977). [`paired_p`] is the
+//! test of two policies on the same scenarios: at each look the score test of the difference, in its exact form for few
+//! pairs. It is close to the optimal sequential test of paired binary results (Snyder et al. 2025, "Is your imitation
+//! learning policy better than mine? Policy comparison with near-optimal stopping", arXiv 2503.10966), and its figures
+//! are in `docs/results/comparison-power.md`.
+//!
+//! Limit: looks are equally spaced and their maximum is fixed before the first episode. The joint distribution of the
+//! looks is the asymptotic one; its error is measured by `tests/group_sequential.rs`.
+
+use std::collections::BTreeMap;
+
+use robogate_maths::normal;
+
+use crate::compare::Pairs;
+use crate::difference::EXACT_PAIRS;
+use crate::non_inferiority::{NotAMargin, Side, check, largest_tail_on, statistic};
+
+/// Largest number of looks. More looks than this are treated as this many, and tested at every step of that size.
+pub const MOST_LOOKS: u64 = 100;
+/// Distance of two points of the integration, in standard deviations of one step.
+const STEP: f64 = 0.05;
+/// Points of the search over the unknown rate of the exact test.
+const GRID: u32 = 60;
+
+/// The probability that one of `looks` equally spaced looks has a p-value of at most `p`, if the hypothesis is true.
+pub fn joint_p(p: f64, looks: u64) -> f64 {
+    let looks = looks.clamp(1, MOST_LOOKS);
+    if p.is_nan() || p >= 0.5 {
+        return 1.0;
+    }
+    if p <= 0.0 || looks == 1 {
+        return p.max(0.0);
+    }
+    let z = normal::quantile(1.0 - p);
+    // Below this, a path does not return to the boundary within the remaining looks.
+    let lowest = -7.0 * (looks as f64).sqrt();
+    let reach = (7.0 / STEP) as i64;
+    let kernel: Vec<f64> = (-reach..=reach).map(|i| density(i as f64 * STEP) * STEP).collect();
+    // The density of the motion among the paths that have not crossed, at lowest + i STEP.
+    let place = |x: f64| ((x - lowest) / STEP).floor() as i64;
+    let mut going: Vec<f64> = Vec::new();
+    let mut crossed = 0.0;
+    for look in 1..=looks {
+        let top = z * (look as f64).sqrt();
+        let size = usize::try_from(place(top + 7.0)).unwrap_or(0) + 1;
+        let mut next = vec![0.0; size];
+        if look == 1 {
+            for (i, density_here) in next.iter_mut().enumerate() {
+                *density_here = density(lowest + i as f64 * STEP);
+            }
+        } else {
+            for (i, mass) in going.iter().enumerate().filter(|(_, mass)| **mass > 1e-14) {
+                for (j, k) in kernel.iter().enumerate() {
+                    let at = i as i64 + j as i64 - reach;
+                    if let Some(place) = usize::try_from(at).ok().and_then(|at| next.get_mut(at)) {
+                        *place += mass * k;
+                    }
+                }
+            }
+        }
+        // The point next to the boundary belongs to both sides in proportion.
+        let boundary = (top - lowest) / STEP;
+        for (i, mass) in next.iter_mut().enumerate() {
+            let above = (i as f64 + 0.5 - boundary).clamp(0.0, 1.0);
+            crossed += above * *mass * STEP;
+            *mass *= 1.0 - above;
+        }
+        going = next;
+    }
+    crossed.clamp(p, 1.0)
+}
+
+/// The p-value at which a single look rejects, so that one of `looks` looks rejects with probability `error`.
+pub fn single_p(error: f64, looks: u64) -> f64 {
+    let (mut low, mut high) = (0.0_f64, error);
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if joint_p(middle, looks) <= error { low = middle } else { high = middle }
+    }
+    low
+}
+
+/// The paired test with its limits computed once, for many simulated runs.
+#[derive(Debug)]
+pub struct PairedRun {
+    margin: f64,
+    /// The single p-values at which "not worse" and "worse" are shown.
+    limits: [f64; 2],
+    /// Decisions that were computed before, by the numbers of pairs.
+    known: BTreeMap<[u64; 3], [bool; 2]>,
+}
+
+impl PairedRun {
+    /// The test with errors `alpha` ("not worse") and `beta` ("worse") over `looks` looks.
+    ///
+    /// # Errors
+    /// [`NotAMargin`] unless 0 < `margin` < 1.
+    pub fn new(margin: f64, looks: u64, alpha: f64, beta: f64) -> Result<Self, NotAMargin> {
+        let limits = [single_p(alpha, looks), single_p(beta, looks)];
+        Ok(Self { margin: check(margin)?, limits, known: BTreeMap::new() })
+    }
+
+    /// Whether "not worse" and "worse" are shown by a look at these pairs alone.
+    pub fn look(&mut self, pairs: Pairs) -> [bool; 2] {
+        let (margin, limits) = (self.margin, self.limits);
+        *self.known.entry([pairs.n(), pairs.first_only, pairs.second_only]).or_insert_with(|| {
+            [single(pairs, margin, Side::Better) <= limits[0], single(pairs, margin, Side::Worse) <= limits[1]]
+        })
+    }
+}
+
+fn density(x: f64) -> f64 {
+    (-0.5 * x * x).exp() / std::f64::consts::TAU.sqrt()
+}
+
+/// p-values of both hypotheses about "the second is not worse than the first by `margin` or more", after the looks so
+/// far: that it is worse (small if not worse is shown), and that it is not (small if worse is shown).
+///
+/// `looks` are the counts of all pairs at each look; `planned` is the largest number of looks.
+///
+/// # Errors
+/// [`NotAMargin`] unless 0 < `margin` < 1. [`superiority_p`] tests without a margin.
+pub fn paired_p(looks: &[[Pairs; 2]], planned: u64, margin: f64) -> Result<[f64; 2], NotAMargin> {
+    check(margin).map(|margin| both(looks, planned, margin))
+}
+
+/// The same without a margin: p-values of "the second is not better" and "the second is not worse".
+pub fn superiority_p(looks: &[[Pairs; 2]], planned: u64) -> [f64; 2] {
+    both(looks, planned, 0.0)
+}
+
+/// Each look has the counts with the worst and with the best outcome of unknown pairs.
+fn both(looks: &[[Pairs; 2]], planned: u64, margin: f64) -> [f64; 2] {
+    let planned = planned.max(looks.len() as u64);
+    // Looks beyond the limit are used at equal distances.
+    let every = planned.div_ceil(MOST_LOOKS).max(1);
+    let used = || looks.iter().zip(1_u64..).filter(|(_, at)| at % every == 0).map(|(look, _)| look);
+    let least = |side: Side, which: usize| used().map(|look| single(look[which], margin, side)).fold(1.0, f64::min);
+    let joint = |p: f64| joint_p(p, planned / every);
+    [joint(least(Side::Better, 0)), joint(least(Side::Worse, 1))]
+}
+
+fn single(pairs: Pairs, margin: f64, side: Side) -> f64 {
+    if pairs.n() <= EXACT_PAIRS {
+        return largest_tail_on(pairs, margin, side, GRID).exp();
+    }
+    let z = statistic(pairs.first_only, pairs.second_only, pairs.n(), margin);
+    normal::ln_sf(if side == Side::Better { z } else { -z }).exp()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pocock_constants_are_reproduced() {
+        // One-sided errors of 0.05, 0.025 and 0.005 (Jennison and Turnbull 2000, table 2.1, two-sided 0.1, 0.05, 0.01).
+        for (looks, z, error) in [
+            (2, 1.875, 0.05),
+            (5, 2.122, 0.05),
+            (10, 2.270, 0.05),
+            (20, 2.392, 0.05),
+            (5, 2.413, 0.025),
+            (10, 3.117, 0.005),
+        ] {
+            let found = joint_p(normal::ln_sf(z).exp(), looks);
+            assert!((found - error).abs() < 0.02 * error + 2e-4, "{looks} looks: {found} instead of {error}");
+        }
+    }
+
+    #[test]
+    fn one_look_keeps_its_p_value() {
+        assert_eq!(joint_p(0.03, 1), 0.03);
+        assert_eq!((joint_p(0.0, 20), joint_p(0.7, 20)), (0.0, 1.0));
+        let mut last = 0.0;
+        for looks in [1, 2, 5, 20, 100] {
+            let found = joint_p(0.01, looks);
+            assert!(found >= last && found <= 0.01 * looks as f64 + 1e-4, "{looks}: {found}");
+            last = found;
+        }
+    }
+
+    #[test]
+    fn agreement_shows_not_worse() {
+        let look = |n: u64| {
+            let pairs = Pairs { both: n, ..Pairs::default() };
+            [pairs, pairs]
+        };
+        let looks: Vec<[Pairs; 2]> = (1..=3).map(|i| look(68 * i)).collect();
+        let [met, violated] = paired_p(&looks, 20, 0.05).unwrap();
+        assert!(met < 0.01 && violated > 0.5, "{met} {violated}");
+        assert!(paired_p(&looks, 20, 0.0).is_err());
+    }
+}
