@@ -21,16 +21,17 @@ pub(crate) fn print(evaluation: &Evaluation, provenance: &Provenance) {
             0 => "no valid episode".to_owned(),
             n => format!("{:>7}  [{}, {}]", percent(group.successes as f64 / n as f64), percent(low), percent(high)),
         };
-        line(format_args!("     {:>3} of {:<3}  {rate}  {}", group.successes, group.valid, group.group));
+        let name = suite.group_description(&group.category, &group.group).unwrap_or(&group.group);
+        line(format_args!("     {:>3} of {:<3}  {rate}  {name}", group.successes, group.valid));
     }
     line("");
     line(bold("  Published results on this suite"));
-    let name = suite.published().iter().map(|published| published.policy.chars().count()).max().unwrap_or(0);
+    let wide = suite.published().iter().map(|published| published.policy.chars().count()).max().unwrap_or(0);
     for published in suite.published() {
         let same = provenance.policy.eq_ignore_ascii_case(&published.policy);
         let remark = if same { "the same policy by its name" } else { "not comparable: another policy" };
         let rate = percent(published.success);
-        line(format_args!("     {rate:>7}  {:<name$}  {remark}; {}", published.policy, published.source));
+        line(format_args!("     {rate:>7}  {:<wide$}  {remark}; {}", published.policy, published.source));
     }
 }
 
