@@ -195,7 +195,11 @@ fn table(table: &Table) -> Markup {
                 thead {
                     tr {
                         @for column in &table.columns {
-                            th scope="col" class=[class_of(column.kind)] { (prose(&column.head)) }
+                            @if column.head.is_empty() {
+                                td {}
+                            } @else {
+                                th scope="col" class=[class_of(column.kind)] { (prose(&column.head)) }
+                            }
                         }
                     }
                 }
