@@ -231,8 +231,9 @@ fn invalid_pairs_bound_the_difference() {
     assert_eq!((pair.scenarios, pair.valid_pairs), (104, 100));
     assert_eq!((pair.both, pair.first_only, pair.second_only, pair.neither), (40, 20, 5, 35));
     assert!((pair.difference.unwrap() - 0.15).abs() < 1e-12);
-    // Twice the chance of at most 5 heads in 25 tosses: 2 (1 + 25 + 300 + 2,300 + 12,650 + 53,130) / 2^25.
-    assert!((pair.ln_p.exp() - 136_812.0 / 33_554_432.0).abs() < 1e-12, "{}", pair.ln_p.exp());
+    // The score is (20 - 5) / sqrt(25) = 3. The exact test takes the largest tail over the share of pairs that differ: that of
+    // 100 pairs that all differ, twice the chance of at least 65 heads in 100 tosses.
+    assert!((pair.ln_p.exp() - 0.003_517_641_7).abs() < 1e-9, "{}", pair.ln_p.exp());
     assert_eq!((pair.invalid.first, pair.invalid.second, pair.invalid.either), (4, 0, 4));
     // The four invalid episodes could each be a failure (15 - 4) or a success (15 + 0), where the second succeeded.
     let [low, high] = pair.invalid.difference_bounds.unwrap();
