@@ -102,7 +102,7 @@ fi
 step "Rust tests" rust "$@"
 if [ $# -eq 0 ]; then
     step "documentation examples" cargo test --doc --no-fail-fast --workspace "${full[@]}" --locked
-    step "python" env PYTHONPATH=python/src python3 scripts/run_unittests.py python/tests
+    step "python" env PYTHONPATH="$PWD/python/src" python3 scripts/run_unittests.py python/tests
     if [ -n "${ROBOGATE_BRIDGE_PYTHON:-}" ]; then
         step "bridges/common" env PYTHONPATH=bridges/common "$ROBOGATE_BRIDGE_PYTHON" scripts/run_unittests.py bridges/common/tests
     else
@@ -111,7 +111,7 @@ if [ $# -eq 0 ]; then
     for suite in METAWORLD:test_adapter METAWORLD:test_metaworld METAWORLD:test_libero_files METAWORLD:test_scripted FETCH:test_fetch; do
         variable=ROBOGATE_${suite%%:*}_PYTHON
         if [ -n "${!variable:-}" ]; then
-            step "environments ${suite#*:}" env PYTHONPATH=python/src:bridges/common "${!variable}" scripts/run_unittests.py \
+            step "environments ${suite#*:}" env PYTHONPATH="$PWD/python/src:$PWD/bridges/common" "${!variable}" scripts/run_unittests.py \
                 python/tests/environments --pattern "${suite#*:}.py"
         else
             skipped "environments ${suite#*:}" "no Python for ${suite%%:*}"

@@ -5,7 +5,9 @@ mod common;
 
 use common::EngineKind;
 use nalgebra::{Isometry3, Vector3};
-use robogate_core::{Allowed, Assignment, Environment, Fault, FaultKind, Scenario, Seed, Value, check_applied};
+use robogate_core::{
+    Allowed, Assignment, ContactPoint, Environment, Fault, FaultKind, Scenario, Seed, Value, check_applied,
+};
 use robogate_physics::{
     Chain, Engine, EngineBuild, FixtureKind, JointTargets, Primitive, Readback, Robot, Scene, Touches, Wrench,
 };
@@ -177,6 +179,10 @@ impl Engine for Tampered {
 
     fn touches(&self) -> &Touches {
         self.engine.touches()
+    }
+
+    fn contact_points(&self) -> Vec<ContactPoint> {
+        self.engine.contact_points()
     }
 
     fn clearance_below(&mut self, bound: f64) -> Option<f64> {

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use mujoco_rs::prelude::{MjData, MjModel};
 use nalgebra::{Isometry3, Vector3};
 use robogate_campaign::{Executor, ThreadPool, Worker, WorkerFactory};
-use robogate_core::{Design, Fault, ParameterSpace, Sampler, Scenario, Seed, rollout, samplers};
+use robogate_core::{ContactPoint, Design, Fault, ParameterSpace, Sampler, Scenario, Seed, rollout, samplers};
 use robogate_physics::{
     Chain, Engine, EngineBuild, JointTargets, MujocoEngine, Readback, Robot, Scene, Touches, Wrench, built_in_robot,
 };
@@ -198,6 +198,10 @@ impl Engine for Recorder {
 
     fn touches(&self) -> &Touches {
         self.inner.touches()
+    }
+
+    fn contact_points(&self) -> Vec<ContactPoint> {
+        self.inner.contact_points()
     }
 
     fn clearance_below(&mut self, bound: f64) -> Option<f64> {
