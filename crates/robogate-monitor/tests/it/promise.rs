@@ -161,10 +161,9 @@ fn learnt_baseline_reaches_the_bound() {
         warning_cycles: 2_000.0,
         critical_cycles: 2_000.0,
         history_cycles: 16,
+        events: Default::default(),
         shares: Shares {
             success: 1.0,
-            drop: 0.0,
-            collision: 0.0,
             cycle_time: 0.0,
             cycle_time_spread: 0.0,
             failure_modes: 0.0,
