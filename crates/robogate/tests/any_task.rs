@@ -51,7 +51,12 @@ fn pendulum_passes_through_every_verb() {
     verb("leaderboard gate other", 0, &["gate", "other"]);
     verb("baseline gate --out baseline.json", 0, &["overspeed"]);
     verb("gate --run gate --baseline baseline.json", 1, &[]);
-    verb("monitor reference a --out reference.json", 0, &["risk model"]);
+    verb(
+        "monitor reference a --out reference.json",
+        2,
+        &["below the 92.0 % that the gate requires", "--learn-baseline"],
+    );
+    verb("monitor reference a --learn-baseline --out reference.json", 0, &["risk model"]);
 }
 
 #[test]

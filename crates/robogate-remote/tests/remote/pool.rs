@@ -338,10 +338,11 @@ fn servers_join_a_pool_later() {
     pool.add(other.address.clone()).unwrap();
     assert_eq!(pool.len(), 2);
     assert!(matches!(pool.add(other.address.clone()), Err(PoolError::Duplicate(_))));
-    let mut task = hello();
-    task.task.version += 1;
-    let different = Running::start(task, unchanged);
-    assert!(matches!(pool.add(different.address.clone()), Err(PoolError::Mismatch { .. })));
+    let mut newer = hello();
+    newer.engine.version = "2".to_owned();
+    let different = Running::start(newer, unchanged);
+    let added = pool.add(different.address.clone());
+    assert!(matches!(added, Err(PoolError::Mismatch { .. })), "{added:?}");
 }
 
 #[test]
