@@ -181,11 +181,9 @@ impl Risk {
         let mut log_odds = self.intercept;
         for (slot, term) in rest.iter_mut().zip(&self.terms) {
             *slot = match (cycle.parameters.get(&term.parameter)?, &term.penalties) {
-                (ParameterValue::Number(number), None) if term.log => {
-                    // The logarithm of such a value does not exist, so the model says nothing.
-                    if *number > 0.0 { number.ln() } else { return None }
-                }
-                (ParameterValue::Number(number), None) => *number,
+                (ParameterValue::Number(number), None) if !term.log => *number,
+                // Other numbers have no logarithm, so the model says nothing about them.
+                (ParameterValue::Number(number), None) if *number > 0.0 => number.ln(),
                 (ParameterValue::Word(word), Some(penalties)) => *penalties.get(word)?,
                 _ => return None,
             };

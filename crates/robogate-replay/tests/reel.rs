@@ -1,5 +1,4 @@
 //! Reels hold what was recorded, share solids, keep to the budget of meshes, and escape markup.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use robogate_core::{
     Assignment, ContactBetween, ContactPoint, Episode, Frame, Measures, Outcome, Pose, Scenario, Seed, Solid,

@@ -137,7 +137,7 @@ impl Strata {
     /// ln of the evidence against "the mean rate is at most `p0`".
     pub fn ln_evidence_above(&self, p0: f64) -> f64 {
         let pooled = ln_pooled_above(self.trials(), p0);
-        if !(p0 > 0.0 && p0 < 1.0) || !pooled.is_finite() {
+        if !(p0 > 0.0 && p0 < 1.0 && pooled.is_finite()) {
             return pooled;
         }
         let weights = Weights::of(p0);

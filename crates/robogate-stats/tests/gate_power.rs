@@ -1,6 +1,5 @@
 //! Error and power of the sequential gate, by simulation. The full tables are written by
 //! `cargo test -p robogate-stats --test gate_power -- --ignored`, to `target/tmp/gate-power.txt`.
-#![expect(clippy::unwrap_used, reason = "test helpers fail by panicking")]
 
 use std::fmt::Write;
 
@@ -84,7 +83,7 @@ fn episodes(failures: [f64; 4], per_round: usize, new: bool, random: &mut ChaCha
     let mut strata = vec![Strata::default(); 4];
     let mut met = [false; 4];
     for round in 1..=ROUNDS {
-        let mut good = vec![Vec::with_capacity(per_round); 4];
+        let mut good: [Vec<_>; 4] = std::array::from_fn(|_| Vec::with_capacity(per_round));
         for i in 0..per_round {
             let mut u = unit(random);
             let mode = failures.iter().position(|share| {

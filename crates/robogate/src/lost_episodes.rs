@@ -8,6 +8,9 @@ use robogate_core::{Episode, Fault, FaultKind, Outcome, Scenario};
 
 use crate::terminal::note;
 
+/// The lost episodes of an attempt with their faults, and whether the receiver has stopped the execution.
+type Attempt = (Vec<(Episode, Fault)>, ControlFlow<()>);
+
 /// An executor that runs an episode a second time if the first attempt ended with [`FaultKind::Unavailable`].
 ///
 /// An episode that is lost twice is recorded as invalid if another episode still runs after that, because then this
@@ -29,7 +32,7 @@ impl<'a> RunsLostAgain<'a> {
         &self,
         scenario: &(dyn Fn(usize) -> Option<Scenario> + Sync),
         receive: &mut dyn FnMut(Episode) -> ControlFlow<()>,
-    ) -> Result<(Vec<(Episode, Fault)>, ControlFlow<()>), ExecuteError> {
+    ) -> Result<Attempt, ExecuteError> {
         let (mut lost, mut flow) = (Vec::new(), ControlFlow::Continue(()));
         self.executor.execute(scenario, &mut |episode| {
             match &episode.outcome {
