@@ -7,7 +7,7 @@
 //! | an [`Analysis`](robogate_analysis::Analysis) | [`html`], [`markdown`], [`analysis_json`] |
 //! | a [`Comparison`](robogate_analysis::Comparison) | [`comparison_html`], [`comparison_markdown`], [`comparison_json`] |
 //! | a [`Study`](robogate_analysis::study::Study) | [`study_markdown`], [`study_json`] |
-//! | an [`Evaluation`](robogate_gate::Evaluation) of the gate | [`junit`], [`reqif`], [`evaluation_markdown`] |
+//! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`evaluation_markdown`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
 
 mod document;
