@@ -51,7 +51,8 @@ impl ObjectPrefix {
 
 impl ShardStore for ObjectPrefix {
     fn put_if_absent(&self, name: &str, bytes: &[u8]) -> io::Result<Stored> {
-        let put = self.store.put_opts(&self.path(name), bytes.to_vec().into(), PutMode::Create.into());
+        let path = self.path(name);
+        let put = self.store.put_opts(&path, bytes.to_vec().into(), PutMode::Create.into());
         match self.runtime.block_on(put) {
             Ok(_) => Ok(Stored::New),
             Err(Error::AlreadyExists { .. } | Error::Precondition { .. }) => Ok(Stored::Exists),
