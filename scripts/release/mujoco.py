@@ -31,7 +31,7 @@ def main() -> None:
         sys.exit(__doc__)
     folder = ROOT / "python/robogate_eval.data"
     licences = ROOT / "python/licenses"
-    shutil.rmtree(folder, ignore_errors=True)
+    shutil.rmtree(folder / "data", ignore_errors=True)
     library = folder / "data/lib/robogate" / library_name()
     library.parent.mkdir(parents=True)
     licences.mkdir(exist_ok=True)

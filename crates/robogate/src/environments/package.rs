@@ -6,59 +6,59 @@ use std::path::{Path, PathBuf};
 
 /// One embedded file: its path in the package, and its content.
 macro_rules! embedded {
-    ($path:literal, $folder:literal) => {
-        ($path, include_str!(concat!("../../../../", $folder, "/", $path)))
+    ($path:literal) => {
+        ($path, include_str!(concat!("../../../../python/src/", $path)))
     };
 }
 
 /// The files of the packages `robogate_eval` and `robogate_bridge` that a server needs, by their paths.
 const PACKAGE: &[(&str, &str)] = &[
-    embedded!("robogate_eval/__init__.py", "python/src"),
-    embedded!("robogate_eval/_command.py", "python/src"),
-    embedded!("robogate_eval/environments/__init__.py", "python/src"),
-    embedded!("robogate_eval/environments/__main__.py", "python/src"),
-    embedded!("robogate_eval/environments/family.py", "python/src"),
-    embedded!("robogate_eval/environments/fetch.py", "python/src"),
-    embedded!("robogate_eval/environments/libero.py", "python/src"),
-    embedded!("robogate_eval/environments/metaworld.py", "python/src"),
-    embedded!("robogate_eval/environments/robosuite.py", "python/src"),
-    embedded!("robogate_eval/libero/__init__.py", "python/src"),
-    embedded!("robogate_eval/libero/bddl.py", "python/src"),
-    embedded!("robogate_eval/libero/controller.py", "python/src"),
-    embedded!("robogate_eval/libero/initial_states.py", "python/src"),
-    embedded!("robogate_eval/libero/installation.py", "python/src"),
-    embedded!("robogate_eval/libero/knobs.py", "python/src"),
-    embedded!("robogate_eval/libero/plans.py", "python/src"),
-    embedded!("robogate_eval/libero/scoring.py", "python/src"),
-    embedded!("robogate_eval/libero/suites.py", "python/src"),
-    embedded!("robogate_eval/libero/world.py", "python/src"),
-    embedded!("robogate_eval/scripted/__init__.py", "python/src"),
-    embedded!("robogate_eval/scripted/clearance.py", "python/src"),
-    embedded!("robogate_eval/scripted/grasp.py", "python/src"),
-    embedded!("robogate_eval/scripted/motion.py", "python/src"),
-    embedded!("robogate_eval/scripted/scene.py", "python/src"),
-    embedded!("robogate_eval/scripted/skills.py", "python/src"),
-    embedded!("robogate_eval/serving/__init__.py", "python/src"),
-    embedded!("robogate_eval/serving/adapter.py", "python/src"),
-    embedded!("robogate_eval/serving/disturbances.py", "python/src"),
-    embedded!("robogate_eval/serving/environment.py", "python/src"),
-    embedded!("robogate_eval/serving/friction.py", "python/src"),
-    embedded!("robogate_eval/serving/knobs.py", "python/src"),
-    embedded!("robogate_eval/serving/model.py", "python/src"),
-    embedded!("robogate_eval/serving/mujoco_knobs.py", "python/src"),
-    embedded!("robogate_eval/serving/process.py", "python/src"),
-    embedded!("robogate_eval/serving/spaces.py", "python/src"),
-    embedded!("robogate_eval/serving/trajectory.py", "python/src"),
-    embedded!("robogate_bridge/__init__.py", "bridges/common"),
-    embedded!("robogate_bridge/cell.py", "bridges/common"),
-    embedded!("robogate_bridge/client.py", "bridges/common"),
-    embedded!("robogate_bridge/codec.py", "bridges/common"),
-    embedded!("robogate_bridge/declaration.py", "bridges/common"),
-    embedded!("robogate_bridge/errors.py", "bridges/common"),
-    embedded!("robogate_bridge/identity.py", "bridges/common"),
-    embedded!("robogate_bridge/server.py", "bridges/common"),
-    embedded!("robogate_bridge/servo.py", "bridges/common"),
-    embedded!("robogate_bridge/shape.py", "bridges/common"),
+    embedded!("robogate_eval/__init__.py"),
+    embedded!("robogate_eval/_command.py"),
+    embedded!("robogate_eval/environments/__init__.py"),
+    embedded!("robogate_eval/environments/__main__.py"),
+    embedded!("robogate_eval/environments/family.py"),
+    embedded!("robogate_eval/environments/fetch.py"),
+    embedded!("robogate_eval/environments/libero.py"),
+    embedded!("robogate_eval/environments/metaworld.py"),
+    embedded!("robogate_eval/environments/robosuite.py"),
+    embedded!("robogate_eval/libero/__init__.py"),
+    embedded!("robogate_eval/libero/bddl.py"),
+    embedded!("robogate_eval/libero/controller.py"),
+    embedded!("robogate_eval/libero/initial_states.py"),
+    embedded!("robogate_eval/libero/installation.py"),
+    embedded!("robogate_eval/libero/knobs.py"),
+    embedded!("robogate_eval/libero/plans.py"),
+    embedded!("robogate_eval/libero/scoring.py"),
+    embedded!("robogate_eval/libero/suites.py"),
+    embedded!("robogate_eval/libero/world.py"),
+    embedded!("robogate_eval/scripted/__init__.py"),
+    embedded!("robogate_eval/scripted/clearance.py"),
+    embedded!("robogate_eval/scripted/grasp.py"),
+    embedded!("robogate_eval/scripted/motion.py"),
+    embedded!("robogate_eval/scripted/scene.py"),
+    embedded!("robogate_eval/scripted/skills.py"),
+    embedded!("robogate_eval/serving/__init__.py"),
+    embedded!("robogate_eval/serving/adapter.py"),
+    embedded!("robogate_eval/serving/disturbances.py"),
+    embedded!("robogate_eval/serving/environment.py"),
+    embedded!("robogate_eval/serving/friction.py"),
+    embedded!("robogate_eval/serving/knobs.py"),
+    embedded!("robogate_eval/serving/model.py"),
+    embedded!("robogate_eval/serving/mujoco_knobs.py"),
+    embedded!("robogate_eval/serving/process.py"),
+    embedded!("robogate_eval/serving/spaces.py"),
+    embedded!("robogate_eval/serving/trajectory.py"),
+    embedded!("robogate_bridge/__init__.py"),
+    embedded!("robogate_bridge/cell.py"),
+    embedded!("robogate_bridge/client.py"),
+    embedded!("robogate_bridge/codec.py"),
+    embedded!("robogate_bridge/declaration.py"),
+    embedded!("robogate_bridge/errors.py"),
+    embedded!("robogate_bridge/identity.py"),
+    embedded!("robogate_bridge/server.py"),
+    embedded!("robogate_bridge/servo.py"),
+    embedded!("robogate_bridge/shape.py"),
 ];
 
 /// Writes the package below `cache`, unless it is there, and returns the folder to put on `PYTHONPATH`.
@@ -111,7 +111,7 @@ mod tests {
         for folder in ["environments", "libero", "scripted", "serving"] {
             files(&root.join("python/src"), &format!("robogate_eval/{folder}"), &mut found);
         }
-        files(&root.join("bridges/common"), "robogate_bridge", &mut found);
+        files(&root.join("python/src"), "robogate_bridge", &mut found);
         let missing: Vec<_> = found.iter().filter(|path| PACKAGE.iter().all(|(known, _)| known != path)).collect();
         assert!(missing.is_empty(), "not embedded: {missing:?}");
     }
