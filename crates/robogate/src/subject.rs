@@ -187,6 +187,11 @@ struct RecordedServers {
     robot: String,
 }
 
+/// Whether a run was made in an environment whose Python processes this command starts.
+pub(crate) fn starts_processes(provenance: &Provenance) -> bool {
+    provenance.world.get("environment").is_some()
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum ScoresItself {

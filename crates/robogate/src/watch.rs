@@ -12,7 +12,7 @@ use robogate_stats::format::{counted, number};
 
 use crate::policy_source::PolicySource;
 use crate::remote::Simulators;
-use crate::subject::Subject;
+use crate::subject::{Subject, starts_processes};
 
 /// Maximum number of recorded episodes of a page.
 const MAX_CLIPS: usize = 12;
@@ -146,13 +146,13 @@ impl<'a> Recorder<'a> {
         if let Some(at) = self.runs.iter().position(|run| run.folder == folder) {
             return Some(at);
         }
+        if self.moment == Moment::EndOfRun && starts_processes(provenance) {
+            self.remarks.push(at_request("The environment runs in a process of its own", folder));
+            return None;
+        }
         match Subject::recorded(provenance, simulators) {
             Ok(subject) if self.moment == Moment::EndOfRun && behind_server(&subject) => {
-                self.remarks.push(format!(
-                    "The policy is behind a server, so its episodes are not recorded at the end of a run. `robogate report {}` \
-                     records them.",
-                    shell_word(&folder.display().to_string())
-                ));
+                self.remarks.push(at_request("The policy is behind a server", folder));
                 None
             }
             Ok(subject) => {
@@ -241,6 +241,12 @@ impl<'a> Recorder<'a> {
         }
         Watch { items, reel, remarks: self.remarks }
     }
+}
+
+/// Why nothing is recorded at the end of a run, and how to record it.
+fn at_request(because: &str, folder: &Path) -> String {
+    let folder = shell_word(&folder.display().to_string());
+    format!("{because}, so its episodes are not recorded at the end of a run. `robogate report {folder}` records them.")
 }
 
 /// Whether the policy is behind a server.
