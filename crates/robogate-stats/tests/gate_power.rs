@@ -59,7 +59,7 @@ fn errors(name: &str, n: usize, limit: f64, gates: u64) -> [f64; 2] {
 }
 
 const MIXES: [&str; 4] = ["equal", "deterministic", "half and half", "Beta"];
-/// Suites whose limit is the mean of a whole number of deterministic scenarios.
+/// Suites whose limit is the mean of an integer number of deterministic scenarios.
 const SUITES: [(usize, f64); 2] = [(50, 0.92), (100, 0.99)];
 
 #[test]

@@ -465,7 +465,7 @@ fn results_become_measures() {
     let measures: Vec<&str> = provenance.task.measures.iter().map(|measure| measure.name.as_str()).collect();
     assert_eq!(measures, ["reward", "episode_length", "cycle_time"]);
     assert!(roles(&provenance).contains(&"video_path: identifier, not used".to_owned()));
-    // The mapping decides, whatever the name says.
+    // The mapping takes precedence over the name.
     let (.., provenance) =
         table("chosen", rows, "[parameters]\nlength = 'episode_length'\n[measures]\nmu = 'friction'");
     assert_eq!(provenance.space.parameters().iter().map(|p| &*p.name).collect::<Vec<_>>(), ["length"]);
