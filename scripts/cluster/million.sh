@@ -25,7 +25,7 @@ sys.exit(0 if code == 0 else f"{name} ended with exit code {code}")
 PYTHON
 }
 
-test=$(cargo test --locked --no-run -p robogate-campaign --features robogate/full --test it --message-format=json 2> /dev/null |
+test=$(cargo test --locked --no-run -p robogate -p robogate-campaign --features robogate/full --test it --message-format=json 2> /dev/null |
     python3 -c 'import json, sys; print([json.loads(line)["executable"] for line in sys.stdin if "\"executable\":\"" in line][-1])')
 printf 'episodes\tstep\twall s\tCPU s\tpeak MB\n'
 for episodes in 100000 1000000; do

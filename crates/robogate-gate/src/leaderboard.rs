@@ -5,12 +5,19 @@
 //! categories. Every policy gets the same scenarios, each with all its episodes. The intervals of scores and ranks are
 //! percentiles over 2,000 replicates.
 //!
+//! A leader is named only if it is significantly ahead of every other policy: an exact sign test over the scenarios (the
+//! successes of each, compared pairwise) and the replicates of the score both reject equality. With k policies the
+//! one-sided level of each test is 0.05/k. A policy that is not the best is then named in at most 5 % of leaderboards:
+//! for each policy, the probability that it is significantly ahead of a better or equal one is at most 0.05/k, and k of
+//! them are added (Bonferroni).
+//!
 //! Limitation: resampling only sees observed outcomes. If all replicates are equal, no interval is given; use the exact
 //! interval of the success rate instead. Source: Efron and Tibshirani (1993), chapters 6 and 13.
 
 use std::collections::BTreeMap;
 
 use robogate_core::Seed;
+use robogate_stats::compare::{Pairs, mcnemar_exact};
 use robogate_stats::resample::percentile_ends;
 use robogate_stats::{Confidence, Trials, clopper_pearson};
 use schemars::JsonSchema;
@@ -25,6 +32,8 @@ const DRAWS: usize = 2_000;
 /// The campaign seed of the bootstrap. It is used by no campaign, so its random streams are independent of all
 /// episodes.
 const SEED: u64 = 0x1EAD_E2B0;
+/// The largest probability with which a leaderboard names a leader that is not the best.
+const LEADER_ERROR: f64 = 0.05;
 
 /// One policy of a leaderboard.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -68,7 +77,10 @@ pub struct Leaderboard {
     pub baseline: Option<Baseline>,
     /// The number of bootstrap replicates.
     pub draws: u64,
-    /// The policies, the best first. Those without a score are last.
+    /// The name of the policy that is significantly ahead of all others. `None` if no policy is.
+    #[serde(default)]
+    pub leader: Option<String>,
+    /// The policies, the highest score first. Those without a score are last.
     pub standings: Vec<Standing>,
 }
 
@@ -118,6 +130,9 @@ impl Leaderboard {
             standings.push(standing(name, record, trials, score, scores));
         }
         ranks(&mut standings, &draws);
+        let leader = (0..standings.len())
+            .find(|i| successes_lead(&strata, *i) && scores_lead(&draws, *i))
+            .and_then(|i| Some(standings.get(i)?.name.clone()));
         standings.sort_by(|a, b| {
             let points = |s: &Standing| s.score.points.unwrap_or(f64::NEG_INFINITY);
             points(b).total_cmp(&points(a)).then_with(|| a.name.cmp(&b.name))
@@ -127,6 +142,7 @@ impl Leaderboard {
             population: first.population.clone(),
             baseline: baseline.cloned(),
             draws: DRAWS as u64,
+            leader,
             standings,
         })
     }
@@ -227,4 +243,51 @@ fn ranks(standings: &mut [Standing], draws: &[Vec<Option<f64>>]) {
         let at = |q: f64| resampled.get((q * resampled.len() as f64) as usize).copied();
         standing.ranks_95 = at(0.025).zip(at(0.975)).map(|(low, high)| [low, high]);
     }
+}
+
+/// Whether policy `i` succeeds significantly more often than each other policy: an exact sign test over the scenarios
+/// that both ran. The episodes of one scenario count as one observation.
+fn successes_lead(strata: &[Strata<'_>], i: usize) -> bool {
+    let level = LEADER_ERROR / strata.len() as f64;
+    strata.len() > 1
+        && strata.get(i).is_some_and(|own| {
+            let others = strata.iter().enumerate().filter(|(j, _)| *j != i);
+            others.into_iter().all(|(_, other)| {
+                let pairs = better_scenarios(own, other);
+                // The exact test is two-sided.
+                pairs.first_only > pairs.second_only && mcnemar_exact(pairs) <= (2.0 * level).ln()
+            })
+        })
+}
+
+/// Counts the scenarios in which one policy has the higher success rate.
+fn better_scenarios(first: &Strata<'_>, second: &Strata<'_>) -> Pairs {
+    let rate = |trials: &[&Trial]| {
+        let valid = trials.iter().filter(|trial| trial.ending.is_valid()).count();
+        let successes = trials.iter().filter(|trial| trial.ending == Ending::Success).count();
+        (valid > 0).then(|| successes as f64 / valid as f64)
+    };
+    let mut pairs = Pairs::default();
+    for (category, scenarios) in first {
+        for (case, trials) in scenarios {
+            let other = second.get(category).and_then(|known| known.get(case));
+            let Some((a, b)) = rate(trials).zip(other.and_then(|trials| rate(trials))) else { continue };
+            pairs.first_only += u64::from(a > b);
+            pairs.second_only += u64::from(b > a);
+        }
+    }
+    pairs
+}
+
+/// Whether the score of policy `i` is higher than that of each other policy in nearly all replicates.
+fn scores_lead(draws: &[Vec<Option<f64>>], i: usize) -> bool {
+    let policies = draws.first().map_or(0, Vec::len);
+    let most = LEADER_ERROR / policies as f64 * draws.len() as f64;
+    (0..policies).filter(|j| *j != i).all(|j| {
+        let behind = |scores: &&Vec<Option<f64>>| {
+            let (own, other) = (scores.get(i).copied().flatten(), scores.get(j).copied().flatten());
+            own.zip(other).is_none_or(|(own, other)| own <= other)
+        };
+        draws.iter().filter(behind).count() as f64 <= most
+    })
 }

@@ -7,6 +7,7 @@ mod comparison;
 mod errors;
 mod evaluation;
 mod evidence;
+mod leaderboard;
 mod planning;
 mod score;
 mod simulated;

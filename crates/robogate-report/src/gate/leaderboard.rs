@@ -66,7 +66,8 @@ fn terms(board: &Leaderboard) -> Vec<String> {
 fn caution(board: &Leaderboard) -> String {
     format!(
         "{} The score summarises observed figures. Its interval and that of the rank come from {} bootstrap replicates of the \
-         scenarios, within each category and the same for every policy. \"no interval\": all replicates are equal, which does not \
+         scenarios, within each category and the same for every policy. The best policy is named if its score and its success rate are \
+         significantly higher than those of every other one (5 % for all comparisons together). \"no interval\": all replicates are equal, which does not \
          mean that the score is exact.",
         board.population.estimand(),
         count(board.draws)
@@ -194,11 +195,11 @@ fn row(standing: &Standing, line: &Line) -> Markup {
 }
 
 fn title(board: &Leaderboard) -> String {
-    match board.standings.as_slice() {
-        [only] => format!("{}, the only policy", only.name),
-        [first, ..] if first.score.points.is_some() => {
-            format!("{} leads {} policies", first.name, board.standings.len())
-        }
+    let n = board.standings.len();
+    match (&board.leader, board.standings.as_slice()) {
+        (_, [only]) => format!("{}, the only policy", only.name),
+        (Some(leader), _) => format!("{leader} is the best of {n} policies"),
+        (None, [first, ..]) if first.score.points.is_some() => format!("No policy of {n} is significantly the best"),
         _ => "No policy can be ranked".to_owned(),
     }
 }

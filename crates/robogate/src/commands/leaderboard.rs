@@ -112,6 +112,11 @@ fn named(run: &str) -> (String, PathBuf) {
 /// Prints a leaderboard on the terminal.
 pub(crate) fn print(board: &Leaderboard) {
     line(bold(format_args!("Leaderboard, {}", board.population)));
+    match (&board.leader, board.standings.len()) {
+        (Some(leader), n) => line(format_args!("{leader} is the best of {n} policies")),
+        (None, n) if n > 1 => line(format_args!("No policy of {n} is significantly the best")),
+        _ => {}
+    }
     line("");
     let wide = board.standings.iter().map(|s| s.name.chars().count()).max().unwrap_or(6).max(6);
     line(dim(format_args!(

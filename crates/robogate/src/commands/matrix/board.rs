@@ -80,9 +80,11 @@ fn boards(dir: &Path, plan: &SweepPlan) -> Result<Vec<Leaderboard>, Exit> {
                 first.population.is_that_of(&record.population) && first.task.name == record.task.name
             })
         };
+        // All runs of one leaderboard have the same task.
+        let name = run.name.replacen(&format!(", {}", record.task.name), "", 1);
         match groups.iter_mut().find(comparable) {
-            Some(group) => group.push((run.name.clone(), record)),
-            None => groups.push(vec![(run.name.clone(), record)]),
+            Some(group) => group.push((name, record)),
+            None => groups.push(vec![(name, record)]),
         }
     }
     groups.iter().map(|group| board(group, plan.requirements.as_deref())).collect()
