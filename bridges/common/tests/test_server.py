@@ -129,6 +129,42 @@ class ThePolicies(unittest.TestCase):
         reply = ask(server, "reset", index=0, seed=1, parameters={"goal_m": 0.5, "leaks": 1}, policy="half")
         self.assertEqual(reply["error"]["kind"], "bad_action")
 
+    def test_run_ahead_as_far_as_requested(self):
+        server, _ = self.begun(policy="half")
+        ahead = ask(server, "step", tick=0, action_space="vector", actions=[[0.5, 0.25]], ahead=5)["steps"]
+        other, _ = self.begun(policy="half")
+        single = [ask(other, "step", tick=tick, action_space="vector", actions=[[0.5, 0.25]])["steps"][0] for tick in range(6)]
+        self.assertEqual(ahead, single)
+        self.assertTrue(ask(server, "step", tick=6, action_space="vector", actions=[[0.5, 0.25]])["ok"])
+
+    def test_run_ahead_to_the_end_of_the_episode(self):
+        server, _ = self.begun(policy="half")
+        steps = ask(server, "step", tick=0, action_space="vector", actions=[[0.5, 0.25]], ahead=256)["steps"]
+        while steps[-1]["ending"] is None:
+            steps += ask(server, "step", tick=len(steps), action_space="vector", actions=[[0.5, 0.25]], ahead=256)["steps"]
+        self.assertTrue(all(step["ending"] is None for step in steps[:-1]))
+        self.assertEqual(ask(server, "step", tick=len(steps), action_space="vector", actions=[[0.5, 0.25]])["error"]["kind"], "bad_request")
+
+    def test_run_ahead_only_with_a_policy(self):
+        server, _ = self.begun()
+        self.assertEqual(len(ask(server, "step", tick=0, action_space="vector", actions=[[0.5, 0.25]], ahead=5)["steps"]), 1)
+
+    def test_report_an_error_ahead_when_the_client_gets_there(self):
+        server, _ = self.begun(policy="half")
+        simulator, step, calls = server._simulator, server._simulator.step, []
+
+        def third_fails(action):
+            calls.append(action)
+            if len(calls) == 3:
+                raise Problem("diverged", "the water is gone")
+            return step(action)
+
+        simulator.step = third_fails
+        reply = ask(server, "step", tick=0, action_space="vector", actions=[[0.5, 0.25]], ahead=5)
+        self.assertEqual(len(reply["steps"]), 2)
+        reply = ask(server, "step", tick=2, action_space="vector", actions=[[0.5, 0.25]], ahead=5)
+        self.assertEqual(reply["error"], {"kind": "diverged", "detail": "the water is gone"})
+
 
 class TheServer(unittest.TestCase):
     def rejects(self, reply, kind):

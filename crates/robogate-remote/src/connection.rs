@@ -14,8 +14,8 @@ use super::error::{RequestError, violation};
 use super::header::{decode, encode};
 use super::limits::{self, VERSION};
 use super::message::{
-    ActionKind, Empty, Envelope, ErrorKind, ErrorReply, Hello, Period, RenderReply, RenderRequest, Request, StepReply,
-    StepRequest,
+    ActionKind, Empty, Envelope, ErrorKind, ErrorReply, Hello, ObservationMessage, Period, RenderReply, RenderRequest,
+    Request, StepReply, StepRequest,
 };
 
 /// How long the client waits for each kind of reply.
@@ -134,16 +134,37 @@ impl Connection {
         action_space: ActionKind,
         action: Vec<f64>,
     ) -> Result<(Period<S>, Observation), RequestError> {
-        let request = StepRequest { tick: self.tick, action_space, actions: vec![action] };
+        let (mut period, _) = self.run_ahead(action_space, action, 0)?;
+        let observation = self.advance(&mut period)?;
+        Ok((period, observation))
+    }
+
+    /// Run one action, and let the server run up to `ahead` further control periods with the actions of its own policy.
+    /// Returns the result of the first control period, and those of the others. [`Connection::advance`] checks each.
+    pub(crate) fn run_ahead<S: DeserializeOwned>(
+        &mut self,
+        action_space: ActionKind,
+        action: Vec<f64>,
+        ahead: u32,
+    ) -> Result<(Period<S>, Vec<Period<S>>), RequestError> {
+        let request = StepRequest { tick: self.tick, action_space, actions: vec![action], ahead };
         let reply: StepReply<S> = self.request("step", request)?;
         let count = reply.steps.len();
-        let Ok([period]) = <[Period<S>; 1]>::try_from(reply.steps) else {
-            return Err(violation(format!("the reply has {count} steps for one action")));
-        };
+        let mut steps = reply.steps.into_iter();
+        match steps.next() {
+            Some(first) if count <= 1 + ahead as usize => Ok((first, steps.collect())),
+            _ if ahead == 0 => Err(violation(format!("the reply has {count} steps for one action"))),
+            _ => Err(violation(format!("the reply has {count} steps; expected 1 to {}", 1 + ahead))),
+        }
+    }
+
+    /// Count a control period that was run, and check its observation.
+    pub(crate) fn advance<S>(&mut self, period: &mut Period<S>) -> Result<Observation, RequestError> {
         self.tick += 1;
         let time_s = self.tick as f64 * self.hello.task.control_period_s;
-        let observation = period.observation.clone().checked(&self.hello.task, time_s).map_err(violation)?;
-        Ok((period, observation))
+        let vectors = std::mem::take(&mut period.observation.vectors);
+        let message = ObservationMessage { time_s: period.observation.time_s, vectors };
+        message.checked(&self.hello.task, time_s).map_err(violation)
     }
 
     /// Render all cameras of the server in its current state.

@@ -40,7 +40,7 @@ impl RemoteEnvironment {
             return Err(IncompatibleServer(format!("it declares no policy `{policy}`; its policies: {known}")));
         }
         let proposals = Proposals::new(policy);
-        let session = ScoredSession { proposals: Some(proposals.clone()) };
+        let session = ScoredSession::with_policy(proposals.clone());
         Ok((Self { episodes: Episodes::new(pool, session)? }, RemotePolicy(proposals)))
     }
 
@@ -64,6 +64,10 @@ impl Environment for RemoteEnvironment {
     }
 
     fn render(&mut self) -> Result<Vec<Image>, Fault> {
+        if self.episodes.session.periods_ahead() > 0 {
+            let detail = "no images of an episode whose actions come from a policy in the server: it runs ahead";
+            return Err(Fault::new(FaultKind::Setup, detail));
+        }
         let mut lease = self.episodes.lease.take().ok_or_else(no_episode)?;
         match lease.connection.as_mut().ok_or_else(no_episode)?.render() {
             Ok(images) => {

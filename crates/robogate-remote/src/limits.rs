@@ -20,6 +20,8 @@ pub const TICKS: u32 = 1_000_000;
 pub const PARAMETERS: usize = 256;
 /// Maximum number of actions of one `step` request.
 pub const ACTIONS: usize = 256;
+/// Maximum number of control periods that a server may run ahead.
+pub const AHEAD: u32 = 256;
 /// Maximum nesting depth of maps and arrays in a header.
 pub const NESTING: usize = 16;
 /// Maximum length of a string in a header, in bytes of UTF-8.

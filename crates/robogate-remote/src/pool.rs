@@ -1,7 +1,6 @@
 //! Several servers that act as one simulator for each worker.
 //!
 //! An episode runs in one server. A server failure is one of these: the server is unreachable, it does not answer in
-//! time, or its reply is invalid. A failure during an episode makes that episode Invalid. A failure at a reset sends
 //! the time, or its reply is invalid. A failure during an episode makes that episode invalid. A failure at a reset
 //! sends the episode to another server, because no part of it has run yet. After a failure, a server is not used for 1
 //! s; after further consecutive failures, for 2 s, 4 s and 8 s. After [`MAX_FAILURES`] failures without a completed

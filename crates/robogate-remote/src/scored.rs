@@ -1,16 +1,18 @@
 //! Episodes in a server that has its own task and scores itself.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use robogate_core::{
-    Action, Command, Ending, Fault, FaultKind, Measures, Observation, Scenario, Start, Step, TaskInstance, TaskSpec,
+    Action, ActionSpace, Command, Ending, Fault, FaultKind, Measures, Observation, Scenario, Start, Step, TaskInstance,
+    TaskSpec,
 };
 use serde::de::IgnoredAny;
 
 use super::connection::Connection;
 use super::error::{RequestError, violation};
-use super::message::{ActionKind, Empty, Hello, ParameterValue, Period, ResetReply, ResetRequest, from_wire};
+use super::limits::AHEAD;
+use super::message::{ActionKind, Empty, Hello, ParameterValue, Period, Proposed, ResetReply, ResetRequest, from_wire};
 use super::proposals::Proposals;
 use super::session::{Session, gripper_number, reset_request};
 
@@ -19,6 +21,52 @@ use super::session::{Session, gripper_number, reset_request};
 pub struct ScoredSession {
     /// The policy of the server that proposes the actions, if there is one.
     pub(crate) proposals: Option<Proposals>,
+    /// Control periods that the server has already run, each with its action.
+    ran: VecDeque<(Proposed, Period<Empty>)>,
+}
+
+impl ScoredSession {
+    /// A session whose actions are those of a policy in the server.
+    pub(crate) fn with_policy(proposals: Proposals) -> Self {
+        Self { proposals: Some(proposals), ..Self::default() }
+    }
+
+    /// Number of control periods that the server is ahead of this process.
+    pub(crate) fn periods_ahead(&self) -> usize {
+        self.ran.len()
+    }
+
+    /// The result of the next control period: from the server, or from those that it has already run.
+    fn next_period(
+        &mut self,
+        connection: &mut Connection,
+        kind: ActionKind,
+        numbers: Vec<f64>,
+    ) -> Result<Period<Empty>, RequestError> {
+        if let Some((proposed, period)) = self.ran.pop_front() {
+            if (proposed.action_space, &proposed.action) != (kind, &numbers) {
+                let detail = "the server has already run another action: only its own policy can act in this episode";
+                return Err(RequestError::Local(Fault::new(FaultKind::Setup, detail)));
+            }
+            return Ok(period);
+        }
+        let ahead = self.proposals.as_ref().map_or(0, |_| periods_ahead(&connection.hello().task));
+        let (first, others) = connection.run_ahead::<Empty>(kind, numbers, ahead)?;
+        let mut proposed = first.proposed.clone();
+        for period in others {
+            let Some(action) = proposed else { return Err(violation("the server ran ahead without an action")) };
+            proposed = period.proposed.clone();
+            self.ran.push_back((action, period));
+        }
+        Ok(first)
+    }
+}
+
+/// The number of control periods that a server may run ahead with the actions of its own policy. 0 if an action is
+/// converted on its way through this process, which might round it.
+fn periods_ahead(task: &TaskSpec) -> u32 {
+    let exact = matches!(&task.action.spaces[..], [ActionSpace::Vector { .. }]) && task.action.gripper.is_none();
+    if exact { AHEAD } else { 0 }
 }
 
 impl Session for ScoredSession {
@@ -35,6 +83,7 @@ impl Session for ScoredSession {
 
     fn reset(&mut self, connection: &mut Connection, scenario: &Scenario) -> Result<Start, RequestError> {
         check_parameters(&connection.hello().task, scenario).map_err(RequestError::Local)?;
+        self.ran.clear();
         let mut request = reset_request::<Empty>(scenario, &scenario.requested, None)?;
         request.policy = self.proposals.as_ref().map(|proposals| proposals.policy().to_owned());
         let reply: ResetReply<Empty, Empty> = connection.begin(request)?;
@@ -51,7 +100,8 @@ impl Session for ScoredSession {
 
     fn step(&mut self, connection: &mut Connection, action: &Action) -> Result<Step, RequestError> {
         let (kind, numbers) = encode_action(&connection.hello().task, action).map_err(RequestError::Local)?;
-        let (mut period, observation) = connection.run::<Empty>(kind, numbers)?;
+        let mut period = self.next_period(connection, kind, numbers)?;
+        let observation = connection.advance(&mut period)?;
         if let Some(proposals) = &self.proposals {
             proposals.put(&connection.hello().task, period.proposed.take())?;
         }

@@ -5,6 +5,7 @@ import json
 import random
 import signal
 import sys
+import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,6 +15,10 @@ import zmq
 
 from . import codec, declaration, shape
 from .errors import FATAL, Problem
+
+# How long a server runs ahead in one request. A short time, so that no request comes near its timeout.
+AHEAD_S = 0.1
+NUMBERS = frozenset((float, int))
 
 
 @dataclass(frozen=True)
@@ -107,6 +112,11 @@ class Server:
         self._tick = 0
         # Whether a policy of this server proposes the actions of the episode.
         self._proposes = False
+        # An error in a control period that no request has asked for yet.
+        self._waiting: Problem | None = None
+        numbers = sum(vector["length"] for vector in self._task["observation"]["vectors"])
+        # Each number takes nine bytes of the header.
+        self._most_ahead = min(codec.MAX_ACTIONS, codec.MAX_HEADER // (40 * (numbers + 50)))
 
     def answer(self, frames: list[bytes]) -> list[bytes]:
         episode = 0
@@ -159,27 +169,56 @@ class Server:
             fields["sight"] = shape.sight(shape.entry(answer, "sight", "reset"))
         if policy is not None:
             fields["proposed"] = shape.proposed(shape.entry(answer, "proposed", "reset"), self._task, "reset")
-        self._episode, self._tick, self._proposes = episode, 0, policy is not None
+        self._episode, self._tick, self._proposes, self._waiting = episode, 0, policy is not None, None
         return fields, []
 
     def _do_step(self, request, episode):
         self._running(episode)
+        if self._waiting is not None:
+            raise self._waiting
         if _u64(request, "tick") != self._tick:
             raise Problem("bad_request", f"the request is for tick {request['tick']}. Expected tick {self._tick}")
         steps = []
         for action in self._actions(request):
-            self._tick += 1
-            answer = self._simulator.step(action)
-            where = f"steps[{len(steps)}]"
-            result = shape.step(answer, self._hello, self._tick * self._period, self._sights, where)
-            digest = answer["state_hash"] if "state_hash" in answer else self._simulator.state_hash()
-            steps.append(result | {"state_hash": shape.integer(digest, f"{where}.state_hash")})
+            steps.append(self._period_of(action, len(steps)))
             if steps[-1].get("ending") is not None:
-                self._over()
-                break
-            if self._proposes and answer.get("proposed") is not None:
-                steps[-1]["proposed"] = shape.proposed(answer["proposed"], self._task, where)
+                return {"steps": steps}, []
+        self._run_ahead(steps, min(_optional_u64(request, "ahead"), self._most_ahead))
         return {"steps": steps}, []
+
+    def _period_of(self, action, position):
+        """Run one control period, the one at this position of a reply."""
+        self._tick += 1
+        answer = self._simulator.step(action)
+        where = f"steps[{position}]"
+        result = shape.step(answer, self._hello, self._tick * self._period, self._sights, where)
+        digest = answer["state_hash"] if "state_hash" in answer else self._simulator.state_hash()
+        result["state_hash"] = shape.integer(digest, f"{where}.state_hash")
+        if result.get("ending") is not None:
+            self._over()
+        elif self._proposes and answer.get("proposed") is not None:
+            result["proposed"] = shape.proposed(answer["proposed"], self._task, where)
+        return result
+
+    def _run_ahead(self, steps, periods):
+        """Run further control periods with the actions that the policy of this server proposes."""
+        ends = time.monotonic() + AHEAD_S
+        for _ in range(periods):
+            proposed = steps[-1].get("proposed")
+            if proposed is None or time.monotonic() > ends:
+                return
+            try:
+                action = self._action(proposed["action_space"], proposed["action"])
+                steps.append(self._period_of(action, len(steps)))
+            except Exception as why:
+                # The client learns of it when it gets there, so that the record does not depend on how far this server ran ahead.
+                if not isinstance(why, Problem):
+                    traceback.print_exc()
+                    why = Problem("internal", f"{type(why).__name__}: {why}")
+                self._waiting = why
+                return
+            if steps[-1].get("ending") is not None:
+                return
 
     def _do_render(self, request, episode):
         self._running(episode)
@@ -268,21 +307,21 @@ class Server:
             raise Problem("bad_request", f"action_space must be one of {', '.join(self._spaces)}")
         if not isinstance(actions, list) or not 1 <= len(actions) <= codec.MAX_ACTIONS:
             raise Problem("bad_request", f"actions must be a list of 1 to {codec.MAX_ACTIONS}")
-        space, gripper = self._spaces[kind], self._task["action"].get("gripper")
-        count = {"joint_position": len(space.get("joints", [])), "tool_delta": 6, "vector": len(space.get("names", []))}[kind]
-        expected = count + (gripper is not None)
-        out = []
-        for action in actions:
-            # The numbers are finite, because the header was checked.
-            if not isinstance(action, list) or len(action) != expected or not all(type(x) in (float, int) for x in action):
-                raise Problem("bad_action", f"an action of {kind} has {expected} numbers, got {str(action)[:200]}")
-            numbers = [float(x) for x in action[:count]]
-            if kind == "tool_delta":
-                numbers = [min(max(x, -1.0), 1.0) for x in numbers]
-            elif kind == "vector":
-                _bounded(numbers, space)
-            out.append(Action(kind, numbers, None if gripper is None else min(max(float(action[-1]), -1.0), 1.0)))
-        return out
+        return [self._action(kind, action) for action in actions]
+
+    def _action(self, kind, action):
+        count, gripper = shape.action_length(self._task, kind), None
+        # The numbers are finite, because the header was checked.
+        if not isinstance(action, list) or len(action) != count or not NUMBERS.issuperset(map(type, action)):
+            raise Problem("bad_action", f"an action of {kind} has {count} numbers, got {str(action)[:200]}")
+        numbers = list(map(float, action))
+        if self._task["action"].get("gripper") is not None:
+            gripper = min(max(numbers.pop(), -1.0), 1.0)
+        if kind == "tool_delta":
+            numbers = [min(max(x, -1.0), 1.0) for x in numbers]
+        elif kind == "vector":
+            _bounded(numbers, self._spaces[kind])
+        return Action(kind, numbers, gripper)
 
 
 def _bounded(numbers, space):
@@ -298,6 +337,10 @@ def _u64(request, key):
     if type(value) is not int or not 0 <= value <= codec.MAX_NUMBER:
         raise Problem("bad_request", f"{key} must be an integer from 0 to 2^64 - 1")
     return value
+
+
+def _optional_u64(request, key):
+    return 0 if request.get(key) is None else _u64(request, key)
 
 
 def _announce(address: str) -> None:

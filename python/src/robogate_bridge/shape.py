@@ -102,17 +102,18 @@ def observation(value, task, time_s, where="observation"):
     if abs(time - time_s) > 1e-6:
         raise wrong(f"{where}.time_s", f"{time_s}, not {time}")
     given = entry(value, "vectors", where)
-    declared = {spec["name"]: spec["length"] for spec in task["observation"]["vectors"]}
+    at = f"{where}.vectors"
+    vectors = {}
+    for spec in task["observation"]["vectors"]:
+        name = spec["name"]
+        vectors[name] = numbers(entry(given, name, at), spec["length"], f"{at}.{name}")
     for name in given:
-        if name not in declared:
-            raise wrong(f"{where}.vectors", f"those that the task declares, which does not declare {name!r}")
-    vectors = {
-        name: numbers(entry(given, name, f"{where}.vectors"), length, f"{where}.vectors.{name}")
-        for name, length in declared.items()
-    }
-    w, x, y, z = vectors["tool_pose"][3:] if "tool_pose" in vectors else (1.0, 0.0, 0.0, 0.0)
-    if abs(w * w + x * x + y * y + z * z - 1.0) > 2e-6:
-        raise wrong(f"{where}.vectors.tool_pose", f"x, y, z and a unit quaternion (w, x, y, z), not {[w, x, y, z]}")
+        if name not in vectors:
+            raise wrong(at, f"those that the task declares, which does not declare {name!r}")
+    if "tool_pose" in vectors:
+        w, x, y, z = vectors["tool_pose"][3:]
+        if abs(w * w + x * x + y * y + z * z - 1.0) > 2e-6:
+            raise wrong(f"{at}.tool_pose", f"x, y, z and a unit quaternion (w, x, y, z), not {[w, x, y, z]}")
     return {"time_s": time, "vectors": vectors}
 
 
@@ -232,14 +233,22 @@ def ending(value, time_s, where):
     }
 
 
+def action_length(task, kind):
+    """How many numbers an action of this kind has, that of the gripper included. None if the task accepts no such actions."""
+    for space in task["action"]["spaces"]:
+        if space["kind"] == kind:
+            count = 6 if kind == "tool_delta" else len(space["names" if kind == "vector" else "joints"])
+            return count + (task["action"].get("gripper") is not None)
+    return None
+
+
 def proposed(value, task, where):
     """Checks the action that a policy of the server proposes."""
     at = f"{where}.proposed"
-    known = {space["kind"]: space for space in task["action"]["spaces"]}
-    kind = text(entry(value, "action_space", at), f"{at}.action_space", tuple(known))
-    space = known[kind]
-    count = {"joint_position": len(space.get("joints", [])), "tool_delta": 6, "vector": len(space.get("names", []))}[kind]
-    count += task["action"].get("gripper") is not None
+    kind = entry(value, "action_space", at)
+    count = action_length(task, kind)
+    if count is None:
+        raise wrong(f"{at}.action_space", f"one of {', '.join(space['kind'] for space in task['action']['spaces'])}")
     try:
         return {"action_space": kind, "action": numbers(entry(value, "action", at), count, f"{at}.action")}
     except Problem as problem:

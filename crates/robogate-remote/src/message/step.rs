@@ -19,6 +19,13 @@ pub struct StepRequest {
     pub action_space: ActionKind,
     /// Actions, one for each control period.
     pub actions: Vec<Vec<f64>>,
+    /// Largest number of further control periods that the server may run with the actions of its own policy.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub ahead: u32,
+}
+
+fn is_zero(number: &u32) -> bool {
+    *number == 0
 }
 
 /// The kinds of actions. Each action ends with the number of the gripper, if the task declares one.

@@ -347,7 +347,9 @@ def _succeeded(trajectory: Trajectory) -> bool:
     info = trajectory.info
     for key in ("success", "is_success"):
         if key in info:
-            return bool(np.all(info[key]))
+            value = info[key]
+            # `np.all` of one number takes ten times as long.
+            return bool(np.all(value)) if isinstance(value, (np.ndarray, list, tuple)) else bool(value)
     check = getattr(trajectory.env.unwrapped, "check_success", None) or getattr(trajectory.env.unwrapped, "_check_success", None)
     if check is None:
         raise Problem(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any
 
 
@@ -80,6 +81,9 @@ class Model:
             # For computations that must not change the episode.
             self.scratch = mujoco.MjData(model)
         self.model, self.data = model, data
+        # Views of the memory of the engine.
+        self._state = (data.qpos, data.qvel, data.act, data.mocap_pos, data.mocap_quat, data.qacc_warmstart)
+        self._warnings = data.warning.number
         # Positions after the reset.
         self.start = data.qpos.copy()
         self._time = float(data.time)
@@ -118,21 +122,20 @@ class Model:
 
     def diverged(self) -> str | None:
         """MuJoCo's warning about a state that is not finite, after which it resets the state silently."""
+        if not self._warnings.any():
+            return None
         import mujoco
 
         for kind in ("BADQPOS", "BADQVEL", "BADQACC"):
-            if self.data.warning[int(getattr(mujoco.mjtWarning, f"mjWARN_{kind}"))].number:
+            if self._warnings[int(getattr(mujoco.mjtWarning, f"mjWARN_{kind}"))]:
                 return f"MuJoCo reported {kind} at {self.data.time:.3f} s"
         return None
 
     def hash(self) -> int:
         """A 64-bit hash of the full state."""
-        import hashlib
-
-        data = self.data
         digest = hashlib.blake2b(digest_size=8)
-        for array in (data.qpos, data.qvel, data.act, data.mocap_pos, data.mocap_quat, data.qacc_warmstart):
-            digest.update(array.tobytes())
+        for array in self._state:
+            digest.update(array)
         return int.from_bytes(digest.digest(), "little")
 
     def names(self, kind: str) -> list[str]:

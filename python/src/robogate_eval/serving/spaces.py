@@ -93,11 +93,15 @@ class Actions:
 
     def decode(self, numbers: Sequence[float]) -> np.ndarray:
         """The action that the environment takes."""
-        return np.clip(np.asarray(numbers, dtype=float), self.low, self.high).astype(self.dtype).reshape(self.shape)
+        return self._clipped(np.asarray(numbers, dtype=float)).astype(self.dtype).reshape(self.shape)
 
     def encode(self, action: Any) -> list[float]:
         """The numbers of an action of a policy, clipped to the bounds. A NaN stays one, so it is reported."""
         numbers = np.asarray(action, dtype=float).ravel()
         if len(numbers) != len(self.low):
             raise ValueError(f"the policy returned {len(numbers)} numbers. Expected {len(self.low)}")
-        return np.clip(numbers, self.low, self.high).tolist()
+        return self._clipped(numbers).tolist()
+
+    def _clipped(self, numbers: np.ndarray) -> np.ndarray:
+        # The same as `np.clip`, three times as fast for a few numbers.
+        return np.minimum(np.maximum(numbers, self.low), self.high)
