@@ -366,7 +366,8 @@ mod tests {
     fn decoding_never_panics() {
         let actions = Capture::read(FOLDER, "actions.pickle").bytes;
         let field = grpc::bytes_field(1, &actions);
-        let seeds = [actions, Capture::read(FOLDER, "observation.pickle").bytes, field];
+        let mut seeds = vec![actions, Capture::read(FOLDER, "observation.pickle").bytes, field];
+        seeds.extend(crate::tests::corpus("pickle"));
         fuzz(&seeds, |bytes| {
             let _ = decode(bytes);
             let _ = grpc::message(bytes);

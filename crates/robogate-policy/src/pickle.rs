@@ -516,4 +516,56 @@ mod tests {
         let deep: Vec<u8> = [b'N'].into_iter().chain([0x85; 1000]).chain([b'.']).collect();
         assert!(read(&deep).is_err());
     }
+
+    /// A program of valid instructions with random operands, so that the machine gets further than with random bytes.
+    fn program(draw: &mut dyn FnMut(usize) -> usize) -> Vec<u8> {
+        let mut bytes = vec![0x80, 4];
+        let mut memo = 0_usize;
+        for _ in 0..draw(200) {
+            match draw(16) {
+                0 => bytes.extend([b'K', draw(256) as u8]),
+                1 => {
+                    let length = draw(40);
+                    bytes.extend([0x8c, length as u8]);
+                    bytes.extend(vec![b'a'; length]);
+                }
+                2 => {
+                    let length = draw(2_000);
+                    bytes.push(if draw(2) == 0 { b'X' } else { b'B' });
+                    bytes.extend((length as u32).to_le_bytes());
+                    bytes.extend(vec![b'b'; length]);
+                }
+                3 => bytes.push([b']', b'}', b')'][draw(3)]),
+                4 => bytes.push(b'('),
+                5 => bytes.push([b't', b'e', b'u'][draw(3)]),
+                6 => bytes.push([b'a', b's', b'b', b'R', 0x81, b'Q'][draw(6)]),
+                7 => bytes.push(0x85 + draw(3) as u8),
+                8 => bytes.push(0x93),
+                9 => bytes.extend(b"cmodule\nname\n"),
+                10 | 11 => {
+                    bytes.push(0x94);
+                    memo += 1;
+                }
+                12 | 13 => bytes.extend([b'h', draw(memo + 1) as u8]),
+                14 => bytes.push([b'N', 0x88, 0x89][draw(3)]),
+                _ => bytes.extend([0x8a, 2, draw(256) as u8, draw(256) as u8]),
+            }
+        }
+        bytes.push(b'.');
+        bytes
+    }
+
+    #[test]
+    fn random_programs_are_read_or_rejected() {
+        let corpus = crate::tests::corpus("pickle");
+        assert!(corpus.len() >= 7);
+        corpus.iter().for_each(|bytes| drop(read(bytes)));
+        let (mut accepted, mut tried) = (0, 0);
+        crate::tests::cases(|draw| {
+            accepted += u32::from(read(&program(draw)).is_ok());
+            tried += 1;
+        });
+        assert!(accepted > 0 && accepted < tried, "{accepted} of {tried}");
+        crate::tests::fuzz(&corpus, |bytes| drop(read(bytes)));
+    }
 }
