@@ -277,7 +277,7 @@ impl Subject {
             Some(_) if !remote => {
                 Err(anyhow!("the run was made in the built-in engine {}, without --simulator", engine.name))
             }
-            Some(pool) if remote::engine(pool.hello()) != *engine => {
+            Some(pool) if !remote::is_engine(pool.hello(), engine) => {
                 let (now, version) = (remote::engine(pool.hello()), engine.version.as_deref().unwrap_or_default());
                 let other = now.version.as_deref().unwrap_or_default();
                 Err(anyhow!("the run was made in {} {version}; this simulator is {} {other}", engine.name, now.name))
@@ -509,7 +509,8 @@ impl EnvironmentSource {
             Self::SelfContained(task) => {
                 let engine = cell::engine(task.engine().map_err(|fault| anyhow!(fault))?);
                 let version = engine.version.unwrap_or_default();
-                let engine = message::Engine { name: engine.name, version, solver: None };
+                let sha256 = engine.build_sha256;
+                let engine = message::Engine { name: engine.name, version, solver: None, sha256 };
                 let program =
                     message::Program { name: "robogate".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() };
                 let space = Some(ParameterSpace::from_toml(task.space())?);
