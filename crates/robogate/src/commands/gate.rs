@@ -267,7 +267,7 @@ impl Gate {
             margin,
         });
         let mut asked = Asked { format: Asked::FORMAT, requirements, baseline: other.baseline, against, sampling };
-        if rival.is_some() {
+        if rival.is_some() && self.divide.is_none() {
             // Its rows do not exist yet. The file is written again once they do.
             asked.against = Some(AskedAgainst { path: String::new(), dataset_sha256: String::new(), margin });
         }
