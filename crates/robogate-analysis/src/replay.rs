@@ -140,6 +140,9 @@ pub(crate) fn episode(table: &EpisodeTable, row: usize, figure: String) -> Repla
     }
 }
 
+/// The folder of the run in the commands of its own page, which lies in that folder.
+pub const HERE: &str = ".";
+
 /// Quotes a text as one word for a POSIX shell.
 pub fn shell_word(text: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || matches!(c, '/' | '\\' | ':' | '.' | '_' | '-');

@@ -4,8 +4,10 @@ use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use robogate_dictionary::PlanHash;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use sha2::{Digest, Sha256};
 
 use crate::RunError;
 
@@ -61,6 +63,13 @@ impl Folder {
         let mut names = names(&self.dir).map_err(RunError::io(&self.dir, "list"))?;
         names.retain(|name| *name != partial(PLAN));
         Ok(names)
+    }
+
+    /// The SHA-256 of the plan, which the journal names.
+    pub(crate) fn plan_hash(&self) -> Result<PlanHash, RunError> {
+        let path = self.path(PLAN);
+        let text = fs::read(&path).map_err(RunError::io(&path, "read"))?;
+        Ok(Sha256::digest(text).into())
     }
 
     /// Writes a JSON document atomically: complete or not at all, even after a power failure.

@@ -28,6 +28,7 @@ mod executor;
 pub mod folder;
 mod invalid;
 mod plan;
+mod rows;
 mod run;
 pub mod shards;
 mod stage;
@@ -42,6 +43,7 @@ pub use boundary::{
 pub use events::{Event, Warning};
 pub use executor::{ExecuteError, Executor, Worker, WorkerFactory};
 pub use plan::{BoundaryStage, DEFAULT_SEED, Emphasis, Plan, PlanError, Preset, Range, UniformStage};
+pub use rows::{RowsError, check_rows};
 pub use run::{
     AfterRound, Completion, RunError, Settings, recorded, resume, resume_in_rounds, settings, start, start_in_rounds,
 };

@@ -18,7 +18,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use robogate_core::{DesignError, Episode, ParameterSpace};
-use robogate_dictionary::{Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Provenance};
+use robogate_dictionary::{
+    Dictionary, DictionaryError, DictionaryWriter, Entry, Journal, Platform, Provenance, Recovery,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -75,7 +77,8 @@ impl Settings {
     /// Rejects `present` settings that would give other results than these recorded ones.
     pub(crate) fn same(&self, present: &Self) -> Result<(), RunError> {
         same_origin(&self.provenance, &present.provenance)?;
-        let values = [self, present].map(|settings| serde_json::to_value(settings).unwrap_or_default());
+        let present = Self { provenance: present.provenance.clone().as_known_in(&self.provenance), ..present.clone() };
+        let values = [self, &present].map(|settings| serde_json::to_value(settings).unwrap_or_default());
         let [recorded, present] = &values;
         for part in ["plan", "provenance"] {
             if let Some((what, recorded, present)) = difference(part.to_owned(), &recorded[part], &present[part]) {
@@ -205,7 +208,7 @@ pub fn recorded(dir: &Path, index: u64) -> Result<Entry, RunError> {
         return Err(missing());
     }
     if folder.has(JOURNAL) {
-        let (mut journal, _) = Journal::open(&folder.path(JOURNAL))?;
+        let (mut journal, _) = Journal::open(&folder.path(JOURNAL), &folder.plan_hash()?)?;
         return journal.read(index)?.ok_or_else(missing);
     }
     if !folder.has(DICTIONARY) {
@@ -254,7 +257,6 @@ pub(crate) fn known_version(path: &Path, found: u32, known: u32) -> Result<(), R
 pub(crate) fn same_origin(recorded: &Provenance, present: &Provenance) -> Result<(), RunError> {
     let text = |value: &Option<String>| value.clone().unwrap_or_else(|| "unknown".to_owned());
     let of = |p: &Provenance| {
-        let platform = p.platform.as_ref().map(|platform| format!("{} {}", platform.os, platform.arch));
         [
             ("tool", p.tool.name.clone()),
             ("tool version", p.tool.version.clone()),
@@ -265,10 +267,24 @@ pub(crate) fn same_origin(recorded: &Provenance, present: &Provenance) -> Result
             ("robot", p.robot.name.clone()),
             ("robot files", text(&p.robot.sha256)),
             ("policy", p.policy.clone()),
-            ("platform", text(&platform)),
         ]
     };
     for ((what, recorded), (_, present)) in of(recorded).into_iter().zip(of(present)) {
+        if recorded != present {
+            return Err(RunError::Mismatch { what: what.to_owned(), recorded, present });
+        }
+    }
+    // Files of version 0.2 do not record the C library, the CPU and the build. Properties that are not recorded are not
+    // compared.
+    let known = |p: &Provenance| {
+        let platform = p.platform.as_ref().map_or_else(|| vec![("platform", text(&None))], Platform::properties);
+        let build = p.build.as_ref().map(|build| ("source files of robogate", build.source_sha256.clone()));
+        platform.into_iter().chain(build).collect::<Vec<_>>()
+    };
+    let properties = known(present);
+    for (what, recorded) in known(recorded) {
+        let found = properties.iter().find(|(name, _)| *name == what);
+        let present = found.map_or_else(|| text(&None), |(_, value)| value.clone());
         if recorded != present {
             return Err(RunError::Mismatch { what: what.to_owned(), recorded, present });
         }
@@ -332,11 +348,11 @@ impl<'a> Run<'a> {
         after_round: &'a mut AfterRound<'a>,
     ) -> Result<Self, RunError> {
         let path = folder.path(JOURNAL);
-        let (journal, cut) = if path.exists() {
-            let (journal, recovery) = Journal::open(&path)?;
-            (journal, recovery.dropped_bytes)
+        let plan = folder.plan_hash()?;
+        let (journal, recovery) = if path.exists() {
+            Journal::open(&path, &plan)?
         } else {
-            (Journal::create(&path)?, 0)
+            (Journal::create(&path, &plan)?, Recovery::default())
         };
         let episodes = settings.plan.episodes();
         if let Some(index) = journal.indices().find(|index| *index >= episodes) {
@@ -345,8 +361,11 @@ impl<'a> Run<'a> {
         let space = Arc::new(settings.provenance.space.clone());
         let bins = Bins::of(&settings.plan, &space)?;
         events(&Event::Started { episodes, already_done: journal.len(), threads: executor.parallelism() });
-        if cut > 0 {
-            events(&Event::warning(Warning::RecordCut { bytes: cut }));
+        if recovery.dropped_bytes > 0 {
+            events(&Event::warning(Warning::RecordCut { bytes: recovery.dropped_bytes }));
+        }
+        if recovery.without_plan {
+            events(&Event::warning(Warning::JournalWithoutPlan));
         }
         let invalid_so_far = AllInvalid::default();
         Ok(Self { folder, settings, space, journal, bins, executor, events, after_round, invalid_so_far })

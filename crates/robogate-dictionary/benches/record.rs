@@ -34,11 +34,11 @@ fn measure(rows: u64, folder: &Path) {
     println!("{rows} rows of {} parameters", space.len());
 
     report("make entries (part of the next two)", rows, || (0..rows).for_each(|i| drop(entry(i))));
-    let mut journal = Journal::create(&journal_path).unwrap();
+    let mut journal = Journal::create(&journal_path, &[7; 32]).unwrap();
     report("journal, append", rows, || (0..rows).for_each(|i| journal.append(&entry(i)).unwrap()));
     drop(journal);
     let mut journal = None;
-    report("journal, open", rows, || journal = Some(Journal::open(&journal_path).unwrap().0));
+    report("journal, open", rows, || journal = Some(Journal::open(&journal_path, &[7; 32]).unwrap().0));
     let mut journal = journal.unwrap();
     report("journal, ordered", rows, || assert_eq!(journal.ordered().map(Result::unwrap).count() as u64, rows));
     report("journal to Parquet", rows, || {
@@ -82,6 +82,7 @@ fn provenance(task: &Arc<TaskSpec>, space: &ParameterSpace) -> Provenance {
         task: Arc::clone(task),
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
+        build: None,
         engine: Engine { name: "none".to_owned(), version: None, build_sha256: None },
         robot: Robot { name: "none".to_owned(), sha256: None, dimensions: None },
         policy: "none".to_owned(),
@@ -89,6 +90,7 @@ fn provenance(task: &Arc<TaskSpec>, space: &ParameterSpace) -> Provenance {
         space: space.clone(),
         plan: serde_json::Value::Null,
         seed: 1,
+        question_sha256: None,
         platform: Some(Platform::here()),
         source: None,
     }

@@ -39,6 +39,16 @@ pub enum DictionaryError {
         /// The problem, with a hint.
         reason: String,
     },
+    /// The journal of another campaign.
+    #[error("{}: the journal belongs to another campaign: it names the plan with the SHA-256 {found}, but this folder's plan.json has {expected}\nhint: restore the journal or the plan of this run; episodes of two campaigns cannot be mixed", path.display())]
+    OtherPlan {
+        /// The journal.
+        path: PathBuf,
+        /// The SHA-256 (hex) that the journal names.
+        found: String,
+        /// The SHA-256 (hex) of the plan.
+        expected: String,
+    },
     /// A part of a dictionary has changed since it was written.
     #[error("{}: {place} is damaged: {reason}\nhint: restore the file from a backup, or run its campaign again", path.display())]
     Damaged {

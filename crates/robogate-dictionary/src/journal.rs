@@ -1,6 +1,6 @@
 //! The crash-safe journal of a running campaign.
 //!
-//! The file has a header of 16 bytes, then one [frame](crate::frame) per episode. Each frame is written with one `write`
+//! The file has a header of 48 bytes with the SHA-256 of the campaign's plan, then one [frame](crate::frame) per episode. Each frame is written with one `write`
 //! call, so a killed process leaves at most one incomplete frame, at the end. The checksum of the frame's head
 //! distinguishes an incomplete frame (valid head, file too short) from a damaged one.
 
@@ -10,21 +10,30 @@ use std::path::{Path, PathBuf};
 
 use crate::codec::{self, Interner};
 use crate::frame::{HEAD, encode_frame, parse_head};
-use crate::{DictionaryError, Entry};
+use crate::{DictionaryError, Entry, hex};
 
 const MAGIC: [u8; 8] = *b"RGJOURNL";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
+/// The version of RoboGate 0.2, whose header does not contain the plan's hash. It is still read.
+const UNBOUND: u32 = 2;
 /// The version of RoboGate 0.1, which stored failure modes and measures of its one task by number.
 const BEFORE_TASKS: u32 = 1;
-const HEADER: u64 = 16;
+const HEADER: u64 = 48;
+/// The size of a header of version [`UNBOUND`] and before.
+const UNBOUND_HEADER: u64 = 16;
 /// Bytes that [`Journal::extend`] collects for one `write` call.
 const CHUNK: usize = 1 << 20;
+
+/// The SHA-256 of a campaign's plan.
+pub type PlanHash = [u8; 32];
 
 /// The repair done when a journal was opened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Recovery {
     /// Bytes of an incomplete last record that were removed. 0 if the journal was intact.
     pub dropped_bytes: u64,
+    /// Whether the header names no plan, as in journals of version 0.2. The episodes may then be those of another plan.
+    pub without_plan: bool,
 }
 
 /// The append-only journal of a running campaign. It takes 16 bytes of memory per episode, in any order.
@@ -37,6 +46,10 @@ pub struct Journal {
     /// (index, offset of the frame), sorted by index. Episodes arrive nearly in order, so most insertions are at the
     /// end.
     places: Vec<(u64, u64)>,
+    /// The plan that the header must name.
+    plan: PlanHash,
+    /// The size of the header.
+    header: u64,
     /// End of the last complete frame.
     end: u64,
     /// Whether an append failed and could not be undone.
@@ -46,40 +59,42 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Creates the journal `path`. Returns an error if the file exists.
-    pub fn create(path: &Path) -> Result<Self, DictionaryError> {
+    /// Creates the journal `path` for the campaign with this plan. Returns an error if the file exists.
+    pub fn create(path: &Path, plan: &PlanHash) -> Result<Self, DictionaryError> {
         let file = OpenOptions::new()
             .read(true)
             .append(true)
             .create_new(true)
             .open(path)
             .map_err(DictionaryError::io(path, "create"))?;
-        let mut journal = Self::over(file, path)?;
+        let mut journal = Self::over(file, path, plan)?;
         journal.write_header()?;
         // Flushes the directory entry. Without this, a power failure could remove the new file.
         sync_folder(path).map_err(DictionaryError::io(path, "flush the folder of"))?;
         Ok(journal)
     }
 
-    /// Opens the journal `path`. An incomplete last record, left by a killed writer, is removed.
+    /// Opens the journal `path` of the campaign with this plan. An incomplete last record, left by a killed writer, is
+    /// removed. The journal of another plan is an error.
     ///
     /// A damaged record before the end is an error with its offset, because skipping it would lose the later episodes
     /// silently.
-    pub fn open(path: &Path) -> Result<(Self, Recovery), DictionaryError> {
+    pub fn open(path: &Path, plan: &PlanHash) -> Result<(Self, Recovery), DictionaryError> {
         let file = OpenOptions::new().read(true).append(true).open(path).map_err(DictionaryError::io(path, "open"))?;
-        let mut journal = Self::over(file, path)?;
+        let mut journal = Self::over(file, path, plan)?;
         let length = journal.file.metadata().map_err(DictionaryError::io(path, "inspect"))?.len();
         let kept = journal.scan(length)?;
-        if kept < length || kept < HEADER {
+        if kept < length || kept < journal.header {
             journal.file.set_len(kept).map_err(DictionaryError::io(path, "repair"))?;
         }
-        if kept < HEADER {
+        if kept < journal.header {
             journal.write_header()?;
         }
-        Ok((journal, Recovery { dropped_bytes: length - kept }))
+        let without_plan = journal.header == UNBOUND_HEADER;
+        Ok((journal, Recovery { dropped_bytes: length - kept, without_plan }))
     }
 
-    fn over(file: File, path: &Path) -> Result<Self, DictionaryError> {
+    fn over(file: File, path: &Path, plan: &PlanHash) -> Result<Self, DictionaryError> {
         match file.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(DictionaryError::Locked { path: path.to_owned() }),
@@ -91,6 +106,8 @@ impl Journal {
             file,
             path: path.to_owned(),
             places: Vec::new(),
+            plan: *plan,
+            header: HEADER,
             end: 0,
             broken: false,
             buffer: Vec::new(),
@@ -99,9 +116,9 @@ impl Journal {
     }
 
     fn write_header(&mut self) -> Result<(), DictionaryError> {
-        let header = header_of(VERSION);
+        let header = header_of(&self.plan);
         self.file.write_all(&header).map_err(DictionaryError::io(&self.path, "write"))?;
-        self.end = HEADER;
+        self.end = self.header;
         Ok(())
     }
 
@@ -112,7 +129,7 @@ impl Journal {
         if !self.scan_header(&mut reader)? {
             return Ok(0);
         }
-        self.end = HEADER;
+        self.end = self.header;
         while self.end < length {
             match self.scan_frame(&mut reader, length - self.end)? {
                 Some(size) => self.end += size,
@@ -128,15 +145,21 @@ impl Journal {
     }
 
     /// Checks the header. Returns `false` if the file ends inside it, because its writer was killed while creating it.
-    fn scan_header(&self, reader: &mut impl Read) -> Result<bool, DictionaryError> {
+    fn scan_header(&mut self, reader: &mut (impl Read + Seek)) -> Result<bool, DictionaryError> {
         let refuse = |reason: String| Err(DictionaryError::NotAJournal { path: self.path.clone(), reason });
         let mut found = Vec::new();
         reader.take(HEADER).read_to_end(&mut found).map_err(DictionaryError::io(&self.path, "read"))?;
-        let expected = header_of(VERSION);
+        let expected = header_of(&self.plan);
         if found == expected {
             return Ok(true);
         }
-        if expected.starts_with(&found) {
+        if found.starts_with(&old_header(UNBOUND)) {
+            self.header = UNBOUND_HEADER;
+            reader.seek(SeekFrom::Start(UNBOUND_HEADER)).map_err(DictionaryError::io(&self.path, "read"))?;
+            return Ok(true);
+        }
+        // Before the plan's hash, a header of another plan is the same.
+        if expected.starts_with(&found) || old_header(UNBOUND).starts_with(&found) {
             return Ok(false);
         }
         let version = found.get(8..12).and_then(|bytes| bytes.first_chunk()).map(|bytes| u32::from_le_bytes(*bytes));
@@ -144,11 +167,17 @@ impl Journal {
             (Some(&MAGIC), Some(version)) if version > VERSION => refuse(format!(
                 "version {version} is newer than {VERSION}, the newest that this version of robogate reads\nhint: upgrade robogate"
             )),
-            (Some(&MAGIC), Some(BEFORE_TASKS)) if found == header_of(BEFORE_TASKS) => refuse(
+            (Some(&MAGIC), Some(BEFORE_TASKS)) if found.starts_with(&old_header(BEFORE_TASKS)) => refuse(
                 "this run was started with robogate 0.1\nhint: finish it with that version, or start it again"
                     .to_owned(),
             ),
-            (Some(&MAGIC), _) => refuse("its header is damaged".to_owned()),
+            (Some(&MAGIC), _) => match found.get(12..44).and_then(|bytes| bytes.first_chunk()) {
+                Some(plan) if found == header_of(plan) => {
+                    let [found, expected] = [plan, &self.plan].map(|plan| hex(plan));
+                    Err(DictionaryError::OtherPlan { path: self.path.clone(), found, expected })
+                }
+                _ => refuse("its header is damaged".to_owned()),
+            },
             _ => refuse("it does not start with the header of a journal\nhint: check the path".to_owned()),
         }
     }
@@ -347,8 +376,20 @@ impl Drop for Journal {
     }
 }
 
-fn header_of(version: u32) -> [u8; HEADER as usize] {
+/// The header of a journal for this plan: magic, version, plan, and the CRC-32 of these.
+fn header_of(plan: &PlanHash) -> [u8; HEADER as usize] {
     let mut header = [0; HEADER as usize];
+    header[..8].copy_from_slice(&MAGIC);
+    header[8..12].copy_from_slice(&VERSION.to_le_bytes());
+    header[12..44].copy_from_slice(plan);
+    let crc = crc32fast::hash(&header[..44]);
+    header[44..].copy_from_slice(&crc.to_le_bytes());
+    header
+}
+
+/// The header of an older version, without a plan.
+fn old_header(version: u32) -> [u8; UNBOUND_HEADER as usize] {
+    let mut header = [0; UNBOUND_HEADER as usize];
     header[..8].copy_from_slice(&MAGIC);
     header[8..12].copy_from_slice(&version.to_le_bytes());
     let crc = crc32fast::hash(&header[..12]);

@@ -21,6 +21,7 @@ mod hash;
 mod identity;
 mod journal;
 mod parquet;
+mod platform;
 pub mod provenance;
 pub mod published;
 mod raw;
@@ -33,9 +34,10 @@ pub use entry::{Entry, Label};
 pub use error::{DictionaryError, Row};
 pub use hash::{DatasetHash, dataset_hash, hex};
 pub use identity::{TaskIdentity, suite_sha256};
-pub use journal::{Journal, Recovery};
+pub use journal::{Journal, PlanHash, Recovery};
 pub use parquet::{Column, Dictionary, DictionaryWriter, Entries, Written, write_parquet};
+pub use platform::Platform;
 pub use provenance::{
-    Dimensions, Engine, Platform, Provenance, Robot, RowSampling, Source, SourceColumn, Stopping, Tool, robot_sha256,
+    Build, Dimensions, Engine, Provenance, Robot, RowSampling, Source, SourceColumn, Stopping, Tool, robot_sha256,
 };
 pub use schema::{SCHEMA_VERSION, SchemaVersion};

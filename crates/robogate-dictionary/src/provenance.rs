@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::{SCHEMA_VERSION, SchemaVersion, hex};
+use crate::{Platform, SCHEMA_VERSION, SchemaVersion, hex};
 
 /// The provenance of a dictionary: everything that its rows depend on.
 ///
@@ -19,6 +19,9 @@ pub struct Provenance {
     pub tool: Tool,
     /// Version of the dictionary's schema.
     pub schema_version: SchemaVersion,
+    /// The build of the tool. Absent if it is unknown, as in files of version 0.2 and in imports.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub build: Option<Build>,
     /// The physics engine.
     pub engine: Engine,
     /// The task, as declared by the environment. Its measures are columns of the rows.
@@ -37,6 +40,10 @@ pub struct Provenance {
     pub plan: serde_json::Value,
     /// The campaign's seed.
     pub seed: u64,
+    /// SHA-256 (hex) of the question of the gate that started the run: its requirements, baseline, margin and sampling.
+    /// Absent if no gate started it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub question_sha256: Option<String>,
     /// The platform. Absent if unknown, as in an imported dictionary.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub platform: Option<Platform>,
@@ -46,6 +53,19 @@ pub struct Provenance {
 }
 
 impl Provenance {
+    /// This provenance without the properties of build and platform that `recorded`, which an older version may have
+    /// written, does not contain.
+    pub fn as_known_in(mut self, recorded: &Self) -> Self {
+        if recorded.build.is_none() {
+            self.build = None;
+        }
+        if let (Some(platform), Some(recorded)) = (&mut self.platform, &recorded.platform) {
+            platform.libc = platform.libc.take().filter(|_| recorded.libc.is_some());
+            platform.cpu = platform.cpu.take().filter(|_| recorded.cpu.is_some());
+        }
+        self
+    }
+
     /// The canonical JSON. The same provenance gives the same bytes.
     pub fn to_json(&self) -> String {
         // A tree of strings, numbers and maps with string keys cannot fail to serialise.
@@ -72,6 +92,14 @@ impl Tool {
     pub fn robogate() -> Self {
         Self { name: "robogate".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() }
     }
+}
+
+/// The build of the tool.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Build {
+    /// SHA-256 (hex) over the source files that it was compiled from. It tells builds with different physics and the same
+    /// version apart.
+    pub source_sha256: String,
 }
 
 /// The physics engine.
@@ -124,22 +152,6 @@ pub struct Dimensions {
     pub payload_kg: f64,
     /// Horizontal distance from the robot's base to the centre of the workspace, in metres.
     pub workspace_m: f64,
-}
-
-/// The platform: operating system and architecture, on which the bits of math functions and compiled code depend.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct Platform {
-    /// Operating system (`linux`).
-    pub os: String,
-    /// Architecture (`x86_64`).
-    pub arch: String,
-}
-
-impl Platform {
-    /// The platform that this program was compiled for.
-    pub fn here() -> Self {
-        Self { os: std::env::consts::OS.to_owned(), arch: std::env::consts::ARCH.to_owned() }
-    }
 }
 
 /// The file from which a dictionary was imported.

@@ -2,8 +2,10 @@
 
 use std::path::Path;
 
+use robogate_dictionary::hex;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 
 use crate::{Baseline, GateError, Requirements, Sampling};
 
@@ -70,6 +72,19 @@ impl Asked {
         }
         asked.requirements.check().map_err(in_file)?;
         Ok(asked)
+    }
+
+    /// SHA-256 (hex) of what is asked: requirements, baseline, margin and sampling. The path and the rows of the other
+    /// policy, which may run at the same time, have no effect.
+    pub fn sha256(&self) -> String {
+        let margin = self.against.as_ref().map(|against| against.margin);
+        let asked = serde_json::json!({
+            "requirements": self.requirements,
+            "baseline": self.baseline,
+            "margin": margin,
+            "sampling": self.sampling,
+        });
+        hex(&Sha256::digest(asked.to_string()))
     }
 
     /// Serialises the question. Equal questions give equal bytes.

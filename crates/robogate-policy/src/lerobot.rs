@@ -4,6 +4,8 @@
 //! use it. If its inference fails, it sends an empty reply and logs the cause. It executes the pickles that it
 //! receives, so only trusted clients may reach it. This client executes no pickles (see `pickle`).
 
+use std::collections::BTreeMap;
+
 use serde_json::Value as Json;
 
 use super::array::Array;
@@ -167,37 +169,79 @@ fn decode(bytes: &[u8]) -> Result<Chunk, PolicyError> {
         return Err(wrong(format!("{} bytes after the end", rest.len())));
     }
     let items = list.list().ok_or_else(|| wrong("it is not a list".to_owned()))?;
+    if items.len() > MAX_ACTIONS {
+        return Err(wrong(format!("{} actions. At most {MAX_ACTIONS} are accepted", items.len())));
+    }
+    let mut tensors = Tensors { storages: BTreeMap::new(), budget: NUMBERS * bytes.len() };
     let mut rows = Vec::new();
     for item in items {
         let (_, state) = item
             .call(&format!("{MODULE}.TimedAction"))
             .ok_or_else(|| wrong("an item is not a TimedAction".to_owned()))?;
         let action = state.get("action").ok_or_else(|| wrong("a TimedAction has no action".to_owned()))?;
-        rows.push(tensor(action).map_err(wrong)?);
+        rows.push(tensors.read(action).map_err(wrong)?);
     }
     Chunk::of_rows(rows)
 }
 
-/// The numbers of a tensor with one axis.
-fn tensor(value: &Value) -> Result<Vec<f64>, String> {
-    let (arguments, _) = value.call("torch._utils._rebuild_tensor_v2").ok_or("an action is not a tensor")?;
-    let [storage, offset, size, stride, ..] = arguments else { return Err("a tensor has no shape".to_owned()) };
-    let one = |value: &Value| match value.list() {
-        Some([n]) => n.size(),
-        _ => None,
-    };
-    let (Some(offset), Some(size), Some(1)) = (offset.size(), one(size), one(stride)) else {
-        return Err("an action is not a vector".to_owned());
-    };
-    let Some(([Value::Bytes(file)], _)) = storage.call("torch.storage._load_from_bytes") else {
-        return Err("a tensor has no storage".to_owned());
-    };
-    storage_part(file, offset, size)
+/// Maximum number of actions in a reply.
+const MAX_ACTIONS: usize = 10_000;
+/// Numbers that may be read for each byte of a reply. A float takes four bytes, and tensors may overlap.
+const NUMBERS: usize = 1;
+
+/// Reads tensors. Each storage is parsed once, because any number of tensors may refer to it.
+struct Tensors {
+    /// The storages by the address of their bytes, which the reply keeps alive.
+    storages: BTreeMap<*const u8, Storage>,
+    /// Numbers that may still be read.
+    budget: usize,
 }
 
-/// A range of a storage in torch's legacy format: three pickles that are skipped, a pickle that describes the storage,
-/// a pickle of its keys, the number of elements, and the elements.
-fn storage_part(file: &[u8], offset: usize, size: usize) -> Result<Vec<f64>, String> {
+/// Where the elements of a storage are in its file.
+#[derive(Clone, Copy)]
+struct Storage {
+    start: usize,
+    /// Size of an element in bytes: 4 or 8.
+    width: usize,
+}
+
+impl Tensors {
+    /// The numbers of a tensor with one axis.
+    fn read(&mut self, value: &Value) -> Result<Vec<f64>, String> {
+        let (arguments, _) = value.call("torch._utils._rebuild_tensor_v2").ok_or("an action is not a tensor")?;
+        let [storage, offset, size, stride, ..] = arguments else { return Err("a tensor has no shape".to_owned()) };
+        let one = |value: &Value| match value.list() {
+            Some([n]) => n.size(),
+            _ => None,
+        };
+        let (Some(offset), Some(size), Some(1)) = (offset.size(), one(size), one(stride)) else {
+            return Err("an action is not a vector".to_owned());
+        };
+        let Some(([Value::Bytes(file)], _)) = storage.call("torch.storage._load_from_bytes") else {
+            return Err("a tensor has no storage".to_owned());
+        };
+        let Storage { start, width } = match self.storages.get(&file.as_ptr()) {
+            Some(known) => *known,
+            None => {
+                let storage = storage_of(file)?;
+                self.storages.insert(file.as_ptr(), storage);
+                storage
+            }
+        };
+        self.budget = self.budget.checked_sub(size).ok_or("the tensors have more numbers than the reply can hold")?;
+        let range = offset.checked_mul(width).zip(size.checked_mul(width));
+        let part = range.and_then(|(from, length)| file.get(start..)?.get(from..from.checked_add(length)?));
+        let part = part.ok_or("a tensor exceeds its storage")?;
+        Ok(match width {
+            4 => part.as_chunks().0.iter().map(|bytes| f64::from(f32::from_le_bytes(*bytes))).collect(),
+            _ => part.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect(),
+        })
+    }
+}
+
+/// A storage in torch's legacy format: three pickles that are skipped, a pickle that describes the storage, a pickle of its
+/// keys, the number of elements, and the elements.
+fn storage_of(file: &[u8]) -> Result<Storage, String> {
     let mut rest = file;
     for _ in 0..3 {
         (_, rest) = pickle::read(rest)?;
@@ -219,13 +263,7 @@ fn storage_part(file: &[u8], offset: usize, size: usize) -> Result<Vec<f64>, Str
     if count.checked_mul(width) != Some(data.len()) {
         return Err("the size of a storage does not match its header".to_owned());
     }
-    let range = offset.checked_mul(width).zip(size.checked_mul(width));
-    let part = range.and_then(|(from, length)| data.get(from..from.checked_add(length)?));
-    let part = part.ok_or("a tensor exceeds its storage")?;
-    Ok(match width {
-        4 => part.as_chunks().0.iter().map(|bytes| f64::from(f32::from_le_bytes(*bytes))).collect(),
-        _ => part.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect(),
-    })
+    Ok(Storage { start: file.len() - data.len(), width })
 }
 
 #[cfg(test)]
@@ -291,6 +329,29 @@ mod tests {
         }
     }
 
+    /// Any number of actions may refer to one storage, which is parsed once.
+    #[test]
+    fn shared_storages_are_parsed_once() {
+        let reply = Capture::read(FOLDER, "actions.pickle").bytes;
+        let honest = decode(&reply).unwrap();
+        // The last action of the capture is memoised as entry 66, and more references to it follow.
+        let memo = 66_u32;
+        let mut bytes = reply[..reply.len() - 2].to_vec();
+        bytes.push(0x94);
+        let many = |n: usize| {
+            let mut bytes = bytes.clone();
+            for _ in 0..n {
+                bytes.extend(b"j");
+                bytes.extend(memo.to_le_bytes());
+            }
+            bytes.extend(b"e.");
+            bytes
+        };
+        assert_eq!(decode(&many(9)).unwrap().rows().len(), honest.rows().len() + 9);
+        let error = decode(&many(150_000)).unwrap_err().to_string();
+        assert!(error.contains("At most 10000 are accepted"), "{error}");
+    }
+
     #[test]
     fn long_observations_are_split() {
         let states = |length: usize| split(&vec![0; length]).iter().map(|part| part[1]).collect::<Vec<_>>();
@@ -305,7 +366,8 @@ mod tests {
     fn decoding_never_panics() {
         let actions = Capture::read(FOLDER, "actions.pickle").bytes;
         let field = grpc::bytes_field(1, &actions);
-        let seeds = [actions, Capture::read(FOLDER, "observation.pickle").bytes, field];
+        let mut seeds = vec![actions, Capture::read(FOLDER, "observation.pickle").bytes, field];
+        seeds.extend(crate::tests::corpus("pickle"));
         fuzz(&seeds, |bytes| {
             let _ = decode(bytes);
             let _ = grpc::message(bytes);

@@ -1,8 +1,11 @@
 //! The subset of Python pickles that LeRobot's policy server uses.
 //!
 //! A pickle is a program. This reader does not execute it: classes and functions stay names, and calls stay lists of
-//! arguments. Any instruction that a LeRobot server does not use is an error. The size of the pickle limits the memory:
-//! lengths are checked against the remaining bytes, and a value that is referenced twice is stored once.
+//! arguments. Any instruction that a LeRobot server does not use is an error.
+//!
+//! The size of the pickle limits time and memory. Lengths are checked against the remaining bytes, a value that is
+//! referenced twice is stored once, and every byte that an instruction copies is charged to a budget of [`COPIES`] bytes per
+//! byte of the pickle. Without that budget, references to one long string build many long names.
 
 use std::rc::Rc;
 
@@ -27,6 +30,12 @@ pub(crate) enum Value {
 
 /// Maximum number of values in a pickle. A chunk of a thousand actions has about thirty per action.
 const MAX_VALUES: usize = 200_000;
+/// Bytes that may be copied for each byte of the pickle. A reader copies each byte once, and names at most once more.
+const COPIES: usize = 4;
+/// Size of a list item in memory, in bytes: what a copy of a list charges for each of them.
+const ITEM: usize = size_of::<Value>();
+/// Maximum length of the name of a class or function, in bytes. Python's own are far shorter.
+const MAX_NAME: usize = 1_024;
 /// Maximum nesting depth. Dropping a value uses a stack frame for each level.
 const MAX_DEPTH: u32 = 64;
 
@@ -39,11 +48,14 @@ struct Machine<'a> {
     marks: Vec<usize>,
     memo: Vec<Option<Deep>>,
     count: usize,
+    /// Bytes that may still be copied.
+    budget: usize,
 }
 
 /// Read one pickle. Returns its value and the bytes after it.
 pub(crate) fn read(bytes: &[u8]) -> Result<(Value, &[u8]), String> {
-    let mut machine = Machine { bytes, stack: Vec::new(), marks: Vec::new(), memo: Vec::new(), count: 0 };
+    let budget = COPIES * bytes.len();
+    let mut machine = Machine { bytes, stack: Vec::new(), marks: Vec::new(), memo: Vec::new(), count: 0, budget };
     while !machine.step()? {}
     let (value, _) = machine.pop()?;
     Ok((value, machine.bytes))
@@ -86,17 +98,22 @@ impl<'a> Machine<'a> {
             b'X' | 0x8c => {
                 let bytes = self.counted(opcode == 0x8c)?;
                 let text = std::str::from_utf8(bytes).map_err(|_| "a string is not UTF-8")?;
+                self.charge(text.len())?;
                 self.push(Value::Text(text.into()), 0)?;
             }
             // BINBYTES, SHORT_BINBYTES.
             b'B' | b'C' => {
                 let bytes = self.counted(opcode == b'C')?;
+                self.charge(bytes.len())?;
                 self.push(Value::Bytes(bytes.into()), 0)?;
             }
             b']' => self.push(Value::List(Rc::default()), 0)?,
             b'}' => self.push(Value::Dict(Rc::default()), 0)?,
             b')' => self.push(Value::List(Rc::default()), 0)?,
-            b'(' => self.marks.push(self.stack.len()),
+            b'(' => {
+                self.count_one()?;
+                self.marks.push(self.stack.len());
+            }
             b't' => {
                 let items = self.since_mark()?;
                 self.push_list(items)?;
@@ -127,7 +144,7 @@ impl<'a> Machine<'a> {
             // GLOBAL: two lines.
             b'c' => {
                 let (module, name) = (self.line()?, self.line()?);
-                self.push(Value::Global(format!("{module}.{name}").into()), 0)?;
+                self.push_global(module, name)?;
             }
             // STACK_GLOBAL.
             0x93 => {
@@ -135,7 +152,7 @@ impl<'a> Machine<'a> {
                 let (Value::Text(module), Value::Text(name)) = (module, name) else {
                     return Err("a class has no name".to_owned());
                 };
-                self.push(Value::Global(format!("{module}.{name}").into()), 0)?;
+                self.push_global(&module, &name)?;
             }
             // REDUCE, NEWOBJ: recorded, not executed.
             b'R' | 0x81 => {
@@ -206,12 +223,39 @@ impl<'a> Machine<'a> {
     }
 
     fn push(&mut self, value: Value, depth: u32) -> Result<(), String> {
-        self.count += 1;
-        if self.count > MAX_VALUES || depth > MAX_DEPTH {
-            return Err("the pickle has too many values or levels of nesting".to_owned());
+        self.count_one()?;
+        if depth > MAX_DEPTH {
+            return Err("the pickle has too many levels of nesting".to_owned());
         }
         self.stack.push((value, depth));
         Ok(())
+    }
+
+    /// Counts a value.
+    fn count_one(&mut self) -> Result<(), String> {
+        self.count += 1;
+        if self.count > MAX_VALUES { Err("the pickle has too many values".to_owned()) } else { Ok(()) }
+    }
+
+    /// Charges the copy of `bytes` bytes, before it is made.
+    fn charge(&mut self, bytes: usize) -> Result<(), String> {
+        match self.budget.checked_sub(bytes) {
+            Some(left) => {
+                self.budget = left;
+                Ok(())
+            }
+            None => Err("the pickle copies its values too often".to_owned()),
+        }
+    }
+
+    /// Pushes the name of a class or function.
+    fn push_global(&mut self, module: &str, name: &str) -> Result<(), String> {
+        let length = module.len() + name.len() + 1;
+        if length > MAX_NAME {
+            return Err(format!("the name of a class has {length} bytes. At most {MAX_NAME} are accepted"));
+        }
+        self.charge(length)?;
+        self.push(Value::Global(format!("{module}.{name}").into()), 0)
     }
 
     fn push_list(&mut self, items: Vec<Deep>) -> Result<(), String> {
@@ -241,12 +285,12 @@ impl<'a> Machine<'a> {
     fn extend(&mut self, items: Vec<Deep>, dict: bool) -> Result<(), String> {
         let (top, mut depth) = self.pop()?;
         depth = items.iter().map(|(_, d)| d + 1).fold(depth, u32::max);
-        self.count += items.len();
-        // A memoised list is copied before it is extended, and the copy counts.
-        self.count += match &top {
-            Value::List(list) | Value::Dict(list) if Rc::strong_count(list) > 1 => list.len(),
-            _ => 0,
-        };
+        // A memoised list is copied before it is extended.
+        if let Value::List(list) | Value::Dict(list) = &top
+            && Rc::strong_count(list) > 1
+        {
+            self.charge(list.len() * ITEM)?;
+        }
         let items = items.into_iter().map(|(value, _)| value);
         let value = match (top, dict) {
             (Value::List(mut list), false) => {
@@ -424,6 +468,40 @@ mod tests {
         }
     }
 
+    /// The names of STACK_GLOBAL are copied, and the strings may be references.
+    #[test]
+    fn long_names_are_not_copied() {
+        for length in [1_000_u32, 400_000] {
+            let mut bytes = b"\x80\x04X".to_vec();
+            bytes.extend(length.to_le_bytes());
+            bytes.extend(vec![b'a'; length as usize]);
+            bytes.push(0x94);
+            for _ in 0..60_000 {
+                bytes.extend(b"h\0h\0\x93");
+            }
+            bytes.push(b'.');
+            let error = read(&bytes).unwrap_err();
+            assert!(error.contains("At most 1024") || error.contains("too often"), "{error}");
+        }
+    }
+
+    #[test]
+    fn extended_references_are_charged() {
+        // A list of 1,000 items is memoised, and every `h 0, N, a` copies it.
+        let mut bytes = b"\x80\x04](".to_vec();
+        bytes.extend([b'N'; 1_000]);
+        bytes.extend(b"e\x94");
+        bytes.extend(b"h\0Na".repeat(10_000));
+        bytes.push(b'.');
+        assert!(read(&bytes).unwrap_err().contains("too often"));
+    }
+
+    #[test]
+    fn marks_are_limited() {
+        let marks: Vec<u8> = [b'('].repeat(MAX_VALUES + 1);
+        assert!(read(&marks).unwrap_err().contains("too many values"));
+    }
+
     #[test]
     fn references_do_not_copy() {
         // Each tuple contains the previous one twice, so copying would create 2^59 leaves.
@@ -437,5 +515,57 @@ mod tests {
         // Deep nesting is an error.
         let deep: Vec<u8> = [b'N'].into_iter().chain([0x85; 1000]).chain([b'.']).collect();
         assert!(read(&deep).is_err());
+    }
+
+    /// A program of valid instructions with random operands, so that the machine gets further than with random bytes.
+    fn program(draw: &mut dyn FnMut(usize) -> usize) -> Vec<u8> {
+        let mut bytes = vec![0x80, 4];
+        let mut memo = 0_usize;
+        for _ in 0..draw(200) {
+            match draw(16) {
+                0 => bytes.extend([b'K', draw(256) as u8]),
+                1 => {
+                    let length = draw(40);
+                    bytes.extend([0x8c, length as u8]);
+                    bytes.extend(vec![b'a'; length]);
+                }
+                2 => {
+                    let length = draw(2_000);
+                    bytes.push(if draw(2) == 0 { b'X' } else { b'B' });
+                    bytes.extend((length as u32).to_le_bytes());
+                    bytes.extend(vec![b'b'; length]);
+                }
+                3 => bytes.push([b']', b'}', b')'][draw(3)]),
+                4 => bytes.push(b'('),
+                5 => bytes.push([b't', b'e', b'u'][draw(3)]),
+                6 => bytes.push([b'a', b's', b'b', b'R', 0x81, b'Q'][draw(6)]),
+                7 => bytes.push(0x85 + draw(3) as u8),
+                8 => bytes.push(0x93),
+                9 => bytes.extend(b"cmodule\nname\n"),
+                10 | 11 => {
+                    bytes.push(0x94);
+                    memo += 1;
+                }
+                12 | 13 => bytes.extend([b'h', draw(memo + 1) as u8]),
+                14 => bytes.push([b'N', 0x88, 0x89][draw(3)]),
+                _ => bytes.extend([0x8a, 2, draw(256) as u8, draw(256) as u8]),
+            }
+        }
+        bytes.push(b'.');
+        bytes
+    }
+
+    #[test]
+    fn random_programs_are_read_or_rejected() {
+        let corpus = crate::tests::corpus("pickle");
+        assert!(corpus.len() >= 7);
+        corpus.iter().for_each(|bytes| drop(read(bytes)));
+        let (mut accepted, mut tried) = (0, 0);
+        crate::tests::cases(|draw| {
+            accepted += u32::from(read(&program(draw)).is_ok());
+            tried += 1;
+        });
+        assert!(accepted > 0 && accepted < tried, "{accepted} of {tried}");
+        crate::tests::fuzz(&corpus, |bytes| drop(read(bytes)));
     }
 }

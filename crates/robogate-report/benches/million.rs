@@ -69,6 +69,7 @@ fn write(path: &Path, rows: u64) {
     let provenance = Provenance {
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
+        build: None,
         engine: Engine { name: "none".to_owned(), version: None, build_sha256: None },
         task: Arc::new(robogate_dictionary::v1::task()),
         robot: Robot { name: "franka".to_owned(), sha256: None, dimensions: None },
@@ -77,6 +78,7 @@ fn write(path: &Path, rows: u64) {
         space: space.clone(),
         plan: serde_json::Value::Null,
         seed: 1,
+        question_sha256: None,
         platform: None,
         source: None,
     };

@@ -25,10 +25,12 @@ fn main() -> anyhow::Result<()> {
     let provenance = Provenance {
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
+        build: None,
         engine: Engine { name: Pendulum.engine()?.name.to_owned(), version: None, build_sha256: None },
         robot: Robot { name: task.name.to_string(), sha256: None, dimensions: None },
         policy: "scripted".to_owned(),
         space: ParameterSpace::from_toml(Pendulum.space())?,
+        question_sha256: None,
         platform: Some(Platform::here()),
         task: task.clone(),
         world: serde_json::Value::Null,

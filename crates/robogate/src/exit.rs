@@ -1,6 +1,9 @@
 //! Errors with the exit code of the command.
 
+use std::error::Error;
 use std::fmt;
+
+use robogate_physics::RobotError;
 
 pub(crate) use robogate::exit_codes::{FAIL, INFRASTRUCTURE, INTERRUPTED, INVALID, PASS as DONE, USAGE};
 
@@ -33,6 +36,8 @@ pub(crate) trait OrExit<T> {
     fn or_usage(self) -> Result<T, Exit>;
     /// Exit code 5: infrastructure.
     fn or_broken(self) -> Result<T, Exit>;
+    /// Exit code 5 if the engine's library cannot be loaded, otherwise 2.
+    fn or_setup(self) -> Result<T, Exit>;
 }
 
 impl<T, E: Into<anyhow::Error>> OrExit<T> for Result<T, E> {
@@ -42,5 +47,16 @@ impl<T, E: Into<anyhow::Error>> OrExit<T> for Result<T, E> {
 
     fn or_broken(self) -> Result<T, Exit> {
         self.map_err(|e| Exit { code: INFRASTRUCTURE, error: e.into() })
+    }
+
+    fn or_setup(self) -> Result<T, Exit> {
+        self.map_err(|e| {
+            let error = e.into();
+            let engine = |cause: &(dyn Error + 'static)| {
+                matches!(cause.downcast_ref::<RobotError>(), Some(RobotError::Engine { .. }))
+            };
+            let code = if error.chain().any(engine) { INFRASTRUCTURE } else { USAGE };
+            Exit { code, error }
+        })
     }
 }

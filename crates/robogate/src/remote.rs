@@ -129,7 +129,14 @@ pub(crate) fn engine(hello: &Hello) -> provenance::Engine {
             (format!("{}/{word}", hello.engine.name), format!("{}, {solver}", hello.engine.version))
         }
     };
-    provenance::Engine { name, version: Some(version), build_sha256: None }
+    provenance::Engine { name, version: Some(version), build_sha256: hello.engine.sha256.clone() }
+}
+
+/// Whether a server has the engine of a recorded run. A run of version 0.2 does not record its build.
+pub(crate) fn is_engine(hello: &Hello, recorded: &provenance::Engine) -> bool {
+    let mut now = engine(hello);
+    now.build_sha256 = now.build_sha256.filter(|_| recorded.build_sha256.is_some());
+    now == *recorded
 }
 
 /// The built-in task, for servers that compute its physics.

@@ -77,7 +77,7 @@ impl EnvironmentArguments {
         if pool.is_none() && self.task != CELL_TASK {
             return registry::task(&self.task).map(EnvironmentSource::SelfContained).or_usage();
         }
-        Cell::new(self.settings(), suction, pool).map(|cell| EnvironmentSource::Cell(Box::new(cell))).or_usage()
+        Cell::new(self.settings(), suction, pool).map(|cell| EnvironmentSource::Cell(Box::new(cell))).or_setup()
     }
 
     /// The environment that the arguments select for a suite: if they select none, that of the suite.
@@ -277,7 +277,7 @@ impl Subject {
             Some(_) if !remote => {
                 Err(anyhow!("the run was made in the built-in engine {}, without --simulator", engine.name))
             }
-            Some(pool) if remote::engine(pool.hello()) != *engine => {
+            Some(pool) if !remote::is_engine(pool.hello(), engine) => {
                 let (now, version) = (remote::engine(pool.hello()), engine.version.as_deref().unwrap_or_default());
                 let other = now.version.as_deref().unwrap_or_default();
                 Err(anyhow!("the run was made in {} {version}; this simulator is {} {other}", engine.name, now.name))
@@ -297,7 +297,7 @@ impl Subject {
             }
             (Recorded::Cell(settings), pool) => {
                 // Every run of a robot with a cup records its suction law.
-                EnvironmentSource::Cell(Box::new(Cell::new(settings, SuctionLaw::Vacuum, pool).or_usage()?))
+                EnvironmentSource::Cell(Box::new(Cell::new(settings, SuctionLaw::Vacuum, pool).or_setup()?))
             }
             (Recorded::Remote(_) | Recorded::Launched(_), None) => {
                 return Err(anyhow!("--simulator ADDRESS is missing")).or_usage();
@@ -403,6 +403,7 @@ impl Subject {
         Ok(Provenance {
             tool: Tool::robogate(),
             schema_version: SCHEMA_VERSION,
+            build: Some(provenance::Build { source_sha256: env!("ROBOGATE_SOURCE_SHA256").to_owned() }),
             engine,
             task: Arc::clone(&self.task),
             robot,
@@ -411,6 +412,7 @@ impl Subject {
             space,
             plan: Value::Null,
             seed: 0,
+            question_sha256: None,
             platform: Some(Platform::here()),
             source: None,
         })
@@ -507,7 +509,8 @@ impl EnvironmentSource {
             Self::SelfContained(task) => {
                 let engine = cell::engine(task.engine().map_err(|fault| anyhow!(fault))?);
                 let version = engine.version.unwrap_or_default();
-                let engine = message::Engine { name: engine.name, version, solver: None };
+                let sha256 = engine.build_sha256;
+                let engine = message::Engine { name: engine.name, version, solver: None, sha256 };
                 let program =
                     message::Program { name: "robogate".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() };
                 let space = Some(ParameterSpace::from_toml(task.space())?);

@@ -2,7 +2,9 @@
 
 use std::borrow::Cow;
 use std::fmt::{self, Display};
+use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{self, IsTerminal, Write};
+use std::sync::OnceLock;
 
 pub(crate) use robogate_stats::format::{count as grouped, percent};
 
@@ -18,8 +20,23 @@ pub(crate) struct Styled<T>(&'static str, T);
 
 impl<T: Display> Display for Styled<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if colour(&io::stdout()) { write!(f, "\x1b[{}m{}\x1b[0m", self.0, self.1) } else { self.1.fmt(f) }
+        if colour(&io::stdout()) { write!(f, "{}{}{}", mark(self.0), self.1, mark("0")) } else { self.1.fmt(f) }
     }
+}
+
+/// The secret of this process that marks its own styles. Text from files cannot contain it.
+fn secret() -> &'static str {
+    static SECRET: OnceLock<String> = OnceLock::new();
+    SECRET.get_or_init(|| {
+        // The standard library seeds each of these from the operating system.
+        let random = || RandomState::default().build_hasher().finish();
+        format!("{:016x}{:016x}", random(), random())
+    })
+}
+
+/// A style that [`line`] and [`note`] turn into an escape sequence.
+fn mark(style: &str) -> String {
+    format!("\x1b{}[{style}m", secret())
 }
 
 /// Formats text in this style (the parameters of an SGR sequence).
@@ -76,17 +93,19 @@ pub(crate) fn line(text: impl Display) {
     let _ = writeln!(io::stdout(), "{}", harmless(&text.to_string()));
 }
 
-/// Escapes control characters, because the text contains data from files. Line ends, tabs and the styles of this module
-/// (`ESC [ digits ; m`) are kept.
-fn harmless(text: &str) -> Cow<'_, str> {
-    escaped(text, |rest| if rest.starts_with(['\n', '\t']) { Some(1) } else { style_at(rest) })
-}
-
-/// The length of a style at the start of the text.
-fn style_at(text: &str) -> Option<usize> {
-    let inside = text.strip_prefix("\x1b[")?;
-    let end = inside.find(|c: char| !c.is_ascii_digit() && c != ';')?;
-    inside[end..].starts_with('m').then_some(end + 3)
+/// Escapes control characters, because the text contains data from files. Line ends, tabs and the styles that this module
+/// marked are kept. An escape sequence in data, also one that only sets a colour, becomes visible text.
+fn harmless(text: &str) -> String {
+    let marked = format!("\x1b{}", secret());
+    // The text between the marks: each part after the first begins with `[STYLEm`.
+    let part = |text: &str| escaped(text, |rest| rest.starts_with(['\n', '\t']).then_some(1)).into_owned();
+    let mut parts = text.split(&marked);
+    let mut safe = parts.next().map_or_else(String::new, part);
+    for styled in parts {
+        safe.push('\x1b');
+        safe.push_str(&part(styled));
+    }
+    safe
 }
 
 /// Writes text in lines of at most 100 columns.
@@ -110,7 +129,7 @@ pub(crate) fn note(text: impl Display) {
 
 /// Writes an error.
 pub(crate) fn error(exit: &Exit) {
-    let label = if colour(&io::stderr()) { "\x1b[1;31merror\x1b[0m" } else { "error" };
+    let label = if colour(&io::stderr()) { format!("{}error{}", mark("1;31"), mark("0")) } else { "error".to_owned() };
     note(format_args!("{label}: {exit}"));
 }
 
@@ -129,7 +148,11 @@ mod tests {
 
     #[test]
     fn control_characters_are_escaped() {
-        assert_eq!(harmless("\x1b[1;31mred\x1b[0m\tµ\n"), "\x1b[1;31mred\x1b[0m\tµ\n");
+        let own = format!("{}red{}\tµ\n", mark("1;31"), mark("0"));
+        assert_eq!(harmless(&own), "\x1b[1;31mred\x1b[0m\tµ\n");
+        // Colours of others could hide a word, or show a verdict in green.
+        assert_eq!(harmless("\x1b[8mhidden\x1b[0m"), "\\u001b[8mhidden\\u001b[0m");
+        assert_eq!(harmless(&format!("{}\x1b[2J", mark("1"))), "\x1b[1m\\u001b[2J");
         let hostile = "a\x1b]0;title\x07\x1b[2Jb\u{9b}c\r";
         assert_eq!(harmless(hostile), "a\\u001b]0;title\\u0007\\u001b[2Jb\\u009bc\\r");
     }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
-use robogate_analysis::{Analysis, Comparison, ReplayEpisode, Source, shell_word, worth_watching};
+use robogate_analysis::{Analysis, Comparison, HERE, ReplayEpisode, Source, shell_word, worth_watching};
 use robogate_campaign::{WorkerFactory, recorded};
 use robogate_core::{Outcome, Value};
 use robogate_replay::{Clip, Recording, record, reel};
@@ -30,6 +30,7 @@ pub(crate) enum Moment {
 
 /// The folders of runs with their environments and policies, and the clips so far.
 struct Recorder<'a> {
+    place: Place,
     runs: Vec<Run<'a>>,
     clips: Vec<Clip>,
     /// Number of episodes whose replay differs from the record.
@@ -55,7 +56,7 @@ pub(crate) fn watch(
     moment: Moment,
 ) -> anyhow::Result<Watch> {
     let chosen = worth_watching(source, analysis, MAX_CLIPS)?;
-    let mut recorder = Recorder::new(moment);
+    let mut recorder = Recorder::new(moment, Place::Beside);
     let run = if chosen.is_empty() { None } else { recorder.add(source.folder(), source, simulators) };
     let folder = source.folder().filter(|_| analysis.subject.replayable);
     let mut items = Vec::with_capacity(chosen.len());
@@ -67,7 +68,10 @@ pub(crate) fn watch(
             why: one.why,
             outcome: mode_label(&one.episode.outcome),
             success: one.episode.outcome.starts_with("success"),
-            command: folder.map_or_else(|| format!("episode {}", one.episode.index), |f| command(f, one.episode.index)),
+            command: folder.map_or_else(
+                || format!("episode {}", one.episode.index),
+                |_| command(Path::new(HERE), one.episode.index),
+            ),
             beside: one.twin.map_or_else(String::new, |twin| twin.differences),
             clip,
             second,
@@ -82,7 +86,7 @@ pub(crate) fn compared(
     sources: &[(Source, PathBuf)],
     simulators: &Simulators,
 ) -> anyhow::Result<Watch> {
-    let mut recorder = Recorder::new(Moment::OnRequest);
+    let mut recorder = Recorder::new(Moment::OnRequest, Place::Elsewhere);
     let mut items = Vec::new();
     for pair in &comparison.paired {
         let places = [&pair.first, &pair.second]
@@ -127,13 +131,22 @@ pub(crate) fn compared(
     Ok(recorder.finish(items))
 }
 
+/// Where a page is read, for the commands on it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Place {
+    /// Beside the run. The page does not name the folder, so that copies of a run have identical pages.
+    Beside,
+    /// Anywhere.
+    Elsewhere,
+}
+
 fn command(folder: &Path, index: u64) -> String {
     format!("robogate replay {} {index}", shell_word(&folder.display().to_string()))
 }
 
 impl<'a> Recorder<'a> {
-    fn new(moment: Moment) -> Self {
-        Self { runs: Vec::new(), clips: Vec::new(), differing: 0, remarks: Vec::new(), moment }
+    fn new(moment: Moment, place: Place) -> Self {
+        Self { place, runs: Vec::new(), clips: Vec::new(), differing: 0, remarks: Vec::new(), moment }
     }
 
     /// Prepares a run, and returns its place. `None` with a remark if its episodes cannot be recorded again.
@@ -198,7 +211,7 @@ impl<'a> Recorder<'a> {
                     parameters: parameters
                         .map(|(name, value)| (parameter_label(name), value_with_unit(&show(value), name)))
                         .collect(),
-                    command: command(folder, chosen.index),
+                    command: command(if self.place == Place::Beside { Path::new(HERE) } else { folder }, chosen.index),
                     recording,
                 });
                 Some(self.clips.len() - 1)

@@ -51,11 +51,14 @@ def hello(value):
 
 def _engine(value):
     w = "hello.engine"
-    return {
+    engine = {
         "name": text(entry(value, "name", w), f"{w}.name"),
         "version": text(entry(value, "version", w), f"{w}.version"),
         "solver": None if value.get("solver") is None else text(value["solver"], f"{w}.solver"),
     }
+    if value.get("sha256") is not None:
+        engine["sha256"] = text(value["sha256"], f"{w}.sha256")
+    return engine
 
 
 def task(value):

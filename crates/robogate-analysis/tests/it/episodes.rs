@@ -14,6 +14,7 @@ pub(crate) fn provenance(space: ParameterSpace) -> Provenance {
     Provenance {
         tool: Tool { name: "robogate".to_owned(), version: "0.0.0".to_owned() },
         schema_version: SCHEMA_VERSION,
+        build: None,
         engine: Engine { name: "none".to_owned(), version: None, build_sha256: None },
         task: Arc::new(v1::task()),
         robot: Robot { name: "testbot".to_owned(), sha256: None, dimensions: None },
@@ -22,7 +23,8 @@ pub(crate) fn provenance(space: ParameterSpace) -> Provenance {
         space,
         plan: serde_json::Value::Null,
         seed: SEED,
-        platform: Some(Platform { os: "test".to_owned(), arch: "test".to_owned() }),
+        question_sha256: None,
+        platform: Some(Platform { os: "test".to_owned(), arch: "test".to_owned(), libc: None, cpu: None }),
         source: None,
     }
 }

@@ -49,15 +49,18 @@ impl Shards {
         Ok(completion)
     }
 
-    /// Rejects another version of robogate and another platform, which could round or write numbers differently.
+    /// Rejects another version of robogate and another platform, which could write numbers differently.
+    ///
+    /// The C library and the CPU of this machine do not matter, because a merge runs no physics. Every process that
+    /// joined the campaign has compared its own with those of the plan ([`Shards::begin`]).
     fn same_tool(&self) -> Result<(), RunError> {
         let recorded = &self.settings.provenance;
-        let present = Provenance {
-            tool: Tool::robogate(),
-            schema_version: SCHEMA_VERSION,
-            platform: Some(Platform::here()),
-            ..recorded.clone()
-        };
+        let here = recorded.platform.clone().map(|platform| {
+            let Platform { os, arch, .. } = Platform::here();
+            Platform { os, arch, ..platform }
+        });
+        let present =
+            Provenance { tool: Tool::robogate(), schema_version: SCHEMA_VERSION, platform: here, ..recorded.clone() };
         same_origin(recorded, &present)
     }
 
@@ -81,7 +84,7 @@ impl Shards {
         if folder.has(JOURNAL) {
             folder.remove(JOURNAL)?;
         }
-        let mut journal = Journal::create(&folder.path(JOURNAL)).map_err(RunError::from)?;
+        let mut journal = Journal::create(&folder.path(JOURNAL), &self.plan_hash).map_err(RunError::from)?;
         let mut bins = Bins::of(self.plan(), &self.space).map_err(RunError::from)?;
         for round in rounds {
             journal.extend(self.entries(*round).inspect(|entry| {

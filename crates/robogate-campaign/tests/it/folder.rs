@@ -1,9 +1,10 @@
 //! Tests of folders with unexpected contents.
 
 use std::fs;
+use std::sync::atomic::AtomicBool;
 
-use robogate_campaign::{RunError, settings};
-use robogate_dictionary::{DictionaryError, Provenance};
+use robogate_campaign::{Event, RunError, Warning, settings};
+use robogate_dictionary::{Build, DictionaryError, Provenance};
 
 use crate::world::{Synthetic, files, plan, provenance, resume, start, stop_after, with_pool};
 
@@ -74,7 +75,7 @@ fn changed_provenance_is_rejected() {
     let base = tempfile::tempdir().unwrap();
     interrupted(base.path());
     let before = files(base.path());
-    let changes: [(&str, Change); 8] = [
+    let changes: [(&str, Change); 11] = [
         ("tool version", |p| p.tool.version = "9.9.9".to_owned()),
         ("engine version", |p| p.engine.version = None),
         ("engine build", |p| p.engine.build_sha256 = Some("00".to_owned())),
@@ -83,6 +84,9 @@ fn changed_provenance_is_rejected() {
         ("policy", |p| p.policy = "acts".to_owned()),
         ("world.time_step_s", |p| p.world["time_step_s"] = 0.001.into()),
         ("platform", |p| p.platform = None),
+        ("C library", |p| p.platform.as_mut().unwrap().libc = Some("glibc 2.31".to_owned())),
+        ("CPU features", |p| p.platform.as_mut().unwrap().cpu = Some(Vec::new())),
+        ("source files of robogate", |p| p.build = Some(Build { source_sha256: "00".to_owned() })),
     ];
     for (name, change) in changes {
         let mut present = provenance();
@@ -139,7 +143,43 @@ fn foreign_journal_is_rejected() {
     .unwrap();
     fs::copy(theirs.join("journal.rgj"), ours.join("journal.rgj")).unwrap();
     let error = resume(&ours, &Synthetic::default(), 1).unwrap_err();
-    assert!(matches!(error, RunError::ForeignEpisode { index: 0, .. }), "{error}");
+    assert!(matches!(error, RunError::Dictionary(DictionaryError::OtherPlan { .. })), "{error}");
+    // The same seed and scenarios, but another policy.
+    let theirs = base.path().join("other policy");
+    let other = Provenance { policy: "acts".to_owned(), ..provenance() };
+    with_pool(&Synthetic::default(), 1, &mut stop_after(5), |pool, events| {
+        robogate_campaign::start(&theirs, &plan(20, 10), other, pool, events)
+    })
+    .unwrap();
+    fs::copy(theirs.join("journal.rgj"), ours.join("journal.rgj")).unwrap();
+    let error = resume(&ours, &Synthetic::default(), 1).unwrap_err();
+    assert!(matches!(error, RunError::Dictionary(DictionaryError::OtherPlan { .. })), "{error}");
+}
+
+/// A journal of version 0.2 does not name its plan.
+#[test]
+fn old_journal_is_resumed_with_a_warning() {
+    let base = tempfile::tempdir().unwrap();
+    let (whole, old) = (base.path().join("whole"), base.path().join("old"));
+    start(&whole, &plan(20, 10), &Synthetic::default(), 1).unwrap();
+    interrupted(&old);
+    let path = old.join("journal.rgj");
+    let journal = fs::read(&path).unwrap();
+    // Magic, version and CRC-32.
+    let header = b"RGJOURNL\x02\0\0\0\xcc\x46\x81\x77";
+    fs::write(&path, [header, &journal[48..]].concat()).unwrap();
+    let mut warnings = Vec::new();
+    let mut hear = |event: &Event, _: &AtomicBool| {
+        if let Event::Warning { warning, .. } = event {
+            warnings.push(warning.clone());
+        }
+    };
+    with_pool(&Synthetic::default(), 1, &mut hear, |pool, events| {
+        robogate_campaign::resume(&old, &provenance(), pool, events)
+    })
+    .unwrap();
+    assert_eq!(warnings, [Warning::JournalWithoutPlan]);
+    assert_eq!(files(&old), files(&whole));
 }
 
 #[test]

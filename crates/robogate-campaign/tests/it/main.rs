@@ -9,6 +9,7 @@ mod folder;
 mod merge_speed;
 mod overhead;
 mod plan;
+mod rows;
 mod shards;
 mod suite;
 mod world;

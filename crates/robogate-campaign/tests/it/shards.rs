@@ -319,7 +319,7 @@ fn other_settings_are_rejected_by_name() {
     begin(base.path(), 3, &plan(20, 10), provenance()).unwrap();
     begin(base.path(), 3, &plan(20, 10), provenance()).unwrap();
     let before = files(base.path());
-    let changes: [(&str, Change); 9] = [
+    let changes: [(&str, Change); 11] = [
         ("plan.seed", |plan, _| plan.seed = 8),
         ("plan.uniform.episodes", |plan, _| plan.uniform.episodes = 21),
         ("plan.sampler", |plan, _| plan.sampler = "sobol".to_owned()),
@@ -329,6 +329,8 @@ fn other_settings_are_rejected_by_name() {
         ("policy", |_, p| p.policy = "acts".to_owned()),
         ("world.time_step_s", |_, p| p.world["time_step_s"] = 0.001.into()),
         ("platform", |_, p| p.platform = None),
+        ("C library", |_, p| p.platform.as_mut().unwrap().libc = Some("glibc 2.31".to_owned())),
+        ("source files of robogate", |_, p| p.build.as_mut().unwrap().source_sha256 = "00".to_owned()),
     ];
     for (name, change) in changes {
         let (mut plan, mut provenance) = (plan(20, 10), provenance());

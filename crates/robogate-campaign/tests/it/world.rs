@@ -80,6 +80,7 @@ pub(crate) fn provenance() -> Provenance {
     Provenance {
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
+        build: Some(robogate_dictionary::Build { source_sha256: "5e".repeat(32) }),
         engine: Engine { name: "synthetic".to_owned(), version: Some("1".to_owned()), build_sha256: None },
         task: task(),
         robot: Robot { name: "none".to_owned(), sha256: Some("ab".repeat(32)), dimensions: None },
@@ -88,6 +89,7 @@ pub(crate) fn provenance() -> Provenance {
         space: space(),
         plan: serde_json::Value::Null,
         seed: 0,
+        question_sha256: None,
         platform: Some(Platform::here()),
         source: None,
     }

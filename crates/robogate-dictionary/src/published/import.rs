@@ -193,6 +193,7 @@ impl Survey {
         let provenance = Provenance {
             tool: Tool::robogate(),
             schema_version: SCHEMA_VERSION,
+            build: None,
             engine: Engine { name: name(["simulator", "mode"]), version: None, build_sha256: None },
             task: Arc::new(v1::task()),
             robot: Robot { name: name(["robot", "robot_name"]), sha256: None, dimensions: None },
@@ -201,6 +202,7 @@ impl Survey {
             space,
             plan: json!({ "published_metadata": frame.metadata }),
             seed: seed.unwrap_or(0),
+            question_sha256: None,
             platform: None,
             source: Some(Source {
                 format: "published_json".to_owned(),

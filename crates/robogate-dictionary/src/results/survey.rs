@@ -211,6 +211,7 @@ impl<'a> Survey<'a> {
         let provenance = Provenance {
             tool: Tool::robogate(),
             schema_version: SCHEMA_VERSION,
+            build: None,
             engine: Engine { name: word(&about.simulator, &["benchmark"]), version: None, build_sha256: None },
             task: Arc::new(task),
             robot: Robot { name: word(&about.robot, &[]), sha256: None, dimensions: None },
@@ -219,6 +220,7 @@ impl<'a> Survey<'a> {
             space: ParameterSpace::new("imported", parameters)?,
             plan: json!({ "source_metadata": frame.metadata }),
             seed: frame.metadata.get("seed").and_then(serde_json::Value::as_u64).unwrap_or(0),
+            question_sha256: None,
             platform: None,
             source: Some(Source {
                 format: format.as_str().to_owned(),

@@ -11,6 +11,9 @@ use robogate_dictionary::{Engine, Entry, Label, Platform, Provenance, Robot, SCH
 
 pub(crate) const SEED: u64 = 2026;
 
+/// The SHA-256 of the plan of journals.
+pub(crate) const PLAN: [u8; 32] = [7; 32];
+
 /// A task that is unrelated to the built-in one.
 static TASK: LazyLock<Arc<TaskSpec>> = LazyLock::new(|| {
     let task = serde_json::from_str(
@@ -86,6 +89,7 @@ pub(crate) fn provenance_of(task: Arc<TaskSpec>) -> Provenance {
         task,
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
+        build: None,
         engine: Engine {
             name: "mujoco".to_owned(),
             version: Some("3.17.0".to_owned()),
@@ -97,6 +101,7 @@ pub(crate) fn provenance_of(task: Arc<TaskSpec>) -> Provenance {
         space: space(),
         plan: serde_json::json!({ "stages": [{ "name": "uniform", "n": 100 }] }),
         seed: SEED,
+        question_sha256: None,
         platform: Some(Platform::here()),
         source: None,
     }

@@ -19,7 +19,7 @@ use robogate_core::{Seed, Stream};
 use robogate_dictionary::results::{Format, Mapping, import};
 use robogate_dictionary::{Dictionary, Journal, export, published, write_parquet};
 
-use crate::common::{Folder, entry, provenance};
+use crate::common::{Folder, PLAN, entry, provenance};
 
 /// A file reader under test. `read` returns `true` for an accepted file and `false` for a rejected one.
 struct Target {
@@ -42,7 +42,7 @@ fn read_dictionary(path: &Path) -> bool {
 }
 
 fn read_journal(path: &Path) -> bool {
-    Journal::open(path).is_ok_and(|(mut journal, _)| journal.ordered().all(|entry| entry.is_ok()))
+    Journal::open(path, &PLAN).is_ok_and(|(mut journal, _)| journal.ordered().all(|entry| entry.is_ok()))
 }
 
 /// An imported file must be a dictionary that can be opened.
@@ -62,7 +62,7 @@ fn targets(folder: &Folder) -> Vec<Target> {
     let parquet = folder.join("whole.parquet");
     write_parquet(&parquet, &provenance(), (0..40).map(|i| Ok(entry(i)))).unwrap();
     let path = folder.join("whole.journal");
-    let mut journal = Journal::create(&path).unwrap();
+    let mut journal = Journal::create(&path, &PLAN).unwrap();
     (0..10).for_each(|i| journal.append(&entry(i)).unwrap());
     drop(journal);
     let mut as_published = Vec::new();

@@ -7,7 +7,7 @@ use robogate_core::{Seed, Stream};
 use robogate_dictionary::published::{export, import};
 use robogate_dictionary::{Dictionary, Entry, Journal, write_parquet};
 
-use crate::common::{Folder, entry, provenance};
+use crate::common::{Folder, PLAN, entry, provenance};
 
 /// Reads the file with every reading function of a dictionary.
 fn read_parquet(path: &Path) -> Result<Vec<Entry>, String> {
@@ -20,7 +20,7 @@ fn read_parquet(path: &Path) -> Result<Vec<Entry>, String> {
 }
 
 fn read_journal(path: &Path) -> Result<Vec<Entry>, String> {
-    let (mut journal, _) = Journal::open(path).map_err(|e| e.to_string())?;
+    let (mut journal, _) = Journal::open(path, &PLAN).map_err(|e| e.to_string())?;
     journal.ordered().collect::<Result<_, _>>().map_err(|e| e.to_string())
 }
 
@@ -37,7 +37,7 @@ fn kinds(folder: &Folder) -> [(&'static str, Vec<u8>, Reader); 3] {
     let parquet = folder.join("whole.parquet");
     write_parquet(&parquet, &provenance(), (0..40).map(|i| Ok(entry(i)))).unwrap();
     let path = folder.join("whole.journal");
-    let mut journal = Journal::create(&path).unwrap();
+    let mut journal = Journal::create(&path, &PLAN).unwrap();
     (0..10).for_each(|i| journal.append(&entry(i)).unwrap());
     let mut json = Vec::new();
     export(&Dictionary::open(&parquet).unwrap(), &mut json).unwrap();

@@ -4,14 +4,14 @@ use std::fs::{self, OpenOptions};
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Command, Stdio};
 
-use crate::common::{Folder, entry, same, strange_entry, task};
+use crate::common::{Folder, PLAN, entry, same, strange_entry, task};
 use robogate_core::Seed;
 use robogate_dictionary::frame::{Frames, encode_frame};
 use robogate_dictionary::{DictionaryError, Entry, Journal, Recovery, dataset_hash};
 
 /// Creates a journal with the entries of these indices. Also returns the end of each record.
 fn journal(path: &std::path::Path, indices: impl IntoIterator<Item = u64>) -> Vec<u64> {
-    let mut journal = Journal::create(path).unwrap();
+    let mut journal = Journal::create(path, &PLAN).unwrap();
     let mut ends = vec![fs::metadata(path).unwrap().len()];
     for index in indices {
         journal.append(&entry(index)).unwrap();
@@ -25,7 +25,7 @@ fn journal(path: &std::path::Path, indices: impl IntoIterator<Item = u64>) -> Ve
 fn episodes_come_back_bit_for_bit() {
     let folder = Folder::new("journal-order");
     let path = folder.join("j");
-    let mut written = Journal::create(&path).unwrap();
+    let mut written = Journal::create(&path, &PLAN).unwrap();
     let order = [3, 0, 7, 1, u64::MAX, 5];
     for index in order {
         let entry = if index % 2 == 0 { entry(index) } else { strange_entry(index) };
@@ -33,7 +33,7 @@ fn episodes_come_back_bit_for_bit() {
         assert!(same(&written.read(index).unwrap().unwrap(), &entry));
     }
     drop(written);
-    let (mut read, recovery) = Journal::open(&path).unwrap();
+    let (mut read, recovery) = Journal::open(&path, &PLAN).unwrap();
     assert_eq!(recovery, Recovery::default());
     assert_eq!(read.len(), 6);
     assert_eq!(read.indices().collect::<Vec<_>>(), [0, 1, 3, 5, 7, u64::MAX]);
@@ -52,7 +52,7 @@ fn extend_equals_single_appends() {
     let (one, many) = (folder.join("one"), folder.join("many"));
     let order = [9, 3, 0, 7, 1, 5];
     journal(&one, order);
-    let mut extended = Journal::create(&many).unwrap();
+    let mut extended = Journal::create(&many, &PLAN).unwrap();
     extended.append(&entry(9)).unwrap();
     let rest = order[1..].iter().map(|index| Ok::<_, DictionaryError>(entry(*index)));
     extended.extend(rest).unwrap();
@@ -60,7 +60,7 @@ fn extend_equals_single_appends() {
     assert!(same(&extended.read(7).unwrap().unwrap(), &entry(7)));
     drop(extended);
     assert!(fs::read(&one).unwrap() == fs::read(&many).unwrap());
-    assert_eq!(Journal::open(&many).unwrap().0.len(), 6);
+    assert_eq!(Journal::open(&many, &PLAN).unwrap().0.len(), 6);
 }
 
 #[test]
@@ -69,7 +69,7 @@ fn failed_extend_changes_nothing() {
     let path = folder.join("j");
     journal(&path, [4, 2]);
     let before = fs::read(&path).unwrap();
-    let (mut opened, _) = Journal::open(&path).unwrap();
+    let (mut opened, _) = Journal::open(&path, &PLAN).unwrap();
     let twice = [entry(3), entry(2)].map(Ok::<_, DictionaryError>);
     assert!(matches!(opened.extend(twice), Err(DictionaryError::Duplicate { index: 2, .. })));
     let source_fails = [Ok(entry(1)), Err(DictionaryError::TooLarge { index: 0 })];
@@ -108,7 +108,7 @@ fn unfinished_record_is_cut_off() {
     for cut in ends[3]..ends[4] {
         let path = folder.join("cut");
         fs::write(&path, &whole[..cut as usize]).unwrap();
-        let (mut journal, recovery) = Journal::open(&path).unwrap();
+        let (mut journal, recovery) = Journal::open(&path, &PLAN).unwrap();
         assert_eq!(recovery.dropped_bytes, cut - ends[3]);
         assert_eq!(journal.indices().collect::<Vec<_>>(), [0, 1, 2]);
         assert_eq!(fs::metadata(&path).unwrap().len(), ends[3]);
@@ -128,7 +128,7 @@ fn truncated_journal_keeps_whole_records() {
     for cut in 0..whole.len() {
         let path = folder.join("cut");
         fs::write(&path, &whole[..cut]).unwrap();
-        let (mut journal, _) = Journal::open(&path).unwrap();
+        let (mut journal, _) = Journal::open(&path, &PLAN).unwrap();
         let kept = ends[1..].iter().filter(|end| **end <= cut as u64).count();
         assert_eq!(journal.len(), kept as u64, "cut at {cut}");
         assert_eq!(journal.ordered().filter(Result::is_ok).count(), kept);
@@ -142,7 +142,7 @@ fn trailing_zeros_are_cut_off() {
     let path = folder.join("j");
     let ends = journal(&path, 0..3);
     OpenOptions::new().append(true).open(&path).unwrap().write_all(&[0; 5000]).unwrap();
-    let (journal, recovery) = Journal::open(&path).unwrap();
+    let (journal, recovery) = Journal::open(&path, &PLAN).unwrap();
     assert_eq!((journal.len(), recovery.dropped_bytes), (3, 5000));
     assert_eq!(fs::metadata(&path).unwrap().len(), ends[3]);
 }
@@ -158,7 +158,7 @@ fn flipped_bits_name_their_record() {
         let mut flipped = whole.clone();
         flipped[byte as usize] ^= 1 << (byte % 8);
         fs::write(&path, &flipped).unwrap();
-        let error = Journal::open(&path).expect_err("a flipped bit");
+        let error = Journal::open(&path, &PLAN).expect_err("a flipped bit");
         match error {
             DictionaryError::NotAJournal { .. } => assert!(byte < ends[0]),
             DictionaryError::DamagedJournal { offset, intact, .. } => {
@@ -180,18 +180,18 @@ fn truncation_hint_works() {
     let mut bytes = fs::read(&path).unwrap();
     bytes[ends[2] as usize + 40] ^= 4;
     fs::write(&path, &bytes).unwrap();
-    let error = Journal::open(&path).unwrap_err();
+    let error = Journal::open(&path, &PLAN).unwrap_err();
     let DictionaryError::DamagedJournal { offset, intact, .. } = error else { panic!("{error}") };
     assert_eq!((offset, intact), (ends[2], 2));
     assert!(error.to_string().contains(&format!("byte {offset}")), "{error}");
     OpenOptions::new().write(true).open(&path).unwrap().set_len(offset).unwrap();
-    assert_eq!(Journal::open(&path).unwrap().0.len(), 2);
+    assert_eq!(Journal::open(&path, &PLAN).unwrap().0.len(), 2);
 }
 
 #[test]
 fn duplicate_episode_is_rejected() {
     let folder = Folder::new("journal-once");
-    let mut journal = Journal::create(&folder.join("j")).unwrap();
+    let mut journal = Journal::create(&folder.join("j"), &PLAN).unwrap();
     journal.append(&entry(1)).unwrap();
     assert!(matches!(journal.append(&entry(1)), Err(DictionaryError::Duplicate { index: 1, .. })));
     assert_eq!(journal.len(), 1);
@@ -201,17 +201,17 @@ fn duplicate_episode_is_rejected() {
 fn second_writer_is_rejected() {
     let folder = Folder::new("journal-lock");
     let path = folder.join("j");
-    let journal = Journal::create(&path).unwrap();
-    assert!(matches!(Journal::open(&path), Err(DictionaryError::Locked { .. })));
-    assert!(matches!(Journal::create(&path), Err(DictionaryError::Io { .. })));
+    let journal = Journal::create(&path, &PLAN).unwrap();
+    assert!(matches!(Journal::open(&path, &PLAN), Err(DictionaryError::Locked { .. })));
+    assert!(matches!(Journal::create(&path, &PLAN), Err(DictionaryError::Io { .. })));
     drop(journal);
-    assert!(Journal::open(&path).is_ok());
+    assert!(Journal::open(&path, &PLAN).is_ok());
 }
 
 #[test]
 fn invalid_weight_or_seed_is_rejected() {
     let folder = Folder::new("journal-refuse");
-    let mut journal = Journal::create(&folder.join("j")).unwrap();
+    let mut journal = Journal::create(&folder.join("j"), &PLAN).unwrap();
     for weight in [f64::NAN, f64::INFINITY, -1.0] {
         let wrong = Entry { weight, ..entry(0) };
         assert!(matches!(journal.append(&wrong), Err(DictionaryError::Weight { index: 0, .. })));
@@ -228,9 +228,9 @@ fn newer_journal_asks_for_upgrade() {
     let path = folder.join("j");
     journal(&path, 0..1);
     let mut bytes = fs::read(&path).unwrap();
-    bytes[8] = 3;
+    bytes[8] = 4;
     fs::write(&path, bytes).unwrap();
-    let error = Journal::open(&path).unwrap_err().to_string();
+    let error = Journal::open(&path, &PLAN).unwrap_err().to_string();
     assert!(error.contains("upgrade"), "{error}");
 }
 
@@ -241,7 +241,8 @@ fn newer_journal_asks_for_upgrade() {
 fn writer() {
     let path = std::env::var_os("ROBOGATE_TEST_JOURNAL").expect("set by the test that runs this");
     let path = std::path::Path::new(&path);
-    let mut journal = if path.exists() { Journal::open(path).unwrap().0 } else { Journal::create(path).unwrap() };
+    let mut journal =
+        if path.exists() { Journal::open(path, &PLAN).unwrap().0 } else { Journal::create(path, &PLAN).unwrap() };
     for index in journal.len().. {
         if let Err(error) = journal.append(&entry(index)) {
             println!("stopped at {index}: {error}");
@@ -277,11 +278,11 @@ fn killed_writer_loses_nothing() {
         child.kill().unwrap();
         child.wait().unwrap();
         last = lines.filter_map(appended).last().unwrap_or(last);
-        let (journal, _) = Journal::open(&path).unwrap();
+        let (journal, _) = Journal::open(&path, &PLAN).unwrap();
         most = journal.len();
         assert!(most > last, "{most} in the journal, {last} was appended");
     }
-    let (mut journal, _) = Journal::open(&path).unwrap();
+    let (mut journal, _) = Journal::open(&path, &PLAN).unwrap();
     let undisturbed = dataset_hash(task(), (0..most).map(|index| Ok(entry(index)))).unwrap();
     assert_eq!(dataset_hash(task(), journal.ordered()).unwrap(), undisturbed);
 }
@@ -301,7 +302,7 @@ fn full_disk_keeps_the_journal() {
         .unwrap();
     let output = String::from_utf8_lossy(&output.stdout);
     assert!(output.contains("stopped at") && output.contains("1 passed"), "{output}");
-    let (mut journal, recovery) = Journal::open(&path).unwrap();
+    let (mut journal, recovery) = Journal::open(&path, &PLAN).unwrap();
     assert_eq!(recovery.dropped_bytes, 0);
     let n = journal.len();
     assert!(n > 10);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use robogate_dictionary::{Dictionary, Entry, Journal, SchemaVersion, export, published, v1, write_parquet};
 
-use crate::common::Folder;
+use crate::common::{Folder, PLAN};
 
 fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/v0.1").join(name)
@@ -82,7 +82,7 @@ fn unfinished_0_1_run_is_rejected() {
     let folder = Folder::new("v0.1-journal");
     let path = folder.join("journal.rgj");
     fs::copy(fixture("journal.rgj"), &path).unwrap();
-    let error = Journal::open(&path).unwrap_err().to_string();
+    let error = Journal::open(&path, &PLAN).unwrap_err().to_string();
     assert!(error.contains("started with robogate 0.1") && error.contains("finish it with that version"), "{error}");
     assert!(fs::read(&path).unwrap() == fs::read(fixture("journal.rgj")).unwrap(), "the file is unchanged");
 }

@@ -61,6 +61,14 @@ pub enum EvidenceError {
     /// A file that does not belong to the rows.
     #[error("{0}\nhint: evidence must contain the files of the run. Remove this file, or use that of the run")]
     Contradicts(Problem),
+    /// Another question than that of the gate, without the user's consent.
+    #[error(
+        "the {} differ from those that the run's gate was asked\nhint: leave out the options that change them, or add --reasked: verification then reports it in its first line", changed.join(", ")
+    )]
+    Reasked {
+        /// The parts that differ.
+        changed: Vec<String>,
+    },
     /// An error of the gate.
     #[error(transparent)]
     Gate(#[from] GateError),
@@ -96,7 +104,8 @@ pub struct Problem {
 }
 
 impl Problem {
-    pub(super) fn new(file: impl Into<String>, reason: impl Into<String>) -> Self {
+    /// A problem in this file.
+    pub fn new(file: impl Into<String>, reason: impl Into<String>) -> Self {
         Self { file: file.into(), reason: reason.into() }
     }
 }

@@ -7,7 +7,10 @@ use std::path::Path;
 use robogate_dictionary::{Dictionary, TaskIdentity, Tool, hex};
 use sha2::{Digest, Sha256};
 
-use super::{AGAINST, BASELINE, DICTIONARY, EvidenceError, FileRecord, Manifest, Problem, REQUIREMENTS, origin};
+use super::{
+    AGAINST, BASELINE, DICTIONARY, EnvironmentBinding, EvidenceError, FileRecord, Manifest, PolicyBinding, Problem,
+    REQUIREMENTS, origin, question, registration,
+};
 use crate::{Against, Baseline, Evaluation, Question, Record, Requirements, Sampling};
 
 /// Computes the evaluation from the rows and requirements in the folder.
@@ -49,6 +52,8 @@ pub(super) fn manifest(
 ) -> Result<Manifest, EvidenceError> {
     let dictionary = Dictionary::open(&folder.join(DICTIONARY))?;
     let provenance = dictionary.provenance();
+    let question = question::binding(folder, &files, provenance, evaluation.sampling, margin)?;
+    let registration = registration::check(folder, &files, provenance).map_err(EvidenceError::Contradicts)?;
     Ok(Manifest {
         format: Manifest::FORMAT,
         tool,
@@ -61,12 +66,17 @@ pub(super) fn manifest(
         dataset_sha256: dictionary.dataset_hash().to_owned(),
         seed: provenance.seed,
         policy: provenance.policy.clone(),
+        policy_binding: PolicyBinding::of(provenance),
+        question,
+        registration,
+        environment: EnvironmentBinding::of(provenance),
         task: TaskIdentity::of(&provenance.task),
         robot: provenance.robot.clone(),
         engine: provenance.engine.clone(),
         platform: provenance.platform.clone(),
         source: provenance.source.clone(),
         measured_by: provenance.tool.clone(),
+        build: provenance.build.clone(),
         signer,
         files,
     })

@@ -1,9 +1,10 @@
 //! The manifest: files of the folder, verdict and provenance.
 
-use robogate_dictionary::{Engine, Platform, Robot, Source, TaskIdentity, Tool};
+use robogate_dictionary::{Build, Engine, Platform, Robot, Source, TaskIdentity, Tool};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::{EnvironmentBinding, PolicyBinding, QuestionBinding, Registered};
 use crate::{Counts, Population, Sampling, Verdict};
 
 /// The role of a file in the folder.
@@ -22,6 +23,10 @@ pub enum Role {
     Evaluation,
     /// The plan of the campaign, written before the first episode.
     Plan,
+    /// The question of the gate, written before the first episode.
+    Question,
+    /// The registration of the run, signed before the first episode, or the key of its signer.
+    Registration,
     /// The suite's scenarios.
     Suite,
     /// A file of the robot.
@@ -73,8 +78,16 @@ pub struct Manifest {
     pub dataset_sha256: String,
     /// The campaign's seed.
     pub seed: u64,
-    /// The policy.
+    /// The policy's name.
     pub policy: String,
+    /// How the policy is identified.
+    pub policy_binding: PolicyBinding,
+    /// How the judged question relates to the one that the gate was asked.
+    pub question: QuestionBinding,
+    /// The registration of the run before its first episode. `None` if it was not registered.
+    pub registration: Option<Registered>,
+    /// The environment as one hash.
+    pub environment: EnvironmentBinding,
     /// The task. The provenance of the rows contains its whole declaration.
     pub task: TaskIdentity,
     /// The robot, with the hash of its files.
@@ -87,6 +100,8 @@ pub struct Manifest {
     pub source: Option<Source>,
     /// The program that wrote the rows, with its version.
     pub measured_by: Tool,
+    /// The build of that program, if it is known.
+    pub build: Option<Build>,
     /// The key that signed ([`super::PublicKey::id`]). `None` if the evidence is unsigned.
     pub signer: Option<String>,
     /// All files except manifest and statements, sorted by path.
@@ -95,7 +110,7 @@ pub struct Manifest {
 
 impl Manifest {
     /// The version that this build writes, and the only one that it reads.
-    pub const FORMAT: u32 = 2;
+    pub const FORMAT: u32 = 3;
 
     /// Serialises the manifest. Equal manifests give equal bytes.
     pub fn to_json(&self) -> String {

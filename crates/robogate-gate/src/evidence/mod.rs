@@ -5,27 +5,40 @@
 //! the [test-result] predicate, which other tools read, and RoboGate's own, which contains the whole manifest. If a
 //! [`PrivateKey`] is given, each is in a DSSE envelope.
 //!
-//! [`verify`] needs only the folder. It hashes every file, recomputes the evaluation from the rows, compares plan, suite and
-//! robot with the provenance of the rows, rebuilds both statements, and names each file that differs.
+//! [`verify`] needs only the folder. It hashes every file, recomputes the evaluation from the rows, compares plan, suite,
+//! robot, policy, question and registration with the provenance of the rows, rebuilds both statements, and names each file
+//! that differs. Each of these bindings has a module of its own.
 //!
 //! The folder contains no time of day: the same run and key give the same bytes.
 //!
 //! [test-result]: https://in-toto.io/attestation/test-result/v0.1
 
+mod draw;
 mod dsse;
+mod environment;
 mod error;
 mod facts;
 mod keys;
 mod manifest;
 mod origin;
+mod policy;
+mod question;
+mod registration;
 mod statement;
 mod verify;
 mod write;
 
+pub use draw::random_positions;
 pub use dsse::{Envelope, Signature, pre_authentication_encoding};
+pub use environment::EnvironmentBinding;
 pub use error::{EvidenceError, Problem};
 pub use keys::{PrivateKey, PublicKey};
 pub use manifest::{FileRecord, Manifest, Role};
+pub use policy::PolicyBinding;
+pub use question::QuestionBinding;
+pub use registration::{
+    REGISTRATION, REGISTRATION_KEY, REGISTRATION_PREDICATE, Registered, Registration, list_of, register,
+};
 pub use statement::{EVIDENCE_PREDICATE, PAYLOAD_TYPE, STATEMENT_TYPE, TEST_RESULT_PREDICATE};
 pub use verify::{Signed, Verified, verify};
 pub use write::{Content, Ingredients, write};

@@ -1,4 +1,4 @@
-//! Checks that plan, suite and robot in the folder are those of the rows.
+//! Checks that plan, suite, robot and policy in the folder are those of the rows.
 
 use std::fs;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use robogate_core::Suite;
 use robogate_dictionary::{Provenance, robot_sha256};
 
-use super::{FileRecord, Problem, Role};
+use super::{FileRecord, Problem, Role, policy};
 
 /// The fields of `plan.json` that are used here. The campaign crate owns the format.
 #[derive(serde::Deserialize)]
@@ -30,6 +30,7 @@ pub(super) fn problems(folder: &Path, files: &[FileRecord], provenance: &Provena
             }
         }
     }
+    problems.extend(policy::problems(files, provenance));
     if let Some(recorded) = &provenance.robot.sha256 {
         problems.extend(robot(folder, of(Role::Robot), recorded));
     }

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::{EVALUATION, MANIFEST, Manifest, Role};
+use super::{EVALUATION, FileRecord, MANIFEST, Manifest, Role};
 use crate::{Comparison, Evaluation, Status, Verdict};
 
 /// The statement's type (in-toto attestation framework, version 1).
@@ -40,7 +40,10 @@ pub(super) fn test_result(manifest: &Manifest, manifest_sha256: &str, evaluation
         .files
         .iter()
         .filter(|file| {
-            matches!(file.role, Role::Requirements | Role::Baseline | Role::Plan | Role::Suite | Role::Robot)
+            matches!(
+                file.role,
+                Role::Requirements | Role::Baseline | Role::Plan | Role::Question | Role::Suite | Role::Robot
+            )
         })
         .map(|file| descriptor(&file.path, &file.sha256))
         .collect();
@@ -62,15 +65,14 @@ pub(super) fn evidence(manifest: &Manifest, manifest_sha256: &str) -> String {
 }
 
 fn statement(manifest: &Manifest, manifest_sha256: &str, predicate_type: &'static str, predicate: &Value) -> String {
-    // The subject is the policy's own files if they are known, otherwise its episodes and results.
+    // The subject is the policy's own file if the run recorded its digest, otherwise its episodes and results.
+    let judged = |file: &FileRecord| match file.role {
+        Role::Policy => manifest.policy_binding.sha256() == Some(&file.sha256),
+        Role::Dictionary => true,
+        _ => file.path == EVALUATION,
+    };
     let subject = std::iter::once(descriptor(MANIFEST, manifest_sha256))
-        .chain(
-            manifest
-                .files
-                .iter()
-                .filter(|file| matches!(file.role, Role::Policy | Role::Dictionary) || file.path == EVALUATION)
-                .map(|file| descriptor(&file.path, &file.sha256)),
-        )
+        .chain(manifest.files.iter().filter(|file| judged(file)).map(|file| descriptor(&file.path, &file.sha256)))
         .collect();
     let statement = Statement { type_uri: STATEMENT_TYPE, subject, predicate_type, predicate };
     serde_json::to_string(&statement).unwrap_or_default()

@@ -6,8 +6,9 @@ use std::path::Path;
 
 use super::manifest::is_plain;
 use super::{
-    AGAINST, ATTESTATION, BARE_ENDING, BASELINE, DICTIONARY, EVALUATION, Envelope, MANIFEST, Manifest, PAYLOAD_TYPE,
-    Problem, PublicKey, REQUIREMENTS, SIGNED_ENDING, SIGNER, TEST_RESULT, facts, statement,
+    AGAINST, ATTESTATION, BARE_ENDING, BASELINE, DICTIONARY, EVALUATION, Envelope, EnvironmentBinding, EvidenceError,
+    MANIFEST, Manifest, PAYLOAD_TYPE, PolicyBinding, Problem, PublicKey, QuestionBinding, REQUIREMENTS, Registered,
+    SIGNED_ENDING, SIGNER, TEST_RESULT, facts, statement,
 };
 use crate::{Counts, Verdict};
 
@@ -25,6 +26,16 @@ pub struct Verified {
     pub counts: Counts,
     /// The policy that was judged.
     pub policy: String,
+    /// How the policy is identified.
+    pub policy_binding: PolicyBinding,
+    /// How the judged question relates to the one that the gate was asked.
+    pub question: QuestionBinding,
+    /// The registration of the run before its first episode.
+    pub registration: Option<Registered>,
+    /// The environment as one hash.
+    pub environment: EnvironmentBinding,
+    /// The campaign's seed.
+    pub seed: u64,
     /// The robot.
     pub robot: String,
     /// Number of verified files.
@@ -103,6 +114,11 @@ pub fn verify(folder: &Path, trusted: Option<&PublicKey>) -> Result<Verified, Ve
             because: evaluation.because,
             counts: evaluation.counts,
             policy: evaluation.policy,
+            policy_binding: manifest.policy_binding,
+            question: manifest.question,
+            registration: manifest.registration,
+            environment: manifest.environment,
+            seed: manifest.seed,
             robot: evaluation.robot,
             files: manifest.files.len() as u64 + 1 + statements.len() as u64,
             signed,
@@ -299,6 +315,7 @@ fn check_facts(folder: &Path, manifest: &Manifest, problems: &mut Vec<Problem>) 
             };
             problems.push(Problem::new(MANIFEST, reason));
         }
+        Err(EvidenceError::Contradicts(problem)) => problems.push(problem),
         Err(error) => problems.push(Problem::new(DICTIONARY, error.to_string())),
     }
     Some(evaluation)

@@ -9,7 +9,8 @@ use robogate_dictionary::Tool;
 use super::manifest::is_plain;
 use super::{
     AGAINST, ATTESTATION, BARE_ENDING, BASELINE, DICTIONARY, EVALUATION, Envelope, EvidenceError, FileRecord, MANIFEST,
-    Manifest, PAYLOAD_TYPE, PrivateKey, REQUIREMENTS, Role, SIGNED_ENDING, SIGNER, TEST_RESULT, facts, statement,
+    Manifest, PAYLOAD_TYPE, PrivateKey, QuestionBinding, REQUIREMENTS, Role, SIGNED_ENDING, SIGNER, TEST_RESULT, facts,
+    statement,
 };
 use crate::Sampling;
 
@@ -35,6 +36,8 @@ pub struct Ingredients {
     pub against: Option<(PathBuf, f64)>,
     /// How the number of episodes was chosen.
     pub sampling: Sampling,
+    /// Whether another question than that of the run's gate is accepted.
+    pub reasked: bool,
     /// Further files: role, path in the folder, and content.
     pub others: Vec<(Role, String, Content)>,
 }
@@ -133,6 +136,9 @@ fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> R
     }
     let signer = key.map(|key| key.public().id());
     let manifest = facts::manifest(folder, Tool::robogate(), &evaluation, margin, signer, records)?;
+    if let (QuestionBinding::Reasked { changed }, false) = (&manifest.question, ingredients.reasked) {
+        return Err(EvidenceError::Reasked { changed: changed.clone() });
+    }
     let json = manifest.to_json();
     let sha256 = facts::sha256(json.as_bytes());
     put(MANIFEST, &json)?;

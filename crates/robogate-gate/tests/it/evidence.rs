@@ -41,6 +41,7 @@ fn planned_rows(path: &Path, n: u64, failures: u64, plan: serde_json::Value, lab
     let provenance = Provenance {
         tool: Tool::robogate(),
         schema_version: SCHEMA_VERSION,
+        build: None,
         engine: Engine { name: "mujoco".into(), version: Some("3.17.0".into()), build_sha256: Some("ab".repeat(32)) },
         task: std::sync::Arc::new(crate::common::task()),
         robot: Robot { name: "franka".into(), sha256: Some(robot_sha256([("robot.toml", ROBOT)])), dimensions: None },
@@ -49,6 +50,7 @@ fn planned_rows(path: &Path, n: u64, failures: u64, plan: serde_json::Value, lab
         space,
         plan,
         seed: 5,
+        question_sha256: None,
         platform: Some(Platform::here()),
         source: None,
     };
@@ -105,6 +107,7 @@ fn run(failures: u64) -> Run {
         baseline: None,
         against: None,
         sampling: Sampling::Fixed,
+        reasked: false,
         others: vec![
             (Role::Plan, "plan.json".into(), Content::File(at("plan.json"))),
             (Role::Robot, "robot/robot.toml".into(), Content::File(at("robot.toml"))),
@@ -270,8 +273,8 @@ fn other_formats_are_rejected() {
     let run = run(0);
     let folder = run.evidence("e", None);
     let manifest = fs::read_to_string(folder.join("manifest.json")).unwrap();
-    for (format, wanted) in [("1", "is no longer supported"), ("3", "upgrade robogate"), ("\"x\"", "no `format`")] {
-        let changed = manifest.replacen("\"format\": 2", &format!("\"format\": {format}"), 1);
+    for (format, wanted) in [("2", "is no longer supported"), ("4", "upgrade robogate"), ("\"x\"", "no `format`")] {
+        let changed = manifest.replacen("\"format\": 3", &format!("\"format\": {format}"), 1);
         fs::write(folder.join("manifest.json"), changed).unwrap();
         assert!(about(verify(&folder, None), "manifest.json").contains(wanted));
     }

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
 
+use super::batch::Batch;
 use super::fleet::Tallies;
 use super::intake::{Intake, IntakeError, Taken};
 use super::metrics::metrics;
@@ -15,7 +16,7 @@ use super::status::Status;
 const WAITING: usize = 1_024;
 /// Maximum number of requests, and of their bytes, in one commit.
 const TOGETHER: usize = 256;
-const TOGETHER_BYTES: usize = 32 << 20;
+const TOGETHER_BYTES: usize = 4 << 20;
 
 /// The reply to a request: the value, or the problem.
 pub(super) type Answer<T> = Result<T, Problem>;
@@ -41,7 +42,7 @@ impl From<super::StoreError> for Problem {
 }
 
 pub(super) enum Job {
-    Cycles { batch: Vec<u8>, reply: oneshot::Sender<Answer<Taken>> },
+    Cycles { batch: Batch, reply: oneshot::Sender<Answer<Taken>> },
     Status { reply: oneshot::Sender<Answer<Status>> },
     Fleet { reply: oneshot::Sender<Answer<Tallies>> },
     Metrics { reply: oneshot::Sender<Answer<String>> },
@@ -121,6 +122,7 @@ impl Handle {
     /// # Errors
     /// The reason why no cycle was accepted, as text.
     pub fn take(&self, batch: Vec<u8>) -> Result<Taken, String> {
+        let batch = Batch::parse(&batch).map_err(|error| error.to_string())?;
         match self.wait(|reply| Job::Cycles { batch, reply }) {
             Ok(Ok(taken)) => Ok(taken),
             Ok(Err(problem)) => Err(problem.because),
@@ -202,16 +204,16 @@ fn together(
     intake: &mut Intake,
     jobs: &Receiver<Job>,
     health: &mut Health,
-    first: Vec<u8>,
+    first: Batch,
     reply: oneshot::Sender<Answer<Taken>>,
 ) -> Option<Job> {
-    let mut bytes = first.len();
+    let mut bytes = first.bytes;
     let (mut batches, mut replies) = (vec![first], vec![reply]);
     let mut next = None;
     while batches.len() < TOGETHER && bytes < TOGETHER_BYTES && next.is_none() {
         match jobs.try_recv() {
             Ok(Job::Cycles { batch, reply }) => {
-                bytes += batch.len();
+                bytes += batch.bytes;
                 batches.push(batch);
                 replies.push(reply);
             }
@@ -219,8 +221,7 @@ fn together(
             Err(_) => break,
         }
     }
-    let slices: Vec<&[u8]> = batches.iter().map(Vec::as_slice).collect();
-    match intake.take(&slices) {
+    match intake.take_parsed(batches) {
         Ok(taken) => {
             health.note(Ok(()));
             replies.into_iter().zip(taken).for_each(|(reply, taken)| answer(reply, Ok(taken)));

@@ -8,17 +8,17 @@
 //! | `GET /v1/fleet` | all robots, and the differences between the robots of each recipe |
 //! | `GET /metrics` | metrics for Prometheus |
 //! | `GET /healthz` | 200 while cycles can be written |
-//! | `GET /` | the page |
+//! | `GET /`, `GET /page.js` | the page and its script |
 //!
 //! Without a token, only this machine may connect: the address must be a loopback address, requests must name it as
-//! their host, and pages of other sites may not post. With a token, all paths except `/` (which contains no data) and
-//! `/healthz` require it.
+//! their host, and pages of other sites may not post. With a token, all paths except `/`, `/page.js` (which contain no data)
+//! and `/healthz` require it.
 //!
-//! A slow client only occupies one of many connections: request heads, bodies and whole connections have time limits.
+//! A slow client only occupies one of many connections: request heads, bodies and whole connections have time limits, and
+//! an unfinished head gives its place to a new connection. Bodies are parsed on other threads.
 
-use std::collections::BTreeMap;
 use std::convert::Infallible;
-use std::net::{IpAddr, SocketAddr};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -34,17 +34,28 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 use serde_json::value::RawValue;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{Semaphore, oneshot, watch};
+use tokio::sync::{oneshot, watch};
 
-use super::engine::{Answer, Busy, Handle, Job};
+use super::batch::Batch;
+use super::engine::{Answer, Busy, Handle, Job, Problem};
 use super::fleet::FleetStatus;
 use super::intake::Taken;
+use super::peers::{Connection, Peers};
 
 /// Time for which a comparison of the robots is reused.
 const FLEET_HOLDS: Duration = Duration::from_secs(10);
 
+/// Number of threads that parse bodies and compare robots.
+const PARSERS: usize = 2;
+/// Time for which a health check waits for the engine before it reports the last known health.
+const HEALTH_WAIT: Duration = Duration::from_millis(25);
+/// Age up to which a known health is reported.
+const HEALTH_HOLDS: Duration = Duration::from_secs(60);
+
 /// The page. It loads no external resources.
 const PAGE: &str = include_str!("page.html");
+/// Its script. It is a file of its own, so that the policy of the page forbids inline scripts.
+const SCRIPT: &str = include_str!("page.js");
 
 /// Limits of the HTTP server.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -124,7 +135,11 @@ pub fn serve(
         _ => {}
     }
     let failed = |because| HttpError::Listen { address, because };
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .max_blocking_threads(PARSERS)
+        .build()
+        .map_err(failed)?;
     runtime.block_on(async {
         let listener = TcpListener::bind(address).await.map_err(failed)?;
         listening(listener.local_addr().map_err(failed)?);
@@ -133,8 +148,8 @@ pub fn serve(
             settings,
             engine,
             peers: Mutex::new(Peers::default()),
-            room: Semaphore::new(settings.most_connections),
             held: AtomicUsize::new(0),
+            health: Mutex::new(None),
             fleet: tokio::sync::Mutex::new(None),
         });
         let (closing, closed) = watch::channel(false);
@@ -155,53 +170,12 @@ struct Server {
     settings: HttpSettings,
     engine: Handle,
     peers: Mutex<Peers>,
-    room: Semaphore,
     /// Total size of the bodies in memory, in bytes.
     held: AtomicUsize,
+    /// The last known health.
+    health: Mutex<Option<(Instant, Answer<()>)>>,
     /// The last comparison of the robots.
     fleet: tokio::sync::Mutex<Option<(Instant, Bytes)>>,
-}
-
-/// The connected addresses.
-#[derive(Default)]
-struct Peers(BTreeMap<IpAddr, Peer>);
-
-struct Peer {
-    connections: usize,
-    /// Number of requests that it may still send.
-    credit: f64,
-    since: Instant,
-}
-
-impl Peers {
-    /// Whether the address may open one more connection.
-    fn connect(&mut self, address: IpAddr, settings: &HttpSettings) -> bool {
-        if self.0.len() > 10_000 {
-            self.0.retain(|_, peer| peer.connections > 0 || peer.since.elapsed() < Duration::from_secs(10));
-        }
-        let credit = settings.requests_per_s * 10.0;
-        let peer = self.0.entry(address).or_insert(Peer { connections: 0, credit, since: Instant::now() });
-        let room = peer.connections < settings.most_connections_per_address;
-        peer.connections += usize::from(room);
-        room
-    }
-
-    fn disconnect(&mut self, address: IpAddr) {
-        if let Some(peer) = self.0.get_mut(&address) {
-            peer.connections = peer.connections.saturating_sub(1);
-        }
-    }
-
-    /// Whether the address may send one more request.
-    fn request(&mut self, address: IpAddr, settings: &HttpSettings) -> bool {
-        let Some(peer) = self.0.get_mut(&address) else { return true };
-        let gained = peer.since.elapsed().as_secs_f64() * settings.requests_per_s;
-        peer.since = Instant::now();
-        peer.credit = (peer.credit + gained).min(settings.requests_per_s * 10.0);
-        let allowed = peer.credit >= 1.0;
-        peer.credit -= f64::from(u8::from(allowed));
-        allowed
-    }
 }
 
 async fn accept(listener: &TcpListener, server: &Arc<Server>, closed: &watch::Receiver<bool>) {
@@ -214,24 +188,56 @@ async fn accept(listener: &TcpListener, server: &Arc<Server>, closed: &watch::Re
         let server = Arc::clone(server);
         let mut open = closed.clone();
         tokio::spawn(async move {
-            let Ok(_room) = server.room.try_acquire() else { return };
-            let known = server.peers.lock().is_ok_and(|mut peers| peers.connect(peer.ip(), &server.settings));
-            if known {
-                converse(&server, stream, peer, &mut open).await;
-                if let Ok(mut peers) = server.peers.lock() {
-                    peers.disconnect(peer.ip());
-                }
+            let connection = server.peers.lock().ok().and_then(|mut peers| peers.connect(peer.ip(), &server.settings));
+            if let Some(connection) = connection {
+                converse(&server, stream, connection, &mut open).await;
             }
             drop(open);
         });
     }
 }
 
-async fn converse(server: &Arc<Server>, stream: TcpStream, peer: SocketAddr, ending: &mut watch::Receiver<bool>) {
+/// A connection and whether a request of it is in progress. Dropping it gives its place free.
+struct Open {
+    server: Arc<Server>,
+    connection: Mutex<(Connection, bool)>,
+}
+
+impl Open {
+    /// Changes the state of the connection.
+    fn with<T>(&self, change: impl FnOnce(&mut Peers, &mut (Connection, bool)) -> T) -> Option<T> {
+        Some(change(&mut *self.server.peers.lock().ok()?, &mut *self.connection.lock().ok()?))
+    }
+}
+
+impl Drop for Open {
+    fn drop(&mut self) {
+        self.with(|peers, (connection, busy)| peers.disconnect(connection, *busy));
+    }
+}
+
+async fn converse(server: &Arc<Server>, stream: TcpStream, connection: Connection, ending: &mut watch::Receiver<bool>) {
     let _ = stream.set_nodelay(true);
+    let close = Arc::clone(&connection.close);
+    let open = Arc::new(Open { server: Arc::clone(server), connection: Mutex::new((connection, false)) });
     let service = service_fn(|request| {
-        let server = Arc::clone(server);
-        async move { Ok::<_, Infallible>(respond(&server, request, peer).await) }
+        let open = Arc::clone(&open);
+        async move {
+            let allowed = open.with(|peers, (connection, busy)| {
+                *busy = true;
+                peers.begin(connection, &open.server.settings)
+            });
+            let reply = if allowed == Some(true) {
+                respond(&open.server, request).await
+            } else {
+                later(StatusCode::TOO_MANY_REQUESTS, "too many requests from this address")
+            };
+            open.with(|peers, (connection, busy)| {
+                *busy = false;
+                peers.end(connection);
+            });
+            Ok::<_, Infallible>(reply)
+        }
     });
     let connection = hyper::server::conn::http1::Builder::new()
         .timer(TokioTimer::new())
@@ -243,6 +249,8 @@ async fn converse(server: &Arc<Server>, stream: TcpStream, peer: SocketAddr, end
     // A broken connection needs no action.
     tokio::select! {
         _ = connection.as_mut() => return,
+        // Another connection takes its place.
+        () = close.notified() => return,
         () = life => {}
         _ = ending.wait_for(|ending| *ending) => {}
     }
@@ -280,13 +288,9 @@ fn refusal(status: StatusCode, because: impl std::fmt::Display) -> Reply {
     document(status, &json!({ "error": because.to_string() }))
 }
 
-async fn respond(server: &Server, request: Request<Incoming>, peer: SocketAddr) -> Reply {
-    let allowed = server.peers.lock().is_ok_and(|mut peers| peers.request(peer.ip(), &server.settings));
-    if !allowed {
-        return later(StatusCode::TOO_MANY_REQUESTS, "too many requests from this address");
-    }
+async fn respond(server: &Server, request: Request<Incoming>) -> Reply {
     let path = request.uri().path().to_owned();
-    let open = matches!(path.as_str(), "/" | "/healthz");
+    let open = matches!(path.as_str(), "/" | "/page.js" | "/healthz");
     if let Some(refused) = admit(server, &request, open) {
         return refused;
     }
@@ -309,18 +313,16 @@ async fn respond(server: &Server, request: Request<Incoming>, peer: SocketAddr) 
             Ok(text) => reply(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", text),
             Err(refused) => refused,
         },
-        (&Method::GET, "/healthz") => match ask(server, |reply| Job::Healthy { reply }).await {
-            Ok(()) => document(StatusCode::OK, &json!({ "healthy": true })),
-            Err(refused) => refused,
-        },
+        (&Method::GET, "/healthz") => healthy(server).await,
         (&Method::GET, "/") => {
             let mut page = reply(StatusCode::OK, "text/html; charset=utf-8", PAGE);
-            let policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; \
+            let policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'self'; connect-src 'self'; \
                           img-src data:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'";
             page.headers_mut().insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(policy));
             page
         }
-        (_, "/v1/cycles" | "/v1/status" | "/v1/fleet" | "/metrics" | "/healthz" | "/") => {
+        (&Method::GET, "/page.js") => reply(StatusCode::OK, "text/javascript; charset=utf-8", SCRIPT),
+        (_, "/v1/cycles" | "/v1/status" | "/v1/fleet" | "/metrics" | "/healthz" | "/page.js" | "/") => {
             refusal(StatusCode::METHOD_NOT_ALLOWED, "this path does not support this method")
         }
         _ => refusal(StatusCode::NOT_FOUND, "not found; the page is at /"),
@@ -357,12 +359,21 @@ fn admit(server: &Server, request: &Request<Incoming>, open: bool) -> Option<Rep
     }
 }
 
+/// Whether the value of a Host header names this machine (RFC 9110, section 7.2: `host [ ":" port ]`). Anything else in it,
+/// as in `[::1].example.com`, is another name.
 fn is_this_machine(host: &str) -> bool {
-    let name = match host.strip_prefix('[') {
-        Some(rest) => rest.split(']').next().unwrap_or_default(),
-        None => host.split(':').next().unwrap_or_default(),
-    };
-    name == "localhost" || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
+    let is_port = |text: &str| text.is_empty() || text.parse::<u16>().is_ok();
+    match host.strip_prefix('[') {
+        Some(rest) => rest.split_once(']').is_some_and(|(address, rest)| {
+            let port = rest.is_empty() || rest.strip_prefix(':').is_some_and(is_port);
+            port && address.parse::<Ipv6Addr>().is_ok_and(|address| address.is_loopback())
+        }),
+        None => {
+            let (name, port) = host.split_once(':').unwrap_or((host, ""));
+            let local = name.eq_ignore_ascii_case("localhost");
+            is_port(port) && (local || name.parse::<Ipv4Addr>().is_ok_and(|address| address.is_loopback()))
+        }
+    }
 }
 
 /// Compares two tokens in constant time.
@@ -376,17 +387,36 @@ async fn ask<T>(server: &Server, job: impl FnOnce(oneshot::Sender<Answer<T>>) ->
     let answer = server.engine.ask(job).map_err(busy)?;
     match tokio::time::timeout(Duration::from_secs_f64(server.settings.answer_s), answer).await {
         Ok(Ok(Ok(value))) => Ok(value),
-        Ok(Ok(Err(problem))) => {
-            let status =
-                if problem.full { StatusCode::INSUFFICIENT_STORAGE } else { StatusCode::INTERNAL_SERVER_ERROR };
-            Err(refusal(status, problem.because))
-        }
+        Ok(Ok(Err(problem))) => Err(refusal(status_of(&problem), problem.because)),
         Ok(Err(_)) => Err(busy(Busy)),
         Err(_) => Err(refusal(
             StatusCode::GATEWAY_TIMEOUT,
             "no answer in time. Send again: known cycles are not counted twice",
         )),
     }
+}
+
+/// Whether cycles can be written. A large batch that is being written does not delay the reply: it then reports the last
+/// known health.
+async fn healthy(server: &Server) -> Reply {
+    let answer = async { server.engine.ask(|reply| Job::Healthy { reply }).ok()?.await.ok() };
+    let now = tokio::time::timeout(HEALTH_WAIT, answer).await.ok().flatten();
+    let Ok(mut last) = server.health.lock() else {
+        return refusal(StatusCode::INTERNAL_SERVER_ERROR, "the last health is not readable");
+    };
+    if let Some(answer) = now {
+        *last = Some((Instant::now(), answer));
+    }
+    match last.as_ref().filter(|(since, _)| since.elapsed() < HEALTH_HOLDS) {
+        Some((_, Ok(()))) => document(StatusCode::OK, &json!({ "healthy": true })),
+        Some((_, Err(problem))) => refusal(status_of(problem), &problem.because),
+        None => later(StatusCode::SERVICE_UNAVAILABLE, Busy),
+    }
+}
+
+/// The status of a failed request.
+fn status_of(problem: &Problem) -> StatusCode {
+    if problem.full { StatusCode::INSUFFICIENT_STORAGE } else { StatusCode::INTERNAL_SERVER_ERROR }
 }
 
 async fn cycles(server: &Server, request: Request<Incoming>) -> Reply {
@@ -397,7 +427,12 @@ async fn cycles(server: &Server, request: Request<Incoming>) -> Reply {
         Ok(Err(refused)) => return refused,
         Err(_) => return refusal(StatusCode::REQUEST_TIMEOUT, "the body took too long"),
     };
-    let batch = lines(body);
+    // Not on this thread, which answers all other clients.
+    let batch = match tokio::task::spawn_blocking(move || Batch::parse(&lines(body))).await {
+        Ok(Ok(batch)) => batch,
+        Ok(Err(error)) => return refusal(StatusCode::PAYLOAD_TOO_LARGE, error),
+        Err(error) => return refusal(StatusCode::INTERNAL_SERVER_ERROR, error),
+    };
     match ask(server, |reply| Job::Cycles { batch, reply }).await {
         Ok(taken) => answer_of(&taken),
         Err(refused) => refused,
@@ -507,4 +542,35 @@ fn restart_of(path: &str) -> Option<String> {
         });
     }
     String::from_utf8(bytes).ok().filter(|name| !name.is_empty())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_local_hosts_are_this_machine() {
+        for host in ["localhost", "LOCALHOST:80", "127.0.0.1", "127.9.9.9:8080", "[::1]", "[::1]:8080"] {
+            assert!(is_this_machine(host), "{host}");
+        }
+        for host in [
+            "",
+            "[::1].evil.com",
+            "[::1]evil.com:80",
+            "[::1]:80.evil.com",
+            "[::1",
+            "localhost.evil.com",
+            "localhost:80.evil.com",
+            "127.0.0.1.evil.com",
+            "127.0.0.1:80:90",
+            "user@localhost",
+            "localhost@evil.com",
+            "10.0.0.1",
+            "[::2]",
+            "[127.0.0.1]",
+            "::1",
+        ] {
+            assert!(!is_this_machine(host), "{host}");
+        }
+    }
 }

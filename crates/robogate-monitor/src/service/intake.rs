@@ -15,6 +15,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::Serialize;
 
+use super::batch::{Batch, LISTED, TooManyLines};
 use super::store::{Kept, Store, StoreError};
 use crate::{Alarm, Cycle, Monitor, TooManyRecipes};
 
@@ -24,8 +25,6 @@ const STATE_EVERY: u64 = 5_000;
 const STATES_AT_ONCE: usize = 8;
 /// Maximum number of robots whose newest time is stored. Cycles of further robots are never late.
 const MOST_ROBOTS: usize = 100_000;
-/// Maximum number of refusals in a reply.
-const LISTED: usize = 100;
 
 /// The error of a batch of which no cycle was accepted.
 #[derive(Debug, thiserror::Error)]
@@ -33,6 +32,9 @@ pub enum IntakeError {
     /// The store failed. No cycle of the batch was stored.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// A batch has too many lines. No cycle was stored.
+    #[error(transparent)]
+    TooManyLines(#[from] TooManyLines),
 }
 
 /// The result of a batch.
@@ -66,7 +68,8 @@ pub struct Refused {
 impl Taken {
     fn refuse(&mut self, line: u64, because: String) {
         self.refused += 1;
-        if self.refusals.len() < LISTED {
+        // Twice as many, because the malformed lines are listed already and the first of all are wanted.
+        if self.refusals.len() < 2 * LISTED {
             self.refusals.push(Refused { line, because });
         }
     }
@@ -141,14 +144,24 @@ impl Intake {
         })
     }
 
+    /// Parses and processes several batches with one commit, like [`Self::take_parsed`].
+    ///
+    /// # Errors
+    /// As [`Self::take_parsed`], and if a batch has too many lines.
+    pub fn take(&mut self, batches: &[&[u8]]) -> Result<Vec<Taken>, IntakeError> {
+        let batches = batches.iter().map(|batch| Batch::parse(batch)).collect::<Result<Vec<_>, _>>()?;
+        self.take_parsed(batches)
+    }
+
     /// Processes several batches with one commit. Accepted cycles are on disk when this returns.
     ///
     /// # Errors
     /// If the store failed. No cycle of any batch was stored or processed.
-    pub fn take(&mut self, batches: &[&[u8]]) -> Result<Vec<Taken>, IntakeError> {
+    pub fn take_parsed(&mut self, batches: Vec<Batch>) -> Result<Vec<Taken>, IntakeError> {
         let mut fresh = Fresh::default();
         self.store.begin()?;
-        let taken: Result<Vec<Taken>, StoreError> = batches.iter().map(|batch| self.keep(batch, &mut fresh)).collect();
+        let taken: Result<Vec<Taken>, StoreError> =
+            batches.into_iter().map(|batch| self.keep(batch, &mut fresh)).collect();
         let taken = match taken.and_then(|taken| self.store.commit().map(|()| taken)) {
             Ok(taken) => taken,
             Err(error) => {
@@ -160,21 +173,15 @@ impl Intake {
     }
 
     /// Writes one batch into the transaction.
-    fn keep(&self, batch: &[u8], fresh: &mut Fresh) -> Result<Taken, StoreError> {
-        let mut taken = Taken::default();
-        for (line, text) in texts(batch) {
-            let cycle = match parse(text) {
-                Ok(cycle) => cycle,
-                Err(because) => {
-                    taken.refuse(line, because);
-                    continue;
-                }
-            };
+    fn keep(&self, batch: Batch, fresh: &mut Fresh) -> Result<Taken, StoreError> {
+        let Batch { cycles, malformed, problems, .. } = batch;
+        let mut taken = Taken { refused: malformed, refusals: problems, ..Taken::default() };
+        for (line, cycle, text) in cycles {
             if let Err(full) = self.has_room(&cycle.recipe, fresh) {
                 taken.refuse(line, full.to_string());
                 continue;
             }
-            match self.store.add(&cycle, text_of(text))? {
+            match self.store.add(&cycle, &text)? {
                 Kept::New(seq) => {
                     taken.accepted += 1;
                     fresh.cycles.push((seq, cycle));
@@ -185,6 +192,8 @@ impl Intake {
                 }
             }
         }
+        taken.refusals.sort_by_key(|refused| refused.line);
+        taken.refusals.truncate(LISTED);
         Ok(taken)
     }
 
@@ -341,22 +350,4 @@ fn note(progress: &mut BTreeMap<String, Progress>, recipe: &str, seq: u64) -> u6
     // No state is on disk, and this is its first cycle.
     progress.insert(recipe.to_owned(), Progress { last: seq, written: seq.saturating_sub(1), since: 1 });
     1
-}
-
-/// The lines of a batch that are not blank, numbered from 1.
-fn texts(batch: &[u8]) -> impl Iterator<Item = (u64, &[u8])> {
-    let lines = batch.split(|byte| *byte == b'\n').zip(1..);
-    lines.map(|(text, line)| (line, text.trim_ascii())).filter(|(_, text)| !text.is_empty())
-}
-
-fn parse(text: &[u8]) -> Result<Cycle, String> {
-    let text = std::str::from_utf8(text).map_err(|e| format!("not UTF-8: {e}"))?;
-    let cycle: Cycle = serde_json::from_str(text).map_err(|e| e.to_string())?;
-    cycle.check().map_err(|e| e.to_string())?;
-    Ok(cycle)
-}
-
-/// The text of a line that [`parse`] accepted, which is UTF-8.
-fn text_of(text: &[u8]) -> &str {
-    std::str::from_utf8(text).unwrap_or_default()
 }

@@ -4,6 +4,7 @@
 //! One thread owns the store and the monitor ([`ServiceEngine`]). Feeds send bytes to it and wait for the reply.
 //! Requests that wait at the same time share one commit.
 
+mod batch;
 mod engine;
 mod fleet;
 mod http;
@@ -11,10 +12,12 @@ mod intake;
 mod metrics;
 mod mqtt;
 mod outputs;
+mod peers;
 mod settings;
 mod status;
 mod store;
 
+pub use batch::{Batch, MOST_LINES, MOST_MALFORMED, TooManyLines};
 pub use engine::{Busy, Handle, ServiceEngine};
 pub use fleet::{FleetStatus, OutlierStatus, RecipeFleet, RobotStatus, SpreadStatus};
 pub use http::{HttpError, HttpSettings, serve};

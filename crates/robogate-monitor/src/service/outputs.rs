@@ -14,6 +14,8 @@ use crate::Rule;
 const AT_ONCE: u32 = 100;
 /// Interval between two polls of the list.
 const EVERY: Duration = Duration::from_millis(200);
+/// First wait after a failed delivery. It doubles with each failure in a row.
+const FIRST_WAIT: Duration = Duration::from_millis(20);
 /// Maximum wait after a failed delivery.
 const LONGEST_WAIT: Duration = Duration::from_secs(60);
 
@@ -54,26 +56,33 @@ impl Output {
         let ending = Arc::new(AtomicBool::new(false));
         let end = Arc::clone(&ending);
         let thread = std::thread::spawn(move || {
-            let mut wait = EVERY;
+            let mut retry = FIRST_WAIT;
             loop {
                 let last = end.load(Ordering::Acquire);
-                match deliver_waiting(&name, &engine, &mut deliver) {
-                    Ok(0) if last => return,
-                    Ok(0) => wait = EVERY,
-                    Ok(_) => continue,
+                let mut delivered = 0;
+                let wait = match deliver_waiting(&name, &engine, &mut deliver, &mut delivered) {
+                    Ok(()) if delivered > 0 => {
+                        retry = FIRST_WAIT;
+                        continue;
+                    }
+                    Ok(()) if last => return,
+                    Ok(()) => EVERY,
                     Err(error) => {
                         problem(&format!("{name}: {error}"));
-                        wait = (2 * wait).min(LONGEST_WAIT);
                         if last {
                             // The rest is delivered after the next start.
                             return;
                         }
+                        // A receiver that takes some alarms is not down, and must not fall behind.
+                        retry = if delivered > 0 { FIRST_WAIT } else { (2 * retry).min(LONGEST_WAIT) };
+                        retry
                     }
-                }
+                };
                 let mut waited = Duration::ZERO;
                 while waited < wait && !end.load(Ordering::Acquire) {
-                    std::thread::sleep(EVERY);
-                    waited += EVERY;
+                    let pause = EVERY.min(wait - waited);
+                    std::thread::sleep(pause);
+                    waited += pause;
                 }
             }
         });
@@ -87,8 +96,13 @@ impl Output {
     }
 }
 
-/// Delivers the waiting alarms and returns their number.
-fn deliver_waiting(name: &str, engine: &Handle, deliver: &mut Deliver) -> Result<usize, OutputError> {
+/// Delivers the waiting alarms and counts them in `delivered`.
+fn deliver_waiting(
+    name: &str,
+    engine: &Handle,
+    deliver: &mut Deliver,
+    delivered: &mut usize,
+) -> Result<(), OutputError> {
     let failed = |e: super::engine::Problem| OutputError(e.because);
     let output = name.to_owned();
     let waiting = engine
@@ -102,8 +116,9 @@ fn deliver_waiting(name: &str, engine: &Handle, deliver: &mut Deliver) -> Result
             .wait(|reply| Job::Delivered { output, n, reply })
             .map_err(|e| OutputError(e.to_string()))?
             .map_err(failed)?;
+        *delivered += 1;
     }
-    Ok(waiting.len())
+    Ok(())
 }
 
 /// Creates an output that writes alarms as JSON Lines.

@@ -252,3 +252,56 @@ fn service_survives_any_body() {
     assert_eq!(post(service.address, "/v1/cycles", &cycle(1, 0.0), None).0, 200);
     service.end();
 }
+
+/// A body of short malformed lines used to occupy the only thread for seconds.
+#[test]
+fn malformed_bodies_do_not_delay_others() {
+    let (_folder, service) = open();
+    let to = service.address;
+    let hostile = "x\n".repeat(8 << 20);
+    let attackers: Vec<_> = (0..4)
+        .map(|_| {
+            let hostile = hostile.clone();
+            std::thread::spawn(move || post(to, "/v1/cycles", &hostile, None).0)
+        })
+        .collect();
+    let mut slowest = Duration::ZERO;
+    for i in 0..20 {
+        let begun = Instant::now();
+        assert_eq!(post(to, "/v1/cycles", &cycle(i, 0.0), None).0, 200);
+        assert_eq!(get(to, "/healthz").0, 200);
+        slowest = slowest.max(begun.elapsed());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    for attacker in attackers {
+        assert_eq!(attacker.join().unwrap(), 413, "too many lines");
+    }
+    println!("slowest pair of requests beside four bodies of 16 MiB: {slowest:?}");
+    assert!(slowest < Duration::from_secs(5), "{slowest:?}");
+    // Fewer lines: all are refused, and the first are listed.
+    let (status, reply) = post(to, "/v1/cycles", &"x\n".repeat(30_000), None);
+    assert_eq!((status, &reply["refused"]), (422, &json!(30_000)));
+    assert_eq!(reply["refusals"].as_array().unwrap().len(), 100);
+    service.end();
+}
+
+/// Each new connection takes the place of the unfinished head that has waited longest.
+#[test]
+fn unfinished_heads_lock_nobody_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = HttpSettings { most_connections: 64, most_connections_per_address: 32, ..HttpSettings::default() };
+    let service = Service::start(&folder.path().join("monitor.db"), settings, None);
+    let heads: Vec<TcpStream> = (0..200)
+        .map(|_| {
+            let mut stream = TcpStream::connect(service.address).unwrap();
+            stream.write_all(b"POST /v1/cycles HTTP/1.1\r\nhost: ").unwrap();
+            stream
+        })
+        .collect();
+    for i in 0..20 {
+        assert_eq!(post(service.address, "/v1/cycles", &cycle(i, 0.0), None).0, 200);
+        assert_eq!(get(service.address, "/healthz").0, 200);
+    }
+    drop(heads);
+    service.end();
+}

@@ -51,3 +51,46 @@ fn webhooks_receive_alarms_in_order() {
     assert_eq!(got, first);
     engine.close().unwrap();
 }
+
+/// A receiver that fails for every fifth request gets every alarm, in order, without falling behind.
+#[test]
+fn flaky_receivers_get_all_alarms() {
+    use std::sync::mpsc::channel;
+    use std::time::{Duration, Instant};
+
+    use robogate_monitor::service::OutputError;
+
+    let folder = tempfile::tempdir().unwrap();
+    let engine = ServiceEngine::open(intake(&folder.path().join("monitor.db"), StoreSettings::default()), |_| {});
+    let (sender, received) = channel();
+    let mut calls = 0_u32;
+    let flaky = Box::new(move |alarm: &str| {
+        calls += 1;
+        if calls % 5 == 0 {
+            return Err(OutputError("500".to_owned()));
+        }
+        sender.send(alarm.to_owned()).map_err(|error| OutputError(error.to_string()))
+    });
+    let output = Output::start("flaky".to_owned(), engine.handle(), flaky, |_| {}).unwrap();
+    // Each recipe that degrades raises several alarms.
+    for recipe in 0..40 {
+        let text = cycles(0..600, 0.05) + &cycles(600..900, 0.6);
+        let text = text.replace("part-0", &format!("part-{recipe}-0")).replace("\"c", &format!("\"r{recipe}c"));
+        let taken = engine.handle().take(text.into_bytes()).unwrap();
+        assert_eq!((taken.refused, taken.duplicates), (0, 0), "{taken:?}");
+    }
+    let raised = engine.handle().status().unwrap().alarms.len();
+    let begun = Instant::now();
+    let mut got = Vec::new();
+    while let Ok(alarm) = received.recv_timeout(Duration::from_secs(3)) {
+        got.push(alarm);
+    }
+    let seconds = begun.elapsed().as_secs_f64() - 3.0;
+    println!("{} alarms in {seconds:.1} s", got.len());
+    assert!(got.len() >= raised.max(40), "{} of {raised}", got.len());
+    let unique: std::collections::BTreeSet<&String> = got.iter().collect();
+    assert_eq!(unique.len(), got.len(), "no alarm is delivered twice");
+    assert!(seconds < 60.0);
+    output.end();
+    engine.close().unwrap();
+}

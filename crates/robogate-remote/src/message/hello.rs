@@ -69,6 +69,9 @@ pub struct Engine {
     /// Solver, for an engine that has several.
     #[serde(default)]
     pub solver: Option<String>,
+    /// SHA-256 (hex) of its library, if the server states it. Another build of the same version can give other bits.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sha256: Option<String>,
 }
 
 /// Name of a robot and hash of its files.

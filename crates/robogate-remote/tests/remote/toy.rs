@@ -151,7 +151,7 @@ pub(crate) fn task() -> TaskSpec {
 
 pub(crate) fn hello() -> Hello {
     let server = Program { name: "test".to_owned(), version: "1".to_owned() };
-    Hello::new(task(), server, Engine { name: "toy".to_owned(), version: "1".to_owned(), solver: None })
+    Hello::new(task(), server, Engine { name: "toy".to_owned(), version: "1".to_owned(), solver: None, sha256: None })
 }
 
 /// Moves all joints a little in each control period, and uses images in every third one.

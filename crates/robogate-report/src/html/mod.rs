@@ -1,6 +1,7 @@
 //! Documents as self-contained HTML files.
 
 mod pairs;
+mod policy;
 mod prose;
 mod verdict;
 mod watch;
@@ -42,6 +43,8 @@ pub fn comparison_html_with(comparison: &Comparison, watch: Option<&Watch>) -> S
 
 /// A complete page around a body.
 pub(crate) fn frame(title: &str, body: &Markup, script: bool) -> String {
+    let own = script.then_some(SCRIPT);
+    let policy = policy::of(&body.0, own);
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -50,6 +53,7 @@ pub(crate) fn frame(title: &str, body: &Markup, script: bool) -> String {
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 meta name="color-scheme" content="light dark";
                 link rel="icon" href="data:,";
+                meta http-equiv="Content-Security-Policy" content=(policy);
                 title { (prose(title)) " \u{b7} RoboGate" }
                 style { (PreEscaped(STYLE)) }
             }
@@ -61,7 +65,7 @@ pub(crate) fn frame(title: &str, body: &Markup, script: bool) -> String {
                         " \u{b7} the same data give the same page, byte for byte"
                     }
                 }
-                @if script { script { (PreEscaped(SCRIPT)) } }
+                @if let Some(script) = own { script { (PreEscaped(script)) } }
             }
         }
     };

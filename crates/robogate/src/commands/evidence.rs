@@ -7,7 +7,9 @@ use anyhow::Context;
 use clap::{Args, ValueEnum};
 use robogate_analysis::Source;
 use robogate_core::TaskSpec;
-use robogate_gate::evidence::{Content, EvidenceError, Ingredients, PrivateKey, Role, write};
+use robogate_gate::evidence::{
+    Content, EvidenceError, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
+};
 use robogate_gate::{Asked, GateError, Record, Sampling};
 
 use crate::commands::gate::{built_in_baseline, open_requirements, refused};
@@ -40,6 +42,10 @@ pub(crate) struct Evidence {
     /// State how the number of episodes was chosen; default: as in the run's gate, otherwise fixed
     #[arg(long, value_name = "HOW")]
     sampling: Option<Count>,
+    /// Judge other requirements, baseline or margin than those of the run's gate. `robogate verify` reports it in its first
+    /// line
+    #[arg(long)]
+    reasked: bool,
     /// Sign with this private key; without one the evidence is unsigned
     #[arg(long, value_name = "PRIVATE")]
     key: Option<PathBuf>,
@@ -63,9 +69,13 @@ impl Evidence {
         let provenance = source.dictionary().provenance();
         let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
         let mut others = Vec::new();
-        for (role, name) in
-            [(Role::Plan, "plan.json"), (Role::Summary, "summary.json"), (Role::Attachment, Asked::FILE)]
-        {
+        for (role, name) in [
+            (Role::Plan, "plan.json"),
+            (Role::Summary, "summary.json"),
+            (Role::Question, Asked::FILE),
+            (Role::Registration, REGISTRATION),
+            (Role::Registration, REGISTRATION_KEY),
+        ] {
             let path = self.run.join(name);
             if self.run.is_dir() && path.exists() {
                 others.push((role, name.to_owned(), Content::File(path)));
@@ -92,6 +102,7 @@ impl Evidence {
             baseline: self.baseline(asked.as_ref(), &source)?,
             against: self.against(asked.as_ref())?,
             sampling: self.sampling(asked.as_ref()).or_usage()?,
+            reasked: self.reasked,
             others,
         };
         // Read before the evaluation, so that an unusable key is reported early.
@@ -99,6 +110,8 @@ impl Evidence {
         let manifest = write(&self.out, &ingredients, key.as_ref()).map_err(evidence_error)?;
         line(format_args!("{}: {}", manifest.verdict, foreign(&manifest.because)));
         let signed = manifest.signer.map_or("unsigned".to_owned(), |keyid| format!("signed by key {keyid}"));
+        note(format_args!("policy: {}", foreign(&manifest.policy_binding)));
+        note(format_args!("question: {}", foreign(&manifest.question)));
         note(format_args!("{}: {} files, {signed}", self.out.display(), manifest.files.len() + 3));
         Ok(manifest.verdict.exit_code())
     }
@@ -157,7 +170,7 @@ impl Evidence {
 }
 
 /// Gives an error its exit code. Errors of the gate keep theirs; errors of the operating system are infrastructure.
-fn evidence_error(error: EvidenceError) -> Exit {
+pub(crate) fn evidence_error(error: EvidenceError) -> Exit {
     match error {
         EvidenceError::Gate(error) => refused(error),
         EvidenceError::Dictionary(error) => refused(GateError::Dictionary(error)),

@@ -20,6 +20,7 @@ use robogate_report::{evaluation_markdown, junit, reqif};
 
 use crate::answer;
 use crate::benchmark;
+use crate::commands::register::{Registered, Registrar, free};
 use crate::commands::rival::Rival;
 use crate::commands::run::{How, free_folder, interrupted, introduce, write_report};
 use crate::commands::{shard, suites};
@@ -85,6 +86,10 @@ pub(crate) struct Gate {
     /// that run the next round, and `robogate merge DIR` returns the verdict (docs/cluster.md)
     #[arg(long, value_name = "N", requires = "out", conflicts_with_all = ["run", "plan"])]
     divide: Option<u32>,
+    /// Register the run before its first episode: sign its plan, seed, question and policy with this private key, and
+    /// number the registration in PRIVATE.registrations (docs/signatures.md)
+    #[arg(long, value_name = "PRIVATE", conflicts_with_all = ["run", "plan"])]
+    register: Option<PathBuf>,
     /// Write the run to this folder (default: a new one under runs/); with --run, write only the verdict's files
     /// (default: none)
     #[arg(long, value_name = "DIR")]
@@ -262,9 +267,19 @@ impl Gate {
             margin,
         });
         let mut asked = Asked { format: Asked::FORMAT, requirements, baseline: other.baseline, against, sampling };
+        if rival.is_some() && self.divide.is_none() {
+            // Its rows do not exist yet. The file is written again once they do.
+            asked.against = Some(AskedAgainst { path: String::new(), dataset_sha256: String::new(), margin });
+        }
+        let provenance = Provenance { question_sha256: Some(asked.sha256()), ..provenance };
+        // Read before anything is written, so that an unusable key is reported early.
+        let registrar = self.register.as_deref().map(Registrar::new).transpose()?;
         if let (Some(shards), Some(dir)) = (self.divide, &self.out) {
             let question = asked.to_json();
-            let documents = [(Asked::FILE, question.as_bytes())];
+            let registration = registrar.map(|registrar| registrar.register(&plan, &provenance)).transpose()?;
+            let files = registration.as_ref().map(Registered::files).into_iter().flatten();
+            let documents: Vec<(&str, &[u8])> =
+                std::iter::once((Asked::FILE, question.as_bytes())).chain(files).collect();
             return shard::divide(dir, shards, &plan, provenance, &documents, self.how.json);
         }
         let dir = match &self.out {
@@ -288,10 +303,16 @@ impl Gate {
             ));
         }
         if let Some(rival) = &rival {
-            // Its rows do not exist yet. The file is written again once they do.
             asked.against = Some(AskedAgainst { path: rival.file(&dir), dataset_sha256: String::new(), margin });
             note(format_args!("against {}: the same scenarios, round by round", rival.name()));
         }
+        let registration = match registrar {
+            Some(registrar) => {
+                free(&dir)?;
+                Some(registrar.register(&plan, &provenance)?)
+            }
+            None => None,
+        };
         let mut other = other.record.map(|(_, record)| record);
         let mut trouble = None;
         let mut broken = None;
@@ -311,6 +332,7 @@ impl Gate {
                     // The folder exists and contains the plan; no episode has run yet.
                     if let Event::Started { .. } = event {
                         write_question(&dir, &asked);
+                        registration.iter().for_each(|registration| registration.write(&dir));
                     }
                     events(event);
                 };

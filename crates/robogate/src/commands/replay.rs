@@ -95,12 +95,12 @@ impl Replay {
                 line(bold("DIFFERS from the recorded episode"));
                 line(format_args!("  recorded {}", describe(&before)));
                 line(format_args!("  replayed {}", describe(&again)));
-                let now = subject.provenance(settings.provenance.space.clone())?;
+                let now = subject.provenance(settings.provenance.space.clone())?.as_known_in(&settings.provenance);
                 let was = &settings.provenance;
-                if (&now.tool, &now.engine, &now.robot, &now.platform)
-                    != (&was.tool, &was.engine, &was.robot, &was.platform)
+                if (&now.tool, &now.build, &now.engine, &now.robot, &now.platform)
+                    != (&was.tool, &was.build, &was.engine, &was.robot, &was.platform)
                 {
-                    line("  tool, engine, robot or platform differ from those of the run");
+                    line("  tool, build, engine, robot or platform differ from those of the run");
                 }
                 if now.world != was.world {
                     line("  the policy differs: another file, or its server reports something else about itself");

@@ -96,7 +96,10 @@ pub(crate) fn page(dir: &Path) -> Result<Analysis, Exit> {
     let watch = watch::watch(&source, &analysis, &Simulators::none(), Moment::EndOfRun).or_broken()?;
     let pairs = pair_counts(&source, &analysis).or_broken()?;
     let additions = Additions { evaluation: evaluation.as_ref(), watch: shown(Some(&watch)), pairs: Some(&pairs) };
-    std::fs::write(&out, html_with(&analysis, &additions))
+    // Renamed when it is complete, because an existing page is kept.
+    let part = dir.join(format!(".{PAGE}.part"));
+    std::fs::write(&part, html_with(&analysis, &additions))
+        .and_then(|()| std::fs::rename(&part, &out))
         .with_context(|| format!("cannot write {}", out.display()))
         .or_broken()?;
     Ok(analysis)

@@ -137,7 +137,8 @@ impl Run {
                 robogate_campaign::settings(dir).map_err(exit)?
             };
             let subject = Subject::recorded_at(&provenance, &self.environment.simulators, &self.location)?;
-            let provenance = subject.provenance(provenance.space)?;
+            let question_sha256 = provenance.question_sha256;
+            let provenance = Provenance { question_sha256, ..subject.provenance(provenance.space)? };
             return shard::run(dir, shard, &subject, &plan, provenance, &self.how);
         }
         // The surface gripper belongs to the paper preset. All other runs use the physical vacuum law.

@@ -306,7 +306,7 @@ fn differs(there: &str, here: &str) -> String {
             _ => (*part).to_owned(),
         };
     }
-    let parts = ["tool", "engine", "robot", "policy", "world", "space", "platform"];
+    let parts = ["tool", "build", "engine", "robot", "policy", "world", "space", "platform"];
     let part = parts.iter().find(|part| there["provenance"][**part] != here["provenance"][**part]);
     part.map_or("provenance", |part| part).to_owned()
 }

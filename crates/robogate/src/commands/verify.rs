@@ -3,11 +3,16 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use robogate_gate::evidence::{Problem, PublicKey, Signed, Verified, verify};
+use robogate_gate::evidence::{
+    Problem, PublicKey, QuestionBinding, REGISTRATION, Registered, Signed, Verified, verify,
+};
 use serde::Serialize;
 
+use crate::commands::rerun::{Rerun, rerun};
 use crate::exit::{DONE, Exit, INVALID, OrExit};
-use crate::terminal::{bold, foreign, grouped, indented, line};
+use crate::policy_source::PolicyLocation;
+use crate::remote::Simulators;
+use crate::terminal::{bold, foreign, grouped, indented, line, percent};
 
 /// Verify a folder of evidence: every file, the signatures, and the verdict recomputed from the rows.
 ///
@@ -19,6 +24,23 @@ pub(crate) struct Verify {
     /// Require a signature by this public key
     #[arg(long, value_name = "PUBLIC")]
     key: Option<PathBuf>,
+    /// Reject unsigned evidence, also without --key
+    #[arg(long)]
+    require_signed: bool,
+    /// Reject evidence of a run that was not registered before its first episode; with --key, by that key
+    #[arg(long)]
+    require_registered: bool,
+    /// Reject evidence of another campaign seed. Choose the seed before the run, so that its author cannot
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    /// Run K rows again, chosen at random, and compare outcome, measures and trajectory; also check that the rows are
+    /// exactly those of the plan
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u64).range(1..))]
+    rerun: Option<u64>,
+    #[command(flatten)]
+    simulators: Simulators,
+    #[command(flatten)]
+    location: PolicyLocation,
     /// Print the result as one JSON document
     #[arg(long)]
     json: bool,
@@ -31,6 +53,8 @@ struct Document<'a> {
     holds: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     evidence: Option<&'a Verified>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rerun: Option<&'a Rerun>,
     problems: &'a [Problem],
 }
 
@@ -44,14 +68,30 @@ impl Verify {
             );
             return Err(error).or_usage();
         }
-        let checked = verify(&self.evidence, key.as_ref());
+        let mut checked = verify(&self.evidence, key.as_ref()).and_then(|verified| self.accept(verified, key.as_ref()));
+        let mut repeated = None;
+        if let (Some(k), Ok(_)) = (self.rerun, &checked) {
+            match rerun(&self.evidence, k, &self.simulators, &self.location)? {
+                Ok(rerun) => repeated = Some(rerun),
+                Err(problem) => checked = Err(vec![problem]),
+            }
+        }
         let problems = checked.as_ref().err().map_or(&[][..], Vec::as_slice);
         if self.json {
-            let document = Document { format: 1, holds: checked.is_ok(), evidence: checked.as_ref().ok(), problems };
+            let document = Document {
+                format: 1,
+                holds: checked.is_ok(),
+                evidence: checked.as_ref().ok(),
+                rerun: repeated.as_ref(),
+                problems,
+            };
             line(serde_json::to_string_pretty(&document).or_broken()?);
         } else {
             match &checked {
-                Ok(verified) => tell(verified),
+                Ok(verified) => {
+                    tell(verified);
+                    repeated.iter().for_each(tell_rerun);
+                }
                 Err(_) => {
                     line(bold("verification failed"));
                     problems.iter().for_each(|problem| {
@@ -64,9 +104,54 @@ impl Verify {
     }
 }
 
+impl Verify {
+    /// Applies what the user requires in addition to consistency.
+    fn accept(&self, verified: Verified, key: Option<&PublicKey>) -> Result<Verified, Vec<Problem>> {
+        let mut problems = Vec::new();
+        if self.require_signed && verified.signed == Signed::Unsigned {
+            problems.push(Problem::new("manifest.json", "unsigned, but --require-signed is given"));
+        }
+        match (&verified.registration, key) {
+            (None, _) if self.require_registered => {
+                let reason = "missing: the run was not registered before its first episode";
+                problems.push(Problem::new(REGISTRATION, reason));
+            }
+            (Some(registered), Some(key)) if registered.keyid != key.id() => {
+                let reason = format!("registered by key {}. Expected the given key {}", registered.keyid, key.id());
+                problems.push(Problem::new(REGISTRATION, reason));
+            }
+            _ => {}
+        }
+        if let Some(seed) = self.seed.filter(|seed| *seed != verified.seed) {
+            let reason = format!("the campaign has the seed {}. Expected {seed}", verified.seed);
+            problems.push(Problem::new("dictionary.parquet", reason));
+        }
+        if problems.is_empty() { Ok(verified) } else { Err(problems) }
+    }
+}
+
+fn tell_rerun(rerun: &Rerun) {
+    line(format_args!(
+        "  rerun: {} of {} valid rows, chosen at random, have the same outcome, measures and trajectory; {} or more \
+         invented rows would have been found with 95 % probability",
+        grouped(rerun.rows.len() as u64),
+        grouped(rerun.of),
+        percent(rerun.detects())
+    ));
+}
+
+/// The first line: the verdict, with all that limits its meaning.
+fn headline(verified: &Verified) -> String {
+    let limits = match &verified.question {
+        QuestionBinding::AsAsked => String::new(),
+        other => format!(" ({other})"),
+    };
+    format!("verification passed: verdict {}{limits}", verified.verdict)
+}
+
 fn tell(verified: &Verified) {
-    let Verified { verdict, because, counts, policy, robot, files, signed } = verified;
-    line(format_args!("{} {}", bold("verification passed: verdict"), bold(verdict)));
+    let Verified { because, counts, policy, robot, files, signed, .. } = verified;
+    line(bold(foreign(headline(verified))));
     line(format_args!("  {}", foreign(because)));
     line(format_args!(
         "  {} episodes of {} on {}, {} of them invalid; verdict recomputed from the rows",
@@ -76,6 +161,24 @@ fn tell(verified: &Verified) {
         grouped(counts.invalid)
     ));
     line(format_args!("  {files} files, all as listed in the manifest"));
+    line(format_args!("  policy: {}", foreign(&verified.policy_binding)));
+    let unknown = if verified.environment.simulator_build_known {
+        ""
+    } else {
+        "; the build of the simulator is not bound: as declared by the server"
+    };
+    line(format_args!("  environment: SHA-256 {}{unknown}", verified.environment.sha256));
+    line(match &verified.registration {
+        None => "  not registered before the run: it may be the best of several attempts".to_owned(),
+        Some(Registered { number: 1, keyid }) => {
+            format!("  registered before its first episode, as the first of key {keyid}")
+        }
+        Some(Registered { number, keyid }) => format!(
+            "  registered before its first episode, as number {number} of key {keyid}\n  hint: request the evidence of \
+             registrations 1 to {}: they may be earlier attempts",
+            number - 1
+        ),
+    });
     line(match signed {
         Signed::Unsigned => {
             "  UNSIGNED: the origin is unknown; anyone with write access to the folder could have created it".to_owned()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,14 @@ from .trajectory import Trajectory
 
 # The protocol allows 256 parameters.
 MAX_KNOBS = 250
+
+
+def _mujoco_sha256() -> str | None:
+    """The hash of MuJoCo's library, or None if the package contains none."""
+    import mujoco
+
+    libraries = sorted(Path(mujoco.__file__).parent.glob("libmujoco*"))
+    return hashlib.sha256(libraries[0].read_bytes()).hexdigest() if libraries else None
 
 
 class Adapter:
@@ -58,9 +67,12 @@ class Adapter:
 
     def hello(self) -> dict:
         name, version = self._engine()
+        engine = {"name": name, "version": version, "solver": self._environment.source or None}
+        if self._model is not None:
+            engine["sha256"] = _mujoco_sha256()
         return {
             "server": {"name": "robogate-eval", "version": "1"},
-            "engine": {"name": name, "version": version, "solver": self._environment.source or None},
+            "engine": engine,
             "task": self._declaration(),
             "space": self._space(),
             "policies": [{"name": name, "meaning": policy.meaning, "version": policy.version} for name, policy in self._environment.policies.items()],

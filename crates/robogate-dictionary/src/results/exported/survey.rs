@@ -149,6 +149,7 @@ impl<'a> Survey<'a> {
         let provenance = Provenance {
             tool: Tool::robogate(),
             schema_version: SCHEMA_VERSION,
+            build: None,
             engine: Engine { name: name(&about.simulator), version: None, build_sha256: None },
             task: Arc::new(task),
             robot: Robot { name: name(&about.robot), sha256: None, dimensions: None },
@@ -157,6 +158,7 @@ impl<'a> Survey<'a> {
             space,
             plan: serde_json::Value::Null,
             seed: self.seed.unwrap_or_default(),
+            question_sha256: None,
             platform: None,
             source: Some(Source {
                 format: format!("robogate_{format}"),

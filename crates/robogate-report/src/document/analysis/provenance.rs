@@ -10,8 +10,8 @@ const MAX_NOTES: usize = 20;
 
 pub(super) fn section(analysis: &Analysis) -> Section {
     let p = &analysis.provenance;
+    // Neither path nor folder: copies of a run have identical pages.
     let mut facts = vec![
-        ("source".to_owned(), analysis.subject.path.clone()),
         ("dataset hash".to_owned(), analysis.subject.dataset_hash.clone()),
         ("episodes".to_owned(), count(analysis.subject.episodes)),
         ("robot".to_owned(), with_hash(&p.robot.name, p.robot.sha256.as_deref())),

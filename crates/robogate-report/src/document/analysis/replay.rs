@@ -1,7 +1,7 @@
 //! Episodes that are worth replaying.
 
 use robogate_analysis::labels::{parameter_label, value_with_unit};
-use robogate_analysis::{Analysis, ReplayGroup, shell_word};
+use robogate_analysis::{Analysis, HERE, ReplayGroup, shell_word};
 
 use super::{Block, Section, Table};
 use crate::document::Kind::{Code, Number, Short, Text};
@@ -11,7 +11,7 @@ const MAX_PARAMETERS: usize = 12;
 
 pub(super) fn section(analysis: &Analysis) -> Section {
     let mut blocks = Vec::new();
-    let folder = analysis.subject.replayable.then_some(analysis.subject.path.as_str());
+    let folder = analysis.subject.replayable.then_some(HERE);
     if analysis.replay.is_empty() {
         blocks.push(Block::Text("No episode was selected.".to_owned()));
     } else if folder.is_none() {
@@ -19,6 +19,8 @@ pub(super) fn section(analysis: &Analysis) -> Section {
             "These rows do not come from a run's folder, so their episodes cannot be replayed. The index is that of the row."
                 .to_owned(),
         ));
+    } else {
+        blocks.push(Block::Text("Run the commands in the folder of the run.".to_owned()));
     }
     for group in &analysis.replay {
         blocks.push(Block::Heading(group.title.clone()));

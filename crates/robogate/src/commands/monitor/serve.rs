@@ -206,7 +206,22 @@ fn http(
     (stop, thread)
 }
 
+/// Reads the token. A file that all users can read is refused. Its group may read it, because the credentials that a
+/// service manager hands over have that mode.
 fn token(path: &Path) -> Result<String, Exit> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        let metadata = std::fs::metadata(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+        let mode = metadata.permissions().mode() & 0o777;
+        if mode & 0o027 != 0 {
+            let path = path.display();
+            return Err(anyhow!(
+                "--token-file {path}: other users can read it (mode {mode:03o})\n  hint: chmod 600 {path}, and choose a new token if it was exposed"
+            ))
+            .or_usage();
+        }
+    }
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
     Ok(text.trim().to_owned())
 }

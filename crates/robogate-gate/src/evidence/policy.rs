@@ -1,0 +1,96 @@
+//! Binds evidence to the policy that was judged.
+
+use std::fmt;
+
+use robogate_dictionary::Provenance;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::{FileRecord, Problem, Role};
+
+/// How the evidence identifies the policy that was judged. It follows from the provenance of the rows.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum PolicyBinding {
+    /// RoboGate ran this file.
+    File {
+        /// SHA-256 (hex) of the file.
+        sha256: String,
+    },
+    /// The server declared the hash of what it runs. RoboGate cannot check that.
+    Declared {
+        /// SHA-256 (hex).
+        sha256: String,
+    },
+    /// The policy is a part of RoboGate, whose build the rows name.
+    BuiltIn,
+    /// Only a name is known.
+    Unbound {
+        /// Why.
+        because: String,
+    },
+}
+
+impl PolicyBinding {
+    /// The policy of these rows.
+    pub fn of(provenance: &Provenance) -> Self {
+        if provenance.source.is_some() {
+            return Self::Unbound { because: "the imported rows record no digest".to_owned() };
+        }
+        let policy = match provenance.world.get("policy") {
+            None | Some(Value::Null | Value::String(_)) => return Self::BuiltIn,
+            Some(policy) => policy,
+        };
+        let text = |key: &str| policy.get(key).and_then(Value::as_str).unwrap_or_default();
+        let declared = policy.get("declared").and_then(|declared| declared.get("sha256")).and_then(Value::as_str);
+        // A policy that the environment runs declares a version, which may be the hash of its files.
+        match declared.or_else(|| policy.get("version")?.as_str()).and_then(digest) {
+            Some(sha256) if declared.is_some() && !text("server").contains("://") => Self::File { sha256 },
+            Some(sha256) => Self::Declared { sha256 },
+            None => Self::Unbound { because: "as declared by the server".to_owned() },
+        }
+    }
+
+    /// SHA-256 (hex) of the policy, if it is known.
+    pub fn sha256(&self) -> Option<&str> {
+        match self {
+            Self::File { sha256 } | Self::Declared { sha256 } => Some(sha256),
+            Self::BuiltIn | Self::Unbound { .. } => None,
+        }
+    }
+}
+
+impl fmt::Display for PolicyBinding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File { sha256 } => write!(f, "the file with SHA-256 {sha256}"),
+            Self::Declared { sha256 } => write!(f, "SHA-256 {sha256}, as declared by its server"),
+            Self::BuiltIn => f.write_str("built into robogate"),
+            Self::Unbound { because } => write!(f, "not bound: {because}"),
+        }
+    }
+}
+
+/// A SHA-256 in hexadecimal digits, with or without the prefix `sha256:`.
+fn digest(text: &str) -> Option<String> {
+    let digits = text.strip_prefix("sha256:").unwrap_or(text);
+    (digits.len() == 64 && digits.chars().all(|c| c.is_ascii_hexdigit())).then(|| digits.to_ascii_lowercase())
+}
+
+/// Files of the policy that are not those of the run.
+pub(super) fn problems(files: &[FileRecord], provenance: &Provenance) -> Vec<Problem> {
+    let binding = PolicyBinding::of(provenance);
+    let policy = files.iter().filter(|file| file.role == Role::Policy);
+    let wrong = |file: &FileRecord| match &binding {
+        PolicyBinding::BuiltIn => {
+            Some(format!("the judged policy `{}` is built into robogate and has no file", provenance.policy))
+        }
+        PolicyBinding::File { sha256 } | PolicyBinding::Declared { sha256 } if *sha256 != file.sha256 => Some(format!(
+            "not the policy that was judged: its SHA-256 is {}, but the run recorded {sha256}",
+            file.sha256
+        )),
+        _ => None,
+    };
+    policy.filter_map(|file| Some(Problem::new(file.path.as_str(), wrong(file)?))).collect()
+}

@@ -1,0 +1,126 @@
+//! `robogate verify --rerun K`: runs randomly chosen rows of evidence again.
+
+use std::path::Path;
+
+use anyhow::{Context, anyhow};
+use robogate_campaign::{WorkerFactory, check_rows};
+use robogate_core::{Outcome, rollout};
+use robogate_dictionary::{Dictionary, Provenance};
+use robogate_gate::evidence::{Problem, random_positions};
+use serde::Serialize;
+
+use crate::commands::evidence::evidence_error;
+use crate::exit::{Exit, OrExit};
+use crate::policy_source::PolicyLocation;
+use crate::remote::Simulators;
+use crate::subject::Subject;
+
+/// The rows in the folder of evidence.
+const ROWS: &str = "dictionary.parquet";
+
+/// The result of running rows again.
+#[derive(Debug, Serialize)]
+pub(crate) struct Rerun {
+    /// The number of rows that could have been chosen: those with a valid outcome.
+    pub(crate) of: u64,
+    /// The indices of the rows that ran again, all with the same result.
+    pub(crate) rows: Vec<u64>,
+}
+
+impl Rerun {
+    /// The share of invented rows that this number of rows detects with 95 % probability.
+    pub(crate) fn detects(&self) -> f64 {
+        1.0 - 0.05_f64.powf(1.0 / self.rows.len().max(1) as f64)
+    }
+}
+
+/// Checks that the rows are those of the plan, and runs `k` of them again. A difference is a problem of the evidence.
+pub(crate) fn rerun(
+    folder: &Path,
+    k: u64,
+    simulators: &Simulators,
+    location: &PolicyLocation,
+) -> Result<Result<Rerun, Problem>, Exit> {
+    let dictionary = Dictionary::open(&folder.join(ROWS)).or_usage()?;
+    let recorded = dictionary.provenance();
+    if recorded.source.is_some() {
+        return Err(anyhow!("--rerun: the rows were imported, so they cannot be run again\n  hint: leave out --rerun"))
+            .or_usage();
+    }
+    let subject = Subject::recorded_at(recorded, simulators, location)?;
+    let here = subject.provenance(recorded.space.clone())?;
+    same_setup(recorded, &here)?;
+    if here.world != recorded.world {
+        let reason = "the policy or the environment differs from the recorded one: another file, or its server declares something else";
+        return Err(anyhow!("--rerun: {reason}\n  hint: name the judged policy with --policy-at")).or_usage();
+    }
+    let wrong = |reason: String| Ok(Err(Problem::new(ROWS, reason)));
+    if let Err(error) = check_rows(recorded, dictionary.entries()) {
+        return wrong(error.to_string());
+    }
+    let mut valid = Vec::new();
+    for entry in dictionary.entries() {
+        let entry = entry.or_usage()?;
+        if !matches!(entry.episode.outcome, Outcome::Invalid(_)) {
+            valid.push(entry.index());
+        }
+    }
+    let chosen = random_positions(valid.len() as u64, k).map_err(evidence_error)?;
+    let rows: Vec<u64> = chosen.iter().filter_map(|at| valid.get(*at as usize).copied()).collect();
+    let mut worker = subject.worker().or_broken()?;
+    for entry in dictionary.entries() {
+        let entry = entry.or_usage()?;
+        if rows.binary_search(&entry.index()).is_err() {
+            continue;
+        }
+        let before = entry.episode;
+        let again = rollout(&mut *worker.environment, &mut *worker.policy, &before.scenario);
+        if let Outcome::Invalid(fault) = &again.outcome {
+            return Err(anyhow!("{fault}"))
+                .with_context(|| format!("--rerun: row {} cannot be run", entry_index(&before)))
+                .or_broken();
+        }
+        if again != before {
+            let describe = |episode: &robogate_core::Episode| {
+                let outcome = episode.outcome.as_str();
+                format!("{outcome} at {:.3} s, trajectory {:016x}", episode.time_s, episode.trajectory_hash)
+            };
+            return wrong(format!(
+                "row {} is not what happens: recorded {}, now {}",
+                entry_index(&before),
+                describe(&before),
+                describe(&again)
+            ));
+        }
+    }
+    Ok(Ok(Rerun { of: valid.len() as u64, rows }))
+}
+
+fn entry_index(episode: &robogate_core::Episode) -> u64 {
+    episode.scenario.index
+}
+
+/// Rejects a setup in which the same episodes can have other bits.
+fn same_setup(recorded: &Provenance, here: &Provenance) -> Result<(), Exit> {
+    let same = |name: &str, equal: bool, was: String, is: String| {
+        if equal {
+            return Ok(());
+        }
+        let hint = "hint: run the verification with the build, library and platform of the run";
+        Err(anyhow!("--rerun: the rows were made with another {name}: {was}, here {is}\n  {hint}")).or_usage()
+    };
+    let here = here.clone().as_known_in(recorded);
+    let text = |value: &Option<String>| value.clone().unwrap_or_else(|| "unknown".to_owned());
+    same("version of robogate", recorded.tool == here.tool, recorded.tool.version.clone(), here.tool.version.clone())?;
+    let build = |p: &Provenance| text(&p.build.as_ref().map(|build| build.source_sha256.clone()));
+    same("build of robogate", recorded.build == here.build, build(recorded), build(&here))?;
+    let engine =
+        |p: &Provenance| format!("{} {} {}", p.engine.name, text(&p.engine.version), text(&p.engine.build_sha256));
+    same("engine", recorded.engine == here.engine, engine(recorded), engine(&here))?;
+    same("robot", recorded.robot == here.robot, text(&recorded.robot.sha256), text(&here.robot.sha256))?;
+    let platform = |p: &Provenance| {
+        let known = p.platform.as_ref().map(robogate_dictionary::Platform::properties).unwrap_or_default();
+        known.into_iter().map(|(_, value)| value).collect::<Vec<_>>().join(", ")
+    };
+    same("platform", recorded.platform == here.platform, platform(recorded), platform(&here))
+}
