@@ -216,8 +216,7 @@ pub fn normal(
     let all: Vec<f64> = predictions.iter().chain(population).copied().collect();
     let lambda = tuning.unwrap_or_else(|| {
         let (my, mf) = (mean(outcomes), mean(predictions));
-        let shared =
-            outcomes.iter().zip(predictions).map(|(y, f)| (y - my) * (f - mf)).sum::<f64>() / (n - 1.0).max(1.0);
+        let shared = outcomes.iter().zip(predictions).map(|(y, f)| (y - my) * (f - mf)).sum::<f64>() / n;
         let spread = variance(&all, mean(&all)) * all.len() as f64 / (all.len() as f64 - 1.0).max(1.0);
         (shared / ((1.0 + n / big) * spread)).clamp(0.0, 1.0)
     });

@@ -40,7 +40,10 @@ pub(super) fn test_result(manifest: &Manifest, manifest_sha256: &str, evaluation
         .files
         .iter()
         .filter(|file| {
-            matches!(file.role, Role::Requirements | Role::Baseline | Role::Plan | Role::Suite | Role::Robot)
+            matches!(
+                file.role,
+                Role::Requirements | Role::Baseline | Role::Real | Role::Plan | Role::Suite | Role::Robot
+            )
         })
         .map(|file| descriptor(&file.path, &file.sha256))
         .collect();

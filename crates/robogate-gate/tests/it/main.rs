@@ -8,6 +8,7 @@ mod errors;
 mod evaluation;
 mod evidence;
 mod planning;
+mod real;
 mod score;
 mod simulated;
 mod table;
