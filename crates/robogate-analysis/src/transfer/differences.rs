@@ -158,8 +158,10 @@ pub(super) fn parameters(
 pub(super) fn settings(space: &ParameterSpace, trials: &RealTrials, points: &[Vec<f64>]) -> Vec<SettingsCheck> {
     let mut random = Seed::campaign(2).stream("settings of trials");
     let (mut checks, mut p) = (Vec::new(), Vec::new());
+    // A setting that was tried several times counts once.
+    let once = trials.once();
     for (at, parameter) in space.parameters().iter().enumerate() {
-        let values: Vec<f64> = trials.trials.iter().filter_map(|t| t.values[at]).collect();
+        let values: Vec<f64> = once.iter().filter_map(|t| t.values[at]).collect();
         let mut known: Vec<f64> = points.iter().map(|point| point[at]).collect();
         if values.len() < 5 || known.is_empty() {
             continue;

@@ -327,6 +327,9 @@ fn assemble(
     });
     let exact = if let Some(because) = rate.because() {
         Finding::not(because.to_owned())
+    } else if !trials.missing.is_empty() || trials.incomplete > 0 {
+        // The shares of the strata are those of complete settings.
+        Finding::not("trials have missing parameters, so their stratum is not known exactly")
     } else if let Some((name, _)) = trials.groupings.first() {
         Finding::not(format!("the trials share groups ({name}), and the exact test needs independent trials"))
     } else {

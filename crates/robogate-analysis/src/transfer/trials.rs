@@ -11,6 +11,8 @@ use crate::AnalysisError;
 
 /// Columns that group trials if the caller names none.
 const GROUPS: [&str; 2] = ["operator", "day"];
+/// The grouping of trials with equal settings.
+const REPEATED: &str = "repeated setting";
 /// Cells without a value.
 const MISSING: [&str; 5] = ["", "na", "nan", "null", "none"];
 
@@ -176,7 +178,7 @@ impl RealTrials {
         let repeated = numbered(&settings);
         let complete = trials.iter().all(|trial| trial.values.iter().any(Option::is_some));
         if complete && repeated.iter().max().is_some_and(|most| most + 1 < trials.len()) {
-            groupings.push(("repeated setting".to_owned(), repeated));
+            groupings.push((REPEATED.to_owned(), repeated));
         }
         let absent = |i: usize| trials.iter().all(|trial| trial.values[i].is_none());
         let lost: Vec<bool> = (0..space.len()).map(absent).collect();
@@ -197,6 +199,13 @@ impl RealTrials {
             ignored,
             has_modes: mode.is_some(),
         })
+    }
+
+    /// The first trial of each setting.
+    pub(super) fn once(&self) -> Vec<&RealTrial> {
+        let repeated = self.groupings.iter().find(|(name, _)| name == REPEATED);
+        let first = |i: usize| repeated.is_none_or(|(_, groups)| !groups[..i].contains(&groups[i]));
+        self.trials.iter().enumerate().filter(|(i, _)| first(*i)).map(|(_, trial)| trial).collect()
     }
 
     /// The outcomes.

@@ -76,6 +76,20 @@ fn missing_parameters_are_averaged() {
     let found = transfer(&simulation(&folder), &trials(40, "friction", "", |_| String::new()), &[]).unwrap();
     assert_eq!(found.real.missing, ["friction"]);
     assert!(found.rate.estimated().unwrap().worth_trials > 30.0);
+    assert!(found.exact.because().unwrap().contains("missing"));
+}
+
+#[test]
+fn repeated_settings_are_groups() {
+    let folder = TempDir::new().unwrap();
+    let once = trials(20, "", "", |_| String::new());
+    let (header, rows) = once.split_once('\n').unwrap();
+    let found = transfer(&simulation(&folder), &format!("{header}\n{rows}{rows}{rows}"), &[]).unwrap();
+    assert_eq!(found.real.groupings, [("repeated setting".to_owned(), 20)]);
+    assert_eq!(found.unlike().count(), 0);
+    let single = transfer(&simulation(&folder), &once, &[]).unwrap();
+    let width = |of: &Transfer| of.rate.estimated().map(|rate| rate.alone_95[1] - rate.alone_95[0]).unwrap();
+    assert!((width(&found) / width(&single) - 1.0).abs() < 0.2);
 }
 
 #[test]
