@@ -40,6 +40,22 @@ pub enum AnalysisError {
         /// The error.
         source: std::io::Error,
     },
+    /// A file of real trials or settings that cannot be used.
+    #[error("{}:{line}: {reason}", path.display())]
+    Trials {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1.
+        line: u64,
+        /// The problem.
+        reason: String,
+    },
+    /// Trials and a simulation from which nothing can be concluded together.
+    #[error("no transfer from this simulation: {reason}")]
+    NoTransfer {
+        /// The reason.
+        reason: String,
+    },
     /// Dictionaries that do not form a study.
     #[error("these dictionaries do not form a study: {reason}")]
     NoStudy {

@@ -11,6 +11,7 @@
 //! | a source | [`Analysis`] |
 //! | several sources | [`Comparison`] |
 //! | dictionaries of several designs and a test set | [`study::Study`] |
+//! | a source and trials of the real robot | [`transfer::Transfer`] |
 //! | the name of a task | [`TaskAnalysis`]: the additions of that task to the generic analysis |
 
 mod analysis;
@@ -35,6 +36,7 @@ pub mod study;
 mod success;
 mod table;
 mod task;
+pub mod transfer;
 mod watch;
 
 pub use analysis::{Analysis, AnalysisOptions, Envelope, Subject};

@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::{Baseline, GateError, Requirements, Sampling};
+use crate::{Baseline, GateError, RealEvidence, Requirements, Sampling};
 
 /// The question of a gate that runs episodes, with everything that its verdict depends on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -23,6 +23,9 @@ pub struct Asked {
     pub against: Option<AskedAgainst>,
     /// Whether the gate tests after each round, or once.
     pub sampling: Sampling,
+    /// Trials of the real robot.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub real: Option<RealEvidence>,
 }
 
 /// The run of a policy that may be replaced.

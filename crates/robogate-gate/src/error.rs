@@ -7,6 +7,14 @@ use robogate_dictionary::DictionaryError;
 /// An error of the gate: the question cannot be evaluated.
 #[derive(Debug, thiserror::Error)]
 pub enum GateError {
+    /// Trials of the real robot that do not belong to the judged episodes.
+    #[error(
+        "{reason}\nhint: create the file with `robogate transfer` from a simulation of the same task, robot and policy"
+    )]
+    Real {
+        /// The mismatch.
+        reason: String,
+    },
     /// A file with a syntax error. The text contains line, column and key.
     #[error("{0}")]
     Syntax(String),

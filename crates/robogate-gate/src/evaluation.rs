@@ -20,8 +20,8 @@ use crate::requirement_test::{How, test};
 use crate::rounds::Rounds;
 use crate::scope::{Scope, expand};
 use crate::{
-    Baseline, Bound, ConfidenceScore, Ending, Family, GateError, Mode, Population, Record, Requirement, Requirements,
-    Trial, Verdict,
+    Baseline, Bound, ConfidenceScore, Ending, Family, GateError, Metric, Mode, Population, RealEvidence, Record,
+    Requirement, Requirements, Trial, Verdict,
 };
 
 /// How the number of episodes was chosen. It determines which test is valid.
@@ -175,6 +175,9 @@ pub struct Evaluation {
     pub requirements: Requirements,
     /// The baseline of relative requirements.
     pub baseline: Option<Baseline>,
+    /// Trials of the real robot, for requirements on the real success rate.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub real: Option<RealEvidence>,
     /// Requirements that could not be evaluated on these episodes, or only in part.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub dropped: Vec<Dropped>,
@@ -229,6 +232,9 @@ impl Question<'_> {
         if let Some(baseline) = self.baseline {
             baseline.check(&record.population)?;
         }
+        if let Some(real) = &record.real {
+            real.applies_to(&record.task, &record.robot, &record.policy)?;
+        }
         let sampling = record.sampling(self.sampling);
         let rounds = Rounds::of(&record.trials, &record.population)?;
         let valid = rounds.trials().filter(|trial| trial.ending.is_valid()).count() as u64;
@@ -261,7 +267,10 @@ impl Question<'_> {
         };
         let mut results = results
             .into_iter()
-            .map(|requirement| self.result(requirement, &record.task, &rounds, counts, how))
+            .map(|requirement| match requirement.metric {
+                Metric::RealSuccess => self.real_result(requirement, record, how),
+                _ => self.result(requirement, &record.task, &rounds, counts, how),
+            })
             .collect::<Result<Vec<RequirementResult>, GateError>>()?;
         let mut comparison = comparison;
         self.decide(&mut results, comparison.as_mut(), alpha);
@@ -281,6 +290,7 @@ impl Question<'_> {
             counts,
             requirements: requirements.clone(),
             baseline: self.baseline.cloned(),
+            real: record.real.clone(),
             dropped,
             results,
             comparison,
@@ -372,6 +382,42 @@ impl Question<'_> {
                 result.decided_at_episodes =
                     tested.decided_at_steps.map(|steps| (steps as f64 * per_step).round() as u64);
             }
+        }
+        Ok(result)
+    }
+
+    /// The result of a requirement on the real robot.
+    fn real_result(&self, requirement: Requirement, record: &Record, how: How) -> Result<RequirementResult, GateError> {
+        let mode = self.requirements.mode;
+        let bound = requirement.bound(mode, self.baseline)?;
+        let nothing = Extremes { observed: None, least: Some(0.0), most: Some(1.0) };
+        let real = record.real.as_ref().filter(|real| real.trials() > 0);
+        let figure = real.map_or(nothing, RealEvidence::figure);
+        let mut result = RequirementResult {
+            id: requirement.id(),
+            unit: requirement.metric.unit(&record.task),
+            requirement,
+            bound,
+            valid: real.map_or(0, RealEvidence::trials),
+            invalid: 0,
+            figure,
+            interval: None,
+            p_met: None,
+            p_violated: None,
+            status: if real.is_none() { Status::NoEvidence } else { Status::Undecided },
+            decided_at_episodes: None,
+        };
+        match (real, mode, figure.observed) {
+            (Some(_), Mode::Point, Some(rate)) => {
+                result.status = if bound.holds(rate) { Status::Met } else { Status::Violated };
+            }
+            (Some(real), Mode::Confidence, _) => {
+                let tested = real.test(bound, how.alpha);
+                result.interval = tested.interval;
+                result.p_met = Some(tested.p_met);
+                result.p_violated = Some(tested.p_violated);
+            }
+            _ => {}
         }
         Ok(result)
     }

@@ -16,6 +16,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 /// | `failure:<mode>` | share of episodes that fail in this way |
 /// | `failure_count:<mode>` | number of episodes that fail in this way, for point comparisons only |
 /// | `cycle_time_s`, `cycle_time_s:p95` | mean or quantile of the duration in simulated seconds, for all endings |
+/// | `real:success` | success rate of the real robot, from its trials and a simulation |
 /// | `measure:<name>`, `measure:<name>:p95` | mean or quantile of a measure of the task |
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Metric {
@@ -29,6 +30,8 @@ pub enum Metric {
     Failure(FailureMode),
     /// A measure of the task, in its unit.
     Measure(Word, Statistic),
+    /// Success rate of the real robot. It needs [`crate::RealEvidence`].
+    RealSuccess,
 }
 
 /// The statistic of a metric over all episodes.
@@ -77,6 +80,7 @@ impl Metric {
     pub fn title(self) -> String {
         match self {
             Self::Success => "success rate".to_owned(),
+            Self::RealSuccess => "success rate of the real robot".to_owned(),
             Self::CycleTime(statistic) => format!("{statistic} of cycle time"),
             Self::FailureCount(mode) => format!("failures by {mode}"),
             Self::Failure(mode) => format!("rate of {mode}"),
@@ -91,13 +95,13 @@ impl Metric {
             Self::Measure(name, _) => {
                 task.measure(name.as_str()).map_or_else(String::new, |measure| measure.unit.clone())
             }
-            Self::Success | Self::Failure(_) | Self::FailureCount(_) => String::new(),
+            Self::Success | Self::RealSuccess | Self::Failure(_) | Self::FailureCount(_) => String::new(),
         }
     }
 
     /// Whether the metric is the probability of an event in an episode.
     pub fn is_rate(self) -> bool {
-        matches!(self, Self::Success | Self::Failure(_))
+        matches!(self, Self::Success | Self::RealSuccess | Self::Failure(_))
     }
 
     /// For a quantile of order q, the share 1 - q of episodes that may lie beyond the limit.
@@ -129,6 +133,7 @@ impl fmt::Display for Metric {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let statistic = match self {
             Self::Success => return f.write_str("success"),
+            Self::RealSuccess => return f.write_str("real:success"),
             Self::FailureCount(mode) => return write!(f, "failure_count:{mode}"),
             Self::Failure(mode) => return write!(f, "failure:{mode}"),
             Self::CycleTime(statistic) => {
@@ -171,14 +176,15 @@ impl FromStr for Metric {
         let text = Self::renamed(text).unwrap_or(text);
         let wrong = || {
             format!(
-                "`{text}` is not a metric. Expected success, failure:<mode>, failure_count:<mode>, cycle_time_s or \
-                 measure:<name>, the last two with :p95 for a quantile"
+                "`{text}` is not a metric. Expected success, real:success, failure:<mode>, failure_count:<mode>, \
+                 cycle_time_s or measure:<name>, the last two with :p95 for a quantile"
             )
         };
         let (kind, rest) = text.split_once(':').map_or((text, None), |(kind, rest)| (kind, Some(rest)));
         let mode = |name: &str| FailureMode::new(name).map_err(|why| why.to_string());
         match (kind, rest) {
             ("success", None) => Ok(Self::Success),
+            ("real", Some("success")) => Ok(Self::RealSuccess),
             ("failure", Some(name)) => mode(name).map(Self::Failure),
             ("failure_count", Some(name)) => mode(name).map(Self::FailureCount),
             ("cycle_time_s", None) => Ok(Self::MEAN_CYCLE_TIME),
@@ -224,9 +230,9 @@ impl JsonSchema for Metric {
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
         json_schema!({
             "type": "string",
-            "description": "success, failure:<mode>, failure_count:<mode>, cycle_time_s or measure:<name>; the last two \
+            "description": "success, real:success, failure:<mode>, failure_count:<mode>, cycle_time_s or measure:<name>; the last two \
                             are means, or quantiles with the suffix :p95. The task declares the failure modes and measures.",
-            "examples": ["success", "failure:timeout", "cycle_time_s", "cycle_time_s:p95", "measure:force_n:p99.5"],
+            "examples": ["success", "real:success", "failure:timeout", "cycle_time_s", "cycle_time_s:p95", "measure:force_n:p99.5"],
         })
     }
 }
@@ -237,9 +243,15 @@ mod tests {
 
     #[test]
     fn names_round_trip() {
-        for text in
-            ["success", "failure:jam", "failure_count:jam", "cycle_time_s", "cycle_time_s:p95", "measure:force_n:p99.5"]
-        {
+        for text in [
+            "success",
+            "real:success",
+            "failure:jam",
+            "failure_count:jam",
+            "cycle_time_s",
+            "cycle_time_s:p95",
+            "measure:force_n:p99.5",
+        ] {
             assert_eq!(text.parse::<Metric>().unwrap().to_string(), text);
         }
     }

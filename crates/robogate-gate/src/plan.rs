@@ -98,11 +98,14 @@ impl GatePlan {
         requirements.check()?;
         let trials: Vec<Trial> = scenarios.iter().cloned().map(blank).collect();
         let mut demands = Vec::new();
-        for requirement in &requirements.requirement {
+        // The real robot's trials exist before the run, so no plan says how often they decide.
+        let real = |requirement: &&Requirement| requirement.metric == Metric::RealSuccess;
+        let reals = requirements.requirement.iter().filter(real).count();
+        for requirement in requirements.requirement.iter().filter(|requirement| !real(requirement)) {
             demands.extend(expand(requirement, scenarios.iter())?);
         }
         let alpha = requirements.alpha();
-        let beta = alpha / demands.len().max(1) as f64;
+        let beta = alpha / (demands.len() + reals).max(1) as f64;
         let demands = demands
             .into_iter()
             .map(|requirement| {

@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::{GateError, Sampling, Trial};
+use crate::{GateError, RealEvidence, Sampling, Trial};
 
 /// The population that a set of episodes represents.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -123,6 +123,8 @@ pub struct Record {
     pub imported: bool,
     /// How the number of imported episodes was chosen, as the user stated. `None` if unknown.
     pub stopping: Option<Stopping>,
+    /// Trials of the real robot. `None` if there are none.
+    pub real: Option<RealEvidence>,
 }
 
 impl Record {
@@ -152,6 +154,7 @@ impl Record {
             planned,
             imported: provenance.source.is_some(),
             stopping: provenance.source.as_ref().and_then(|source| source.stopping),
+            real: None,
         })
     }
 
@@ -206,6 +209,7 @@ impl Record {
             planned,
             imported,
             stopping: provenance.source.as_ref().and_then(|source| source.stopping),
+            real: None,
             task: Arc::clone(&provenance.task),
             robot: provenance.robot.name.clone(),
             policy: provenance.policy.clone(),

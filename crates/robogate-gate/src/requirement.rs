@@ -121,6 +121,16 @@ impl Requirement {
         {
             return wrong("limits must be finite numbers of at least 0");
         }
+        if self.metric == Metric::RealSuccess
+            && (self.each.is_some()
+                || self.category.is_some()
+                || self.group.is_some()
+                || self.at_most_times_baseline.is_some())
+        {
+            return wrong(
+                "`real:success` applies to all trials: remove `each`, `category`, `group` and `at_most_times_baseline`",
+            );
+        }
         if self.each.is_some() && (self.category.is_some() || self.group.is_some()) {
             return wrong("`each` cannot be combined with `category` or `group`");
         }
@@ -158,7 +168,7 @@ impl Requirement {
             Metric::CycleTime(_) => [Some(0.0), self.ceiling],
             // Without a ceiling the range of a measure is unknown, and 0 is not assumed.
             Metric::Measure(..) => [self.floor.or(self.ceiling.map(|_| 0.0)), self.ceiling],
-            Metric::Success | Metric::Failure(_) | Metric::FailureCount(_) => [None, None],
+            Metric::Success | Metric::RealSuccess | Metric::Failure(_) | Metric::FailureCount(_) => [None, None],
         }
     }
 

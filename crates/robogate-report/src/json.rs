@@ -1,12 +1,13 @@
 //! JSON documents: the figures, with the sentences that summarise them.
 
 use robogate_analysis::study::Study;
+use robogate_analysis::transfer::Transfer;
 use robogate_analysis::{Analysis, Comparison};
 use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::study::answer;
-use crate::text::{ComparisonHeadline, Headline, comparison_limits, limits};
+use crate::text::{ComparisonHeadline, Headline, TransferHeadline, comparison_limits, limits};
 
 /// The JSON document of an analysis.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
@@ -32,6 +33,16 @@ pub struct ComparisonReport<'a> {
     pub limits: Vec<String>,
 }
 
+/// The JSON document of a transfer to the real robot.
+#[derive(Debug, Clone, Serialize, JsonSchema)]
+pub struct TransferReport<'a> {
+    /// The figures.
+    #[serde(flatten)]
+    pub transfer: &'a Transfer,
+    /// The headline in sentences.
+    pub headline: TransferHeadline,
+}
+
 /// The JSON document of a study.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct StudyReport<'a> {
@@ -51,6 +62,11 @@ pub fn analysis_json(analysis: &Analysis) -> String {
 pub fn comparison_json(comparison: &Comparison) -> String {
     let headline = ComparisonHeadline::of(comparison);
     text(&ComparisonReport { comparison, headline, limits: comparison_limits(comparison) })
+}
+
+/// A transfer to the real robot as one versioned JSON document with the same properties.
+pub fn transfer_json(transfer: &Transfer) -> String {
+    text(&TransferReport { transfer, headline: TransferHeadline::of(transfer) })
 }
 
 /// A study as one versioned JSON document with the same properties.

@@ -6,6 +6,7 @@
 //! |---|---|
 //! | an [`Analysis`](robogate_analysis::Analysis) | [`html`], [`markdown`], [`analysis_json`] |
 //! | a [`Comparison`](robogate_analysis::Comparison) | [`comparison_html`], [`comparison_markdown`], [`comparison_json`] |
+//! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_json`] |
 //! | a [`Study`](robogate_analysis::study::Study) | [`study_markdown`], [`study_json`] |
 //! | an [`Evaluation`] of the gate | [`junit`], [`reqif`], [`evaluation_markdown`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
@@ -27,11 +28,14 @@ pub use gate::{
     RequirementRow, evaluation_markdown, how_judged, junit, leaderboard_html, leaderboard_markdown, leaderboards_html,
     leaderboards_markdown, reqif, sign, what_next,
 };
-pub use html::{comparison_html, comparison_html_with, html, html_with};
-pub use json::{AnalysisReport, ComparisonReport, StudyReport, analysis_json, comparison_json, study_json};
+pub use html::{comparison_html, comparison_html_with, html, html_with, transfer_html};
+pub use json::{
+    AnalysisReport, ComparisonReport, StudyReport, TransferReport, analysis_json, comparison_json, study_json,
+    transfer_json,
+};
 pub use markdown::{comparison_markdown, markdown, markdown_with};
 pub use study::{answer as study_answer, study_markdown};
-pub use text::{ComparisonHeadline, Headline, comparison_limits, limits, low_side};
+pub use text::{ComparisonHeadline, Headline, TransferHeadline, comparison_limits, limits, low_side};
 pub use watch::{Watch, WatchItem};
 
 /// Additions to the page of an analysis.

@@ -44,6 +44,25 @@ pub fn ln_evidence_above(trials: Trials, p0: f64) -> f64 {
     ln_beta_cdf(n - k + 1.0, k + 1.0, q0, p0) - (n + 1.0).ln() - q0.ln() - ln_binomial_pmf(k, n, p0)
 }
 
+/// The same with equal weights on the alternatives whose failure rate is `shares[0]` to `shares[1]` times that of
+/// `p0`, where 0 <= `shares[0]` < `shares[1]` <= 1. `p0` is strictly between 0 and 1.
+///
+/// With q = 1 - u (1-p₀), the ratio (q/p₀)^k u^(n-k) decreases in p₀ for each u, so this evidence does too.
+pub fn ln_evidence_of_shares(trials: Trials, p0: f64, shares: [f64; 2]) -> f64 {
+    let (k, n) = (trials.successes() as f64, trials.n() as f64);
+    if n <= 0.0 {
+        return 0.0;
+    }
+    let failure = 1.0 - p0;
+    let [low, high] = shares.map(|share| share * failure);
+    // Both tails of the same beta distribution. The difference of the smaller ones keeps its digits.
+    let below = [low, high].map(|x| ln_beta_cdf(n - k + 1.0, k + 1.0, x, 1.0 - x));
+    let above = [low, high].map(|x| ln_beta_cdf(k + 1.0, n - k + 1.0, 1.0 - x, x));
+    let (large, small) = if below[1] < above[0] { (below[1], below[0]) } else { (above[0], above[1]) };
+    let between = large + (-(small - large).exp()).ln_1p();
+    between - (n + 1.0).ln() - (high - low).ln() - ln_binomial_pmf(k, n, p0)
+}
+
 /// ln of the evidence against the hypothesis "the rate is at least `p0`".
 pub fn ln_evidence_below(trials: Trials, p0: f64) -> f64 {
     ln_evidence_above(mirrored(trials), 1.0 - p0)
@@ -127,6 +146,22 @@ mod tests {
                 };
                 assert!((expected(p0) - 1.0).abs() < 1e-9, "n {n} p0 {p0}: {}", expected(p0));
                 assert!(expected(0.9 * p0) < 1.0);
+            }
+        }
+    }
+
+    #[test]
+    fn all_shares_are_the_mixture() {
+        for (k, n) in [(0, 5), (40, 68), (300, 300), (995, 1000), (90, 1000)] {
+            for p0 in [0.6, 0.92, 0.99] {
+                let (shares, mixture) =
+                    (ln_evidence_of_shares(t(k, n), p0, [0.0, 1.0]), ln_evidence_above(t(k, n), p0));
+                assert!((shares - mixture).abs() < 1e-9, "{k} {n} {p0}: {shares} {mixture}");
+                let parts: f64 = [[0.0, 0.3], [0.3, 0.7], [0.7, 1.0]]
+                    .map(|part| (part[1] - part[0]) * ln_evidence_of_shares(t(k, n), p0, part).exp())
+                    .iter()
+                    .sum();
+                assert!((parts.ln() - mixture).abs() < 1e-6, "{k} {n} {p0}: {} {mixture}", parts.ln());
             }
         }
     }

@@ -28,6 +28,8 @@
 //! | how often does such a gate pass or fail? | [`operating`] |
 //! | may B replace A? | [`non_inferiority`], [`group_sequential`] after each round |
 //! | what is the estimate for the operating space if the rows were sampled elsewhere? | [`weighted`] |
+//! | what is the rate of the real robot, from simulation and a few real trials? | [`prediction_powered`], [`exact_strata`] |
+//! | how must the simulation be corrected for it? | [`recalibration`] |
 //! | how is a figure written for people? | [`mod@format`] |
 
 pub mod adjusted;
@@ -39,6 +41,7 @@ pub mod compare;
 pub mod correlation;
 pub mod crossed;
 pub mod difference;
+pub mod exact_strata;
 pub mod format;
 pub mod fourier;
 pub mod group_sequential;
@@ -51,6 +54,8 @@ pub mod multiplicity;
 pub mod non_inferiority;
 pub mod operating;
 pub mod overdispersion;
+pub mod prediction_powered;
+pub mod recalibration;
 pub mod resample;
 pub mod ridge;
 pub mod roc;

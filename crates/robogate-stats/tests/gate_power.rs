@@ -5,8 +5,10 @@ use std::fmt::Write;
 
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
+use robogate_maths::beta::ln_binomial_pmf;
+use robogate_stats::Trials;
 use robogate_stats::anytime;
-use robogate_stats::stratified::Strata;
+use robogate_stats::stratified::{Strata, ln_pooled_part_above};
 
 const ALPHA: f64 = 0.05;
 const ROUNDS: usize = 20;
@@ -126,6 +128,49 @@ fn good_policy_needs_fewer_episodes() {
     assert!(passed >= before_passed, "{passed} {before_passed}");
     // No test at error 5 % shows "at most 1 %" with fewer than 299 episodes, which is five rounds of 68.
     assert!((340.0..0.75 * before).contains(&now), "{now} instead of {before}");
+}
+
+/// Share of gates that pass and mean number of episodes of a test of one limit at one failure rate. The distribution of
+/// the number of failures is propagated from round to round, so the figures are exact.
+fn exact(failure: f64, limit: f64, per_round: u64, rounds: u64, evidence: impl Fn(Trials, f64) -> f64) -> (f64, f64) {
+    let one: Vec<f64> = (0..=per_round).map(|f| ln_binomial_pmf(f as f64, per_round as f64, failure).exp()).collect();
+    let mut open = vec![1.0];
+    let (mut passed, mut mean) = (0.0, 0.0);
+    for round in 1..=rounds {
+        let mut next = vec![0.0; open.len() + one.len() - 1];
+        for (i, a) in open.iter().enumerate() {
+            one.iter().enumerate().for_each(|(j, b)| next[i + j] += a * b);
+        }
+        let n = round * per_round;
+        for (failures, share) in next.iter_mut().enumerate() {
+            if evidence(Trials::new(n - failures as u64, n).unwrap(), limit) < -ALPHA.ln() {
+                break;
+            }
+            passed += *share;
+            mean += *share * n as f64;
+            *share = 0.0;
+        }
+        open = next;
+    }
+    (passed, mean + open.iter().sum::<f64>() * (rounds * per_round) as f64)
+}
+
+#[test]
+fn no_rate_needs_materially_more_episodes() {
+    for limit in [0.99, 0.97, 0.95, 0.92, 0.8] {
+        for (per_round, rounds) in [(20, 60), (68, 20), (130, 10)] {
+            for share in [0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9] {
+                let failure = share * (1.0 - limit);
+                let (a, before) = exact(failure, limit, per_round, rounds, anytime::ln_evidence_above);
+                let (b, now) = exact(failure, limit, per_round, rounds, ln_pooled_part_above);
+                let slack = f64::max(0.04 * before, 20.0);
+                assert!(
+                    b >= a - 0.045 && now <= before + slack,
+                    "{limit} {per_round} {share}: {a} {before}, {b} {now}"
+                );
+            }
+        }
+    }
 }
 
 #[test]

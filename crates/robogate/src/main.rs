@@ -64,6 +64,8 @@ enum Verb {
     Analyze(commands::analyze::Analyze),
     /// Compare robots, policies or simulators, and find where all of them fail
     Compare(commands::compare::Compare),
+    /// Estimate the success rate of the real robot from a simulation and a few real trials
+    Transfer(commands::transfer::TransferTo),
     /// Write a run or a dictionary as one page: HTML, Markdown or JSON
     Report(commands::report::Report),
     /// Decide whether the policy may run: run a suite until the verdict is certain, or judge a finished run
@@ -121,6 +123,7 @@ fn main() -> ExitCode {
         Verb::Snapshot(snapshot) => snapshot.execute(),
         Verb::Analyze(analyze) => analyze.execute(),
         Verb::Compare(compare) => compare.execute(),
+        Verb::Transfer(transfer) => transfer.execute(),
         Verb::Report(report) => report.execute(),
         Verb::Gate(gate) => gate.execute(),
         Verb::Baseline(baseline) => baseline.execute(),

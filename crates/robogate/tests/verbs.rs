@@ -202,3 +202,33 @@ fn paired_runs_can_be_replayed() {
     robogate(&["run", "-n", "45", "--seed", "9", "--threads", "1", "--out", &other]);
     assert_usage(&["compare", &strong, &other, "--paired"], &["row 0", "seed"]);
 }
+
+#[test]
+fn transfer_writes_every_format() {
+    let dir = TempDir::new().unwrap();
+    let simulation = published(&dir, "franka", 300, 0.6);
+    let trials = path(&dir, "trials.csv");
+    let rows: Vec<String> = (0..40)
+        .map(|i| {
+            let unit = |step: u32| f64::from((i * step + 11) % 97) / 97.0;
+            let (friction, mass) = (0.05 + 1.15 * unit(37), 0.05 + 1.95 * unit(29));
+            format!("{},{friction},{mass},{}", friction > 0.65, 1 + i % 5)
+        })
+        .collect();
+    fs::write(&trials, format!("success,friction,mass_kg,note\n{}\n", rows.join("\n"))).unwrap();
+    let (page, file) = (path(&dir, "transfer.html"), path(&dir, "transfer.json"));
+    let arguments = ["transfer", "--sim", &simulation, "--real", &trials, "--html", &page, "--out", &file];
+    let output = robogate(&arguments);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let text = stdout(&output);
+    for part in ["The real robot", "Trials to run next", "Ignored columns: note"] {
+        assert!(text.contains(part) || text.contains("The trials alone"), "{part}: {text}");
+    }
+    assert_self_contained(&page);
+    let json = robogate(&["transfer", "--sim", &simulation, "--real", &trials, "--json"]);
+    assert_eq!(fs::read_to_string(&file).unwrap().trim(), stdout(&json).trim());
+    let document: Value = serde_json::from_str(&stdout(&json)).unwrap();
+    assert_eq!(document["real"]["trials"], 40);
+    fs::write(&trials, "success,friction\nperhaps,0.5\n").unwrap();
+    assert_usage(&["transfer", "--sim", &simulation, "--real", &trials], &["trials.csv:2", "perhaps"]);
+}

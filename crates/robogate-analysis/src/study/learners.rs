@@ -35,11 +35,11 @@ pub enum Learner {
 }
 
 /// Log-odds of success.
-pub(super) struct Scores {
+pub(crate) struct Scores {
     /// Predictions for the training rows.
-    pub(super) own: Vec<f64>,
+    pub(crate) own: Vec<f64>,
     /// Predictions for the test rows.
-    pub(super) test: Vec<f64>,
+    pub(crate) test: Vec<f64>,
 }
 
 impl Learner {
@@ -71,7 +71,7 @@ impl Learner {
     }
 
     /// Fits `train` and predicts both `train` and `test`. The columns depend only on the space of the test set.
-    pub(super) fn scores(
+    pub(crate) fn scores(
         self,
         train: &Sample,
         weights: Option<&[f64]>,

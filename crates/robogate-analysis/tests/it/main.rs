@@ -12,6 +12,7 @@ mod populations;
 mod runs;
 mod study;
 mod synthetic;
+mod transfer;
 
 use robogate_core::{Assignment, Domain, ParameterSpace};
 

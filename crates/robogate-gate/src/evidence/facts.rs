@@ -11,7 +11,7 @@ use super::{
     AGAINST, BASELINE, DICTIONARY, EnvironmentBinding, EvidenceError, FileRecord, Manifest, PolicyBinding, Problem,
     REQUIREMENTS, origin, question, registration,
 };
-use crate::{Against, Baseline, Evaluation, Question, Record, Requirements, Sampling};
+use crate::{Against, Baseline, Evaluation, Question, RealEvidence, Record, Requirements, Sampling};
 
 /// Computes the evaluation from the rows and requirements in the folder.
 pub(super) fn evaluate(folder: &Path, sampling: Sampling, margin: Option<f64>) -> Result<Evaluation, EvidenceError> {
@@ -25,7 +25,12 @@ pub(super) fn evaluate(folder: &Path, sampling: Sampling, margin: Option<f64>) -
     } else {
         None
     };
-    let record = Record::of(&Dictionary::open(&folder.join(DICTIONARY))?)?;
+    let mut record = Record::of(&Dictionary::open(&folder.join(DICTIONARY))?)?;
+    let path = folder.join(RealEvidence::FILE);
+    if path.exists() {
+        let text = fs::read_to_string(&path).map_err(EvidenceError::io(&path, "read"))?;
+        record.real = Some(RealEvidence::from_json(&path, &text)?);
+    }
     let other = match margin {
         Some(margin) => Some((Record::of(&Dictionary::open(&folder.join(AGAINST))?)?, margin)),
         None => None,

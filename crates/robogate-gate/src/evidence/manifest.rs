@@ -19,6 +19,8 @@ pub enum Role {
     Requirements,
     /// The baseline of relative requirements.
     Baseline,
+    /// Trials of the real robot, in strata.
+    Real,
     /// The evaluation: every figure and the verdict.
     Evaluation,
     /// The plan of the campaign, written before the first episode.

@@ -42,7 +42,13 @@ pub(super) fn test_result(manifest: &Manifest, manifest_sha256: &str, evaluation
         .filter(|file| {
             matches!(
                 file.role,
-                Role::Requirements | Role::Baseline | Role::Plan | Role::Question | Role::Suite | Role::Robot
+                Role::Requirements
+                    | Role::Baseline
+                    | Role::Real
+                    | Role::Plan
+                    | Role::Question
+                    | Role::Suite
+                    | Role::Robot
             )
         })
         .map(|file| descriptor(&file.path, &file.sha256))

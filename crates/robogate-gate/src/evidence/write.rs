@@ -12,7 +12,7 @@ use super::{
     Manifest, PAYLOAD_TYPE, PrivateKey, QuestionBinding, REQUIREMENTS, Role, SIGNED_ENDING, SIGNER, TEST_RESULT, facts,
     statement,
 };
-use crate::Sampling;
+use crate::{RealEvidence, Sampling};
 
 /// The content of a file of the evidence.
 #[derive(Debug, Clone)]
@@ -32,6 +32,8 @@ pub struct Ingredients {
     pub requirements: Content,
     /// The baseline of relative requirements (JSON).
     pub baseline: Option<Content>,
+    /// Trials of the real robot ([`crate::RealEvidence`], JSON).
+    pub real: Option<Content>,
     /// The rows of the policy that may be replaced, with the margin.
     pub against: Option<(PathBuf, f64)>,
     /// How the number of episodes was chosen.
@@ -103,6 +105,9 @@ fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> R
     add(Role::Requirements, REQUIREMENTS, &ingredients.requirements)?;
     if let Some(baseline) = &ingredients.baseline {
         add(Role::Baseline, BASELINE, baseline)?;
+    }
+    if let Some(real) = &ingredients.real {
+        add(Role::Real, RealEvidence::FILE, real)?;
     }
     if let Some((against, _)) = &ingredients.against {
         add(Role::Against, AGAINST, &Content::File(against.clone()))?;

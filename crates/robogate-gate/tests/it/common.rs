@@ -71,6 +71,7 @@ fn record(population: Population, trials: Vec<Trial>) -> Record {
         focused: 0,
         planned: None,
         imported: false,
+        real: None,
     }
 }
 

@@ -105,6 +105,7 @@ fn run(failures: u64) -> Run {
         dictionary: at("d.parquet"),
         requirements: Content::File(at("r.toml")),
         baseline: None,
+        real: None,
         against: None,
         sampling: Sampling::Fixed,
         reasked: false,

@@ -10,6 +10,7 @@ mod evaluation;
 mod evidence;
 mod leaderboard;
 mod planning;
+mod real;
 mod score;
 mod simulated;
 mod table;

@@ -2,6 +2,7 @@
 
 mod analysis;
 mod comparison;
+mod transfer;
 
 use maud::Markup;
 use robogate_analysis::PairCounts;
@@ -11,6 +12,7 @@ use crate::watch::Watch;
 
 pub(crate) use analysis::analysis_document;
 pub(crate) use comparison::comparison_document;
+pub(crate) use transfer::transfer_document;
 
 /// A document. Its texts are plain; the HTML and Markdown writers escape them.
 pub(crate) struct Document {

@@ -7,12 +7,15 @@ mod verdict;
 mod watch;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use robogate_analysis::transfer::Transfer;
 use robogate_analysis::{Analysis, Comparison};
 
 pub(crate) use prose::prose;
 
 use crate::Additions;
-use crate::document::{Block, Document, Figure, Kind, Section, Table, analysis_document, comparison_document};
+use crate::document::{
+    Block, Document, Figure, Kind, Section, Table, analysis_document, comparison_document, transfer_document,
+};
 use crate::watch::Watch;
 
 const STYLE: &str = include_str!("style.css");
@@ -39,6 +42,11 @@ pub fn comparison_html(comparison: &Comparison) -> String {
 /// A comparison as one page with the same properties, and with episodes worth watching.
 pub fn comparison_html_with(comparison: &Comparison, watch: Option<&Watch>) -> String {
     page(&comparison_document(comparison, watch), watch)
+}
+
+/// A transfer to the real robot as one self-contained page with the same properties.
+pub fn transfer_html(transfer: &Transfer) -> String {
+    page(&transfer_document(transfer), None)
 }
 
 /// A complete page around a body.

@@ -4,11 +4,13 @@ mod analysis;
 mod analysis_limits;
 mod comparison;
 mod comparison_limits;
+mod transfer;
 
 pub use analysis::{Headline, low_side};
 pub use analysis_limits::limits;
 pub use comparison::ComparisonHeadline;
 pub use comparison_limits::comparison_limits;
+pub use transfer::TransferHeadline;
 
 use robogate_analysis::labels::parameter_label;
 use robogate_stats::format::list;

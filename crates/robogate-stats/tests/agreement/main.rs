@@ -1,6 +1,6 @@
 //! Compares every estimator with SciPy, statsmodels, scikit-learn or an independent implementation in Python.
 //!
-//! `tests/reference/generate.py`, `gate.py`, `ridge.py` and `claims.py` compute the reference values. Their `requirements.txt` pins the
+//! `tests/reference/generate.py`, `gate.py`, `ridge.py`, `claims.py` and `transfer.py` compute the reference values. Their `requirements.txt` pins the
 //! versions.
 
 #![expect(clippy::unwrap_used, reason = "test helpers fail by panicking")]
@@ -12,6 +12,7 @@ mod interval;
 mod logistic;
 mod ridge;
 mod sequential;
+mod transfer;
 
 use serde_json::Value;
 

@@ -79,21 +79,30 @@ def joint(p, looks):
     return {"p": p, "looks": looks, "joint": 1 - inside}
 
 
-def pooled(k, n, p0):
-    """Mixture over all larger rates, and "always"."""
-    always = 0.75 if 1 - p0 <= 0.03 + 1e-9 else 0.1
+def weights(p0):
+    """Weights of "always", of all larger rates and of typical ones, and the failures of the typical ones relative to the limit's."""
+    return (0.52, 0.22, 0.24, (0.15, 0.35)) if 1 - p0 <= 0.015 + 1e-9 else (0.05, 0.60, 0.30, (0.2, 0.7))
+
+
+def mixture(k, n, p0, low, high):
+    """Mean likelihood ratio over the rates from low to high."""
     log = lambda q: k * np.log(q / p0) + (n - k) * np.log((1 - q) / (1 - p0))
-    value, _ = integrate.quad(lambda q: np.exp(log(q)), p0, 1, epsabs=0, epsrel=1e-11, limit=500)
-    mixture = value / (1 - p0)
+    value, _ = integrate.quad(lambda q: np.exp(log(q)), low, high, epsabs=0, epsrel=1e-11, limit=500)
+    return value / (high - low)
+
+
+def pooled(k, n, p0):
+    always, broad, typical, (few, many) = weights(p0)
     spike = p0 ** (-n) if k == n else 0.0
-    return always * spike + (1 - always) * mixture
+    focus = mixture(k, n, p0, 1 - many * (1 - p0), 1 - few * (1 - p0))
+    return always * spike + broad * mixture(k, n, p0, p0, 1) + typical * focus
 
 
 def stratified(rounds, p0):
     rounds = np.array(rounds, dtype=bool)
     strata = rounds.shape[1]
-    weight = 0.9 if 1 - p0 <= 0.03 + 1e-9 else 0.85
-    evidence = weight * pooled(int(rounds.sum()), rounds.size, p0)
+    weight = sum(weights(p0)[:3])
+    evidence = pooled(int(rounds.sum()), rounds.size, p0)
     bets = rounds[1:]
     k, n = bets.sum(axis=0).astype(float), float(len(bets))
 
@@ -109,14 +118,14 @@ def stratified(rounds, p0):
         constraints={"type": "ineq", "fun": lambda m: strata * p0 - m.sum()},
         options={"maxiter": 2000, "ftol": 1e-14},
     )
-    for shrinkage, own in [(0.01, True), (1.0, False)]:
+    for shrinkage, own, share in [(0.01, True, 0.7), (1.0, False, 0.3)]:
         log = 0.0
         for at in range(1, len(rounds)):
             before = rounds[:at]
             mean = (before.sum() + 0.5) / (before.size + 1)
             q = (before.sum(axis=0) + shrinkage * (0.5 if own else mean)) / (at + shrinkage)
             log += np.log(np.where(rounds[at], q, 1 - q)).sum()
-        evidence += (1 - weight) / 2 * np.exp(log + best.fun)
+        evidence += (1 - weight) * share * np.exp(log + best.fun)
     return {"rounds": rounds.astype(int).tolist(), "p0": p0, "ln_evidence": float(np.log(evidence))}
 
 
@@ -127,6 +136,8 @@ def scenarios():
         ([1, 1, 1, 0.5, 0.2], 7, 0.6),
         ([1] * 12, 4, 0.98),
         ([0.95] * 12, 8, 0.92),
+        ([1] * 12, 5, 0.99),
+        ([1] * 11 + [0.7], 7, 0.99),
     ]:
         rates = np.array(rates)
         yield (random.random((rounds, len(rates))) < rates).tolist(), p0

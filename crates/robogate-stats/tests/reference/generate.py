@@ -12,6 +12,7 @@ import math
 import pathlib
 
 import numpy as np
+import scipy.integrate as si
 import scipy.optimize as so
 import scipy.special as sp
 import scipy.stats as st
@@ -433,11 +434,16 @@ for m in [4.0, 5.2, 5.5, 7.0, 12.0]:
 def walk(p0, alpha, beta, per_round, rounds, p):
     """Propagates the counts of all paths, with the closed form of the evidence from SciPy's binomial."""
     def above(k, n, p0):
-        """The pooled part of the evidence: the mixture over all larger rates, and "every trial succeeds"."""
-        pooled, always = (0.9, 0.75) if 1 - p0 <= 0.03 + 1e-9 else (0.85, 0.1)
-        mixture = st.binom.logcdf(k, n + 1, p0) - math.log((n + 1) * (1 - p0)) - st.binom.logpmf(k, n, p0)
+        """The pooled part of the evidence: all larger rates, typical ones, and "every trial succeeds"."""
+        failure = 1 - p0
+        always, broad, typical, few, many = (0.52, 0.22, 0.24, 0.15, 0.35) if failure <= 0.015 + 1e-9 else (0.05, 0.60, 0.30, 0.2, 0.7)
+        mass = st.binom.logpmf(k, n, p0)
+        mixture = st.binom.logcdf(k, n + 1, p0) - math.log((n + 1) * failure) - mass
+        # The integral of the binomial likelihood over a range of failure rates, by quadrature.
+        share, _ = si.quad(lambda u: math.exp(st.binom.logpmf(n - k, n, u * failure) - mass), few, many, epsabs=0, epsrel=1e-12)
+        focus = math.log(share / (many - few))
         spike = -n * math.log(p0) if k == n else -math.inf
-        return math.log(pooled) + np.logaddexp(math.log(always) + spike, math.log(1 - always) + mixture)
+        return np.logaddexp.reduce([math.log(always) + spike, math.log(broad) + mixture, math.log(typical) + focus])
     alive, met, violated, trials = {0: 1.0}, 0.0, 0.0, 0.0
     for r in range(1, rounds + 1):
         trials += per_round * sum(alive.values())

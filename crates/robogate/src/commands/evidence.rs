@@ -12,7 +12,7 @@ use robogate_gate::evidence::{
 };
 use robogate_gate::{Asked, GateError, Record, Sampling};
 
-use crate::commands::gate::{built_in_baseline, open_requirements, refused};
+use crate::commands::gate::{built_in_baseline, open_requirements, real_evidence, refused};
 use crate::exit::{Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
 use crate::source::open_source;
 use crate::subject::recorded_robot;
@@ -33,6 +33,9 @@ pub(crate) struct Evidence {
     /// Compare relative requirements with this baseline (JSON); default: that of the run's gate, or the built-in one
     #[arg(long, value_name = "FILE")]
     baseline: Option<PathBuf>,
+    /// Add these trials of the real robot: the file of `robogate transfer --out`; default: those of the run's gate
+    #[arg(long, value_name = "FILE")]
+    real: Option<PathBuf>,
     /// Compare with this run or dictionary, of the policy that may be replaced
     #[arg(long, value_name = "RUN", requires = "margin")]
     against: Option<PathBuf>,
@@ -100,6 +103,7 @@ impl Evidence {
             dictionary: dictionary(&self.run),
             requirements: self.requirements(&provenance.task, asked.as_ref())?,
             baseline: self.baseline(asked.as_ref(), &source)?,
+            real: self.real(asked.as_ref())?,
             against: self.against(asked.as_ref())?,
             sampling: self.sampling(asked.as_ref()).or_usage()?,
             reasked: self.reasked,
@@ -137,6 +141,14 @@ impl Evidence {
             (None, None) => built_in_baseline(&Record::of(source.dictionary()).map_err(refused)?),
         };
         Ok(baseline.map(|baseline| Content::Bytes(baseline.to_json().into_bytes())))
+    }
+
+    fn real(&self, asked: Option<&Asked>) -> Result<Option<Content>, Exit> {
+        let real = match (&self.real, asked) {
+            (Some(file), _) => Some(real_evidence(file)?),
+            (None, asked) => asked.and_then(|asked| asked.real.clone()),
+        };
+        Ok(real.map(|real| Content::Bytes(real.to_json().into_bytes())))
     }
 
     fn against(&self, asked: Option<&Asked>) -> Result<Option<(PathBuf, f64)>, Exit> {

@@ -7,13 +7,14 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow};
 use clap::Args;
-use robogate_analysis::Source;
+use robogate_analysis::transfer::Transfer;
+use robogate_analysis::{Finding, Source};
 use robogate_campaign::{Completion, DEFAULT_SEED, Event, Plan, Round, Settings};
 use robogate_core::{Suite, TaskSpec};
 use robogate_dictionary::{Label, Provenance};
 use robogate_gate::{
-    Against, Asked, AskedAgainst, Baseline, Evaluation, GateError, GatePlan, Mode, PairPlan, Planned, Question, Record,
-    Requirements, Sampling, Trial, Verdict,
+    Against, Asked, AskedAgainst, Baseline, Evaluation, GateError, GatePlan, Mode, PairPlan, Planned, Question,
+    RealEvidence, RealStratum, Record, Requirements, Sampling, Trial, Verdict,
 };
 use robogate_physics::SuctionLaw;
 use robogate_report::{evaluation_markdown, junit, reqif};
@@ -52,6 +53,10 @@ pub(crate) struct Gate {
     /// replace that one
     #[arg(long, value_name = "FILE|RUN")]
     baseline: Option<PathBuf>,
+    /// Judge requirements on `real:success` with these trials of the real robot: the file of `robogate transfer --out`;
+    /// default: that of the run's gate
+    #[arg(long, value_name = "FILE")]
+    real: Option<PathBuf>,
     /// Set the non-inferiority margin: how far the success rate may lie below that of the baseline run or of the policy
     /// of --against; default: 0.05, with --run the margin of its gate
     #[arg(long, value_name = "SHARE")]
@@ -130,7 +135,7 @@ impl Gate {
     /// Judges a finished run.
     fn judge(&self, run: &Path) -> Result<u8, Exit> {
         let source = open_source(run)?;
-        let record = Record::of(source.dictionary()).map_err(refused)?;
+        let mut record = Record::of(source.dictionary()).map_err(refused)?;
         let asked = source.folder().map_or(Ok(None), Asked::of).map_err(refused)?;
         // A run that was tested after each round stays a sequential test, also if it is judged again.
         let sampling = asked.as_ref().map_or(Sampling::Fixed, |asked| asked.sampling);
@@ -149,6 +154,10 @@ impl Gate {
         if let Some(asked) = &asked {
             self.note_changes(asked, &requirements, asked_margin);
         }
+        record.real = match &self.real {
+            Some(file) => Some(real_evidence(file)?),
+            None => asked.as_ref().and_then(|asked| asked.real.clone()),
+        };
         let question = Question {
             requirements: &requirements,
             baseline: other.baseline.as_ref(),
@@ -224,6 +233,7 @@ impl Gate {
         plan.check(&provenance.space).or_usage()?;
         let planned = Provenance { plan: serde_json::to_value(&plan).or_broken()?, ..provenance.clone() };
         let mut record = Record::begun(&planned).map_err(refused)?;
+        record.real = self.real.as_deref().map(real_evidence).transpose()?;
         let other = self.other(&record)?;
         // Questions that cannot be decided are reported before anything runs.
         let gate_plan = GatePlan::of(&requirements, other.baseline.as_ref(), &labels, sampling, u64::from(rounds))
@@ -266,7 +276,14 @@ impl Gate {
             dataset_sha256: record.dataset_sha256.clone(),
             margin,
         });
-        let mut asked = Asked { format: Asked::FORMAT, requirements, baseline: other.baseline, against, sampling };
+        let mut asked = Asked {
+            format: Asked::FORMAT,
+            requirements,
+            baseline: other.baseline,
+            against,
+            sampling,
+            real: record.real.clone(),
+        };
         if rival.is_some() && self.divide.is_none() {
             // Its rows do not exist yet. The file is written again once they do.
             asked.against = Some(AskedAgainst { path: String::new(), dataset_sha256: String::new(), margin });
@@ -408,10 +425,41 @@ pub(crate) fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, 
     Ok(Some((path, record)))
 }
 
+/// Reads the trials of the real robot from the file of `robogate transfer --out`.
+pub(crate) fn real_evidence(path: &Path) -> Result<RealEvidence, Exit> {
+    let text = fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
+    let transfer: Transfer = serde_json::from_str(&text)
+        .with_context(|| {
+            format!(
+                "{}: not a transfer\nhint: create it with `robogate transfer --sim RUN --real FILE --out FILE`",
+                path.display()
+            )
+        })
+        .or_usage()?;
+    let exact = match &transfer.exact {
+        Finding::Estimated(exact) => exact,
+        Finding::CannotBeEstimated { because } => {
+            return Err(anyhow!("{}: it has no exact rate because {because}", path.display())).or_usage();
+        }
+    };
+    let strata = exact.strata.map(|s| RealStratum { share: s.share, trials: s.trials, successes: s.successes });
+    Ok(RealEvidence {
+        format: RealEvidence::FORMAT,
+        task: transfer.task.name.clone(),
+        robot: transfer.simulation.robot.clone(),
+        policy: transfer.simulation.policy.clone(),
+        population: transfer.population.clone(),
+        trials_sha256: transfer.real.sha256.clone(),
+        simulation_sha256: transfer.simulation.dataset_hash.clone(),
+        strata,
+    })
+}
+
 /// The evaluation of the gate that a run's folder belongs to. `None` for a run without a gate.
 pub(crate) fn evaluation_of(folder: &Path, source: &Source) -> Result<Option<Evaluation>, Exit> {
     let Some(asked) = Asked::of(folder).map_err(refused)? else { return Ok(None) };
-    let record = Record::of(source.dictionary()).map_err(refused)?;
+    let mut record = Record::of(source.dictionary()).map_err(refused)?;
+    record.real.clone_from(&asked.real);
     let other = compared_with(&asked)?.map(|(_, record)| record);
     question(&asked, other.as_ref()).evaluate(&record).map_err(refused).map(Some)
 }
@@ -420,6 +468,7 @@ pub(crate) fn evaluation_of(folder: &Path, source: &Source) -> Result<Option<Eva
 pub(crate) fn resume(dir: &Path, asked: Asked, subject: &Subject, settings: Settings, how: &How) -> Result<u8, Exit> {
     let other = compared_with(&asked)?.map(|(_, record)| record);
     let mut record = Record::begun(&settings.provenance).map_err(refused)?;
+    record.real.clone_from(&asked.real);
     let provenance = subject.provenance(settings.provenance.space)?;
     let mut trouble = None;
     let completion = {
@@ -506,7 +555,8 @@ pub(crate) fn finish(
     write_report(dir);
     // The evaluation uses the rows on disk, and not those that were seen during the run.
     let source = Source::open(dir).or_broken()?;
-    let record = Record::of(source.dictionary()).map_err(refused)?;
+    let mut record = Record::of(source.dictionary()).map_err(refused)?;
+    record.real.clone_from(&asked.real);
     let evaluation = question(asked, other).evaluate(&record).map_err(refused)?;
     write_answer(dir, &evaluation)?;
     show(Some(dir), &evaluation, source.dictionary().provenance(), json)

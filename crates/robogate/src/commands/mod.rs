@@ -34,4 +34,5 @@ pub(crate) mod snapshot;
 pub(crate) mod status;
 pub(crate) mod study;
 pub(crate) mod suites;
+pub(crate) mod transfer;
 pub(crate) mod verify;

@@ -1,0 +1,221 @@
+//! Differences between simulation and reality that pass a test, and checks of the trials' settings.
+
+use robogate_core::{Domain, ParameterSpace, Seed};
+use robogate_stats::compare::{at_least, at_most};
+use robogate_stats::multiplicity::holm;
+use robogate_stats::recalibration::{Recalibration, effects, log_odds};
+use robogate_stats::{Confidence, Trials, clopper_pearson};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::trials::RealTrials;
+use crate::rate::ends;
+use crate::table::{Ending, EpisodeTable, Sample};
+
+/// Simulated samples of a distribution test.
+const SIMULATIONS: usize = 999;
+
+/// The rate of one ending in reality and in simulation.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct EndingDifference {
+    /// `success` or a failure mode.
+    pub ending: String,
+    /// Trials that ended so.
+    pub trials: u64,
+    /// Their share.
+    pub real: f64,
+    /// Exact 95 % interval of that rate.
+    pub real_95: [f64; 2],
+    /// The rate in the simulated operating space.
+    pub simulated: f64,
+    /// p-value of equal rates, adjusted for all endings (Holm).
+    pub adjusted_p: f64,
+}
+
+/// The effect of one parameter that the simulation does not explain.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ParameterDifference {
+    /// The parameter.
+    pub parameter: String,
+    /// The level, for a categorical parameter.
+    pub level: Option<String>,
+    /// The change of the log-odds of success for one standard deviation, beyond the corrected simulation.
+    pub effect: f64,
+    /// Its 95 % interval (not adjusted).
+    pub interval_95: [f64; 2],
+    /// p-value of no effect, adjusted for all parameters and levels.
+    pub adjusted_p: f64,
+}
+
+/// Whether the trials' values of one parameter look like a sample of the population.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SettingsCheck {
+    /// The parameter.
+    pub parameter: String,
+    /// Trials with a value.
+    pub trials: u64,
+    /// p-value of a random sample, adjusted for all parameters (Holm).
+    pub adjusted_p: f64,
+}
+
+/// Compares the rates of all endings. Modes are compared only if the trials name them.
+pub(super) fn endings(table: &EpisodeTable, simulated: &Sample, trials: &RealTrials) -> Vec<EndingDifference> {
+    let n = trials.trials.len() as u64;
+    let total = simulated.len() as f64;
+    let share = |ending: Ending| {
+        simulated.rows.iter().filter(|row| table.outcome[**row as usize] == ending).count() as f64 / total
+    };
+    let successes = trials.trials.iter().filter(|trial| trial.success).count() as u64;
+    let mut all = vec![("success".to_owned(), successes, share(Ending::Success))];
+    if trials.has_modes {
+        let mut names: Vec<String> = table.modes.iter().map(|mode| mode.as_str().to_owned()).collect();
+        let unknown = |mode: &String| !names.contains(mode);
+        let mut others: Vec<String> = trials.trials.iter().filter_map(|t| t.mode.clone()).filter(unknown).collect();
+        others.sort();
+        others.dedup();
+        let known = names.len();
+        names.extend(others);
+        for (i, name) in names.into_iter().enumerate() {
+            let count = trials.trials.iter().filter(|t| t.mode.as_ref() == Some(&name)).count() as u64;
+            let rate = if i < known { share(Ending::Failure(i as u16)) } else { 0.0 };
+            if count > 0 || rate > 0.0 {
+                all.push((name, count, rate));
+            }
+        }
+    }
+    let p: Vec<f64> = all
+        .iter()
+        .map(|(_, count, rate)| {
+            let trials = Trials::new(*count, n).unwrap_or(Trials::NONE);
+            // A mode that the simulation never shows may still have a small rate there.
+            let rate = rate.max(0.5 / (total + 1.0));
+            (2.0 * at_least(trials, rate).min(at_most(trials, rate)).exp()).min(1.0)
+        })
+        .collect();
+    let adjusted = holm(&p).unwrap_or_else(|_| vec![1.0; p.len()]);
+    all.into_iter()
+        .zip(adjusted)
+        .map(|((ending, count, simulated), adjusted_p)| {
+            let trials = Trials::new(count, n).unwrap_or(Trials::NONE);
+            EndingDifference {
+                ending,
+                trials: count,
+                real: trials.rate().unwrap_or(0.0),
+                real_95: ends(clopper_pearson(trials, Confidence::P95)),
+                simulated,
+                adjusted_p,
+            }
+        })
+        .collect()
+}
+
+/// Tests every parameter for an effect beyond the corrected simulation. A missing value has the mean of the others.
+pub(super) fn parameters(
+    space: &ParameterSpace,
+    trials: &RealTrials,
+    predicted: &[f64],
+    model: &Recalibration,
+) -> Vec<ParameterDifference> {
+    let (mut names, mut columns) = (Vec::new(), Vec::new());
+    for (at, parameter) in space.parameters().iter().enumerate() {
+        let known: Vec<f64> = trials.trials.iter().filter_map(|t| t.values[at]).collect();
+        if known.is_empty() {
+            continue;
+        }
+        let column = |of: &dyn Fn(f64) -> f64| {
+            let mean = known.iter().map(|v| of(*v)).sum::<f64>() / known.len() as f64;
+            trials.trials.iter().map(|t| t.values[at].map_or(mean, of)).collect::<Vec<f64>>()
+        };
+        if let Domain::Categorical { choices } = &parameter.domain {
+            for (level, choice) in choices.iter().enumerate() {
+                names.push((parameter.name.to_string(), Some(choice.to_string())));
+                columns.push(column(&|v| f64::from(u8::from(v as usize == level))));
+            }
+        } else {
+            names.push((parameter.name.to_string(), None));
+            columns.push(column(&|v| parameter.domain.to_unit(v)));
+        }
+    }
+    let eta: Vec<f64> = predicted.iter().map(|p| log_odds(*p)).collect();
+    let z = Confidence::P95.z();
+    effects(&eta, &trials.outcomes(), &columns, model, 1)
+        .into_iter()
+        .zip(names)
+        .filter_map(|(effect, (parameter, level))| {
+            let effect = effect?;
+            Some(ParameterDifference {
+                parameter,
+                level,
+                effect: effect.slope,
+                interval_95: [effect.slope - z * effect.se, effect.slope + z * effect.se],
+                adjusted_p: effect.adjusted_p,
+            })
+        })
+        .collect()
+}
+
+/// Tests whether the trials' values are a random sample of the population, parameter by parameter.
+pub(super) fn settings(space: &ParameterSpace, trials: &RealTrials, points: &[Vec<f64>]) -> Vec<SettingsCheck> {
+    let mut random = Seed::campaign(2).stream("settings of trials");
+    let (mut checks, mut p) = (Vec::new(), Vec::new());
+    // A setting that was tried several times counts once.
+    let once = trials.once();
+    for (at, parameter) in space.parameters().iter().enumerate() {
+        let values: Vec<f64> = once.iter().filter_map(|t| t.values[at]).collect();
+        let mut known: Vec<f64> = points.iter().map(|point| point[at]).collect();
+        if values.len() < 5 || known.is_empty() {
+            continue;
+        }
+        known.sort_by(f64::total_cmp);
+        let distance: Box<dyn Fn(&[f64]) -> f64> = match &parameter.domain {
+            Domain::Categorical { choices } => {
+                let count = |of: &[f64], level: usize| of.iter().filter(|v| **v as usize == level).count() as f64;
+                let shares: Vec<f64> =
+                    (0..choices.len()).map(|level| count(&known, level) / known.len() as f64).collect();
+                Box::new(move |sample: &[f64]| {
+                    let n = sample.len() as f64;
+                    let one = |(level, share): (usize, &f64)| {
+                        (count(sample, level) - n * share).powi(2) / (n * share).max(1e-9)
+                    };
+                    shares.iter().enumerate().map(one).sum()
+                })
+            }
+            _ => Box::new({
+                let known = known.clone();
+                move |sample: &[f64]| kolmogorov(sample, &known)
+            }),
+        };
+        let observed = distance(&values);
+        let mut above = 0;
+        for _ in 0..SIMULATIONS {
+            let sample: Vec<f64> = values.iter().map(|_| known[random.below(known.len())]).collect();
+            above += usize::from(distance(&sample) >= observed - 1e-12);
+        }
+        p.push((above + 1) as f64 / (SIMULATIONS + 1) as f64);
+        checks.push((parameter.name.to_string(), values.len() as u64));
+    }
+    let adjusted = holm(&p).unwrap_or_else(|_| vec![1.0; p.len()]);
+    checks
+        .into_iter()
+        .zip(adjusted)
+        .map(|((parameter, trials), adjusted_p)| SettingsCheck { parameter, trials, adjusted_p })
+        .collect()
+}
+
+/// The largest difference of both distribution functions (Kolmogorov). Ties make it larger, also in the simulated
+/// samples. `known` is sorted.
+fn kolmogorov(sample: &[f64], known: &[f64]) -> f64 {
+    let mut sample = sample.to_vec();
+    sample.sort_by(f64::total_cmp);
+    let n = sample.len() as f64;
+    let share = |count: usize| count as f64 / known.len() as f64;
+    sample
+        .iter()
+        .enumerate()
+        .map(|(i, v)| {
+            let below = share(known.partition_point(|k| k < v));
+            let up_to = share(known.partition_point(|k| k <= v));
+            (below - i as f64 / n).abs().max((up_to - (i + 1) as f64 / n).abs())
+        })
+        .fold(0.0, f64::max)
+}

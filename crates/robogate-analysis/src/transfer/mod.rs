@@ -1,0 +1,399 @@
+//! Inference about the real robot from a simulation and a few real trials.
+//!
+//! The simulation's episodes train a model of P(success). The model never sees a trial. Its predictions for the trials
+//! and for the population narrow the interval of the real success rate ([`robogate_stats::prediction_powered`]); the more
+//! the predictions agree with the trials, the narrower. The exact interval of two strata
+//! ([`robogate_stats::exact_strata`]) is the basis of requirements on the real rate.
+
+mod differences;
+mod next;
+mod predictor;
+mod trials;
+
+use std::path::{Path, PathBuf};
+
+use robogate_core::ParameterSpace;
+use robogate_dictionary::TaskIdentity;
+use robogate_stats::exact_strata::{self, Stratum};
+use robogate_stats::prediction_powered::{self, Predicted};
+use robogate_stats::recalibration::{Posterior, Recalibration, log_odds};
+use robogate_stats::{Confidence, Trials};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use differences::{EndingDifference, ParameterDifference, SettingsCheck};
+pub use next::{NextTrial, NextTrials};
+pub use predictor::Predictions;
+pub use trials::{RealTrial, RealTrials};
+
+use crate::rate::ends;
+use crate::table::EpisodeTable;
+use crate::task::TaskAnalysis;
+use crate::{AnalysisError, Finding, Rate, Source, Subject};
+
+/// Shares of the population that a stratum may have.
+const STRATUM: [f64; 2] = [0.15, 0.85];
+/// Error of a statement about a difference.
+const LEVEL: f64 = 0.05;
+
+/// The real success rate and the differences between simulation and reality.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Transfer {
+    /// The version of this document.
+    pub version: u32,
+    /// The simulation.
+    pub simulation: Subject,
+    /// Its task.
+    pub task: TaskIdentity,
+    /// Its success rate over the operating space.
+    pub simulated: Rate,
+    /// The mean of the model's predictions over the population.
+    pub predicted: f64,
+    /// The trials.
+    pub real: RealData,
+    /// The population that the real rate applies to, in one sentence.
+    pub population: String,
+    /// The real success rate from trials and simulation.
+    pub rate: Finding<RealRate>,
+    /// The success rate of the trials alone.
+    pub alone: Rate,
+    /// The exact interval, for requirements.
+    pub exact: Finding<ExactRate>,
+    /// The correction of the simulation's model.
+    pub correction: Correction,
+    /// Endings of trials and simulation.
+    pub endings: Vec<EndingDifference>,
+    /// Effects of parameters that the simulation does not explain, the most significant first.
+    pub parameters: Vec<ParameterDifference>,
+    /// Whether the trials' settings look like a sample of the population.
+    pub settings: Vec<SettingsCheck>,
+    /// The trials to run next.
+    pub next: Option<NextTrials>,
+}
+
+/// The file of trials.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct RealData {
+    /// The path as given.
+    pub path: String,
+    /// SHA-256 (hex) of the file.
+    pub sha256: String,
+    /// Trials that are used.
+    pub trials: u64,
+    /// Lines of trials outside the simulated space, which are not used.
+    pub outside: Vec<u64>,
+    /// The groupings of the trials, with the number of groups.
+    pub groupings: Vec<(String, u64)>,
+    /// Parameters without any value. The prediction is averaged over them.
+    pub missing: Vec<String>,
+    /// Trials with other missing values.
+    pub incomplete: u64,
+    /// Columns that were ignored.
+    pub ignored: Vec<String>,
+}
+
+/// The real success rate.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RealRate {
+    /// The estimate.
+    pub rate: f64,
+    /// Its 95 % interval (approximate; coverage in docs/results/transfer.md).
+    pub interval_95: [f64; 2],
+    /// The 95 % interval of the trials alone, for the same groups.
+    pub alone_95: [f64; 2],
+    /// Correlation of trials and predictions. `None` if either does not vary.
+    pub correlation: Option<f64>,
+    /// The weight λ of the predictions.
+    pub tuning: f64,
+    /// The number of independent real trials that would give an interval of this width without the simulation.
+    pub worth_trials: f64,
+}
+
+/// The exact interval of the real success rate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ExactRate {
+    /// The interval: each end is wrong with probability at most 2.5 %, for any quality of the simulation.
+    pub interval_95: [f64; 2],
+    /// Settings with a predicted success below this are the first stratum.
+    pub cut: f64,
+    /// The strata, the harder one first.
+    pub strata: [RealStratum; 2],
+}
+
+/// One stratum of the population.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RealStratum {
+    /// Its share of the population.
+    pub share: f64,
+    /// Trials in it.
+    pub trials: u64,
+    /// Successes among them.
+    pub successes: u64,
+}
+
+/// A quantity with its 95 % interval.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct WithInterval {
+    /// The posterior mean.
+    pub mean: f64,
+    /// The central 95 % interval of the posterior.
+    pub interval_95: [f64; 2],
+}
+
+impl From<Posterior> for WithInterval {
+    fn from(of: Posterior) -> Self {
+        Self { mean: of.mean, interval_95: ends(of.interval) }
+    }
+}
+
+/// The corrected model: log-odds of real success = shift + slope x log-odds of simulated success.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Correction {
+    /// The shift. 0 if the simulation is right.
+    pub shift: WithInterval,
+    /// The slope. 1 if the simulation is right, 0 if it says nothing about reality.
+    pub slope: WithInterval,
+    /// The simulated success rate of settings whose real one is 50 %. `None` if the trials do not show that the slope is
+    /// positive.
+    pub boundary: Option<WithInterval>,
+    /// Real success at some simulated rates.
+    pub curve: Vec<CorrectedRate>,
+}
+
+/// The real success rate of settings with one simulated rate.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct CorrectedRate {
+    /// The simulated rate.
+    pub simulated: f64,
+    /// The real rate.
+    pub real: WithInterval,
+}
+
+/// The options of a transfer.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct TransferOptions {
+    /// Columns that group the trials.
+    pub groups: Vec<String>,
+    /// A file of settings that the real robot meets. Without it, the population is the simulated operating space.
+    pub population: Option<PathBuf>,
+}
+
+/// A simulation whose model predicts trials.
+pub struct Simulation<'a> {
+    source: &'a Source,
+    table: EpisodeTable,
+    points: Vec<Vec<f64>>,
+}
+
+fn no(reason: impl Into<String>) -> AnalysisError {
+    AnalysisError::NoTransfer { reason: reason.into() }
+}
+
+impl<'a> Simulation<'a> {
+    /// Reads a simulation, and the population of the real rate.
+    ///
+    /// # Errors
+    /// A dictionary that cannot be read or was not sampled from a space, or a problem in the file of settings.
+    pub fn open(source: &'a Source, population: Option<&Path>) -> Result<Self, AnalysisError> {
+        let provenance = source.dictionary().provenance();
+        let table = EpisodeTable::read(source.dictionary())?;
+        let points = match population {
+            Some(path) => trials::settings(path, &provenance.space)?,
+            None => predictor::points(&provenance.space).map_err(no)?,
+        };
+        if table.sample(false).len() == 0 {
+            return Err(no("it has no valid episode over its operating space"));
+        }
+        Ok(Self { source, table, points })
+    }
+
+    /// The space of its parameters.
+    pub fn space(&self) -> &ParameterSpace {
+        &self.source.dictionary().provenance().space
+    }
+
+    /// The predictions for trials and population.
+    ///
+    /// # Errors
+    /// If the episodes do not determine a model.
+    pub fn predictions(&self, trials: &RealTrials) -> Result<Predictions, AnalysisError> {
+        let task = TaskAnalysis::of(self.source.dictionary().provenance().task.name.as_str());
+        predictor::predict(&self.table, self.space(), trials, &self.points, &task).map_err(no)
+    }
+}
+
+/// The strata of the population with the largest predicted difference, as counts of trials.
+pub fn strata(predictions: &Predictions, outcomes: &[bool]) -> Option<(f64, [Stratum; 2])> {
+    let mut sorted = predictions.population.clone();
+    sorted.sort_by(f64::total_cmp);
+    let n = sorted.len() as f64;
+    let total: f64 = sorted.iter().sum();
+    let (mut below, mut best) = (0.0, None);
+    for (i, pair) in sorted.windows(2).enumerate() {
+        below += pair[0];
+        let count = (i + 1) as f64;
+        let share = count / n;
+        if pair[0] < pair[1] && (STRATUM[0]..=STRATUM[1]).contains(&share) {
+            let gap = (total - below) / (n - count) - below / count;
+            let between = share * (1.0 - share) * gap * gap;
+            if best.is_none_or(|(_, _, most)| between > most) {
+                best = Some((0.5 * (pair[0] + pair[1]), share, between));
+            }
+        }
+    }
+    let (cut, share, _) = best?;
+    let of = |hard: bool| {
+        let inside = predictions.trials.iter().zip(outcomes).filter(|(p, _)| (**p < cut) == hard);
+        Trials::count(inside.map(|(_, success)| *success))
+    };
+    Some((cut, [Stratum { share, trials: of(true) }, Stratum { share: 1.0 - share, trials: of(false) }]))
+}
+
+impl Transfer {
+    /// The version of the document.
+    pub const VERSION: u32 = 1;
+
+    /// Infers the real success rate from a simulation and a file of trials.
+    ///
+    /// # Errors
+    /// A problem in a file, or a simulation without a model.
+    pub fn of(source: &Source, path: &Path, real: &Path, options: &TransferOptions) -> Result<Self, AnalysisError> {
+        let simulation = Simulation::open(source, options.population.as_deref())?;
+        let trials = RealTrials::open(real, simulation.space(), &options.groups)?;
+        if trials.trials.is_empty() {
+            return Err(no(format!("{} has no trial inside the simulated space", real.display())));
+        }
+        let predictions = simulation.predictions(&trials)?;
+        Ok(assemble(&simulation, path, real, &trials, &predictions, options))
+    }
+
+    /// Settings whose distribution differs significantly from the population.
+    pub fn unlike(&self) -> impl Iterator<Item = &SettingsCheck> {
+        self.settings.iter().filter(|check| check.adjusted_p <= LEVEL)
+    }
+
+    /// Endings whose rates differ significantly.
+    pub fn different_endings(&self) -> impl Iterator<Item = &EndingDifference> {
+        self.endings.iter().filter(|ending| ending.adjusted_p <= LEVEL)
+    }
+
+    /// Parameters with a significant effect beyond the corrected simulation.
+    pub fn different_parameters(&self) -> impl Iterator<Item = &ParameterDifference> {
+        self.parameters.iter().filter(|parameter| parameter.adjusted_p <= LEVEL)
+    }
+}
+
+fn assemble(
+    simulation: &Simulation<'_>,
+    path: &Path,
+    real: &Path,
+    trials: &RealTrials,
+    predictions: &Predictions,
+    options: &TransferOptions,
+) -> Transfer {
+    let space = simulation.space();
+    let simulated = simulation.table.sample(false);
+    let outcomes = trials.outcomes();
+    let settings = differences::settings(space, trials, &simulation.points);
+    let unlike: Vec<&str> =
+        settings.iter().filter(|check| check.adjusted_p <= LEVEL).map(|check| &*check.parameter).collect();
+    let population = Predicted::of(&predictions.population);
+    // The points of the space are a quasi-random sequence: their mean is known far better than that of a sample.
+    let population = Predicted {
+        points: if options.population.is_some() { population.points } else { f64::INFINITY },
+        ..population
+    };
+    let sample = |of: &dyn Fn() -> Finding<RealRate>| {
+        if unlike.is_empty() {
+            return of();
+        }
+        Finding::not(format!(
+            "the trials are not a random sample of the population: {} differ (p < 0.05). Choose settings at random, or pass \
+             the settings that the real robot meets with --population",
+            unlike.join(", ")
+        ))
+    };
+    let rate = sample(&|| {
+        prediction_powered::rate(&outcomes, &predictions.trials, population, &trials.groups(), Confidence::P95)
+            .map(|found| RealRate {
+                rate: found.rate,
+                interval_95: ends(found.interval),
+                alone_95: ends(found.alone),
+                correlation: found.correlation,
+                tuning: found.tuning,
+                worth_trials: found.worth,
+            })
+            .into()
+    });
+    let exact = if let Some(because) = rate.because() {
+        Finding::not(because.to_owned())
+    } else if !trials.missing.is_empty() || trials.incomplete > 0 {
+        // The shares of the strata are those of complete settings.
+        Finding::not("trials have missing parameters, so their stratum is not known exactly")
+    } else if let Some((name, _)) = trials.groupings.first() {
+        Finding::not(format!("the trials share groups ({name}), and the exact test needs independent trials"))
+    } else {
+        match strata(predictions, &outcomes) {
+            Some((cut, strata)) => Finding::Estimated(ExactRate {
+                interval_95: ends(exact_strata::bounds(strata, Confidence::P95.tail())),
+                cut,
+                strata: strata.map(|s| RealStratum {
+                    share: s.share,
+                    trials: s.trials.n(),
+                    successes: s.trials.successes(),
+                }),
+            }),
+            None => Finding::not("the simulation predicts the same success everywhere"),
+        }
+    };
+    let eta: Vec<f64> = predictions.trials.iter().map(|p| log_odds(*p)).collect();
+    let model = Recalibration::of(&eta, &outcomes, Confidence::P95.level());
+    let curve = [0.1, 0.3, 0.5, 0.7, 0.9]
+        .map(|simulated| CorrectedRate { simulated, real: model.success(log_odds(simulated)).into() });
+    let mut parameters = differences::parameters(space, trials, &predictions.trials, &model);
+    parameters.sort_by(|a, b| a.adjusted_p.total_cmp(&b.adjusted_p).then(b.effect.abs().total_cmp(&a.effect.abs())));
+    let next = rate.estimated().map(|found| {
+        let half_width = 0.5 * (found.interval_95[1] - found.interval_95[0]);
+        let corrected = |p: f64| model.success(log_odds(p)).mean;
+        let n = outcomes.len() as f64;
+        next::next(space, &simulation.points, &predictions.population, corrected, half_width, [n, found.worth_trials])
+    });
+    Transfer {
+        version: Transfer::VERSION,
+        simulation: Subject::of(simulation.source, path),
+        task: TaskIdentity::of(&simulation.source.dictionary().provenance().task),
+        simulated: Rate::of(Trials::count(simulated.success.iter().copied())),
+        predicted: population.mean,
+        real: RealData {
+            path: real.display().to_string(),
+            sha256: trials.sha256.clone(),
+            trials: outcomes.len() as u64,
+            outside: trials.outside.clone(),
+            groupings: trials
+                .groupings
+                .iter()
+                .map(|(name, groups)| (name.clone(), groups.iter().max().map_or(0, |most| *most as u64 + 1)))
+                .collect(),
+            missing: trials.missing.clone(),
+            incomplete: trials.incomplete,
+            ignored: trials.ignored.clone(),
+        },
+        population: match &options.population {
+            Some(path) => format!("the settings in {}", path.display()),
+            None => format!("the operating space `{}` of the simulation", space.name()),
+        },
+        rate,
+        alone: Rate::of(Trials::count(outcomes.iter().copied())),
+        exact,
+        correction: Correction {
+            shift: model.shift().into(),
+            slope: model.slope().into(),
+            boundary: model.boundary(0.5).map(WithInterval::from),
+            curve: curve.to_vec(),
+        },
+        endings: differences::endings(&simulation.table, &simulated, trials),
+        parameters,
+        settings,
+        next,
+    }
+}

@@ -1,0 +1,86 @@
+//! Predictions of a simulation's model for real trials and for the population.
+
+use std::sync::Arc;
+
+use robogate_core::{ParameterSpace, Sampler, Seed, samplers};
+use robogate_stats::recalibration::LARGEST_LOG_ODDS;
+
+use super::trials::RealTrials;
+use crate::study::Learner;
+use crate::table::{EpisodeTable, ParameterColumn, Sample};
+use crate::task::TaskAnalysis;
+
+/// Points of the space at which the model is evaluated.
+const POINTS: usize = 4_096;
+/// Simulated episodes that train the model at most.
+const MOST_EPISODES: usize = 4_000;
+/// Draws of the missing parameters of a trial.
+const DRAWS: usize = 32;
+/// The seed of the points. Equal inputs give equal figures.
+const SEED: u64 = 20;
+
+/// P(success) by the simulation's model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Predictions {
+    /// For each trial. Missing parameters are averaged over the population.
+    pub trials: Vec<f64>,
+    /// For points of the population.
+    pub population: Vec<f64>,
+}
+
+/// Points of the space: a scrambled Sobol sequence.
+pub(super) fn points(space: &ParameterSpace) -> Result<Vec<Vec<f64>>, String> {
+    let space = Arc::new(space.clone());
+    let stream = Seed::campaign(SEED).stream("transfer population");
+    let design = samplers::Sobol.design(&space, POINTS, stream).map_err(|error| error.to_string())?;
+    Ok((0..design.len()).filter_map(|i| design.coded(i).map(<[f64]>::to_vec)).collect())
+}
+
+/// Trains the model on the valid episodes of a simulation and predicts trials and points.
+pub(super) fn predict(
+    table: &EpisodeTable,
+    space: &ParameterSpace,
+    trials: &RealTrials,
+    points: &[Vec<f64>],
+    task: &TaskAnalysis,
+) -> Result<Predictions, String> {
+    let mut train = table.valid();
+    if train.len() > MOST_EPISODES {
+        let kept: Vec<bool> = (0..train.len()).map(|i| i < MOST_EPISODES).collect();
+        train = train.restricted(&kept);
+    }
+    let mut rows: Vec<Vec<f64>> = points.to_vec();
+    let mut sizes = Vec::with_capacity(trials.trials.len());
+    for (i, trial) in trials.trials.iter().enumerate() {
+        if trial.values.iter().all(Option::is_some) {
+            rows.push(trial.values.iter().map(|v| v.unwrap_or_default()).collect());
+            sizes.push(1);
+        } else {
+            let draw = |k: usize| &points[(i * DRAWS + k) * 7 % points.len()];
+            let row = |k: usize| trial.values.iter().zip(draw(k)).map(|(v, drawn)| v.unwrap_or(*drawn)).collect();
+            rows.extend((0..DRAWS).map(row));
+            sizes.push(DRAWS);
+        }
+    }
+    let column = |known: &ParameterColumn| {
+        let at = space.position(&known.name)?;
+        let values = rows.iter().map(|row| row[at]).collect();
+        Some(ParameterColumn { name: known.name.clone(), kind: known.kind.clone(), values })
+    };
+    let test = Sample {
+        rows: Vec::new(),
+        success: vec![false; rows.len()],
+        parameters: train.parameters.iter().filter_map(column).collect(),
+    };
+    let scores = Learner::Flexible.scores(&train, None, &test, task)?;
+    let probability = |eta: &f64| 1.0 / (1.0 + (-eta.clamp(-LARGEST_LOG_ODDS, LARGEST_LOG_ODDS)).exp());
+    let all: Vec<f64> = scores.test.iter().map(probability).collect();
+    let (population, mut rest) = all.split_at(points.len());
+    let mut predicted = Vec::with_capacity(sizes.len());
+    for size in sizes {
+        let (own, others) = rest.split_at(size);
+        predicted.push(own.iter().sum::<f64>() / size as f64);
+        rest = others;
+    }
+    Ok(Predictions { trials: predicted, population: population.to_vec() })
+}

@@ -1,0 +1,258 @@
+//! Trials of the real robot, from a CSV file.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use robogate_core::{Domain, ParameterSpace, Value};
+use robogate_dictionary::hex;
+use sha2::{Digest, Sha256};
+
+use crate::AnalysisError;
+
+/// Columns that group trials if the caller names none.
+const GROUPS: [&str; 2] = ["operator", "day"];
+/// The grouping of trials with equal settings.
+const REPEATED: &str = "repeated setting";
+/// Cells without a value.
+const MISSING: [&str; 5] = ["", "na", "nan", "null", "none"];
+
+/// Trials of the real robot.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RealTrials {
+    /// SHA-256 (hex) of the file.
+    pub sha256: String,
+    /// The trials within the space.
+    pub trials: Vec<RealTrial>,
+    /// Lines of trials outside the space, which are left out.
+    pub outside: Vec<u64>,
+    /// Groupings of the trials: the name, and a group number for each trial.
+    pub groupings: Vec<(String, Vec<usize>)>,
+    /// Parameters of the space without any value in the file.
+    pub missing: Vec<String>,
+    /// Trials with at least one missing value, beyond those of `missing`.
+    pub incomplete: u64,
+    /// Columns that are neither results nor parameters nor groups.
+    pub ignored: Vec<String>,
+    /// Whether the file has a column of failure modes.
+    pub has_modes: bool,
+}
+
+/// One trial.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RealTrial {
+    /// Its line in the file.
+    pub line: u64,
+    /// Whether it succeeded.
+    pub success: bool,
+    /// Its failure mode, if it failed and the file states it.
+    pub mode: Option<String>,
+    /// The coded value of each parameter of the space. `None` if it is missing.
+    pub values: Vec<Option<f64>>,
+}
+
+/// A problem in a file of trials.
+fn wrong(path: &Path, line: u64, reason: impl Into<String>) -> AnalysisError {
+    AnalysisError::Trials { path: path.to_owned(), line, reason: reason.into() }
+}
+
+/// The rows of a CSV file as text, with their lines.
+struct Rows {
+    sha256: String,
+    header: Vec<String>,
+    rows: Vec<(u64, Vec<String>)>,
+}
+
+fn read(path: &Path) -> Result<Rows, AnalysisError> {
+    let bytes = std::fs::read(path).map_err(AnalysisError::io(path, "read"))?;
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(&*bytes);
+    let text = |record: &csv::StringRecord| record.iter().map(str::to_owned).collect::<Vec<String>>();
+    let header = text(reader.headers().map_err(|error| wrong(path, 1, error.to_string()))?);
+    let mut rows = Vec::new();
+    for record in reader.records() {
+        let record = record.map_err(|error| {
+            let line = error.position().map_or(0, csv::Position::line);
+            wrong(path, line, error.to_string())
+        })?;
+        let line = record.position().map_or(0, csv::Position::line);
+        rows.push((line, text(&record)));
+    }
+    if let Some(twice) = header.iter().enumerate().find(|(i, name)| header[..*i].contains(name)) {
+        return Err(wrong(path, 1, format!("the column `{}` occurs twice", twice.1)));
+    }
+    Ok(Rows { sha256: hex(&Sha256::digest(&bytes)), header, rows })
+}
+
+/// The coded value of a cell. `None` if it is missing.
+fn value(domain: &Domain, cell: &str) -> Result<Option<f64>, String> {
+    if MISSING.contains(&cell.to_ascii_lowercase().as_str()) {
+        return Ok(None);
+    }
+    let found = match domain {
+        Domain::Categorical { choices } => domain.encode(&Value::Category(cell.into())).ok_or_else(|| {
+            let known: Vec<&str> = choices.iter().map(|choice| &**choice).collect();
+            format!("`{cell}` is not a level. Expected one of {}, or no value", known.join(", "))
+        })?,
+        Domain::Continuous { .. } | Domain::Integer { .. } => {
+            let number: f64 = cell.parse().map_err(|_| format!("`{cell}` is not a number"))?;
+            if !number.is_finite() {
+                return Err(format!("`{cell}` is not a finite number"));
+            }
+            number
+        }
+    };
+    Ok(Some(found))
+}
+
+/// Whether a coded value lies in the domain, up to rounding.
+fn inside(domain: &Domain, value: f64) -> bool {
+    let within = |low: f64, high: f64| {
+        let slack = 1e-9 * (high - low);
+        (low - slack..=high + slack).contains(&value)
+    };
+    match domain {
+        Domain::Continuous { low, high, .. } => within(*low, *high),
+        Domain::Integer { low, high } => within(*low as f64, *high as f64),
+        Domain::Categorical { .. } => true,
+    }
+}
+
+impl RealTrials {
+    /// Reads trials. The columns are `success` (true or false, yes or no, 1 or 0), optionally `failure_mode`, the
+    /// parameters of `space` by name, and groups. `groups` names the columns of trials that may share effects; without
+    /// them `operator` and `day` are used if they exist. Trials with equal parameters form groups too.
+    ///
+    /// # Errors
+    /// The first problem in the file, with its line.
+    pub fn open(path: &Path, space: &ParameterSpace, groups: &[String]) -> Result<Self, AnalysisError> {
+        let Rows { sha256, header, rows } = read(path)?;
+        let place = |name: &str| header.iter().position(|column| column == name);
+        let Some(success) = place("success") else {
+            let found = header.join(", ");
+            return Err(wrong(path, 1, format!("no column `success`. The columns are {found}")));
+        };
+        let mode = place("failure_mode");
+        let names: Vec<String> = match groups {
+            [] => GROUPS.iter().filter(|name| place(name).is_some()).map(|name| (*name).to_owned()).collect(),
+            given => given.to_vec(),
+        };
+        if let Some(unknown) = names.iter().find(|name| place(name).is_none()) {
+            return Err(wrong(path, 1, format!("no column `{unknown}`, which should group the trials")));
+        }
+        let columns: Vec<Option<usize>> = space.parameters().iter().map(|p| place(&p.name)).collect();
+        if columns.iter().all(Option::is_none) {
+            let known: Vec<&str> = space.parameters().iter().map(|p| &*p.name).collect();
+            return Err(wrong(path, 1, format!("no column is a parameter. Expected some of {}", known.join(", "))));
+        }
+        let used =
+            |i: usize| i == success || Some(i) == mode || columns.contains(&Some(i)) || names.contains(&header[i]);
+        let ignored = (0..header.len()).filter(|i| !used(*i)).map(|i| header[i].clone()).collect();
+        let (mut trials, mut outside, mut labels) = (Vec::new(), Vec::new(), vec![Vec::new(); names.len()]);
+        for (line, row) in &rows {
+            let outcome = match row[success].to_ascii_lowercase().as_str() {
+                "true" | "yes" | "1" | "success" => true,
+                "false" | "no" | "0" | "failure" => false,
+                other => {
+                    let reason = format!("success: `{other}` is not an outcome. Expected true or false");
+                    return Err(wrong(path, *line, reason));
+                }
+            };
+            let mut values = Vec::with_capacity(columns.len());
+            for (parameter, column) in space.parameters().iter().zip(&columns) {
+                let found = column.map_or(Ok(None), |column| value(&parameter.domain, &row[column]));
+                values.push(found.map_err(|reason| wrong(path, *line, format!("{}: {reason}", parameter.name)))?);
+            }
+            let fits = space.parameters().iter().zip(&values).all(|(p, v)| v.is_none_or(|v| inside(&p.domain, v)));
+            if !fits {
+                outside.push(*line);
+                continue;
+            }
+            for (label, name) in labels.iter_mut().zip(&names) {
+                label.push(place(name).map_or_else(String::new, |at| row[at].clone()));
+            }
+            let mode = mode.map(|at| row[at].clone()).filter(|m| !outcome && !MISSING.contains(&&*m.to_lowercase()));
+            trials.push(RealTrial { line: *line, success: outcome, mode, values });
+        }
+        let mut groupings: Vec<(String, Vec<usize>)> =
+            names.into_iter().zip(labels).map(|(name, labels)| (name, numbered(&labels))).collect();
+        let settings: Vec<String> = trials.iter().map(|trial| format!("{:?}", trial.values)).collect();
+        let repeated = numbered(&settings);
+        let complete = trials.iter().all(|trial| trial.values.iter().any(Option::is_some));
+        if complete && repeated.iter().max().is_some_and(|most| most + 1 < trials.len()) {
+            groupings.push((REPEATED.to_owned(), repeated));
+        }
+        let absent = |i: usize| trials.iter().all(|trial| trial.values[i].is_none());
+        let lost: Vec<bool> = (0..space.len()).map(absent).collect();
+        let incomplete = |trial: &&RealTrial| trial.values.iter().zip(&lost).any(|(v, lost)| v.is_none() && !lost);
+        Ok(Self {
+            sha256,
+            incomplete: trials.iter().filter(incomplete).count() as u64,
+            missing: space
+                .parameters()
+                .iter()
+                .zip(&lost)
+                .filter(|(_, lost)| **lost)
+                .map(|(p, _)| p.name.to_string())
+                .collect(),
+            trials,
+            outside,
+            groupings,
+            ignored,
+            has_modes: mode.is_some(),
+        })
+    }
+
+    /// The first trial of each setting.
+    pub(super) fn once(&self) -> Vec<&RealTrial> {
+        let repeated = self.groupings.iter().find(|(name, _)| name == REPEATED);
+        let first = |i: usize| repeated.is_none_or(|(_, groups)| !groups[..i].contains(&groups[i]));
+        self.trials.iter().enumerate().filter(|(i, _)| first(*i)).map(|(_, trial)| trial).collect()
+    }
+
+    /// The outcomes.
+    pub fn outcomes(&self) -> Vec<bool> {
+        self.trials.iter().map(|trial| trial.success).collect()
+    }
+
+    /// The group numbers of all groupings.
+    pub fn groups(&self) -> Vec<Vec<usize>> {
+        self.groupings.iter().map(|(_, groups)| groups.clone()).collect()
+    }
+}
+
+/// Numbers labels in order of appearance.
+fn numbered(labels: &[String]) -> Vec<usize> {
+    let mut known = BTreeMap::new();
+    labels
+        .iter()
+        .map(|label| {
+            let next = known.len();
+            *known.entry(label).or_insert(next)
+        })
+        .collect()
+}
+
+/// Settings that the real robot meets, from a CSV file with a column for every parameter. Values outside the space are
+/// an error.
+pub(super) fn settings(path: &Path, space: &ParameterSpace) -> Result<Vec<Vec<f64>>, AnalysisError> {
+    let Rows { header, rows, .. } = read(path)?;
+    let mut points = Vec::with_capacity(rows.len());
+    for (line, row) in &rows {
+        let mut point = Vec::with_capacity(space.len());
+        for parameter in space.parameters() {
+            let Some(column) = header.iter().position(|name| *name == *parameter.name) else {
+                return Err(wrong(path, 1, format!("no column `{}`", parameter.name)));
+            };
+            let at = |reason: String| wrong(path, *line, format!("{}: {reason}", parameter.name));
+            let found = value(&parameter.domain, &row[column]).map_err(at)?;
+            match found.filter(|v| inside(&parameter.domain, *v)) {
+                Some(value) => point.push(value),
+                None => return Err(at(format!("`{}` is missing or outside the simulated range", row[column]))),
+            }
+        }
+        points.push(point);
+    }
+    if points.is_empty() {
+        return Err(wrong(path, 1, "the file has no settings"));
+    }
+    Ok(points)
+}

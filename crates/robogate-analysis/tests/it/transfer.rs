@@ -1,0 +1,131 @@
+//! The real success rate from a simulation and trials.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use robogate_analysis::transfer::{Transfer, TransferOptions};
+use robogate_analysis::{AnalysisError, Source};
+use robogate_core::{Outcome, Value};
+use tempfile::TempDir;
+
+use crate::synthetic::{law, outcome, point, space, write as write_rows};
+
+/// A simulation of 900 episodes of the law.
+fn simulation(folder: &TempDir) -> std::path::PathBuf {
+    let space = space(&["box", "sphere"]);
+    let path = folder.path().join("simulation.parquet");
+    write_rows(&path, &space, law(&space, 900));
+    path
+}
+
+/// `n` trials of the same law as CSV, without the column `leave_out`. `more` adds a cell to each row.
+fn trials(n: u64, leave_out: &str, header: &str, more: impl Fn(u64) -> String) -> String {
+    let space = space(&["box", "sphere"]);
+    let names: Vec<&str> = space.parameters().iter().map(|p| &*p.name).filter(|name| *name != leave_out).collect();
+    let mut text = format!("success,{}{header}\n", names.join(","));
+    for i in 50_000..50_000 + n {
+        let requested = point(&space, i);
+        let success = outcome(i, &requested) == Outcome::Success;
+        write!(text, "{success}").unwrap();
+        for name in &names {
+            let cell = match requested.get(name).unwrap() {
+                Value::Number(x) => x.to_string(),
+                Value::Integer(x) => x.to_string(),
+                Value::Category(word) => word.to_string(),
+            };
+            write!(text, ",{cell}").unwrap();
+        }
+        writeln!(text, "{}", more(i)).unwrap();
+    }
+    text
+}
+
+fn transfer(simulation: &Path, text: &str, groups: &[&str]) -> Result<Transfer, AnalysisError> {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("trials.csv");
+    std::fs::write(&file, text).unwrap();
+    let source = Source::open(simulation)?;
+    let groups = groups.iter().map(|group| (*group).to_owned()).collect();
+    Transfer::of(&source, simulation, &file, &TransferOptions { groups, population: None })
+}
+
+#[test]
+fn good_simulation_saves_trials() {
+    let folder = TempDir::new().unwrap();
+    let found = transfer(&simulation(&folder), &trials(60, "", "", |_| String::new()), &[]).unwrap();
+    let rate = found.rate.estimated().unwrap();
+    assert!(rate.worth_trials > 75.0 && rate.correlation.unwrap() > 0.4, "{rate:?}");
+    // The rate of the law over the space.
+    let truth = found.simulated.rate.unwrap();
+    assert!(rate.interval_95[0] < truth && truth < rate.interval_95[1], "{rate:?} {truth}");
+    let exact = found.exact.estimated().unwrap();
+    assert_eq!(exact.strata.iter().map(|s| s.trials).sum::<u64>(), 60);
+    assert!(exact.interval_95[0] < truth && truth < exact.interval_95[1], "{exact:?}");
+    assert_eq!(found.different_parameters().count() + found.different_endings().count(), 0);
+    let slope = found.correction.slope;
+    assert!(slope.interval_95[0] < 1.0 && 1.0 < slope.interval_95[1], "{slope:?}");
+    let next = found.next.unwrap();
+    assert_eq!(next.settings.len(), 10);
+    assert!(next.settings[0].simulated < next.settings[9].simulated);
+    assert!(next.settings[0].setting.contains("mass") && next.expected_half_width < next.half_width);
+}
+
+#[test]
+fn missing_parameters_are_averaged() {
+    let folder = TempDir::new().unwrap();
+    let found = transfer(&simulation(&folder), &trials(40, "friction", "", |_| String::new()), &[]).unwrap();
+    assert_eq!(found.real.missing, ["friction"]);
+    assert!(found.rate.estimated().unwrap().worth_trials > 30.0);
+    assert!(found.exact.because().unwrap().contains("missing"));
+}
+
+#[test]
+fn repeated_settings_are_groups() {
+    let folder = TempDir::new().unwrap();
+    let once = trials(20, "", "", |_| String::new());
+    let (header, rows) = once.split_once('\n').unwrap();
+    let found = transfer(&simulation(&folder), &format!("{header}\n{rows}{rows}{rows}"), &[]).unwrap();
+    assert_eq!(found.real.groupings, [("repeated setting".to_owned(), 20)]);
+    assert_eq!(found.unlike().count(), 0);
+    let single = transfer(&simulation(&folder), &once, &[]).unwrap();
+    let width = |of: &Transfer| of.rate.estimated().map(|rate| rate.alone_95[1] - rate.alone_95[0]).unwrap();
+    assert!((width(&found) / width(&single) - 1.0).abs() < 0.2);
+}
+
+#[test]
+fn groups_exclude_the_exact_test() {
+    let folder = TempDir::new().unwrap();
+    let day = |i: u64| format!(",{}", i % 6);
+    let found = transfer(&simulation(&folder), &trials(60, "", ",day", day), &[]).unwrap();
+    assert_eq!(found.real.groupings, [("day".to_owned(), 6)]);
+    assert!(found.exact.because().unwrap().contains("day"));
+    assert!(found.rate.estimated().is_some());
+}
+
+#[test]
+fn selected_settings_are_refused() {
+    let folder = TempDir::new().unwrap();
+    let all = trials(300, "", "", |_| String::new());
+    // Only light objects.
+    let rows = all.lines().skip(1).filter(|row| row.split(',').nth(2).unwrap().parse::<f64>().unwrap() < 0.4);
+    let text = format!("{}\n{}\n", all.lines().next().unwrap(), rows.collect::<Vec<_>>().join("\n"));
+    let found = transfer(&simulation(&folder), &text, &[]).unwrap();
+    assert_eq!(found.unlike().map(|check| &*check.parameter).collect::<Vec<_>>(), ["mass_kg"]);
+    assert!(found.rate.because().unwrap().contains("mass_kg"));
+    assert!(found.next.is_none());
+}
+
+#[test]
+fn problems_name_their_line() {
+    let folder = TempDir::new().unwrap();
+    let simulation = simulation(&folder);
+    let error = |text: &str, groups: &[&str]| transfer(&simulation, text, groups).unwrap_err().to_string();
+    assert!(error("mass_kg\n1\n", &[]).contains(":1: no column `success`"));
+    assert!(error("success,colour\n1,red\n", &[]).contains("Expected some of friction"));
+    assert!(error("success,mass_kg\n1,1\nmaybe,1\n", &[]).contains(":3: success: `maybe`"));
+    assert!(error("success,mass_kg\n1,heavy\n", &[]).contains(":2: mass_kg: `heavy` is not a number"));
+    assert!(error("success,shape\n1,cube\n", &[]).contains("Expected one of box, sphere"));
+    assert!(error("success,mass_kg\n1,1,2\n", &[]).contains(":2:"));
+    assert!(error("success,mass_kg\n1,1\n", &["robot"]).contains("no column `robot`"));
+    assert!(error("success,mass_kg\n1,7\n", &[]).contains("no trial inside"));
+}
