@@ -4,6 +4,7 @@ mod answer;
 mod benchmark;
 mod cell;
 mod commands;
+mod duration;
 mod environments;
 mod exit;
 mod film;
@@ -12,7 +13,6 @@ mod inspection;
 mod lost_episodes;
 #[cfg(feature = "object-store")]
 mod object_store;
-mod outage;
 mod picture;
 mod place;
 mod policy_source;

@@ -368,6 +368,20 @@ impl Subject {
         }
     }
 
+    /// How many episodes run at once by default on this many cores. A worker waits while a policy server computes, so
+    /// others must simulate and render in the meantime, and the server must always find a request.
+    pub(crate) fn threads_on(&self, cores: NonZeroUsize) -> NonZeroUsize {
+        /// Threads per core while a server computes the actions.
+        const PER_CORE: usize = 4;
+        let waits = self.policy.as_ref().and_then(PolicySource::profile).is_some_and(|p| !p.dialect.is_file());
+        // Each worker of a launched environment is a process of its own.
+        let launched = matches!(&self.environment, EnvironmentSource::Remote(RemoteSource { launched: Some(_), .. }));
+        match waits && !launched {
+            true => NonZeroUsize::new((PER_CORE * cores.get()).clamp(8, 32)).unwrap_or(cores),
+            false => cores,
+        }
+    }
+
     /// Starts servers for this many workers, if this process starts them.
     pub(crate) fn start_servers(&self, workers: NonZeroUsize) -> Result<(), Exit> {
         match &self.environment {

@@ -24,7 +24,7 @@ use crate::commands::rival::Rival;
 use crate::commands::run::{How, free_folder, interrupted, introduce, write_report};
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
-use crate::policy_source::PolicyArguments;
+use crate::policy_source::{PolicyAccess, PolicyArguments, PolicyLocation};
 use crate::source::open_source;
 use crate::subject::{EnvironmentArguments, Subject};
 use crate::terminal::{grouped, line, note};
@@ -80,6 +80,8 @@ pub(crate) struct Gate {
     #[command(flatten)]
     policy: PolicyArguments,
     #[command(flatten)]
+    access: PolicyAccess,
+    #[command(flatten)]
     how: How,
     /// Write the plan of the gate in N shards to --out, and run nothing: `robogate plan DIR --next` prints the commands
     /// that run the next round, and `robogate merge DIR` returns the verdict (docs/cluster.md)
@@ -120,6 +122,11 @@ impl Gate {
             Some(run) => self.judge(run),
             None => self.run_suite(),
         }
+    }
+
+    /// How this process reaches the policy.
+    fn location(&self) -> PolicyLocation {
+        PolicyLocation::with_access(&self.access)
     }
 
     /// Judges a finished run.
@@ -188,7 +195,7 @@ impl Gate {
     fn run_suite(&self) -> Result<u8, Exit> {
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), SuctionLaw::Vacuum)?;
-        let subject = Subject::new(environment, self.policy.source()?)?;
+        let subject = Subject::new(environment, self.policy.source_at(&self.location())?)?;
         let wanted = self.requirements.as_deref().unwrap_or("default");
         let requirements = open_requirements(wanted, subject.task())?;
         let suite = self.suite(&subject)?;
@@ -251,7 +258,8 @@ impl Gate {
         let mut rival = match &self.against {
             None => None,
             Some(policy) => {
-                let source = PolicyArguments::of(policy, self.against_profile.as_deref()).source()?;
+                let source =
+                    PolicyArguments::of(policy, self.against_profile.as_deref()).source_at(&self.location())?;
                 let environment = self.environment.environment(SuctionLaw::Vacuum)?;
                 Some(Rival::new(Subject::new(environment, source)?, &planned, self.how.threads_for_rival())?)
             }
