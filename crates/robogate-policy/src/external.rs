@@ -4,7 +4,9 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use robogate_core::{Action, Command, Fault, Observation, Policy, Seed, TaskInstance, TaskSpec};
+use robogate_core::{
+    Action, Command, Fault, Observation, Policy, PredictedStep, Prediction, Seed, TaskInstance, TaskSpec,
+};
 use serde_json::Value as Json;
 
 use super::access::Access;
@@ -163,6 +165,16 @@ impl ExternalPolicy {
         reply.map_err(|error| self.access.without_key(error))
     }
 
+    /// Convert the numbers of the model to an action of the task.
+    fn decode(&self, raw: &[f64], observation: &Observation) -> Result<Action, Fault> {
+        let mut action = self.profile.action.action(raw, observation.joint_positions())?;
+        if let Command::Vector(numbers) = &mut action.command {
+            // Networks overshoot the bounds slightly, and the task would reject such an action.
+            numbers.iter_mut().zip(&self.bounds).for_each(|(n, (low, high))| *n = n.clamp(*low, *high));
+        }
+        Ok(action)
+    }
+
     fn deadline(&self) -> Deadline {
         let timeouts = &self.profile.server;
         Deadline::within(if self.warm { timeouts.answer_s } else { timeouts.first_answer_s })
@@ -190,11 +202,15 @@ impl Policy for ExternalPolicy {
             self.queue.extend(chunk.into_rows().into_iter().take(self.profile.chunk.execute));
         }
         let raw = self.queue.pop_front().unwrap_or_default();
-        let mut action = self.profile.action.action(&raw, observation.joint_positions())?;
-        if let Command::Vector(numbers) = &mut action.command {
-            // Networks overshoot the bounds slightly, and the task would reject such an action.
-            numbers.iter_mut().zip(&self.bounds).for_each(|(n, (low, high))| *n = n.clamp(*low, *high));
-        }
-        Ok(action)
+        self.decode(&raw, observation)
+    }
+
+    fn predict(&mut self, observation: &Observation) -> Result<Prediction, Fault> {
+        let steps = self.infer(observation)?.into_rows().into_iter().map(PredictedStep::Numbers).collect();
+        Ok(Prediction { steps, execute: self.profile.chunk.execute, periods: 1 })
+    }
+
+    fn perform(&mut self, step: Option<&[f64]>, observation: &Observation) -> Result<Action, Fault> {
+        self.decode(step.unwrap_or_default(), observation)
     }
 }

@@ -10,6 +10,7 @@ mod exit;
 mod film;
 #[cfg(feature = "mujoco")]
 mod inspection;
+mod latency;
 mod lost_episodes;
 #[cfg(feature = "object-store")]
 mod object_store;

@@ -24,6 +24,7 @@ use crate::commands::rival::Rival;
 use crate::commands::run::{How, free_folder, interrupted, introduce, write_report};
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit, USAGE};
+use crate::latency::LatencyArguments;
 use crate::policy_source::{PolicyAccess, PolicyArguments, PolicyLocation};
 use crate::source::open_source;
 use crate::subject::{EnvironmentArguments, Subject};
@@ -81,6 +82,8 @@ pub(crate) struct Gate {
     policy: PolicyArguments,
     #[command(flatten)]
     access: PolicyAccess,
+    #[command(flatten)]
+    latency: LatencyArguments,
     #[command(flatten)]
     how: How,
     /// Write the plan of the gate in N shards to --out, and run nothing: `robogate plan DIR --next` prints the commands
@@ -196,9 +199,13 @@ impl Gate {
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), SuctionLaw::Vacuum)?;
         let subject = Subject::new(environment, self.policy.source_at(&self.location())?)?;
+        let subject = subject.with_latency(&self.latency)?;
         let wanted = self.requirements.as_deref().unwrap_or("default");
         let requirements = open_requirements(wanted, subject.task())?;
         let suite = self.suite(&subject)?;
+        if self.suite.is_some() {
+            self.latency.check_suite(suite.space()).or_usage()?;
+        }
         subject.check_suite(&suite).or_usage()?;
         // The protocol of a published benchmark fixes the number of episodes.
         let protocol = !suite.published().is_empty();
@@ -344,7 +351,8 @@ impl Gate {
             (Some(name), _, _) => suites::find(name),
             (None, None, Some(_)) => suites::find(INDUSTRIAL_68),
             (None, space, _) => {
-                let space = subject.space(space.as_deref()).or_usage()?;
+                let space =
+                    subject.space(space.as_deref()).and_then(|space| self.latency.added_to(space)).or_usage()?;
                 let seed = self.seed.unwrap_or(DEFAULT_SEED);
                 Suite::sampled(&Arc::new(space), SAMPLED_SCENARIOS, seed).map_err(anyhow::Error::from).or_usage()
             }

@@ -18,6 +18,7 @@ use robogate_physics::SuctionLaw;
 
 use crate::commands::{shard, suites};
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
+use crate::latency::{self, LatencyArguments};
 use crate::lost_episodes::{Outage, RunsLostAgain};
 use crate::place;
 use crate::policy_source::{PolicyArguments, PolicyLocation};
@@ -59,6 +60,8 @@ pub(crate) struct Run {
     policy: PolicyArguments,
     #[command(flatten)]
     location: PolicyLocation,
+    #[command(flatten)]
+    latency: LatencyArguments,
     #[command(flatten)]
     how: How,
     /// Write the run to this folder; default: a new one under runs/
@@ -146,7 +149,7 @@ impl Run {
         let suction = if papers { SuctionLaw::Surface } else { SuctionLaw::Vacuum };
         let suite = self.suite.as_deref().map(suites::find).transpose()?;
         let environment = self.environment.environment_of(suite.as_ref(), suction)?;
-        let subject = Subject::new(environment, self.policy.source_at(&self.location)?)?;
+        let subject = Subject::new(environment, self.policy.source_at(&self.location)?)?.with_latency(&self.latency)?;
         let (plan, space) = self.plan_and_space(&subject)?;
         let provenance = subject.provenance(space)?;
         if let (Some(shard), Some(dir)) = (self.shard, &self.out) {
@@ -204,12 +207,13 @@ impl Run {
         if let Some(name) = &self.suite {
             let suite = suites::find(name)?;
             subject.check_suite(&suite).or_usage()?;
+            self.latency.check_suite(suite.space()).or_usage()?;
             let space = suite.space().clone();
             let plan = Plan::of_suite(suite, self.rounds, self.seed.unwrap_or(DEFAULT_SEED));
             plan.check(&space).or_usage()?;
             return Ok((plan, space));
         }
-        let space = subject.space(self.space.as_deref()).or_usage()?;
+        let space = subject.space(self.space.as_deref()).and_then(|space| self.latency.added_to(space)).or_usage()?;
         let mut plan = match &self.plan {
             Some(file) => Plan::load(file).or_usage()?,
             None => {
@@ -380,6 +384,10 @@ pub(crate) fn introduce(provenance: &Provenance, seed: u64) {
         provenance.engine.version.as_deref().unwrap_or_default(),
         provenance.policy,
     ));
+    let execution = provenance.world.get("execution").cloned().map(serde_json::from_value);
+    if let Some(Ok(execution)) = execution {
+        note(latency::describe(&execution));
+    }
 }
 
 /// A folder under `runs/` that does not exist yet.
